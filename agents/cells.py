@@ -32,9 +32,10 @@ from soil_env._io.files import is_unused, make_folder, replace_file
 from soil_env._io.loading import ParameterError, load, read_yaml, to_dict, unknown_value
 from soil_env.cli.running import end_with_parent
 
-from .progress import console
+from .progress import console, show
 
 STUDY = "study.yaml"
+MADE_FROM = "made_from"  # key of a finished cell: digest of all that it depends on
 ATTEMPTS = 4  # at a cell whose worker has died
 _SINGLE_THREADED = (
     "OMP_NUM_THREADS",
@@ -124,8 +125,10 @@ def read_cell(folder: Path, cell: Hashable, parse: Callable):
     """`parse` of the content of a finished cell; ParameterError where the file is damaged."""
     path = cell_file(folder, cell)
     try:
-        return parse(json.loads(path.read_text(encoding="utf-8")))
-    except (ValueError, KeyError, TypeError) as error:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        content.pop(MADE_FROM, None)
+        return parse(content)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ParameterError(
             f"{path}: is damaged ({error}); delete it to have it done again"
         ) from None
@@ -137,21 +140,53 @@ def fill(
     folder: Path,
     engine: Engine,
     progress: Callable[[Cell], None],
+    needs: Callable[[Cell], object] = lambda cell: None,
 ) -> None:
-    """Do the cells without a file; `progress` receives every finished cell, also those that were
-    there already.
+    """Do the cells without a file, and those made from something else than `needs` says now.
+
+    `progress` receives every finished cell, also those that were there already.
     """
     missing = []
+    stale = 0
+    made_from = {}
     for cell in cells:
-        if cell_file(folder, cell).is_file():
+        made_from[cell] = _digest(needs(cell))
+        if is_done(folder, cell, needs):
             progress(cell)
         else:
+            stale += cell_file(folder, cell).is_file()
             missing.append(cell)
+    if stale:
+        show(
+            f"{stale} finished parts are damaged, or made from what has changed since: they are "
+            "done again."
+        )
     (Path(folder) / "cells").mkdir(parents=True, exist_ok=True)
     with contextlib.closing(engine(work, missing)) as results:
         for cell, content in results:
-            replace_file(cell_file(folder, cell), json.dumps(content, allow_nan=False))
+            kept = {MADE_FROM: made_from[cell], **content}
+            replace_file(cell_file(folder, cell), json.dumps(kept, allow_nan=False))
             progress(cell)
+
+
+def is_done(folder: Path, cell: Cell, needs: Callable[[Cell], object]) -> bool:
+    """True if a cell has a file that was made from what `needs` says now."""
+    path = cell_file(folder, cell)
+    return path.is_file() and _made_from(path) == _digest(needs(cell))
+
+
+def _digest(needed: object) -> str:
+    """Digest of plain values."""
+    return hashlib.sha256(json.dumps(needed, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _made_from(path: Path) -> str | None:
+    """Digest that a finished cell was written with, None of a damaged one: reading it says so."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return str(content.get(MADE_FROM))
+    except (ValueError, AttributeError):
+        return None
 
 
 def choose(engine: str, workers: int | None = None, address: str | None = None) -> Engine:

@@ -25,6 +25,7 @@ from .progress import Bar, show
 
 MODEL = "model.zip"
 CHECKPOINT = "checkpoint.zip"
+BEGUN = ".{}.begun.yaml"  # copy of a file of the run, as it was when the run began
 _RECENT = 1000  # courses whose mean return and rates are shown
 _STUCK = [cause.name for cause in IMMOBILISED]
 
@@ -95,7 +96,9 @@ def make_run_folder(config: TrainConfig, scenario: Scenario | RoverScenario) -> 
     try:
         folder.mkdir(parents=True)
         for file, content in (("config", config), ("scenario", scenario)):
-            replace_file(folder / f"{file}.yaml", yaml.safe_dump(to_dict(content), sort_keys=False))
+            text = yaml.safe_dump(to_dict(content), sort_keys=False)
+            replace_file(folder / f"{file}.yaml", text)
+            replace_file(folder / BEGUN.format(file), text)
     except FileExistsError:
         raise ParameterError(
             f"{folder}: exists; give another --name, or --resume {folder}"
@@ -117,9 +120,33 @@ def open_run(folder: Path) -> tuple[TrainConfig, Scenario | RoverScenario]:
         raise ParameterError(
             f"{folder}: no such run folder" + (f" (found: {', '.join(near)})" if near else "")
         )
+    _tell_edits(folder)
     config = load_config(read_yaml(folder / "config.yaml"), str(folder / "config.yaml"))
     load_task = load_rover if config.rover else load_scenario
     return config, load_task(folder / "scenario.yaml")
+
+
+def _tell_edits(folder: Path) -> None:
+    """Say which keys of the files of a run were edited since it began."""
+    for file in ("config", "scenario"):
+        begun = folder / BEGUN.format(file)
+        if begun.is_file():
+            edits = differences(read_yaml(begun), read_yaml(folder / f"{file}.yaml"))
+            if edits:
+                show(f"{folder / file}.yaml was edited since the run began: {', '.join(edits)}.")
+
+
+def differences(old: dict, new: dict, prefix: str = "") -> list[str]:
+    """Keys whose values differ, as "key old -> new"; nested ones with dots."""
+    out = []
+    for key in {**old, **new}:
+        a = old.get(key)
+        b = new.get(key)
+        if isinstance(a, dict) and isinstance(b, dict):
+            out += differences(a, b, f"{prefix}{key}.")
+        elif a != b:
+            out.append(f"{prefix}{key} {a} -> {b}")
+    return out
 
 
 def train(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario) -> Agent:
@@ -182,5 +209,11 @@ def trained(config: TrainConfig, scenario: Scenario | RoverScenario) -> Path:
         shutil.rmtree(run)
     if not run.is_dir():
         make_run_folder(config, scenario)
+    begun = {**read_yaml(run / "config.yaml"), "runs": config.runs}  # a study may be moved
+    if edits := differences(begun, yaml.safe_load(yaml.safe_dump(to_dict(config)))):
+        raise ParameterError(
+            f"{run}: was trained otherwise ({', '.join(edits)}): expected the study as it began, "
+            "or this folder moved away"
+        )
     train(run, config, scenario)
     return run / MODEL

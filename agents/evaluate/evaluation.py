@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-from soil_env._io.loading import ParameterError, quantity
+from soil_env._io.loading import ParameterError, quantity, to_dict
 
 from ..cells import Engine, code_version, fill, read_cell
 from ..config import OfTask, check_oracle
@@ -135,6 +135,20 @@ class Job:
             ) from None
         return runs.columns()
 
+    def needs(self, block: Block) -> dict:
+        """All that the runs of a block depend on, as plain values."""
+        asked = self.asked
+        contestant = self.controllers.get(block.controller)
+        code = ""
+        if contestant is not None and contestant.kind == "class":
+            code = loading.code_digest(contestant.source)
+        return {
+            "controller": to_dict(contestant) if contestant is not None else block.controller,
+            "code": code,
+            "courses": [asked.seed, block.first, block.count],
+            **{name: getattr(asked, name) for name in ("task", "model", "detailed", "version")},
+        }
+
     def _controller(self, key: str):
         if key == ORACLE:
             return Oracle(self.asked.scenario)
@@ -155,7 +169,8 @@ def run(
 
     `progress` receives numbers of courses done.
     """
-    fill(job, asked.blocks(), folder, engine, lambda block: progress(block.count))
+    blocks = asked.blocks()
+    fill(job, blocks, folder, engine, lambda block: progress(block.count), job.needs)
 
     def of(key: str) -> Runs:
         own = [b for b in asked.blocks() if b.controller == key]

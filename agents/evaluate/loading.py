@@ -2,7 +2,9 @@
 line.
 """
 
+import hashlib
 import importlib
+import importlib.util
 import inspect
 import sys
 import tempfile
@@ -87,6 +89,18 @@ def _from_class(spec: str, name: str, scenario: Scenario):
             f"controllers: {spec}: variant = {variant!r}: expected one of {', '.join(VARIANTS)}"
         )
     return _Wrapped(thing, variant, spec, getattr(scenario, "axles", 1))
+
+
+def code_digest(spec: str) -> str:
+    """SHA-256 of the file of the module of module:Class; empty if it cannot be found."""
+    if "" not in sys.path:
+        sys.path.append("")
+    try:
+        found = importlib.util.find_spec(spec.partition(":")[0])
+        content = Path(found.origin).read_bytes() if found and found.origin else b""
+    except (ImportError, ValueError, OSError):
+        return ""
+    return hashlib.sha256(content).hexdigest()
 
 
 def _takes_one(thing) -> bool:

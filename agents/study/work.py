@@ -10,13 +10,13 @@ import tempfile
 from pathlib import Path
 
 from soil_env._io.files import replace_files
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import ParameterError, to_dict
 from soil_env.parameters import Scenario
 
 from .. import cells
 from ..evaluate.contestants import Contestant
 from ..evaluate.driving import Runs, run_courses
-from ..evaluate.loading import load
+from ..evaluate.loading import code_digest, load
 from ..evaluate.tuning import tuned_settings
 from ..progress import show
 from .config import Cell, Study
@@ -45,7 +45,8 @@ def fill(study: Study, folder: Path, engine: cells.Engine, elsewhere: bool) -> N
                 replace_files(folder / "trained" / str(cell), files)
             yield cell, content
 
-    cells.fill(Work(study, None if elsewhere else folder), todo, folder, kept, progress)
+    job = Work(study, None if elsewhere else folder)
+    cells.fill(job, todo, folder, kept, progress, job.needs)
 
 
 class Work:
@@ -54,6 +55,20 @@ class Work:
     def __init__(self, study: Study, folder: Path | None):
         self.study = study
         self.folder = folder
+
+    def needs(self, cell: Cell) -> dict:
+        """All that a cell depends on, as plain values."""
+        study = self.study
+        arm = study.arms[cell.arm]
+        targets = [study.targets[name] for name in (cell.source, *study.fed_by(cell.source))]
+        return {
+            "arm": to_dict(arm),
+            "code": code_digest(arm.controller) if ":" in arm.controller else "",
+            "world": to_dict(study.worlds[arm.world]) if arm.world else {},
+            "targets": [to_dict(target) for target in targets],
+            "courses": [study.held_out, study.courses, study.tuning_courses],
+            "version": study.version,
+        }
 
     def __call__(self, cell: Cell) -> dict:
         """{"settings": of a classical controller, "driven": {target: columns of `Runs`}}.
@@ -130,8 +145,9 @@ def driven(study: Study, folder: Path) -> tuple[dict[str, dict[str, list[Runs]]]
 
     runs: dict[str, dict[str, list[Runs]]] = {name: {} for name in study.targets}
     settings = {}
+    job = Work(study, folder)
     for cell in study.cells():
-        if not cells.cell_file(folder, cell).is_file():
+        if not cells.is_done(folder, cell, job.needs):
             continue
         content = cells.read_cell(folder, cell, parse)
         if content["settings"]:

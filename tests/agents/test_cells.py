@@ -107,3 +107,24 @@ def test_ray_that_is_not_installed_and_a_cluster_that_is_not_there_are_named(mon
     monkeypatch.setitem(sys.modules, "ray", ModuleType("ray"))
     with pytest.raises(ParameterError, match="no cluster at localhost:1 .*; expected HOST:PORT"):
         cells.choose("ray", address="localhost:1")
+
+
+def test_what_was_made_from_something_else_is_done_again(tmp_path, capsys):
+    done = []
+
+    def work(cell):
+        done.append(cell)
+        return {"value": cell}
+
+    def fill(needs):
+        done.clear()
+        cells.fill(work, [1, 2], tmp_path, cells.in_process, lambda cell: None, needs)
+        return done
+
+    assert fill(lambda cell: [cell, "one"]) == [1, 2]
+    assert fill(lambda cell: [cell, "one"]) == [] and "again" not in capsys.readouterr().out
+    assert fill(lambda cell: [cell, "one" if cell == 1 else "other"]) == [2]
+    assert "1 finished parts are damaged, or made from what has changed" in capsys.readouterr().out
+    cells.cell_file(tmp_path, 1).write_text("{")
+    assert fill(lambda cell: [cell, "one" if cell == 1 else "other"]) == [1]
+    assert cells.read_cell(tmp_path, 1, lambda content: content) == {"value": 1}

@@ -278,6 +278,34 @@ def test_ray_gives_what_one_process_gives(cluster, everyone, done, tmp_path):
     same(tmp_path, done)
 
 
+RAMP = """
+import numpy as np
+
+class Ramp:
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.full((len(observation), 1), {}), state
+"""
+
+
+def test_an_edited_class_or_study_is_driven_again(capsys, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    module = tmp_path / "ramp_of_a_test.py"
+    module.write_text(RAMP.format(0.1))
+    out = tmp_path / "out"
+    asked = [*SHORT, "--controllers=mine=ramp_of_a_test:Ramp,soft_start", f"--out={out}"]
+    assert main(*asked) == 0
+    rule, mine = (out / "cells" / f"{n}-0-0.json" for n in ("soft_start", "mine"))
+    before = [p.stat().st_mtime_ns for p in (rule, mine)]
+    module.write_text(RAMP.format(0.9) + "\n")
+    assert main(*asked) == 0 and "done again" in capsys.readouterr().out
+    after = [p.stat().st_mtime_ns for p in (rule, mine)]
+    assert after[0] == before[0] and after[1] > before[1]
+    study = out / "study.yaml"
+    study.write_text(study.read_text().replace("length: ", "length: 1", 1))
+    assert main("--resume", str(out), "--allow-code") == 0
+    assert rule.stat().st_mtime_ns > after[0]
+
+
 def test_a_model_or_code_that_has_changed_is_refused(capsys, tmp_path, models):
     mine = tmp_path / "model.zip"
     out = tmp_path / "out"

@@ -96,7 +96,10 @@ def test_a_run_its_folder_and_its_resumption(capsys, tmp_path, monkeypatch):
         patch.setattr(comparison, "compare", None)  # would be a TypeError
         assert run(capsys, "--resume", folder)[0] == 0
     (folder / comparison.DONE).unlink()
-    assert run(capsys, "--resume", folder)[0] == 0
+    edited = (folder / "config.yaml").read_text().replace("seed: 4", "seed: 5")
+    (folder / "config.yaml").write_text(edited)
+    code, out, _ = run(capsys, "--resume", folder)
+    assert code == 0 and "config.yaml was edited since the run began: seed 4 -> 5." in out
     assert json.loads((folder / comparison.DONE).read_text()) == result
     assert (folder / "model.zip").read_bytes() == model
 

@@ -9,7 +9,14 @@ from numba import njit
 from soil_env._compiled.elementary import smooth_step
 from soil_env._compiled.flags import EXACT
 from soil_env.identification.online.linear import factorise, invert
-from soil_env.identification.online.memory import OLD, PLACE, PUBLISHED, SOIL
+from soil_env.identification.online.memory import (
+    INSTRUMENTS,
+    LOAD_GAIN,
+    OLD,
+    PLACE,
+    PUBLISHED,
+    SOIL,
+)
 
 PLACE_SD = 0.3  # [border lengths] of the place of a border that forces show, which is where they do
 # factor of the covariance of the old soil, which the border's first readings spoilt
@@ -51,12 +58,13 @@ def begin_border(memory, setting, work, place, variance):
         memory.u[OLD + i] = memory.old_mean[i]
         memory.u[i] = setting.soil_mean[i]
         memory.prior_mean[i] = setting.soil_mean[i]
-        memory.u[SOIL + i] = 0.0
         for j in range(SOIL):
             V[i, j] = setting.soil_covariance[i, j]
             memory.prior_precision[i, j] = setting.soil_precision[i, j]
             memory.spread[i, j] = setting.soil_covariance[i, j]
             memory.information[i, j] = 0.0
+    for i in range(INSTRUMENTS):
+        memory.u[LOAD_GAIN + i] = 0.0
     memory.u[PLACE] = place
     memory.form_error = setting.model_error
     for i in range(2):

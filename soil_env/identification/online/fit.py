@@ -12,6 +12,7 @@ from soil_env.identification.online.linear import factorise, invert, solve
 from soil_env.identification.online.memory import (
     ALL,
     HERE,
+    INSTRUMENTS,
     LOAD_GAIN,
     OLD,
     PLACE,
@@ -79,7 +80,7 @@ def weigh_instruments(memory, setting, work):
     ) / twist**2
     variances[SINKAGE_ZERO - first] = zero.sinkage**2
     variances[SPEED_GAIN - first] = gain.speed**2 + gain.rim_speed**2
-    for i in range(SOIL):
+    for i in range(INSTRUMENTS):
         variances[i] += EXACTLY**2
 
 
@@ -97,6 +98,7 @@ def _begin_with_prior(memory, setting, work, size):
         for j in range(SOIL):
             A[i, j] = memory.prior_precision[i, j]
             g[i] += A[i, j] * (memory.prior_mean[j] - u[j])
+    for i in range(INSTRUMENTS):
         k = LOAD_GAIN + i
         A[k, k] = 1.0 / work.instruments[i]
         g[k] = -A[k, k] * u[k]

@@ -30,6 +30,7 @@ from soil_env.identification.online.memory import (
     EXPONENT,
     GAIN,
     HERE,
+    INSTRUMENTS,
     LN_K,
     LOAD_GAIN,
     MEMORY,
@@ -376,7 +377,7 @@ def instruments(memory, setting, work, out):
     weigh_instruments(one, setting[0], scratch)
     if one.points > 0:
         invert(one.factor, HERE, scratch.scratch, scratch.inverse)
-    for i in range(SOIL):
+    for i in range(INSTRUMENTS):
         variance = scratch.instruments[i]
         if one.points > 0:
             variance = scratch.inverse[LOAD_GAIN + i, LOAD_GAIN + i]

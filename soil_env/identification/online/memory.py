@@ -12,8 +12,9 @@ TANGENT, COHESION, EXPONENT, LN_K, PRESSURE, GAIN = range(6)
 SOIL = 6
 #: Unknowns of the instruments: relative gain of load, torque and speed, zero of pull [of weight],
 #: torque [of weight x radius] and sinkage [m].
-LOAD_GAIN, PULL_ZERO, TORQUE_GAIN, TORQUE_ZERO, SINKAGE_ZERO, SPEED_GAIN = range(SOIL, 2 * SOIL)
-HERE = 2 * SOIL  # unknowns of one soil with the instruments
+INSTRUMENTS = 6
+HERE = SOIL + INSTRUMENTS  # unknowns of one soil with the instruments
+LOAD_GAIN, PULL_ZERO, TORQUE_GAIN, TORQUE_ZERO, SINKAGE_ZERO, SPEED_GAIN = range(SOIL, HERE)
 #: Behind a border: the place of its middle [m], and the six of the old soil.
 PLACE = HERE
 OLD = PLACE + 1
@@ -184,7 +185,7 @@ WORK = record(
     inverse=("f8", (ALL, ALL)),
     gradient=("f8", ALL),
     step=("f8", ALL),
-    instruments=("f8", SOIL),  # prior variances, from `LOAD_GAIN` on
+    instruments=("f8", INSTRUMENTS),  # prior variances, from `LOAD_GAIN` on
     soil=("f8", SOIL),  # blended
     weights=("f8", MOST_SOILS),  # of the soils of the library
     slopes=("f8", (RESIDUALS, ALL)),
