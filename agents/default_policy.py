@@ -27,7 +27,7 @@ _EXPECTED = (
 )
 
 
-class DefaultPolicy:
+class DefaultPolicy(inputs.Observing):
     """A trained student with `predict` on observations `identified` of the `scenario`, in their
     units.
     """
@@ -80,17 +80,19 @@ class DefaultPolicy:
                 f"{path}: layers whose shapes do not fit each other: {_EXPECTED}"
             ) from None
         self.clip = CLIP
-        self._layout = inputs.Layout(self.scaling.entries, self.variant)
+        self.scenario = scenario
+        self._layout = inputs.Layout(self.scaling.entries, self.variant, common_layout.ACTION)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions [n, 1] for observations [n, D], or [1] for [D], and the memory; as
         `agents.agent.Agent.predict`.
         """
         inputs.switch(deterministic)  # there is no other
-        seen = self._layout.observed(observation)
+        count = len(np.atleast_2d(observation))
+        fresh = inputs.starts(episode_start, count, state is None)
+        seen = self._layout.observed(observation, fresh)
         batch = np.atleast_2d(seen)
-        shape = (len(np.atleast_2d(seen)), self.history.kept)
-        fresh = inputs.starts(episode_start, len(batch), state is None)
+        shape = (count, self.history.kept)
         kept = np.zeros(shape, dtype=np.float32) if state is None else inputs.memory(state, shape)
         batch, state = self.history.observe(self.scaling(batch), kept, fresh)
         normal = np.clip((batch - self.mean) / self.sd, -self.clip, self.clip).astype(np.float32)

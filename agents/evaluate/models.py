@@ -21,6 +21,7 @@ from .. import PACKAGE_NAMES
 from ..common_layout import CommonScaling
 from ..default_policy import DefaultPolicy
 from ..exported import ExportedAgent
+from ..inputs import Layout, Observing, starts
 
 try:
     import torch
@@ -158,14 +159,15 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
     except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
         said = f"{type(error).__name__}: {saved.one_line(error)}"
         raise ParameterError(f"{path}: cannot be loaded as a {algorithm} model ({said})") from None
-    variant, scaling = _variant(model, path, scenario.course)
+    variant, scaling = _variant(model, path, scenario.course)  # of a wheel
     names = [e.name for e in layout(variant, scenario.course)]
     shape = model.action_space.shape
     of_line = shape == (2,) and "choice" in names  # trained with LineAction
     axles = getattr(scenario, "axles", 1)
     if shape != (axles,) and not of_line:
         raise ParameterError(f"{path}: trained with actions of shape {shape}: expected ({axles},)")
-    return _Plain(model, variant, scaling, names.index("choice") if of_line else None)
+    choice = names.index("choice") if of_line else None
+    return _Plain(model, variant, scaling, choice, scenario)
 
 
 @cache
@@ -189,15 +191,19 @@ def _variant(model, path: Path, course: CourseSpec) -> tuple[str, Scaling]:
     )
 
 
-class _Plain:
+class _Plain(Observing):
     """A model of SB3 that reads the observation of `variant`.
 
     `choice` is the place of that reading in the observation for a model trained with `LineAction`,
     else None.
     """
 
-    def __init__(self, model, variant: str, scaling: Scaling, choice: int | None = None):
+    def __init__(
+        self, model, variant: str, scaling: Scaling, choice: int | None, scenario: Scenario
+    ):
         self.model = model
+        self.scenario = scenario
+        self.layout = Layout(scaling.entries, variant, scenario.control.action)
         self.policy = model.policy
         self.variant = variant
         self.scaling = scaling
@@ -205,9 +211,9 @@ class _Plain:
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """As SB3's predict."""
-        action, state = self.model.predict(
-            self.scaling(observation), state, episode_start, deterministic
-        )
+        count = len(np.atleast_2d(observation))
+        seen = self.layout.observed(observation, starts(episode_start, count, state is None))
+        action, state = self.model.predict(self.scaling(seen), state, episode_start, deterministic)
         if self.choice is not None:
             choosing = np.asarray(observation)[..., [self.choice]] > 0.5
             action = np.where(choosing, action[..., 1:], action[..., :1])

@@ -85,8 +85,8 @@ class Work:
             made = str(
                 training.trained(study.training(cell, model, folder / "trained"), source.scenario)
             )
-        elif ":" not in arm.controller:
-            kind = "classical"
+        else:
+            kind = "class" if ":" in arm.controller else "classical"
             settings = arm.settings or self._tuned(cell, source.scenario, model, folder)
         driven = {}
         contestant = Contestant(cell.arm, 0, kind, made, settings=settings)

@@ -74,7 +74,8 @@ def check(instance) -> None:
                 raise FieldError(
                     instance, f.name, f" = {_said(value)}: expected a number in {limits}"
                 )
-        if f.name in _floats(type(instance)):
+        own: type = type(instance)
+        if f.name in _floats(own):
             plain = tuple(map(float, value)) if isinstance(value, tuple) else float(value or 0.0)
             object.__setattr__(instance, f.name, None if value is None else plain)
         if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
@@ -260,17 +261,18 @@ def number(kind: type, value, where: str):
             value = float(value)
         except ValueError:
             pass
+    real: typing.Any = value  # a number, below
     if (
         isinstance(value, bool)
         or not isinstance(value, numbers.Real)
-        or sys.float_info.max < abs(value) < math.inf
+        or sys.float_info.max < abs(real) < math.inf
     ):
         raise ParameterError(f"{where} = {_said(value)}: expected a number")
     if kind is int:
-        if not math.isfinite(value) or value != int(value):
+        if not math.isfinite(real) or real != int(real):
             raise ParameterError(f"{where} = {value!r}: expected a whole number")
-        return int(value)
-    return float(value)
+        return int(real)
+    return float(real)
 
 
 def merge(base: dict, changes: dict) -> dict:

@@ -4,18 +4,20 @@ environment.
     observer = Observer(load_scenario("mixed"))
     observation = observer.observe(Readings(wheel_speed=2.0, speed=0.27, sinkage=0.02, ...), action)
 
-The scenario has the wheel with its mass and motor, its control and its prior of the soil; `task`
-numbers that only a simulated course has, as its soils, do not matter.
+The scenario has the wheel with its mass and motor, its control, the length of the course that
+odometry is relative to, and the prior of the soil.
 """
 
 import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 
 from soil_env._compiled.cache import kept
 from soil_env._compiled.flags import EXACT
 from soil_env._io.loading import ParameterError
+from soil_env.envs.course_env import actions_of
 from soil_env.identification.online.immobilisation import SCALES, ImmobilisationWarning
 from soil_env.identification.online.interface import OnlineIdentifier, Readings, refusal_of
 from soil_env.identification.online.on_board import WheelsOnBoard
@@ -100,9 +102,10 @@ class _Reader(OnlineIdentifier):
 class Observer:
     """Observations of a `variant`, "identified" or "blind", from readings; one wheel.
 
-    `observe` is called once a control period of the scenario, whose readings it takes. A reading
-    that is NaN keeps its last value in the observation, and the identifier takes it as not
-    measured. `held` counts such readings by name since the last `reset`.
+    `observe` takes the readings of each control period of the scenario. A reading that is NaN keeps
+    its last value in the observation, and the identifier takes it as not measured; before the first
+    value stands what `OnlineIdentifier` puts there. `held` counts such readings by name since the
+    last `reset`.
     """
 
     def __init__(self, scenario: Scenario, variant: str = "identified") -> None:
@@ -139,13 +142,12 @@ class Observer:
         self._read: set[str] = set()  # names of readings that there have been
         self._image: Image | None = None
         self._begun = False
-        self._known = False
         self.held = {}
 
     def observe(
         self,
         readings: Readings,
-        action: float = 0.0,
+        action: ArrayLike = 0.0,
         *,
         halted: bool = False,
         image: Image | None = None,
@@ -160,15 +162,14 @@ class Observer:
         cannot be.
         """
         period = self._reader.check(readings)
-        if not (isinstance(action, (int, float)) and math.isfinite(action)):
-            raise ValueError(f"action = {action!r:.60}: expected a finite number in [-1, 1]")
+        acted = actions_of(np.atleast_1d(np.asarray(action)), (1,))
         self._take_image(image)
         self._set_period(period)
         known = self._take(readings, period)
         wheel = self._worlds.state[0]
         note = self._worlds.notes[0, 0]
         note.halted = 1.0 if halted else 0.0
-        wheel.action = min(max(float(action), -1.0), 1.0)
+        wheel.action = acted[0]
         write_reading(
             *(self._worlds.state, self._worlds.notes, self._worlds.observation),
             self._setting,
@@ -177,7 +178,7 @@ class Observer:
             readings.slip != readings.slip,
             bool(chooses),
         )
-        if known:
+        if known or not self._begun:
             self._identify()
         self._begun = True
         return self._worlds.observation[0].copy()
@@ -244,9 +245,8 @@ class Observer:
         """Take the readings on board; the first of a drive set all to the prior."""
         world = (self._worlds.state, self._worlds.notes, self._worlds.observation)
         self._worlds.state["periods"] = 1
-        order = STEP if self._known else RESTART
+        order = STEP if self._begun else RESTART
         self._board.follow(world, np.array([order]), 0, 1)
-        self._known = True
 
     def _set_period(self, period: float) -> None:
         """Let everything count with a `period` [s] since the last readings."""

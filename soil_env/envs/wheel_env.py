@@ -316,12 +316,11 @@ class SoilWheelEnv(CourseEnv):
         **changes: Any,
     ):
         self.model: WheelSoilModel | None = load_model(model)
-        scenario = with_model(
-            build_scenario(scenario, action, repeat, changes), self.model, scatter, changes
-        )
-        entries = layout(observation, scenario.course)
-        super().__init__(scenario, entries, observation, action_space(), render_mode, scaled)
-        self.world = world_of(scenario, self.model, scatter)
+        task = build_scenario(scenario, action, repeat, changes)
+        task = with_model(task, self.model, scatter, changes)
+        entries = layout(observation, task.course)
+        super().__init__(task, entries, observation, action_space(), render_mode, scaled)
+        self.world = world_of(task, self.model, scatter)
         info = checked(info, observation)
         self.simulation: Simulation = Simulation(
             1, self.scenario, observation, 1, self.model, asks(info)
@@ -381,8 +380,8 @@ class SoilWheelVectorEnv(CourseVectorEnv):
     ):
         super().__init__(num_envs, autoreset_mode, max_episode_steps, threads, render_mode)
         self.model: WheelSoilModel | None = load_model(model)
-        scenario = build_scenario(scenario, action, repeat, changes, _OWN_OF_MANY)
-        self.scenario: Scenario = with_model(scenario, self.model, scatter, changes)
+        task = build_scenario(scenario, action, repeat, changes, _OWN_OF_MANY)
+        self.scenario: Scenario = with_model(task, self.model, scatter, changes)
         self._set_spaces(layout(observation, self.scenario.course), action_space(), scaled)
         info = checked(info)
         finals = (

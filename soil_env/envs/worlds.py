@@ -45,7 +45,8 @@ def with_model(
             )
     own = {name: given[name] for name in given if name not in sizes}
     try:
-        fitted = {"wheel": replace(geared(wheel, sizes["radius"]), **sizes, **own)}
+        own_wheel: dict[str, Any] = {**sizes, **own}
+        fitted = {"wheel": replace(geared(wheel, sizes["radius"]), **own_wheel)}
         if model.soil is None:
             return replace(scenario, **fitted)
         belief = scenario.belief
@@ -61,7 +62,7 @@ def with_model(
         raise ParameterError(f"model: {error}") from None
 
 
-def _given(changed: object, wheel: Wheel) -> dict[str, float]:
+def _given(changed: Any, wheel: Wheel) -> dict[str, Any]:
     """Numbers of the wheel that a keyword has set."""
     if changed is None:
         return {}

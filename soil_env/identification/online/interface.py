@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from numbers import Real
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -238,7 +238,7 @@ class OnlineIdentifier:
             raise ParameterError(re.sub(r"^(Control|Scenario)\.", "", str(error))) from None
 
     @classmethod
-    def of_scenario(cls, scenario: Scenario) -> "OnlineIdentifier":
+    def of_scenario(cls, scenario: Scenario) -> Self:
         """The identifier that an environment of this scenario runs, but for borders that the camera
         of a scenario with terrain classes sees.
         """
