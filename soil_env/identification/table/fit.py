@@ -113,11 +113,11 @@ class TableEstimate:
     soil: Soil  # the most probable, under wheels of the width of the table
 
     def model(self, wheel: Any) -> WheelSoilModel:
-        """The base model of a wheel on this soil, as the environments take it.
+        """The base model of a wheel with a smooth rim on this soil, as the environments take it.
 
         `wheel`: any with `radius` and `width` [m], that of the setup for one.
         """
-        return WheelSoilModel(ModelWheel.of(wheel), self.soil)
+        return WheelSoilModel(ModelWheel(wheel.radius, wheel.width), self.soil)
 
 
 def identify_table(table: Table, setup: Setup) -> TableEstimate:
