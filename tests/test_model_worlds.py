@@ -48,7 +48,8 @@ def test_exactly_the_wheel_and_the_soil_of_a_model_are_simulated(scenario):
         "effects": {},
         "soil": {**SOIL.state(0.1)._asdict(), "density": 1600.0},
     }
-    many = SoilWheelVectorEnv(2, scenario, model=MODEL)
+    many = SoilWheelVectorEnv(2, scenario, model=MODEL, info="state")
+    assert many.reset(seed=0)[1]["world"]["soil"]["cohesion"].tolist() == [900.0, 900.0]
     assert many.scenario == env.scenario
     np.testing.assert_array_equal(many.reset(seed=1)[0][0], env.reset(seed=1)[0])
 

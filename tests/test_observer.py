@@ -117,7 +117,7 @@ def test_what_is_never_measured_stands_as_in_the_identifier():
         seen = observer.observe(readings)
         estimate = identifier.update(readings)
     assert seen[14] == pytest.approx(math.radians(estimate.friction_angle_deg), rel=1e-6)
-    assert observer.held == {"rim_speed": 1, "speed": 1}  # of the first call, as at rest
+    assert observer.held == {}
 
 
 def test_what_cannot_be_is_refused_in_one_line():

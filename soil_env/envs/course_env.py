@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from soil_env._io.loading import ParameterError, UnknownKeyword
 from soil_env.envs.infos import NESTED
 from soil_env.envs.vehicles import Vehicles
-from soil_env.envs.worlds import storable
+from soil_env.envs.worlds import for_each, storable
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause, ObservedNumber
 from soil_env.simulation.task.scaling import Scaling
@@ -276,6 +276,7 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
         self._rngs: list[np.random.Generator | None] | None = None
         self._done = np.ones(self.num_envs, dtype=np.bool_)
         self._spec: EnvSpec | None = None
+        self.world: dict[str, Any] | None = None  # as of the single environment
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -327,7 +328,10 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
         self.simulation.restart_where(mask)
         self._done[mask] = False
         self.infos.renew(mask)
-        return self.scaling(self.simulation.worlds.observation), self.infos.many()
+        info = self.infos.many()
+        if self.world is not None and self.infos.kind in NESTED:
+            info["world"] = for_each(self.world, self.num_envs)
+        return self.scaling(self.simulation.worlds.observation), info
 
     def _mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
         """Courses that are reset [N] bool."""

@@ -104,8 +104,8 @@ class Observer:
 
     `observe` takes the readings of each control period of the scenario. A reading that is NaN keeps
     its last value in the observation, and the identifier takes it as not measured; before the first
-    value stands what `OnlineIdentifier` puts there. `held` counts such readings by name since the
-    last `reset`.
+    value stands what `OnlineIdentifier` puts there, of a speed 0. `held` counts such readings by
+    name since the last `reset`.
     """
 
     def __init__(self, scenario: Scenario, variant: str = "identified") -> None:
@@ -136,9 +136,7 @@ class Observer:
         self._reader.reset()
         self._worlds.state[:] = np.zeros((), self._worlds.state.dtype)
         self._worlds.notes[:] = np.zeros((), NOTE)
-        self._last = SensorReading(*(math.nan,) * len(SensorReading._fields))._replace(
-            speed=0.0, rim_speed=0.0
-        )
+        self._last = SensorReading(*(0.0,) * len(SensorReading._fields))
         self._read: set[str] = set()  # names of readings that there have been
         self._image: Image | None = None
         self._begun = False
@@ -226,9 +224,8 @@ class Observer:
             own = "rim_speed" if name == "wheel_speed" else name
             if given == given or own in ("slip", "time") or (own.endswith("speed") and known):
                 continue
-            last = getattr(self._last, own)
-            if last == last and (own.endswith("speed") or own in self._read):
-                values = values._replace(**{own: last})
+            if name in self._read:
+                values = values._replace(**{own: getattr(self._last, own)})
                 self.held[own] = self.held.get(own, 0) + 1
         self._read |= {
             n for n, given in zip(Readings._fields, readings, strict=True) if given == given

@@ -250,6 +250,7 @@ class SoilRoverVectorEnv(CourseVectorEnv):
         self.model: WheelSoilModel | None = load_model(model)
         scenario = build_rover(rover, action, repeat, changes, _OWN_OF_MANY)
         self.scenario: RoverScenario = with_model(scenario, self.model, scatter, changes)
+        self.world = world_of(self.scenario, self.model, scatter)
         axles = self.scenario.axles
         self._set_spaces(rover_layout(observation, axles), rover_action_space(axles), scaled)
         info = checked(info)

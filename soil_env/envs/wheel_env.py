@@ -382,6 +382,7 @@ class SoilWheelVectorEnv(CourseVectorEnv):
         self.model: WheelSoilModel | None = load_model(model)
         task = build_scenario(scenario, action, repeat, changes, _OWN_OF_MANY)
         self.scenario: Scenario = with_model(task, self.model, scatter, changes)
+        self.world = world_of(self.scenario, self.model, scatter)
         self._set_spaces(layout(observation, self.scenario.course), action_space(), scaled)
         info = checked(info)
         finals = (

@@ -90,6 +90,14 @@ def world_of(
     return world
 
 
+def for_each(world: Mapping[str, Any], count: int) -> dict[str, Any]:
+    """The same of many environments: arrays [count]."""
+    return {
+        key: for_each(value, count) if isinstance(value, Mapping) else np.full(count, value)
+        for key, value in world.items()
+    }
+
+
 def storable(spec: EnvSpec | None) -> EnvSpec | None:
     """A spec whose keyword arguments are plain values, so that its JSON makes the environment
     again.

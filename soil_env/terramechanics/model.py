@@ -27,7 +27,7 @@ from soil_env._io.loading import (
     to_dict,
     unknown_key,
 )
-from soil_env.parameters import LARGEST_WHEEL, Soil, SoilState, Wheel, check_lugs
+from soil_env.parameters import LARGEST_WHEEL, Soil, SoilState, check_lugs
 from soil_env.terramechanics.effects import Effects, pack_effects
 from soil_env.terramechanics.residual import (
     GROUPS,
@@ -64,7 +64,7 @@ class ModelWheel(Checked):
             return wheel
         if not hasattr(wheel, "radius") or not hasattr(wheel, "width"):
             raise ParameterError(f"wheel = {wheel!r:.80}: expected one with radius and width")
-        return cls(wheel.radius, wheel.width, getattr(wheel, "grouser_height", 0.0))
+        return cls(wheel.radius, wheel.width, getattr(wheel, "grouser_height", None) or 0.0)
 
 
 _EXPECTED = {
@@ -106,7 +106,7 @@ class WheelSoilModel(Checked):
     validity: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if isinstance(self.wheel, Wheel):
+        if not isinstance(self.wheel, ModelWheel) and hasattr(self.wheel, "width"):
             object.__setattr__(self, "wheel", ModelWheel.of(self.wheel))
         for name, kind in (
             ("wheel", ModelWheel),

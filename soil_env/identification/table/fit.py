@@ -117,7 +117,8 @@ class TableEstimate:
 
         `wheel`: any with `radius` and `width` [m], that of the setup for one.
         """
-        return WheelSoilModel(ModelWheel(wheel.radius, wheel.width), self.soil)
+        sizes = ModelWheel.of(wheel)
+        return WheelSoilModel(ModelWheel(sizes.radius, sizes.width), self.soil)
 
 
 def identify_table(table: Table, setup: Setup) -> TableEstimate:
