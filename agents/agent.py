@@ -314,7 +314,7 @@ class Agent(inputs.Observing):
         self.name = NAMES[self.variant]
         entries = entries_of(self.info.task, self.variant)
         self.scaling = Scaling(entries)
-        self._layout = inputs.Layout(entries, self.variant, self.info.task.control.action)
+        self._layout = inputs.Layout(entries, self.variant)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions for observations [n, D] or [D] in their units, and the memory for the next call;
@@ -325,12 +325,12 @@ class Agent(inputs.Observing):
 
         Raises ParameterError for another D, for NaN, for an entry out of the bounds of the layout,
         and for a `state` or `episode_start` of another size. Scaled observations of the start of a
-        course are out of these bounds.
+        course are refused too.
         """
-        count = len(np.atleast_2d(observation))
-        fresh = inputs.starts(episode_start, count, state is None)
-        seen = self._layout.observed(observation, fresh)
+        seen = self._layout.observed(observation)
         batch = self.scaling(np.atleast_2d(seen))
+        count = len(batch)
+        fresh = inputs.starts(episode_start, len(batch), state is None)
         if self.history is not None:
             shape = count, self.history.kept
             kept = (

@@ -81,18 +81,17 @@ class DefaultPolicy(inputs.Observing):
             ) from None
         self.clip = CLIP
         self.scenario = scenario
-        self._layout = inputs.Layout(self.scaling.entries, self.variant, common_layout.ACTION)
+        self._layout = inputs.Layout(self.scaling.entries, self.variant)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions [n, 1] for observations [n, D], or [1] for [D], and the memory; as
         `agents.agent.Agent.predict`.
         """
         inputs.switch(deterministic)  # there is no other
-        count = len(np.atleast_2d(observation))
-        fresh = inputs.starts(episode_start, count, state is None)
-        seen = self._layout.observed(observation, fresh)
+        seen = self._layout.observed(observation)
         batch = np.atleast_2d(seen)
-        shape = (count, self.history.kept)
+        shape = (len(np.atleast_2d(seen)), self.history.kept)
+        fresh = inputs.starts(episode_start, len(batch), state is None)
         kept = np.zeros(shape, dtype=np.float32) if state is None else inputs.memory(state, shape)
         batch, state = self.history.observe(self.scaling(batch), kept, fresh)
         normal = np.clip((batch - self.mean) / self.sd, -self.clip, self.clip).astype(np.float32)

@@ -59,18 +59,17 @@ class ExportedAgent(inputs.Observing):
                 f"{self.variant!r} has {len(known)}; expected the names, order and bounds of this "
                 "version"
             )
-        return inputs.Layout(own, self.variant, self.control.action)
+        return inputs.Layout(own, self.variant)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions [n, 1] for observations [n, D] in the units of `content["inputs"]`, or [1] for
         [D], and the memory for the next call; ParameterError as `agents.agent.Agent.predict`."""
         inputs.switch(deterministic)  # an exported agent has no other
-        count = len(np.atleast_2d(observation))
-        fresh = inputs.starts(episode_start, count, state is None)
-        batch = np.atleast_2d(self._layout.observed(observation, fresh))
+        batch = np.atleast_2d(self._layout.observed(observation))
         if not self.policy.kept:
             action, memory = self.policy.act(batch)
         else:
+            fresh = inputs.starts(episode_start, len(batch), state is None)
             kept = None if state is None else inputs.memory(state, (len(batch), self.policy.kept))
             action, memory = self.policy.act(batch, kept, fresh)
         return (action[0] if np.ndim(observation) == 1 else action), memory

@@ -11,13 +11,11 @@ from soil_env.envs.observer import Observer
 from soil_env.online import Readings
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import ObservedNumber
-from soil_env.simulation.world.wheel import REVERSE
+from soil_env.simulation.task.scaling import Scaling
 
 _ROUNDING = 1e-5  # of the range of an entry: added by scaling and back
-#: Least rim command [of the top rim speed] by the action of the drive. A scaled command of 0 is -1.
-_LEAST_COMMAND = {"torque": 0.0, "rim_acceleration": -REVERSE}
-#: Least odometry [of the course length] where a course begins; scaled it is -1.7 there.
-_BEGIN = -1.0
+#: Entries that are exactly 0 at the start of a course, so that a scaled observation is known there.
+_BEGIN = ("odometry", "rim_command")
 _UNITS = (
     "values in their units, as scaled=False observes them and physical() of the environment gives "
     "them back"
@@ -26,31 +24,25 @@ _UNITS = (
 
 class Layout:
     """The entries of an observation with their bounds, to which every environment clips its
-    observations.
-
-    `action`: of the drive, "" where it is not known. Scaled observations of the start of a course
-    are out of these bounds.
+    observations, and what scaled observations of the start of a course have instead.
     """
 
-    def __init__(self, entries: Sequence[ObservedNumber], variant: str, action: str = ""):
+    def __init__(self, entries: Sequence[ObservedNumber], variant: str):
         self.entries = tuple(entries)
         self.variant = variant
-        names = [e.name for e in self.entries]
-        self._odometry = names.index("odometry")
-        self._low, self._high = (
-            np.array([getattr(e, side) for e in self.entries], dtype=np.float64)
+        low, high = (
+            np.array([getattr(e, side) for e in entries], dtype=np.float64)
             for side in ("low", "high")
         )
-        self._slack = _ROUNDING * (self._high - self._low)
-        for k, name in enumerate(names):
-            if name.endswith("rim_command"):
-                self._low[k] = _LEAST_COMMAND.get(action, self._low[k])
+        self._least = low - _ROUNDING * (high - low)
+        self._most = high + _ROUNDING * (high - low)
+        self._begin = [k for k, e in enumerate(self.entries) if e.name.endswith(_BEGIN)]
+        zeros = np.zeros(len(self.entries), dtype=np.float32)
+        self._scaled = Scaling(self.entries)(zeros)[self._begin]
 
-    def observed(self, observation, fresh=False) -> np.ndarray:
-        """Observations [n, D] or [D] as float32; ParameterError for another D, and for an entry out
-        of its bounds.
-
-        `fresh` [n], or of all: a course begins, where the wheel has gone no way.
+    def observed(self, observation) -> np.ndarray:
+        """Observations [n, D] or [D] as float32; ParameterError for another D, for an entry out of
+        its bounds, and for a scaled observation of the start of a course.
         """
         try:
             seen = np.asarray(observation, dtype=np.float32)
@@ -62,15 +54,17 @@ class Layout:
                 f"observation of shape {seen.shape}: expected {count} numbers, those of "
                 f"observation {self.variant!r}, or rows of them"
             )
-        low = np.broadcast_to(self._low, seen.shape).copy()
-        low[..., self._odometry] = np.where(fresh, _BEGIN, low[..., self._odometry])
-        inside = (seen >= low - self._slack) & (seen <= self._high + self._slack)  # False for NaN
+        inside = (seen >= self._least) & (seen <= self._most)  # False for NaN
         if not inside.all():
             *row, k = np.argwhere(~inside)[0].tolist()
             e = self.entries[k]
             raise ParameterError(
-                f"observation{row or ''}: {e.name} = {seen[*row, k]:g}: expected {low[*row, k]:g} "
-                f"to {e.high:g} ({e.unit}): {_UNITS}"
+                f"observation{row or ''}: {e.name} = {seen[*row, k]:g}: expected {e.low:g} to "
+                f"{e.high:g} ({e.unit}): {_UNITS}"
+            )
+        if (seen[..., self._begin] == self._scaled).all(axis=-1).any():
+            raise ParameterError(
+                f"observation: scaled, of the start of a course: expected {_UNITS}"
             )
         return seen
 

@@ -80,7 +80,7 @@ class Controller(Observing):
         }
         entries = layout(self.variant, scenario.course)
         self.column = {entry.name: i for i, entry in enumerate(entries)}
-        self.layout = Layout(entries, self.variant, self.action)
+        self.layout = Layout(entries, self.variant)
 
     def rim_speed(self, observation: np.ndarray, state: dict) -> np.ndarray:
         """Rim speed to follow [m/s], [n]; may keep things in `state`."""
@@ -91,9 +91,8 @@ class Controller(Observing):
 
         ParameterError for an observation of another layout or variant, and for one that is scaled.
         """
-        count = len(np.atleast_2d(observation))
-        fresh = starts(episode_start, count, state is None)
-        batch = np.atleast_2d(self.layout.observed(observation, fresh)).astype(np.float64)
+        batch = np.atleast_2d(self.layout.observed(observation)).astype(np.float64)
+        fresh = starts(episode_start, len(batch), state is None)
         state = self.begin(batch, state, fresh)
         action = self.chosen(
             batch, self.command(batch, self.rim_speed(batch, state), state), self.beside(batch)

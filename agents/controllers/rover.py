@@ -48,7 +48,7 @@ class RoverController:
         self.axles = scenario.axles
         entries = rover_layout(self.variant, self.axles)
         self.column = {e.name: i for i, e in enumerate(entries)}
-        self.layout = Layout(entries, self.variant, scenario.control.action)
+        self.layout = Layout(entries, self.variant)
         self._columns = np.array(
             [
                 [
@@ -63,9 +63,8 @@ class RoverController:
         """Actions [n, axles] float32 (or [axles] for one observation) and the state for the next
         call; ParameterError as `Controller.predict`.
         """
-        count = len(np.atleast_2d(observation))
-        fresh = starts(episode_start, count, state is None)
-        batch = np.atleast_2d(self.layout.observed(observation, fresh)).astype(np.float64)
+        batch = np.atleast_2d(self.layout.observed(observation)).astype(np.float64)
+        fresh = starts(episode_start, len(batch), state is None)
         wheels = batch[:, self._columns].reshape(len(batch) * self.axles, -1)
         state = {**self.own.begin(wheels, state, np.repeat(fresh, self.axles)), "begun": fresh}
         action = self.command(batch, wheels, state).reshape(len(batch), self.axles)

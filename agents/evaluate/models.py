@@ -21,7 +21,7 @@ from .. import PACKAGE_NAMES
 from ..common_layout import CommonScaling
 from ..default_policy import DefaultPolicy
 from ..exported import ExportedAgent
-from ..inputs import Layout, Observing, starts
+from ..inputs import Layout, Observing
 
 try:
     import torch
@@ -159,7 +159,7 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
     except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
         said = f"{type(error).__name__}: {saved.one_line(error)}"
         raise ParameterError(f"{path}: cannot be loaded as a {algorithm} model ({said})") from None
-    variant, scaling = _variant(model, path, scenario.course)  # of a wheel
+    variant, scaling = _variant(model, path, scenario.course)
     names = [e.name for e in layout(variant, scenario.course)]
     shape = model.action_space.shape
     of_line = shape == (2,) and "choice" in names  # trained with LineAction
@@ -203,7 +203,7 @@ class _Plain(Observing):
     ):
         self.model = model
         self.scenario = scenario
-        self.layout = Layout(scaling.entries, variant, scenario.control.action)
+        self.layout = Layout(scaling.entries, variant)
         self.policy = model.policy
         self.variant = variant
         self.scaling = scaling
@@ -211,8 +211,7 @@ class _Plain(Observing):
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """As SB3's predict."""
-        count = len(np.atleast_2d(observation))
-        seen = self.layout.observed(observation, starts(episode_start, count, state is None))
+        seen = self.layout.observed(observation)
         action, state = self.model.predict(self.scaling(seen), state, episode_start, deterministic)
         if self.choice is not None:
             choosing = np.asarray(observation)[..., [self.choice]] > 0.5

@@ -50,9 +50,12 @@ def settings_of(source: str, scenario: Scenario) -> Mapping[str, Setting]:
         of = ROVER_CONTROLLERS[source].of_wheel if isinstance(scenario, RoverScenario) else source
         return CONTROLLERS[of].bounds
     bounds = getattr(imported(source), "bounds", {})
-    if not isinstance(bounds, Mapping) or not all(isinstance(s, Setting) for s in bounds.values()):
-        raise ParameterError(f"controllers: {source}: bounds: expected {{name: Setting}}")
-    return bounds
+    try:
+        return {name: Setting(*setting) for name, setting in bounds.items()}
+    except (AttributeError, TypeError):
+        raise ParameterError(
+            f"controllers: {source}: bounds = {bounds!r:.80}: expected {{name: Setting}}"
+        ) from None
 
 
 def maker(source: str, scenario: Scenario) -> Callable[..., Any]:
