@@ -293,7 +293,7 @@ def load_agent(path: str | Path) -> Agent:
 
 
 @dataclass
-class Agent:
+class Agent(inputs.Observing):
     """A trained agent. It takes observations in their units, whatever it was trained on.
 
     The units are those of `SoilWheel-v0` and `SoilRover-v0` with `scaled=False`; for scaled
@@ -304,6 +304,7 @@ class Agent:
     info: Info = field(repr=False)
 
     def __post_init__(self):
+        self.scenario = self.info.task
         self.variant = self.info.observation
         self.timesteps = self.info.timesteps
         self.history = self.info.history
@@ -323,9 +324,8 @@ class Agent:
         bool: courses that begin, where nothing is remembered.
 
         Raises ParameterError for another D, for NaN, for an entry out of the bounds of the layout,
-        and for a `state` or `episode_start` of another size. Most scaled observations have an entry
-        out of these bounds; one that has none cannot be distinguished from values in units and
-        gives a wrong action.
+        and for a `state` or `episode_start` of another size. Scaled observations of the start of a
+        course are refused too.
         """
         seen = self._layout.observed(observation)
         batch = self.scaling(np.atleast_2d(seen))

@@ -27,7 +27,7 @@ _EXPECTED = (
 )
 
 
-class DefaultPolicy:
+class DefaultPolicy(inputs.Observing):
     """A trained student with `predict` on observations `identified` of the `scenario`, in their
     units.
     """
@@ -80,6 +80,7 @@ class DefaultPolicy:
                 f"{path}: layers whose shapes do not fit each other: {_EXPECTED}"
             ) from None
         self.clip = CLIP
+        self.scenario = scenario
         self._layout = inputs.Layout(self.scaling.entries, self.variant)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):

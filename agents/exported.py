@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from soil_env._io.loading import ParameterError, load
-from soil_env.parameters import Control, CourseSpec
+from soil_env.parameters import Scenario
 from soil_env.simulation.task import VARIANTS, check_version, layout
 
 from . import inputs
@@ -15,7 +15,7 @@ POLICY = "policy.onnx"  # file in the folder of an export
 FORMAT = "soil_env policy 1"  # first entry of its description
 
 
-class ExportedAgent:
+class ExportedAgent(inputs.Observing):
     """The agent of an ONNX file, with the `predict` of Stable-Baselines3 on observations in their
     units.
     """
@@ -42,20 +42,16 @@ class ExportedAgent:
             )
         check_version(self.content.get("observation_version", 1), path)
         self.variant = self.content["observation"]
-        self.control = load(
-            Control, self.content["scenario"]["control"], f"{path}: scenario.control"
-        )
+        self.scenario = load(Scenario, self.content["scenario"], f"{path}: scenario")
+        self.control = self.scenario.control
         self._layout = self._checked_layout()
 
     def _checked_layout(self) -> inputs.Layout:
         """The observation that the file reads; ParameterError if this version's of the same name is
         another one.
         """
-        course = load(
-            CourseSpec, self.content["scenario"]["course"], f"{self.path}: scenario.course"
-        )
         entries = [(e["name"], e["low"], e["high"]) for e in self.content["inputs"]]
-        own = layout(self.variant, course) if self.variant in VARIANTS else ()
+        own = layout(self.variant, self.scenario.course) if self.variant in VARIANTS else ()
         known = [(e.name, e.low, e.high) for e in own]
         if entries != known:
             raise ParameterError(

@@ -107,9 +107,8 @@ class Generalist(Checked):
             )
             taught_by = everywhere, *(chosen(scenario, [world], ROUNDS) for world in hidden)
             for share, world, teacher in zip(shares, [None, *hidden], taught_by, strict=True):
-                parts.append(
-                    CommonVecEnv(share, scenario, teacher, threads=self.ppo.threads, model=world)
-                )
+                options = {"threads": self.ppo.threads, "model": world, "scatter": True}
+                parts.append(CommonVecEnv(share, scenario, teacher, **options))
             progress(k + 1)
         return ppo.learner(side_by_side(parts, self.ppo, self.seed), self.ppo, self.seed)
 

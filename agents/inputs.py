@@ -1,5 +1,5 @@
-"""Checks of the arguments of a trained agent's `predict`; each error is one line with place and
-expectation.
+"""What a controller is given: checks of the arguments of `predict`, each error one line with place
+and expectation, and observations from the readings of a real wheel.
 """
 
 from collections.abc import Sequence
@@ -7,14 +7,24 @@ from collections.abc import Sequence
 import numpy as np
 
 from soil_env._io.loading import ParameterError
+from soil_env.envs.observer import Observer
+from soil_env.online import Readings
+from soil_env.parameters import Scenario
 from soil_env.simulation.task import ObservedNumber
+from soil_env.simulation.task.scaling import Scaling
 
 _ROUNDING = 1e-5  # of the range of an entry: added by scaling and back
+#: Entries that are exactly 0 at the start of a course, so that a scaled observation is known there.
+_BEGIN = ("odometry", "rim_command")
+_UNITS = (
+    "values in their units, as scaled=False observes them and physical() of the environment gives "
+    "them back"
+)
 
 
 class Layout:
     """The entries of an observation with their bounds, to which every environment clips its
-    observations.
+    observations, and what scaled observations of the start of a course have instead.
     """
 
     def __init__(self, entries: Sequence[ObservedNumber], variant: str):
@@ -26,10 +36,13 @@ class Layout:
         )
         self._least = low - _ROUNDING * (high - low)
         self._most = high + _ROUNDING * (high - low)
+        self._begin = [k for k, e in enumerate(self.entries) if e.name.endswith(_BEGIN)]
+        zeros = np.zeros(len(self.entries), dtype=np.float32)
+        self._scaled = Scaling(self.entries)(zeros)[self._begin]
 
     def observed(self, observation) -> np.ndarray:
-        """Observations [n, D] or [D] as float32; ParameterError for another D, and for an entry out
-        of its bounds.
+        """Observations [n, D] or [D] as float32; ParameterError for another D, for an entry out of
+        its bounds, and for a scaled observation of the start of a course.
         """
         try:
             seen = np.asarray(observation, dtype=np.float32)
@@ -47,10 +60,40 @@ class Layout:
             e = self.entries[k]
             raise ParameterError(
                 f"observation{row or ''}: {e.name} = {seen[*row, k]:g}: expected {e.low:g} to "
-                f"{e.high:g} ({e.unit}): values in their units, as scaled=False observes them and "
-                "physical() of the environment gives them back"
+                f"{e.high:g} ({e.unit}): {_UNITS}"
+            )
+        if (seen[..., self._begin] == self._scaled).all(axis=-1).any():
+            raise ParameterError(
+                f"observation: scaled, of the start of a course: expected {_UNITS}"
             )
         return seen
+
+
+class Observing:
+    """Base of the controllers of a wheel, which have a `scenario` and a `variant`: observations of
+    the wheel's readings.
+    """
+
+    scenario: Scenario
+    variant: str
+    _observer: Observer | None = None
+
+    @property
+    def observer(self) -> Observer:
+        """The observer of the wheel: `held` counts, and `probabilities` of immobilisation."""
+        if self._observer is None:
+            self._observer = Observer(self.scenario, self.variant)
+        return self._observer
+
+    def observe(self, readings: Readings, action=0.0, **now) -> np.ndarray:
+        """Observation [D] for `predict`, as `soil_env.online.Observer.observe`: readings of a
+        control period, the `action` in it, and what is `now`.
+        """
+        return self.observer.observe(readings, action, **now)
+
+    def reset(self) -> None:
+        """Begin a drive of the wheel: forget its readings."""
+        self.observer.reset()
 
 
 def starts(episode_start, count: int, default: bool) -> np.ndarray:

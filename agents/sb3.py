@@ -5,9 +5,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
+from soil_env._io.loading import ParameterError
 from soil_env.envs.course_env import CourseVectorEnv
 from soil_env.envs.rover_env import SoilRoverVectorEnv
 from soil_env.envs.rovers import RoverSimulation
@@ -16,6 +18,8 @@ from soil_env.envs.wheels import Simulation
 from soil_env.parameters import DEFAULT_ROVER, DEFAULT_SCENARIO
 from soil_env.simulation.task import Cause, layout, truth
 from soil_env.terramechanics.model import load_model
+
+_OWN = {"autoreset_mode": AutoresetMode.DISABLED, "info": "none"}  # keywords of `CourseVecEnv`
 
 
 class NativeVecEnv(VecEnv):
@@ -56,9 +60,10 @@ class CourseVecEnv(NativeVecEnv):
     """Base: a vector environment of many courses for SB3, a finished one reset within the same
     step, as SB3 expects.
 
-    Infos of finished courses carry `terminal_observation`, `TimeLimit.truncated` (False: the time
-    limit of the scenario ends an episode as being stuck does), `episode` {r, l, t} and `cause`; all
-    others share one empty dict, which must not be written to.
+    Infos of finished courses carry `terminal_observation`, `TimeLimit.truncated`, `episode` {r, l,
+    t} and `cause`; all others share one empty dict, which must not be written to. The time limit of
+    the scenario ends an episode as being stuck does; what `max_episode_steps` or a wrapper of `env`
+    truncates is truncated here.
     """
 
     def __init__(
@@ -70,11 +75,16 @@ class CourseVecEnv(NativeVecEnv):
         model,
         options: dict,
     ):
+        for name, value in _OWN.items():
+            if name in options:
+                raise ParameterError(
+                    f"{name} = {options[name]!r:.60}: expected none: {type(self).__name__} sets "
+                    f"{value!r}, as Stable-Baselines3 needs it"
+                )
         self.model = load_model(model)
         self.observation_variant = observation
-        own = {"autoreset_mode": AutoresetMode.DISABLED, "info": "none", "model": self.model}
-        env = kind(num_envs, task, observation, **own, **options)
-        self.env = env
+        env = kind(num_envs, task, observation, model=self.model, **_OWN, **options)
+        self.env: Any = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self.scenario = env.scenario
         self.simulation = env.simulation
@@ -82,11 +92,12 @@ class CourseVecEnv(NativeVecEnv):
         self._returns = np.zeros(env.num_envs)
         self._lengths = np.zeros(env.num_envs, dtype=np.int64)
         self._start = time.time()
+        self._actions: np.ndarray | None = None
 
     @property
     def scaling(self):
         """Scaling of the observations."""
-        return self.env.scaling
+        return self.env.unwrapped.scaling
 
     def reset(self) -> np.ndarray:
         """New courses; follows the seeds set by `seed`, else goes on."""
@@ -105,7 +116,10 @@ class CourseVecEnv(NativeVecEnv):
 
         An action that is not finite raises ValueError.
         """
-        seen, rewards, done, _, _ = self.env.step(self._actions)
+        if self._actions is None:
+            raise ResetNeeded("step_wait() before step_async(actions)")
+        seen, rewards, terminated, truncated, _ = self.env.step(self._actions)
+        done = terminated | truncated
         self._returns += rewards
         self._lengths += 1
         infos: list[dict[str, Any]] = [{}] * self.num_envs
@@ -115,7 +129,7 @@ class CourseVecEnv(NativeVecEnv):
             for k in np.flatnonzero(done):
                 infos[k] = {
                     "terminal_observation": last[k],
-                    "TimeLimit.truncated": False,
+                    "TimeLimit.truncated": bool(truncated[k] and not terminated[k]),
                     "episode": {"r": float(self._returns[k]), "l": int(self._lengths[k]), "t": now},
                     "cause": Cause(self.simulation.worlds.cause[k]).name,
                 }
@@ -132,7 +146,7 @@ class SoilWheelVecEnv(CourseVecEnv):
 
     def __init__(
         self,
-        num_envs: int,
+        num_envs: int = 1,
         scenario=DEFAULT_SCENARIO,
         observation="identified",
         model=None,
@@ -158,7 +172,12 @@ class SoilRoverVecEnv(CourseVecEnv):
     simulation: RoverSimulation
 
     def __init__(
-        self, num_envs: int, rover=DEFAULT_ROVER, observation="identified", model=None, **options
+        self,
+        num_envs: int = 1,
+        rover=DEFAULT_ROVER,
+        observation="identified",
+        model=None,
+        **options,
     ):
         super().__init__(SoilRoverVectorEnv, num_envs, rover, observation, model, options)
 

@@ -9,10 +9,12 @@ import yaml
 from soil_env._io.files import alone, check_own, write_own
 from soil_env._io.loading import unknown_value
 from soil_env.cli.running import PATH, WholeNumber
-from soil_env.parameters import DEFAULT_SCENARIO, Control, load_scenario, scenario_names
+from soil_env.parameters import DEFAULT_SCENARIO, Control, load_scenario
+from soil_env.terramechanics.model import WheelSoilModel
 
 from .cells import code_version
-from .cli import continued_by
+from .cli import continued_by, controllers_as
+from .evaluate.contestants import parse
 from .evaluate.driving import TUNING_SET
 from .evaluate.tuning import trials_of, tuned_settings
 from .progress import show
@@ -26,8 +28,12 @@ ACTIONS = get_args(get_type_hints(Control)["action"])
     "--scenario",
     metavar="NAME",
     default=DEFAULT_SCENARIO,
-    help=f"Shipped one (default {DEFAULT_SCENARIO}).",
+    help=f"Or YAML (default {DEFAULT_SCENARIO}).",
 )
+@click.option(
+    "--controllers", metavar="LIST", help="Names, my.module:Class (default: the shipped ones)."
+)
+@click.option("--model", metavar="YAML", help="model.yaml with the effects of this world.")
 @click.option(
     "--actions",
     metavar="A,B",
@@ -41,24 +47,41 @@ ACTIONS = get_args(get_type_hints(Control)["action"])
     default=300,
     help="Tuning courses (default 300).",
 )
-def command(out: Path, scenario: str, actions: str, courses: int) -> None:
-    """Tune the classical controllers on a scenario.
+def command(
+    out: Path,
+    scenario: str,
+    controllers: str | None,
+    model: str | None,
+    actions: str,
+    courses: int,
+) -> None:
+    """Tune controllers on a scenario.
 
     Every controller gets the same number of trials on the first N courses of the tuning set, for
-    each action of the drive. OUT then holds NAME.yaml for configs/tuned, where train.py and
-    soil-env evaluate find it. The same command continues an interrupted tuning.
+    each action of the drive. OUT then holds NAME.yaml with the settings; that of a shipped scenario
+    in configs/tuned is found by train.py and soil-env evaluate. A class of your own has `bounds`,
+    as those of soil_env_agents.controllers. The same command continues an interrupted tuning.
+
+    \b
+    soil-env tune --scenario mixed --out tuned
+    soil-env tune --controllers soft_start,mine:Ramp --actions torque --out tuned
     """
-    if scenario not in scenario_names():
-        raise unknown_value(scenario, scenario_names(), "--scenario")
+    name = load_scenario(scenario, place="--scenario").name
+    world = WheelSoilModel.load(model) if model else None
+    names = None
+    if controllers is not None:
+        with controllers_as("--controllers"):
+            names = [c.source for c in parse(controllers).values() if c.kind != "model"]
     for action in actions.split(","):
         if action not in ACTIONS:
             raise unknown_value(action, ACTIONS, "--actions")
     settings = {}
-    check_own(out, (f"{scenario}.yaml",))
+    check_own(out, (f"{name}.yaml",))
     with alone(out), continued_by("the same command"):
         for action in actions.split(","):
             task = load_scenario(scenario, {"control": {"action": action}})
-            chosen = tuned_settings(task, courses, log=out / f"trials-{action}.log", anew=True)
+            log = out / f"trials-{action}.log"
+            chosen = tuned_settings(task, courses, names, world, log, anew=True)
             settings[action] = {
                 n: {key: float(f"{v:.4g}") for key, v in own.items()} for n, own in chosen.items()
             }
@@ -70,6 +93,8 @@ def command(out: Path, scenario: str, actions: str, courses: int) -> None:
         "settings": settings,
     }
     typed = f"soil-env tune --scenario {scenario} --courses {courses} --actions {actions}"
-    made = f"# Settings of the classical controllers, found by {typed}\n"
-    write_own(out, {f"{scenario}.yaml": made + yaml.safe_dump(content, sort_keys=False)})
-    show(f"Written: {out / scenario}.yaml")
+    typed += f" --controllers {controllers}" if controllers else ""
+    typed += f" --model {model}" if model else ""
+    made = f"# Settings of controllers, found by {typed}\n"
+    write_own(out, {f"{name}.yaml": made + yaml.safe_dump(content, sort_keys=False)})
+    show(f"Written: {out / name}.yaml")

@@ -1,7 +1,8 @@
 """Online identifier for the readings of a rover: `OnlineIdentifier(wheel).update(Readings(...))`
-gives an `Estimate`.
+gives an `Estimate`; `Observer(scenario).observe(Readings(...))` the observation of the environment.
 """
 
+from soil_env.envs.observer import Observer
 from soil_env.identification.online.interface import (
     LONGEST_STEP,
     SHORTEST_STEP,
@@ -20,6 +21,7 @@ __all__ = [
     "SHORTEST_STEP",
     "Estimate",
     "Instruments",
+    "Observer",
     "OnlineIdentifier",
     "Readings",
     "Status",

@@ -3,6 +3,7 @@ info.
 """
 
 import copy
+import json
 import math
 import pickle
 import warnings
@@ -12,13 +13,16 @@ import gymnasium
 import numpy as np
 import pytest
 import yaml
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
 from soil_env._io.loading import config_dir
 from soil_env.envs.rover_env import SoilRoverEnv, SoilRoverVectorEnv
 from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
 from soil_env.parameters import (
+    CourseSpec,
     ParameterError,
+    Soil,
     load_rover,
     load_scenario,
     rover_names,
@@ -134,33 +138,54 @@ def test_registration_of_the_rover():
         env.unwrapped.scenario.course.length == 30.0
         and env.unwrapped.scenario.wheel.body_mass == 100.0
     )
-    assert env.spec.max_episode_steps == 480  # 240 s in steps of 0.5 s
     assert load_rover("mars_rover").course.length == 25.0  # a changed env does not change the next
     many = gymnasium.make_vec("SoilRover-v0", num_envs=3, vectorization_mode="vector_entry_point")
     assert isinstance(many.unwrapped, SoilRoverVectorEnv) and many.action_space.shape == (3, 2)
 
 
-def test_the_length_of_an_episode_is_that_of_the_scenario():
-    """Wrappers ask `spec.max_episode_steps` for it; registered, it would cut every scenario at the
-    same step.
-    """
-    env = gymnasium.wrappers.TimeAwareObservation(
-        gymnasium.make("SoilWheel-v0", course={"length": 50.0}, control={"time_limit": 100.0}),
-        normalize_time=True,
-    )
-    env.reset(seed=0)
-    steps = 0
-    over = False
-    while not over:
-        observation, _, terminated, truncated, _ = env.step(np.float32([0.35]))
-        steps = steps + 1
-        over = terminated or truncated
-        assert observation[-1] == pytest.approx(steps / 200)
-    again = gymnasium.make(env.unwrapped.spec)
-    assert (
-        again.unwrapped.scenario == env.unwrapped.scenario and again.spec.max_episode_steps == 200
-    )
-    assert gymnasium.spec("SoilWheel-v0").max_episode_steps is None
+def test_an_environment_ends_by_itself_and_a_spec_adds_no_limit():
+    env = gymnasium.make("SoilWheel-v0", course={"length": 50.0}, control={"time_limit": 20.0})
+    again = gymnasium.make(env.spec)
+    assert str(again) == str(env) and again.spec.max_episode_steps is None
+    for one in (env, again):
+        one.reset(seed=0)
+        over = False
+        while not over:
+            *_, over, truncated, info = one.step(np.float32([0.35]))
+            assert not truncated
+        assert info["cause"] == "TIME_LIMIT"
+
+
+_SOIL = Soil(31.0, 800.0, 0.02, 1.0, sinkage_coefficient=9e5)
+SPECS = [
+    ("SoilWheel-v0", {"scenario": load_scenario("mixed", {"course": {"length": 4.0}})}),
+    ("SoilWheel-v0", {"scenario": "mixed", "own_soils": {"own": _SOIL}, "soils": {"own": 1}}),
+    ("SoilWheel-v0", {"course": CourseSpec(length=np.float32(4.0), classes=3, lines=2)}),
+    ("SoilWheel-v0", {"scenario": "mixed", "model": WheelSoilModel(ModelWheel(0.2, 0.1), _SOIL)}),
+    ("SoilWheel-v0", {"scenario": config_dir() / "scenarios" / "sticky.yaml", "info": "state"}),
+    ("SoilRover-v0", {"rover": load_rover("mars_rover"), "observation": "blind"}),
+]
+
+
+@pytest.mark.parametrize(("name", "options"), SPECS)
+def test_the_json_of_a_spec_makes_the_environment_again(name, options):
+    """The checkers of gymnasium and SB3 run on what the spec gives."""
+    env = gymnasium.make(name, **options)
+    spec = EnvSpec.from_json(env.spec.to_json())
+    again = gymnasium.make(spec)
+    assert again.unwrapped.scenario == env.unwrapped.scenario
+    assert again.unwrapped.model == env.unwrapped.model
+    np.testing.assert_array_equal(again.reset(seed=4)[0], env.reset(seed=4)[0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*(render|different from the unwrapped).*")
+        check_env(gymnasium.make(spec), skip_render_check=True)
+    sb3 = pytest.importorskip("stable_baselines3.common.env_checker")
+    sb3.check_env(gymnasium.make(spec), warn=True)
+    many = gymnasium.make_vec(name, 2, "vector_entry_point", **options)
+    plain = json.loads(many.spec.to_json())["kwargs"]
+    plain.pop("vectorization_mode")
+    assert type(many.unwrapped)(**plain).scenario == many.unwrapped.scenario
 
 
 @pytest.mark.parametrize(

@@ -7,13 +7,23 @@ They work on batches of observations [n, D] in their units and know the wheel of
 scenario. docs/guide/controllers.md has their table and laws.
 """
 
+from collections.abc import Mapping
+
 from soil_env._io.loading import ParameterError, number, unknown_key, unknown_value
 from soil_env.parameters import Scenario
 
 from . import wheel
-from .base import Controller
+from .base import Controller, Ramped, Setting
 
-__all__ = ["CONTROLLERS", "Controller", "checked_settings", "make_controller"]
+__all__ = [
+    "CONTROLLERS",
+    "Controller",
+    "Ramped",
+    "Setting",
+    "checked_settings",
+    "make_controller",
+    "within_bounds",
+]
 
 _ALL = (
     wheel.FullThrottle,
@@ -37,7 +47,13 @@ def checked_settings(name: str, scenario: Scenario, settings: dict, where: str) 
     """
     if name not in CONTROLLERS:
         raise unknown_value(name, CONTROLLERS, "controller")
-    known = CONTROLLERS[name].bounds
+    return within_bounds(name, CONTROLLERS[name].bounds, scenario, settings, where)
+
+
+def within_bounds(
+    name: str, known: Mapping[str, Setting], scenario: Scenario, settings: dict, where: str
+) -> dict[str, float]:
+    """`checked_settings` of a controller with the settings `known`."""
     out = {}
     for key, given in settings.items():
         if key not in known:

@@ -10,6 +10,8 @@ import numpy as np
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout
 
+from ..inputs import Layout, Observing, starts
+
 _CHOICE = 0.01  # smallest action that chooses a line; the drive is held meanwhile
 
 
@@ -40,7 +42,7 @@ ACCELERATION = Setting(
 )
 
 
-class Controller:
+class Controller(Observing):
     """Base: a rim speed that the drive follows.
 
     With `control.action = torque` a PI loop with feed-forward of grade and rolling resistance
@@ -76,22 +78,21 @@ class Controller:
             )
             for name, setting in self.bounds.items()
         }
-        self.column = {
-            entry.name: i for i, entry in enumerate(layout(self.variant, scenario.course))
-        }
+        entries = layout(self.variant, scenario.course)
+        self.column = {entry.name: i for i, entry in enumerate(entries)}
+        self.layout = Layout(entries, self.variant)
 
     def rim_speed(self, observation: np.ndarray, state: dict) -> np.ndarray:
         """Rim speed to follow [m/s], [n]; may keep things in `state`."""
         raise NotImplementedError
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """Actions [n, 1] float32 (or [1] for one observation) and the state for the next call."""
-        batch = np.atleast_2d(np.asarray(observation, dtype=np.float64))
-        fresh = (
-            np.full(len(batch), state is None)
-            if episode_start is None
-            else np.asarray(episode_start, dtype=bool)
-        )
+        """Actions [n, 1] float32 (or [1] for one observation) and the state for the next call.
+
+        ParameterError for an observation of another layout or variant, and for one that is scaled.
+        """
+        batch = np.atleast_2d(self.layout.observed(observation)).astype(np.float64)
+        fresh = starts(episode_start, len(batch), state is None)
         state = self.begin(batch, state, fresh)
         action = self.chosen(
             batch, self.command(batch, self.rim_speed(batch, state), state), self.beside(batch)

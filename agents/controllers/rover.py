@@ -26,6 +26,7 @@ from soil_env.simulation.rover.task import axle_names, rover_layout
 from soil_env.simulation.task import layout
 
 from ..controllers import CONTROLLERS, make_controller
+from ..inputs import Layout, starts
 
 _SLOWEST = 0.02  # [of top rim speed] of the body, where its turning is looked at
 _RATE_SHARE = 0.3  # of the newest reading in the mean of the pitch rate
@@ -45,7 +46,9 @@ class RoverController:
         self.variant = self.own.variant
         self.settings = self.own.settings
         self.axles = scenario.axles
-        self.column = {e.name: i for i, e in enumerate(rover_layout(self.variant, self.axles))}
+        entries = rover_layout(self.variant, self.axles)
+        self.column = {e.name: i for i, e in enumerate(entries)}
+        self.layout = Layout(entries, self.variant)
         self._columns = np.array(
             [
                 [
@@ -58,15 +61,11 @@ class RoverController:
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions [n, axles] float32 (or [axles] for one observation) and the state for the next
-        call.
+        call; ParameterError as `Controller.predict`.
         """
-        batch = np.atleast_2d(np.asarray(observation, dtype=np.float64))
+        batch = np.atleast_2d(self.layout.observed(observation)).astype(np.float64)
+        fresh = starts(episode_start, len(batch), state is None)
         wheels = batch[:, self._columns].reshape(len(batch) * self.axles, -1)
-        fresh = (
-            np.full(len(batch), state is None)
-            if episode_start is None
-            else np.asarray(episode_start, dtype=bool)
-        )
         state = {**self.own.begin(wheels, state, np.repeat(fresh, self.axles)), "begun": fresh}
         action = self.command(batch, wheels, state).reshape(len(batch), self.axles)
         return (action[0] if np.ndim(observation) == 1 else action), state

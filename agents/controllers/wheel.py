@@ -22,7 +22,8 @@ class FullThrottle(Controller):
     name = "full_throttle"
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        shape = (1,) if np.ndim(observation) == 1 else (len(observation), 1)
+        seen = self.layout.observed(observation)
+        shape = (1,) if seen.ndim == 1 else (len(seen), 1)
         return np.full(shape, self.settings.get("share", 1.0), dtype=np.float32), state
 
 

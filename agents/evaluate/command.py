@@ -11,7 +11,7 @@ from click.core import ParameterSource
 from soil_env._io.files import alone
 from soil_env._io.loading import ParameterError, to_dict
 from soil_env.cli.running import PATH, WholeNumber
-from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
+from soil_env.parameters import DEFAULT_SCENARIO, Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .. import cells
@@ -30,6 +30,7 @@ from ..progress import Bar, show
 from . import contestants, evaluation, report
 from .driving import HELD_OUT_SET, TUNING_SET
 from .evaluation import Evaluation
+from .own import settings_of
 from .tuning import tuned_settings
 
 _TUNING_COURSES = 200  # as train.py
@@ -119,7 +120,8 @@ def command(
     soil-env evaluate --controllers mine=mine:Ramp --changes.course.length 20 --out e2
     soil-env evaluate --resume evaluation
 
-    --changes.KEY VALUE sets a key of the scenario, --settings.NAME.KEY VALUE one of a controller.
+    --changes.KEY VALUE sets a key of the scenario, --settings.NAME.KEY VALUE one of a controller. A
+    class with `bounds` is tuned, as the classical ones.
     """
     chosen = cells.choose(engine, workers, address)
     if resume is None:
@@ -220,10 +222,18 @@ def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
     own = [
         c
         for c in asked.controllers.values()
-        if c.kind == "classical" and c.source == c.name and not c.settings
+        if not c.settings
+        and ((c.kind == "classical" and c.source == c.name) or _is_own(c, asked.scenario))
     ]
     cells.save_study(asked, folder)  # before the work, so that it can be resumed
-    names = [c.name for c in own]
+    sources = {c.name: c.source for c in own}
     log = folder / _TUNING
-    tuned = tuned_settings(asked.scenario, asked.tuning_courses, names, asked.world, log)
+    names = list(dict.fromkeys(sources.values()))
+    found = tuned_settings(asked.scenario, asked.tuning_courses, names, asked.world, log)
+    tuned = {name: found[source] for name, source in sources.items() if source in found}
     return dataclasses.replace(asked, tuned=tuned)
+
+
+def _is_own(contestant: contestants.Contestant, scenario: Scenario) -> bool:
+    """True for a `module:Class` with settings."""
+    return contestant.kind == "class" and bool(settings_of(contestant.source, scenario))

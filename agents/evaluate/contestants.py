@@ -28,7 +28,7 @@ class Contestant:
     kind: str  # "classical", "model" or "class"
     source: str  # name of the controller, path of the zip, or module:Thing
     digest: str = ""  # SHA-256 of the zip
-    settings: dict = field(default_factory=dict)  # of a classical controller
+    settings: dict = field(default_factory=dict)  # of a controller that has some
 
     @property
     def key(self) -> str:
@@ -82,8 +82,7 @@ def parse(
     """{key: contestant} of a comma-separated list; ParameterError with one line for what does not
     exist.
 
-    `settings`: {name of a classical controller: keyword arguments of `make_controller`}; `known`:
-    their names.
+    `settings`: {name of a controller: its settings}; `known`: names of the classical ones.
     """
     settings = settings or {}
     out: dict[str, Contestant] = {}
@@ -121,13 +120,13 @@ def parse(
             )
         for member, source in enumerate(sources, start=len(own)):
             found = digest(source) if kind == "model" else ""
-            chosen = dict(settings.get(name, {})) if kind == "classical" else {}
+            chosen = {} if kind == "model" else dict(settings.get(name, {}))
             contestant = Contestant(name, member, kind, source, found, chosen)
             out[contestant.key] = contestant
-    classical = {c.name for c in out.values() if c.kind == "classical"}
+    settable = {c.name for c in out.values() if c.kind != "model"}
     for name in settings:
-        if name not in classical:
-            raise unknown_key(name, classical, "--settings")
+        if name not in settable:
+            raise unknown_key(name, settable, "--settings")
     return out
 
 

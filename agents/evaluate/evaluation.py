@@ -17,11 +17,11 @@ from soil_env._io.loading import ParameterError, quantity, to_dict
 from ..cells import Engine, code_version, fill, read_cell
 from ..config import OfTask, check_oracle
 from ..controllers.oracle import Oracle
-from ..controllers.rover import controllers_of
 from . import loading
 from .comparing import ORACLE, ORACLE_BLOCK, comparison
 from .contestants import Contestant, digest, model_bytes
 from .driving import HELD_OUT_SET, Runs, run_courses
+from .own import code_digest, settings_of
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class Job:
         contestant = self.controllers.get(block.controller)
         code = ""
         if contestant is not None and contestant.kind == "class":
-            code = loading.code_digest(contestant.source)
+            code = code_digest(contestant.source)
         return {
             "controller": to_dict(contestant) if contestant is not None else block.controller,
             "code": code,
@@ -193,11 +193,10 @@ def result(asked: Evaluation, runs: dict[str, list[Runs]]) -> dict:
     oracle = runs.get(ORACLE, [None])[0]
     own = {name: rows for name, rows in runs.items() if name != ORACLE}
     contestants = asked.contestants()
-    (_, make) = controllers_of(asked.scenario)
     settings = {
-        c.name: make(c.source, asked.scenario, **c.settings).settings
+        c.name: loading.load(c, asked.scenario).settings
         for c in contestants.values()
-        if c.kind == "classical"
+        if c.kind == "classical" or (c.kind == "class" and settings_of(c.source, asked.scenario))
     }
     chosen = {
         c.name: "given" if c.settings else "tuned" if c.name in asked.tuned else "untuned"

@@ -2,18 +2,12 @@
 line.
 """
 
-import hashlib
-import importlib
-import importlib.util
-import inspect
-import sys
 import tempfile
-import traceback
 from pathlib import Path
 
 import numpy as np
 
-from soil_env._io.loading import ParameterError, nearest
+from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import VARIANTS
 from soil_env.terramechanics.model import WheelSoilModel
@@ -22,6 +16,7 @@ from ..controllers import CONTROLLERS, checked_settings
 from ..controllers.rover import controllers_of
 from .contestants import Contestant
 from .driving import simulate
+from .own import describe, made
 
 
 def load(contestant: Contestant, scenario: Scenario, content: bytes | None = None):
@@ -46,39 +41,17 @@ def load(contestant: Contestant, scenario: Scenario, content: bytes | None = Non
             file = Path(folder) / source.name
             file.write_bytes(content)
             return load_model(file, scenario)
-    return _from_class(contestant.source, contestant.name, scenario)
+    return _from_class(contestant, scenario)
 
 
-def _from_class(spec: str, name: str, scenario: Scenario):
-    module_name, _, attribute = spec.partition(":")
-    if "" not in sys.path:
-        sys.path.append("")  # an installed command finds modules in the current folder too
+def _from_class(contestant: Contestant, scenario: Scenario):
+    spec = contestant.source
+    name = contestant.name
     try:
-        thing = importlib.import_module(module_name)
-    except Exception as error:  # the module may raise anything
-        raise ParameterError(
-            f"controllers: {spec}: cannot be imported ({describe(error)})"
-        ) from None
-    for part in attribute.split("."):
-        if not hasattr(thing, part):
-            known = (
-                [n for n in vars(thing) if not n.startswith("_")]
-                if hasattr(thing, "__dict__")
-                else []
-            )
-            raise ParameterError(
-                f"controllers: {spec}: {module_name} has no {part!r}{nearest(part, known)}"
-            )
-        thing = getattr(thing, part)
-    if inspect.isclass(thing) or (callable(thing) and not hasattr(thing, "predict")):
-        try:
-            thing = thing(scenario) if _takes_one(thing) else thing()
-        except ParameterError as error:
-            raise ParameterError(f"controllers: {name}: {error}") from None
-        except Exception as error:
-            raise ParameterError(
-                f"controllers: {spec}: cannot be made ({describe(error)})"
-            ) from None
+        thing = made(spec, scenario, contestant.settings, f"--settings.{name}")
+    except ParameterError as error:
+        own = str(error).startswith(("controllers: ", "--settings."))
+        raise ParameterError(str(error) if own else f"controllers: {name}: {error}") from None
     if not callable(getattr(thing, "predict", None)):
         raise ParameterError(
             f"controllers: {spec}: has no method predict(obs, state, episode_start, deterministic)"
@@ -91,26 +64,6 @@ def _from_class(spec: str, name: str, scenario: Scenario):
     return _Wrapped(thing, variant, spec, getattr(scenario, "axles", 1))
 
 
-def code_digest(spec: str) -> str:
-    """SHA-256 of the file of the module of module:Class; empty if it cannot be found."""
-    if "" not in sys.path:
-        sys.path.append("")
-    try:
-        found = importlib.util.find_spec(spec.partition(":")[0])
-        content = Path(found.origin).read_bytes() if found and found.origin else b""
-    except (ImportError, ValueError, OSError):
-        return ""
-    return hashlib.sha256(content).hexdigest()
-
-
-def _takes_one(thing) -> bool:
-    try:
-        inspect.signature(thing).bind(None)
-    except (TypeError, ValueError):
-        return False
-    return True
-
-
 class _Wrapped:
     """A controller from elsewhere; an exception in it is an error of one line."""
 
@@ -119,6 +72,7 @@ class _Wrapped:
         self.variant = variant
         self.spec = spec
         self.axles = axles
+        self.settings: dict[str, float] = getattr(thing, "settings", {})
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """As the object's own, with a copy of the observation, checked."""
@@ -159,19 +113,6 @@ def _checked(answer, shape: tuple[int, int], who: str) -> tuple[np.ndarray, obje
             f"{where} actions of shape {list(action.shape)}: expected {list(shape)}"
         )
     return action, answer[1]
-
-
-def describe(error: BaseException) -> str:
-    """An exception in one line: its class, its message, and where it was raised."""
-    ours = __file__, importlib.__file__
-    frames = [
-        f
-        for f in traceback.extract_tb(error.__traceback__)
-        if not f.filename.startswith((*ours, "<frozen"))
-    ]
-    where = f", {Path(frames[-1].filename).name} line {frames[-1].lineno}" if frames else ""
-    message = (str(error).splitlines() or [""])[0][:200]
-    return f"{type(error).__name__}: {message}{where}"
 
 
 def check(contestant: Contestant, scenario: Scenario, model: WheelSoilModel | None = None) -> None:

@@ -21,6 +21,7 @@ from .. import PACKAGE_NAMES
 from ..common_layout import CommonScaling
 from ..default_policy import DefaultPolicy
 from ..exported import ExportedAgent
+from ..inputs import Layout, Observing
 
 try:
     import torch
@@ -165,7 +166,8 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
     axles = getattr(scenario, "axles", 1)
     if shape != (axles,) and not of_line:
         raise ParameterError(f"{path}: trained with actions of shape {shape}: expected ({axles},)")
-    return _Plain(model, variant, scaling, names.index("choice") if of_line else None)
+    choice = names.index("choice") if of_line else None
+    return _Plain(model, variant, scaling, choice, scenario)
 
 
 @cache
@@ -189,15 +191,19 @@ def _variant(model, path: Path, course: CourseSpec) -> tuple[str, Scaling]:
     )
 
 
-class _Plain:
+class _Plain(Observing):
     """A model of SB3 that reads the observation of `variant`.
 
     `choice` is the place of that reading in the observation for a model trained with `LineAction`,
     else None.
     """
 
-    def __init__(self, model, variant: str, scaling: Scaling, choice: int | None = None):
+    def __init__(
+        self, model, variant: str, scaling: Scaling, choice: int | None, scenario: Scenario
+    ):
         self.model = model
+        self.scenario = scenario
+        self.layout = Layout(scaling.entries, variant)
         self.policy = model.policy
         self.variant = variant
         self.scaling = scaling
@@ -205,9 +211,8 @@ class _Plain:
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """As SB3's predict."""
-        action, state = self.model.predict(
-            self.scaling(observation), state, episode_start, deterministic
-        )
+        seen = self.layout.observed(observation)
+        action, state = self.model.predict(self.scaling(seen), state, episode_start, deterministic)
         if self.choice is not None:
             choosing = np.asarray(observation)[..., [self.choice]] > 0.5
             action = np.where(choosing, action[..., 1:], action[..., :1])

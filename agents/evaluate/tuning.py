@@ -18,13 +18,14 @@ import numpy as np
 
 from soil_env._io.files import drop_torn_line
 from soil_env._io.loading import ParameterError, config_dir, read_yaml, to_dict
-from soil_env.parameters import RoverScenario, Scenario, load_scenario, scenario_names
+from soil_env.parameters import Scenario, load_scenario, scenario_names
 from soil_env.terramechanics.model import WheelSoilModel
 
-from ..controllers import CONTROLLERS, checked_settings
-from ..controllers.rover import ROVER_CONTROLLERS, controllers_of
+from ..controllers import checked_settings
+from ..controllers.rover import controllers_of
 from ..progress import Bar
 from .driving import TUNING_SET, run_courses
+from .own import maker, settings_of
 
 TUNED = "tuned"  # folder of configs/
 TRIALS = 40  # settings tried of each controller
@@ -71,7 +72,8 @@ def tuned_settings(
 ) -> dict[str, dict]:
     """{controller: best settings} on the first `courses` courses of the tuning set.
 
-    `names`: controllers of a wheel, or of a rover; default all. Settings that come with the package
+    `names`: controllers of a wheel, or of a rover, or `module:Class`; default the shipped ones of
+    the vehicle. Settings that come with the package
     are taken where they are good enough (`shipped_settings`), unless `anew`. Controllers without
     settings are left out; with 0 courses all are. `model` has the effects of the world. With a
     `log`, Optuna's journal, an interrupted tuning goes on.
@@ -79,10 +81,10 @@ def tuned_settings(
     if courses == 0:
         return {}
     shipped = {} if anew else shipped_settings(scenario, courses, model)
-    spaces = {name: kind.bounds for name, kind in CONTROLLERS.items() if kind.bounds}
-    if isinstance(scenario, RoverScenario):  # that of the controller of its wheels
-        spaces = {name: spaces[kind.of_wheel] for name, kind in ROVER_CONTROLLERS.items()}
-    names = [name for name in (spaces if names is None else names) if name in spaces]
+    known, _ = controllers_of(scenario)
+    every = {name: settings_of(name, scenario) for name in (known if names is None else names)}
+    spaces = {name: space for name, space in every.items() if space}
+    names = list(spaces)
     chosen = {name: shipped[name] for name in names if name in shipped}
     missing = [name for name in names if name not in shipped]
     trials = trials_of(courses)
@@ -101,7 +103,7 @@ def tried(name, space, trials, scenario, courses, model, log, progress) -> list[
     order.
     """
     optuna = _optuna()
-    _, make = controllers_of(scenario)
+    make = maker(name, scenario)
     top = scenario.wheel.radius * scenario.wheel.no_load_speed
     bounds = {
         key: tuple(x * (top if s.rim_speed else 1.0) for x in s.tuned) for key, s in space.items()
@@ -132,15 +134,13 @@ def tried(name, space, trials, scenario, courses, model, log, progress) -> list[
             seed=int(np.random.SeedSequence([number]).generate_state(1)[0])
         )
         if number == 0:
-            defaults = make(name, scenario).settings
+            defaults = {key: s.default * (top if s.rim_speed else 1.0) for key, s in space.items()}
             study.enqueue_trial({key: float(np.clip(defaults[key], *bounds[key])) for key in space})
         trial = study.ask()
         settings = {
             key: trial.suggest_float(key, *bounds[key], log=s.log) for key, s in space.items()
         }
-        runs = run_courses(
-            make(name, scenario, **settings), scenario, TUNING_SET, courses, model=model
-        )
+        runs = run_courses(make(**settings), scenario, TUNING_SET, courses, model=model)
         score = {
             "finished": float(runs.metric("finished").mean()),
             "return": float(runs.returns.mean()),

@@ -61,8 +61,9 @@ def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
     OUT/run_policy.py   runs it with numpy and onnxruntime only
     OUT/course.npz      the steps of the comparison
     """
-    with needing_training():
-        import torch  # noqa: F401
+    if str(run) not in SHIPPED:
+        with needing_training():
+            import torch  # noqa: F401
     try:
         import onnx
         import onnxruntime  # noqa: F401
@@ -119,10 +120,10 @@ def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
 
 def _asked(run: Path, scenario: str | None) -> tuple[Path, Scenario, WheelSoilModel | None]:
     """(the zip, its scenario, the model of its world)."""
-    from ..agent import INFO, read_info, read_member
-
     if str(run) in SHIPPED:
         return WEIGHTS, load_scenario(scenario or DEFAULT_SCENARIO), None
+    from ..agent import INFO, read_info, read_member
+
     path = run / "model.zip" if run.is_dir() else run
     if not path.is_file():
         wrong = f"{run}: no model.zip in this folder" if run.is_dir() else f"{path}: is not there"

@@ -3,6 +3,7 @@
 import json
 import platform
 from importlib import metadata
+from importlib.util import find_spec
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -18,7 +19,7 @@ from soil_env.terramechanics.model import WheelSoilModel
 from ..default_policy import DefaultPolicy
 from ..evaluate.driving import HELD_OUT_SET, drive
 from ..exported import FORMAT
-from .graph import OPSET, Graph, Values, action_of
+from .graph import OPSET, Graph, Values
 
 TOLERANCE = 1e-5  # of the action, between the agent and its export
 
@@ -49,7 +50,12 @@ def onnx_model(agent, description: dict):
         inputs += [graph.info(fresh, ["n"]), graph.info(memory, ["n", history.kept])]
         results = [(kept, "next_history", history.kept)]
     x = _normalised(raw, agent)
-    action = agent.action(x) if shipped else action_of(graph, agent.policy, x)
+    if shipped:
+        action = agent.action(x)
+    else:
+        from .network import action_of  # needs torch, which the shipped policy does not
+
+        action = action_of(graph, agent.policy, x)
     if choice is not None:
         action = np.where(np.greater(seen[:, [choice]], 0.5), action[:, [1]], action[:, [0]])
     results = [(np.clip(action, -1.0, 1.0), "action", 1), *results]
@@ -116,6 +122,7 @@ def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None)
         | {
             package: metadata.version(package)
             for package in ("stable-baselines3", "torch", "onnx", "onnxruntime")
+            if find_spec(package.replace("-", "_"))
         },
     }
 

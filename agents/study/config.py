@@ -73,7 +73,7 @@ class Arm(Checked):
 
     train: dict = field(default_factory=dict)  # keys of the training's config
     controller: str = ""  # a classical controller or module:Thing, in place of a training
-    settings: dict = field(default_factory=dict)  # of a classical controller; empty: tuned
+    settings: dict = field(default_factory=dict)  # of a controller; empty: tuned, if it has some
     world: str = ""  # that it is made in; empty: that of its scenario
 
 
@@ -129,7 +129,9 @@ class Study(Checked):
             raise ParameterError(f"arms.{name}: expected controller or train, not both")
         known, _ = controllers_of(scenario)
         if ":" in arm.controller:
-            loading.load(Contestant(name, 0, "class", arm.controller), scenario)
+            loading.load(
+                Contestant(name, 0, "class", arm.controller, settings=arm.settings), scenario
+            )
         elif arm.controller not in known:
             raise unknown_value(
                 arm.controller, (*known, *SHIPPED, "module:Class"), f"arms.{name}: controller"

@@ -16,7 +16,8 @@ from soil_env.parameters import Scenario
 from .. import cells
 from ..evaluate.contestants import Contestant
 from ..evaluate.driving import Runs, run_courses
-from ..evaluate.loading import code_digest, load
+from ..evaluate.loading import load
+from ..evaluate.own import code_digest
 from ..evaluate.tuning import tuned_settings
 from ..progress import show
 from .config import Cell, Study
@@ -100,8 +101,8 @@ class Work:
             made = str(
                 training.trained(study.training(cell, model, folder / "trained"), source.scenario)
             )
-        elif ":" not in arm.controller:
-            kind = "classical"
+        else:
+            kind = "class" if ":" in arm.controller else "classical"
             settings = arm.settings or self._tuned(cell, source.scenario, model, folder)
         driven = {}
         contestant = Contestant(cell.arm, 0, kind, made, settings=settings)

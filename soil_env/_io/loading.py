@@ -10,6 +10,7 @@ import difflib
 import functools
 import json
 import math
+import numbers
 import sys
 import types
 import typing
@@ -59,18 +60,24 @@ def quantity(
 def check(instance) -> None:
     """Raise `FieldError` if a `quantity` field of `instance` is not finite or out of range; None is
     allowed.
+
+    Whole numbers in a field of floats become floats: compiled code would be compiled anew for them.
     """
     for f in (f for f in dataclasses.fields(instance) if "unit" in f.metadata):
         value = getattr(instance, f.name)
         low = f.metadata["low"]
         high = f.metadata["high"]
         for x in value if isinstance(value, tuple) else (value,):
-            is_number = isinstance(x, (int, float)) and not isinstance(x, bool)
+            is_number = isinstance(x, numbers.Real) and not isinstance(x, bool)
             if x is not None and not (is_number and low <= x <= high and math.isfinite(x)):
                 limits = f"[{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
                 raise FieldError(
                     instance, f.name, f" = {_said(value)}: expected a number in {limits}"
                 )
+        own: type = type(instance)
+        if f.name in _floats(own):
+            plain = tuple(map(float, value)) if isinstance(value, tuple) else float(value or 0.0)
+            object.__setattr__(instance, f.name, None if value is None else plain)
         if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
             raise FieldError(
                 instance, f.name, f" = {list(value)}: expected the smaller number first"
@@ -88,6 +95,13 @@ def _bound(x: float) -> str:
     """A bound for people; a whole number in full where the short form would be another one."""
     short = f"{x:g}"
     return str(x) if isinstance(x, int) and float(short) != x else short
+
+
+@functools.cache
+def _floats(cls: type) -> frozenset[str]:
+    """Fields of a dataclass that hold floats: one, a tuple of them, or None in their place."""
+    hints = typing.get_type_hints(cls)
+    return frozenset(n for n, h in hints.items() if float in (h, *typing.get_args(h)))
 
 
 @functools.cache
@@ -247,17 +261,18 @@ def number(kind: type, value, where: str):
             value = float(value)
         except ValueError:
             pass
+    real: typing.Any = value  # a number, below
     if (
         isinstance(value, bool)
-        or not isinstance(value, (int, float))
-        or sys.float_info.max < abs(value) < math.inf
+        or not isinstance(value, numbers.Real)
+        or sys.float_info.max < abs(real) < math.inf
     ):
         raise ParameterError(f"{where} = {_said(value)}: expected a number")
     if kind is int:
-        if not math.isfinite(value) or value != int(value):
+        if not math.isfinite(real) or real != int(real):
             raise ParameterError(f"{where} = {value!r}: expected a whole number")
-        return int(value)
-    return float(value)
+        return int(real)
+    return float(real)
 
 
 def merge(base: dict, changes: dict) -> dict:

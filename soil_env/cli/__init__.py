@@ -30,6 +30,7 @@ _COMMANDS = {
     "discover": ("soil_env.cli.discover", "Name the effect that a wheel-soil model lacks."),
     "logs": ("soil_env.cli.logs", "Identify the soil along the log of a rover."),
     "paper": ("soil_env.cli.paper", "Recompute the printed values of the source paper."),
+    "describe": ("soil_env.cli.describe", "Print the keys of a YAML file, with units and bounds."),
     "warmup": ("soil_env.cli.warmup", "Compile all kernels once."),
     "examples": ("soil_env.cli.examples", "Copy the example scripts and their data."),
 }

@@ -13,8 +13,9 @@ import numpy as np
 
 from soil_env._compiled.cache import place
 from soil_env.envs.wheel_env import SoilWheelVectorEnv
-from soil_env.online import OnlineIdentifier, Readings, slips
-from soil_env.parameters import soils, wheels
+from soil_env.online import Observer, OnlineIdentifier, Readings, slips
+from soil_env.parameters import load_scenario, soils, wheels
+from soil_env.parameters.readings import Image
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.traversability import best_points
 
@@ -55,6 +56,8 @@ def warm_up() -> None:
         envs.close()
     _drive("SoilWheel-v0", 0.4, scenario="two_lines")
     _drive("SoilRover-v0", 0.4)
+    for name, image in (("mixed", None), ("two_lines", Image(*(0.0,) * len(Image._fields)))):
+        Observer(load_scenario(name)).observe(Readings(2.0, 0.25), image=image)
     identifier = OnlineIdentifier(wheels()["planetary_rover"])
     identifier.update(Readings(2.0, 0.25, 0.02, 10.0, 147.0, 5.0))
     identifier.traversability()

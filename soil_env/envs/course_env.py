@@ -17,7 +17,9 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError, UnknownKeyword
+from soil_env.envs.infos import NESTED
 from soil_env.envs.vehicles import Vehicles
+from soil_env.envs.worlds import for_each, storable
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause, ObservedNumber
 from soil_env.simulation.task.scaling import Scaling
@@ -134,6 +136,7 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
             **self.metadata,
             "render_fps": max(1, round(1.0 / scenario.control.duration)),
         }
+        self.world: dict[str, Any] | None = None  # `info["world"]`, where there is a model
         self._renderer: CourseView | None = None
         self._seeded = False
         self._over = True
@@ -141,15 +144,12 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """Spec of `gymnasium.make` with the length of an episode, which wrappers ask for."""
+        """Spec of `gymnasium.make`, which makes the environment again, as its JSON does."""
         return self._spec
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        if spec is not None and spec.max_episode_steps is None:
-            spec = copy.deepcopy(spec)
-            spec.max_episode_steps = self.scenario.steps
-        self._spec = spec
+        self._spec = storable(spec)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -176,7 +176,10 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
             self._view().record(self.simulation, 0)
             if self.render_mode == "human":
                 self.render()
-        return self.scaling(self.simulation.worlds.observation[0]), self.infos.one(0)
+        info = self.infos.one(0)
+        if self.world is not None and self.infos.kind in NESTED:
+            info["world"] = copy.deepcopy(self.world)
+        return self.scaling(self.simulation.worlds.observation[0]), info
 
     def step(
         self, action: ArrayLike
@@ -272,6 +275,17 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
         self._most_steps = max_episode_steps
         self._rngs: list[np.random.Generator | None] | None = None
         self._done = np.ones(self.num_envs, dtype=np.bool_)
+        self._spec: EnvSpec | None = None
+        self.world: dict[str, Any] | None = None  # as of the single environment
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Spec of `gymnasium.make_vec`, as that of the single environment."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = storable(spec)
 
     def _set_spaces(
         self, entries: Sequence[ObservedNumber], actions: gymnasium.spaces.Box, scaled: bool
@@ -314,7 +328,10 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
         self.simulation.restart_where(mask)
         self._done[mask] = False
         self.infos.renew(mask)
-        return self.scaling(self.simulation.worlds.observation), self.infos.many()
+        info = self.infos.many()
+        if self.world is not None and self.infos.kind in NESTED:
+            info["world"] = for_each(self.world, self.num_envs)
+        return self.scaling(self.simulation.worlds.observation), info
 
     def _mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
         """Courses that are reset [N] bool."""

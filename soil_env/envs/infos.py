@@ -18,6 +18,7 @@ from soil_env.simulation.world.wheel import WHEEL
 #: numbers; what costs next to nothing; nothing. "full" and "numeric" ask for an estimate of the
 #: soil.
 INFOS = ("full", "state", "numeric", "short", "none")
+NESTED = ("full", "state")  # of them, with groups
 IMMOBILISED = (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
 STUCK = np.array([cause in IMMOBILISED for cause in Cause])  # by its number
 _STUCK = STUCK.tolist()

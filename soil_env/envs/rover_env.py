@@ -11,19 +11,30 @@ from soil_env.envs.course_env import CourseEnv, CourseVectorEnv, scenario_change
 from soil_env.envs.infos import asks, checked
 from soil_env.envs.rover_infos import RoverInfos
 from soil_env.envs.rovers import RoverSimulation
-from soil_env.parameters import DEFAULT_ROVER, RoverScenario, SoilState, load_rover
+from soil_env.envs.worlds import with_model, world_of
+from soil_env.parameters import DEFAULT_ROVER, RoverScenario, Soil, load_rover
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.world.terrain import soil_at
 from soil_env.terramechanics.model import WheelSoilModel, load_model
 
 __all__ = ["SoilRoverEnv", "SoilRoverVectorEnv", "build_rover", "rover_action_space"]
 
-_OWN = ("rover", "observation", "action", "repeat", "render_mode", "model", "info", "scaled")
+_OWN = (
+    "rover",
+    "observation",
+    "action",
+    "repeat",
+    "render_mode",
+    "model",
+    "scatter",
+    "info",
+    "scaled",
+)
 _OWN_OF_MANY = ("num_envs", "autoreset_mode", "max_episode_steps", "threads", *_OWN)
 
 
 def build_rover(
-    rover: str | Path | RoverScenario,
+    rover: str | Path | dict[str, Any] | RoverScenario,
     action: str | None,
     repeat: int | None,
     changes: dict[str, Any],
@@ -172,36 +183,40 @@ class SoilRoverEnv(CourseEnv):
 
     def __init__(
         self,
-        rover: str | Path | RoverScenario = DEFAULT_ROVER,
+        rover: str | Path | dict[str, Any] | RoverScenario = DEFAULT_ROVER,
         observation: str = "identified",
         action: str | None = None,
         repeat: int | None = None,
         render_mode: str | None = None,
-        model: str | Path | WheelSoilModel | None = None,
+        model: str | Path | dict[str, Any] | WheelSoilModel | None = None,
+        scatter: bool = False,
         info: str | None = None,
         scaled: bool = True,
         **changes: Any,
     ):
-        scenario = build_rover(rover, action, repeat, changes)
+        self.model: WheelSoilModel | None = load_model(model)
+        scenario = with_model(
+            build_rover(rover, action, repeat, changes), self.model, scatter, changes
+        )
         entries = rover_layout(observation, scenario.axles)
         super().__init__(
             scenario, entries, observation, rover_action_space(scenario.axles), render_mode, scaled
         )
-        self.model: WheelSoilModel | None = load_model(model)
+        self.world = world_of(scenario, self.model, scatter)
         info = checked(info, observation)
         self.simulation: RoverSimulation = RoverSimulation(
             1, scenario, observation, 1, self.model, asks(info)
         )
         self.infos: RoverInfos = RoverInfos(self.simulation, info)
 
-    def true_soils(self) -> tuple[SoilState, ...]:
-        """The undisturbed soil under each axle: for analysis and references, never part of a fair
-        observation.
+    def true_soils(self) -> tuple[Soil, ...]:
+        """The undisturbed soil under each axle, without its density: for analysis and references,
+        never part of a fair observation.
         """
         worlds = self.simulation.worlds
         places = worlds.state["wheels"]["x"][0, : self.scenario.axles]
         border = self.scenario.course.border
-        return tuple(soil_at(worlds.courses, 0, float(x), border) for x in places)
+        return tuple(Soil.of_state(soil_at(worlds.courses, 0, float(x), border)) for x in places)
 
 
 class SoilRoverVectorEnv(CourseVectorEnv):
@@ -217,7 +232,7 @@ class SoilRoverVectorEnv(CourseVectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        rover: str | Path | RoverScenario = DEFAULT_ROVER,
+        rover: str | Path | dict[str, Any] | RoverScenario = DEFAULT_ROVER,
         observation: str = "identified",
         action: str | None = None,
         repeat: int | None = None,
@@ -225,17 +240,21 @@ class SoilRoverVectorEnv(CourseVectorEnv):
         max_episode_steps: int | None = None,
         threads: int | None = None,
         render_mode: str | None = None,
-        model: str | Path | WheelSoilModel | None = None,
+        model: str | Path | dict[str, Any] | WheelSoilModel | None = None,
+        scatter: bool = False,
         info: str = "short",
         scaled: bool = True,
         **changes: Any,
     ):
         super().__init__(num_envs, autoreset_mode, max_episode_steps, threads, render_mode)
-        self.scenario: RoverScenario = build_rover(rover, action, repeat, changes, _OWN_OF_MANY)
+        self.model: WheelSoilModel | None = load_model(model)
+        scenario = build_rover(rover, action, repeat, changes, _OWN_OF_MANY)
+        self.scenario: RoverScenario = with_model(scenario, self.model, scatter, changes)
+        self.world = world_of(self.scenario, self.model, scatter)
         axles = self.scenario.axles
         self._set_spaces(rover_layout(observation, axles), rover_action_space(axles), scaled)
         info = checked(info)
         self.simulation: RoverSimulation = RoverSimulation(
-            self.num_envs, self.scenario, observation, threads, load_model(model), asks(info)
+            self.num_envs, self.scenario, observation, threads, self.model, asks(info)
         )
         self.infos: RoverInfos = RoverInfos(self.simulation, info)

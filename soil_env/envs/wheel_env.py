@@ -11,13 +11,13 @@ from soil_env._io.loading import ParameterError
 from soil_env.envs.course_env import CourseEnv, CourseVectorEnv, scenario_changes
 from soil_env.envs.infos import IMMOBILISED, Infos, asks, checked
 from soil_env.envs.wheels import Simulation
+from soil_env.envs.worlds import with_model, world_of
 from soil_env.identification.published import published, soil_of_numbers
 from soil_env.parameters import (
     DEFAULT_SCENARIO,
     CourseSpec,
     Scenario,
     Soil,
-    SoilState,
     load_scenario,
 )
 from soil_env.simulation.task import layout
@@ -34,12 +34,22 @@ __all__ = [
     "observation_space",
 ]
 #: Keywords that are no part of a scenario.
-_OWN = ("scenario", "observation", "action", "repeat", "render_mode", "model", "info", "scaled")
+_OWN = (
+    "scenario",
+    "observation",
+    "action",
+    "repeat",
+    "render_mode",
+    "model",
+    "scatter",
+    "info",
+    "scaled",
+)
 _OWN_OF_MANY = ("num_envs", "autoreset_mode", "max_episode_steps", "threads", *_OWN)
 
 
 def build_scenario(
-    scenario: str | Path | Scenario,
+    scenario: str | Path | dict[str, Any] | Scenario,
     action: str | None,
     repeat: int | None,
     changes: dict[str, Any],
@@ -278,10 +288,13 @@ class SoilWheelEnv(CourseEnv):
     merged over the scenario, e.g. `course={"length": 20}` or `wheel="paper_vehicle"`. Unknown keys
     and values out of range raise `soil_env.ParameterError`.
 
-    `model`: a model.yaml (or a `WheelSoilModel`) with the effects that act in this world, unknown
-    to identifier and agent. Where the model has a soil, all patches are sampled from it. Of its
-    wheel only the grouser height is used; the rest is the scenario's. A residual law acts on
-    drawbar pull and torque.
+    `model`: a model.yaml (its mapping, or a `WheelSoilModel`): exactly its wheel, on exactly its
+    soil, where it has one, with its effects, unknown to identifier and agent. Mass and drive are
+    the scenario's, behind a gear that keeps force and speed of the rim. A residual law acts on
+    drawbar pull and torque. `scatter=True` keeps the wheel of the scenario with the grouser height
+    of the model, and draws soils about that of the model with the scenario's `spread`. Where there
+    is a model, the info of `reset` has `world`: radius, width and grouser height [m], soil,
+    effects, and `scatter`.
 
     ## Version history
     * v0: first version. It has not been released, so that laws still change under this number.
@@ -291,20 +304,23 @@ class SoilWheelEnv(CourseEnv):
 
     def __init__(
         self,
-        scenario: str | Path | Scenario = DEFAULT_SCENARIO,
+        scenario: str | Path | dict[str, Any] | Scenario = DEFAULT_SCENARIO,
         observation: str = "identified",
         action: str | None = None,
         repeat: int | None = None,
         render_mode: str | None = None,
-        model: str | Path | WheelSoilModel | None = None,
+        model: str | Path | dict[str, Any] | WheelSoilModel | None = None,
+        scatter: bool = False,
         info: str | None = None,
         scaled: bool = True,
         **changes: Any,
     ):
-        scenario = build_scenario(scenario, action, repeat, changes)
-        entries = layout(observation, scenario.course)
-        super().__init__(scenario, entries, observation, action_space(), render_mode, scaled)
         self.model: WheelSoilModel | None = load_model(model)
+        task = build_scenario(scenario, action, repeat, changes)
+        task = with_model(task, self.model, scatter, changes)
+        entries = layout(observation, task.course)
+        super().__init__(task, entries, observation, action_space(), render_mode, scaled)
+        self.world = world_of(task, self.model, scatter)
         info = checked(info, observation)
         self.simulation: Simulation = Simulation(
             1, self.scenario, observation, 1, self.model, asks(info)
@@ -324,13 +340,13 @@ class SoilWheelEnv(CourseEnv):
         )
         return soil_of_numbers(numbers, belief)
 
-    def true_soil(self) -> SoilState:
-        """The undisturbed soil under the wheel: for analysis and references, never part of a fair
-        observation.
+    def true_soil(self) -> Soil:
+        """The undisturbed soil under the wheel, without its density: for analysis and references,
+        never part of a fair observation.
         """
         worlds = self.simulation.worlds
         x = float(worlds.state["x"][0])
-        return soil_at(worlds.courses, 0, x, self.scenario.course.border)
+        return Soil.of_state(soil_at(worlds.courses, 0, x, self.scenario.course.border))
 
 
 class SoilWheelVectorEnv(CourseVectorEnv):
@@ -348,7 +364,7 @@ class SoilWheelVectorEnv(CourseVectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        scenario: str | Path | Scenario = DEFAULT_SCENARIO,
+        scenario: str | Path | dict[str, Any] | Scenario = DEFAULT_SCENARIO,
         observation: str = "identified",
         action: str | None = None,
         repeat: int | None = None,
@@ -356,13 +372,17 @@ class SoilWheelVectorEnv(CourseVectorEnv):
         max_episode_steps: int | None = None,
         threads: int | None = None,
         render_mode: str | None = None,
-        model: str | Path | WheelSoilModel | None = None,
+        model: str | Path | dict[str, Any] | WheelSoilModel | None = None,
+        scatter: bool = False,
         info: str = "short",
         scaled: bool = True,
         **changes: Any,
     ):
         super().__init__(num_envs, autoreset_mode, max_episode_steps, threads, render_mode)
-        self.scenario: Scenario = build_scenario(scenario, action, repeat, changes, _OWN_OF_MANY)
+        self.model: WheelSoilModel | None = load_model(model)
+        task = build_scenario(scenario, action, repeat, changes, _OWN_OF_MANY)
+        self.scenario: Scenario = with_model(task, self.model, scatter, changes)
+        self.world = world_of(self.scenario, self.model, scatter)
         self._set_spaces(layout(observation, self.scenario.course), action_space(), scaled)
         info = checked(info)
         finals = (
@@ -375,7 +395,7 @@ class SoilWheelVectorEnv(CourseVectorEnv):
             self.scenario,
             observation,
             threads,
-            load_model(model),
+            self.model,
             finals or asks(info),
         )
         self.infos: Infos = Infos(self.simulation, info)

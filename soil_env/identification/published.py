@@ -4,7 +4,6 @@ nothing themselves.
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import Any
 
 from soil_env.parameters import Belief, Soil
@@ -35,18 +34,9 @@ def published(x: Any, sd: Any, pull: Any, dig_gain: float, of: Any = math) -> di
     }
 
 
-_BOUNDS = {f.name: f.metadata for f in fields(Soil)}
-
-
 def soil_of_numbers(numbers: Mapping[str, float], belief: Belief) -> Soil:
     """The soil of `published` numbers, each within its bounds; exponent and recovery of digging are
     the belief's.
     """
-    within = {
-        name: min(max(numbers[name], limit["low"]), limit["high"])
-        for name, limit in _BOUNDS.items()
-        if name in numbers
-    }
-    return Soil(
-        sinkage_exponent=belief.sinkage_exponent, dig_recovery=belief.dig_recovery, **within
-    )
+    fixed = {"sinkage_exponent": belief.sinkage_exponent, "dig_recovery": belief.dig_recovery}
+    return Soil.within({**numbers, **fixed})

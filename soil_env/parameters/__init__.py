@@ -28,7 +28,7 @@ from soil_env.parameters.soil import (
 )
 from soil_env.parameters.task import HELD, Control, Limits, RewardWeights
 from soil_env.parameters.vehicle import MOST_AXLES, Vehicle, mass_of_wheel
-from soil_env.parameters.wheel import LARGEST_WHEEL, Wheel, check_lugs, wheels, with_preset
+from soil_env.parameters.wheel import LARGEST_WHEEL, Wheel, check_lugs, geared, wheels, with_preset
 
 __all__ = [
     "DEFAULT_ROVER",
@@ -56,6 +56,7 @@ __all__ = [
     "check_lugs",
     "config_dir",
     "correlation_factor",
+    "geared",
     "load_rover",
     "load_scenario",
     "load_scenario_as",

@@ -53,7 +53,7 @@ def rover_names() -> list[str]:
 
 
 def load_rover(
-    which: str | Path | RoverScenario = DEFAULT_ROVER,
+    which: str | Path | dict[str, Any] | RoverScenario = DEFAULT_ROVER,
     changes: dict[str, Any] | None = None,
     place: str = "changes",
 ) -> RoverScenario:

@@ -104,13 +104,15 @@ def scenario_names() -> list[str]:
 
 
 def load_scenario(
-    which: str | Path | Scenario = DEFAULT_SCENARIO,
+    which: str | Path | dict[str, Any] | Scenario = DEFAULT_SCENARIO,
     changes: dict[str, Any] | None = None,
     place: str = "changes",
 ) -> Scenario:
-    """A scenario by name, by path of a YAML file, or as it is, with `changes` merged over it.
+    """A scenario by name, by path of a YAML file, as a mapping or as it is, with `changes` merged
+    over it.
 
-    `changes` is a nested mapping. Errors in it name `place` as their origin. `wheel` may be the
+    `changes` is a nested mapping. The key `base` of a file or mapping names the scenario that its
+    other keys are changes of. Errors in `changes` name `place` as their origin. `wheel` may be the
     name of a preset, or a mapping whose key `preset` names one. `soils`, where given in `changes`,
     replaces the whole mixture. Raises `ParameterError` with one line for anything unknown or out of
     range.
@@ -122,7 +124,7 @@ def load_scenario(
 def load_scenario_as(
     kind: type[Scenario],
     folder: str,
-    which: str | Path | Scenario,
+    which: str | Path | dict[str, Any] | Scenario,
     changes: dict[str, Any] | None,
     place: str,
     complete: Callable[[dict[str, Any]], dict[str, Any]] = dict,
@@ -142,10 +144,21 @@ def load_scenario_as(
 
 
 def _given(
-    kind: type[Scenario], folder: str, which: str | Path | Scenario, changes: dict[str, Any]
+    kind: type[Scenario],
+    folder: str,
+    which: str | Path | dict[str, Any] | Scenario,
+    changes: dict[str, Any],
+    above: tuple[Path, ...] = (),
 ) -> tuple[dict[str, Any], str]:
-    """The mapping of a scenario without the changes, and where it comes from."""
+    """The mapping of a scenario without the changes, and where it comes from.
+
+    `above`: the files whose `base` this one is.
+    """
     singular = folder.removesuffix("s")
+    if isinstance(which, dict):
+        mapping = _on_base(kind, folder, which, singular, above)
+        _check_kind(mapping, changes, folder, singular)
+        return mapping, singular
     if isinstance(which, kind):
         mapping = to_dict(which)
         where = f"{singular} {which.name!r}"
@@ -157,10 +170,37 @@ def _given(
     path = Path(which)
     if path.suffix not in (".yaml", ".yml"):
         path = _shipped_file(folder, which)
-    mapping = read_yaml(path)
+    elif above:  # a path in a file is relative to the file
+        path = above[-1].parent / path
+    if path in above:
+        raise ParameterError(f"{str(which)!r}: expected a file that is no change of this one")
+    mapping = _on_base(kind, folder, read_yaml(path), str(path), (*above, path))
     _check_kind(mapping, changes, folder, f"{singular}: {str(which)!r}")
     mapping.setdefault("name", path.stem)
     return mapping, path.name if path.parent == config_dir() / folder else str(path)
+
+
+def _on_base(
+    kind: type[Scenario],
+    folder: str,
+    mapping: dict[str, Any],
+    where: str,
+    above: tuple[Path, ...],
+) -> dict[str, Any]:
+    """The mapping of a scenario; one with the key `base` as changes of the scenario named there."""
+    if "base" not in mapping:
+        return dict(mapping)
+    own = dict(mapping)
+    base = own.pop("base")
+    if not isinstance(base, str) or not base:
+        expected = "expected the name of a scenario or the path of its YAML file"
+        raise ParameterError(f"{where}: base = {base!r:.60}: {expected}")
+    try:
+        given, _ = _given(kind, folder, base, own, above)
+    except ParameterError as error:
+        raise ParameterError(f"{where}: base: {error}") from None
+    given.pop("name", None)
+    return _merged(given, own, where)
 
 
 def _shipped_file(folder: str, which: str | Path) -> Path:

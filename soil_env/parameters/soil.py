@@ -4,7 +4,8 @@
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -81,6 +82,24 @@ class Soil(Checked):
             return self.sinkage_coefficient
         assert self.k_c is not None and self.k_phi is not None  # checked on construction
         return lumped_coefficient(self.k_c, self.k_phi, width)
+
+    @classmethod
+    def of_state(cls, state: SoilState) -> "Soil":
+        """The soil of a `SoilState`, each number within its bounds; density is not in it."""
+        numbers = state._asdict()
+        numbers["friction_angle_deg"] = math.degrees(math.atan(numbers.pop("tan_phi")))
+        return cls.within(numbers)
+
+    @classmethod
+    def within(cls, numbers: Mapping[str, float]) -> "Soil":
+        """The soil of these numbers by name, each cut to its bounds; others are passed over."""
+        limits = {f.name: f.metadata for f in fields(cls) if f.name in numbers}
+        return cls(
+            **{
+                name: min(max(numbers[name], limit["low"]), limit["high"])
+                for name, limit in limits.items()
+            }
+        )
 
     def state(self, width: float) -> SoilState:
         """The soil as compiled code takes it, under a wheel of width b [m]."""

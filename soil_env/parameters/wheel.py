@@ -1,6 +1,7 @@
 """A driven wheel with its motor, and the presets of configs/wheels.yaml."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 from soil_env._io.loading import (
@@ -16,6 +17,8 @@ from soil_env.parameters.presets import library
 
 LARGEST_WHEEL = 3.0  # [m] largest radius and width of a wheel that are accepted; own choice
 LEAST_INERTIA = 0.02  # [-] of body_mass radius^2, below that of any geared drive; own choice
+USUAL = "planetary_rover"  # preset whose ground pressure and drive a wheel has that tells none
+_LEFT_OUT = math.nan  # this very object: a NaN from elsewhere is refused
 
 
 @dataclass(frozen=True)
@@ -26,25 +29,74 @@ class Wheel(Checked):
     a geared drive. The motor has the straight torque-speed line of a DC motor:
     stall_torque (1 - w / no_load_speed). An inertia below 2 % of body_mass radius^2 is refused: no
     geared drive is that light, and the wheel would spin up within a step.
+
+    A wheel may be given by `radius` and `width` alone. A mass that is left out gives the ground
+    pressure of the preset "planetary_rover", and a drive that is left out moves the rim as fast and
+    pulls as much of the weight as its drive.
     """
 
     radius: float = quantity("m", 0.01, LARGEST_WHEEL)
     width: float = quantity("m", 0.005, LARGEST_WHEEL)
-    inertia: float = quantity("kg m2", 1e-6, 1e5, doc="at least 2 % of body_mass radius^2")
-    stall_torque: float = quantity("N m", 1e-3, 1e6)
-    no_load_speed: float = quantity("rad/s", 1e-3, 1e3)
+    inertia: float = quantity(
+        "kg m2", 1e-6, 1e5, default=_LEFT_OUT, doc="at least 2 % of body_mass radius^2"
+    )
+    stall_torque: float = quantity("N m", 1e-3, 1e6, default=_LEFT_OUT)
+    no_load_speed: float = quantity("rad/s", 1e-3, 1e3, default=_LEFT_OUT)
     body_mass: float = quantity(
-        "kg", 0.1, 1e5, doc="mass this wheel carries and accelerates, without payload"
+        "kg",
+        0.1,
+        1e5,
+        default=_LEFT_OUT,
+        doc="mass this wheel carries and accelerates, without payload",
     )
     source: str = ""
 
     def __post_init__(self) -> None:
+        self._complete()
         super().__post_init__()
         least = LEAST_INERTIA * self.body_mass * self.radius**2
         if self.inertia < least:
             share = f"{100 * LEAST_INERTIA:g} % of body_mass radius^2"
             problem = f" = {self.inertia:g}: expected at least {least:g} kg m2, {share}"
             raise FieldError(self, "inertia", problem)
+
+    def _complete(self) -> None:
+        """Fill in what was left out, by the usual wheel."""
+        left = [name for name in _DRIVE if getattr(self, name) is _LEFT_OUT]
+        sizes = (self.radius, self.width)
+        if not left or not all(isinstance(x, (int, float)) and 0.0 < x < math.inf for x in sizes):
+            return
+        usual = wheels()[USUAL]
+        mass = self.body_mass
+        if mass is _LEFT_OUT:
+            mass = usual.body_mass * self.radius * self.width / (usual.radius * usual.width)
+        fitted = geared(replace(usual, width=self.width), self.radius)
+        heavier = mass / usual.body_mass
+        found = {
+            "body_mass": mass,
+            "inertia": heavier * fitted.inertia,
+            "stall_torque": heavier * fitted.stall_torque,
+            "no_load_speed": fitted.no_load_speed,
+        }
+        for name in left:
+            object.__setattr__(self, name, found[name])
+
+
+_DRIVE = ("inertia", "stall_torque", "no_load_speed", "body_mass")
+
+
+def geared(wheel: Wheel, radius: float) -> Wheel:
+    """The wheel with another radius [m] and its drive behind a gear for it: rim speed, force at the
+    rim and inertia over radius^2 are as before.
+    """
+    ratio = radius / wheel.radius
+    return replace(
+        wheel,
+        radius=radius,
+        inertia=wheel.inertia * ratio**2,
+        stall_torque=wheel.stall_torque * ratio,
+        no_load_speed=wheel.no_load_speed / ratio,
+    )
 
 
 def check_lugs(height: float, radius: float) -> None:

@@ -264,7 +264,7 @@ def _observe(wheel, note, course, setting, camera, sight, out):
     if truth:
         write_soil_under(out[SENSORS:], wheel, course, setting.rig.border)
     if camera is not None:
-        write_seen(out[task.seen :], wheel, course, sight, camera, truth)
+        write_seen(out[task.seen :], wheel, note, course, sight, camera, truth)
 
 
 @njit(**FINITE)

@@ -57,6 +57,15 @@ class ModelWheel(Checked):
         super().__post_init__()
         check_lugs(self.grouser_height, self.radius)
 
+    @classmethod
+    def of(cls, wheel: object) -> "ModelWheel":
+        """The sizes of any wheel that has a radius and a width: of a scenario, of a setup."""
+        if isinstance(wheel, cls):
+            return wheel
+        if not hasattr(wheel, "radius") or not hasattr(wheel, "width"):
+            raise ParameterError(f"wheel = {wheel!r:.80}: expected one with radius and width")
+        return cls(wheel.radius, wheel.width, getattr(wheel, "grouser_height", None) or 0.0)
+
 
 _EXPECTED = {
     "wheel": "a ModelWheel",
@@ -79,6 +88,7 @@ class WheelSoilModel(Checked):
     """A wheel on one soil: the base model of Eqs. (1)-(10), the named effects that are on, and a
     residual law.
 
+    `wheel`: a `ModelWheel`, or any wheel with a radius and a width, of which it has the sizes.
     `effects` maps a name of the catalogue to its parameters; those left out are neutral.
     `soil.dig_gain` is the digging that the simulated world gives its soils; it is 0 in a model that
     was fitted to measurements, which has slip-sinkage as an effect. Without a soil a model is a set
@@ -96,6 +106,8 @@ class WheelSoilModel(Checked):
     validity: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.wheel, ModelWheel) and hasattr(self.wheel, "width"):
+            object.__setattr__(self, "wheel", ModelWheel.of(self.wheel))
         for name, kind in (
             ("wheel", ModelWheel),
             ("soil", (Soil, type(None))),
@@ -200,12 +212,16 @@ class WheelSoilModel(Checked):
         return model
 
 
-def load_model(model: str | Path | WheelSoilModel | None) -> WheelSoilModel | None:
-    """The model that the keyword `model` of an environment describes: a model.yaml, a model, or
-    none.
+def load_model(
+    model: str | Path | Mapping[str, Any] | WheelSoilModel | None,
+) -> WheelSoilModel | None:
+    """The model that the keyword `model` of an environment describes: a model.yaml, its mapping, a
+    model, or none.
     """
     if model is None or isinstance(model, WheelSoilModel):
         return model
+    if isinstance(model, Mapping):
+        return WheelSoilModel.from_content(model)
     if not isinstance(model, (str, Path)) or not str(model):
         raise ParameterError(
             f"model = {model!r}: expected the path of a model.yaml, a WheelSoilModel or None"

@@ -12,15 +12,18 @@ import pytest
 
 from agents.controllers import CONTROLLERS, checked_settings, make_controller
 from agents.controllers.oracle import Oracle
+from agents.controllers.rover import ROVER_CONTROLLERS, make_rover_controller
 from agents.drive import _drive
 from agents.evaluate import driving
 from agents.evaluate.driving import drive as evaluation_drive, run_courses
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main
+from soil_env.envs.rover_env import SoilRoverEnv
 from soil_env.envs.wheels import Simulation
-from soil_env.parameters import Noise, load_scenario, soils
+from soil_env.parameters import Noise, load_rover, load_scenario, soils
 from soil_env.parameters.sensors import calibrated
 from soil_env.simulation.task import Cause, layout
+from soil_env.simulation.task.scaling import Scaling
 from soil_env.terramechanics.steady import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
 from tests.agents.drivers import observations
@@ -36,6 +39,40 @@ QUIET = vars(calibrated(Noise(**dict.fromkeys(WITHOUT_NOISE, 0.0))))
 SEED = 2_000_029
 TORQUE = {"control": {"action": "torque"}}
 BLIND = [entry.name for entry in layout("blind")]
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+@pytest.mark.parametrize("scenario", ["mixed", "two_lines", "field_vehicle"])
+def test_a_controller_refuses_an_observation_that_is_not_its_own(scenario, action):
+    """Scaled ones, of another variant and of another layout, in one line at the first call."""
+    task = load_scenario(scenario, {"control": {"action": action}})
+    for name in NAMES:
+        controller = make_controller(name, task)
+        sim = started(task, controller.variant, [[5, k] for k in range(4)])
+        seen = sim.worlds.observation
+        scaling = Scaling(layout(controller.variant, task.course))
+        controller.predict(seen)
+        with pytest.raises(ParameterError, match="values in their units, as scaled=False"):
+            controller.predict(scaling(seen), None, [True] * 4)
+        with pytest.raises(ParameterError, match="values in their units"):
+            controller.predict(scaling(seen[0]))
+        with pytest.raises(ParameterError, match=f"expected {seen.shape[1]} numbers, those of"):
+            controller.predict(seen[:, :-1])
+        with pytest.raises(ParameterError, match="expected"):
+            controller.predict(np.full_like(seen, np.nan))
+    other = started(load_scenario("mixed"), "identified", [[5, 0]]).worlds.observation
+    if scenario == "two_lines":  # as many numbers as `blind` has here
+        with pytest.raises(ParameterError, match="here_class"):
+            make_controller("soft_start", task).predict(other)
+
+
+def test_a_controller_of_a_rover_refuses_scaled_observations():
+    rover = load_rover()
+    for name in ROVER_CONTROLLERS:
+        controller = make_rover_controller(name, rover)
+        env = SoilRoverEnv(rover, observation=controller.variant, info="none")
+        with pytest.raises(ParameterError, match="scaled=False"):
+            controller.predict(env.reset(seed=1)[0])
 
 
 def uniform(soil="lete_sand", grade=0.0, action="torque", noise=QUIET, length=12.0, payload=0.0):

@@ -4,9 +4,11 @@ within a step.
 
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorWrapper
 
 from agents.sb3 import SoilRoverVecEnv, SoilWheelVecEnv
+from soil_env._io.loading import ParameterError
 from soil_env.envs.rover_env import SoilRoverVectorEnv
 from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.simulation.task import Cause
@@ -44,3 +46,47 @@ def test_every_number_is_that_of_the_vector_environment(own, native):
             lengths[k] = 0
             ends = ends + 1
     assert ends >= 4
+
+
+@pytest.mark.parametrize("own", [SoilWheelVecEnv, SoilRoverVecEnv])
+def test_a_truncated_course_is_told_from_one_that_ended(own):
+    """By the keyword of the vector environment and by a wrapper of it."""
+    env = own(3, observation="blind", max_episode_steps=4)
+    env.seed(1)
+    env.reset()
+    actions = np.full((3, *env.action_space.shape), 0.3, np.float32)
+    for _ in range(2):
+        for step in range(4):
+            seen, _, done, infos = env.step(actions)
+            assert done.tolist() == [step == 3] * 3
+        assert all(info["TimeLimit.truncated"] for info in infos)
+        assert {info["episode"]["l"] for info in infos} == {4}
+        assert not np.array_equal(infos[0]["terminal_observation"], seen[0])
+    env = own(2, observation="blind")
+    env.env = Impatient(env.env)
+    env.reset()
+    _, _, done, infos = env.step(actions[:2])
+    assert done.all() and all(info["TimeLimit.truncated"] for info in infos)
+
+
+class Impatient(VectorWrapper):
+    """Truncates every course in its first step."""
+
+    def step(self, actions):
+        seen, reward, terminated, truncated, info = super().step(actions)
+        self.unwrapped._done[:] = True
+        return seen, reward, terminated, ~terminated, info
+
+
+@pytest.mark.parametrize("own", [SoilWheelVecEnv, SoilRoverVecEnv])
+def test_what_it_cannot_take_is_one_line(own):
+    for options, said in (
+        ({"autoreset_mode": "NextStep"}, "autoreset_mode = 'NextStep': expected none"),
+        ({"info": "full"}, "info = 'full': expected none"),
+        ({"num_envs": "two"}, "num_envs = 'two'"),
+        ({"corse": {}}, "did you mean 'course'"),
+    ):
+        with pytest.raises(ParameterError, match=said):
+            own(**{"num_envs": 1, "observation": "blind", **options})
+    with pytest.raises(ResetNeeded):
+        own(1, observation="blind").step_wait()

@@ -1,5 +1,8 @@
 """Tuning by Optuna: the best trial is kept, an interrupted tuning ends as one without a break."""
 
+import json
+from pathlib import Path
+
 import pytest
 import yaml
 
@@ -10,10 +13,13 @@ from agents.evaluate import tuning
 from agents.evaluate.driving import TUNING_SET, run_courses
 from agents.evaluate.tuning import shipped_settings, tuned_settings
 from soil_env._io.loading import config_dir
+from soil_env.cli import main as soil_env
 from soil_env.cli.running import run
 from soil_env.parameters import load_rover, load_scenario
+from soil_env.terramechanics.model import WheelSoilModel
 
 pytest.importorskip("optuna")
+ROOT = Path(__file__).resolve().parents[2]
 SHORT = load_scenario("mixed", {"course": {"length": 2.0}, "control": {"time_limit": 12.0}})
 
 
@@ -94,20 +100,43 @@ def test_controllers_of_a_rover_are_tuned_in_the_space_of_their_wheels(few):
     }
 
 
+def test_a_class_with_settings_is_tuned_set_and_driven_as_a_shipped_one(
+    few, tmp_path, monkeypatch, capsys
+):
+    """The template of examples/, in a world with an effect."""
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    source = "own_controller:Uphill"
+    world = str(config_dir() / "worlds" / "shear_softening.yaml")
+    short = ["--changes.course.length=2", "--changes.control.time_limit=12", "--courses=6"]
+    asked = ["evaluate", f"--controllers=soft_start,mine={source}", *short, f"--model={world}"]
+    assert soil_env([*asked, "--tuning-courses=6", f"--out={tmp_path / 'tuned'}"]) == 0
+    found = json.loads((tmp_path / "tuned" / "evaluation.json").read_text())
+    assert found["chosen"] == {"soft_start": "tuned", "mine": "tuned"}
+    settings = found["controllers"]["mine"]["settings"]
+    assert set(settings) == {"acceleration", "speed", "caution"}
+    chosen = tuned_settings(
+        load_scenario("mixed"), 4, (source,), WheelSoilModel.load(world), anew=True
+    )
+    assert set(chosen[source]) == set(settings)
+    given = ["--settings.mine.caution=2.5", "--tuning-courses=0"]
+    assert soil_env([*asked, *given, f"--out={tmp_path / 'given'}"]) == 0
+    found = json.loads((tmp_path / "given" / "evaluation.json").read_text())
+    assert found["controllers"]["mine"]["settings"]["caution"] == 2.5
+    for wrong, said in (("caution=99", "expected a number in (0, 10]"), ("cation=1", "caution")):
+        assert soil_env([*asked, f"--settings.mine.{wrong}", f"--out={tmp_path / 'x'}"]) == 2
+        assert said in capsys.readouterr().err
+
+
 def test_the_command_writes_settings_that_the_package_finds(tmp_path, monkeypatch):
     """Two controllers, two trials on two courses; begun again, nothing is driven twice."""
     drives = []
     drive = tuning.run_courses
-    monkeypatch.setattr(
-        tuning,
-        "CONTROLLERS",
-        {name: CONTROLLERS[name] for name in ("constant_torque", "soft_start")},
-    )
     monkeypatch.setattr(tuning, "TRIALS", 2)
     monkeypatch.setattr(tuning, "_COURSES_A_TRIAL", 1)
     monkeypatch.setattr(tuning, "run_courses", lambda *a, **k: drives.append(1) or drive(*a, **k))
     out = tmp_path / "tuned"
     asked = ["--scenario=mixed", "--courses=2", "--actions=torque,wheel_speed", f"--out={out}"]
+    asked += ["--controllers=constant_torque,soft_start"]
     for _ in range(2):
         assert run(tune.command, asked, "soil-env tune") == 0 and len(drives) == 8
     content = yaml.safe_load((out / "mixed.yaml").read_text())

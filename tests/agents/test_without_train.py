@@ -6,12 +6,13 @@ import json
 import os
 import subprocess
 import sys
+from importlib.util import find_spec
 
 REFUSED = [["train", "--timesteps", "64"], ["export", "runs/x", "--out", "o"]]
 HELPS = [[name, "--help"] for name in ("train", "evaluate", "export", "study", "tune")]
 BARE = """
 import contextlib, io, json, sys
-TRAIN = ("torch", "stable_baselines3", "sb3_contrib", "tensorboard", "tqdm", "onnx")
+TRAIN = ("torch", "stable_baselines3", "sb3_contrib", "tensorboard", "tqdm")
 class Absent:
     def find_spec(self, name, path=None, target=None):
         if name.partition(".")[0] in TRAIN:
@@ -38,9 +39,10 @@ print(json.dumps(said))
 """
 
 
-def test_without_the_extra_train():
+def test_without_the_extra_train(tmp_path):
+    exported = [["export", "default", f"--out={tmp_path}", "--steps=3"]] * bool(find_spec("onnx"))
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    command = [sys.executable, "-c", BARE, json.dumps(REFUSED + HELPS)]
+    command = [sys.executable, "-c", BARE, json.dumps(REFUSED + exported + HELPS)]
     ended = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300)
     assert ended.returncode == 0, ended.stderr
     said = json.loads(ended.stdout)
@@ -50,5 +52,8 @@ def test_without_the_extra_train():
             "",
             f"soil-env {name}: error: needs Stable-Baselines3: pip install 'soil_env[train]'\n",
         ]
-    for status, out, err in said[len(REFUSED) :]:
+    for status, _, err in said[len(REFUSED) : -len(HELPS)]:
+        assert status == 0, err
+        assert (tmp_path / "policy.onnx").is_file()
+    for status, out, err in said[-len(HELPS) :]:
         assert status == 0 and out.startswith("Usage: ") and not err

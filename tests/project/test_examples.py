@@ -10,7 +10,8 @@ import pytest
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
 #: Script -> (arguments, pattern of the output, module it needs).
 RUNS = {
-    "record_bag": ("--steps 200", r"200 sets of readings.*\n.*drive: \d\.\de-0[5-9]", "rosbags")
+    "own_controller": ("", r"^(FINISHED|ENTRAPPED|STALLED|BOGGED) at \d+\.\d m$", "numpy"),
+    "record_bag": ("--steps 200", r"200 sets of readings.*\n.*drive: \d\.\de-0[5-9]", "rosbags"),
 }
 
 

@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from numbers import Real
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -101,7 +101,7 @@ def largest_readings(wheel: Wheel, gravity: float = 9.81) -> Readings:
     return Readings(1e3, 40.0, wheel.radius, force, force, twist, 1.5, 1.5, twist, 500.0)
 
 
-def _refusal(r: Readings, largest: Readings) -> TypeError | ValueError | None:
+def refusal_of(r: Readings, largest: Readings) -> TypeError | ValueError | None:
     """Error for the first reading that is no number, or larger than its limit; None if all are
     fine.
     """
@@ -238,7 +238,7 @@ class OnlineIdentifier:
             raise ParameterError(re.sub(r"^(Control|Scenario)\.", "", str(error))) from None
 
     @classmethod
-    def of_scenario(cls, scenario: Scenario) -> "OnlineIdentifier":
+    def of_scenario(cls, scenario: Scenario) -> Self:
         """The identifier that an environment of this scenario runs, but for borders that the camera
         of a scenario with terrain classes sees.
         """
@@ -294,7 +294,7 @@ class OnlineIdentifier:
             raise TypeError(
                 f"{readings!r}: expected Readings(...), of a mapping Readings(**mapping)"
             )
-        if refusal := _refusal(readings, self._largest):
+        if refusal := refusal_of(readings, self._largest):
             raise refusal
         period = self._period(readings.time)
         rim, speed = self._speeds(readings)

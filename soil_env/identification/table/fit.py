@@ -10,16 +10,19 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2, f as f_distribution, t
 
 from soil_env.identification.table.form_error import mixed
+from soil_env.identification.table.priors import known_digging
 from soil_env.identification.table.problem import LAW_ERRORS, SOURCES, TableProblem
 from soil_env.measurement.doubts import load_doubt
 from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import UNITS, Table
+from soil_env.parameters import Soil
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 NAMES = (
     "friction_angle_deg",
@@ -107,6 +110,15 @@ class TableEstimate:
     law_error: float  # relative error of the stress laws that the table suggests, root mean square
     check_first: tuple[str, ...]  # of `warnings`: what looks like a wrong unit in setup or table
     warnings: tuple[str, ...]
+    soil: Soil  # the most probable, under wheels of the width of the table
+
+    def model(self, wheel: Any) -> WheelSoilModel:
+        """The base model of a wheel with a smooth rim on this soil, as the environments take it.
+
+        `wheel`: any with `radius` and `width` [m], that of the setup for one.
+        """
+        sizes = ModelWheel.of(wheel)
+        return WheelSoilModel(ModelWheel(sizes.radius, sizes.width), self.soil)
 
 
 def identify_table(table: Table, setup: Setup) -> TableEstimate:
@@ -221,7 +233,17 @@ def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plai
         law_error,
         tuple(first),
         tuple(warnings),
+        _soil(problem, u),
     )
+
+
+def _soil(problem: TableProblem, u: np.ndarray) -> Soil:
+    """The soil of a solution, with the digging and the density that the setup knows."""
+    gain, recovery = known_digging(problem.setup)
+    density = problem.setup.soil.density
+    known = {"dig_gain": gain, "dig_recovery": recovery}
+    known |= {"density": density.value} if density else {}
+    return Soil.within({**problem.values(u), **known})
 
 
 def _parameters(

@@ -7,6 +7,7 @@ from numba import njit
 from soil_env._compiled.flags import EXACT, FINITE
 from soil_env.simulation.task.layout import VARIANTS
 from soil_env.simulation.world.camera import Sight, patch_ahead, seen_grade, write_view
+from soil_env.simulation.world.lines import choosing
 from soil_env.simulation.world.terrain import piece_at, soil_on
 from soil_env.terramechanics.ground import soil_of
 
@@ -63,9 +64,9 @@ def write_soil_under(out, wheel, course, border):
 
 
 @njit(**EXACT)
-def write_seen(out, wheel, course, sight, camera, truth):
-    """Fill `out` with what the camera sees; with `truth`, the lines' true soils behind it."""
-    i = write_view(out, wheel, course, sight, camera)
+def write_seen(out, wheel, image, course, sight, camera, truth):
+    """Fill `out` with an `IMAGE` of the camera; with `truth`, the lines' true soils behind it."""
+    i = write_view(out, image, choosing(wheel, course, camera) >= 0, camera)
     if truth:
         write_soils_ahead(out[i:], course, sight, camera)
 

@@ -14,7 +14,7 @@ from soil_env._compiled.flags import EXACT, record
 from soil_env._compiled.random_streams import normal_pair
 from soil_env.parameters import Scenario
 from soil_env.parameters.readings import Image
-from soil_env.simulation.world.lines import choosing, settled
+from soil_env.simulation.world.lines import settled
 
 #: The camera of a `Scenario` with terrain classes.
 CAMERA = record(
@@ -108,22 +108,27 @@ def take_image(image, wheel, course, sight, camera):
 
 
 @njit(**EXACT)
-def write_view(out, wheel, course, sight, camera):
-    """Fill `out` with distance, class here, grade and class of lines ahead; return the count."""
+def write_view(out, image, chooses, camera):
+    """Fill `out` with distance, class here, grade and class of lines ahead of an `IMAGE`; return
+    the count.
+
+    `chooses`: the action chooses a line now.
+    """
     classes = camera.classes
-    ahead = patch_ahead(course, sight, camera)
-    out[0] = max(sight.left, 0.0) if ahead >= 0 else camera.sight
+    seen = image.seen > 0.0
+    out[0] = max(image.left, 0.0) if seen else camera.sight
     for c in range(classes):
-        out[1 + c] = 1.0 if label_here(course, sight) == c else 0.0
+        out[1 + c] = 1.0 if image.here == c else 0.0
     i = 1 + classes
     for k in range(camera.lines):
-        there = ahead >= 0 and k < course.forks[ahead].lines
-        line = course.lines[max(ahead, 0), k]
-        out[i] = seen_grade(course, ahead, k) if there else 0.0
+        there = seen and k < image.lines
+        label = image.label_0 if k == 0 else image.label_1
+        grade = image.grade_0 if k == 0 else image.grade_1
+        out[i] = grade if there else 0.0
         for c in range(classes):
-            out[i + 1 + c] = 1.0 if there and line.label == c else 0.0
+            out[i + 1 + c] = 1.0 if there and label == c else 0.0
         i += 1 + classes
     if camera.lines > 1:
-        out[i] = 1.0 if choosing(wheel, course, camera) >= 0 else 0.0
+        out[i] = 1.0 if chooses else 0.0
         i += 1
     return i

@@ -39,10 +39,15 @@ class SensorErrors(NamedTuple):
 
 
 def sensor_errors(model: WheelSoilModel | None) -> SensorErrors | None:
-    """Pack the errors of the sensors in the world of a `model`; None without one."""
+    """Pack the errors of the sensors in the world of a `model`; None without any, so that the code
+    is that of the base model.
+    """
     if model is None:
         return None
-    return SensorErrors(*(getattr(model.numbers, name) for name in SensorErrors._fields))
+    errors = SensorErrors(*(getattr(model.numbers, name) for name in SensorErrors._fields))
+    # Of a sinkage that is felt the sensors have no error.
+    own = errors if errors.slip_sinkage_apparent > 0.0 else errors[:3]
+    return errors if any(own) else None
 
 
 def sensors_of(scenario: Scenario) -> np.ndarray:

@@ -1,0 +1,122 @@
+"""Controllers by their source, the name of a shipped one or `module:Thing`: their settings, and
+what makes them.
+"""
+
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import sys
+import traceback
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from soil_env._io.loading import ParameterError, nearest
+from soil_env.parameters import RoverScenario, Scenario
+
+from ..controllers import CONTROLLERS, Setting, within_bounds
+from ..controllers.rover import ROVER_CONTROLLERS, controllers_of
+
+
+def imported(spec: str) -> Any:
+    """What `module:Thing` names; ParameterError in one line if it cannot be imported."""
+    module_name, _, attribute = spec.partition(":")
+    if "" not in sys.path:
+        sys.path.append("")  # an installed command finds modules in the current folder too
+    try:
+        thing = importlib.import_module(module_name)
+    except Exception as error:  # the module may raise anything
+        raise ParameterError(
+            f"controllers: {spec}: cannot be imported ({describe(error)})"
+        ) from None
+    for part in attribute.split("."):
+        if not hasattr(thing, part):
+            known = (
+                [n for n in vars(thing) if not n.startswith("_")]
+                if hasattr(thing, "__dict__")
+                else []
+            )
+            raise ParameterError(
+                f"controllers: {spec}: {module_name} has no {part!r}{nearest(part, known)}"
+            )
+        thing = getattr(thing, part)
+    return thing
+
+
+def code_digest(source: str) -> str:
+    """SHA-256 of the file of the module of `module:Thing`; empty if it cannot be found."""
+    if "" not in sys.path:
+        sys.path.append("")
+    try:
+        found = importlib.util.find_spec(source.partition(":")[0])
+        content = Path(found.origin).read_bytes() if found and found.origin else b""
+    except (ImportError, ValueError, OSError):
+        return ""
+    return hashlib.sha256(content).hexdigest()
+
+
+def settings_of(source: str, scenario: Scenario) -> Mapping[str, Setting]:
+    """Settings by name: `bounds` of the class, of a rover those of its wheels' controller; {}
+    without.
+    """
+    if ":" not in source:
+        of = ROVER_CONTROLLERS[source].of_wheel if isinstance(scenario, RoverScenario) else source
+        return CONTROLLERS[of].bounds
+    bounds = getattr(imported(source), "bounds", {})
+    try:
+        return {name: Setting(*setting) for name, setting in bounds.items()}
+    except (AttributeError, TypeError):
+        raise ParameterError(
+            f"controllers: {source}: bounds = {bounds!r:.80}: expected {{name: Setting}}"
+        ) from None
+
+
+def maker(source: str, scenario: Scenario) -> Callable[..., Any]:
+    """Function of settings that makes a controller."""
+    if ":" in source:
+        return lambda **settings: made(source, scenario, settings, f"settings.{source}")
+    _, make = controllers_of(scenario)
+    return lambda **settings: make(source, scenario, **settings)
+
+
+def made(source: str, scenario: Scenario, settings: dict, where: str) -> Any:
+    """The object of `module:Thing`; a class with `bounds` is called with the scenario and its
+    `settings`, any other with the scenario where it takes one argument.
+    """
+    thing = imported(source)
+    known = settings_of(source, scenario)
+    values = within_bounds(source, known, scenario, settings, where)
+    if inspect.isclass(thing) or (callable(thing) and not hasattr(thing, "predict")):
+        try:
+            if known:
+                return thing(scenario, **values)
+            return thing(scenario) if _takes_one(thing) else thing()
+        except ParameterError:
+            raise
+        except Exception as error:
+            raise ParameterError(
+                f"controllers: {source}: cannot be made ({describe(error)})"
+            ) from None
+    return thing
+
+
+def _takes_one(thing) -> bool:
+    try:
+        inspect.signature(thing).bind(None)
+    except (TypeError, ValueError):
+        return False
+    return True
+
+
+def describe(error: BaseException) -> str:
+    """An exception in one line: its class, its message, and where it was raised."""
+    ours = __file__, importlib.__file__
+    frames = [
+        f
+        for f in traceback.extract_tb(error.__traceback__)
+        if not f.filename.startswith((*ours, "<frozen"))
+    ]
+    where = f", {Path(frames[-1].filename).name} line {frames[-1].lineno}" if frames else ""
+    message = (str(error).splitlines() or [""])[0][:200]
+    return f"{type(error).__name__}: {message}{where}"

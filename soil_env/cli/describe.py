@@ -1,0 +1,115 @@
+"""`soil-env describe`: the keys of a YAML file, from the dataclasses that read it."""
+
+import dataclasses
+import inspect
+import math
+import types
+import typing
+from collections.abc import Iterator
+from importlib import import_module
+from typing import Any
+
+import click
+
+from soil_env.measurement.setup import Prior
+from soil_env.parameters import Soil
+
+#: Kind of file -> (module, class that reads it, what it is).
+KINDS = {
+    "scenario": ("soil_env.parameters", "Scenario", "--scenario, a task of one wheel"),
+    "rover": ("soil_env.parameters", "RoverScenario", "--rover, a task of a rover"),
+    "wheel": ("soil_env.parameters", "Wheel", "`wheel` of a scenario"),
+    "soil": ("soil_env.parameters", "Soil", "`own_soils.NAME` of a scenario"),
+    "map": ("soil_env.logs.mapping", "LogMap", "--map of soil-env logs"),
+    "setup": ("soil_env.measurement.setup", "Setup", "--setup of soil-env identify and discover"),
+}
+_SOIL = {f.name: f for f in dataclasses.fields(Soil)}
+_WIDTH = 34  # [characters] of the column of keys
+
+
+@click.command("describe")
+@click.argument("kind", type=click.Choice(list(KINDS)), metavar=f"[{'|'.join(KINDS)}]")
+def command(kind: str) -> None:
+    """Print the keys of a kind of YAML file: unit, range, default and meaning.
+
+    \b
+    soil-env describe scenario
+    soil-env describe setup
+    """
+    module, name, where = KINDS[kind]
+    print(f"{kind}: {where}\n")
+    if kind in ("scenario", "rover"):
+        print(f"{'base':{_WIDTH}}  name or file of which the other keys are changes")
+    for line in keys_of(getattr(import_module(module), name)):
+        print(line)
+
+
+def keys_of(cls: type, above: str = "") -> Iterator[str]:
+    """A line for each key of a dataclass, and of those within it after its own."""
+    hints = typing.get_type_hints(cls)
+    within: list[tuple[str, type]] = []
+    for f in (f for f in dataclasses.fields(cls) if f.init):
+        hint = hints[f.name]
+        inner = _class_in(hint)
+        kind = _range(f) or _kind(hint)
+        if inner is Prior:
+            kind = (
+                f"{_range(_SOIL[f.name]) if f.name in _SOIL else '[deg]'}, or {{value, sd}} of it"
+            )
+        elif inner is not None:
+            named = typing.get_origin(hint) is dict
+            within.append((f"{above}{f.name}{'.NAME' if named else ''}.", inner))
+        words = [kind, _default(f), f.metadata.get("doc", "")]
+        yield f"{above + f.name:{_WIDTH}}  {'; '.join(word for word in words if word)}"
+    for place, inner in within:
+        first = (inspect.getdoc(inner) or "").split("\n\n")[0].replace("\n", " ")
+        yield f"\n{place[:-1]}: {first}"
+        yield from keys_of(inner, place)
+
+
+def _class_in(hint: Any) -> type | None:
+    """The dataclass that a hint names, alone, as one of several, or as the values of a mapping."""
+    for one in (hint, *typing.get_args(hint)):
+        if isinstance(one, type) and dataclasses.is_dataclass(one):
+            return one
+    return None
+
+
+def _range(f: Any) -> str:
+    """Unit and range of a number, "" for anything else."""
+    if "unit" not in f.metadata:
+        return ""
+    low = f.metadata["low"]
+    high = f.metadata["high"]
+    unit = f.metadata["unit"] or "-"
+    if low == -math.inf and high == math.inf:
+        return f"[{unit}]"
+    bound = f"{low:g} to {high:g}" if high < math.inf else f"at least {low:g}"
+    return f"[{unit}] {bound}"
+
+
+def _kind(hint: Any) -> str:
+    """The values of a hint in words."""
+    if typing.get_origin(hint) is typing.Literal:
+        return " | ".join(map(str, typing.get_args(hint)))
+    parts = [h for h in typing.get_args(hint) if h is not types.NoneType]
+    if isinstance(hint, types.UnionType) and len(parts) == 1:
+        return _kind(parts[0])
+    if _class_in(hint) is not None and typing.get_origin(hint) is not dict:
+        return "keys below"
+    names = {str: "text", bool: "true | false", dict: "mapping", tuple: "list", float: "number"}
+    return names.get(typing.get_origin(hint) or hint, "value")
+
+
+def _default(f: Any) -> str:
+    """The default in words, or that there is none."""
+    if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING:
+        return "required"
+    value = f.default if f.default is not dataclasses.MISSING else f.default_factory()
+    if isinstance(value, float) and math.isnan(value):
+        return "left out: as the usual wheel"
+    if value is None or value in ("", {}, ()) or dataclasses.is_dataclass(value):
+        return ""
+    if isinstance(value, tuple):
+        return f"default [{', '.join(f'{x:g}' for x in value)}]"
+    return f"default {value:g}" if isinstance(value, float) else f"default {value}"

@@ -1,0 +1,257 @@
+"""The observation of `SoilWheel-v0` from the readings of a real wheel, by the functions of the
+environment.
+
+    observer = Observer(load_scenario("mixed"))
+    observation = observer.observe(Readings(wheel_speed=2.0, speed=0.27, sinkage=0.02, ...), action)
+
+The scenario has the wheel with its mass and motor, its control, the length of the course that
+odometry is relative to, and the prior of the soil.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+
+from soil_env._compiled.cache import kept
+from soil_env._compiled.flags import EXACT
+from soil_env._io.loading import ParameterError
+from soil_env.envs.course_env import actions_of
+from soil_env.identification.online.immobilisation import SCALES, ImmobilisationWarning
+from soil_env.identification.online.interface import OnlineIdentifier, Readings, refusal_of
+from soil_env.identification.online.on_board import WheelsOnBoard
+from soil_env.identification.published import HORIZONS
+from soil_env.parameters import RoverScenario, Scenario
+from soil_env.parameters.readings import RESTART, STEP, Image, SensorReading, Shown
+from soil_env.simulation.task import layout
+from soil_env.simulation.task.observation import clip, write_sensors
+from soil_env.simulation.wheels import (
+    NOTE,
+    camera_in,
+    new_setting,
+    new_wheel_worlds,
+    options_of,
+    wheel_numbers,
+)
+from soil_env.simulation.world.camera import write_view
+from soil_env.simulation.world.sensors import read_slip, roll_odometer
+from soil_env.simulation.world.wheel import commanded
+
+
+@njit(**EXACT)
+def _write_image(out, note, chooses, camera):
+    if camera is None:
+        return
+    else:
+        write_view(out, note, chooses, camera)
+
+
+@kept
+def write_reading(state, notes, observation, setting, camera, begun, slips, chooses):
+    """Fill `observation` [1, D] of a wheel by its `NOTE` [1, 1], but for what is identified.
+
+    `begun`: its action has acted since the last readings; `slips`: the slip follows from the two
+    speeds; `chooses`: the action chooses a line now.
+    """
+    own = setting[0]
+    task = own.task[0]
+    wheel = state[0]
+    note = notes[0, 0]
+    out = observation[0]
+    if begun:
+        commanded(wheel, wheel.action, wheel.halt_left > 0.0, own.rig[0])
+        roll_odometer(wheel, note.speed, task.period)
+    wheel.halt_left = note.halted
+    note.place = wheel.odometer
+    if slips:
+        note.slip = 0.0
+        read_slip(wheel, note, own.sensors[0], None)
+    write_sensors(out, wheel, note, task)
+    _write_image(out[task.seen :], note, chooses, camera_in(own, camera))
+    clip(out, own.bounds)
+
+
+class _Reader(OnlineIdentifier):
+    """Readings as the identifier takes them."""
+
+    def check(self, readings: Readings) -> float:
+        """Time [s] since the last readings; TypeError or ValueError for what cannot be."""
+        if not isinstance(readings, Readings):
+            raise TypeError(f"{readings!r:.80}: expected Readings(...)")
+        if refusal := refusal_of(readings, self._largest):
+            raise refusal
+        self._speeds(readings)
+        return self._period(readings.time)
+
+    def take(self, r: Readings, period: float, last: SensorReading) -> tuple[bool, np.ndarray]:
+        """(both speeds are known, `READING` with what stands for missing readings)."""
+        self._time = r.time if r.time == r.time else self._time + period
+        rim, speed = self._speeds(r)
+        known = rim == rim and speed == speed
+        self._put(r, last.rim_speed if rim != rim else rim, last.speed if speed != speed else speed)
+        return known, self._reading[0]
+
+    @property
+    def white(self) -> np.ndarray:
+        """White noise of the last readings, very large where one is missing."""
+        noise: np.ndarray = self._setting["white"][0, 0]
+        return noise
+
+
+class Observer:
+    """Observations of a `variant`, "identified" or "blind", from readings; one wheel.
+
+    `observe` takes the readings of each control period of the scenario. A reading that is NaN keeps
+    its last value in the observation, and the identifier takes it as not measured; before the first
+    value stands what `OnlineIdentifier` puts there, of a speed 0. `held` counts such readings by
+    name since the last `reset`.
+    """
+
+    def __init__(self, scenario: Scenario, variant: str = "identified") -> None:
+        if not isinstance(scenario, Scenario) or isinstance(scenario, RoverScenario):
+            raise ParameterError(f"scenario = {scenario!r:.60}: expected the Scenario of a wheel")
+        if variant not in ("identified", "blind"):
+            raise ParameterError(
+                f"observation {variant!r}: expected 'identified' or 'blind', which readings give"
+            )
+        self.scenario = scenario
+        self.variant = variant
+        self._reader = _Reader.of_scenario(scenario)
+        numbers = wheel_numbers(scenario, variant)
+        self._camera = options_of(numbers).camera
+        self._setting = new_setting(numbers, True, 0)
+        self._setting["sensors"]["white"]["slip"] = 0.0  # a slip that is not read is that of speeds
+        self._worlds = new_wheel_worlds(1, scenario, numbers, (1, 1))
+        shown = Shown(variant == "identified", len(layout("blind")), *numbers.bounds)
+        self._board = WheelsOnBoard(1, scenario, shown, True)
+        self._views = self._board.views()
+        self._warning = ImmobilisationWarning(scenario)
+        self._change = float(self._setting["rig"]["rim_step"][0, 0]) / scenario.control.period
+        self.held: dict[str, int] = {}
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin a drive: forget all readings, and count those that are held from 0."""
+        self._reader.reset()
+        self._worlds.state[:] = np.zeros((), self._worlds.state.dtype)
+        self._worlds.notes[:] = np.zeros((), NOTE)
+        self._last = SensorReading(*(0.0,) * len(SensorReading._fields))
+        self._read: set[str] = set()  # names of readings that there have been
+        self._image: Image | None = None
+        self._begun = False
+        self.held = {}
+
+    def observe(
+        self,
+        readings: Readings,
+        action: ArrayLike = 0.0,
+        *,
+        halted: bool = False,
+        image: Image | None = None,
+        chooses: bool = False,
+    ) -> np.ndarray:
+        """Observation [D] float32 in its units after a control period.
+
+        `action` in [-1, 1]: that of the period; of no effect in the first call after a `reset`.
+        `halted`: the wheel is at a commanded halt now; `chooses`: its action chooses a line.
+        `image`: of the camera, where the scenario has terrain classes; the last one stays without.
+        Raises TypeError and ValueError as `OnlineIdentifier.update`, for readings and times that
+        cannot be.
+        """
+        period = self._reader.check(readings)
+        acted = actions_of(np.atleast_1d(np.asarray(action)), (1,))
+        self._take_image(image)
+        self._set_period(period)
+        known = self._take(readings, period)
+        wheel = self._worlds.state[0]
+        note = self._worlds.notes[0, 0]
+        note.halted = 1.0 if halted else 0.0
+        wheel.action = acted[0]
+        write_reading(
+            *(self._worlds.state, self._worlds.notes, self._worlds.observation),
+            self._setting,
+            self._camera,
+            self._begun,
+            readings.slip != readings.slip,
+            bool(chooses),
+        )
+        if known or not self._begun:
+            self._identify()
+        self._begun = True
+        return self._worlds.observation[0].copy()
+
+    def probabilities(self) -> dict[str, float]:
+        """Probability that the wheel stops for good within 3 s and within 5 s of driving, as in
+        `info["traversability"]`.
+        """
+        recent = self._views["recent"]
+        ids = self._views["ids"]
+        found = self._warning.probabilities(np.zeros(1, np.int64), recent, ids.estimate, ids.sd)
+        names = (f"immobilised_within_{horizon:g}_s" for horizon in HORIZONS)
+        return dict(zip(names, found[0].tolist(), strict=True))
+
+    def _take_image(self, image: Image | None) -> None:
+        if self._camera is None:
+            if image is not None:
+                raise ParameterError(
+                    f"image: scenario {self.scenario.name!r} has no terrain classes: expected none"
+                )
+            return
+        if image is not None:
+            if not isinstance(image, Image):
+                raise TypeError(f"image = {image!r:.80}: expected an Image of soil_env.readings")
+            if all(map(math.isfinite, image)):
+                self._image = image
+            else:
+                self.held["image"] = self.held.get("image", 0) + 1
+        if self._image is None:
+            raise ParameterError(
+                f"image: scenario {self.scenario.name!r} has terrain classes: expected the Image "
+                "of a camera"
+            )
+        note = self._worlds.notes[0, 0]
+        for name, value in zip(Image._fields, self._image, strict=True):
+            note[name] = value
+
+    def _take(self, readings: Readings, period: float) -> bool:
+        """Store readings, with the last ones in place of those that are missing; False where the
+        speeds are missing.
+        """
+        known, reading = self._reader.take(readings, period, self._last)
+        values = SensorReading(*reading.tolist())
+        for name, given in zip(Readings._fields, readings, strict=True):
+            own = "rim_speed" if name == "wheel_speed" else name
+            if given == given or own in ("slip", "time") or (own.endswith("speed") and known):
+                continue
+            if name in self._read:
+                values = values._replace(**{own: getattr(self._last, own)})
+                self.held[own] = self.held.get(own, 0) + 1
+        self._read |= {
+            n for n, given in zip(Readings._fields, readings, strict=True) if given == given
+        }
+        self._last = values
+        note = self._worlds.notes[0, 0]
+        for name, value in zip(SensorReading._fields, values, strict=True):
+            note[name] = value
+        if known:
+            self._board.setting["board"]["identifier"]["white"][0, 0, 0, 0] = self._reader.white
+        return bool(known)
+
+    def _identify(self) -> None:
+        """Take the readings on board; the first of a drive set all to the prior."""
+        world = (self._worlds.state, self._worlds.notes, self._worlds.observation)
+        self._worlds.state["periods"] = 1
+        order = STEP if self._begun else RESTART
+        self._board.follow(world, np.array([order]), 0, 1)
+
+    def _set_period(self, period: float) -> None:
+        """Let everything count with a `period` [s] since the last readings."""
+        board = self._board.setting
+        if board["warning"]["period"][0, 0] == period:
+            return
+        board["warning"]["period"] = period
+        board["warning"]["shares"] = [-math.expm1(-period / scale) for scale in SCALES]
+        board["board"]["identifier"]["period"] = period
+        self._setting["task"]["period"] = period
+        self._setting["rig"]["rim_step"] = self._change * period

@@ -1,0 +1,125 @@
+"""The world of an environment with a model: exactly its wheel and soil, or soils about it."""
+
+import copy
+from collections.abc import Mapping
+from dataclasses import replace
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+
+from soil_env._io.loading import Checked, ParameterError, to_dict
+from soil_env.parameters import Scenario, SoilSpread, Wheel, geared
+from soil_env.terramechanics.model import WheelSoilModel
+
+OF_MODEL = "model"  # name of its soil in a scenario
+_EXACT = SoilSpread(
+    friction=0.0, cohesion=0.0, shear_modulus=0.0, stiffness=0.0, exponent=0.0, dig_gain=0.0
+)
+
+
+def with_model(
+    scenario: Any, model: WheelSoilModel | None, scatter: object, changes: Mapping[str, Any]
+) -> Any:
+    """The scenario with radius and width of the model, and its soil alone, if it has one.
+
+    Mass and drive stay those of the scenario, behind a gear that keeps force and speed of the rim,
+    but for numbers in `changes["wheel"]`, which are taken as they are. The identifier expects what
+    it did before. With `scatter` the scenario stays as it is, and its spread is about the soil of
+    the model. Raises ParameterError where `changes` names another wheel.
+    """
+    if not isinstance(scatter, (bool, np.bool_)):
+        raise ParameterError(f"scatter = {scatter!r:.60}: expected True or False")
+    if model is None or scatter:
+        return scenario
+    wheel = scenario.wheel
+    sizes = {"radius": model.wheel.radius, "width": model.wheel.width}
+    given = _given(changes.get("wheel"), wheel)
+    for name, size in sizes.items():
+        if given.get(name, size) != size:
+            raise ParameterError(
+                f"wheel.{name} = {given[name]:g}: the wheel of `model` has {size:g} m: expected "
+                "that, or scatter=True for a wheel of your own on soils about that of the model"
+            )
+    own = {name: given[name] for name in given if name not in sizes}
+    try:
+        own_wheel: dict[str, Any] = {**sizes, **own}
+        fitted = {"wheel": replace(geared(wheel, sizes["radius"]), **own_wheel)}
+        if model.soil is None:
+            return replace(scenario, **fitted)
+        belief = scenario.belief
+        return replace(
+            scenario,
+            **fitted,
+            own_soils={**scenario.own_soils, OF_MODEL: model.soil},
+            soils={OF_MODEL: 1.0},
+            spread=replace(_EXACT, reference_sinkage=scenario.spread.reference_sinkage),
+            belief=replace(belief, spread=belief.spread or scenario.spread),
+        )
+    except ParameterError as error:
+        raise ParameterError(f"model: {error}") from None
+
+
+def _given(changed: Any, wheel: Wheel) -> dict[str, Any]:
+    """Numbers of the wheel that a keyword has set."""
+    if changed is None:
+        return {}
+    whole = not isinstance(changed, Mapping) or "preset" in changed
+    names = to_dict(wheel) if whole else changed
+    return {name: getattr(wheel, name) for name in names}
+
+
+def world_of(
+    scenario: Scenario, model: WheelSoilModel | None, scatter: object
+) -> dict[str, Any] | None:
+    """What `info["world"]` says of the world that is simulated; None without a model."""
+    if model is None:
+        return None
+    world: dict[str, Any] = {
+        "scatter": bool(scatter),
+        "radius": scenario.wheel.radius,
+        "width": scenario.wheel.width,
+        "grouser_height": model.wheel.grouser_height,
+        "effects": {name: dict(values) for name, values in model.effects.items()},
+    }
+    if model.soil is not None:
+        soil = model.soil.state(scenario.wheel.width)._asdict()
+        world["soil"] = {**soil, "density": model.density}
+    return world
+
+
+def for_each(world: Mapping[str, Any], count: int) -> dict[str, Any]:
+    """The same of many environments: arrays [count]."""
+    return {
+        key: for_each(value, count) if isinstance(value, Mapping) else np.full(count, value)
+        for key, value in world.items()
+    }
+
+
+def storable(spec: EnvSpec | None) -> EnvSpec | None:
+    """A spec whose keyword arguments are plain values, so that its JSON makes the environment
+    again.
+    """
+    if spec is None:
+        return None
+    spec = copy.copy(spec)
+    spec.kwargs = {key: _plain(value) for key, value in spec.kwargs.items()}
+    return spec
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, WheelSoilModel):
+        return value.content()
+    if isinstance(value, Checked):
+        return to_dict(value)
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
