@@ -114,7 +114,15 @@ def read_cell(folder: Path, cell: Hashable, parse: Callable):
     path = cell_file(folder, cell)
     try:
         return parse(json.loads(path.read_text(encoding="utf-8")))
-    except (ValueError, KeyError, TypeError) as error:
+    # `parse` meets whatever damaged JSON holds in place of its numbers and mappings.
+    except (
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        RecursionError,
+        TypeError,
+        ValueError,
+    ) as error:
         raise ParameterError(
             f"{path}: is damaged ({error}); delete it to have it done again"
         ) from None

@@ -13,6 +13,7 @@ import math
 import sys
 import types
 import typing
+import zipfile
 from dataclasses import field
 from decimal import Context
 from pathlib import Path
@@ -23,11 +24,11 @@ import yaml
 class ParameterError(ValueError):
     """A parameter is unknown, of the wrong type or outside its physical range.
 
-    The middle of a message that quotes something very long is left out.
+    The message is one line. The middle of one that quotes something very long is left out.
     """
 
     def __init__(self, message: str = "") -> None:
-        text = str(message)
+        text = " ".join(str(message).splitlines())  # names of others may have line breaks
         super().__init__(text if len(text) <= 1000 else f"{text[:700]} ... {text[-200:]}")
 
 
@@ -378,6 +379,16 @@ def read_json(path: Path) -> dict:
     if not isinstance(content, dict):
         raise ParameterError(f"{path}: expected an object at the top, got {type(content).__name__}")
     return content
+
+
+def check_unpacked(archive: str | Path | typing.BinaryIO, most: int) -> None:
+    """Raise ValueError for a zip whose members unpack to more than `most` bytes, and zipfile's
+    errors for what is none.
+    """
+    with zipfile.ZipFile(archive) as members:
+        size = sum(member.file_size for member in members.infolist())
+    if size > most:
+        raise ValueError(f"unpacks to {size} bytes: expected at most {most}")
 
 
 def config_dir() -> Path:
