@@ -34,7 +34,10 @@ def _replace(contents: Mapping[Path, bytes | str]) -> None:
     path = None
     try:
         for path, content in contents.items():
-            partial[path].write_bytes(content.encode() if isinstance(content, str) else content)
+            # Names of files that are no UTF-8 may be part of a text.
+            if isinstance(content, str):
+                content = content.encode("utf-8", "backslashreplace")
+            partial[path].write_bytes(content)
         for path in contents:
             os.replace(partial[path], path)
     except OSError as error:

@@ -245,7 +245,9 @@ def number(kind: type, value, where: str):
     """
     if isinstance(value, str):  # YAML 1.1 reads 1e6 as text
         try:
-            value = float(value)
+            found = float(value)
+            # 1e400 is no number of the user's.
+            value = found if math.isfinite(found) or value.strip(" +-")[:1] in "iInN" else value
         except ValueError:
             pass
     if (
@@ -334,6 +336,26 @@ class _Strict(yaml.SafeLoader):
                     twice = f"key {key.value!r} appears twice"
                     raise yaml.constructor.ConstructorError(None, None, twice, key.start_mark)
                 keys.add(key.value)
+
+
+def _number_of(loader: _Strict, node: yaml.ScalarNode) -> int | float:
+    """A number as it is written; YAML 1.1 takes 0150 for octal, and 1:30 for sixtieths."""
+    text = node.value.replace("_", "").lstrip("+-")
+    whole = node.tag.endswith(":int")
+    if ":" in text or (whole and len(text) > 1 and text[0] == "0" and text.isdecimal()):
+        said = f"{node.value}: expected a decimal number without leading 0 and :, or quoted text"
+        raise yaml.constructor.ConstructorError(None, None, said, node.start_mark)
+    if whole:
+        return loader.construct_yaml_int(node)
+    number = loader.construct_yaml_float(node)
+    if math.isinf(number) and "inf" not in text.lower():
+        said = f"{node.value}: expected a number below {sys.float_info.max:.2g}"
+        raise yaml.constructor.ConstructorError(None, None, said, node.start_mark)
+    return number
+
+
+for _kind in ("int", "float"):
+    _Strict.add_constructor(f"tag:yaml.org,2002:{_kind}", _number_of)
 
 
 def parse_yaml(text: str):

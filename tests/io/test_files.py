@@ -73,3 +73,8 @@ def test_json_has_no_numpy_and_no_nan(tmp_path):
         "x": [1.0, None],
         "2": [0.5, None, None, True],
     }
+
+
+def test_a_name_that_is_no_utf_8_may_be_part_of_a_text(tmp_path):
+    replace_file(tmp_path / "a.html", "log \udcff.csv")
+    assert (tmp_path / "a.html").read_bytes() == rb"log \udcff.csv"

@@ -49,6 +49,11 @@ YAMLS = {
     "NUL": ("a: \0", "special characters"),
     "no text": (b"\xff\xfe\x00", "not valid YAML"),
     "large": (b"#" * 2_000_000, "larger than"),
+    "octal": ("gravity: 0150", "0150: expected a decimal number"),
+    "octal of a year": ("gravity: -0_10", "-0_10: expected a decimal number"),
+    "sixtieths": ("gravity: 1:30", "1:30: expected a decimal number"),
+    "sixtieths and a fraction": ("gravity: 1:30.5", "1:30.5: expected a decimal number"),
+    "beyond floats": ("gravity: 1.0e+400", "expected a number below 1.8e+308"),
     "a list": ("[1, 2]", "expected a mapping"),
     "twice": (
         "a: 1\nb:\n  c: 1\n  d: 2\n  c: 3\n",
@@ -81,6 +86,11 @@ def test_yaml(tmp_path, monkeypatch, name, load):
     message = str(raised.value)
     assert "x.yaml" in message and words in message and "\n" not in message and len(message) < 1200
     assert [p.name for p in tmp_path.iterdir()] == ["x.yaml"]
+
+
+def test_text_of_a_number_beyond_floats_is_no_number():
+    with pytest.raises(ParameterError, match="gravity = '1e400': expected a number"):
+        load_scenario("mixed", {"gravity": "1e400"})
 
 
 def test_plain_aliases_merges_and_shipped_files_are_read():
