@@ -23,7 +23,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import MlpExtractor
 from torch import nn
 
-from soil_env._io.loading import Checked, ParameterError, load, quantity
+from soil_env._io.loading import Checked, ParameterError, check_unpacked, load, quantity
 from soil_env.envs.rover_env import rover_action_space
 from soil_env.envs.wheel_env import action_space
 from soil_env.parameters import RoverScenario, Scenario
@@ -257,6 +257,7 @@ def load_weights(path: Path, name: str, into) -> None:
     try:
         if content is None:
             raise ValueError("it is missing")
+        check_unpacked(io.BytesIO(content), MOST_BYTES)
         into.load_state_dict(torch.load(io.BytesIO(content), map_location="cpu", weights_only=True))
     except Exception as error:  # torch has no error class of its own for a broken file
         raise ParameterError(

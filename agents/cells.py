@@ -128,7 +128,15 @@ def read_cell(folder: Path, cell: Hashable, parse: Callable):
         content = json.loads(path.read_text(encoding="utf-8"))
         content.pop(MADE_FROM, None)
         return parse(content)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    # `parse` meets whatever damaged JSON holds in place of its numbers and mappings.
+    except (
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        RecursionError,
+        TypeError,
+        ValueError,
+    ) as error:
         raise ParameterError(
             f"{path}: is damaged ({error}); delete it to have it done again"
         ) from None

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import ParameterError, check_unpacked
 from soil_env.parameters import RoverScenario, Scenario, load_scenario
 from soil_env.simulation.task import check_version
 
@@ -18,6 +18,7 @@ from .history import History, lines_of
 
 WEIGHTS = Path(__file__).with_name("default_policy.npz")
 NAME = "default_policy"
+MOST_BYTES = 2**26  # unpacked; the shipped file has a fourth of a megabyte
 CLIP = 10.0  # of a normalised input
 #: Of the drive, and of the score of a line; each with a weight [out, in] and a bias [out].
 LAYERS = ("policy_0", "policy_1", "action", "line_0", "line_1", "score")
@@ -40,6 +41,7 @@ class DefaultPolicy(inputs.Observing):
             scenario = load_scenario(scenario)
         self.scaling = common_layout.CommonScaling(scenario)
         try:
+            check_unpacked(path, MOST_BYTES)
             with np.load(path, allow_pickle=False) as archive:
                 arrays = {name: archive[name] for name in archive.files}
             self.made = json.loads(str(arrays.pop("made")))

@@ -1,6 +1,7 @@
 """An agent exported by `agents.export`: the ONNX file alone, run by onnxruntime."""
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,35 @@ from . import inputs
 
 POLICY = "policy.onnx"  # file in the folder of an export
 FORMAT = "soil_env policy 1"  # first entry of its description
+MOST_BYTES = 2**26  # of the file
+MOST_VALUES = 10**7  # numbers of a value of the graph, of one observation
+#: Of the graphs that `agents.export` makes; none loops, or makes much of little.
+OPERATORS = frozenset(
+    "Add Sub Mul Div MatMul Gemm Max Min Equal Greater Where Concat Gather Unsqueeze Cast Identity "
+    "Relu Tanh Sigmoid Elu Softplus".split()
+)
+
+
+def _check_graph(path: Path) -> None:
+    """Raise ValueError for a graph that `agents.export` would not make: one that takes more memory
+    than its file, or reads other files.
+    """
+    import onnx
+
+    if path.stat().st_size > MOST_BYTES:
+        raise ValueError(f"larger than {MOST_BYTES} bytes")
+    model = onnx.load(path, load_external_data=False)
+    unknown = {node.op_type for node in model.graph.node} - OPERATORS
+    if unknown or model.functions:
+        raise ValueError(f"has the operators {', '.join(sorted(unknown)) or 'of functions'}")
+    if any(len(tensor.external_data) for tensor in model.graph.initializer):
+        raise ValueError("names other files")
+    for value in onnx.shape_inference.infer_shapes(model).graph.value_info:
+        shape = [d.dim_value or 1 for d in value.type.tensor_type.shape.dim]
+        if math.prod(shape) > MOST_VALUES:
+            raise ValueError(
+                f"has a value of shape {shape}: expected at most {MOST_VALUES} numbers"
+            )
 
 
 class ExportedAgent(inputs.Observing):
@@ -23,28 +53,37 @@ class ExportedAgent(inputs.Observing):
     def __init__(self, path: str | Path):
         self.path = Path(path)
         try:
+            import onnx  # noqa: F401
+
             from .run_policy import Policy
-        except ImportError:
+        except ImportError as error:
             raise ParameterError(
-                f"{path}: needs onnxruntime: pip install 'soil_env[export]'"
+                f"{path}: needs {error.name}: pip install 'soil_env[export]'"
             ) from None
         try:
+            _check_graph(self.path)
             self.policy = Policy(path)
             content = self.policy.session.get_modelmeta().custom_metadata_map.get("policy", "{}")
             self.content = json.loads(content)
         except Exception as error:  # onnxruntime has a dozen classes of them
             said = (str(error).splitlines() or [""])[0][:200]
             raise ParameterError(f"{path}: cannot be loaded as an ONNX policy ({said})") from None
-        if self.content.get("format") != FORMAT:
+        if not isinstance(self.content, dict) or self.content.get("format") != FORMAT:
             raise ParameterError(
                 f"{path}: not written by `soil-env export`: expected a description {FORMAT!r} "
                 "inside"
             )
         check_version(self.content.get("observation_version", 1), path)
-        self.variant = self.content["observation"]
-        self.scenario = load(Scenario, self.content["scenario"], f"{path}: scenario")
-        self.control = self.scenario.control
-        self._layout = self._checked_layout()
+        try:
+            self.variant = self.content["observation"]
+            self.scenario = load(Scenario, self.content["scenario"], f"{path}: scenario")
+            self.control = self.scenario.control
+            self._layout = self._checked_layout()
+        except (LookupError, TypeError) as error:
+            raise ParameterError(
+                f"{path}: its description is damaged ({type(error).__name__}: {error}); export "
+                "it again"
+            ) from None
 
     def _checked_layout(self) -> inputs.Layout:
         """The observation that the file reads; ParameterError if this version's of the same name is

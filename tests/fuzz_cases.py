@@ -1,4 +1,5 @@
-"""Random valid configurations of the environment for tests/test_fuzz.py.
+"""Random valid configurations of the environment for tests/test_fuzz.py, and damaged files for
+tests/io/test_untrusted.py.
 
 Everything the loaders accept can be drawn; sizes are related to each other (a wheel's load to its
 area, its torque to its load), since else no course would be passable. What the loaders refuse is
@@ -6,7 +7,10 @@ refused here too (`ParameterError`).
 """
 
 import dataclasses
+import io
 import math
+import re
+import zipfile
 from dataclasses import dataclass
 
 import numpy as np
@@ -228,3 +232,73 @@ def _model(c: Random, scenario: Scenario) -> WheelSoilModel:
     return WheelSoilModel(
         ModelWheel(w.radius, w.width, height), soil, effects, terms, scenario.gravity
     )
+
+
+#: What stands in place of a number of a damaged file.
+_NUMBERS = (
+    b"0",
+    b"-1",
+    b"nan",
+    b"-inf",
+    b"1e400",
+    b"1e308",
+    b"1e-320",
+    b"9" * 30,
+    b"9" * 5000,
+    b"0150",
+    b"1:30",
+    b"null",
+    b"true",
+    b"''",
+    b"[1, 2]",
+    b"{a: 1}",
+    b"[" * 5000,
+    b"$x$",
+    b"1,5",
+    b"2026-05-04 09:30:00",
+    b"\xff",
+)
+_NUMBER = re.compile(rb"-?\d+\.?\d*(e[-+]?\d+)?|true|false|null")
+_WORDS = (b"\0" * 4, b"\xff" * 4, b"\xff\xff\xff\x7f", b"\0\0\0\x80", b"\xff" * 8)
+
+
+def damaged(content: bytes, rng: np.random.Generator) -> bytes:
+    """A file with one to three faults: of bytes, lines, numbers, or its length."""
+    for _ in range(int(rng.integers(1, 4))):
+        at = int(rng.integers(len(content) + 1))
+        end = min(len(content), at + int(rng.integers(1, 40)))
+        kind = int(rng.integers(10))
+        if kind == 0:
+            content = content[:at] + bytes([int(rng.integers(256))]) + content[at + 1 :]
+        elif kind == 1:
+            content = content[:at]
+        elif kind == 2:
+            content = content[:at] + content[end:]
+        elif kind == 3:
+            content = content[:end] + content[at:]
+        elif kind in (4, 5):  # a line that is missing, or twice there
+            lines = content.splitlines(keepends=True)
+            k = int(rng.integers(len(lines) + 1))
+            content = b"".join(lines[:k] + lines[k + 1 if kind == 4 else max(k - 1, 0) :])
+        elif kind == 6:
+            word = _WORDS[int(rng.integers(len(_WORDS)))]
+            content = content[:at] + word + content[at + len(word) :]
+        elif numbers := list(_NUMBER.finditer(content)):
+            found = numbers[int(rng.integers(len(numbers)))]
+            number = _NUMBERS[int(rng.integers(len(_NUMBERS)))]
+            content = content[: found.start()] + number + content[found.end() :]
+    return content
+
+
+def damaged_zip(content: bytes, rng: np.random.Generator) -> bytes:
+    """A zip with a damaged member, or one that is damaged itself, which its checksums show."""
+    if rng.random() < 0.3:
+        return damaged(content, rng)
+    with zipfile.ZipFile(io.BytesIO(content)) as old:
+        members = {name: old.read(name) for name in old.namelist()}
+    wrong = list(members)[int(rng.integers(len(members)))]
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as new:
+        for name, member in members.items():
+            new.writestr(name, damaged(member, rng) if name == wrong else member)
+    return stream.getvalue()

@@ -107,7 +107,7 @@ def _exported(path: Path, scenario: Scenario) -> ExportedAgent:
         raise ParameterError(
             f"controllers: {path}: reads {own} numbers, scenario {scenario.name!r} has {asked}"
         )
-    if agent.content["network"] == "DefaultPolicy":
+    if agent.content.get("network") == "DefaultPolicy":
         made_for = load(Scenario, agent.content["scenario"], f"controllers: {path}: scenario")
         constants, asked_for = (CommonScaling(task).added for task in (made_for, scenario))
         if not np.allclose(constants, asked_for):

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from soil_env._io.document import Table
+from soil_env._io.document import Table, plot_text
 from soil_env._io.files import picture_of, replace_file
 
 from .driving import MEANINGS, RATES
@@ -120,7 +120,7 @@ def draw_metrics(rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[st
             axis.xaxis.set_major_locator(MaxNLocator(3))
             axis.grid(alpha=0.3)
             axis.set_xlabel(f"{metric.replace('_', ' ')} [{unit}]")
-        line[0].set_yticks(range(len(names)), names)
-        line[0].set_title(group, loc="left", fontsize=9)
+        line[0].set_yticks(range(len(names)), [plot_text(name) for name in names])
+        line[0].set_title(plot_text(group), loc="left", fontsize=9)
     # The same bytes for the same figure.
     return picture_of(figure, dpi=110, metadata={"Software": None})

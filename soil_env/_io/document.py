@@ -113,6 +113,11 @@ def html_image(content: bytes, caption: str = "", kind: str = "png") -> str:
     return f'<figure><img alt="{text}" src="data:image/{kind};base64,{data}">{below}</figure>'
 
 
+def plot_text(text: str) -> str:
+    """A name for matplotlib, which would take what is between two $ for mathematics."""
+    return text.replace("$", r"\$")
+
+
 def render(template: str, **values: object) -> str:
     """Fill in a template: "page.html" of soil_env/_io/templates, or "package:page.html" of that
     package's own folder.

@@ -49,7 +49,7 @@ def _replace(contents: Mapping[Path, bytes | str]) -> None:
     try:
         for path, content in contents.items():
             with partial[path].open("xb") as stream:
-                stream.write(content.encode() if isinstance(content, str) else content)
+                stream.write(_bytes(content))
         for path, place in places.items():
             os.replace(partial[path], place)
     except OSError as error:
@@ -58,6 +58,11 @@ def _replace(contents: Mapping[Path, bytes | str]) -> None:
         for rest in partial.values():
             with suppress(OSError):  # the first failure is the one that is reported
                 rest.unlink(missing_ok=True)
+
+
+def _bytes(content: bytes | str) -> bytes:
+    """Content of a file; names of files that are no UTF-8 may be part of a text."""
+    return content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
 
 
 def check_own(folder: str | Path, names: Iterable[str], inputs: Iterable[str | Path] = ()) -> None:
@@ -93,7 +98,7 @@ def write_own(folder: str | Path, contents: Mapping[str, bytes | str]) -> None:
     check_own(folder, contents)
     known = _manifest(folder)
     for name, content in contents.items():
-        new = _digest(content.encode() if isinstance(content, str) else content)
+        new = _digest(_bytes(content))
         known[name] = [new, *known.get(name, ())[:1]]  # the old file stays until all are written
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
     replace_files(folder, {MANIFEST: json.dumps(known, indent=1) + "\n", **contents})

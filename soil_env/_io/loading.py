@@ -14,6 +14,7 @@ import numbers
 import sys
 import types
 import typing
+import zipfile
 from dataclasses import field
 from decimal import Context
 from pathlib import Path
@@ -24,11 +25,11 @@ import yaml
 class ParameterError(ValueError):
     """A parameter is unknown, of the wrong type or outside its physical range.
 
-    The middle of a message that quotes something very long is left out.
+    The message is one line. The middle of one that quotes something very long is left out.
     """
 
     def __init__(self, message: str = "") -> None:
-        text = str(message)
+        text = " ".join(str(message).splitlines())  # names of others may have line breaks
         super().__init__(text if len(text) <= 1000 else f"{text[:700]} ... {text[-200:]}")
 
 
@@ -258,7 +259,9 @@ def number(kind: type, value, where: str):
     """
     if isinstance(value, str):  # YAML 1.1 reads 1e6 as text
         try:
-            value = float(value)
+            found = float(value)
+            # 1e400 is no number of the user's.
+            value = found if math.isfinite(found) or value.strip(" +-")[:1] in "iInN" else value
         except ValueError:
             pass
     real: typing.Any = value  # a number, below
@@ -350,6 +353,26 @@ class _Strict(yaml.SafeLoader):
                 keys.add(key.value)
 
 
+def _number_of(loader: _Strict, node: yaml.ScalarNode) -> int | float:
+    """A number as it is written; YAML 1.1 takes 0150 for octal, and 1:30 for sixtieths."""
+    text = node.value.replace("_", "").lstrip("+-")
+    whole = node.tag.endswith(":int")
+    if ":" in text or (whole and len(text) > 1 and text[0] == "0" and text.isdecimal()):
+        said = f"{node.value}: expected a decimal number without leading 0 and :, or quoted text"
+        raise yaml.constructor.ConstructorError(None, None, said, node.start_mark)
+    if whole:
+        return loader.construct_yaml_int(node)
+    number = loader.construct_yaml_float(node)
+    if math.isinf(number) and "inf" not in text.lower():
+        said = f"{node.value}: expected a number below {sys.float_info.max:.2g}"
+        raise yaml.constructor.ConstructorError(None, None, said, node.start_mark)
+    return number
+
+
+for _kind in ("int", "float"):
+    _Strict.add_constructor(f"tag:yaml.org,2002:{_kind}", _number_of)
+
+
 def parse_yaml(text: str):
     """The value that a YAML text stands for; `yaml.YAMLError` for whatever is wrong with it."""
     try:
@@ -393,6 +416,16 @@ def read_json(path: Path) -> dict:
     if not isinstance(content, dict):
         raise ParameterError(f"{path}: expected an object at the top, got {type(content).__name__}")
     return content
+
+
+def check_unpacked(archive: str | Path | typing.BinaryIO, most: int) -> None:
+    """Raise ValueError for a zip whose members unpack to more than `most` bytes, and zipfile's
+    errors for what is none.
+    """
+    with zipfile.ZipFile(archive) as members:
+        size = sum(member.file_size for member in members.infolist())
+    if size > most:
+        raise ValueError(f"unpacks to {size} bytes: expected at most {most}")
 
 
 def config_dir() -> Path:

@@ -2,6 +2,7 @@
 commands share.
 """
 
+import io
 import multiprocessing
 import os
 import signal
@@ -37,6 +38,10 @@ def run(
     `INTERRUPTED` and `TERMINATED`; the text of the `KeyboardInterrupt`, for instance how to
     continue, is part of the line. If the reader of the output has gone the status is `UNREAD`.
     """
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal without a character, or a file's name that is no UTF-8, ends no command.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     received: list[int] = []
     given = list(sys.argv[1:] if arguments is None else arguments)
     program = name

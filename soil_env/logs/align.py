@@ -12,9 +12,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from soil_env._io.loading import ParameterError
 from soil_env.online import slips
 from soil_env.slip import travel_speeds
 
+MOST_STEPS = 2_000_000  # of a time axis: 55 hours at 0.1 s, of which a replay takes an hour
 _LOCKED = -0.9  # slip below which the rim says little of the travel speed
 
 
@@ -24,7 +26,10 @@ class Channel:
 
     place: str  # topic and field, or column
     readings: int = 0
-    unusable: int = 0  # infinite, NaN, or out of any range
+    empty: int = (
+        0  # infinite or NaN: a range finder without an echo (REP 117), a sensor that is off
+    )
+    unusable: int = 0  # out of any range
     interpolated: float = 0.0  # share of the steps
     missing: float = 0.0  # share of the steps
     times: array = field(default_factory=lambda: array("q"), repr=False)  # [ns] of usable readings
@@ -34,7 +39,7 @@ class Channel:
         """Fields of the report."""
         return {
             n: getattr(self, n)
-            for n in ("place", "readings", "unusable", "interpolated", "missing")
+            for n in ("place", "readings", "empty", "unusable", "interpolated", "missing")
         }
 
 
@@ -118,6 +123,11 @@ def align(
 def _bridged(steps: np.ndarray, most: int) -> np.ndarray:
     """Rising `steps` [N] with the ones between neighbours that are at most `most` apart."""
     count = np.where(np.diff(steps) <= most, np.diff(steps), 1)
+    if count.sum() >= MOST_STEPS:
+        raise ParameterError(
+            f"period: the recording has {count.sum() + 1} steps of it: expected at most "
+            f"{MOST_STEPS}; take a longer one, or a part of the recording"
+        )
     within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     return np.append(np.repeat(steps[:-1], count) + within, steps[-1:])
 

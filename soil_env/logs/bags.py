@@ -1,28 +1,35 @@
 """Messages of ROS 2 bags and MCAP files, one by one, without ROS, and the numbers in them.
 
 MCAP is read by the library `mcap`, a bag in SQLite by Python's own module. Messages in CDR are
-decoded by `rosbags` with the definitions that the recording bears, or those of the current ROS 2.
-Files are read from front to end with no more than a chunk in memory. An MCAP file that was cut off
-gives all that is whole.
+decoded by `rosbags`. Their definitions are those of the map, of the recording, or of the current
+ROS 2. Files are read from front to end with no more than a chunk in memory. An MCAP file that was
+cut off gives all that is whole, and a message that cannot be decoded is an error of its own.
 """
 
 import dataclasses
+import itertools
 import json
 import math
 import re
 import sqlite3
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, suppress
 from functools import partial
 from numbers import Real
 from pathlib import Path
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 from typing import Any, NamedTuple
 
 from soil_env._io.loading import ParameterError, nearest, read_yaml
+from soil_env.logs.notes import Notes
 
 SUFFIXES = (".mcap", ".db3")
+_MOST_CHUNK = 2**28  # [bytes] unpacked, of a chunk; recorders make them of a few megabytes
+_MOST_MESSAGE = 2**26  # [bytes] unpacked, of a message of which a number is read
+#: Instructions of SQLite for any file, and more of them a byte; a plain bag takes less than one.
+_MOST_WORK = (10_000_000, 10)
+_WORK_STEP = 100_000  # instructions between two counts
 _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[[^\[\]]+\])*)\Z")  # of a path into a message
 _LISTS_OF_NAMES = ("name", "joint_names", "names")
 
@@ -30,26 +37,14 @@ Progress = Callable[[int, int], None]  # bytes read, of how many in all
 
 
 class Message(NamedTuple):
-    """A decoded message."""
+    """A message."""
 
     topic: str
     time: int  # [ns] of its recording
     kind: str  # sensor_msgs/msg/JointState
-    content: Any
-
-
-class Notes:
-    """Remarks of a reader beside the messages."""
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-        self.topics: dict[str, str] = {}  # seen, with their type
-        self.file = ""  # being read
-
-    def add(self, line: str) -> None:
-        """Add a sentence, once."""
-        if line not in self.lines:
-            self.lines.append(line)
+    #: Its content; `ParameterError` for a type that nothing defines, and any other exception for
+    #: bytes that are no such message.
+    decode: Callable[[], Any]
 
 
 def bag_files(path: Path) -> list[Path]:
@@ -73,9 +68,15 @@ def bag_files(path: Path) -> list[Path]:
     return found
 
 
-def messages(path: Path, wanted: set[str], notes: Notes, progress: Progress) -> Iterator[Message]:
+def messages(
+    path: Path,
+    wanted: set[str],
+    notes: Notes,
+    progress: Progress,
+    definitions: Mapping[str, str] = MappingProxyType({}),
+) -> Iterator[Message]:
     """The messages on the topics `wanted` of a bag (a folder) or of one of its files, in the order
-    of recording.
+    of recording; `definitions` of message types, the text of their .msg files.
     """
     try:
         import mcap  # noqa: F401
@@ -97,48 +98,82 @@ def messages(path: Path, wanted: set[str], notes: Notes, progress: Progress) -> 
 
         notes.file = file.name
         reader = _mcap if file.suffix == ".mcap" else _sqlite
-        yield from reader(file, wanted, notes, report)
+        yield from reader(file, wanted, notes, report, definitions)
         report(sizes[k])
 
 
 class _Decoder:
     """Messages from bytes; one for each file."""
 
-    def __init__(self) -> None:
+    def __init__(self, definitions: Mapping[str, str]) -> None:
         from rosbags.typesys import Stores, get_typestore
 
         self._known = get_typestore(Stores.LATEST)
         self._own = get_typestore(Stores.EMPTY)
+        self._unread: dict[str, Exception] = {}  # definitions, by type
+        for kind, text in definitions.items():
+            self.define(kind, text)
+            if kind in self._unread:
+                raise ParameterError(
+                    f"messages.{kind}: not the text of a .msg file ({self._unread[kind]})"
+                )
 
     def define(self, kind: str, text: str) -> None:
-        """Take the definition of a message type that the recording bears."""
+        """Take the definition of a message type, unless there is one already."""
         from rosbags.typesys import get_types_from_msg
 
-        new = {k: v for k, v in get_types_from_msg(text, kind).items() if k not in self._own.types}
-        if new:
-            self._own.register(new)
+        try:
+            new = get_types_from_msg(text, kind)
+            new = {k: v for k, v in new.items() if k not in self._own.types}
+            if new:
+                self._own.register(new)
+        # The parser and the code made of the definition have errors of their own.
+        except Exception as error:
+            self._unread[kind] = error
 
     def cdr(self, kind: str, where: str, data: bytes) -> Any:
         """The message of this type, compressed or not; `ParameterError` for a type that nothing
         defines.
         """
-        if data[:4] == b"\x28\xb5\x2f\xfd":  # zstd; CDR begins with 00
-            import zstandard
-
-            data = zstandard.decompress(data)
         for store in (self._own, self._known):
             if kind in store.types:
-                return store.deserialize_cdr(data, kind)
+                return self._decoded(store, kind, _unpacked(data))
+        lacks = "defines it in a way that cannot be read" if kind in self._unread else "lacks it"
         raise ParameterError(
-            f"{where}: message type {kind} is not known, and the recording does not define it"
+            f"{where}: messages are of the type {kind}, whose definition is not known: the "
+            f"recording {lacks}; give the text of its .msg file in the map, as messages: "
+            f"{{{kind}: 'float64 x'}}"
         )
+
+    def _decoded(self, store: Any, kind: str, data: bytes) -> Any:
+        """The message; types of ROS 2 within it that its own definition leaves out are known."""
+        while True:
+            try:
+                return store.deserialize_cdr(data, kind)
+            except KeyError as error:
+                name = error.args[0]
+                if name in store.types or name not in self._known.types:
+                    raise
+                store.register({name: self._known.fielddefs[name]})
+
+
+def _unpacked(data: bytes) -> bytes:
+    """The bytes of a message that may be compressed; CDR begins with 00, zstd does not."""
+    if data[:4] != b"\x28\xb5\x2f\xfd":
+        return data
+    import zstandard
+
+    size = zstandard.get_frame_parameters(data).content_size
+    if size > _MOST_MESSAGE:
+        raise ValueError(f"unpacks to more than {_MOST_MESSAGE} bytes")
+    return zstandard.decompress(data)
 
 
 def _mcap_records(file: Path, notes: Notes, report: Callable[[int], None]) -> Iterator[Any]:
     """Records of an MCAP file up to its index, those in chunks one by one; damaged chunks are left
     out.
     """
-    from mcap.exceptions import EndOfFile, InvalidMagic, McapError
+    from mcap.exceptions import EndOfFile, InvalidMagic
     from mcap.records import Chunk, DataEnd, Footer, Message as Record
     from mcap.stream_reader import StreamReader, breakup_chunk
 
@@ -154,7 +189,10 @@ def _mcap_records(file: Path, notes: Notes, report: Callable[[int], None]) -> It
                 raise ParameterError(
                     f"{file}: not an MCAP file (its first bytes are others)"
                 ) from None
-            except (EndOfFile, McapError, struct.error, ValueError, MemoryError) as error:
+            except StopIteration:
+                return
+            # Besides errors of its own the library lets those of struct and of text through.
+            except Exception as error:
                 why = "" if isinstance(error, EndOfFile) else f" ({error})"
                 at = (
                     f"after the message recorded at {last * 1e-9:.3f} s"
@@ -165,10 +203,13 @@ def _mcap_records(file: Path, notes: Notes, report: Callable[[int], None]) -> It
                     "at its end" if stream.tell() >= size else f"at byte {stream.tell()} of {size}"
                 )
                 notes.add(
-                    f"{file.name} is cut off or damaged {end}{why}, {at}: what is whole was read"
+                    f"{file.name} is cut off or damaged {end}{why}, {at}. What comes before was "
+                    "read."
                 )
                 return
             try:
+                if isinstance(record, Chunk) and record.uncompressed_size > _MOST_CHUNK:
+                    raise ValueError(f"it unpacks to more than {_MOST_CHUNK} bytes")
                 inside = (
                     breakup_chunk(record, validate_crc=True)
                     if isinstance(record, Chunk)
@@ -178,7 +219,7 @@ def _mcap_records(file: Path, notes: Notes, report: Callable[[int], None]) -> It
             except Exception as error:
                 notes.add(
                     f"{file.name}: the chunk before byte {stream.tell()} is damaged and left out "
-                    f"({error})"
+                    f"({error})."
                 )
                 continue
             for r in inside:
@@ -188,12 +229,16 @@ def _mcap_records(file: Path, notes: Notes, report: Callable[[int], None]) -> It
 
 
 def _mcap(
-    file: Path, wanted: set[str], notes: Notes, report: Callable[[int], None]
+    file: Path,
+    wanted: set[str],
+    notes: Notes,
+    report: Callable[[int], None],
+    definitions: Mapping[str, str],
 ) -> Iterator[Message]:
     """Messages of an MCAP file."""
     from mcap.records import Channel, Message as Record, Schema
 
-    decoder = _Decoder()
+    decoder = _Decoder(definitions)
     schemas = {}
     channels = {}
     for r in _mcap_records(file, notes, report):
@@ -211,7 +256,7 @@ def _mcap(
                 )
         elif isinstance(r, Record) and r.channel_id in channels:
             topic, kind, decode = channels[r.channel_id]
-            yield Message(topic, r.log_time, kind, decode(r.data))
+            yield Message(topic, r.log_time, kind, partial(decode, r.data))
 
 
 def _decoding(decoder: _Decoder, where: str, channel, schema) -> Callable[[bytes], Any]:
@@ -235,35 +280,67 @@ def _decoding(decoder: _Decoder, where: str, channel, schema) -> Callable[[bytes
 
 
 def _sqlite(
-    file: Path, wanted: set[str], notes: Notes, report: Callable[[int], None]
+    file: Path,
+    wanted: set[str],
+    notes: Notes,
+    report: Callable[[int], None],
+    definitions: Mapping[str, str],
 ) -> Iterator[Message]:
     """Messages of a .db3 file in the order of its rows, which is that of recording."""
-    decoder = _Decoder()
+    decoder = _Decoder(definitions)
     size = file.stat().st_size
     _check_size(file, size)
     with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as base:
         try:
-            topics = {
-                i: (name, kind)
-                for i, name, kind in base.execute("SELECT id, name, type FROM topics")
-            }
-            count = base.execute("SELECT max(id) FROM messages").fetchone()[0] or 1
+            _guard(base, size)
+            for name in ("topics", "messages"):
+                if not _is_plain(base, name):
+                    raise ParameterError(
+                        f"{file}: {name} is no plain table of SQLite: expected a ROS 2 bag"
+                    )
+            rows = base.execute("SELECT id, name, type FROM topics").fetchall()
+            topics = {i: (str(name), str(kind)) for i, name, kind in rows}
+            count = base.execute("SELECT max(rowid) FROM messages").fetchone()[0] or 1
             notes.topics |= dict(topics.values())
             _define(base, decoder, {kind for name, kind in topics.values() if name in wanted})
             ids = [i for i, (name, _) in topics.items() if name in wanted]
             query = (
-                "SELECT id, topic_id, timestamp, data FROM messages WHERE topic_id IN "
+                "SELECT rowid, topic_id, timestamp, data FROM messages WHERE topic_id IN "
                 f"({','.join('?' * len(ids))})"
             )
-            for number, topic, time, data in base.execute(query + " ORDER BY id", ids):
+            for number, topic, time, data in base.execute(query + " ORDER BY rowid", ids):
                 name, kind = topics[topic]
-                yield Message(name, time, kind, decoder.cdr(kind, f"{file}: topic {name}", data))
+                decode = partial(decoder.cdr, kind, f"{file}: topic {name}", data)
+                yield Message(name, time, kind, decode)
                 if number % 64 == 0:
                     report(int(size * min(number / count, 1.0)))
-        except sqlite3.DatabaseError as error:
+        except sqlite3.Error as error:
             raise ParameterError(
                 f"{file}: cannot be read as a ROS 2 bag in SQLite ({error})"
             ) from None
+
+
+def _guard(base: sqlite3.Connection, size: int) -> None:
+    """Only read, and no more than a plain bag of `size` bytes takes: text and blobs of the file's
+    length, and work that is proportional to it.
+    """
+    base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(size, 10_000))
+    base.text_factory = lambda text: text.decode("utf-8", "replace")
+    base.execute("PRAGMA query_only = ON")
+    base.execute("PRAGMA trusted_schema = OFF")
+    left = itertools.count((_MOST_WORK[0] + _MOST_WORK[1] * size) // _WORK_STEP, -1)
+    base.set_progress_handler(lambda: next(left) <= 0, _WORK_STEP)
+
+
+def _is_plain(base: sqlite3.Connection, name: str) -> bool:
+    """True for a table with stored columns only: no view, virtual table or computed column, which
+    run what their author wrote.
+    """
+    made = base.execute("SELECT type, sql FROM sqlite_master WHERE name = ?", (name,)).fetchone()
+    if made is None or made[0] != "table" or not str(made[1]).upper().startswith("CREATE TABLE"):
+        return False
+    columns = base.execute(f"PRAGMA table_xinfo({name})").fetchall()
+    return all(hidden == 0 for *_, hidden in columns)
 
 
 def _check_size(file: Path, size: int) -> None:
@@ -287,14 +364,18 @@ def _define(base: sqlite3.Connection, decoder: _Decoder, kinds: set[str]) -> Non
         "SELECT topic_type, encoded_message_definition FROM message_definitions WHERE encoding = "
         "'ros2msg'"
     )
-    with suppress(sqlite3.DatabaseError):
-        for kind, text in base.execute(query):
+    with suppress(sqlite3.Error):
+        for kind, text in base.execute(query) if _is_plain(base, "message_definitions") else ():
             if kind in kinds:
-                decoder.define(kind, text)
+                decoder.define(kind, str(text))
 
 
 class NotHere(LookupError):
     """The value is missing in this one message; others may have it."""
+
+
+class Unlike(ValueError):
+    """This one message of JSON, which has no fixed fields, is built in another way."""
 
 
 def parse(field: str, where: str) -> tuple[str | int, ...]:
@@ -317,41 +398,54 @@ def number(
 ) -> float:
     """The number at a path of a message, or the uphill pitch [rad] of the orientation there.
 
-    Raises `ParameterError` for a path that messages of this type do not have, and `NotHere` where
-    only this message lacks it. Then a list is too short, or a name is not in it.
+    Raises `NotHere` where only this message lacks it: a list is too short, or a name is not in it.
+    For a path that messages of this type do not have it raises `ParameterError`, and `Unlike` where
+    the message is of JSON.
     """
     value = message
     for step in steps:
         if isinstance(step, int) or step.startswith("["):
             value = _item(message, value, step, where)
-        elif hasattr(value, step):
+        elif _has_fields(value) and hasattr(value, step):
             value = getattr(value, step)
         else:
-            raise ParameterError(f"{where}: the message has no such field{_near(message, steps)}")
+            near = _near(message, steps)
+            raise _wrong(message, f"{where}: the message has no such field{near}")
     if quaternion:
         try:
-            return uphill(value.x, value.y, value.z, value.w)
-        except AttributeError:
-            raise ParameterError(
-                f"{where}: expected an orientation with x, y, z and w for unit quaternion"
-            ) from None
+            parts = [float(getattr(value, name)) for name in "xyzw"]
+        except (AttributeError, TypeError):
+            said = f"{where}: expected an orientation with x, y, z and w for unit quaternion"
+            raise _wrong(message, said) from None
+        return uphill(*parts)
     if not isinstance(value, Real):
-        raise ParameterError(f"{where}: is no number but {_kind(value)}{_near(message, steps)}")
+        raise _wrong(message, f"{where}: is no number but {_kind(value)}{_near(message, steps)}")
     return float(value)
+
+
+def _has_fields(value: Any) -> bool:
+    return dataclasses.is_dataclass(value) or isinstance(value, SimpleNamespace)
+
+
+def _wrong(message: Any, said: str) -> ValueError:
+    """Error for a message without what the map says: of the map, if messages of its type are all
+    alike.
+    """
+    return (ParameterError if dataclasses.is_dataclass(message) else Unlike)(said)
 
 
 def _item(message: Any, values: Any, step: str | int, where: str) -> Any:
     """Element of a list by its index, or by its "[name]" in the list of names of the message."""
     if not hasattr(values, "__len__") or isinstance(values, str):
-        raise ParameterError(f"{where}: {step} of something that is no list: {_kind(values)}")
+        said = f"{where}: {step} of something that is no list: {_kind(values)}"
+        raise _wrong(message, said)
     if isinstance(step, str):
         names = next(
             (list(getattr(message, key)) for key in _LISTS_OF_NAMES if hasattr(message, key)), None
         )
         if names is None:
-            raise ParameterError(
-                f"{where}: the message has no list of names: expected a number in brackets"
-            )
+            said = f"{where}: the message has no list of names: expected a number in brackets"
+            raise _wrong(message, said)
         name = step[1:-1]
         if name not in names:
             known = ", ".join(map(str, names)) or "none"
@@ -376,7 +470,7 @@ def _paths(value: Any, prefix: str = "", depth: int = 6) -> list[str]:
     """Paths of a message that lead to numbers or lists."""
     if isinstance(value, Real):
         return [prefix]
-    if dataclasses.is_dataclass(value) or isinstance(value, SimpleNamespace):
+    if _has_fields(value):
         fields = {n: v for n, v in vars(value).items() if not n.startswith("_")} if depth else {}
         return [
             p for n, v in fields.items() for p in _paths(v, f"{prefix}.{n}".lstrip("."), depth - 1)
@@ -385,6 +479,8 @@ def _paths(value: Any, prefix: str = "", depth: int = 6) -> list[str]:
 
 
 def _kind(value: Any) -> str:
+    if value is None:
+        return "null"
     return (
         f"a list of {len(value)}"
         if hasattr(value, "__len__")

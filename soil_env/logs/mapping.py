@@ -42,8 +42,9 @@ UNITS: dict[str, dict[str, float]] = {
     "motor_torque": _TORQUE | {"A": 1.0},
     "acceleration": {"m/s2": 1.0, "g": 9.80665},
 }
-#: Seconds of each unit of a time column; "iso" is text as 2026-05-04T09:30:00.25
-TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0}
+#: Seconds of each unit of a time column. "iso" is text as 2026-05-04T09:30:00.25 or 09:30:00.25,
+#: "excel" is days from 1899-12-30.
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0, "excel": 86400.0}
 _GEARED = ("wheel_speed", "torque", "motor_torque")
 #: [kg m2] of a map that has none; a motor torque, which needs it, is left out then.
 UNKNOWN_INERTIA = 1e5
@@ -103,7 +104,7 @@ class TimeColumn(Checked):
     """The column of a table that has the time stamps."""
 
     column: str
-    unit: Literal["s", "ms", "us", "ns", "iso"] = "s"
+    unit: Literal["s", "ms", "us", "ns", "iso", "excel"] = "s"
 
 
 @dataclass(frozen=True)
@@ -140,6 +141,8 @@ class LogMap(Checked):
     belief: Belief = Belief()  # noqa: RUF009 (frozen)
     #: What is known of it, for setup.yaml.
     soil: dict[str, Any] = dataclasses.field(default_factory=dict)
+    #: Text of the .msg file of message types that the recording does not define, by type.
+    messages: dict[str, str] = dataclasses.field(default_factory=dict)
     windows: Windows = Windows()  # noqa: RUF009
 
     def __post_init__(self) -> None:

@@ -1,18 +1,23 @@
 """Readings of a recording, whatever its format, on one time axis."""
 
 import math
+from array import array
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from soil_env._io.loading import ParameterError, unknown_key
 from soil_env.logs import bags, tables
 from soil_env.logs.align import Aligned, Channel, align
-from soil_env.logs.bags import Message, Notes, NotHere, Progress, number, parse
+from soil_env.logs.bags import Message, NotHere, Progress, Unlike, number, parse
 from soil_env.logs.doubts import doubts, time_doubts
-from soil_env.logs.mapping import UNITS, LogMap, TimeColumn, factor
+from soil_env.logs.mapping import UNITS, LogMap, Source, TimeColumn, factor
+from soil_env.logs.notes import Faults, Notes
+from soil_env.logs.stamps import LATEST, Stamps
 from soil_env.online import largest_readings
 
+MOST_READINGS = 50_000_000  # of all channels: 800 MB
 _DELAY = 1.0  # [s] between the clocks of header and recording, beyond which the report says so
 _SLOW = 0.3  # share of interpolated steps beyond which the report says so
 
@@ -73,51 +78,8 @@ def _check_kind(path: Path, log_map: LogMap) -> bool:
     return table
 
 
-class _Clock:
-    """Time stamps of a table or of a topic; those that go back by more than `gap` [ns] are left
-    out.
-
-    Readings that are a little late, as of a recorder with several threads, still belong where their
-    time says.
-    """
-
-    def __init__(self, source: str, gap: int) -> None:
-        self._source = source
-        self._gap = gap
-        self._back = 0
-        self._left_out = 0
-        self._first = ""
-        self.begin()
-
-    def begin(self) -> None:
-        """Begin another file, whose times may lie before those of the last."""
-        self._latest = -(2**63)
-
-    def accept(self, time: int, place: str) -> bool:
-        """True if a reading of this time [ns] counts; `place`: its row or message."""
-        if time >= self._latest:
-            self._latest = time
-            return True
-        self._first = (
-            self._first or f"{place} ({time * 1e-9:.3f} s after {self._latest * 1e-9:.3f} s)"
-        )
-        late = self._latest - time > self._gap
-        self._back = self._back + 1
-        self._left_out = self._left_out + late
-        return not late
-
-    def note(self, notes: Notes) -> None:
-        """Add a note where time went back."""
-        if self._back:
-            notes.add(
-                f"{self._source}: time goes back {self._back} times, first in {self._first}: "
-                f"{self._left_out} of them, more than {self._gap * 1e-9:g} s (max_gap) late, left "
-                "out"
-            )
-
-
 class _Reader:
-    """Numbers of a recording, in SI units and by channel."""
+    """Numbers of a recording by channel."""
 
     def __init__(self, log_map: LogMap) -> None:
         self.map = log_map
@@ -131,10 +93,9 @@ class _Reader:
         self.channels = {n: Channel(s.place) for n, s in given.items()}
         # Larger readings are left out.
         self.limits = largest_readings(log_map.wheel, log_map.gravity)._asdict()
-        self._scale = {n: (factor(n, s), s.offset) for n, s in self.sources.items()}
-        self._gap = round(log_map.max_gap * 1e9)
         self.interval = math.nan  # [s] median between the first rows of a table
         self.length = 0.0  # [s] from the first to the last row
+        self._left = MOST_READINGS
         for name, value in self.constants.items():
             most = self.limits[name]
             if not abs(value) <= most:
@@ -142,17 +103,36 @@ class _Reader:
                     f"channels.{name}: constant {value:g} in SI units: expected at most {most:g}"
                 )
 
-    def _add(self, name: str, time: int, value: float) -> None:
-        """Count a reading in the unit of its source, and keep it if it is plausible."""
-        scale, offset = self._scale[name]
+    def _add(self, name: str, place: int, value: float, path: Path) -> None:
+        """Keep a reading in the unit of its source; `place`: index of its stamp."""
+        self._left -= 1
+        if self._left < 0:
+            raise ParameterError(
+                f"{path}: has more than {MOST_READINGS} readings of the channels of the map: "
+                "expected fewer; read it in parts"
+            )
         channel = self.channels[name]
-        value = scale * value + offset
-        channel.readings += 1
-        if abs(value) <= self.limits[name]:
-            channel.times.append(time)
-            channel.values.append(value)
-        else:
-            channel.unusable += 1
+        channel.times.append(place)
+        channel.values.append(value)
+
+    def _settle(self, name: str, times: np.ndarray, kept: np.ndarray) -> None:
+        """Turn the readings of a channel into SI units, and their places into times [ns]; count
+        and leave out those without a sound stamp (`kept`) and those that cannot be.
+        """
+        channel = self.channels[name]
+        place = np.frombuffer(channel.times, np.int64)
+        value = np.frombuffer(channel.values)[kept[place]]
+        place = place[kept[place]]
+        source = self.sources[name]
+        with np.errstate(over="ignore", invalid="ignore"):
+            si = value * factor(name, source) + source.offset
+        known = np.isfinite(value)
+        plausible = np.abs(si) <= self.limits[name]
+        channel.readings = value.size
+        channel.empty = int(np.sum(~known))
+        channel.unusable = int(np.sum(known & ~plausible))
+        channel.times = array("q", times[place[plausible]].tobytes())
+        channel.values = array("d", si[plausible].tobytes())
 
     def read_table(self, path: Path, stamps: TimeColumn, notes: Notes, progress: Progress) -> None:
         """Read a CSV or Parquet file with a column of time stamps."""
@@ -160,80 +140,65 @@ class _Reader:
         for name, source in self.sources.items():
             columns.setdefault(source.column, []).append(name)
         labels = {column: ", ".join(names) for column, names in columns.items()}
-        clock = _Clock(path.name, self._gap)
-        times: list[int] = []
+        order = Stamps(f"column {stamps.column}", "row")
         for row in tables.rows(path, stamps.column, stamps.unit, labels, notes, progress):
-            if len(times) < 4096:
-                times.append(row.time)
-            self.length = (row.time - times[0]) * 1e-9
-            if clock.accept(row.time, f"row {row.number}"):
-                for names, value in zip(columns.values(), row.values, strict=True):
-                    if value == value:
-                        for name in names:
-                            self._add(name, row.time, value)
-        if len(times) > 1:
-            self.interval = float(np.median(np.abs(np.diff(times)))) * 1e-9
-        clock.note(notes)
+            for names, value in zip(columns.values(), row.values, strict=True):
+                if value is None:
+                    continue
+                for name in names:
+                    self._add(name, len(order), value, path)
+            order.add(row.time, row.number)
+        times = np.frombuffer(order.times, np.int64)
+        kept = order.settle(times, *self._gaps(), path, notes)
+        first = times[kept][:4096]
+        if first.size > 1:
+            self.interval = float(np.median(np.abs(np.diff(first)))) * 1e-9
+        if first.size:
+            self.length = float(times[kept][-1] - first[0]) * 1e-9
+        for name in self.sources:
+            self._settle(name, times, kept)
+
+    def _gaps(self) -> tuple[int, int]:
+        """`max_gap` and `restart_gap` [ns]."""
+        return round(self.map.max_gap * 1e9), round(self.map.restart_gap * 1e9)
 
     def read_bag(self, path: Path, notes: Notes, progress: Progress) -> None:
         """Read a bag."""
-        by_topic: dict[str, list[str]] = {}
+        topics = {s.topic: _Topic(s.topic) for s in self.sources.values()}
         for name, source in self.sources.items():
-            by_topic.setdefault(source.topic, []).append(name)
-        paths = {
-            name: parse(source.field, f"channels.{name}.field")
-            for name, source in self.sources.items()
-        }
-        lacking: dict[str, NotHere] = {}
-        delays: dict[str, list[float]] = {topic: [] for topic in by_topic}
-        clocks = {t: _Clock(f"topic {t}", self._gap) for t in by_topic}
+            steps = parse(source.field, f"channels.{name}.field")
+            topics[source.topic].channels[name] = _Path(name, source, steps)
         file = ""
-        for message in bags.messages(path, set(by_topic), notes, progress):
-            time = self._time(message, delays[message.topic])
+        found = bags.messages(path, set(topics), notes, progress, self.map.messages)
+        for message in found:
+            topic = topics[message.topic]
             if notes.file != file:
                 file = notes.file
-                for clock in clocks.values():
-                    clock.begin()
-            if not clocks[message.topic].accept(
-                time, f"the message recorded at {message.time * 1e-9:.3f} s"
-            ):
+                for other in topics.values():
+                    other.stamps.begin()
+            content = topic.open(message)
+            if content is None:
                 continue
-            for name in by_topic[message.topic]:
-                source = self.sources[name]
-                where = (
-                    f"channels.{name}: topic {message.topic} ({message.kind}), field {source.field}"
-                )
-                try:
-                    self._add(
-                        name,
-                        time,
-                        number(message.content, paths[name], where, source.unit == "quaternion"),
-                    )
-                except NotHere as error:
-                    lacking.setdefault(name, error)
-        self._check_found(path, notes, lacking)
-        for clock in clocks.values():
-            clock.note(notes)
-        _note_delays(
-            notes, {topic: float(np.mean(d)) for topic, d in delays.items() if d}, set(delays)
-        )
+            for name, place in topic.channels.items():
+                value = place.number(content.value, message.kind, topic.faults.count)
+                if value is not None:
+                    self._add(name, len(topic.stamps), value, path)
+            topic.stamps.add(content.stamp, topic.faults.count, message.time)
+        self._check_found(path, notes, topics)
+        delays = {}
+        for of, topic in topics.items():
+            by_header = self.map.clock == "header" and any(topic.stamps.times)
+            times, kept = topic.settle(by_header, self._gaps(), path, notes)
+            for name in topic.channels:
+                self._settle(name, times, kept)
+            if by_header:
+                recorded = np.frombuffer(topic.stamps.recorded, np.int64)
+                delays[of] = float(np.mean((recorded - times)[kept])) * 1e-9
+        _note_delays(notes, delays, set(topics))
 
-    def _time(self, message: Message, delays: list[float]) -> int:
-        """[ns] in the clock of the map; of a message without a stamp, the time of its recording."""
-        stamp = getattr(getattr(message.content, "header", None), "stamp", None)
-        own = (
-            0
-            if stamp is None
-            else stamp.sec * 1_000_000_000 + getattr(stamp, "nanosec", getattr(stamp, "nsec", 0))
-        )
-        if own and self.map.clock == "header":
-            delays.append((message.time - own) * 1e-9)
-            return own
-        return message.time
-
-    def _check_found(self, path: Path, notes: Notes, lacking: dict[str, NotHere]) -> None:
-        """Raise `ParameterError` for a topic that is not in the recording and a field that no
-        message has.
+    def _check_found(self, path: Path, notes: Notes, topics: dict[str, "_Topic"]) -> None:
+        """Raise `ParameterError` for a topic that is not in the recording, one of which less than
+        half can be read, and a field that no message has.
         """
         if not notes.topics:
             said = f" ({'; '.join(notes.lines)})" if notes.lines else ""
@@ -246,8 +211,107 @@ class _Reader:
                     str(unknown_key(source.topic, notes.topics, where)).replace("key", "topic")
                     + cut
                 )
-            if name in lacking and self.channels[name].readings == 0:
-                raise ParameterError(f"{path}: {lacking[name]}, in all messages")
+        for topic in topics.values():
+            topic.faults.settle(path, notes)
+            for name, channel in topic.channels.items():
+                channel.faults.settle(path, notes)
+                if channel.lacking and not self.channels[name].values:
+                    raise ParameterError(f"{path}: {channel.lacking}, in all messages")
+
+
+class _Content(NamedTuple):
+    """A decoded message."""
+
+    value: Any
+    stamp: int  # [ns] of its header; 0 = none
+
+
+class _Topic:
+    """Messages of a topic as they come: their stamps, and what is wrong with them."""
+
+    def __init__(self, name: str) -> None:
+        self.channels: dict[str, _Path] = {}
+        self.stamps = Stamps(f"topic {name}", "message")
+        self.faults = Faults(f"topic {name}", "messages")
+
+    def open(self, message: Message) -> _Content | None:
+        """The content of a message; None where it cannot be decoded, which is counted.
+
+        `ParameterError` for a type that nothing defines.
+        """
+        self.faults.count += 1
+        try:
+            if not abs(message.time) <= LATEST:
+                raise ValueError(f"recorded at {message.time} ns")
+            value = message.decode()
+            return _Content(value, _stamp(value))
+        except ParameterError:
+            raise
+        # Decoders have errors of their own, and those of whatever damaged bytes make them do.
+        except Exception as error:
+            self.faults.add(f"message {self.faults.count}", error or type(error).__name__)
+            return None
+
+    def settle(
+        self, by_header: bool, gaps: tuple[int, int], path: Path, notes: Notes
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Stamps [N] in ns by header or recording, and True [N] for those that count."""
+        stamps = self.stamps
+        times = np.frombuffer(stamps.times if by_header else stamps.recorded, np.int64)
+        if not by_header:
+            return times, stamps.settle(times, *gaps, path, notes)
+        zeros = Faults(f"{stamps.source}, header.stamp", "stamps")
+        zeros.count = times.size
+        for k in np.flatnonzero(times == 0).tolist():
+            zeros.add(f"message {stamps.numbers[k]}", "zero or missing; try clock: log")
+        zeros.settle(path, notes)
+        return times, stamps.settle(times, *gaps, path, notes)
+
+
+class _Path:
+    """Place of a channel in the messages of its topic."""
+
+    def __init__(self, name: str, source: Source, steps: tuple[str | int, ...]) -> None:
+        self._name = name
+        self._source = source
+        self._steps = steps
+        self.faults = Faults(f"{name}: {source.place}", "messages")
+        self.lacking: NotHere | None = None  # the first
+
+    def number(self, content: Any, kind: str, place: int) -> float | None:
+        """The number in message `place`; None where it is not there, or is none, which is
+        counted.
+        """
+        source = self._source
+        where = f"channels.{self._name}: topic {source.topic} ({kind}), field {source.field}"
+        self.faults.count += 1
+        try:
+            return number(content, self._steps, where, source.unit == "quaternion")
+        except ParameterError:
+            raise
+        except NotHere as error:
+            self.lacking = self.lacking or error
+        except Unlike as error:
+            self.faults.add(f"message {place}", str(error).removeprefix(f"{where}: "))
+        # A number that is too large for a float, or fields named as those of Python's own.
+        except (ArithmeticError, AttributeError, TypeError, ValueError) as error:
+            self.faults.add(f"message {place}", error)
+        return None
+
+
+def _stamp(content: Any) -> int:
+    """Stamp [ns] in the header of a message, 0 where it has none; ValueError for one of no time."""
+    stamp = getattr(getattr(content, "header", None), "stamp", None)
+    seconds = getattr(stamp, "sec", None)
+    if seconds is None:
+        return 0
+    rest = getattr(stamp, "nanosec", getattr(stamp, "nsec", 0)) or 0
+    if not (isinstance(seconds, (int, float)) and isinstance(rest, (int, float))):
+        raise ValueError(f"header.stamp is no time ({seconds!r} s)")
+    time = round(seconds * 1_000_000_000) + round(rest)
+    if not abs(time) <= LATEST:
+        raise ValueError(f"header.stamp is beyond the year 2116 ({seconds!r:.20} s)")
+    return time
 
 
 def _note_delays(notes: Notes, mean: dict[str, float], topics: set[str]) -> None:
@@ -268,23 +332,29 @@ def _remarks(found: Aligned, log_map: LogMap, limits: dict[str, float]) -> list[
     """Notes on channels without readings, with implausible or slow ones, and on gaps."""
     lines = []
     for name, c in found.channels.items():
-        place = f"{name}: {c.place}"
+        place = f"{name} ({c.place})"
         if c.readings == 0 and log_map.channels[name].constant is None:
-            lines.append(f"{place}: not one reading")
-        if c.unusable:
-            doubtful = ": another unit or field?" if 2 * c.unusable > c.readings else ""
-            expected = f"expected at most {limits[name]:g} {next(iter(UNITS[name]))}"
+            lines.append(f"{place} has not one reading.")
+        if c.empty:
             lines.append(
-                f"{place}: {c.unusable} of {c.readings} readings out of range ({expected}), left "
-                f"out{doubtful}"
+                f"{place}: {c.empty} of {c.readings} readings are infinite or NaN, as of a range "
+                "finder without an echo, and count as missing."
+            )
+        if c.unusable:
+            doubtful = " Check its unit and field in the map." * (2 * c.unusable > c.readings)
+            lines.append(
+                f"{place}: {c.unusable} of {c.readings} readings are beyond {limits[name]:g} "
+                f"{next(iter(UNITS[name]))}".rstrip()
+                + f", which this wheel cannot reach, and are left out.{doubtful}"
             )
         if c.interpolated > _SLOW:
             lines.append(
-                f"{place}: comes less often than every {found.period:g} s: {c.interpolated:.0%} of "
-                "its values are interpolated and count as readings; a longer period would be more "
-                "honest"
+                f"{place} comes less often than every {found.period:g} s. {c.interpolated:.0%} of "
+                "its values are interpolated, and they count as readings: set a longer period in "
+                "the map."
             )
     jumps = np.flatnonzero(np.diff(found.time) > log_map.max_gap)
     if jumps.size:
-        lines.append(f"{jumps.size} gaps of more than {log_map.max_gap:g} s without any reading")
+        gaps = "There is 1 gap" if jumps.size == 1 else f"There are {jumps.size} gaps"
+        lines.append(f"{gaps} of more than {log_map.max_gap:g} s without any reading.")
     return lines

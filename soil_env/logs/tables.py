@@ -1,21 +1,27 @@
 """Rows of CSV and Parquet files with time stamps, one by one."""
 
 import csv
-import math
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from contextlib import suppress
 from datetime import UTC, datetime
 from decimal import Decimal
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from soil_env._io.loading import ParameterError, unknown_key
-from soil_env.logs.bags import Notes, Progress
+from soil_env.logs.bags import Progress
 from soil_env.logs.mapping import TIMES
+from soil_env.logs.notes import Faults, Notes
+from soil_env.logs.stamps import LATEST
 
 SUFFIXES = (".csv", ".parquet", ".pq")
-_LATEST = 2**62  # [ns] from 1970, the year 2116
-
+_EXCEL = 25569  # [days] from 1899-12-30, where Excel counts from, to 1970
+_PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}  # units of Parquet's timestamps
+_DAY = 86400 * 10**9  # [ns]
+_EXAMPLES = {
+    "iso": "text as 2026-05-04T09:30:00.25 or 09:30:00.25",
+    "excel": "days of Excel as 46146.39583",
+}
 #: Number of the row, time stamp (int: [ns]), cells as text.
 _Cells = tuple[int, str | int, list[str]]
 
@@ -25,7 +31,7 @@ class Row(NamedTuple):
 
     number: int  # in the file
     time: int  # [ns]
-    values: list[float]  # of the columns; NaN = empty
+    values: list[float | None]  # of the columns; None = empty, or no number
 
 
 def rows(
@@ -33,50 +39,75 @@ def rows(
 ) -> Iterator[Row]:
     """Rows of a table: time stamps in the column `stamps` of `unit`, and `columns`, each with its
     readings.
+
+    Rows without a time and cells without a number are left out, and counted in notes;
+    `ParameterError` where that leaves less than half.
     """
-    nans = Counter[str]()
-
-    def converted(convert: Callable, text: str, number: int, column: str, expected: str):
-        try:
-            return convert(text)
-        except (ArithmeticError, ValueError):
-            said = f"{path}: row {number}, {column} = {text!r}: expected {expected} in every row"
-            raise ParameterError(said) from None
-
+    whole = Faults(path.name, "rows")
+    cells = {column: Faults(f"column {column}", "cells") for column in columns}
+    midnights = 0
+    last = 0
     read = _csv if path.suffix.lower() == ".csv" else _parquet
-    for number, time, texts in read(path, stamps, columns, notes, progress):
-        if isinstance(time, str):
-            time = converted(
-                lambda text: _nanoseconds(text, unit), time, number, stamps, f"a time in {unit}"
-            )
-        values = [
-            converted(_number, t, number, c, "a number")
-            for c, t in zip(columns, texts, strict=True)
-        ]
-        nans.update(
-            c for c, t, x in zip(columns, texts, values, strict=True) if x != x and t.strip()
-        )
-        yield Row(number, time, values)
-    for column, count in nans.items():
-        notes.add(f"column {column}: {count} cell{'s' * (count > 1)} nan: taken as empty")
+    for number, time, texts in read(path, stamps, columns, notes, progress, whole):
+        whole.count += 1
+        try:
+            at = _nanoseconds(time, unit)
+        except (ArithmeticError, ValueError):
+            whole.add(f"row {number}", f"{stamps} = {time!r}, expected {_expected(time, unit)}")
+            continue
+        if unit == "iso" and abs(at) < _DAY:  # a time of day
+            midnights += at < last - 23 * _DAY // 24
+            last = at
+            at += midnights * _DAY
+        values: list[float | None] = []
+        for text, (column, faults) in zip(texts, cells.items(), strict=True):
+            faults.count += 1
+            try:
+                values.append(float(text) if text.strip() else None)
+            except ValueError:
+                faults.add(f"row {number}", f"{column} = {text!r}, expected a number")
+                values.append(None)
+        yield Row(number, at, values)
+    for faults in (whole, *cells.values()):
+        faults.settle(path, notes)
 
 
-def _number(text: str) -> float:
-    return float(text) if text.strip() else math.nan
-
-
-def _nanoseconds(text: str, unit: str) -> int:
-    """Time stamp [ns] from 1970; an ISO 8601 text without a zone is taken as UTC."""
-    if unit == "iso":
-        at = datetime.fromisoformat(text)
+def _nanoseconds(stamp: str | int, unit: str) -> int:
+    """Time stamp [ns] from 1970, given in ns or as text; an ISO 8601 text without a zone is taken
+    as UTC, and a time of day as that of the first day.
+    """
+    if isinstance(stamp, int):
+        time: Any = stamp
+    elif unit == "iso":
+        at = _moment(stamp.strip())
         delta = (at if at.tzinfo else at.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
-        stamp = (delta.days * 86400 + delta.seconds) * 1_000_000_000 + delta.microseconds * 1000
+        time = (delta.days * 86400 + delta.seconds) * 1_000_000_000 + delta.microseconds * 1000
     else:
         # A float has too few digits for a time of today.
-        stamp = int(Decimal(text.strip()) * round(TIMES[unit] * 1e9))
-    if abs(stamp) > _LATEST:
-        raise ValueError(text)
-    return stamp
+        count = Decimal(stamp.strip()) - (_EXCEL if unit == "excel" else 0)
+        time = count * round(TIMES[unit] * 1e9)
+    if not abs(time) <= LATEST:
+        raise ValueError(stamp)
+    return int(time)
+
+
+def _moment(text: str) -> datetime:
+    """Date and time, or the time of the first day, of an ISO 8601 text."""
+    if text[1:2] == ":":  # 9:30:00
+        text = f"0{text}"
+    return datetime.fromisoformat(f"1970-01-01T{text}" if text[2:3] == ":" else text)
+
+
+def _expected(stamp: str | int, unit: str) -> str:
+    """What a time stamp of this unit looks like, and the unit that this one may have."""
+    text = f"a time in {unit}" if unit not in _EXAMPLES else _EXAMPLES[unit]
+    if unit != "iso" and isinstance(stamp, str):
+        with suppress(ValueError):
+            _moment(stamp.strip())
+            return f"{text}; for {_EXAMPLES['iso']} give time: unit: iso"
+    if unit == "iso":
+        text += "; for numbers give time: unit: s, ms, us, ns or excel"
+    return text
 
 
 def _check_columns(path: Path, header: list[str], stamps: str, columns: dict[str, str]) -> None:
@@ -87,18 +118,33 @@ def _check_columns(path: Path, header: list[str], stamps: str, columns: dict[str
                     "unknown key", "no column"
                 )
             )
+        if header.count(name) > 1:
+            places = ", ".join(str(k) for k, other in enumerate(header, 1) if other == name)
+            raise ParameterError(
+                f"{path}: {what}: the name {name!r} is that of columns {places}: expected one "
+                "column of this name"
+            )
 
 
 def _csv(
-    path: Path, stamps: str, columns: dict[str, str], notes: Notes, progress: Progress
+    path: Path,
+    stamps: str,
+    columns: dict[str, str],
+    notes: Notes,
+    progress: Progress,
+    faults: Faults,
 ) -> Iterator[_Cells]:
-    """Rows of a CSV file; one that is cut off in its last row gives the others."""
+    """Rows of a CSV file; those of another length than the header are counted as faults, and a last
+    one that is cut off is not.
+    """
     size = path.stat().st_size
-    short = ""
+    short: tuple[str, ...] = ()
     count = 0
     try:
         with path.open("rb") as raw:
-            reader = csv.reader((line.decode("utf-8") for line in raw), strict=True)
+            # The header has to be UTF-8; below it a damaged byte spoils no more than its cell.
+            lenient = ["strict"]
+            reader = csv.reader((line.decode("utf-8", lenient[0]) for line in raw), strict=True)
             lines = (
                 cells
                 for cells in reader
@@ -117,17 +163,18 @@ def _csv(
                     "read"
                 )
             _check_columns(path, header, stamps, columns)
+            lenient[0] = "replace"
             at = header.index(stamps)
             places = [header.index(c) for c in columns]
             for cells in lines:
                 if short:
-                    raise ParameterError(f"{path}: {short}")
+                    faults.count += 1
+                    faults.add(*short)
+                    short = ()
                 # Allowed in the last row, where a recording was cut off.
                 if len(cells) != len(header):
-                    short = (
-                        f"row {reader.line_num} has {len(cells)} cells: expected {len(header)}, as "
-                        "the header"
-                    )
+                    said = f"has {len(cells)} cells, expected {len(header)} as in the header"
+                    short = (f"row {reader.line_num}", said)
                     continue
                 count += 1
                 yield reader.line_num, cells[at], [cells[p] for p in places]
@@ -139,7 +186,7 @@ def _csv(
         ) from None
     except csv.Error as error:
         raise ParameterError(f"{path}: not a CSV file ({error})") from None
-    if not count:
+    if not count and not faults.wrong:
         raise ParameterError(
             f"{path}: no whole row below the header{': it is cut off' if short else ''}"
         )
@@ -149,7 +196,12 @@ def _csv(
 
 
 def _parquet(
-    path: Path, stamps: str, columns: dict[str, str], notes: Notes, progress: Progress
+    path: Path,
+    stamps: str,
+    columns: dict[str, str],
+    notes: Notes,
+    progress: Progress,
+    faults: Faults,
 ) -> Iterator[_Cells]:
     """Rows of a Parquet file as text; stamps of a column of type timestamp in nanoseconds."""
     try:
@@ -165,19 +217,24 @@ def _parquet(
             _check_columns(path, file.schema_arrow.names, stamps, columns)
             for batch in file.iter_batches(4096, columns=[stamps, *columns]):
                 times = batch.column(stamps)
-                if is_stamp := pyarrow.types.is_timestamp(times.type):
-                    times = times.cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())
+                tick = 0  # [ns] of the column's unit
+                if pyarrow.types.is_timestamp(times.type):
+                    tick = 10**9 // _PER_SECOND[times.type.unit]
+                    times = times.cast(pyarrow.int64())
                 cells = (
                     ["" if x is None else str(x) for x in batch.column(c).to_pylist()]
                     for c in columns
                 )
                 for time, *texts in zip(times.to_pylist(), *cells, strict=True):
                     number += 1
-                    stamp = "" if time is None else time if is_stamp else str(time)
+                    stamp = "" if time is None else time * tick if tick else str(time)
                     yield number, stamp, texts
                 progress(number, file.metadata.num_rows)
-    except (OSError, pyarrow.ArrowException) as error:
-        said = str(error).splitlines()[0]
+    # Damaged pages also end in errors of Python's own: text, sizes, memory.
+    except (OSError, pyarrow.ArrowException, ValueError, ArithmeticError, MemoryError) as error:
+        if isinstance(error, ParameterError):
+            raise
+        said = (str(error).splitlines() or [type(error).__name__])[0]
         raise ParameterError(
             f"{path}: cannot be read as Parquet, whose index is at its end ({said})"
         ) from None

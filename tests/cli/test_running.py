@@ -1,5 +1,6 @@
 """Running a command: errors are one line, signals end it cleanly, the exit status says which."""
 
+import io
 import os
 import signal
 import subprocess
@@ -151,6 +152,23 @@ def test_an_error_in_a_command_is_one_line(capsys, error, status, message):
 
     assert run(command_of(work), [], "mine") == status
     assert capsys.readouterr().err == message
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_what_a_terminal_cannot_show_ends_no_command(monkeypatch, fails):
+    """A Greek letter in ASCII, and a file's name that is no UTF-8, in a report and an error."""
+    streams = [io.TextIOWrapper(io.BytesIO(), encoding="ascii") for _ in range(2)]
+    monkeypatch.setattr(sys, "stdout", streams[0])
+    monkeypatch.setattr(sys, "stderr", streams[1])
+
+    def work():
+        if fails:
+            raise ParameterError("\u03c6 \udcff")
+        print("\u03c6 \udcff")
+
+    assert run(command_of(work), [], "mine") == 2 * fails
+    streams[fails].flush()
+    assert b"\\u03c6 \\udcff" in streams[fails].buffer.getvalue()
 
 
 def test_an_unexpected_error_keeps_its_traceback():

@@ -32,3 +32,14 @@ def test_a_page_loads_nothing_and_escapes_text_but_not_a_table():
     assert own.render(t=TABLE) == TABLE.html()
     with pytest.raises(jinja2.UndefinedError, match="title"):
         render("page.html", body=[], style="")
+
+
+def test_a_dollar_in_a_plot_is_a_dollar():
+    from matplotlib.figure import Figure
+
+    from soil_env._io.document import plot_text
+    from soil_env._io.files import picture_of
+
+    figure = Figure()
+    figure.suptitle(plot_text(r"a$b$ \frac$c$"))
+    assert picture_of(figure)  # as mathematics it would be an error

@@ -144,3 +144,8 @@ def test_a_torn_last_line_is_cut_off(tmp_path):
         drop_torn_line(path)
         assert path.read_text() == kept
     drop_torn_line(tmp_path / "none")
+
+
+def test_a_name_that_is_no_utf_8_may_be_part_of_a_text(tmp_path):
+    replace_file(tmp_path / "a.html", "log \udcff.csv")
+    assert (tmp_path / "a.html").read_bytes() == rb"log \udcff.csv"

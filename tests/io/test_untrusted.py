@@ -3,19 +3,28 @@ code is run.
 """
 
 import base64
+import copy
+import functools
 import json
+import os
 import pickle
 import re
 import time
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
+import yaml
 
 from soil_env._io.loading import MOST_VALUES, ParameterError, parse_yaml, read_yaml
+from soil_env.logs import read_map, read_recording
 from soil_env.measurement.setup import read_setup
-from soil_env.parameters import load_scenario
+from soil_env.measurement.table import read_table
+from soil_env.parameters import load_rover, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
+from tests.fuzz_cases import damaged, damaged_zip
+from tests.logs.bags import example, write_map, write_mcap
 
 ROOT = Path(__file__).resolve().parents[2]
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
@@ -40,6 +49,11 @@ YAMLS = {
     "NUL": ("a: \0", "special characters"),
     "no text": (b"\xff\xfe\x00", "not valid YAML"),
     "large": (b"#" * 2_000_000, "larger than"),
+    "octal": ("gravity: 0150", "0150: expected a decimal number"),
+    "octal of a year": ("gravity: -0_10", "-0_10: expected a decimal number"),
+    "sixtieths": ("gravity: 1:30", "1:30: expected a decimal number"),
+    "sixtieths and a fraction": ("gravity: 1:30.5", "1:30.5: expected a decimal number"),
+    "beyond floats": ("gravity: 1.0e+400", "expected a number below 1.8e+308"),
     "a list": ("[1, 2]", "expected a mapping"),
     "twice": (
         "a: 1\nb:\n  c: 1\n  d: 2\n  c: 3\n",
@@ -72,6 +86,11 @@ def test_yaml(tmp_path, monkeypatch, name, load):
     message = str(raised.value)
     assert "x.yaml" in message and words in message and "\n" not in message and len(message) < 1200
     assert [p.name for p in tmp_path.iterdir()] == ["x.yaml"]
+
+
+def test_text_of_a_number_beyond_floats_is_no_number():
+    with pytest.raises(ParameterError, match="gravity = '1e400': expected a number"):
+        load_scenario("mixed", {"gravity": "1e400"})
 
 
 def test_plain_aliases_merges_and_shipped_files_are_read():
@@ -203,3 +222,244 @@ def test_a_zip_that_is_none(saved, tmp_path, make, words):
     message = str(raised.value)
     assert words in message and "m.zip" in message and "\n" not in message, message
     assert time.process_time() - began < 30.0
+
+
+def test_weights_that_unpack_to_much_are_refused(saved, tmp_path, monkeypatch):
+    """Of a default policy, and of a model: 80 MB of zeros in 80 kB."""
+    from agents.default_policy import DefaultPolicy
+    from agents.evaluate.models import load_model
+
+    np.savez_compressed(tmp_path / "w.npz", made="{}", mean=np.zeros(10**7))
+    with pytest.raises(ParameterError, match="not the weights"):
+        DefaultPolicy("mixed", tmp_path / "w.npz")
+    monkeypatch.setattr("agents.agent.MOST_BYTES", 10**6)
+    inner = zipped(tmp_path / "inner.zip", zeros=bytes(10**7)).read_bytes()
+    zipped(tmp_path / "m.zip", saved, **{"policy.pth": inner})
+    with pytest.raises(ParameterError, match="unpacks to 10000000 bytes"):
+        load_model(tmp_path / "m.zip", load_scenario())
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [("grows", "shape"), ("loops", "operators Expand"), ("elsewhere", "other files")],
+)
+def test_a_graph_that_no_export_makes_is_refused(tmp_path, kind, words):
+    onnx = pytest.importorskip("onnx")
+    pytest.importorskip("onnxruntime")
+    from agents.exported import ExportedAgent
+
+    column = onnx.numpy_helper.from_array(np.zeros((5000, 1), np.float32), "a")
+    row = onnx.numpy_helper.from_array(np.zeros((1, 5000), np.float32), "b")
+    if kind == "elsewhere":
+        onnx.external_data_helper.set_external_data(column, "/etc/hostname")
+        column.ClearField("raw_data")
+    node = onnx.helper.make_node("Expand" if kind == "loops" else "Add", ["a", "b"], ["c"])
+    last = onnx.helper.make_node("Identity", ["c"], ["action"])
+    out = onnx.helper.make_tensor_value_info("action", onnx.TensorProto.FLOAT, None)
+    graph = onnx.helper.make_graph([node, last], "policy", [], [out], [column, row])
+    (tmp_path / "p.onnx").write_bytes(onnx.helper.make_model(graph).SerializeToString())
+    with pytest.raises(ParameterError, match=f"p.onnx: cannot be loaded .*{words}"):
+        ExportedAgent(tmp_path / "p.onnx")
+
+
+FUZZ = int(os.environ.get("SOIL_ENV_FUZZ", "200"))  # cases a kind
+BAG_MAP = {
+    "wheel": "planetary_rover",
+    "channels": {
+        "wheel_speed": {"topic": "/drive", "field": "speed"},
+        "speed": {"topic": "/odom", "field": "twist.x"},
+        "sinkage": {"topic": "/odom", "field": "depth", "unit": "mm"},
+    },
+}
+CDR_MAP = {
+    "wheel": "planetary_rover",
+    "channels": {
+        "wheel_speed": {"topic": "/wheel", "field": "data"},
+        "speed": {"topic": "/speed", "field": "point.x"},
+    },
+}
+TABLE_MAP = {
+    "wheel": "planetary_rover",
+    "time": {"column": "t", "unit": "iso"},
+    "channels": {"wheel_speed": {"column": "w"}, "speed": {"column": "v", "unit": "mm/s"}},
+}
+YAML_OF = {
+    "setup": ROOT / "examples" / "data" / "rig.setup.yaml",
+    "scenario": ROOT / "configs" / "scenarios" / "mixed.yaml",
+    "rover": next((ROOT / "configs" / "rovers").glob("*.yaml")),
+    "model": ROOT / "configs" / "worlds" / "bulldozing.yaml",
+}
+LOADERS = {
+    "setup": read_setup,
+    "scenario": load_scenario,
+    "rover": load_rover,
+    "model": WheelSoilModel.load,
+    "map": read_map,
+    "table": lambda path: read_table(path, read_setup(YAML_OF["setup"]).wheel),
+}
+
+
+def check_reading(read, content, folder, name, mutate=damaged):
+    """Damaged copies of a file are read, or refused in one line."""
+    rng = np.random.default_rng([*name.encode()])
+    path = folder / name
+    for case in range(FUZZ):
+        path.write_bytes(mutate(content, rng))
+        try:
+            read(path)
+        except ParameterError as error:
+            assert "\n" not in str(error) and len(str(error)) < 1300
+        except Exception as error:  # of which the test says what the file was
+            raise AssertionError(f"case {case} of {name}: {path.read_bytes()[:2000]!r}") from error
+
+
+@pytest.mark.parametrize("kind", LOADERS)
+def test_damaged_text(tmp_path, kind):
+    if kind == "table":
+        lines = (ROOT / "examples" / "data" / "rig.csv").read_bytes().splitlines(keepends=True)
+        content = b"".join(lines[:12])
+    elif kind == "map":
+        maps = BAG_MAP | {"belief": {"friction_angle_deg": 32}, "windows": {"duration": 1}}
+        content = yaml.safe_dump(maps).encode()
+    else:
+        content = YAML_OF[kind].read_bytes()
+    check_reading(LOADERS[kind], content, tmp_path, f"a.{'csv' if kind == 'table' else 'yaml'}")
+
+
+def test_damaged_study(tmp_path, monkeypatch):
+    pytest.importorskip("stable_baselines3")
+    from agents.study.config import read_config
+
+    content = (
+        b"scenarios: {mixed: {trained_on: mixed}}\ncontrollers: [soft_start]\nseeds: 2\n"
+        b"train: {timesteps: 1024, ppo: {num_envs: 8, layer: 8}}\narms:\n  blind: {}\n"
+        b"  other: {train: {observation: blind, changes: {gravity: 3.7}}}\nresamples: 50\n"
+    )
+    # The shipped scenarios, which are read again and again, are whole.
+    shipped = functools.cache(read_yaml)
+    monkeypatch.setattr(
+        "soil_env.parameters.scenario.read_yaml", lambda path: copy.deepcopy(shipped(path))
+    )
+    check_reading(read_config, content, tmp_path, "study.yaml")
+
+
+def json_mcap(folder):
+    """An MCAP file with messages in JSON; without checksums damage reaches the messages."""
+    from mcap.writer import CompressionType
+
+    def messages():
+        for k in range(12):
+            header = {"stamp": {"sec": k, "nanosec": 10**8}}
+            yield "/drive", k * 10**9, {"header": header, "speed": 2.0 + 0.1 * k}
+            yield "/odom", k * 10**9, {"twist": {"x": 0.25}, "depth": 22.0}
+
+    options = {"compression": CompressionType.NONE, "enable_crcs": False, "chunk_size": 400}
+    return write_mcap(folder / "whole.mcap", messages(), **options)
+
+
+def ros_bag(folder, storage):
+    """A file of a ROS 2 bag."""
+    code = example()
+    recorder = code["Recorder"](folder / "bag", code["StoragePlugin"][storage])
+    for k in range(1, 12):
+        recorder.write("/wheel", 0.1 * k, "std_msgs/msg/Float64", 2.0)
+        point = code["T"]["geometry_msgs/msg/Point"](0.25, 0.0, 0.0)
+        recorder.write("/speed", 0.1 * k, "geometry_msgs/msg/PointStamped", point)
+    recorder.writer.close()
+    return next(p for p in (folder / "bag").iterdir() if p.suffix != ".yaml")
+
+
+def rover_table(folder):
+    """Columns of TABLE_MAP as CSV."""
+    lines = [f"2026-05-04T09:30:{k:02d},{2.0 + 0.1 * k},{250 + k}" for k in range(12)]
+    (folder / "whole.csv").write_text("\n".join(["t,w,v", *lines]) + "\n")
+    return folder / "whole.csv"
+
+
+def rover_parquet(folder):
+    """Columns of TABLE_MAP as Parquet."""
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    columns = {
+        "t": [f"2026-05-04T09:30:{k:02d}" for k in range(12)],
+        "w": 12 * [2.5],
+        "v": 12 * [250],
+    }
+    plain = {"compression": "none", "use_dictionary": False, "write_statistics": False}
+    parquet.write_table(pyarrow.table(columns), folder / "whole.parquet", **plain)
+    return folder / "whole.parquet"
+
+
+RECORDINGS = {
+    "json.mcap": (json_mcap, BAG_MAP),
+    "cdr.mcap": (lambda folder: ros_bag(folder, "MCAP"), CDR_MAP),
+    "cdr.db3": (lambda folder: ros_bag(folder, "SQLITE3"), CDR_MAP),
+    "ros1.bag": (lambda folder: ros_bag(folder, "MCAP"), CDR_MAP),
+    "rows.csv": (rover_table, TABLE_MAP),
+    "rows.parquet": (rover_parquet, TABLE_MAP),
+}
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_damaged_recordings(tmp_path, name):
+    pytest.importorskip("mcap")
+    pytest.importorskip("rosbags")
+    make, content = RECORDINGS[name]
+    log_map = read_map(write_map(tmp_path, base=content))
+    whole = make(tmp_path)
+    if name != "ros1.bag":
+        assert len(read_recording(whole, log_map)) > 9
+    check_reading(lambda p: read_recording(p, log_map), whole.read_bytes(), tmp_path, name)
+
+
+def test_damaged_models(saved, tmp_path, monkeypatch):
+    """A model and a checkpoint, weights of a default policy, and an exported policy."""
+    from agents import ppo
+    from agents.agent import load_agent
+    from agents.config import PPOConfig
+    from agents.default_policy import WEIGHTS, DefaultPolicy
+    from agents.evaluate.models import load_model
+
+    task = load_scenario()
+    config = PPOConfig(num_envs=8, n_steps=8, batch_size=64, layer=8, history=0)
+    model = ppo.build(task, "identified", config, 0)
+    monkeypatch.setattr(ppo, "build", lambda *arguments: model)
+    readers = {
+        "model.zip": lambda path: load_model(path, task),
+        "checkpoint.zip": lambda path: ppo.resume(path, task, "identified", config, 0, None),
+        "weights.npz": lambda path: DefaultPolicy(task, path),
+    }
+    unread = ("data", "pytorch_variables.pth", "_stable_baselines3_version", "system_info.txt")
+    small = zipped(tmp_path / "small.zip", saved, unread)
+    for name, read in readers.items():
+        content = WEIGHTS if name == "weights.npz" else small
+        check_reading(read, content.read_bytes(), tmp_path, name, damaged_zip)
+    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnx")
+    from agents.export import policy
+
+    agent = load_agent(saved)
+    exported = policy.onnx_model(agent, policy.describe(agent, "a", task, None))
+    content = exported.SerializeToString()
+    check_reading(readers["model.zip"], content, tmp_path, "policy.onnx")
+
+
+def test_damaged_cells_and_checksums(tmp_path):
+    """Results of a study, and the checksums of compiled code."""
+    from agents.cells import cell_file, read_cell
+    from soil_env._compiled.cache import CHECKSUMS, Kept
+
+    def cells(path):
+        read_cell(tmp_path, "1", lambda found: {n: float(x) for n, x in found.items()})
+
+    def checksums(path):
+        assert isinstance(code._checksums(), dict | None)
+
+    (tmp_path / "cells").mkdir()
+    content = json.dumps({f"metric{k}": 0.1 * k for k in range(9)}).encode()
+    name = str(cell_file(tmp_path, "1").relative_to(tmp_path))
+    check_reading(cells, content, tmp_path, name)
+    code = Kept.__new__(Kept)
+    code._folder = tmp_path
+    content = json.dumps({f"f{k}.nbi": f"{k:064x}" for k in range(4)}).encode()
+    check_reading(checksums, content, tmp_path, CHECKSUMS)

@@ -4,6 +4,8 @@ damaged.
 
 import json
 import math
+import re
+import sqlite3
 import tracemalloc
 
 import numpy as np
@@ -217,6 +219,157 @@ def test_a_map_that_cannot_be_right_is_refused(tmp_path, changes, named):
     assert all(name in said for name in ("map.yaml", *named)) and "\n" not in said, said
 
 
+DAMAGED = [  # bytes of a message, None where it has content of another kind
+    b"",
+    b"{",
+    b"\xff\xfe",
+    b"[" * 5000,
+    b"null",
+    b"[1]",
+    b"{}",
+    b'{"speed": null, "motor": {"current": 1.0}}',
+    b'{"speed": "fast", "motor": {"current": 1.0}}',
+    b'{"speed": [2.0], "motor": {"current": 1.0}}',
+    b'{"speed": 1' + b"0" * 400 + b', "motor": {"current": 1.0}}',
+    b'{"speed": 1' + b"0" * 5000 + b', "motor": {"current": 1.0}}',
+    b'{"speed": {"__class__": 5}, "motor": {"current": 1.0}}',
+]
+HEADERS = [
+    {"stamp": {"sec": 10**30, "nanosec": 0}},
+    {"stamp": {"sec": "now", "nanosec": 0}},
+    {"stamp": {"sec": math.nan}},
+    {"stamp": {"sec": 0, "nanosec": 0}},
+    {"stamp": None},
+    {},
+    None,
+]
+
+
+@pytest.mark.parametrize(
+    "damaged", [*DAMAGED, *HEADERS], ids=lambda x: repr(x)[:40].replace("\\", "")
+)
+def test_a_damaged_message_is_left_out_and_named(tmp_path, damaged):
+    """One of twenty on /drive, in its content or its header; the others give what they gave."""
+    header = not isinstance(damaged, bytes)
+
+    def messages(wrong):
+        for k in range(20):
+            at = 100 * NS + k * NS // 10
+            own = {"header": {"stamp": {"sec": at // NS, "nanosec": at % NS}}} if header else {}
+            drive = {"speed": 2.0 + k, "motor": {"current": 1.0}} | own
+            if k in wrong:
+                drive = drive | {"header": damaged} if header else damaged
+            yield "/drive", at, drive
+            yield "/odom", at, {"twist": {"x": 0.1 * k}, "depth": 20.0}
+
+    log_map = read_map(write_map(tmp_path))
+    found = read_recording(write_mcap(tmp_path / "a.mcap", messages({7})), log_map)
+    assert found.readings["wheel_speed"] == pytest.approx(2.0 + np.arange(20))  # interpolated
+    notes = [note for note in found.notes if "/drive" in note]
+    assert notes and all("1 of 20" in note and "message 8" in note for note in notes), notes
+    assert found.channels["wheel_speed"].readings == 19
+    if not (header and (damaged or {"stamp": None})["stamp"] is None):
+        write_mcap(tmp_path / "b.mcap", messages({*range(7, 18)}))
+        with pytest.raises(ParameterError, match=r"b\.mcap: .*/drive.*11 of 20 .*message 8"):
+            read_recording(tmp_path / "b.mcap", log_map)
+
+
+def sqlite_bag(folder, drives):
+    """A copy of the bag in SQLite, as a file, and a connection to it."""
+    source = next((drives[0] / "SQLITE3").glob("*.db3"))
+    (folder / "a.db3").write_bytes(source.read_bytes())
+    return folder / "a.db3", sqlite3.connect(folder / "a.db3")
+
+
+@pytest.mark.parametrize(
+    "damaged", [b"", b"\0", b"\0\1\0\0" + b"\xff" * 40, b"\x28\xb5\x2f\xfd" * 9, 3, "text"]
+)
+def test_a_damaged_cdr_message_is_left_out_and_named(drives, tmp_path, damaged):
+    bag, base = sqlite_bag(tmp_path, drives)
+    with base:
+        topic = base.execute("SELECT id FROM topics WHERE name = '/joint_states'").fetchone()
+        rows = base.execute("SELECT id FROM messages WHERE topic_id = ?", topic).fetchall()
+        # The third has a message that is whole, and a time that is none.
+        change = (
+            "UPDATE messages SET data = ?, timestamp = iif(id = ?, 'x', timestamp) WHERE id = ?"
+        )
+        whole = base.execute("SELECT data FROM messages WHERE id = ?", rows[2]).fetchone()[0]
+        for row, data in zip(rows[:3], (damaged, damaged, whole), strict=True):
+            base.execute(change, (data, *rows[2], *row))
+    base.close()
+    found = read_recording(bag, drives[1])
+    (note,) = (n for n in found.notes if "/joint_states" in n)
+    assert "3 of 250" in note and "message 1:" in note
+
+
+def test_a_type_that_nothing_defines_is_given_in_the_map(drives, tmp_path):
+    bag, base = sqlite_bag(tmp_path, drives)
+    with base:
+        base.execute("UPDATE topics SET type = 'rover_msgs/msg/Wheel' WHERE name = '/range'")
+        # Of the bag, but not to be read.
+        base.execute("UPDATE message_definitions SET encoded_message_definition = 'float64'")
+    base.close()
+    changes = example()["CHANNELS"] | {
+        "torque": None,
+        "sinkage": {"topic": "/range", "field": "range"},
+    }
+    with pytest.raises(ParameterError, match=r"/range.*rover_msgs/msg/Wheel.*messages: \{rover_m"):
+        read_recording(bag, read_map(write_map(tmp_path, changes)))
+    text = (
+        "std_msgs/Header header\nuint8 kind\nfloat32 view\nfloat32 least\nfloat32 most\n"
+        "float32 range\nfloat32 variance\n"
+    )
+    given = changes | {"messages": {"rover_msgs/msg/Wheel": text}}
+    found = read_recording(bag, read_map(write_map(tmp_path, given)))
+    whole = read_recording(drives[0] / "SQLITE3", read_map(write_map(tmp_path, changes)))
+    assert np.array_equal(found.readings["sinkage"], whole.readings["sinkage"])
+    wrong = changes | {"messages": {"rover_msgs/msg/Wheel": "float64"}}
+    with pytest.raises(ParameterError, match=r"messages\.rover_msgs/msg/Wheel: not the text"):
+        read_recording(bag, read_map(write_map(tmp_path, wrong)))
+
+
+ENDLESS = "WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n) "
+
+
+@pytest.mark.parametrize(
+    ("hostile", "words"),
+    [
+        ([f"CREATE VIEW messages AS {ENDLESS} SELECT * FROM n"], "messages is no plain table"),
+        ([f"CREATE VIEW topics AS {ENDLESS} SELECT id, 'a', 'b' FROM n"], "topics is no plain"),
+        (["CREATE VIRTUAL TABLE messages USING fts5(id, topic_id, timestamp, data)"], "no plain"),
+        (
+            [
+                "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id, timestamp, data AS "
+                "(zeroblob(900000000)))"
+            ],
+            "no plain table",
+        ),
+        ([], "messages is no plain table"),
+    ],
+)
+def test_a_bag_that_runs_something_is_refused(drives, tmp_path, hostile, words):
+    bag, base = sqlite_bag(tmp_path, drives)
+    with base:
+        base.execute("DROP TABLE messages")
+        base.execute("ALTER TABLE topics RENAME TO old") if "topics AS" in str(hostile) else None
+        if "topics AS" in str(hostile):
+            base.execute("CREATE TABLE messages (id, topic_id, timestamp, data)")
+        for statement in hostile:
+            base.execute(statement)
+    base.close()
+    before = bag.read_bytes()
+    with pytest.raises(ParameterError, match=words):
+        read_recording(bag, drives[1])
+    assert bag.read_bytes() == before and [p.name for p in tmp_path.iterdir()] == ["a.db3"]
+
+
+def test_more_work_than_a_plain_bag_takes_is_ended(drives, tmp_path, monkeypatch):
+    monkeypatch.setattr("soil_env.logs.bags._MOST_WORK", (1000, 0))
+    monkeypatch.setattr("soil_env.logs.bags._WORK_STEP", 100)
+    with pytest.raises(ParameterError, match="cannot be read as a ROS 2 bag in SQLite"):
+        read_recording(drives[0] / "SQLITE3", drives[1])
+
+
 def stamped(path, delay, back=20):
     """An MCAP file whose /drive has stamps of its own, recorded `delay` [s] later, and whose /odom
     has none.
@@ -263,10 +416,9 @@ def test_stamps_that_go_back_are_counted_by_topic(tmp_path):
     found = read_recording(
         stamped(tmp_path / "a.mcap", 0.0, back=15), read_map(write_map(tmp_path))
     )
-    (note,) = (n for n in found.notes if "goes back" in n)
-    assert (
-        "topic /drive" in note and "5 times" in note and "101.500 s" in note and "4 of them" in note
-    )
+    out, late = found.notes[:2]
+    assert "topic /drive" in out and "4 of 20" in out and "message 16 (100.500 s" in out
+    assert "topic /drive" in late and "1 of 20" in late and "max_gap" in late
     assert found.channels["wheel_speed"].readings == 16 and found.channels["speed"].readings == 20
 
 
@@ -285,9 +437,9 @@ def test_a_file_without_a_message_is_refused(tmp_path, name, content):
 
 def test_a_value_that_cannot_be_is_left_out_and_counted(tmp_path):
     found = read_recording(stamped(tmp_path / "a.mcap", 0.0), read_map(write_map(tmp_path)))
-    assert (
-        found.channels["wheel_speed"].unusable == 1 and found.channels["wheel_speed"].readings == 20
-    )
+    channel = found.channels["wheel_speed"]
+    assert (channel.empty, channel.unusable, channel.readings) == (1, 0, 20)  # infinite
+    assert any("wheel_speed" in note and "1 of 20" in note for note in found.notes)
     assert found.readings["wheel_speed"] == pytest.approx(2.0)  # interpolated there
     millimetres = {"topic": "/odom", "field": "depth", "unit": "m"}
     found = read_recording(
@@ -359,11 +511,18 @@ def test_a_csv_that_ends_in_the_middle_of_a_row(tmp_path):
     part = read_recording(tmp_path / "a.csv", log_map)
     assert len(part) == 10 and any("a.csv" in note for note in part.notes)
     for content, named in (
-        ("1.0,2,0.2\n" + rows, "row 2"),
-        (rows + "1.0,2,fast,0.02,5\n", "row 12, speed = 'fast'"),
+        ("1.0,2,0.2\n" + rows, "1 of 11 rows cannot be read and are left out. The first is row 2"),
+        (rows + "1.0,2,fast,0.02,5\n", "1 of 11 cells .* row 12: speed = 'fast'"),
+        (rows.replace("0.02", "0.\xff2", 1), "1 of 10 cells .* row 2: sinkage"),
     ):
-        (tmp_path / "a.csv").write_text(HEADER + content)
-        with pytest.raises(ParameterError, match=named):
+        (tmp_path / "a.csv").write_bytes((HEADER + content).encode("latin-1"))
+        part = read_recording(tmp_path / "a.csv", log_map)
+        assert len(part) in (10, 11) and len(part.notes) == 1
+        assert re.search(named, part.notes[0]), part.notes
+    # Of the short ones the last is taken for one that was cut off.
+    for bad in ("2,0.2\n" * 12, "1.0,2,0.1,zero,5\n" * 11):
+        (tmp_path / "a.csv").write_text(HEADER + rows + bad)
+        with pytest.raises(ParameterError, match="11 of 21 .* cannot be read, first row 12"):
             read_recording(tmp_path / "a.csv", log_map)
 
 
@@ -373,6 +532,7 @@ TIMES = {  # unit -> three stamps a tenth of a second apart
     "us": ("1770000000000000", "1770000000100000", "1770000000200000.0"),
     "ns": ("1770000000000000000", "1770000000100000000", "1770000000200000000"),
     "iso": ("2026-02-02T02:40:00Z", "2026-02-02T03:40:00.100+01:00", "2026-02-02 02:40:00.2"),
+    "excel": ("46055.11111111111", "46055.11111226852", "46055.11111342593"),
 }
 
 
@@ -384,7 +544,7 @@ def test_time_stamps_of_every_unit_and_empty_cells(tmp_path, unit):
     )
     changes = COLUMNS | {"time": {"column": "t", "unit": unit}}
     found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, changes)))
-    assert found.start == 1_770_000_000 * NS
+    assert found.start == pytest.approx(1_770_000_000 * NS, abs=1000)  # days have few digits
     assert found.time == pytest.approx([0.0, 0.1, 0.2])
     assert found.readings["speed"] == pytest.approx([0.25, 0.3, 0.35])
     assert np.isnan(found.readings["torque"]).all() and found.channels["speed"].readings == 2
@@ -396,8 +556,14 @@ def test_time_stamps_of_every_unit_and_empty_cells(tmp_path, unit):
         ("\n \n", "expected a header"),
         ("t,wheel_sp", "cut off in its header"),
         (HEADER + "0,2,0.2", "cut off"),
-        (HEADER + lines([0.0])[0] + "1e12,2,0.2,0.02,5\n", "row 3, t = '1e12'"),
-        (HEADER + lines([0.0])[0] + "nan,2,0.2,0.02,5\n", "row 3, t = 'nan': expected a time"),
+        (HEADER + lines([0.0])[0] + "1e12,2,0.2,0.02,5\n" * 2, "row 3: t = '1e12'"),
+        (HEADER + "1e999999999,2,0.2,0.02,5\n", "row 2: t = '1e999999999', expected a time in s"),
+        (HEADER + "nan,2,0.2,0.02,5\n", "row 2: t = 'nan', expected a time in s"),
+        (HEADER + "2026-05-04 09:30:00+00:00,2,0.2,0.02,5\n", "give time: unit: iso"),
+        (HEADER + "09:30:00,2,0.2,0.02,5\n", "text as .* give time: unit: iso"),
+        (HEADER + "5/4/2026 9:30,2,0.2,0.02,5\n", "expected a time in s"),
+        (HEADER.replace("torque", "speed") + lines([0.0])[0], "'speed' is that of columns 3, 5"),
+        (HEADER + lines([3.0])[0] * 10, "all 10 time stamps are 3.000 s"),
     ],
 )
 def test_a_table_with_nothing_whole_in_it(tmp_path, content, named):
@@ -416,9 +582,64 @@ def test_time_that_goes_back_in_a_table(tmp_path):
     assert found.readings["speed"] == pytest.approx(
         [0.0, 0.1, 0.2, 0.4, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 1.2]
     )
-    assert any(
-        "3 times, first in row 6 (0.300 s after 0.400 s): 2 of them" in note for note in found.notes
-    )
+    out, late = found.notes
+    assert "2 of 13" in out and "row 12 (0.100 s after 0.900 s)" in out
+    assert "1 of 13" in late and "row 6 (0.300 s after 0.400 s)" in late
+
+
+def test_times_of_day_after_midnight(tmp_path):
+    stamps = ("23:59:59.800", "23:59:59.9", "0:00:00.000", "00:00:00.100000")
+    rows = "".join(f"{t},2,0.25,0.02,5\n" for t in stamps)
+    (tmp_path / "a.csv").write_text(HEADER + rows)
+    changes = COLUMNS | {"time": {"column": "t", "unit": "iso"}}
+    found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, changes)))
+    assert found.time == pytest.approx([0.0, 0.1, 0.2, 0.3]) and not found.notes
+
+
+@pytest.mark.parametrize(
+    ("place", "wrong"),
+    [
+        (0, [0.0]),
+        (0, [0.0] * 5),
+        (0, [4e9]),
+        (30, [4e9]),
+        (30, [0.0]),
+        (30, [4e9, 4e9, -4e9]),
+        (60, [4e9]),
+        (60, [1.77e9 + 900.0]),
+    ],
+)
+def test_stamps_of_another_time_are_left_out_and_no_others(tmp_path, place, wrong):
+    """Zeros before a clock is set, and stamps of the future: at the begin, in between, at the
+    end.
+    """
+    times = [1.77e9 + 0.1 * k for k in range(60)]
+    times[place:place] = wrong
+    rows = "".join(f"{t:.3f},2,0.25,0.02,5\n" for t in times)
+    (tmp_path / "a.csv").write_text(HEADER + rows)
+    found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, COLUMNS)))
+    assert found.start == 1_770_000_000 * NS and found.time == pytest.approx(0.1 * np.arange(60))
+    assert found.channels["speed"].readings == 60
+    (note,) = found.notes
+    assert f"{len(wrong)} of {len(times)}" in note and f"row {place + 2} " in note
+
+
+def test_equal_stamps_are_averaged_and_noted(tmp_path):
+    (tmp_path / "a.csv").write_text(HEADER + "".join(lines([0.0, 0.1, 0.1, 0.2])))
+    found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, COLUMNS)))
+    assert found.readings["speed"] == pytest.approx([0.0, 0.15, 0.3])
+    (note,) = found.notes
+    assert "1 of 4 time stamps are equal" in note and "row 4" in note
+
+
+def test_too_many_steps_of_the_time_axis_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("soil_env.logs.align.MOST_STEPS", 50)
+    (tmp_path / "a.csv").write_text(HEADER + "".join(lines(0.4 * np.arange(20))))
+    with pytest.raises(ParameterError, match="period: .* 77 steps"):
+        read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, COLUMNS)))
+    monkeypatch.setattr("soil_env.logs.recordings.MOST_READINGS", 50)
+    with pytest.raises(ParameterError, match=r"a\.csv: has more than 50 readings"):
+        read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, COLUMNS)))
 
 
 def test_memory_does_not_grow_with_the_bag(tmp_path):

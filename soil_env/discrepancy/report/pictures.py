@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from soil_env._io.document import plot_text
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.report.sentences import CONDITIONS, TITLES, UNITS, fixed, title
 from soil_env.discrepancy.result import Report
@@ -200,7 +201,11 @@ def _slip(report: Report) -> Figure:
             )
         if label:
             line[0].set_ylabel(
-                label.replace(", ", "\n"), rotation=0, ha="right", va="center", fontsize=8
+                plot_text(label.replace(", ", "\n")),
+                rotation=0,
+                ha="right",
+                va="center",
+                fontsize=8,
             )
     handles, labels = axes[0, 0].get_legend_handles_labels()
     if handles:

@@ -1,0 +1,157 @@
+"""Time stamps of a recording in order: which of them can be right.
+
+A recorder writes readings as they come, so stamps rise, but for readings that are a little late. A
+stamp of the future, a zero, or a clock that is set back breaks that. The largest set of stamps that
+never goes back is taken for right, and what lies beside it is left out.
+"""
+
+from array import array
+from bisect import bisect_right
+from pathlib import Path
+
+import numpy as np
+
+from soil_env._io.loading import ParameterError
+from soil_env.logs.notes import Notes
+
+LATEST = 2**62  # [ns] from 1970, the year 2116
+_FAR = 10**15  # [ns] 12 days: stamps further from all others belong to another clock
+_ALONE = 100.0  # [median intervals] around a single reading that counts as alone
+_STANDS = 10  # equal stamps, and no others, of a clock that stands
+
+
+class Stamps:
+    """Stamps of the rows of a table, or the messages of a topic, in the order of the recording."""
+
+    def __init__(self, source: str, thing: str) -> None:
+        self.source = source
+        self.thing = thing  # row or message
+        self.times = array("q")  # [ns]
+        self.recorded = array("q")  # [ns] of the recording of a message
+        self.numbers = array("q")
+        self._files = [0]  # stamps before each file
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def add(self, time: int, number: int, recorded: int = 0) -> None:
+        """Add the stamp of a row or message of this number."""
+        self.times.append(time)
+        self.numbers.append(number)
+        self.recorded.append(recorded)
+
+    def begin(self) -> None:
+        """Begin another file, whose times may lie before those of the last."""
+        self._files.append(len(self))
+
+    def settle(
+        self, times: np.ndarray, slack: int, restart: int, path: Path, notes: Notes
+    ) -> np.ndarray:
+        """True [N] for each of the stamps `times` [ns] that counts; notes on others.
+
+        A stamp may be late by `slack` [ns]. A single one is left out where it is further than
+        `restart` [ns] from all others. `ParameterError` where less than half is left.
+        """
+        kept = np.zeros(times.size, bool)
+        for first, end in zip(self._files, [*self._files[1:], times.size], strict=True):
+            kept[first:end] = sound(times[first:end], slack, restart)
+        self._check(times, kept, path)
+        out = np.flatnonzero(~kept)
+        if out.size:
+            notes.add(
+                f"{self.source}: {out.size} of {times.size} time stamps do not fit those around "
+                f"them and are left out. The first is {self._place(times, out[0])}."
+            )
+        rising = times[kept]
+        latest = np.maximum.accumulate(rising)
+        late = np.flatnonzero((rising < latest) & (latest - rising <= slack))
+        if late.size:
+            k = np.flatnonzero(kept)[late[0]]
+            notes.add(
+                f"{self.source}: {late.size} of {times.size} {self.thing}s are late by at most "
+                f"{slack * 1e-9:g} s (max_gap) and were put where their time says. The first is "
+                f"{self._place(times, k)}."
+            )
+        same = np.flatnonzero(np.diff(rising) == 0)
+        if same.size:
+            k = np.flatnonzero(kept)[same[0] + 1]
+            notes.add(
+                f"{self.source}: {same.size} of {times.size} time stamps are equal to the one "
+                f"before. Their readings are averaged. The first is that of {self.thing} "
+                f"{self.numbers[k]}."
+            )
+        return kept
+
+    def _check(self, times: np.ndarray, kept: np.ndarray, path: Path) -> None:
+        """Raise `ParameterError` for a clock that stands, and for one that hardly ever rises."""
+        header = "; try clock: log" if self.thing == "message" else ""
+        if times.size >= _STANDS and np.all(times == times[0]):
+            raise ParameterError(
+                f"{path}: {self.source}: all {times.size} time stamps are {times[0] * 1e-9:.3f} s: "
+                f"expected time that passes{header}"
+            )
+        if 2 * np.sum(kept) < times.size:
+            k = int(np.argmin(kept))
+            raise ParameterError(
+                f"{path}: {self.source}: {np.sum(~kept)} of {times.size} time stamps do not fit "
+                f"those around them, first {self._place(times, k)}: expected time that "
+                f"rises{header}"
+            )
+
+    def _place(self, times: np.ndarray, k: int) -> str:
+        """Number and stamp of the row or message `k`, and the stamp before it."""
+        before = f" after {times[k - 1] * 1e-9:.3f} s" if k else ""
+        return f"{self.thing} {self.numbers[k]} ({times[k] * 1e-9:.3f} s{before})"
+
+
+def sound(times: np.ndarray, slack: int, restart: int) -> np.ndarray:
+    """True [N] for stamps [ns] that belong to the largest set that never goes back, or lie at most
+    `slack` beside it, and are not alone.
+    """
+    if times.size == 0:
+        return np.zeros(0, bool)
+    rising = _longest_rising(times)
+    rising = rising[_together(times[rising], restart)]
+    known = times[rising]
+    place = np.searchsorted(rising, np.arange(times.size), side="right")
+    # Of a stamp before the first of the set, or behind the last, only one side is known.
+    before = known[np.maximum(place - 1, 0)]
+    after = known[np.minimum(place, known.size - 1)]
+    out = np.where(place > 0, times >= before - slack, times >= known[0] - restart)
+    out &= np.where(place < known.size, times <= after + slack, times <= known[-1] + restart)
+    out[rising] = True
+    return out
+
+
+def _longest_rising(times: np.ndarray) -> np.ndarray:
+    """Indices of the longest subsequence that never falls (Schensted 1961)."""
+    if np.all(times[1:] >= times[:-1]):
+        return np.arange(times.size)
+    ends: list[int] = []  # least last time of a subsequence of each length
+    places: list[int] = []  # its index
+    before = []  # index of the element before, -1 of a first one
+    for k, time in enumerate(times.tolist()):
+        length = bisect_right(ends, time)
+        before.append(places[length - 1] if length else -1)
+        ends[length : length + 1] = [time]
+        places[length : length + 1] = [k]
+    chain = [places[-1]]
+    while before[chain[-1]] >= 0:
+        chain.append(before[chain[-1]])
+    return np.array(chain[::-1])
+
+
+def _together(times: np.ndarray, restart: int) -> np.ndarray:
+    """True [N] of rising stamps, but for those alone and those of another clock."""
+    out = np.ones(times.size, bool)
+    gaps = times[1:] - times[:-1]
+    if gaps.size == 0:
+        return out
+    apart = max(float(restart), _ALONE * float(np.median(gaps)))
+    parts = np.split(np.arange(times.size), np.flatnonzero(gaps > apart) + 1)
+    most = max(parts, key=len)
+    for part in parts:
+        away = max(times[most[0]] - times[part[-1]], times[part[0]] - times[most[-1]])
+        if part is not most and (part.size == 1 or away > _FAR):
+            out[part] = False
+    return out
