@@ -18,10 +18,10 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.calibrate import GRAVITY, Problem, calibrate
-from soil_env.discrepancy.data import Data, prepare
 from soil_env.discrepancy.instrument import LISTED
-from soil_env.discrepancy.noise import NoiseEstimate
 from soil_env.discrepancy.search import Finding, search
+from soil_env.identification.table.data import Data, prepare
+from soil_env.identification.table.noise import NoiseEstimate
 from soil_env.measurement.doubts import contact_area, load_doubt
 from soil_env.measurement.table import in_radians
 from soil_env.terramechanics.model import Rows

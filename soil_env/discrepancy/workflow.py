@@ -14,7 +14,6 @@ from threadpoolctl import threadpool_limits
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import doubts, judgement, symbolic
 from soil_env.discrepancy.calibrate import EXACT, GRAVITY, PRIOR_WIDTH, Fit, Problem, calibrate
-from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.evidence import Evidence
 from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice, exact
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
@@ -23,6 +22,7 @@ from soil_env.discrepancy.next_tests import MOST, next_checks, next_tests
 from soil_env.discrepancy.result import EffectFound, Report, Settings
 from soil_env.discrepancy.search import Finding, search
 from soil_env.discrepancy.unnamed import OF_SENSORS
+from soil_env.identification.table.data import prepare
 from soil_env.measurement.setup import Setup, read_setup
 from soil_env.measurement.table import Table, read_table
 from soil_env.parameters import Soil
