@@ -23,6 +23,7 @@ from soil_env.discrepancy.result import EffectFound, Report, Settings
 from soil_env.discrepancy.search import Finding, search
 from soil_env.discrepancy.unnamed import OF_SENSORS
 from soil_env.identification.table.data import prepare
+from soil_env.identification.table.mistakes import examine
 from soil_env.measurement.setup import Setup, read_setup
 from soil_env.measurement.table import Table, read_table
 from soil_env.parameters import Soil
@@ -84,10 +85,11 @@ def _digest(path: str | Path) -> str:
 def _conclude(
     table: Table, setup: Setup, settings: Settings, say: Callable[[str], None], next_runs: int
 ) -> Report:
-    data = prepare(table, setup)
+    say("looking for mistakes")
+    examined = examine(table, setup)
+    doubted = examined.said
     say("calibrating the base model")
-    problem, noise = calibrate(data)
-    doubted = doubts.of_table(problem)
+    problem, noise = calibrate(prepare(examined.table, setup))
     finding = search(problem, lambda text: say(f"searching: {text}"))
     base = finding.best().evidence.fit
     say("predicting what was held out")

@@ -191,10 +191,12 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
         ratio = ratio[np.isfinite(ratio)]
         if ratio.size and np.median(ratio) > MOST_FORCE:
             times = "the load" if j == 1 else "load times radius"
+            small = "newton millimetres" if j == 2 else "millinewtons"
             refuse(
                 True,
-                f"{name} is {np.median(ratio):.3g} times {times} in the middle of the rows: "
-                f"expected {unit}",
+                f"{name} is {np.median(ratio):.3g} times {times} in the middle of the rows, where "
+                f"{times} is {np.median(over):.3g}: expected {unit} (if it is {small}, divide by "
+                "1000)",
             )
     z = y[:, 0]
     if np.any(np.isfinite(z)) and np.nanmax(z) < 0.0:

@@ -109,7 +109,7 @@ class TableEstimate:
     warnings: tuple[str, ...]
 
 
-def identify_table(table: Table, setup: Setup) -> TableEstimate:
+def identify_table(table: Table, setup: Setup, *, check: bool = True) -> TableEstimate:
     """The most probable soil under the setup's priors, with intervals and warnings.
 
     The stress laws may be wrong by a smooth error whose size the table decides (`form_error`): it
