@@ -66,7 +66,8 @@ class Report:
     #: [N, 3] held-out predictions of the base model, NaN where no value is in use.
     held_before: np.ndarray
     held_after: np.ndarray  # [N, 3] of the corrected model
-    doubts: tuple[str, ...]  # mistakes of sign or unit that the table looks like
+    doubts: tuple[str, ...]  # mistakes that the table looks like
+    dense: str  # how a dense table was taken; "" for one that was taken as it is
     settings: Settings
 
     @property

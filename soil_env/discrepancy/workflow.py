@@ -22,6 +22,7 @@ from soil_env.discrepancy.next_tests import MOST, next_checks, next_tests
 from soil_env.discrepancy.result import EffectFound, Report, Settings
 from soil_env.discrepancy.search import Finding, search
 from soil_env.discrepancy.unnamed import OF_SENSORS
+from soil_env.identification.table.bins import binned
 from soil_env.identification.table.data import prepare
 from soil_env.identification.table.mistakes import examine
 from soil_env.measurement.setup import Setup, read_setup
@@ -86,6 +87,7 @@ def _conclude(
     table: Table, setup: Setup, settings: Settings, say: Callable[[str], None], next_runs: int
 ) -> Report:
     say("looking for mistakes")
+    table, setup, dense = binned(table, setup)
     examined = examine(table, setup)
     doubted = examined.said
     say("calibrating the base model")
@@ -148,6 +150,7 @@ def _conclude(
         held_before=before,
         held_after=after,
         doubts=doubted,
+        dense=dense,
         settings=settings,
     )
 

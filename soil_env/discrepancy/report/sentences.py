@@ -322,7 +322,8 @@ def cautions(report: Report) -> list[str]:
         digging=problem.digging[0],
         unseen=unseen(report),
     )
-    return [line[:1].upper() + line[1:] for line in map(str.strip, text.splitlines()) if line]
+    lines = [report.dense, *map(str.strip, text.splitlines())]
+    return [line[:1].upper() + line[1:] for line in lines if line]
 
 
 def _helpers() -> dict[str, object]:

@@ -449,7 +449,7 @@ def _outliers(data: Data, noise: NoiseEstimate) -> tuple[list[str], list[str]]:
             "through the other values and is left out."
         )
         cells.append(words)
-        span = float(np.ptp(others)) if others.size else math.inf
+        span = float(np.ptp(others)) if others.size > FEWEST_ROWS else math.inf
         if np.min(np.abs(data.y[k, j] - others), initial=math.inf) > LONE * span:
             gross.append(words)
     return cells, gross

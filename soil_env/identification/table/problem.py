@@ -23,6 +23,7 @@ from scipy.special import logsumexp
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table import form_error
 from soil_env.identification.table.form_error import LAW_LENGTHS, Process
+from soil_env.identification.table.noise import NoiseEstimate
 from soil_env.identification.table.priors import USUAL_SINKAGE, Unknown, soil_unknowns
 from soil_env.identification.table.rig import predict_table
 from soil_env.measurement.setup import Setup
@@ -445,6 +446,14 @@ class TableProblem:
             # No row has an sd of its own here.
             variance = float(np.sum(errors[k, j] ** 2)) / self.freedom[j]
             self.noise[j] = max(math.sqrt(variance), self.floor[j])
+
+    def take_noise(self, noise: NoiseEstimate) -> None:
+        """Take the noise of the channels whose noise is estimated from another estimate."""
+        for j in range(3):
+            if self.estimated[2 + j] and noise.origin[j]:
+                self.noise[2 + j] = max(noise.sd[j], self.floor[2 + j])
+                self.freedom[2 + j] = noise.freedom[j]
+        self.weigh(self.F)
 
 
 def _usable(table: Table, setup: Setup) -> np.ndarray:
