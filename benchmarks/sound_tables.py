@@ -35,6 +35,7 @@ from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 GRAVITY = 9.81  # [m/s2]
 LIGHTEST = 2.0  # [N] on the wheel of a rig
 LEAST_PRESSURE = 1e3  # [Pa] below it
+MOST_GRIP = 1.2  # largest pull, or torque over radius, over the load that soil gives
 OFF = 2.0  # [sd] of an estimate, from which a mistake matters
 #: Largest strengths of effects that go with the size of the values: share of the torque, of the
 #: sinkage.
@@ -114,6 +115,8 @@ def _draw(rng: np.random.Generator, name: str) -> Sound | None:
     if stiffness * z**n < LEAST_PRESSURE or middle < LIGHTEST or not np.all(found.supported):
         return None
     if np.max(y[:, 0]) > 0.6 * r or np.min(y[:, 0]) < 0.005 * r:
+        return None
+    if max(np.max(np.abs(y[:, 1])), np.max(np.abs(y[:, 2])) / r) > MOST_GRIP * np.max(loads):
         return None
     s = (at[:, 1] - slips.mean()) / np.ptp(slips)
     w = np.log(at[:, 0] / middle)

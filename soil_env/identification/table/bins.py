@@ -56,8 +56,8 @@ def binned(table: Table, setup: Setup) -> Binned:
     words = (
         f"The table is dense: its {len(table)} rows are taken in {len(bins)} bins of {min(sizes)} "
         f"to {max(sizes)} rows at about the same conditions. The mean of a bin counts as one "
-        "value, and its noise is the scatter of the means, not what the setup says of single rows: errors "
-        "that go on from row to row count once."
+        "value, and its noise is the scatter of the means, not what the setup says of single "
+        "rows: errors that go on from row to row count once."
     )
     if outliers:
         words += f" {outliers} values that leave their bin are left out."

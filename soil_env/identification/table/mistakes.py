@@ -32,9 +32,11 @@ SURE = 9.0  # log of the evidence for another reading, from which it is told
 BETTER = 3.0
 FEWEST_ROWS = 6  # that have to agree against a wrong one
 MOST_WRONG = 0.04  # share of the rows that may be wrong, but one may always be
-LONE = 0.5  # of the range of the others, by which a value that is told first leaves it
+LONE = 2.0  # ranges of the others, by which a value that is told first leaves them
 CLEAR = 3.0  # [noise and law error] within which a row fits with another load or slip
+WRONG = 4.0  # [noise and law error] from which a row is wrong
 LAW_ERROR = 0.1  # relative, for the same
+NO_VALUE = 1e3  # [noise and law error] residual where the model has no value
 ROUGH = 0.05  # of the spread of a channel: its noise where none is known yet
 FALLS = 0.8  # share of the groups of rows in which the drawbar pull falls with slip
 LOW_SLIP = 0.2  # slip below which a group must begin for a fall to say anything
@@ -390,49 +392,59 @@ def _wrong_row(data: Data) -> tuple[Data, str] | None:
     gain -= math.log(len(table))
     if gain < SURE or BETTER * (after.rms**2 - 1.0) > before.rms**2 - 1.0:
         return None
-    return rest, _words_on(data, worst, after, noise.sd, gain)
+    words = _words_on(data, worst, after, noise.sd, gain)
+    return (rest, words) if words else None
 
 
 def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float) -> str:
-    """Words on a wrong row: which of its cells is wrong by the fit to the other rows."""
+    """Words on a wrong row: which of its cells is wrong by the fit to the other rows; "" where it
+    is off them by no more than laws may err.
+    """
     table = data.table
-    at = others.problem.rows
-    here = Rows(*(column[:1] for column in at))._replace(
+    here = Rows(*(column[:1] for column in others.problem.rows))._replace(
         slip=table.rim_slip(data.setup)[row : row + 1],
         load=table.load[row : row + 1],
         wheels=data.rows.wheels[row : row + 1],
         conditions=data.rows.conditions[row : row + 1],
     )
-    y = data.y[row]
+    known = data.measured[row]
+    y = data.y[row, known]
+    relative = np.broadcast_to(data.relative_sd, data.y.shape)[row, known]
+    size = np.sqrt(np.nanmean(data.y**2, axis=0))[known]  # a pull may be 0
+    allowed = np.sqrt((sd[known] * relative) ** 2 + LAW_ERROR**2 * np.maximum(y**2, size**2))
 
-    def misfit(name: str, values: np.ndarray) -> np.ndarray:
-        """[G] root mean square of the row's residuals at other values of slip or load."""
+    def residuals(name: str, values: np.ndarray) -> np.ndarray:
+        """[G, M] of the row at other values of slip or load."""
         many = Rows(*(np.repeat(column, values.size, axis=0) for column in here))
-        out = others.problem.steady(others.u, many._replace(**{name: values}))
-        off = (y - out) / np.hypot(sd * data.relative_sd[min(row, len(data.relative_sd) - 1)],
-                                   LAW_ERROR * np.abs(y))  # fmt: skip
-        return np.sqrt(
-            np.nanmean(
-                np.where(np.isnan(y), np.nan, np.where(np.isfinite(off), off, 1e3)) ** 2, axis=1
-            )
-        )
+        out = others.problem.steady(others.u, many._replace(**{name: values}))[:, known]
+        return np.where(np.isfinite(out), (y - out) / allowed, NO_VALUE)
 
-    where = f"Row {table.row[row]}"
+    off = np.abs(residuals("load", here.load)[0])
+    if np.max(off) < WRONG:
+        return ""
+    where = (
+        f"Row {table.row[row]} (slip {table.slip[row]:g}, load {table.load[row]:g} N) contradicts "
+        f"all others ({_sure(gain)}) and is left out"
+    )
+    names = [name for name, there in zip(CHANNELS, known, strict=True) if there]
+    if len(names) > 2 and np.sum(off > CLEAR) == 1:
+        name = names[int(np.argmax(off))]
+        return f"{where}: check {name} = {getattr(table, name)[row]:g} there."
     grids = {
         "load": here.load[0] * np.geomspace(0.01, 100.0, 401),
         "slip": np.linspace(-0.95, 0.95, 191),
     }
-    fits = {name: misfit(name, grid) for name, grid in grids.items()}
+    fits = {
+        name: np.sqrt(np.mean(residuals(name, grid) ** 2, axis=1)) for name, grid in grids.items()
+    }
     best = min(fits, key=lambda name: float(np.min(fits[name])))
+    if len(names) < 2 or np.min(fits[best]) > CLEAR:
+        return f"{where}: check slip, load and values there."
     value = float(grids[best][int(np.argmin(fits[best]))])
     unit = " N" if best == "load" else ""
-    given = float(getattr(table, best)[row])
-    hint = ""
-    if np.isfinite(y).sum() > 1 and np.min(fits[best]) < CLEAR:
-        hint = f"; what was measured there would fit a {best} of {value:.2g}{unit}"
     return (
-        f"{where} (slip {table.slip[row]:g}, load {table.load[row]:g} N) contradicts all others "
-        f"({_sure(gain)}) and is left out{hint}: check {best} = {given:g}{unit} there."
+        f"{where}: its values are those of a {best} of {value:.2g}{unit}, check {best} = "
+        f"{getattr(table, best)[row]:g}{unit} there."
     )
 
 
