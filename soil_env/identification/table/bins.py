@@ -16,7 +16,7 @@ from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import MEASURED, NOISE, Table
 
 DENSE = 240  # rows from which a table is binned
-MOST = 150  # bins
+MOST = 120  # bins
 FINE = 0.04  # extent of a bin that is not cut further, in correlation lengths of a form error
 JUMP = 0.25  # share of the extent of a bin, from which a gap between its values parts them
 FEWEST = 8  # values of a bin, of which one may be an outlier

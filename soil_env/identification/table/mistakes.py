@@ -237,11 +237,6 @@ def _rough(data: Data) -> np.ndarray:
     )
 
 
-def _suspect(fit: _Fit) -> bool:
-    """True if another reading could be better by `SURE`."""
-    return fit.cost - int(fit.problem.measured.sum()) > 2.0 * SURE
-
-
 class Better(NamedTuple):
     """A reading that explains the table better."""
 
@@ -251,26 +246,42 @@ class Better(NamedTuple):
     rms_before: float
 
 
-def other_readings(data: Data) -> list[Better]:
+class _AsIs(NamedTuple):
+    """A table read as it is: its noise, and its fit under that."""
+
+    data: Data
+    noise: NoiseEstimate
+    fit: _Fit
+
+    @property
+    def suspect(self) -> bool:
+        """True if another reading could be better by `SURE`."""
+        return self.fit.cost - int(self.fit.problem.measured.sum()) > 2.0 * SURE
+
+
+def _as_is(data: Data) -> _AsIs:
+    plain = _plain(data.table, data.setup)
+    noise = _noise(data, _fit(plain, _rough(data), None))
+    return _AsIs(data, noise, _fit(plain, noise.sd, noise.used))
+
+
+def _other_readings(start: _AsIs) -> list[Better]:
     """The readings by their gain, the best first; none where the table as it is leaves nothing to
     gain.
     """
-    table = data.table
-    setup = data.setup
-    rough = _rough(data)
-    plain = _plain(table, setup)
-    first = _fit(plain, rough, None)
-    noise = _noise(data, first)
-    if not _suspect(_fit(plain, noise.sd, noise.used)):
+    if not start.suspect:
         return []
-    others = readings(table, setup)
+    data, noise, first = start
+    plain = first.reading
+    rough = _rough(data)
+    others = readings(data.table, data.setup)
     # A wrong reading leaves more about its surface.
     for other in others:
         if other.name != "columns":
             there = _noise(data, _fit(other, rough, None))
             if np.sum(np.log(there.sd)) < np.sum(np.log(noise.sd)):
                 noise = there
-    base = _weighed(_fit(plain, noise.sd, noise.used))
+    base = _weighed(first if noise is start.noise else _fit(plain, noise.sd, noise.used))
     fits = [_weighed(_fit(other, noise.sd, noise.used)) for other in others]
     if max(f.evidence for f in fits) - base.evidence > SURE:
         searched = _weighed(_fit(plain, noise.sd, noise.used, search=True))
@@ -299,30 +310,25 @@ def examine(table: Table, setup: Setup) -> Examined:
     always = [*setup.doubts(), *_grades_doubted(data)]
     dead = _channels_doubted(data)
     if dead:  # what else could be read into such a table says nothing
-        return Examined(table, (*dead, *always), _noise_of(data), ())
-    data, rows = _without_wrong_rows(data)
-    noise = _noise_of(data)
-    cells, gross = _outliers(data, noise)
-    first = [*rows, *gross, *_readings_doubted(data, noise)]
-    if not first and (load := load_doubt(data.table, setup)):
+        return Examined(table, (*dead, *always), _as_is(data).noise, ())
+    start, rows = _without_wrong_rows(_as_is(data))
+    cells, gross = _outliers(start.data, start.noise)
+    first = [*rows, *gross, *_readings_doubted(start)]
+    if not first and (load := load_doubt(start.data.table, setup)):
         first = [load]
-    return Examined(data.table, (*first, *always), noise, (*rows, *cells))
+    return Examined(start.data.table, (*first, *always), start.noise, (*rows, *cells))
 
 
-def _noise_of(data: Data) -> NoiseEstimate:
-    """Noise about the surface through the data and the base model."""
-    return _noise(data, _fit(_plain(data.table, data.setup), _rough(data), None))
-
-
-def _readings_doubted(data: Data, noise: NoiseEstimate) -> list[str]:
+def _readings_doubted(start: _AsIs) -> list[str]:
     """A doubt where another reading explains the table far better, or where the pull falls with
     slip.
     """
     better = [
         b
-        for b in other_readings(data)
+        for b in _other_readings(start)
         if b.gain > SURE and BETTER * (b.rms**2 - 1.0) < b.rms_before**2 - 1.0
     ]
+    data, noise, _ = start
     if better:
         best = better[0]
         text = (
@@ -350,49 +356,42 @@ def _sure(gain: float) -> str:
     )
 
 
-def _without_wrong_rows(data: Data) -> tuple[Data, list[str]]:
-    """The data without rows that contradict all others, and what is said of these."""
+def _without_wrong_rows(start: _AsIs) -> tuple[_AsIs, list[str]]:
+    """The table without rows that contradict all others, and what is said of these."""
     said = []
-    for _ in range(max(1, int(MOST_WRONG * len(data.table)))):
-        found = _wrong_row(data)
+    for _ in range(max(1, int(MOST_WRONG * len(start.data.table)))):
+        found = _wrong_row(start)
         if found is None:
             break
-        data, words = found
+        start, words = found
         said.append(words)
-    return data, said
+    return start, said
 
 
-def _wrong_row(data: Data) -> tuple[Data, str] | None:
-    """The data without the row that fits worst, and words on it, if the others then agree."""
-    table = data.table
-    if len(table) <= FEWEST_ROWS:
+def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
+    """The table without the row that fits worst, and words on it, if the others then agree."""
+    data, _, fit = start
+    if len(data.table) <= FEWEST_ROWS or not start.suspect:
         return None
-    plain = _plain(table, data.setup)
-    rough = _fit(plain, _rough(data), None)
-    noise = _noise(data, rough)
-    before = _fit(plain, noise.sd, noise.used)
-    if not _suspect(before):
-        return None
-    problem = before.problem
-    robust = problem.minimise(before.u, loss="cauchy", f_scale=CLEAR, **COARSE)[0]
+    problem = fit.problem
+    robust = problem.minimise(fit.u, loss="cauchy", f_scale=CLEAR, **COARSE)[0]
     e = np.where(problem.measured, problem.by_noise(problem.residual(robust)).reshape(-1, 3), 0.0)
     square = np.sum(e**2, axis=1) / np.maximum(problem.measured.sum(axis=1), 1)
     worst = int(np.argmax(square))
-    kept = np.arange(len(table)) != worst
+    kept = np.arange(len(data.table)) != worst
     try:
-        rest = prepare(table.only(kept), data.setup)
+        rest = _as_is(prepare(data.table.only(kept), data.setup))
     except ParameterError:  # too little is left
         return None
-    noise = _noise_of(rest)
-    used = np.insert(noise.used, worst, data.measured[worst], axis=0)
-    after = _weighed(_fit(_plain(rest.table, data.setup), noise.sd, noise.used))
-    before = _weighed(_fit(plain, noise.sd, used))
-    spread = np.nanmax(np.abs(data.y), axis=0) * BROAD / noise.sd
-    gain = after.evidence - before.evidence - float(np.sum(np.log(spread[data.measured[worst]])))
-    gain -= math.log(len(table))
-    if gain < SURE or BETTER * (after.rms**2 - 1.0) > before.rms**2 - 1.0:
+    sd = rest.noise.sd
+    used = np.insert(rest.noise.used, worst, data.measured[worst], axis=0)
+    before = _fit(fit.reading, sd, used)
+    if BETTER * (rest.fit.rms**2 - 1.0) > before.rms**2 - 1.0:
         return None
-    words = _words_on(data, worst, after, noise.sd, gain)
+    spread = np.nanmax(np.abs(data.y), axis=0) * BROAD / sd
+    gain = _weighed(rest.fit).evidence - _weighed(before).evidence - math.log(len(data.table))
+    gain -= float(np.sum(np.log(spread[data.measured[worst]])))
+    words = _words_on(data, worst, rest.fit, sd, gain) if gain > SURE else ""
     return (rest, words) if words else None
 
 
