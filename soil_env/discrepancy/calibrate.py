@@ -22,7 +22,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.discrepancy.data import CHANNELS, Data
 from soil_env.discrepancy.instrument import (
     LAWS,
     LISTED,
@@ -32,9 +31,9 @@ from soil_env.discrepancy.instrument import (
     reading,
     true_rows,
 )
-from soil_env.discrepancy.noise import NoiseEstimate, find_noise, with_noise_of_conditions
 from soil_env.discrepancy.unnamed import changed, loaded, soils
 from soil_env.identification.table import form_error
+from soil_env.identification.table.data import CHANNELS, Data
 from soil_env.identification.table.form_error import (
     INPUTS,
     LENGTHS,
@@ -43,6 +42,7 @@ from soil_env.identification.table.form_error import (
     stress_changes,
     whitened,
 )
+from soil_env.identification.table.noise import NoiseEstimate, find_noise, with_noise_of_conditions
 from soil_env.identification.table.priors import (
     USUAL_SINKAGE,
     Unknown,

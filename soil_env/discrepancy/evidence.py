@@ -28,8 +28,8 @@ from scipy.special import log_ndtr, logsumexp, ndtr
 from scipy.stats import chi2
 
 from soil_env.discrepancy.calibrate import LAW_LENGTHS, Fit, Problem, Sizes
-from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice
+from soil_env.identification.table.data import CHANNELS
 from soil_env.identification.table.form_error import (
     INPUTS,
     LENGTHS,

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.discrepancy.calibrate import Fit, Problem
-from soil_env.discrepancy.data import CHANNELS, folds
 from soil_env.discrepancy.evidence import Evidence
 from soil_env.discrepancy.search import Finding
+from soil_env.identification.table.data import CHANNELS, folds
 from soil_env.identification.table.priors import Unknown
 
 SURE = 1.959964  # [sd] of a 95 % interval

@@ -19,8 +19,8 @@ import numpy as np
 from scipy.stats import norm, t as student
 
 from soil_env.discrepancy.calibrate import Fit, Problem, Sizes
-from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.evidence import Evidence
+from soil_env.identification.table.data import CHANNELS
 
 SIGNIFICANT = 0.01  # p value above which a disagreement is not reported
 LAW = 0.1  # relative error of the laws that `structure` allows

@@ -22,11 +22,11 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.discrepancy.calibrate import Problem
-from soil_env.discrepancy.data import CHANNELS, WHEEL
 from soil_env.discrepancy.evidence import Evidence, settle
 from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.predictive import predicted, problem_at
 from soil_env.discrepancy.search import ODDS, Finding, forms
+from soil_env.identification.table.data import CHANNELS, WHEEL
 
 MOST = 4  # runs proposed
 LEAST = 1e-3  # [nat] of information below which no run is proposed

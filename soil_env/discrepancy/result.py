@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from soil_env.discrepancy.calibrate import Fit, Problem
-from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.judgement import Gap, Interval
 from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.next_tests import Check, NextTest
-from soil_env.discrepancy.noise import NoiseEstimate
 from soil_env.discrepancy.search import Finding
 from soil_env.discrepancy.symbolic import ResidualFit
+from soil_env.identification.table.data import CHANNELS
+from soil_env.identification.table.noise import NoiseEstimate
 from soil_env.terramechanics.model import WheelSoilModel
 
 WORSE = 0.1  # rise of a held-out error that is stated
@@ -66,7 +66,8 @@ class Report:
     #: [N, 3] held-out predictions of the base model, NaN where no value is in use.
     held_before: np.ndarray
     held_after: np.ndarray  # [N, 3] of the corrected model
-    doubts: tuple[str, ...]  # mistakes of sign or unit that the table looks like
+    doubts: tuple[str, ...]  # mistakes that the table looks like
+    dense: str  # how a dense table was taken; "" for one that was taken as it is
     settings: Settings
 
     @property

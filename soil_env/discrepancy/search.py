@@ -21,7 +21,6 @@ import numpy as np
 from scipy.special import logsumexp
 
 from soil_env.discrepancy.calibrate import Problem
-from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.evidence import (
     Detectable,
     Evidence,
@@ -33,6 +32,7 @@ from soil_env.discrepancy.evidence import (
 )
 from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice, exact, odds
 from soil_env.discrepancy.unnamed import UNNAMED
+from soil_env.identification.table.data import CHANNELS
 
 #: Prior odds that a listed effect of the soil or the drive is missing, and that the instrument has
 #: a listed error, each independent of the others: none is there with 32 %. An error is less

@@ -24,8 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soil_env.discrepancy.calibrate import GRAVITY, Fit, Problem
-from soil_env.discrepancy.data import CHANNELS, folds
 from soil_env.discrepancy.judgement import SURE, groups
+from soil_env.identification.table.data import CHANNELS, folds
 from soil_env.terramechanics.model import add_residual, table_groups
 from soil_env.terramechanics.residual import (
     GROUPS,

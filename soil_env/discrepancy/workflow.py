@@ -14,7 +14,6 @@ from threadpoolctl import threadpool_limits
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import doubts, judgement, symbolic
 from soil_env.discrepancy.calibrate import EXACT, GRAVITY, PRIOR_WIDTH, Fit, Problem, calibrate
-from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.evidence import Evidence
 from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice, exact
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
@@ -23,6 +22,9 @@ from soil_env.discrepancy.next_tests import MOST, next_checks, next_tests
 from soil_env.discrepancy.result import EffectFound, Report, Settings
 from soil_env.discrepancy.search import Finding, search
 from soil_env.discrepancy.unnamed import OF_SENSORS
+from soil_env.identification.table.bins import binned
+from soil_env.identification.table.data import prepare
+from soil_env.identification.table.mistakes import examine
 from soil_env.measurement.setup import Setup, read_setup
 from soil_env.measurement.table import Table, read_table
 from soil_env.parameters import Soil
@@ -85,10 +87,12 @@ def _digest(path: str | Path) -> str:
 def _conclude(
     table: Table, setup: Setup, settings: Settings, say: Callable[[str], None], next_runs: int
 ) -> Report:
-    data = prepare(table, setup)
+    say("looking for mistakes")
+    table, setup, dense = binned(table, setup)
+    examined = examine(table, setup)
+    doubted = examined.said
     say("calibrating the base model")
-    problem, noise = calibrate(data)
-    doubted = doubts.of_table(problem)
+    problem, noise = calibrate(prepare(examined.table, setup))
     finding = search(problem, lambda text: say(f"searching: {text}"))
     base = finding.best().evidence.fit
     say("predicting what was held out")
@@ -147,6 +151,7 @@ def _conclude(
         held_before=before,
         held_after=after,
         doubts=doubted,
+        dense=dense,
         settings=settings,
     )
 

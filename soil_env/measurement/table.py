@@ -62,6 +62,10 @@ MOST_PASSES = 10**6  # pass numbers are whole and small
 EXACTEST = 1e-9  # least standard deviation, in the unit of its column
 COARSEST = 1e6  # largest one
 
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
+#: A number with commas, spaces or apostrophes among its digits.
+_GROUPED = re.compile(r"[-+]?\d+(?:[,.'\u2019\s]\d+)+")
+
 Rows = Sequence[tuple[int, list[str]]]  # line of the file and cells
 
 
@@ -200,13 +204,19 @@ def read_table(
 
 
 def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Header and (line, cells) of the rows that are not blank, every cell stripped."""
+    """Header and (line, cells) of the rows that are not blank, every cell stripped.
+
+    Semicolons or tabs in a header without commas separate the columns, and then commas may be
+    decimal. Columns at the end that have neither name nor value are dropped, as spreadsheets write
+    them.
+    """
     try:
         # With or without a byte order mark.
         with path.open(encoding="utf-8-sig", newline="") as stream:
             text = [line if not line.lstrip().startswith("#") else "\n" for line in stream]
-            _check_separator(path, [line for line in text if line.strip()][:2])
-            reader = csv.reader(text, strict=True)
+            first = next((line for line in text if line.strip()), "")
+            mark = next((m for m in ";\t" if m in first and "," not in first), ",")
+            reader = csv.reader(text, strict=True, delimiter=mark)
             lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
     except OSError as error:
         raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
@@ -220,8 +230,11 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     lines = [(line, cells) for line, cells in lines if any(cells)]
     if not lines:
         raise ParameterError(f"{path}: empty file: expected a header line with column names")
-    header = lines[0][1]
-    rows = lines[1:]
+    if mark != ",":
+        lines = _with_points(path, lines)
+    width = max(max(k for k, cell in enumerate(cells) if cell) for _, cells in lines) + 1
+    header = lines[0][1][:width]
+    rows = [(line, cells[:width]) for line, cells in lines[1:]]
     for line, cells in rows:
         if len(cells) != len(header):
             hint = " (numbers with decimal points, not commas)" if len(cells) > len(header) else ""
@@ -232,19 +245,21 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     return header, rows
 
 
-def _check_separator(path: Path, lines: list[str]) -> None:
-    """Refuse a header without commas that has semicolons or tabs; the row below it shows decimal
-    commas.
-    """
-    header, row = (*lines, "", "")[:2]
-    for mark, name in ((";", "semicolons"), ("\t", "tabs")):
-        if mark in header and "," not in header:
-            also = " and decimal commas" if re.search(r"\d,\d", row) else ""
-            raise ParameterError(
-                f"{path}: {name} between the columns{also}: expected commas between the columns "
-                "and decimal points (export it as comma-separated values with English number "
-                "format)"
-            )
+def _with_points(path: Path, lines: Rows) -> list[tuple[int, list[str]]]:
+    """The lines with decimal points for decimal commas; a mixture of the two is refused."""
+    cells = [(line, cell) for line, row in lines for cell in row]
+    commas = [(line, cell) for line, cell in cells if _DECIMAL_COMMA.fullmatch(cell)]
+    points = [(line, cell) for line, cell in cells if re.fullmatch(r"[-+]?\d*\.[\d.,]*", cell)]
+    if commas and points:
+        line, cell = points[0]
+        raise ParameterError(
+            f"{path}: row {line}, {cell!r} has a point, row {commas[0][0]}, {commas[0][1]!r} a "
+            "comma: expected one decimal mark, and no separators of thousands"
+        )
+    return [
+        (line, [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in row])
+        for line, row in lines
+    ]
 
 
 def _check_header(path: Path, header: list[str]) -> None:
@@ -254,6 +269,10 @@ def _check_header(path: Path, header: list[str]) -> None:
             "without # before it"
         )
     for name in header:
+        if not name:
+            raise ParameterError(
+                f"{path}: column {header.index(name) + 1} has no name: expected one in the header"
+            )
         if name not in COLUMNS:
             raise ParameterError(
                 f"{path}: unknown column {name!r}{nearest(name.lower(), COLUMNS)} (known: "
@@ -289,8 +308,8 @@ def _column(path: Path, name: str, header: list[str], rows: Rows) -> np.ndarray:
         if not math.isfinite(out[k]):
             unit = f" in {UNITS[name]}" if UNITS[name] else ""
             hint = (
-                "with a decimal point"
-                if re.fullmatch(r"[-+]?\d+,\d+", text)
+                "with a decimal point, without separators of thousands"
+                if _GROUPED.fullmatch(text)
                 else "(empty = not measured)"
             )
             raise ParameterError(
@@ -314,12 +333,13 @@ def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel |
     for name in REQUIRED:
         refuse(name, np.isnan(getattr(table, name)), "a number in every row")
     outside = np.abs(table.slip) > 1.0
-    percent = 2.0 < np.max(np.abs(table.slip)) <= 100.0
-    refuse(
-        "slip",
-        outside,
-        "slip in [-1, 1]" + (" (if it is percent, divide by 100)" if percent else ""),
-    )
+    largest = float(np.max(np.abs(table.slip)))
+    hint = ""
+    if 2.0 < largest <= 100.0:
+        hint = " (if it is percent, divide by 100)"
+    elif largest <= 2.0:
+        hint = " (if it is (r w - V)/V where the wheel drives, divide it by 1 + itself)"
+    refuse("slip", outside, f"slip in [-1, 1]{hint}")
     refuse(
         "load", table.load < LIGHTEST, f"a load > 0 N, upward on the wheel, at least {LIGHTEST:g}"
     )

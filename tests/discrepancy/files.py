@@ -5,7 +5,7 @@ import itertools
 
 import numpy as np
 
-from soil_env.discrepancy.data import Data, prepare
+from soil_env.identification.table.data import Data, prepare
 from soil_env.measurement.setup import read_setup
 from soil_env.measurement.table import read_table
 from soil_env.parameters import Soil

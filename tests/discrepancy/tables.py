@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from soil_env.discrepancy.calibrate import Problem
-from soil_env.discrepancy.data import Data
+from soil_env.identification.table.data import Data
 from tests.discrepancy.files import SETUP, SLIPS, data_of, world
 
 NOISE = np.array([0.0009, 1.5, 0.2])

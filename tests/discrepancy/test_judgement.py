@@ -9,9 +9,9 @@ from hypothesis import given, settings, strategies as st
 
 from soil_env.discrepancy import judgement
 from soil_env.discrepancy.calibrate import Problem
-from soil_env.discrepancy.data import folds
 from soil_env.discrepancy.judgement import closed_interval
 from soil_env.discrepancy.search import Finding, Hypothesis
+from soil_env.identification.table.data import folds
 from soil_env.identification.table.priors import Unknown
 from tests.discrepancy.tables import NOISE, table
 

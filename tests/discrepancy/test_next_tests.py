@@ -11,7 +11,6 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.evidence import settle
 from soil_env.discrepancy.instrument import Choice, exact
 from soil_env.discrepancy.next_tests import (
@@ -30,6 +29,7 @@ from soil_env.discrepancy.next_tests import (
 from soil_env.discrepancy.predictive import DEEPEST, predicted, problem_at
 from soil_env.discrepancy.search import ODDS, Finding, Hypothesis
 from soil_env.discrepancy.workflow import model_of
+from soil_env.identification.table.data import CHANNELS
 from soil_env.measurement.setup import Rig, SetupWheel, setup_of
 from tests.discrepancy.tables import NOISE, WHEEL, problem, table
 

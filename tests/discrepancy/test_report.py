@@ -10,11 +10,11 @@ import pytest
 
 from soil_env.discrepancy import report as drawn, run
 from soil_env.discrepancy.calibrate import PRIOR_WIDTH
-from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.judgement import Gap
 from soil_env.discrepancy.next_tests import CHECKS
 from soil_env.discrepancy.report import equations, sentences, words
+from soil_env.identification.table.data import CHANNELS
 from tests.discrepancy.files import PLANTED, SETUP, table_text, write_files
 
 KEYS = (

@@ -10,11 +10,11 @@ import pytest
 
 from soil_env.discrepancy import run
 from soil_env.discrepancy.calibrate import calibrate
-from soil_env.discrepancy.data import WHEEL, folds
 from soil_env.discrepancy.locate import boxes
 from soil_env.discrepancy.next_tests import conditions
 from soil_env.discrepancy.report.pictures import groups
 from soil_env.discrepancy.workflow import model_of
+from soil_env.identification.table.data import WHEEL, folds
 from tests.discrepancy.files import NOISE, SETUP, SLIPS, data_of, world, write_files
 
 LUGS = {"grousers": {"shear_share": 1.0}}

@@ -9,7 +9,7 @@ import pytest
 
 from soil_env.discrepancy import symbolic
 from soil_env.discrepancy.calibrate import GRAVITY
-from soil_env.discrepancy.data import folds
+from soil_env.identification.table.data import folds
 from soil_env.parameters import Soil
 from soil_env.terramechanics.model import WheelSoilModel
 from tests.discrepancy.tables import NOISE, SLIPS, WHEEL, problem, table

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from soil_env.discrepancy import evidence, search
-from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.instrument import LISTED, Choice
 from soil_env.discrepancy.unnamed import UNNAMED, changed, loaded, soils
+from soil_env.identification.table.data import CHANNELS
 from tests.discrepancy.tables import problem, table
 
 STRENGTHS = {

@@ -70,9 +70,16 @@ def test_reads_a_full_table(tmp_path):
     [
         (["slip,sinkage", "0.1,0.02"], ["missing column 'load'"]),
         (
-            ["slip;load;torque", "0,1;100;2,5"],
-            ["semicolons", "decimal commas: expected commas", "decimal points"],
+            ["slip;load;torque", "0,1;100;2,5", "0,2;1.000;3"],
+            ["row 3, '1.000' has a point, row 2, '0,1' a comma", "one decimal mark"],
         ),
+        (
+            ["slip,load,torque", '0.1,"1,000",2', '0.2,"1,000",3'],
+            ["row 2, load = '1,000'", "without separators of thousands"],
+        ),
+        (["slip,load,torque", "0.1,1 000,2"], ["'1 000'", "without separators of thousands"]),
+        (["slip,load,torque,", "0.1,100,2,7"], ["column 4 has no name"]),
+        ([HEADER, "0.1,100,0.02,5", "1.5,100,0.02,6"], ["slip = 1.5", "(r w - V)/V"]),
         (["slip,load,torque", '"0,1",100,2'], ["slip = '0,1'", "with a decimal point"]),
         (
             [HEADER, "0.1,100,deep,5"],
@@ -237,6 +244,23 @@ def test_refuses_a_bad_setup(tmp_path, text, words):
     message = refusal(read_setup, written(tmp_path, text, name="setup.yaml"))
     for word in ["setup.yaml", *words]:
         assert word in message
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["slip;load;torque", "0,1;100;2,5", "0,2;1e2;-3"],
+        ["slip;load;torque", "0.1;100;2.5", "0.2;100;-3"],
+        ["slip\tload\ttorque", "0,1\t100\t2,5", "0,2\t100\t-3"],
+        ["slip,load,torque,,", "0.1,100,2.5,,", "0.2,100,-3,,", ",,,,"],
+        ["slip,load,torque", "0.1,100,2.5,", "0.2,100,-3"],
+    ],
+    ids=["european", "semicolons", "tabs", "trailing commas", "trailing commas of rows"],
+)
+def test_reads_what_spreadsheets_write(tmp_path, lines):
+    t = read_table(written(tmp_path, *lines))
+    assert list(t.slip) == [0.1, 0.2] and list(t.load) == [100.0] * 2
+    assert list(t.torque) == [2.5, -3.0]
 
 
 def test_comments_and_ignored_columns_are_passed_over(tmp_path):

@@ -18,11 +18,11 @@ from soil_env import __version__
 from soil_env._io.document import html_image, html_page, render
 from soil_env._io.files import check_own, plain, write_own
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.report import equations, sentences, tables, words
 from soil_env.discrepancy.report.pictures import CAPTIONS, pictures
 from soil_env.discrepancy.result import Report
+from soil_env.identification.table.data import CHANNELS
 
 __all__ = ["FILES", "check_folder", "content", "page", "show", "text", "write"]
 

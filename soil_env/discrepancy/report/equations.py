@@ -7,11 +7,11 @@ import re
 from html import escape
 from typing import Any, NamedTuple
 
-from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.report.sentences import TITLES, UNITS
 from soil_env.discrepancy.result import EffectFound, Report
 from soil_env.discrepancy.symbolic import ResidualFit
+from soil_env.identification.table.data import CHANNELS
 from soil_env.terramechanics.effects.text import fitted, legend, plain, published, used
 from soil_env.terramechanics.residual import LEGEND, formulas, product
 

@@ -11,9 +11,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from soil_env._io.document import plot_text
-from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.report.sentences import CONDITIONS, TITLES, UNITS, fixed, title
 from soil_env.discrepancy.result import Report
+from soil_env.identification.table.data import CHANNELS
 
 BEFORE = "#c2571a"
 AFTER = "#1f6f8b"

@@ -9,13 +9,13 @@ import numpy as np
 
 from soil_env._io.document import render
 from soil_env.discrepancy.calibrate import PRIOR_WIDTH
-from soil_env.discrepancy.data import CHANNELS, WHEEL
 from soil_env.discrepancy.instrument import LISTED, exact
 from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.next_tests import NextTest
 from soil_env.discrepancy.result import LEFT, WORSE, Report
 from soil_env.discrepancy.search import NAMED, ODDS, RIG_ODDS, TOLD, UNLISTED_ODDS, UNNAMED_ODDS
 from soil_env.discrepancy.unnamed import UNNAMED
+from soil_env.identification.table.data import CHANNELS, WHEEL
 from soil_env.terramechanics.steady import DEEPEST
 from soil_env.terramechanics.validity import in_words
 
@@ -322,7 +322,8 @@ def cautions(report: Report) -> list[str]:
         digging=problem.digging[0],
         unseen=unseen(report),
     )
-    return [line[:1].upper() + line[1:] for line in map(str.strip, text.splitlines()) if line]
+    lines = [report.dense, *map(str.strip, text.splitlines())]
+    return [line[:1].upper() + line[1:] for line in lines if line]
 
 
 def _helpers() -> dict[str, object]:

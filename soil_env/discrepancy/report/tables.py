@@ -1,7 +1,6 @@
 """Tables of a report."""
 
 from soil_env._io.document import Table
-from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.judgement import Interval
 from soil_env.discrepancy.report.sentences import (
@@ -18,6 +17,7 @@ from soil_env.discrepancy.report.sentences import (
     title,
 )
 from soil_env.discrepancy.result import Report
+from soil_env.identification.table.data import CHANNELS
 
 
 def effects(report: Report) -> Table:

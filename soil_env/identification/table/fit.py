@@ -14,13 +14,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2, f as f_distribution, t
+from threadpoolctl import threadpool_limits
 
+from soil_env.identification.table.bins import binned
 from soil_env.identification.table.form_error import mixed
+from soil_env.identification.table.mistakes import Examined, examine
 from soil_env.identification.table.priors import known_digging
 from soil_env.identification.table.problem import LAW_ERRORS, SOURCES, TableProblem
-from soil_env.measurement.doubts import load_doubt
 from soil_env.measurement.setup import Setup
-from soil_env.measurement.table import UNITS, Table
+from soil_env.measurement.table import MEASURED, UNITS, Table
 from soil_env.parameters import Soil
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
@@ -108,7 +110,8 @@ class TableEstimate:
     exact: tuple[str, ...]  # of slip and load, what the setup gives no noise for
     converged: bool
     law_error: float  # relative error of the stress laws that the table suggests, root mean square
-    check_first: tuple[str, ...]  # of `warnings`: what looks like a wrong unit in setup or table
+    check_first: tuple[str, ...]  # of `warnings`: what looks wrong in setup or table
+    misfit: str  # of `warnings`: that the base model does not fit; "" where it does
     warnings: tuple[str, ...]
     soil: Soil  # the most probable, under wheels of the width of the table
 
@@ -121,8 +124,14 @@ class TableEstimate:
         return WheelSoilModel(ModelWheel(sizes.radius, sizes.width), self.soil)
 
 
-def identify_table(table: Table, setup: Setup) -> TableEstimate:
+def identify_table(table: Table, setup: Setup, *, check: bool = True) -> TableEstimate:
     """The most probable soil under the setup's priors, with intervals and warnings.
+
+    The table is examined first (`mistakes.examine`): wrong rows and outliers are left out, and
+    `ParameterError` is raised where it cannot be right. Without `check` it is taken as it is.
+
+    Noise that the setup does not give is estimated from what the fit leaves, as long as that
+    scatters; else from the scatter about a smooth surface, and the rest is an error of the laws.
 
     The stress laws may be wrong by a smooth error whose size the table decides (`form_error`): it
     enters the weights, and the intervals are over its sizes. Base model: smooth rim on level, fresh
@@ -130,16 +139,40 @@ def identify_table(table: Table, setup: Setup) -> TableEstimate:
     `ParameterError` if no row has enough, nothing is to fit, or measured values are fewer than
     fitted parameters.
     """
-    problem = TableProblem(table, setup)
-    u, converged = _settle(problem, problem.search())
-    plain = _Plain(u, _fits(problem, u))
-    for _ in range(_FORM_PASSES):
-        share = problem.by_size(u)[0]
-        problem.allow_form_error(u, LAW_ERRORS[int(np.argmax(share))])
-        u, converged = _settle(problem, u, False)
-    if not problem.measured[:, 0].any():
-        problem.z_ref = float(np.median(problem.steady(u, problem.corrected)[:, 0]))
-    return _summary(problem, u, converged, plain)
+    with threadpool_limits(1):  # the matrices are small
+        table, setup, dense = binned(table, setup)
+        examined = examine(_with_whole_speeds(table), setup) if check else None
+        problem = TableProblem(table if examined is None else _as_examined(examined), setup)
+        u, converged = _settle(problem, problem.search())
+        plain = _Plain(u, _fits(problem, u))
+        missed = _missed(problem, plain, examined)
+        if missed and examined is not None:
+            problem.take_noise(examined.noise)
+            u, converged = _settle(problem, u, False)
+            plain = _Plain(u, _fits(problem, u))
+        for _ in range(_FORM_PASSES):
+            share = problem.by_size(u)[0]
+            problem.allow_form_error(u, LAW_ERRORS[int(np.argmax(share))])
+            u, converged = _settle(problem, u, False)
+        if not problem.measured[:, 0].any():
+            problem.z_ref = float(np.median(problem.steady(u, problem.corrected)[:, 0]))
+        return _summary(problem, u, converged, plain, missed, examined, dense)
+
+
+def _with_whole_speeds(table: Table) -> Table:
+    """The table without a speed that some rows lack: the base model does not depend on it."""
+    missing = np.isnan(table.speed)
+    return replace(table, speed=np.full(len(table), math.nan)) if np.any(missing) else table
+
+
+def _as_examined(examined: Examined) -> Table:
+    """The table without what is wrong in it."""
+    used = examined.noise.used
+    channels: dict[str, Any] = {
+        name: np.where(used[:, j], getattr(examined.table, name), math.nan)
+        for j, name in enumerate(MEASURED)
+    }
+    return replace(examined.table, **channels).only(np.any(used, axis=1))
 
 
 class _Plain(NamedTuple):
@@ -185,7 +218,15 @@ def _scaling(problem: TableProblem) -> tuple[np.ndarray, np.ndarray]:
     return out, np.any(out > 0.0, axis=1)
 
 
-def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plain) -> TableEstimate:
+def _summary(
+    problem: TableProblem,
+    u: np.ndarray,
+    converged: bool,
+    plain: _Plain,
+    missed: dict[str, float],
+    examined: Examined | None,
+    dense: str,
+) -> TableEstimate:
     scaling, free = _scaling(problem)
     # (phi [rad], ln K, ln S z_ref^n, n, c, tilt) by (phi [deg], ln K, ln S, n, c, tilt).
     published = np.eye(len(NAMES))
@@ -208,14 +249,18 @@ def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plai
     }
     labels = tuple(label for label, f in zip(LABELS, free, strict=True) if f)
     parameters = _parameters(problem, u, whole, scaling)
-    first = _units(problem, parameters, plain.fits)
-    warnings = (
-        first
-        + _undetermined(parameters, labels, correlation)
-        + _doubts(problem, u, plain, fits, converged)
-    )
-    condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else math.inf
+    first = [] if examined is None else [*examined.said]
+    first += _units(problem, parameters, plain.fits)
     law_error = math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True)))
+    misfit = _misfit(problem, plain, missed, law_error)
+    warnings = [
+        *first,
+        *filter(None, (misfit, dense)),
+        *(() if examined is None else (w for w in examined.left_out if w not in first)),
+        *_undetermined(parameters, labels, correlation),
+        *_doubts(problem, u, plain, converged),
+    ]
+    condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else math.inf
     return TableEstimate(
         parameters,
         labels,
@@ -232,6 +277,7 @@ def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plai
         converged,
         law_error,
         tuple(first),
+        misfit,
         tuple(warnings),
         _soil(problem, u),
     )
@@ -331,7 +377,7 @@ def _units(
     problem: TableProblem, parameters: dict[str, Parameter], fits: dict[str, ChannelFit]
 ) -> list[str]:
     """Warnings of a wrong unit in setup or table."""
-    words = problem.setup.doubts()
+    words = []
     load = float(np.median(problem.rows.load))
     S = parameters["sinkage_coefficient"]
     if load < LIGHT:
@@ -339,8 +385,6 @@ def _units(
             f"The median load is {load:.3g} N: expected newtons; if it is kN, multiply it by 1000, "
             "and forces and torque where they are in kN too."
         )
-    elif doubt := load_doubt(problem.table, problem.setup):
-        words.append(doubt)
     elif S.high < SOFT and not S.known:
         words.append(
             f"The sinkage coefficient came out as {S.value:.3g} {S.unit}, softer than any soil: "
@@ -381,12 +425,9 @@ def _doubts(
     problem: TableProblem,
     u: np.ndarray,
     plain: _Plain,
-    fits: dict[str, ChannelFit],
     converged: bool,
 ) -> list[str]:
-    """Warnings on the solution u with its `fits`, and on the model by the solution under noise
-    alone.
-    """
+    """Warnings on the solution u, and on the priors by the solution under noise alone."""
     words = []
     label = dict(zip(NAMES, LABELS, strict=True))
     setup = problem.setup
@@ -413,30 +454,6 @@ def _doubts(
                 f"Were the stress laws exact, the {label[unknown.name]} would be {abs(d):.1f} "
                 "standard deviations from its prior: prior, table or laws are wrong."
             )
-    exact = " and ".join(_exact(problem))
-    check = (
-        f"Check whether {exact} can be taken as exact (noise: in the setup), then"
-        if exact
-        else "Check"
-    )
-    check += " units and signs, and whether an effect is missing (soil-env discover)."
-    for name, fit in fits.items():
-        channel = name.replace("_", " ")
-        if fit.p_value < 1e-3 / len(fits):
-            rms = math.sqrt(float(np.nanmean(plain.fits[name].residual ** 2)))
-            words.append(
-                f"The base model does not fit the {channel} to its noise: were the stress laws "
-                f"exact, residuals would be {rms:.3g} times the given standard deviation. The "
-                "intervals allow for wrong laws, not for a wrong unit or sign or an effect that is "
-                f"missing. {check}"
-            )
-        elif fit.estimated and _follows(
-            problem.rows.slip, problem.rows.load, plain.fits[name].residual
-        ):
-            words.append(
-                f"The residuals of {channel} follow slip and load instead of scattering: the base "
-                f"model does not fit, and its error counts here as noise. {check}"
-            )
     few = problem.freedom[problem.estimated]
     if few.size and np.min(few) < SCARCE:
         words.append(
@@ -449,6 +466,52 @@ def _doubts(
             "The weights had not settled when the iteration stopped: take the intervals as rough."
         )
     return words
+
+
+def _missed(problem: TableProblem, plain: _Plain, examined: Examined | None) -> dict[str, float]:
+    """Channels that the base model misses, with its misfit over their noise.
+
+    A given noise is compared with the residuals. One that was estimated from them is compared with
+    the scatter about a smooth surface (F test), and it must not follow slip and load.
+    """
+    out = {}
+    for name, fit in plain.fits.items():
+        ratio = math.sqrt(float(np.nanmean(fit.residual**2)))
+        if not fit.estimated:
+            if fit.p_value < 1e-3 / len(plain.fits):
+                out[name] = ratio
+            continue
+        j = MEASURED.index(name)
+        follows = _follows(problem.rows.slip, problem.rows.load, fit.residual)
+        if examined is not None and examined.noise.origin[j]:
+            scatter = examined.noise.sd[j]
+            more = (fit.noise / scatter) ** 2
+            freedom = problem.freedom[2 + j], min(examined.noise.freedom[j], 1e6)
+            follows = follows or f_distribution.sf(more, *freedom) < 5e-4
+            ratio = fit.noise / scatter
+        if follows:
+            out[name] = ratio
+    return out
+
+
+def _misfit(
+    problem: TableProblem, plain: _Plain, missed: dict[str, float], law_error: float
+) -> str:
+    """Say that the base model does not fit, and what the intervals then are; "" where it does."""
+    if not missed:
+        return ""
+    sizes = " and ".join(
+        f"{ratio:.2g} times the noise of {name.replace('_', ' ')}" for name, ratio in missed.items()
+    )
+    exact = _exact(problem)
+    keys = " and ".join(f"noise.{name}" for name in exact)
+    also = f" If {' and '.join(exact)} scatter, give {keys}." if exact else ""
+    return (
+        f"The base model does not fit the table: were its laws exact, it would miss by {sizes}. An "
+        "effect may be missing: soil-env discover looks for it. The intervals allow for laws that "
+        f"err by {100.0 * law_error:.2g} %, not for a missing effect, a wrong "
+        f"unit or a wrong sign.{also}"
+    )
 
 
 def _not_modelled(problem: TableProblem) -> list[str]:

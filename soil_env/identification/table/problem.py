@@ -13,6 +13,7 @@ out is estimated with the soil.
 import math
 from collections.abc import Callable, Sequence
 from itertools import product
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from scipy.special import logsumexp
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table import form_error
 from soil_env.identification.table.form_error import LAW_LENGTHS, Process
+from soil_env.identification.table.noise import NoiseEstimate
 from soil_env.identification.table.priors import USUAL_SINKAGE, Unknown, soil_unknowns
 from soil_env.identification.table.rig import predict_table
 from soil_env.measurement.setup import Setup
@@ -32,6 +34,9 @@ from soil_env.terramechanics.model import Rows
 SOURCES = ("slip", "load", *MEASURED)  # of error; the last three are the channels
 STEP = 1e-3  # of a whitened unknown, for differences
 _FAR = 1e3  # [sd] residual where the model has no value
+FINE = MappingProxyType({"xtol": 1e-9, "ftol": 1e-11, "gtol": 1e-9, "max_nfev": 100})
+#: To compare fits whose costs are far apart.
+COARSE = MappingProxyType({"xtol": 1e-4, "ftol": 1e-5, "gtol": 1e-4, "max_nfev": 25})
 _STARTS = 8  # of the least squares; the first is the prior mean
 _STRESS_STEP = 1e-3  # relative change of a stress, for differences
 _FUNCTIONS = 24  # of the form error at most
@@ -110,8 +115,8 @@ class TableProblem:
     re-weight it.
     """
 
-    def __init__(self, table: Table, setup: Setup) -> None:
-        use = _usable(table, setup)
+    def __init__(self, table: Table, setup: Setup, use: np.ndarray | None = None) -> None:
+        use = _usable(table, setup) if use is None else use
         count = int(use.sum())
         wheels = np.stack(
             [table.radius(setup.wheel), table.width(setup.wheel), np.zeros(len(table))], axis=1
@@ -265,9 +270,9 @@ class TableProblem:
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
         """[3 N] of an array [N, 3], under noise and form error."""
-        return form_error.whitened(self.form_error, self._by_noise(values))
+        return form_error.whitened(self.form_error, self.by_noise(values))
 
-    def _by_noise(self, values: np.ndarray) -> np.ndarray:
+    def by_noise(self, values: np.ndarray) -> np.ndarray:
         return np.einsum("kcd,kd->kc", self._whitener, values).ravel()
 
     def target(self) -> np.ndarray:
@@ -325,7 +330,7 @@ class TableProblem:
             )
         own = [(base * unit)[:, :, None] * functions[:, None, :] for unit in np.eye(3)]
         stresses, channels = (
-            np.stack([self._by_noise(errors[:, :, k]) for k in range(errors.shape[2])], axis=1)
+            np.stack([self.by_noise(errors[:, :, k]) for k in range(errors.shape[2])], axis=1)
             for errors in (np.concatenate(blocks, axis=2), np.concatenate(own, axis=2))
         )
         return stresses, channels
@@ -336,10 +341,17 @@ class TableProblem:
 
         The S are in the order of `LAW_ERRORS`.
         """
+        log, mean, covariance = self.evidence(u)
+        return np.exp(log - logsumexp(log)), mean, covariance
+
+    def evidence(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(log of evidence and prior, mean [p] and covariance [p, p] of the unknowns, by size and
+        span), linearised at u; the S as in `by_size`.
+        """
         kept = self.form_error
         self.form_error = None
         j = self.derivatives(u)
-        e = self._by_noise(self.residual(u))
+        e = self.by_noise(self.residual(u))
         blocks = [block for span in range(len(LAW_LENGTHS)) for block in self.law_errors(u, span)]
         sizes = np.zeros((len(LAW_ERRORS), len(blocks)))
         for row, of in zip(sizes, LAW_ERRORS, strict=True):
@@ -349,7 +361,7 @@ class TableProblem:
         )
         self.form_error = kept
         log += np.log(np.tile(form_error.size_prior(), len(LAW_LENGTHS) * len(CHANNELS_OWN)))
-        return np.exp(log - logsumexp(log)), mean, covariance
+        return log, mean, covariance
 
     def allow_form_error(self, u: np.ndarray, of: LawError) -> None:
         """Take a form error, as it is at u, into the weights."""
@@ -358,8 +370,10 @@ class TableProblem:
             of.size * np.concatenate([stresses, of.own * channels], axis=1)
         )
 
-    def minimise(self, u: np.ndarray) -> tuple[np.ndarray, float]:
-        """(u, J) of the least squares from u at the present weights."""
+    def minimise(self, u: np.ndarray, **options: Any) -> tuple[np.ndarray, float]:
+        """(u, J) of the least squares from u at the present weights; `options` as those of
+        `most_probable`.
+        """
         low, high = self.bounds
         start = np.clip(u, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
         found = most_probable(
@@ -368,10 +382,7 @@ class TableProblem:
             self.derivatives,
             start,
             self.bounds,
-            xtol=1e-9,
-            ftol=1e-11,
-            gtol=1e-9,
-            max_nfev=100,
+            **(FINE | options),
         )
         return found[:2]
 
@@ -435,6 +446,14 @@ class TableProblem:
             # No row has an sd of its own here.
             variance = float(np.sum(errors[k, j] ** 2)) / self.freedom[j]
             self.noise[j] = max(math.sqrt(variance), self.floor[j])
+
+    def take_noise(self, noise: NoiseEstimate) -> None:
+        """Take the noise of the channels whose noise is estimated from another estimate."""
+        for j in range(3):
+            if self.estimated[2 + j] and noise.origin[j]:
+                self.noise[2 + j] = max(noise.sd[j], self.floor[2 + j])
+                self.freedom[2 + j] = noise.freedom[j]
+        self.weigh(self.F)
 
 
 def _usable(table: Table, setup: Setup) -> np.ndarray:

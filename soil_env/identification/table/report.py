@@ -23,10 +23,9 @@ def text_of(estimate: TableEstimate) -> str:
     """Text of the estimate: what to check first, parameters, channels, correlations and other
     warnings.
     """
-    parts = [
-        *(f"CHECK FIRST: {doubt}" for doubt in estimate.check_first),
-        *([""] if estimate.check_first else []),
-    ]
+    first = [f"CHECK FIRST: {doubt}" for doubt in estimate.check_first]
+    first += [f"NO FIT: {estimate.misfit}"] if estimate.misfit else []
+    parts = [*first, ""] if first else []
     parts += ["Soil", _soil(estimate).text(2), "", "Fit", _channels(estimate).text(2)]
     if estimate.exact:
         keys = ", ".join(f"noise.{name}" for name in estimate.exact)
@@ -43,7 +42,8 @@ def text_of(estimate: TableEstimate) -> str:
         "",
         f"{estimate.values} measured values, condition number {estimate.condition:.3g}{hardly}",
     ]
-    rest = (warning for warning in estimate.warnings if warning not in estimate.check_first)
+    said = (*estimate.check_first, estimate.misfit)
+    rest = (warning for warning in estimate.warnings if warning not in said)
     return "\n".join([*parts, *(f"! {warning}" for warning in rest)])
 
 

@@ -29,6 +29,7 @@ _SAME = {
     "wheel_radius": 0.005,
     "wheel_width": 0.005,
 }
+_CHAIN = 6.0  # gaps, beyond which a level of values is a continuum
 _SAME_RATIO = 0.02  # of the conditions that are not named above
 
 
@@ -191,10 +192,12 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
         ratio = ratio[np.isfinite(ratio)]
         if ratio.size and np.median(ratio) > MOST_FORCE:
             times = "the load" if j == 1 else "load times radius"
+            small = "newton millimetres" if j == 2 else "millinewtons"
             refuse(
                 True,
-                f"{name} is {np.median(ratio):.3g} times {times} in the middle of the rows: "
-                f"expected {unit}",
+                f"{name} is {np.median(ratio):.3g} times {times} in the middle of the rows, where "
+                f"{times} is {np.median(over):.3g}: expected {unit} (if it is {small}, divide by "
+                "1000)",
             )
     z = y[:, 0]
     if np.any(np.isfinite(z)) and np.nanmax(z) < 0.0:
@@ -218,7 +221,9 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
 
 
 def _factor(name: str, value: np.ndarray, log: bool) -> Factor:
-    """Levels by gaps: values closer than 2 % of the span (or of themselves) are one level."""
+    """Levels by gaps: values closer than 2 % of the span (or of themselves) are one level, unless
+    they chain into one much wider than that.
+    """
     x = np.log(np.maximum(value, 1e-9)) if log else value
     span = float(np.ptp(x))
     gap = max(0.02 * span, math.log(1.0 + _SAME.get(name, _SAME_RATIO)) if log else _SAME[name])
@@ -226,7 +231,11 @@ def _factor(name: str, value: np.ndarray, log: bool) -> Factor:
     steps = np.diff(x[order]) > gap
     level = np.empty(x.size, dtype=int)
     level[order] = np.concatenate([[0], np.cumsum(steps)])
-    if name in ("slip", "load", "speed", "grade_deg") and level.max() > max(12, x.size // 4):
+    ends = np.flatnonzero(np.concatenate([steps, [True]]))
+    starts = np.concatenate([[0], ends[:-1] + 1])
+    widest = float(np.max(x[order][ends] - x[order][starts]))
+    many = level.max() > max(12, x.size // 4)
+    if name in ("slip", "load", "speed", "grade_deg") and (many or widest > _CHAIN * gap):
         # a continuum of values: cut it into bins of equal count
         bins = min(8, x.size // 6)
         level[order] = np.arange(x.size) * max(bins, 2) // x.size

@@ -9,8 +9,8 @@ import pytest
 
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.calibrate import calibrate
-from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.workflow import run
+from soil_env.identification.table.data import prepare
 from soil_env.measurement.setup import NoiseLevels
 from tests.discrepancy.tables import NOISE, table, world as world_of
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy.data import CHANNELS, LOGARITHMIC, WHEEL, Data
+from soil_env.identification.table.data import CHANNELS, LOGARITHMIC, WHEEL, Data
 from soil_env.terramechanics.model import Rows
 
 OUTLIER = 4.5  # [sd] distance from the smooth surface beyond which a value is left out

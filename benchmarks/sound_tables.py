@@ -1,0 +1,274 @@
+"""How often a sound table is doubted, and how often a mistake is found where it matters.
+
+    python -m benchmarks.sound_tables --tables 400       both commands say the same; some minutes
+    python -m benchmarks.sound_tables --tables 20        a look
+
+Tables of many wheels (radius 0.05 to 0.35 m) on the soils of configs/soils.yaml: none, one or two
+effects that the base model lacks, smooth errors of 0, 5 or 10 % in what is measured, noise of 0.3
+to 2 %, and priors that are tight, loose or absent. Each is examined as it is, and again with each
+mistake in turn. A mistake matters where the estimate of the sound table and that of the wrong one
+differ by more than two standard deviations of the wrong one.
+"""
+
+import dataclasses
+import itertools
+import math
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import click
+import numpy as np
+
+from benchmarks.common import share
+from soil_env._io.loading import ParameterError
+from soil_env.cli.running import WholeNumber, leave, run, seed_option
+from soil_env.identification.table import identify_table
+from soil_env.identification.table.mistakes import examine
+from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors
+from soil_env.measurement.table import MEASURED, Table, read_table
+from soil_env.parameters import Soil, soils
+from soil_env.terramechanics.effects import CATALOGUE
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+
+GRAVITY = 9.81  # [m/s2]
+LIGHTEST = 2.0  # [N] on the wheel of a rig
+LEAST_PRESSURE = 1e3  # [Pa] below it
+MOST_GRIP = 1.2  # largest pull, or torque over radius, over the load that soil gives
+OFF = 2.0  # [sd] of an estimate, from which a mistake matters
+#: Largest strengths of effects that go with the size of the values: share of the torque, of the
+#: sinkage.
+SIZES = {"drivetrain_friction_constant": 0.1, "sinkage_offset_offset": 0.25}
+#: Standard deviation of the priors, relative but for phi [deg] and n; one as often as another.
+PRIORS: tuple[dict[str, float], ...] = (
+    {},
+    {"cohesion": 0.2},
+    {
+        "friction_angle_deg": 1.5,
+        "cohesion": 0.2,
+        "sinkage_coefficient": 0.12,
+        "sinkage_exponent": 0.03,
+    },
+    {
+        "friction_angle_deg": 3.0,
+        "cohesion": 0.5,
+        "shear_modulus": 0.3,
+        "sinkage_coefficient": 0.4,
+        "sinkage_exponent": 0.1,
+    },
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Sound:
+    """A table by column [N], and its setup."""
+
+    columns: dict[str, np.ndarray]
+    setup: Setup
+    what: str
+
+    def table(self) -> Table:
+        """The table as it is read from a file."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "data.csv"
+            rows = np.stack([*self.columns.values()], axis=1)
+            header = ",".join(self.columns)
+            np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.7g")
+            return read_table(path, self.setup.wheel)
+
+
+def sound_tables(count: int, seed: int) -> Iterator[Sound]:
+    """Sound tables, some with effects that the base model lacks."""
+    rng = np.random.default_rng(seed)
+    names = list(soils())
+    made = 0
+    while made < count:
+        table = _draw(rng, names[int(rng.integers(len(names)))])
+        if table is not None:
+            made += 1
+            yield table
+
+
+def _draw(rng: np.random.Generator, name: str) -> Sound | None:
+    """One table on a soil; None where the soil does not carry the wheel, or hardly lets it in."""
+    r = math.exp(rng.uniform(math.log(0.05), math.log(0.35)))
+    b = r * rng.uniform(0.4, 1.2)
+    height = r * rng.choice([0.0, 0.05, 0.1])
+    preset = soils()[name]
+    stiffness = preset.lumped(b)
+    n = preset.sinkage_exponent
+    soil = replace(preset, k_c=None, k_phi=None, sinkage_coefficient=stiffness, dig_gain=0.0)
+    z = r * rng.uniform(0.03, 0.2)
+    middle = 0.6 * b * math.sqrt(2.0 * r * z) * stiffness * z**n
+    loads = middle * np.geomspace(0.6, 1.6, int(rng.integers(1, 4)))
+    ends = rng.uniform(0.02, 0.12), rng.uniform(0.45, 0.75)
+    slips = np.round(np.linspace(*ends, int(rng.integers(5, 10))), 3)
+    at = np.array(list(itertools.product(loads, slips)))
+    conditions = {"load": at[:, 0], "slip": at[:, 1]}
+    effects = _effects(rng, middle * r * 0.3, z)
+    try:
+        found = WheelSoilModel(ModelWheel(r, b, height), soil, effects).predict(conditions)
+    except ParameterError:
+        return None
+    y = np.stack(found[:3], axis=1)
+    if stiffness * z**n < LEAST_PRESSURE or middle < LIGHTEST or not np.all(found.supported):
+        return None
+    if np.max(y[:, 0]) > 0.6 * r or np.min(y[:, 0]) < 0.005 * r:
+        return None
+    if max(np.max(np.abs(y[:, 1])), np.max(np.abs(y[:, 2])) / r) > MOST_GRIP * np.max(loads):
+        return None
+    s = (at[:, 1] - slips.mean()) / np.ptp(slips)
+    w = np.log(at[:, 0] / middle)
+    waves = [
+        np.sin(2.0 * s + rng.uniform(0.0, 6.0)) + 0.5 * np.sin(1.5 * w + rng.uniform(0.0, 6.0))
+        for _ in range(3)
+    ]
+    error = float(rng.choice([0.0, 0.05, 0.1]))
+    sd = np.array([z, 0.3 * middle, 0.3 * middle * r]) * rng.uniform(0.003, 0.02)
+    y = y * (1.0 + error * np.stack(waves, axis=1)) + sd * rng.normal(size=y.shape)
+    drop = rng.choice([-1, -1, 0, 2])  # of the channels, one is sometimes not measured
+    columns = conditions | {c: y[:, j] for j, c in enumerate(MEASURED) if j != drop}
+    given = dict(zip(MEASURED, sd, strict=True)) if rng.random() < 0.6 else {}
+    priors = _priors(rng, soil, PRIORS[int(rng.integers(len(PRIORS)))])
+    setup = Setup(SetupWheel(r, b, height), priors, NoiseLevels(**given))
+    what = f"{name}, r {r:.2f} m, {' and '.join(effects) or 'no effect'}, error {error:g}"
+    return Sound(columns, setup, what)
+
+
+def _effects(
+    rng: np.random.Generator, torque: float, sinkage: float
+) -> dict[str, dict[str, float]]:
+    """None to two effects in one of their forms, 0.5 to 3 times the usual size, in a table of slips
+    and loads.
+    """
+    names = [e.name for e in CATALOGUE.values() if e.varies is None]
+    out = {}
+    for name in rng.choice(names, int(rng.integers(0, 3)), replace=False):
+        effect = CATALOGUE[str(name)]
+        form = effect.forms[int(rng.integers(len(effect.forms)))]
+        values = dict(form.fixed)
+        for p in (effect.parameter(name) for name in form.free):
+            usual = SIZES.get(f"{effect.name}_{p.name}", p.scale * (p.centre or 1.0))
+            usual *= {"constant": torque}.get(
+                p.name, sinkage if effect.name == "sinkage_offset" else 1.0
+            )
+            values[p.name] = (p.centre or p.neutral) + usual * rng.uniform(0.5, 3.0)
+            values[p.name] = min(max(values[p.name], p.low), p.high)
+        if effect.name == "shear_softening" and "sharpness" in values:
+            values["sharpness"] = 1.0 + values["sharpness"]
+        out[effect.name] = values
+    return out
+
+
+def _priors(rng: np.random.Generator, soil: Soil, chosen: dict[str, float]) -> SoilPriors:
+    """Priors about the truth."""
+    out = {"density": Prior(soil.density, 0.0)}
+    limits = {f.name: f.metadata for f in dataclasses.fields(Soil)}
+    for name, relative in chosen.items():
+        truth = getattr(soil, name)
+        size = {
+            "friction_angle_deg": 1.0,
+            "sinkage_exponent": 1.0,
+            "cohesion": max(truth, 100.0),
+        }.get(name, truth)
+        sd = relative * size
+        low = max(0.2 * truth, limits[name]["low"])
+        out[name] = Prior(min(max(truth + sd * rng.normal(), low), limits[name]["high"]), sd)
+    return SoilPriors(**out)
+
+
+def _changed(name: str, change: Callable) -> Callable[[Sound], Sound | None]:
+    def wrong(t: Sound) -> Sound | None:
+        if name not in t.columns:
+            return None
+        return replace(t, columns=t.columns | {name: change(t.columns[name])})
+
+    return wrong
+
+
+def _diameter(t: Sound) -> Sound:
+    wheel = replace(t.setup.wheel, radius=2.0 * t.setup.wheel.radius)
+    return replace(t, setup=replace(t.setup, wheel=wheel))
+
+
+def _one(name: str, change: Callable) -> Callable[[Sound], Sound | None]:
+    """One value of a column is wrong, in a row that follows from the table."""
+
+    def once(values: np.ndarray) -> np.ndarray:
+        k = int(1e6 * abs(values.sum())) % values.size
+        return np.where(np.arange(values.size) == k, change(values), values)
+
+    return _changed(name, once)
+
+
+#: What is wrong with a table, by name; None where the table has no such column.
+MISTAKES: dict[str, Callable[[Sound], Sound | None]] = {
+    "load in kilograms": _changed("load", lambda x: x / GRAVITY),
+    "pull in kilograms": _changed("drawbar_pull", lambda x: x / GRAVITY),
+    "torque in kilogram metres": _changed("torque", lambda x: x / GRAVITY),
+    "torque in newton millimetres": _changed("torque", lambda x: 1e3 * x),
+    "sign of the pull": _changed("drawbar_pull", lambda x: -x),
+    "sign of the slip": _changed("slip", lambda x: -x),
+    "slip over the travel speed": _changed("slip", lambda x: x / (1.0 - x)),
+    "diameter for the radius": _diameter,
+    "one load ten times too large": _one("load", lambda x: 10.0 * x),
+    "one sinkage ten times too large": _one("sinkage", lambda x: 10.0 * x),
+}
+
+
+def told(t: Sound) -> tuple[str, ...]:
+    """What is said first of a table; a refusal counts."""
+    try:
+        return examine(t.table(), t.setup).said
+    except ParameterError as error:
+        return (str(error),)
+
+
+def matters(sound: Sound, wrong: Sound) -> bool:
+    """True if the mistake moves an estimate by more than `OFF` of its standard deviations."""
+    try:
+        estimates = [identify_table(t.table(), t.setup, check=False) for t in (sound, wrong)]
+    except ParameterError:
+        return True
+    right, off = (e.parameters for e in estimates)
+    return any(
+        abs(off[name].value - p.value) > OFF * (off[name].high - off[name].low) / 3.92
+        for name, p in right.items()
+        if not p.known
+    )
+
+
+@click.command(help=__doc__)
+@click.option("--tables", type=WholeNumber(1), default=60, metavar="N", help="Sound tables.")
+@click.option("--sound-only", is_flag=True, help="No tables with mistakes.")
+@seed_option()
+def main(tables: int, sound_only: bool, seed: int) -> None:
+    """Print the rates."""
+    drawn = list(sound_tables(tables, seed))
+    doubted = [told(t) for t in drawn]
+    for t, said in zip(drawn, doubted, strict=True):
+        for text in said:
+            print(f"  {t.what}: {text}")
+    _print("sound, doubted", [bool(said) for said in doubted])
+    for name, change in MISTAKES.items() if not sound_only else ():
+        pairs = [(t, wrong) for t in drawn if (wrong := change(t)) is not None]
+        found = [bool(told(wrong)) for _, wrong in pairs]
+        _print(f"{name}, found", found)
+        where = [f for f, (t, w) in zip(found, pairs, strict=True) if f or matters(t, w)]
+        _print(f"{name}, found where it matters", where)
+
+
+def _print(name: str, values: list[bool]) -> None:
+    rate = share(values)
+    if rate is not None:
+        low, high = (100.0 * rate[end] for end in ("low", "high"))
+        print(
+            f"{name}: {rate['count']} of {rate['of']}, {100.0 * rate['value']:.1f} % "
+            f"[{low:.1f}, {high:.1f}]",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    leave(run(main, None, "benchmarks.sound_tables"))

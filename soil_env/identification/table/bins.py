@@ -1,0 +1,143 @@
+"""Dense tables: rows of a run at a high rate, in bins of about the same conditions.
+
+Errors of such rows go on from one row to the next, so that they are not as many independent values
+as there are rows. The mean of a bin counts as one value, and its noise is the scatter of the means.
+"""
+
+import dataclasses
+import heapq
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from soil_env.identification.table.form_error import LENGTHS, LITTLE_SLIP
+from soil_env.measurement.setup import Setup
+from soil_env.measurement.table import MEASURED, NOISE, Table
+
+DENSE = 240  # rows from which a table is binned
+MOST = 120  # bins
+FINE = 0.04  # extent of a bin that is not cut further, in correlation lengths of a form error
+JUMP = 0.25  # share of the extent of a bin, from which a gap between its values parts them
+FEWEST = 8  # values of a bin, of which one may be an outlier
+FAR = 8.0  # [sd] from the median of a bin, beyond which a value is an outlier
+_APART = 10.0  # correlation lengths between rows whose channels or overrides differ
+
+
+class Binned(NamedTuple):
+    """A table in bins."""
+
+    table: Table
+    setup: Setup  # without the noise of single rows
+    words: str  # on what was done; "" for a table that is taken as it is
+
+
+def binned(table: Table, setup: Setup) -> Binned:
+    """The table with one row a bin if it is dense, as it is otherwise."""
+    if len(table) <= DENSE:
+        return Binned(table, setup, "")
+    bins = _bins(_coordinates(table, setup))
+    columns: dict[str, Any] = {
+        f.name: np.stack([_merged(getattr(table, f.name)[rows]) for rows in bins])
+        for f in dataclasses.fields(table)
+        if isinstance(getattr(table, f.name), np.ndarray)
+    }
+    outliers = 0
+    for channel in MEASURED:
+        cleaned = [_without_outliers(getattr(table, channel)[rows]) for rows in bins]
+        outliers += sum(count for _, count in cleaned)
+        columns[channel] = np.array([value for value, _ in cleaned])
+    for name in NOISE:
+        columns[name] = np.full(len(bins), math.nan)
+    noise = dataclasses.replace(setup.noise, **dict.fromkeys((*MEASURED, "slip", "load")))
+    there = dataclasses.replace(setup, noise=noise)
+    object.__setattr__(there, "source", setup.source)
+    sizes = [rows.size for rows in bins]
+    words = (
+        f"The table is dense: its {len(table)} rows are taken in {len(bins)} bins of {min(sizes)} "
+        f"to {max(sizes)} rows at about the same conditions. The mean of a bin counts as one "
+        "value, and its noise is the scatter of the means, not what the setup says of single "
+        "rows: errors that go on from row to row count once."
+    )
+    if outliers:
+        words += f" {outliers} values that leave their bin are left out."
+    return Binned(dataclasses.replace(table, **columns), there, words)
+
+
+def _coordinates(table: Table, setup: Setup) -> np.ndarray:
+    """[N, d] conditions in correlation lengths of a form error; what must not be mixed lies far
+    apart.
+    """
+    slip = np.copysign(np.log1p(np.abs(table.slip) / LITTLE_SLIP), table.slip)
+    columns = [table.slip / LENGTHS["slip"], slip / 0.8, np.log(table.load) / LENGTHS["load"]]
+    for name, value in (
+        ("speed", np.log(np.maximum(table.speed, 1e-6))),
+        ("pass", np.log(table.passes)),
+        ("grade_deg", table.grade_deg),
+        ("wheel_radius", np.log(table.radius(setup.wheel))),
+        ("wheel_width", np.log(table.width(setup.wheel))),
+        ("grouser_height", np.log(table.height(setup.wheel) + 1e-3)),
+    ):
+        columns += [np.nan_to_num(value) / LENGTHS[name], _APART * np.isnan(value)]
+    columns += [_APART * np.isnan(getattr(table, name)) for name in MEASURED]
+    x = np.stack(columns, axis=1)
+    return x[:, np.ptp(x, axis=0) > 0.0]
+
+
+def _bins(x: np.ndarray) -> list[np.ndarray]:
+    """Rows of each bin: the widest one is cut in two until all are fine, or there are `MOST`."""
+    first = np.arange(len(x))
+    heap = [(-_extent(x), 0, first)]
+    few = max(1, len(x) // (4 * MOST))
+    done: list[np.ndarray] = []
+    count = 1
+    while heap and len(heap) + len(done) < MOST:
+        width, _, rows = heapq.heappop(heap)
+        if -width <= FINE:
+            done.append(rows)
+            continue
+        parts = _cut(x, rows)
+        if min(map(len, parts)) < few and -width < 1.0:
+            done.append(rows)
+            continue
+        for part in parts:
+            heapq.heappush(heap, (-_extent(x[part]), count, part))
+            count += 1
+    return sorted((*done, *(rows for _, _, rows in heap)), key=lambda rows: int(rows[0]))
+
+
+def _extent(x: np.ndarray) -> float:
+    return float(np.max(np.ptp(x, axis=0)))
+
+
+def _cut(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two parts of the rows along their widest coordinate: at a gap, else in the middle of their
+    number.
+    """
+    here = x[rows]
+    value = here[:, int(np.argmax(np.ptp(here, axis=0)))]
+    order = np.argsort(value, kind="stable")
+    gaps = np.diff(value[order])
+    middle = value.size // 2
+    widest = int(np.argmax(gaps))
+    if gaps[widest] > JUMP * np.ptp(value):
+        middle = widest + 1
+    elif gaps[middle - 1] == 0.0:  # equal values stay together
+        middle = int(np.flatnonzero(gaps)[np.argmin(np.abs(np.flatnonzero(gaps) - middle))]) + 1
+    return np.sort(rows[order[:middle]]), np.sort(rows[order[middle:]])
+
+
+def _merged(values: np.ndarray) -> Any:
+    """One value for those of a bin: the first of texts and lines, else their mean."""
+    if values.dtype.kind != "f":
+        return values[0]
+    return np.mean(values)
+
+
+def _without_outliers(values: np.ndarray) -> tuple[float, int]:
+    """(mean without values far from the median, number of these)."""
+    if values.size < FEWEST:
+        return float(np.mean(values)), 0
+    off = np.abs(values - np.median(values))
+    kept = off <= FAR * 1.4826 * np.median(off)
+    return float(np.mean(values[kept])), int(values.size - kept.sum())

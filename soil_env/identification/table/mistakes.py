@@ -1,0 +1,574 @@
+"""Mistakes in a table: a unit, sign or convention of a column, the diameter for the radius, a wrong
+row.
+
+Each is another reading of the table. Readings are compared by their evidence under the base model
+whose laws may err (`form_error`): a mistake is told where another reading explains the table far
+better. What only an effect that the base model lacks would explain is no mistake, since every
+reading may err by so much. The noise is that of a smooth surface (`noise`), so that a
+table that no reading fits is not compared by its misfit.
+"""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.special import logsumexp
+
+from soil_env._io.loading import ParameterError
+from soil_env.identification.table.data import CHANNELS, Data, prepare
+from soil_env.identification.table.noise import NoiseEstimate, find_noise
+from soil_env.identification.table.problem import COARSE, TableProblem
+from soil_env.measurement.doubts import contact_area, load_doubt
+from soil_env.measurement.setup import Setup
+from soil_env.measurement.table import Table, in_radians
+from soil_env.terramechanics.model import Rows
+
+GRAVITY = 9.81  # [m/s2]
+UNUSUAL = math.log(1e-3)  # log of the prior probability of a mistake of one kind
+SURE = 9.0  # log of the evidence for another reading, from which it is told
+#: Times smaller that the mean square above the noise gets under a reading that is told.
+BETTER = 3.0
+FEWEST_ROWS = 6  # that have to agree against a wrong one
+MOST_WRONG = 0.04  # share of the rows that may be wrong, but one may always be
+LONE = 2.0  # ranges of the others, by which a value that is told first leaves them
+CLEAR = 3.0  # [noise and law error] within which a row fits with another load or slip
+WRONG = 4.0  # [noise and law error] from which a row is wrong
+LAW_ERROR = 0.1  # relative, for the same
+NO_VALUE = 1e3  # [noise and law error] residual where the model has no value
+ROUGH = 0.05  # of the spread of a channel: its noise where none is known yet
+FALLS = 0.8  # share of the groups of rows in which the drawbar pull falls with slip
+LOW_SLIP = 0.2  # slip below which a group must begin for a fall to say anything
+LEAST_SPAN = 0.15  # of the slips of a group, for the same
+FEWEST_SDS = 4.0  # [sd] beyond the setup's value at which a soil parameter is not sought
+STEEPEST = 50.0  # [deg] friction angle where the setup says nothing
+#: Share of the load, largest in a table, below which a force is in another unit: rolling takes
+#: more.
+WEAK = 2e-3
+BROAD = 3.0  # spreads of a channel within which a wrong value may be anywhere
+
+
+class Reading(NamedTuple):
+    """The table read otherwise."""
+
+    name: str
+    words: str  # "With ...", in a sentence
+    remedy: str
+    table: Table
+    setup: Setup
+    scale: np.ndarray  # [3] of the channels
+    source: tuple[int, ...] = (0, 1, 2)  # channel of the table of each
+
+
+def readings(table: Table, setup: Setup) -> list[Reading]:
+    """Every reading of the table that is tried."""
+    out = []
+    known = {name: bool(np.any(np.isfinite(getattr(table, name)))) for name in CHANNELS}
+
+    def add(name: str, words: str, remedy: str, scale=(1.0, 1.0, 1.0), **columns) -> None:
+        there = dataclasses.replace(table, **columns)
+        for channel, factor in zip(CHANNELS, scale, strict=True):
+            own: dict[str, Any] = {f"{channel}_sd": factor * getattr(there, f"{channel}_sd")}
+            there = dataclasses.replace(there, **own)
+        out.append(Reading(name, words, remedy, there, setup, np.array(scale)))
+
+    pull = table.drawbar_pull
+    torque = table.torque
+    if known["drawbar_pull"]:
+        add(
+            "pull",
+            "With the sign of drawbar_pull turned",
+            "expected drawbar_pull positive where the wheel pulls",
+            drawbar_pull=-pull,
+        )
+        add(
+            "pull_kg",
+            f"With drawbar_pull as kilograms (times {GRAVITY})",
+            "expected drawbar_pull in newtons",
+            (1.0, GRAVITY, 1.0),
+            drawbar_pull=GRAVITY * pull,
+        )
+    if known["torque"]:
+        add(
+            "torque_kg",
+            f"With torque as kilogram metres (times {GRAVITY})",
+            "expected torque in newton metres",
+            (1.0, 1.0, GRAVITY),
+            torque=GRAVITY * torque,
+        )
+        add(
+            "torque_cm",
+            "With torque as newton centimetres (divided by 100)",
+            "expected torque in newton metres",
+            (1.0, 1.0, 0.01),
+            torque=0.01 * torque,
+        )
+    if known["drawbar_pull"] and known["torque"]:
+        add(
+            "columns",
+            "With the columns of drawbar_pull and torque exchanged",
+            "expected drawbar_pull in newtons and torque in newton metres, each in its own column",
+            drawbar_pull=torque,
+            torque=pull,
+        )
+        out[-1] = out[-1]._replace(source=(0, 2, 1))
+    add(
+        "load",
+        f"With load as kilograms (times {GRAVITY})",
+        "expected load in newtons",
+        load=GRAVITY * table.load,
+    )
+    if known["drawbar_pull"] or known["torque"]:  # sinkage alone may rise or fall with slip
+        add(
+            "slip",
+            "With the sign of slip turned",
+            "expected slip positive where the wheel drives",
+            slip=-table.slip,
+        )
+        driving = np.maximum(table.slip, 0.0)
+        add(
+            "slip_travel",
+            "With slip as (r w - V)/V (divided by 1 + itself)",
+            "expected slip as (r w - V)/(r w) where the wheel drives",
+            slip=np.where(table.slip > 0.0, driving / (1.0 + driving), table.slip),
+        )
+        if np.all(table.slip >= 0.0):
+            add(
+                "slip_ratio",
+                "With slip as V/(r w) (1 less itself)",
+                "expected slip as 1 - V/(r w)",
+                slip=1.0 - table.slip,
+            )
+    half = 0.5 * setup.wheel.radius
+    if not np.any(np.isfinite(table.wheel_radius)) and half >= 0.01:
+        if not np.any(table.sinkage > half) and (setup.wheel.grouser_height or 0.0) < half:
+            wheel = dataclasses.replace(setup.wheel, radius=half)
+            add(
+                "radius",
+                f"With wheel.radius of the setup halved to {half:g} m",
+                "expected the radius, not the diameter",
+            )
+            out[-1] = out[-1]._replace(setup=dataclasses.replace(setup, wheel=wheel))
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A reading, fitted."""
+
+    reading: Reading
+    problem: TableProblem
+    u: np.ndarray
+    cost: float  # squares of residuals and unknowns
+    rms: float  # [noise]
+    evidence: float  # logarithm
+
+
+def _plain(table: Table, setup: Setup) -> Reading:
+    return Reading("", "", "", table, setup, np.ones(3))
+
+
+def _problem(reading: Reading, sd: np.ndarray, used: np.ndarray | None) -> TableProblem:
+    """The reading under a noise [3] of the channels, of the values `used` [N, 3]."""
+    there = reading.table
+    order = list(reading.source)
+    if used is not None:
+        values: dict[str, Any] = {
+            name: np.where(used[:, order[j]], getattr(there, name), math.nan)
+            for j, name in enumerate(CHANNELS)
+        }
+        there = dataclasses.replace(there, **values)
+    levels = {
+        name: float(sd[order[j]] * reading.scale[j])
+        if np.any(np.isfinite(getattr(there, name)))
+        else None
+        for j, name in enumerate(CHANNELS)
+    }
+    noise = dataclasses.replace(reading.setup.noise, **levels)
+    setup = dataclasses.replace(reading.setup, noise=noise)
+    return TableProblem(there, setup, np.ones(len(there), dtype=bool))
+
+
+def _fit(reading: Reading, sd: np.ndarray, used: np.ndarray | None, search: bool = False) -> _Fit:
+    problem = _problem(reading, sd, used)
+    u = problem.search() if search else np.zeros(len(problem.unknowns))
+    problem.weigh(problem.by_conditions(u))
+    u, cost = problem.minimise(u, **COARSE)
+    e = problem.by_noise(problem.residual(u))[problem.measured.ravel()]
+    return _Fit(reading, problem, u, cost, math.sqrt(float(np.mean(e**2))), math.nan)
+
+
+def _weighed(fit: _Fit) -> _Fit:
+    log = fit.problem.evidence(fit.u)[0]
+    return dataclasses.replace(fit, evidence=float(logsumexp(log)))
+
+
+def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
+    """Noise about the surface of a fit, read as the table is; a rough one where the values do not
+    show it.
+    """
+    model = np.zeros_like(data.y)
+    order = list(fit.reading.source)
+    found = fit.problem.steady(fit.u, fit.problem.rows) / fit.reading.scale
+    model[:, order] = np.where(np.isfinite(found), found, 0.0)
+    if fit.reading.name == "pull":
+        model[:, 1] *= -1.0
+    try:
+        return find_noise(data, model)
+    except ParameterError:
+        alone = np.zeros(len(model), dtype=bool)
+        return NoiseEstimate(_rough(data), np.full(3, math.inf), ("",) * 3, data.measured, alone)
+
+
+def _rough(data: Data) -> np.ndarray:
+    """[3] noise of the channels before it is known."""
+    known = [data.table.channel_sd(data.setup, name) for name in CHANNELS]
+    spread = np.array(
+        [
+            np.nanstd(y[m]) if m.any() else 1.0
+            for y, m in zip(data.y.T, data.measured.T, strict=True)
+        ]
+    )
+    return np.where(
+        [k is None for k in known],
+        np.maximum(ROUGH * spread, 1e-12),
+        [1.0 if k is None else k for k in known],
+    )
+
+
+class Better(NamedTuple):
+    """A reading that explains the table better."""
+
+    reading: Reading
+    gain: float  # of the logarithm of the evidence
+    rms: float
+    rms_before: float
+
+
+class _AsIs(NamedTuple):
+    """A table read as it is: its noise, and its fit under that."""
+
+    data: Data
+    noise: NoiseEstimate
+    fit: _Fit
+
+    @property
+    def suspect(self) -> bool:
+        """True if another reading could be better by `SURE`."""
+        return self.fit.cost - int(self.fit.problem.measured.sum()) > 2.0 * SURE
+
+
+def _as_is(data: Data) -> _AsIs:
+    plain = _plain(data.table, data.setup)
+    noise = _noise(data, _fit(plain, _rough(data), None))
+    return _AsIs(data, noise, _fit(plain, noise.sd, noise.used))
+
+
+def _other_readings(start: _AsIs) -> list[Better]:
+    """The readings by their gain, the best first; none where the table as it is leaves nothing to
+    gain.
+    """
+    if not start.suspect:
+        return []
+    data, noise, first = start
+    plain = first.reading
+    rough = _rough(data)
+    others = readings(data.table, data.setup)
+    # A wrong reading leaves more about its surface.
+    for other in others:
+        if other.name != "columns":
+            there = _noise(data, _fit(other, rough, None))
+            if np.sum(np.log(there.sd)) < np.sum(np.log(noise.sd)):
+                noise = there
+    base = _weighed(first if noise is start.noise else _fit(plain, noise.sd, noise.used))
+    fits = [_weighed(_fit(other, noise.sd, noise.used)) for other in others]
+    if max(f.evidence for f in fits) - base.evidence > SURE:
+        searched = _weighed(_fit(plain, noise.sd, noise.used, search=True))
+        base = max(base, searched, key=lambda f: f.evidence)
+    found = [Better(f.reading, f.evidence - base.evidence, f.rms, base.rms) for f in fits]
+    return sorted(found, key=lambda f: -f.gain)
+
+
+class Examined(NamedTuple):
+    """A table that was examined."""
+
+    table: Table  # without wrong rows
+    said: tuple[str, ...]  # what to check first; none as a rule
+    #: Of the rows that are left: [N, 3] values that are no outliers, and the noise.
+    noise: NoiseEstimate
+    left_out: tuple[str, ...]  # rows and values that are left out, in words
+
+
+def examine(table: Table, setup: Setup) -> Examined:
+    """Doubts about a table, most certain first, and the table without the rows that are wrong.
+
+    Raises `ParameterError` where the table cannot be right: it is far better read otherwise, and as
+    it is it breaks a physical limit.
+    """
+    data = prepare(table, setup)
+    always = [*setup.doubts(), *_grades_doubted(data)]
+    dead = _channels_doubted(data)
+    if dead:  # what else could be read into such a table says nothing
+        return Examined(table, (*dead, *always), _as_is(data).noise, ())
+    start, rows = _without_wrong_rows(_as_is(data))
+    cells, gross = _outliers(start.data, start.noise)
+    first = [*rows, *gross, *_readings_doubted(start)]
+    if not first and (load := load_doubt(start.data.table, setup)):
+        first = [load]
+    return Examined(start.data.table, (*first, *always), start.noise, (*rows, *cells))
+
+
+def _readings_doubted(start: _AsIs) -> list[str]:
+    """A doubt where another reading explains the table far better, or where the pull falls with
+    slip.
+    """
+    better = [
+        b
+        for b in _other_readings(start)
+        if b.gain > SURE and BETTER * (b.rms**2 - 1.0) < b.rms_before**2 - 1.0
+    ]
+    data, noise, _ = start
+    if better:
+        best = better[0]
+        text = (
+            f"{best.reading.words}, the base model misses the table by {best.rms:.2g} times the "
+            f"noise instead of {best.rms_before:.2g} ({_sure(best.gain)}): {best.reading.remedy}"
+        )
+        check = {"pull": _pull_falls, "load": _beyond_strength}.get(best.reading.name)
+        if check is not None and (broken := check(data, noise)):
+            raise ParameterError(f"{data.table.source}: {broken}; {text[:1].lower()}{text[1:]}")
+        others = [f"{b.reading.words}" for b in better[1:] if best.gain - b.gain < -UNUSUAL / 2.0]
+        also = f" {'; '.join(others)} it fits nearly as well." if others else ""
+        return [f"{text}.{also}"]
+    if falls := _pull_falls(data, noise):
+        return [f"{falls}: check the sign of drawbar_pull (positive = the wheel pulls)."]
+    return []
+
+
+def _sure(gain: float) -> str:
+    """Probability of a mistake in words, from the gain of the evidence."""
+    probability = 1.0 / (1.0 + math.exp(-min(gain + UNUSUAL, 50.0)))
+    return (
+        "probability above 99.9 %"
+        if probability > 0.999
+        else f"probability {100.0 * probability:.3g} %"
+    )
+
+
+def _without_wrong_rows(start: _AsIs) -> tuple[_AsIs, list[str]]:
+    """The table without rows that contradict all others, and what is said of these."""
+    said = []
+    for _ in range(max(1, int(MOST_WRONG * len(start.data.table)))):
+        found = _wrong_row(start)
+        if found is None:
+            break
+        start, words = found
+        said.append(words)
+    return start, said
+
+
+def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
+    """The table without the row that fits worst, and words on it, if the others then agree."""
+    data, _, fit = start
+    if len(data.table) <= FEWEST_ROWS or not start.suspect:
+        return None
+    problem = fit.problem
+    robust = problem.minimise(fit.u, loss="cauchy", f_scale=CLEAR, **COARSE)[0]
+    e = np.where(problem.measured, problem.by_noise(problem.residual(robust)).reshape(-1, 3), 0.0)
+    square = np.sum(e**2, axis=1) / np.maximum(problem.measured.sum(axis=1), 1)
+    worst = int(np.argmax(square))
+    kept = np.arange(len(data.table)) != worst
+    try:
+        rest = _as_is(prepare(data.table.only(kept), data.setup))
+    except ParameterError:  # too little is left
+        return None
+    sd = rest.noise.sd
+    used = np.insert(rest.noise.used, worst, data.measured[worst], axis=0)
+    before = _fit(fit.reading, sd, used)
+    if BETTER * (rest.fit.rms**2 - 1.0) > before.rms**2 - 1.0:
+        return None
+    spread = np.nanmax(np.abs(data.y), axis=0) * BROAD / sd
+    gain = _weighed(rest.fit).evidence - _weighed(before).evidence - math.log(len(data.table))
+    gain -= float(np.sum(np.log(spread[data.measured[worst]])))
+    words = _words_on(data, worst, rest.fit, sd, gain) if gain > SURE else ""
+    return (rest, words) if words else None
+
+
+def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float) -> str:
+    """Words on a wrong row: which of its cells is wrong by the fit to the other rows; "" where it
+    is off them by no more than laws may err.
+    """
+    table = data.table
+    here = Rows(*(column[:1] for column in others.problem.rows))._replace(
+        slip=table.rim_slip(data.setup)[row : row + 1],
+        load=table.load[row : row + 1],
+        wheels=data.rows.wheels[row : row + 1],
+        conditions=data.rows.conditions[row : row + 1],
+    )
+    known = data.measured[row]
+    y = data.y[row, known]
+    relative = np.broadcast_to(data.relative_sd, data.y.shape)[row, known]
+    size = np.sqrt(np.nanmean(data.y**2, axis=0))[known]  # a pull may be 0
+    allowed = np.sqrt((sd[known] * relative) ** 2 + LAW_ERROR**2 * np.maximum(y**2, size**2))
+
+    def residuals(name: str, values: np.ndarray) -> np.ndarray:
+        """[G, M] of the row at other values of slip or load."""
+        many = Rows(*(np.repeat(column, values.size, axis=0) for column in here))
+        out = others.problem.steady(others.u, many._replace(**{name: values}))[:, known]
+        return np.where(np.isfinite(out), (y - out) / allowed, NO_VALUE)
+
+    off = np.abs(residuals("load", here.load)[0])
+    if np.max(off) < WRONG:
+        return ""
+    where = (
+        f"Row {table.row[row]} (slip {table.slip[row]:g}, load {table.load[row]:g} N) contradicts "
+        f"all others ({_sure(gain)}) and is left out"
+    )
+    names = [name for name, there in zip(CHANNELS, known, strict=True) if there]
+    if len(names) > 2 and np.sum(off > CLEAR) == 1:
+        name = names[int(np.argmax(off))]
+        return f"{where}: check {name} = {getattr(table, name)[row]:g} there."
+    grids = {
+        "load": here.load[0] * np.geomspace(0.01, 100.0, 401),
+        "slip": np.linspace(-0.95, 0.95, 191),
+    }
+    fits = {
+        name: np.sqrt(np.mean(residuals(name, grid) ** 2, axis=1)) for name, grid in grids.items()
+    }
+    best = min(fits, key=lambda name: float(np.min(fits[name])))
+    if len(names) < 2 or np.min(fits[best]) > CLEAR:
+        return f"{where}: check slip, load and values there."
+    value = float(grids[best][int(np.argmin(fits[best]))])
+    unit = " N" if best == "load" else ""
+    return (
+        f"{where}: its values are those of a {best} of {value:.2g}{unit}, check {best} = "
+        f"{getattr(table, best)[row]:g}{unit} there."
+    )
+
+
+def _outliers(data: Data, noise: NoiseEstimate) -> tuple[list[str], list[str]]:
+    """Words on the values that leave the surface through the others, and on those among them that
+    are to be checked first.
+    """
+    cells = []
+    gross = []
+    for k, j in np.argwhere(data.measured & ~noise.used):
+        others = data.y[noise.used[:, j], j]
+        words = (
+            f"Row {data.table.row[k]}, {CHANNELS[j]} = {data.y[k, j]:g}, leaves the surface "
+            "through the other values and is left out."
+        )
+        cells.append(words)
+        span = float(np.ptp(others)) if others.size > FEWEST_ROWS else math.inf
+        if np.min(np.abs(data.y[k, j] - others), initial=math.inf) > LONE * span:
+            gross.append(words)
+    return cells, gross
+
+
+def _grades_doubted(data: Data) -> list[str]:
+    """A doubt where the only grade of the table is that of whole degrees in radians."""
+    grades = data.table.grade_deg[data.table.grade_deg != 0.0]
+    if not in_radians([repr(float(g)) for g in grades]):
+        return []
+    angle = math.degrees(abs(float(grades[0])))
+    return [f"grade_deg = {abs(grades[0]):g} is {angle:.0f} degrees in radians: expected degrees."]
+
+
+def _channels_doubted(data: Data) -> list[str]:
+    """Doubts of channels that hold one value at all slips, or forces that are far too small for
+    newtons.
+    """
+    out = []
+    # A wheel that climbs freely pulls nothing.
+    free = data.setup.load == "vertical" or "grade_deg" in data.varied
+    size = data.rows.load * data.rows.wheels[:, 0]
+    for j, name, unit, over in (
+        (0, "sinkage", "", data.rows.wheels[:, 0]),
+        (1, "drawbar_pull", "newtons", data.rows.load),
+        (2, "torque", "newton metres", size),
+    ):
+        known = data.measured[:, j]
+        y = data.y[known, j]
+        slips = data.rows.slip[known]
+        if y.size < 4 or np.ptp(slips) < LEAST_SPAN or (j == 1 and free and not np.any(y)):
+            continue
+        largest = float(np.max(np.abs(y) / over[known]))
+        if np.ptp(y) == 0.0:
+            out.append(
+                f"{name} is {y[0]:g} in every row: expected measured values, which change with "
+                "slip."
+            )
+        elif unit and largest < WEAK:
+            against = "the load" if j == 1 else "load times radius"
+            out.append(
+                f"{name} is at most {largest:.2g} times {against}: expected {unit} (if it is "
+                f"kilo{unit}, times 1000)."
+            )
+    return out
+
+
+def _pull_falls(data: Data, noise: NoiseEstimate) -> str:
+    """The drawbar pull falls with slip from low slip on, below 0 at much slip, in nearly all groups
+    of rows.
+    """
+    falls = []
+    first = []
+    last = []
+    for rows in data.groups:
+        rows = rows[noise.used[rows, 1]]
+        slip = data.rows.slip[rows]
+        if (
+            rows.size < 3
+            or slip.min() < -0.05
+            or slip.min() > LOW_SLIP
+            or np.ptp(slip) < LEAST_SPAN
+        ):
+            continue
+        order = np.argsort(slip)
+        pull = data.y[rows[order], 1]
+        slip = slip[order]
+        slope = np.polyfit(slip, pull, 1)[0]
+        falls.append(slope * np.ptp(slip) < -3.0 * noise.sd[1] and pull[-1] < min(pull[0], 0.0))
+        first.append(pull[0])
+        last.append(pull[-1])
+    if not falls or np.mean(falls) < FALLS:
+        return ""
+    where = (
+        "in every group of rows"
+        if all(falls)
+        else f"in {100.0 * np.mean(falls):.0f} % of the groups of rows"
+    )
+    return (
+        f"drawbar_pull falls with slip {where} that differ in slip alone, from "
+        f"{np.median(first):.3g} N at the least to {np.median(last):.3g} N at the largest slip"
+    )
+
+
+def _beyond_strength(data: Data, noise: NoiseEstimate) -> str:
+    """The thrust is larger than a soil within the priors can bear at that load: c A + W tan(phi) on
+    the contact.
+    """
+    priors = data.setup.soil
+    if priors.cohesion is None:
+        return ""
+    cohesion = priors.cohesion.value + FEWEST_SDS * priors.cohesion.sd
+    phi = priors.friction_angle_deg
+    tangent = math.tan(
+        math.radians(STEEPEST if phi is None else min(phi.value + FEWEST_SDS * phi.sd, STEEPEST))
+    )
+    radius = data.rows.wheels[:, 0]
+    width = data.rows.wheels[:, 1]
+    depth = np.clip(np.nan_to_num(data.y[:, 0], nan=0.3 * float(radius[0])), 0.02 * radius, radius)
+    bearable = cohesion * contact_area(depth, radius, width) + tangent * data.rows.load
+    for j, name, force in (
+        (2, "torque/radius", data.y[:, 2] / radius),
+        (1, "drawbar_pull", data.y[:, 1]),
+    ):
+        share = (force / bearable)[noise.used[:, j] & (data.rows.slip > 0.15)]
+        if share.size > 2 and np.median(share) > 1.0:
+            return (
+                f"{name} is {np.median(share):.2g} times the strength that the setup's soil has "
+                "under this load, in the middle of the rows with slip above 0.15"
+            )
+    return ""
