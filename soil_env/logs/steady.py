@@ -363,8 +363,8 @@ def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
         (
             f"Grounds found: {len(grounds)}. The identifier saw {found.borders} borders and "
             f"{found.restarts} gaps. A border counts where the soils on its two sides differ with "
-            f"a probability above {DIFFERS:g}. Soils that are alike, or driven on too briefly, count "
-            "as one ground."
+            f"a probability above {DIFFERS:g}. Soils that are alike, or driven on too briefly, "
+            "count as one ground."
         )
     ]
     if steady.reason:
