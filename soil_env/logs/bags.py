@@ -61,7 +61,7 @@ def bag_files(path: Path) -> list[Path]:
     packed = [p for p in found if p.suffix not in SUFFIXES]
     if packed:
         raise ParameterError(
-            f"{packed[0]}: expected .mcap or .db3; unpack a file that is compressed whole (zstd -d)"
+            f"{packed[0]}: is compressed as a whole: expected .mcap or .db3; unpack it with zstd -d"
         )
     if not found:
         raise ParameterError(f"{path}: no .mcap or .db3 file in this folder: expected a ROS 2 bag")
@@ -88,8 +88,8 @@ def messages(
     for k, file in enumerate(files):
         if not file.is_file():
             notes.add(
-                f"{file.name} is named in metadata.yaml and is not there: its part of the "
-                "recording is missing"
+                f"{file.name} is named in metadata.yaml and is not there. Its part of the "
+                "recording is missing."
             )
             continue
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.logs.align import Aligned
-from soil_env.logs.mapping import TIMES, UNITS, LogMap, si_factor
+from soil_env.logs.mapping import GEARED, TIMES, UNITS, LogMap, si_factor
 from soil_env.online import slips
 
 _STANDS = 0.13  # [rad/s] wheel speed, or travel speed over radius, below which a wheel stands
@@ -74,8 +74,9 @@ def time_doubts(interval: float, length: float, log_map: LogMap) -> list[str]:
     likely = " or ".join(u for u in usual if u != now) or "another"
     return [
         (
-            f"time: column {log_map.time.column}: rows are {interval:.3g} s apart, {length:.3g} s "
-            f"in all: expected {_USUAL[0]:g} to {_USUAL[1]:g} s apart: unit {likely}, not {now}?"
+            f"time (column {log_map.time.column}): rows are {interval:.3g} s apart, {length:.3g} s "
+            f"in all, expected {_USUAL[0]:g} to {_USUAL[1]:g} s apart. Perhaps unit {likely} in "
+            f"place of {now}."
         )
     ]
 
@@ -115,10 +116,12 @@ class _Doubts:
         return values[self.drives & ~np.isnan(values)]
 
     def _place(self, name: str) -> str:
-        return f"{name}: {self.map.channels[name].place}"
+        return f"{name} ({self.map.channels[name].place})"
 
     def _doubt(self, name: str, said: str, expected: object, reason: str) -> None:
-        self.lines.append(f"{self._place(name)}: reads {said}: expected {expected}: {reason}?")
+        self.lines.append(
+            f"{self._place(name)} reads {said}, expected {expected}. Perhaps {reason}."
+        )
 
     def _units(self, name: str, low: float, high: float) -> list[str]:
         """Units in which the reading would be `low` to `high` times as large."""
@@ -132,10 +135,9 @@ class _Doubts:
 
     def _unit(self, name: str, low: float, high: float) -> str:
         """A unit that explains a reading which should be `low` to `high` times as large."""
-        return (
-            " or ".join(f"unit {u}" for u in self._units(name, low, high))
-            or "another unit or field"
-        )
+        units = " or ".join(self._units(name, low, high))
+        geared = name in GEARED and self.map.channels[name].gear == 1.0
+        return f"unit {units}" if units else f"another unit{', gear' * geared} or field"
 
     def _speeds(self) -> bool:
         """Compare rim speed, travel speed and slip; True if nothing is doubtful."""
@@ -159,13 +161,13 @@ class _Doubts:
             units += [f"speed in {u}" for u in self._units("speed", over / 2.0, over / _HELD)]
             reason = (
                 " or ".join(units)
-                or f"another unit{', or a wheel that hardly gets on' * (over > 1.0)}"
+                or f"another unit or gear{', or a wheel that hardly gets on' * (over > 1.0)}"
             )
-            said = f"a rim speed of {over:.3g} times the travel speed ({self._place('speed')})"
+            said = f"a rim speed of {over:.3g} times the travel speed of {self._place('speed')}"
             self._doubt("wheel_speed", said, _RIM, reason)
             return False
         if _median(np.sign(rim[both]) * np.sign(speed[both])) < 0.0:
-            said = f"against the travel speed ({self._place('speed')})"
+            said = f"against the travel speed of {self._place('speed')}"
             self._doubt("wheel_speed", said, "the same direction", "another sign of one of the two")
             return False
         return slip is None or self._slip(slip, both)
@@ -177,7 +179,7 @@ class _Doubts:
         of_speeds = slips(self.rim, self.speed)
         away, opposite = (_median(np.abs(slip - sign * of_speeds)[both]) for sign in (1.0, -1.0))
         if away > _SLIPS[1] or away > max(_SLIPS[0], 2.0 * opposite):
-            expected = f"{_median(of_speeds[both]):.2g}, as of the two speeds"
+            expected = f"{_median(of_speeds[both]):.2g} by the two speeds"
             self._doubt(
                 "slip", f"{_median(slip[both]):.2g}", expected, "another sign, unit or definition"
             )
@@ -247,17 +249,18 @@ class _Doubts:
         slope = float(x @ y) / float(x @ x)
         alike = float(x @ y) / math.sqrt(max(float(x @ x) * float(y @ y), 1e-300))
         if slope <= _AGAINST and alike <= -_ALIKE:
-            said = f"{slope:.2g} times the gravity that {name} ({self._place(name)}) feels"
-            self._doubt("pitch", said, "once", "another sign of one of the two")
+            said = f"{slope:.2g} times the slope that {self._place(name)} feels"
+            self._doubt("pitch", said, "the same slope", "another sign of one of the two")
 
     def _stuck_sensors(self) -> None:
         """Doubt each reading but the load that has one value in all steps that drive."""
         for name in ("wheel_speed", "speed", "sinkage", "drawbar_pull", "torque", "motor_torque"):
             values = self._driven(self.log.get(name))
             if values.size >= _LEAST and np.ptp(values) == 0.0:
-                said = f"{values[0]:.3g} in all {values.size} steps that drive"
+                unit = next(iter(UNITS[name]))
+                said = f"{values[0]:.3g} {unit} in all {values.size} steps that drive"
                 reason = "a stuck sensor, or a command"
-                self._doubt(name, said, "values with the noise of a sensor", reason)
+                self._doubt(name, said, "the noise of a sensor", reason)
 
 
 def _median(values: np.ndarray) -> float:

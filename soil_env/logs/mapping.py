@@ -45,7 +45,7 @@ UNITS: dict[str, dict[str, float]] = {
 #: Seconds of each unit of a time column. "iso" is text as 2026-05-04T09:30:00.25 or 09:30:00.25,
 #: "excel" is days from 1899-12-30.
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0, "excel": 86400.0}
-_GEARED = ("wheel_speed", "torque", "motor_torque")
+GEARED = ("wheel_speed", "torque", "motor_torque")
 #: [kg m2] of a map that has none; a motor torque, which needs it, is left out then.
 UNKNOWN_INERTIA = 1e5
 #: That limit nothing.
@@ -184,8 +184,8 @@ class LogMap(Checked):
             raise FieldError(
                 self, place, ": expected motor_constant [N m/A] with unit A, and only there"
             )
-        if s.gear != 1.0 and name not in _GEARED:
-            raise FieldError(self, f"{place}.gear", f": expected only with {', '.join(_GEARED)}")
+        if s.gear != 1.0 and name not in GEARED:
+            raise FieldError(self, f"{place}.gear", f": expected only with {', '.join(GEARED)}")
         if s.efficiency != 1.0 and "torque" not in name:
             raise FieldError(
                 self, f"{place}.efficiency", ": expected only with torque or motor_torque"

@@ -62,17 +62,16 @@ def _check_kind(path: Path, log_map: LogMap) -> bool:
         )
     table = path.suffix.lower() in tables.SUFFIXES and path.is_file()
     if not (table or path.is_dir() or path.suffix in bags.SUFFIXES):
+        old = "; rosbags-convert makes one of a bag of ROS 1" * (path.suffix == ".bag")
         raise ParameterError(
-            f"{path}: expected a ROS 2 bag (a folder), an .mcap, .db3, .csv or .parquet file"
+            f"{path}: expected a ROS 2 bag (a folder), an .mcap, .db3, .csv or .parquet file{old}"
         )
     if path.is_file() and path.stat().st_size == 0:
         raise ParameterError(f"{path}: is empty (0 bytes)")
     for name, source in log_map.channels.items():
         if (source.topic and table) or (source.column and not table):
-            expected = "column" if table else "topic and field"
-            raise ParameterError(
-                f"channels.{name}: has a {source.place}: expected {expected} for {path.name}"
-            )
+            expected = f"a column of the table {path.name}" if table else "topic and field of a bag"
+            raise ParameterError(f"channels.{name}: is a {source.place}: expected {expected}")
     if table and log_map.time is None:
         raise ParameterError(f"time: expected {{column: ..., unit: s}} for the table {path.name}")
     return table
@@ -322,9 +321,9 @@ def _note_delays(notes: Notes, mean: dict[str, float], topics: set[str]) -> None
     if late and len(mean) < len(topics):
         topic = max(late, key=lambda t: abs(mean[t]))
         notes.add(
-            f"The stamps of {topic} are {mean[topic]:.3g} s off the clock of the recording, on "
-            f"which {', '.join(sorted(topics - set(mean)))} is for want of stamps: these readings "
-            "do not belong together in time. Try clock: log"
+            f"The time stamps of {topic} are {mean[topic]:.3g} s off the clock of the recording. "
+            f"{', '.join(sorted(topics - set(mean)))} has no stamps and is on that clock, so the "
+            "readings do not belong together in time. Set clock: log in the map."
         )
 
 

@@ -157,7 +157,8 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     warnings = []
     if restarts:
         warnings.append(
-            f"Started anew {restarts} times, after gaps of more than {log_map.restart_gap:g} s"
+            f"The identifier started anew {'once' if restarts == 1 else f'{restarts} times'}, "
+            f"after gaps of more than {log_map.restart_gap:g} s."
         )
     warnings += _refused(log.time, values, status)
     ground, differs = _grounds(log, log_map, found, values, status, prior)
@@ -202,8 +203,8 @@ def _refused(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray
     status[bad] = Status.MISFIT
     return [
         (
-            f"{bad.sum()} of {bad.size} estimates are refused, being of no soil{said}: a wrong "
-            "unit, sign or wheel?"
+            f"{bad.sum()} of {bad.size} estimates are refused because no soil has such values{said}"
+            ". Perhaps a unit, a sign or the wheel in the map is wrong."
         )
     ]
 
@@ -303,16 +304,16 @@ def _pooled(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     )
 
 
-_NOTHING = "Neither sinkage nor a force: only the slip is known, and nothing can be identified."
+_NOTHING = "Sinkage and forces are not measured. Only the slip is known, which identifies nothing."
 _NO_FORCE = (
-    "Neither drawbar pull nor torque: nothing measures shear. Only the sinkage coefficient S is "
-    "identified, if the load is measured; friction angle, cohesion and K follow from it by the "
-    "correlations of the belief."
+    "Drawbar pull and torque are not measured, so nothing tells of shear. Only the sinkage "
+    "coefficient S is identified, if the load is measured. Friction angle, cohesion and K follow "
+    "from it by the correlations of the belief."
 )
 _MISFIT = (
-    "In {:.0%} of the steps the readings were further from what the model predicts than their "
-    "errors explain: a wrong unit, sign or wheel in the map, a belief without this soil, or laws "
-    "that do not hold here."
+    "In {:.0f} % of the steps the readings contradict the model by more than their errors explain. "
+    "Perhaps a unit, a sign or the wheel in the map is wrong, the belief leaves out this soil, or "
+    "the laws of the model do not hold here."
 )
 
 
@@ -322,31 +323,29 @@ def findings(found: Replay, log: Aligned) -> list[str]:
     lines = []
     if "motor_torque" in log.readings and "motor_torque" not in measured:
         lines.append(
-            "The motor torque is left out: the map lacks wheel.inertia [kg m2], rotor and gear "
-            "included."
+            "The motor torque is left out because the map lacks wheel.inertia [kg m2], which "
+            "has to include rotor and gearbox."
         )
     forces = measured & {"drawbar_pull", "acceleration", "torque", "motor_torque"}
     if not forces:
         lines.append(_NO_FORCE if "sinkage" in measured else _NOTHING)
     names = {
-        "friction_angle_deg": "friction angle",
+        "friction_angle_deg": "The friction angle",
         "shear_modulus": "K",
         "sinkage_coefficient": "S",
     }
     shares = found.learnt()
     current = found.learnt(current=True)
     for name, words in names.items():
-        result = "identified" if current[name] < _LEARNT else "not identified: this is the prior"
+        result = "is identified" if current[name] < _LEARNT else "is not identified"
         if shares[name] < _LEARNT <= current[name]:
-            result = (
-                "narrowed, by estimates that were never current (no range of slip, or readings "
-                "that contradict)"
-            )
+            result = "is not identified by any estimate that was current"
         lines.append(
-            f"{words}: {result} (standard deviation at best {shares[name]:.2f} of the prior's)"
+            f"{words} {result}. Its least standard deviation is {shares[name]:.2f} of the prior's."
         )
     share = {s: float(np.mean(found.status == s)) if found.status.size else 0.0 for s in Status}
-    lines.append(f"The estimate was current in {share[Status.CONVERGED]:.0%} of the steps.")
+    current_share = 100.0 * share[Status.CONVERGED]
+    lines.append(f"The estimate was current in {current_share:.0f} % of the steps.")
     if share[Status.MISFIT] > _CONTRADICTS:
-        lines.append(_MISFIT.format(share[Status.MISFIT]))
+        lines.append(_MISFIT.format(100.0 * share[Status.MISFIT]))
     return lines

@@ -146,7 +146,7 @@ def _soil_table(found: Replay) -> Table:
     rows = []
     for name, (words, unit) in _NAMES.items():
         spread = found.values[SD_OF[name]][-1]
-        error = f"{spread:.0%}" if "relative" in SD_OF[name] else f"{spread:.3g} {unit}"
+        error = f"{spread:.0%}" if "relative" in SD_OF[name] else f"{spread:.3g}"
         cells = ("refused", "") if spread != spread else (f"{found.values[name][-1]:.4g}", error)
         rows.append((words, *cells, unit, f"{learnt[name]:.2f}"))
     header = ("parameter", "at the end", "1 sd", "unit", "least sd / prior sd")

@@ -361,34 +361,34 @@ def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
     """Sentences on the grounds, the steady points, and what may be fitted together."""
     out = [
         (
-            f"Grounds found: {len(grounds)}, of {found.borders} borders that the filter saw and "
+            f"Grounds found: {len(grounds)}. The identifier saw {found.borders} borders and "
             f"{found.restarts} gaps. A border counts where the soils on its two sides differ with "
-            f"probability above {DIFFERS:g}: soils that are alike, or driven on too briefly, count "
-            "as one ground."
+            f"a probability above {DIFFERS:g}. Soils that are alike, or driven on too briefly, "
+            "count as one ground."
         )
     ]
     if steady.reason:
         return [*out, f"No measurement table: {steady.reason}."]
-    count = f"{len(steady.rows)} steady points in steady.csv"
+    count = f"steady.csv has {len(steady.rows)} steady points"
     if len(grounds) == 1:
-        out.append(f"{count}, all on one ground as far as was found, with setup.yaml beside it.")
+        out.append(f"{count} of one ground. Its setup is setup.yaml.")
     else:
         changes = ", ".join(f"{g.begin:.1f}" for g in grounds[1:])
         out.append(
-            f"{count}, on {len(grounds)} grounds, which change at {changes} s. Fit one ground at a "
+            f"{count} of {len(grounds)} grounds, which change at {changes} s. Fit one ground at a "
             "time."
         )
     few = ", ".join(str(g.number) for g in grounds if g.points.reason)
     if few and len(grounds) > 1:
         out.append(
-            f"Too few points for a table on ground {few}: hold two wheel speeds or more, each for "
-            "a second."
+            f"Too few points for a table are on ground {few}. Hold two wheel speeds or more there, "
+            "each for a second."
         )
     return [
         *out,
         (
-            "The noise in the setup is the scatter within the stretches; differences between "
-            "places add to it."
+            "The noise in the setup is the scatter within the stretches. Differences between "
+            "places come on top of it."
         ),
     ]
 

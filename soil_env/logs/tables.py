@@ -191,7 +191,7 @@ def _csv(
             f"{path}: no whole row below the header{': it is cut off' if short else ''}"
         )
     if short:
-        notes.add(f"{path.name} is cut off in its last row: that row is left out")
+        notes.add(f"{path.name} is cut off in its last row, which is left out.")
     progress(size, size)
 
 

@@ -58,6 +58,7 @@ STEEPEST = 60.0  # [deg]
 FASTEST = 40.0  # [m/s] a larger speed is taken for mm/s
 LIGHTEST = 1e-3  # [N] of a load
 STRONGEST = 1e6  # [N], [N m] of a load, and of a pull or torque either way
+MOST_BYTES = 50_000_000  # of a file: half a million steady points
 MOST_PASSES = 10**6  # pass numbers are whole and small
 EXACTEST = 1e-9  # least standard deviation, in the unit of its column
 COARSEST = 1e6  # largest one
@@ -211,6 +212,11 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     them.
     """
     try:
+        if path.stat().st_size > MOST_BYTES:
+            raise ParameterError(
+                f"{path}: larger than {MOST_BYTES // 10**6} MB: expected one row for each steady "
+                "point; soil-env logs makes such rows of a recording"
+            )
         # With or without a byte order mark.
         with path.open(encoding="utf-8-sig", newline="") as stream:
             text = [line if not line.lstrip().startswith("#") else "\n" for line in stream]

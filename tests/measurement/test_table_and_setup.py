@@ -299,3 +299,10 @@ def test_slip_by_the_lug_tips_is_turned_into_slip_by_the_rim(tmp_path):
     assert "grouser_height" in refusal(
         table.rim_slip, Setup(SetupWheel(0.1, 0.1), slip_reference="tip")
     )
+
+
+def test_a_file_that_is_too_large_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("soil_env.measurement.table.MOST_BYTES", 20)
+    (tmp_path / "a.csv").write_text("slip,load,torque\n0.1,80,4\n")
+    with pytest.raises(ParameterError, match=r"a\.csv: larger than .* soil-env logs"):
+        read_table(tmp_path / "a.csv")
