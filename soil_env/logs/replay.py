@@ -303,6 +303,13 @@ def _pooled(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     )
 
 
+#: Quantities and the readings that measure them.
+_SENSORS = {
+    "sinkage": {"sinkage"},
+    "load": {"load"},
+    "drawbar pull": {"drawbar_pull", "acceleration"},
+    "torque": {"torque", "motor_torque"},
+}
 _NOTHING = "Neither sinkage nor a force: only the slip is known, and nothing can be identified."
 _NO_FORCE = (
     "Neither drawbar pull nor torque: nothing measures shear. Only the sinkage coefficient S is "
@@ -328,6 +335,12 @@ def findings(found: Replay, log: Aligned) -> list[str]:
     forces = measured & {"drawbar_pull", "acceleration", "torque", "motor_torque"}
     if not forces:
         lines.append(_NO_FORCE if "sinkage" in measured else _NOTHING)
+    missing = [words for words, of in _SENSORS.items() if not measured & of]
+    if missing and len(missing) < len(_SENSORS):
+        lines.append(
+            f"Not measured: {', '.join(missing)}. The standard deviations allow for that; that "
+            "these readings contradict the estimate cannot show."
+        )
     names = {
         "friction_angle_deg": "friction angle",
         "shear_modulus": "K",

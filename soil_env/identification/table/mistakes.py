@@ -27,9 +27,9 @@ from soil_env.terramechanics.model import Rows
 
 GRAVITY = 9.81  # [m/s2]
 UNUSUAL = math.log(1e-3)  # log of the prior probability of a mistake of one kind
-SURE = 9.0  # log of the evidence for another reading, from which it is told
+SURE = 7.5  # log of the evidence for another reading, from which it is told
 #: Times smaller that the mean square above the noise gets under a reading that is told.
-BETTER = 3.0
+BETTER = 1.5
 FEWEST_ROWS = 6  # that have to agree against a wrong one
 MOST_WRONG = 0.04  # share of the rows that may be wrong, but one may always be
 LONE = 2.0  # ranges of the others, by which a value that is told first leaves them
