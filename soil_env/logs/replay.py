@@ -304,6 +304,13 @@ def _pooled(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     )
 
 
+#: Quantities and the readings that measure them.
+_SENSORS = {
+    "sinkage": {"sinkage"},
+    "load": {"load"},
+    "drawbar pull": {"drawbar_pull", "acceleration"},
+    "torque": {"torque", "motor_torque"},
+}
 _NOTHING = "Sinkage and forces are not measured. Only the slip is known, which identifies nothing."
 _NO_FORCE = (
     "Drawbar pull and torque are not measured, so nothing tells of shear. Only the sinkage "
@@ -329,6 +336,12 @@ def findings(found: Replay, log: Aligned) -> list[str]:
     forces = measured & {"drawbar_pull", "acceleration", "torque", "motor_torque"}
     if not forces:
         lines.append(_NO_FORCE if "sinkage" in measured else _NOTHING)
+    missing = [words for words, of in _SENSORS.items() if not measured & of]
+    if missing and len(missing) < len(_SENSORS):
+        lines.append(
+            f"Not measured: {', '.join(missing)}. The standard deviations allow for that. Whether "
+            "these quantities would contradict the estimate cannot be seen."
+        )
     names = {
         "friction_angle_deg": "The friction angle",
         "shear_modulus": "K",

@@ -192,12 +192,15 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
         ratio = ratio[np.isfinite(ratio)]
         if ratio.size and np.median(ratio) > MOST_FORCE:
             times = "the load" if j == 1 else "load times radius"
-            small = "newton millimetres" if j == 2 else "millinewtons"
+            small = (
+                "millinewtons, divide by 1000"
+                if j == 1
+                else "newton millimetres or centimetres, divide by 1000 or 100"
+            )
             refuse(
                 True,
                 f"{name} is {np.median(ratio):.3g} times {times} in the middle of the rows, where "
-                f"{times} is {np.median(over):.3g}: expected {unit} (if it is {small}, divide by "
-                "1000)",
+                f"{times} is {np.median(over):.3g}: expected {unit} (if it is {small})",
             )
     z = y[:, 0]
     if np.any(np.isfinite(z)) and np.nanmax(z) < 0.0:

@@ -521,6 +521,16 @@ def _not_modelled(problem: TableProblem) -> list[str]:
     words = []
     table = problem.table
     used = problem.use
+    names = [name.replace("_", " ") for name in MEASURED]
+    there = problem.measured.any(axis=0)
+    missing = " and ".join(name for name, known in zip(names, there, strict=True) if not known)
+    if missing:
+        rest = " and ".join(name for name, known in zip(names, there, strict=True) if known)
+        words.append(
+            f"Not measured: {missing}. The estimate rests on {rest}. The intervals would be "
+            f"narrower with {missing} where all agree; that they disagree, which would widen them, "
+            "cannot show here."
+        )
     left_out = int(np.sum(~used))
     unseen = int(np.sum(np.isnan(table.sinkage[used])))
     if left_out:

@@ -27,12 +27,12 @@ from soil_env.terramechanics.model import Rows
 
 GRAVITY = 9.81  # [m/s2]
 UNUSUAL = math.log(1e-3)  # log of the prior probability of a mistake of one kind
-SURE = 9.0  # log of the evidence for another reading, from which it is told
+SURE = 7.5  # log of the evidence for another reading, from which it is told
 #: Times smaller that the mean square above the noise gets under a reading that is told.
-BETTER = 3.0
+BETTER = 1.5
 FEWEST_ROWS = 6  # that have to agree against a wrong one
 MOST_WRONG = 0.04  # share of the rows that may be wrong, but one may always be
-LONE = 2.0  # ranges of the others, by which a value that is told first leaves them
+LONE = 1.0  # ranges of the others, by which a value that is told first leaves them
 CLEAR = 3.0  # [noise and law error] within which a row fits with another load or slip
 WRONG = 4.0  # [noise and law error] from which a row is wrong
 LAW_ERROR = 0.1  # relative, for the same
@@ -98,11 +98,11 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
             torque=GRAVITY * torque,
         )
         add(
-            "torque_cm",
-            "With torque as newton centimetres (divided by 100)",
+            "torque_kg_cm",
+            f"With torque as kilogram centimetres (times {0.01 * GRAVITY:g})",
             "expected torque in newton metres",
-            (1.0, 1.0, 0.01),
-            torque=0.01 * torque,
+            (1.0, 1.0, 0.01 * GRAVITY),
+            torque=0.01 * GRAVITY * torque,
         )
     if known["drawbar_pull"] and known["torque"]:
         add(
