@@ -18,7 +18,7 @@ from soil_env.parameters.presets import library
 LARGEST_WHEEL = 3.0  # [m] largest radius and width of a wheel that are accepted; own choice
 LEAST_INERTIA = 0.02  # [-] of body_mass radius^2, below that of any geared drive; own choice
 USUAL = "planetary_rover"  # preset whose ground pressure and drive a wheel has that tells none
-_LEFT_OUT = math.nan  # this very object: a NaN from elsewhere is refused
+_LEFT_OUT = float("nan")  # this very object: a NaN from elsewhere is refused
 
 
 @dataclass(frozen=True)
