@@ -1,5 +1,6 @@
 """Presets, strict loading and its one-line errors."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -151,3 +152,65 @@ def test_a_soil_digs_only_where_it_says_so():
     dug = WheelSoilModel(wheel, Soil(**SOIL_S, dig_gain=1.5)).predict({"slip": slip, "load": 100.0})
     assert dug.sinkage[1] > 1.5 * bare.sinkage[1]
     assert all("dig_gain" in line for line in read_yaml(config_dir() / "soils.yaml").values())
+
+
+def test_a_file_changes_the_scenario_that_its_base_names(tmp_path):
+    """By name, by a path as seen from the file, over several files."""
+    first = tmp_path / "first.yaml"
+    first.write_text("base: sticky\ncourse: {length: 12}\nwheel: {width: 0.12}\n")
+    (tmp_path / "second.yaml").write_text("base: first.yaml\ngravity: 3.7\nsoils: {dry_sand: 1}\n")
+    one, two = load_scenario(first), load_scenario(tmp_path / "second.yaml")
+    changes = {"name": "first", "course": {"length": 12}, "wheel": {"width": 0.12}}
+    assert one == load_scenario("sticky", changes)
+    assert (two.name, two.gravity, two.course, two.wheel) == ("second", 3.7, one.course, one.wheel)
+    assert two.soils == {"dry_sand": 1.0}
+    assert load_scenario({"base": "mixed"}) == load_scenario("mixed", {"name": "unnamed"})
+    assert load_scenario(to_dict(one)) == one
+    (tmp_path / "self.yaml").write_text("base: self.yaml\n")
+    rover = tmp_path / "rover.yaml"
+    rover.write_text("base: mars_rover\nvehicle: {mass: 600}\n")
+    assert parameters.load_rover(rover).wheel.body_mass == 100.0
+    for given, said in (
+        (tmp_path / "self.yaml", "expected a file that is no change of this one"),
+        ({"base": "mixd"}, "base: .*did you mean 'mixed'"),
+        ({"base": 3}, "base = 3: expected the name"),
+        ({"base": "mars_rover"}, "one of configs/rovers"),
+        ({"base": "mixed", "corse": {}}, "did you mean 'course'"),
+    ):
+        with pytest.raises(ParameterError, match=said) as error:
+            load_scenario(given)
+        assert "\n" not in str(error.value)
+
+
+def test_numbers_are_floats_wherever_floats_are_meant():
+    """Compiled code is compiled anew for whole numbers."""
+    scenario = load_scenario("mixed", {"course": {"length": np.float32(12), "grade_deg": [-4, 4]}})
+    soil = Soil(30, 500, np.float64(0.02), 1, sinkage_coefficient=np.int64(10**6), dig_gain=2)
+    wheel = parameters.Wheel(1, 1, 20, 100, 5, 200)
+    for owner in (scenario.course, soil, wheel, Setup(SetupWheel(1, 1)).wheel):
+        for f in (f for f in dataclasses.fields(owner) if "unit" in f.metadata):
+            values = getattr(owner, f.name)
+            for value in values if isinstance(values, tuple) else (values,):
+                assert type(value) in (float, type(None)) or f.type is int, f.name
+    assert all(type(x) is float for x in soil.state(1))
+
+
+def test_radius_and_width_make_a_wheel():
+    """With the ground pressure of the usual wheel, as fast a rim and as much pull of the weight."""
+    usual = parameters.wheels()["planetary_rover"]
+    small = parameters.Wheel(0.1, 0.08)
+    same = to_dict(parameters.Wheel(usual.radius, usual.width, source=usual.source))
+    assert same == pytest.approx(to_dict(usual))
+    assert small.no_load_speed * 0.1 == pytest.approx(usual.no_load_speed * usual.radius)
+    pressure = usual.body_mass / (usual.radius * usual.width)
+    assert small.body_mass / (0.1 * 0.08) == pytest.approx(pressure)
+    pull = usual.stall_torque / (usual.radius * usual.body_mass)
+    assert small.stall_torque / (0.1 * small.body_mass) == pytest.approx(pull)
+    assert parameters.Wheel(0.1, 0.08, body_mass=3).body_mass == 3.0
+    assert load_scenario("mixed", {"wheel": {"radius": 0.1, "inertia": 0.3}}).wheel.inertia == 0.3
+    model = WheelSoilModel(small, Soil(**SOIL_S))
+    assert model.wheel == ModelWheel(0.1, 0.08)
+    assert ModelWheel.of(SetupWheel(0.1, 0.08)) == model.wheel
+    for wrong in (math.nan, "heavy"):
+        with pytest.raises(ParameterError, match="Wheel.body_mass"):
+            parameters.Wheel(0.1, 0.08, body_mass=wrong)

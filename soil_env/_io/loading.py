@@ -68,8 +68,8 @@ def check(instance) -> None:
         value = getattr(instance, f.name)
         low = f.metadata["low"]
         high = f.metadata["high"]
-        for x in value if isinstance(value, tuple) else (value,):
-            is_number = isinstance(x, numbers.Real) and not isinstance(x, bool)
+        for x in map(_of_python, value if isinstance(value, tuple) else (value,)):
+            is_number = isinstance(x, (int, float)) and not isinstance(x, bool)
             if x is not None and not (is_number and low <= x <= high and math.isfinite(x)):
                 limits = f"[{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
                 raise FieldError(
@@ -83,6 +83,11 @@ def check(instance) -> None:
             raise FieldError(
                 instance, f.name, f" = {list(value)}: expected the smaller number first"
             )
+
+
+def _of_python(value: typing.Any) -> typing.Any:
+    """A number of numpy as one of Python; anything else as it is."""
+    return value.item() if isinstance(value, numbers.Real) and hasattr(value, "item") else value
 
 
 def _said(value: object) -> str:
@@ -264,18 +269,18 @@ def number(kind: type, value, where: str):
             value = found if math.isfinite(found) or value.strip(" +-")[:1] in "iInN" else value
         except ValueError:
             pass
-    real: typing.Any = value  # a number, below
+    value = _of_python(value)
     if (
         isinstance(value, bool)
-        or not isinstance(value, numbers.Real)
-        or sys.float_info.max < abs(real) < math.inf
+        or not isinstance(value, (int, float))
+        or sys.float_info.max < abs(value) < math.inf
     ):
         raise ParameterError(f"{where} = {_said(value)}: expected a number")
     if kind is int:
-        if not math.isfinite(real) or real != int(real):
+        if not math.isfinite(value) or value != int(value):
             raise ParameterError(f"{where} = {value!r}: expected a whole number")
-        return int(real)
-    return float(real)
+        return int(value)
+    return float(value)
 
 
 def merge(base: dict, changes: dict) -> dict:

@@ -54,7 +54,7 @@ def warm_up() -> None:
         envs.step(np.full((64, 1), 0.4, dtype=np.float32))
         envs.simulation.true_soils()
         envs.close()
-    _drive("SoilWheel-v0", 0.4, scenario="two_lines")
+    _drive("SoilWheel-v0", 0.4, scenario="mixed")  # without a camera
     _drive("SoilRover-v0", 0.4)
     for name, image in (("mixed", None), ("two_lines", Image(*(0.0,) * len(Image._fields)))):
         Observer(load_scenario(name)).observe(Readings(2.0, 0.25), image=image)

@@ -18,7 +18,7 @@ from soil_env.parameters.presets import library
 LARGEST_WHEEL = 3.0  # [m] largest radius and width of a wheel that are accepted; own choice
 LEAST_INERTIA = 0.02  # [-] of body_mass radius^2, below that of any geared drive; own choice
 USUAL = "planetary_rover"  # preset whose ground pressure and drive a wheel has that tells none
-_LEFT_OUT = math.nan  # this very object: a NaN from elsewhere is refused
+_LEFT_OUT = float("nan")  # this very object: a NaN from elsewhere is refused
 
 
 @dataclass(frozen=True)
@@ -63,15 +63,14 @@ class Wheel(Checked):
     def _complete(self) -> None:
         """Fill in what was left out, by the usual wheel."""
         left = [name for name in _DRIVE if getattr(self, name) is _LEFT_OUT]
-        sizes = (self.radius, self.width)
-        if not left or not all(isinstance(x, (int, float)) and 0.0 < x < math.inf for x in sizes):
+        if not left or not (_positive(self.radius) and _positive(self.width)):
             return
         usual = wheels()[USUAL]
         mass = self.body_mass
         if mass is _LEFT_OUT:
             mass = usual.body_mass * self.radius * self.width / (usual.radius * usual.width)
         fitted = geared(replace(usual, width=self.width), self.radius)
-        heavier = mass / usual.body_mass
+        heavier = mass / usual.body_mass if _positive(mass) else 1.0  # it is refused below
         found = {
             "body_mass": mass,
             "inertia": heavier * fitted.inertia,
@@ -80,6 +79,10 @@ class Wheel(Checked):
         }
         for name in left:
             object.__setattr__(self, name, found[name])
+
+
+def _positive(number: object) -> bool:
+    return isinstance(number, (int, float)) and 0.0 < number < math.inf
 
 
 _DRIVE = ("inertia", "stall_torque", "no_load_speed", "body_mass")

@@ -1,0 +1,37 @@
+"""`soil-env describe`: every key that a file may have, with its unit, range and default."""
+
+import pytest
+
+from soil_env.cli import main
+from soil_env.cli.describe import KINDS, keys_of
+from soil_env.parameters import Scenario, load_scenario, to_dict
+
+
+def paths(mapping, above=""):
+    """All keys of nested mappings, as a description writes them."""
+    for key, value in mapping.items():
+        yield f"{above}{key}"
+        if isinstance(value, dict) and key not in ("soils", "own_soils"):
+            yield from paths(value, f"{above}{key}.")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_is_described(kind, capsys):
+    assert main(["describe", kind]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith(f"{kind}: ") and len(lines) > 8
+    assert all("[" in line or "  " in line or ": " in line for line in lines if line)
+
+
+def test_the_keys_of_a_scenario_are_all_there_with_unit_range_and_default():
+    described = {line.split()[0]: line for line in keys_of(Scenario) if "  " in line}
+    assert set(paths(to_dict(load_scenario("two_lines")))) <= set(described)
+    words = " ".join(described["course.length"].split()[1:])
+    assert words.startswith("[m] 1 to 10000; default 10")
+    assert "torque | wheel_speed | rim_acceleration" in described["control.action"]
+    assert "required" in described["wheel.radius"]
+
+
+def test_an_unknown_kind_is_one_line(capsys):
+    assert main(["describe", "scenari"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
