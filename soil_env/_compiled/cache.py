@@ -110,9 +110,15 @@ class Kept:
             if self._opened:  # by another thread
                 return self._function(*arguments)
             with self._alone():
-                patience = PATIENCE if self._check() else 0.0
-                with _explained(self.py_func, patience):
-                    result = self._call(arguments)
+                loaded = self._check()
+                with _explained(self.py_func, PATIENCE if loaded else 0.0):
+                    try:
+                        result = self._call(arguments)
+                    except Exception:
+                        if not loaded or self._function.overloads:  # of the function itself
+                            raise
+                        self._drop()  # whole files that numba cannot load: nothing has run yet
+                        result = self._call(arguments)
                 self._opened = True
                 self._note()
         return result
@@ -140,17 +146,29 @@ class Kept:
             yield
 
     def _check(self) -> bool:
-        """True if there is code to load; all of the function is dropped if one file is damaged."""
+        """True if there are files to load; drop them if one is damaged, and say what is done."""
         if self._folder is None:
             tell("compiling in each process anew: compiled code cannot be kept without a folder")
             return False
-        known = self._checksums()
-        if known is None or known != self._present():
-            tell(f"compiled code in {self._folder} is damaged; it is dropped and compiled anew")
-            shutil.rmtree(self._folder, ignore_errors=True)
-            self._function = _compiled(self.py_func, self._folder)
-            return False
-        return bool(known)
+        try:
+            known = self._checksums()
+            damaged = known is None or known != self._present()
+        except OSError:  # a file that nobody may read, a folder or a link in its place
+            damaged = True
+        if damaged:
+            self._drop()
+        elif known:
+            return COMPILED
+        return False
+
+    def _drop(self) -> None:
+        """Delete the files of the function and say so; where one stays, none is kept any more."""
+        assert self._folder is not None
+        tell(f"compiled code in {self._folder} is damaged; it is dropped and compiled anew")
+        shutil.rmtree(self._folder, ignore_errors=True)
+        if self._folder.exists():
+            self._folder = None
+        self._function = _compiled(self.py_func, self._folder)
 
     def _note(self) -> None:
         """Write the checksums of the files that numba has written."""
@@ -174,7 +192,7 @@ class Kept:
             known = json.loads((self._folder / CHECKSUMS).read_text())
         except FileNotFoundError:
             return {}
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             return None
         return known if isinstance(known, dict) else None
 

@@ -1,5 +1,7 @@
 """The cache of compiled code: loaded, damaged, not writable, asked for by two processes at once."""
 
+import hashlib
+import json
 import os
 import subprocess
 import sys
@@ -96,6 +98,35 @@ def test_damaged_code_is_dropped_and_compiled_anew(call, tmp_path, kind, damage)
     call()
     (file,) = (tmp_path / "cache").rglob(f"*.{kind}")
     file.write_bytes(damage(file.read_bytes()))
+    result, said = call()
+    assert result == COMPILED and sum("damaged" in line for line in said) == 1
+    assert call() == (LOADED, [])
+
+
+def unloadable(file):
+    """A file that is no pickle, with its own checksum."""
+    file.write_bytes(b"\xff")
+    checksums = file.parent.parent / cache.CHECKSUMS
+    known = json.loads(checksums.read_text())
+    checksums.write_text(json.dumps(known | {file.name: hashlib.sha256(b"\xff").hexdigest()}))
+
+
+def unreadable(file):
+    """A link to nothing in place of a file."""
+    file.unlink()
+    file.symlink_to("nowhere")
+
+
+def nested(file):
+    """Checksums that no reader of JSON can follow."""
+    (file.parent.parent / cache.CHECKSUMS).write_text("[" * 100_000)
+
+
+@pytest.mark.parametrize("damage", [unloadable, unreadable, nested])
+def test_files_that_cannot_be_loaded_are_dropped_once(call, tmp_path, damage):
+    call()
+    (file,) = (tmp_path / "cache").rglob("*.nbc")
+    damage(file)
     result, said = call()
     assert result == COMPILED and sum("damaged" in line for line in said) == 1
     assert call() == (LOADED, [])
