@@ -459,6 +459,9 @@ def test_damaged_cells_and_checksums(tmp_path):
     content = json.dumps({f"metric{k}": 0.1 * k for k in range(9)}).encode()
     name = str(cell_file(tmp_path, "1").relative_to(tmp_path))
     check_reading(cells, content, tmp_path, name)
+    (tmp_path / name).write_text("[" * 100_000)
+    with pytest.raises(ParameterError, match="is damaged"):
+        cells(tmp_path / name)
     code = Kept.__new__(Kept)
     code._folder = tmp_path
     content = json.dumps({f"f{k}.nbi": f"{k:064x}" for k in range(4)}).encode()
