@@ -179,7 +179,7 @@ def with_cell(text: str, row: int, name: str, factor: float) -> str:
 
 @pytest.mark.parametrize("effects", [{}, PLANTED])
 @pytest.mark.parametrize(
-    ("name", "words"), [("load", "values are those of a load of 1.{,3} N"), ("slip", "check slip")]
+    ("name", "words"), [("load", "values are those of a load of 1[1-3]0 N"), ("slip", "check slip")]
 )
 def test_a_row_with_a_wrong_condition_is_named_and_left_out(tmp_path, effects, name, words):
     text = table_text(effects, loads=(100, 120, 150))

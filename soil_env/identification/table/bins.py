@@ -44,7 +44,10 @@ def binned(table: Table, setup: Setup) -> Binned:
     }
     outliers = 0
     for channel in MEASURED:
-        cleaned = [_without_outliers(getattr(table, channel)[rows]) for rows in bins]
+        values = [getattr(table, channel)[rows] for rows in bins]
+        spreads = [s for s in map(_spread, values) if math.isfinite(s)]
+        usual = float(np.median(spreads)) if spreads else 0.0
+        cleaned = [_without_outliers(v, usual) for v in values]
         outliers += sum(count for _, count in cleaned)
         columns[channel] = np.array([value for value, _ in cleaned])
     for name in NOISE:
@@ -60,7 +63,7 @@ def binned(table: Table, setup: Setup) -> Binned:
         "rows: errors that go on from row to row count once."
     )
     if outliers:
-        words += f" {outliers} values that leave their bin are left out."
+        words += f" Values left out that are far from the others of their bin: {outliers}."
     return Binned(dataclasses.replace(table, **columns), there, words)
 
 
@@ -134,10 +137,15 @@ def _merged(values: np.ndarray) -> Any:
     return np.mean(values)
 
 
-def _without_outliers(values: np.ndarray) -> tuple[float, int]:
-    """(mean without values far from the median, number of these)."""
+def _spread(values: np.ndarray) -> float:
+    """Median distance from the median."""
+    return float(np.median(np.abs(values - np.median(values))))
+
+
+def _without_outliers(values: np.ndarray, usual: float) -> tuple[float, int]:
+    """(mean without values far from the median, number of these); `usual` is the least spread."""
     if values.size < FEWEST:
         return float(np.mean(values)), 0
-    off = np.abs(values - np.median(values))
-    kept = off <= FAR * 1.4826 * np.median(off)
+    reach = FAR * 1.4826 * max(_spread(values), usual)
+    kept = ~(np.abs(values - np.median(values)) > reach)
     return float(np.mean(values[kept])), int(values.size - kept.sum())

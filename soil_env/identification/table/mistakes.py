@@ -439,10 +439,10 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float) -
     best = min(fits, key=lambda name: float(np.min(fits[name])))
     if len(names) < 2 or np.min(fits[best]) > CLEAR:
         return f"{where}: check slip, load and values there."
-    value = float(grids[best][int(np.argmin(fits[best]))])
+    value = float(f"{grids[best][int(np.argmin(fits[best]))]:.2g}")
     unit = " N" if best == "load" else ""
     return (
-        f"{where}: its values are those of a {best} of {value:.2g}{unit}, check {best} = "
+        f"{where}: its values are those of a {best} of {value:g}{unit}, check {best} = "
         f"{getattr(table, best)[row]:g}{unit} there."
     )
 

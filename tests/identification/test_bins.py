@@ -1,0 +1,98 @@
+"""Dense tables: bins of about the same conditions, and both commands on them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from soil_env.identification.table import identify_table
+from soil_env.identification.table.bins import DENSE, MOST, binned
+from soil_env.identification.table.data import folds, prepare
+from tests.discrepancy.files import NOISE, SETUP, data_of, world
+
+BARE = SETUP.split("soil:")[0] + "soil: {density: 1600}\nnoise: {sinkage: 0.0006}\n"
+
+
+def dense(folder, count, seed=0, correlated=20, added=0.0):
+    """Sweeps of slip under three loads; errors of the noise go on over `correlated` rows, and the
+    sinkage grows by the share `added` of the slip.
+    """
+    rng = np.random.default_rng(seed)
+    slip = np.concatenate([np.sort(rng.uniform(0.02, 0.6, count // 3)) for _ in range(3)])
+    load = np.repeat([100.0, 150.0, 220.0], count // 3) * (1.0 + 0.003 * rng.normal(size=slip.size))
+    y = np.stack(world({}).predict({"slip": slip, "load": load})[:3], axis=1)
+    y[:, 0] *= 1.0 + added * slip
+    errors = rng.normal(size=y.shape)
+    keep = np.exp(-1.0 / correlated)
+    for k in range(1, len(errors)):
+        errors[k] = keep * errors[k - 1] + np.sqrt(1.0 - keep**2) * errors[k]
+    rows = np.column_stack([slip, load, y + errors * list(NOISE.values())])
+    lines = [",".join(("slip", "load", *NOISE))]
+    lines += [",".join(f"{x:.7g}" for x in row) for row in rows]
+    return data_of(folder, "\n".join(lines) + "\n", BARE)
+
+
+def test_bins_keep_loads_apart_and_are_few(tmp_path):
+    data = dense(tmp_path, 3000)
+    found = binned(data.table, data.setup)
+    assert MOST // 2 < len(found.table) <= MOST and "3000 rows are taken in" in found.words
+    near = np.min(np.abs(found.table.load[:, None] / [100.0, 150.0, 220.0] - 1.0), axis=1)
+    assert np.all(near < 0.01)
+    assert found.setup.noise.sinkage is None and found.setup.wheel == data.setup.wheel
+    few = data.table.only(np.arange(DENSE))
+    assert binned(few, data.setup) == (few, data.setup, "")
+
+
+def test_bins_are_few_whatever_varies(tmp_path):
+    data = dense(tmp_path, 600)
+    rng = np.random.default_rng(1)
+    table = dataclasses.replace(
+        data.table,
+        load=rng.uniform(50.0, 200.0, 600),
+        passes=np.arange(600) + 1,
+        grade_deg=rng.uniform(-5.0, 5.0, 600),
+        speed=np.where(rng.random(600) < 0.5, np.nan, 0.1),
+    )
+    assert len(binned(table, data.setup).table) <= MOST
+
+
+def test_a_value_that_leaves_its_bin_is_left_out(tmp_path):
+    data = dense(tmp_path, 3000)
+    data.table.torque.flags.writeable = True
+    data.table.torque[1234] = 1e3
+    found = binned(data.table, data.setup)
+    assert np.max(found.table.torque) < 30.0 and "others of their bin: 1." in found.words
+
+
+def test_correlated_rows_do_not_make_the_estimate_surer(tmp_path):
+    """95 % intervals of five parameters on two tables: all but two hold (fewer: probability
+    0.01).
+    """
+    held = []
+    for seed in range(2):
+        data = dense(tmp_path, 3000, seed, correlated=100)
+        e = identify_table(data.table, data.setup)
+        assert any("dense" in w for w in e.warnings)
+        soil = world({}).soil
+        held += [
+            p.low <= getattr(soil, name) <= p.high
+            for name, p in e.parameters.items()
+            if name != "reference_pressure"
+        ]
+    assert len(held) == 10 and sum(held) >= 8
+
+
+def test_a_misfit_is_not_taken_for_noise(tmp_path):
+    data = dense(tmp_path, 900, added=1.2, correlated=3)
+    e = identify_table(data.table, data.setup)
+    assert "soil-env discover" in e.misfit and "noise of sinkage" in e.misfit
+    p = e.parameters["friction_angle_deg"]
+    assert p.low <= world({}).soil.friction_angle_deg <= p.high and p.high - p.low > 2.0
+
+
+@pytest.mark.parametrize("count", [180, 240])
+def test_random_slips_have_levels(tmp_path, count):
+    """Values within 2 % chain into one level, which is none."""
+    data = dense(tmp_path, count)
+    assert data.varied["slip"].levels == 8 and data.varied["load"].levels == 3
+    assert len(folds(prepare(data.table, data.setup))[0]) == 8
