@@ -522,7 +522,7 @@ def _not_modelled(problem: TableProblem) -> list[str]:
     table = problem.table
     used = problem.use
     names = [name.replace("_", " ") for name in MEASURED]
-    there = [bool(known.any()) for known in problem.measured.T]
+    there = [bool(problem.measured[:, j].any()) for j in range(3)]
     missing = " and ".join(name for name, known in zip(names, there, strict=True) if not known)
     if missing:
         rest = " and ".join(name for name, known in zip(names, there, strict=True) if known)
