@@ -3,7 +3,6 @@
 import json
 import platform
 from importlib import metadata
-from importlib.util import find_spec
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -21,6 +20,7 @@ from ..evaluate.driving import HELD_OUT_SET, drive
 from ..exported import FORMAT
 from .graph import OPSET, Graph, Values
 
+_NETWORKS = ("stable-baselines3", "torch")  # what trained the agents that are not shipped
 TOLERANCE = 1e-5  # of the action, between the agent and its export
 
 
@@ -81,6 +81,7 @@ def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None)
     """Content of policy.yaml before the comparison, as plain values."""
     wheel = scenario.wheel
     control = scenario.control
+    shipped = isinstance(agent, DefaultPolicy)
     history = getattr(agent, "history", None)
     kept = {
         "name": "history",
@@ -121,8 +122,7 @@ def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None)
         }
         | {
             package: metadata.version(package)
-            for package in ("stable-baselines3", "torch", "onnx", "onnxruntime")
-            if find_spec(package.replace("-", "_"))
+            for package in (*(() if shipped else _NETWORKS), "onnx", "onnxruntime")
         },
     }
 

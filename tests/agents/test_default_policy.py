@@ -13,6 +13,7 @@ from agents.default_policy import LAYERS, WEIGHTS, DefaultPolicy
 from agents.evaluate.contestants import parse
 from agents.evaluate.driving import run_courses
 from agents.evaluate.loading import check, load
+from agents.exported import ExportedAgent
 from agents.history import BAND_SHARE, History
 from agents.teachers import Teacher, Teachers, settings_of
 from soil_env._io.loading import ParameterError
@@ -20,6 +21,7 @@ from soil_env.cli import main as soil_env
 from soil_env.envs.wheel_env import SoilWheelEnv
 from soil_env.parameters import load_rover, load_scenario
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from tests.test_observer import Rig
 
 GROUNDS = ("mixed", "two_lines", "loose_slopes", "sticky", "field_vehicle", "unseen")
 TINY = {
@@ -241,3 +243,34 @@ def test_it_is_exported_to_onnx(tmp_path, capsys):
     assert "exported for the wheel of 'mixed', that of 'sticky' differs" in capsys.readouterr().err
     assert soil_env(["export", "defualt", f"--out={tmp_path / 'x'}"]) == 2
     assert "did you mean 'default'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["mixed", "two_lines"])
+def test_readings_drive_the_policy_and_its_export_as_the_environment_does(name, tmp_path):
+    """What is observed of the readings is the contract of the inputs of the file."""
+    pytest.importorskip("onnxruntime", reason="onnx and onnxruntime are in the extra export")
+    asked = ["export", "default", f"--scenario={name}", f"--out={tmp_path}", "--steps=3"]
+    assert soil_env(asked) == 0
+    exported = ExportedAgent(tmp_path / "policy.onnx")
+    policy = DefaultPolicy(name)
+    rig = Rig(name, "identified")
+    entries = exported.content["inputs"]
+    assert [e["name"] for e in entries] == list(rig.names)
+    rig.reset(4)
+    states = [None, None]
+    given = [0.0]
+    for k in range(101):
+        seen = [p.observe(rig.readings, given, **rig.now) for p in (policy, exported)]
+        np.testing.assert_array_equal(seen[0], rig.seen)
+        np.testing.assert_array_equal(seen[1], rig.seen)
+        if k % 5 == 0:  # control periods of an action
+            own, states[0] = policy.predict(seen[0], states[0], [k == 0])
+            other, states[1] = exported.predict(seen[1], states[1], [k == 0])
+            np.testing.assert_allclose(other, own, atol=1e-5)
+            given = own
+        rig.step(given[0])
+    readings = rig.readings._replace(torque=np.nan, sinkage=np.nan)
+    action, _ = policy.predict(policy.observe(readings, given, **rig.now), states[0], [False])
+    assert np.isfinite(action).all() and policy.observer.held == {"torque": 1, "sinkage": 1}
+    policy.reset()
+    assert policy.observer.held == {}

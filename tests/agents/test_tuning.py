@@ -112,7 +112,7 @@ def test_a_class_with_settings_is_tuned_set_and_driven_as_a_shipped_one(
     assert soil_env([*asked, "--tuning-courses=6", f"--out={tmp_path / 'tuned'}"]) == 0
     found = json.loads((tmp_path / "tuned" / "evaluation.json").read_text())
     assert found["chosen"] == {"soft_start": "tuned", "mine": "tuned"}
-    settings = found["controllers"]["mine"]["settings"]
+    settings = found["settings"]["mine"]
     assert set(settings) == {"acceleration", "speed", "caution"}
     chosen = tuned_settings(
         load_scenario("mixed"), 4, (source,), WheelSoilModel.load(world), anew=True
@@ -121,7 +121,7 @@ def test_a_class_with_settings_is_tuned_set_and_driven_as_a_shipped_one(
     given = ["--settings.mine.caution=2.5", "--tuning-courses=0"]
     assert soil_env([*asked, *given, f"--out={tmp_path / 'given'}"]) == 0
     found = json.loads((tmp_path / "given" / "evaluation.json").read_text())
-    assert found["controllers"]["mine"]["settings"]["caution"] == 2.5
+    assert found["settings"]["mine"]["caution"] == 2.5
     for wrong, said in (("caution=99", "expected a number in (0, 10]"), ("cation=1", "caution")):
         assert soil_env([*asked, f"--settings.mine.{wrong}", f"--out={tmp_path / 'x'}"]) == 2
         assert said in capsys.readouterr().err
