@@ -75,7 +75,7 @@ def test_velocity_is_synchronised_with_the_turning_body(scenario):
     controller = make_rover_controller("velocity_sync", scenario, acceleration=10.0)
     state = None
     fresh = np.array([True])
-    pitch = 0.0
+    pitch = -1.0
     for _ in range(41):
         before = state
         seen = observed("blind", 3, speed=0.3, pitch=pitch)[None]
