@@ -388,7 +388,7 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
     before = _fit(fit.reading, sd, used)
     if BETTER * (rest.fit.rms**2 - 1.0) > before.rms**2 - 1.0:
         return None
-    spread = np.nanmax(np.abs(data.y), axis=0) * BROAD / sd
+    spread = np.max(np.abs(np.nan_to_num(data.y)), axis=0) * BROAD / sd
     gain = _weighed(rest.fit).evidence - _weighed(before).evidence - math.log(len(data.table))
     gain -= float(np.sum(np.log(spread[data.measured[worst]])))
     words = _words_on(data, worst, rest.fit, sd, gain) if gain > SURE else ""
@@ -409,7 +409,7 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float) -
     known = data.measured[row]
     y = data.y[row, known]
     relative = np.broadcast_to(data.relative_sd, data.y.shape)[row, known]
-    size = np.sqrt(np.nanmean(data.y**2, axis=0))[known]  # a pull may be 0
+    size = np.sqrt(np.nansum(data.y**2, axis=0) / len(table))[known]  # a pull may be 0
     allowed = np.sqrt((sd[known] * relative) ** 2 + LAW_ERROR**2 * np.maximum(y**2, size**2))
 
     def residuals(name: str, values: np.ndarray) -> np.ndarray:
