@@ -369,16 +369,33 @@ def _without_wrong_rows(start: _AsIs) -> tuple[_AsIs, list[str]]:
 
 
 def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
-    """The table without the row that fits worst, and words on it, if the others then agree."""
-    data, _, fit = start
+    """The table without the row whose loss helps the fit most, and words on it, if the others then
+    agree.
+    """
+    data, noise, fit = start
     if len(data.table) <= FEWEST_ROWS or not start.suspect:
         return None
     problem = fit.problem
     robust = problem.minimise(fit.u, loss="cauchy", f_scale=CLEAR, **COARSE)[0]
     e = np.where(problem.measured, problem.by_noise(problem.residual(robust)).reshape(-1, 3), 0.0)
     square = np.sum(e**2, axis=1) / np.maximum(problem.measured.sum(axis=1), 1)
-    worst = int(np.argmax(square))
-    kept = np.arange(len(data.table)) != worst
+    slip = data.table.slip
+    load = data.table.load
+    # A row far from the others draws the fit to itself.
+    ends = [np.argmin(slip), np.argmax(slip), np.argmin(load), np.argmax(load)]
+    rows = np.arange(len(slip))
+
+    def left(row: int) -> float:
+        """Mean cost of a value without the row."""
+        there = _plain(data.table.only(rows != row), data.setup)
+        try:
+            found = _fit(there, noise.sd, np.delete(data.measured, row, axis=0))
+        except ParameterError:
+            return math.inf
+        return found.cost / int(found.problem.measured.sum())
+
+    worst = min({int(k) for k in (*np.argsort(-square)[:2], *ends)}, key=left)
+    kept = rows != worst
     try:
         rest = _as_is(prepare(data.table.only(kept), data.setup))
     except ParameterError:  # too little is left
