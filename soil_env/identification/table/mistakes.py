@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table.data import CHANNELS, Data, prepare
-from soil_env.identification.table.noise import NoiseEstimate, find_noise
+from soil_env.identification.table.noise import COMMON, NoiseEstimate, find_noise
 from soil_env.identification.table.problem import COARSE, TableProblem
 from soil_env.measurement.doubts import contact_area, load_doubt
 from soil_env.measurement.setup import Setup
@@ -396,6 +396,13 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
 
     worst = min({int(k) for k in (*np.argsort(-square)[:2], *ends)}, key=left)
     kept = rows != worst
+    # A deviation that the others at its slip share is no mistake of one row.
+    level = data.varied["slip"].level
+    channel = int(np.argmax(np.abs(e[worst])))
+    beside = e[kept & (level == level[worst]) & data.measured[:, channel], channel]
+    beside = beside * np.sign(e[worst, channel])
+    if beside.size > 1 and np.median(beside) > COMMON / math.sqrt(beside.size):
+        return None
     try:
         rest = _as_is(prepare(data.table.only(kept), data.setup))
     except ParameterError:  # too little is left
