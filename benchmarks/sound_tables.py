@@ -226,11 +226,13 @@ def told(t: Sound) -> tuple[str, ...]:
 
 
 def matters(sound: Sound, wrong: Sound) -> bool:
-    """True if the mistake moves an estimate by more than `OFF` of its standard deviations."""
+    """True if the mistake moves an estimate by more than `OFF` of its standard deviations; a
+    refusal of the table is no estimate.
+    """
     try:
         estimates = [identify_table(t.table(), t.setup, check=False) for t in (sound, wrong)]
     except ParameterError:
-        return True
+        return False
     right, off = (e.parameters for e in estimates)
     return any(
         abs(off[name].value - p.value) > OFF * (off[name].high - off[name].low) / 3.92
@@ -255,7 +257,7 @@ def main(tables: int, sound_only: bool, seed: int) -> None:
         pairs = [(t, wrong) for t in drawn if (wrong := change(t)) is not None]
         found = [bool(told(wrong)) for _, wrong in pairs]
         _print(f"{name}, found", found)
-        where = [f for f, (t, w) in zip(found, pairs, strict=True) if f or matters(t, w)]
+        where = [f for f, (t, w) in zip(found, pairs, strict=True) if matters(t, w)]
         _print(f"{name}, found where it matters", where)
 
 

@@ -1,7 +1,8 @@
-"""Speed of the environments: a smoke run writes numbers and a page."""
+"""Smoke runs: speed of the environments, mistakes in tables."""
 
 import json
 
+from benchmarks import sound_tables
 from benchmarks.stepping import ENVIRONMENTS
 from benchmarks.throughput import command
 from soil_env.cli.running import run
@@ -14,3 +15,11 @@ def test_throughput_measures_wheels_and_rovers_side_by_side(tmp_path):
     for rate in result["rates"].values():
         assert 0.0 < rate["here"]["low"] <= rate["here"]["median"] <= rate["here"]["high"]
     assert (tmp_path / "throughput.md").exists()
+
+
+def test_rates_of_doubts_about_tables_are_printed(monkeypatch, capsys):
+    some = {k: v for k, v in sound_tables.MISTAKES.items() if k == "sign of the slip"}
+    monkeypatch.setattr(sound_tables, "MISTAKES", some)
+    assert run(sound_tables.main, ["--tables", "2", "--seed", "4"], "doubts") == 0
+    said = capsys.readouterr().out
+    assert "sound, doubted: " in said and "sign of the slip, found where it matters: " in said

@@ -7,7 +7,9 @@ The tables come from `tests.terramechanics.reference`, the independent implement
 
 import json
 import math
+import re
 from collections import Counter
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -19,6 +21,7 @@ from soil_env.cli import main
 from soil_env.identification.table import identify_table
 from soil_env.identification.table.priors import BROAD
 from soil_env.identification.table.problem import TableProblem
+from soil_env.identification.table.report import text_of
 from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors
 from soil_env.measurement.table import read_table
 from tests.terramechanics import reference
@@ -234,12 +237,28 @@ def test_names_what_the_data_cannot_tell(tmp_path):
     assert e.condition > identify_table(table_of(tmp_path, clean()), setup_of()).condition
 
 
+def test_says_what_was_not_measured(tmp_path):
+    """And the estimate is no surer than with it."""
+    rng = np.random.default_rng(2)
+    table = table_of(tmp_path, clean(), rng)
+    e = identify_table(table, setup_of(THREE))
+    less = identify_table(replace(table, torque=np.full(len(table), np.nan)), setup_of(THREE))
+    assert any(w.startswith("Not measured: torque.") for w in less.warnings) and not e.warnings
+    wide = [
+        less.parameters[n].sd_over_prior / e.parameters[n].sd_over_prior
+        for n in NAMES
+        if n not in THREE
+    ]
+    assert min(wide) > 0.95
+
+
 def test_says_that_the_model_does_not_fit(tmp_path):
     rows = clean().copy()
     rows[:, 2] *= 1.0 + 0.8 * rows[:, 0]  # a slip-sinkage that the base model lacks
-    for noise, words in ((SD, "does not fit the sinkage"), (None, "follow slip and load")):
+    for noise in (SD, None):
         e = identify_table(table_of(tmp_path, rows), setup_of(THREE, noise))
-        assert any(words in w for w in e.warnings) and e.converged
+        assert "does not fit" in e.misfit and "noise of sinkage" in e.misfit and e.converged
+        assert text_of(e).index("soil-env discover") < text_of(e).index("95 % interval")
 
 
 def test_residuals_that_do_not_fit_are_larger_than_their_noise(tmp_path):
@@ -248,14 +267,9 @@ def test_residuals_that_do_not_fit_are_larger_than_their_noise(tmp_path):
     """
     rows = clean().copy()
     rows[:, 3] *= 1.0 + 0.8 * rows[:, 0]
-    found = [
-        w
-        for w in identify_table(table_of(tmp_path, rows), setup_of(THREE)).warnings
-        if "does not fit" in w
-    ]
-    assert len(found) == 3 and all(
-        float(w.split(" times the given")[0].split()[-1]) > 1.0 for w in found
-    )
+    said = identify_table(table_of(tmp_path, rows), setup_of(THREE)).misfit
+    sizes = re.findall(r"([\d.]+) times the noise of", said)
+    assert len(sizes) == 3 and all(float(size) > 1.0 for size in sizes)
 
 
 @pytest.mark.parametrize(

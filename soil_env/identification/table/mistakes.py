@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table.data import CHANNELS, Data, prepare
-from soil_env.identification.table.noise import NoiseEstimate, find_noise
+from soil_env.identification.table.noise import COMMON, NoiseEstimate, find_noise
 from soil_env.identification.table.problem import COARSE, TableProblem
 from soil_env.measurement.doubts import contact_area, load_doubt
 from soil_env.measurement.setup import Setup
@@ -369,16 +369,40 @@ def _without_wrong_rows(start: _AsIs) -> tuple[_AsIs, list[str]]:
 
 
 def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
-    """The table without the row that fits worst, and words on it, if the others then agree."""
-    data, _, fit = start
+    """The table without the row whose loss helps the fit most, and words on it, if the others then
+    agree.
+    """
+    data, noise, fit = start
     if len(data.table) <= FEWEST_ROWS or not start.suspect:
         return None
     problem = fit.problem
     robust = problem.minimise(fit.u, loss="cauchy", f_scale=CLEAR, **COARSE)[0]
     e = np.where(problem.measured, problem.by_noise(problem.residual(robust)).reshape(-1, 3), 0.0)
     square = np.sum(e**2, axis=1) / np.maximum(problem.measured.sum(axis=1), 1)
-    worst = int(np.argmax(square))
-    kept = np.arange(len(data.table)) != worst
+    slip = data.table.slip
+    load = data.table.load
+    # A row far from the others draws the fit to itself.
+    ends = [np.argmin(slip), np.argmax(slip), np.argmin(load), np.argmax(load)]
+    rows = np.arange(len(slip))
+
+    def left(row: int) -> float:
+        """Mean cost of a value without the row."""
+        there = _plain(data.table.only(rows != row), data.setup)
+        try:
+            found = _fit(there, noise.sd, np.delete(data.measured, row, axis=0))
+        except ParameterError:
+            return math.inf
+        return found.cost / int(found.problem.measured.sum())
+
+    worst = min({int(k) for k in (*np.argsort(-square)[:2], *ends)}, key=left)
+    kept = rows != worst
+    # A deviation that the others at its slip share is no mistake of one row.
+    level = data.varied["slip"].level
+    channel = int(np.argmax(np.abs(e[worst])))
+    beside = e[kept & (level == level[worst]) & data.measured[:, channel], channel]
+    beside = beside * np.sign(e[worst, channel])
+    if beside.size > 1 and np.median(beside) > COMMON / math.sqrt(beside.size):
+        return None
     try:
         rest = _as_is(prepare(data.table.only(kept), data.setup))
     except ParameterError:  # too little is left
@@ -388,7 +412,7 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
     before = _fit(fit.reading, sd, used)
     if BETTER * (rest.fit.rms**2 - 1.0) > before.rms**2 - 1.0:
         return None
-    spread = np.nanmax(np.abs(data.y), axis=0) * BROAD / sd
+    spread = np.max(np.abs(np.nan_to_num(data.y)), axis=0) * BROAD / sd
     gain = _weighed(rest.fit).evidence - _weighed(before).evidence - math.log(len(data.table))
     gain -= float(np.sum(np.log(spread[data.measured[worst]])))
     words = _words_on(data, worst, rest.fit, sd, gain) if gain > SURE else ""
@@ -409,7 +433,7 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float) -
     known = data.measured[row]
     y = data.y[row, known]
     relative = np.broadcast_to(data.relative_sd, data.y.shape)[row, known]
-    size = np.sqrt(np.nanmean(data.y**2, axis=0))[known]  # a pull may be 0
+    size = np.sqrt(np.nansum(data.y**2, axis=0) / len(table))[known]  # a pull may be 0
     allowed = np.sqrt((sd[known] * relative) ** 2 + LAW_ERROR**2 * np.maximum(y**2, size**2))
 
     def residuals(name: str, values: np.ndarray) -> np.ndarray:
