@@ -63,7 +63,9 @@ class Teacher(BestSlipTrue):
         return self.share * super().target_slip(observation, state)
 
     def lesson(self, batch: np.ndarray, state, fresh):
-        """(actions [n, 1] of the teacher, weight [n] of each row, state) for true observations."""
+        """(actions [n, 1] of the teacher, weights [n], state) for true observations; a row of
+        weight 0, as at a halt, is not learnt from.
+        """
         action, state = self.predict(batch, state, fresh)
         return action, 1.0 - batch[:, self.column["halted"]], state
 

@@ -154,6 +154,7 @@ class _Recorder:
         self.rows: list[tuple[np.ndarray, bool, np.ndarray]] = []
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
+        """Prediction of the agent, kept in `rows`."""
         action, state = self.agent.predict(observation, state, episode_start, deterministic)
         self.rows.append((observation[0].copy(), bool(episode_start[0]), np.array(action[0])))
         return action, state

@@ -129,7 +129,7 @@ class Fit:
         return np.array([min(x - k.low, k.high - x) > 1e-4 * k.sd for x, k in at], dtype=bool)
 
     def columns(self, sizes: Sizes) -> np.ndarray:
-        """[M, R] whitened form errors at their sizes."""
+        """[M, R] whitened form errors at their sizes side by side, those of size 0 left out."""
         blocks = zip(
             (*self.law, self.effect, *self.free, self.rig),
             (*sizes.laws, sizes.effect, *sizes.free, sizes.rig),

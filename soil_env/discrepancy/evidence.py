@@ -373,7 +373,11 @@ _COARSE = (0.02, 0.1)  # sizes of the law's error that are tried with it, too
 
 
 def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
-    """[M, R] of each pattern at the size 1, whitened, about a fit."""
+    """Patterns of size 1 about a fit, [M, R] by name: whitened changes of the M measurements.
+
+    A pattern is a systematic error of a channel, or of a stress, that goes smoothly with the named
+    conditions; its R columns are basis functions.
+    """
     at = problem.data.conditions | problem.data.elapsed
     moved = problem.stresses(fit.parameters(), fit.choices, fit.output, problem.sinkage_guess(fit))
     sizes = [np.broadcast_to(problem.size * unit, fit.output.shape) for unit in np.eye(3)]

@@ -231,7 +231,7 @@ def read_map(path: str | Path) -> LogMap:
     if "border" not in belief:
         border = min(_BORDER * found.wheel.radius, 10.0)
         found = dataclasses.replace(found, belief=dataclasses.replace(found.belief, border=border))
-    setup_of(
+    setup_of(  # only for its checks
         {"wheel": {"radius": found.wheel.radius, "width": found.wheel.width}, "soil": found.soil},
         where,
     )

@@ -180,8 +180,8 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
 
 
 def _refused(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray) -> list[str]:
-    """Put NaN in place of estimates out of the bounds of a soil; a line that says so, where there
-    are some.
+    """Put NaN in place of estimates out of the bounds of a soil, in `values` itself, with MISFIT
+    in `status`; a line that says so, where there are some.
     """
     bad = ~np.all([np.isfinite(values[n]) for n in ESTIMATED], axis=0)
     said = ""

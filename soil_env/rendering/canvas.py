@@ -64,6 +64,7 @@ class Canvas:
         return (2.0 * (self._scale * np.asarray(points) + self._offset)).tolist()
 
     def _width(self, width):
+        """Width of a line in pixels of the large picture, which has twice as many."""
         return max(1, round(2.0 * self._scale * width))
 
     def clear(self) -> None:
