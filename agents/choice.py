@@ -81,6 +81,7 @@ class Chooser(BaseCallback):
         self.normalised = model.get_vec_normalize_env()
         self.rng = rng
         self.learned = 0
+        self.left = 1.0  # share of the training that is left
         self.env = self.normalised.venv if isinstance(self.normalised.venv, ChoiceVecEnv) else None
         if self.env is not None:
             self.net = model.policy.mlp_extractor.line_net
@@ -98,8 +99,11 @@ class Chooser(BaseCallback):
     def _on_step(self) -> bool:
         return True
 
+    def _on_rollout_start(self) -> None:
+        self.left = 1.0 - self.model.num_timesteps / self.locals["total_timesteps"]
+
     def _on_rollout_end(self) -> None:
-        self.learn(self.model._current_progress_remaining)
+        self.learn(self.left)
 
     def learn(self, left: float, passes: float = PASSES) -> None:
         """Go on for `passes` over the choices since the last call; `left`: share of the training

@@ -84,7 +84,7 @@ class Schedules(BaseCallback):
         return True
 
     def _on_rollout_start(self) -> None:
-        done = self.model.num_timesteps / self.model._total_timesteps
+        done = self.model.num_timesteps / self.locals["total_timesteps"]
         config = self.config
         if config.log_std_final is not None:
             log_std = config.log_std_init + done * (config.log_std_final - config.log_std_init)
