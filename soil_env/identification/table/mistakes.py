@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table.data import CHANNELS, Data, prepare
-from soil_env.identification.table.noise import COMMON, NoiseEstimate, find_noise
+from soil_env.identification.table.noise import COMMON, NoiseEstimate, find_noise, given_noise
 from soil_env.identification.table.problem import COARSE, TableProblem
 from soil_env.measurement.doubts import contact_area, load_doubt
 from soil_env.measurement.setup import Setup
@@ -307,6 +307,7 @@ def examine(table: Table, setup: Setup) -> Examined:
     it is it breaks a physical limit.
     """
     data = prepare(table, setup)
+    given_noise(data)  # refuses one that leaves no digits
     always = [*setup.doubts(), *_grades_doubted(data)]
     dead = _channels_doubted(data)
     if dead:  # what else could be read into such a table says nothing

@@ -50,7 +50,7 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
     `model` [N, 3]: the calibrated base model, to which the surface adds polynomials. Values further
     than `OUTLIER` sd from the surface are left out one after the other.
     """
-    given = _given(data)
+    given = given_noise(data)
     repeat_sd, repeat_freedom = repeat_noise(data, model)
     basis = smooth_basis(data)
     used = data.measured.copy()
@@ -92,7 +92,7 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
     return NoiseEstimate(np.maximum(sd, 1e-12), freedom, tuple(origin), used, alone)
 
 
-def _given(data: Data) -> list[float | None]:
+def given_noise(data: Data) -> list[float | None]:
     """[3] noise of the channels as the setup or the rows give it; `ParameterError` where it is
     none.
     """
@@ -121,7 +121,7 @@ def with_noise_of_conditions(
     3] of the calibrated base model at rows.
     """
     noise = {name: getattr(data.setup.noise, name) for name in STEPS}
-    known = _given(data)
+    known = given_noise(data)
     if not any(noise.values()) or all(sd is None for sd in known):
         return data, ()
     more = np.zeros(data.y.shape)
