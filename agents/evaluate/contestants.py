@@ -53,11 +53,13 @@ def code_in(content: object) -> list[str]:
     """Modules, as module:Class, that the content of a YAML file names as controllers."""
     found = []
     if isinstance(content, dict):
-        for key, value in content.items():
-            if key in ("controller", "source") and isinstance(value, str) and ":" in value:
-                found.append(value)
-            else:
-                found += code_in(value)
+        named = content.get("controller")
+        if isinstance(named, str) and ":" in named:
+            found.append(named)
+        if content.get("kind") == "class":  # of a contestant
+            found.append(str(content.get("source")))
+        for value in content.values():
+            found += code_in(value)
     elif isinstance(content, list):
         for value in content:
             found += code_in(value)

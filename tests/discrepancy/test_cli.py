@@ -5,6 +5,7 @@ import re
 
 import pytest
 
+from soil_env._io.files import MANIFEST, write_own
 from soil_env.cli import main
 from soil_env.discrepancy import report
 from tests.discrepancy.files import SETUP, changed, table_text, write_files
@@ -21,7 +22,8 @@ def call(folder, *more, out="out"):
 
 
 def names(folder):
-    return sorted(p.name for p in folder.iterdir())
+    """Files of a folder, without the list of those that commands wrote."""
+    return sorted(p.name for p in folder.iterdir() if p.name != MANIFEST)
 
 
 def test_a_run_writes_three_files_and_says_so(tmp_path, capsys):
@@ -99,14 +101,13 @@ def test_bad_input_is_one_line(tmp_path, capsys, table, setup, message):
 @pytest.mark.parametrize(
     "step, error, status",
     [
-        ("replace_files", OSError(28, "No space left on device"), 2),
+        ("write_own", OSError(28, "No space left on device"), 2),
         ("page", KeyboardInterrupt(), 130),
     ],
 )
 def test_nothing_is_left_when_writing_fails(tmp_path, capsys, monkeypatch, step, error, status):
     write_files(tmp_path, TABLE)
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "report.json").write_text("old")
+    write_own(tmp_path / "out", {"report.json": "old"})
 
     def fail(*arguments):
         raise error

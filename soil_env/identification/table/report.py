@@ -7,6 +7,7 @@ import numpy as np
 
 from soil_env._io.document import Table
 from soil_env._io.files import picture_of, plain
+from soil_env._io.loading import to_dict
 from soil_env.identification.table.fit import SYMBOLS, TableEstimate
 
 LABELS = {
@@ -103,7 +104,8 @@ def report_of(estimate: TableEstimate) -> dict[str, Any]:
         key: value for key, value in vars(estimate).items() if key not in ("fits", "law_error")
     }
     parameters = {name: vars(p) for name, p in estimate.parameters.items()}
-    return plain(content | {"parameters": parameters, "channels": channels})
+    soil = to_dict(estimate.soil)
+    return plain(content | {"parameters": parameters, "channels": channels, "soil": soil})
 
 
 def picture(estimate: TableEstimate) -> bytes:

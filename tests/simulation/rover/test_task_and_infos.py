@@ -102,7 +102,7 @@ def test_true_soil_is_that_under_each_axle(rover):
     for k, (seen, _, soils) in enumerate(rows):
         for axle, soil in zip(names, soils, strict=True):
             expected = {
-                "friction_angle": math.atan(soil.tan_phi),
+                "friction_angle": math.radians(soil.friction_angle_deg),
                 "log10_shear_modulus": math.log10(soil.shear_modulus),
                 "log10_sinkage_coefficient": math.log10(soil.sinkage_coefficient),
                 "cohesion": soil.cohesion / 1e3,
@@ -116,7 +116,10 @@ def test_true_soil_is_that_under_each_axle(rover):
                 met.setdefault(axle, k)
     courses = env.simulation.worlds.courses
     first = courses["patches"][0, 0]
-    assert rows[0][2][-1] == pytest.approx(tuple(first[name] for name in SoilState._fields))
+    width = env.scenario.wheel.width
+    assert rows[0][2][-1].state(width) == pytest.approx(
+        tuple(first[name] for name in SoilState._fields)
+    )
     order = [met.get(axle, len(rows)) for axle in names]
     assert order == sorted(order) and order[0] < order[-1]
 
