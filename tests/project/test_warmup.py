@@ -46,10 +46,12 @@ channels = "".join(f"  {n}: {{column: {n}}}\\n" for n in names)
 log, log_map = folder / "a.csv", folder / "map.yaml"
 log_map.write_text("wheel: planetary_rover\\ntime: {column: t}\\nchannels:\\n" + channels)
 assert main(["logs", str(log), "--map", str(log_map), "--out", str(folder / "out")]) == 0
-envs = gymnasium.make_vec("SoilWheel-v0", 8, "vector_entry_point", scaled=False)
-observations, _ = envs.reset(seed=0)
-envs.unwrapped.simulation.true_soils()  # of a teacher
-for name in ("best_slip_identified", "best_slip_true"):
+for name, seen in (("best_slip_identified", "identified"), ("best_slip_true", "true_soil")):
+    envs = gymnasium.make_vec(
+        "SoilWheel-v0", 8, "vector_entry_point", observation=seen, scaled=False
+    )
+    observations, _ = envs.reset(seed=0)
+    envs.unwrapped.simulation.true_soils()  # of a teacher
     controller = make_controller(name, load_scenario())
     controller.predict(observations, None, np.ones(8, dtype=bool))
 env = gymnasium.make("SoilWheel-v0", render_mode="rgb_array")
