@@ -106,7 +106,7 @@ def test_a_class_with_settings_is_tuned_set_and_driven_as_a_shipped_one(
     """The template of examples/, in a world with an effect."""
     monkeypatch.syspath_prepend(str(ROOT / "examples"))
     source = "own_controller:Uphill"
-    world = str(config_dir() / "worlds" / "shear_softening.yaml")
+    world = str(config_dir() / "worlds" / "bulldozing.yaml")
     short = ["--changes.course.length=2", "--changes.control.time_limit=12", "--courses=6"]
     asked = ["evaluate", f"--controllers=soft_start,mine={source}", *short, f"--model={world}"]
     assert soil_env([*asked, "--tuning-courses=6", f"--out={tmp_path / 'tuned'}"]) == 0

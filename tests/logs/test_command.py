@@ -10,6 +10,7 @@ import re
 import numpy as np
 import pytest
 
+from soil_env._io.files import MANIFEST
 from soil_env.cli import main
 from soil_env.identification.table import identify_table
 from soil_env.identification.table.priors import soil_unknowns
@@ -311,7 +312,7 @@ def test_command(tmp_path, capsys):
         main(["logs", str(bag), "--map", str(write_map(tmp_path)), "--out", str(tmp_path / "out")])
         == 0
     )
-    written = {p.name for p in (tmp_path / "out").iterdir()}
+    written = {p.name for p in (tmp_path / "out").iterdir()} - {MANIFEST}
     assert {name for name in written if not name.startswith("ground")} == {
         "report.html",
         "log.json",
@@ -331,15 +332,18 @@ def test_command(tmp_path, capsys):
     assert "/drive" in said and "steady.csv" in said
     bag = write_json_mcap(tmp_path / "short.mcap", steps=8)
     for name in ("ground1.csv", "ground1.yaml", "mine.csv"):
-        (tmp_path / "out" / name).write_text("")
+        (tmp_path / "out" / name).write_text("of the user")
     assert (
         main(
             ["logs", str(bag), "--map", str(tmp_path / "map.yaml"), "--out", str(tmp_path / "out")]
         )
         == 0
     )
-    left = {p.name for p in (tmp_path / "out").iterdir()}  # nothing of the other log
+    # nothing of the other log, and all that the user has put there
+    left = {p.name for p in (tmp_path / "out").iterdir()} - {MANIFEST}
     assert left == {
+        "ground1.csv",
+        "ground1.yaml",
         "mine.csv",
         "report.html",
         "log.json",
