@@ -166,8 +166,8 @@ def fill(
             missing.append(cell)
     if stale:
         show(
-            f"{stale} finished parts are damaged, or made from what has changed since: they are "
-            "done again."
+            "Finished parts that are damaged, or made from what has changed since, are done again: "
+            f"{stale}."
         )
     (Path(folder) / "cells").mkdir(parents=True, exist_ok=True)
     with contextlib.closing(engine(work, missing)) as results:

@@ -27,6 +27,9 @@ from soil_env.simulation.task.scaling import Scaling
 if TYPE_CHECKING:
     from soil_env.rendering.view import CourseView
 
+#: Keywords of an environment that are no part of its scenario, beside the name of that.
+OWN = ("observation", "action", "repeat", "render_mode", "model", "scatter", "info", "scaled")
+OF_MANY = ("num_envs", "autoreset_mode", "max_episode_steps", "threads")  # vector environments
 _RUNNING = Cause.RUNNING.value
 _ONLY = np.ones(1, dtype=np.bool_)
 _NONE = np.zeros(1, dtype=np.bool_)
@@ -101,7 +104,24 @@ def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
     return a.clip(-1.0, 1.0)
 
 
-class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
+class _Storable:
+    """An environment with the spec of `gymnasium.make`, or of `make_vec`, which makes it again, as
+    the JSON of the spec does.
+    """
+
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Spec with plain values."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = storable(spec)
+
+
+class CourseEnv(_Storable, gymnasium.Env[NDArray[Any], ArrayLike]):
     """Base of the environments of one course; a subclass sets `simulation` and `infos`, and makes
     the view.
     """
@@ -140,16 +160,6 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         self._renderer: CourseView | None = None
         self._seeded = False
         self._over = True
-        self._spec: EnvSpec | None = None
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """Spec of `gymnasium.make`, which makes the environment again, as its JSON does."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = storable(spec)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -237,7 +247,9 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         return self._renderer
 
 
-class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
+class CourseVectorEnv(
+    _Storable, gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]
+):
     """Base of the environments of many courses; a subclass sets `scenario`, `simulation` and
     `infos`.
     """
@@ -275,17 +287,7 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
         self._most_steps = max_episode_steps
         self._rngs: list[np.random.Generator | None] | None = None
         self._done = np.ones(self.num_envs, dtype=np.bool_)
-        self._spec: EnvSpec | None = None
         self.world: dict[str, Any] | None = None  # as of the single environment
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """Spec of `gymnasium.make_vec`, as that of the single environment."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = storable(spec)
 
     def _set_spaces(
         self, entries: Sequence[ObservedNumber], actions: gymnasium.spaces.Box, scaled: bool

@@ -7,7 +7,13 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from soil_env.envs.course_env import CourseEnv, CourseVectorEnv, scenario_changes
+from soil_env.envs.course_env import (
+    OF_MANY,
+    OWN,
+    CourseEnv,
+    CourseVectorEnv,
+    scenario_changes,
+)
 from soil_env.envs.infos import asks, checked
 from soil_env.envs.rover_infos import RoverInfos
 from soil_env.envs.rovers import RoverSimulation
@@ -19,18 +25,8 @@ from soil_env.terramechanics.model import WheelSoilModel, load_model
 
 __all__ = ["SoilRoverEnv", "SoilRoverVectorEnv", "build_rover", "rover_action_space"]
 
-_OWN = (
-    "rover",
-    "observation",
-    "action",
-    "repeat",
-    "render_mode",
-    "model",
-    "scatter",
-    "info",
-    "scaled",
-)
-_OWN_OF_MANY = ("num_envs", "autoreset_mode", "max_episode_steps", "threads", *_OWN)
+_OWN = ("rover", *OWN)
+_OWN_OF_MANY = (*OF_MANY, *_OWN)
 
 
 def build_rover(

@@ -8,7 +8,13 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from soil_env._io.loading import ParameterError
-from soil_env.envs.course_env import CourseEnv, CourseVectorEnv, scenario_changes
+from soil_env.envs.course_env import (
+    OF_MANY,
+    OWN,
+    CourseEnv,
+    CourseVectorEnv,
+    scenario_changes,
+)
 from soil_env.envs.infos import IMMOBILISED, Infos, asks, checked
 from soil_env.envs.wheels import Simulation
 from soil_env.envs.worlds import with_model, world_of
@@ -34,18 +40,8 @@ __all__ = [
     "observation_space",
 ]
 #: Keywords that are no part of a scenario.
-_OWN = (
-    "scenario",
-    "observation",
-    "action",
-    "repeat",
-    "render_mode",
-    "model",
-    "scatter",
-    "info",
-    "scaled",
-)
-_OWN_OF_MANY = ("num_envs", "autoreset_mode", "max_episode_steps", "threads", *_OWN)
+_OWN = ("scenario", *OWN)
+_OWN_OF_MANY = (*OF_MANY, *_OWN)
 
 
 def build_scenario(

@@ -124,7 +124,7 @@ def test_what_was_made_from_something_else_is_done_again(tmp_path, capsys):
     assert fill(lambda cell: [cell, "one"]) == [1, 2]
     assert fill(lambda cell: [cell, "one"]) == [] and "again" not in capsys.readouterr().out
     assert fill(lambda cell: [cell, "one" if cell == 1 else "other"]) == [2]
-    assert "1 finished parts are damaged, or made from what has changed" in capsys.readouterr().out
+    assert "has changed since, are done again: 1." in " ".join(capsys.readouterr().out.split())
     cells.cell_file(tmp_path, 1).write_text("{")
     assert fill(lambda cell: [cell, "one" if cell == 1 else "other"]) == [1]
     assert cells.read_cell(tmp_path, 1, lambda content: content) == {"value": 1}

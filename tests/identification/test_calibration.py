@@ -28,11 +28,7 @@ def errors():
     return log["wheel estimate"][here] - true, log["wheel sd"][here], prior_of(scenario) - true
 
 
-#: Its tails are long, so its intervals are wide: 81 % hold.
-WIDE = pytest.mark.xfail(strict=True, reason="68 % intervals of the pull hold more than 80 %")
-
-
-@pytest.mark.parametrize("quantity", [*QUANTITIES[:-1], pytest.param(QUANTITIES[-1], marks=WIDE)])
+@pytest.mark.parametrize("quantity", QUANTITIES)
 def test_intervals_hold_on_the_default_task(errors, quantity):
     """On 40 courses that no threshold was set on 68 % intervals hold about so often, better than
     the prior.
@@ -40,6 +36,13 @@ def test_intervals_hold_on_the_default_task(errors, quantity):
     error, sd, without = (values[:, QUANTITIES.index(quantity)] for values in errors)
     assert len(error) > 10_000
     scaled = np.abs(error / sd)
-    assert 0.60 < np.mean(scaled < 1.0) < 0.80
+    # the tails of the pull are longer, so its intervals are wider
+    assert 0.60 < np.mean(scaled < 1.0) < (0.85 if quantity.startswith("best pull") else 0.80)
     assert np.mean(scaled > 3.0) < 0.02
     assert np.mean(error**2) < np.mean(without**2)
+
+
+@pytest.mark.xfail(strict=True, reason="its tails are long, so its intervals are wide: 81 % hold")
+def test_intervals_of_the_pull_hold_as_often_as_those_of_the_soil(errors):
+    error, sd, _ = (values[:, -1] for values in errors)
+    assert np.mean(np.abs(error / sd) < 1.0) < 0.80

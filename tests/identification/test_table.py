@@ -123,7 +123,7 @@ def test_intervals_cover_the_truth(tmp_path, known, noise):
     setup = setup_of(known, noise)
     free = [name for name in NAMES if name not in known]
     for _ in range(30):
-        e = identify_table(table_of(tmp_path, clean(), rng), setup, check=False)
+        e = identify_table(table_of(tmp_path, clean(), rng), setup)
         assert e.converged and not e.warnings
         noises.append([e.fits[name].noise for name in SD])
         hits.update(inside(e))
@@ -157,7 +157,7 @@ def test_intervals_cover_the_truth_under_wrong_laws(tmp_path, stretched, smalles
         for k in (2, 3, 4):
             wave = np.cos(at @ rng.normal(size=2) + rng.uniform(0.0, 2.0 * np.pi))
             rows[:, k] += 0.08 * math.sqrt(2.0) * wave * np.abs(rows[:, k])
-        e = identify_table(table_of(tmp_path, rows, rng), setup, check=False)
+        e = identify_table(table_of(tmp_path, rows, rng), setup)
         sizes.append(e.law_error)
         phi.append(e.parameters["friction_angle_deg"].value - SAND.friction_angle_deg)
         hits.update(inside(e))
@@ -182,7 +182,7 @@ def test_errors_of_the_stresses_are_not_taken_for_errors_of_the_channels(tmp_pat
             -1, 3
         ) * list(SD.values())
         rows[:, 2] = np.maximum(rows[:, 2], 0.3 * clean()[:, 2])
-        e = identify_table(table_of(tmp_path, rows, rng), setup, check=False)
+        e = identify_table(table_of(tmp_path, rows, rng), setup)
         sizes.append(e.law_error)
         hits.update(inside(e))
     assert sum(hits.values()) >= 38  # of 45
@@ -197,8 +197,7 @@ def test_large_errors_of_sinkage_do_not_bias(tmp_path):
     rng = np.random.default_rng(6)
     setup = setup_of(THREE, sd)
     found = [
-        identify_table(table_of(tmp_path, clean(), rng, sd), setup, check=False).parameters
-        for _ in range(40)
+        identify_table(table_of(tmp_path, clean(), rng, sd), setup).parameters for _ in range(40)
     ]
     for name in ("friction_angle_deg", "shear_modulus", "sinkage_coefficient"):
         values = [p[name].value for p in found]
@@ -351,7 +350,7 @@ def test_intervals_from_few_points_at_one_load(tmp_path):
     hits = Counter()
     four = clean(slips=(0.05, 0.267, 0.483, 0.7), loads=(120.0,))
     for _ in range(30):
-        e = identify_table(table_of(tmp_path, four, rng), setup_of(THREE, None), check=False)
+        e = identify_table(table_of(tmp_path, four, rng), setup_of(THREE, None))
         assert e.converged
         hits.update(inside(e))
     assert min(hits["friction_angle_deg"], hits["shear_modulus"]) >= 24, hits

@@ -236,6 +236,7 @@ def test_soils_leave_the_least_pull_in_the_world_they_are_drawn_for(case):
                 found.append(best.drawbar_pull / load)
     assert min(found) > least - 1e-6
     assert min(found) < 0.5 * np.median(found)
+    assert case.startswith("rear_contact") or min(found) < least + 0.02
 
 
 def test_a_residual_law_counts_on_the_soils():
