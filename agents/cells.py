@@ -12,6 +12,7 @@ are done, each cell once. A worker that dies loses its cell, which is done again
 import contextlib
 import functools
 import hashlib
+import importlib.metadata
 import json
 import multiprocessing
 import os
@@ -49,19 +50,29 @@ Engine = Callable[[Callable, Iterable], Generator[tuple, None, None]]
 Cell = TypeVar("Cell", bound=Hashable)
 
 
+#: Libraries whose rounding and random numbers results depend on.
+_NUMERICAL = ("numpy", "numba", "scipy", "torch", "stable-baselines3", "optuna")
+
+
 @functools.cache
 def code_version() -> str:
-    """Version of soil_env with a hash of its code and weights and of this package."""
+    """Version of soil_env with a hash of its code and weights, of this package, and of the versions
+    of numerical libraries.
+    """
     here = Path(soil_env.__file__).parent
     there = Path(__file__).parent
     weights = [*sorted(here.rglob("immobilisation.json")), *sorted(there.glob("*.npz"))]
     files = [*sorted(here.rglob("*.py")), *weights, *sorted(there.rglob("*.py"))]
-    digest = hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
+    installed = {d.name: d.version for d in importlib.metadata.distributions()}
+    libraries = [f"{name} {installed.get(name)}".encode() for name in _NUMERICAL]
+    content = b"".join([*(f.read_bytes() for f in files), *libraries])
+    digest = hashlib.sha256(content).hexdigest()
     return f"{soil_env.__version__}+{digest[:12]}"
 
 
 def is_begun(study, folder: Path, ignored: Collection[str] = ()) -> bool:
-    """True if `folder` holds this study (a dataclass) already; `ignored` fields may differ.
+    """True if `folder` holds this study (a dataclass) already; `ignored` fields and the version of
+    the code may differ.
 
     Makes the folder.
 
@@ -75,7 +86,9 @@ def is_begun(study, folder: Path, ignored: Collection[str] = ()) -> bool:
         return False
     begun = read_yaml(path)
     asked = yaml.safe_load(yaml.safe_dump(to_dict(study)))
-    other = [key for key in asked if key not in ignored and begun.get(key) != asked[key]]
+    other = [
+        key for key in asked if key not in ("version", *ignored) and begun.get(key) != asked[key]
+    ]
     if other:
         raise ParameterError(
             f"{folder}: holds another study (it differs in {', '.join(other)}); give another --out"
@@ -89,8 +102,9 @@ def save_study(study, folder: Path) -> None:
 
 
 def load_study(cls, folder: Path, check: Callable[[dict, str], None] | None = None):
-    """The study of a folder, of dataclass `cls`; ParameterError where its `version` is that of
-    other code. `check` receives the content and the path of its file before anything is made of it.
+    """The study of a folder, of dataclass `cls`; begun with other code, it is `renewed`, and said.
+
+    `check` receives the content and the path of its file before anything is made of it.
     """
     path = Path(folder) / STUDY
     if not Path(folder).is_dir():
@@ -101,12 +115,13 @@ def load_study(cls, folder: Path, check: Callable[[dict, str], None] | None = No
     if check is not None:
         check(content, str(path))
     study = load(cls, content, str(path))
-    if study.version != code_version():
-        here = code_version()
-        raise ParameterError(
-            f"{path}: begun with soil_env {study.version}, this is {here}; give another --out"
-        )
-    return study
+    here = code_version()
+    if study.version == here:
+        return study
+    show(
+        f"{path}: begun with soil_env {study.version}, this is {here}: what is done counts no more."
+    )
+    return study.renewed(here)
 
 
 def clear(folder: Path) -> None:

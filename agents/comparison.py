@@ -49,12 +49,12 @@ def compare(
         detailed=False,
     )
     try:
-        if cells.is_begun(asked, folder, ignored=("tuned",)):
+        if cells.is_begun(asked, folder, ignored=("tuned", "codes")):
             asked = cells.load_study(Evaluation, folder)
     except ParameterError:
         if not (folder / cells.STUDY).is_file():
             raise
-        cells.clear(folder)  # of other code, or of a model that was trained again
+        cells.clear(folder)  # of a model that was trained again
     result = carry_out(asked, folder)
     show(verdict(result, agent.name))
 

@@ -30,7 +30,7 @@ from ..progress import Bar, show
 from . import contestants, evaluation, report
 from .driving import HELD_OUT_SET, TUNING_SET
 from .evaluation import Evaluation
-from .own import settings_of
+from .own import code_digest, settings_of
 from .tuning import tuned_settings
 
 _TUNING_COURSES = 200  # as train.py
@@ -136,7 +136,7 @@ def command(
     evaluation.check_controllers(asked)
     code = " --allow-code" if contestants.code_in(to_dict(asked)) else ""
     with alone(folder), continued_by(f"soil-env evaluate --resume {folder}{code}"):
-        if resume is None and cells.is_begun(asked, folder, ignored=("tuned",)):
+        if resume is None and cells.is_begun(asked, folder, ignored=("tuned", "codes")):
             asked = cells.load_study(Evaluation, folder)
         carry_out(asked, folder, chosen, ship=engine == "ray")
 
@@ -215,9 +215,9 @@ def _asked(options: SimpleNamespace, keys: tuple[str, ...]) -> Evaluation:
 
 def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
     """`asked` with settings of the classical controllers that have none by --settings, under their
-    own name.
+    own name, and of classes, again where their source has changed.
     """
-    if asked.tuned or not asked.tuning_courses:
+    if not asked.tuning_courses:
         return asked
     own = [
         c
@@ -225,13 +225,16 @@ def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
         if not c.settings
         and ((c.kind == "classical" and c.source == c.name) or _is_own(c, asked.scenario))
     ]
+    codes = {c.name: code_digest(c.source) for c in own if c.kind == "class"}
+    done = {name for name in asked.tuned if asked.codes.get(name) == codes.get(name)}
+    own = [c for c in own if c.name not in done]
     cells.save_study(asked, folder)  # before the work, so that it can be resumed
     sources = {c.name: c.source for c in own}
     log = folder / _TUNING
     names = list(dict.fromkeys(sources.values()))
     found = tuned_settings(asked.scenario, asked.tuning_courses, names, asked.world, log)
     tuned = {name: found[source] for name, source in sources.items() if source in found}
-    return dataclasses.replace(asked, tuned=tuned)
+    return dataclasses.replace(asked, tuned={**asked.tuned, **tuned}, codes=codes)
 
 
 def _is_own(contestant: contestants.Contestant, scenario: Scenario) -> bool:

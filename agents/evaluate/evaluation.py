@@ -38,6 +38,7 @@ class Evaluation(OfTask):
     oracle_courses: int = quantity("of them, that the oracle drives too", 0, 100_000, default=0)
     #: {classical controller: settings that tuning has found}.
     tuned: dict = field(default_factory=dict)
+    codes: dict = field(default_factory=dict)  # {class: digest of its source, as it was tuned}
     #: Content of the model.yaml of the world's effects; empty = none.
     model: dict = field(default_factory=dict)
     detailed: bool = True  # with the metrics `DETAILED` of a wheel
@@ -46,6 +47,10 @@ class Evaluation(OfTask):
     def __post_init__(self):
         super().__post_init__()
         check_oracle(self, self.oracle_courses, self.courses)
+
+    def renewed(self, version: str) -> Evaluation:
+        """This evaluation by other code, with nothing tuned."""
+        return replace(self, version=version, tuned={}, codes={})
 
     def contestants(self) -> dict[str, Contestant]:
         """The controllers with the settings they are driven with."""

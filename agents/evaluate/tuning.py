@@ -21,11 +21,12 @@ from soil_env._io.loading import ParameterError, config_dir, read_yaml, to_dict
 from soil_env.parameters import Scenario, load_scenario, scenario_names
 from soil_env.terramechanics.model import WheelSoilModel
 
+from ..cells import code_version
 from ..controllers import checked_settings
 from ..controllers.rover import controllers_of
 from ..progress import Bar
 from .driving import TUNING_SET, run_courses
-from .own import maker, settings_of
+from .own import code_digest, maker, settings_of
 
 TUNED = "tuned"  # folder of configs/
 TRIALS = 40  # settings tried of each controller
@@ -109,7 +110,16 @@ def tried(name, space, trials, scenario, courses, model, log, progress) -> list[
         key: tuple(x * (top if s.rim_speed else 1.0) for x in s.tuned) for key, s in space.items()
     }
     task = json.dumps(
-        [name, courses, to_dict(scenario), model.content() if model else {}, bounds], sort_keys=True
+        [
+            name,
+            code_digest(name) if ":" in name else "",
+            code_version(),
+            courses,
+            to_dict(scenario),
+            model.content() if model else {},
+            bounds,
+        ],
+        sort_keys=True,
     )
     storage = None
     if log is not None:

@@ -139,6 +139,10 @@ class Study(Checked):
         if arm.controller in CONTROLLERS and known is CONTROLLERS:
             checked_settings(arm.controller, scenario, arm.settings, f"arms.{name}.settings")
 
+    def renewed(self, version: str) -> Study:
+        """This study by other code."""
+        return dataclasses.replace(self, version=version)
+
     @property
     def compared_with(self) -> str:
         """The arm that the table compares the others with."""

@@ -9,8 +9,8 @@ cells/CELL.json       all courses as driven by one arm with one training seed: t
 import tempfile
 from pathlib import Path
 
-from soil_env._io.files import replace_files
-from soil_env._io.loading import ParameterError, to_dict
+from soil_env._io.files import is_unused, replace_files
+from soil_env._io.loading import ParameterError, read_yaml, to_dict
 from soil_env.parameters import Scenario
 
 from .. import cells
@@ -24,8 +24,17 @@ from .config import Cell, Study
 
 
 def begin(study: Study, folder: Path) -> None:
-    """Write study.yaml; ParameterError where the folder holds another study, or other files."""
-    cells.is_begun(study, folder, ignored=("seeds", "baseline", "resamples"))
+    """Write study.yaml; ParameterError where the folder holds another study, other files, or agents
+    that other code has trained.
+    """
+    if cells.is_begun(study, folder, ignored=("seeds", "baseline", "resamples")):
+        path = folder / cells.STUDY
+        begun = read_yaml(path)["version"]
+        if begun != study.version and not is_unused(folder / "trained"):
+            raise ParameterError(
+                f"{path}: its agents were trained with soil_env {begun}, this is {study.version}; "
+                "give another --out"
+            )
     cells.save_study(study, folder)
 
 

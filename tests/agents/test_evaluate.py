@@ -16,8 +16,9 @@ from scipy import stats
 
 from agents import cells, ppo
 from agents.controllers import make_controller
-from agents.evaluate import comparing
+from agents.evaluate import command, comparing
 from agents.evaluate.driving import HELD_OUT_SET, METRICS, RATES, Runs, course_rng, run_courses
+from agents.evaluate.evaluation import Evaluation
 from agents.evaluate.statistics import wilson
 from soil_env.cli import main as soil_env
 from soil_env.envs.wheels import Simulation
@@ -287,6 +288,22 @@ class Ramp:
 """
 
 
+BOUNDED = """
+import numpy as np
+from agents.controllers import Setting
+
+class Bounded:
+    variant = "blind"
+    bounds = {"slip": Setting(0.2, "1", "slip", (0.1, 0.4))}
+
+    def __init__(self, scenario, slip=0.2):
+        self.slip = slip
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.full((len(observation), 1), self.slip), state
+"""
+
+
 def test_an_edited_class_or_study_is_driven_again(capsys, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     module = tmp_path / "ramp_of_a_test.py"
@@ -306,7 +323,7 @@ def test_an_edited_class_or_study_is_driven_again(capsys, tmp_path, monkeypatch)
     assert rule.stat().st_mtime_ns > after[0]
 
 
-def test_a_model_or_code_that_has_changed_is_refused(capsys, tmp_path, models):
+def test_a_model_that_has_changed_is_refused_and_other_code_drives_again(capsys, tmp_path, models):
     mine = tmp_path / "model.zip"
     out = tmp_path / "out"
     shutil.copy(models / "seed_0" / "model.zip", mine)
@@ -314,11 +331,44 @@ def test_a_model_or_code_that_has_changed_is_refused(capsys, tmp_path, models):
     shutil.copy(models / "seed_1" / "model.zip", mine)
     assert main("--resume", str(out)) == 2
     assert "the model has changed since the study began" in capsys.readouterr().err
+    shutil.copy(models / "seed_0" / "model.zip", mine)
     text = (out / "study.yaml").read_text()
     assert f"version: {cells.code_version()}\n" in text
     (out / "study.yaml").write_text(text.replace("version: 0.1.0+", "version: 0.0.9+"))
-    assert main("--resume", str(out)) == 2
-    assert "begun with soil_env 0.0.9+" in capsys.readouterr().err
+    cell = out / "cells" / "ppo-0-0.json"
+    content = json.loads(cell.read_text())
+    cell.write_text(json.dumps({**content, cells.MADE_FROM: "other code"}))
+    before = cell.stat().st_mtime_ns
+    assert main("--resume", str(out)) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "begun with soil_env 0.0.9+" in said and "what is done counts no more" in said
+    assert cell.stat().st_mtime_ns > before and (out / "study.yaml").read_text() == text
+
+
+def test_what_other_code_or_another_class_tuned_is_tuned_again(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    module = tmp_path / "bounded_of_a_test.py"
+    module.write_text(BOUNDED)
+    out = tmp_path / "out"
+    controllers = "mine=bounded_of_a_test:Bounded,fixed_slip"
+    assert evaluate(out, controllers, "--tuning-courses=2", "--courses=2") == 0
+
+    def tuned(study):
+        names = []
+
+        def found(scenario, courses, of, world, log):
+            names.extend(of)
+            return {name: {"slip": 0.3} for name in of}
+
+        monkeypatch.setattr(command, "tuned_settings", found)
+        command._tuned(study, out)
+        return names
+
+    study = cells.load_study(Evaluation, out)
+    assert tuned(study) == []
+    assert tuned(study.renewed("0.0.9")) == ["bounded_of_a_test:Bounded", "fixed_slip"]
+    module.write_text(BOUNDED + "\n# edited\n")
+    assert tuned(study) == ["bounded_of_a_test:Bounded"]
 
 
 @pytest.mark.parametrize(

@@ -190,6 +190,11 @@ def test_a_study_grows_by_seeds_and_by_nothing_else(finished, copied, tmp_path, 
         capsys, "--config", config(tmp_path), "--out", copied / "cells"
     )
     assert "no such folder" in refused(capsys, "--out", tmp_path / "none")
+    study = copied / "study.yaml"
+    begun = study.read_text()
+    study.write_text(begun.replace("version: 0.1.0+", "version: 0.0.9+"))
+    assert "its agents were trained with soil_env 0.0.9+" in refused(capsys, "--out", copied)
+    study.write_text(begun)
     assert main(["--out", copied, "--seeds", "3"]) == 0
     old, new = (
         read(f)["scenarios"]["mixed"]["by_seed"]["true_soil"]["return"] for f in (finished, copied)

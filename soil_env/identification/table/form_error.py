@@ -315,14 +315,30 @@ def marginals(
             pull = pulls[seen]
             alike = rows[np.all(there == some, axis=1)]
             d = scales[np.ix_(alike, column)][:, :, None]
-            n = np.eye(seen.size) + d * normal * d.transpose(0, 2, 1)
             h = d * pull
-            moved = h.transpose(0, 2, 1) @ np.linalg.solve(n, h)
-            half = np.log(np.diagonal(np.linalg.cholesky(n), axis1=1, axis2=2)).sum(axis=1)
+            solved, half = _eliminated(d * normal * d.transpose(0, 2, 1), h)
+            moved = h.transpose(0, 2, 1) @ solved
             log[alike] = base + 0.5 * moved[:, 0, 0] - half
             mean[alike] = centre - moved[:, 1:, 0]
             covariance[alike] = narrow + moved[:, 1:, 1:]
     return log, mean, covariance
+
+
+def _eliminated(normal: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N^-1 h [S, R, C], ln|N|/2 [S]) of N = I + `normal` [S, R, R].
+
+    `normal` is a difference, whose rounding exceeds I where a table is far off: eigenvalues of N
+    below 1 are such rounding.
+    """
+    n = np.eye(normal.shape[-1]) + normal
+    try:
+        factors = np.linalg.cholesky(n)
+    except LinAlgError:
+        values, vectors = np.linalg.eigh(n)
+        values = np.maximum(values, 1.0)
+        along = vectors.transpose(0, 2, 1) @ h
+        return vectors @ (along / values[:, :, None]), 0.5 * np.log(values).sum(axis=1)
+    return np.linalg.solve(n, h), np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
 
 
 def _factor(normal: np.ndarray) -> np.ndarray:
