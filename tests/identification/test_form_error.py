@@ -96,14 +96,15 @@ def test_marginals_are_those_of_the_joint_normal(first):
     assert log - log[0] == pytest.approx(np.array(expected) - expected[0])
 
 
+@pytest.mark.parametrize("first", [0, 1])
 @pytest.mark.parametrize("scale", [1e3, 1e9])
-def test_marginals_hold_where_rounding_exceeds_the_prior(scale):
+def test_marginals_hold_where_rounding_exceeds_the_prior(scale, first):
     """Form errors that the Jacobian spans leave nothing but its rounding."""
     j = scale * RNG.normal(size=(30, 3))
     blocks = [j @ RNG.normal(size=(3, 3))]
     problem = form_error.NormalEquations.of(j, blocks, j @ np.ones(3))
     sizes = np.array([[0.1], [1.0]])
-    log, mean, covariance = form_error.marginals(problem, sizes, np.zeros(3))
+    log, mean, covariance = form_error.marginals(problem, sizes, np.zeros(3), first)
     assert np.all(np.isfinite(log)) and np.all(np.isfinite(mean))
     assert np.all(np.diagonal(covariance, axis1=1, axis2=2) > 0.0)
 

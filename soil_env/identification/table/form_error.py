@@ -342,17 +342,17 @@ def _eliminated(normal: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _factor(normal: np.ndarray) -> np.ndarray:
-    """Lower Cholesky factor of I + `normal` [R, R], which is overwritten; its upper triangle is
-    left as it is.
+    """Lower Cholesky factor of N = I + `normal` [R, R], which is overwritten by N; the upper
+    triangle of the factor is not cleaned. Eigenvalues of N below 1 are rounding.
     """
     normal.ravel()[:: len(normal) + 1] += 1.0
     # .T: symmetric, and in Fortran's order.
-    factor, failed = lapack.dpotrf(normal.T, lower=1, clean=0, overwrite_a=1)
-    if failed:
-        raise LinAlgError(
-            f"covariance of the form errors: not positive definite at row {failed} of {len(normal)}"
-        )
-    return factor
+    factor, failed = lapack.dpotrf(normal.T, lower=1, clean=0)
+    if not failed:
+        return factor
+    values, vectors = np.linalg.eigh(normal)
+    upper = np.linalg.qr((vectors * np.sqrt(np.maximum(values, 1.0))).T, mode="r")
+    return np.asfortranarray((np.sign(np.diag(upper))[:, None] * upper).T)
 
 
 def _solved(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
