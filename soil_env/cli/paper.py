@@ -26,8 +26,9 @@ from soil_env.paper.compare import compute
 def command(out: Path | None, draws: int, seed: int) -> None:
     """Recompute every number that the source paper prints.
 
-    Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251: Tables 1 to 5, Figs. 6, 7
-    and 9, by the equations as printed and with the angle of maximum stress of Wong & Reece (1967).
+    Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251: Tables 1 to 5, Figs. 2 to
+    4 and 6 to 9, by the equations as printed and with the angle of maximum stress of Wong & Reece
+    (1967).
     """
     if out is not None:
         check_own(out, ["paper.md", *(f"paper/{name}.png" for name in page.FIGURES)])

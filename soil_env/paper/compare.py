@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +27,6 @@ from soil_env.paper.model import (
     newton_raphson,
 )
 from soil_env.parameters import Soil, lumped_coefficient, soils
-from soil_env.terramechanics.steady import steady_state
 
 SAND = P.table2
 POINT = P.working_point
@@ -49,6 +49,7 @@ ACTUAL_SET = np.array([P.table3[name].actual for name in NAMES])
 GUESS = tuple(ACTUAL_SET)
 WONG_REECE_LOAD = 8923.0  # [N] of the wheel of Wong & Reece (1967), 2006 lb
 WIDE_SLIP = (0.05, 0.6)  # our reading of "a wide range of slip"
+RULES = (1, 2, 5, 10)  # m of Simpson's rule in Fig. 2
 #: Soils of Fig. 9: the name there and the row of Wong's table that stands for it.
 FIELD = {
     "sandy_loam": "sandy_loam_15",
@@ -167,14 +168,42 @@ def table_1() -> list[Row]:
     return rows
 
 
-def rules() -> list[tuple[str, float, float]]:
-    """DP [N] of the working point by other rules of integration, and by Eq. (11)."""
-    cases = [(f"(12), m = {m}", m, True) for m in (1, 2, 5, 10, 50)]
+def rules() -> list[tuple[str, float, float, float, float]]:
+    """DP [N] of the working point by other rules of integration, and by Eq. (11), and the mean
+    difference from (12) integrated exactly over `WIDE_SLIP`, relative to its mean [%].
+    """
+    slip = np.linspace(*WIDE_SLIP, 200)
+    cases = [(f"(12), m = {m}", m, True) for m in RULES]
     cases += [("(12), exact", 0, True), ("(11), m = 2", 2, False), ("(11), exact", 0, False)]
-    return [
-        (name, *pair(pull(e._replace(simpson=m, compaction=compaction)) for e in MODELS))
-        for name, m, compaction in cases
+    found = []
+    for name, m, compaction in cases:
+        ours = [e._replace(simpson=m, compaction=compaction) for e in MODELS]
+        exact = [pulls(e._replace(simpson=0), SAND, slip).mean() for e in MODELS]
+        means = [pulls(e, SAND, slip).mean() for e in ours]
+        off = pair(100.0 * (a / b - 1.0) for a, b in zip(means, exact, strict=True))
+        found.append((name, *pair(map(pull, ours)), *off))
+    return found
+
+
+def on_the_curve(name: str) -> list[tuple[str, float, Row]]:
+    """Printed values of one parameter beside the DP that is printed for each: (where, value, DP).
+
+    They lie on the curves of Fig. 3 (cohesion) and Fig. 4 (phi and K).
+    """
+    below, above = P.table1[name].identified
+    printed = [
+        ("Table 1, DP -5 %", below, 0.95 * POINT.drawbar_pull),
+        ("Table 2", getattr(SAND, name), POINT.drawbar_pull),
+        ("Table 1, DP +5 %", above, 1.05 * POINT.drawbar_pull),
     ]
+    if name == "cohesion":
+        c = POINT.then_identified_cohesion
+        printed.append(("Section 3.1", c, POINT.if_measured_drawbar_pull))
+    rows = []
+    for where, value, target in printed:
+        ours = pair(pull(e, replace(SAND, **{name: value})) for e in MODELS)
+        rows.append((where, value, Row(f"{LABELS[name]} {value:g} ({where})", target, ours)))
+    return rows
 
 
 @cache
@@ -203,32 +232,32 @@ def table_3() -> list[Row]:
     return rows
 
 
-def reaches(e: Equations, guesses: np.ndarray) -> np.ndarray:
-    """[G] True if plain Newton-Raphson from `guesses` [G, 3] ends on the root, phi up to the period
-    of its tangent.
+def reaches(e: Equations, guesses: np.ndarray, backtracking: bool) -> np.ndarray:
+    """[G] True if Newton-Raphson from `guesses` [G, 3] ends on the root, phi up to the period of
+    its tangent.
     """
-    found = newton_raphson(MEASURED, guesses, e)
+    found = newton_raphson(MEASURED, guesses, e, backtracking)
     solution = root(e)
     turn = (found[:, 0] - solution[0] + 90.0) % 180.0 - 90.0
     return (np.abs(turn) < 0.01) & np.all(np.abs(found[:, 1:] / solution[1:] - 1.0) < 1e-4, axis=1)
 
 
-def table_4() -> list[Row]:
+def table_4(backtracking: bool) -> list[Row]:
     """Range of guesses of one unknown, the other two as in Table 2, from which Newton-Raphson
     converges.
     """
     rows = []
     scans = (
-        np.linspace(0.5, 89.5, 1781),
-        np.linspace(1e-4, 0.2, 2000),
-        np.geomspace(1e3, 1e14, 1101),
+        np.linspace(0.5, 89.5, 891),
+        np.linspace(1e-4, 0.2, 1000),
+        np.geomspace(1e3, 1e14, 441),
     )
     for k, (name, scan, form) in enumerate(zip(NAMES, scans, (".1f", ".4f", ".2g"), strict=True)):
         limits = []
         for e in HELD:
             guesses = np.tile(GUESS, (scan.size, 1))
             guesses[:, k] = scan
-            good = reaches(e, guesses)
+            good = reaches(e, guesses, backtracking)
             below, above = (
                 np.flatnonzero(~good & side) for side in (scan < GUESS[k], scan > GUESS[k])
             )
@@ -246,6 +275,35 @@ def table_4() -> list[Row]:
                 )
             )
     return rows
+
+
+class Box(NamedTuple):
+    """Guesses in the printed ranges of Table 4, and which of them reach the root by each of
+    `MODELS`: plain Newton-Raphson, and with backtracking.
+    """
+
+    guesses: np.ndarray  # [G, 3]
+    plain: list[np.ndarray]  # [G] each
+    backtracking: list[np.ndarray]
+
+    def columns(self) -> list[np.ndarray]:
+        """Plain and with backtracking as printed, then both with Wong & Reece's peak."""
+        return [found[k] for k in range(2) for found in (self.plain, self.backtracking)]
+
+
+def box(*counts: int) -> Box:
+    """Table 4's ranges on a grid of `counts` values of phi, K and S, S in equal ratios; 2 are its
+    corners.
+    """
+    phi, K, S = (P.table4[name] for name in NAMES)
+    sides = (
+        np.linspace(phi[0], phi[1], counts[0]),
+        np.linspace(K[0], K[1], counts[1]),
+        np.geomspace(S[0], S[1], counts[2]),
+    )
+    guesses = np.array(list(product(*sides)))
+    plain, backtracking = ([reaches(e, guesses, own) for e in HELD] for own in (False, True))
+    return Box(guesses, plain, backtracking)
 
 
 class Noisy(NamedTuple):
@@ -298,24 +356,57 @@ def pull_misfits() -> list[float]:
     ]
 
 
-def torque(soil: Soil) -> np.ndarray:
-    """Torque required [N m] by Eqs. (1) and (3) at `SLIPS`, exactly; NaN where the soil does not
-    carry the wheel.
+def sinkages(soil: ArrayLike, slip: np.ndarray, e: Equations) -> np.ndarray:
+    """Sinkage [m] by slip at which (1) carries `WONG_REECE_LOAD`; NaN where none up to 1.5 radii
+    does.
     """
-    state = soil.state(WHEEL.width)._replace(dig_gain=0.0)
-    steady = [steady_state(i, WONG_REECE_LOAD, state, WHEEL.radius, WHEEL.width) for i in SLIPS]
-    return np.array([s.torque if s.supported else np.nan for s in steady])
+    low = np.zeros(slip.shape)
+    high = np.full(slip.shape, 1.5 * e.radius)
+    buried = forces(soil, slip, high, e)[:, 1] < WONG_REECE_LOAD
+    for _ in range(40):  # halves the bracket to 1e-12 m
+        middle = 0.5 * (low + high)
+        short = forces(soil, slip, middle, e)[:, 1] < WONG_REECE_LOAD
+        low = np.where(short, middle, low)
+        high = np.where(short, high, middle)
+    return np.where(buried, np.nan, high)
+
+
+def torque(soil: ArrayLike, e: Equations) -> np.ndarray:
+    """Torque required [N m] by (1) and (3) at `SLIPS`, exactly; NaN where the soil does not carry
+    the wheel.
+    """
+    e = e._replace(simpson=0)
+    return forces(soil, SLIPS, sinkages(soil, SLIPS, e), e)[:, 2]
+
+
+def field(soil: Soil) -> tuple[tuple[float, float, float], Equations]:
+    """(phi [deg], K [m], S) of a natural soil, and the equations as printed with its c and n."""
+    e = AS_PRINTED._replace(cohesion=soil.cohesion, exponent=soil.sinkage_exponent)
+    return (soil.friction_angle_deg, soil.shear_modulus, soil.lumped(e.width)), e
 
 
 def torque_at_37_deg(soil: Soil) -> np.ndarray:
     """Torque [N m] by Eq. (3) at `SLIPS` with the wheel held at the sinkage of the working
     point.
     """
-    e = AS_PRINTED._replace(cohesion=soil.cohesion, exponent=soil.sinkage_exponent)
-    parameters = soil.friction_angle_deg, soil.shear_modulus, soil.lumped(e.width)
-    return forces(
-        parameters, SLIPS, e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg))), e
-    )[:, 2]
+    own, e = field(soil)
+    return forces(own, SLIPS, e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg))), e)[
+        :, 2
+    ]
+
+
+def criterion() -> list[tuple[str, float, float, float]]:
+    """(name, lowest and highest torque [N m], slip from which it is more than is available) of
+    each set of the paper's sand, NaN if none; Fig. 8.
+    """
+    rows = []
+    for k, name in enumerate(("as printed", "Wong & Reece's peak")):
+        for label, (soil, e) in sets(k).items():
+            T = torque(soil, e)
+            above = SLIPS[P.available_torque < T]
+            first = float(above[0]) if above.size else math.nan
+            rows.append((f"{label}, {name}", float(T.min()), float(T.max()), first))
+    return rows
 
 
 @dataclass(frozen=True)
@@ -325,15 +416,21 @@ class Results:
     seed: int
     draws: int
     rows: dict[str, list[Row]]
+    corners: Box  # of Table 4
+    box: Box  # the whole of it
     noise: tuple[Noisy, Noisy]
     torques: dict[str, tuple[np.ndarray, np.ndarray]]  # by the load balance, and at a held sinkage
 
 
 def compute(seed: int = 0, draws: int = 1000) -> Results:
     """Recompute everything; `draws` of the noise in Table 5."""
-    rows = {"point": working_point(), "table1": table_1(), "table3": table_3(), "table4": table_4()}
+    rows = {"point": working_point(), "table1": table_1(), "table3": table_3()}
+    rows |= {"table4": table_4(False), "table4_backtracking": table_4(True)}
+    for figure, names in (("fig3", ("cohesion",)), ("fig4", NAMES[:2])):
+        rows[figure] = [row for name in names for _, _, row in on_the_curve(name)]
     torques = {
-        name: (torque(soils()[row]), torque_at_37_deg(soils()[row])) for name, row in FIELD.items()
+        name: (torque(*field(soils()[row])), torque_at_37_deg(soils()[row]))
+        for name, row in FIELD.items()
     }
     first, second = (table_5(e, seed, draws) for e in HELD)
-    return Results(seed, draws, rows, (first, second), torques)
+    return Results(seed, draws, rows, box(2, 2, 2), box(7, 7, 5), (first, second), torques)

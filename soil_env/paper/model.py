@@ -71,6 +71,8 @@ WONG_REECE = AS_PRINTED._replace(
 
 _ITERATIONS = 100  # of Newton-Raphson at most
 _TOLERANCE = 1e-8  # step at convergence: [rad] of phi, relative of K and S
+_HALVINGS = 30  # of a step at most, with backtracking
+_DEGREES = np.array([math.degrees(1.0), 1.0, 1.0])  # of the radians in a step of (phi, K, S)
 
 
 def _nodes(m: int) -> tuple[np.ndarray, np.ndarray]:
@@ -142,37 +144,56 @@ class Points(NamedTuple):
 MEASURED = Points(*np.array([(p.slip, p.sinkage, p.drawbar_pull) for p in P.measured]).T.copy())
 
 
-def newton_raphson(points: Points, guess: ArrayLike, e: Equations) -> np.ndarray:
-    """Roots (phi [deg], K [m], S) by plain Newton-Raphson, the paper's Section 4; NaN where it is
-    lost.
+def newton_raphson(
+    points: Points, guess: ArrayLike, e: Equations, backtracking: bool = False
+) -> np.ndarray:
+    """Roots (phi [deg], K [m], S) by Newton-Raphson, the paper's Section 4; NaN where it is lost.
 
     `guess` [3], or [G, 3] of as many searches; points [3] of all of them, or [G, 3]. A search is
     lost at a singular Jacobian, at K <= 0, where Eq. (10) means nothing, and after `_ITERATIONS`.
+    With `backtracking` a step is halved until it leads to a soil that fits better; a search that
+    finds none is lost.
     """
     x = np.array(np.atleast_2d(guess), dtype=float)
     slip, sinkage, pull = (np.broadcast_to(v, x.shape) for v in points)
     out = np.full(x.shape, np.nan)
     going = np.arange(len(x))
-    degrees = np.array([math.degrees(1.0), 1.0, 1.0])
+
+    def misfit(who: np.ndarray, soil: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Measured less predicted pulls [N] of the searches `who` at their soils; the Jacobian."""
+        y = forces(np.repeat(soil, 3, axis=0), slip[who].ravel(), sinkage[who].ravel(), e)
+        return pull[who] - y[:, 0].reshape(-1, 3), y[:, 3:].reshape(-1, 3, 3)
+
     with np.errstate(all="ignore"):
         for _ in range(_ITERATIONS):
-            y = forces(
-                np.repeat(x[going], 3, axis=0), slip[going].ravel(), sinkage[going].ravel(), e
-            )
-            jacobian = y[:, 3:].reshape(-1, 3, 3)
-            residual = pull[going] - y[:, 0].reshape(-1, 3)
+            residual, jacobian = misfit(going, x[going])
             determinant = np.linalg.det(jacobian)
             solvable = np.isfinite(determinant) & (determinant != 0.0)
             going = going[solvable]
-            step = (
-                np.linalg.solve(jacobian[solvable], residual[solvable][:, :, None])[:, :, 0]
-                * degrees
-            )
+            residual = residual[solvable]
+            step = np.linalg.solve(jacobian[solvable], residual[:, :, None])[:, :, 0]
+            step *= _DEGREES
+            worse = np.flatnonzero(~_small(step, x[going]) & backtracking)
+            for _ in range(_HALVINGS):
+                if not worse.size:
+                    break
+                soil = x[going[worse]] + step[worse]
+                ahead = (misfit(going[worse], soil)[0] ** 2).sum(axis=1)
+                better = ahead < (residual[worse] ** 2).sum(axis=1)
+                better &= np.all(soil > 0.0, axis=1) & (soil[:, 0] < 90.0)
+                worse = worse[~better]
+                step[worse] *= 0.5
+            step[worse] = np.nan
             x[going] += step
             valid = np.all(np.isfinite(x[going]), axis=1) & (x[going, 1] > 0.0)
-            size = np.abs(x[going])
-            size[:, 0] = degrees[0]
-            there = valid & np.all(np.abs(step) < _TOLERANCE * size, axis=1)
+            there = valid & _small(step, x[going])
             out[going[there]] = x[going[there]]
             going = going[valid & ~there]
     return out.reshape(np.shape(guess))
+
+
+def _small(step: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """[G] True where a step of (phi [deg], K, S) [G, 3] is within `_TOLERANCE`."""
+    size = np.abs(x)
+    size[:, 0] = _DEGREES[0]
+    return np.all(np.abs(step) < _TOLERANCE * size, axis=1)

@@ -3,6 +3,7 @@ templates/paper.md.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +14,17 @@ from soil_env._io.files import picture_of, write_own
 from soil_env.paper import compare
 from soil_env.paper.compare import MEASURED, NAMES, P, Results, Row
 
-FIGURES = ("fig6_7", "fig9")
+FIGURES = ("fig2", "fig3", "fig4", "fig6_7", "fig8", "fig9")
+WIDTHS = {"fig3": 6.4, "fig8": 6.4, "fig9": 6.4}  # [in], else 11
 READINGS = "equations as printed", "with Wong & Reece's peak"
 
 
 def write(results: Results, folder: Path, command: str) -> None:
     """Write `folder`/paper.md and the figures in `folder`/paper."""
     files: dict[str, bytes | str] = {}
-    for name, draw in zip(FIGURES, (_predictions, _torques), strict=True):
-        figure = Figure(figsize=(6.4 if draw is _torques else 11.0, 4.2), layout="constrained")
+    draws = (_by_slip, _by_cohesion, _by_phi_and_K, _predictions, _criterion, _torques)
+    for name, draw in zip(FIGURES, draws, strict=True):
+        figure = Figure(figsize=(WIDTHS.get(name, 11.0), 4.2), layout="constrained")
         draw(figure, results)
         files[f"paper/{name}.png"] = picture_of(figure, dpi=110, metadata={"Software": None})
     write_own(folder, {**files, "paper.md": markdown(results, command)})
@@ -30,10 +33,16 @@ def write(results: Results, folder: Path, command: str) -> None:
 def markdown(results: Results, command: str) -> str:
     """The page as Markdown."""
     tables = {f"{name}_table": _beside(rows) for name, rows in results.rows.items()}
+    tables["table4_table"] = _ranges(results)
+    tables["corners"] = _corners(results)
+    tables["criterion"] = _criterion_table()
     own, printed, _ = compare.sets(1).values()
     low = 100.0 * (1.0 - compare.prediction(*printed)[:, 1] / compare.prediction(*own)[:, 1])
     tables |= {"rules": _rules(), "noise": _noise(results), "rms": _rms()}
     tables["torques"] = _torque_table(results)
+
+    fits = [*results.rows["fig3"][:-1], *results.rows["fig4"]]
+    misses = np.abs([np.subtract(row.ours, row.printed) for row in fits])
 
     def agree(table: str, reading: int = 1) -> int:
         """Count the printed numbers of a table that agree to the last digit."""
@@ -49,6 +58,10 @@ def markdown(results: Results, command: str) -> str:
         "c": compare,
         "command": command,
         "low": (low.min(), low.max()),
+        "off": dict((name, (one, two)) for name, _, _, one, two in compare.rules()),
+        "miss": misses.max(axis=0),
+        "misprint": results.rows["fig3"][-1].ours[1] - compare.POINT.if_measured_drawbar_pull,
+        "reach": [100.0 * found.mean() for found in results.box.columns()],
     }
     return render("soil_env.paper:paper.md", **values, **tables)
 
@@ -59,24 +72,65 @@ def _beside(rows: Sequence[Row]) -> Table:
     """
     header = ["", "printed", *(text for name in READINGS for text in (name, "difference"))]
     lines = []
-    for name, printed, ours, form, beyond in rows:
-        line = [name, format(printed, form)]
-        for value, side in zip(ours, beyond, strict=True):
-            if side:
-                line += [f"{side} {value:{form}} (end of the scan)", "-"]
-            else:
-                line += [
-                    format(value, form),
-                    format(compare.as_shown(value, form) - printed, "+" + form),
-                ]
+    for row in rows:
+        line = [row.name, format(row.printed, row.form)]
+        for value, shown, side in zip(row.ours, _shown(row), row.beyond, strict=True):
+            difference = compare.as_shown(value, row.form) - row.printed
+            line += [shown, "-" if side else format(difference, "+" + row.form)]
         lines.append(line)
     return Table(header, lines)
 
 
+def _shown(row: Row) -> list[str]:
+    """The numbers of ours, or the ends of the scans."""
+    return [
+        f"{side} {value:{row.form}} (end of the scan)" if side else format(value, row.form)
+        for value, side in zip(row.ours, row.beyond, strict=True)
+    ]
+
+
+METHODS = [f"{name}: {how}" for name in READINGS for how in ("plain", "with backtracking")]
+
+
+def _ranges(r: Results) -> Table:
+    """Table 4 by plain Newton-Raphson and with backtracking."""
+    rows = []
+    for plain, other in zip(r.rows["table4"], r.rows["table4_backtracking"], strict=True):
+        ours = [text for pair in zip(_shown(plain), _shown(other), strict=True) for text in pair]
+        rows.append((plain.name, format(plain.printed, plain.form), *ours))
+    return Table(("", "printed", *METHODS), rows)
+
+
+def _corners(r: Results) -> Table:
+    """What becomes of the corners of Table 4."""
+    rows = [
+        (f"{phi:.0f}", f"{K:.3f}", f"{S:.2g}", *("converges" if ok else "lost" for ok in found))
+        for (phi, K, S), *found in zip(r.corners.guesses, *r.corners.columns(), strict=True)
+    ]
+    total = (f"{found.sum()} of {found.size}" for found in r.corners.columns())
+    return Table(("phi [deg]", "K [m]", "S", *METHODS), [*rows, ("all", "", "", *total)])
+
+
+def _criterion_table() -> Table:
+    """Torque of the paper's sand, beside what is available."""
+    rows = [
+        (name, f"{low:.0f} to {high:.0f}", f"{high - P.available_torque:+.0f}",
+         "never" if np.isnan(first) else f"{first:.2f}")
+        for name, low, high, first in compare.criterion()
+    ]  # fmt: skip
+    header = ("set", "T [N m]", "highest less available", "more than available from slip")
+    return Table(header, rows)
+
+
 def _rules() -> Table:
+    heads = (f"{name}: DP [N]" for name in READINGS)
+    differences = (f"{name}: from (12), exact [%]" for name in READINGS)
     return Table(
-        ("resistance, integration", *(f"{name}: DP [N]" for name in READINGS)),
-        [(name, *(f"{v:.2f}" for v in values)) for name, *values in compare.rules()],
+        ("resistance, integration", *heads, *differences),
+        [
+            (name, f"{one:.2f}", f"{two:.2f}", f"{off_one:+.2f}", f"{off_two:+.2f}")
+            for name, one, two, off_one, off_two in compare.rules()
+        ],
     )
 
 
@@ -140,12 +194,73 @@ def _axes(figure: Figure, x: str, y: str, position=111):
     return axes
 
 
-def _predictions(figure: Figure, r: Results) -> None:
-    """Figs.
+def _by_slip(figure: Figure, r: Results) -> None:
+    """Fig. 2: drawbar pull against slip by Simpson's rule and exactly, and the differences."""
+    slip = np.linspace(0.01, compare.WIDE_SLIP[1], 80)
+    pull = _axes(figure, "slip [-]", "drawbar pull [N]", 121)
+    error = _axes(figure, "slip [-]", "from (12), exact [N]", 122)
+    for k, e in enumerate(compare.MODELS):
+        cases = {f"(12), m = {m}": e._replace(simpson=m) for m in compare.RULES}
+        cases["(12), exact"] = e._replace(simpson=0)
+        exact = compare.pulls(cases["(12), exact"], compare.SAND, slip)
+        for colour, (name, own) in enumerate(cases.items()):
+            y = compare.pulls(own, compare.SAND, slip)
+            label = f"{name}, {READINGS[k]}"
+            for axes, values in ((pull, y), (error, y - exact)):
+                axes.plot(slip, values, ("--", "-")[k], color=f"C{colour}", label=label)
+        full = e._replace(simpson=0, compaction=False)
+        y = compare.pulls(full, compare.SAND, slip)
+        pull.plot(slip, y, ("k--", "k-")[k], label=f"(11), exact, {READINGS[k]}")
+    i = compare.POINT.slip
+    target = compare.POINT.drawbar_pull
+    at_point = compare.pull(compare.WONG_REECE._replace(simpson=0))
+    pull.plot([i], [target], "r^", label="printed")
+    error.plot([i], [target - at_point], "r^")
+    pull.legend(fontsize=7)
 
-    6 and 7: drawbar pull and torque against slip, at sinkages interpolated between the measured
-    ones.
-    """
+
+def _along(axes, name: str) -> None:
+    """Drawbar pull against one parameter by both readings, and the printed points."""
+    points = compare.on_the_curve(name)
+    values = np.array([value for _, value, _ in points])
+    margin = 0.3 * np.ptp(values)
+    wide = np.linspace(values.min() - margin, values.max() + margin, 60)
+    for e, style, label in zip(compare.MODELS, ("C0--", "C1-"), READINGS, strict=True):
+        pull = [compare.pull(e, replace(compare.SAND, **{name: float(v)})) for v in wide]
+        axes.plot(wide, pull, style, label=label)
+    for mark, (where, value, row) in zip("v^>s", points, strict=False):
+        axes.plot([value], [row.printed], f"k{mark}", label=f"printed, {where}")
+
+
+def _by_cohesion(figure: Figure, r: Results) -> None:
+    """Fig. 3."""
+    axes = _axes(figure, "cohesion c [Pa]", "drawbar pull (12) [N]")
+    _along(axes, "cohesion")
+    axes.legend(fontsize=8)
+
+
+def _by_phi_and_K(figure: Figure, r: Results) -> None:
+    """Fig. 4."""
+    for k, name in enumerate(NAMES[:2]):
+        axes = _axes(figure, compare.LABELS[name], "drawbar pull (12) [N]", 121 + k)
+        _along(axes, name)
+    axes.legend(fontsize=8)
+
+
+def _criterion(figure: Figure, r: Results) -> None:
+    """Fig. 8: torque required and available."""
+    axes = _axes(figure, "slip [-]", "torque required (3) [N m]")
+    for k, style in enumerate(("--", "-")):
+        for colour, (name, (soil, e)) in enumerate(compare.sets(k).items()):
+            T = compare.torque(soil, e)
+            axes.plot(compare.SLIPS, T, style, color=f"C{colour}", label=f"{name}, {READINGS[k]}")
+    axes.axhline(P.available_torque, color="k", linestyle=":", label="available, printed")
+    axes.set_ylim(0.0)
+    axes.legend(fontsize=8)
+
+
+def _predictions(figure: Figure, r: Results) -> None:
+    """Figs. 6 and 7: by slip, at sinkages interpolated between the measured ones."""
     slip = np.linspace(MEASURED.slip[0], MEASURED.slip[-1], 60)
     sinkage = np.interp(slip, MEASURED.slip, MEASURED.sinkage)
     pull = _axes(figure, "slip [-]", "drawbar pull (12) [N]", 121)

@@ -2,7 +2,8 @@
 (docs/physics/contact.md).
 
 Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; the stress
-distribution is Wong & Reece (1967), the shear law Janosi & Hanamoto (1961).
+distribution is Wong & Reece (1967) with the peak midway (Iagnemma et al. 2004), the shear law
+Janosi & Hanamoto (1961).
 
 Angles [rad] are measured from the lowest point of the rim, positive toward the front, *front*
 meaning the side the wheel travels to. The motion enters through two numbers without unit,
@@ -27,6 +28,9 @@ _x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
 # [-] u^2, distance of a node from the end of the arc over the zone's length
 NODE_DEPTHS = (0.5 * (_x + 1.0)) ** 2
 NODE_WEIGHTS = 0.5 * _w * (_x + 1.0)  # [-] weight of the node times d(u^2)/du
+#: [-] Least share of Int p cos that bears. Friction under a braked wheel about a radius deep
+#: takes as much load as the normal stress gives, and S would grow without bound.
+LEAST_BEARING = 0.05
 _none = np.zeros(NODES_PER_ZONE)
 _all = np.ones(NODES_PER_ZONE)
 #: [-] Lengths of the front and of the rear zone between the entry and each node, and the node's
@@ -316,10 +320,10 @@ def mobilised_sinkage_coefficient(q, load, tan_phi, c, r, b, direction):
     0.
 
     Eq. (1) is linear in S, so at a given sinkage the coefficient that the load mobilises has a
-    closed form.
+    closed form. At `LEAST_BEARING` S is bounded, and carries less than the load.
     """
-    bearing = bearing_share(q, tan_phi, direction)
+    bearing = max(bearing_share(q, tan_phi, direction), LEAST_BEARING * q.p_cos)
     rest = load / (r * b) - direction * c * q.e_sin
-    if rest <= 0.0 or bearing <= 1e-12 * q.p_cos:
+    if rest <= 0.0 or bearing <= 0.0:
         return 0.0
     return rest / bearing

@@ -15,6 +15,7 @@ from soil_env._compiled.elementary import smoothed_sign
 from soil_env._compiled.flags import EXACT, INLINE
 from soil_env.slip import signed_slip, slip_ratio
 from soil_env.terramechanics.contact import (
+    LEAST_BEARING,
     ShearLaw,
     bearing_share,
     forces,
@@ -159,7 +160,9 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
     one_u = rates.one_rim * rim_u + rates.one_travel * travel_u
     # through S, which keeps the load what it is
     shear_sin = S * tan_phi * q.pe_sin + c * q.e_sin
-    by_load = -1.0 / bearing_share(q, tan_phi, direction) if S > 0.0 else 0.0
+    bearing = bearing_share(q, tan_phi, direction)
+    # where S is bounded it hardly changes
+    by_load = -1.0 / bearing if S > 0.0 and bearing > LEAST_BEARING * q.p_cos else 0.0
     S_v = by_load * (direction * sin_v + turn * shear_sin)
     S_u = by_load * (direction * sin_u)
     pull_by_S = rb * (tan_phi * q.pe_cos - direction * q.p_sin)

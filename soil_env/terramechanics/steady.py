@@ -18,6 +18,7 @@ from soil_env.parameters import SoilState
 from soil_env.slip import motion_from_slip, sliding_speed
 from soil_env.terramechanics.contact import (
     ARC_NODES,
+    LEAST_BEARING,
     Arc,
     Forces,
     ShearLaw,
@@ -226,7 +227,7 @@ def _misfit(nodes, x, p, wheel, fx):
         available += n * math.log(1.0 - p.lift / z)
     f = min(max(math.log(max(s, 1e-300)) - available, -2.0), 50.0)
     if (
-        bearing_share(q, soil.tan_phi, 1.0) <= 1e-12 * q.p_cos
+        bearing_share(q, soil.tan_phi, 1.0) <= LEAST_BEARING * q.p_cos
         and p.load / (arc.radius * b) > soil.cohesion * q.e_sin
     ):
         f = 2.0  # friction takes more than the normal stress gives: no S carries the load here

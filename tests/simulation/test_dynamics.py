@@ -12,8 +12,9 @@ from soil_env.simulation.world.wheel import rig_of
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.motor import motor_torque
 from soil_env.terramechanics.reaction import REST_SPEED
+from soil_env.terramechanics.steady import DEEPEST, SHALLOWEST
 from tests.simulation.wheels import lay_patches, on_random_courses, on_uniform_ground
-from tests.terramechanics.cases import TOGETHER, WHEEL
+from tests.terramechanics.cases import TOGETHER, WHEEL, any_soil
 
 # a course on which half the torque gets through
 EASY = {
@@ -216,3 +217,44 @@ def test_spinning_digs_a_wheel_in_for_good():
     rows = wheels.drive([0.8] * 200)
     assert rows[-1, 1] > 3.0 * rest
     assert np.all(rows[20:, 3] > 0.9) and rows[-1, 0] < 0.2
+
+
+@pytest.fixture(scope="module")
+def bare():
+    """(wheels driven by torque, what they and their course began with)."""
+    wheels = start()
+    return wheels, wheels.state.copy(), wheels.courses.copy()
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    soil=any_soil,
+    grade_deg=st.floats(-30.0, 30.0),
+    depth=st.none() | st.sampled_from([1e-9, 1.0, 1.4]) | st.floats(0.0, 1.4),
+    speeds=st.tuples(*2 * [st.just(0.0) | st.floats(-1.0, 1.0)]),
+    commands=st.lists(st.sampled_from([-1.0, 0.0, 0.3, 1.0]), min_size=4, max_size=4),
+)
+def test_edges_of_the_world(bare, soil, grade_deg, depth, speeds, commands):
+    """Any depth, from the air to beyond the radius and out of it again, any speeds and commands on
+    any soil: every period converges, and depth, speeds and forces are finite and bounded.
+    """
+    wheels, state, courses = bare
+    wheels.state[:] = state
+    wheels.courses[:] = courses
+    lay_patches(wheels.courses, (0.0, 1e3), [soil], [math.radians(grade_deg)])
+    radius = MOTOR.radius
+    if depth is not None:
+        wheels.state["sinkage"] = wheels.state["rut_depth"] = depth * radius
+    wheels.state["speed"] = speeds[0]
+    wheels.state["wheel_speed"] = speeds[1] / radius
+    fastest = max(map(abs, speeds)) + radius * MOTOR.no_load_speed
+    for period, command in enumerate(commands, 1):
+        wheels.step(command)
+        now = wheels.now()
+        weight = now.mass * MOTOR.gravity
+        assert now.converged and SHALLOWEST * radius <= now.sinkage <= DEEPEST * radius
+        numbers = (now.x, now.load, now.drawbar_pull, now.torque, now.soil_work, now.motor_work)
+        assert np.isfinite(numbers).all()
+        assert abs(now.speed) < fastest + MOTOR.gravity * MOTOR.period * period
+        assert abs(now.drawbar_pull) < 100.0 * weight + 100.0 * soil.cohesion * radius**2
+        assert now.soil_work > -1e-3 * weight * radius

@@ -1,12 +1,29 @@
 """Values of the named effects for tests: every form of every effect, and several together."""
 
-import pytest
+import math
 
+import pytest
+from hypothesis import strategies as st
+
+from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects import CATALOGUE, acting_effects, pack_effects
 from soil_env.terramechanics.model import ModelWheel
 from soil_env.terramechanics.residual import ResidualTerm
 
 LUG = 0.012  # [m]
+#: Any `SoilState`: from loose to firm, without cohesion and with much, any friction and exponent.
+any_soil = st.builds(
+    lambda phi, c, K, S, n, gain, recovery: SoilState(
+        math.tan(math.radians(phi)), c, 10.0**K, 10.0**S, n, gain, recovery
+    ),
+    st.floats(1.0, 60.0),
+    st.just(0.0) | st.floats(0.0, 7e4),
+    st.floats(-3.5, -1.0),
+    st.floats(4.5, 7.0),
+    st.floats(0.1, 1.6),
+    st.floats(0.0, 4.0),
+    st.floats(0.1, 1.5),
+)
 WHEEL = ModelWheel(0.15, 0.15, LUG)
 #: Range of each parameter for tests, by effect.
 SIZES = {

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings, strategies as st
 from numba import njit
 
 from soil_env._compiled.flags import record
@@ -11,7 +12,7 @@ from soil_env.parameters import soils
 from soil_env.terramechanics import contact, reaction
 from soil_env.terramechanics.effects import NO_EFFECTS, acting_effects, grousers, pack_effects
 from soil_env.terramechanics.residual import residual_law
-from tests.terramechanics.cases import ACTING, CASES, LUG, RESIDUAL, TOGETHER
+from tests.terramechanics.cases import ACTING, CASES, LUG, RESIDUAL, TOGETHER, any_soil
 
 R = 0.15
 GRAVITY = 9.81
@@ -212,3 +213,36 @@ def test_effects_at_their_neutral_values_leave_the_base_model():
         expected = react(ground, v, u, load, plain)
         ground = ground_under(sinkage, v, u, soil, with_code)
         assert react(ground, v, u, load, with_code) == pytest.approx(expected, rel=1e-12)
+
+
+BARE = wheel_with("none")
+speeds = st.sampled_from([0.0, 1e-9, -1e-9, 1e-3, 0.1, -0.1]) | st.floats(-1.0, 1.0)
+#: Braked in a deep hole, where friction bears less and less.
+DEEP = soils()["lunar_simulant_hit_lss1"].state(R)
+
+
+@settings(deadline=None, max_examples=150)
+@given(
+    soil=any_soil,
+    depth=st.sampled_from([0.0, 1e-12, 1.0, 1.5]) | st.floats(0.0, 1.5),
+    v=speeds,
+    u=speeds,
+    load=st.sampled_from([0.0, 1e-9]) | st.floats(0.0, 1e4),
+)
+@example(soil=DEEP, depth=1.5045, v=0.3, u=-0.1197, load=1.0)
+@example(soil=DEEP, depth=1.5, v=0.3, u=-0.12, load=1.0)
+def test_edges_of_sinkage_load_and_motion(soil, depth, v, u, load):
+    """In the air, half and wholly below the ground, at rest and in any motion, with and without
+    load: finite, bounded by the load and the cohesion, and continuous.
+    """
+    ground = ground_under(depth * R, v, u, soil, BARE)
+    found = np.array(react(ground, v, u, load, BARE))
+    assert np.isfinite(found).all()
+    most = 100.0 * (load + soil.cohesion * 2.0 * math.pi * R * R)
+    for beside in (found, *(react(ground, v + d, u, load, BARE) for d in (-1e-3, 1e-3))):
+        assert abs(beside[1]) <= most and abs(beside[2]) <= most * R
+    if v != u:
+        # no jump within a thousandth of what a motion changes
+        step = 1e-6
+        near = np.array(react(ground, v, u + step, load, BARE))
+        assert abs(near[1] - found[1]) <= 1e-2 * most

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings, strategies as st
 
 from soil_env.parameters import SoilState, soils
 from soil_env.slip import motion_from_slip
@@ -11,6 +12,7 @@ from soil_env.terramechanics import steady
 from soil_env.terramechanics.contact import entry_angle, forces
 from soil_env.terramechanics.effects import slip_sinkage_ratio
 from tests.terramechanics.arcs import arc_integrals
+from tests.terramechanics.cases import any_soil
 
 R = B = 0.15
 
@@ -79,3 +81,43 @@ def test_a_locked_wheel_drags_twice_its_load_in_dry_sand():
     """
     found = steady.steady_state(-1.0, 147.15, soils()["dry_sand"].state(0.15), 0.15, 0.15)
     assert found.supported and found.drawbar_pull / 147.15 == pytest.approx(-1.9, abs=0.05)
+
+
+def strongest(soil, sinkage):
+    """Force [N] that the soil has at most on the arc of a sinkage: friction and normal stress of
+    the lowest point all over it, and cohesion.
+    """
+    pressure = soil.sinkage_coefficient * sinkage**soil.sinkage_exponent
+    arc = R * entry_angle(sinkage, R)
+    return B * arc * (soil.cohesion + (1.0 + soil.tan_phi) * pressure) * (1.0 + 1e-9)
+
+
+@settings(deadline=None, max_examples=150)
+@given(
+    soil=any_soil,
+    slip=st.sampled_from([-1.0, 0.0, 1.0]) | st.floats(-1.0, 1.0),
+    exponent=st.floats(-12.0, 9.0),
+)
+def test_edges_of_slip_and_load(soil, slip, exponent):
+    """From no load to any load, locked to spinning: carried at a depth, or buried at the deepest;
+    no more force than the soil has, and the same beside a slip.
+    """
+    load = 10.0**exponent
+    found = steady.steady_state(slip, load, soil, R, B)
+    deepest = steady.DEEPEST * R
+    assert 0.0 < found.sinkage <= deepest * (1.0 + 1e-12)
+    assert found.supported or found.sinkage == pytest.approx(deepest)
+    assert abs(found.drawbar_pull) <= strongest(soil, found.sinkage)
+    assert abs(found.torque) <= strongest(soil, found.sinkage) * R
+    near = slip + 1e-10 if slip < 0.0 else slip - 1e-10
+    assert steady.steady_state(near, load, soil, R, B).sinkage == pytest.approx(
+        found.sinkage, rel=1e-3
+    )
+
+
+@settings(deadline=None, max_examples=50)
+@given(soil=any_soil, slip=st.floats(0.0, 1.0))
+def test_a_driven_wheel_without_load_stands_on_the_surface(soil, slip):
+    """Cohesion or not: no load, hardly a depth."""
+    found = steady.steady_state(slip, 1e-9, soil, R, B)
+    assert found.supported and found.sinkage < 0.02 * R

@@ -21,7 +21,8 @@ def passive_coefficient(tan_phi):
 def bulldozing_resistance(sinkage, soil, wheel, fx):
     """Resistance [N] of the soil pushed ahead of the wheel to the depth of its sinkage.
 
-    By Rankine, or by Hegedus (1960) as in Ishigami et al. (2007): `Form`s below.
+    By Rankine, or by Hegedus (1960), which Ishigami et al. (2007) take for the side of a wheel:
+    `Form`s below.
     """
     if fx.bulldozing_rankine == 0.0 and fx.bulldozing_hegedus == 0.0:
         return 0.0
@@ -54,7 +55,7 @@ EFFECT = Effect(
             ("hegedus",),
             "DP = DP_0 - {hegedus} b D1 [c z + D2 gamma z^2/2]; D1 = cot(X) + tan(X + phi); "
             "D2 = cot(X) + cot(X)^2 tan(phi)",
-            "Hegedus (1960); Ishigami et al. (2007), J. Field Robotics 24:233-250",
+            "Hegedus (1960); beside a wheel: Ishigami et al. (2007), J. Field Robotics 24:233-250",
         ),
     ),
     symbols={"X": "45 deg - phi/2"},

@@ -26,7 +26,9 @@ def weight_on_slope(load, sin_grade, fx):
 
 @njit(**EXACT)
 def slope_factor(soil, sin_grade, fx):
-    """Bearing on a slope over that on the level: Meyerhof's (1 - |b|/phi)^2 to the power w."""
+    """Bearing on a slope over that on the level: Meyerhof's (1 - |b|/phi)^2 for a load
+    at the angle b, to the power w.
+    """
     if fx.grade_weakening == 0.0:
         return 1.0
     phi = asin_root(soil.tan_phi * soil.tan_phi / (1.0 + soil.tan_phi * soil.tan_phi))
@@ -77,7 +79,7 @@ EFFECT = Effect(
             "weight_and_bearing",
             ("share", "weakening"),
             _WEIGHT + "; S_b = S (1 - |b|/phi)^(2 {weakening})",
-            "Meyerhof (1957), bearing on slopes",
+            "Meyerhof (1953, 1963), factor of inclined loads",
         ),
     ),
     varies="grade_deg",

@@ -92,7 +92,7 @@ EFFECT = Effect(
             ("exponent",),
             "c_v = c (v/{reference_speed})^{exponent}; "
             "tan(phi_v) = tan(phi) (v/{reference_speed})^{exponent}",
-            "Grahn (1991), J. Terramechanics 28:339-347",
+            "own assumption, a power in place of the logarithm",
         ),
         Form(
             "logarithmic",

@@ -132,7 +132,7 @@ EFFECT = Effect(
             "exponent",
             ("exponent_slope",),
             "n(i) = n + {exponent_slope} i",
-            "Ding et al. (2010), J. Cent. South Univ. 17:129-135",
+            "Ding et al. (2010), J. Cent. South Univ. Technol. 17:129-135",
         ),
         Form(
             "excavation",

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from hypothesis import given, settings, strategies as st
 
 from soil_env._compiled.random_streams import seed_stream
 from soil_env.parameters import RoverScenario, load_rover, rover_names, to_dict
@@ -26,7 +27,9 @@ from soil_env.simulation.rover.rovers import (
 )
 from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, new_ruts, pass_on
 from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND
-from soil_env.terramechanics.steady import steady_state
+from soil_env.terramechanics.steady import DEEPEST, steady_state
+from tests.simulation.wheels import set_soil
+from tests.terramechanics.cases import any_soil
 
 #: `spread` of a scenario whose soils do not scatter.
 EVEN = dict.fromkeys(
@@ -209,6 +212,46 @@ def test_no_axle_lifts_off():
     scenario = uniform("lunar_micro_rover", grade_deg=8.0, vehicle={"centre_height": 1.5})
     loads = driven(started(scenario), 0.3, 50).wheel["load"]
     assert np.all(loads >= 0.99 * LEAST_LOAD / 2 * loads.sum()) and loads[0] < 0.03 * loads.sum()
+
+
+@pytest.fixture(scope="module")
+def six_wheeler():
+    """(rover on level ground, its state and courses at the start)."""
+    simulation = started(uniform("mars_rover"))
+    return simulation, simulation.worlds.state.copy(), simulation.worlds.courses.copy()
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    soil=any_soil,
+    depths=st.lists(st.just(0.0) | st.floats(0.0, 1.4), min_size=3, max_size=3),
+    speed=st.just(0.0) | st.floats(-0.5, 0.5),
+    commands=st.lists(st.sampled_from([-1.0, 0.0, 0.3, 1.0]), min_size=3, max_size=3),
+)
+def test_edges_of_the_rover(six_wheeler, soil, depths, speed, commands):
+    """Each wheel at another depth, from the air to beyond the radius, each with another command:
+    loads, forces, depths and speeds are finite and bounded, and every period converges.
+    """
+    simulation, state, courses = six_wheeler
+    simulation.worlds.state[:] = state
+    simulation.worlds.courses[:] = courses
+    set_soil(simulation.worlds.courses["patches"][0], soil)
+    wheels = simulation.worlds.state["wheels"][0]
+    radius = simulation.scenario.wheel.radius
+    for name in ("sinkage", "rut_depth"):
+        wheels[name][:3] = np.array(depths) * radius
+    simulation.worlds.state["speed"] = speed
+    wheels["speed"] = speed
+    for _ in range(4):
+        simulation.step(commands)
+        a = now(simulation)
+        weight = a.body["mass"] * simulation.scenario.gravity
+        assert np.all(a.wheel["converged"] == 1)
+        assert np.all((a.wheel["sinkage"] > 0.0) & (a.wheel["sinkage"] <= DEEPEST * radius))
+        assert np.isfinite(a.wheel["torque"]).all() and np.isfinite(a.wheel["load"]).all()
+        most = 100.0 * weight + 100.0 * soil.cohesion * radius**2
+        assert np.all(np.abs(a.wheel["drawbar_pull"]) < most)
+        assert abs(a.body["speed"]) < 5.0
 
 
 def test_energy_is_accounted_for():
