@@ -35,7 +35,7 @@ _LEARNT = 0.8  # sd over prior sd, below which something was learnt
 _LEAST_LOAD = 1e-9  # [N] of a wheel that is lifted, or whose reading of the load has noise
 _CONTRADICTS = 0.1  # share of the steps with status MISFIT, beyond which the report says so
 _LEFT = 1.2  # [border lengths] before a border that the identifier found, where it may have begun
-_COMPARED = ("friction_angle_deg", "shear_modulus", "cohesion")  # of two grounds
+_COMPARED = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "cohesion")  # of two grounds
 _SEEN = 0.8  # prior probability that there is another soil behind a border that the identifier saw
 _DOUBTED = 0.1  # [prior sd] by which every estimate may be off beside its own sd
 _BOUNDS = {
@@ -74,14 +74,17 @@ class Replay:
             lines.append(f"{t:.9g},{','.join(cells)},{Status(status).name},{int(new)},{ground}")
         return "\n".join(lines) + "\n"
 
-    def last_on(self, ground: int) -> dict[str, float] | None:
-        """The last current estimate on a ground, by `COLUMNS`; None where there was none."""
+    def surest_on(self, ground: int) -> dict[str, float] | None:
+        """The surest current estimate on a ground, by `COLUMNS`; None where there was none.
+
+        The last may be the prior's, behind a border that was none.
+        """
         current = np.flatnonzero((self.ground == ground) & (self.status == Status.CONVERGED))
-        return (
-            {name: float(values[current[-1]]) for name, values in self.values.items()}
-            if current.size
-            else None
-        )
+        if not current.size:
+            return None
+        sds = [self.values[sd][current] / getattr(self.prior, sd) for sd in SD_OF.values()]
+        k = current[np.argmin(np.sum(np.log(sds), axis=0))]
+        return {name: float(values[k]) for name, values in self.values.items()}
 
     def learnt(self, current: bool = False) -> dict[str, float]:
         """Least standard deviation over that of the prior, for each parameter: 1 where nothing was

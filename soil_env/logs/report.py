@@ -154,7 +154,7 @@ def _soil_table(found: Replay) -> Table:
 
 
 def _ground_table(parts: list[Ground]) -> Table:
-    """The grounds: when, how sure that each is not the last, its last current estimate, its steady
+    """The grounds: when, how sure that each is not the last, its surest estimate, its steady
     points.
     """
     rows = []

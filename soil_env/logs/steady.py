@@ -228,7 +228,7 @@ def _row(part: dict[str, np.ndarray], start: float, period: float) -> Point:
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The ground between two borders to other soils: its steady points and the last current
+    """The ground between two borders to other soils: its steady points and the surest
     estimate on it.
     """
 
@@ -255,7 +255,7 @@ def grounds(found: Replay, steady: Steady) -> list[Ground]:
                 end,
                 found.differs[number - 1],
                 steady.on(number),
-                found.last_on(number),
+                found.surest_on(number),
             )
         )
     return out

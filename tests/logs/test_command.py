@@ -232,7 +232,7 @@ def test_the_setup_of_a_log_has_the_belief_as_priors(without_digging, tmp_path):
     }
     assert known == KNOWN  # of the map, in place of the belief
     # Where an estimate was current.
-    gain = (found.last_on(1) or {"dig_gain": b.dig_gain})["dig_gain"]
+    gain = (found.surest_on(1) or {"dig_gain": b.dig_gain})["dig_gain"]
     assert read.soil.dig_gain.value == pytest.approx(gain, rel=1e-3)
 
 

@@ -322,11 +322,12 @@ def examine(table: Table, setup: Setup) -> Examined:
 
 def _readings_doubted(start: _AsIs) -> list[str]:
     """A doubt where another reading explains the table far better, or where the pull falls with
-    slip.
+    slip and fits no worse with its sign turned.
     """
+    others = _other_readings(start)
     better = [
         b
-        for b in _other_readings(start)
+        for b in others
         if b.gain > SURE and BETTER * (b.rms**2 - 1.0) < b.rms_before**2 - 1.0
     ]
     data, noise, _ = start
@@ -339,10 +340,11 @@ def _readings_doubted(start: _AsIs) -> list[str]:
         check = {"pull": _pull_falls, "load": _beyond_strength}.get(best.reading.name)
         if check is not None and (broken := check(data, noise)):
             raise ParameterError(f"{data.table.source}: {broken}; {text[:1].lower()}{text[1:]}")
-        others = [f"{b.reading.words}" for b in better[1:] if best.gain - b.gain < -UNUSUAL / 2.0]
-        also = f" {'; '.join(others)} it fits nearly as well." if others else ""
+        near = [f"{b.reading.words}" for b in better[1:] if best.gain - b.gain < -UNUSUAL / 2.0]
+        also = f" {'; '.join(near)} it fits nearly as well." if near else ""
         return [f"{text}.{also}"]
-    if falls := _pull_falls(data, noise):
+    turned = any(b.reading.name == "pull" and b.gain > 0.0 for b in others)
+    if turned and (falls := _pull_falls(data, noise)):
         return [f"{falls}: check the sign of drawbar_pull (positive = the wheel pulls)."]
     return []
 
