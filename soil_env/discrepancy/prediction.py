@@ -24,7 +24,7 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.optimize import minimize
 
 from soil_env.discrepancy.calibrate import Problem
-from soil_env.discrepancy.curve import fit_curve
+from soil_env.discrepancy.curve import LEAST_SPAN, fit_curve
 from soil_env.discrepancy.instrument import LISTED, Choice
 from soil_env.discrepancy.search import candidates
 from soil_env.discrepancy.unnamed import OF_LOAD
@@ -117,8 +117,11 @@ def carried(problem: Problem) -> tuple[Choice, ...]:
 
 
 def independent(problem: Problem) -> list[str]:
-    """Conditions that vary, without those that follow from slip and those before them."""
+    """Conditions that vary, without those that follow from slip and those before them, and without
+    a load that only scatters.
+    """
     varied = problem.data.varied
+    scatters = np.ptp(np.log(problem.data.rows.load)) < LEAST_SPAN
     out: list[str] = []
     for name, factor in varied.items():
         before = (
@@ -126,7 +129,7 @@ def independent(problem: Problem) -> list[str]:
         )
         cells = np.unique(before, axis=1).shape[1]
         joint = np.unique(np.concatenate([before, factor.level[None]]), axis=1).shape[1]
-        if name in LENGTHS and joint > cells:
+        if name in LENGTHS and joint > cells and not (name == "load" and scatters):
             out.append(name)
     return out
 
@@ -430,11 +433,14 @@ def outlook(problem: Problem) -> Outlook:
 def _errors(problem: Problem, what: tuple[str, ...], held: Sequence[np.ndarray]) -> LeftOut:
     """Errors of held-out predictions [N, 3] of the base model, of all effects and of the curve."""
     off = np.stack(held) - problem.data.y
-    errors = {}
+    errors: dict[str, Errors] = {}
+
+    def size(values: np.ndarray, noise: float) -> Errors:
+        base, full, curve = np.sqrt(np.mean(values**2, axis=1))
+        return Errors(float(base), float(full), float(curve), noise)
+
     for j, name in enumerate(CHANNELS):
         used = problem.used[:, j]
         if used.any():
-            size = np.sqrt(np.mean(off[:, used, j] ** 2, axis=1))
-            errors[name] = Errors(*size.tolist(), float(problem.noise[j]))
-    whole = np.sqrt(np.mean(((off / problem.noise)[:, problem.used]) ** 2, axis=1))
-    return LeftOut(what, errors, Errors(*whole.tolist(), 1.0))
+            errors[name] = size(off[:, used, j], float(problem.noise[j]))
+    return LeftOut(what, errors, size((off / problem.noise)[:, problem.used], 1.0))
