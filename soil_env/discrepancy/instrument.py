@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._io.loading import ParameterError, unknown_value
-from soil_env.discrepancy.unnamed import UNNAMED
+from soil_env.discrepancy.unnamed import OF_LOAD, UNNAMED
 from soil_env.measurement.setup import Calibration, Setup
 from soil_env.slip import slips_of_radius
 from soil_env.terramechanics.effects import CATALOGUE
@@ -196,7 +196,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
 #: Everything that can be named.
 LISTED: Mapping[str, Effect] = MappingProxyType({**CATALOGUE, **INSTRUMENT})
 #: The same, and what has no name.
-LAWS: Mapping[str, Effect] = MappingProxyType({**LISTED, **UNNAMED})
+LAWS: Mapping[str, Effect] = MappingProxyType({**LISTED, **UNNAMED, **OF_LOAD})
 
 
 class Choice(NamedTuple):

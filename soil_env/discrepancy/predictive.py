@@ -6,8 +6,6 @@ fitted parameters and the posterior of the sizes of its form errors. `predicted`
 posterior of one to other conditions.
 """
 
-import copy
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 
@@ -17,8 +15,8 @@ from scipy.stats import truncnorm
 from soil_env.discrepancy.calibrate import ANY_FORM, LAW_LENGTHS, Fit, Problem
 from soil_env.discrepancy.evidence import Evidence
 from soil_env.discrepancy.instrument import LISTED, nuisances
+from soil_env.discrepancy.prediction import at_conditions
 from soil_env.identification.table.form_error import INPUTS, LENGTHS, Process
-from soil_env.terramechanics.model import rows_of
 
 DEEPEST = 0.6  # [radii] deepest sinkage of a feasible run
 _FUNCTIONS = 60  # of a form error over table and other rows, at most
@@ -29,11 +27,7 @@ def problem_at(problem: Problem, conditions: Mapping[str, np.ndarray]) -> Proble
 
     Form errors are over the rows of the table and these.
     """
-    there = copy.copy(problem)
-    rows = rows_of(conditions, problem.data.wheel)
-    there.data = dataclasses.replace(problem.data, rows=rows, relative_sd=np.ones((1, 3)))
-    there.used = np.ones((rows.slip.size, 3), dtype=bool)
-    there.offset = None
+    there = at_conditions(problem, conditions)
     table = problem.data.conditions | problem.data.elapsed
     ours = _conditions(there)
     both = {n: np.concatenate([x, ours[n]]) for n, x in table.items()}

@@ -10,6 +10,7 @@ from soil_env.discrepancy.calibrate import Fit, Problem
 from soil_env.discrepancy.judgement import Gap, Interval
 from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.next_tests import Check, NextTest
+from soil_env.discrepancy.prediction import Outlook
 from soil_env.discrepancy.search import Finding
 from soil_env.discrepancy.symbolic import ResidualFit
 from soil_env.identification.table.data import CHANNELS
@@ -58,6 +59,7 @@ class Report:
     gap: dict[str, Gap]
     closed: float | None  # None where nothing was added
     closed_interval: tuple[float, float] | None  # 95 %
+    outlook: Outlook  # what can be predicted, whatever is missing
     next_checks: tuple[Check, ...]  # of the instrument, before the next runs
     next_tests: tuple[NextTest, ...]
     fit: Fit  # of `model`, whose soil is `soil`

@@ -60,12 +60,13 @@ def _law(
 
 
 _BOTH: tuple[Channel, ...] = (PULL, TORQUE)
+_ALL: tuple[Channel, ...] = (SINKAGE, PULL, TORQUE)
 _FORCE = _p("pull", 0.15, -3.0, 3.0), _p("torque", 0.15, -3.0, 3.0)
 _POWER = _p("power", 0.35, 0.3, 4.0, 1.5)
 _SLIP = _p("slip", 0.5, 0.03, 1.0, 0.2)
 _COLUMNS = {"speed": 0, "pass": 1}  # of `Rows.conditions`
-#: Soil parameter and condition of the laws of one soil parameter.
-_SOIL = {
+#: Soil parameter and condition of the anonymous laws of one soil parameter.
+_ANONYMOUS = {
     f"{short}_{condition}": (parameter, condition)
     for short, parameter in (
         ("friction", "friction_angle_deg"),
@@ -74,6 +75,11 @@ _SOIL = {
     )
     for condition in _COLUMNS
 }
+_PRESSED = {
+    "friction_load": ("friction_angle_deg", "load"),
+    "modulus_load": ("shear_modulus", "load"),
+}
+_SOIL = _ANONYMOUS | _PRESSED
 #: Laws of sensors, for which no law goes into a model.
 OF_SENSORS = ("torque_curve", "pull_curve")
 UNNAMED: Mapping[str, Effect] = MappingProxyType(
@@ -129,8 +135,22 @@ UNNAMED: Mapping[str, Effect] = MappingProxyType(
                     _p("power", 0.2, -2.0, 2.0),
                     varies=by,
                 )
-                for name, (_, by) in _SOIL.items()
+                for name, (_, by) in _ANONYMOUS.items()
             ),
+        )
+    }
+)
+
+
+#: Laws of soil that goes with the pressure, which predict (`prediction`) and are not named.
+#: Friction: curved strength envelopes at low stress (Baker 2004, Can. Geotech. J. 41:367-382).
+#: K: grows with the contact length, and so with load (fitted here).
+OF_LOAD: Mapping[str, Effect] = MappingProxyType(
+    {
+        name: _law(name, f"a soil whose {name.split('_')[0]} goes with the load", _ALL, power)
+        for name, power in (
+            ("friction_load", _p("power", 0.12, -1.0, 1.0)),
+            ("modulus_load", _p("power", 0.6, -3.0, 3.0)),
         )
     }
 )
@@ -165,18 +185,31 @@ def soils(
     """Rows with their soil, one for each level of what a soil parameter goes with by the law among
     `values`.
     """
-    law = next((name for name in _SOIL if f"{name}_power" in values), "")
-    if not law:
+    laws = [name for name in _SOIL if f"{name}_power" in values]
+    if not laws:
         yield slice(None), soil
         return
-    parameter, by = _SOIL[law]
-    level = rows.conditions[:, _COLUMNS[by]] / (bench.speed if by == "speed" else 1.0)
-    power = values[f"{law}_power"]
-    for x in np.unique(level):
-        value = soil[parameter] * x**power
-        if parameter == "friction_angle_deg":
-            value = math.degrees(math.atan(math.tan(math.radians(soil[parameter])) * x**power))
-        yield level == x, soil | {parameter: value}
+    factors = np.stack([_factor(rows, _SOIL[n][1], bench) ** values[f"{n}_power"] for n in laws])
+    cells, of = np.unique(factors, axis=1, return_inverse=True)
+    for k, cell in enumerate(cells.T):
+        changed = dict(soil)
+        for name, factor in zip(laws, cell, strict=True):
+            parameter = _SOIL[name][0]
+            if parameter == "friction_angle_deg":
+                tangent = factor * math.tan(math.radians(changed[parameter]))
+                changed[parameter] = math.degrees(math.atan(tangent))
+            else:
+                changed[parameter] *= factor
+        yield of.ravel() == k, changed
+
+
+def _factor(rows: Rows, by: str, bench: Bench) -> np.ndarray:
+    """[N] condition that a soil parameter goes with, over its middle; of a pass the number."""
+    if by == "load":
+        found: np.ndarray = rows.load / bench.load
+        return found
+    column: np.ndarray = rows.conditions[:, _COLUMNS[by]]
+    return column / bench.speed if by == "speed" else column
 
 
 def changed(out: np.ndarray, rows: Rows, values: Mapping[str, float], bench: Bench) -> np.ndarray:

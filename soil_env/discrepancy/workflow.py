@@ -19,6 +19,7 @@ from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice, exact
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
 from soil_env.discrepancy.locate import locate, structure
 from soil_env.discrepancy.next_tests import MOST, next_checks, next_tests
+from soil_env.discrepancy.prediction import outlook
 from soil_env.discrepancy.result import EffectFound, Report, Settings
 from soil_env.discrepancy.search import Finding, search
 from soil_env.discrepancy.unnamed import OF_SENSORS
@@ -127,6 +128,8 @@ def _conclude(
     gap = judgement.gaps(problem, before, after)
     corrected = bool(final.choices or (law is not None and law.terms))
     closed = judgement.closed(problem, gap) if corrected else None
+    say("predicting with all effects")
+    foreseen = outlook(problem)
     say("choosing the next runs")
     runs = next_tests(problem, finding, next_runs)
     model = model_of(problem, final, () if law is None else tuple(law.terms))
@@ -143,6 +146,7 @@ def _conclude(
         effects=_effects(problem, finding, final, intervals, shares),
         soil=_soil(problem, intervals),
         closed_interval=interval,
+        outlook=foreseen,
         next_checks=next_checks(finding, runs),
         next_tests=runs,
         fit=final,

@@ -24,6 +24,7 @@ KEYS = (
     "ranking",
     "gap",
     "closed",
+    "prediction",
     "untestable",
     "next_tests",
     "remainder",
@@ -46,6 +47,10 @@ def test_report_json_has_the_keys_of_the_contract(planted_files, nothing):
     assert tried == set(LISTED) and content["ranking"][0]["name"] == "slip_sinkage"
     assert content["closed_interval"][0] <= content["closed"] <= content["closed_interval"][1]
     assert report.model.validity == {k: tuple(v) for k, v in content["validity"].items()}
+    left_out = content["prediction"]["left_out"]
+    assert {r["channel"] for r in left_out} == set(CHANNELS)
+    assert all(0.0 < r["all_effects"] < 3.0 * r["noise"] for r in left_out)
+    assert content["prediction"]["summary"] in (folder / "report.html").read_text()
     empty = drawn.content(nothing)
     assert set(KEYS) <= set(empty) and empty["verdict"] == "none" and empty["closed"] is None
     assert empty["effects"] == empty["where"] == [] and empty["probability"]["none"] > 0.5

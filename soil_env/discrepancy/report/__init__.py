@@ -108,7 +108,14 @@ def show(report: Report, console: Console) -> None:
         doubts = Text(" ".join(report.doubts))
         console.print(Panel(doubts, title="[bold]check first[/]", title_align="left", style="red"))
     title = f"[bold]{report.verdict}[/]"
-    said = f"{words.conclusion(report)}\n\n{sentences.summary(report)}\n\n{words.next_step(report)}"
+    said = "\n\n".join(
+        (
+            words.conclusion(report),
+            sentences.summary(report),
+            sentences.foreseen(report),
+            words.next_step(report),
+        )
+    )
     console.print(Panel(Text(said), title=title, title_align="left", style=colour))
     console.print(Text(text(report)))
 
@@ -158,6 +165,14 @@ def content(report: Report) -> dict[str, Any]:
                 for n, g in report.gap.items()
             },
             "closed": report.closed,
+            "prediction": {
+                "summary": sentences.foreseen(report),
+                "left_out": [
+                    {"conditions": way.what, "channel": name, **errors._asdict()}
+                    for way in report.outlook.left_out
+                    for name, errors in way.errors.items()
+                ],
+            },
             "closed_interval": report.closed_interval,
             "untestable": [{"name": k, "reason": v} for k, v in report.finding.untestable.items()],
             "detectable": {name: d.size for name, d in report.finding.detectable.items()},

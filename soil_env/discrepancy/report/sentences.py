@@ -356,6 +356,26 @@ def added(report: Report) -> str:
     return listed([*names, *(["a law without a name"] if report.model.residual else [])])
 
 
+def foreseen(report: Report) -> str:
+    """How well runs that were not made are predicted."""
+    parts = []
+    for way in report.outlook.left_out:
+        over = way.over_noise
+        curve = "" if math.isnan(over.curve) else f", a plain curve by {figure(over.curve)}"
+        parts.append(
+            f"Leaving {_level(way.what)} out, the base model errs by "
+            f"{figure(over.base_model)} times the noise, all effects together by "
+            f"{figure(over.all_effects)}{curve}."
+        )
+    return " ".join(parts)
+
+
+def _level(conditions: tuple[str, ...]) -> str:
+    """Level of a condition, or a combination of several, in words."""
+    names = listed(CONDITIONS[name][0] for name in conditions)
+    return f"a {names}" if len(conditions) == 1 else f"a combination of {names}"
+
+
 def probabilities(report: Report) -> str:
     """Probabilities that are of no one effect."""
     finding = report.finding

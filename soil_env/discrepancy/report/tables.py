@@ -1,5 +1,7 @@
 """Tables of a report."""
 
+import math
+
 from soil_env._io.document import Table
 from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.judgement import Interval
@@ -11,6 +13,7 @@ from soil_env.discrepancy.report.sentences import (
     amount,
     figures,
     fixed,
+    listed,
     not_tiny,
     percent,
     times,
@@ -67,6 +70,17 @@ def gap(report: Report) -> Table:
             rows.append((TITLES[name], before, noise, over[0]))
     models = ("base model", "corrected") if report.corrected else ("calibrated model",)
     return Table(("channel", *models, "noise", "over the noise"), rows)
+
+
+def left_out(report: Report) -> Table:
+    """Errors of predictions of what was left out, by channel."""
+    rows = []
+    for way in report.outlook.left_out:
+        for name, errors in way.errors.items():
+            cells = ("-" if math.isnan(x) else amount(name, x, 3) for x in errors)
+            rows.append((listed(CONDITIONS[n][0] for n in way.what), TITLES[name], *cells))
+    head = ("left out", "channel", "base model", "all effects", "plain curve", "noise")
+    return Table(head, rows)
 
 
 def ranking(report: Report, most: int | None = None) -> Table:

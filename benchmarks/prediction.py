@@ -1,0 +1,227 @@
+"""Prediction of runs that were left out, on wheels that nobody here made.
+
+    python -m benchmarks.prediction             minutes; writes docs/results/prediction.json and .md
+    python -m benchmarks.prediction --data DIR  folder of the measurements, else $SOIL_ENV_DATA
+    python -m benchmarks.prediction --smoke --out X   every part in seconds, numbers without meaning
+
+The wheels are those of `benchmarks.rigs`, as measurement tables with the setups that a user would
+write. Rows are left out by rim speed, slip or load, and predicted by the base model, by it with a
+remainder, by all effects in one fit with a remainder, by a generic curve, and by a Gaussian process
+over slip and load that knows no law of soils.
+"""
+
+import math
+import tempfile
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+from benchmarks.common import ready, short, study_options, write
+from benchmarks.rigs import DATA
+from examples.cmu_rig import convert
+from soil_env._io.document import Table as Page
+from soil_env._io.files import write_json
+from soil_env._io.loading import ParameterError
+from soil_env.cli.running import PATH, leave, run
+from soil_env.discrepancy.calibrate import Problem, calibrate
+from soil_env.discrepancy.prediction import drawn, fit_prediction
+from soil_env.identification.table.data import prepare
+from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_setup
+from soil_env.measurement.table import MEASURED, Table, read_table
+
+NAME = "prediction"
+TRAINING_LOADS = (40.0, 80.0, 150.0)  # [N] of the continuum
+DRIVEN = -0.01  # [-] slip from which a row drives
+#: Setup of the wheel on particles; noise of means over seconds, from its note.
+PARTICLES = Setup(
+    SetupWheel(0.11, 0.1, 0.01, 18),
+    SoilPriors(cohesion=Prior(0.0, 0.0), density=Prior(1600.0, 0.0)),
+    NoiseLevels(sinkage=0.0005, drawbar_pull=0.2, torque=0.022),
+)
+METHODS = ("base model", "base and remainder", "all effects", "curve", "Gaussian process")
+TEXT = (
+    "Root mean square of predicted less measured values of rows that were left out. All effects: "
+    "every effect that the table can carry in one fit, with a smooth remainder. The last columns: "
+    "share of the values within one and two stated standard deviations of all effects."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A table and the groups of rows that are left out in turn."""
+
+    name: str
+    table: Table
+    setup: Setup
+    groups: tuple[np.ndarray, ...]  # [N] bool each
+
+
+def cases(folder: Path) -> Iterator[Case]:
+    """Cases from a folder of measurements; ParameterError where one is missing."""
+    with tempfile.TemporaryDirectory() as made:
+        convert(folder / "cmu_single_wheel", Path(made))
+        for name, label in (("smooth", "CMU smooth"), ("grouser", "CMU lugged")):
+            setup = read_setup(Path(made) / f"{name}.setup.yaml")
+            table = read_table(Path(made) / f"{name}.csv", setup.wheel)
+            rims = np.array([run.rpartition(" #")[0] for run in table.run])
+            yield Case(f"{label}, a rim speed out", table, setup, _each(rims))
+    setup = read_setup(folder / "continuum_3d" / "smooth_wheel.setup.yaml")
+    table = read_table(folder / "continuum_3d" / "smooth_wheel.csv", setup.wheel)
+    driving = table.only(table.slip > DRIVEN)
+    for label, rows in (("driving", driving), ("all slips", table)):
+        others = ~np.isin(rows.load, TRAINING_LOADS)
+        yield Case(f"continuum, {label}, 110 and 200 N out", rows, setup, (others,))
+        yield Case(f"continuum, {label}, a load out", rows, setup, _each(rows.load))
+    yield Case(
+        "continuum, all slips, the largest out", table, setup, (table.slip == table.slip.max(),)
+    )
+    table = read_table(folder / "dem_kyoto" / "lugged_wheel.csv", PARTICLES.wheel)
+    yield Case("particles, a slip out", table, PARTICLES, _each(table.slip))
+
+
+def _each(values: np.ndarray) -> tuple[np.ndarray, ...]:
+    return tuple(values == v for v in np.unique(values))
+
+
+def figures(case: Case, folds: int | None = None) -> dict:
+    """Errors by method, over the rows that were left out."""
+    y = np.stack([getattr(case.table, name) for name in MEASURED], axis=1)
+    found = {name: np.full(y.shape, math.nan) for name in METHODS}
+    sd = np.full(y.shape, math.nan)
+    noise = np.ones(3)
+    for out in case.groups[:folds]:
+        problem, estimate = calibrate(prepare(case.table.only(~out), case.setup))
+        noise = estimate.sd
+        conditions = {
+            name: getattr(case.table, name)[out] for name in ("slip", "load", "speed", "grade_deg")
+        }
+        conditions["slip"] = case.table.rim_slip(case.setup)[out]
+        base = fit_prediction(problem, (), smooth=False).at(conditions)
+        near = fit_prediction(problem, ()).at(conditions)
+        full = fit_prediction(problem).at(conditions)
+        curve = drawn(problem, conditions)
+        if curve is None:
+            raise ParameterError(f"{case.name}: conditions vary that no curve knows")
+        sd[out] = full.sd
+        for name, values in zip(
+            METHODS,
+            (base.mean, near.mean, full.mean, curve, _without_law(problem, conditions)),
+            strict=True,
+        ):
+            found[name][out] = values
+    off = {name: np.where(np.isfinite(y), values - y, np.nan) for name, values in found.items()}
+    left = np.any(np.stack(case.groups[:folds]), axis=0)
+    scaled = np.abs(off["all effects"] / sd)[left]
+    scaled = scaled[np.isfinite(scaled)]
+    return {
+        "case": case.name,
+        "rows": int(left.sum()),
+        "errors": {name: _rms(values[left]) for name, values in off.items()},
+        "over_noise": {name: _rms(values[left] / noise, None) for name, values in off.items()},
+        "within_one_sd": float(np.mean(scaled < 1.0)),
+        "within_two_sd": float(np.mean(scaled < 2.0)),
+    }
+
+
+def _without_law(problem: Problem, conditions: dict[str, np.ndarray]) -> np.ndarray:
+    """[N, 3] of a Gaussian process of each channel over slip and ln W, forces over the load."""
+    table = problem.data.conditions
+
+    def points(at: dict[str, np.ndarray]) -> np.ndarray:
+        return np.stack([at["slip"], np.log(at["load"])], axis=1)
+
+    out = np.full((conditions["slip"].size, 3), math.nan)
+    for j, use in enumerate(problem.used.T):
+        if not use.any():
+            continue
+        scale, there = (at["load"] if j else np.ones(at["slip"].size) for at in (table, conditions))
+        y = problem.data.y[use, j] / scale[use]
+        kernel = ConstantKernel() * RBF([0.4, 1.0]) + WhiteKernel(1e-3)
+        model = GaussianProcessRegressor(
+            kernel, normalize_y=True, n_restarts_optimizer=3, random_state=0
+        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)  # lengths at their bounds
+            model.fit(points(table)[use], y)
+        out[:, j] = model.predict(points(conditions)) * there
+    return out
+
+
+def _rms(off: np.ndarray, axis: int | None = 0) -> np.ndarray:
+    """Root mean square of what was measured; NaN of a channel that was not."""
+    known = np.isfinite(off)
+    count = known.sum(axis=axis)
+    square = np.where(known, off, 0.0) ** 2
+    found: np.ndarray = np.sqrt(
+        np.where(count > 0, square.sum(axis=axis), np.nan) / np.maximum(count, 1)
+    )
+    return found
+
+
+def ratios(rows: list[dict]) -> dict[str, float]:
+    """Geometric mean by method of errors over those of the curve; worst, over the better of base
+    model and curve.
+    """
+    out = {}
+    for name in METHODS:
+        over = [r["over_noise"][name] / r["over_noise"]["curve"] for r in rows]
+        best = [min(r["over_noise"]["base model"], r["over_noise"]["curve"]) for r in rows]
+        worst = max(r["over_noise"][name] / b for r, b in zip(rows, best, strict=True))
+        out[name] = {"mean": float(np.exp(np.mean(np.log(over)))), "worst": worst}
+    return out
+
+
+def tables_of(rows: list[dict], over: dict) -> dict[str, Page]:
+    """The tables of the page."""
+
+    def cell(errors: np.ndarray) -> str:
+        units = (1e3, 1.0, 1.0)
+        shown = (
+            f"{u * x:.2g}" if np.isfinite(x) else "-" for u, x in zip(units, errors, strict=True)
+        )
+        return " / ".join(shown)
+
+    lines = [
+        [
+            r["case"],
+            *(cell(r["errors"][name]) for name in METHODS),
+            f"{100.0 * r['within_one_sd']:.0f}",
+            f"{100.0 * r['within_two_sd']:.0f}",
+        ]
+        for r in rows
+    ]
+    head = ["left out", *METHODS, "1 sd [%]", "2 sd [%]"]
+    summary = [[name, f"{v['mean']:.2f}", f"{v['worst']:.2f}"] for name, v in over.items()]
+    return {
+        "Sinkage [mm] / drawbar pull [N] / torque [N m]": Page(head, lines),
+        "Errors over the noise": Page(
+            ["method", "over the curve's, geometric mean", "worst over the better of both"], summary
+        ),
+    }
+
+
+@click.command(NAME)
+@study_options(NAME)
+@click.option("--data", type=PATH, default=DATA, metavar="DIR", help="Folder of the measurements.")
+def command(data: Path, smoke: bool, out: Path) -> None:
+    """Errors of predictions on measured wheels."""
+    path = ready(out, NAME)
+    rows = []
+    for case in cases(data):
+        rows.append(figures(case, 1 if smoke else None))
+        print(f"{case.name}: done", flush=True)
+    over = ratios(rows)
+    content = {"command": f"python -m benchmarks.{NAME}", "rows": rows, "over": over}
+    write_json(path, short(content))
+    write(out, NAME, "Predictions", TEXT, tables_of(rows, over))
+
+
+if __name__ == "__main__":
+    leave(run(command, None, f"benchmarks.{NAME}"))

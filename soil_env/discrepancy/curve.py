@@ -1,0 +1,82 @@
+"""Generic curve of a channel over slip and load: what anybody would draw through a table without a
+law of soils.
+
+    y = (W/W0)^p a + (W/W0)^q b [1 - exp(-|i| / (k (W/W0)^m))]        i >= 0, b of its own for i < 0
+
+after the shear curve of Janosi & Hanamoto (1961); W0 is the middle load. The amplitudes a and b are
+linear, k is sought on a grid; where the loads differ, k, p, q and m are fitted.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+SLIP_SCALES = np.geomspace(0.03, 3.0, 25)  # [-] k that are tried
+POWERS = np.array([1.0, 1.0, 0.0])  # p, q, m where the loads do not tell
+POWER_SD = 0.5  # of p, q and m about these
+LEAST_SPAN = 0.25  # of ln W, from which the loads tell the powers
+BRAKED = -0.02  # [-] slip below which a row is braked
+FEWEST_BRAKED = 2  # rows, for an amplitude of their own
+
+
+class Curve(NamedTuple):
+    """Fitted curve of one channel."""
+
+    load: float  # [N] W0
+    scale: float  # [-] k
+    powers: np.ndarray  # [3] p, q, m
+    amplitudes: np.ndarray  # a, b and, of braked rows, b
+    braked: bool
+
+    def at(self, slip: np.ndarray, load: np.ndarray) -> np.ndarray:
+        """[N] values."""
+        x = np.log(load / self.load)
+        values: np.ndarray = _basis(slip, x, self.scale, self.powers, self.braked) @ self.amplitudes
+        return values
+
+
+def _basis(
+    slip: np.ndarray, x: np.ndarray, scale: float, powers: np.ndarray, braked: bool
+) -> np.ndarray:
+    """[N, 2 or 3] functions of the amplitudes, at x = ln(W/W0)."""
+    grown = -np.expm1(-np.abs(slip) / (scale * np.exp(powers[2] * x)))
+    side = np.exp(powers[1] * x) * grown
+    level = np.exp(powers[0] * x)
+    if braked:
+        return np.stack([level, side * (slip >= 0.0), -side * (slip < 0.0)], axis=1)
+    return np.stack([level, side * np.sign(slip + 1e-300)], axis=1)
+
+
+def fit_curve(slip: np.ndarray, load: np.ndarray, y: np.ndarray, sd: np.ndarray | float) -> Curve:
+    """The curve of values y [N] with standard deviations sd."""
+    middle = float(np.exp(np.mean(np.log(load))))
+    x = np.log(load / middle)
+    braked = int(np.sum(slip < BRAKED)) >= FEWEST_BRAKED
+    sd = np.broadcast_to(sd, y.shape)
+
+    def amplitudes(scale: float, powers: np.ndarray) -> np.ndarray:
+        basis = _basis(slip, x, scale, powers, braked)
+        found: np.ndarray = np.linalg.lstsq(basis / sd[:, None], y / sd, rcond=1e-8)[0]
+        return found
+
+    def off(scale: float, powers: np.ndarray) -> np.ndarray:
+        found = _basis(slip, x, scale, powers, braked) @ amplitudes(scale, powers) - y
+        return found / sd
+
+    scale = min(SLIP_SCALES, key=lambda k: float(np.sum(off(k, POWERS) ** 2)))
+    powers = POWERS
+    if np.ptp(x) > LEAST_SPAN:
+        found = least_squares(
+            lambda p: np.concatenate([off(math.exp(p[3]), p[:3]), (p[:3] - POWERS) / POWER_SD]),
+            [*POWERS, math.log(scale)],
+            bounds=(
+                [-np.inf] * 3 + [math.log(SLIP_SCALES[0] / 2.0)],
+                [np.inf] * 3 + [math.log(2.0 * SLIP_SCALES[-1])],
+            ),
+            max_nfev=40,
+        ).x
+        powers = found[:3]
+        scale = math.exp(found[3])
+    return Curve(middle, float(scale), powers, amplitudes(scale, powers), braked)

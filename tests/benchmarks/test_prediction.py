@@ -1,0 +1,41 @@
+"""Predictions of rows that were left out: a table of the model itself, and the measured cases."""
+
+import numpy as np
+import pytest
+
+from benchmarks import prediction
+from benchmarks.rigs import DATA
+from soil_env._io.loading import ParameterError
+from tests.discrepancy.files import PLANTED, data_of, table_text
+
+measured = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data in {DATA}")
+
+
+def test_a_load_left_out_of_a_table_of_the_model_is_predicted(tmp_path):
+    data = data_of(tmp_path, table_text(PLANTED))
+    out = data.table.load == 150.0
+    found = prediction.figures(prediction.Case("own", data.table, data.setup, (out,)))
+    assert found["rows"] == out.sum() and set(found["errors"]) == set(prediction.METHODS)
+    over = found["over_noise"]
+    assert over["all effects"] < min(1.4, over["curve"], over["base model"])
+    ratios = prediction.ratios([found])
+    assert ratios["curve"] == {
+        "mean": 1.0,
+        "worst": over["curve"] / min(over["curve"], over["base model"]),
+    }
+    pages = prediction.tables_of([found], ratios)
+    assert "| own |" in next(iter(pages.values())).markdown()
+
+
+@measured
+def test_every_measured_case_leaves_each_of_its_rows_out():
+    cases = list(prediction.cases(DATA))
+    assert [len(c.groups) for c in cases] == [5, 5, 1, 5, 1, 5, 1, 11]
+    for case in cases:
+        counts = np.sum(case.groups, axis=0)
+        assert counts.max() == 1 and all(0 < g.sum() < len(case.table) for g in case.groups)
+
+
+def test_missing_measurements_are_one_line(tmp_path):
+    with pytest.raises(ParameterError, match="expected all_smooth_data.mat"):
+        list(prediction.cases(tmp_path))
