@@ -33,11 +33,11 @@ VARIED = [(slip, 2.0) for slip in (0.1, 0.4, 0.2, 0.6)]
 KNOWN = {"cohesion": 1300, "sinkage_exponent": 0.79}
 
 
-def made(log_map, plan, period=0.1, noise=0.0, soil="lete_sand"):
+def made(log_map, plan, period=0.1, noise=0.0, soil="lete_sand", **changes):
     """Readings of a wheel that keeps each slip of `plan` [(slip, seconds)] in Wong's Lete sand
     without slip-sinkage.
     """
-    soil = dataclasses.replace(soils()[soil], dig_gain=0.0)
+    soil = dataclasses.replace(soils()[soil], dig_gain=0.0, **changes)
     model = WheelSoilModel(ModelWheel(0.15, 0.15), soil)
     rng = np.random.default_rng(0)
     slips = np.concatenate([np.full(round(t / period), s) for s, t in plan])
@@ -278,6 +278,31 @@ def test_points_of_two_soils_are_not_one_table(without_digging, tmp_path):
     assert any(
         "16." in line and "one ground at a time" in line for line in advice(found, parts, steady)
     )
+
+
+def test_soils_that_differ_in_sinkage_alone_are_two_grounds(without_digging):
+    log_map = dataclasses.replace(without_digging, soil={})
+    plan = [(s, 4.0) for s in (0.1, 0.3, 0.2, 0.5)]
+    stiff = soils()["lete_sand"].lumped(0.15)
+    soft = {"k_c": None, "k_phi": None, "sinkage_coefficient": stiff / 4.0}
+    one, two = (made(log_map, plan, noise=1.0, **changes) for changes in ({}, soft))
+    readings = {n: np.concatenate([v, two.readings[n]]) for n, v in one.readings.items()}
+    found = replay(
+        Aligned(0, np.concatenate([one.time, two.time + 16.0]), readings, {}, 0.1), log_map
+    )
+    assert len(found.differs) == 2 and found.differs[1] > 0.8
+
+
+def test_the_estimate_of_a_ground_is_its_surest(log_map):
+    """Not the last, which is the prior's behind a border that is none."""
+    found = replay(made(log_map, [(0.2, 1.0)]), log_map)
+    size = found.time.size
+    values = {name: np.full(size, 1.0) for name in found.values}
+    values["friction_angle_sd_deg"] = np.where(np.arange(size) == 3, 0.5, 1.0)
+    values["cohesion"] = np.arange(size, dtype=float)
+    status = np.full(size, Status.CONVERGED)
+    some = dataclasses.replace(found, values=values, status=status, ground=np.ones(size, int))
+    assert some.surest_on(1)["cohesion"] == 3.0 and some.surest_on(2) is None
 
 
 def test_borders_without_another_soil_are_no_grounds(log_map):
