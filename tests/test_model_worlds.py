@@ -1,5 +1,7 @@
 """Worlds with a model: exactly its wheel and soil, or soils that scatter about it."""
 
+from dataclasses import replace
+
 import gymnasium
 import numpy as np
 import pytest
@@ -13,7 +15,9 @@ from soil_env.simulation.world.courses import course_distribution
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from tests.project.test_examples import FOLDER
 
-SOIL = Soil(32.0, 900.0, 0.0119, 1.1, sinkage_coefficient=1.5e6, density=1600.0)
+SOIL = Soil(
+    32.0, 900.0, 0.0119, 1.1, sinkage_coefficient=1.5e6, density=1600.0, gravity_measured=9.81
+)
 MODEL = WheelSoilModel(ModelWheel(0.2, 0.1, 0.01), SOIL)
 
 
@@ -82,13 +86,14 @@ def test_a_rover_has_the_wheels_of_the_model():
     env.reset(seed=0)
     assert env.scenario.wheel.radius == 1.1 * was.radius
     for soil in env.true_soils():
-        assert soil.state(was.width) == pytest.approx(SOIL.state(was.width), rel=1e-12)
+        assert soil.state(was.width) == pytest.approx(env.scenario.beneath(SOIL), rel=1e-12)
 
 
 def test_the_soil_of_a_table_is_driven_on():
     """From a table to an environment in three lines, as the page says."""
     setup = read_setup(FOLDER / "data" / "setup.yaml")
-    estimate = identify_table(read_table(FOLDER / "data" / "single_wheel.csv", setup.wheel), setup)
+    table = read_table(FOLDER / "data" / "single_wheel.csv", setup.wheel)
+    estimate = identify_table(table, setup)
     env = gymnasium.make("SoilWheel-v0", scenario="mixed", model=estimate.model(setup.wheel))
     env.reset(seed=0)
     found = env.unwrapped.true_soil()
@@ -96,6 +101,9 @@ def test_the_soil_of_a_table_is_driven_on():
         assert getattr(estimate.soil, name) == estimate.parameters[name].value
         assert getattr(found, name) == pytest.approx(estimate.parameters[name].value)
     assert env.unwrapped.scenario.wheel.radius == setup.wheel.radius
+    there = identify_table(table, replace(setup, gravity=1.62), check=False)
+    assert (estimate.soil.gravity_measured, there.soil.gravity_measured) == (9.81, 1.62)
+    assert there.model(setup.wheel).gravity == 1.62
 
 
 def test_a_true_soil_is_a_soil():

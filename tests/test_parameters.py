@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -9,9 +10,19 @@ import yaml
 
 from soil_env import parameters
 from soil_env._io.loading import check, config_dir, load, read_yaml, to_dict
+from soil_env.envs.worlds import world_of
+from soil_env.identification.online.prior import of_library
 from soil_env.identification.table.rig import predict_table
 from soil_env.measurement import Setup, SetupWheel
-from soil_env.parameters import ParameterError, Scenario, Soil, load_scenario
+from soil_env.measurement.setup import setup_of
+from soil_env.parameters import (
+    EARTH_GRAVITY,
+    ParameterError,
+    Scenario,
+    Soil,
+    UnstatedGravity,
+    load_scenario,
+)
 from soil_env.simulation.world.courses import course_distribution
 from soil_env.terramechanics.effects import NO_EFFECTS
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel, rows_of
@@ -39,6 +50,100 @@ def test_lumped_modulus():
     assert Soil(**SOIL_S).lumped(0.1) == 1e6
     with pytest.raises(ParameterError, match="k_c/b"):
         Soil(**SOIL, k_c=-1e6, k_phi=5e5).lumped(0.1)
+
+
+def test_only_k_phi_goes_with_gravity():
+    """k_c/b + k_phi g/g_measured; a lumped S goes as a whole."""
+    moon = Soil(**SOIL, k_c=1000.0, k_phi=5e5, gravity_measured=3.0).at(1.5)
+    assert (moon.k_c, moon.k_phi, moon.gravity_measured) == (1000.0, 2.5e5, 1.5)
+    lumped = Soil(**SOIL_S, gravity_measured=EARTH_GRAVITY).at(EARTH_GRAVITY / 4.0)
+    assert lumped.lumped(0.1) == pytest.approx(2.5e5)
+    there_and_back = moon.at(EARTH_GRAVITY).at(3.0)
+    assert there_and_back.k_phi == pytest.approx(5e5, rel=1e-15)
+
+
+@pytest.mark.parametrize("soil", parameters.soils().values())
+def test_where_it_was_measured_a_soil_is_what_it_was(soil):
+    assert soil.gravity_measured is not None
+    straight = dataclasses.replace(soil, reference_stress=0.0)
+    assert straight.under(0.15, 0.12, 90.0, soil.gravity_measured) == soil.state(0.12)
+
+
+def test_the_shipped_scenarios_on_earth_have_the_numbers_of_their_soils():
+    for name in parameters.scenario_names():
+        scenario = load_scenario(name)
+        drawn = course_distribution(scenario).presets[list(parameters.SoilState._fields)]
+        stated = [scenario.library[n].state(scenario.wheel.width) for n in scenario.soils]
+        assert [tuple(row) for row in drawn] == stated
+
+
+def test_world_prior_and_model_meet_gravity_alike():
+    """ln S of the soil that is drawn, of the identifier's prior and of info["world"]."""
+    moon = load_scenario("mixed", {"gravity": 1.62, "soils": {"dry_sand": 1}})
+    soil = parameters.soils()["dry_sand"]
+    width = moon.wheel.width
+    expected = 990.0 / width + 1528430.0 * 1.62 / 9.81
+    assert course_distribution(moon).presets["sinkage_coefficient"][0] == pytest.approx(expected)
+    earth = load_scenario("mixed", {"soils": {"dry_sand": 1}})
+    less = of_library(earth)[0][1] - of_library(moon)[0][1]
+    assert less == pytest.approx([0, 0, 0, 0, math.log(soil.lumped(width) / expected), 0], abs=1e-9)
+    model = WheelSoilModel(ModelWheel.of(moon.wheel), soil)
+    assert world_of(moon, model, False)["soil"]["sinkage_coefficient"] == pytest.approx(expected)
+    drawn = course_distribution(moon, model).presets["sinkage_coefficient"]
+    assert drawn == pytest.approx([expected])
+
+
+def test_a_soil_that_does_not_say_where_it_was_measured_is_of_earth_and_says_so_once():
+    changes = {"own_soils": {"beach": Soil(**SOIL_S)}, "soils": {"beach": 1}}
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("default")
+        load_scenario("mixed", changes)
+        assert not said
+        for _ in range(2):
+            course_distribution(load_scenario("mixed", changes | {"gravity": 1.62}))
+    assert [w.category for w in said] == [UnstatedGravity]
+    assert "measured at 9.81 m/s2, and used at 1.62" in str(said[0].message)
+
+
+@pytest.mark.parametrize("gravity", [math.nan, 0.0, -1.62])
+def test_a_gravity_that_is_none_is_refused_in_one_line(gravity):
+    wheel = {"radius": 0.15, "width": 0.12}
+    for make in (
+        lambda: load_scenario("mixed", {"gravity": gravity}),
+        lambda: load(Soil, SOIL_S | {"gravity_measured": gravity}, "mine.yaml"),
+        lambda: Soil(**SOIL_S).at(gravity),
+        lambda: WheelSoilModel(ModelWheel(0.15, 0.12), gravity=gravity),
+        lambda: setup_of({"wheel": wheel, "gravity": gravity}, "setup.yaml"),
+    ):
+        with pytest.raises(ParameterError, match=r"gravity.*expected a number in \[0.1, 30\]") as e:
+            make()
+        assert "\n" not in str(e.value)
+
+
+CURVED = Soil(**SOIL_S, reference_stress=2e4)
+
+
+def test_curved_strength_meets_the_straight_one_with_its_slope():
+    at = CURVED.reference_stress
+    straight = dataclasses.replace(CURVED, reference_stress=0.0)
+    for stress in (at, 1.5 * at):
+        assert CURVED.strength(stress) == straight.strength(stress)
+    step = 1e-4 * at
+    slope = (CURVED.strength(at) - CURVED.strength(at - step)) / step
+    assert slope == pytest.approx(CURVED.tan_phi, rel=1e-4)
+    assert CURVED.strength(0.0) == 0.0 < straight.strength(0.0)
+
+
+@pytest.mark.parametrize("stress", [10.0, 800.0, 1.9e4])
+def test_a_line_touches_curved_strength(stress):
+    line = CURVED.line_at(stress)
+    step = 1e-4 * stress
+    slope = (CURVED.strength(stress + step) - CURVED.strength(stress - step)) / (2.0 * step)
+    assert line.tan_phi == pytest.approx(slope, rel=1e-6)
+    assert line.strength(stress) == pytest.approx(CURVED.strength(stress), rel=1e-12)
+    assert 0.0 < line.cohesion < CURVED.cohesion
+    for none in (CURVED.line_at(2e4), dataclasses.replace(CURVED, cohesion=0.0).line_at(stress)):
+        assert none.tan_phi == pytest.approx(CURVED.tan_phi, rel=1e-12)
 
 
 @pytest.mark.parametrize(

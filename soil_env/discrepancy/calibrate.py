@@ -72,7 +72,6 @@ _FREE = 40  # of an anonymous contribution
 LAW_LENGTHS = (*form_error.LAW_LENGTHS, LENGTHS | {"slip": 0.1})
 #: Correlation lengths of an anonymous contribution of all conditions over those of a form error.
 _LONGER = 1.6
-GRAVITY = 9.81  # [m/s2]
 
 
 class Sizes(NamedTuple):
@@ -287,7 +286,7 @@ class Problem:
         fx = self.effects(choices, values)
         fx = fx._replace(**{k: getattr(fx, k) + v for k, v in (more or {}).items()})
         soil = self.known | values
-        weight = self.density * GRAVITY
+        weight = self.density * self.data.setup.gravity
         wrong = {
             name: values[name] for c in choices if c.effect not in CATALOGUE for name in c.free
         }

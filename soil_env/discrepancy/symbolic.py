@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env.discrepancy.calibrate import GRAVITY, Fit, Problem
+from soil_env.discrepancy.calibrate import Fit, Problem
 from soil_env.discrepancy.judgement import SURE, groups
 from soil_env.identification.table.data import CHANNELS, folds
 from soil_env.terramechanics.model import add_residual, table_groups
@@ -169,7 +169,7 @@ def groups_of(problem: Problem, fit: Fit, offset: np.ndarray) -> np.ndarray:
     rows = problem.data.rows
     soil = problem.state(fit.parameters())
     sinkage = fit.output[:, 0] - offset[:, 0]
-    return table_groups(rows, sinkage, soil, GRAVITY)
+    return table_groups(rows, sinkage, soil, problem.data.setup.gravity)
 
 
 def products(groups: np.ndarray) -> np.ndarray:
@@ -388,6 +388,7 @@ def law_offset(
     rows = problem.data.rows
     plain = fit.output - offset
     out = plain.copy()
-    add_residual(residual_law(terms), rows, problem.state(fit.parameters()), GRAVITY, out)
+    gravity = problem.data.setup.gravity
+    add_residual(residual_law(terms), rows, problem.state(fit.parameters()), gravity, out)
     added: np.ndarray = out - plain
     return added

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import doubts, judgement, symbolic
-from soil_env.discrepancy.calibrate import EXACT, GRAVITY, PRIOR_WIDTH, Fit, Problem, calibrate
+from soil_env.discrepancy.calibrate import EXACT, PRIOR_WIDTH, Fit, Problem, calibrate
 from soil_env.discrepancy.evidence import Evidence
 from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice, exact
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
@@ -263,10 +263,12 @@ def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -
         density=problem.density,
         dig_gain=problem.digging[0],
         dig_recovery=problem.digging[1],
+        gravity_measured=problem.data.setup.gravity,
         source="calibrated by soil_env.discrepancy",
     )
     conditions = seen(problem.data.rows.slip, problem.data.rows.load, problem.data.rows.conditions)
-    return WheelSoilModel(wheel, of_soil, effects, tuple(terms), GRAVITY, conditions)
+    gravity = problem.data.setup.gravity
+    return WheelSoilModel(wheel, of_soil, effects, tuple(terms), gravity, conditions)
 
 
 def _parameters(problem: Problem, choice: Choice, values: dict[str, float]) -> dict[str, float]:

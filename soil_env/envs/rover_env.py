@@ -212,7 +212,9 @@ class SoilRoverEnv(CourseEnv):
         worlds = self.simulation.worlds
         places = worlds.state["wheels"]["x"][0, : self.scenario.axles]
         border = self.scenario.course.border
-        return tuple(Soil.of_state(soil_at(worlds.courses, 0, float(x), border)) for x in places)
+        gravity = self.scenario.gravity
+        under = (soil_at(worlds.courses, 0, float(x), border) for x in places)
+        return tuple(Soil.of_state(soil, gravity) for soil in under)
 
 
 class SoilRoverVectorEnv(CourseVectorEnv):

@@ -334,7 +334,7 @@ class SoilWheelEnv(CourseEnv):
         numbers = published(
             ids.estimate[0].tolist(), ids.sd[0].tolist(), ids.best_pull[0].tolist(), belief.dig_gain
         )
-        return soil_of_numbers(numbers, belief)
+        return soil_of_numbers(numbers, belief, self.scenario.gravity)
 
     def true_soil(self) -> Soil:
         """The undisturbed soil under the wheel, without its density: for analysis and references,
@@ -342,7 +342,8 @@ class SoilWheelEnv(CourseEnv):
         """
         worlds = self.simulation.worlds
         x = float(worlds.state["x"][0])
-        return Soil.of_state(soil_at(worlds.courses, 0, x, self.scenario.course.border))
+        soil = soil_at(worlds.courses, 0, x, self.scenario.course.border)
+        return Soil.of_state(soil, self.scenario.gravity)
 
 
 class SoilWheelVectorEnv(CourseVectorEnv):

@@ -85,7 +85,7 @@ def world_of(
         "effects": {name: dict(values) for name, values in model.effects.items()},
     }
     if model.soil is not None:
-        soil = model.soil.state(scenario.wheel.width)._asdict()
+        soil = scenario.beneath(model.soil)._asdict()
         world["soil"] = {**soil, "density": model.density}
     return world
 

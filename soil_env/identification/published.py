@@ -34,9 +34,9 @@ def published(x: Any, sd: Any, pull: Any, dig_gain: float, of: Any = math) -> di
     }
 
 
-def soil_of_numbers(numbers: Mapping[str, float], belief: Belief) -> Soil:
-    """The soil of `published` numbers, each within its bounds; exponent and recovery of digging are
-    the belief's.
+def soil_of_numbers(numbers: Mapping[str, float], belief: Belief, gravity: float) -> Soil:
+    """The soil of `published` numbers at a gravity [m/s2], each within its bounds; exponent and
+    recovery of digging are the belief's.
     """
     fixed = {"sinkage_exponent": belief.sinkage_exponent, "dig_recovery": belief.dig_recovery}
-    return Soil.within({**numbers, **fixed})
+    return Soil.within({**numbers, **fixed, "gravity_measured": gravity})

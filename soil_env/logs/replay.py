@@ -35,7 +35,8 @@ _LEARNT = 0.8  # sd over prior sd, below which something was learnt
 _LEAST_LOAD = 1e-9  # [N] of a wheel that is lifted, or whose reading of the load has noise
 _CONTRADICTS = 0.1  # share of the steps with status MISFIT, beyond which the report says so
 _LEFT = 1.2  # [border lengths] before a border that the identifier found, where it may have begun
-_COMPARED = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "cohesion")  # of two grounds
+#: Of two grounds.
+_COMPARED = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "cohesion")
 _SEEN = 0.8  # prior probability that there is another soil behind a border that the identifier saw
 _DOUBTED = 0.1  # [prior sd] by which every estimate may be off beside its own sd
 _BOUNDS = {

@@ -20,7 +20,13 @@ from soil_env._io.loading import (
     read_yaml,
     unknown_key,
 )
-from soil_env.parameters import LARGEST_WHEEL, Soil, check_lugs, lumped_coefficient
+from soil_env.parameters import (
+    EARTH_GRAVITY,
+    LARGEST_WHEEL,
+    Soil,
+    check_lugs,
+    lumped_coefficient,
+)
 
 REQUIRED = ("slip", "load")  # columns of every table
 #: Of a run and of what is changed for it.
@@ -213,8 +219,9 @@ class Setup(Checked):
     `load`: the column of that name is the force normal to the ground (default), or the vertical
     force. On a grade b the latter is resolved into load cos(b) on the ground and load sin(b)
     against the pull. `slip_reference` is the radius that slip was computed with, to the rim or to
-    the lug tips (r + grouser height). `tilt_deg` is the constant uphill tilt of the ground against
-    the axes in which a rig measures load and pull: a known number or a prior.
+    the lug tips (r + grouser height). `soil` holds at `gravity`, that of the tests. `tilt_deg` is
+    the constant uphill tilt of the ground against the axes in which a rig measures load and pull: a
+    known number or a prior.
     """
 
     wheel: SetupWheel
@@ -226,11 +233,13 @@ class Setup(Checked):
     load: Literal["normal", "vertical"] = "normal"
     slip_reference: Literal["rim", "tip"] = "rim"
     tilt_deg: Prior | None = None
+    gravity: float = quantity("m/s2", 0.1, 30.0, default=EARTH_GRAVITY, doc="of the tests")
     ignore_columns: tuple[str, ...] = ()  # of the table, passed over
     rig: Rig = Rig()
     source: str = field(default="setup", init=False, compare=False)  # the file, for messages
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.tilt_deg is not None and not abs(self.tilt_deg.value) <= STEEPEST_TILT:
             limits = f"[-{STEEPEST_TILT:g}, {STEEPEST_TILT:g}]"
             raise ParameterError(

@@ -19,9 +19,11 @@ from soil_env.parameters.scenario import (
 )
 from soil_env.parameters.sensors import Noise
 from soil_env.parameters.soil import (
+    EARTH_GRAVITY,
     Soil,
     SoilSpread,
     SoilState,
+    UnstatedGravity,
     correlation_factor,
     lumped_coefficient,
     soils,
@@ -33,6 +35,7 @@ from soil_env.parameters.wheel import LARGEST_WHEEL, Wheel, check_lugs, geared, 
 __all__ = [
     "DEFAULT_ROVER",
     "DEFAULT_SCENARIO",
+    "EARTH_GRAVITY",
     "HELD",
     "LARGEST_WHEEL",
     "MOST_AXLES",
@@ -51,6 +54,7 @@ __all__ = [
     "Soil",
     "SoilSpread",
     "SoilState",
+    "UnstatedGravity",
     "Vehicle",
     "Wheel",
     "check_lugs",

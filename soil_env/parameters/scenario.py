@@ -21,7 +21,7 @@ from soil_env.parameters.belief import Belief, refuse_idle_prior
 from soil_env.parameters.course import Camera, CourseSpec
 from soil_env.parameters.presets import shipped
 from soil_env.parameters.sensors import Noise
-from soil_env.parameters.soil import Soil, SoilSpread, soils
+from soil_env.parameters.soil import EARTH_GRAVITY, Soil, SoilSpread, SoilState, soils
 from soil_env.parameters.task import Control, Limits, RewardWeights
 from soil_env.parameters.wheel import Wheel, with_preset
 
@@ -40,7 +40,7 @@ class Scenario(Checked):
     # soils by name, beside and before the presets
     own_soils: dict[str, Soil] = field(default_factory=dict)
     name: str = "unnamed"
-    gravity: float = quantity("m/s2", 0.1, 30.0, default=9.81)
+    gravity: float = quantity("m/s2", 0.1, 30.0, default=EARTH_GRAVITY)
     relaxation: float = quantity(
         "wheel radii", 0.05, 50.0, default=2.0, doc="distance in which sinkage adapts"
     )
@@ -69,7 +69,7 @@ class Scenario(Checked):
                     expected = f"expected a weight {least}, at most {_HEAVIEST:g}"
                     raise ParameterError(f"{place}.{name} = {weight!r}: {expected}")
         for name in self.soils:
-            library[name].lumped(self.wheel.width)
+            self.beneath(library[name])
         if self.belief.method == "none" and self.reward.information > 0.0:
             raise ParameterError(
                 "reward.information: expected 0 where belief.method = 'none' identifies nothing"
@@ -81,6 +81,10 @@ class Scenario(Checked):
     def library(self) -> dict[str, Soil]:
         """The soils that `soils` may name."""
         return soils() | self.own_soils
+
+    def beneath(self, soil: Soil) -> SoilState:
+        """A soil as compiled code takes it, under this wheel at this gravity."""
+        return soil.under(self.wheel.radius, self.wheel.width, self.weight, self.gravity)
 
     @property
     def weight(self) -> float:

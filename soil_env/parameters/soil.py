@@ -4,14 +4,26 @@
 """
 
 import math
+import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from soil_env._io.loading import Checked, ParameterError, quantity
 from soil_env.parameters.presets import library
+
+#: [m/s2] of Earth, where a soil counts as measured that does not say otherwise.
+EARTH_GRAVITY = 9.81
+_STEEPEST_LINE = 89.0  # [deg] of a line that touches a curved strength, within the bounds of Soil
+#: [-] Share of the pressure of a flat plate at which the line touches: the stress that the shear
+#: of a slipping wheel is felt at. Chosen on the curved law itself.
+_FELT = 0.6
+
+
+class UnstatedGravity(UserWarning):
+    """A soil that does not say where it was measured is used at another gravity than Earth's."""
 
 
 class SoilState(NamedTuple):
@@ -47,6 +59,9 @@ class Soil(Checked):
     their sum for the wheel at hand, `sinkage_coefficient` (the S of the source paper). Unless
     `dig_gain` is given there is no slip-sinkage, as in the base model of Eqs. (1)-(10). The presets
     of configs/soils.yaml have it, and 1.5 is Lyasko (2010).
+
+    Moduli hold at `gravity_measured`; `at` has the law by which they change with gravity. With a
+    `reference_stress` the strength is curved below it (`strength`).
     """
 
     friction_angle_deg: float = quantity("deg", 0.0, 89.9)
@@ -62,6 +77,12 @@ class Soil(Checked):
     )
     dig_recovery: float = quantity(
         "", 0.05, 5.0, default=0.5, doc="slip-sinkage, effects.slip_sinkage_ratio"
+    )
+    gravity_measured: float | None = quantity(
+        "m/s2", 0.1, 30.0, default=None, doc="where it was measured; left out: Earth's 9.81"
+    )
+    reference_stress: float = quantity(
+        "Pa", 0.0, 1e6, default=0.0, doc="normal stress below which strength is curved; 0: nowhere"
     )
     source: str = ""
 
@@ -83,12 +104,82 @@ class Soil(Checked):
         assert self.k_c is not None and self.k_phi is not None  # checked on construction
         return lumped_coefficient(self.k_c, self.k_phi, width)
 
+    def at(self, gravity: float) -> "Soil":
+        """The soil at a gravity [m/s2]: k_phi in proportion to it, all else as it was measured.
+
+        k_phi bears by the weight of the soil, density x gravity (Reece 1965), k_c by cohesion. A
+        lumped S changes as a whole, for its cohesive part is not known. Raises `ParameterError` for
+        a gravity that no field admits.
+        """
+        here = replace(self, gravity_measured=gravity)
+        measured = self.gravity_measured
+        if measured is None:
+            measured = EARTH_GRAVITY
+            if gravity != measured:
+                warnings.warn(
+                    f"a soil without gravity_measured is taken as measured at {measured:g} m/s2, "
+                    f"and used at {gravity:g}: state where it was measured",
+                    UnstatedGravity,
+                    stacklevel=1,  # of this line, so that it is said once
+                )
+        if gravity == measured:
+            return self
+        share = gravity / measured
+        if self.k_phi is not None:
+            return replace(here, k_phi=share * self.k_phi)
+        assert self.sinkage_coefficient is not None  # checked on construction
+        return replace(here, sinkage_coefficient=share * self.sinkage_coefficient)
+
+    def strength(self, stress: float) -> float:
+        """Shear strength [Pa] at a normal stress [Pa].
+
+        Below `reference_stress` it is tau_r (stress/reference)^m, with the strength and the slope
+        of the Mohr-Coulomb line there: m = reference tan(phi)/tau_r.
+        """
+        reference = self.reference_stress
+        there = self.cohesion + reference * self.tan_phi
+        if stress >= reference or there == 0.0:
+            return self.cohesion + stress * self.tan_phi
+        return float(there * (stress / reference) ** (reference * self.tan_phi / there))
+
+    def line_at(self, stress: float) -> "Soil":
+        """The soil with the Mohr-Coulomb line that touches its strength at a normal stress [Pa]."""
+        if stress >= self.reference_stress:
+            return self
+        strength = self.strength(stress)
+        there = self.cohesion + self.reference_stress * self.tan_phi
+        cohesive = self.cohesion / there if there > 0.0 else 1.0  # 1 - m
+        slope = math.degrees(math.atan2((1.0 - cohesive) * strength, stress))
+        return replace(
+            self,
+            friction_angle_deg=min(slope, _STEEPEST_LINE),
+            cohesion=cohesive * strength,
+            reference_stress=0.0,
+        )
+
+    def under(self, radius: float, width: float, load: float, gravity: float) -> SoilState:
+        """The soil as compiled code takes it: where soil, gravity [m/s2] and a wheel meet.
+
+        A curved strength counts as the line that touches it at 0.6 of the pressure of a flat plate
+        as long as the contact, sqrt(2 r z). Pull errs by at most 0.03 of the load by that.
+        """
+        soil = self.at(gravity)
+        if soil.reference_stress > 0.0:
+            s = soil.lumped(width)
+            length = math.sqrt(2.0 * radius)
+            z = (load / (width * length * s)) ** (1.0 / (soil.sinkage_exponent + 0.5))
+            soil = soil.line_at(_FELT * load / (width * length * math.sqrt(min(z, radius))))
+        return soil.state(width)
+
     @classmethod
-    def of_state(cls, state: SoilState) -> "Soil":
-        """The soil of a `SoilState`, each number within its bounds; density is not in it."""
+    def of_state(cls, state: SoilState, gravity: float | None = None) -> "Soil":
+        """The soil of a `SoilState` at a gravity [m/s2], each number within its bounds.
+
+        Density is not in it.
+        """
         numbers = state._asdict()
         numbers["friction_angle_deg"] = math.degrees(math.atan(numbers.pop("tan_phi")))
-        return cls.within(numbers)
+        return replace(cls.within(numbers), gravity_measured=gravity)
 
     @classmethod
     def within(cls, numbers: Mapping[str, float]) -> "Soil":
@@ -102,7 +193,10 @@ class Soil(Checked):
         )
 
     def state(self, width: float) -> SoilState:
-        """The soil as compiled code takes it, under a wheel of width b [m]."""
+        """The soil where it was measured, under a wheel of width b [m], with a straight strength.
+
+        `under` is that of any wheel at any gravity.
+        """
         return SoilState(
             self.tan_phi,
             self.cohesion,

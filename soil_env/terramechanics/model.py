@@ -27,7 +27,7 @@ from soil_env._io.loading import (
     to_dict,
     unknown_key,
 )
-from soil_env.parameters import LARGEST_WHEEL, Soil, SoilState, check_lugs
+from soil_env.parameters import EARTH_GRAVITY, LARGEST_WHEEL, Soil, SoilState, check_lugs
 from soil_env.terramechanics.effects import Effects, pack_effects
 from soil_env.terramechanics.residual import (
     GROUPS,
@@ -102,7 +102,9 @@ class WheelSoilModel(Checked):
     soil: Soil | None = None
     effects: dict[str, dict[str, float]] = field(default_factory=dict)
     residual: tuple[ResidualTerm, ...] = ()
-    gravity: float = quantity("m/s2", 0.1, 30.0, default=9.81, doc="for the weight of the soil")
+    gravity: float = quantity(
+        "m/s2", 0.1, 30.0, default=EARTH_GRAVITY, doc="of a prediction; a world has its scenario's"
+    )
     validity: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -153,11 +155,15 @@ class WheelSoilModel(Checked):
             )
         out = np.empty((c.slip.size, 3))
         carried = 0
-        for width in np.unique(c.wheels[:, 1]):  # S = k_c/b + k_phi
-            here = c.wheels[:, 1] == width
+        footing = c.wheels[:, 1:2]  # S = k_c/b + k_phi
+        if self.soil.reference_stress > 0.0:  # strength depends on the pressure
+            footing = np.column_stack([c.wheels[:, :2], c.load])
+        for one in np.unique(footing, axis=0):
+            here = np.all(footing == one, axis=1)
             rows = Rows(*(column[here] for column in c))
             values = np.empty((np.count_nonzero(here), 3))
-            soil = self.soil.state(float(width))
+            radius, width = rows.wheels[0, :2].tolist()
+            soil = self.soil.under(radius, width, float(rows.load[0]), self.gravity)
             weight = self.soil.density * self.gravity
             guess = np.zeros(len(values))
             carried += predict_rows(rows, soil, weight, self.numbers, guess, values)

@@ -297,7 +297,14 @@ def test_settings_are_kept_and_wrong_ones_refused(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["dry_sand", "dry_sand_loose", "lunar_nominal", "lunar_simulant_hit_lss1", "lete_sand"]
+    "name",
+    [
+        "dry_sand",
+        "dry_sand_loose",
+        "lunar_simulant_nominal",
+        "lunar_simulant_hit_lss1",
+        "lete_sand",
+    ],
 )
 @pytest.mark.parametrize("payload", [0.0, 4.0])
 def test_best_slip_true_picks_the_slip_of_the_best_working_point(name, payload):

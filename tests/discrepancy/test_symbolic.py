@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from soil_env.discrepancy import symbolic
-from soil_env.discrepancy.calibrate import GRAVITY
 from soil_env.identification.table.data import folds
-from soil_env.parameters import Soil
+from soil_env.parameters import EARTH_GRAVITY, Soil
 from soil_env.terramechanics.model import WheelSoilModel
 from tests.discrepancy.tables import NOISE, SLIPS, WHEEL, problem, table
 
@@ -28,7 +27,7 @@ def planted(data, channel, coefficient, **powers):
     rows = data.rows
     known = {
         "slip": rows.slip,
-        "speed": rows.conditions[:, 0] / math.sqrt(GRAVITY * WHEEL.radius),
+        "speed": rows.conditions[:, 0] / math.sqrt(EARTH_GRAVITY * WHEEL.radius),
         "pass": rows.conditions[:, 1],
     }
     value = coefficient * np.prod([known[g] ** p for g, p in powers.items()], axis=0)
@@ -131,7 +130,7 @@ def test_ranges_are_those_of_the_data(rich):
     found = symbolic.symbolic(p, p.fit())
     term = found.terms[0]
     assert term.ranges["slip"] == pytest.approx([min(SLIPS), max(SLIPS)])
-    froude = np.array([min(SPEEDS), max(SPEEDS)]) / math.sqrt(GRAVITY * WHEEL.radius)
+    froude = np.array([min(SPEEDS), max(SPEEDS)]) / math.sqrt(EARTH_GRAVITY * WHEEL.radius)
     assert term.ranges["speed"] == pytest.approx(froude)
     assert term.ranges.keys() == term.powers.keys()
 

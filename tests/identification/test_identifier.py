@@ -366,7 +366,7 @@ def simulate(changes=None, wheels=1, spread=EVEN, grade=(-1.0, 0.0), belief=None
     """
     base = {
         "wheel": {"preset": "planetary_rover", "no_load_speed": 6.0},
-        "soils": {"lunar_nominal": 1},
+        "soils": {"lunar_simulant_nominal": 1},
         "spread": spread,
         "control": {"action": "wheel_speed"},
         "course": UNIFORM | {"grade_deg": list(grade)},

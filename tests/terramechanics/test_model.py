@@ -9,10 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from scipy.optimize import brentq
 
 from soil_env._io.loading import ParameterError
 from soil_env.measurement.table import read_table
-from soil_env.parameters import Soil
+from soil_env.parameters import Soil, soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTerm
 from soil_env.terramechanics.steady import LEVEL, Conditions, Rim, steady_with
@@ -85,6 +86,67 @@ def test_a_missing_condition_is_level_fresh_soil_and_the_wheel_of_the_model():
     with_friction = WheelSoilModel(WHEEL, SOIL, {"drivetrain_friction": {"constant": 0.5}})
     given = {"slip": [0.0, 0.3, -0.3], "load": 90.0}
     assert with_friction.predict(given).torque - plain.predict(given).torque == pytest.approx(0.5)
+
+
+def test_without_cohesion_the_same_mass_sinks_and_pulls_the_same_at_any_gravity():
+    """All stresses go with gravity, as the load does; cohesion does not."""
+    loose = replace(BEKKER, cohesion=0.0, k_c=0.0, dig_gain=2.0, gravity_measured=9.81)
+    sticky = replace(loose, cohesion=150.0)
+    given = {"slip": [-0.3, 0.05, 0.2, 0.7], "load": 90.0}
+    less = given | {"load": 90.0 / 6.0}
+    here = WheelSoilModel(WHEEL, loose).predict(given)
+    there = WheelSoilModel(WHEEL, loose, gravity=9.81 / 6.0).predict(less)
+    assert there.sinkage == pytest.approx(here.sinkage, rel=1e-9)
+    assert 6.0 * there.drawbar_pull == pytest.approx(here.drawbar_pull, rel=1e-9)
+    assert 6.0 * there.torque == pytest.approx(here.torque, rel=1e-9)
+    more = WheelSoilModel(WHEEL, sticky, gravity=9.81 / 6.0).predict(less)
+    assert np.all(more.drawbar_pull[1:] > there.drawbar_pull[1:])
+
+
+def curved_state(soil, load, slip, wheel):
+    """(sinkage, drawbar pull) with curved strength at every point, by a quadrature of its own."""
+    u, weight = np.polynomial.legendre.leggauss(40)
+    u = 0.5 * (u + 1.0)
+    r = wheel.radius
+    n = soil.sinkage_exponent
+    deeper = 1.0 + soil.dig_gain * slip / (1.0 - slip + soil.dig_recovery * slip)
+    s = soil.lumped(wheel.width) * deeper**-n
+
+    def forces(z):
+        entry = math.acos(1.0 - z / r)
+        front = entry * (1.0 - 0.5 * u**2)  # down to the peak at half of it
+        theta = np.concatenate([front, 0.5 * entry * u**2])
+        stress = np.tile(s * (r * (np.cos(front) - math.cos(entry))) ** n, 2)
+        share = np.tile(0.5 * entry * u * weight, 2)
+        j = r * (entry - theta - (1.0 - slip) * (math.sin(entry) - np.sin(theta)))
+        tau = np.vectorize(soil.strength)(stress) * -np.expm1(-j / soil.shear_modulus)
+        rb = r * wheel.width
+        return (
+            rb * share @ (stress * np.cos(theta) + tau * np.sin(theta)),
+            rb * share @ (tau * np.cos(theta) - stress * np.sin(theta)),
+        )
+
+    z = brentq(lambda z: forces(z)[0] - load, 1e-5 * r, 0.95 * r)
+    return z, forces(z)[1]
+
+
+@pytest.mark.parametrize("gravity", [1.62, 9.81])
+@pytest.mark.parametrize("name", ["dry_sand_low_stress", "dry_sand_loose_low_stress"])
+def test_one_line_stands_for_the_curved_strength_under_a_wheel(name, gravity):
+    """To 0.01 of the load, where the straight strength errs by up to the load."""
+    wheel = ModelWheel(0.1, 0.08)
+    soil = soils()[name]
+    model = WheelSoilModel(wheel, soil, gravity=gravity)
+    loads = [2.5 * gravity, 1.5 * gravity]
+    slips = [0.2, 0.6]
+    found = model.predict({"slip": slips, "load": loads})
+    for k, (slip, load) in enumerate(zip(slips, loads, strict=True)):
+        z, pull = curved_state(soil.at(gravity), load, slip, wheel)
+        assert found.sinkage[k] == pytest.approx(z, rel=0.01)
+        assert found.drawbar_pull[k] == pytest.approx(pull, abs=0.01 * load)
+    straight = WheelSoilModel(wheel, replace(soil, reference_stress=0.0), gravity=gravity)
+    less = straight.predict({"slip": slips, "load": loads}).drawbar_pull - found.drawbar_pull
+    assert np.all(less > (0.3 if gravity < 2.0 else 0.02) * np.array(loads))
 
 
 @pytest.mark.parametrize("soil", [SOIL, BEKKER], ids=["S", "k_c and k_phi"])

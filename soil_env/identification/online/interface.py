@@ -218,15 +218,12 @@ class OnlineIdentifier:
             )
         if period is None:
             raise ParameterError("period = None: expected a number [s]")
-        # a scenario has one; nothing here reads it
-        any_soil = Soil(30.0, 0.0, 0.01, 1.0, sinkage_coefficient=1e6)
         try:
             control = replace(Control(period=period), substep=min(period, 0.05))
             self._set(
                 Scenario(
                     wheel,
-                    {"any": 1.0},
-                    {"any": any_soil},
+                    {"dry_sand": 1.0},  # a scenario has one; nothing here reads it
                     gravity=gravity,
                     relaxation=relaxation,
                     belief=belief,
@@ -320,7 +317,8 @@ class OnlineIdentifier:
         """The identified soil, with the belief's exponent and recovery of digging; each number
         within its bounds.
         """
-        return soil_of_numbers(asdict(self._estimate), self.scenario.belief)
+        scenario = self.scenario
+        return soil_of_numbers(asdict(self._estimate), scenario.belief, scenario.gravity)
 
     def traversability(self, load: float | None = None, pitch: float = 0.0) -> Traversability:
         """Drawbar margin under `load` [N] (the weight if left out) at `pitch` [rad], uphill

@@ -83,7 +83,7 @@ def of_library(scenario: Scenario) -> list[Gaussian]:
     deeper = np.eye(SIZE)  # from the pressure at the reference of the scatter to that at `depth_of`
     deeper[PRESSURE, EXPONENT] = math.log(depth_of(scenario) / spread.reference_sinkage)
     for name, weight in b.soils.items():
-        soil = scenario.library[name].state(scenario.wheel.width)
+        soil = scenario.beneath(scenario.library[name])
         tangent = soil.tan_phi
         n = soil.sinkage_exponent
         y = math.log(soil.sinkage_coefficient) + n * math.log(spread.reference_sinkage)

@@ -23,7 +23,7 @@ from soil_env.identification.table.priors import known_digging
 from soil_env.identification.table.problem import LAW_ERRORS, SOURCES, TableProblem
 from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import MEASURED, UNITS, Table
-from soil_env.parameters import Soil
+from soil_env.parameters import EARTH_GRAVITY, Soil
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 NAMES = (
@@ -121,7 +121,9 @@ class TableEstimate:
         `wheel`: any with `radius` and `width` [m], that of the setup for one.
         """
         sizes = ModelWheel.of(wheel)
-        return WheelSoilModel(ModelWheel(sizes.radius, sizes.width), self.soil)
+        gravity = self.soil.gravity_measured or EARTH_GRAVITY
+        wheel = ModelWheel(sizes.radius, sizes.width)
+        return WheelSoilModel(wheel, self.soil, gravity=gravity)
 
 
 def identify_table(table: Table, setup: Setup, *, check: bool = True) -> TableEstimate:
@@ -284,10 +286,10 @@ def _summary(
 
 
 def _soil(problem: TableProblem, u: np.ndarray) -> Soil:
-    """The soil of a solution, with the digging and the density that the setup knows."""
+    """The soil of a solution, with the digging, density and gravity that the setup knows."""
     gain, recovery = known_digging(problem.setup)
     density = problem.setup.soil.density
-    known = {"dig_gain": gain, "dig_recovery": recovery}
+    known = {"dig_gain": gain, "dig_recovery": recovery, "gravity_measured": problem.setup.gravity}
     known |= {"density": density.value} if density else {}
     return Soil.within({**problem.values(u), **known})
 

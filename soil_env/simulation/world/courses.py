@@ -87,12 +87,11 @@ def course_distribution(
 
 def _presets(scenario: Scenario, model: WheelSoilModel | None) -> np.ndarray:
     """The mixture of soils, `PRESET` [soils]."""
-    width = scenario.wheel.width
     if model is not None and model.soil is not None:
-        soils = [model.soil.state(width)]
+        soils = [scenario.beneath(model.soil)]
         weights = np.ones(1)
     else:
-        soils = [scenario.library[name].state(width) for name in scenario.soils]
+        soils = [scenario.beneath(scenario.library[name]) for name in scenario.soils]
         weights = np.array(list(scenario.soils.values()), dtype=float)
     shares = np.cumsum(weights) / weights.sum()
     return np.array([(share, *soil) for soil, share in zip(soils, shares, strict=True)], PRESET)

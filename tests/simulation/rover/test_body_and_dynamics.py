@@ -173,7 +173,7 @@ def test_each_wheel_is_in_the_steady_state_of_its_slip_and_load(climbing):
     simulation, a = climbing
     scenario = simulation.scenario
     w = a.wheel
-    soil = scenario.library["dry_sand"].state(scenario.wheel.width)
+    soil = scenario.beneath(scenario.library["dry_sand"])
     for i in range(scenario.axles):
         cell = int(w["x"][i] / CELL) + CELLS_BEHIND
         left = soil.sinkage_coefficient * float(simulation.worlds.ruts[0, i, cell].factor)
