@@ -7,6 +7,7 @@ import importlib
 import importlib.util
 import inspect
 import sys
+import sysconfig
 import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -110,13 +111,17 @@ def _takes_one(thing) -> bool:
 
 
 def describe(error: BaseException) -> str:
-    """An exception in one line: its class, its message, and where it was raised."""
+    """An exception in one line: its class, its message, and where it was raised, in code that is
+    not of Python or of an installed library if there is some.
+    """
     ours = __file__, importlib.__file__
     frames = [
         f
         for f in traceback.extract_tb(error.__traceback__)
         if not f.filename.startswith((*ours, "<frozen"))
     ]
+    libraries = tuple(sysconfig.get_paths()[name] for name in ("stdlib", "purelib", "platlib"))
+    frames = [f for f in frames if not f.filename.startswith(libraries)] or frames
     where = f", {Path(frames[-1].filename).name} line {frames[-1].lineno}" if frames else ""
     message = (str(error).splitlines() or [""])[0][:200]
     return f"{type(error).__name__}: {message}{where}"

@@ -47,6 +47,7 @@ def warm_up() -> None:
     model = WheelSoilModel(
         ModelWheel(0.15, 0.15), soils()["lete_sand"], {"bulldozing": {"rankine": 1.0}}
     )
+    print("environments", flush=True)
     for world in (None, model):
         _drive("SoilWheel-v0", 0.4, model=world)
         envs = SoilWheelVectorEnv(64, model=world)
@@ -58,6 +59,7 @@ def warm_up() -> None:
     _drive("SoilRover-v0", 0.4)
     for name, image in (("mixed", None), ("two_lines", Image(*(0.0,) * len(Image._fields)))):
         Observer(load_scenario(name)).observe(Readings(2.0, 0.25), image=image)
+    print("identifier, predictions, tables, logs", flush=True)
     identifier = OnlineIdentifier(wheels()["planetary_rover"])
     identifier.update(Readings(2.0, 0.25, 0.02, 10.0, 147.0, 5.0))
     identifier.traversability()

@@ -63,6 +63,7 @@ MOST_PASSES = 10**6  # pass numbers are whole and small
 EXACTEST = 1e-9  # least standard deviation, in the unit of its column
 COARSEST = 1e6  # largest one
 
+_SEPARATOR = re.compile(r"sep=.\s*", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 #: A number with commas, spaces or apostrophes among its digits.
 _GROUPED = re.compile(r"[-+]?\d+(?:[,.'\u2019\s]\d+)+")
@@ -182,6 +183,9 @@ def read_table(
         raise ParameterError(
             f"{path}: no rows below the header: expected one row for each steady point"
         )
+    values = [k for k, name in enumerate(header) if name in MEASURED]
+    # Without any value a row says nothing; a table of such rows is refused below.
+    rows = [row for row in rows if any(row[1][k] for k in values)] or rows
     columns = {
         name: _column(path, name, header, rows) for name in COLUMNS if name not in ("run", "pass")
     }
@@ -220,7 +224,10 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
         # With or without a byte order mark.
         with path.open(encoding="utf-8-sig", newline="") as stream:
             text = [line if not line.lstrip().startswith("#") else "\n" for line in stream]
-            first = next((line for line in text if line.strip()), "")
+            at, first = next(((k, s) for k, s in enumerate(text) if s.strip()), (0, ""))
+            if _SEPARATOR.fullmatch(first):  # of spreadsheets, for themselves
+                text[at] = "\n"
+                first = next((line for line in text if line.strip()), "")
             mark = next((m for m in ";\t" if m in first and "," not in first), ",")
             reader = csv.reader(text, strict=True, delimiter=mark)
             lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
@@ -229,7 +236,7 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     except UnicodeDecodeError as error:
         raise ParameterError(
             f"{path}: not UTF-8 text (byte {error.start}): expected a CSV file in UTF-8, no "
-            "Parquet or Excel file"
+            "Parquet or Excel file (in a spreadsheet: save as CSV UTF-8)"
         ) from None
     except csv.Error as error:
         raise ParameterError(f"{path}: not a CSV file ({error})") from None
@@ -243,7 +250,8 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     rows = [(line, cells[:width]) for line, cells in lines[1:]]
     for line, cells in rows:
         if len(cells) != len(header):
-            hint = " (numbers with decimal points, not commas)" if len(cells) > len(header) else ""
+            more = mark == "," and len(cells) > len(header)
+            hint = " (numbers with decimal points, not commas)" if more else ""
             raise ParameterError(
                 f"{path}: row {line} has {len(cells)} cells: expected {len(header)}, as the "
                 f"header{hint}"

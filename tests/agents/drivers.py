@@ -67,6 +67,13 @@ Alone = answering(lambda obs: np.zeros((len(obs), 1)))
 OneNaN = answering(lambda obs: (np.where(np.arange(len(obs)) == 1, np.nan, 0.4)[:, None], None))
 
 
+class WrongCall(Half):
+    """Fails within a library."""
+
+    def predict(self, obs, state=None, episode_start=None, deterministic=True):
+        return np.reshape(obs, (len(obs), 1)), state
+
+
 class Raises:
     def __init__(self):
         raise OSError("no such device\nand more")

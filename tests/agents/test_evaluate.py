@@ -393,6 +393,7 @@ def test_what_other_code_or_another_class_tuned_is_tuned_again(tmp_path, monkeyp
             [f"--controllers={DRIVERS}:OneNaN"],
             ("predict gave nan for wheel 1: expected finite numbers",),
         ),
+        ([f"--controllers={DRIVERS}:WrongCall"], ("predict failed (ValueError", "drivers.py line")),
         ([f"--controllers={DRIVERS}:OtherVariant"], ("'blnd'", "blind, identified, true_soil")),
         ([f"--controllers={DRIVERS}:Raises"], ("OSError: no such device", "drivers.py line")),
         (["--controllers=oracle"], ("--oracle-courses N",)),

@@ -123,7 +123,7 @@ def test_refuses_a_bad_table(tmp_path, lines, words):
 def test_refuses_other_files(tmp_path):
     assert "cannot be read" in refusal(read_table, tmp_path / "absent.csv")
     assert "cannot be read" in refusal(read_table, tmp_path)
-    assert "not UTF-8" in refusal(
+    assert "save as CSV UTF-8" in refusal(
         read_table, written(tmp_path, "slip,load,sinkage,\u00e9", encoding="latin-1")
     )
     binary = written(tmp_path, "PAR1\xff", name="data.parquet", encoding="latin-1")
@@ -254,8 +254,18 @@ def test_refuses_a_bad_setup(tmp_path, text, words):
         ["slip\tload\ttorque", "0,1\t100\t2,5", "0,2\t100\t-3"],
         ["slip,load,torque,,", "0.1,100,2.5,,", "0.2,100,-3,,", ",,,,"],
         ["slip,load,torque", "0.1,100,2.5,", "0.2,100,-3"],
+        ["sep=;", "slip;load;torque", "0,1;100;2,5", "0,2;100;-3"],
+        ["slip,load,torque", "0.1,100,2.5", "0.15,100,", "0.2,100,-3"],
     ],
-    ids=["european", "semicolons", "tabs", "trailing commas", "trailing commas of rows"],
+    ids=[
+        "european",
+        "semicolons",
+        "tabs",
+        "trailing commas",
+        "trailing commas of rows",
+        "separator named",
+        "a row without a value",
+    ],
 )
 def test_reads_what_spreadsheets_write(tmp_path, lines):
     t = read_table(written(tmp_path, *lines))

@@ -326,9 +326,7 @@ def _readings_doubted(start: _AsIs) -> list[str]:
     """
     others = _other_readings(start)
     better = [
-        b
-        for b in others
-        if b.gain > SURE and BETTER * (b.rms**2 - 1.0) < b.rms_before**2 - 1.0
+        b for b in others if b.gain > SURE and BETTER * (b.rms**2 - 1.0) < b.rms_before**2 - 1.0
     ]
     data, noise, _ = start
     if better:
