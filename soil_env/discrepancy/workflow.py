@@ -257,8 +257,7 @@ def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -
     of_soil = Soil(
         **values,
         density=problem.density,
-        dig_gain=problem.digging[0],
-        dig_recovery=problem.digging[1],
+        **problem.laws,
         source="calibrated by soil_env.discrepancy",
     )
     conditions = seen(problem.data.rows.slip, problem.data.rows.load, problem.data.rows.conditions)

@@ -20,7 +20,7 @@ from soil_env._io.loading import (
     read_yaml,
     unknown_key,
 )
-from soil_env.parameters import LARGEST_WHEEL, Soil, check_lugs, lumped_coefficient
+from soil_env.parameters import FLOW_LAW, LARGEST_WHEEL, Soil, check_lugs, lumped_coefficient
 
 REQUIRED = ("slip", "load")  # columns of every table
 #: Of a run and of what is changed for it.
@@ -80,7 +80,8 @@ class SoilPriors(Checked):
     prior.
 
     `dig_gain` and `dig_recovery` are known or nothing: digging that the model is to have before any
-    effect is sought, none where they are left out.
+    effect is sought, none where they are left out. So are `rim_flow` to `shear_length`, without
+    which the shear law is Eq. (10).
     """
 
     friction_angle_deg: Prior | None = None
@@ -93,6 +94,10 @@ class SoilPriors(Checked):
     density: Prior | None = None
     dig_gain: Prior | None = None
     dig_recovery: Prior | None = None
+    rim_flow: Prior | None = None
+    braked_peak: Prior | None = None
+    shear_growth: Prior | None = None
+    shear_length: Prior | None = None
 
     def __post_init__(self) -> None:
         limits = {f.name: f.metadata for f in dataclasses.fields(Soil)}
@@ -110,6 +115,9 @@ class SoilPriors(Checked):
                     f"{name}: expected a plain number; digging that is not known is an effect to "
                     "find"
                 )
+        for name in FLOW_LAW:
+            if getattr(self, name) is not None and not getattr(self, name).known:
+                raise ParameterError(f"{name}: expected a plain number: it is given, not fitted")
         if self.dig_recovery is not None and self.dig_gain is None:
             raise ParameterError("dig_recovery: expected only with dig_gain")
         pair = (self.k_c is not None) + (self.k_phi is not None)

@@ -19,6 +19,7 @@ from soil_env.parameters.scenario import (
 )
 from soil_env.parameters.sensors import Noise
 from soil_env.parameters.soil import (
+    FLOW_LAW,
     Soil,
     SoilSpread,
     SoilState,
@@ -33,6 +34,7 @@ from soil_env.parameters.wheel import LARGEST_WHEEL, Wheel, check_lugs, geared, 
 __all__ = [
     "DEFAULT_ROVER",
     "DEFAULT_SCENARIO",
+    "FLOW_LAW",
     "HELD",
     "LARGEST_WHEEL",
     "MOST_AXLES",

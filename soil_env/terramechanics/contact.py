@@ -1,5 +1,5 @@
-"""Stresses under a rigid wheel and the forces they sum to: Eqs. (1)-(10) of the source paper
-(docs/physics/contact.md).
+"""Stresses under a rigid wheel and the forces they sum to: Eqs. (1)-(10) of the source paper, and
+soil that flows along the rim (docs/physics/contact.md).
 
 Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; the stress
 distribution is Wong & Reece (1967), the shear law Janosi & Hanamoto (1961).
@@ -7,8 +7,9 @@ distribution is Wong & Reece (1967), the shear law Janosi & Hanamoto (1961).
 Angles [rad] are measured from the lowest point of the rim, positive toward the front, *front*
 meaning the side the wheel travels to. The motion enters through two numbers without unit,
 `rim` = r w / v* and `travel` = V / v*, where v* is the rim speed (`slip.motion_from_slip`,
-`motion_from_speeds`). `forces` combines integrals over the arc (`ArcIntegrals`), the same for the
-world and the steady prediction.
+`motion_from_speeds`). Soil that is carried along the rim adds to the first (`carried_share`), and
+Eq. (10) keeps its form. `forces` combines integrals over the arc (`ArcIntegrals`), the same for
+the world and the steady prediction.
 """
 
 import math
@@ -23,6 +24,8 @@ from soil_env._compiled.flags import EXACT, INLINE, SUMS, record
 # Gauss-Legendre nodes of each zone of the arc; the two zones share the normal stress
 NODES_PER_ZONE = 8
 NODES = 2 * NODES_PER_ZONE  # those of the front zone, then those of the rear zone
+FOREMOST_PEAK = 0.05  # [of the arc] that a shifted stress peak stays behind the entry, at least
+LEAST_PRODUCT = 1e-300  # [-] that a square of speeds is divided by
 _x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
 # [-] u^2, distance of a node from the end of the arc over the zone's length
 NODE_DEPTHS = (0.5 * (_x + 1.0)) ** 2
@@ -121,10 +124,77 @@ def entry_angle(sinkage, r):
 
 
 @njit(**EXACT)
-def smooth_arc(sinkage, r):
-    """`Arc` of the source paper: theta2 = 0 and the peak midway, Eq. (9)."""
+def smooth_arc(sinkage, r, shift):
+    """`Arc` of a smooth rim: theta2 = 0 and the peak midway, Eq. (9), but for a forward `shift` [of
+    theta1].
+    """
     theta1 = entry_angle(sinkage, r)
-    return Arc(theta1, 0.0, 0.5 * theta1, theta1, r)
+    return Arc(theta1, 0.0, (0.5 + shift) * theta1, theta1, r)
+
+
+@njit(**EXACT)
+def braked_shift(braked, soil):
+    """Forward shift [of theta1] of the stress peak of a wheel that slides by the share `braked` >=
+    0 of its travel: `soil.braked_peak` s/(1 + s).
+    """
+    return soil.braked_peak * braked / (1.0 + braked)
+
+
+@njit(**EXACT)
+def grown_modulus(modulus, soil, arc):
+    """Shear deformation modulus [m] at the contact length of an `Arc`: K (r theta1/L)^p, with K =
+    `modulus` [m].
+    """
+    if soil.shear_growth == 0.0:
+        return modulus
+    length = arc.radius * arc.theta1
+    return modulus * power(length / soil.shear_length, soil.shear_growth)
+
+
+@njit(**EXACT)
+def carried_share(rim, travel, floor):
+    """(share, its derivatives by `rim` and `travel`): speed of soil carried along the rim over the
+    travel speed, for a tan(phi) = 1: (1 - i)^3.
+
+    Speeds in any one unit. 1 - i is V/(r w) driving and 2 - r w/V braking, 2 of a locked wheel. It
+    goes on smoothly to 3 where the rim turns against the travel. Speeds below `floor` count as
+    rest, where it is 2.
+    """
+    x = rim * travel
+    y = travel * travel + floor * floor
+    if x >= y:
+        x = max(x, LEAST_PRODUCT)
+        w = y / x
+        by_rim = -w * travel / x
+        by_travel = (2.0 * travel - w * rim) / x
+    else:
+        q = max(max(y, y - x), LEAST_PRODUCT)
+        w = 2.0 - x / q
+        by_rim = -travel * y / (q * q)
+        by_travel = (2.0 * x * travel - rim * y) / (q * q)
+    by_w = 3.0 * w * w
+    return w * w * w, by_w * by_rim, by_w * by_travel
+
+
+@njit(**EXACT)
+def most_carried(arc):
+    """Bound on the carried share of the travel speed: sin(theta1)/theta1, at which soil under a
+    locked wheel would move with it.
+    """
+    return 2.0 * half_sin(arc.sheared_from) * half_cos(arc.sheared_from) / arc.sheared_from
+
+
+@njit(**EXACT)
+def held_below(share, most):
+    """(share below `most`, its derivatives by both): share (1 + (share/most)^4)^(-1/4), smooth.
+
+    A share of a third of the bound stays within 0.3 %.
+    """
+    ratio = share / most
+    fourth = ratio * ratio * (ratio * ratio)
+    root = math.sqrt(math.sqrt(1.0 + fourth))
+    by_share = 1.0 / (root * (1.0 + fourth))
+    return share / root, by_share, ratio * fourth * by_share
 
 
 @njit(**EXACT)

@@ -208,7 +208,7 @@ def test_effects_at_their_neutral_values_leave_the_base_model():
         sinkage = rng.uniform(0.005, 0.12)
         load = rng.uniform(50.0, 250.0)
         ground = ground_under(sinkage, v, u, soil, plain)
-        assert ground == (soil, contact.smooth_arc(sinkage, R), reaction.Beside(*[0.0] * 5))
+        assert ground == (soil, contact.smooth_arc(sinkage, R, 0.0), reaction.Beside(*[0.0] * 5))
         expected = react(ground, v, u, load, plain)
         ground = ground_under(sinkage, v, u, soil, with_code)
         assert react(ground, v, u, load, with_code) == pytest.approx(expected, rel=1e-12)

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 from soil_env.identification.table.bins import binned
 from soil_env.identification.table.form_error import mixed
 from soil_env.identification.table.mistakes import Examined, examine
-from soil_env.identification.table.priors import known_digging
+from soil_env.identification.table.priors import given_laws
 from soil_env.identification.table.problem import LAW_ERRORS, SOURCES, TableProblem
 from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import MEASURED, UNITS, Table
@@ -284,10 +284,9 @@ def _summary(
 
 
 def _soil(problem: TableProblem, u: np.ndarray) -> Soil:
-    """The soil of a solution, with the digging and the density that the setup knows."""
-    gain, recovery = known_digging(problem.setup)
+    """The soil of a solution, with the laws and the density that the setup knows."""
     density = problem.setup.soil.density
-    known = {"dig_gain": gain, "dig_recovery": recovery}
+    known = given_laws(problem.setup)
     known |= {"density": density.value} if density else {}
     return Soil.within({**problem.values(u), **known})
 
