@@ -177,9 +177,9 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
     rim_v = share_v * travel + share * travel_v
     rim_u += share_u * travel + share * travel_u
     direction, turn = smoothed_sign(speed, REST_SPEED)
-    q = shear_integrals(
-        nodes, footing.p_cos, footing.p_sin, (rim, travel), footing.shear_modulus, law
-    )
+    p = footing.p_cos, footing.p_sin
+    flows = footing.carry > 0.0
+    q = shear_integrals(nodes, p, (rim, travel), footing.shear_modulus, law, flows)
     S = mobilised_sinkage_coefficient(q, footing.load, tan_phi, c, r, b, direction)
     f = forces(q, S, tan_phi, c, r, b, direction)
 

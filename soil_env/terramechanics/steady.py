@@ -223,18 +223,19 @@ def _balance(slip, load, soil, wheel, conditions, fx):
 @njit(**EXACT)
 def _integrals(nodes, arc, p, fx):
     """`ArcIntegrals` of an arc at the motion of a `_Balance`."""
-    p_cos, p_sin = lay_nodes(nodes, arc, p.soil.sinkage_exponent)
+    stress = lay_nodes(nodes, arc, p.soil.sinkage_exponent)
     rim = p.rim
-    if p.carried > 0.0:
+    flows = p.carried > 0.0
+    if flows:
         rim += held_below(p.carried, most_carried(arc))[0] * p.travel
     motion = (rim, p.travel)
     modulus = grown_modulus(p.soil.shear_modulus, p.soil, arc)
     if fx is None:
-        return shear_integrals(nodes, p_cos, p_sin, motion, modulus, None)
+        return shear_integrals(nodes, stress, motion, modulus, None, flows)
     else:
         if p.law.b == 0.0 and p.law.c == 0.0:  # Eq. (10), which takes half the time
-            return shear_integrals(nodes, p_cos, p_sin, motion, modulus, None)
-        return shear_integrals(nodes, p_cos, p_sin, motion, modulus, p.law)
+            return shear_integrals(nodes, stress, motion, modulus, None, flows)
+        return shear_integrals(nodes, stress, motion, modulus, p.law, flows)
 
 
 @njit(**INLINE)

@@ -252,8 +252,8 @@ def reaction(work, ground, sinkage, slip, load, r, b):
     braked = max(-slip, 0.0)
     arc = smooth_arc(sinkage, r, braked_shift(braked, ground))
     motion = _motion_of(ground, arc, travel)
-    p_cos, p_sin = lay_nodes(nodes, arc, ground.exponent)
-    q = shear_integrals(nodes, p_cos, p_sin, (motion.rim, travel), motion.modulus, None)
+    p = lay_nodes(nodes, arc, ground.exponent)
+    q = shear_integrals(nodes, p, (motion.rim, travel), motion.modulus, None, False)
     S = max(mobilised_sinkage_coefficient(q, load, t, c, r, b, FORWARD), LEAST_COEFFICIENT)
     f = forces(q, S, t, c, r, b, FORWARD)
     rb = r * b
