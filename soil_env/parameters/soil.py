@@ -76,7 +76,7 @@ class Soil(Checked):
         "", 0.05, 5.0, default=0.5, doc="slip-sinkage, effects.slip_sinkage_ratio"
     )
     rim_flow: float = quantity(
-        "", 0.0, 0.3, default=0.0, doc="soil carried along the rim, a of contact.carried_share"
+        "", 0.0, 0.12, default=0.0, doc="soil carried along the rim, a of contact.carried_share"
     )
     braked_peak: float = quantity(
         "", 0.0, 0.9, default=0.0, doc="forward shift of the stress peak of a braked wheel"

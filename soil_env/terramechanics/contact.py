@@ -24,8 +24,11 @@ from soil_env._compiled.flags import EXACT, INLINE, SUMS, record
 # Gauss-Legendre nodes of each zone of the arc; the two zones share the normal stress
 NODES_PER_ZONE = 8
 NODES = 2 * NODES_PER_ZONE  # those of the front zone, then those of the rear zone
+# [of cos(theta1)] bound on the share of the travel speed at which soil is carried along the rim,
+# chosen: from 0.8 on a braked wheel on stiff soil can gain power
+MOST_CARRIED = 0.6
+LEAST_COSINE = 0.01  # [-] square of the cosine over which that bound bends away from 0
 FOREMOST_PEAK = 0.05  # [of the arc] that a shifted stress peak stays behind the entry, at least
-LEAST_PRODUCT = 1e-300  # [-] that a square of speeds is divided by
 _x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
 # [-] u^2, distance of a node from the end of the arc over the zone's length
 NODE_DEPTHS = (0.5 * (_x + 1.0)) ** 2
@@ -183,36 +186,76 @@ def grown_modulus(modulus, soil, arc):
 
 
 @njit(**EXACT)
+def _over_turning(t):
+    """(1 - i, its derivative) where the rim is the faster: t = V/(r w); smooth where t < 0."""
+    if t >= 0.0:
+        return t, 1.0
+    q = 1.0 - t
+    return t * (2.0 * t - 5.0) / (q * q), -(5.0 + t) / (q * q * q)
+
+
+@njit(**EXACT)
+def _over_travel(t):
+    """(1 - i, its derivative) where the travel is the faster: 2 - t with t = r w/V; smooth where
+    t < 0.
+    """
+    if t >= 0.0:
+        return 2.0 - t, -1.0
+    q = 1.0 - t
+    return (2.0 - 5.0 * t) / (q * q), -(1.0 + 5.0 * t) / (q * q * q)
+
+
+@njit(**EXACT)
 def carried_share(rim, travel, floor):
     """(share, its derivatives by `rim` and `travel`): speed of soil carried along the rim over the
     travel speed, for a tan(phi) = 1: (1 - i)^3.
 
-    Speeds in any one unit. 1 - i is V/(r w) driving and 2 - r w/V braking, 2 of a locked wheel. It
-    goes on smoothly to 3 where the rim turns against the travel. Speeds below `floor` count as
-    rest, where it is 2.
+    Speeds in any one unit. 1 - i is V/(r w) driving and 2 - r w/V braking, 2 of a locked wheel.
+    Where the rim turns against the travel it goes on from 2, through 2.1, to 0, so that there is no
+    jump at V = 0. The share fades out below speeds of `floor`.
     """
-    x = rim * travel
-    y = travel * travel + floor * floor
-    if x >= y:
-        x = max(x, LEAST_PRODUCT)
-        w = y / x
-        by_rim = -w * travel / x
-        by_travel = (2.0 * travel - w * rim) / x
+    square = rim * rim + travel * travel
+    if square == 0.0:
+        return 0.0, 0.0, 0.0
+    if abs(rim) >= abs(travel):
+        w, slope = _over_turning(travel / rim)
+        by_travel = slope / rim
+        by_rim = -by_travel * (travel / rim)
     else:
-        q = max(max(y, y - x), LEAST_PRODUCT)
-        w = 2.0 - x / q
-        by_rim = -travel * y / (q * q)
-        by_travel = (2.0 * x * travel - rim * y) / (q * q)
-    by_w = 3.0 * w * w
-    return w * w * w, by_w * by_rim, by_w * by_travel
+        w, slope = _over_travel(rim / travel)
+        by_rim = slope / travel
+        by_travel = -by_rim * (rim / travel)
+    rest = square + floor * floor
+    moving = square / rest
+    fading = 2.0 * w * w * w * (floor / rest) * (floor / rest)
+    by_w = 3.0 * w * w * moving
+    return (
+        w * w * w * moving,
+        by_w * by_rim + fading * rim,
+        by_w * by_travel + fading * travel,
+    )
 
 
 @njit(**EXACT)
 def most_carried(arc):
-    """Bound on the carried share of the travel speed: sin(theta1)/theta1, at which soil under a
-    locked wheel would move with it.
+    """Bound on the carried share of the travel speed: `MOST_CARRIED` of cos(theta1), the least
+    speed of a locked rim along itself.
+
+    So the shear under a locked wheel points backward all over the arc. The bound stays above 0
+    where the axle is below the ground.
     """
-    return 2.0 * half_sin(arc.sheared_from) * half_cos(arc.sheared_from) / arc.sheared_from
+    s = half_sin(arc.sheared_from)
+    cosine = 1.0 - 2.0 * s * s
+    return 0.5 * MOST_CARRIED * (cosine + math.sqrt(cosine * cosine + LEAST_COSINE))
+
+
+@njit(**EXACT)
+def most_by_angle(arc):
+    """Derivative of `most_carried` by the entry angle."""
+    s = half_sin(arc.sheared_from)
+    cosine = 1.0 - 2.0 * s * s
+    most = most_carried(arc)
+    return -2.0 * s * half_cos(arc.sheared_from) * most / math.sqrt(cosine**2 + LEAST_COSINE)
 
 
 @njit(**EXACT)

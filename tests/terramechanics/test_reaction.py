@@ -11,7 +11,7 @@ from soil_env.parameters import soils
 from soil_env.terramechanics import contact, reaction
 from soil_env.terramechanics.effects import NO_EFFECTS, acting_effects, grousers, pack_effects
 from soil_env.terramechanics.residual import residual_law
-from tests.terramechanics.cases import ACTING, CASES, LUG, RESIDUAL, TOGETHER
+from tests.terramechanics.cases import ACTING, CASES, FLOW, LUG, RESIDUAL, TOGETHER
 
 R = 0.15
 GRAVITY = 9.81
@@ -86,15 +86,17 @@ def motion(rng):
     return (u * rng.uniform(0.2, 1.1) if rng.random() < 0.5 else v), u
 
 
-@pytest.mark.parametrize("case", EVERY)
-def test_rates_of_the_reaction_against_central_differences(case):
+@pytest.mark.parametrize(
+    ("case", "law"), [*((case, {}) for case in EVERY), ("none", FLOW), ("together", FLOW)]
+)
+def test_rates_of_the_reaction_against_central_differences(case, law):
     """Quantities that depend on slip at the start of a substep are held."""
     wheel = wheel_with(case)
     d = 1e-7
     names = sorted(soils())
     rng = np.random.default_rng(0)
     for _ in range(90):
-        soil = soils()[str(rng.choice(names))].state(R)
+        soil = soils()[str(rng.choice(names))].state(R)._replace(**law)
         v, u = motion(rng)
         sinkage = rng.uniform(0.005, 0.12)
         load = rng.uniform(50.0, 250.0)
