@@ -24,10 +24,8 @@ from soil_env._compiled.flags import EXACT, INLINE, SUMS, record
 # Gauss-Legendre nodes of each zone of the arc; the two zones share the normal stress
 NODES_PER_ZONE = 8
 NODES = 2 * NODES_PER_ZONE  # those of the front zone, then those of the rear zone
-# [of cos(theta1)] bound on the share of the travel speed at which soil is carried along the rim,
-# chosen: from 0.8 on a braked wheel on stiff soil can gain power
-MOST_CARRIED = 0.6
-LEAST_COSINE = 0.01  # [-] square of the cosine over which that bound bends away from 0
+# [-] square of the cosine over which the bound of `most_carried` bends away from 0
+LEAST_COSINE = 0.01
 FOREMOST_PEAK = 0.05  # [of the arc] that a shifted stress peak stays behind the entry, at least
 _x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
 # [-] u^2, distance of a node from the end of the arc over the zone's length
@@ -238,15 +236,15 @@ def carried_share(rim, travel, floor):
 
 @njit(**EXACT)
 def most_carried(arc):
-    """Bound on the carried share of the travel speed: `MOST_CARRIED` of cos(theta1), the least
-    speed of a locked rim along itself.
+    """Bound on the carried share of the travel speed: cos(theta1), the least speed of a locked rim
+    along itself.
 
     So the shear under a locked wheel points backward all over the arc. The bound stays above 0
     where the axle is below the ground.
     """
     s = half_sin(arc.sheared_from)
     cosine = 1.0 - 2.0 * s * s
-    return 0.5 * MOST_CARRIED * (cosine + math.sqrt(cosine * cosine + LEAST_COSINE))
+    return 0.5 * (cosine + math.sqrt(cosine * cosine + LEAST_COSINE))
 
 
 @njit(**EXACT)
