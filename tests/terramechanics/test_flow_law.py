@@ -146,8 +146,8 @@ def test_the_carried_share_is_bounded_smooth_and_mirrored(rim, travel, carry, mo
     found, by_rim, by_travel = share(rim, travel)
     assert 0.0 <= found <= min(most, 9.1 * carry)
     assert share(-rim, -travel)[0] == found
-    h = 1e-6
-    size = 1e-4 * (abs(by_rim) + abs(by_travel)) + 1e-4
+    h = 1e-7
+    size = 1e-3 * (abs(by_rim) + abs(by_travel)) + 1e-3  # curvature has jumps
     ahead, behind = share(rim + h, travel)[0], share(rim - h, travel)[0]
     assert by_rim == pytest.approx((ahead - behind) / (2.0 * h), abs=size)
     ahead, behind = share(rim, travel + h)[0], share(rim, travel - h)[0]
