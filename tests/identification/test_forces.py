@@ -88,6 +88,7 @@ def test_at_the_steady_sinkage_the_forces_are_those_of_the_steady_state(name, sl
 @given(ground, depth, st.one_of(driving, braking), st.sampled_from([(), (tuple(FLOW.values()),)]))
 def test_derivatives_are_those_of_finite_differences(soil, sinkage, slip, law):
     """Central ones, to a millionth of the scale on which a quantity varies."""
+    assume(not law or abs(slip) > 1e-3)  # the stress peak begins to move at slip 0
     row = row_of(soil, sinkage, slip)
     found = carried(row, law)
     scales = np.array([0.3, 500.0, 0.3, 0.3, sinkage, 0.3])
