@@ -8,6 +8,7 @@ plural arrays of numpy.
 import numpy as np
 from numba import njit
 
+from soil_env._compiled.elementary import smoothed_sign
 from soil_env._compiled.flags import EXACT
 
 SLOWEST = 1e-3  # [m/s] speed that a slip is relative to, at least: at rest there is none
@@ -45,6 +46,15 @@ def slip_ratio(rim_speed, travel_speed, floor):
     """
     slip = signed_slip(rim_speed, travel_speed, floor)[0]
     return -slip if rim_speed + travel_speed < 0.0 else slip
+
+
+@njit(**EXACT)
+def braked_share(rim_speed, travel_speed, floor):
+    """Share |i| of its travel that a braked wheel slides, 0 driving; up to 1, of a wheel that is
+    locked or turns against its travel.
+    """
+    slip = signed_slip(rim_speed, travel_speed, floor)[0]
+    return max(-slip * smoothed_sign(travel_speed, floor)[0], 0.0)
 
 
 @njit(**EXACT)

@@ -4,6 +4,7 @@ its soil.
 
 import numpy as np
 
+from soil_env.parameters import FLOW_LAW, SoilState
 from soil_env.slip import rim_speeds, travel_speeds
 from soil_env.terramechanics.traversability import best_points
 
@@ -180,10 +181,12 @@ class BestSlipIdentified(SlipFollower):
 
     name = "best_slip_identified"
     variant = "identified"
-    memory = {**SlipFollower.memory, "known": 8, "slip": 0}
+    memory = {**SlipFollower.memory, "known": len(SoilState._fields) + 1, "slip": 0}
 
     def soil_columns(self, observation) -> list:
-        """The columns of `SoilState` read from the observation, each [n] or one number."""
+        """The columns of `SoilState` read from the observation or the belief, each [n] or one
+        number.
+        """
 
         def read(name: str) -> np.ndarray:
             return observation[:, self.column[name]]
@@ -197,10 +200,11 @@ class BestSlipIdentified(SlipFollower):
             belief.sinkage_exponent,
             read("dig_gain"),
             belief.dig_recovery,
+            *(getattr(belief, name) for name in FLOW_LAW),
         ]
 
     def soils(self, observation) -> np.ndarray:
-        """`SoilState` rows [n, 7] read from the observation."""
+        """`SoilState` rows [n, 11] read from the observation."""
         return np.column_stack(
             [np.broadcast_to(x, len(observation)) for x in self.soil_columns(observation)]
         )
@@ -230,7 +234,7 @@ class BestSlipTrue(BestSlipIdentified):
     variant = "true_soil"
 
     def soil_columns(self, observation):
-        """The columns of `SoilState` read from the observation, each [n]."""
+        """The columns of `SoilState` read from the observation; `FLOW_LAW` is the belief's."""
         out = super().soil_columns(observation)
         for i, name in ((4, "sinkage_exponent"), (6, "dig_recovery")):
             out[i] = observation[:, self.column[name]]

@@ -46,7 +46,7 @@ from soil_env.identification.table.noise import NoiseEstimate, find_noise, with_
 from soil_env.identification.table.priors import (
     USUAL_SINKAGE,
     Unknown,
-    known_digging,
+    given_laws,
     soil_state,
     soil_unknowns,
 )
@@ -173,7 +173,7 @@ class Problem:
             setup, self.data.rows.load, self.data.y[:, 0], PRIOR_WIDTH
         )
         self.density: float = 1500.0 if setup.soil.density is None else setup.soil.density.value
-        self.digging: tuple[float, float] = known_digging(setup)
+        self.laws: dict[str, float] = given_laws(setup)
         self.bench: Bench = self._bench()
         #: Prior (sd, low, high) and neutral value or centre of the parameters for which the rig
         #: sets them.
@@ -255,13 +255,13 @@ class Problem:
                 sd, low, high = self.scales.get(full, (p.scale, low, high))
                 low = max(low, p.low)
                 high = min(high, p.high)
-                mean = self.digging[0] if full == "slip_sinkage_gain" else p.neutral
+                mean = self.laws["dig_gain"] if full == "slip_sinkage_gain" else p.neutral
                 out.append(Unknown(full, mean, sd, low, high, False))
         return tuple(out)
 
     def state(self, values: dict[str, float]) -> SoilState:
         """The soil of a set of parameters."""
-        return soil_state(self.known | values, self.digging)
+        return soil_state(self.known | values, self.laws)
 
     def effects(self, choices: tuple[Choice, ...], values: dict[str, float]) -> Effects:
         """The effects of a set of parameters."""

@@ -261,8 +261,7 @@ def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -
     of_soil = Soil(
         **values,
         density=problem.density,
-        dig_gain=problem.digging[0],
-        dig_recovery=problem.digging[1],
+        **problem.laws,
         gravity_measured=problem.data.setup.gravity,
         source="calibrated by soil_env.discrepancy",
     )

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from soil_env.parameters import Belief, Soil
+from soil_env.parameters import FLOW_LAW, Belief, Soil
 
 #: [s] of driving within which an immobilisation is foreseen (`online.immobilisation`).
 HORIZONS = (3.0, 5.0)
@@ -35,8 +35,9 @@ def published(x: Any, sd: Any, pull: Any, dig_gain: float, of: Any = math) -> di
 
 
 def soil_of_numbers(numbers: Mapping[str, float], belief: Belief, gravity: float) -> Soil:
-    """The soil of `published` numbers at a gravity [m/s2], each within its bounds; exponent and
-    recovery of digging are the belief's.
+    """The soil of `published` numbers at a gravity [m/s2], each within its bounds; exponent,
+    recovery of digging and `FLOW_LAW` are the belief's.
     """
-    fixed = {"sinkage_exponent": belief.sinkage_exponent, "dig_recovery": belief.dig_recovery}
+    known = ("sinkage_exponent", "dig_recovery", *FLOW_LAW)
+    fixed = {name: getattr(belief, name) for name in known}
     return Soil.within({**numbers, **fixed, "gravity_measured": gravity})

@@ -31,6 +31,7 @@ from soil_env.logs.mapping import UNKNOWN_INERTIA, LogMap
 from soil_env.logs.replay import DIFFERS, Replay
 from soil_env.measurement.table import MEASURED
 from soil_env.online import Estimate
+from soil_env.parameters import FLOW_LAW
 from soil_env.terramechanics.effects import excavation_rate
 
 FILES = re.compile(r"(steady|setup|ground\d+)\.(csv|yaml)")  # those that `files` may write
@@ -343,6 +344,8 @@ def _priors(
         "dig_gain": (min(gain, 20.0), 0.0),
         "dig_recovery": (belief.dig_recovery, 0.0),
     }
+    if any(getattr(belief, name) for name in ("rim_flow", "braked_peak", "shear_growth")):
+        priors |= {name: (getattr(belief, name), 0.0) for name in FLOW_LAW}
     if "k_c" in log_map.soil:
         del priors["sinkage_coefficient"]
     if "dig_gain" in log_map.soil and "dig_recovery" not in log_map.soil:

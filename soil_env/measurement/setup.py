@@ -22,6 +22,7 @@ from soil_env._io.loading import (
 )
 from soil_env.parameters import (
     EARTH_GRAVITY,
+    FLOW_LAW,
     LARGEST_WHEEL,
     Soil,
     check_lugs,
@@ -86,7 +87,8 @@ class SoilPriors(Checked):
     prior.
 
     `dig_gain` and `dig_recovery` are known or nothing: digging that the model is to have before any
-    effect is sought, none where they are left out.
+    effect is sought, none where they are left out. So are `rim_flow` to `shear_length`, without
+    which the shear law is Eq. (10).
     """
 
     friction_angle_deg: Prior | None = None
@@ -99,6 +101,10 @@ class SoilPriors(Checked):
     density: Prior | None = None
     dig_gain: Prior | None = None
     dig_recovery: Prior | None = None
+    rim_flow: Prior | None = None
+    braked_peak: Prior | None = None
+    shear_growth: Prior | None = None
+    shear_length: Prior | None = None
 
     def __post_init__(self) -> None:
         limits = {f.name: f.metadata for f in dataclasses.fields(Soil)}
@@ -116,6 +122,9 @@ class SoilPriors(Checked):
                     f"{name}: expected a plain number; digging that is not known is an effect to "
                     "find"
                 )
+        for name in FLOW_LAW:
+            if getattr(self, name) is not None and not getattr(self, name).known:
+                raise ParameterError(f"{name}: expected a plain number: it is given, not fitted")
         if self.dig_recovery is not None and self.dig_gain is None:
             raise ParameterError("dig_recovery: expected only with dig_gain")
         pair = (self.k_c is not None) + (self.k_phi is not None)

@@ -20,6 +20,7 @@ from soil_env.parameters.scenario import (
 from soil_env.parameters.sensors import Noise
 from soil_env.parameters.soil import (
     EARTH_GRAVITY,
+    FLOW_LAW,
     Soil,
     SoilSpread,
     SoilState,
@@ -36,6 +37,7 @@ __all__ = [
     "DEFAULT_ROVER",
     "DEFAULT_SCENARIO",
     "EARTH_GRAVITY",
+    "FLOW_LAW",
     "HELD",
     "LARGEST_WHEEL",
     "MOST_AXLES",

@@ -36,6 +36,14 @@ class SoilState(NamedTuple):
     sinkage_exponent: float  # n [-]
     dig_gain: float  # [-]
     dig_recovery: float  # [-]
+    rim_flow: float = 0.0  # a of the soil carried along the rim [-]
+    braked_peak: float = 0.0  # shift of the braked stress peak [of theta1]
+    shear_growth: float = 0.0  # power p of the contact length in K [-]
+    shear_length: float = 0.1  # contact length to which K belongs [m]
+
+
+#: Constants of the shear law beyond Eq. (10), which it is where the first three are 0.
+FLOW_LAW = ("rim_flow", "braked_peak", "shear_growth", "shear_length")
 
 
 def lumped_coefficient(k_c: float, k_phi: float, width: float) -> float:
@@ -62,6 +70,10 @@ class Soil(Checked):
 
     Moduli hold at `gravity_measured`; `at` has the law by which they change with gravity. With a
     `reference_stress` the strength is curved below it (`strength`).
+
+    `rim_flow`, `braked_peak` and `shear_growth` widen the shear law of Eq. (10), which it is with
+    the default 0 of each (docs/physics/contact.md, "Soil that flows along the rim"). Their form
+    follows Wong & Reece (1967, part II); their values are fitted here, `benchmarks.rigs`.
     """
 
     friction_angle_deg: float = quantity("deg", 0.0, 89.9)
@@ -83,6 +95,18 @@ class Soil(Checked):
     )
     reference_stress: float = quantity(
         "Pa", 0.0, 1e6, default=0.0, doc="normal stress below which strength is curved; 0: nowhere"
+    )
+    rim_flow: float = quantity(
+        "", 0.0, 0.12, default=0.0, doc="soil carried along the rim, a of contact.carried_share"
+    )
+    braked_peak: float = quantity(
+        "", 0.0, 0.9, default=0.0, doc="forward shift of the stress peak of a braked wheel"
+    )
+    shear_growth: float = quantity(
+        "", 0.0, 2.0, default=0.0, doc="power of the contact length that K grows with"
+    )
+    shear_length: float = quantity(
+        "m", 1e-3, 3.0, default=0.1, doc="contact length r theta1 that shear_modulus belongs to"
     )
     source: str = ""
 
@@ -205,6 +229,10 @@ class Soil(Checked):
             self.sinkage_exponent,
             self.dig_gain,
             self.dig_recovery,
+            self.rim_flow,
+            self.braked_peak,
+            self.shear_growth,
+            self.shear_length,
         )
 
 

@@ -9,8 +9,14 @@ from soil_env._compiled.cache import kept
 from soil_env.rendering import canvas
 from soil_env.rendering.canvas import Box, Canvas, Colour
 from soil_env.simulation.task import Cause
+from soil_env.slip import braked_share
 from soil_env.terramechanics import contact
-from soil_env.terramechanics.reaction import REST_SPEED, lay_footing, soil_reaction
+from soil_env.terramechanics.reaction import (
+    REST_SPEED,
+    carried_along,
+    lay_footing,
+    soil_reaction,
+)
 
 ARC_POINTS = 25  # of the contact arc at which stresses are drawn
 
@@ -38,17 +44,19 @@ class _Wheel(NamedTuple):
 def _stresses(nodes, wheel, soil, angle, normal, shear):
     """Fill `angle`, `normal` and `shear` [points] of `Stresses`; `nodes`: the scratch of an arc."""
     r = wheel.contact_radius
-    arc = contact.smooth_arc(wheel.sinkage, r)
+    braked = braked_share(wheel.rim_speed, wheel.speed, REST_SPEED)
+    arc = contact.smooth_arc(wheel.sinkage, r, contact.braked_shift(braked, soil))
     footing = lay_footing(nodes[0], arc, soil, wheel.load)
     force = soil_reaction(nodes[0], footing, wheel.speed, wheel.rim_speed, wheel, None)
     rim, travel, _ = contact.motion_from_speeds(wheel.rim_speed, wheel.speed, REST_SPEED)
+    rim += carried_along(footing, wheel.speed, wheel.rim_speed)[0] * travel
     theta1 = arc.theta1
     for i in range(angle.size):
         theta = theta1 * i / (angle.size - 1)
         front = contact.mirror_angle(theta, theta1, arc.theta2, arc.thetam)
         stress = contact.relative_stress(front, math.cos(theta1), soil.sinkage_exponent, r)
         j, _, _ = contact.shear_displacement(theta, theta1, math.sin(theta1), rim, travel, r)
-        share, _ = contact.mobilised(j, soil.shear_modulus, None)
+        share, _ = contact.mobilised(j, footing.shear_modulus, None)
         angle[i] = theta
         normal[i] = force.sinkage_coefficient * stress
         shear[i] = (soil.cohesion + normal[i] * soil.tan_phi) * share

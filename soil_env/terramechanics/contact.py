@@ -1,5 +1,5 @@
-"""Stresses under a rigid wheel and the forces they sum to: Eqs. (1)-(10) of the source paper
-(docs/physics/contact.md).
+"""Stresses under a rigid wheel and the forces they sum to: Eqs. (1)-(10) of the source paper, and
+soil that flows along the rim (docs/physics/contact.md).
 
 Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; the stress
 distribution is Wong & Reece (1967) with the peak midway (Iagnemma et al. 2004), the shear law
@@ -8,8 +8,9 @@ Janosi & Hanamoto (1961).
 Angles [rad] are measured from the lowest point of the rim, positive toward the front, *front*
 meaning the side the wheel travels to. The motion enters through two numbers without unit,
 `rim` = r w / v* and `travel` = V / v*, where v* is the rim speed (`slip.motion_from_slip`,
-`motion_from_speeds`). `forces` combines integrals over the arc (`ArcIntegrals`), the same for the
-world and the steady prediction.
+`motion_from_speeds`). Soil that is carried along the rim adds to the first (`carried_share`), and
+Eq. (10) keeps its form. `forces` combines integrals over the arc (`ArcIntegrals`), the same for
+the world and the steady prediction.
 """
 
 import math
@@ -24,6 +25,9 @@ from soil_env._compiled.flags import EXACT, INLINE, SUMS, record
 # Gauss-Legendre nodes of each zone of the arc; the two zones share the normal stress
 NODES_PER_ZONE = 8
 NODES = 2 * NODES_PER_ZONE  # those of the front zone, then those of the rear zone
+# [-] square of the cosine over which the bound of `most_carried` bends away from 0
+LEAST_COSINE = 0.01
+FOREMOST_PEAK = 0.05  # [of the arc] that a shifted stress peak stays behind the entry, at least
 _x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
 # [-] u^2, distance of a node from the end of the arc over the zone's length
 NODE_DEPTHS = (0.5 * (_x + 1.0)) ** 2
@@ -40,9 +44,38 @@ REAR_AHEAD = np.concatenate([_none, 1.0 - NODE_DEPTHS])
 FRONT_WEIGHT = np.concatenate([NODE_WEIGHTS, _none])
 REAR_WEIGHT = np.concatenate([_none, NODE_WEIGHTS])
 
+# Gauss-Legendre nodes of each of the three zones of an arc that is split where the shear turns
+SPLIT_PER_ZONE = 12
+SPLIT_NODES = 3 * SPLIT_PER_ZONE
+_x, _w = np.polynomial.legendre.leggauss(SPLIT_PER_ZONE)
+_v = 0.5 * (_x + 1.0)
+#: [-] Place of a node in a zone, v^2 (3 - 2 v), which is dense at both ends, and its weight.
+SPLIT_PLACE = _v * _v * (3.0 - 2.0 * _v)
+SPLIT_WEIGHT = 3.0 * _v * (1.0 - _v) * _w
+TURNS = 30  # steps of Newton's method or of bisection for the angle where the shear turns, at most
+TURN_ERROR = 1e-12  # [rad] of that angle
+LEAST_WAY = 1e-7  # [rad] from the entry that a mean over the arc is formed of
+
+_PER_SPLIT = ("f8", SPLIT_NODES)
+#: As `ARC_NODES`, of an arc that is split where the shear turns.
+SPLIT_ARC = record(
+    weight=_PER_SPLIT,
+    stress=_PER_SPLIT,
+    sin=_PER_SPLIT,
+    cos=_PER_SPLIT,
+    by_rim=_PER_SPLIT,
+    by_travel=_PER_SPLIT,
+    rate=_PER_SPLIT,
+)
 _PER_NODE = ("f8", NODES)
 #: Scratch of a thread for one arc: what its nodes have at any motion, then at the last one.
 ARC_NODES = record(
+    "theta1",  # to `radius` as in `Arc`
+    "theta2",
+    "thetam",
+    "sheared_from",
+    "radius",
+    "exponent",  # n [-]
     stress=_PER_NODE,  # [m^n rad] normal stress for S = 1, times the weight of the node
     weight=_PER_NODE,  # [rad] of the node
     rise=_PER_NODE,  # [-] (1 - cos(theta))/2
@@ -51,6 +84,8 @@ ARC_NODES = record(
     by_rim=_PER_NODE,  # [m] dj/d(rim)
     by_travel=_PER_NODE,  # [m] dj/d(travel)
     rate=_PER_NODE,  # [1/m] de/dj
+    turned=("i8",),  # 1: at the last motion the arc was split, and its nodes are those of `split`
+    split=(SPLIT_ARC, 1),
 )
 
 
@@ -125,10 +160,117 @@ def entry_angle(sinkage, r):
 
 
 @njit(**EXACT)
-def smooth_arc(sinkage, r):
-    """`Arc` of the source paper: theta2 = 0 and the peak midway, Eq. (9)."""
+def smooth_arc(sinkage, r, shift):
+    """`Arc` of a smooth rim: theta2 = 0 and the peak midway, Eq. (9), but for a forward `shift` [of
+    theta1].
+    """
     theta1 = entry_angle(sinkage, r)
-    return Arc(theta1, 0.0, 0.5 * theta1, theta1, r)
+    return Arc(theta1, 0.0, (0.5 + shift) * theta1, theta1, r)
+
+
+@njit(**EXACT)
+def braked_shift(braked, soil):
+    """Forward shift [of theta1] of the stress peak of a wheel that slides by the share `braked` >=
+    0 of its travel: `soil.braked_peak` s/(1 + s).
+    """
+    return soil.braked_peak * braked / (1.0 + braked)
+
+
+@njit(**EXACT)
+def grown_modulus(modulus, soil, arc):
+    """Shear deformation modulus [m] at the contact length of an `Arc`: K (r theta1/L)^p, with K =
+    `modulus` [m].
+    """
+    if soil.shear_growth == 0.0:
+        return modulus
+    length = arc.radius * arc.theta1
+    return modulus * power(length / soil.shear_length, soil.shear_growth)
+
+
+@njit(**EXACT)
+def _over_turning(t):
+    """(1 - i, its derivative) where the rim is the faster: t = V/(r w); smooth where t < 0."""
+    if t >= 0.0:
+        return t, 1.0
+    q = 1.0 - t
+    return t * (2.0 * t - 5.0) / (q * q), -(5.0 + t) / (q * q * q)
+
+
+@njit(**EXACT)
+def _over_travel(t):
+    """(1 - i, its derivative) where the travel is the faster: 2 - t with t = r w/V; smooth where
+    t < 0.
+    """
+    if t >= 0.0:
+        return 2.0 - t, -1.0
+    q = 1.0 - t
+    return (2.0 - 5.0 * t) / (q * q), -(1.0 + 5.0 * t) / (q * q * q)
+
+
+@njit(**EXACT)
+def carried_share(rim, travel, floor):
+    """(share, its derivatives by `rim` and `travel`): speed of soil carried along the rim over the
+    travel speed, for a tan(phi) = 1: (1 - i)^3.
+
+    Speeds in any one unit. 1 - i is V/(r w) driving and 2 - r w/V braking, 2 of a locked wheel.
+    Where the rim turns against the travel it goes on from 2, through 2.1, to 0, so that there is no
+    jump at V = 0. The share fades out below speeds of `floor`.
+    """
+    square = rim * rim + travel * travel
+    if square == 0.0:
+        return 0.0, 0.0, 0.0
+    if abs(rim) >= abs(travel):
+        w, slope = _over_turning(travel / rim)
+        by_travel = slope / rim
+        by_rim = -by_travel * (travel / rim)
+    else:
+        w, slope = _over_travel(rim / travel)
+        by_rim = slope / travel
+        by_travel = -by_rim * (rim / travel)
+    rest = square + floor * floor
+    moving = square / rest
+    fading = 2.0 * w * w * w * (floor / rest) * (floor / rest)
+    by_w = 3.0 * w * w * moving
+    return (
+        w * w * w * moving,
+        by_w * by_rim + fading * rim,
+        by_w * by_travel + fading * travel,
+    )
+
+
+@njit(**EXACT)
+def most_carried(arc):
+    """Bound on the carried share of the travel speed: cos(theta1), the least speed of a locked rim
+    along itself.
+
+    So the shear under a locked wheel points backward all over the arc. The bound stays above 0
+    where the axle is below the ground.
+    """
+    s = half_sin(arc.sheared_from)
+    cosine = 1.0 - 2.0 * s * s
+    return 0.5 * (cosine + math.sqrt(cosine * cosine + LEAST_COSINE))
+
+
+@njit(**EXACT)
+def most_by_angle(arc):
+    """Derivative of `most_carried` by the entry angle."""
+    s = half_sin(arc.sheared_from)
+    cosine = 1.0 - 2.0 * s * s
+    most = most_carried(arc)
+    return -2.0 * s * half_cos(arc.sheared_from) * most / math.sqrt(cosine**2 + LEAST_COSINE)
+
+
+@njit(**EXACT)
+def held_below(share, most):
+    """(share below `most`, its derivatives by both): share (1 + (share/most)^4)^(-1/4), smooth.
+
+    A share of a third of the bound stays within 0.3 %.
+    """
+    ratio = share / most
+    fourth = ratio * ratio * (ratio * ratio)
+    root = math.sqrt(math.sqrt(1.0 + fourth))
+    by_share = 1.0 / (root * (1.0 + fourth))
+    return share / root, by_share, ratio * fourth * by_share
 
 
 @njit(**EXACT)
@@ -211,6 +353,12 @@ def lay_nodes(nodes, arc, n):
     two nodes have the same normal stress.
     """
     r = arc.radius
+    nodes.theta1 = arc.theta1
+    nodes.theta2 = arc.theta2
+    nodes.thetam = arc.thetam
+    nodes.sheared_from = arc.sheared_from
+    nodes.radius = r
+    nodes.exponent = n
     front = arc.theta1 - arc.thetam
     rear = arc.thetam - arc.theta2
     sine = half_sin(arc.theta1)
@@ -238,11 +386,84 @@ def lay_nodes(nodes, arc, n):
     return p_cos, p_sin
 
 
-@njit(**SUMS)
-def shear_integrals(nodes, p_cos, p_sin, motion, K, law):
-    """`ArcIntegrals` of the nodes of `lay_nodes` at a `motion` (rim, travel, ...); notes de/dj at
-    each node.
+@njit(**EXACT)
+def _mean_cos(theta, end):
+    """(mean of cos over [theta, end], its derivative by theta)."""
+    h = max(0.5 * (end - theta), LEAST_WAY)
+    s = half_sin(theta)
+    mean = half_cos(end + theta) * half_sin(2.0 * h) / h
+    return mean, 0.5 * (mean - (1.0 - 2.0 * s * s)) / h
+
+
+@njit(**EXACT)
+def turning_angle(nodes, rim, travel):
+    """Angle inside the arc of `lay_nodes` at which the shear displacement changes its sign; theta1
+    if there is none.
+
+    j = 0 where the mean of cos from there to the entry is rim/travel: Newton's method in a bracket.
     """
+    end = nodes.sheared_from
+    low = nodes.theta2
+    high = nodes.theta1
+    ahead = rim - travel * _mean_cos(high, end)[0]
+    if ahead * (rim - travel * _mean_cos(low, end)[0]) >= 0.0:
+        return nodes.theta1
+    theta = 0.5 * (low + high)
+    for _ in range(TURNS):
+        mean, slope = _mean_cos(theta, end)
+        off = rim - travel * mean
+        if off * ahead > 0.0:
+            high = theta
+        else:
+            low = theta
+        by_theta = -travel * slope
+        step = -off / by_theta if abs(by_theta) > abs(off) * LEAST_WAY else 2.0 * nodes.theta1
+        if not low < theta + step < high:
+            step = 0.5 * (low + high) - theta
+        theta += step
+        if abs(step) < TURN_ERROR:
+            break
+    return theta
+
+
+@njit(**SUMS)
+def _lay_split(nodes, turn):
+    """Lay the nodes of the arc of `lay_nodes` in three zones, between which the stress peaks and
+    the shear turns.
+    """
+    split = nodes.split[0]
+    r = nodes.radius
+    theta1 = nodes.theta1
+    thetam = nodes.thetam
+    mirrored = (theta1 - thetam) / (thetam - nodes.theta2)
+    sine = half_sin(theta1)
+    rise1 = sine * sine
+    sheared_sin = 2.0 * half_sin(nodes.sheared_from) * half_cos(nodes.sheared_from)
+    upper = theta1
+    for zone in range(3):
+        lower = max(turn, thetam)
+        if zone > 0:
+            lower = min(turn, thetam) if zone == 1 else nodes.theta2
+        for i in range(SPLIT_PER_ZONE):
+            k = zone * SPLIT_PER_ZONE + i
+            theta = upper - (upper - lower) * SPLIT_PLACE[i]
+            front = theta1 - (theta - nodes.theta2) * mirrored  # Eq. (8)
+            front = theta if theta >= thetam else front
+            f = half_sin(front)
+            s = half_sin(theta)
+            c = half_cos(theta)
+            split.weight[k] = (upper - lower) * SPLIT_WEIGHT[i]
+            split.stress[k] = split.weight[k] * power(2.0 * r * (rise1 - f * f), nodes.exponent)
+            split.sin[k] = 2.0 * s * c
+            split.cos[k] = 1.0 - 2.0 * s * s
+            split.by_rim[k] = r * (nodes.sheared_from - theta)
+            split.by_travel[k] = r * (2.0 * s * c - sheared_sin)
+        upper = lower
+
+
+@njit(**SUMS)
+def _shear_sums(nodes, count, p, motion, K, law):
+    """`ArcIntegrals` of so many nodes."""
     rim = motion[0]
     travel = motion[1]
     pe_cos = 0.0
@@ -251,7 +472,7 @@ def shear_integrals(nodes, p_cos, p_sin, motion, K, law):
     e_cos = 0.0
     e_sin = 0.0
     e_sum = 0.0
-    for k in range(NODES):
+    for k in range(count):
         j = rim * nodes.by_rim[k] + travel * nodes.by_travel[k]
         if law is None:
             e, rate = mobilised(j, K, None)
@@ -264,19 +485,43 @@ def shear_integrals(nodes, p_cos, p_sin, motion, K, law):
         e_cos += nodes.weight[k] * (e * nodes.cos[k])
         e_sin += nodes.weight[k] * (e * nodes.sin[k])
         e_sum += nodes.weight[k] * e
-    return ArcIntegrals(p_cos, p_sin, pe_cos, pe_sin, pe, e_cos, e_sin, e_sum)
+    return ArcIntegrals(p[0], p[1], pe_cos, pe_sin, pe, e_cos, e_sin, e_sum)
+
+
+@njit(**EXACT)
+def _split_integrals(nodes, p, motion, K, law):
+    """`shear_integrals` of the arc split at `motion[2]`, where the shear turns."""
+    _lay_split(nodes, motion[2])
+    return _shear_sums(nodes.split[0], SPLIT_NODES, p, motion, K, law)
 
 
 @njit(**SUMS)
-def shear_rates(nodes, st, c):
-    """`ShearRates` of the nodes at the last motion of `shear_integrals`, with st = S tan(phi)."""
+def shear_integrals(nodes, p, motion, K, law, split):
+    """`ArcIntegrals` of the nodes of `lay_nodes` at a `motion` (rim, travel); notes de/dj at each
+    node.
+
+    `p`: (Int p cos, Int p sin). With `split` an arc in which the shear turns has nodes of its own,
+    since de/dj has a kink there.
+    """
+    nodes.turned = 0
+    if split:
+        turn = turning_angle(nodes, motion[0], motion[1])
+        if turn < nodes.theta1:
+            nodes.turned = 1
+            return _split_integrals(nodes, p, (motion[0], motion[1], turn), K, law)
+    return _shear_sums(nodes, NODES, p, motion, K, law)
+
+
+@njit(**SUMS)
+def _rate_sums(nodes, count, st, c):
+    """`ShearRates` of so many nodes."""
     cos_rim = 0.0
     sin_rim = 0.0
     one_rim = 0.0
     cos_travel = 0.0
     sin_travel = 0.0
     one_travel = 0.0
-    for k in range(NODES):
+    for k in range(count):
         change = (st * nodes.stress[k] + c * nodes.weight[k]) * nodes.rate[k]
         by_rim = change * nodes.by_rim[k]
         by_travel = change * nodes.by_travel[k]
@@ -287,6 +532,14 @@ def shear_rates(nodes, st, c):
         sin_travel += by_travel * nodes.sin[k]
         one_travel += by_travel
     return ShearRates(cos_rim, sin_rim, one_rim, cos_travel, sin_travel, one_travel)
+
+
+@njit(**SUMS)
+def shear_rates(nodes, st, c):
+    """`ShearRates` of the nodes at the last motion of `shear_integrals`, with st = S tan(phi)."""
+    if nodes.turned > 0:
+        return _rate_sums(nodes.split[0], SPLIT_NODES, st, c)
+    return _rate_sums(nodes, NODES, st, c)
 
 
 @njit(**EXACT)

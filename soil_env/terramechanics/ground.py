@@ -1,4 +1,4 @@
-"""The ground between two soils: what a wheel on the border of them stands on."""
+"""Soils as compiled code changes them: stiffer, stronger, between two on their border."""
 
 from numba import njit
 
@@ -18,6 +18,10 @@ def soil_of(owner):
         owner.sinkage_exponent,
         owner.dig_gain,
         owner.dig_recovery,
+        owner.rim_flow,
+        owner.braked_peak,
+        owner.shear_growth,
+        owner.shear_length,
     )
 
 
@@ -32,6 +36,46 @@ def stiffened(soil, factor):
         soil.sinkage_exponent,
         soil.dig_gain,
         soil.dig_recovery,
+        soil.rim_flow,
+        soil.braked_peak,
+        soil.shear_growth,
+        soil.shear_length,
+    )
+
+
+@njit(**EXACT)
+def with_strength(soil, tan_phi, cohesion, shear_modulus, rim_flow):
+    """`soil` with these numbers of its shear law."""
+    return SoilState(
+        tan_phi,
+        cohesion,
+        shear_modulus,
+        soil.sinkage_coefficient,
+        soil.sinkage_exponent,
+        soil.dig_gain,
+        soil.dig_recovery,
+        rim_flow,
+        soil.braked_peak,
+        soil.shear_growth,
+        soil.shear_length,
+    )
+
+
+@njit(**EXACT)
+def with_digging(soil, exponent, gain, recovery):
+    """`soil` with these numbers of its sinkage."""
+    return SoilState(
+        soil.tan_phi,
+        soil.cohesion,
+        soil.shear_modulus,
+        soil.sinkage_coefficient,
+        exponent,
+        gain,
+        recovery,
+        soil.rim_flow,
+        soil.braked_peak,
+        soil.shear_growth,
+        soil.shear_length,
     )
 
 
@@ -45,6 +89,10 @@ def put_soil(record, soil):
     record.sinkage_exponent = soil.sinkage_exponent
     record.dig_gain = soil.dig_gain
     record.dig_recovery = soil.dig_recovery
+    record.rim_flow = soil.rim_flow
+    record.braked_peak = soil.braked_peak
+    record.shear_growth = soil.shear_growth
+    record.shear_length = soil.shear_length
 
 
 @njit(**EXACT)
@@ -59,4 +107,8 @@ def blend(a, b, share):
         rest * a.sinkage_exponent + share * b.sinkage_exponent,
         rest * a.dig_gain + share * b.dig_gain,
         rest * a.dig_recovery + share * b.dig_recovery,
+        rest * a.rim_flow + share * b.rim_flow,
+        rest * a.braked_peak + share * b.braked_peak,
+        rest * a.shear_growth + share * b.shear_growth,
+        rest * a.shear_length + share * b.shear_length,
     )

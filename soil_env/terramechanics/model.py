@@ -27,7 +27,14 @@ from soil_env._io.loading import (
     to_dict,
     unknown_key,
 )
-from soil_env.parameters import EARTH_GRAVITY, LARGEST_WHEEL, Soil, SoilState, check_lugs
+from soil_env.parameters import (
+    EARTH_GRAVITY,
+    FLOW_LAW,
+    LARGEST_WHEEL,
+    Soil,
+    SoilState,
+    check_lugs,
+)
 from soil_env.terramechanics.effects import Effects, pack_effects
 from soil_env.terramechanics.residual import (
     GROUPS,
@@ -185,7 +192,9 @@ class WheelSoilModel(Checked):
         }
         if self.soil is not None:
             content["soil"] = {
-                k: v for k, v in to_dict(self.soil).items() if v is not None and v != ""
+                k: v
+                for k, v in to_dict(self.soil).items()
+                if v is not None and v != "" and not (k in FLOW_LAW and v == getattr(Soil, k))
             }
         if self.residual:
             content["residual"] = [to_dict(term) for term in self.residual]

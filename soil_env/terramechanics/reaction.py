@@ -13,14 +13,19 @@ from numba import njit
 
 from soil_env._compiled.elementary import smoothed_sign
 from soil_env._compiled.flags import EXACT, INLINE
-from soil_env.slip import signed_slip, slip_ratio
+from soil_env.slip import braked_share, signed_slip, slip_ratio
 from soil_env.terramechanics.contact import (
     LEAST_BEARING,
     ShearLaw,
     bearing_share,
+    braked_shift,
+    carried_share,
     forces,
+    grown_modulus,
+    held_below,
     lay_nodes,
     mobilised_sinkage_coefficient,
+    most_carried,
     shear_integrals,
     shear_rates,
     smooth_arc,
@@ -92,7 +97,9 @@ class Footing(NamedTuple):
     p_sin: float
     tan_phi: float
     cohesion: float  # [Pa]
-    shear_modulus: float  # [m]
+    shear_modulus: float  # [m] at this length of contact
+    carry: float  # a tan(phi) of the soil carried along the rim
+    most_carried: float  # bound on its share of the travel speed
     load: float  # [N] normal to the ground
 
 
@@ -124,7 +131,30 @@ def acting_on(effects: Effects | None, residual: ResidualLaw | None) -> Acting:
 def lay_footing(nodes, arc, soil, load):
     """Lay an `Arc` in `soil` into the scratch `nodes`; its `Footing` under a `load` [N]."""
     p_cos, p_sin = lay_nodes(nodes, arc, soil.sinkage_exponent)
-    return Footing(arc.theta1, p_cos, p_sin, soil.tan_phi, soil.cohesion, soil.shear_modulus, load)
+    return Footing(
+        arc.theta1,
+        p_cos,
+        p_sin,
+        soil.tan_phi,
+        soil.cohesion,
+        grown_modulus(soil.shear_modulus, soil, arc),
+        soil.rim_flow * soil.tan_phi,
+        most_carried(arc),
+        load,
+    )
+
+
+@njit(**EXACT)
+def carried_along(footing, speed, rim_speed):
+    """(share of the travel speed at which soil is carried along the rim, its derivatives [s/m] by
+    V and u).
+    """
+    if footing.carry == 0.0:
+        return 0.0, 0.0, 0.0
+    free, free_u, free_v = carried_share(rim_speed, speed, REST_SPEED)
+    share, by_share, _ = held_below(footing.carry * free, footing.most_carried)
+    by_free = footing.carry * by_share
+    return share, by_free * free_v, by_free * free_u
 
 
 @njit(**INLINE)
@@ -143,18 +173,22 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
     travel = speed * travel_v
     rim_u = REST_SPEED * REST_SPEED * travel_v / square
     travel_u = -travel * rim_speed / square
+    share, share_v, share_u = carried_along(footing, speed, rim_speed)
+    rim += share * travel
+    rim_v = share_v * travel + share * travel_v
+    rim_u += share_u * travel + share * travel_u
     direction, turn = smoothed_sign(speed, REST_SPEED)
-    q = shear_integrals(
-        nodes, footing.p_cos, footing.p_sin, (rim, travel), footing.shear_modulus, law
-    )
+    p = footing.p_cos, footing.p_sin
+    flows = footing.carry > 0.0
+    q = shear_integrals(nodes, p, (rim, travel), footing.shear_modulus, law, flows)
     S = mobilised_sinkage_coefficient(q, footing.load, tan_phi, c, r, b, direction)
     f = forces(q, S, tan_phi, c, r, b, direction)
 
     # at the present S: through rim, travel and the direction
     rates = shear_rates(nodes, S * tan_phi, c)
-    cos_v = rates.cos_travel * travel_v
-    sin_v = rates.sin_travel * travel_v
-    one_v = rates.one_travel * travel_v
+    cos_v = rates.cos_rim * rim_v + rates.cos_travel * travel_v
+    sin_v = rates.sin_rim * rim_v + rates.sin_travel * travel_v
+    one_v = rates.one_rim * rim_v + rates.one_travel * travel_v
     cos_u = rates.cos_rim * rim_u + rates.cos_travel * travel_u
     sin_u = rates.sin_rim * rim_u + rates.sin_travel * travel_u
     one_u = rates.one_rim * rim_u + rates.one_travel * travel_u
@@ -193,13 +227,14 @@ def ground_under(at, soil, wheel, acting):
 @njit(**EXACT)
 def _ground_under(at, slip, soil, wheel, fx):
     """(`SoilState` as it is sheared, `Arc`, then the first three of `Beside`)."""
+    shift = braked_shift(braked_share(at.rim_speed, at.speed, REST_SPEED), soil)
     if fx is None:
-        return soil, smooth_arc(at.sinkage, wheel.radius), 0.0, 0.0, 0.0
+        return soil, smooth_arc(at.sinkage, wheel.radius, shift), 0.0, 0.0, 0.0
     else:
         slide = abs(at.rim_speed - at.speed)
         passage = Passage(soil, slip, abs(at.speed), slide, at.passes, at.sin_grade)
         ground = soil_in_contact(soil, passage, fx)
-        arc = arc_of(at.sinkage, slip, fx, wheel)
+        arc = arc_of(at.sinkage, slip, shift, fx, wheel)
         dug = max(slip_sinkage_ratio(slip, ground.dig_gain, ground.dig_recovery), LEAST_DIGGING)
         q = wheel.shear_ratio
         modulus = ground.shear_modulus * shear_length_ratio(fx) / q

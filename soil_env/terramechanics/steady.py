@@ -18,15 +18,21 @@ from soil_env.parameters import SoilState
 from soil_env.slip import motion_from_slip, sliding_speed
 from soil_env.terramechanics.contact import (
     ARC_NODES,
+    FOREMOST_PEAK,
     LEAST_BEARING,
     Arc,
     Forces,
     ShearLaw,
     bearing_share,
+    braked_shift,
+    carried_share,
     entry_angle,
     forces,
+    grown_modulus,
+    held_below,
     lay_nodes,
     mobilised_sinkage_coefficient,
+    most_carried,
     shear_integrals,
     smooth_arc,
 )
@@ -117,19 +123,23 @@ class Rows(NamedTuple):
 
 
 @njit(**EXACT)
-def arc_of(sinkage, slip, fx, wheel):
-    """`Arc` of a wheel at a given sinkage [m] and slip, with the effects that shape it.
+def arc_of(sinkage, slip, shift, fx, wheel):
+    """`Arc` of a wheel at a given sinkage [m] and slip, with the effects that shape it and a
+    forward `shift` of the stress peak [of theta1].
 
     The tips of the lugs enter the soil, and begin to shear it, at cos = cos(theta1)/q (Ding et al.
     2011).
     """
     if fx is None:
-        return smooth_arc(sinkage, wheel.radius)
+        return smooth_arc(sinkage, wheel.radius, shift)
     else:
         r = contact_radius(wheel, fx)
         q = shear_radius_ratio(wheel, fx)
         theta1 = entry_angle(sinkage, r)
         theta2, thetam = arc_ends(theta1, slip, fx)
+        if shift > 0.0:
+            foremost = theta1 - FOREMOST_PEAK * (theta1 - theta2)
+            thetam = min(thetam + shift * theta1, foremost)
         sheared_from = theta1
         if q != 1.0:
             rise = 0.5 * (1.0 - 1.0 / q) + (0.5 / (r * q)) * sinkage  # (1 - cos)/2 at that angle
@@ -143,6 +153,8 @@ class _Balance(NamedTuple):
     slip: float
     rim: float  # of motion, as the sheared soil sees it
     travel: float
+    carried: float  # share of the travel speed at which soil is carried along the rim, unbounded
+    shift: float  # [of theta1] of the stress peak, forward
     load: float  # [N] normal to the ground
     along: float  # [N] weight along the slope
     ground: SoilState  # in contact
@@ -153,14 +165,24 @@ class _Balance(NamedTuple):
     law: ShearLaw
 
 
+@njit(**INLINE)
+def _carried(soil, rim, travel):
+    """Share of the travel speed at which soil is carried along the rim, unbounded."""
+    return soil.rim_flow * soil.tan_phi * carried_share(rim, travel, 0.0)[0]
+
+
 @njit(**EXACT)
 def _balance(slip, load, soil, wheel, conditions, fx):
     """`_Balance` of a wheel at a true slip under a weight [N]."""
     rim, travel = motion_from_slip(slip)
+    shift = braked_shift(max(-slip, 0.0), soil)
     if fx is None:
         ratio = max(slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery), LEAST_DIGGING)
         strength = math.log(soil.sinkage_coefficient) - soil.sinkage_exponent * math.log(ratio)
-        return _Balance(slip, rim, travel, load, 0.0, soil, soil, strength, 0.0, 1.0, JANOSI)
+        carried = _carried(soil, rim, travel)
+        return _Balance(
+            slip, rim, travel, carried, shift, load, 0.0, soil, soil, strength, 0.0, 1.0, JANOSI
+        )
     else:
         sine = conditions.sin_grade
         slide = sliding_speed(slip, conditions.speed)
@@ -180,15 +202,18 @@ def _balance(slip, load, soil, wheel, conditions, fx):
         apparent = ratio if fx.slip_sinkage_apparent > 0.0 else 1.0
         strength = math.log(ground.sinkage_coefficient)
         strength -= ground.sinkage_exponent * math.log(ratio / apparent)
+        sheared = at_shear_radius(ground, q, modulus)
         normal, along = weight_on_slope(load, sine, fx)
         return _Balance(
             slip,
             rim,
             travel,
+            _carried(sheared, rim, travel),
+            shift,
             normal,
             along,
             ground,
-            at_shear_radius(ground, q, modulus),
+            sheared,
             strength,
             min(excavated_depth(slip, fx), 0.9 * DEEPEST * wheel.radius),
             apparent,
@@ -199,15 +224,19 @@ def _balance(slip, load, soil, wheel, conditions, fx):
 @njit(**EXACT)
 def _integrals(nodes, arc, p, fx):
     """`ArcIntegrals` of an arc at the motion of a `_Balance`."""
-    p_cos, p_sin = lay_nodes(nodes, arc, p.soil.sinkage_exponent)
-    motion = (p.rim, p.travel)
-    modulus = p.soil.shear_modulus
+    stress = lay_nodes(nodes, arc, p.soil.sinkage_exponent)
+    rim = p.rim
+    flows = p.carried > 0.0
+    if flows:
+        rim += held_below(p.carried, most_carried(arc))[0] * p.travel
+    motion = (rim, p.travel)
+    modulus = grown_modulus(p.soil.shear_modulus, p.soil, arc)
     if fx is None:
-        return shear_integrals(nodes, p_cos, p_sin, motion, modulus, None)
+        return shear_integrals(nodes, stress, motion, modulus, None, flows)
     else:
         if p.law.b == 0.0 and p.law.c == 0.0:  # Eq. (10), which takes half the time
-            return shear_integrals(nodes, p_cos, p_sin, motion, modulus, None)
-        return shear_integrals(nodes, p_cos, p_sin, motion, modulus, p.law)
+            return shear_integrals(nodes, stress, motion, modulus, None, flows)
+        return shear_integrals(nodes, stress, motion, modulus, p.law, flows)
 
 
 @njit(**INLINE)
@@ -219,7 +248,7 @@ def _misfit(nodes, x, p, wheel, fx):
     soil = p.soil
     b = wheel.width
     n = soil.sinkage_exponent
-    arc = arc_of(z, p.slip, fx, wheel)
+    arc = arc_of(z, p.slip, p.shift, fx, wheel)
     q = _integrals(nodes, arc, p, fx)
     s = mobilised_sinkage_coefficient(q, p.load, soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
     available = p.strength

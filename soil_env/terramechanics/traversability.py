@@ -118,8 +118,8 @@ def best_working_point(
 @kept
 def _best_points(nodes, soils, load, wheel, torque_available, slip, pull):
     for k in range(load.size):
-        row = soils[k]
-        soil = SoilState(row[0], row[1], row[2], row[3], row[4], row[5], row[6])
+        x = soils[k]
+        soil = SoilState(x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[9], x[10])
         best = best_point_at(nodes[0], load[k], soil, wheel, LEVEL, None, torque_available)
         slip[k] = best.slip
         pull[k] = best.drawbar_pull
@@ -128,8 +128,8 @@ def _best_points(nodes, soils, load, wheel, torque_available, slip, pull):
 def best_points(soils: np.ndarray, load: np.ndarray, wheel: Wheel) -> tuple[np.ndarray, np.ndarray]:
     """(slip [-], drawbar pull [N]) of `best_working_point` of many wheels, [n] each.
 
-    `soils` [n, 7] are rows of `SoilState`, `load` [n] in N; the size and the motor are those of all
-    wheels.
+    `soils` [n, 11] are rows of `SoilState`, `load` [n] in N; the size and the motor are those of
+    all wheels.
     """
     count = len(load)
     slip = np.empty(count)

@@ -13,18 +13,18 @@ from soil_env.cli.running import run
 measured = pytest.mark.skipif(not rigs.DATA.is_dir(), reason=f"no measured data in {rigs.DATA}")
 
 
-def own_rig() -> rigs.Rig:
+def own_rig(law: rigs.Law = rigs.Law()) -> rigs.Rig:  # noqa: B008 (a tuple)
     """Rig whose measurements are predictions of the model."""
     slip = np.array([-0.5, -0.2, 0.0, 0.2, 0.4, 0.7])
     none = np.full((slip.size, 3), math.nan)
     rig = rigs.Rig(0.12, 0.1, 0.0, False, slip, np.full(slip.size, 60.0), none)
     truth = np.array([34.0, math.log(0.12), 8.5, 1.1, 1.2, 0.0, 0.0])
-    rig.measured[:] = rigs.predict(truth, rig, np.arange(slip.size))
+    rig.measured[:] = rigs.predict(truth, rig, np.arange(slip.size), law)
     return rig
 
 
 def test_a_wheel_of_the_model_is_predicted():
-    rows = rigs.figures("own", own_rig(), starts=2, folds=None)
+    rows = rigs.figures("own", own_rig(), rigs.Law(), starts=2, folds=None)
     assert [(r["fitted"], r["predicted"]) for r in rows] == [
         ("driving rows", "driving"),
         ("driving rows", "braked"),
@@ -33,6 +33,12 @@ def test_a_wheel_of_the_model_is_predicted():
     ]
     for r in rows:
         assert r["pull_share_of_load"] < 0.01 and r["sinkage_mm"] < 1.0
+
+
+def test_the_law_of_a_wheel_is_chosen():
+    law = rigs.Law(0.08, rigs.PEAK, 1.0)
+    found = rigs.choose([own_rig(law)], 1, (0.0, 1.0))
+    assert found.shear_growth == 1.0 and abs(found.rim_flow - 0.08) < 0.005
 
 
 def test_a_missing_folder_is_one_line(tmp_path):
@@ -44,6 +50,7 @@ def test_a_missing_folder_is_one_line(tmp_path):
 def test_every_rig_has_its_rows(tmp_path):
     assert run(rigs.command, ["--smoke", "--out", str(tmp_path)], "rigs") == 0
     rows = json.loads((tmp_path / "rigs.json").read_text(encoding="utf-8"))["rows"]
+    assert {r["law"] for r in rows} == {"Eq. (10)", "flow, continuum", "flow, CMU"}
     assert {r["rig"] for r in rows} == {"CMU smooth", "CMU lugged", "continuum", "particles"}
     assert all(0.0 < r["sinkage_mm"] < 50.0 for r in rows)
     assert (tmp_path / "rigs.md").exists()

@@ -42,10 +42,10 @@ SLOPES = len(forces.Slopes._fields)
 
 
 @kept
-def _react(rows, work, out):
+def _react(rows, flow, work, out):
     for k in range(len(rows)):
         row = rows[k]
-        ground = forces.Ground(row[0], row[1], row[2], row[3])
+        ground = forces.Ground(row[0], row[1], row[2], row[3], flow[0], flow[1], flow[2], flow[3])
         f = forces.reaction(work[0].slope_nodes[0], ground, row[4], row[5], row[6], row[7], row[8])
         for i in range(7):
             out[k, 0, i] = f.pull[i]
@@ -53,13 +53,13 @@ def _react(rows, work, out):
             out[k, 2, i] = f.ln_s[i]
 
 
-def react(rows):
+def react(rows, flow=(0.0, 0.0, 0.0, 0.1)):
     """`forces.reaction` of rows (tan phi, c, n, ln K, sinkage, slip, load, r, b): [n, 3, SLOPES] of
-    pull, torque and ln s.
+    pull, torque and ln s; `flow`: the `FLOW_LAW` of all.
     """
     rows = np.atleast_2d(np.asarray(rows, dtype=float))
     out = np.empty((len(rows), 3, SLOPES))
-    _react(rows, new_work(), out)
+    _react(rows, np.array(flow, dtype=float), new_work(), out)
     return out
 
 

@@ -24,6 +24,8 @@ from soil_env.identification.table.problem import TableProblem
 from soil_env.identification.table.report import text_of
 from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors
 from soil_env.measurement.table import read_table
+from soil_env.parameters import Soil
+from soil_env.terramechanics.model import WheelSoilModel
 from tests.terramechanics import reference
 
 WHEEL = SetupWheel(0.15, 0.12)
@@ -340,6 +342,22 @@ def test_digging_that_the_setup_knows_is_taken_out(tmp_path):
     for name in ("friction_angle_deg", "shear_modulus", "sinkage_coefficient"):
         assert e.parameters[name].value == pytest.approx(getattr(SAND, name), rel=3e-3), name
     assert any("does not fit" in w for w in identify_table(table, setup_of(THREE)).warnings)
+
+
+def test_a_given_shear_law_is_that_of_the_soil(tmp_path):
+    """Rows of soil that flows along the rim are fitted with its constants, which a soil keeps."""
+    law = {"rim_flow": 0.1, "braked_peak": 0.5, "shear_growth": 1.0, "shear_length": 0.06}
+    truth = Soil(31.0, 1500.0, 0.018, 0.9, sinkage_coefficient=9e5, **law)
+    slip, load = np.meshgrid((-0.3, -0.1, 0.1, 0.3, 0.5), (60.0, 120.0))
+    slip, load = slip.ravel(), load.ravel()
+    found = WheelSoilModel(WHEEL, truth).predict({"slip": slip, "load": load})
+    table = table_of(tmp_path, np.column_stack([slip, load, *found[:3]]).tolist())
+    given = {name: Prior(value, 0.0) for name, value in law.items()}
+    e = identify_table(table, setup_of(THREE, **given))
+    assert e.soil.friction_angle_deg == pytest.approx(31.0, rel=3e-3)
+    assert {name: getattr(e.soil, name) for name in law} == law
+    with pytest.raises(ParameterError, match="rim_flow: expected a plain number"):
+        setup_of(THREE, rim_flow=Prior(0.1, 0.02))
 
 
 def test_intervals_from_few_points_at_one_load(tmp_path):

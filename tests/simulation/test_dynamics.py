@@ -14,7 +14,7 @@ from soil_env.terramechanics.motor import motor_torque
 from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.terramechanics.steady import DEEPEST, SHALLOWEST
 from tests.simulation.wheels import lay_patches, on_random_courses, on_uniform_ground
-from tests.terramechanics.cases import TOGETHER, WHEEL, any_soil
+from tests.terramechanics.cases import FLOW, TOGETHER, WHEEL, any_soil
 
 # a course on which half the torque gets through
 EASY = {
@@ -138,6 +138,34 @@ def test_a_wheel_without_a_command_stays_nearly_at_rest(soil, mode, grades, fast
         wheels.drive([0.0] * 100)
         assert abs(wheels.now().speed) < fastest and abs(wheels.now().x) < furthest
         assert mode == "torque" or wheels.now().x * grade_deg <= 0.0
+
+
+@pytest.mark.parametrize("law", [{}, FLOW], ids=["equation 10", "flow"])
+def test_energy_of_a_driven_and_braked_wheel_is_accounted_for(law):
+    """Downhill with changing commands: work of the motor less that on soil, of height, of speed and
+    of the integrator in every period; the soil takes work over each, and the wheel is braked.
+    """
+    wheels = on_uniform_ground(
+        soils()["dry_sand"].state(0.15)._replace(**law), math.radians(-12.0), "wheel_speed"
+    )
+    rng = np.random.default_rng(0)
+    before = wheels.now()
+    slips = []
+    for t in range(80):
+        if t % 8 == 0:
+            command = rng.choice([0.05, 0.2, 0.5, 0.8])
+        wheels.step(command)
+        now = wheels.now()
+        kinetic = 0.5 * now.mass * (now.speed**2 - before.speed**2)
+        inertia = wheels.rig.inertia
+        kinetic += 0.5 * inertia * (now.wheel_speed**2 - before.wheel_speed**2)
+        rise = now.mass * wheels.rig.gravity * math.sin(now.grade) * (now.x - before.x)
+        missing = now.motor_work - now.soil_work - now.numerical_work - kinetic - rise
+        assert abs(missing) < 1e-3 * max(abs(now.motor_work), 0.1)
+        assert now.soil_work > -1e-3 and now.converged == 1
+        slips.append(now.slip)
+        before = now
+    assert min(slips) < -0.05 and max(slips) > 0.1
 
 
 @pytest.mark.parametrize("mode", ["torque", "wheel_speed"])

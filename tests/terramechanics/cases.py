@@ -112,3 +112,6 @@ RESIDUAL = (
     ResidualTerm("drawbar_pull", -0.1, {"slip": 1}),
     ResidualTerm("torque", 0.05, {"speed": 1}),
 )
+
+#: Constants of soil that flows along the rim, in the order of `parameters.FLOW_LAW`.
+FLOW = {"rim_flow": 0.1, "braked_peak": 0.5, "shear_growth": 1.5, "shear_length": 0.08}

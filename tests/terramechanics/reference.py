@@ -48,31 +48,46 @@ def travel_over_rim(slip):
     return 1.0 - slip if slip >= 0.0 else 1.0 / (1.0 + slip)
 
 
-def shear_displacement(theta, slip, r, theta1):
-    """j [m] of Eq. (10)."""
-    return r * ((theta1 - theta) - travel_over_rim(slip) * (math.sin(theta1) - math.sin(theta)))
+def carried(slip, flow, tan_phi, theta1):
+    """Speed of soil carried along the rim over the travel speed: `flow` tan(phi) (1 - i)^3, held
+    below cos(theta1).
+    """
+    share = flow * tan_phi * (1.0 - slip) ** 3
+    most = 0.5 * (math.cos(theta1) + math.hypot(math.cos(theta1), 0.1))
+    return share * (1.0 + (share / most) ** 4) ** -0.25
 
 
-def shear_stress(theta, slip, soil, r, theta1, theta2, thetam):
+def shear_displacement(theta, slip, r, theta1, share=0.0):
+    """j [m] of Eq. (10), with soil carried along the rim at a `share` of the travel speed.
+
+    Of a locked wheel it is over V/(r w), which is infinite.
+    """
+    rim, travel = (0.0, 1.0) if slip == -1.0 else (1.0, travel_over_rim(slip))
+    way = math.sin(theta1) - math.sin(theta)
+    return r * ((rim + share * travel) * (theta1 - theta) - travel * way)
+
+
+def shear_stress(theta, slip, soil, r, theta1, theta2, thetam, share=0.0):
     """Shear stress [Pa], Eq. (10), with the sign of the shear displacement."""
+    j = shear_displacement(theta, slip, r, theta1, share)
     if slip == -1.0:
-        mobilised = -1.0  # locked: the displacement is infinite, backward
+        mobilised = math.copysign(1.0, j)  # locked: the displacement is infinite
     else:
-        j = shear_displacement(theta, slip, r, theta1)
         mobilised = math.copysign(1.0 - math.exp(-abs(j) / soil.shear_modulus), j)
     sigma = normal_stress(theta, soil, r, theta1, theta2, thetam)
     return (soil.cohesion + sigma * math.tan(math.radians(soil.friction_angle_deg))) * mobilised
 
 
-def _turning_point(slip, r, theta1, theta2):
+def _turning_point(slip, r, theta1, theta2, share):
     """Angle inside the arc at which the shear displacement changes sign, if there is one."""
-    if not -1.0 < slip < 0.0:
+    if slip >= 0.0:
         return None
+    of = (slip, r, theta1, share)
     low = theta2
     high = theta1 - 1e-6
-    if shear_displacement(low, slip, r, theta1) * shear_displacement(high, slip, r, theta1) >= 0.0:
+    if shear_displacement(low, *of) * shear_displacement(high, *of) >= 0.0:
         return None
-    return brentq(shear_displacement, low, high, args=(slip, r, theta1))
+    return brentq(shear_displacement, low, high, args=of, xtol=1e-14)
 
 
 def integrate(function, points, tolerance=1e-10):
@@ -81,17 +96,21 @@ def integrate(function, points, tolerance=1e-10):
     return sum(quad(function, a, b, epsabs=0.0, epsrel=tolerance, limit=400)[0] for a, b in pairs)
 
 
-def forces(soil, slip, theta1, r, b, theta2=0.0, thetam=None):
-    """`Result` of Eqs. (1), (2) and (3), and the drawbar pull with the resistance of Eq. (12)."""
+def forces(soil, slip, theta1, r, b, theta2=0.0, thetam=None, flow=0.0):
+    """`Result` of Eqs. (1), (2) and (3), and the drawbar pull with the resistance of Eq. (12);
+    `flow`: a of soil carried along the rim.
+    """
     thetam = 0.5 * (theta1 + theta2) if thetam is None else thetam  # Eq. (9)
     arc = (soil, r, theta1, theta2, thetam)
-    kinks = {theta2, thetam, theta1, _turning_point(slip, r, theta1, theta2)} - {None}
+    share = carried(slip, flow, math.tan(math.radians(soil.friction_angle_deg)), theta1)
+    kinks = {theta2, thetam, theta1, _turning_point(slip, r, theta1, theta2, share)} - {None}
 
     def total(shape):
         """Integral [N] of shape(theta, sigma, tau) over the contact."""
 
         def stresses(theta):
-            return shape(theta, normal_stress(theta, *arc), shear_stress(theta, slip, *arc))
+            tau = shear_stress(theta, slip, *arc, share)
+            return shape(theta, normal_stress(theta, *arc), tau)
 
         return r * b * integrate(stresses, sorted(kinks))
 

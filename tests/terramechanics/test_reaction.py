@@ -12,7 +12,7 @@ from soil_env.parameters import soils
 from soil_env.terramechanics import contact, reaction
 from soil_env.terramechanics.effects import NO_EFFECTS, acting_effects, grousers, pack_effects
 from soil_env.terramechanics.residual import residual_law
-from tests.terramechanics.cases import ACTING, CASES, LUG, RESIDUAL, TOGETHER, any_soil
+from tests.terramechanics.cases import ACTING, CASES, FLOW, LUG, RESIDUAL, TOGETHER, any_soil
 
 R = 0.15
 GRAVITY = 9.81
@@ -87,15 +87,17 @@ def motion(rng):
     return (u * rng.uniform(0.2, 1.1) if rng.random() < 0.5 else v), u
 
 
-@pytest.mark.parametrize("case", EVERY)
-def test_rates_of_the_reaction_against_central_differences(case):
+@pytest.mark.parametrize(
+    ("case", "law"), [*((case, {}) for case in EVERY), ("none", FLOW), ("together", FLOW)]
+)
+def test_rates_of_the_reaction_against_central_differences(case, law):
     """Quantities that depend on slip at the start of a substep are held."""
     wheel = wheel_with(case)
     d = 1e-7
     names = sorted(soils())
     rng = np.random.default_rng(0)
     for _ in range(90):
-        soil = soils()[str(rng.choice(names))].state(R)
+        soil = soils()[str(rng.choice(names))].state(R)._replace(**law)
         v, u = motion(rng)
         sinkage = rng.uniform(0.005, 0.12)
         load = rng.uniform(50.0, 250.0)
@@ -209,7 +211,7 @@ def test_effects_at_their_neutral_values_leave_the_base_model():
         sinkage = rng.uniform(0.005, 0.12)
         load = rng.uniform(50.0, 250.0)
         ground = ground_under(sinkage, v, u, soil, plain)
-        assert ground == (soil, contact.smooth_arc(sinkage, R), reaction.Beside(*[0.0] * 5))
+        assert ground == (soil, contact.smooth_arc(sinkage, R, 0.0), reaction.Beside(*[0.0] * 5))
         expected = react(ground, v, u, load, plain)
         ground = ground_under(sinkage, v, u, soil, with_code)
         assert react(ground, v, u, load, with_code) == pytest.approx(expected, rel=1e-12)

@@ -319,7 +319,7 @@ def cautions(report: Report) -> list[str]:
             if g.after > LEFT * g.noise_floor
         ],
         height=setup.wheel.grouser_height,
-        digging=problem.digging[0],
+        digging=problem.laws["dig_gain"],
         unseen=unseen(report),
     )
     lines = [report.dense, *map(str.strip, text.splitlines())]

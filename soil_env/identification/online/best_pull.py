@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from soil_env._compiled.flags import EXACT
-from soil_env.identification.online.forces import LEAST_COEFFICIENT, Ground, reaction
+from soil_env.identification.online.forces import LEAST_COEFFICIENT, reaction
 from soil_env.identification.online.memory import (
     COHESION,
     EXPONENT,
@@ -24,7 +24,7 @@ from soil_env.identification.online.memory import (
     SOIL,
     TANGENT,
 )
-from soil_env.identification.online.residuals import LEAST_TANGENT
+from soil_env.identification.online.residuals import ground_of
 from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
 
 SLIP = np.array([0.08, 0.15, 0.23, 0.33, 0.45, 0.6, 0.78, 0.97])  # [-] at which pulls are compared
@@ -42,7 +42,7 @@ FLATTEST = -0.1  # slope of the condition by ln z, at least
 def _newton(x, slip, load, memory, setting, work):
     """(ln z after a step, `Reaction` at x, slope of the condition by ln z, ratio q)."""
     u = memory.soil
-    ground = Ground(max(u[TANGENT], LEAST_TANGENT), u[COHESION], u[EXPONENT], u[LN_K])
+    ground = ground_of(u, setting)
     z = math.exp(x)
     f = reaction(work.slope_nodes[0], ground, z, slip, load, setting.radius, setting.width)
     gain = setting.dig_gain * math.exp(u[GAIN])

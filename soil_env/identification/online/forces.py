@@ -12,12 +12,20 @@ from soil_env._compiled.elementary import log
 from soil_env._compiled.flags import EXACT, SUMS, record
 from soil_env.terramechanics.contact import (
     ARC_NODES,
+    FRONT_AHEAD,
     NODES,
     NODES_PER_ZONE,
+    REAR_AHEAD,
     bearing_share,
+    braked_shift,
+    carried_share,
     forces,
+    grown_modulus,
+    held_below,
     lay_nodes,
     mobilised_sinkage_coefficient,
+    most_by_angle,
+    most_carried,
     shear_integrals,
     smooth_arc,
 )
@@ -43,6 +51,10 @@ class Ground(NamedTuple):
     cohesion: float  # [Pa]
     exponent: float
     ln_K: float  # of m
+    rim_flow: float  # these are known, as in `Soil`
+    braked_peak: float
+    shear_growth: float
+    shear_length: float  # [m]
 
 
 class Slopes(NamedTuple):
@@ -63,6 +75,18 @@ class Reaction(NamedTuple):
     pull: Slopes  # [N]
     torque: Slopes  # [N m]
     ln_s: Slopes  # ln of the mobilised sinkage coefficient
+
+
+class _Motion(NamedTuple):
+    """Motion of the sheared soil, and what the share of soil carried along the rim adds."""
+
+    rim: float
+    travel: float
+    rim_tan_phi: float  # d rim/d tan(phi)
+    rim_angle: float  # [1/rad] d rim/d theta1
+    rim_travel: float  # d rim/d travel
+    modulus: float  # [m] K at this length of contact
+    growth: float  # d ln K/d ln theta1
 
 
 class _Sums(NamedTuple):
@@ -92,21 +116,44 @@ def _lay_slopes(work, theta1, exponent, r):
         work.by_angle[k + NODES_PER_ZONE] = by_angle
 
 
+@njit(**EXACT)
+def _motion_of(ground, arc, travel):
+    """`_Motion` on `Ground` at a travel speed over that of the rim."""
+    free, _, free_travel = carried_share(1.0, travel, 0.0)
+    carry = ground.rim_flow * ground.tan_phi
+    most = most_carried(arc)
+    share, by_share, by_most = held_below(carry * free, most)
+    return _Motion(
+        1.0 + share * travel,
+        travel,
+        travel * by_share * ground.rim_flow * free,
+        travel * by_most * most_by_angle(arc),
+        share + travel * by_share * carry * free_travel,
+        grown_modulus(math.exp(ground.ln_K), ground, arc),
+        ground.shear_growth,
+    )
+
+
 @njit(**SUMS)
-def _sum_slopes(work, theta1, travel, st, c, K, r):
-    """`_Sums` by exponent, ln K, entry angle and travel, with tau = (st p + c) e."""
+def _sum_slopes(work, theta1, motion, st, c, r):
+    """`_Sums` by exponent, ln K, entry angle, travel and tan(phi) through the soil carried along
+    the rim, with tau = (st p + c) e.
+    """
     nodes = work.arc[0]
+    K = motion.modulus
+    travel = motion.travel
     cos1 = math.cos(theta1)
     per_angle = 1.0 / theta1
     n_pc = n_ps = n_c = n_s = n_1 = 0.0
     k_c = k_s = k_1 = 0.0
     a_pc = a_ps = a_c = a_s = a_1 = 0.0
     t_c = t_s = t_1 = 0.0
+    f_c = f_s = f_1 = 0.0
     for k in range(NODES):
         cos = nodes.cos[k]
         sin = nodes.sin[k]
         p = nodes.stress[k]
-        j = nodes.by_rim[k] + travel * nodes.by_travel[k]
+        j = motion.rim * nodes.by_rim[k] + travel * nodes.by_travel[k]
         e = math.copysign(1.0 - K * nodes.rate[k], j)
         strength = st * p + c * nodes.weight[k]
         change = strength * nodes.rate[k]
@@ -123,23 +170,62 @@ def _sum_slopes(work, theta1, travel, st, c, K, r):
         k_1 += tk
         share = 1.0 - nodes.by_rim[k] * per_angle / r
         pa = p * (work.by_angle[k] + per_angle)
-        moved = nodes.by_rim[k] * per_angle + travel * r * (share * cos - cos1)
+        moved = (motion.rim * per_angle + motion.rim_angle) * nodes.by_rim[k]
+        moved += travel * r * (share * cos - cos1)
         ta = (st * pa + c * nodes.weight[k] * per_angle) * e + change * moved
+        ta += tk * motion.growth * per_angle
         a_pc += pa * cos - p * share * sin
         a_ps += pa * sin + p * share * cos
         a_c += ta * cos - strength * e * share * sin
         a_s += ta * sin + strength * e * share * cos
         a_1 += ta
-        tt = change * nodes.by_travel[k]
+        tf = change * nodes.by_rim[k]
+        tt = change * nodes.by_travel[k] + motion.rim_travel * tf
         t_c += tt * cos
         t_s += tt * sin
         t_1 += tt
+        tf *= motion.rim_tan_phi
+        f_c += tf * cos
+        f_s += tf * sin
+        f_1 += tf
     return (
         _Sums(n_pc, n_ps, n_c, n_s, n_1),
         _Sums(0.0, 0.0, k_c, k_s, k_1),
         _Sums(a_pc, a_ps, a_c, a_s, a_1),
         _Sums(0.0, 0.0, t_c, t_s, t_1),
+        _Sums(0.0, 0.0, f_c, f_s, f_1),
     )
+
+
+@njit(**SUMS)
+def _sum_shifted(work, arc, motion, st, c, exponent):
+    """`_Sums` by the angle of the stress peak, with which the nodes of both zones move."""
+    nodes = work.arc[0]
+    r = arc.radius
+    cos1 = math.cos(arc.theta1)
+    in_front = -1.0 / (arc.theta1 - arc.thetam)
+    behind = 1.0 / (arc.thetam - arc.theta2)
+    p_c = p_s = s_c = s_s = s_1 = 0.0
+    for k in range(NODES):
+        cos = nodes.cos[k]
+        sin = nodes.sin[k]
+        p = nodes.stress[k]
+        j = motion.rim * nodes.by_rim[k] + motion.travel * nodes.by_travel[k]
+        e = math.copysign(1.0 - motion.modulus * nodes.rate[k], j)
+        partner = k % NODES_PER_ZONE  # in front, with the same normal stress
+        moves = FRONT_AHEAD[k] - REAR_AHEAD[k]
+        wider = in_front if k < NODES_PER_ZONE else behind
+        below = max(nodes.cos[partner] - cos1, SHALLOWEST)
+        pm = p * (wider - exponent * nodes.sin[partner] * FRONT_AHEAD[partner] / below)
+        strength = st * p + c * nodes.weight[k]
+        tm = (st * pm + c * nodes.weight[k] * wider) * e
+        tm += strength * nodes.rate[k] * moves * r * (motion.travel * cos - motion.rim)
+        p_c += pm * cos - p * sin * moves
+        p_s += pm * sin + p * cos * moves
+        s_c += tm * cos - strength * e * sin * moves
+        s_s += tm * sin + strength * e * cos * moves
+        s_1 += tm
+    return _Sums(p_c, p_s, s_c, s_s, s_1)
 
 
 @njit(**EXACT)
@@ -163,11 +249,12 @@ def reaction(work, ground, sinkage, slip, load, r, b):
     nodes = work.arc[0]
     t = ground.tan_phi
     c = ground.cohesion
-    K = math.exp(ground.ln_K)
     travel = 1.0 - slip if slip >= 0.0 else 1.0 / (1.0 + slip)
-    arc = smooth_arc(sinkage, r)
-    p_cos, p_sin = lay_nodes(nodes, arc, ground.exponent)
-    q = shear_integrals(nodes, p_cos, p_sin, (1.0, travel), K, None)
+    braked = max(-slip, 0.0)
+    arc = smooth_arc(sinkage, r, braked_shift(braked, ground))
+    motion = _motion_of(ground, arc, travel)
+    p = lay_nodes(nodes, arc, ground.exponent)
+    q = shear_integrals(nodes, p, (motion.rim, travel), motion.modulus, None, False)
     S = max(mobilised_sinkage_coefficient(q, load, t, c, r, b, FORWARD), LEAST_COEFFICIENT)
     f = forces(q, S, t, c, r, b, FORWARD)
     rb = r * b
@@ -179,15 +266,23 @@ def reaction(work, ground, sinkage, slip, load, r, b):
         r,
     )
     _lay_slopes(work, arc.theta1, ground.exponent, r)
-    n, k, a, v = _sum_slopes(work, arc.theta1, travel, S * t, c, K, r)
+    n, k, a, v, f_t = _sum_slopes(work, arc.theta1, motion, S * t, c, r)
     per_sinkage = 1.0 / (r * max(math.sin(arc.theta1), LEAST_SINE))
     per_slip = -1.0 if slip >= 0.0 else -travel * travel
-    by_t = _at_the_load(_Sums(0.0, 0.0, S * q.pe_cos, S * q.pe_sin, S * q.pe), S, by_S, 1.0)
+    t_cos = S * q.pe_cos + f_t.cos
+    by_t = _at_the_load(
+        _Sums(0.0, 0.0, t_cos, S * q.pe_sin + f_t.sin, S * q.pe + f_t.one), S, by_S, 1.0
+    )
     by_c = _at_the_load(_Sums(0.0, 0.0, q.e_cos, q.e_sin, q.e), S, by_S, 1.0)
     by_n = _at_the_load(n, S, by_S, 1.0)
     by_k = _at_the_load(k, S, by_S, 1.0)
     by_z = _at_the_load(a, S, by_S, per_sinkage)
     by_i = _at_the_load(v, S, by_S, per_slip)
+    if braked > 0.0 and ground.braked_peak > 0.0:
+        shifted = _sum_shifted(work, arc, motion, S * t, c, ground.exponent)
+        per_shift = -ground.braked_peak / (1.0 + braked) ** 2 * arc.theta1
+        by_m = _at_the_load(shifted, S, by_S, per_shift)
+        by_i = by_i[0] + by_m[0], by_i[1] + by_m[1], by_i[2] + by_m[2]
     return Reaction(
         Slopes(f.drawbar_pull, by_t[0], by_c[0], by_n[0], by_k[0], by_z[0], by_i[0]),
         Slopes(f.torque, by_t[1], by_c[1], by_n[1], by_k[1], by_z[1], by_i[1]),

@@ -29,6 +29,10 @@ def _assess(rows, estimate, pull, seen, setting, nodes, out):
             numbers.exponent,
             min(numbers.dig_gain * math.exp(x[4]), MOST_DIGGING),
             numbers.dig_recovery,
+            numbers.rim_flow,
+            numbers.braked_peak,
+            numbers.shear_growth,
+            numbers.shear_length,
         )
         load = max(seen[k, 0], LEAST_LOAD) * numbers.weight
         best = best_point_at(nodes[0], load, soil, wheel, LEVEL, None, numbers.stall_torque)

@@ -21,7 +21,7 @@ from soil_env.identification.online.borders import (
 )
 from soil_env.identification.online.cells import remember
 from soil_env.identification.online.fit import CONTRADICTS, renew, weigh_instruments
-from soil_env.identification.online.forces import Ground, reaction
+from soil_env.identification.online.forces import reaction
 from soil_env.identification.online.library import lean, mix, take_information
 from soil_env.identification.online.linear import invert, solve_half
 from soil_env.identification.online.memory import (
@@ -59,7 +59,7 @@ from soil_env.identification.online.points import (
     slip_error,
     weigh,
 )
-from soil_env.identification.online.residuals import residuals
+from soil_env.identification.online.residuals import ground_of, residuals
 from soil_env.identification.status import Status
 
 #: Outcomes of a set of readings: the estimate is as before; the wheel moved on a border, and so to
@@ -181,7 +181,7 @@ def _find_bearing(memory, reading, setting, work):
     u = memory.soil
     r = setting.radius
     load = memory.mass * setting.gravity * math.cos(reading.pitch)
-    ground = Ground(u[TANGENT], u[COHESION], u[EXPONENT], u[LN_K])
+    ground = ground_of(u, setting)
     z = max(reading.sinkage - memory.u[SINKAGE_ZERO], LEAST_SINKAGE * r)
     slip = min(max(reading.slip, -0.4), 0.9)
     corrected = load * (1.0 - memory.u[LOAD_GAIN])

@@ -41,7 +41,16 @@ from soil_env.identification.online.memory import (
 from soil_env.identification.online.prior import setting_of
 from soil_env.identification.published import published, soil_of_numbers
 from soil_env.identification.status import Status
-from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, SoilState, Wheel
+from soil_env.parameters import (
+    FLOW_LAW,
+    Belief,
+    Control,
+    Noise,
+    Scenario,
+    Soil,
+    SoilState,
+    Wheel,
+)
 from soil_env.parameters.readings import reading_units
 from soil_env.slip import rim_speeds, slips, travel_speeds
 from soil_env.terramechanics.steady import steady_state
@@ -441,6 +450,7 @@ def _bearing_sinkage(scenario: Scenario) -> float:
         b.sinkage_exponent,
         0.0,
         b.dig_recovery,
+        *(getattr(b, name) for name in FLOW_LAW),
     )
     return float(steady_state(0.0, scenario.weight, soil, wheel.radius, wheel.width).sinkage)
 

@@ -4,6 +4,7 @@ covariance, a border; and the constants and the work space of its functions.
 
 from soil_env._compiled.flags import record
 from soil_env.identification.online.forces import SLOPE_NODES
+from soil_env.parameters import FLOW_LAW
 from soil_env.parameters.readings import SensorReading
 
 #: Unknowns of the soil: tan phi, c [Pa], n, ln of K [m], ln of the pressure S d^n [Pa] at the depth
@@ -152,6 +153,7 @@ SETTING = record(
     "length",  # [m] in which sinkage adapts
     "dig_gain",  # [-] nominal
     "dig_recovery",  # [-]
+    *FLOW_LAW,  # of the shear law beyond Eq. (10)
     "depth",  # [m] at which pressures are compared
     "exponent",  # [-] to which S is referred
     "border",  # [m] over which one soil passes into the next; 0: one soil for ever

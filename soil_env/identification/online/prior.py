@@ -22,7 +22,7 @@ from soil_env.identification.online.memory import (
     SOIL as SIZE,
     TANGENT,
 )
-from soil_env.parameters import Scenario
+from soil_env.parameters import FLOW_LAW, Scenario
 from soil_env.parameters.readings import reading_errors, reading_units
 
 KNOWN = 1e-4  # standard deviation, relative, of what the belief holds for known
@@ -181,6 +181,8 @@ def setting_of(scenario: Scenario) -> np.ndarray:
     s.length = scenario.relaxation * wheel.radius
     s.dig_gain = belief.dig_gain
     s.dig_recovery = belief.dig_recovery
+    for name in FLOW_LAW:
+        s[name] = getattr(belief, name)
     s.depth = depth_of(scenario)
     s.exponent = belief.sinkage_exponent
     s.border = belief.border

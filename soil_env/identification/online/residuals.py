@@ -99,6 +99,21 @@ def _over_border(row, share, by_place, memory, work):
 
 
 @njit(**EXACT)
+def ground_of(unknowns, setting):
+    """`Ground` of the unknowns of a soil and what is known of its law."""
+    return Ground(
+        max(unknowns[TANGENT], LEAST_TANGENT),
+        unknowns[COHESION],
+        unknowns[EXPONENT],
+        unknowns[LN_K],
+        setting.rim_flow,
+        setting.braked_peak,
+        setting.shear_growth,
+        setting.shear_length,
+    )
+
+
+@njit(**EXACT)
 def _put_soil(row, slopes, factor, work):
     """Slopes of a residual by tan phi, c, n and ln K."""
     work.slopes[row, TANGENT] = factor * slopes.tan_phi
@@ -124,7 +139,7 @@ def residuals(cell, memory, setting, work):
     W = setting.weight
     share, by_place = _blend(cell, memory, setting, work)
     soil = work.soil
-    ground = Ground(max(soil[TANGENT], LEAST_TANGENT), soil[COHESION], soil[EXPONENT], soil[LN_K])
+    ground = ground_of(soil, setting)
     sinkage = max(cell.sinkage - u[SINKAGE_ZERO], SHALLOWEST * r)
     load = cell.load * (1.0 - u[LOAD_GAIN])
     slip = min(max(cell.most_likely_slip, LEAST_SLIP), MOST_SLIP)

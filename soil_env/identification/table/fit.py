@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 from soil_env.identification.table.bins import binned
 from soil_env.identification.table.form_error import mixed
 from soil_env.identification.table.mistakes import Examined, examine
-from soil_env.identification.table.priors import known_digging
+from soil_env.identification.table.priors import given_laws
 from soil_env.identification.table.problem import LAW_ERRORS, SOURCES, TableProblem
 from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import MEASURED, UNITS, Table
@@ -286,10 +286,9 @@ def _summary(
 
 
 def _soil(problem: TableProblem, u: np.ndarray) -> Soil:
-    """The soil of a solution, with the digging, density and gravity that the setup knows."""
-    gain, recovery = known_digging(problem.setup)
+    """The soil of a solution, with the laws, density and gravity that the setup knows."""
     density = problem.setup.soil.density
-    known = {"dig_gain": gain, "dig_recovery": recovery, "gravity_measured": problem.setup.gravity}
+    known = {**given_laws(problem.setup), "gravity_measured": problem.setup.gravity}
     known |= {"density": density.value} if density else {}
     return Soil.within({**problem.values(u), **known})
 

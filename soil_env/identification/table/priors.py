@@ -5,13 +5,14 @@ In u every prior is the standard normal, and parameters of any unit have one sca
 """
 
 import math
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from soil_env.measurement.setup import STEEPEST_TILT, Setup
-from soil_env.parameters import SoilState
+from soil_env.parameters import FLOW_LAW, Soil, SoilState
 
 #: Where the setup says nothing of a soil parameter: mean, sd, lower and upper bound, of the
 #: parameter or its logarithm. Ours, wide enough for every preset soil of configs/soils.yaml, clays
@@ -116,22 +117,27 @@ def plate_coefficient(
     return float(np.median(load)) / carried
 
 
-def known_digging(setup: Setup) -> tuple[float, float]:
-    """(gain, recovery) of the slip-sinkage that the setup knows the soil to have; (0, 0.5) where it
+#: Parameters of a soil that are given, not fitted.
+_GIVEN = ("dig_gain", "dig_recovery", *FLOW_LAW)
+
+
+def given_laws(setup: Setup) -> dict[str, float]:
+    """Slip-sinkage and `FLOW_LAW` that the setup knows the soil to have; those of `Soil` where it
     says nothing.
     """
-    gain = setup.soil.dig_gain
-    recovery = setup.soil.dig_recovery
-    return (gain.value if gain else 0.0, recovery.value if recovery else 0.5)
+    given = {name: getattr(setup.soil, name) for name in _GIVEN}
+    return {
+        name: float(prior.value if prior else getattr(Soil, name)) for name, prior in given.items()
+    }
 
 
-def soil_state(values: dict[str, float], digging: tuple[float, float]) -> SoilState:
-    """The soil of a set of parameters by name."""
+def soil_state(values: Mapping[str, float], laws: Mapping[str, float]) -> SoilState:
+    """The soil of a set of parameters by name and the `given_laws`."""
     return SoilState(
         math.tan(math.radians(values["friction_angle_deg"])),
         values["cohesion"],
         values["shear_modulus"],
         values["sinkage_coefficient"],
         values["sinkage_exponent"],
-        *digging,
+        **laws,
     )

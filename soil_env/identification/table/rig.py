@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from soil_env.identification.table.priors import known_digging, soil_state
+from soil_env.identification.table.priors import given_laws, soil_state
 from soil_env.measurement.setup import Setup
 from soil_env.terramechanics.effects import Effects
 from soil_env.terramechanics.model import Rows
@@ -29,7 +29,7 @@ def predict_table(
     `values`), and of a vertical load the tilt and the grade of the row. S of wheels of another
     width than the setup's is k_c/b + k_phi where these are given.
     """
-    soil = soil_state(values, known_digging(setup))
+    soil = soil_state(values, given_laws(setup))
     tilt = math.radians(values.get("tilt_deg", 0.0))
     along = np.zeros(1)
     if setup.load == "vertical":

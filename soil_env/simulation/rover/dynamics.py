@@ -51,6 +51,9 @@ def _keep_stand(foot, at):
     foot.theta1 = at.footing.theta1
     foot.p_cos = at.footing.p_cos
     foot.p_sin = at.footing.p_sin
+    foot.shear_modulus = at.footing.shear_modulus
+    foot.carry = at.footing.carry
+    foot.most_carried = at.footing.most_carried
     foot.lift = at.beside.lift
     foot.bulldozing = at.beside.bulldozing
     foot.blades = at.beside.blades

@@ -110,7 +110,19 @@ def scattered(mean, share, owner, spec):
     depth = spec.reference_sinkage
     pressure = mean.sinkage_coefficient * depth**mean.sinkage_exponent * stiffer  # [Pa] at `depth`
     coefficient = pressure / depth**n
-    return SoilState(math.tan(phi), cohesion, modulus, coefficient, n, gain, mean.dig_recovery)
+    return SoilState(
+        math.tan(phi),
+        cohesion,
+        modulus,
+        coefficient,
+        n,
+        gain,
+        mean.dig_recovery,
+        mean.rim_flow,
+        mean.braked_peak,
+        mean.shear_growth,
+        mean.shear_length,
+    )
 
 
 @njit(**EXACT)

@@ -6,7 +6,6 @@ from numba import njit
 
 from soil_env._compiled.elementary import asin_root, power
 from soil_env._compiled.flags import EXACT
-from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects.entry import (
     PULL,
     SINKAGE,
@@ -15,6 +14,7 @@ from soil_env.terramechanics.effects.entry import (
     EffectParameter as P,
     Form,
 )
+from soil_env.terramechanics.ground import stiffened
 
 
 @njit(**EXACT)
@@ -39,15 +39,7 @@ def slope_factor(soil, sin_grade, fx):
 @njit(**EXACT)
 def weakened_on_slope(soil, passage, fx):
     """Soil with S by the `slope_factor`."""
-    return SoilState(
-        soil.tan_phi,
-        soil.cohesion,
-        soil.shear_modulus,
-        soil.sinkage_coefficient * slope_factor(passage.undisturbed, passage.sin_grade, fx),
-        soil.sinkage_exponent,
-        soil.dig_gain,
-        soil.dig_recovery,
-    )
+    return stiffened(soil, slope_factor(passage.undisturbed, passage.sin_grade, fx))
 
 
 _WEIGHT = "W_n = W [1 - {share} (1 - cos(b))]; DP = DP_0 - {share} W sin(b)"

@@ -5,7 +5,6 @@ import math
 from numba import njit
 
 from soil_env._compiled.flags import EXACT
-from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects.bulldozing import passive_coefficient
 from soil_env.terramechanics.effects.entry import (
     PULL,
@@ -16,6 +15,7 @@ from soil_env.terramechanics.effects.entry import (
     EffectParameter as P,
     Form,
 )
+from soil_env.terramechanics.ground import with_strength
 
 BLADE_SLIP = 0.015  # slip over which the thrust of the lugs comes in
 
@@ -45,15 +45,11 @@ def shear_radius_ratio(wheel, fx):
 def at_shear_radius(soil, q, shear_modulus):
     """The soil whose forces at the rim are those of `soil` at q times its radius: strength times q;
     K as given [m].
+
+    The share of soil carried along the rim, which goes with tan(phi), stays.
     """
-    return SoilState(
-        q * soil.tan_phi,
-        q * soil.cohesion,
-        shear_modulus,
-        soil.sinkage_coefficient,
-        soil.sinkage_exponent,
-        soil.dig_gain,
-        soil.dig_recovery,
+    return with_strength(
+        soil, q * soil.tan_phi, q * soil.cohesion, shear_modulus, soil.rim_flow / q
     )
 
 

@@ -4,7 +4,6 @@ from numba import njit
 
 from soil_env._compiled.elementary import exp, power
 from soil_env._compiled.flags import EXACT
-from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects.entry import (
     PULL,
     SINKAGE,
@@ -13,6 +12,7 @@ from soil_env.terramechanics.effects.entry import (
     EffectParameter as P,
     Form,
 )
+from soil_env.terramechanics.ground import stiffened, with_strength
 
 
 @njit(**EXACT)
@@ -56,15 +56,14 @@ def passed_over(soil, passage, fx):
     if not depends_on_passes(fx):
         return soil
     passes = max(passage.passes, 1.0)
-    return SoilState(
+    stronger = with_strength(
+        soil,
         soil.tan_phi * power(passes, fx.multipass_strength),
         soil.cohesion * power(passes, fx.multipass_cohesion),
         soil.shear_modulus * power(passes, -fx.multipass_stiffening),
-        soil.sinkage_coefficient * pass_factor(passes, passage.slip, fx),
-        soil.sinkage_exponent,
-        soil.dig_gain,
-        soil.dig_recovery,
+        soil.rim_flow,
     )
+    return stiffened(stronger, pass_factor(passes, passage.slip, fx))
 
 
 _SENATORE = "Senatore & Sandu (2011), J. Terramechanics 48:265-276"

@@ -4,7 +4,6 @@ from numba import njit
 
 from soil_env._compiled.elementary import exp, log
 from soil_env._compiled.flags import EXACT
-from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects.entry import (
     PULL,
     SINKAGE,
@@ -14,6 +13,7 @@ from soil_env.terramechanics.effects.entry import (
     EffectParameter as P,
     Form,
 )
+from soil_env.terramechanics.ground import stiffened
 
 
 @njit(**EXACT)
@@ -44,15 +44,7 @@ def loaded_fast(soil, passage, fx):
         fx.penetration_rate_exponent,
         fx.penetration_rate_slope,
     )
-    return SoilState(
-        soil.tan_phi,
-        soil.cohesion,
-        soil.shear_modulus,
-        soil.sinkage_coefficient * factor,
-        soil.sinkage_exponent,
-        soil.dig_gain,
-        soil.dig_recovery,
-    )
+    return stiffened(soil, factor)
 
 
 def _neutral(bench: Bench) -> dict[str, float]:

@@ -4,7 +4,6 @@ from numba import njit
 
 from soil_env._compiled.elementary import log
 from soil_env._compiled.flags import EXACT
-from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects.entry import (
     PULL,
     SINKAGE,
@@ -15,6 +14,7 @@ from soil_env.terramechanics.effects.entry import (
     Form,
 )
 from soil_env.terramechanics.effects.penetration_rate import rate_factor
+from soil_env.terramechanics.ground import with_strength
 
 
 @njit(**EXACT)
@@ -40,14 +40,8 @@ def sheared_fast(soil, passage, fx):
         fx.shear_rate_exponent,
         fx.shear_rate_slope,
     )
-    return SoilState(
-        soil.tan_phi * strength,
-        cohesion * strength,
-        soil.shear_modulus,
-        soil.sinkage_coefficient,
-        soil.sinkage_exponent,
-        soil.dig_gain,
-        soil.dig_recovery,
+    return with_strength(
+        soil, soil.tan_phi * strength, cohesion * strength, soil.shear_modulus, soil.rim_flow
     )
 
 

@@ -3,7 +3,6 @@
 from numba import njit
 
 from soil_env._compiled.flags import EXACT
-from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects.entry import (
     PULL,
     SINKAGE,
@@ -13,6 +12,7 @@ from soil_env.terramechanics.effects.entry import (
     EffectParameter as P,
     Form,
 )
+from soil_env.terramechanics.ground import with_digging
 
 
 @njit(**EXACT)
@@ -88,9 +88,7 @@ def dug(soil, passage, fx):
     """Soil with the exponent n + n1 |i| and the digging of the effect."""
     n = max(soil.sinkage_exponent + fx.slip_sinkage_exponent_slope * abs(passage.slip), 0.0)
     gain, recovery = digging(soil, fx)
-    return SoilState(
-        soil.tan_phi, soil.cohesion, soil.shear_modulus, soil.sinkage_coefficient, n, gain, recovery
-    )
+    return with_digging(soil, n, gain, recovery)
 
 
 def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:

@@ -1,0 +1,199 @@
+"""Soil that flows along the rim: closed form against quadrature, limits, and one law in the world
+and in steady state.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, example, given, settings, strategies as st
+
+from soil_env.parameters import SoilState, soils
+from soil_env.slip import braked_share, motion_from_slip
+from soil_env.terramechanics import contact
+from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
+from soil_env.terramechanics.steady import steady_state
+from tests.terramechanics import reference
+from tests.terramechanics.cases import FLOW
+from tests.terramechanics.test_reaction import R, ground_under, react, wheel_with
+
+LOAD = 150.0  # [N]
+SLIPS = (-1.0, -0.9, -0.6, -0.3, -0.1, -0.02, 0.0, 0.05, 0.3, 0.7, 0.95)
+
+soil_with_flow = st.builds(
+    lambda phi, c, k, pressure, n, gain, a, peak, growth: SoilState(
+        math.tan(math.radians(phi)),
+        c,
+        10.0**k * R,
+        10.0**pressure / 0.01**n,
+        n,
+        gain,
+        0.5,
+        a,
+        peak,
+        growth,
+        0.5 * R,
+    ),
+    st.floats(5.0, 45.0),
+    st.floats(0.0, 1500.0),
+    st.floats(-2.0, -0.3),
+    st.floats(3.6, 5.5),
+    st.floats(0.3, 1.5),
+    st.floats(0.0, 2.0),
+    st.floats(0.01, 0.12),
+    st.floats(0.0, 0.9),
+    st.floats(0.0, 1.5),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@example(soil=soils()["dry_sand"].state(R)._replace(**FLOW), slip=-1.0)
+@given(soil=soil_with_flow, slip=st.one_of(st.floats(-1.0, 1.0), st.floats(-1.0, 0.0)))
+def test_steady_forces_are_those_of_quadrature(soil, slip):
+    """The balance of Eq. (1) and both forces, to 1e-4 of the load.
+
+    With slip-sinkage the pressure is that of the depth without it.
+    """
+    assume(slip == -1.0 or slip > -0.9999)  # next to a locked wheel quadrature is hard
+    at = steady_state(slip, LOAD, soil, R, R)
+    assume(at.supported)
+    theta1 = math.acos(1.0 - at.sinkage / R)
+    ratio = slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery)
+    braked = max(-slip, 0.0)
+    judged = reference.Ground(
+        math.degrees(math.atan(soil.tan_phi)),
+        soil.cohesion,
+        soil.shear_modulus * (R * theta1 / soil.shear_length) ** soil.shear_growth,
+        soil.sinkage_coefficient / ratio**soil.sinkage_exponent,
+        soil.sinkage_exponent,
+    )
+    peak = (0.5 + soil.braked_peak * braked / (1.0 + braked)) * theta1
+    judge = reference.forces(judged, slip, theta1, R, R, 0.0, peak, soil.rim_flow)
+    off = (
+        judge.load - LOAD,
+        judge.drawbar_pull - at.drawbar_pull,
+        (judge.torque - at.torque) / R,
+    )
+    assert max(map(abs, off)) < 1e-4 * max(LOAD, 0.3 * judge.scale)
+
+
+def test_the_displacement_is_the_way_of_the_rim_over_the_soil():
+    """dj/dt of a point of the rim is r w + kappa V - V cos(theta)."""
+    theta1 = 0.9
+    for slip in (-0.7, 0.0, 0.4):
+        share = reference.carried(slip, 0.1, 0.6, theta1)
+        travel = reference.travel_over_rim(slip)
+        for theta in (0.1, 0.5, 0.8):
+            h = 1e-5
+            ahead, behind = (
+                reference.shear_displacement(theta + d, slip, R, theta1, share) for d in (h, -h)
+            )
+            rate = R * (1.0 + share * travel - travel * math.cos(theta))
+            assert (behind - ahead) / (2.0 * h) == pytest.approx(rate, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", sorted(soils()))
+def test_without_flow_it_is_equation_10(name):
+    """The length that K belongs to does not matter then; a little flow changes little."""
+    soil = soils()[name].state(R)
+    for slip in SLIPS:
+        plain = steady_state(slip, LOAD, soil, R, R)
+        assert steady_state(slip, LOAD, soil._replace(shear_length=1.7), R, R) == plain
+        if slip >= 0.0:  # a braked arc is integrated better with flow
+            little = steady_state(slip, LOAD, soil._replace(rim_flow=1e-9), R, R)
+            np.testing.assert_allclose(little, plain, rtol=1e-6, atol=1e-6)
+
+
+@settings(max_examples=60, deadline=None)
+@given(soil=soil_with_flow)
+def test_forces_are_continuous_through_slip_0(soil):
+    left, right = (steady_state(slip, LOAD, soil, R, R) for slip in (-1e-6, 1e-6))
+    assume(left.supported and right.supported)
+    assert abs(left.drawbar_pull - right.drawbar_pull) < 1e-4 * LOAD
+    assert abs(left.torque - right.torque) < 1e-4 * LOAD * R
+    assert abs(left.sinkage - right.sinkage) < 1e-4 * R
+
+
+@settings(max_examples=100, deadline=None)
+@given(soil=soil_with_flow, slip=st.floats(-1.0, 1.0))
+def test_power_is_lost_and_a_locked_wheel_is_not_pushed_forward(soil, slip):
+    at = steady_state(slip, LOAD, soil, R, R)
+    assume(at.supported)
+    rim, travel = motion_from_slip(slip)
+    fastest = max(rim, travel)
+    lost = (at.torque / R * rim - at.drawbar_pull * travel) / fastest
+    assert lost > 0.0
+    locked = steady_state(-1.0, LOAD, soil, R, R)
+    assert locked.drawbar_pull < 0.0 or not locked.supported
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    rim=st.floats(-1.0, 1.0),
+    travel=st.floats(-1.0, 1.0),
+    carry=st.floats(0.0, 0.6),
+    most=st.floats(0.3, 1.0),
+)
+def test_the_carried_share_is_bounded_smooth_and_mirrored(rim, travel, carry, most):
+    """Derivatives by central differences; with both speeds reversed it is the same."""
+    assume(math.hypot(rim, travel) > 1e-2)  # else it varies within a step of the differences
+    floor = 1e-2
+
+    def share(rim, travel):
+        free, by_rim, by_travel = contact.carried_share(rim, travel, floor)
+        found, by_share, _ = contact.held_below(carry * free, most)
+        return found, carry * by_share * by_rim, carry * by_share * by_travel
+
+    found, by_rim, by_travel = share(rim, travel)
+    assert 0.0 <= found <= min(most, 9.1 * carry)
+    assert share(-rim, -travel)[0] == found
+    h = 1e-7
+    size = 1e-3 * (abs(by_rim) + abs(by_travel)) + 1e-3  # curvature has jumps
+    ahead, behind = share(rim + h, travel)[0], share(rim - h, travel)[0]
+    assert by_rim == pytest.approx((ahead - behind) / (2.0 * h), abs=size)
+    ahead, behind = share(rim, travel + h)[0], share(rim, travel - h)[0]
+    assert by_travel == pytest.approx((ahead - behind) / (2.0 * h), abs=size)
+
+
+@pytest.mark.parametrize(
+    ("rim", "travel", "share"),
+    [(1.0, 1.0, 1.0), (1.0, 0.5, 0.125), (1.0, 0.0, 0.0), (0.5, 1.0, 3.375), (0.0, 1.0, 8.0)],
+)
+def test_the_carried_share_is_a_power_of_the_slip(rim, travel, share):
+    assert contact.carried_share(rim, travel, 0.0)[0] == pytest.approx(share)
+
+
+@pytest.mark.parametrize(
+    ("rim", "travel", "braked"),
+    [(0.5, 1.0, 0.5), (1.0, 0.5, 0.0), (0.0, 1.0, 1.0), (-0.5, -1.0, 0.5), (-0.3, 1.0, 1.0)],
+)
+def test_the_braked_share_is_that_of_the_slip(rim, travel, braked):
+    assert braked_share(rim, travel, 1e-6) == pytest.approx(braked, abs=1e-6)
+    assert braked_share(0.0, 0.0, 1e-3) == 0.0
+
+
+@pytest.mark.parametrize("slip", [s for s in SLIPS if s < 0.95])
+@pytest.mark.parametrize("name", ["dry_sand", "lete_sand", "grenville_loam"])
+def test_the_world_has_the_law_of_the_steady_state(name, slip):
+    """The reaction at the steady sinkage, with V = 3 m/s far above the speed of rest."""
+    soil = soils()[name].state(R)._replace(**FLOW, dig_gain=0.0)
+    at = steady_state(slip, LOAD, soil, R, R)
+    rim, travel = motion_from_slip(slip)
+    v, u = 3.0, 3.0 * rim / travel
+    wheel = wheel_with("none")
+    f = react(ground_under(at.sinkage, v, u, soil, wheel), v, u, LOAD, wheel)
+    assert f.drawbar_pull == pytest.approx(at.drawbar_pull, abs=2e-4 * LOAD)
+    assert f.torque == pytest.approx(at.torque, abs=2e-4 * LOAD * R)
+    assert f.sinkage_coefficient == pytest.approx(soil.sinkage_coefficient, rel=1e-3)
+
+
+def test_in_reverse_the_forces_are_mirrored():
+    soil = soils()["lete_sand"].state(R)._replace(**FLOW)
+    wheel = wheel_with("none")
+    for v, u in ((0.3, 0.4), (0.3, 0.1), (0.2, -0.1), (0.05, -0.4)):
+        ahead, back = (
+            react(ground_under(0.02, s * v, s * u, soil, wheel), s * v, s * u, LOAD, wheel)
+            for s in (1.0, -1.0)
+        )
+        assert back.drawbar_pull == pytest.approx(-ahead.drawbar_pull, abs=1e-9)
+        assert back.torque == pytest.approx(-ahead.torque, abs=1e-9)
