@@ -131,6 +131,7 @@ def acting_on(effects: Effects | None, residual: ResidualLaw | None) -> Acting:
 def lay_footing(nodes, arc, soil, load):
     """Lay an `Arc` in `soil` into the scratch `nodes`; its `Footing` under a `load` [N]."""
     p_cos, p_sin = lay_nodes(nodes, arc, soil.sinkage_exponent)
+    most = most_carried(arc) if soil.rim_flow > 0.0 else 1.0
     return Footing(
         arc.theta1,
         p_cos,
@@ -139,7 +140,7 @@ def lay_footing(nodes, arc, soil, load):
         soil.cohesion,
         grown_modulus(soil.shear_modulus, soil, arc),
         soil.rim_flow * soil.tan_phi,
-        most_carried(arc),
+        most,
         load,
     )
 
@@ -227,7 +228,9 @@ def ground_under(at, soil, wheel, acting):
 @njit(**EXACT)
 def _ground_under(at, slip, soil, wheel, fx):
     """(`SoilState` as it is sheared, `Arc`, then the first three of `Beside`)."""
-    shift = braked_shift(braked_share(at.rim_speed, at.speed, REST_SPEED), soil)
+    shift = 0.0
+    if soil.braked_peak > 0.0:
+        shift = braked_shift(braked_share(at.rim_speed, at.speed, REST_SPEED), soil)
     if fx is None:
         return soil, smooth_arc(at.sinkage, wheel.radius, shift), 0.0, 0.0, 0.0
     else:

@@ -168,6 +168,8 @@ class _Balance(NamedTuple):
 @njit(**INLINE)
 def _carried(soil, rim, travel):
     """Share of the travel speed at which soil is carried along the rim, unbounded."""
+    if soil.rim_flow == 0.0:
+        return 0.0
     return soil.rim_flow * soil.tan_phi * carried_share(rim, travel, 0.0)[0]
 
 
