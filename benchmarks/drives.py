@@ -198,7 +198,7 @@ def record(
         drive(controller, scenario, seed, 0, courses, model=model, warnings=True)
     ):
         w = sim.worlds
-        soil = _grounds(w.courses, w.state["x"][:, None], scenario.course.border)[:, 0, :7]
+        soil = _grounds(w.courses, w.state["x"][:, None], scenario.course.border)[:, 0, : len(SoilState._fields)]
         load = np.array(w.state["mass"]) * scenario.gravity
         log["truth"].append(truth(soil, np.array(w.state["bearing_sinkage"]), load, scenario))
         log["driven"].append(alive & (w.state["halt_left"] == 0.0))
@@ -223,7 +223,7 @@ def prior_of(scenario: Scenario) -> np.ndarray:
 def truth(
     soil: np.ndarray, bearing: np.ndarray, load: np.ndarray, scenario: Scenario
 ) -> np.ndarray:
-    """`QUANTITIES` [T, 6] of soils [T, 7], in SI units and rad, at true bearing sinkages [m] and
+    """`QUANTITIES` [T, 6] of soils [T, 11], in SI units and rad, at true bearing sinkages [m] and
     loads [N].
     """
     belief = scenario.belief

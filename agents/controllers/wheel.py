@@ -14,7 +14,7 @@ MOST_SLIP = 0.95  # largest slip to hold: the rim speed for a slip i is V/(1 - i
 _CREEP = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so that speed can build up
 _SLIP = Setting(0.3, "-", "slip to hold, or not to exceed", (0.02, 0.9), high=MOST_SLIP, zero=True)
 #: Relative change of soil and load that recomputes the best slip.
-CHANGE = np.array([0.01] * 7 + [0.1])
+CHANGE = np.array([0.01] * len(SoilState._fields) + [0.1])
 
 
 class FullThrottle(Controller):

@@ -14,7 +14,7 @@ import numpy as np
 from soil_env._compiled.cache import place
 from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.online import Observer, OnlineIdentifier, Readings, slips
-from soil_env.parameters import load_scenario, soils, wheels
+from soil_env.parameters import SoilState, load_scenario, soils, wheels
 from soil_env.parameters.readings import Image
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.traversability import best_points
@@ -66,7 +66,9 @@ def warm_up() -> None:
     slips(np.array([0.3]), np.array([0.2]))
     for predictor in (WheelSoilModel(model.wheel, model.soil), model):
         predictor.predict({"slip": np.array([0.1, 0.3]), "load": 100.0})
-    best_points(np.ones((1, 7)), np.array([100.0]), wheels()["planetary_rover"])
+    best_points(
+        np.ones((1, len(SoilState._fields))), np.array([100.0]), wheels()["planetary_rover"]
+    )
     for equations in compare.HELD:
         compare.root(equations)
         compare.forces(compare.PRINTED_SET, *compare.MEASURED[:2], equations)

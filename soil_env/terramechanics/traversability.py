@@ -136,5 +136,6 @@ def best_points(soils: np.ndarray, load: np.ndarray, wheel: Wheel) -> tuple[np.n
     pull = np.empty(count)
     rim = Rim(wheel.radius, wheel.width, 0.0, 0.0)
     nodes = np.zeros(1, ARC_NODES)
-    _best_points(nodes, np.ascontiguousarray(soils), load, rim, wheel.stall_torque, slip, pull)
+    rows = np.ascontiguousarray(soils).reshape(count, len(SoilState._fields))
+    _best_points(nodes, rows, load, rim, wheel.stall_torque, slip, pull)
     return slip, pull

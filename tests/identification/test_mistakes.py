@@ -108,6 +108,17 @@ def test_a_diameter_for_the_radius_is_told(tmp_path):
     )
 
 
+def test_a_wheel_that_gains_power_is_doubted(tmp_path):
+    """Pull times travel speed is at most torque times rotational speed, whatever the soil."""
+    data = data_of(tmp_path, table_text({}))
+    noise = mistakes._as_is(data).noise
+    assert mistakes._gains_power(data, noise) == ""
+    data.y[:, 2] /= 9.81
+    assert "no wheel gains power" in mistakes._gains_power(data, noise)
+    data.rows.conditions[:, 2] = -0.1  # downhill the weight gives it
+    assert mistakes._gains_power(data, noise) == ""
+
+
 def test_a_pull_that_falls_at_much_slip_alone_is_no_mistake(tmp_path):
     """Only tables that begin at low slip and end below zero say anything about the sign."""
     data = data_of(tmp_path, table_text({}))

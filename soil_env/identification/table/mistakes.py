@@ -46,6 +46,9 @@ STEEPEST = 50.0  # [deg] friction angle where the setup says nothing
 #: Share of the load, largest in a table, below which a force is in another unit: rolling takes
 #: more.
 WEAK = 2e-3
+LEVEL = 0.02  # sine of the grade below which the weight neither takes nor gives power
+GAINED = 1.1  # times the power at the axle, from which a drawbar power is no error of a gain
+SURE_GAIN = 3.0  # [noise] beyond which it is no noise
 BROAD = 3.0  # spreads of a channel within which a wrong value may be anywhere
 
 
@@ -335,7 +338,12 @@ def _readings_doubted(start: _AsIs) -> list[str]:
             f"{best.reading.words}, the base model misses the table by {best.rms:.2g} times the "
             f"noise instead of {best.rms_before:.2g} ({_sure(best.gain)}): {best.reading.remedy}"
         )
-        check = {"pull": _pull_falls, "load": _beyond_strength}.get(best.reading.name)
+        check = {
+            "pull": _pull_falls,
+            "load": _beyond_strength,
+            "torque_kg": _gains_power,
+            "radius": _gains_power,
+        }.get(best.reading.name)
         if check is not None and (broken := check(data, noise)):
             raise ParameterError(f"{data.table.source}: {broken}; {text[:1].lower()}{text[1:]}")
         near = [f"{b.reading.words}" for b in better[1:] if best.gain - b.gain < -UNUSUAL / 2.0]
@@ -344,6 +352,8 @@ def _readings_doubted(start: _AsIs) -> list[str]:
     turned = any(b.reading.name == "pull" and b.gain > 0.0 for b in others)
     if turned and (falls := _pull_falls(data, noise)):
         return [f"{falls}: check the sign of drawbar_pull (positive = the wheel pulls)."]
+    if gained := _gains_power(data, noise):
+        return [f"{gained}: check the units of torque and drawbar_pull, and the wheel's radius."]
     return []
 
 
@@ -567,6 +577,24 @@ def _pull_falls(data: Data, noise: NoiseEstimate) -> str:
     return (
         f"drawbar_pull falls with slip {where} that differ in slip alone, from "
         f"{np.median(first):.3g} N at the least to {np.median(last):.3g} N at the largest slip"
+    )
+
+
+def _gains_power(data: Data, noise: NoiseEstimate) -> str:
+    """The driven wheel pulls with more power than its axle takes, whatever the soil: DP V > T w."""
+    slip = data.rows.slip
+    level = np.abs(data.rows.conditions[:, 2]) < LEVEL
+    both = noise.used[:, 1] & noise.used[:, 2] & (slip > 0.0) & level
+    radius = data.rows.wheels[:, 0]
+    taken = data.y[:, 2] / radius
+    given = data.y[:, 1] * (1.0 - slip)
+    sd = np.hypot(noise.sd[2] / radius, noise.sd[1] * (1.0 - slip))
+    gain = (given - GAINED * taken - SURE_GAIN * sd)[both]
+    if gain.size < 3 or np.median(gain) <= 0.0 or np.median(taken[both]) <= 0.0:
+        return ""
+    return (
+        f"drawbar_pull times travel speed is {np.median((given / taken)[both]):.2g} times torque "
+        "times rotational speed in the middle of the rows, and no wheel gains power"
     )
 
 
