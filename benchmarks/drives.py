@@ -38,7 +38,7 @@ ERROR_SEED = 5  # of zeros and gains
 
 
 def _grounds(courses: np.ndarray, x: np.ndarray, border: float) -> np.ndarray:
-    """Soil [7] at x [courses, n] m, number of the patch, distance behind its beginning [m]."""
+    """Soil at x [courses, n] m, number of the patch, distance behind its beginning [m]."""
     rows = []
     for k, at in enumerate(x):
         places = places_on(courses, k, at, border)
@@ -198,7 +198,8 @@ def record(
         drive(controller, scenario, seed, 0, courses, model=model, warnings=True)
     ):
         w = sim.worlds
-        soil = _grounds(w.courses, w.state["x"][:, None], scenario.course.border)[:, 0, : len(SoilState._fields)]
+        ground = _grounds(w.courses, w.state["x"][:, None], scenario.course.border)
+        soil = ground[:, 0, : len(SoilState._fields)]
         load = np.array(w.state["mass"]) * scenario.gravity
         log["truth"].append(truth(soil, np.array(w.state["bearing_sinkage"]), load, scenario))
         log["driven"].append(alive & (w.state["halt_left"] == 0.0))
