@@ -4,7 +4,9 @@ examples use.
 For an image, or before many processes start at once.
 """
 
+import multiprocessing
 import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Any
 
 import click
@@ -12,6 +14,7 @@ import gymnasium
 import numpy as np
 
 from soil_env._compiled.cache import place
+from soil_env.envs.vehicles import processors
 from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.online import Observer, OnlineIdentifier, Readings, slips
 from soil_env.parameters import SoilState, load_scenario, soils, wheels
@@ -22,9 +25,16 @@ from soil_env.terramechanics.traversability import best_points
 
 @click.command("warmup")
 def command() -> None:
-    """Compile the kernels of environments, identifier and commands once."""
+    """Compile the kernels of environments, identifier and commands once, in as many processes as
+    there are processors.
+    """
     start = time.perf_counter()
-    warm_up()
+    workers = min(len(PARTS), processors())
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        done = {pool.submit(part): name for name, part in PARTS.items()}
+        for future in as_completed(done):
+            future.result()
+            print(f"{done[future]}: compiled", flush=True)
     print(f"ready after {time.perf_counter() - start:.0f} s; {place()}")
 
 
@@ -37,33 +47,48 @@ def _drive(env_id: str, action: float, **options: Any) -> None:
     env.close()
 
 
-def warm_up() -> None:
-    """Run once what is compiled: environments, identifier, tables, logs, controllers, views, the
-    source paper.
-    """
+def _drive_wheels(world: WheelSoilModel | None) -> None:
+    """Drive one wheel and many, of this world."""
+    _drive("SoilWheel-v0", 0.4, model=world)
+    envs = SoilWheelVectorEnv(64, model=world)
+    envs.reset(seed=0)
+    envs.step(np.full((64, 1), 0.4, dtype=np.float32))
+    envs.simulation.true_soils()
+    envs.close()
+
+
+def _with_effects() -> WheelSoilModel:
+    """A model with an effect."""
+    return WheelSoilModel(
+        ModelWheel(0.15, 0.15), soils()["lete_sand"], {"bulldozing": {"rankine": 1.0}}
+    )
+
+
+def _wheels() -> None:
+    _drive_wheels(None)
+    _drive("SoilWheel-v0", 0.4, scenario="mixed")  # without a camera
+
+
+def _wheels_with_effects() -> None:
+    _drive_wheels(_with_effects())
+
+
+def _rovers() -> None:
+    _drive("SoilRover-v0", 0.4)
+
+
+def _others() -> None:
+    """What identifies, predicts, reads tables and logs, and recomputes the source paper."""
     # With its printed values; here so that importing this file reads none.
     from soil_env.paper import compare
 
-    model = WheelSoilModel(
-        ModelWheel(0.15, 0.15), soils()["lete_sand"], {"bulldozing": {"rankine": 1.0}}
-    )
-    print("environments", flush=True)
-    for world in (None, model):
-        _drive("SoilWheel-v0", 0.4, model=world)
-        envs = SoilWheelVectorEnv(64, model=world)
-        envs.reset(seed=0)
-        envs.step(np.full((64, 1), 0.4, dtype=np.float32))
-        envs.simulation.true_soils()
-        envs.close()
-    _drive("SoilWheel-v0", 0.4, scenario="mixed")  # without a camera
-    _drive("SoilRover-v0", 0.4)
     for name, image in (("mixed", None), ("two_lines", Image(*(0.0,) * len(Image._fields)))):
         Observer(load_scenario(name)).observe(Readings(2.0, 0.25), image=image)
-    print("identifier, predictions, tables, logs", flush=True)
     identifier = OnlineIdentifier(wheels()["planetary_rover"])
     identifier.update(Readings(2.0, 0.25, 0.02, 10.0, 147.0, 5.0))
     identifier.traversability()
     slips(np.array([0.3]), np.array([0.2]))
+    model = _with_effects()
     for predictor in (WheelSoilModel(model.wheel, model.soil), model):
         predictor.predict({"slip": np.array([0.1, 0.3]), "load": 100.0})
     best_points(
@@ -72,3 +97,20 @@ def warm_up() -> None:
     for equations in compare.HELD:
         compare.root(equations)
         compare.forces(compare.PRINTED_SET, *compare.MEASURED[:2], equations)
+
+
+#: Parts that are compiled side by side, the longest first.
+PARTS = {
+    "wheels with effects": _wheels_with_effects,
+    "wheels": _wheels,
+    "rovers": _rovers,
+    "identifier, predictions, tables, logs": _others,
+}
+
+
+def warm_up() -> None:
+    """Run once what is compiled, in this process: environments, identifier, tables, logs,
+    controllers, views, the source paper.
+    """
+    for part in PARTS.values():
+        part()
