@@ -411,7 +411,7 @@ def downhill(degrees):
 def test_a_stuck_wheel_is_no_end_and_a_stuck_rover_is():
     """One axle locked is dragged downhill by the others; all of them locked are stalled."""
     course = dict(downhill(-16.0), halt_time=0.0)
-    env = SoilRoverEnv("mars_rover", action="wheel_speed", soils={"quartz_sand": 1}, course=course)
+    env = SoilRoverEnv("mars_rover", action="wheel_speed", soils={"dry_sand": 1}, course=course)
     infos = run(env, 0, 160, (0.5, 0.5, 0.0))[2]
     assert (
         infos[-1]["cause"] == "RUNNING"

@@ -113,6 +113,9 @@ def test_a_wheel_that_gains_power_is_doubted(tmp_path):
     data = data_of(tmp_path, table_text({}))
     noise = mistakes._as_is(data).noise
     assert mistakes._gains_power(data, noise) == ""
+    data.y[:, 1] = 30.0
+    data.y[:, 2] = 0.15 * 40.0
+    assert mistakes._gains_power(data, noise) == ""
     data.y[:, 2] /= 9.81
     assert "no wheel gains power" in mistakes._gains_power(data, noise)
     data.rows.conditions[:, 2] = -0.1  # downhill the weight gives it
