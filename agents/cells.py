@@ -63,9 +63,10 @@ def code_version() -> str:
     there = Path(__file__).parent
     weights = [*sorted(here.rglob("immobilisation.json")), *sorted(there.glob("*.npz"))]
     files = [*sorted(here.rglob("*.py")), *weights, *sorted(there.rglob("*.py"))]
-    installed = {d.name: d.version for d in importlib.metadata.distributions()}
-    libraries = [f"{name} {installed.get(name)}".encode() for name in _NUMERICAL]
-    content = b"".join([*(f.read_bytes() for f in files), *libraries])
+    content = b"".join(f.read_bytes() for f in files)
+    for name in _NUMERICAL:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            content += f"{name} {importlib.metadata.version(name)}".encode()
     digest = hashlib.sha256(content).hexdigest()
     return f"{soil_env.__version__}+{digest[:12]}"
 

@@ -24,7 +24,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from benchmarks.common import ready, short, study_options, write
-from benchmarks.rigs import DATA
+from benchmarks.rigs import DATA, TRAINING_LOADS
 from examples.cmu_rig import convert
 from soil_env._io.document import Table as Page
 from soil_env._io.files import write_json
@@ -37,7 +37,6 @@ from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, So
 from soil_env.measurement.table import MEASURED, Table, read_table
 
 NAME = "prediction"
-TRAINING_LOADS = (40.0, 80.0, 150.0)  # [N] of the continuum
 DRIVEN = -0.01  # [-] slip from which a row drives
 #: Setup of the wheel on particles; noise of means over seconds, from its note.
 PARTICLES = Setup(

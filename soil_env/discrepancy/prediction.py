@@ -15,9 +15,10 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
@@ -48,6 +49,9 @@ LEFT_OUT = (
     "spring_load",
 )
 ROUNDS = 2  # of fit and remainder
+STEPS = MappingProxyType({"ftol": 1e-5, "xtol": 1e-4, "gtol": 1e-4, "max_nfev": 25})  # of a fit
+OFF_BOUND = 0.3  # [prior sd] of the start from a bound
+IMPOSSIBLE = 1e10  # -ln of the likelihood of what has none
 FORCE_SCALE = 0.3  # of the load: scale of pull, and of torque over the radius
 LEAST_SINKAGE = 0.004  # [radii] least scale of the sinkage
 #: Widening of the standard deviations, measured on rigs: linearised intervals held too rarely.
@@ -55,10 +59,31 @@ WIDER = 1.35
 FEWEST_GROUPS = 3  # that are left out in turn
 FEWEST = 4  # values of a channel, for a curve
 FAR = 12.0  # of the logarithm of a size or length, where it ends
-#: Medians, and standard deviations of the logarithm, of the sizes a of the three channels, the
-#: lengths of slip and ln W, and noise beyond the stated over it.
-SIZES = np.array([0.1, 0.1, 0.1, 0.4, 1.0, 0.5, 0.5, 0.5])
-SPREADS = np.array([1.0, 1.0, 1.0, 0.5, 0.6, 0.8, 0.8, 0.8])
+
+
+class Learnt(NamedTuple):
+    """What is learnt of the remainder and of the noise."""
+
+    size: np.ndarray  # [3] a of each channel
+    slip_length: float
+    load_length: float  # of ln W
+    beyond: np.ndarray  # [3] noise beyond the stated, over it
+
+    @classmethod
+    def of(cls, logarithms: np.ndarray) -> Learnt:
+        """Of the logarithms [8] of all, in this order."""
+        x = np.exp(logarithms)
+        return cls(x[:3], float(x[3]), float(x[4]), x[5:])
+
+    @property
+    def logarithms(self) -> np.ndarray:
+        """[8], in the order of the fields."""
+        return np.log([*self.size, self.slip_length, self.load_length, *self.beyond])
+
+
+#: Medians, and standard deviations of the logarithm, before the table is seen: own assumptions.
+USUAL = Learnt(np.full(3, 0.1), 0.4, 1.0, np.full(3, 0.5))
+SPREAD = np.array([1.0, 1.0, 1.0, 0.5, 0.6, 0.8, 0.8, 0.8])
 
 
 class Predicted(NamedTuple):
@@ -147,24 +172,22 @@ def at_conditions(problem: Problem, conditions: Mapping[str, np.ndarray]) -> Pro
 
 
 class _Remainder:
-    """Covariance of the remainder g, of rows of a problem."""
+    """Covariance of the remainder g over the conditions of a table."""
 
     def __init__(self, problem: Problem) -> None:
-        conditions = problem.data.conditions
         self.names = independent(problem)
-        self.middle = {n: float(np.mean(_coordinate(n, conditions[n]))) for n in self.names}
+        self.table = self.points(problem)
 
     def points(self, problem: Problem) -> np.ndarray:
-        """[N, D] coordinates of the rows."""
+        """[N, D] coordinates of the rows of a problem."""
         conditions = problem.data.conditions
-        columns = [_coordinate(n, conditions[n]) - self.middle[n] for n in self.names]
-        return np.stack(columns, axis=1)
+        return np.stack([_coordinate(n, conditions[n]) for n in self.names], axis=1)
 
-    def correlation(self, a: np.ndarray, b: np.ndarray, h: np.ndarray) -> np.ndarray:
-        """[N, M] between points [N, D] and [M, D], with the lengths of ln sizes h."""
-        learnt = {"slip": np.exp(h[3]), "load": np.exp(h[4])}
-        lengths = np.array([learnt.get(n, LENGTHS[n]) for n in self.names])
-        off = (a[:, None, :] - b[None, :, :]) / lengths
+    def correlation(self, points: np.ndarray, learnt: Learnt) -> np.ndarray:
+        """[N, M] of points [N, D] with the rows of the table."""
+        own = {"slip": learnt.slip_length, "load": learnt.load_length}
+        lengths = np.array([own.get(n, LENGTHS[n]) for n in self.names])
+        off = (points[:, None, :] - self.table[None, :, :]) / lengths
         found: np.ndarray = np.exp(-0.5 * np.sum(off**2, axis=2))
         return found
 
@@ -193,8 +216,7 @@ class Prediction:
     choices: tuple[Choice, ...]
     unknowns: tuple[Unknown, ...]
     u: np.ndarray  # [p]
-    sizes: np.ndarray  # [8] logarithms, as `SIZES`
-    smooth: bool  # with a remainder
+    learnt: Learnt | None  # None: without a remainder, under the stated noise alone
     output: np.ndarray  # [N, 3] of the law
     residual: np.ndarray  # [M]
     jacobian: np.ndarray  # [M, p]
@@ -203,181 +225,180 @@ class Prediction:
     def at(self, conditions: Mapping[str, np.ndarray]) -> Predicted:
         """Predicted values at conditions, by the columns of a table."""
         there = at_conditions(self.problem, conditions)
-        law, top = _law(there, self.choices, self.unknowns, self.u)
-        remainder = _Remainder(self.problem)
-        k = np.einsum("ncp,mp->ncm", top, self.jacobian)
+        law, top = self._law(there)
+        known = np.einsum("ncp,mp->ncm", top, self.jacobian)
         variance = np.einsum("ncp,ncp->nc", top, top)
-        across = np.zeros_like(k)
-        if self.smooth:
-            rows, channel = np.nonzero(self.problem.used)
-            ours = _scales(self.problem, self.output)[self.problem.used] / _relative(self.problem)
-            theirs = _scales(there, law)
-            size = np.exp(self.sizes[:3])
-            alike = remainder.correlation(
-                remainder.points(there), remainder.points(self.problem), self.sizes
-            )[:, rows]
-            for j in range(3):
-                own = size[j] ** 2 * theirs[:, j, None] * alike * ours
-                across[:, j] = own * (channel == j)
-            variance = variance + (size * theirs) ** 2
-        known = cho_factor(self.covariance)
-        mean = law / self.problem.noise + across @ cho_solve(known, self.residual)
-        k = k + across
+        across = np.zeros_like(known)
+        noise = np.ones(3)
+        if self.learnt is not None:
+            scale = _scales(there, law)
+            across = self._across(there, scale, self.learnt)
+            variance = variance + (self.learnt.size * scale) ** 2
+            noise = noise + self.learnt.beyond**2
+        remainder = across @ cho_solve(cho_factor(self.covariance), self.residual)
+        known = known + across
         whole = cho_factor(self.covariance + self.jacobian @ self.jacobian.T)
-        solved = cho_solve(whole, k.reshape(-1, k.shape[2]).T).T.reshape(k.shape)
-        variance = np.maximum(variance - np.sum(k * solved, axis=2), 0.0)
-        variance += 1.0 + np.exp(2.0 * self.sizes[5:])
-        noise = self.problem.noise
-        return Predicted(mean * noise, WIDER * np.sqrt(variance) * noise)
+        solved = cho_solve(whole, known.reshape(-1, known.shape[2]).T).T.reshape(known.shape)
+        variance = np.maximum(variance - np.sum(known * solved, axis=2), 0.0) + noise
+        mean = law + remainder * self.problem.noise
+        return Predicted(mean, WIDER * np.sqrt(variance) * self.problem.noise)
 
-    def held_out(self, groups: np.ndarray) -> np.ndarray:
-        """[N, 3] predictions of the values of each of the groups [N] without that group; NaN where
-        not in use. The refits are linearised, with the sizes of the fit to all.
-        """
-        used = self.problem.used
-        whole = self.covariance + self.jacobian @ self.jacobian.T
-        inverse = np.linalg.inv(whole)
-        weighed = inverse @ (self.residual + self.jacobian @ self.u)
-        of = groups[np.nonzero(used)[0]]
-        error = np.zeros(of.size)
-        for group in np.unique(of):
-            here = of == group
-            error[here] = np.linalg.solve(inverse[np.ix_(here, here)], weighed[here])
-        out = np.full(used.shape, np.nan)
-        noise = (self.problem.noise * self.problem.data.relative_sd * np.ones(used.shape))[used]
-        out[used] = self.problem.data.y[used] - error * noise
-        return out
+    def _law(self, there: Problem) -> tuple[np.ndarray, np.ndarray]:
+        """([N, 3] values of the law, [N, 3, p] derivatives over the noise) of other rows."""
+        guess = np.zeros(there.data.rows.slip.size)
+        values = {k.name: k.value(x) for k, x in zip(self.unknowns, self.u, strict=True)}
+        output = np.nan_to_num(there.predict(values, self.choices, guess))
+        top = there.derivatives(self.unknowns, self.u, self.choices, guess)
+        return output, top.reshape(*output.shape, self.u.size)
 
-
-def _law(
-    problem: Problem, choices: tuple[Choice, ...], unknowns: Sequence[Unknown], u: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """([N, 3] values of the law, [N, 3, p] derivatives over the noise)."""
-    guess = np.zeros(problem.data.rows.slip.size)
-    values = {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
-    output = np.nan_to_num(problem.predict(values, choices, guess))
-    top = np.zeros((*output.shape, u.size))
-    top[problem.used] = problem.derivatives(unknowns, u, choices, guess)
-    return output, top
+    def _across(self, there: Problem, scale: np.ndarray, learnt: Learnt) -> np.ndarray:
+        """[N, 3, M] covariance of the remainder at other rows with that of the values in use."""
+        remainder = _Remainder(self.problem)
+        rows, channel = np.nonzero(self.problem.used)
+        alike = remainder.correlation(remainder.points(there), learnt)[:, rows]
+        ours = _scales(self.problem, self.output)[self.problem.used] / _relative(self.problem)
+        same = np.arange(3)[:, None] == channel
+        own = learnt.size**2 * scale
+        found: np.ndarray = own[:, :, None] * same * (alike * ours)[:, None, :]
+        return found
 
 
 def fit_prediction(
-    problem: Problem, choices: tuple[Choice, ...] | None = None, smooth: bool = True
+    problem: Problem,
+    choices: tuple[Choice, ...] | None = None,
+    smooth: bool = True,
+    near: Prediction | None = None,
 ) -> Prediction:
     """The fit of the effects that the table can carry, or of `choices`; without a remainder where
     not `smooth`, which is then a fit under the noise alone.
+
+    With `near`, a fit to more rows, it starts there and keeps what was learnt of the remainder.
     """
-    choices = carried(problem) if choices is None else choices
-    unknowns = problem.unknowns(choices)
-    low, high = (np.array([k.bounds[end] for k in unknowns]) for end in (0, 1))
-    # A start on a bound would stay there.
-    u = np.clip(np.zeros(low.size), low + 0.3, high - 0.3)
-    u = np.where(high - low < 0.6, 0.5 * (low + high), u)
-    remainder = _Remainder(problem)
-    points = remainder.points(problem)
-    sizes = np.log(SIZES)
-    guess = np.zeros(problem.data.rows.slip.size)
+    if near is not None:
+        return _Fitting(problem, near.choices).fitted(near.u, near.learnt)
+    fitting = _Fitting(problem, carried(problem) if choices is None else choices)
+    u = fitting.start()
+    if not smooth:
+        return fitting.fitted(u, None)
+    learnt = USUAL
+    for _ in range(ROUNDS):
+        found = fitting.fitted(u, learnt)
+        u = found.u
+        learnt = fitting.learn(found, learnt)
+    return fitting.fitted(u, learnt)
 
-    def model(x: np.ndarray) -> np.ndarray:
-        values = {k.name: k.value(v) for k, v in zip(unknowns, x, strict=True)}
-        return problem.whiten(problem.predict(values, choices, guess))
 
-    def derivatives(x: np.ndarray) -> np.ndarray:
-        base = model(x)
-        return finite(differences(model, x, unknowns, base), base.size)
+class _Fitting:
+    """Fits of one model to one table."""
 
-    def output() -> np.ndarray:
-        values = {k.name: k.value(v) for k, v in zip(unknowns, u, strict=True)}
-        found: np.ndarray = np.nan_to_num(problem.predict(values, choices, guess))
-        return found
+    def __init__(self, problem: Problem, choices: tuple[Choice, ...]) -> None:
+        self.problem = problem
+        self.choices = choices
+        self.unknowns = problem.unknowns(choices)
+        low, high = (np.array([k.bounds[end] for k in self.unknowns]) for end in (0, 1))
+        self.bounds = low, high
+        self.remainder = _Remainder(problem)
+        self.guess = np.zeros(problem.data.rows.slip.size)
 
-    y = problem.whiten(problem.data.y)
-    for k in range(ROUNDS + 1 if smooth else 1):
-        scale = _scales(problem, output())
-        c = _covariance(problem, remainder, points, scale, sizes, smooth)
+    def start(self) -> np.ndarray:
+        """[p] the prior mean, off the bounds: a start on a bound would stay there."""
+        low, high = self.bounds
+        u = np.clip(np.zeros(low.size), low + OFF_BOUND, high - OFF_BOUND)
+        return np.where(high - low < 2.0 * OFF_BOUND, 0.5 * (low + high), u)
+
+    def output(self, u: np.ndarray) -> np.ndarray:
+        """[N, 3] of the law."""
+        values = {k.name: k.value(x) for k, x in zip(self.unknowns, u, strict=True)}
+        return self.problem.predict(values, self.choices, self.guess)
+
+    def model(self, u: np.ndarray) -> np.ndarray:
+        """[M] of the law, whitened."""
+        return self.problem.whiten(self.output(u))
+
+    def derivatives(self, u: np.ndarray) -> np.ndarray:
+        """[M, p] of `model`."""
+        base = self.model(u)
+        return finite(differences(self.model, u, self.unknowns, base), base.size)
+
+    def covariance(self, scale: np.ndarray, learnt: Learnt | None) -> np.ndarray:
+        """[M, M] of remainder and noise over the noise, of the values in use."""
+        used = self.problem.used
+        rows, channel = np.nonzero(used)
+        if learnt is None:
+            return np.eye(rows.size)
+        relative = _relative(self.problem)
+        own = (scale * learnt.size)[used] / relative
+        alike = self.remainder.correlation(self.remainder.table, learnt)[np.ix_(rows, rows)]
+        c: np.ndarray = (channel[:, None] == channel) * alike * own[:, None] * own
+        c[np.diag_indices(rows.size)] += 1.0 + (learnt.beyond[channel] / relative) ** 2
+        return c
+
+    def fitted(self, start: np.ndarray, learnt: Learnt | None) -> Prediction:
+        """The most probable unknowns under a covariance whose scales are those of the start."""
+        y = self.problem.whiten(self.problem.data.y)
+        c = self.covariance(_scales(self.problem, self.output(start)), learnt)
         root = cholesky(c, lower=True)
 
-        def scaled(values: np.ndarray, root: np.ndarray = root) -> np.ndarray:
+        def scaled(values: np.ndarray) -> np.ndarray:
             found: np.ndarray = solve_triangular(root, values, lower=True)
             return found
 
-        options: dict[str, Any] = {"ftol": 1e-5, "xtol": 1e-4, "gtol": 1e-4, "max_nfev": 25}
         u, _, _ = most_probable(
             scaled(y),
-            lambda x: scaled(model(x)),
-            lambda x: scaled(derivatives(x)),
-            u,
-            (low, high),
-            **options,
+            lambda x: scaled(self.model(x)),
+            lambda x: scaled(self.derivatives(x)),
+            start,
+            self.bounds,
+            **STEPS,
         )
-        residual = y - problem.whiten(output())
-        jacobian = derivatives(u)
-        if smooth and k < ROUNDS:
-            sizes = _learnt(problem, remainder, points, scale, sizes, residual, jacobian, u)
-    scale = _scales(problem, output())
-    c = _covariance(problem, remainder, points, scale, sizes, smooth)
-    return Prediction(problem, choices, unknowns, u, sizes, smooth, output(), residual, jacobian, c)
+        output = np.nan_to_num(self.output(u))
+        return Prediction(
+            self.problem,
+            self.choices,
+            self.unknowns,
+            u,
+            learnt,
+            output,
+            y - self.problem.whiten(output),
+            self.derivatives(u),
+            self.covariance(_scales(self.problem, output), learnt),
+        )
 
+    def learn(self, fit: Prediction, start: Learnt) -> Learnt:
+        """That of the largest marginal likelihood, linearised about a fit, under the priors."""
+        measured = self.problem.used.any(axis=0)
+        free = np.concatenate([measured, [True, "load" in self.remainder.names], measured])
+        scale = _scales(self.problem, fit.output)
+        e = fit.residual + fit.jacobian @ fit.u
+        unknown = fit.jacobian @ fit.jacobian.T
+        usual = USUAL.logarithms
 
-def _covariance(
-    problem: Problem,
-    remainder: _Remainder,
-    points: np.ndarray,
-    scale: np.ndarray,
-    sizes: np.ndarray,
-    smooth: bool,
-) -> np.ndarray:
-    """[M, M] of remainder and noise over the noise, of the values in use."""
-    rows, channel = np.nonzero(problem.used)
-    if not smooth:
-        return np.eye(rows.size)
-    own = (scale * np.exp(sizes[:3]))[problem.used] / _relative(problem)
-    alike = remainder.correlation(points, points, sizes)[np.ix_(rows, rows)]
-    c: np.ndarray = (channel[:, None] == channel) * alike * own[:, None] * own
-    beyond = np.exp(2.0 * sizes[5:])[channel] / _relative(problem) ** 2
-    c[np.diag_indices(rows.size)] += 1.0 + beyond
-    return c
+        def whole(x: np.ndarray) -> np.ndarray:
+            out = usual.copy()
+            out[free] = x
+            return out
+
+        def cost(x: np.ndarray) -> float:
+            logarithms = whole(x)
+            if np.any(np.abs(logarithms) > FAR):
+                return IMPOSSIBLE
+            try:
+                c = self.covariance(scale, Learnt.of(logarithms)) + unknown
+                root = cholesky(c, lower=True)
+            except np.linalg.LinAlgError:
+                return IMPOSSIBLE
+            v = solve_triangular(root, e, lower=True)
+            prior = np.sum(((logarithms - usual) / SPREAD) ** 2)
+            return float(0.5 * (v @ v) + np.sum(np.log(np.diag(root))) + 0.5 * prior)
+
+        options = {"maxiter": 25, "maxfun": 400}
+        found = minimize(cost, start.logarithms[free], method="L-BFGS-B", options=options)
+        return Learnt.of(whole(found.x))
 
 
 def _relative(problem: Problem) -> np.ndarray:
     """[M] noise of the values in use over that of their channel."""
     return np.broadcast_to(problem.data.relative_sd, problem.used.shape)[problem.used]
-
-
-def _learnt(
-    problem: Problem,
-    remainder: _Remainder,
-    points: np.ndarray,
-    scale: np.ndarray,
-    start: np.ndarray,
-    residual: np.ndarray,
-    jacobian: np.ndarray,
-    u: np.ndarray,
-) -> np.ndarray:
-    """Sizes [8] of the largest marginal likelihood, linearised about u, under their priors."""
-    measured = problem.used.any(axis=0)
-    free = np.concatenate([measured, [True, "load" in remainder.names], measured])
-    e = residual + jacobian @ u
-    unknown = jacobian @ jacobian.T
-
-    def cost(x: np.ndarray) -> float:
-        sizes = np.where(free, 0.0, np.log(SIZES))
-        sizes[free] = x
-        if np.any(np.abs(sizes) > FAR):
-            return 1e10
-        c = _covariance(problem, remainder, points, scale, sizes, True) + unknown
-        try:
-            root = cholesky(c, lower=True)
-        except np.linalg.LinAlgError:
-            return 1e10
-        v = solve_triangular(root, e, lower=True)
-        prior = np.sum(((sizes - np.log(SIZES)) / SPREADS) ** 2)
-        return float(0.5 * (v @ v) + np.sum(np.log(np.diag(root))) + 0.5 * prior)
-
-    found = minimize(cost, start[free], method="L-BFGS-B", options={"maxiter": 25, "maxfun": 400})
-    sizes = np.log(SIZES)
-    sizes[free] = found.x
-    return sizes
 
 
 def drawn(problem: Problem, conditions: Mapping[str, np.ndarray]) -> np.ndarray | None:
@@ -404,35 +425,36 @@ def _curves(
 
 
 def outlook(problem: Problem) -> Outlook:
-    """The fit of all effects, and the errors of predictions of what is left out of the table."""
-    base = fit_prediction(problem, (), smooth=False)
-    full = fit_prediction(problem)
+    """The fit of all effects, and the errors of predictions of what is left out of the table.
+
+    Unknowns are fitted anew to the rest; the remainder keeps what was learnt from all rows.
+    """
+    models = (fit_prediction(problem, (), smooth=False), fit_prediction(problem))
     rows = problem.data.rows
     others = tuple(name for name in independent(problem) if name != "slip")
     out = []
-    for what in (("slip",), others):
-        if not what:
-            continue
+    for what in filter(None, (("slip",), others)):
         levels = [problem.data.varied[name].level for name in what]
         groups = np.unique(np.stack(levels), axis=1, return_inverse=True)[1].ravel()
         if groups.max() + 1 < FEWEST_GROUPS:
             continue
-        curve = np.full(problem.used.shape, np.nan)
+        held = np.full((3, *problem.used.shape), np.nan)
         for k in range(groups.max() + 1):
             group = groups == k
-            drawn = _curves(
-                problem, problem.used & ~group[:, None], rows.slip[group], rows.load[group]
-            )
+            rest = problem.without(group)
+            at = {name: x[group] for name, x in problem.data.conditions.items()}
+            for j, model in enumerate(models):
+                held[j, group] = fit_prediction(rest, near=model).at(at).mean
+            drawn = _curves(problem, rest.used, rows.slip[group], rows.load[group])
             if drawn is not None:
-                curve[group] = drawn
-        held = (base.held_out(groups), full.held_out(groups), curve)
+                held[2, group] = drawn
         out.append(_errors(problem, what, held))
-    return Outlook(full, tuple(out))
+    return Outlook(models[1], tuple(out))
 
 
-def _errors(problem: Problem, what: tuple[str, ...], held: Sequence[np.ndarray]) -> LeftOut:
-    """Errors of held-out predictions [N, 3] of the base model, of all effects and of the curve."""
-    off = np.stack(held) - problem.data.y
+def _errors(problem: Problem, what: tuple[str, ...], held: np.ndarray) -> LeftOut:
+    """Errors of held-out predictions [3, N, 3] of the base model, all effects and the curve."""
+    off = held - problem.data.y
     errors: dict[str, Errors] = {}
 
     def size(values: np.ndarray, noise: float) -> Errors:

@@ -113,11 +113,11 @@ def _corners(r: Results) -> Table:
 
 def _criterion_table() -> Table:
     """Torque of the paper's sand, beside what is available."""
-    rows = [
-        (name, f"{low:.0f} to {high:.0f}", f"{high - P.available_torque:+.0f}",
-         "never" if np.isnan(first) else f"{first:.2f}")
-        for name, low, high, first in compare.criterion()
-    ]  # fmt: skip
+    rows = []
+    for name, low, high, first in compare.criterion():
+        passed = "never" if np.isnan(first) else f"{first:.2f}"
+        more = f"{high - P.available_torque:+.0f}"
+        rows.append((name, f"{low:.0f} to {high:.0f}", more, passed))
     header = ("set", "T [N m]", "highest less available", "more than available from slip")
     return Table(header, rows)
 

@@ -7,7 +7,14 @@ import pytest
 
 from soil_env.discrepancy.calibrate import calibrate
 from soil_env.discrepancy.curve import fit_curve
-from soil_env.discrepancy.prediction import carried, drawn, fit_prediction, independent, outlook
+from soil_env.discrepancy.prediction import (
+    WIDER,
+    carried,
+    drawn,
+    fit_prediction,
+    independent,
+    outlook,
+)
 from tests.discrepancy.files import NOISE, PLANTED, changed, data_of, table_text, world
 
 LOADS = (80.0, 120.0, 180.0)
@@ -64,15 +71,22 @@ def test_far_rows_are_less_sure(planted):
     assert np.all(far > 2.0 * near)
 
 
-def test_linearised_held_out_rows_are_those_of_refits(planted):
-    slip = planted.data.varied["slip"].level
-    of_all = fit_prediction(planted)
-    held = of_all.held_out(slip)
-    group = slip == 2
+def test_a_refit_near_another_is_that_of_its_rows_alone(planted):
+    group = planted.data.varied["slip"].level == 2
     rest = planted.without(group)
     rows = planted.data.rows
-    again = fit_prediction(rest).at({"slip": rows.slip[group], "load": rows.load[group]})
-    assert over_noise(held[group] - again.mean) < 0.5
+    at = {"slip": rows.slip[group], "load": rows.load[group]}
+    near, alone = (
+        fit_prediction(rest, near=of).at(at).mean for of in (fit_prediction(planted), None)
+    )
+    assert over_noise(near - alone) < 0.5
+
+
+def test_the_deviations_of_a_model_without_remainder_are_those_of_noise_and_soil(tmp_path):
+    problem = problem_of(tmp_path, table_text({}, loads=LOADS))
+    found = fit_prediction(problem, (), smooth=False).at({"slip": [0.25], "load": [120.0]})
+    assert found.sd[0] / list(NOISE.values()) == pytest.approx(WIDER, rel=0.25)
+    assert np.all(found.sd[0] >= WIDER * np.array(list(NOISE.values())))
 
 
 def test_a_smooth_remainder_that_no_effect_has_is_predicted(tmp_path):
