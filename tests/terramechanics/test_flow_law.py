@@ -14,6 +14,7 @@ from soil_env.terramechanics import contact
 from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
 from soil_env.terramechanics.steady import steady_state
 from tests.terramechanics import reference
+from tests.terramechanics.arcs import arc_integrals
 from tests.terramechanics.cases import FLOW
 from tests.terramechanics.test_reaction import R, ground_under, react, wheel_with
 
@@ -90,6 +91,24 @@ def test_the_displacement_is_the_way_of_the_rim_over_the_soil():
             )
             rate = R * (1.0 + share * travel - travel * math.cos(theta))
             assert (behind - ahead) / (2.0 * h) == pytest.approx(rate, rel=1e-6)
+
+
+def test_an_arc_in_which_the_shear_turns_needs_the_split():
+    """Difference of 400 braked arcs with K/r of 0.002 to 0.01, over their load without cohesion."""
+    rng = np.random.default_rng(0)
+    off = []
+    for _ in range(400):
+        theta1 = rng.uniform(0.2, 1.2)
+        slip = rng.uniform(-0.98, -0.02)
+        K = R * math.exp(rng.uniform(math.log(0.002), math.log(0.01)))
+        n = rng.uniform(0.3, 1.5)
+        tan_phi = math.tan(rng.uniform(0.1, 0.8))
+        arc = (theta1, 0.0, 0.5 * theta1, *motion_from_slip(slip), K, n, R)
+        plain, split = (arc_integrals(*arc, split=of)[0] for of in (False, True))
+        change = max(abs(plain.pe_cos - split.pe_cos), abs(plain.pe - split.pe))
+        off.append(tan_phi * change / plain.p_cos)
+    assert np.quantile(off, 0.9) == pytest.approx(1.2e-3, rel=0.1)
+    assert np.max(off) == pytest.approx(0.063, rel=0.05)
 
 
 @pytest.mark.parametrize("name", sorted(soils()))
