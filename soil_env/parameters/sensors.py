@@ -14,12 +14,20 @@ class Noise(Checked):
     sensor by itself. Forces are shares of the unloaded wheel's weight.
 
     No rover measures slip: it follows from travel speed and rim speed, unless `slip` gives the
-    noise of a sensor of its own. The sizes are our choice. Travel speed is that of visual odometry,
-    which told changes of 2 mm on Mars (Maimone, Cheng & Matthies 2007, J. Field Robotics
-    24:169-186); 5 mm/s is half a millimetre between images ten times a second. Zeros and gains of
-    forces and torques are 1 to 2 % of what the sensor is made for, that of a motor's torque allows
-    for the spread of its torque constant, those of pitch and acceleration are 0.3 deg and 5
-    thousandths of gravity.
+    noise of a sensor of its own. Where a data sheet states a tolerance, a standard deviation is
+    half of it:
+
+    - Travel speed is that of visual odometry, which told changes of 2 mm on Mars (Maimone, Cheng &
+      Matthies 2007, J. Field Robotics 24:169-186); 5 mm/s is half a millimetre between images ten
+      times a second.
+    - The zero of a good force transducer moves by up to 0.05 % of its nominal force in 10 K (HBM,
+      "Temperature coefficient of the zero point"). One that is made for ten times the weight moves
+      by 1 % of the weight in 20 K.
+    - The torque constant of a motor is within 10 % (Hiwin TM-04-0-EN-2108, section 8.1).
+    - An accelerometer as it is delivered is within 50 thousandths of gravity and 3 % (InvenSense
+      PS-MPU-6000A 3.4, section 6.2). Ours was turned over once, which leaves a tenth of the zero
+      and a sixth of the gain; a zero of 5 thousandths of gravity is a pitch of 0.3 deg.
+    - The others are our choice.
     """
 
     slip: float = quantity("", 0.0, 1.0, default=0.0, doc="of a slip sensor; 0: there is none")
