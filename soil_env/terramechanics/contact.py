@@ -49,11 +49,14 @@ SPLIT_PER_ZONE = 12
 SPLIT_NODES = 3 * SPLIT_PER_ZONE
 _x, _w = np.polynomial.legendre.leggauss(SPLIT_PER_ZONE)
 _v = 0.5 * (_x + 1.0)
-#: [-] Place of a node in a zone, v^2 (3 - 2 v), which is dense at both ends, and its weight.
-SPLIT_PLACE = _v * _v * (3.0 - 2.0 * _v)
-SPLIT_WEIGHT = 3.0 * _v * (1.0 - _v) * _w
-TURNS = 30  # steps of Newton's method or of bisection for the angle where the shear turns, at most
-TURN_ERROR = 1e-12  # [rad] of that angle
+_place = _v * _v * (3.0 - 2.0 * _v)  # of a node in a zone, dense at both ends
+_zones = np.eye(3)
+#: [-] [zones, nodes] Lengths of each zone between the entry and a node, and its share of their
+#: weights.
+SPLIT_AHEAD = np.kron(_zones, _place) + np.kron(np.tril(np.ones((3, 3)), -1).T, np.ones_like(_v))
+SPLIT_WEIGHT = np.kron(_zones, 3.0 * _v * (1.0 - _v) * _w)
+TURNS = 8  # steps of Newton's method for the angle where the shear turns, at most
+TURN_STEP = 1e-5  # [rad] last of these steps, which leaves an error of about its square
 LEAST_WAY = 1e-7  # [rad] from the entry that a mean over the arc is formed of
 
 _PER_SPLIT = ("f8", SPLIT_NODES)
@@ -400,30 +403,23 @@ def turning_angle(nodes, rim, travel):
     """Angle inside the arc of `lay_nodes` at which the shear displacement changes its sign; theta1
     if there is none.
 
-    j = 0 where the mean of cos from there to the entry is rim/travel: Newton's method in a bracket.
+    j = 0 where the mean of cos from there to the entry is rim/travel. Newton's method starts from
+    the series of that mean to second order.
     """
     end = nodes.sheared_from
-    low = nodes.theta2
-    high = nodes.theta1
-    ahead = rim - travel * _mean_cos(high, end)[0]
-    if ahead * (rim - travel * _mean_cos(low, end)[0]) >= 0.0:
+    s = half_sin(end)
+    if (rim - travel) * (rim - travel * (1.0 - 2.0 * s * s)) >= 0.0:  # a mean is between these
         return nodes.theta1
-    theta = 0.5 * (low + high)
+    goal = rim / travel
+    theta = 0.5 * (math.sqrt(max(24.0 * (1.0 - goal) - 3.0 * end * end, 0.0)) - end)
     for _ in range(TURNS):
+        theta = min(max(theta, nodes.theta2), nodes.theta1)
         mean, slope = _mean_cos(theta, end)
-        off = rim - travel * mean
-        if off * ahead > 0.0:
-            high = theta
-        else:
-            low = theta
-        by_theta = -travel * slope
-        step = -off / by_theta if abs(by_theta) > abs(off) * LEAST_WAY else 2.0 * nodes.theta1
-        if not low < theta + step < high:
-            step = 0.5 * (low + high) - theta
+        step = (goal - mean) / slope
         theta += step
-        if abs(step) < TURN_ERROR:
+        if abs(step) < TURN_STEP:
             break
-    return theta
+    return theta if nodes.theta2 < theta < nodes.theta1 else nodes.theta1
 
 
 @njit(**SUMS)
@@ -434,31 +430,34 @@ def _lay_split(nodes, turn):
     split = nodes.split[0]
     r = nodes.radius
     theta1 = nodes.theta1
+    theta2 = nodes.theta2
     thetam = nodes.thetam
-    mirrored = (theta1 - thetam) / (thetam - nodes.theta2)
+    sheared_from = nodes.sheared_from
+    n = nodes.exponent
+    mirrored = (theta1 - thetam) / (thetam - theta2)
     sine = half_sin(theta1)
     rise1 = sine * sine
-    sheared_sin = 2.0 * half_sin(nodes.sheared_from) * half_cos(nodes.sheared_from)
-    upper = theta1
-    for zone in range(3):
-        lower = max(turn, thetam)
-        if zone > 0:
-            lower = min(turn, thetam) if zone == 1 else nodes.theta2
-        for i in range(SPLIT_PER_ZONE):
-            k = zone * SPLIT_PER_ZONE + i
-            theta = upper - (upper - lower) * SPLIT_PLACE[i]
-            front = theta1 - (theta - nodes.theta2) * mirrored  # Eq. (8)
-            front = theta if theta >= thetam else front
-            f = half_sin(front)
-            s = half_sin(theta)
-            c = half_cos(theta)
-            split.weight[k] = (upper - lower) * SPLIT_WEIGHT[i]
-            split.stress[k] = split.weight[k] * power(2.0 * r * (rise1 - f * f), nodes.exponent)
-            split.sin[k] = 2.0 * s * c
-            split.cos[k] = 1.0 - 2.0 * s * s
-            split.by_rim[k] = r * (nodes.sheared_from - theta)
-            split.by_travel[k] = r * (2.0 * s * c - sheared_sin)
-        upper = lower
+    sheared_sin = 2.0 * half_sin(sheared_from) * half_cos(sheared_from)
+    upper = theta1 - max(turn, thetam)
+    middle = abs(turn - thetam)
+    lower = min(turn, thetam) - theta2
+    for k in range(SPLIT_NODES):
+        ahead = upper * SPLIT_AHEAD[0, k] + middle * SPLIT_AHEAD[1, k] + lower * SPLIT_AHEAD[2, k]
+        theta = theta1 - ahead
+        front = theta1 - (theta - theta2) * mirrored  # Eq. (8)
+        front = theta if theta >= thetam else front
+        f = half_sin(front)
+        s = half_sin(theta)
+        c = half_cos(theta)
+        weight = (
+            upper * SPLIT_WEIGHT[0, k] + middle * SPLIT_WEIGHT[1, k] + lower * SPLIT_WEIGHT[2, k]
+        )
+        split.weight[k] = weight
+        split.stress[k] = weight * power(2.0 * r * (rise1 - f * f), n)
+        split.sin[k] = 2.0 * s * c
+        split.cos[k] = 1.0 - 2.0 * s * s
+        split.by_rim[k] = r * (sheared_from - theta)
+        split.by_travel[k] = r * (2.0 * s * c - sheared_sin)
 
 
 @njit(**SUMS)
