@@ -13,6 +13,7 @@ differ by more than two standard deviations of the wrong one.
 import dataclasses
 import itertools
 import math
+import re
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -67,6 +68,7 @@ class Sound:
     columns: dict[str, np.ndarray]
     setup: Setup
     what: str
+    wrong_row: int = 0  # line of the file, 0 if none is wrong
 
     def table(self) -> Table:
         """The table as it is read from a file."""
@@ -195,11 +197,15 @@ def _diameter(t: Sound) -> Sound:
 def _one(name: str, change: Callable) -> Callable[[Sound], Sound | None]:
     """One value of a column is wrong, in a row that follows from the table."""
 
-    def once(values: np.ndarray) -> np.ndarray:
+    def once(t: Sound) -> Sound | None:
+        if name not in t.columns:
+            return None
+        values = t.columns[name]
         k = int(1e6 * abs(values.sum())) % values.size
-        return np.where(np.arange(values.size) == k, change(values), values)
+        wrong = np.where(np.arange(values.size) == k, change(values), values)
+        return replace(t, columns=t.columns | {name: wrong}, wrong_row=k + 2)
 
-    return _changed(name, once)
+    return once
 
 
 #: What is wrong with a table, by name; None where the table has no such column.
@@ -218,11 +224,15 @@ MISTAKES: dict[str, Callable[[Sound], Sound | None]] = {
 
 
 def told(t: Sound) -> tuple[str, ...]:
-    """What is said first of a table; a refusal counts."""
+    """What is said first of a table; a refusal counts, and so does a wrong row by its number where
+    it is left out.
+    """
     try:
-        return examine(t.table(), t.setup).said
+        found = examine(t.table(), t.setup)
     except ParameterError as error:
         return (str(error),)
+    row = re.compile(rf"Row {t.wrong_row}\b")
+    return (*found.said, *(text for text in found.left_out if row.match(text)))
 
 
 def matters(sound: Sound, wrong: Sound) -> bool:

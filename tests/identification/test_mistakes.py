@@ -118,6 +118,11 @@ def test_a_wheel_that_gains_power_is_doubted(tmp_path):
     assert mistakes._gains_power(data, noise) == ""
     data.y[:, 2] /= 9.81
     assert "no wheel gains power" in mistakes._gains_power(data, noise)
+    data.y[:, 1] = 30.0
+    data.y[:, 2] = 0.15 * 20.0
+    data.rows.slip[:] = 0.5
+    assert mistakes._gains_power(data, noise) == ""
+    assert "1.5 times torque over radius" in mistakes._outpulls_the_rim(data, noise)
     data.rows.conditions[:, 2] = -0.1  # downhill the weight gives it
     assert mistakes._gains_power(data, noise) == ""
 
@@ -212,6 +217,15 @@ def test_a_wrong_value_is_named_and_left_out_of_the_estimate(tmp_path):
     expected = identify_table(right.table, right.setup)
     for name, p in e.parameters.items():
         assert p.value == pytest.approx(expected.parameters[name].value, rel=0.1), name
+
+
+@pytest.mark.parametrize("row", [2, 5, 7, 19])
+def test_a_wrong_value_hides_behind_no_noise_that_it_makes_itself(tmp_path, row):
+    """Ten times a sinkage, in tables without noise in the setup, which take it from the scatter."""
+    text = with_cell(table_text({}, loads=(60, 100, 160)), row, "sinkage", 10.0)
+    data = data_of(tmp_path, text, re.sub("noise:.*", "", SETUP))
+    said = examine(data.table, data.setup).said
+    assert any(w.startswith(f"Row {row}") and "sinkage" in w for w in said)
 
 
 @pytest.mark.parametrize(

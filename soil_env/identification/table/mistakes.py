@@ -47,7 +47,7 @@ STEEPEST = 50.0  # [deg] friction angle where the setup says nothing
 #: more.
 WEAK = 2e-3
 LEVEL = 0.02  # sine of the grade below which the weight neither takes nor gives power
-GAINED = 1.1  # times the power at the axle, from which a drawbar power is no error of a gain
+GAINED = 1.1  # times the power or force at the axle, from which more is no error of a gain
 SURE_GAIN = 3.0  # [noise] beyond which it is no noise
 BROAD = 3.0  # spreads of a channel within which a wrong value may be anywhere
 
@@ -352,8 +352,8 @@ def _readings_doubted(start: _AsIs) -> list[str]:
     turned = any(b.reading.name == "pull" and b.gain > 0.0 for b in others)
     if turned and (falls := _pull_falls(data, noise)):
         return [f"{falls}: check the sign of drawbar_pull (positive = the wheel pulls)."]
-    if gained := _gains_power(data, noise):
-        return [f"{gained}: check the units of torque and drawbar_pull, and the wheel's radius."]
+    if more := _gains_power(data, noise) or _outpulls_the_rim(data, noise):
+        return [f"{more}: check the units of torque and drawbar_pull, and the wheel's radius."]
     return []
 
 
@@ -582,20 +582,42 @@ def _pull_falls(data: Data, noise: NoiseEstimate) -> str:
 
 def _gains_power(data: Data, noise: NoiseEstimate) -> str:
     """The driven wheel pulls with more power than its axle takes, whatever the soil: DP V > T w."""
-    slip = data.rows.slip
+    return _over_the_axle(
+        data,
+        noise,
+        1.0 - data.rows.slip,
+        "drawbar_pull times travel speed is {:.2g} times torque times rotational speed in the "
+        "middle of the rows, and no wheel gains power",
+    )
+
+
+def _outpulls_the_rim(data: Data, noise: NoiseEstimate) -> str:
+    """The driven wheel pulls with more than its torque brings to the rim, as if the normal stress
+    pushed it forward: DP > T/r.
+    """
+    return _over_the_axle(
+        data,
+        noise,
+        np.ones_like(data.rows.slip),
+        "drawbar_pull is {:.2g} times torque over radius in the middle of the rows, and soil holds "
+        "a driven wheel back",
+    )
+
+
+def _over_the_axle(data: Data, noise: NoiseEstimate, speed: np.ndarray, words: str) -> str:
+    """`words` with DP `speed`/(T/r) in the middle of the driven rows on the level, where that is
+    beyond noise and gains; `speed` [N] as a share of that of the rim.
+    """
     level = np.abs(data.rows.conditions[:, 2]) < LEVEL
-    both = noise.used[:, 1] & noise.used[:, 2] & (slip > 0.0) & level
+    both = noise.used[:, 1] & noise.used[:, 2] & (data.rows.slip > 0.0) & level
     radius = data.rows.wheels[:, 0]
     taken = data.y[:, 2] / radius
-    given = data.y[:, 1] * (1.0 - slip)
-    sd = np.hypot(noise.sd[2] / radius, noise.sd[1] * (1.0 - slip))
+    given = data.y[:, 1] * speed
+    sd = np.hypot(noise.sd[2] / radius, noise.sd[1] * speed)
     gain = (given - GAINED * taken - SURE_GAIN * sd)[both]
     if gain.size < 3 or np.median(gain) <= 0.0 or np.median(taken[both]) <= 0.0:
         return ""
-    return (
-        f"drawbar_pull times travel speed is {np.median((given / taken)[both]):.2g} times torque "
-        "times rotational speed in the middle of the rows, and no wheel gains power"
-    )
+    return words.format(np.median((given / taken)[both]))
 
 
 def _beyond_strength(data: Data, noise: NoiseEstimate) -> str:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table.data import CHANNELS, LOGARITHMIC, WHEEL, Data
@@ -22,6 +23,7 @@ OUTLIER = 4.5  # [sd] distance from the smooth surface beyond which a value is l
 #: [sd over root of their number] median of the others at a slip from which a deviation is no
 #: outlier.
 COMMON = 3.8
+LEAST_TAIL = 1e-300  # probability that a distance is computed from, at least
 ALONE = 0.8  # leverage on the smooth surface above which a value is checked by no other
 #: Scatter over the size of the values below which they are rounded or computed, not measured.
 LEAST_NOISE = 1e-5
@@ -183,14 +185,16 @@ def _without_outliers(
     keep = used.copy()
     for _ in range(max(1, int(0.06 * keep.sum())) + 1):
         left, leverage = _surface(basis, e, keep)
+        known = keep & (leverage <= ALONE)
+        spread = left / np.sqrt(np.maximum(1.0 - leverage, 0.05))
         scale = sd
         if sd is None:
-            median = float(
-                np.median(np.abs(left[keep]) / np.sqrt(np.maximum(1.0 - leverage[keep], 0.05)))
-            )
-            scale = max(1.4826 * median, 1e-12)
-        far = np.abs(left) / (scale * np.sqrt(np.maximum(1.0 - leverage, 0.05)))
-        far[~keep | (leverage > ALONE)] = 0.0
+            scale = max(1.4826 * float(np.median(np.abs(spread[keep]))), 1e-12)
+        far = np.abs(spread) / scale
+        if sd is None:
+            freedom = int(keep.sum()) - basis.shape[1] - 1
+            far = np.maximum(far, _deleted(spread, float(np.sum(left[keep] ** 2)), freedom))
+        far[~known] = 0.0
         worst = int(np.argmax(far))
         if far[worst] <= OUTLIER:
             break
@@ -203,6 +207,19 @@ def _without_outliers(
         others = left[used & (slip == slip[k]) & (np.arange(slip.size) != k)] * np.sign(left[k])
         keep[k] = others.size > 1 and np.median(others) > COMMON / math.sqrt(others.size)
     return keep
+
+
+def _deleted(spread: np.ndarray, square: float, freedom: int) -> np.ndarray:
+    """[N] distances [sd] of values from the surface through all others, which a single large one
+    hides neither by the surface nor by the noise that it draws to itself.
+
+    The externally studentised residual (Belsley, Kuh & Welsch 1980, Eq. 2.26), as the distance of
+    the same probability under a known noise. `spread` [N]: residuals over sqrt(1 - leverage);
+    `square`: the sum of squared residuals; `freedom`: of the others.
+    """
+    rest = np.maximum(square - spread**2, 1e-12 * square)
+    t = np.abs(spread) / np.sqrt(rest / freedom)
+    return stats.norm.isf(np.maximum(stats.t.sf(t, freedom), LEAST_TAIL))
 
 
 def _refuse_no_scatter(data: Data, used: np.ndarray, sd: np.ndarray, origin: list[str]) -> None:
