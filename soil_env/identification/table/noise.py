@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table.data import CHANNELS, LOGARITHMIC, WHEEL, Data
@@ -219,7 +219,7 @@ def _deleted(spread: np.ndarray, square: float, freedom: int) -> np.ndarray:
     """
     rest = np.maximum(square - spread**2, 1e-12 * square)
     t = np.abs(spread) / np.sqrt(rest / freedom)
-    return stats.norm.isf(np.maximum(stats.t.sf(t, freedom), LEAST_TAIL))
+    return -special.ndtri(np.maximum(special.stdtr(freedom, -t), LEAST_TAIL))
 
 
 def _refuse_no_scatter(data: Data, used: np.ndarray, sd: np.ndarray, origin: list[str]) -> None:
