@@ -219,7 +219,8 @@ def _deleted(spread: np.ndarray, square: float, freedom: int) -> np.ndarray:
     """
     rest = np.maximum(square - spread**2, 1e-12 * square)
     t = np.abs(spread) / np.sqrt(rest / freedom)
-    return -special.ndtri(np.maximum(special.stdtr(freedom, -t), LEAST_TAIL))
+    tail = special.stdtr(freedom, -t)
+    return np.asarray(-special.ndtri(np.maximum(tail, LEAST_TAIL)))
 
 
 def _refuse_no_scatter(data: Data, used: np.ndarray, sd: np.ndarray, origin: list[str]) -> None:
