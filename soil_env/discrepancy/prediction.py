@@ -32,7 +32,7 @@ from soil_env.discrepancy.unnamed import OF_LOAD
 from soil_env.identification.table.data import CHANNELS
 from soil_env.identification.table.form_error import LENGTHS, LOGARITHMIC
 from soil_env.identification.table.priors import Unknown
-from soil_env.identification.table.problem import differences, finite, most_probable
+from soil_env.identification.table.problem import Last, differences, finite, most_probable
 from soil_env.terramechanics.model import rows_of
 
 #: Forms of each effect that are fitted together; the first of the others.
@@ -315,7 +315,7 @@ def fit_prediction(
     """
     if near is not None:
         fitting = _Fitting(problem, near.choices)
-        fitting.known = near.u, near.jacobian[problem.used[near.problem.used]]
+        fitting.derivatives.know(near.u, near.jacobian[problem.used[near.problem.used]])
         return fitting.fitted(near.u, near.learnt)
     fitting = _Fitting(problem, carried(problem) if choices is None else choices)
     u = fitting.start()
@@ -340,8 +340,7 @@ class _Fitting:
         self.bounds = low, high
         self.remainder = _Remainder(problem)
         self.guess = np.zeros(problem.data.rows.slip.size)
-        #: Unknowns and derivatives there that were asked for last.
-        self.known: tuple[np.ndarray, np.ndarray] | None = None
+        self.derivatives = Last(self._derivatives)
 
     def start(self) -> np.ndarray:
         """[p] the prior mean, off the bounds: a start on a bound would stay there."""
@@ -358,13 +357,10 @@ class _Fitting:
         """[M] of the law, whitened."""
         return self.problem.whiten(self.output(u))
 
-    def derivatives(self, u: np.ndarray) -> np.ndarray:
+    def _derivatives(self, u: np.ndarray) -> np.ndarray:
         """[M, p] of `model`."""
-        if self.known is None or not np.array_equal(self.known[0], u):
-            base = self.model(u)
-            found = finite(differences(self.model, u, self.unknowns, base), base.size)
-            self.known = u.copy(), found
-        return self.known[1]
+        base = self.model(u)
+        return finite(differences(self.model, u, self.unknowns, base), base.size)
 
     def covariance(self, scale: np.ndarray, learnt: Learnt | None) -> _Covariance:
         """Of remainder and noise over the noise, of the values in use."""

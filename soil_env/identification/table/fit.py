@@ -13,7 +13,7 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import chi2, f as f_distribution, t
+from scipy.special import chdtr, chdtrc, fdtrc, ndtri, stdtrit
 from threadpoolctl import threadpool_limits
 
 from soil_env.identification.table.bins import binned
@@ -301,7 +301,8 @@ def _parameters(
 
     Where noise is estimated, Student's t has the degrees of freedom of the channel that has fewest.
     """
-    reach = t.ppf(0.975, max(1.0, float(np.min(problem.freedom))))
+    freedom = max(1.0, float(np.min(problem.freedom)))
+    reach = float(ndtri(0.975) if math.isinf(freedom) else stdtrit(freedom, 0.975))
     values = problem.values(u)
     range_of = {k.name: (k.low, k.high) for k in problem.unknowns}
     to_pressure = scaling[LN_S] + math.log(problem.z_ref) * scaling[EXPONENT]
@@ -359,8 +360,8 @@ def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
         if not problem.estimated[j]:
             freedom = max(float(np.sum(np.maximum(left[k, j] / variances[k, j], 1e-3))), 0.5)
             square = float(np.sum(errors[k, j] ** 2 / variances[k, j]))
-            p = float(chi2.sf(square, freedom))
-            low = float(chi2.cdf(square, freedom)) if square < SMALL**2 * freedom else 1.0
+            p = float(chdtrc(freedom, square))
+            low = float(chdtr(freedom, square)) if square < SMALL**2 * freedom else 1.0
         relative = problem.relative[:, j - 2] if j >= 2 else np.ones(len(out))
         fits[name] = ChannelFit(
             *columns, noise, relative, bool(problem.estimated[j]), p, low, UNITS[name]
@@ -488,7 +489,7 @@ def _missed(problem: TableProblem, plain: _Plain, examined: Examined | None) -> 
             scatter = examined.noise.sd[j]
             more = (fit.noise / scatter) ** 2
             freedom = problem.freedom[2 + j], min(examined.noise.freedom[j], 1e6)
-            follows = follows or f_distribution.sf(more, *freedom) < 5e-4
+            follows = follows or fdtrc(*freedom, more) < 5e-4
             ratio = fit.noise / scatter
         if follows:
             out[name] = ratio
@@ -575,5 +576,5 @@ def _follows(slip: np.ndarray, load: np.ndarray, residual: np.ndarray) -> bool:
     spare = e.size - rank
     return bool(
         spare > 1
-        and f_distribution.sf(explained / rank * spare / max(rest, 1e-300), rank, spare) < 5e-4
+        and fdtrc(rank, spare, explained / rank * spare / max(rest, 1e-300)) < 5e-4
     )
