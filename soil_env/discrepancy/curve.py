@@ -66,7 +66,7 @@ def fit_curve(slip: np.ndarray, load: np.ndarray, y: np.ndarray, sd: np.ndarray 
     powers = POWERS
     if np.ptp(x) > LEAST_SPAN:
         found = least_squares(
-            lambda p: np.concatenate([fitted(math.exp(p[3]), p[:3])[1], (p[:3] - POWERS) / POWER_SD]),
+            lambda p: np.append(fitted(math.exp(p[3]), p[:3])[1], (p[:3] - POWERS) / POWER_SD),
             [*POWERS, math.log(scale)],
             bounds=(
                 [-np.inf] * 3 + [math.log(SLIP_SCALES[0] / 2.0)],

@@ -112,9 +112,7 @@ def noise_scales(freedom: float) -> np.ndarray:
     """
     if not math.isfinite(freedom):
         return np.ones(1)
-    scales: np.ndarray = np.sqrt(
-        freedom / chdtri(freedom, 1.0 - np.array(_NOISE_QUANTILES))
-    )
+    scales: np.ndarray = np.sqrt(freedom / chdtri(freedom, 1.0 - np.array(_NOISE_QUANTILES)))
     return scales
 
 

@@ -66,6 +66,8 @@ class Parameter:
     unit: str
     known: bool
     sd_over_prior: float  # sd after the data over that of the prior; nan if known
+    #: low, high: ends of the interval that are bounds of the admissible range, not of the data.
+    at_bound: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -324,6 +326,8 @@ def _parameters(
         least, most = range_of.get(name, (-math.inf, math.inf))
         low = max(float(value - half), least)
         high = min(float(value + half), most)
+        ends = zip(("low", "high"), (low == least, high == most), strict=True)
+        at_bound = tuple(end for end, there in ends if there and half > 0.0)
         bounds = [float(value), low, high]
         if name in ("shear_modulus", "sinkage_coefficient", "reference_pressure"):
             bounds = [math.exp(min(b, 700.0)) for b in bounds]
@@ -331,7 +335,8 @@ def _parameters(
             bounds[0] = 0.0 if abs(bounds[0]) < 1e-9 * half else bounds[0]
         prior_sd = math.sqrt(by_u @ by_u)
         shrunk = half / reach / prior_sd if prior_sd > 0.0 else math.nan
-        out[name] = Parameter(bounds[0], bounds[1], bounds[2], unit, prior_sd == 0.0, shrunk)
+        known = prior_sd == 0.0
+        out[name] = Parameter(bounds[0], bounds[1], bounds[2], unit, known, shrunk, at_bound)
     return out
 
 
@@ -575,6 +580,5 @@ def _follows(slip: np.ndarray, load: np.ndarray, residual: np.ndarray) -> bool:
     rest = np.sum((e - basis @ solution) ** 2)
     spare = e.size - rank
     return bool(
-        spare > 1
-        and fdtrc(rank, spare, explained / rank * spare / max(rest, 1e-300)) < 5e-4
+        spare > 1 and fdtrc(rank, spare, explained / rank * spare / max(rest, 1e-300)) < 5e-4
     )

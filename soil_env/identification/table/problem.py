@@ -12,6 +12,7 @@ out is estimated with the soil.
 
 import math
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from itertools import product
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -185,11 +186,6 @@ class TableProblem:
                 f"{needed} parameters{unknown}: expected at least "
                 f"{needed + int(self.estimated.sum())}"
             )
-        wheel = dict(zip(("wheel_radius", "wheel_width"), wheels.T, strict=False))
-        at = {"slip": self.rows.slip, "load": self.rows.load, **wheel}
-        self.processes: list[Process] = [
-            Process.over(at, most=_FUNCTIONS, lengths=lengths) for lengths in LAW_LENGTHS
-        ]
         self._by_unknowns = Last(self._differences)
         #: Of the base law, beside the noise; None as long as it is not known.
         self.form_error: form_error.Compression | None = None
@@ -227,6 +223,14 @@ class TableProblem:
             self.estimated[k] = given is None and k >= 2 and bool(np.any(self.measured[:, k - 2]))
             self.noise[k] = given if given is not None else guess.get(name, 0.0)
             self.floor[k] = 1e-4 * guess.get(name, 0.0)
+
+    @cached_property
+    def processes(self) -> list[Process]:
+        """Form errors over the rows, one for each of `LAW_LENGTHS`."""
+        radius, width, _ = self.rows.wheels.T
+        at = {"slip": self.rows.slip, "load": self.rows.load}
+        at |= {"wheel_radius": radius, "wheel_width": width}
+        return [Process.over(at, most=_FUNCTIONS, lengths=lengths) for lengths in LAW_LENGTHS]
 
     def values(self, u: np.ndarray) -> dict[str, float]:
         """Every soil parameter by name."""
