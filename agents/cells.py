@@ -86,6 +86,11 @@ def is_begun(study, folder: Path, ignored: Collection[str] = ()) -> bool:
         make_folder(folder)
         return False
     begun = read_yaml(path)
+    if "version" not in begun:  # which every study that a command began has
+        raise ParameterError(
+            f"{path}: is a file of yours, no study that was begun here: give another --out, or "
+            "move the file to another folder"
+        )
     asked = yaml.safe_load(yaml.safe_dump(to_dict(study)))
     other = [
         key for key in asked if key not in ("version", *ignored) and begun.get(key) != asked[key]

@@ -281,6 +281,7 @@ def test_a_file_changes_the_scenario_that_its_base_names(tmp_path):
         ({"base": 3}, "base = 3: expected the name"),
         ({"base": "mars_rover"}, "one of configs/rovers"),
         ({"base": "mixed", "corse": {}}, "did you mean 'course'"),
+        ({"lenght": 1}, r"unknown key 'lenght' \(known: base, belief, "),
     ):
         with pytest.raises(ParameterError, match=said) as error:
             load_scenario(given)

@@ -183,7 +183,7 @@ def load(cls, mapping, where: str = ""):
     names = {f.name: f for f in dataclasses.fields(cls) if f.init}
     for key in mapping:
         if key not in names:
-            raise unknown_key(key, names, where)
+            raise unknown_key(key, (*names, *getattr(cls, "more_keys", ())), where)
     values = {
         key: _convert(hints[key], value, _below(where, key)) for key, value in mapping.items()
     }

@@ -31,7 +31,7 @@ from soil_env.discrepancy.instrument import (
     reading,
     true_rows,
 )
-from soil_env.discrepancy.unnamed import changed, loaded, soils
+from soil_env.discrepancy.unnamed import changed, factors, loaded
 from soil_env.identification.table import form_error
 from soil_env.identification.table.data import CHANNELS, Data
 from soil_env.identification.table.form_error import (
@@ -265,10 +265,11 @@ class Problem:
 
     def effects(self, choices: tuple[Choice, ...], values: dict[str, float]) -> Effects:
         """The effects of a set of parameters."""
-        fx = self.neutral
+        numbers: dict[str, float] = {}
         for choice in (c for c in choices if c.effect in CATALOGUE):
-            fx = fx._replace(**choice.fixed, **{name: values[name] for name in choice.free})
-        return fx
+            numbers |= choice.fixed
+            numbers |= {name: values[name] for name in choice.free}
+        return self.neutral._replace(**numbers) if numbers else self.neutral
 
     def predict(
         self,
@@ -284,7 +285,8 @@ class Problem:
         `guess` [N] of the sinkage is renewed; `more` is added to parameters of effects.
         """
         fx = self.effects(choices, values)
-        fx = fx._replace(**{k: getattr(fx, k) + v for k, v in (more or {}).items()})
+        if more:
+            fx = fx._replace(**{k: getattr(fx, k) + v for k, v in more.items()})
         soil = self.known | values
         weight = self.density * self.data.setup.gravity
         wrong = {
@@ -293,16 +295,10 @@ class Problem:
         if "tilt_angle_deg" in wrong:
             soil = soil | {"tilt_deg": wrong["tilt_angle_deg"]}
         rows = true_rows(rows or self.data.rows, wrong)
+        by_row = factors(rows, wrong, self.bench)
 
         def balanced(under: Rows) -> np.ndarray:
-            out = np.empty((rows.slip.size, 3))
-            for here, of in soils(rows, wrong, soil, self.bench):
-                start = guess[here]
-                out[here] = predict_table(
-                    self.data.setup, Rows(*(x[here] for x in under)), of, weight, fx, start
-                )
-                guess[here] = start
-            return out
+            return predict_table(self.data.setup, under, soil, weight, fx, guess, by_row)
 
         out = in_balance(loaded(rows, wrong, self.bench.load), wrong, balanced)
         out = reading(changed(out, rows, wrong, self.bench), wrong, rows.wheels[:, 0])

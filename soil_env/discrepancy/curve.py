@@ -56,20 +56,17 @@ def fit_curve(slip: np.ndarray, load: np.ndarray, y: np.ndarray, sd: np.ndarray 
     braked = int(np.sum(slip < BRAKED)) >= FEWEST_BRAKED
     sd = np.broadcast_to(sd, y.shape)
 
-    def amplitudes(scale: float, powers: np.ndarray) -> np.ndarray:
-        basis = _basis(slip, x, scale, powers, braked)
-        found: np.ndarray = np.linalg.lstsq(basis / sd[:, None], y / sd, rcond=1e-8)[0]
-        return found
+    def fitted(scale: float, powers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(amplitudes, whitened residual [N])."""
+        basis = _basis(slip, x, scale, powers, braked) / sd[:, None]
+        found = np.linalg.lstsq(basis, y / sd, rcond=1e-8)[0]
+        return found, basis @ found - y / sd
 
-    def off(scale: float, powers: np.ndarray) -> np.ndarray:
-        found = _basis(slip, x, scale, powers, braked) @ amplitudes(scale, powers) - y
-        return found / sd
-
-    scale = min(SLIP_SCALES, key=lambda k: float(np.sum(off(k, POWERS) ** 2)))
+    scale = min(SLIP_SCALES, key=lambda k: float(np.sum(fitted(k, POWERS)[1] ** 2)))
     powers = POWERS
     if np.ptp(x) > LEAST_SPAN:
         found = least_squares(
-            lambda p: np.concatenate([off(math.exp(p[3]), p[:3]), (p[:3] - POWERS) / POWER_SD]),
+            lambda p: np.append(fitted(math.exp(p[3]), p[:3])[1], (p[:3] - POWERS) / POWER_SD),
             [*POWERS, math.log(scale)],
             bounds=(
                 [-np.inf] * 3 + [math.log(SLIP_SCALES[0] / 2.0)],
@@ -79,4 +76,4 @@ def fit_curve(slip: np.ndarray, load: np.ndarray, y: np.ndarray, sd: np.ndarray 
         ).x
         powers = found[:3]
         scale = math.exp(found[3])
-    return Curve(middle, float(scale), powers, amplitudes(scale, powers), braked)
+    return Curve(middle, float(scale), powers, fitted(scale, powers)[0], braked)

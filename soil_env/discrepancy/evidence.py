@@ -24,8 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
-from scipy.special import log_ndtr, logsumexp, ndtr
-from scipy.stats import chi2
+from scipy.special import chdtri, log_ndtr, logsumexp, ndtr
 
 from soil_env.discrepancy.calibrate import LAW_LENGTHS, Fit, Problem, Sizes
 from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice
@@ -113,7 +112,7 @@ def noise_scales(freedom: float) -> np.ndarray:
     """
     if not math.isfinite(freedom):
         return np.ones(1)
-    scales: np.ndarray = np.sqrt(freedom / chi2.ppf(_NOISE_QUANTILES, freedom))
+    scales: np.ndarray = np.sqrt(freedom / chdtri(freedom, 1.0 - np.array(_NOISE_QUANTILES)))
     return scales
 
 

@@ -9,6 +9,7 @@ world has none of these, and model.yaml holds none.
 
 import math
 from collections.abc import Callable, Mapping
+from functools import cache
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -208,12 +209,17 @@ class Choice(NamedTuple):
     @property
     def free(self) -> tuple[str, ...]:
         """Parameters of the form, `<effect>_<parameter>`."""
-        return tuple(f"{self.effect}_{p}" for p in LAWS[self.effect].forms[self.form].free)
+        return _free(self)
 
     @property
     def fixed(self) -> dict[str, float]:
         """Parameters that the form sets."""
         return {f"{self.effect}_{p}": v for p, v in LAWS[self.effect].forms[self.form].fixed}
+
+
+@cache
+def _free(choice: Choice) -> tuple[str, ...]:
+    return tuple(f"{choice.effect}_{p}" for p in LAWS[choice.effect].forms[choice.form].free)
 
 
 def _known(sd: Calibration) -> dict[str, float | None]:
@@ -315,6 +321,8 @@ def in_balance(
 
 def reading(out: np.ndarray, values: Mapping[str, float], radius: np.ndarray) -> np.ndarray:
     """[N, 3] that the sensors read of true values [N, 3]; radius [N]."""
+    if not values:
+        return out
     read = out.copy()
     for j, name, other in ((1, "force", out[:, 2] / radius), (2, "torque", out[:, 1] * radius)):
         gain, offset = (values.get(f"{name}_{of}_{of}", 0.0) for of in ("gain", "offset"))

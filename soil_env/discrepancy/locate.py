@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import norm, t as student
+from scipy.special import ndtr, stdtr
 
 from soil_env.discrepancy.calibrate import Fit, Problem, Sizes
 from soil_env.discrepancy.evidence import Evidence
@@ -176,7 +176,7 @@ def _looks(v: np.ndarray, channel: np.ndarray, freedom: float, rng: np.random.Ge
 
 def _alone(t: float, freedom: float) -> float:
     """p value of one look."""
-    return float(2.0 * (norm.sf(t) if math.isinf(freedom) else student.sf(t, freedom)))
+    return float(2.0 * (ndtr(-t) if math.isinf(freedom) else stdtr(freedom, -t)))
 
 
 def _p_value(t: float, looks: float, freedom: float) -> float:

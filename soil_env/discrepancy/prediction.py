@@ -21,7 +21,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize
 
 from soil_env.discrepancy.calibrate import Problem
@@ -32,7 +32,7 @@ from soil_env.discrepancy.unnamed import OF_LOAD
 from soil_env.identification.table.data import CHANNELS
 from soil_env.identification.table.form_error import LENGTHS, LOGARITHMIC
 from soil_env.identification.table.priors import Unknown
-from soil_env.identification.table.problem import differences, finite, most_probable
+from soil_env.identification.table.problem import Last, differences, finite, most_probable
 from soil_env.terramechanics.model import rows_of
 
 #: Forms of each effect that are fitted together; the first of the others.
@@ -183,8 +183,14 @@ class _Remainder:
         conditions = problem.data.conditions
         return np.stack([_coordinate(n, conditions[n]) for n in self.names], axis=1)
 
+    def squares(self) -> dict[str, np.ndarray]:
+        """[N, N] square of the difference of each coordinate between rows of the table."""
+        return {
+            n: (x[:, None] - x[None, :]) ** 2 for n, x in zip(self.names, self.table.T, strict=True)
+        }
+
     def correlation(self, points: np.ndarray, learnt: Learnt) -> np.ndarray:
-        """[N, M] of points [N, D] with the rows of the table."""
+        """[N, P] of points [N, D] with the rows of the table."""
         own = {"slip": learnt.slip_length, "load": learnt.load_length}
         lengths = np.array([own.get(n, LENGTHS[n]) for n in self.names])
         off = (points[:, None, :] - self.table[None, :, :]) / lengths
@@ -208,6 +214,25 @@ def _scales(problem: Problem, output: np.ndarray) -> np.ndarray:
     return found
 
 
+class _Covariance(NamedTuple):
+    """Covariance of remainder and noise of M values over the noise: channels are independent."""
+
+    places: tuple[np.ndarray, ...]  # of the values of each channel among the M
+    roots: tuple[np.ndarray, ...]  # lower Cholesky factor of each
+
+    def whiten(self, values: np.ndarray) -> np.ndarray:
+        """[M, B] of values [M, B], or [M]: independent ones of variance 1."""
+        out = np.empty_like(values, dtype=float)
+        for at, root in zip(self.places, self.roots, strict=True):
+            out[at] = solve_triangular(root, values[at], lower=True)
+        return out
+
+    @property
+    def log_size(self) -> float:
+        """Half the logarithm of the determinant."""
+        return float(sum(np.sum(np.log(np.diag(root))) for root in self.roots))
+
+
 @dataclass(frozen=True, eq=False)
 class Prediction:
     """A fit of all effects with its remainder; whitened quantities are over the noise."""
@@ -220,36 +245,50 @@ class Prediction:
     output: np.ndarray  # [N, 3] of the law
     residual: np.ndarray  # [M]
     jacobian: np.ndarray  # [M, p]
-    covariance: np.ndarray  # [M, M] of remainder and noise
+    covariance: _Covariance
 
     def at(self, conditions: Mapping[str, np.ndarray]) -> Predicted:
         """Predicted values at conditions, by the columns of a table."""
         there = at_conditions(self.problem, conditions)
-        law, top = self._law(there)
-        known = np.einsum("ncp,mp->ncm", top, self.jacobian)
-        variance = np.einsum("ncp,ncp->nc", top, top)
-        across = np.zeros_like(known)
-        noise = np.ones(3)
-        if self.learnt is not None:
-            scale = _scales(there, law)
-            across = self._across(there, scale, self.learnt)
-            variance = variance + (self.learnt.size * scale) ** 2
-            noise = noise + self.learnt.beyond**2
-        remainder = across @ cho_solve(cho_factor(self.covariance), self.residual)
-        known = known + across
-        whole = cho_factor(self.covariance + self.jacobian @ self.jacobian.T)
-        solved = cho_solve(whole, known.reshape(-1, known.shape[2]).T).T.reshape(known.shape)
-        variance = np.maximum(variance - np.sum(known * solved, axis=2), 0.0) + noise
-        mean = law + remainder * self.problem.noise
-        return Predicted(mean, WIDER * np.sqrt(variance) * self.problem.noise)
-
-    def _law(self, there: Problem) -> tuple[np.ndarray, np.ndarray]:
-        """([N, 3] values of the law, [N, 3, p] derivatives over the noise) of other rows."""
-        guess = np.zeros(there.data.rows.slip.size)
-        values = {k.name: k.value(x) for k, x in zip(self.unknowns, self.u, strict=True)}
-        output = np.nan_to_num(there.predict(values, self.choices, guess))
+        law, across = self._means(there)
+        guess = np.maximum(law[:, 0], 0.0)
         top = there.derivatives(self.unknowns, self.u, self.choices, guess)
-        return output, top.reshape(*output.shape, self.u.size)
+        noise = np.ones(3)
+        own = np.zeros_like(law)
+        if self.learnt is not None:
+            own = (self.learnt.size * _scales(there, law)) ** 2
+            noise = noise + self.learnt.beyond**2
+        # The values are known through the unknowns and through the remainder: with J whitened,
+        # (C + J J')^-1 = C^-1 - C^-1 J (I + J'J)^-1 J' C^-1.
+        j = self.covariance.whiten(self.jacobian)
+        known = j @ top.T + across
+        root = cholesky(np.eye(self.u.size) + j.T @ j, lower=True)
+        gained = np.sum(known**2, axis=0)
+        gained -= np.sum(solve_triangular(root, j.T @ known, lower=True) ** 2, axis=0)
+        variance = np.sum(top**2, axis=1) - gained
+        sd = np.sqrt(np.maximum(variance.reshape(law.shape) + own, 0.0) + noise)
+        return Predicted(self._mean(law, across), WIDER * sd * self.problem.noise)
+
+    def mean_at(self, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
+        """[N, 3] predicted values alone."""
+        return self._mean(*self._means(at_conditions(self.problem, conditions)))
+
+    def _mean(self, law: np.ndarray, across: np.ndarray) -> np.ndarray:
+        remainder = across.T @ self.covariance.whiten(self.residual)
+        found: np.ndarray = law + remainder.reshape(law.shape) * self.problem.noise
+        return found
+
+    def _means(self, there: Problem) -> tuple[np.ndarray, np.ndarray]:
+        """([N, 3] values of the law, [M, 3 N] whitened covariance of the remainder) of other
+        rows.
+        """
+        values = {k.name: k.value(x) for k, x in zip(self.unknowns, self.u, strict=True)}
+        guess = np.zeros(there.data.rows.slip.size)
+        law = np.nan_to_num(there.predict(values, self.choices, guess))
+        if self.learnt is None:
+            return law, np.zeros((self.residual.size, law.size))
+        across = self._across(there, _scales(there, law), self.learnt)
+        return law, self.covariance.whiten(across.reshape(law.size, -1).T)
 
     def _across(self, there: Problem, scale: np.ndarray, learnt: Learnt) -> np.ndarray:
         """[N, 3, M] covariance of the remainder at other rows with that of the values in use."""
@@ -275,7 +314,9 @@ def fit_prediction(
     With `near`, a fit to more rows, it starts there and keeps what was learnt of the remainder.
     """
     if near is not None:
-        return _Fitting(problem, near.choices).fitted(near.u, near.learnt)
+        fitting = _Fitting(problem, near.choices)
+        fitting.derivatives.know(near.u, near.jacobian[problem.used[near.problem.used]])
+        return fitting.fitted(near.u, near.learnt)
     fitting = _Fitting(problem, carried(problem) if choices is None else choices)
     u = fitting.start()
     if not smooth:
@@ -299,6 +340,7 @@ class _Fitting:
         self.bounds = low, high
         self.remainder = _Remainder(problem)
         self.guess = np.zeros(problem.data.rows.slip.size)
+        self.derivatives = Last(self._derivatives)
 
     def start(self) -> np.ndarray:
         """[p] the prior mean, off the bounds: a start on a bound would stay there."""
@@ -315,34 +357,42 @@ class _Fitting:
         """[M] of the law, whitened."""
         return self.problem.whiten(self.output(u))
 
-    def derivatives(self, u: np.ndarray) -> np.ndarray:
+    def _derivatives(self, u: np.ndarray) -> np.ndarray:
         """[M, p] of `model`."""
         base = self.model(u)
         return finite(differences(self.model, u, self.unknowns, base), base.size)
 
-    def covariance(self, scale: np.ndarray, learnt: Learnt | None) -> np.ndarray:
-        """[M, M] of remainder and noise over the noise, of the values in use."""
-        used = self.problem.used
-        rows, channel = np.nonzero(used)
+    def covariance(self, scale: np.ndarray, learnt: Learnt | None) -> _Covariance:
+        """Of remainder and noise over the noise, of the values in use."""
+        places = tuple(
+            np.flatnonzero(np.nonzero(self.problem.used)[1] == j) for j in range(len(CHANNELS))
+        )
         if learnt is None:
-            return np.eye(rows.size)
-        relative = _relative(self.problem)
-        own = (scale * learnt.size)[used] / relative
-        alike = self.remainder.correlation(self.remainder.table, learnt)[np.ix_(rows, rows)]
-        c: np.ndarray = (channel[:, None] == channel) * alike * own[:, None] * own
-        c[np.diag_indices(rows.size)] += 1.0 + (learnt.beyond[channel] / relative) ** 2
-        return c
+            return _Covariance(places, tuple(np.eye(at.size) for at in places))
+        blocks = [
+            alike + np.diag(own) for alike, own in zip(*self.blocks(scale, learnt), strict=True)
+        ]
+        return _Covariance(places, tuple(cholesky(block, lower=True) for block in blocks))
+
+    def blocks(
+        self, scale: np.ndarray, learnt: Learnt
+    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """(covariance [m, m] of the remainder, variance [m] of the noise) of each channel."""
+        used = self.problem.used
+        relative = np.broadcast_to(self.problem.data.relative_sd, used.shape)
+        correlation = self.remainder.correlation(self.remainder.table, learnt)
+        remainder = []
+        noise = []
+        for j, use in enumerate(used.T):
+            own = scale[use, j] * learnt.size[j] / relative[use, j]
+            remainder.append(correlation[np.ix_(use, use)] * own[:, None] * own)
+            noise.append(1.0 + (learnt.beyond[j] / relative[use, j]) ** 2)
+        return remainder, noise
 
     def fitted(self, start: np.ndarray, learnt: Learnt | None) -> Prediction:
         """The most probable unknowns under a covariance whose scales are those of the start."""
         y = self.problem.whiten(self.problem.data.y)
-        c = self.covariance(_scales(self.problem, self.output(start)), learnt)
-        root = cholesky(c, lower=True)
-
-        def scaled(values: np.ndarray) -> np.ndarray:
-            found: np.ndarray = solve_triangular(root, values, lower=True)
-            return found
-
+        scaled = self.covariance(_scales(self.problem, self.output(start)), learnt).whiten
         u, _, _ = most_probable(
             scaled(y),
             lambda x: scaled(self.model(x)),
@@ -370,29 +420,52 @@ class _Fitting:
         free = np.concatenate([measured, [True, "load" in self.remainder.names], measured])
         scale = _scales(self.problem, fit.output)
         e = fit.residual + fit.jacobian @ fit.u
-        unknown = fit.jacobian @ fit.jacobian.T
         usual = USUAL.logarithms
+        square = self.remainder.squares()
 
         def whole(x: np.ndarray) -> np.ndarray:
             out = usual.copy()
             out[free] = x
             return out
 
-        def cost(x: np.ndarray) -> float:
+        def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
+            """-ln of the likelihood and its derivatives: with a = K^-1 e of the covariance K of the
+            values, (tr(K^-1 dK) - a'dK a)/2.
+            """
             logarithms = whole(x)
             if np.any(np.abs(logarithms) > FAR):
-                return IMPOSSIBLE
+                return IMPOSSIBLE, np.zeros(x.size)
+            learnt = Learnt.of(logarithms)
             try:
-                c = self.covariance(scale, Learnt.of(logarithms)) + unknown
-                root = cholesky(c, lower=True)
+                c = self.covariance(scale, learnt)
             except np.linalg.LinAlgError:
-                return IMPOSSIBLE
-            v = solve_triangular(root, e, lower=True)
-            prior = np.sum(((logarithms - usual) / SPREAD) ** 2)
-            return float(0.5 * (v @ v) + np.sum(np.log(np.diag(root))) + 0.5 * prior)
+                return IMPOSSIBLE, np.zeros(x.size)
+            j = c.whiten(fit.jacobian)
+            of_unknowns = cholesky(np.eye(fit.u.size) + j.T @ j, lower=True)
+            b = solve_triangular(of_unknowns, j.T, lower=True).T  # K^-1 = I - b b', whitened
+            v = c.whiten(e)
+            a = v - b @ (b.T @ v)
+            off = (logarithms - usual) / SPREAD
+            value = 0.5 * (v @ a + off @ off) + c.log_size + np.sum(np.log(np.diag(of_unknowns)))
+            slope = off / SPREAD
+            blocks = zip(c.places, c.roots, *self.blocks(scale, learnt), strict=True)
+            for k, (at, root, alike, noise) in enumerate(blocks):
+                inverse = solve_triangular(root, np.eye(at.size), lower=True)
+                beside = inverse.T @ np.column_stack([b[at], a[at]])
+                g = 0.5 * (inverse.T @ inverse - beside @ beside.T)
+                slope[5 + k] += 2.0 * np.diag(g) @ (noise - 1.0)
+                g *= alike
+                slope[k] += 2.0 * np.sum(g)
+                use = self.problem.used[:, k]
+                for n, name in ((3, "slip"), (4, "load")):
+                    if name in square:
+                        length = learnt.slip_length if n == 3 else learnt.load_length
+                        slope[n] += np.sum(g * square[name][np.ix_(use, use)]) / length**2
+            return float(value), slope[free]
 
-        options = {"maxiter": 25, "maxfun": 400}
-        found = minimize(cost, start.logarithms[free], method="L-BFGS-B", options=options)
+        found = minimize(
+            cost, start.logarithms[free], jac=True, method="L-BFGS-B", options={"maxiter": 25}
+        )
         return Learnt.of(whole(found.x))
 
 
@@ -444,7 +517,7 @@ def outlook(problem: Problem) -> Outlook:
             rest = problem.without(group)
             at = {name: x[group] for name, x in problem.data.conditions.items()}
             for j, model in enumerate(models):
-                held[j, group] = fit_prediction(rest, near=model).at(at).mean
+                held[j, group] = fit_prediction(rest, near=model).mean_at(at)
             drawn = _curves(problem, rest.used, rows.slip[group], rows.load[group])
             if drawn is not None:
                 held[2, group] = drawn

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.stats import truncnorm
+from scipy.special import ndtr
 
 from soil_env.discrepancy.calibrate import ANY_FORM, LAW_LENGTHS, Fit, Problem
 from soil_env.discrepancy.evidence import Evidence
@@ -19,6 +19,7 @@ from soil_env.discrepancy.prediction import at_conditions
 from soil_env.identification.table.form_error import INPUTS, LENGTHS, Process
 
 DEEPEST = 0.6  # [radii] deepest sinkage of a feasible run
+_BEYOND = 30.0  # [sd] from which a normal density is none
 _FUNCTIONS = 60  # of a form error over table and other rows, at most
 
 
@@ -129,8 +130,20 @@ def _within_bounds(
                 moved = low if low > 0.0 else high
                 left = 1e-4
             else:
-                moved, left = (float(x) for x in truncnorm.stats(low, high, moments="mv"))
+                moved, left = _truncated(low, high)
             along = covariance[:, k] / sd
             off = off + along * moved
             covariance = covariance + np.outer(along, along) * (min(max(left, 1e-4), 1.0) - 1.0)
     return off, covariance
+
+
+def _truncated(low: float, high: float) -> tuple[float, float]:
+    """(mean, variance) of a standard normal variable between two bounds."""
+    if low > 0.0:  # by the other tail, where the difference of two ones would vanish
+        mean, variance = _truncated(-high, -low)
+        return -mean, variance
+    inside = float(ndtr(high) - ndtr(low))
+    low, high = max(low, -_BEYOND), min(high, _BEYOND)
+    at_low, at_high = (math.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi) for x in (low, high))
+    mean = (at_low - at_high) / inside
+    return mean, 1.0 + (low * at_low - high * at_high) / inside - mean**2

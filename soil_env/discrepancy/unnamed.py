@@ -17,12 +17,12 @@ a pure number:
 with q = 1 - exp(-i/k), and y0 = W r/2 of the torque and W/5 of the pull.
 """
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 
 import numpy as np
 
+from soil_env.identification.table.rig import BY_ROW
 from soil_env.terramechanics.effects.entry import (
     PULL,
     SINKAGE,
@@ -160,8 +160,8 @@ def _grown(rows: Rows, scale: float) -> np.ndarray:
     return -np.expm1(-np.maximum(rows.slip, 0.0) / scale)
 
 
-def _flatter(rows: Rows, values: Mapping[str, float], load: float) -> np.ndarray:
-    return 1.0 + values.get("soft_wheel_gain", 0.0) * rows.load / load
+def _flatter(rows: Rows, gain: float, load: float) -> np.ndarray:
+    return 1.0 + gain * rows.load / load
 
 
 def loaded(rows: Rows, values: Mapping[str, float], load: float) -> Rows:
@@ -170,7 +170,7 @@ def loaded(rows: Rows, values: Mapping[str, float], load: float) -> Rows:
     """
     if "soft_wheel_gain" in values:
         wheels = rows.wheels.copy()
-        wheels[:, 0] *= _flatter(rows, values, load)
+        wheels[:, 0] *= _flatter(rows, values["soft_wheel_gain"], load)
         return rows._replace(wheels=wheels)
     if "slip_load_load" not in values:
         return rows
@@ -179,28 +179,18 @@ def loaded(rows: Rows, values: Mapping[str, float], load: float) -> Rows:
     )
 
 
-def soils(
-    rows: Rows, values: Mapping[str, float], soil: dict[str, float], bench: Bench
-) -> Iterator[tuple[np.ndarray | slice, dict[str, float]]]:
-    """Rows with their soil, one for each level of what a soil parameter goes with by the law among
-    `values`.
+def factors(rows: Rows, values: Mapping[str, float], bench: Bench) -> np.ndarray | None:
+    """[N, 4] of `BY_ROW`, by the laws of a soil parameter among `values`; None without such a
+    law.
     """
     laws = [name for name in _SOIL if f"{name}_power" in values]
     if not laws:
-        yield slice(None), soil
-        return
-    factors = np.stack([_factor(rows, _SOIL[n][1], bench) ** values[f"{n}_power"] for n in laws])
-    cells, of = np.unique(factors, axis=1, return_inverse=True)
-    for k, cell in enumerate(cells.T):
-        changed = dict(soil)
-        for name, factor in zip(laws, cell, strict=True):
-            parameter = _SOIL[name][0]
-            if parameter == "friction_angle_deg":
-                tangent = factor * math.tan(math.radians(changed[parameter]))
-                changed[parameter] = math.degrees(math.atan(tangent))
-            else:
-                changed[parameter] *= factor
-        yield of.ravel() == k, changed
+        return None
+    out = np.ones((rows.slip.size, len(BY_ROW)))
+    for name in laws:
+        parameter, by = _SOIL[name]
+        out[:, BY_ROW.index(parameter)] *= _factor(rows, by, bench) ** values[f"{name}_power"]
+    return out
 
 
 def _factor(rows: Rows, by: str, bench: Bench) -> np.ndarray:
@@ -214,9 +204,12 @@ def _factor(rows: Rows, by: str, bench: Bench) -> np.ndarray:
 
 def changed(out: np.ndarray, rows: Rows, values: Mapping[str, float], bench: Bench) -> np.ndarray:
     """[N, 3] sinkage, pull and torque under the anonymous law among `values`."""
+    if not values:
+        return out
     out = out.copy()
     size = bench.load * rows.wheels[:, 0]
-    out[:, 2] /= _flatter(rows, values, bench.load)
+    if "soft_wheel_gain" in values:
+        out[:, 2] /= _flatter(rows, values["soft_wheel_gain"], bench.load)
     for name in ("force", "rut_force", "slip_force"):
         if f"{name}_pull" not in values:
             continue
@@ -230,7 +223,7 @@ def changed(out: np.ndarray, rows: Rows, values: Mapping[str, float], bench: Ben
         out[:, 1] -= values[f"{name}_pull"] * bench.load * share
         out[:, 2] += values[f"{name}_torque"] * size * share
     for name, j, scale in (("pull_curve", 1, 0.2 * bench.load), ("torque_curve", 2, 0.5 * size)):
-        out[:, j] /= np.maximum(
-            1.0 + values.get(f"{name}_loss", 0.0) * np.abs(out[:, j]) / scale, 0.1
-        )
+        if f"{name}_loss" in values:
+            loss = values[f"{name}_loss"] * np.abs(out[:, j]) / scale
+            out[:, j] /= np.maximum(1.0 + loss, 0.1)
     return out

@@ -20,6 +20,7 @@ from soil_env.discrepancy.judgement import Interval, held_out_predictions
 from soil_env.discrepancy.locate import locate, structure
 from soil_env.discrepancy.next_tests import MOST, next_checks, next_tests
 from soil_env.discrepancy.prediction import outlook
+from soil_env.discrepancy.report import check_folder, write
 from soil_env.discrepancy.result import EffectFound, Report, Settings
 from soil_env.discrepancy.search import Finding, search
 from soil_env.discrepancy.unnamed import OF_SENSORS
@@ -53,8 +54,6 @@ def run(
 
     Raises `ParameterError` with one line for bad input, and where `out` cannot be written.
     """
-    from soil_env.discrepancy.report import check_folder, write  # matplotlib takes time to load
-
     say = progress or (lambda text: None)
     if out is not None:
         if not os.fspath(out):

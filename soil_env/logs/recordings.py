@@ -114,9 +114,10 @@ class _Reader:
         channel.times.append(place)
         channel.values.append(value)
 
-    def _settle(self, name: str, times: np.ndarray, kept: np.ndarray) -> None:
+    def _settle(self, name: str, times: np.ndarray, kept: np.ndarray, notes: Notes) -> None:
         """Turn the readings of a channel into SI units, and their places into times [ns]; count
-        and leave out those without a sound stamp (`kept`) and those that cannot be.
+        and leave out those without a sound stamp (`kept`) and those that cannot be; note those of
+        one stamp that differ.
         """
         channel = self.channels[name]
         place = np.frombuffer(channel.times, np.int64)
@@ -130,8 +131,16 @@ class _Reader:
         channel.readings = value.size
         channel.empty = int(np.sum(~known))
         channel.unusable = int(np.sum(known & ~plausible))
-        channel.times = array("q", times[place[plausible]].tobytes())
+        stamps = times[place[plausible]]
+        channel.times = array("q", stamps.tobytes())
         channel.values = array("d", si[plausible].tobytes())
+        off = _spread(stamps, si[plausible])
+        if off.size:
+            notes.add(
+                f"{channel.place}: readings of {name} differ at {off.size} time stamps that are "
+                f"there more than once, by up to {np.max(off):.3g} {next(iter(UNITS[name]))} (in "
+                f"the middle {np.median(off):.3g}): their mean is taken."
+            )
 
     def read_table(self, path: Path, stamps: TimeColumn, notes: Notes, progress: Progress) -> None:
         """Read a CSV or Parquet file with a column of time stamps."""
@@ -155,7 +164,7 @@ class _Reader:
         if first.size:
             self.length = float(times[kept][-1] - first[0]) * 1e-9
         for name in self.sources:
-            self._settle(name, times, kept)
+            self._settle(name, times, kept, notes)
 
     def _gaps(self) -> tuple[int, int]:
         """`max_gap` and `restart_gap` [ns]."""
@@ -189,7 +198,7 @@ class _Reader:
             by_header = self.map.clock == "header" and any(topic.stamps.times)
             times, kept = topic.settle(by_header, self._gaps(), path, notes)
             for name in topic.channels:
-                self._settle(name, times, kept)
+                self._settle(name, times, kept, notes)
             if by_header:
                 recorded = np.frombuffer(topic.stamps.recorded, np.int64)
                 delays[of] = float(np.mean((recorded - times)[kept])) * 1e-9
@@ -216,6 +225,17 @@ class _Reader:
                 channel.faults.settle(path, notes)
                 if channel.lacking and not self.channels[name].values:
                     raise ParameterError(f"{path}: {channel.lacking}, in all messages")
+
+
+def _spread(times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Largest less smallest of the values [N] at each of the times [N] at which they differ."""
+    if not values.size:
+        return values
+    order = np.argsort(times, kind="stable")
+    first = np.flatnonzero(np.diff(times[order], prepend=times[order[0]] - 1))
+    there = values[order]
+    found: np.ndarray = np.maximum.reduceat(there, first) - np.minimum.reduceat(there, first)
+    return found[found > 0.0]
 
 
 class _Content(NamedTuple):

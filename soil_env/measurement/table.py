@@ -288,8 +288,10 @@ def _check_header(path: Path, header: list[str]) -> None:
                 f"{path}: column {header.index(name) + 1} has no name: expected one in the header"
             )
         if name not in COLUMNS:
+            unknown = [n for n in dict.fromkeys(header) if n and n not in COLUMNS]
+            names = ", ".join(f"{n!r}{nearest(n.lower(), COLUMNS)}" for n in unknown)
             raise ParameterError(
-                f"{path}: unknown column {name!r}{nearest(name.lower(), COLUMNS)} (known: "
+                f"{path}: unknown column{'s' * (len(unknown) > 1)} {names} (known: "
                 f"{', '.join(COLUMNS)}; a column to pass over: ignore_columns in the setup)"
             )
         if header.count(name) > 1:

@@ -31,22 +31,25 @@ class SensorReading(NamedTuple):
 
 
 class Image(NamedTuple):
-    """Numbers of an image, in this order in a record; those of the lines mean something only if
-    `seen`.
+    """Numbers of an image, in this order in a record.
+
+    A patch is a stretch of the course with one class of ground on each of its lines. A label is the
+    number of a class by its looks, 0 to `camera.classes` - 1. What is after `seen` is of the patch
+    ahead, and means something only if that is 1.
     """
 
-    patch: float  # that the wheel seems to be on
-    since: float  # [m] from the beginning of it
-    left: float  # [m] to its end
+    patch: float  # number of the patch that the wheel seems to be on, from 0
+    since: float  # [m] from the beginning of that patch, where the camera sees it
+    left: float  # [m] from the wheel to its end
     here: float  # label of the ground under the wheel
-    seen: float  # 1 if the patch ahead is in sight
-    chosen: float  # 1 if there is no choice of a line any more
-    lines: float  # over the patch ahead
-    taken: float  # line that the wheel is on the way to
-    label_0: float
-    label_1: float
-    grade_0: float  # [rad]
-    grade_1: float
+    seen: float  # 1 if the patch ahead is within `camera.sight`, else 0
+    chosen: float  # 1 if it has one line, or the wheel has come too near to choose, else 0
+    lines: float  # number of lines over the patch ahead, 1 or 2
+    taken: float  # line over it that the wheel heads for: 0 straight on, 1 beside
+    label_0: float  # label of the ground on line 0
+    label_1: float  # on line 1; that of line 0 where there is one line
+    grade_0: float  # [rad] steepest grade ahead on line 0, uphill positive
+    grade_1: float  # [rad] on line 1
 
 
 class Shown(NamedTuple):

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from soil_env._io.loading import (
     Checked,
@@ -33,6 +33,8 @@ _HEAVIEST = 1e9  # [-] weight of a soil in the draw, so that their sum stays fin
 @dataclass(frozen=True)
 class Scenario(Checked):
     """A complete task: wheel, ground, sensors, and what counts as success."""
+
+    more_keys: ClassVar = ("base",)  # of a file, beside the fields
 
     wheel: Wheel
     # name of a soil -> weight in the draw

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 from soil_env._io.loading import (
     Checked,
@@ -34,6 +34,8 @@ class Wheel(Checked):
     pressure of the preset "planetary_rover", and a drive that is left out moves the rim as fast and
     pulls as much of the weight as its drive.
     """
+
+    more_keys: ClassVar = ("preset",)  # of a mapping, beside the fields
 
     radius: float = quantity("m", 0.01, LARGEST_WHEEL)
     width: float = quantity("m", 0.005, LARGEST_WHEEL)

@@ -391,15 +391,34 @@ def steady_state(slip: float, load: float, soil: SoilState, r: float, b: float) 
     return steady_with(slip, load, soil, Rim(r, b, 0.0, 0.0))
 
 
+@njit(**EXACT)
+def _under(soil, factors):
+    """The soil of a row, whose first parameters are larger by its `factors`."""
+    return SoilState(
+        factors[0] * soil.tan_phi,
+        factors[1] * soil.cohesion,
+        factors[2] * soil.shear_modulus,
+        factors[3] * soil.sinkage_coefficient,
+        soil.sinkage_exponent,
+        soil.dig_gain,
+        soil.dig_recovery,
+        soil.rim_flow,
+        soil.braked_peak,
+        soil.shear_growth,
+        soil.shear_length,
+    )
+
+
 @kept
-def _predict_rows(nodes, rows, soil, unit_weight, fx, guess, out):
+def _predict_rows(nodes, rows, soil, factors, unit_weight, fx, guess, out):
     carried = 0
     for k in range(rows.slip.size):
         w = rows.wheels[k]
         c = rows.conditions[k]
         point = Point(rows.slip[k], rows.load[k], guess[k])
         wheel = Rim(w[0], w[1], w[2], unit_weight)
-        s = steady_at(nodes[0], point, soil, wheel, Conditions(c[0], c[1], c[2]), fx)
+        ground = _under(soil, factors[k])
+        s = steady_at(nodes[0], point, ground, wheel, Conditions(c[0], c[1], c[2]), fx)
         out[k, 0] = s.sinkage
         out[k, 1] = s.drawbar_pull
         out[k, 2] = s.torque
@@ -409,16 +428,25 @@ def _predict_rows(nodes, rows, soil, unit_weight, fx, guess, out):
 
 
 def predict_rows(
-    rows: Rows, soil: SoilState, unit_weight: float, fx: Effects, guess: np.ndarray, out: np.ndarray
+    rows: Rows,
+    soil: SoilState,
+    unit_weight: float,
+    fx: Effects,
+    guess: np.ndarray,
+    out: np.ndarray,
+    factors: np.ndarray | None = None,
 ) -> int:
     """`steady_at` of every row into `out` [N, 3] (sinkage, drawbar pull, torque), from `guess` [N],
     which it renews.
 
-    Columns of `rows` are contiguous. Returns the number of rows that the soil carries.
+    `factors` [N, 4] multiply the first four parameters of the soil row by row. Columns of `rows`
+    are contiguous. Returns the number of rows that the soil carries.
     """
     fx = switched_on(fx)
     nodes = np.zeros(1, ARC_NODES)
-    return _predict_rows(nodes, rows, floats(soil), float(unit_weight), fx, guess, out)
+    if factors is None:
+        factors = np.ones((rows.slip.size, 4))
+    return _predict_rows(nodes, rows, floats(soil), factors, float(unit_weight), fx, guess, out)
 
 
 def sinkage_coefficient_at(soil: SoilState, exponent: float, depth: float) -> float:

@@ -202,6 +202,12 @@ def test_a_study_grows_by_seeds_and_by_nothing_else(finished, copied, tmp_path, 
     assert len(new) == 3 and new[:2] == old
 
 
+def test_a_file_of_the_user_in_the_folder_is_named(tmp_path, capsys):
+    own = config(tmp_path)
+    said = refused(capsys, "--config", own, "--out", tmp_path)
+    assert f"{own}: is a file of yours" in said and "give another --out, or move the file" in said
+
+
 def test_results_of_an_unfinished_study(copied, capsys):
     (copied / "cells" / "mixed-true_soil-1.json").unlink()
     assert main(["--out", copied, "--report"]) == 0

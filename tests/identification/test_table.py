@@ -234,7 +234,12 @@ def test_names_what_the_data_cannot_tell(tmp_path):
         "friction angle and cohesion together" in words
         or "do not determine the friction angle" in words
     )
+    # An end of an interval that is no result of the data is marked where it stands.
+    cohesion = e.parameters["cohesion"]
+    assert cohesion.low == 0.0 and cohesion.at_bound == ("low",)
+    assert re.search(r"cohesion c +\S+ +0 \(bound\) \.\. [\d.e+]+ ", text_of(e))
     p = e.parameters["sinkage_exponent"]
+    assert p.at_bound == ()
     assert p.sd_over_prior > 0.7 and p.high - p.low == pytest.approx(2 * 1.96 * 0.02, rel=0.3)
     assert e.condition > identify_table(table_of(tmp_path, clean()), setup_of()).condition
 

@@ -628,8 +628,10 @@ def test_equal_stamps_are_averaged_and_noted(tmp_path):
     (tmp_path / "a.csv").write_text(HEADER + "".join(lines([0.0, 0.1, 0.1, 0.2])))
     found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, COLUMNS)))
     assert found.readings["speed"] == pytest.approx([0.0, 0.15, 0.3])
-    (note,) = found.notes
+    note, *apart = found.notes
     assert "1 of 4 time stamps are equal" in note and "row 4" in note
+    (speed,) = [line for line in apart if "readings of speed differ" in line]
+    assert "differ at 1 time stamps that are there more than once, by up to 0.1 m/s" in speed
 
 
 def test_too_many_steps_of_the_time_axis_are_refused(tmp_path, monkeypatch):

@@ -111,6 +111,10 @@ def test_reads_a_full_table(tmp_path):
             [HEADER + ",torqe_sd", GOOD[1] + ",1"],
             ["unknown column 'torqe_sd'; did you mean 'torque_sd'?", "ignore_"],
         ),
+        (
+            [HEADER + ",torqe,note", GOOD[1] + ",1,2"],
+            ["unknown columns 'torqe'; did you mean 'torque'?, 'note' (known"],
+        ),
     ],
 )
 @pytest.mark.filterwarnings("error")

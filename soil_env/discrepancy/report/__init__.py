@@ -20,7 +20,6 @@ from soil_env._io.files import check_own, plain, write_own
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.report import equations, sentences, tables, words
-from soil_env.discrepancy.report.pictures import CAPTIONS, pictures
 from soil_env.discrepancy.result import Report
 from soil_env.identification.table.data import CHANNELS
 
@@ -60,6 +59,9 @@ def write(report: Report, folder: Path) -> None:
 
 def page(report: Report, values: dict[str, Any]) -> str:
     """Return report.html, which needs no other file; `values` is `content(report)`."""
+    # Here: matplotlib takes a second to load.
+    from soil_env.discrepancy.report.pictures import CAPTIONS, pictures
+
     images = {
         name: Markup(html_image(svg, CAPTIONS[name], "svg+xml"))
         for name, svg in pictures(report).items()

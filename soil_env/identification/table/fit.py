@@ -13,7 +13,7 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import chi2, f as f_distribution, t
+from scipy.special import chdtr, chdtrc, fdtrc, ndtri, stdtrit
 from threadpoolctl import threadpool_limits
 
 from soil_env.identification.table.bins import binned
@@ -66,6 +66,8 @@ class Parameter:
     unit: str
     known: bool
     sd_over_prior: float  # sd after the data over that of the prior; nan if known
+    #: low, high: ends of the interval that are bounds of the admissible range, not of the data.
+    at_bound: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -301,7 +303,8 @@ def _parameters(
 
     Where noise is estimated, Student's t has the degrees of freedom of the channel that has fewest.
     """
-    reach = t.ppf(0.975, max(1.0, float(np.min(problem.freedom))))
+    freedom = max(1.0, float(np.min(problem.freedom)))
+    reach = float(ndtri(0.975) if math.isinf(freedom) else stdtrit(freedom, 0.975))
     values = problem.values(u)
     range_of = {k.name: (k.low, k.high) for k in problem.unknowns}
     to_pressure = scaling[LN_S] + math.log(problem.z_ref) * scaling[EXPONENT]
@@ -323,6 +326,8 @@ def _parameters(
         least, most = range_of.get(name, (-math.inf, math.inf))
         low = max(float(value - half), least)
         high = min(float(value + half), most)
+        ends = zip(("low", "high"), (low == least, high == most), strict=True)
+        at_bound = tuple(end for end, there in ends if there and half > 0.0)
         bounds = [float(value), low, high]
         if name in ("shear_modulus", "sinkage_coefficient", "reference_pressure"):
             bounds = [math.exp(min(b, 700.0)) for b in bounds]
@@ -330,7 +335,8 @@ def _parameters(
             bounds[0] = 0.0 if abs(bounds[0]) < 1e-9 * half else bounds[0]
         prior_sd = math.sqrt(by_u @ by_u)
         shrunk = half / reach / prior_sd if prior_sd > 0.0 else math.nan
-        out[name] = Parameter(bounds[0], bounds[1], bounds[2], unit, prior_sd == 0.0, shrunk)
+        known = prior_sd == 0.0
+        out[name] = Parameter(bounds[0], bounds[1], bounds[2], unit, known, shrunk, at_bound)
     return out
 
 
@@ -359,8 +365,8 @@ def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
         if not problem.estimated[j]:
             freedom = max(float(np.sum(np.maximum(left[k, j] / variances[k, j], 1e-3))), 0.5)
             square = float(np.sum(errors[k, j] ** 2 / variances[k, j]))
-            p = float(chi2.sf(square, freedom))
-            low = float(chi2.cdf(square, freedom)) if square < SMALL**2 * freedom else 1.0
+            p = float(chdtrc(freedom, square))
+            low = float(chdtr(freedom, square)) if square < SMALL**2 * freedom else 1.0
         relative = problem.relative[:, j - 2] if j >= 2 else np.ones(len(out))
         fits[name] = ChannelFit(
             *columns, noise, relative, bool(problem.estimated[j]), p, low, UNITS[name]
@@ -488,7 +494,7 @@ def _missed(problem: TableProblem, plain: _Plain, examined: Examined | None) -> 
             scatter = examined.noise.sd[j]
             more = (fit.noise / scatter) ** 2
             freedom = problem.freedom[2 + j], min(examined.noise.freedom[j], 1e6)
-            follows = follows or f_distribution.sf(more, *freedom) < 5e-4
+            follows = follows or fdtrc(*freedom, more) < 5e-4
             ratio = fit.noise / scatter
         if follows:
             out[name] = ratio
@@ -574,6 +580,5 @@ def _follows(slip: np.ndarray, load: np.ndarray, residual: np.ndarray) -> bool:
     rest = np.sum((e - basis @ solution) ** 2)
     spare = e.size - rank
     return bool(
-        spare > 1
-        and f_distribution.sf(explained / rank * spare / max(rest, 1e-300), rank, spare) < 5e-4
+        spare > 1 and fdtrc(rank, spare, explained / rank * spare / max(rest, 1e-300)) < 5e-4
     )

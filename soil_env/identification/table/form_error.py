@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, lapack
+from scipy.linalg import lapack
 
 #: Correlation lengths of form errors: of the slip, with which shear displacements grow in
 #: proportion (Hutangkabodee et al. 2006, Eq. (10)); of the logarithm of load, speed, pass, the
@@ -313,37 +313,23 @@ def marginals(
             inner = rest[:, seen]
             normal = gram[np.ix_(column, column)] - inner.T @ inner
             pull = pulls[seen]
-            alike = rows[np.all(there == some, axis=1)]
-            d = scales[np.ix_(alike, column)][:, :, None]
-            h = d * pull
-            solved, half = _eliminated(d * normal * d.transpose(0, 2, 1), h)
-            moved = h.transpose(0, 2, 1) @ solved
-            log[alike] = base + 0.5 * moved[:, 0, 0] - half
-            mean[alike] = centre - moved[:, 1:, 0]
-            covariance[alike] = narrow + moved[:, 1:, 1:]
+            for row in rows[np.all(there == some, axis=1)]:
+                d = scales[row, column]
+                factor = _factor(d[:, None] * normal * d)
+                half = _solved(factor, d[:, None] * pull)
+                moved = half.T @ half
+                log[row] = base + 0.5 * moved[0, 0] - np.sum(np.log(np.diag(factor)))
+                mean[row] = centre - moved[1:, 0]
+                covariance[row] = narrow + moved[1:, 1:]
     return log, mean, covariance
-
-
-def _eliminated(normal: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(N^-1 h [S, R, C], ln|N|/2 [S]) of N = I + `normal` [S, R, R].
-
-    `normal` is a difference, whose rounding exceeds I where a table is far off: eigenvalues of N
-    below 1 are such rounding.
-    """
-    n = np.eye(normal.shape[-1]) + normal
-    try:
-        factors = np.linalg.cholesky(n)
-    except LinAlgError:
-        values, vectors = np.linalg.eigh(n)
-        values = np.maximum(values, 1.0)
-        along = vectors.transpose(0, 2, 1) @ h
-        return vectors @ (along / values[:, :, None]), 0.5 * np.log(values).sum(axis=1)
-    return np.linalg.solve(n, h), np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
 
 
 def _factor(normal: np.ndarray) -> np.ndarray:
     """Lower Cholesky factor of N = I + `normal` [R, R], which is overwritten by N; the upper
-    triangle of the factor is not cleaned. Eigenvalues of N below 1 are rounding.
+    triangle of the factor is not cleaned.
+
+    `normal` may be a difference, whose rounding exceeds I where a table is far off: eigenvalues of
+    N below 1 are such rounding.
     """
     normal.ravel()[:: len(normal) + 1] += 1.0
     # .T: symmetric, and in Fortran's order.

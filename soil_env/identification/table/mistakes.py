@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
+from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table.data import CHANNELS, Data, prepare
@@ -193,9 +194,18 @@ def _problem(reading: Reading, sd: np.ndarray, used: np.ndarray | None) -> Table
     return TableProblem(there, setup, np.ones(len(there), dtype=bool))
 
 
-def _fit(reading: Reading, sd: np.ndarray, used: np.ndarray | None, search: bool = False) -> _Fit:
+def _fit(
+    reading: Reading,
+    sd: np.ndarray,
+    used: np.ndarray | None = None,
+    start: np.ndarray | None = None,
+    search: bool = False,
+) -> _Fit:
+    """The reading, fitted from `start` or the prior mean, or by a search."""
     problem = _problem(reading, sd, used)
-    u = problem.search() if search else np.zeros(len(problem.unknowns))
+    u = np.zeros(len(problem.unknowns)) if start is None else start
+    if search:
+        u = problem.search()
     problem.weigh(problem.by_conditions(u))
     u, cost = problem.minimise(u, **COARSE)
     e = problem.by_noise(problem.residual(u))[problem.measured.ravel()]
@@ -264,8 +274,9 @@ class _AsIs(NamedTuple):
 
 def _as_is(data: Data) -> _AsIs:
     plain = _plain(data.table, data.setup)
-    noise = _noise(data, _fit(plain, _rough(data), None))
-    return _AsIs(data, noise, _fit(plain, noise.sd, noise.used))
+    rough = _fit(plain, _rough(data))
+    noise = _noise(data, rough)
+    return _AsIs(data, noise, _fit(plain, noise.sd, noise.used, rough.u))
 
 
 def _other_readings(start: _AsIs) -> list[Better]:
@@ -278,14 +289,15 @@ def _other_readings(start: _AsIs) -> list[Better]:
     plain = first.reading
     rough = _rough(data)
     others = readings(data.table, data.setup)
+    at = {other.name: _fit(other, rough) for other in others}
     # A wrong reading leaves more about its surface.
-    for other in others:
-        if other.name != "columns":
-            there = _noise(data, _fit(other, rough, None))
+    for name, fit in at.items():
+        if name != "columns":
+            there = _noise(data, fit)
             if np.sum(np.log(there.sd)) < np.sum(np.log(noise.sd)):
                 noise = there
-    base = _weighed(first if noise is start.noise else _fit(plain, noise.sd, noise.used))
-    fits = [_weighed(_fit(other, noise.sd, noise.used)) for other in others]
+    base = _weighed(first if noise is start.noise else _fit(plain, noise.sd, noise.used, first.u))
+    fits = [_weighed(_fit(other, noise.sd, noise.used, at[other.name].u)) for other in others]
     if max(f.evidence for f in fits) - base.evidence > SURE:
         searched = _weighed(_fit(plain, noise.sd, noise.used, search=True))
         base = max(base, searched, key=lambda f: f.evidence)
@@ -303,6 +315,7 @@ class Examined(NamedTuple):
     left_out: tuple[str, ...]  # rows and values that are left out, in words
 
 
+@threadpool_limits.wrap(1)  # the matrices are small
 def examine(table: Table, setup: Setup) -> Examined:
     """Doubts about a table, most certain first, and the table without the rows that are wrong.
 

@@ -12,6 +12,7 @@ out is estimated with the soil.
 
 import math
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from itertools import product
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -110,6 +111,25 @@ def finite(columns: list[np.ndarray], size: int) -> np.ndarray:
     return np.where(np.isfinite(j), j, 0.0)
 
 
+class Last:
+    """A function [..] of unknowns [p], computed once for those that it was asked for last."""
+
+    def __init__(self, compute: Callable[[np.ndarray], np.ndarray]) -> None:
+        self._compute = compute
+        self._at: np.ndarray | None = None
+        self._value = np.empty(0)
+
+    def know(self, u: np.ndarray, value: np.ndarray) -> None:
+        """Take its value at u from elsewhere."""
+        self._at = u.copy()
+        self._value = value
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        if self._at is None or not np.array_equal(self._at, u):
+            self.know(u, self._compute(u))
+        return self._value
+
+
 class TableProblem:
     """The soil of one table as a weighted least-squares problem; `correct` and `update_noise`
     re-weight it.
@@ -166,11 +186,7 @@ class TableProblem:
                 f"{needed} parameters{unknown}: expected at least "
                 f"{needed + int(self.estimated.sum())}"
             )
-        wheel = dict(zip(("wheel_radius", "wheel_width"), wheels.T, strict=False))
-        at = {"slip": self.rows.slip, "load": self.rows.load, **wheel}
-        self.processes: list[Process] = [
-            Process.over(at, most=_FUNCTIONS, lengths=lengths) for lengths in LAW_LENGTHS
-        ]
+        self._by_unknowns = Last(self._differences)
         #: Of the base law, beside the noise; None as long as it is not known.
         self.form_error: form_error.Compression | None = None
         self.weigh(np.zeros((count, 3, 2)))
@@ -207,6 +223,14 @@ class TableProblem:
             self.estimated[k] = given is None and k >= 2 and bool(np.any(self.measured[:, k - 2]))
             self.noise[k] = given if given is not None else guess.get(name, 0.0)
             self.floor[k] = 1e-4 * guess.get(name, 0.0)
+
+    @cached_property
+    def processes(self) -> list[Process]:
+        """Form errors over the rows, one for each of `LAW_LENGTHS`."""
+        radius, width, _ = self.rows.wheels.T
+        at = {"slip": self.rows.slip, "load": self.rows.load}
+        at |= {"wheel_radius": radius, "wheel_width": width}
+        return [Process.over(at, most=_FUNCTIONS, lengths=lengths) for lengths in LAW_LENGTHS]
 
     def values(self, u: np.ndarray) -> dict[str, float]:
         """Every soil parameter by name."""
@@ -269,11 +293,12 @@ class TableProblem:
         return sd**2
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
-        """[3 N] of an array [N, 3], under noise and form error."""
+        """[3 N, ..] of an array [N, 3, ..], under noise and form error."""
         return form_error.whitened(self.form_error, self.by_noise(values))
 
     def by_noise(self, values: np.ndarray) -> np.ndarray:
-        return np.einsum("kcd,kd->kc", self._whitener, values).ravel()
+        found = np.einsum("kcd,kd...->kc...", self._whitener, values)
+        return found.reshape(-1, *values.shape[2:])
 
     def target(self) -> np.ndarray:
         """Measured values [N, 3], less what the errors of slip and load change in them; 0 where not
@@ -290,15 +315,13 @@ class TableProblem:
 
     def derivatives(self, u: np.ndarray) -> np.ndarray:
         """[3 N, p] of the whitened model by the whitened unknowns."""
-
-        def model(x):
-            return self.whiten(self.predict(x))
-
-        base = model(u)
-        return finite(differences(model, u, self.unknowns, base), base.size)
+        return self.whiten(self.by_unknowns(u))
 
     def by_unknowns(self, u: np.ndarray) -> np.ndarray:
         """[N, 3, p] of the model by the whitened unknowns."""
+        return self._by_unknowns(u)
+
+    def _differences(self, u: np.ndarray) -> np.ndarray:
         flat = differences(
             lambda x: self.predict(x).ravel(), u, self.unknowns, self.predict(u).ravel()
         )
@@ -329,11 +352,10 @@ class TableProblem:
                 np.where(np.isfinite(moved), moved, 0.0)[:, :, None] * functions[:, None, :]
             )
         own = [(base * unit)[:, :, None] * functions[:, None, :] for unit in np.eye(3)]
-        stresses, channels = (
-            np.stack([self.by_noise(errors[:, :, k]) for k in range(errors.shape[2])], axis=1)
-            for errors in (np.concatenate(blocks, axis=2), np.concatenate(own, axis=2))
+        return (
+            self.by_noise(np.concatenate(blocks, axis=2)),
+            self.by_noise(np.concatenate(own, axis=2)),
         )
-        return stresses, channels
 
     def by_size(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(probability, mean [p] and covariance [p, p] of the unknowns, by size and span),
@@ -427,6 +449,7 @@ class TableProblem:
             solved = np.linalg.solve(self.V, self.residual(u)[:, :, None])[:, :, 0]
             slip, load = (self.noise[:2] ** 2 * np.einsum("kcj,kc->kj", self.F, solved)).T
             load = np.clip(self.rows.load + load, 0.2 * self.rows.load, 5.0 * self.rows.load)
+            self._by_unknowns = Last(self._differences)  # at other conditions
             self.corrected = self.rows._replace(
                 slip=np.clip(self.rows.slip + slip, -1.0, 1.0), load=load
             )

@@ -57,7 +57,10 @@ def _soil(estimate: TableEstimate) -> Table:
         if key not in estimate.parameters:
             continue
         p = estimate.parameters[key]
-        interval = "" if p.low == p.high else f"{p.low:.4g} .. {p.high:.4g}"
+        low, high = (
+            f"{getattr(p, end):.4g}" + " (bound)" * (end in p.at_bound) for end in ("low", "high")
+        )
+        interval = "" if p.low == p.high else f"{low} .. {high}"
         share = (
             "" if key == "reference_pressure" else "known" if p.known else f"{p.sd_over_prior:.3f}"
         )

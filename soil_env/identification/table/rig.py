@@ -3,6 +3,7 @@ the setup says.
 """
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -12,17 +13,22 @@ from soil_env.terramechanics.effects import Effects
 from soil_env.terramechanics.model import Rows
 from soil_env.terramechanics.steady import predict_rows
 
+#: Parameters that may differ from row to row, by the names of a setup: columns of the factors of
+#: `predict_rows`; of the friction angle the tangent.
+BY_ROW = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient")
+
 
 def predict_table(
     setup: Setup,
     rows: Rows,
-    values: dict[str, float],
+    values: Mapping[str, float],
     unit_weight: float,
     fx: Effects,
     guess: np.ndarray,
+    factors: np.ndarray | None = None,
 ) -> np.ndarray:
     """Sinkage, drawbar pull and torque [N, 3] of the soil with the parameters `values` by name;
-    `guess` [N] is renewed.
+    `guess` [N] is renewed, `factors` [N, 4] of `BY_ROW` may multiply them.
 
     A force W of the rig that stands on ground inclined by b against it presses with W cos(b) on the
     ground and acts with W sin(b) against the pull. b is the tilt of the rig (`tilt_deg` of
@@ -31,7 +37,7 @@ def predict_table(
     """
     soil = soil_state(values, given_laws(setup))
     tilt = math.radians(values.get("tilt_deg", 0.0))
-    along = np.zeros(1)
+    along: np.ndarray | float = 0.0
     if setup.load == "vertical":
         fx = fx._replace(grade_share=fx.grade_share + 1.0)
         if tilt != 0.0:
@@ -41,21 +47,13 @@ def predict_table(
     elif tilt != 0.0:
         along = rows.load * math.sin(tilt)
         rows = rows._replace(load=rows.load * math.cos(tilt))
+    if setup.soil.k_c is not None:
+        factors = np.ones((rows.slip.size, len(BY_ROW))) if factors is None else factors.copy()
+        for width in np.unique(rows.wheels[:, 1]):
+            factors[rows.wheels[:, 1] == width, -1] *= _factor(setup, width)
     out = np.empty((rows.slip.size, 3))
-    width = rows.wheels[:, 1]
-    for b in np.unique(width) if setup.soil.k_c is not None else (None,):
-        here = slice(None) if b is None else width == b
-        there = (
-            soil
-            if b is None
-            else soil._replace(sinkage_coefficient=soil.sinkage_coefficient * _factor(setup, b))
-        )
-        start = guess[here].copy()
-        values_here = np.empty_like(out[here])
-        rows_here = Rows(*(np.ascontiguousarray(column[here]) for column in rows))
-        predict_rows(rows_here, there, unit_weight, fx, start, values_here)
-        out[here] = values_here
-        guess[here] = start
+    rows = Rows(*map(np.ascontiguousarray, rows))
+    predict_rows(rows, soil, unit_weight, fx, guess, out, factors)
     out[:, 1] -= along
     return out
 
