@@ -513,19 +513,6 @@ def shear_integrals(nodes, p, motion, K, law, split):
 
 
 @njit(**SUMS)
-def mobilised_integrals(nodes, p, motion, K, law, split):
-    """`shear_integrals` under a law; that of Eq. (10), which takes half the time, where `law` is
-    None or has neither peak nor fall.
-    """
-    if law is None:
-        return shear_integrals(nodes, p, motion, K, None, split)
-    else:
-        if law.b == 0.0 and law.c == 0.0:
-            return shear_integrals(nodes, p, motion, K, None, split)
-        return shear_integrals(nodes, p, motion, K, law, split)
-
-
-@njit(**SUMS)
 def _rate_sums(nodes, count, st, c):
     """`ShearRates` of so many nodes."""
     cos_rim = 0.0

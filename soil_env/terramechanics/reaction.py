@@ -12,7 +12,7 @@ from typing import NamedTuple
 from numba import njit
 
 from soil_env._compiled.elementary import smoothed_sign
-from soil_env._compiled.flags import EXACT, INLINE, uncompiled
+from soil_env._compiled.flags import EXACT, INLINE
 from soil_env.slip import braked_share, signed_slip, slip_ratio
 from soil_env.terramechanics.contact import (
     LEAST_BEARING,
@@ -24,14 +24,13 @@ from soil_env.terramechanics.contact import (
     grown_modulus,
     held_below,
     lay_nodes,
-    mobilised_integrals,
     mobilised_sinkage_coefficient,
     most_carried,
+    shear_integrals,
     shear_rates,
     smooth_arc,
 )
 from soil_env.terramechanics.effects import (
-    NO_EFFECTS,
     Effects,
     Passage,
     drive_friction,
@@ -39,7 +38,7 @@ from soil_env.terramechanics.effects import (
     soil_in_contact,
     soil_resistance,
 )
-from soil_env.terramechanics.effects.shear_softening import mobilisation, shear_length_ratio
+from soil_env.terramechanics.effects.shear_softening import shear_law, shear_length_ratio
 from soil_env.terramechanics.effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
 from soil_env.terramechanics.residual import (
     ResidualLaw,
@@ -56,9 +55,6 @@ REST_SPEED = 0.001
 class Acting(NamedTuple):
     """What acts between wheel and soil beside the base model; None where nothing does, which
     compiles to no code.
-
-    Effects and law are there or not together: all worlds with effects share their compiled code.
-    A residual law, whose arrays take time, makes code of its own.
     """
 
     effects: Effects | None
@@ -126,11 +122,9 @@ NO_REACTION = Reaction(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def acting_on(effects: Effects | None, residual: ResidualLaw | None) -> Acting:
-    """Pack effects and a residual law; beside a residual law the effects may be neutral."""
-    if effects is None and residual is None:
-        return BASE
-    effects = effects or NO_EFFECTS
-    return Acting(effects, uncompiled(mobilisation)(effects), residual)
+    """Pack effects and a residual law; `Acting.law` is None unless the strength has a peak."""
+    law = None if effects is None else shear_law(effects)
+    return Acting(effects, law, residual)
 
 
 @njit(**INLINE)
@@ -187,7 +181,7 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
     direction, turn = smoothed_sign(speed, REST_SPEED)
     p = footing.p_cos, footing.p_sin
     flows = footing.carry > 0.0
-    q = mobilised_integrals(nodes, p, (rim, travel), footing.shear_modulus, law, flows)
+    q = shear_integrals(nodes, p, (rim, travel), footing.shear_modulus, law, flows)
     S = mobilised_sinkage_coefficient(q, footing.load, tan_phi, c, r, b, direction)
     f = forces(q, S, tan_phi, c, r, b, direction)
 

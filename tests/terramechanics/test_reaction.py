@@ -10,7 +10,7 @@ from numba import njit
 from soil_env._compiled.flags import record
 from soil_env.parameters import soils
 from soil_env.terramechanics import contact, reaction
-from soil_env.terramechanics.effects import acting_effects, grousers, pack_effects
+from soil_env.terramechanics.effects import NO_EFFECTS, acting_effects, grousers, pack_effects
 from soil_env.terramechanics.residual import residual_law
 from tests.terramechanics.cases import ACTING, CASES, FLOW, LUG, RESIDUAL, TOGETHER, any_soil
 
@@ -204,7 +204,7 @@ def test_effects_at_their_neutral_values_leave_the_base_model():
     """The code for effects and that without them agree."""
     soil = soils()["lete_sand"].state(R)
     plain = wheel_with("none")
-    with_code = plain[0], reaction.acting_on(None, residual_law(()))
+    with_code = plain[0], reaction.Acting(NO_EFFECTS, None, residual_law(()))
     rng = np.random.default_rng(3)
     for _ in range(50):
         v, u = motion(rng)
