@@ -20,6 +20,7 @@ from soil_env._compiled.elementary import exp, power
 from soil_env._compiled.flags import EXACT, FINITE, INLINE, record, uncompiled
 from soil_env._compiled.random_streams import between
 from soil_env.parameters import Scenario, SoilState
+from soil_env.parameters.wheel import refuse_lugs_on_tyre
 from soil_env.simulation.world.sensors import READING
 from soil_env.simulation.world.terrain import (
     cell_after,
@@ -31,6 +32,7 @@ from soil_env.simulation.world.terrain import (
     soil_on,
 )
 from soil_env.slip import slip_ratio
+from soil_env.terramechanics.contact import layered_depth
 from soil_env.terramechanics.effects import NO_EFFECTS, acting_effects
 from soil_env.terramechanics.effects.grousers import contact_radius, shear_radius_ratio
 from soil_env.terramechanics.effects.slip_sinkage import excavation_rate, onto_fresh
@@ -110,6 +112,9 @@ RIG = record(
     "contact_radius",  # [m] that carries the normal stress
     "shear_ratio",  # [-] radius at which soil is sheared, over `contact_radius`
     "rim_ratio",  # [-] that radius over the rim's
+    "tyre_deflection",  # [m] at any load
+    "tyre_compliance",  # [m/N]
+    "grip",  # [-] friction between tread and ground, 0: no such limit
     "gravity",  # [m/s2]
     "unit_weight",  # [N/m3] of the soil
     "inertia",  # [kg m2]
@@ -182,7 +187,10 @@ def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarra
     rig["radius"] = w.radius
     rig["width"] = w.width
     rig["gravity"] = scenario.gravity
+    for name in ("tyre_deflection", "tyre_compliance", "grip"):
+        rig[name] = getattr(w, name)
     if model is not None:
+        refuse_lugs_on_tyre(model.wheel.grouser_height, w.tyre)
         rig["grouser_height"] = model.wheel.grouser_height
         rig["unit_weight"] = model.density * scenario.gravity
     effects = acting_in(model).effects
@@ -257,7 +265,10 @@ def sink(wheel, ground, mobilised, path, rig):
     soil = ground.soil
     exponent = max(soil.sinkage_exponent, LEAST_EXPONENT)
     ratio = power(mobilised / soil.sinkage_coefficient, 1.0 / exponent)
-    bearing = ground.sinkage * min(ratio, MOST_BEARING) + ground.lift
+    borne = ground.sinkage * min(ratio, MOST_BEARING)
+    if soil.layer_gain > 0.0 and borne > 0.0:
+        borne = layered_depth(borne, soil)
+    bearing = borne + ground.lift
     x = wheel.x + path.moved
     beyond = onto_fresh(x, wheel.lowest_x, wheel.best_x)
     fresh = min(beyond / max(abs(path.moved), STANDING), 1.0)
