@@ -141,13 +141,24 @@ def test_a_wheel_without_a_command_stays_nearly_at_rest(soil, mode, grades, fast
         assert mode == "torque" or wheels.now().x * grade_deg <= 0.0
 
 
-@pytest.mark.parametrize("law", [{}, FLOW], ids=["equation 10", "flow"])
-def test_energy_of_a_driven_and_braked_wheel_is_accounted_for(law):
+TYRE = {"wheel": {"tyre": {"stiffness": 8000.0}, "grip": 0.6}}
+FIRM_BELOW = {"layer_gain": 1e4, "layer_depth": 0.03}
+
+
+@pytest.mark.parametrize(
+    ("law", "changes"),
+    [({}, {}), (FLOW, {}), (FIRM_BELOW, TYRE)],
+    ids=["equation 10", "flow", "tyre on a cover"],
+)
+def test_energy_of_a_driven_and_braked_wheel_is_accounted_for(law, changes):
     """Downhill with changing commands: work of the motor less that on soil, of height, of speed and
     of the integrator in every period; the soil takes work over each, and the wheel is braked.
     """
     wheels = on_uniform_ground(
-        soils()["dry_sand"].state(0.15)._replace(**law), math.radians(-12.0), "wheel_speed"
+        soils()["dry_sand"].state(0.15)._replace(**law),
+        math.radians(-12.0),
+        "wheel_speed",
+        **changes,
     )
     rng = np.random.default_rng(0)
     before = wheels.now()
