@@ -28,7 +28,7 @@ from soil_env.simulation.rover.rovers import (
 from soil_env.simulation.rover.ruts import new_ruts, pass_on
 from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND
 from soil_env.terramechanics.effects.multipass import COMPACTION, in_rut, rut_stiffness
-from soil_env.terramechanics.steady import DEEPEST, steady_state
+from soil_env.terramechanics.steady import DEEPEST, Rim, steady_state, steady_with
 from tests.simulation.wheels import set_soil
 from tests.terramechanics.cases import any_soil
 
@@ -187,6 +187,28 @@ def test_each_wheel_is_in_the_steady_state_of_its_slip_and_load(climbing):
         assert w["torque"][i] == pytest.approx(steady.torque, rel=0.02 if i else 1e-3)
     assert a.wheel["floor"][0] == 0.0
     assert a.wheel["floor"][1] == pytest.approx(w["sinkage"][0], rel=0.02)
+
+
+def test_wheels_with_tyres_are_in_the_steady_state_of_their_slip_and_load():
+    """On asphalt and on sand over rock: as `steady_with` has it, which knows nothing of time."""
+    for soil, error in (("asphalt", 1e-3), ("rock_with_sand_cover", 0.02)):
+        wheel = {"tyre": {"deflection": 0.012}, "grip": 0.8}
+        simulation = started(uniform("field_rover", soil, grade_deg=6.0, wheel=wheel))
+        a = driven(simulation, 0.3, 150)
+        scenario = simulation.scenario
+        ground = scenario.beneath(scenario.library[soil])
+        rim = Rim.of(scenario.wheel)
+        assert a.body["x"] > 1.0 and a.body["converged"] == 1
+        for i in range(scenario.axles):
+            here = in_rut(ground, 1.0 + i, None)
+            steady = steady_with(a.wheel["slip"][i], a.wheel["load"][i], here, rim)
+            load = a.wheel["load"][i]
+            assert a.wheel["drawbar_pull"][i] == pytest.approx(
+                steady.drawbar_pull, abs=error * load
+            )
+            assert a.wheel["torque"][i] == pytest.approx(
+                steady.torque, abs=error * load * scenario.wheel.radius
+            )
 
 
 def test_the_body_pitches_with_the_slope_and_with_the_ruts(climbing):
