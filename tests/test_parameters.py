@@ -37,7 +37,9 @@ def test_presets_have_a_source_and_are_of_sensible_size(preset):
     assert preset.source
     if isinstance(preset, Soil):
         for width in (0.1, 0.1524, 0.5):  # pressure [Pa] at a sinkage of 3 cm
-            assert 100.0 < preset.lumped(width) * 0.03**preset.sinkage_exponent < 3e6
+            hard = preset == parameters.soils()["asphalt"]
+            pressure = preset.lumped(width) * 0.03**preset.sinkage_exponent
+            assert 100.0 < pressure < (1e9 if hard else 3e6)
         assert all(math.isfinite(x) for x in preset.state(0.15))
     else:
         assert 0.5 < preset.stall_torque / (preset.body_mass * 9.81 * preset.radius) < 5.0

@@ -4,7 +4,7 @@ its soil.
 
 import numpy as np
 
-from soil_env.parameters import FLOW_LAW, SoilState
+from soil_env.parameters import FLOW_LAW, NO_LAYER, SoilState
 from soil_env.slip import rim_speeds, travel_speeds
 from soil_env.terramechanics.traversability import best_points
 
@@ -201,10 +201,11 @@ class BestSlipIdentified(SlipFollower):
             read("dig_gain"),
             belief.dig_recovery,
             *(getattr(belief, name) for name in FLOW_LAW),
+            *NO_LAYER,
         ]
 
     def soils(self, observation) -> np.ndarray:
-        """`SoilState` rows [n, 11] read from the observation."""
+        """`SoilState` rows [n, 13] read from the observation."""
         return np.column_stack(
             [np.broadcast_to(x, len(observation)) for x in self.soil_columns(observation)]
         )

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -247,7 +248,7 @@ def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -
         "sinkage_coefficient",
         "sinkage_exponent",
     )
-    values = {name: float(soil[name]) for name in names}
+    values: dict[str, Any] = {name: float(soil[name]) for name in names} | problem.laws
     acting = [c for c in fit.choices if c.effect not in INSTRUMENT]
     effects = {c.effect: _parameters(problem, c, fit.parameters()) for c in acting}
     # The load of a model presses normal to the ground but for this share.
@@ -260,7 +261,6 @@ def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -
     of_soil = Soil(
         **values,
         density=problem.density,
-        **problem.laws,
         gravity_measured=problem.data.setup.gravity,
         source="calibrated by soil_env.discrepancy",
     )

@@ -44,8 +44,9 @@ def with_model(
                 "that, or scatter=True for a wheel of your own on soils about that of the model"
             )
     own = {name: given[name] for name in given if name not in sizes}
+    tyre = {n: getattr(model.wheel, n) for n in ("tyre", "grip") if getattr(model.wheel, n)}
     try:
-        own_wheel: dict[str, Any] = {**sizes, **own}
+        own_wheel: dict[str, Any] = {**sizes, **tyre, **own}
         fitted = {"wheel": replace(geared(wheel, sizes["radius"]), **own_wheel)}
         if model.soil is None:
             return replace(scenario, **fitted)

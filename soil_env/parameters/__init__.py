@@ -21,6 +21,8 @@ from soil_env.parameters.sensors import Noise
 from soil_env.parameters.soil import (
     EARTH_GRAVITY,
     FLOW_LAW,
+    NO_LAYER,
+    Layer,
     Soil,
     SoilSpread,
     SoilState,
@@ -31,7 +33,15 @@ from soil_env.parameters.soil import (
 )
 from soil_env.parameters.task import HELD, Control, Limits, RewardWeights
 from soil_env.parameters.vehicle import MOST_AXLES, Vehicle, mass_of_wheel
-from soil_env.parameters.wheel import LARGEST_WHEEL, Wheel, check_lugs, geared, wheels, with_preset
+from soil_env.parameters.wheel import (
+    LARGEST_WHEEL,
+    Tyre,
+    Wheel,
+    check_lugs,
+    geared,
+    wheels,
+    with_preset,
+)
 
 __all__ = [
     "DEFAULT_ROVER",
@@ -42,10 +52,12 @@ __all__ = [
     "LARGEST_WHEEL",
     "MOST_AXLES",
     "MOST_CLASSES",
+    "NO_LAYER",
     "Belief",
     "Camera",
     "Control",
     "CourseSpec",
+    "Layer",
     "Limits",
     "Noise",
     "ParameterError",
@@ -56,6 +68,7 @@ __all__ = [
     "Soil",
     "SoilSpread",
     "SoilState",
+    "Tyre",
     "UnstatedGravity",
     "Vehicle",
     "Wheel",

@@ -40,8 +40,12 @@ class SoilState(NamedTuple):
     braked_peak: float = 0.0  # shift of the braked stress peak [of theta1]
     shear_growth: float = 0.0  # power p of the contact length in K [-]
     shear_length: float = 0.1  # contact length to which K belongs [m]
+    layer_gain: float = 0.0  # S of the firm ground below over that of the cover, less 1 [-]
+    layer_depth: float = 0.1  # depth of the firm ground [m]
 
 
+#: `layer_gain` and `layer_depth` of a uniform soil.
+NO_LAYER = (0.0, 0.1)
 #: Constants of the shear law beyond Eq. (10), which it is where the first three are 0.
 FLOW_LAW = ("rim_flow", "braked_peak", "shear_growth", "shear_length")
 
@@ -57,6 +61,16 @@ def lumped_coefficient(k_c: float, k_phi: float, width: float) -> float:
             f"soil: k_c/b + k_phi = {s:g} for a wheel of width {width:g} m: expected > 0"
         )
     return s
+
+
+@dataclass(frozen=True)
+class Layer(Checked):
+    """Firm ground below a cover, `contact.layer_firmness`; S is that of the cover down to
+    `depth`.
+    """
+
+    depth: float = quantity("m", 1e-3, 3.0)
+    stiffness: float = quantity("", 1.0, 1e8, doc="S of the firm ground over that of the cover")
 
 
 @dataclass(frozen=True)
@@ -108,6 +122,7 @@ class Soil(Checked):
     shear_length: float = quantity(
         "m", 1e-3, 3.0, default=0.1, doc="contact length r theta1 that shear_modulus belongs to"
     )
+    layer: Layer | None = None
     source: str = ""
 
     def __post_init__(self) -> None:
@@ -203,7 +218,10 @@ class Soil(Checked):
         """
         numbers = state._asdict()
         numbers["friction_angle_deg"] = math.degrees(math.atan(numbers.pop("tan_phi")))
-        return replace(cls.within(numbers), gravity_measured=gravity)
+        layer = None
+        if state.layer_gain > 0.0:
+            layer = Layer(state.layer_depth, 1.0 + state.layer_gain)
+        return replace(cls.within(numbers), gravity_measured=gravity, layer=layer)
 
     @classmethod
     def within(cls, numbers: Mapping[str, float]) -> "Soil":
@@ -233,6 +251,7 @@ class Soil(Checked):
             self.braked_peak,
             self.shear_growth,
             self.shear_length,
+            *(NO_LAYER if self.layer is None else (self.layer.stiffness - 1.0, self.layer.depth)),
         )
 
 

@@ -18,12 +18,57 @@ from soil_env.parameters.presets import library
 LARGEST_WHEEL = 3.0  # [m] largest radius and width of a wheel that are accepted; own choice
 LEAST_INERTIA = 0.02  # [-] of body_mass radius^2, below that of any geared drive; own choice
 USUAL = "planetary_rover"  # preset whose ground pressure and drive a wheel has that tells none
+MOST_DEFLECTION = 0.3  # [of the radius] of a tyre; own choice
 _LEFT_OUT = float("nan")  # this very object: a NaN from elsewhere is refused
 
 
 @dataclass(frozen=True)
-class Wheel(Checked):
-    """A rigid driven wheel with its motor and its share of the vehicle.
+class Tyre(Checked):
+    """A flexible tyre by one of the two: its deflection on hard ground at any load, or the load
+    over it.
+    """
+
+    deflection: float = quantity("m", 0.0, 1.0, default=0.0)
+    stiffness: float = quantity("N/m", 0.0, 1e9, default=0.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.deflection > 0.0) == (self.stiffness > 0.0):
+            given = f" = {self.deflection:g} and stiffness = {self.stiffness:g}"
+            raise FieldError(self, "deflection", f"{given}: expected one of the two > 0")
+
+
+class OnTyre:
+    """What a wheel with the fields `tyre` and `radius` tells compiled code of its tyre; 0 and 0:
+    rigid.
+    """
+
+    tyre: Tyre | None
+    radius: float
+
+    @property
+    def tyre_deflection(self) -> float:
+        """Deflection [m] at any load."""
+        return 0.0 if self.tyre is None else self.tyre.deflection
+
+    @property
+    def tyre_compliance(self) -> float:
+        """Deflection over load [m/N]."""
+        if self.tyre is None or self.tyre.stiffness == 0.0:
+            return 0.0
+        return 1.0 / self.tyre.stiffness
+
+    def check_tyre(self) -> None:
+        """Raise `FieldError` for a tyre that is flatter than the law holds for."""
+        if self.tyre_deflection > MOST_DEFLECTION * self.radius:
+            most = MOST_DEFLECTION * self.radius
+            given = f" = {self.tyre_deflection:g}: expected at most {most:g} m"
+            raise FieldError(self, "tyre.deflection", f"{given}, {MOST_DEFLECTION:g} of the radius")
+
+
+@dataclass(frozen=True)
+class Wheel(Checked, OnTyre):
+    """A driven wheel, rigid unless it has a `tyre`, with its motor and its share of the vehicle.
 
     `inertia` is that of the wheel with the motor's rotor seen through the gear, which dominates in
     a geared drive. The motor has the straight torque-speed line of a DC motor:
@@ -51,11 +96,16 @@ class Wheel(Checked):
         default=_LEFT_OUT,
         doc="mass this wheel carries and accelerates, without payload",
     )
+    tyre: Tyre | None = None
+    grip: float = quantity(
+        "", 0.0, 3.0, default=0.0, doc="friction between tread and hard ground; 0: no such limit"
+    )
     source: str = ""
 
     def __post_init__(self) -> None:
         self._complete()
         super().__post_init__()
+        self.check_tyre()
         least = LEAST_INERTIA * self.body_mass * self.radius**2
         if self.inertia < least:
             share = f"{100 * LEAST_INERTIA:g} % of body_mass radius^2"
@@ -109,6 +159,15 @@ def check_lugs(height: float, radius: float) -> None:
     if height >= radius:
         raise ParameterError(
             f"grouser_height = {height:g}: expected metres, less than the wheel radius {radius:g} m"
+        )
+
+
+def refuse_lugs_on_tyre(height: float, tyre: Tyre | None) -> None:
+    """Raise `ParameterError` for lugs [m] on a flexible tyre, which the laws of lugs are not of."""
+    if tyre is not None and height > 0.0:
+        raise ParameterError(
+            f"grouser_height = {height:g}: expected none on a wheel with a tyre, whose tread is in "
+            "its grip"
         )
 
 

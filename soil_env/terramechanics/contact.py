@@ -21,6 +21,7 @@ from numba import njit
 
 from soil_env._compiled.elementary import asin_root, exp, half_cos, half_sin, power, smoothed_sign
 from soil_env._compiled.flags import EXACT, INLINE, SUMS, record
+from soil_env.parameters.wheel import MOST_DEFLECTION
 
 # Gauss-Legendre nodes of each zone of the arc; the two zones share the normal stress
 NODES_PER_ZONE = 8
@@ -35,6 +36,8 @@ NODE_WEIGHTS = 0.5 * _w * (_x + 1.0)  # [-] weight of the node times d(u^2)/du
 #: [-] Least share of Int p cos that bears. Friction under a braked wheel about a radius deep
 #: takes as much load as the normal stress gives, and S would grow without bound.
 LEAST_BEARING = 0.05
+LEAST_LAYERED = 0.05  # [-] sinkage exponent of a soil with firm ground below, at least
+LAYER_STEPS = 40  # of a bisection
 _none = np.zeros(NODES_PER_ZONE)
 _all = np.ones(NODES_PER_ZONE)
 #: [-] Lengths of the front and of the rear zone between the entry and each node, and the node's
@@ -169,6 +172,78 @@ def smooth_arc(sinkage, r, shift):
     """
     theta1 = entry_angle(sinkage, r)
     return Arc(theta1, 0.0, (0.5 + shift) * theta1, theta1, r)
+
+
+@njit(**EXACT)
+def on_tyre(wheel):
+    """True if the wheel has a flexible tyre."""
+    return wheel.tyre_deflection > 0.0 or wheel.tyre_compliance > 0.0
+
+
+@njit(**EXACT)
+def substitute_radius(sinkage, load, wheel):
+    """Radius [m] of the rigid circle that a tyre under a load [N] touches the ground like.
+
+    D*/D = [sqrt(1 + f/z) + sqrt(f/z)]^2 with the deflection f (Schmid 1995, second-hand): from its
+    entry to its lowest point the circle is as long as the whole contact of the deflected tyre.
+    """
+    deflection = wheel.tyre_deflection + wheel.tyre_compliance * load
+    share = min(deflection, MOST_DEFLECTION * wheel.radius) / sinkage
+    root = math.sqrt(1.0 + share) + math.sqrt(share)
+    return wheel.radius * root * root
+
+
+@njit(**EXACT)
+def touching_radius(sinkage, load, wheel):
+    """Radius [m] that a wheel without lugs touches the ground with."""
+    if on_tyre(wheel):
+        return substitute_radius(sinkage, load, wheel)
+    return wheel.radius
+
+
+@njit(**EXACT)
+def gripping_share(soil, arc, load, wheel):
+    """Strength of the ground that the tread can take, min(c + p tan(phi), grip p) over c + p
+    tan(phi), smooth, with the mean pressure p of the contact.
+
+    So the shear forces of the contact stay below grip times load.
+    """
+    pressure = load / (wheel.width * arc.radius * arc.theta1)
+    strength = soil.cohesion + pressure * soil.tan_phi
+    if strength <= 0.0:
+        return 1.0
+    return held_below(strength, wheel.grip * pressure)[0] / strength
+
+
+@njit(**EXACT)
+def layer_firmness(depth, soil):
+    """Sinkage coefficient at a depth [m] over that of the cover: 1 + G x^16/(1 + x^16) with x =
+    depth/`layer_depth`.
+    """
+    if soil.layer_gain == 0.0:
+        return 1.0
+    square = (depth / soil.layer_depth) ** 2
+    eighth = square * square * (square * square)
+    x = eighth * eighth
+    return 1.0 + soil.layer_gain * (x / (1.0 + x))
+
+
+@njit(**EXACT)
+def layered_depth(depth, soil):
+    """Depth [m] at which a soil with firm ground below bears the pressure that its cover alone
+    bears at `depth` [m]: bisection in ln z.
+    """
+    n = max(soil.sinkage_exponent, LEAST_LAYERED)
+    goal = n * math.log(depth)
+    high = math.log(depth)
+    low = high - math.log(1.0 + soil.layer_gain) / n
+    for _ in range(LAYER_STEPS):
+        x = 0.5 * (low + high)
+        if n * x + math.log(layer_firmness(math.exp(x), soil)) > goal:
+            high = x
+        else:
+            low = x
+    return math.exp(0.5 * (low + high))
 
 
 @njit(**EXACT)

@@ -22,6 +22,8 @@ def soil_of(owner):
         owner.braked_peak,
         owner.shear_growth,
         owner.shear_length,
+        owner.layer_gain,
+        owner.layer_depth,
     )
 
 
@@ -40,6 +42,8 @@ def stiffened(soil, factor):
         soil.braked_peak,
         soil.shear_growth,
         soil.shear_length,
+        soil.layer_gain,
+        soil.layer_depth,
     )
 
 
@@ -58,6 +62,8 @@ def with_strength(soil, tan_phi, cohesion, shear_modulus, rim_flow):
         soil.braked_peak,
         soil.shear_growth,
         soil.shear_length,
+        soil.layer_gain,
+        soil.layer_depth,
     )
 
 
@@ -76,6 +82,8 @@ def with_digging(soil, exponent, gain, recovery):
         soil.braked_peak,
         soil.shear_growth,
         soil.shear_length,
+        soil.layer_gain,
+        soil.layer_depth,
     )
 
 
@@ -93,6 +101,16 @@ def put_soil(record, soil):
     record.braked_peak = soil.braked_peak
     record.shear_growth = soil.shear_growth
     record.shear_length = soil.shear_length
+    record.layer_gain = soil.layer_gain
+    record.layer_depth = soil.layer_depth
+
+
+@njit(**EXACT)
+def _gain_between(a, b, share):
+    """Gain of the firm ground below between two, its stiffness geometrically."""
+    if a == 0.0 and b == 0.0:
+        return 0.0
+    return exp((1.0 - share) * log(1.0 + a) + share * log(1.0 + b)) - 1.0
 
 
 @njit(**EXACT)
@@ -111,4 +129,6 @@ def blend(a, b, share):
         rest * a.braked_peak + share * b.braked_peak,
         rest * a.shear_growth + share * b.shear_growth,
         rest * a.shear_length + share * b.shear_length,
+        _gain_between(a.layer_gain, b.layer_gain, share),
+        rest * a.layer_depth + share * b.layer_depth,
     )

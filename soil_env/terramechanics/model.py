@@ -33,8 +33,10 @@ from soil_env.parameters import (
     LARGEST_WHEEL,
     Soil,
     SoilState,
+    Tyre,
     check_lugs,
 )
+from soil_env.parameters.wheel import OnTyre, refuse_lugs_on_tyre
 from soil_env.terramechanics.effects import Effects, pack_effects
 from soil_env.terramechanics.residual import (
     GROUPS,
@@ -53,16 +55,22 @@ STEEPEST = 60.0  # [deg] grade
 
 
 @dataclass(frozen=True)
-class ModelWheel(Checked):
-    """Wheel of a model; `grouser_height` 0 is a smooth rim."""
+class ModelWheel(Checked, OnTyre):
+    """Wheel of a model; `grouser_height` 0 is a smooth rim; without a `tyre` it is rigid."""
 
     radius: float = quantity("m", 0.01, LARGEST_WHEEL)
     width: float = quantity("m", 0.005, LARGEST_WHEEL)
     grouser_height: float = quantity("m", 0.0, 1.0, default=0.0)
+    tyre: Tyre | None = None
+    grip: float = quantity(
+        "", 0.0, 3.0, default=0.0, doc="friction between tread and hard ground; 0: no such limit"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_lugs(self.grouser_height, self.radius)
+        self.check_tyre()
+        refuse_lugs_on_tyre(self.grouser_height, self.tyre)
 
     @classmethod
     def of(cls, wheel: object) -> "ModelWheel":
@@ -71,7 +79,9 @@ class ModelWheel(Checked):
             return wheel
         if not hasattr(wheel, "radius") or not hasattr(wheel, "width"):
             raise ParameterError(f"wheel = {wheel!r:.80}: expected one with radius and width")
-        return cls(wheel.radius, wheel.width, getattr(wheel, "grouser_height", None) or 0.0)
+        lugs = getattr(wheel, "grouser_height", None) or 0.0
+        tyre = getattr(wheel, "tyre", None)
+        return cls(wheel.radius, wheel.width, lugs, tyre, getattr(wheel, "grip", 0.0))
 
 
 _EXPECTED = {
@@ -183,7 +193,7 @@ class WheelSoilModel(Checked):
         """The mapping of model.yaml."""
         content = {
             "format": FORMAT,
-            "wheel": to_dict(self.wheel),
+            "wheel": _given(self.wheel),
             "effects": {
                 name: {k: float(v) for k, v in values.items()}
                 for name, values in self.effects.items()
@@ -242,6 +252,13 @@ def load_model(
             f"model = {model!r}: expected the path of a model.yaml, a WheelSoilModel or None"
         )
     return WheelSoilModel.load(model)
+
+
+def _given(wheel: ModelWheel) -> dict[str, Any]:
+    """The mapping of a wheel without what it does not have."""
+    keys = to_dict(wheel)
+    off = {"tyre": None, "grip": 0.0}
+    return {name: value for name, value in keys.items() if name not in off or value != off[name]}
 
 
 _OPTIONAL = {"speed": 0.0, "pass": 1.0, "grade_deg": 0.0}
@@ -316,10 +333,15 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
         raise ParameterError(
             "conditions: grouser_height: expected metres, less than the wheel radius"
         )
+    refuse_lugs_on_tyre(float(np.max(column["grouser_height"], initial=0.0)), wheel.tyre)
+    of_wheel = [column[n] for n in _SIZES]
+    if wheel.tyre is not None or wheel.grip > 0.0:
+        of_tyre = wheel.tyre_deflection, wheel.tyre_compliance, wheel.grip
+        of_wheel += [np.full_like(column["load"], x) for x in of_tyre]
     return Rows(
         column["slip"].copy(),
         column["load"].copy(),
-        np.stack([column[n] for n in _SIZES], axis=1),
+        np.stack(of_wheel, axis=1),
         np.stack(
             [column["speed"], column["pass"], np.sin(np.radians(column["grade_deg"]))], axis=1
         ),
@@ -332,7 +354,8 @@ def _groups(rows, k, sinkage, soil, gravity):
     w = rows.wheels[k]
     c = rows.conditions[k]
     at = WorkingPoint(rows.slip[k], sinkage, rows.load[k], c[0], c[1], c[2])
-    return dimensionless_groups(at, soil, Rim(w[0], w[1], w[2], 0.0), gravity)
+    rim = Rim(w[0], w[1], w[2], 0.0, 0.0, 0.0, 0.0)
+    return dimensionless_groups(at, soil, rim, gravity)
 
 
 @kept

@@ -21,14 +21,15 @@ from soil_env.terramechanics.contact import (
     braked_shift,
     carried_share,
     forces,
+    gripping_share,
     grown_modulus,
     held_below,
     lay_nodes,
     mobilised_sinkage_coefficient,
     most_carried,
+    on_tyre,
     shear_integrals,
     shear_rates,
-    smooth_arc,
 )
 from soil_env.terramechanics.effects import (
     Effects,
@@ -164,6 +165,10 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
     stays what it is.
     """
     r = wheel.contact_radius
+    lever = r
+    if on_tyre(wheel):
+        r = nodes.radius
+        lever = wheel.radius
     b = wheel.width
     rb = r * b
     c = footing.cohesion
@@ -201,16 +206,16 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
     S_v = by_load * (direction * sin_v + turn * shear_sin)
     S_u = by_load * (direction * sin_u)
     pull_by_S = rb * (tan_phi * q.pe_cos - direction * q.p_sin)
-    torque_by_S = r * rb * (tan_phi * q.pe)
+    torque_by_S = lever * rb * (tan_phi * q.pe)
     return Reaction(
         f.load,
         f.drawbar_pull,
-        f.torque,
+        f.torque if r == lever else lever / r * f.torque,
         S,
         S_v * pull_by_S + rb * (cos_v - turn * S * q.p_sin),
         S_u * pull_by_S + rb * cos_u,
-        S_v * torque_by_S + r * rb * one_v,
-        S_u * torque_by_S + r * rb * one_u,
+        S_v * torque_by_S + lever * rb * one_v,
+        S_u * torque_by_S + lever * rb * one_u,
         S_v,
         S_u,
     )
@@ -226,23 +231,35 @@ def ground_under(at, soil, wheel, acting):
 
 
 @njit(**EXACT)
+def _gripped(soil, arc, load, wheel):
+    """Soil as the tread of a wheel shears it, which may slip on hard ground."""
+    if wheel.grip == 0.0:
+        return soil
+    share = gripping_share(soil, arc, load, wheel)
+    return grousers.at_shear_radius(soil, share, soil.shear_modulus)
+
+
+@njit(**EXACT)
 def _ground_under(at, slip, soil, wheel, fx):
     """(`SoilState` as it is sheared, `Arc`, then the first three of `Beside`)."""
     shift = 0.0
     if soil.braked_peak > 0.0:
         shift = braked_shift(braked_share(at.rim_speed, at.speed, REST_SPEED), soil)
+    load = at.weight * math.sqrt(1.0 - at.sin_grade * at.sin_grade)
     if fx is None:
-        return soil, smooth_arc(at.sinkage, wheel.radius, shift), 0.0, 0.0, 0.0
+        arc = arc_of(at.sinkage, slip, shift, load, None, wheel)
+        return _gripped(soil, arc, load, wheel), arc, 0.0, 0.0, 0.0
     else:
         slide = abs(at.rim_speed - at.speed)
         passage = Passage(soil, slip, abs(at.speed), slide, at.passes, at.sin_grade)
         ground = soil_in_contact(soil, passage, fx)
-        arc = arc_of(at.sinkage, slip, shift, fx, wheel)
+        arc = arc_of(at.sinkage, slip, shift, load, fx, wheel)
         dug = max(slip_sinkage_ratio(slip, ground.dig_gain, ground.dig_recovery), LEAST_DIGGING)
         q = wheel.shear_ratio
         modulus = ground.shear_modulus * shear_length_ratio(fx) / q
+        sheared = grousers.at_shear_radius(ground, q, modulus)
         return (
-            grousers.at_shear_radius(ground, q, modulus),
+            _gripped(sheared, arc, load, wheel),
             arc,
             excavated_depth(slip, fx) / dug,
             soil_resistance(at.sinkage, ground, wheel, fx),

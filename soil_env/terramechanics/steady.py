@@ -6,7 +6,7 @@ from Python.
 """
 
 import math
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numba import njit
@@ -28,13 +28,18 @@ from soil_env.terramechanics.contact import (
     carried_share,
     entry_angle,
     forces,
+    gripping_share,
     grown_modulus,
     held_below,
     lay_nodes,
+    layer_firmness,
     mobilised_sinkage_coefficient,
     most_carried,
+    on_tyre,
     shear_integrals,
     smooth_arc,
+    substitute_radius,
+    touching_radius,
 )
 from soil_env.terramechanics.effects import (
     Effects,
@@ -63,6 +68,7 @@ LEAST_DIGGING = 1e-3  # [-] least slip-sinkage ratio that anything is divided by
 LEAST_SPEED = 1e-9  # [m/s] a wheel whose speed is not known turns all the same
 LEAST_TURNING = 1e-15  # [rad/s] wheel speed above which friction of the drivetrain is in full
 SHALLOWEST = 1e-6  # [radii] least sinkage
+SHALLOWEST_TYRE = 1e-13  # [radii] least sinkage of a tyre, which hard ground bears by its length
 MOST_STEPS = 60  # of the secant
 LEAST_SLOPE = 0.05  # [-] of the misfit over ln z, towards which a secant is held
 SMALLEST_STEP = 1e-6  # [ln m] step after which the secant ends
@@ -92,6 +98,15 @@ class Rim(NamedTuple):
     width: float  # [m]
     grouser_height: float  # [m]
     unit_weight: float  # [N/m3] of the soil, for bulldozing and blades
+    tyre_deflection: float = 0.0  # [m] at any load
+    tyre_compliance: float = 0.0  # [m/N]
+    grip: float = 0.0  # [-] friction between tread and ground, 0: no such limit
+
+    @classmethod
+    def of(cls, wheel: Any) -> "Rim":
+        """The smooth rim of a wheel, with its tyre and its grip."""
+        tyre = wheel.tyre_deflection, wheel.tyre_compliance
+        return cls(wheel.radius, wheel.width, 0.0, 0.0, *tyre, wheel.grip)
 
 
 class Conditions(NamedTuple):
@@ -118,22 +133,25 @@ class Rows(NamedTuple):
 
     slip: np.ndarray
     load: np.ndarray
-    wheels: np.ndarray  # [N, 3] radius, width, grouser height [m]
+    #: [N, 3] radius, width, grouser height [m], or [N, 6] with the last three fields of `Rim`.
+    wheels: np.ndarray
     conditions: np.ndarray  # [N, 3] as `Conditions`
 
 
 @njit(**EXACT)
-def arc_of(sinkage, slip, shift, fx, wheel):
-    """`Arc` of a wheel at a given sinkage [m] and slip, with the effects that shape it and a
-    forward `shift` of the stress peak [of theta1].
+def arc_of(sinkage, slip, shift, load, fx, wheel):
+    """`Arc` of a wheel at a given sinkage [m], slip and load [N], with the effects that shape it
+    and a forward `shift` of the stress peak [of theta1].
 
     The tips of the lugs enter the soil, and begin to shear it, at cos = cos(theta1)/q (Ding et al.
     2011).
     """
     if fx is None:
-        return smooth_arc(sinkage, wheel.radius, shift)
+        return smooth_arc(sinkage, touching_radius(sinkage, load, wheel), shift)
     else:
         r = contact_radius(wheel, fx)
+        if on_tyre(wheel):
+            r = substitute_radius(sinkage, load, wheel)
         q = shear_radius_ratio(wheel, fx)
         theta1 = entry_angle(sinkage, r)
         theta2, thetam = arc_ends(theta1, slip, fx)
@@ -161,6 +179,7 @@ class _Balance(NamedTuple):
     soil: SoilState  # as it is sheared
     strength: float  # ln of S over the pressure ratio of the digging
     lift: float  # [m] depth excavated whatever the load
+    dug: float  # ratio of the digging that the pressure feels
     apparent: float  # sinkage that is seen over that which is felt
     law: ShearLaw
 
@@ -183,7 +202,20 @@ def _balance(slip, load, soil, wheel, conditions, fx):
         strength = math.log(soil.sinkage_coefficient) - soil.sinkage_exponent * math.log(ratio)
         carried = _carried(soil, rim, travel)
         return _Balance(
-            slip, rim, travel, carried, shift, load, 0.0, soil, soil, strength, 0.0, 1.0, JANOSI
+            slip,
+            rim,
+            travel,
+            carried,
+            shift,
+            load,
+            0.0,
+            soil,
+            soil,
+            strength,
+            0.0,
+            ratio,
+            1.0,
+            JANOSI,
         )
     else:
         sine = conditions.sin_grade
@@ -218,6 +250,7 @@ def _balance(slip, load, soil, wheel, conditions, fx):
             sheared,
             strength,
             min(excavated_depth(slip, fx), 0.9 * DEEPEST * wheel.radius),
+            ratio / apparent,
             apparent,
             mobilisation(fx),
         )
@@ -250,19 +283,31 @@ def _misfit(nodes, x, p, wheel, fx):
     soil = p.soil
     b = wheel.width
     n = soil.sinkage_exponent
-    arc = arc_of(z, p.slip, p.shift, fx, wheel)
+    arc = arc_of(z, p.slip, p.shift, p.load, fx, wheel)
     q = _integrals(nodes, arc, p, fx)
-    s = mobilised_sinkage_coefficient(q, p.load, soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
+    tan_phi = soil.tan_phi
+    c = soil.cohesion
+    if wheel.grip > 0.0:
+        share = gripping_share(soil, arc, p.load, wheel)
+        tan_phi *= share
+        c *= share
+    s = mobilised_sinkage_coefficient(q, p.load, tan_phi, c, arc.radius, b, 1.0)
     available = p.strength
     if p.lift != 0.0:
         available += n * math.log(1.0 - p.lift / z)
+    if soil.layer_gain > 0.0:
+        available += math.log(layer_firmness((z - p.lift) / p.dug, soil))
     f = min(max(math.log(max(s, 1e-300)) - available, -2.0), 50.0)
     if (
-        bearing_share(q, soil.tan_phi, 1.0) <= LEAST_BEARING * q.p_cos
-        and p.load / (arc.radius * b) > soil.cohesion * q.e_sin
+        bearing_share(q, tan_phi, 1.0) <= LEAST_BEARING * q.p_cos
+        and p.load / (arc.radius * b) > c * q.e_sin
     ):
         f = 2.0  # friction takes more than the normal stress gives: no S carries the load here
-    return f, forces(q, math.exp(available), soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
+    bears = math.exp(available)
+    if on_tyre(wheel):
+        w = forces(q, min(bears, s), tan_phi, c, arc.radius, b, 1.0)
+        return f, Forces(w.load, w.drawbar_pull, wheel.radius / arc.radius * w.torque)
+    return f, forces(q, bears, tan_phi, c, arc.radius, b, 1.0)
 
 
 @njit(**INLINE)
@@ -283,7 +328,8 @@ def _solve_balance(nodes, p, wheel, fx, guess):
     `_misfit`.
     """
     deepest = math.log(DEEPEST * wheel.radius)
-    low = math.log(max(SHALLOWEST * wheel.radius, 1.0001 * p.lift))
+    shallowest = SHALLOWEST_TYRE if on_tyre(wheel) else SHALLOWEST
+    low = math.log(max(shallowest * wheel.radius, 1.0001 * p.lift))
     high = deepest
     x = min(max(_first_guess(p, wheel, guess), low), high)
     slope = -(p.soil.sinkage_exponent + 0.5)
@@ -406,6 +452,8 @@ def _under(soil, factors):
         soil.braked_peak,
         soil.shear_growth,
         soil.shear_length,
+        soil.layer_gain,
+        soil.layer_depth,
     )
 
 
@@ -416,7 +464,9 @@ def _predict_rows(nodes, rows, soil, factors, unit_weight, fx, guess, out):
         w = rows.wheels[k]
         c = rows.conditions[k]
         point = Point(rows.slip[k], rows.load[k], guess[k])
-        wheel = Rim(w[0], w[1], w[2], unit_weight)
+        wheel = Rim(w[0], w[1], w[2], unit_weight, 0.0, 0.0, 0.0)
+        if w.size > 3:
+            wheel = Rim(w[0], w[1], w[2], unit_weight, w[3], w[4], w[5])
         ground = _under(soil, factors[k])
         s = steady_at(nodes[0], point, ground, wheel, Conditions(c[0], c[1], c[2]), fx)
         out[k, 0] = s.sinkage

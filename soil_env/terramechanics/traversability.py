@@ -119,7 +119,8 @@ def best_working_point(
 def _best_points(nodes, soils, load, wheel, torque_available, slip, pull):
     for k in range(load.size):
         x = soils[k]
-        soil = SoilState(x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[9], x[10])
+        strength = x[0], x[1], x[2], x[3], x[4], x[5], x[6]
+        soil = SoilState(*strength, x[7], x[8], x[9], x[10], x[11], x[12])
         best = best_point_at(nodes[0], load[k], soil, wheel, LEVEL, None, torque_available)
         slip[k] = best.slip
         pull[k] = best.drawbar_pull
@@ -128,13 +129,13 @@ def _best_points(nodes, soils, load, wheel, torque_available, slip, pull):
 def best_points(soils: np.ndarray, load: np.ndarray, wheel: Wheel) -> tuple[np.ndarray, np.ndarray]:
     """(slip [-], drawbar pull [N]) of `best_working_point` of many wheels, [n] each.
 
-    `soils` [n, 11] are rows of `SoilState`, `load` [n] in N; the size and the motor are those of
+    `soils` [n, 13] are rows of `SoilState`, `load` [n] in N; the size and the motor are those of
     all wheels.
     """
     count = len(load)
     slip = np.empty(count)
     pull = np.empty(count)
-    rim = Rim(wheel.radius, wheel.width, 0.0, 0.0)
+    rim = Rim.of(wheel)
     nodes = np.zeros(1, ARC_NODES)
     rows = np.ascontiguousarray(soils).reshape(count, len(SoilState._fields))
     _best_points(nodes, rows, load, rim, wheel.stall_torque, slip, pull)

@@ -9,6 +9,7 @@ from hypothesis import given, settings, strategies as st
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation.world import terrain
 from soil_env.simulation.world.wheel import rig_of
+from soil_env.terramechanics.effects.multipass import COMPACTION
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.motor import motor_torque
 from soil_env.terramechanics.reaction import REST_SPEED
@@ -140,13 +141,24 @@ def test_a_wheel_without_a_command_stays_nearly_at_rest(soil, mode, grades, fast
         assert mode == "torque" or wheels.now().x * grade_deg <= 0.0
 
 
-@pytest.mark.parametrize("law", [{}, FLOW], ids=["equation 10", "flow"])
-def test_energy_of_a_driven_and_braked_wheel_is_accounted_for(law):
+TYRE = {"wheel": {"tyre": {"stiffness": 8000.0}, "grip": 0.6}}
+FIRM_BELOW = {"layer_gain": 1e4, "layer_depth": 0.03}
+
+
+@pytest.mark.parametrize(
+    ("law", "changes"),
+    [({}, {}), (FLOW, {}), (FIRM_BELOW, TYRE)],
+    ids=["equation 10", "flow", "tyre on a cover"],
+)
+def test_energy_of_a_driven_and_braked_wheel_is_accounted_for(law, changes):
     """Downhill with changing commands: work of the motor less that on soil, of height, of speed and
     of the integrator in every period; the soil takes work over each, and the wheel is braked.
     """
     wheels = on_uniform_ground(
-        soils()["dry_sand"].state(0.15)._replace(**law), math.radians(-12.0), "wheel_speed"
+        soils()["dry_sand"].state(0.15)._replace(**law),
+        math.radians(-12.0),
+        "wheel_speed",
+        **changes,
     )
     rng = np.random.default_rng(0)
     before = wheels.now()
@@ -165,7 +177,7 @@ def test_energy_of_a_driven_and_braked_wheel_is_accounted_for(law):
         assert now.soil_work > -1e-3 and now.converged == 1
         slips.append(now.slip)
         before = now
-    assert min(slips) < -0.05 and max(slips) > 0.1
+    assert min(slips) < -0.04 and max(slips) > 0.1
 
 
 @pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
@@ -183,15 +195,15 @@ def test_reverse_mirrors_forward_on_level_ground(mode):
 
 
 def test_rolling_out_and_back_keeps_the_rut():
-    """Compacted by the first pass, the ground is as deep as it was left: a rut does not heal."""
+    """A rut does not heal: the second pass deepens it by 2^(1 - q) at most."""
     wheels = start(soil="grenville_loam", mode="wheel_speed")
     out = wheels.drive([0.4] * 60)
     assert out[-1, 0] > 0.5
     cell = wheels.now().cell
     cells = wheels.courses["cells"][0]
     passed = cells[terrain.CELLS_BEHIND + 2 : cell - 2]
-    assert passed.size > 5 and np.all(passed["factor"] > 1.0) and np.all(passed["depth"] > 0.0)
-    assert np.all(cells["factor"][cell + 1 :] == 1.0)  # not yet driven over
+    assert passed.size > 5 and np.all(passed["passes"] == 1.0) and np.all(passed["depth"] > 0.0)
+    assert not np.any(cells["passes"][cell + 1 :])  # not yet driven over
     back = wheels.drive([-0.4] * 50)
     assert back[-1, 0] < out[-1, 0] - 0.3
     there = np.interp(0.4, out[:, 0], out[:, 1])
@@ -221,21 +233,30 @@ def test_rocking_on_the_spot_heals_nothing(amplitude):
     assert wheels.now().sinkage > 0.097
 
 
-def test_a_rut_is_left_by_digging_and_not_by_lag():
-    """From soft to firm ground at little slip: the wheel comes out of its depth and does not loosen
-    the firm ground.
+@pytest.mark.parametrize(("grade_deg", "error"), [(0.0, 0.05), (6.0, 0.15)])
+def test_passes_leave_the_rut_of_the_law_and_loosen_nothing(grade_deg, error):
+    """There and back over fresh soil, four passes: z_N = z_1 N^(1 - q), less what flows back. Up
+    the slope the wheel slips by more than 14 %.
     """
-    wheels = start(soil="dry_sand_loose", mode="wheel_speed")
-    soft, firm = (soils()[name].state(0.15) for name in ("dry_sand_loose", "grenville_loam"))
-    lay_patches(wheels.courses, (0.0, 1.0, 1e3), [soft, firm], [0.0, 0.0])
-    rows = wheels.drive([0.4] * 100)
-    assert rows[-1, 0] > 2.0
-    factor = wheels.courses["cells"]["factor"][0]
-    x = (np.arange(factor.size) - terrain.CELLS_BEHIND + 0.5) * terrain.CELL
-    lagging = np.interp(1.25, rows[:, 0], rows[:, 1]) / rows[-1, 1]
-    assert lagging > 1.3  # deeper than the firm ground asks for
-    left = factor[(x > 1.1) & (x < rows[-1, 0] - 0.2)]
-    assert np.all(left > 1.2) and np.ptp(left) < 0.2
+    soil = soils()["dry_sand"].state(0.15)._replace(dig_gain=1.0 if grade_deg else 0.0)
+    wheels = on_uniform_ground(soil, math.radians(grade_deg), "wheel_speed")
+    cells = wheels.courses["cells"][0]
+    middle = terrain.cell_at(cells, 1.2)
+    depths = []
+    for n in range(4):
+        commands = 0.5 if n % 2 == 0 else -0.5
+        slips = []
+        for _ in range(120):
+            wheels.step(commands)
+            slips.append(wheels.now().slip)
+            if not 0.1 < wheels.now().x < 2.4 and len(slips) > 30:
+                break
+        assert grade_deg == 0.0 or n % 2 == 1 or np.median(slips) > 0.14
+        assert cells[middle].passes == n + 1.0
+        depths.append(float(cells[middle].depth))
+    law = np.arange(1, 5) ** (1.0 - COMPACTION)
+    np.testing.assert_allclose(np.array(depths) / depths[0], law, rtol=error)
+    assert np.all(np.diff(depths) >= 0.0)
 
 
 def test_spinning_digs_a_wheel_in_for_good():

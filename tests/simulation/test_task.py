@@ -147,7 +147,7 @@ def test_true_soil_is_the_undisturbed_soil_under_the_wheel():
     sim = simulation("true_soil", changes={"course": {"border": 0.01}})
     second = sim.worlds.courses["patches"][0, 1]
     sim.worlds.state["x"] = 0.5 * (second.start + second.end)
-    sim.worlds.courses["cells"]["factor"] = 0.5
+    sim.worlds.courses["cells"]["passes"] = 2.0
     tan_phi, c, k, s, n, gain, recovery = (second[name] for name in SoilState._fields[:7])
     expected = [math.atan(tan_phi), math.log10(k), math.log10(s), c / 1000.0, n, gain, recovery]
     np.testing.assert_allclose(observed_again(sim)[SENSORS:], expected, rtol=1e-6)

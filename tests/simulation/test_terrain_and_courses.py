@@ -11,6 +11,7 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 from soil_env._compiled.flags import HUGE
 from soil_env.parameters import SoilState, load_scenario, soils
 from soil_env.simulation.world import courses as drawing, terrain
+from soil_env.terramechanics.effects.multipass import COMPACTION
 from soil_env.terramechanics.ground import soil_of
 from soil_env.terramechanics.steady import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
@@ -261,28 +262,27 @@ def test_presets_are_drawn_by_weight():
     assert np.mean(cohesions == 1040.0) == pytest.approx(0.75, abs=0.03)
 
 
-def test_rolling_compacts_digging_loosens_within_bounds(scenario):
+def test_passes_deepen_a_rut_by_their_number_to_the_power_of_the_law(scenario):
     cells = terrain.new_courses(1, scenario)["cells"][0]
-    for times in range(50):
-        terrain.leave_rut(cells[0], 0.02, 1.0, terrain.COMPACTION)
-        terrain.leave_rut(cells[1], 0.06, 3.0, terrain.COMPACTION)
-        if times == 0:
-            assert cells[0].factor > 1.0 > cells[1].factor
-            assert cells["depth"][:2] == pytest.approx([0.02, 0.06])
-    assert cells[0].factor == pytest.approx(terrain.LARGEST_RUT_FACTOR)
-    assert cells[1].factor == pytest.approx(terrain.LEAST_RUT_FACTOR)
+    assert terrain.depth_to_come(cells[0]) == 0.0
+    terrain.leave_rut(cells[0], 0.02)
+    for n in range(2, 10):
+        to_come = terrain.depth_to_come(cells[0])
+        assert to_come == pytest.approx(0.02 * n ** (1.0 - COMPACTION), rel=1e-5)
+        terrain.leave_rut(cells[0], to_come)
+    assert cells[0].passes == 9.0
 
 
-def test_the_rut_factor_is_continuous_and_that_of_a_cell_in_its_middle(scenario):
+def test_passes_are_continuous_and_those_of_a_cell_in_its_middle(scenario):
     cells = terrain.new_courses(1, scenario)["cells"][0]
-    cells["factor"] = np.random.default_rng(0).uniform(0.3, 3.0, cells.size)
+    cells["passes"] = np.random.default_rng(0).integers(0, 4, cells.size)
     x = np.arange(-0.7, scenario.course.length + 0.3, 1e-4)
-    factor = np.array([terrain.rut_factor_at(cells, at) for at in x])
-    assert np.abs(np.diff(factor)).max() < 2.8 * 1e-4 / terrain.CELL
+    passes = np.array([terrain.pass_at(cells, at) for at in x])
+    assert np.abs(np.diff(passes)).max() < 3.1 * 1e-4 / terrain.CELL
     for cell in (0, 7, 50):
         middle = (cell + 0.5) * terrain.CELL - terrain.BEHIND
-        found = terrain.rut_factor_at(cells, middle)
-        assert found == pytest.approx(cells[cell].factor, rel=1e-6)
+        found = terrain.pass_at(cells, middle)
+        assert found == pytest.approx(1.0 + cells[cell].passes, rel=1e-6)
 
 
 def test_a_cell_is_passed_only_when_none_of_it_counts_any_more(scenario):

@@ -46,7 +46,7 @@ def settled(case, grade_deg):
     wheels = on_uniform_ground(effects, soil, math.radians(grade_deg))
     passes = 1.0
     if "multipass" in effects:
-        wheels.courses["cells"]["depth"] = 1e-3
+        wheels.courses["cells"]["passes"] = 1.0
         passes = 2.0
     wheels.drive([0.35] * 250)
     before = wheels.now().sinkage

@@ -47,6 +47,7 @@ SIZES = {
         "passes": (0.5, 3),
         "stiffening": (-0.3, 0.5),
         "strength": (-0.1, 0.1),
+        "compaction": (0, 0.75),
     },
     "penetration_rate": {
         "exponent": (-0.2, 0.3),

@@ -251,6 +251,8 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
         S *= grown + track.get("slip_gain", 0.0) * (
             1.0 - math.exp(-size / track.get("slip_scale", 0.2))
         )
+        power = 1.0 - track.get("compaction", 0.0)
+        S *= (site.passes**power - done**power) ** (-n - 0.5)
     c *= site.passes ** track.get("cohesion", 0.0)
     rate = fx["penetration_rate"]
     S *= rate_law(

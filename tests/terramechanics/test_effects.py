@@ -11,7 +11,13 @@ from hypothesis import assume, given, settings, strategies as st
 from soil_env.parameters import SoilState
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics import contact, effects
-from soil_env.terramechanics.effects import NO_EFFECTS, grade, pack_effects, shear_softening
+from soil_env.terramechanics.effects import (
+    NO_EFFECTS,
+    grade,
+    multipass,
+    pack_effects,
+    shear_softening,
+)
 from soil_env.terramechanics.effects.entry import CHANNELS, PULL, SINKAGE, TORQUE
 from soil_env.terramechanics.steady import Conditions, Rim, steady_with
 from tests.terramechanics.cases import of_every_form
@@ -206,3 +212,18 @@ def test_slope_of_the_shear_law(parameters, relative, k, sign):
     scale = 1.0 / k + 1.0 / parameters["length"]
     assert slope == pytest.approx(difference, rel=1e-4, abs=1e-5 * scale)
     assert contact.mobilised(-j, k, law) == (-e, slope)
+
+
+@pytest.mark.parametrize("compaction", [0.0, 0.5, multipass.COMPACTION, 2.0 / 3.0])
+@pytest.mark.parametrize("exponent", [0.0, 0.3, 1.0, 1.6])
+def test_no_pass_loosens_and_ruts_add_up_to_the_law(exponent, compaction):
+    """Sinkage goes with S^(-2/(2n + 1)): what the passes sink into the floor adds up to z_1 N^(1 -
+    q). The law holds between whole numbers, without a jump.
+    """
+    passes = np.arange(1.0, 30.0, 0.125)
+    stiffness = np.array([multipass.rut_stiffness(n, exponent, compaction) for n in passes])
+    assert stiffness[0] == 1.0 and np.all(np.diff(stiffness) >= 0.0)
+    sunk = stiffness[::8] ** (-1.0 / (exponent + 0.5))
+    np.testing.assert_allclose(np.cumsum(sunk), passes[::8] ** (1.0 - compaction), rtol=1e-9)
+    even = np.repeat(np.diff(stiffness[::8]), 8) / 8.0  # an eighth of a pass, an eighth of the step
+    np.testing.assert_allclose(np.diff(stiffness)[: even.size], even, rtol=1e-6, atol=1e-12)

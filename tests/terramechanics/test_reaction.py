@@ -27,6 +27,9 @@ RIG = record(
     "contact_radius",
     "shear_ratio",
     "rim_ratio",
+    "tyre_deflection",
+    "tyre_compliance",
+    "grip",
 )
 NODES = np.zeros(1, contact.ARC_NODES)
 
@@ -59,7 +62,10 @@ def wheel_with(case):
     rig = np.zeros(1, RIG)
     rig["radius"] = R
     rig["width"] = R
-    rig["grouser_height"] = 0.0 if case == "none" else LUG
+    rig["grouser_height"] = 0.0 if case in ("none", "tyre") else LUG
+    if case == "tyre":
+        rig["tyre_compliance"] = 1e-4
+        rig["grip"] = 0.7
     rig["unit_weight"] = 1500.0 * GRAVITY
     rig["gravity"] = GRAVITY
     rig["contact_radius"] = grousers.contact_radius(rig[0], acting.effects)
@@ -88,7 +94,11 @@ def motion(rng):
 
 
 @pytest.mark.parametrize(
-    ("case", "law"), [*((case, {}) for case in EVERY), ("none", FLOW), ("together", FLOW)]
+    ("case", "law"),
+    [
+        *((case, {}) for case in (*EVERY, "tyre")),
+        *((c, FLOW) for c in ("none", "together", "tyre")),
+    ],
 )
 def test_rates_of_the_reaction_against_central_differences(case, law):
     """Quantities that depend on slip at the start of a substep are held."""

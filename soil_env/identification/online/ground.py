@@ -18,7 +18,7 @@ LEAST_LOAD = 0.05  # [of weight] below which a measured load counts as this
 @kept
 def _assess(rows, estimate, pull, seen, setting, nodes, out):
     numbers = setting[0]
-    wheel = Rim(numbers.radius, numbers.width, 0.0, 0.0)
+    wheel = Rim(numbers.radius, numbers.width, 0.0, 0.0, 0.0, 0.0, 0.0)
     for k in rows:
         x = estimate[k]
         soil = SoilState(
@@ -33,6 +33,8 @@ def _assess(rows, estimate, pull, seen, setting, nodes, out):
             numbers.braked_peak,
             numbers.shear_growth,
             numbers.shear_length,
+            0.0,
+            0.1,
         )
         load = max(seen[k, 0], LEAST_LOAD) * numbers.weight
         best = best_point_at(nodes[0], load, soil, wheel, LEVEL, None, numbers.stall_torque)

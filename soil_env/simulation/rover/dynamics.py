@@ -9,7 +9,7 @@ from soil_env._compiled.elementary import sin_cos
 from soil_env._compiled.flags import FINITE, INLINE
 from soil_env.simulation.rover.body import take_pitch
 from soil_env.simulation.rover.newton import equation_of, foresee, reaction_of, solve_speeds
-from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, floor_at, pass_on
+from soil_env.simulation.rover.ruts import floor_at, pass_on
 from soil_env.simulation.world.dynamics import (
     FINEST,
     GAMMA,
@@ -75,7 +75,7 @@ def _take_stage(rover, course, ruts, number, h, forced, world):
         stage = _stage_of(number, h, wheel, foot, rig)
         foot.rim_start = stage.rim
         own = World(rig, world.acting, scratch.nodes[a])
-        ahead = ground_ahead(wheel, stage, course, ruts[a], float(a), rig.border)
+        ahead = ground_ahead(wheel, stage, course, ruts[a], rig.border, world.acting.effects)
         at = stand(wheel, stage, ahead, own)
         _keep_stand(foot, at)
     stage = _stage_of(number, h, rover.wheels[0], scratch.feet[0], rig)
@@ -98,8 +98,7 @@ def _take_stage(rover, course, ruts, number, h, forced, world):
     for a in range(axles):
         wheel = rover.wheels[a]
         cell = wheel.cell
-        foot = scratch.feet[a]
-        leave_ruts(wheel, ruts[a], (foot.dig_gain, foot.dig_recovery), COMPACTION_OF_RUT)
+        leave_ruts(wheel, ruts[a])
         pass_on(ruts, a, cell, wheel.cell)
     return True
 
@@ -159,7 +158,7 @@ def _drive_period(rover, course, ruts, world):
 def control_period(rover, actions, course, ruts, world):
     """One control period of a rover under actions [axles] in [-1, 1] (`wheel.commanded`).
 
-    `course`: its own; `ruts` [axles, cells]: `ROVER_RUT`.
+    `course`: its own; `ruts` [axles, cells]: `RUT`.
 
     In a halt the drives ignore them and hold the wheels with their speed loops.
     """

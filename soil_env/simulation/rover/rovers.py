@@ -82,7 +82,7 @@ class RoverWorlds(NamedTuple):
     """Arrays that the compiled step reads and writes, one row a rover; axles from the front on."""
 
     state: np.ndarray  # [rovers] `ROVER`
-    ruts: np.ndarray  # [rovers, axles, cells] `ROVER_RUT`
+    ruts: np.ndarray  # [rovers, axles, cells] `RUT`
     courses: np.ndarray  # [rovers] `course_dtype`; what is left in its cells is in `ruts`
     readings: np.ndarray  # [rovers, axles, held] `READING` of the last step
     notes: np.ndarray  # [rovers, held] `ROVER_NOTE` of it; both without rows if nothing is recorded

@@ -8,34 +8,20 @@ where the rover reverses; what wheels behind it have left it does not meet.
 import numpy as np
 from numba import njit
 
-from soil_env._compiled.flags import FINITE, record
-from soil_env.simulation.world.terrain import between_cells
-
-COMPACTION_OF_RUT = 5.0  # [-] factor on S behind a wheel that rolls
-
-#: A cell of a course as one wheel of a rover meets it: a `terrain.RUT` with what the wheels ahead
-#: have left.
-ROVER_RUT = record(
-    floor=("f4",),  # [m] depth of the rut of the wheels ahead, below the undisturbed surface
-    factor=("f4",),  # [-] on the sinkage coefficient
-    depth=("f4",),  # [m] of the wheel's own rut below the floor, 0 before its first pass
-)
+from soil_env._compiled.flags import FINITE
+from soil_env.simulation.world.terrain import RUT, between_cells, clear
 
 
 def new_ruts(rovers: int, axles: int, cells: int) -> np.ndarray:
-    """Undisturbed ground, `ROVER_RUT` [rovers, axles, cells]."""
-    ruts = np.zeros((rovers, axles, cells), ROVER_RUT)
-    ruts["factor"] = 1.0
-    return ruts
+    """Undisturbed ground, `RUT` [rovers, axles, cells]."""
+    return np.zeros((rovers, axles, cells), RUT)
 
 
 @njit(**FINITE)
 def clear_ruts(cells):
     """Undisturbed ground for a wheel."""
     for i in range(cells.size):
-        cells[i].factor = 1.0
-        cells[i].depth = 0.0
-        cells[i].floor = 0.0
+        clear(cells[i])
 
 
 @njit(**FINITE)
@@ -56,6 +42,6 @@ def pass_on(ruts, a, cell, after):
     while cell != after:
         left = ruts[a, cell]
         for behind in range(a + 1, len(ruts)):
-            ruts[behind, cell].factor = left.factor
+            ruts[behind, cell].passes = max(ruts[behind, cell].passes, left.passes)
             ruts[behind, cell].floor = left.floor + left.depth
         cell += 1 if after > cell else -1

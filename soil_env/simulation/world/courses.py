@@ -26,7 +26,7 @@ from soil_env.simulation.world.passability import (
     draw_ground,
     within,
 )
-from soil_env.simulation.world.terrain import cell_at
+from soil_env.simulation.world.terrain import cell_at, clear
 from soil_env.simulation.world.wheel import acting_in, rig_of
 from soil_env.terramechanics.ground import put_soil, soil_of
 from soil_env.terramechanics.model import WheelSoilModel
@@ -180,11 +180,10 @@ def _add_patch(course, length, spec):
     course.ready = HUGE if whole else start - 0.5 * spec.border
     cells = course.cells
     first = 0 if p == 0 else cell_at(cells, start) + 1
-    # `rut_factor_at` reads one cell further
+    # `pass_at` reads one cell further
     last = cells.size - 1 if whole else min(cell_at(cells, end) + 1, cells.size - 1)
     for i in range(first, last + 1):
-        cells[i].factor = 1.0
-        cells[i].depth = 0.0
+        clear(cells[i])
 
 
 @njit(**INLINE)

@@ -15,11 +15,10 @@ from soil_env._compiled.flags import FINITE, INLINE
 from soil_env.simulation.world.lines import choosing, plan_halt, take_line
 from soil_env.simulation.world.newton import Stage, foreseen, solve_speeds
 from soil_env.simulation.world.terrain import (
-    COMPACTION,
     grade_on,
     in_cell,
+    pass_at,
     piece_at,
-    rut_factor_at,
     soil_on,
 )
 from soil_env.simulation.world.wheel import (
@@ -33,7 +32,7 @@ from soil_env.simulation.world.wheel import (
     measure_slip,
     sink,
 )
-from soil_env.terramechanics.ground import stiffened
+from soil_env.terramechanics.effects.multipass import in_rut
 from soil_env.terramechanics.motor import motor_torque
 from soil_env.terramechanics.reaction import (
     Beside,
@@ -106,15 +105,15 @@ def stage_of(number, h, speed, rim, speed_before, rim_before):
 
 
 @njit(**FINITE)
-def ground_ahead(wheel, stage, course, cells, before, border):
-    """Ground `Ahead` of a wheel in a stage, after `before` wheels of its rover; note its place."""
+def ground_ahead(wheel, stage, course, cells, border, fx):
+    """Ground `Ahead` of a wheel in a stage, with the `cells` of its rut; note its place."""
     x = wheel.x + 0.5 * stage.duration * wheel.speed
     wheel.patch = piece_at(course.patches, x, wheel.patch)
     wheel.slope = piece_at(course.slopes, x, wheel.slope)
     soil = soil_on(course.patches, x, wheel.patch, border)
     grade = grade_on(course.slopes, x, wheel.slope, border)
-    passes = before + (2.0 if cells[wheel.cell].depth > 0.0 else 1.0)
-    return Ahead(stiffened(soil, rut_factor_at(cells, x)), grade, passes)
+    passes = pass_at(cells, x)
+    return Ahead(in_rut(soil, passes, fx), grade, passes)
 
 
 @njit(**INLINE)
@@ -193,18 +192,15 @@ def stand(wheel, stage, ahead, world):
 
 @njit(**INLINE)
 def take_stage(wheel, stage, ahead, drive, forced, world):
-    """(done, (gain, recovery) of digging) of a stage on the ground `Ahead`.
-
-    Where Newton's method fails nothing is done, and the wheel stays as before, unless it is
-    `forced` on.
+    """A stage on the ground `Ahead`; False if Newton's method fails, with the wheel as before,
+    unless it is `forced` on.
     """
     at = stand(wheel, stage, ahead, world)
     end = solve_speeds(wheel, stage, at.footing, at.along, drive, world, at.beside)
-    digging = (at.ground.soil.dig_gain, at.ground.soil.dig_recovery)
     if not (end.converged or forced):
-        return False, digging
+        return False
     move(wheel, end, stage, at.ground, drive, world.rig)
-    return True, digging
+    return True
 
 
 @njit(**FINITE)
@@ -226,13 +222,14 @@ def drive_period(wheel, drive, course, world):
         for number in range(2):
             rim = rig.radius * wheel.wheel_speed
             stage = stage_of(number, h, wheel.speed, rim, speed_before, rim_before)
-            ahead = ground_ahead(wheel, stage, course, course.cells, 0.0, rig.border)
-            done, digging = take_stage(wheel, stage, ahead, drive, forced, world)
+            fx = world.acting.effects
+            ahead = ground_ahead(wheel, stage, course, course.cells, rig.border, fx)
+            done = take_stage(wheel, stage, ahead, drive, forced, world)
             if not done:
                 break
             left -= stage.duration
             if not in_cell(wheel.cell, wheel.x):
-                leave_ruts(wheel, course.cells, digging, COMPACTION)
+                leave_ruts(wheel, course.cells)
         if done:
             h = longest
         else:

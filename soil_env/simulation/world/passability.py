@@ -120,6 +120,8 @@ def scattered(mean, share, owner, spec):
         mean.braked_peak,
         mean.shear_growth,
         mean.shear_length,
+        mean.layer_gain,
+        mean.layer_depth,
     )
 
 

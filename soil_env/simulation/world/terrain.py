@@ -10,20 +10,12 @@ from soil_env._compiled.cache import kept
 from soil_env._compiled.elementary import smooth_step
 from soil_env._compiled.flags import EXACT, HUGE, record
 from soil_env.parameters import MOST_CLASSES, Scenario, SoilState
+from soil_env.terramechanics.effects.multipass import COMPACTION, rut_growth
 from soil_env.terramechanics.ground import blend, put_soil, soil_of
 
 CELL = 0.05  # [m] length of one cell of the rut
 CELLS_BEHIND = 10  # cells behind the start of a course
 BEHIND = CELLS_BEHIND * CELL  # [m] ground behind the start that has cells of its own
-
-# How a pass changes the ground, as a factor on the sinkage coefficient S of the cell. A rolling
-# wheel compacts, a digging one loosens. The direction is that of multi-pass tests (Holm 1969, Proc.
-# 3rd ISTVS Conf. II:1-12); the law is ours: factor = COMPACTION * (digging ratio)^-LOOSENING,
-# bounded.
-COMPACTION = 1.6  # [-] factor on S behind a wheel that rolls, chosen
-LOOSENING = 1.5  # [-] power of the digging ratio, chosen
-LEAST_RUT_FACTOR = 0.3  # [-] on S
-LARGEST_RUT_FACTOR = 3.0  # [-] on S, unless a wheel compacts more
 
 #: A soil: the fields of `SoilState`.
 SOIL = record(*SoilState._fields)
@@ -39,10 +31,11 @@ SLOPE = record(
     "end",  # [m]
     "grade",  # [rad] uphill positive
 )
-#: A cell of the rut.
+#: A cell of the rut as one wheel meets it; how passes change its soil: `effects.multipass`.
 RUT = record(
-    factor=("f4",),  # [-] on the sinkage coefficient, left by earlier passes
-    depth=("f4",),  # [m] of the rut below the undisturbed surface, 0 before the first pass
+    passes=("f4",),  # made over it, by this wheel and those ahead
+    floor=("f4",),  # [m] depth of the rut of the wheels ahead, below the undisturbed surface
+    depth=("f4",),  # [m] of the wheel's own rut below the floor, 0 before its first pass
 )
 #: One of two lines over a patch of a course with terrain classes. Line 0 leads straight ahead, line
 #: 1 beside it on the same slopes.
@@ -109,7 +102,6 @@ def new_courses(wheels: int, scenario: Scenario) -> np.ndarray:
     for pieces in ("patches", "slopes"):
         courses[pieces]["start"] = HUGE
         courses[pieces]["end"] = HUGE
-    courses["cells"]["factor"] = 1.0
     courses["forks"]["lines"] = 1
     return courses
 
@@ -185,11 +177,30 @@ def between_cells(cells, x):
 
 
 @njit(**EXACT)
-def rut_factor_at(cells, x):
-    """Factor on the sinkage coefficient at x [m], linear between the middles of the cells."""
+def pass_at(cells, x):
+    """Number of the pass over x [m], 1 on fresh soil; linear between the middles of the cells."""
     i, way = between_cells(cells.size, x)
-    here = cells[i].factor
-    return here + way * (cells[i + 1].factor - here)
+    here = cells[i].passes
+    return 1.0 + here + way * (cells[i + 1].passes - here)
+
+
+@njit(**EXACT)
+def clear(cell):
+    """Make a cell of the rut undisturbed ground."""
+    cell.passes = 0.0
+    cell.floor = 0.0
+    cell.depth = 0.0
+
+
+@njit(**EXACT)
+def depth_to_come(cell):
+    """Depth [m] below its floor to which a wheel that comes onto this cell rolls the rut; 0 where
+    it is its first pass.
+    """
+    if cell.depth == 0.0 or cell.passes == 0.0:
+        return 0.0
+    whole = cell.floor + cell.depth
+    return whole * rut_growth(cell.passes + 1.0, COMPACTION) - cell.floor
 
 
 @njit(**EXACT)
@@ -214,14 +225,9 @@ def cell_after(cells, cell, x):
 
 
 @njit(**EXACT)
-def leave_rut(cell, depth, dug, compaction):
-    """Mark a cell as driven over: its rut, `depth` [m], and soil compacted by rolling or loosened
-    by digging.
-
-    `dug`: the digging ratio; `compaction`: the factor on S of a wheel that rolls without digging.
-    """
-    factor = cell.factor * compaction * dug**-LOOSENING
-    cell.factor = min(max(factor, LEAST_RUT_FACTOR), max(LARGEST_RUT_FACTOR, compaction))
+def leave_rut(cell, depth):
+    """Mark a cell as driven over once more, with a rut of `depth` [m] below its floor."""
+    cell.passes += 1.0
     cell.depth = max(cell.depth, depth)
 
 

@@ -20,19 +20,22 @@ from soil_env._compiled.elementary import exp, power
 from soil_env._compiled.flags import EXACT, FINITE, INLINE, record, uncompiled
 from soil_env._compiled.random_streams import between
 from soil_env.parameters import Scenario, SoilState
+from soil_env.parameters.wheel import refuse_lugs_on_tyre
 from soil_env.simulation.world.sensors import READING
 from soil_env.simulation.world.terrain import (
     cell_after,
     cell_at,
+    depth_to_come,
     grade_on,
     leave_rut,
     piece_at,
     soil_on,
 )
 from soil_env.slip import slip_ratio
+from soil_env.terramechanics.contact import layered_depth
 from soil_env.terramechanics.effects import NO_EFFECTS, acting_effects
 from soil_env.terramechanics.effects.grousers import contact_radius, shear_radius_ratio
-from soil_env.terramechanics.effects.slip_sinkage import digging_ratio, excavation_rate, onto_fresh
+from soil_env.terramechanics.effects.slip_sinkage import excavation_rate, onto_fresh
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.reaction import BASE, REST_SPEED, Acting, acting_on
 from soil_env.terramechanics.residual import residual_law
@@ -45,7 +48,6 @@ SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on les
 MOST_BEARING = 10.0  # [-] most that z_w may exceed the present sinkage by, as a factor
 LEAST_EXPONENT = 0.05  # [-] sinkage exponent below which z_w is not sought
 STANDING = 1e-12  # [-] relaxation in a stage, or [m] of travel, below which nothing changes
-LEAST_WAY = 1e-6  # [m] way through a cell that digging is compared with, at least
 
 #: A wheel; all fields have eight bytes. Numbers that follow from others in the same step are kept
 #: for sensors and info.
@@ -64,8 +66,7 @@ WHEEL = record(
     "lowest_x",  # [m] least x so far: ground before it is fresh
     "sinking",  # dz/dt [m/s] in the last stage
     "rut_depth",  # [m] of the ground under the wheel where it has been before
-    "cell_x",  # [m] where the wheel came into the present cell
-    "slid",  # [m] that the rim has slid over the ground in the present cell
+    "rut_to_come",  # [m] depth to which this pass rolls the rut of earlier ones, `depth_to_come`
     "mass",  # [kg]
     "available_torque",  # [N m] of the motor at this wheel speed, in the direction asked for
     "pull_by_speed",  # dDP/dV [N s/m] at the end of the last stage
@@ -111,6 +112,9 @@ RIG = record(
     "contact_radius",  # [m] that carries the normal stress
     "shear_ratio",  # [-] radius at which soil is sheared, over `contact_radius`
     "rim_ratio",  # [-] that radius over the rim's
+    "tyre_deflection",  # [m] at any load
+    "tyre_compliance",  # [m/N]
+    "grip",  # [-] friction between tread and ground, 0: no such limit
     "gravity",  # [m/s2]
     "unit_weight",  # [N/m3] of the soil
     "inertia",  # [kg m2]
@@ -183,7 +187,10 @@ def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarra
     rig["radius"] = w.radius
     rig["width"] = w.width
     rig["gravity"] = scenario.gravity
+    for name in ("tyre_deflection", "tyre_compliance", "grip"):
+        rig[name] = getattr(w, name)
     if model is not None:
+        refuse_lugs_on_tyre(model.wheel.grouser_height, w.tyre)
         rig["grouser_height"] = model.wheel.grouser_height
         rig["unit_weight"] = model.density * scenario.gravity
     effects = acting_in(model).effects
@@ -252,17 +259,20 @@ def sink(wheel, ground, mobilised, path, rig):
 
     z_w is the depth at which undisturbed soil bears the pressure `mobilised` z^n at the depth z =
     `ground.sinkage`. Ground beyond the furthest places of a wheel is fresh; where it has been,
-    travel leads to the depth of the rut instead of z_w. The rut grows where the wheel digs and not
-    where it climbs out of its hole.
+    travel leads to the depth of the rut instead of z_w, which each later pass deepens. The rut
+    grows where the wheel digs and not where it climbs out of its hole.
     """
     soil = ground.soil
     exponent = max(soil.sinkage_exponent, LEAST_EXPONENT)
     ratio = power(mobilised / soil.sinkage_coefficient, 1.0 / exponent)
-    bearing = ground.sinkage * min(ratio, MOST_BEARING) + ground.lift
+    borne = ground.sinkage * min(ratio, MOST_BEARING)
+    if soil.layer_gain > 0.0 and borne > 0.0:
+        borne = layered_depth(borne, soil)
+    bearing = borne + ground.lift
     x = wheel.x + path.moved
     beyond = onto_fresh(x, wheel.lowest_x, wheel.best_x)
     fresh = min(beyond / max(abs(path.moved), STANDING), 1.0)
-    onto = fresh * bearing + (1.0 - fresh) * wheel.rut_depth
+    onto = fresh * bearing + (1.0 - fresh) * max(wheel.rut_depth, wheel.rut_to_come)
     relaxed = relax_sinkage(wheel.sinkage, bearing, onto, path, soil, rig.relaxation)
     depth = min(max(relaxed, SHALLOWEST * rig.radius), DEEPEST * rig.radius)
     wheel.sinking = (depth - wheel.sinkage) / path.duration
@@ -271,7 +281,6 @@ def sink(wheel, ground, mobilised, path, rig):
     wheel.x = x
     wheel.best_x = max(x, wheel.best_x)
     wheel.lowest_x = min(x, wheel.lowest_x)
-    wheel.slid += path.slid
     wheel.sinkage = depth
     wheel.bearing_sinkage = bearing
 
@@ -299,24 +308,16 @@ def relax_sinkage(sinkage, bearing, onto, path, soil, length):
 
 
 @njit(**FINITE)
-def leave_ruts(wheel, cells, digging, compaction):
-    """Mark the cells that a wheel has passed in a stage; the next one begins in its own middle.
-
-    How much it dug follows from the way that the rim slid in its cell: its sinkage over z_w does
-    not say, since it lags behind a change of the ground. `digging`: (gain, recovery) of the soil.
-    """
+def leave_ruts(wheel, cells):
+    """Mark the cells that a wheel has passed in a stage; the next one begins in its own middle."""
     after = cell_after(cells.size, wheel.cell, wheel.x)
-    if after == wheel.cell:
-        return
-    way = max(abs(wheel.x - wheel.cell_x), LEAST_WAY)
-    dug = digging_ratio(wheel.slid, way, digging[0], digging[1])
     while wheel.cell != after:
-        leave_rut(cells[wheel.cell], wheel.rut_depth, dug, compaction)
+        rolled = min(wheel.rut_to_come, wheel.sinkage)
+        leave_rut(cells[wheel.cell], max(wheel.rut_depth, rolled))
         wheel.cell += 1 if after > wheel.cell else -1
         depth = cells[wheel.cell].depth
         wheel.rut_depth = depth if depth > 0.0 else wheel.sinkage
-    wheel.slid = 0.0
-    wheel.cell_x = wheel.x
+        wheel.rut_to_come = depth_to_come(cells[wheel.cell])
 
 
 @njit(**INLINE)
@@ -356,7 +357,6 @@ def settle_at(wheel, x, mass, course, world):
     wheel.best_x = x
     wheel.lowest_x = x
     wheel.mark_x = x
-    wheel.cell_x = x
     wheel.sinkage = max(rest.sinkage, SHALLOWEST * rig.radius)
     wheel.bearing_sinkage = wheel.sinkage
     wheel.rut_depth = wheel.sinkage

@@ -1,4 +1,6 @@
-"""Multipass: soil in the track of earlier passes."""
+"""Multipass: soil in the track of earlier passes, in the simulated world and as an effect."""
+
+import math
 
 from numba import njit
 
@@ -14,6 +16,64 @@ from soil_env.terramechanics.effects.entry import (
 )
 from soil_env.terramechanics.ground import stiffened, with_strength
 
+#: [-] q = 1 - 1/a of the ruts of the simulated world. The rut of N passes is z_1 N^(1/a), with
+#: a = 2 to 3 on loose soil or under a light load (Saarilahti 1991, second-hand): the middle.
+COMPACTION = 0.6
+LEAST_PART = 1e-6  # [-] of the first pass that a later one still sinks, at least
+
+
+@njit(**EXACT)
+def _part_of_pass(number, compaction):
+    """Sinkage of a pass into the floor of the rut over that of the first one."""
+    grown = power(number, 1.0 - compaction) - power(number - 1.0, 1.0 - compaction)
+    return max(grown, LEAST_PART)
+
+
+@njit(**EXACT)
+def rut_growth(passes, compaction):
+    """Depth of the rut after so many passes, at least 2, over that before the last one."""
+    return power(passes / (passes - 1.0), 1.0 - compaction)
+
+
+@njit(**EXACT)
+def rut_stiffness(passes, exponent, compaction):
+    """Sinkage coefficient of the floor of a rut over that of fresh soil, for pass N; at least 1.
+
+    The rut of N passes of a wheel is z_1 N^(1 - q) deep. Pass N so sinks N^(1 - q) -
+    (N - 1)^(1 - q) of z_1 below the floor. Sinkage goes with S^(-2/(2n + 1)) (Bekker 1969), with
+    the sinkage `exponent` n. Between whole numbers of passes the factor is linear.
+    """
+    if passes <= 1.0 or compaction == 0.0:
+        return 1.0
+    whole = math.floor(passes)
+    h = -(exponent + 0.5)
+    low = power(_part_of_pass(whole, compaction), h)
+    if whole == passes:
+        return low
+    high = power(_part_of_pass(whole + 1.0, compaction), h)
+    return low + (passes - whole) * (high - low)
+
+
+@njit(**EXACT)
+def bearing_goes_with_passes(fx):
+    """True if the effect says how earlier passes change the sinkage coefficient."""
+    if fx is None:
+        return False
+    else:
+        power_or_rut = fx.multipass_hardening != 0.0 or fx.multipass_compaction != 0.0
+        gain = fx.multipass_gain != 0.0 or fx.multipass_per_pass != 0.0
+        return power_or_rut or gain or fx.multipass_slip_gain != 0.0
+
+
+@njit(**EXACT)
+def in_rut(soil, passes, fx):
+    """Soil that a wheel of the simulated world meets on so many passes, this one counted: that of
+    the effect where it is on.
+    """
+    if passes <= 1.0 or bearing_goes_with_passes(fx):
+        return soil
+    return stiffened(soil, rut_stiffness(passes, soil.sinkage_exponent, COMPACTION))
+
 
 @njit(**EXACT)
 def depends_on_passes(fx):
@@ -21,25 +81,20 @@ def depends_on_passes(fx):
     if fx is None:
         return False
     else:
-        bearing = (
-            fx.multipass_gain != 0.0
-            or fx.multipass_per_pass != 0.0
-            or fx.multipass_slip_gain != 0.0
-        )
         strength = (
             fx.multipass_stiffening != 0.0
             or fx.multipass_strength != 0.0
             or fx.multipass_cohesion != 0.0
         )
-        return bearing or strength or fx.multipass_hardening != 0.0
+        return strength or bearing_goes_with_passes(fx)
 
 
 @njit(**EXACT)
-def pass_factor(passes, slip, fx):
+def pass_factor(passes, slip, exponent, fx):
     """Sinkage coefficient in the track of earlier passes over that of fresh soil, earlier passes at
     the same slip.
 
-    N^a [1 + g (1 - exp(-(N - 1)/d)) + s (1 - exp(-|i|/k1)) + p (N - 1)].
+    N^a [1 + g (1 - exp(-(N - 1)/d)) + s (1 - exp(-|i|/k1)) + p (N - 1)], times `rut_stiffness`.
     """
     if passes <= 1.0:
         return 1.0
@@ -47,7 +102,8 @@ def pass_factor(passes, slip, fx):
     gain = fx.multipass_gain * (1.0 - exp(-more / fx.multipass_passes))
     gain += fx.multipass_per_pass * more
     gain += fx.multipass_slip_gain * (1.0 - exp(-abs(slip) / fx.multipass_slip_scale))
-    return power(passes, fx.multipass_hardening) * max(1.0 + gain, 0.05)
+    rut = rut_stiffness(passes, exponent, fx.multipass_compaction)
+    return rut * power(passes, fx.multipass_hardening) * max(1.0 + gain, 0.05)
 
 
 @njit(**EXACT)
@@ -63,7 +119,7 @@ def passed_over(soil, passage, fx):
         soil.shear_modulus * power(passes, -fx.multipass_stiffening),
         soil.rim_flow,
     )
-    return stiffened(stronger, pass_factor(passes, passage.slip, fx))
+    return stiffened(stronger, pass_factor(passes, passage.slip, soil.sinkage_exponent, fx))
 
 
 _SENATORE = "Senatore & Sandu (2011), J. Terramechanics 48:265-276"
@@ -94,6 +150,7 @@ EFFECT = Effect(
         P("stiffening", "k", "", 0.0, -1.0, 1.5, 0.15, "on the shear deformation modulus"),
         P("strength", "f", "", 0.0, -0.5, 0.5, 0.05, "on the friction"),
         P("cohesion", "h", "", 0.0, -1.0, 2.0, 0.2, "on the cohesion"),
+        P("compaction", "q", "", 0.0, 0.0, 0.8, 0.3, "1 - 1/a of ruts as deep as z_1 N^(1/a)"),
     ),
     (
         Form(
@@ -119,6 +176,14 @@ EFFECT = Effect(
             + _STIFFER
             + _MORE_COHESIVE,
             _SENATORE,
+        ),
+        Form(
+            "rut_depth",
+            ("compaction", "stiffening", "strength"),
+            "S_N = S [N^(1 - {compaction}) - (N - 1)^(1 - {compaction})]^(-n - 1/2); "
+            + _STIFFER
+            + _STRONGER,
+            "Saarilahti (1991), the ruts of the simulated world",
         ),
     ),
     varies="pass",
