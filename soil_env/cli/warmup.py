@@ -66,7 +66,6 @@ def _with_effects() -> WheelSoilModel:
 
 def _wheels() -> None:
     _drive_wheels(None)
-    _drive("SoilWheel-v0", 0.4, scenario="mixed")  # without a camera
 
 
 def _wheels_with_effects() -> None:
@@ -82,8 +81,8 @@ def _others() -> None:
     # With its printed values; here so that importing this file reads none.
     from soil_env.paper import compare
 
-    for name, image in (("mixed", None), ("two_lines", Image(*(0.0,) * len(Image._fields)))):
-        Observer(load_scenario(name)).observe(Readings(2.0, 0.25), image=image)
+    image = Image(*(0.0,) * len(Image._fields))
+    Observer(load_scenario("two_lines")).observe(Readings(2.0, 0.25), image=image)
     identifier = OnlineIdentifier(wheels()["planetary_rover"])
     identifier.update(Readings(2.0, 0.25, 0.02, 10.0, 147.0, 5.0))
     identifier.traversability()
@@ -99,11 +98,12 @@ def _others() -> None:
         compare.forces(compare.PRINTED_SET, *compare.MEASURED[:2], equations)
 
 
-#: Parts that are compiled side by side, the longest first.
+#: Parts that are compiled side by side, the longest first; those that compile versions of the same
+#: functions, for which one would wait for the other, not next to each other.
 PARTS = {
     "wheels with effects": _wheels_with_effects,
-    "wheels": _wheels,
     "rovers": _rovers,
+    "wheels": _wheels,
     "identifier, predictions, tables, logs": _others,
 }
 

@@ -11,11 +11,9 @@ odometry is relative to, and the prior of the soil.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import EXACT
 from soil_env._io.loading import ParameterError
 from soil_env.envs.course_env import actions_of
 from soil_env.identification.online.immobilisation import SCALES, ImmobilisationWarning
@@ -28,27 +26,17 @@ from soil_env.simulation.task import layout
 from soil_env.simulation.task.observation import clip, write_sensors
 from soil_env.simulation.wheels import (
     NOTE,
-    camera_in,
     new_setting,
     new_wheel_worlds,
-    options_of,
     wheel_numbers,
 )
 from soil_env.simulation.world.camera import write_view
-from soil_env.simulation.world.sensors import read_slip, roll_odometer
+from soil_env.simulation.world.sensors import NO_ERRORS, read_slip, roll_odometer
 from soil_env.simulation.world.wheel import commanded
 
 
-@njit(**EXACT)
-def _write_image(out, note, chooses, camera):
-    if camera is None:
-        return
-    else:
-        write_view(out, note, chooses, camera)
-
-
 @kept
-def write_reading(state, notes, observation, setting, camera, begun, slips, chooses):
+def write_reading(state, notes, observation, setting, begun, slips, chooses):
     """Fill `observation` [1, D] of a wheel by its `NOTE` [1, 1], but for what is identified.
 
     `begun`: its action has acted since the last readings; `slips`: the slip follows from the two
@@ -66,9 +54,10 @@ def write_reading(state, notes, observation, setting, camera, begun, slips, choo
     note.place = wheel.odometer
     if slips:
         note.slip = 0.0
-        read_slip(wheel, note, own.sensors[0], None)
+        read_slip(wheel, note, own.sensors[0], NO_ERRORS)
     write_sensors(out, wheel, note, task)
-    _write_image(out[task.seen :], note, chooses, camera_in(own, camera))
+    if own.camera[0].lines > 0:
+        write_view(out[task.seen :], note, chooses, own.camera[0])
     clip(out, own.bounds)
 
 
@@ -119,7 +108,6 @@ class Observer:
         self.variant = variant
         self._reader = _Reader.of_scenario(scenario)
         numbers = wheel_numbers(scenario, variant)
-        self._camera = options_of(numbers).camera
         self._setting = new_setting(numbers, True, 0)
         self._setting["sensors"]["white"]["slip"] = 0.0  # a slip that is not read is that of speeds
         self._worlds = new_wheel_worlds(1, scenario, numbers, (1, 1))
@@ -171,7 +159,6 @@ class Observer:
         write_reading(
             *(self._worlds.state, self._worlds.notes, self._worlds.observation),
             self._setting,
-            self._camera,
             self._begun,
             readings.slip != readings.slip,
             bool(chooses),
@@ -192,7 +179,7 @@ class Observer:
         return dict(zip(names, found[0].tolist(), strict=True))
 
     def _take_image(self, image: Image | None) -> None:
-        if self._camera is None:
+        if not self.scenario.course.classes:
             if image is not None:
                 raise ParameterError(
                     f"image: scenario {self.scenario.name!r} has no terrain classes: expected none"

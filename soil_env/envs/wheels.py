@@ -109,8 +109,6 @@ class Simulation(Vehicles):
         """Entries of `true_soil` that `blind` does not have, of each wheel [wheels, D] float32."""
         entries = truth(self.scenario.course)
         out = np.empty((self.count, len(entries)), dtype=np.float32)
-        write_true_soils(
-            self._world.state, self._world.courses, self._scratch[0], self._options, out
-        )
+        write_true_soils(self._world.state, self._world.courses, self._scratch[0], out)
         low = [e.low for e in entries]
         return np.clip(out, low, [e.high for e in entries], dtype=np.float32)

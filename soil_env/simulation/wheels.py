@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import EXACT, FINITE, HUGE, INLINE, record
+from soil_env._compiled.flags import FINITE, HUGE, INLINE, record
 from soil_env._compiled.random_streams import NORMALS, between
 from soil_env.parameters import Scenario
 from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY
@@ -51,11 +51,9 @@ from soil_env.simulation.world.sensors import (
 )
 from soil_env.simulation.world.terrain import new_courses
 from soil_env.simulation.world.wheel import RIG, WHEEL, World, acting_in, rig_of, settle_at
-from soil_env.terramechanics.contact import ARC_NODES, ShearLaw
-from soil_env.terramechanics.effects import Effects
+from soil_env.terramechanics.contact import ARC_NODES
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.reaction import Acting
-from soil_env.terramechanics.residual import ResidualLaw
 
 ATTEMPTS = 100  # at a course in the middle of a run, where nobody can change the scenario
 
@@ -66,7 +64,7 @@ ATTEMPTS = 100  # at a course in the middle of a run, where nobody can change th
 NOTE = record("halted", "place", *READING.names, *IMAGE.names)
 
 
-NOWHERE = Sight(0, 0.0, 0.0)  # place of a wheel without a camera
+NOWHERE = Sight(0, 0.0, 0.0)  # place of a wheel that no image has shown
 
 
 class WheelWorlds(NamedTuple):
@@ -87,8 +85,8 @@ class WheelNumbers(NamedTuple):
     task: np.ndarray  # [1] `TASK`
     bounds: np.ndarray  # [2, D] float32 of the observation
     sensors: np.ndarray  # [1] `SENSOR_NOISE`
-    errors: SensorErrors | None
-    camera: np.ndarray | None  # [1] `CAMERA`
+    errors: SensorErrors
+    camera: np.ndarray  # [1] `CAMERA`
 
 
 def wheel_numbers(
@@ -103,7 +101,7 @@ def wheel_numbers(
         np.array([[e.low for e in entries], [e.high for e in entries]], dtype=np.float32),
         sensors_of(scenario),
         sensor_errors(model),
-        camera_of(scenario) if scenario.course.classes else None,
+        camera_of(scenario),
     )
 
 
@@ -123,19 +121,15 @@ SETTING = record(
 
 
 class Options(NamedTuple):
-    """What is on in a world; what is None compiles to no code."""
+    """What acts in a world."""
 
-    effects: Effects | None
-    law: ShearLaw | None
-    residual: ResidualLaw | None
-    errors: SensorErrors | None
-    camera: bool | None
+    acting: Acting
+    errors: SensorErrors
 
 
 def options_of(numbers: WheelNumbers) -> Options:
     """`Options` of a world."""
-    camera = None if numbers.camera is None else True
-    return Options(*numbers.acting, numbers.errors, camera)
+    return Options(numbers.acting, numbers.errors)
 
 
 def new_setting(numbers: WheelNumbers, recorded: bool, share: int) -> np.ndarray:
@@ -146,8 +140,7 @@ def new_setting(numbers: WheelNumbers, recorded: bool, share: int) -> np.ndarray
     setting["sensors"] = numbers.sensors
     setting["recorded"] = recorded
     setting["share"] = share
-    if numbers.camera is not None:
-        setting["camera"] = numbers.camera
+    setting["camera"] = numbers.camera
     entries = numbers.bounds.shape[1]
     if entries > MOST_ENTRIES:
         raise ValueError(f"observation of {entries} entries: expected at most {MOST_ENTRIES}")
@@ -178,21 +171,13 @@ class Setting(NamedTuple):
     acting: Acting
     task: Any  # `TASK`
     sensors: Any  # `SENSOR_NOISE`
-    errors: SensorErrors | None
+    errors: SensorErrors
+    camera: Any  # `CAMERA`
     nodes: Any  # `ARC_NODES`
     normals: Any  # `NORMALS`
 
 
-@njit(**EXACT)
-def camera_in(setting, on):
-    """`CAMERA` of a world that has one, else None."""
-    if on is None:
-        return None
-    else:
-        return setting.camera[0]
-
-
-@njit(**EXACT)
+@njit(**INLINE)
 def start_drivable(course, owner, numbers, scratch):
     """Start a course with a seed of `owner`; the loaded mass [kg], or -1 if no soil was found."""
     mass = -1.0
@@ -238,8 +223,8 @@ def lay_wheels(worlds, numbers, orders, setting, first, end):
 
 
 @njit(**FINITE)
-def _sense(wheel, note, course, setting, camera):
-    """Fill the `NOTE` of a wheel after a control period; return its camera's `Sight`, if any."""
+def _sense(wheel, note, course, setting):
+    """Fill the `NOTE` of a wheel after a control period; return its camera's `Sight`."""
     task = setting.task
     sense(wheel, note, setting.normals, setting.sensors, setting.errors, task.radius)
     read_slip(wheel, note, setting.sensors, setting.errors)
@@ -247,38 +232,37 @@ def _sense(wheel, note, course, setting, camera):
         roll_odometer(wheel, note.speed, task.period)
     note.halted = 1.0 if wheel.halt_left > 0.0 else 0.0
     note.place = wheel.odometer
-    if camera is None:
+    if setting.camera.lines == 0:
         return NOWHERE
-    else:
-        sight = look(wheel, course, camera)
-        take_image(note, wheel, course, sight, camera)
-        return sight
+    sight = look(wheel, course, setting.camera)
+    take_image(note, wheel, course, sight, setting.camera)
+    return sight
 
 
 @njit(**INLINE)
-def _observe(wheel, note, course, setting, camera, sight, out):
+def _observe(wheel, note, course, setting, sight, out):
     """Fill the observation `out` [D] of a wheel but for what is identified."""
     task = setting.task
     write_sensors(out, wheel, note, task)
     truth = task.variant == TRUE_SOIL
     if truth:
         write_soil_under(out[SENSORS:], wheel, course, setting.rig.border)
-    if camera is not None:
-        write_seen(out[task.seen :], wheel, note, course, sight, camera, truth)
+    if setting.camera.lines > 0:
+        write_seen(out[task.seen :], wheel, note, course, sight, setting.camera, truth)
 
 
 @njit(**FINITE)
-def _restart(wheel, note, course, setting, camera, out):
+def _restart(wheel, note, course, setting, out):
     """Observe a wheel at the start of its course."""
     mount_sensors(wheel, setting.normals, setting.sensors)
     wheel.cause = RUNNING
     wheel.periods = 1
-    sight = _sense(wheel, note, course, setting, camera)
-    _observe(wheel, note, course, setting, camera, sight, out)
+    sight = _sense(wheel, note, course, setting)
+    _observe(wheel, note, course, setting, sight, out)
 
 
 @njit(**FINITE)
-def _step(wheel, action, course, setting, camera, notes, out):
+def _step(wheel, action, course, setting, notes, out):
     """The control periods of an action of a wheel, until its episode ends: drive, sense, judge,
     reward; then observe.
 
@@ -294,14 +278,14 @@ def _step(wheel, action, course, setting, camera, notes, out):
     wheel.periods = 0
     wheel.cause = RUNNING
     while wheel.periods < task.held and wheel.cause == RUNNING:
-        control_period(wheel, action, course, camera, world)
+        control_period(wheel, action, course, world)
         note = notes[min(wheel.periods, notes.size - 1)]
-        sight = _sense(wheel, note, course, setting, camera)
+        sight = _sense(wheel, note, course, setting)
         wheel.cause = judge(wheel, task)
         add_reward(wheel, wheel.cause, task, terms)
         wheel.periods += 1
     wheel.reward = total_of(terms)
-    _observe(wheel, note, course, setting, camera, sight, out)
+    _observe(wheel, note, course, setting, sight, out)
 
 
 @kept
@@ -315,14 +299,14 @@ def step_wheels(state, courses, notes, observation, setting, options, span):
     rig = own.rig[0]
     records = Setting(
         rig,
-        Acting(options.effects, options.law, options.residual),
+        options.acting,
         own.task[0],
         own.sensors[0],
         options.errors,
+        own.camera[0],
         own.nodes[0],
         own.normals[0],
     )
-    camera = camera_in(own, options.camera)
     for k in range(span[0], span[1]):
         wheel = state[k]
         if wheel.order != STEP and wheel.order != RESTART:
@@ -331,18 +315,17 @@ def step_wheels(state, courses, notes, observation, setting, options, span):
         own_notes = notes[k if own.recorded > 0 else own.share]
         out = observation[k]
         if wheel.order == STEP:
-            _step(wheel, wheel.action, course, records, camera, own_notes, out)
+            _step(wheel, wheel.action, course, records, own_notes, out)
         else:
-            _restart(wheel, own_notes[0], course, records, camera, out)
+            _restart(wheel, own_notes[0], course, records, out)
         clip(out, own.bounds)
         wheel.order = IDLE  # it is done
 
 
 @kept
-def write_true_soils(state, courses, setting, options, out):
+def write_true_soils(state, courses, setting, out):
     """Fill `out` [wheels, D] with the entries of `layout.truth`."""
     own = setting[0]
-    camera = camera_in(own, options.camera)
     border = own.rig[0].border
     for k in range(len(out)):
-        write_truth(out[k], state[k], courses[k], border, camera)
+        write_truth(out[k], state[k], courses[k], border, own.camera[0])

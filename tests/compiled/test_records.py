@@ -16,10 +16,7 @@ PARTS = tuple(
 
 def records():
     """{name: fields with their types and offsets} of all records."""
-    found = {
-        "COURSE": course_dtype(1, 1, 1, False),
-        "COURSE of classes": course_dtype(1, 1, 1, True),
-    }
+    found = {"COURSE": course_dtype(1, 1, 1)}
     for module in pkgutil.walk_packages(soil_env.__path__, "soil_env."):
         if module.name.startswith(PARTS):
             for name, value in vars(import_module(module.name)).items():

@@ -9,9 +9,16 @@ from soil_env._compiled.cache import kept
 from soil_env._compiled.flags import HUGE, record
 from soil_env._compiled.random_streams import seed_stream
 from soil_env.parameters import SoilState
+from soil_env.parameters.readings import AHEAD, TRY
+from soil_env.simulation.wheels import (
+    WheelWorlds,
+    lay_wheels,
+    new_setting,
+    new_wheel_worlds,
+    wheel_numbers,
+)
 from soil_env.simulation.world import courses as drawing, terrain
 from soil_env.simulation.world.passability import CourseNumbers, draw_soil
-from soil_env.terramechanics.contact import ARC_NODES
 from soil_env.terramechanics.ground import put_soil, soil_of
 from soil_env.terramechanics.traversability import best_working_point
 
@@ -20,18 +27,6 @@ EVEN = dict.fromkeys(
     ("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0
 )
 STREAM = record(stream=("u8",))
-
-
-@kept
-def start(courses, owners, numbers, nodes):
-    """Start the first course; the mass on its wheel [kg]."""
-    return drawing.start_course(courses[0], owners[0], numbers, nodes[0])
-
-
-@kept
-def extend(courses, mass, x, numbers, nodes):
-    """Extend the first course up to x [m]."""
-    drawing.extend_course(courses[0], mass, x, numbers, nodes[0])
 
 
 @kept
@@ -49,11 +44,17 @@ def stream_of(seed) -> np.ndarray:
 
 
 class Drawn(NamedTuple):
-    """One course."""
+    """One course, laid as that of a simulated wheel."""
 
-    courses: np.ndarray  # `course_dtype` [1]
+    worlds: WheelWorlds  # of one wheel
+    setting: np.ndarray  # `SETTING` [1]
     mass: float  # [kg] on the wheel
     numbers: CourseNumbers
+
+    @property
+    def courses(self) -> np.ndarray:
+        """`course_dtype` [1]."""
+        return self.worlds.courses
 
     @property
     def ready(self) -> float:
@@ -87,7 +88,9 @@ class Drawn(NamedTuple):
 
     def extend(self, x: float = HUGE, numbers: CourseNumbers | None = None) -> None:
         """Draw on up to x [m]."""
-        extend(self.courses, self.mass, x, numbers or self.numbers, np.zeros(1, ARC_NODES))
+        numbers = numbers or self.numbers
+        self.worlds.state["x"] = x - numbers.drawn.spec.ahead
+        lay_wheels(self.worlds, numbers, np.array([AHEAD]), self.setting, 0, 1)
 
     def ground_at(self, x: float, border: float) -> tuple[SoilState, float]:
         """(soil, grade [rad]) at x [m]."""
@@ -99,11 +102,16 @@ class Drawn(NamedTuple):
 
 def course(seed, scenario, model=None, whole=True) -> Drawn:
     """One course, or its start only."""
-    courses = terrain.new_courses(1, scenario)
+    own = wheel_numbers(scenario, "blind", model)
+    worlds = new_wheel_worlds(1, scenario, own, (1, 1))
+    setting = new_setting(own, False, 0)
     numbers = drawing.course_numbers(scenario, model)
-    mass = start(courses, stream_of(seed), numbers, np.zeros(1, ARC_NODES))
-    drawn = Drawn(courses, mass, numbers)
+    worlds.state["stream"] = stream_of(seed)["stream"]
+    lay_wheels(worlds, numbers, np.array([TRY]), setting, 0, 1)
+    mass = float(worlds.state["reward"][0])
     assert mass > 0.0
+    worlds.state["mass"] = mass
+    drawn = Drawn(worlds, setting, mass, numbers)
     if whole:
         drawn.extend()
     return drawn

@@ -21,7 +21,7 @@ from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause, layout
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.simulation.wheels import NOTE, Setting, _observe, _sense
 from soil_env.simulation.world.camera import Sight
-from soil_env.simulation.world.sensors import READING
+from soil_env.simulation.world.sensors import NO_ERRORS, READING
 from soil_env.terramechanics.reaction import BASE
 from tests.simulation.wheels import set_soil, started
 
@@ -83,13 +83,20 @@ def test_all_variants_share_the_first_entries(variant):
 def _write(worlds, note, setting, rows, sensed):
     own = setting[0]
     records = Setting(
-        own.rig[0], BASE, own.task[0], own.sensors[0], None, own.nodes[0], own.normals[0]
+        own.rig[0],
+        BASE,
+        own.task[0],
+        own.sensors[0],
+        NO_ERRORS,
+        own.camera[0],
+        own.nodes[0],
+        own.normals[0],
     )
     for i in range(len(rows)):
         if sensed:
-            _sense(worlds.state[0], note[0], worlds.courses[0], records, None)
+            _sense(worlds.state[0], note[0], worlds.courses[0], records)
         sight = Sight(0, 0.0, 0.0)
-        _observe(worlds.state[0], note[0], worlds.courses[0], records, None, sight, rows[i])
+        _observe(worlds.state[0], note[0], worlds.courses[0], records, sight, rows[i])
 
 
 @kept

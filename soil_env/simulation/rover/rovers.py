@@ -98,7 +98,7 @@ class RoverNumbers(NamedTuple):
     task: np.ndarray  # [1] `TASK`
     bounds: np.ndarray  # [2, D] float32 of the observation
     sensors: np.ndarray  # [1] `SENSOR_NOISE`
-    errors: SensorErrors | None
+    errors: SensorErrors
 
 
 def rover_numbers(
@@ -225,7 +225,7 @@ class Setting(NamedTuple):
     world: RoverWorld
     task: Any  # `TASK`
     sensors: Any  # `SENSOR_NOISE`
-    errors: SensorErrors | None
+    errors: SensorErrors
     normals: Any  # `NORMALS`
 
 

@@ -75,18 +75,10 @@ def write_seen(out, wheel, image, course, sight, camera, truth):
 def write_truth(out, wheel, course, border, camera):
     """Fill `out` with the entries of `layout.truth` at the true place of a wheel."""
     write_soil_under(out, wheel, course, border)
-    _write_true_lines(out[ENTRIES_OF_SOIL:], wheel, course, camera)
-
-
-@njit(**EXACT)
-def _write_true_lines(out, wheel, course, camera):
-    if camera is None:
-        return
-    else:
-        patch = piece_at(course.patches, wheel.x, wheel.patch)
-        here = course.patches[patch]
-        sight = Sight(patch, wheel.x - here.start, here.end - wheel.x)
-        write_soils_ahead(out, course, sight, camera)
+    patch = piece_at(course.patches, wheel.x, wheel.patch)
+    here = course.patches[patch]
+    sight = Sight(patch, wheel.x - here.start, here.end - wheel.x)
+    write_soils_ahead(out[ENTRIES_OF_SOIL:], course, sight, camera)
 
 
 @njit(**EXACT)

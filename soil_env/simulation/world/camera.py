@@ -16,13 +16,13 @@ from soil_env.parameters import Scenario
 from soil_env.parameters.readings import Image
 from soil_env.simulation.world.lines import settled
 
-#: The camera of a `Scenario` with terrain classes.
+#: The camera of a `Scenario`.
 CAMERA = record(
     "sight",  # [m] before a patch from which its lines are seen
     "border",  # [m] over which one patch passes into the next
     "border_noise",  # [m] 1-sigma of the place of a border, new in every image
     classes=("i8",),
-    lines=("i8",),  # over a patch, at most
+    lines=("i8",),  # over a patch, at most; 0 without terrain classes: there is no image
 )
 #: An `Image`.
 IMAGE = record(*Image._fields)
@@ -36,16 +36,14 @@ class Sight(NamedTuple):
     left: float  # [m] to its end
 
 
-def camera_of(scenario: Scenario) -> np.ndarray | None:
-    """One `CAMERA`; None without terrain classes."""
-    if not scenario.course.classes:
-        return None
+def camera_of(scenario: Scenario) -> np.ndarray:
+    """One `CAMERA`; it sees no lines where there are no terrain classes."""
     camera = np.zeros(1, CAMERA)
     camera["sight"] = scenario.camera.range
     camera["border"] = scenario.course.border
     camera["border_noise"] = scenario.camera.border_noise
     camera["classes"] = scenario.course.classes
-    camera["lines"] = scenario.course.lines
+    camera["lines"] = scenario.course.lines if scenario.course.classes else 0
     return camera
 
 

@@ -14,7 +14,7 @@ Functions take a `Course`, `CourseNumbers` and the scratch `nodes` of an arc (`c
 import numpy as np
 from numba import njit
 
-from soil_env._compiled.flags import EXACT, HUGE
+from soil_env._compiled.flags import EXACT, HUGE, INLINE
 from soil_env._compiled.random_streams import word
 from soil_env.parameters import Scenario
 from soil_env.simulation.world.lines import draw_classes, draw_lines
@@ -80,9 +80,7 @@ def course_distribution(
     )
     spec.factor = spread.factor()
     presets = _presets(scenario, model)
-    return CourseDistribution(
-        spec, presets, None if course.classes else True, True if course.classes else None
-    )
+    return CourseDistribution(spec, presets)
 
 
 def _presets(scenario: Scenario, model: WheelSoilModel | None) -> np.ndarray:
@@ -113,7 +111,7 @@ def start_course(course, owner, numbers, nodes):
     spec = numbers.drawn.spec
     mass = spec.body_mass + within(course, spec.payload)
     load = mass * numbers.rig.gravity
-    if not draw_classes(course, numbers.drawn.lines, load, numbers, nodes):
+    if not draw_classes(course, load, numbers, nodes):
         return -1.0
     if not _draw_patch(course, load, numbers, nodes):
         return -1.0
@@ -142,35 +140,34 @@ def extend_course(course, mass, x, numbers, nodes):
 @njit(**EXACT)
 def _draw_patch(course, load, numbers, nodes):
     """Draw the next patch and the slopes over it; False if no soil was found."""
-    drawn = numbers.drawn
-    length = within(course, drawn.spec.patch_length)
-    found = draw_lines(course, drawn.lines, load, numbers, nodes)
-    if not found:
-        found = _draw_soil(course, drawn.plain, load, numbers, nodes)
+    spec = numbers.drawn.spec
+    length = within(course, spec.patch_length)
+    found = True
+    if spec.classes > 0:
+        draw_lines(course, load, numbers, nodes)
+    else:
+        found = _draw_soil(course, load, numbers, nodes)
     if found or course.drawn > 0:
-        _add_patch(course, length, drawn.spec)
-        _draw_slopes(course, drawn.spec)
-        _steepest(course, drawn.lines)
+        _add_patch(course, length, spec)
+        _draw_slopes(course, spec)
+        _steepest(course)
     return found
 
 
-@njit(**EXACT)
-def _draw_soil(course, plain, load, numbers, nodes):
+@njit(**INLINE)
+def _draw_soil(course, load, numbers, nodes):
     """Draw the soil of the next patch without classes; False, and the last again, if none was
     found.
     """
-    if plain is None:
-        return False
-    else:
-        p = course.drawn
-        patch = course.patches[p]
-        found = draw_ground(patch, course, load, numbers, nodes)
-        if not found and p > 0:
-            put_soil(patch, soil_of(course.patches[p - 1]))
-        return found
+    p = course.drawn
+    patch = course.patches[p]
+    found = draw_ground(patch, course, load, numbers, nodes)
+    if not found and p > 0:
+        put_soil(patch, soil_of(course.patches[p - 1]))
+    return found
 
 
-@njit(**EXACT)
+@njit(**INLINE)
 def _add_patch(course, length, spec):
     """Count the patch just written: its place, its cells, and how far the ground is final now."""
     p = course.drawn
@@ -190,7 +187,7 @@ def _add_patch(course, length, spec):
         cells[i].depth = 0.0
 
 
-@njit(**EXACT)
+@njit(**INLINE)
 def _draw_slopes(course, spec):
     """Draw slopes up to the end of the last patch, without looking at its soil.
 
@@ -211,18 +208,15 @@ def _draw_slopes(course, spec):
     course.sloped = s
 
 
-@njit(**EXACT)
-def _steepest(course, lines):
+@njit(**INLINE)
+def _steepest(course):
     """Note the steepest slope on the last patch, for the camera."""
-    if lines is None:
-        return
-    else:
-        p = course.drawn - 1
-        start = course.patches[p].start
-        end = course.patches[p].end
-        steepest = -HUGE
-        for s in range(course.sloped):
-            slope = course.slopes[s]
-            if slope.end > start and slope.start < end:
-                steepest = max(steepest, slope.grade)
-        course.forks[p].grade = steepest
+    p = course.drawn - 1
+    start = course.patches[p].start
+    end = course.patches[p].end
+    steepest = -HUGE
+    for s in range(course.sloped):
+        slope = course.slopes[s]
+        if slope.end > start and slope.start < end:
+            steepest = max(steepest, slope.grade)
+    course.forks[p].grade = steepest

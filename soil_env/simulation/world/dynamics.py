@@ -242,21 +242,17 @@ def drive_period(wheel, drive, course, world):
 
 
 @njit(**FINITE)
-def _at_fork(wheel, course, camera, action, rig):
+def _at_fork(wheel, course, action, rig):
     """Set what an action chooses, and the halt to come, before a control period."""
-    if camera is None:
-        return
-    else:
-        fork = choosing(wheel, course, rig)
-        if fork >= 0:
-            take_line(course, fork, 1 if action < 0.0 else 0)
-        plan_halt(wheel, course, rig)
+    fork = choosing(wheel, course, rig)
+    if fork >= 0:
+        take_line(course, fork, 1 if action < 0.0 else 0)
+    plan_halt(wheel, course, rig)
 
 
 @njit(**INLINE)
-def control_period(wheel, action, course, camera, world):
-    """One control period of a wheel under an action in [-1, 1] (`commanded`); `camera`: None
-    without lines.
+def control_period(wheel, action, course, world):
+    """One control period of a wheel under an action in [-1, 1] (`commanded`).
 
     In a halt the drive ignores the action and holds the wheel with its speed loop.
     """
@@ -267,6 +263,6 @@ def control_period(wheel, action, course, camera, world):
         course,
         world,
     )
-    _at_fork(wheel, course, camera, action, world.rig)
+    _at_fork(wheel, course, action, world.rig)
     measure_slip(wheel, world.rig)
     end_period(wheel, x_start, wheel, world.rig)

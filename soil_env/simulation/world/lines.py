@@ -12,19 +12,13 @@ from soil_env.simulation.world.passability import capacity, draw_ground, scatter
 from soil_env.terramechanics.ground import put_soil, soil_of
 
 
-@njit(**EXACT)
-def draw_classes(course, lines, load, numbers, nodes):
-    """Draw the soils of the classes of a course; False if one was not found.
-
-    `lines`: None without classes, here and below.
-    """
-    if lines is None:
-        return True
-    else:
-        for c in range(numbers.drawn.spec.classes):
-            if not draw_ground(course.library[c], course, load, numbers, nodes):
-                return False
-        return True
+@njit(**INLINE)
+def draw_classes(course, load, numbers, nodes):
+    """Draw the soils of the classes of a course; False if one was not found."""
+    for c in range(numbers.drawn.spec.classes):
+        if not draw_ground(course.library[c], course, load, numbers, nodes):
+            return False
+    return True
 
 
 @njit(**EXACT)
@@ -60,31 +54,27 @@ def _draw_line(course, line, load, numbers, nodes):
     line.capacity = capacity(load, soil, numbers, nodes)
 
 
-@njit(**EXACT)
-def draw_lines(course, lines, load, numbers, nodes):
-    """Draw the lines of the next patch; False without classes."""
-    if lines is None:
-        return False
+@njit(**INLINE)
+def draw_lines(course, load, numbers, nodes):
+    """Draw the lines of the next patch of a course with terrain classes."""
+    p = course.drawn
+    spec = numbers.drawn.spec
+    two = spec.lines > 1 and p >= spec.classes
+    course.forks[p].lines = 2 if two else 1
+    straight = course.lines[p, 0]
+    beside = course.lines[p, 1]
+    if p < spec.classes:
+        straight.terrain = _introduced(course, p, spec.classes)
     else:
-        p = course.drawn
-        spec = numbers.drawn.spec
-        two = spec.lines > 1 and p >= spec.classes
-        course.forks[p].lines = 2 if two else 1
-        straight = course.lines[p, 0]
-        beside = course.lines[p, 1]
-        if p < spec.classes:
-            straight.terrain = _introduced(course, p, spec.classes)
-        else:
-            straight.terrain = int(uniform(course) * spec.classes)
-        _draw_line(course, straight, load, numbers, nodes)
-        if two:
-            beside.terrain = _another(course, spec.classes, straight.terrain)
-            _draw_line(course, beside, load, numbers, nodes)
-        else:
-            course.lines[p, 1] = straight
-        _draw_looks(course, p, spec)
-        take_line(course, p, 0)
-        return True
+        straight.terrain = int(uniform(course) * spec.classes)
+    _draw_line(course, straight, load, numbers, nodes)
+    if two:
+        beside.terrain = _another(course, spec.classes, straight.terrain)
+        _draw_line(course, beside, load, numbers, nodes)
+    else:
+        course.lines[p, 1] = straight
+    _draw_looks(course, p, spec)
+    take_line(course, p, 0)
 
 
 @njit(**INLINE)

@@ -61,8 +61,6 @@ class CourseDistribution(NamedTuple):
 
     spec: Any  # `DISTRIBUTION`
     presets: np.ndarray  # [soils] `PRESET`
-    plain: bool | None  # True, or None with terrain classes: what is not used is not compiled
-    lines: bool | None  # True with terrain classes, or None
 
 
 class CourseNumbers(NamedTuple):

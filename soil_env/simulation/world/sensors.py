@@ -38,16 +38,17 @@ class SensorErrors(NamedTuple):
     slip_sinkage_apparent: float
 
 
-def sensor_errors(model: WheelSoilModel | None) -> SensorErrors | None:
-    """Pack the errors of the sensors in the world of a `model`; None without any, so that the code
-    is that of the base model.
-    """
+NO_ERRORS = SensorErrors(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def sensor_errors(model: WheelSoilModel | None) -> SensorErrors:
+    """Pack the errors of the sensors in the world of a `model`."""
     if model is None:
-        return None
+        return NO_ERRORS
     errors = SensorErrors(*(getattr(model.numbers, name) for name in SensorErrors._fields))
     # Of a sinkage that is felt the sensors have no error.
     own = errors if errors.slip_sinkage_apparent > 0.0 else errors[:3]
-    return errors if any(own) else None
+    return errors if any(own) else NO_ERRORS
 
 
 def sensors_of(scenario: Scenario) -> np.ndarray:
@@ -130,20 +131,16 @@ def read_slip(wheel, reading, sensors, errors):
         slip, _, _ = signed_slip(reading.rim_speed, reading.speed, sensors.slow)
         if reading.rim_speed + reading.speed < -sensors.slow:
             slip = -slip  # in reverse
-    if errors is not None:
-        slip = measured_slip(slip, errors)
+    slip = measured_slip(slip, errors)
     reading.slip = min(max(slip + reading.slip, -1.0), 1.0)
 
 
 @njit(**FINITE)
 def _seen_sinkage(slip, sinkage, errors):
     """Sinkage [m] as a sensor with `SensorErrors` shows it, without noise."""
-    if errors is None:
-        return sinkage
-    else:
-        seen = sinkage + errors.sinkage_offset_offset
-        if errors.slip_sinkage_apparent > 0.0:
-            gain = errors.slip_sinkage_gain
-            ratio = slip_sinkage_ratio(slip, gain, errors.slip_sinkage_recovery)
-            seen += sinkage * (ratio - 1.0)
-        return seen
+    seen = sinkage + errors.sinkage_offset_offset
+    if errors.slip_sinkage_apparent > 0.0:
+        gain = errors.slip_sinkage_gain
+        ratio = slip_sinkage_ratio(slip, gain, errors.slip_sinkage_recovery)
+        seen += sinkage * (ratio - 1.0)
+    return seen

@@ -66,12 +66,11 @@ FORK = record(
 
 
 LEAST_PATCHES = 64  # and slopes that a course has room for
-LEAST_CELLS = 1024  # that a course has room for: 50 m, enough for any shipped scenario
+LEAST_CELLS = 2048  # that a course has room for: 100 m, enough for any shipped scenario
 
 
-def course_dtype(patches: int, slopes: int, cells: int, classes: bool) -> np.dtype[Any]:
-    """Dtype of a course with room for so many patches, slopes and cells, with terrain `classes` or
-    without.
+def course_dtype(patches: int, slopes: int, cells: int) -> np.dtype[Any]:
+    """Dtype of a course with room for so many patches, slopes and cells.
 
     Only the first `drawn` patches are drawn, the slopes over them, and the cells below them
     cleared. Room is a power of two, since compiled code is compiled anew for each dtype.
@@ -79,16 +78,11 @@ def course_dtype(patches: int, slopes: int, cells: int, classes: bool) -> np.dty
     patches = _room(patches, LEAST_PATCHES)
     slopes = _room(slopes, LEAST_PATCHES)
     cells = _room(cells, LEAST_CELLS)
-    lines: dict[str, Any] = {}
-    if classes:
-        lines = {
-            "forks": (FORK, patches),
-            "lines": (LINE, (patches, 2)),
-            "library": (SOIL, MOST_CLASSES),  # soils of the classes
-        }
     return record(
         "ready",  # [m] place up to which the ground is final; `HUGE` once the whole course is drawn
-        **lines,  # first: numba takes a record that begins like another for one, and warns
+        forks=(FORK, patches),
+        lines=(LINE, (patches, 2)),  # only drawn with terrain classes
+        library=(SOIL, MOST_CLASSES),  # soils of the classes
         drawn=("i8",),
         sloped=("i8",),  # slopes drawn
         stream=("u8",),  # from which the patches and slopes to come are drawn
@@ -110,14 +104,13 @@ def new_courses(wheels: int, scenario: Scenario) -> np.ndarray:
     longest = spec.length + spec.patch_length[1]
     slopes = math.ceil(longest / spec.slope_length[0]) + 2
     cells = CELLS_BEHIND + math.ceil(spec.length / CELL) + 2
-    courses = np.zeros(wheels, course_dtype(patches, slopes, cells, spec.classes > 0))
+    courses = np.zeros(wheels, course_dtype(patches, slopes, cells))
     courses["ready"] = HUGE
     for pieces in ("patches", "slopes"):
         courses[pieces]["start"] = HUGE
         courses[pieces]["end"] = HUGE
     courses["cells"]["factor"] = 1.0
-    if spec.classes:
-        courses["forks"]["lines"] = 1
+    courses["forks"]["lines"] = 1
     return courses
 
 

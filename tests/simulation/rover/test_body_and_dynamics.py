@@ -51,7 +51,7 @@ def uniform(rover: str, soil: str = "dry_sand", grade_deg: float = 0.0, **change
         "payload": [0.0, 0.0],
         "halt_time": 0.0,
     }
-    course |= {"halt_interval": [1e5, 1e6], "patch_length": [1e3, 1e4], "length": base["length"]}
+    course |= {"halt_interval": [1e5, 1e6], "patch_length": [40.0, 50.0], "length": base["length"]}
     given = {"soils": {soil: 1.0}, "spread": EVEN, "course": course | changes.pop("course", {})}
     control = {"action": "wheel_speed"} | changes.pop("control", {})
     return load_rover(rover, given | {"control": control} | changes)
