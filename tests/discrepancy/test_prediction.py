@@ -51,34 +51,36 @@ def planted(tmp_path_factory):
     return problem_of(tmp_path_factory.mktemp("planted"), table_text(PLANTED, loads=LOADS))
 
 
-def test_rows_that_were_not_made_are_predicted_within_the_stated_deviations(planted):
+@pytest.fixture(scope="module")
+def learnt(planted):
+    return fit_prediction(planted)
+
+
+def test_rows_that_were_not_made_are_predicted_within_the_stated_deviations(planted, learnt):
     slip = [0.08, 0.25, 0.48, 0.16, 0.36]
     load = [100.0, 150.0, 90.0, 200.0, 170.0]
     at = {"slip": np.array(slip), "load": np.array(load)}
     y = truth(PLANTED, slip, load)
-    full = fit_prediction(planted).at(at)
+    full = learnt.at(at)
     base = fit_prediction(planted, (), smooth=False).at(at)
     assert over_noise(full.mean - y) < min(1.0, 0.7 * over_noise(base.mean - y))
     assert np.all(full.sd > 0.9 * np.array(list(NOISE.values())))
     assert np.mean(np.abs(full.mean - y) < 2.0 * full.sd) > 0.9
 
 
-def test_far_rows_are_less_sure(planted):
-    full = fit_prediction(planted)
+def test_far_rows_are_less_sure(learnt):
     near, far = (
-        full.at({"slip": np.array([0.3]), "load": np.array([load])}).sd for load in (120.0, 600.0)
+        learnt.at({"slip": np.array([0.3]), "load": np.array([load])}).sd for load in (120.0, 600.0)
     )
     assert np.all(far > 2.0 * near)
 
 
-def test_a_refit_near_another_is_that_of_its_rows_alone(planted):
+def test_a_refit_near_another_is_that_of_its_rows_alone(planted, learnt):
     group = planted.data.varied["slip"].level == 2
     rest = planted.without(group)
     rows = planted.data.rows
     at = {"slip": rows.slip[group], "load": rows.load[group]}
-    near, alone = (
-        fit_prediction(rest, near=of).at(at).mean for of in (fit_prediction(planted), None)
-    )
+    near, alone = (fit_prediction(rest, near=of).mean_at(at) for of in (learnt, None))
     assert over_noise(near - alone) < 0.5
 
 
