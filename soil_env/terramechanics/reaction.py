@@ -76,6 +76,7 @@ class Standing(NamedTuple):
     weight: float  # [N] with the share of the body, along the vertical
     sin_grade: float  # uphill positive
     passes: float  # 1 = fresh soil
+    load: float  # [N] normal to the ground, for tyre and grip
 
 
 class Beside(NamedTuple):
@@ -245,21 +246,20 @@ def _ground_under(at, slip, soil, wheel, fx):
     shift = 0.0
     if soil.braked_peak > 0.0:
         shift = braked_shift(braked_share(at.rim_speed, at.speed, REST_SPEED), soil)
-    load = at.weight * math.sqrt(1.0 - at.sin_grade * at.sin_grade)
     if fx is None:
-        arc = arc_of(at.sinkage, slip, shift, load, None, wheel)
-        return _gripped(soil, arc, load, wheel), arc, 0.0, 0.0, 0.0
+        arc = arc_of(at.sinkage, slip, shift, at.load, None, wheel)
+        return _gripped(soil, arc, at.load, wheel), arc, 0.0, 0.0, 0.0
     else:
         slide = abs(at.rim_speed - at.speed)
         passage = Passage(soil, slip, abs(at.speed), slide, at.passes, at.sin_grade)
         ground = soil_in_contact(soil, passage, fx)
-        arc = arc_of(at.sinkage, slip, shift, load, fx, wheel)
+        arc = arc_of(at.sinkage, slip, shift, at.load, fx, wheel)
         dug = max(slip_sinkage_ratio(slip, ground.dig_gain, ground.dig_recovery), LEAST_DIGGING)
         q = wheel.shear_ratio
         modulus = ground.shear_modulus * shear_length_ratio(fx) / q
         sheared = grousers.at_shear_radius(ground, q, modulus)
         return (
-            _gripped(sheared, arc, load, wheel),
+            _gripped(sheared, arc, at.load, wheel),
             arc,
             excavated_depth(slip, fx) / dug,
             soil_resistance(at.sinkage, ground, wheel, fx),

@@ -76,7 +76,7 @@ def wheel_with(case):
 
 def ground_under(sinkage, v, u, soil, wheel, sin_grade=0.0, passes=1.0, weight=160.0):
     """(soil as sheared, `Arc`, `Beside`) under a wheel of `wheel_with`."""
-    at = reaction.Standing(*map(float, (sinkage, v, u, weight, sin_grade, passes)))
+    at = reaction.Standing(*map(float, (sinkage, v, u, weight, sin_grade, passes, weight)))
     return _ground(at, soil, *wheel)
 
 

@@ -76,7 +76,7 @@ def _take_stage(rover, course, ruts, number, h, forced, world):
         foot.rim_start = stage.rim
         own = World(rig, world.acting, scratch.nodes[a])
         ahead = ground_ahead(wheel, stage, course, ruts[a], rig.border, world.acting.effects)
-        at = stand(wheel, stage, ahead, own)
+        at = stand(wheel, stage, ahead, wheel.load, own)  # of the stage before
         _keep_stand(foot, at)
     stage = _stage_of(number, h, rover.wheels[0], scratch.feet[0], rig)
     at_end = equation_of(stage.speed, stage.implicit, rover.mass, rig)

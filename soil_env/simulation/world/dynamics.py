@@ -176,14 +176,14 @@ def move(wheel, end, stage, ground, drive, rig):
 
 
 @njit(**INLINE)
-def stand(wheel, stage, ahead, world):
-    """`Stand` of a wheel in a stage on the ground `Ahead`."""
+def stand(wheel, stage, ahead, load, world):
+    """`Stand` of a wheel on the ground `Ahead` in a stage; a `load` [N] deflects its tyre."""
     rig = world.rig
     sine, cosine = sin_cos(ahead.grade)
     weight = rig.gravity * wheel.mass
     sinkage = foreseen_sinkage(wheel, stage.duration)
     rim = rig.radius * wheel.wheel_speed
-    standing = Standing(sinkage, wheel.speed, rim, weight, sine, ahead.passes)
+    standing = Standing(sinkage, wheel.speed, rim, weight, sine, ahead.passes, load)
     soil, arc, beside = ground_under(standing, ahead.soil, rig, world.acting)
     footing = lay_footing(world.nodes, arc, soil, weight * cosine)
     ground = Ground(soil, sinkage, beside.lift, ahead.grade)
@@ -195,7 +195,8 @@ def take_stage(wheel, stage, ahead, drive, forced, world):
     """A stage on the ground `Ahead`; False if Newton's method fails, with the wheel as before,
     unless it is `forced` on.
     """
-    at = stand(wheel, stage, ahead, world)
+    load = world.rig.gravity * wheel.mass * sin_cos(ahead.grade)[1]
+    at = stand(wheel, stage, ahead, load, world)
     end = solve_speeds(wheel, stage, at.footing, at.along, drive, world, at.beside)
     if not (end.converged or forced):
         return False
