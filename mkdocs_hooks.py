@@ -23,9 +23,17 @@ from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File
 
 #: Modules that a build must not import: the extra `docs` alone is enough.
-UNNEEDED = ("soil_env", "agents", "torch", "stable_baselines3", "gymnasium", "numba", "numpy")
+UNNEEDED = (
+    "soil_env",
+    "soil_env_agents",
+    "torch",
+    "stable_baselines3",
+    "gymnasium",
+    "numba",
+    "numpy",
+)
 ROOT = Path(__file__).resolve().parent
-PACKAGES = ("soil_env", "agents")
+PACKAGES = {"soil_env": ROOT, "soil_env_agents": ROOT / "agents"}  # by name, with where they lie
 
 _FORMULA = re.compile(
     r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</\1>', re.DOTALL
@@ -72,9 +80,9 @@ def on_env(env: object, **_: object) -> None:
 def modules() -> dict[str, Path]:
     """Public modules by dotted name, in the order of the pages."""
     found = {}
-    for package in PACKAGES:
-        for path in sorted((ROOT / package).rglob("*.py")):
-            parts = path.relative_to(ROOT).with_suffix("").parts
+    for package, root in PACKAGES.items():
+        for path in sorted((root / package).rglob("*.py")):
+            parts = path.relative_to(root).with_suffix("").parts
             parts = parts[:-1] if parts[-1] == "__init__" else parts
             if not any(part.startswith("_") for part in parts):
                 found[".".join(parts)] = path
@@ -84,18 +92,18 @@ def modules() -> dict[str, Path]:
 @cache
 def api_pages() -> dict[str, tuple[str, str]]:
     """(title, Markdown) of each API page by its path: one page a package of soil_env, one for
-    agents.
+    soil_env_agents.
     """
     sections = defaultdict(list)
     for module, path in modules().items():
         parts = module.split(".")
         is_package = path.name == "__init__.py"
         own_page = parts[0] == "soil_env" and len(parts) > 1 and (is_package or len(parts) > 2)
-        page = "agents" if parts[0] == "agents" else parts[1] if own_page else "soil_env"
+        page = parts[0] if parts[0] != "soil_env" else parts[1] if own_page else "soil_env"
         sections[page].append(module)
     pages = {}
     for page, names in sorted(
-        sections.items(), key=lambda e: (e[0] != "soil_env", e[0] == "agents", e)
+        sections.items(), key=lambda e: (e[0] != "soil_env", e[0] in PACKAGES, e)
     ):
         title = page if page in PACKAGES else f"soil_env.{page}"
         blocks = [
@@ -111,7 +119,7 @@ def api_pages() -> dict[str, tuple[str, str]]:
 
 @cache
 def definitions() -> dict[str, list[str]]:
-    """Modules of soil_env and agents that define a function or class of each name."""
+    """Modules of soil_env and soil_env_agents that define a function or class of each name."""
     found = defaultdict(list)
     for module, path in modules().items():
         for node in ast.parse(path.read_text(encoding="utf-8")).body:

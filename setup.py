@@ -1,25 +1,21 @@
-"""Names of what is installed: agents/ as soil_env_agents, configs/ as soil_env/configs.
+"""Names of what is installed: configs/ as soil_env/configs, examples/ as soil_env/examples.
 
 All else: pyproject.toml.
 """
 
-import re
-
 from setuptools import find_namespace_packages, setup
 
-INSTALLED_AS = {
+#: Folder of each package that is installed.
+FOLDERS = {
     "soil_env": "soil_env",
-    "agents": "soil_env_agents",
-    "configs": "soil_env.configs",
-    "examples": "soil_env.examples",
+    "soil_env_agents": "agents/soil_env_agents",
+    "soil_env.configs": "configs",
+    "soil_env.examples": "examples",
 }
 
-
-folders = find_namespace_packages(
-    include=[f"{top}{tail}" for top in INSTALLED_AS for tail in ("", ".*")],
-    exclude=["*.__pycache__"],
-)
-setup(
-    packages=[re.sub(r"^\w+", lambda top: INSTALLED_AS[top[0]], folder) for folder in folders],
-    package_dir={name: top for top, name in INSTALLED_AS.items()},
-)
+packages = [
+    ".".join([name, *inner.split(".")]) if inner else name
+    for name, folder in FOLDERS.items()
+    for inner in ("", *find_namespace_packages(folder, exclude=["*__pycache__"]))
+]
+setup(packages=packages, package_dir=FOLDERS)

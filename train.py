@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 def _command():
     """The click command."""
-    from agents.train import command
+    from soil_env_agents.train import command
 
     return command
 

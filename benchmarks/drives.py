@@ -8,10 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from agents.controllers import make_controller
-from agents.controllers.wheel import ConstantSpeed, SoftStart
-from agents.evaluate.driving import drive
-from agents.evaluate.tuning import shipped_settings
 from soil_env.envs.rovers import RoverSimulation
 from soil_env.identification.online.board import Known
 from soil_env.identification.online.identifier import prior_pull
@@ -27,6 +23,10 @@ from soil_env.simulation.world.terrain import places_on
 from soil_env.slip import slips
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.traversability import best_points
+from soil_env_agents.controllers import make_controller
+from soil_env_agents.controllers.wheel import ConstantSpeed, SoftStart
+from soil_env_agents.evaluate.driving import drive
+from soil_env_agents.evaluate.tuning import shipped_settings
 
 #: Judged quantities with their units; the first five in the order of `Identifiers.estimate`.
 QUANTITIES = ("phi [deg]", "ln K", "ln S", "c [kPa]", "ln gain", "best pull [of load]")

@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 import click
 import numpy as np
 
-from agents.controllers import CONTROLLERS
 from benchmarks import drives
 from benchmarks.common import machine, machine_text, ready, short, study_options, write
 from soil_env._io.document import Table
@@ -32,6 +31,7 @@ from soil_env.identification import Status
 from soil_env.parameters import config_dir, load_scenario
 from soil_env.parameters.sensors import calibrated
 from soil_env.terramechanics.model import load_model
+from soil_env_agents.controllers import CONTROLLERS
 
 NAME = "identification"
 SEED = 20261127  # nothing was chosen on its courses, nor changed after they were seen

@@ -6,15 +6,13 @@ Modules are imported when their subcommand is asked for.
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from importlib.util import find_spec
 
 import click
 
 from soil_env._io.loading import nearest
 from soil_env.cli.running import leave, run
 
-#: Its name in a clone without installation.
-_AGENTS = "soil_env_agents" if find_spec("soil_env_agents") else "agents"
+_AGENTS = "soil_env_agents"
 #: Module of each subcommand, with the summary that `soil-env --help` shows without importing it.
 _COMMANDS = {
     "drive": (f"{_AGENTS}.drive", "Drive one course and save a picture or a video."),

@@ -10,8 +10,8 @@ from types import ModuleType
 import psutil
 import pytest
 
-from agents import cells
 from soil_env._io.loading import ParameterError
+from soil_env_agents import cells
 from tests.agents import tasks as work
 
 
@@ -38,7 +38,7 @@ def test_work_under_way_is_interrupted_when_the_study_is(importable, tmp_path, m
 
 
 PARENT = """
-from agents import cells
+from soil_env_agents import cells
 from tests.agents import tasks
 
 if __name__ == "__main__":

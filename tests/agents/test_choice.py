@@ -5,10 +5,10 @@ import pytest
 import torch
 from gymnasium import spaces
 
-from agents import choice, ppo
-from agents.config import PPOConfig
-from agents.sb3 import NativeVecEnv
 from soil_env.parameters import load_scenario
+from soil_env_agents import choice, ppo
+from soil_env_agents.config import PPOConfig
+from soil_env_agents.sb3 import NativeVecEnv
 
 CONFIG = PPOConfig(num_envs=16, n_steps=16, batch_size=64, layer=16, history=2, threads=1)
 

@@ -10,12 +10,6 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from agents.controllers import CONTROLLERS, checked_settings, make_controller
-from agents.controllers.oracle import Oracle
-from agents.controllers.rover import ROVER_CONTROLLERS, make_rover_controller
-from agents.drive import _drive
-from agents.evaluate import driving
-from agents.evaluate.driving import drive as evaluation_drive, run_courses
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main
 from soil_env.envs.rover_env import SoilRoverEnv
@@ -26,6 +20,12 @@ from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.terramechanics.steady import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
+from soil_env_agents.controllers import CONTROLLERS, checked_settings, make_controller
+from soil_env_agents.controllers.oracle import Oracle
+from soil_env_agents.controllers.rover import ROVER_CONTROLLERS, make_rover_controller
+from soil_env_agents.drive import _drive
+from soil_env_agents.evaluate import driving
+from soil_env_agents.evaluate.driving import drive as evaluation_drive, run_courses
 from tests.agents.drivers import observations
 from tests.simulation.courses import EVEN
 from tests.simulation.test_cloning import memory

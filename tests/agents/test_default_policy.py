@@ -7,20 +7,20 @@ import json
 import numpy as np
 import pytest
 
-from agents import default_policy, generalist, student
-from agents.common_layout import ADDED, COMMON, NAMES, CommonScaling
-from agents.default_policy import LAYERS, WEIGHTS, DefaultPolicy
-from agents.evaluate.contestants import parse
-from agents.evaluate.driving import run_courses
-from agents.evaluate.loading import check, load
-from agents.exported import ExportedAgent
-from agents.history import BAND_SHARE, History
-from agents.teachers import Teacher, Teachers, settings_of
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main as soil_env
 from soil_env.envs.wheel_env import SoilWheelEnv
 from soil_env.parameters import load_rover, load_scenario
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env_agents import default_policy, generalist, student
+from soil_env_agents.common_layout import ADDED, COMMON, NAMES, CommonScaling
+from soil_env_agents.default_policy import LAYERS, WEIGHTS, DefaultPolicy
+from soil_env_agents.evaluate.contestants import parse
+from soil_env_agents.evaluate.driving import run_courses
+from soil_env_agents.evaluate.loading import check, load
+from soil_env_agents.exported import ExportedAgent
+from soil_env_agents.history import BAND_SHARE, History
+from soil_env_agents.teachers import Teacher, Teachers, settings_of
 from tests.test_observer import Rig
 
 GROUNDS = ("mixed", "two_lines", "loose_slopes", "sticky", "field_vehicle", "unseen")

@@ -14,16 +14,23 @@ import pytest
 import yaml
 from scipy import stats
 
-from agents import cells, ppo
-from agents.controllers import make_controller
-from agents.evaluate import command, comparing
-from agents.evaluate.driving import HELD_OUT_SET, METRICS, RATES, Runs, course_rng, run_courses
-from agents.evaluate.evaluation import Evaluation
-from agents.evaluate.statistics import wilson
 from soil_env.cli import main as soil_env
 from soil_env.envs.wheels import Simulation
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause
+from soil_env_agents import cells, ppo
+from soil_env_agents.controllers import make_controller
+from soil_env_agents.evaluate import command, comparing
+from soil_env_agents.evaluate.driving import (
+    HELD_OUT_SET,
+    METRICS,
+    RATES,
+    Runs,
+    course_rng,
+    run_courses,
+)
+from soil_env_agents.evaluate.evaluation import Evaluation
+from soil_env_agents.evaluate.statistics import wilson
 from tests.agents.drivers import Counting, Half
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -290,7 +297,7 @@ class Ramp:
 
 BOUNDED = """
 import numpy as np
-from agents.controllers import Setting
+from soil_env_agents.controllers import Setting
 
 class Bounded:
     variant = "blind"

@@ -14,19 +14,19 @@ import pytest
 import yaml
 from stable_baselines3 import A2C, SAC
 
-from agents import ppo
-from agents.agent import Agent
-from agents.config import PPOConfig
-from agents.evaluate.contestants import parse
-from agents.evaluate.driving import run_courses
-from agents.evaluate.models import load_model
-from agents.exported import ExportedAgent
-from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main as soil_env
 from soil_env.envs.wheel_env import SoilWheelEnv, observation_space
 from soil_env.parameters import load_scenario
 from soil_env.wrappers import LineAction
+from soil_env_agents import ppo
+from soil_env_agents.agent import Agent
+from soil_env_agents.config import PPOConfig
+from soil_env_agents.evaluate.contestants import parse
+from soil_env_agents.evaluate.driving import run_courses
+from soil_env_agents.evaluate.models import load_model
+from soil_env_agents.exported import ExportedAgent
+from soil_env_agents.sb3 import SoilWheelVecEnv
 
 onnx = pytest.importorskip("onnx", reason="onnx and onnxruntime are in the extra export")
 pytest.importorskip("onnxruntime", reason="onnx and onnxruntime are in the extra export")
@@ -58,7 +58,7 @@ def saved(folder, scenario, observation="identified", steps=256, **inputs):
 
 ALONE = textwrap.dedent("""
     import runpy, sys
-    ours = ("soil_env", "soil_env_agents", "agents")
+    ours = ("soil_env", "soil_env_agents")
     for name in ("torch", "stable_baselines3", "gymnasium", "yaml", *ours):
         sys.modules[name] = None  # cannot be imported
     script, *sys.argv[1:] = sys.argv[1:]

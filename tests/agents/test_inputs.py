@@ -7,15 +7,15 @@ import pytest
 import torch
 from gymnasium.spaces import Box
 
-from agents import ppo
-from agents.config import PPOConfig
-from agents.environment import HIDDEN, HistoryVecEnv, SeveralWorlds, hidden_worlds
-from agents.evaluate.driving import run_courses
-from agents.evaluate.models import load_model
-from agents.history import READINGS, SHARE, History
-from agents.sb3 import SoilWheelVecEnv
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import layout
+from soil_env_agents import ppo
+from soil_env_agents.config import PPOConfig
+from soil_env_agents.environment import HIDDEN, HistoryVecEnv, SeveralWorlds, hidden_worlds
+from soil_env_agents.evaluate.driving import run_courses
+from soil_env_agents.evaluate.models import load_model
+from soil_env_agents.history import READINGS, SHARE, History
+from soil_env_agents.sb3 import SoilWheelVecEnv
 from tests.agents.drivers import Half
 
 TINY = {"num_envs": 8, "n_steps": 16, "batch_size": 64, "n_epochs": 2, "layer": 8}

@@ -12,14 +12,14 @@ import torch
 from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
 from stable_baselines3.common.callbacks import ConvertCallback
 
-from agents.agent import INFO, load_agent, read_info
-from agents.config import PPOConfig
-from agents.evaluate.models import load_model
-from agents.ppo import Schedules, build, resume, save
-from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import load_rover, load_scenario
 from soil_env.simulation.task import layout
+from soil_env_agents.agent import INFO, load_agent, read_info
+from soil_env_agents.config import PPOConfig
+from soil_env_agents.evaluate.models import load_model
+from soil_env_agents.ppo import Schedules, build, resume, save
+from soil_env_agents.sb3 import SoilWheelVecEnv
 from tests.agents.drivers import observations
 
 TINY = PPOConfig(

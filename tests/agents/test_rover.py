@@ -7,14 +7,14 @@ import json
 import numpy as np
 import pytest
 
-from agents import comparison, training
-from agents.config import TrainConfig
-from agents.controllers.rover import ROVER_CONTROLLERS, make_rover_controller
-from agents.evaluate.driving import METRICS, OF_ROVERS, run_courses
 from soil_env import ParameterError
 from soil_env.cli import main
 from soil_env.parameters import load_rover
 from soil_env.simulation.rover.task import rover_layout
+from soil_env_agents import comparison, training
+from soil_env_agents.config import TrainConfig
+from soil_env_agents.controllers.rover import ROVER_CONTROLLERS, make_rover_controller
+from soil_env_agents.evaluate.driving import METRICS, OF_ROVERS, run_courses
 
 SHORT = {"course": {"length": 3.0}, "control": {"time_limit": 20.0}}
 

@@ -1,4 +1,4 @@
-"""`agents.sb3`: the `VecEnv`s of Stable-Baselines3 against the vector environments that reset
+"""The `VecEnv`s of Stable-Baselines3 against the vector environments that reset
 within a step.
 """
 
@@ -7,11 +7,11 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorWrapper
 
-from agents.sb3 import SoilRoverVecEnv, SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
 from soil_env.envs.rover_env import SoilRoverVectorEnv
 from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.simulation.task import Cause
+from soil_env_agents.sb3 import SoilRoverVecEnv, SoilWheelVecEnv
 
 KINDS = [(SoilWheelVecEnv, SoilWheelVectorEnv), (SoilRoverVecEnv, SoilRoverVectorEnv)]
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings, strategies as hs
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
-from agents.evaluate import statistics as st
+from soil_env_agents.evaluate import statistics as st
 
 SCORES = arrays(
     float,

@@ -7,12 +7,12 @@ import pytest
 import torch
 from stable_baselines3.common.callbacks import ConvertCallback
 
-from agents import ppo, student
-from agents.config import PPOConfig
-from agents.environment import hidden_worlds, normalised
-from agents.sb3 import SoilRoverVecEnv, SoilWheelVecEnv
-from agents.teachers import Teachers
 from soil_env.parameters import load_rover, load_scenario
+from soil_env_agents import ppo, student
+from soil_env_agents.config import PPOConfig
+from soil_env_agents.environment import hidden_worlds, normalised
+from soil_env_agents.sb3 import SoilRoverVecEnv, SoilWheelVecEnv
+from soil_env_agents.teachers import Teachers
 
 CONFIG = PPOConfig(num_envs=16, n_steps=16, batch_size=64, layer=16, history=2, threads=1)
 

@@ -10,20 +10,20 @@ import shutil
 import pytest
 import yaml
 
-from agents import cells
-from agents.agent import load_agent
-from agents.controllers import CONTROLLERS, make_controller
-from agents.controllers.rover import ROVER_CONTROLLERS
-from agents.evaluate.driving import run_courses
-from agents.evaluate.models import load_model
-from agents.study import work
-from agents.study.config import Study, read_config
-from agents.training import open_run
 from soil_env._io.loading import config_dir
 from soil_env.cli import main as soil_env
 from soil_env.parameters import soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTerm
+from soil_env_agents import cells
+from soil_env_agents.agent import load_agent
+from soil_env_agents.controllers import CONTROLLERS, make_controller
+from soil_env_agents.controllers.rover import ROVER_CONTROLLERS
+from soil_env_agents.evaluate.driving import run_courses
+from soil_env_agents.evaluate.models import load_model
+from soil_env_agents.study import work
+from soil_env_agents.study.config import Study, read_config
+from soil_env_agents.training import open_run
 
 WORLDS = config_dir() / "worlds"
 PPO = {"num_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1, "layer": 4, "threads": 1}

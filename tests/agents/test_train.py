@@ -8,14 +8,14 @@ import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import train
-from agents import cli, comparison, training
-from agents.agent import load_agent, read_info
-from agents.config import load_config
-from agents.controllers import CONTROLLERS
-from agents.evaluate.driving import METRICS
-from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import to_dict
 from soil_env.parameters import load_scenario
+from soil_env_agents import cli, comparison, training
+from soil_env_agents.agent import load_agent, read_info
+from soil_env_agents.config import load_config
+from soil_env_agents.controllers import CONTROLLERS
+from soil_env_agents.evaluate.driving import METRICS
+from soil_env_agents.sb3 import SoilWheelVecEnv
 
 FILES = {"config.yaml", "scenario.yaml", "model.zip", "tensorboard", "comparison"}
 TINY = (

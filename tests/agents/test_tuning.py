@@ -6,17 +6,17 @@ from pathlib import Path
 import pytest
 import yaml
 
-from agents import tune
-from agents.controllers import CONTROLLERS, make_controller
-from agents.controllers.rover import ROVER_CONTROLLERS
-from agents.evaluate import tuning
-from agents.evaluate.driving import TUNING_SET, run_courses
-from agents.evaluate.tuning import shipped_settings, tuned_settings
 from soil_env._io.loading import config_dir
 from soil_env.cli import main as soil_env
 from soil_env.cli.running import run
 from soil_env.parameters import load_rover, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
+from soil_env_agents import tune
+from soil_env_agents.controllers import CONTROLLERS, make_controller
+from soil_env_agents.controllers.rover import ROVER_CONTROLLERS
+from soil_env_agents.evaluate import tuning
+from soil_env_agents.evaluate.driving import TUNING_SET, run_courses
+from soil_env_agents.evaluate.tuning import shipped_settings, tuned_settings
 
 pytest.importorskip("optuna")
 ROOT = Path(__file__).resolve().parents[2]

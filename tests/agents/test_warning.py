@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from agents.controllers import make_controller
-from agents.evaluate.driving import run_courses
-from agents.evaluate.warning import KEPT, RELEASE, Foresight
 from soil_env.identification.online.immobilisation import FILE, shipped
 from soil_env.parameters import load_scenario
 from soil_env.simulation.world.wheel import WHEEL
+from soil_env_agents.controllers import make_controller
+from soil_env_agents.evaluate.driving import run_courses
+from soil_env_agents.evaluate.warning import KEPT, RELEASE, Foresight
 
 
 def spell(share=0.0, seconds=1.0, halted=False, goes_on=True):

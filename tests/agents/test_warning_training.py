@@ -5,8 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from agents import warning
-from agents.warning import DRIVERS, FAMILIES, Drives
 from soil_env.cli.running import run
 from soil_env.identification.online.immobilisation import (
     INPUTS,
@@ -16,6 +14,8 @@ from soil_env.identification.online.immobilisation import (
 )
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause
+from soil_env_agents import warning
+from soil_env_agents.warning import DRIVERS, FAMILIES, Drives
 
 
 def made(best, cause, driving=None, period=0.1):

@@ -25,13 +25,13 @@ for arguments in json.loads(sys.argv[1]):
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         status = main(arguments)
     said.append((status, out.getvalue(), err.getvalue()))
-import gymnasium, soil_env, agents.controllers.oracle, agents.exported
-from agents.controllers import make_controller
+import gymnasium, soil_env, soil_env_agents.controllers.oracle, soil_env_agents.exported
+from soil_env_agents.controllers import make_controller
 env = gymnasium.make("SoilWheel-v0", observation="blind", scaled=False)
 observation, _ = env.reset(seed=0)
 action, _ = make_controller("soft_start", env.unwrapped.scenario).predict(observation)
 env.step(action)
-from agents.default_policy import DefaultPolicy
+from soil_env_agents.default_policy import DefaultPolicy
 env = gymnasium.make("SoilWheel-v0", scaled=False)
 action, _ = DefaultPolicy(env.unwrapped.scenario).predict(env.reset(seed=0)[0])
 env.step(action)

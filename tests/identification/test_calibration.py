@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agents.controllers import make_controller
 from benchmarks.drives import QUANTITIES, Shadow, prior_of, record
 from soil_env.parameters import load_scenario
 from soil_env.parameters.sensors import calibrated
+from soil_env_agents.controllers import make_controller
 
 SEED = 5
 COURSES = 40

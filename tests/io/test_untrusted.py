@@ -120,8 +120,8 @@ def test_no_unsafe_loading_in_the_sources():
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
     pytest.importorskip("stable_baselines3")
-    from agents import ppo
-    from agents.config import PPOConfig
+    from soil_env_agents import ppo
+    from soil_env_agents.config import PPOConfig
 
     path = tmp_path_factory.mktemp("saved") / "model.zip"
     config = PPOConfig(num_envs=8, n_steps=8, batch_size=64, layer=8, history=0)
@@ -158,8 +158,8 @@ def data_of(path):
 
 def test_our_models_are_loaded_without_unpickling(saved, tmp_path, monkeypatch):
     """Every pickle in the zip is a bomb: none goes off, and the model is the same."""
-    from agents.agent import load_agent
-    from agents.evaluate.models import load_model
+    from soil_env_agents.agent import load_agent
+    from soil_env_agents.evaluate.models import load_model
 
     data = data_of(saved)
     pickled = [
@@ -177,7 +177,7 @@ def test_our_models_are_loaded_without_unpickling(saved, tmp_path, monkeypatch):
 
 
 def test_a_foreign_model_is_loaded_with_a_warning(saved, tmp_path, capsys):
-    from agents.evaluate.models import load_model
+    from soil_env_agents.evaluate.models import load_model
 
     zipped(tmp_path / "m.zip", saved, without=("soil_env.json",))
     for _ in range(2):
@@ -212,7 +212,7 @@ def foreign(path, source, **entries):
     ],
 )
 def test_a_zip_that_is_none(saved, tmp_path, make, words):
-    from agents.evaluate.models import load_model
+    from soil_env_agents.evaluate.models import load_model
 
     path = tmp_path / "m.zip"
     make(saved, path)
@@ -226,13 +226,13 @@ def test_a_zip_that_is_none(saved, tmp_path, make, words):
 
 def test_weights_that_unpack_to_much_are_refused(saved, tmp_path, monkeypatch):
     """Of a default policy, and of a model: 80 MB of zeros in 80 kB."""
-    from agents.default_policy import DefaultPolicy
-    from agents.evaluate.models import load_model
+    from soil_env_agents.default_policy import DefaultPolicy
+    from soil_env_agents.evaluate.models import load_model
 
     np.savez_compressed(tmp_path / "w.npz", made="{}", mean=np.zeros(10**7))
     with pytest.raises(ParameterError, match="not the weights"):
         DefaultPolicy("mixed", tmp_path / "w.npz")
-    monkeypatch.setattr("agents.agent.MOST_BYTES", 10**6)
+    monkeypatch.setattr("soil_env_agents.agent.MOST_BYTES", 10**6)
     inner = zipped(tmp_path / "inner.zip", zeros=bytes(10**7)).read_bytes()
     zipped(tmp_path / "m.zip", saved, **{"policy.pth": inner})
     with pytest.raises(ParameterError, match="unpacks to 10000000 bytes"):
@@ -246,7 +246,7 @@ def test_weights_that_unpack_to_much_are_refused(saved, tmp_path, monkeypatch):
 def test_a_graph_that_no_export_makes_is_refused(tmp_path, kind, words):
     onnx = pytest.importorskip("onnx")
     pytest.importorskip("onnxruntime")
-    from agents.exported import ExportedAgent
+    from soil_env_agents.exported import ExportedAgent
 
     column = onnx.numpy_helper.from_array(np.zeros((5000, 1), np.float32), "a")
     row = onnx.numpy_helper.from_array(np.zeros((1, 5000), np.float32), "b")
@@ -328,7 +328,7 @@ def test_damaged_text(tmp_path, kind):
 
 def test_damaged_study(tmp_path, monkeypatch):
     pytest.importorskip("stable_baselines3")
-    from agents.study.config import read_config
+    from soil_env_agents.study.config import read_config
 
     content = (
         b"scenarios: {mixed: {trained_on: mixed}}\ncontrollers: [soft_start]\nseeds: 2\n"
@@ -414,11 +414,11 @@ def test_damaged_recordings(tmp_path, name):
 
 def test_damaged_models(saved, tmp_path, monkeypatch):
     """A model and a checkpoint, weights of a default policy, and an exported policy."""
-    from agents import ppo
-    from agents.agent import load_agent
-    from agents.config import PPOConfig
-    from agents.default_policy import WEIGHTS, DefaultPolicy
-    from agents.evaluate.models import load_model
+    from soil_env_agents import ppo
+    from soil_env_agents.agent import load_agent
+    from soil_env_agents.config import PPOConfig
+    from soil_env_agents.default_policy import WEIGHTS, DefaultPolicy
+    from soil_env_agents.evaluate.models import load_model
 
     task = load_scenario()
     config = PPOConfig(num_envs=8, n_steps=8, batch_size=64, layer=8, history=0)
@@ -436,7 +436,7 @@ def test_damaged_models(saved, tmp_path, monkeypatch):
         check_reading(read, content.read_bytes(), tmp_path, name, damaged_zip)
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
-    from agents.export import policy
+    from soil_env_agents.export import policy
 
     agent = load_agent(saved)
     exported = policy.onnx_model(agent, policy.describe(agent, "a", task, None))
@@ -446,8 +446,8 @@ def test_damaged_models(saved, tmp_path, monkeypatch):
 
 def test_damaged_cells_and_checksums(tmp_path):
     """Results of a study, and the checksums of compiled code."""
-    from agents.cells import cell_file, read_cell
     from soil_env._compiled.cache import CHECKSUMS, Kept
+    from soil_env_agents.cells import cell_file, read_cell
 
     def cells(path):
         read_cell(tmp_path, "1", lambda found: {n: float(x) for n, x in found.items()})

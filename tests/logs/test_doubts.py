@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agents.controllers.wheel import ConstantSpeed
 from benchmarks.drives import record
 from soil_env.logs import LogMap, Source, Windows
 from soil_env.logs.align import Aligned
 from soil_env.logs.doubts import doubts, time_doubts
 from soil_env.logs.mapping import TimeColumn
 from soil_env.parameters import load_scenario
+from soil_env_agents.controllers.wheel import ConstantSpeed
 
 #: In the order of `SensorReading`.
 SLIP_SD = 0.01  # in a log, of the slip that follows from the speeds

@@ -62,7 +62,7 @@ def test_the_wheel_holds_the_packages_configs_and_examples_and_nothing_else(whee
         scripts = next(
             archive.read(n).decode() for n in archive.namelist() if n.endswith("entry_points.txt")
         )
-    folders = {"soil_env": "soil_env", "agents": "soil_env_agents"}
+    folders = {"soil_env": "soil_env", "agents/soil_env_agents": "soil_env_agents"}
     folders |= {name: f"soil_env/{name}" for name in ("configs", "examples")}
     assert names == {f"{there}/{name}" for here, there in folders.items() for name in sources(here)}
     assert "soil_env/configs/scenarios/mixed.yaml" in names and "soil_env_agents/train.py" in names
@@ -98,6 +98,20 @@ def run(*command, cwd):
     done = subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr[-2000:]
     return done.stdout
+
+
+def test_no_module_is_twice_in_a_process():
+    """Each file of the packages has one name, in a clone as installed."""
+    program = (
+        "import importlib, pkgutil, sys, soil_env_agents, train; "
+        "names = [m.name for m in pkgutil.walk_packages(soil_env_agents.__path__, "
+        "'soil_env_agents.')]; "
+        "[importlib.import_module(n) for n in names if not n.endswith('run_policy')]; "
+        "files = [m.__file__ for n, m in list(sys.modules.items()) if n.startswith('soil_env') "
+        "or n.partition('.')[0] in ('agents', 'train')]; "
+        "print(len(names) > 30, len(files) - len(set(files)))"
+    )
+    assert run(sys.executable, "-c", program, cwd=ROOT).split()[-2:] == ["True", "0"]
 
 
 def test_the_installed_package_has_the_same_names(tmp_path):

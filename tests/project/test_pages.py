@@ -168,7 +168,7 @@ def test_the_commands_of_a_page_exist(page):
             assert words[1] in targets, words
         elif words[:2] == ["python", "-m"] and words[2].split(".")[0] in (
             "soil_env",
-            "agents",
+            "soil_env_agents",
             "benchmarks",
             "tests",
         ):

@@ -32,7 +32,7 @@ from soil_env.cli import main
 from soil_env.discrepancy import calibrate
 from soil_env.identification.table.data import prepare
 from soil_env.measurement import read_setup, read_table
-from agents.controllers import make_controller
+from soil_env_agents.controllers import make_controller
 from soil_env.parameters import load_scenario
 
 table, setup = "examples/data/single_wheel.csv", "examples/data/setup.yaml"

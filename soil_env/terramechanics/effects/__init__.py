@@ -23,8 +23,8 @@ How to add an effect, in four files beside tests and pages:
    writes it to `reference.py` and `test_equations.py` there, and its units to
    `test_units_do_not_matter`; bounds must hold in those units too. Run `pytest
    tests/terramechanics tests/simulation/test_worlds.py tests/discrepancy
-   tests/benchmarks/test_discovery.py`. `HIDDEN` in `agents/environment.py` lists the effects that
-   hidden training worlds draw from.
+   tests/benchmarks/test_discovery.py`. `HIDDEN` of the agents' `environment.py` lists the
+   effects that hidden training worlds draw from.
 
 A force or torque at the wheel that neither place above has also needs its term in `_at_the_axle`
 of `reaction.py` and in `steady.py`. `varies`

@@ -1,7 +1,7 @@
 """Training of the default policy: one student of the true-soil rule on several grounds, then PPO
 from there.
 
-    python -m soil_env_agents.generalist --out agents/default_policy.npz
+    python -m soil_env_agents.generalist --out agents/soil_env_agents/default_policy.npz
 
 The grounds of configs/default_policy.yaml stand side by side, half of the wheels of each in worlds
 with hidden effects.

@@ -11,7 +11,7 @@ whole rover.
 | best_slip_identified | that ramp, not above the best slip on the soil as identified | identified |
 | best_slip_true | the same on the true soil: a reference, not a bound | true_soil |
 
-All but `velocity_sync` and `torque_by_load` are the controllers of a wheel (`agents.controllers`),
+All but `velocity_sync` and `torque_by_load` are the controllers of a wheel (`controllers`),
 one for each wheel.
 """
 

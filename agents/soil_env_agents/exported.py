@@ -1,4 +1,4 @@
-"""An agent exported by `agents.export`: the ONNX file alone, run by onnxruntime."""
+"""An agent exported by `export`: the ONNX file alone, run by onnxruntime."""
 
 import json
 import math
@@ -16,7 +16,7 @@ POLICY = "policy.onnx"  # file in the folder of an export
 FORMAT = "soil_env policy 1"  # first entry of its description
 MOST_BYTES = 2**26  # of the file
 MOST_VALUES = 10**7  # numbers of a value of the graph, of one observation
-#: Of the graphs that `agents.export` makes; none loops, or makes much of little.
+#: Of the graphs that `export` makes; none loops, or makes much of little.
 OPERATORS = frozenset(
     "Add Sub Mul Div MatMul Gemm Max Min Equal Greater Where Concat Gather Unsqueeze Cast Identity "
     "Relu Tanh Sigmoid Elu Softplus".split()
@@ -24,7 +24,7 @@ OPERATORS = frozenset(
 
 
 def _check_graph(path: Path) -> None:
-    """Raise ValueError for a graph that `agents.export` would not make: one that takes more memory
+    """Raise ValueError for a graph that `export` would not make: one that takes more memory
     than its file, or reads other files.
     """
     import onnx
@@ -102,7 +102,7 @@ class ExportedAgent(inputs.Observing):
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions [n, 1] for observations [n, D] in the units of `content["inputs"]`, or [1] for
-        [D], and the memory for the next call; ParameterError as `agents.agent.Agent.predict`."""
+        [D], and the memory for the next call; ParameterError as `agent.Agent.predict`."""
         inputs.switch(deterministic)  # an exported agent has no other
         batch = np.atleast_2d(self._layout.observed(observation))
         if not self.policy.kept:

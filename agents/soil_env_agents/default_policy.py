@@ -87,7 +87,7 @@ class DefaultPolicy(inputs.Observing):
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions [n, 1] for observations [n, D], or [1] for [D], and the memory; as
-        `agents.agent.Agent.predict`.
+        `agent.Agent.predict`.
         """
         inputs.switch(deterministic)  # there is no other
         seen = self._layout.observed(observation)

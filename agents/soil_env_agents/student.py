@@ -5,7 +5,7 @@ The teacher is `best_slip_true`: it knows the true soil under the wheel and that
 student drives by its own observation. It learns the acceleration of the teacher in every state that
 it comes to itself, by least squares (DAgger: Ross, Gordon & Bagnell 2011, AISTATS). So where the
 soil is not known it learns the mean. The choice of a line it learns from what becomes of it
-(`agents.choice`), and its value network the returns of the last rounds, so that PPO can go on from
+(`choice`), and its value network the returns of the last rounds, so that PPO can go on from
 here.
 """
 

@@ -17,7 +17,6 @@ from soil_env.parameters import Control, CourseSpec, Scenario
 from soil_env.simulation.task import VARIANTS, layout
 from soil_env.simulation.task.scaling import Scaling
 
-from .. import PACKAGE_NAMES
 from ..common_layout import CommonScaling
 from ..default_policy import DefaultPolicy
 from ..exported import ExportedAgent
@@ -33,7 +32,7 @@ except ImportError:  # reported in one line where a model is loaded
 
 #: (module of the policy starts with, keys the zip must hold, module and class of the algorithm);
 #: the first that fits.
-_ALGORITHMS = (
+_ALGORITHMS: tuple[tuple[str, set[str], tuple[str, str]], ...] = (
     ("sb3_contrib.common.recurrent", set(), ("sb3_contrib", "RecurrentPPO")),
     ("sb3_contrib.tqc", set(), ("sb3_contrib", "TQC")),
     ("sb3_contrib.crossq", set(), ("sb3_contrib", "CrossQ")),
@@ -43,10 +42,7 @@ _ALGORITHMS = (
     ("stable_baselines3.common.policies", {"cg_max_steps"}, ("sb3_contrib", "TRPO")),
     ("stable_baselines3.common.policies", {"clip_range"}, ("stable_baselines3", "PPO")),
     ("stable_baselines3.common.policies", set(), ("stable_baselines3", "A2C")),
-    *(
-        (f"{package}.agent", {"clip_range"}, ("stable_baselines3", "PPO"))
-        for package in PACKAGE_NAMES
-    ),
+    ("soil_env_agents.agent", {"clip_range"}, ("stable_baselines3", "PPO")),
 )
 
 
@@ -54,7 +50,7 @@ def load_model(path: Path, scenario: Scenario):
     """An object with `predict` on raw observations and `variant`; ParameterError with one line if
     it cannot be had.
 
-    A policy.onnx of `agents.export` is run by onnxruntime; an .npz is a default policy. A zip of
+    A policy.onnx of `export` is run by onnxruntime; an .npz is a default policy. A zip of
     train.py (soil_env.json inside) is loaded without unpickling. Any other zip of SB3 is unpickled,
     after a warning; its observation space gives the variant. It may have been trained with
     `LineAction`, but not with VecNormalize.

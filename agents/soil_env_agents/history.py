@@ -79,7 +79,7 @@ class History:
 
         The history comes after the D entries of the layout, newest step first. On a new course,
         `fresh` [n] bool, the present readings stand in for the past, whatever `kept` [n, self.kept]
-        holds. All are arrays, or values of an ONNX graph (`agents.export`).
+        holds. All are arrays, or values of an ONNX graph (`export`).
         """
         m = len(self.columns)
         moved = np.concatenate([seen[:, self.columns], kept[:, [*range(0, self.past)]]], axis=1)

@@ -25,7 +25,7 @@ TOLERANCE = 1e-5  # of the action, between the agent and its export
 
 
 def onnx_model(agent, description: dict):
-    """The ONNX model of a loaded agent (`agents.evaluate.models.load_model`), `description` inside.
+    """The ONNX model of a loaded agent (`evaluate.models.load_model`), `description` inside.
 
     Inputs: `observation` [n, D] float32, raw; for agents with a history `new_course` [n] bool and
     `history`. Outputs: `action` [n, 1] float32 in [-1, 1], and `next_history`. ParameterError for a

@@ -106,7 +106,7 @@ class ChoosingExtractor(MlpExtractor):
         """Last hidden layer of the drive, difference of the scores, and the entry `choice`, for [n,
         D].
 
-        The scores are learned apart (`agents.choice`), so no gradient goes to them.
+        The scores are learned apart (`choice`), so no gradient goes to them.
         """
         ahead, beside = (self.line_net(features[:, columns]).detach() for columns in self.lines)
         return torch.cat(

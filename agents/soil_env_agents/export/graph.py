@@ -1,7 +1,7 @@
 """Arithmetic of numpy, recorded as an ONNX graph.
 
 A `Traced` array takes part in numpy's functions like an array; each operation adds a node to the
-graph. So `agents.history` is run, not written again.
+graph. So `history` is run, not written again.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ from .evaluate.driving import drive
 from .evaluate.warning import Alarms, least_progress
 from .progress import Bar, show
 
-#: Course sets, disjoint from each other and from those of `agents.evaluate`.
+#: Course sets, disjoint from each other and from those of `evaluate`.
 SETS = {"training": 5_000_011, "tuning": 6_000_011, "test": 7_000_003}
 SCENARIOS = ("two_lines", "mixed", "sticky", "loose_slopes", "field_vehicle")
 FAMILIES = (

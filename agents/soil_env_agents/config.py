@@ -60,7 +60,7 @@ class PPOConfig(Checked):
         "", -1.0, 1.0, default=0.3, doc="mean action of the untrained policy"
     )
     history: int = quantity(
-        "", 0, 1000, default=7, doc="past steps whose readings the network sees (agents.history)"
+        "", 0, 1000, default=7, doc="past steps whose readings the network sees (history.py)"
     )
     threads: int = quantity(
         "", 1, 256, default=2, doc="threads of the environment; the result is the same"

@@ -1,0 +1,1 @@
+"""Controllers, PPO agents and studies on the environment of `soil_env`."""
