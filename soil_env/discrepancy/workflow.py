@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -258,10 +259,10 @@ def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -
     wheel = problem.data.wheel
     if problem.data.setup.wheel.grouser_height is None and "grousers" not in effects:
         wheel = replace(wheel, grouser_height=0.0)  # a height was assumed only to try grousers
+    numbers: dict[str, Any] = {**values, **problem.laws}
     of_soil = Soil(
-        **values,
+        **numbers,
         density=problem.density,
-        **problem.laws,
         gravity_measured=problem.data.setup.gravity,
         source="calibrated by soil_env.discrepancy",
     )

@@ -334,14 +334,14 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
             "conditions: grouser_height: expected metres, less than the wheel radius"
         )
     refuse_lugs_on_tyre(float(np.max(column["grouser_height"], initial=0.0)), wheel.tyre)
-    sizes = [column[n] for n in _SIZES]
+    of_wheel = [column[n] for n in _SIZES]
     if wheel.tyre is not None or wheel.grip > 0.0:
         of_tyre = wheel.tyre_deflection, wheel.tyre_compliance, wheel.grip
-        sizes += [np.full_like(column["load"], x) for x in of_tyre]
+        of_wheel += [np.full_like(column["load"], x) for x in of_tyre]
     return Rows(
         column["slip"].copy(),
         column["load"].copy(),
-        np.stack(sizes, axis=1),
+        np.stack(of_wheel, axis=1),
         np.stack(
             [column["speed"], column["pass"], np.sin(np.radians(column["grade_deg"]))], axis=1
         ),
