@@ -27,7 +27,7 @@ POINTS = 200
 
 def ground(stiffness: float) -> Soil:
     """Ground of this S with the strength of dry, slightly cohesive soil."""
-    law = {"sinkage_exponent": 1.0, "sinkage_coefficient": stiffness}
+    law: dict[str, Any] = {"sinkage_exponent": 1.0, "sinkage_coefficient": stiffness}
     return Soil(30.0, 1000.0, 0.01, **law, gravity_measured=EARTH_GRAVITY)
 
 

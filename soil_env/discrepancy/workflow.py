@@ -258,8 +258,9 @@ def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -
     wheel = problem.data.wheel
     if problem.data.setup.wheel.grouser_height is None and "grousers" not in effects:
         wheel = replace(wheel, grouser_height=0.0)  # a height was assumed only to try grousers
+    numbers: dict[str, Any] = {**values, **problem.laws}
     of_soil = Soil(
-        **values,
+        **numbers,
         density=problem.density,
         gravity_measured=problem.data.setup.gravity,
         source="calibrated by soil_env.discrepancy",

@@ -177,7 +177,8 @@ def test_energy_of_a_driven_and_braked_wheel_is_accounted_for(law, changes):
         assert now.soil_work > -1e-3 and now.converged == 1
         slips.append(now.slip)
         before = now
-    assert min(slips) < -0.04 and max(slips) > 0.1
+    low, high = (-0.04, 0.04) if changes else (-0.05, 0.1)  # a tyre holds on to rock
+    assert min(slips) < low and max(slips) > high
 
 
 @pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
