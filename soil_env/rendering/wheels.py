@@ -30,14 +30,18 @@ class Stresses(NamedTuple):
 
 
 class _Wheel(NamedTuple):
-    """A wheel of the base model as it moves under its load."""
+    """A rigid wheel of the base model as it moves under its load."""
 
+    radius: float  # [m]
     contact_radius: float  # [m]
     width: float  # [m]
     sinkage: float  # [m]
     load: float  # [N]
     speed: float  # V [m/s]
     rim_speed: float  # r w [m/s]
+    tyre_deflection: float = 0.0  # [m]
+    tyre_compliance: float = 0.0  # [m/N]
+    grip: float = 0.0  # [-]
 
 
 @kept
@@ -69,7 +73,7 @@ def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
     They are those at the sinkage coefficient that the load mobilises. The soil's own one does not
     matter: so the same holds in a rut.
     """
-    wheel = _Wheel(r, b, w["sinkage"], w["load"], w["speed"], w["wheel_speed"] * r)
+    wheel = _Wheel(r, r, b, w["sinkage"], w["load"], w["speed"], w["wheel_speed"] * r)
     stresses = Stresses(np.empty(ARC_POINTS), np.empty(ARC_POINTS), np.empty(ARC_POINTS))
     _stresses(np.zeros(1, contact.ARC_NODES), wheel, w["soil"], *stresses)
     return stresses
