@@ -23,7 +23,7 @@ _EXACT = SoilSpread(
 def with_model(
     scenario: Any, model: WheelSoilModel | None, scatter: object, changes: Mapping[str, Any]
 ) -> Any:
-    """The scenario with radius and width of the model, and its soil alone, if it has one.
+    """The scenario with radius, width and tyre of the model, and its soil alone, if it has one.
 
     Mass and drive stay those of the scenario, behind a gear that keeps force and speed of the rim,
     but for numbers in `changes["wheel"]`, which are taken as they are. The identifier expects what
@@ -44,7 +44,7 @@ def with_model(
                 "that, or scatter=True for a wheel of your own on soils about that of the model"
             )
     own = {name: given[name] for name in given if name not in sizes}
-    tyre = {n: getattr(model.wheel, n) for n in ("tyre", "grip") if getattr(model.wheel, n)}
+    tyre = {"tyre": model.wheel.tyre, "grip": model.wheel.grip}
     try:
         own_wheel: dict[str, Any] = {**sizes, **tyre, **own}
         fitted = {"wheel": replace(geared(wheel, sizes["radius"]), **own_wheel)}

@@ -28,7 +28,7 @@ TINY = {
     "grounds": {"two_lines": {"wheels": 8}, "field_vehicle": {"wheels": 4, "hidden": 0.75}},
     "hidden": 2,
 }
-TINY["effects"] = ["shear_softening", "bulldozing"]
+TINY["effects"] = ["slip_sinkage", "bulldozing"]
 TINY["ppo"] = {"num_envs": 12, "batch_size": 64, "layer": 8, "threads": 1}
 
 

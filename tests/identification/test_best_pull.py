@@ -29,7 +29,9 @@ W = SCENARIO.weight
 STALL = SCENARIO.wheel.stall_torque
 CONVERGED = 12  # steps of Newton's method, more than are needed
 FIRM = ["heavy_clay_25", "lean_clay_22"]  # whose cohesion alone bears the wheel
-NAMES = sorted(set(soils()) - set(FIRM))
+# for a tyre, not for the rigid wheel on uniform soil that the identifier knows
+HARD = ["asphalt", "firm_soil", "rock_with_sand_cover"]
+NAMES = sorted(set(soils()) - set(FIRM) - set(HARD))
 
 
 def wheel_on(soil, scenario=SCENARIO, sd=0.0):
