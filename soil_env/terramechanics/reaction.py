@@ -234,9 +234,7 @@ def ground_under(at, soil, wheel, acting):
 @njit(**EXACT)
 def _gripped(soil, arc, load, wheel):
     """Soil as the tread of a wheel shears it, which may slip on hard ground."""
-    if wheel.grip == 0.0:
-        return soil
-    share = gripping_share(soil, arc, load, wheel)
+    share = 1.0 if wheel.grip == 0.0 else gripping_share(soil, arc, load, wheel)
     return grousers.at_shear_radius(soil, share, soil.shear_modulus)
 
 

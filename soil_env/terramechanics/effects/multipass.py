@@ -70,9 +70,10 @@ def in_rut(soil, passes, fx):
     """Soil that a wheel of the simulated world meets on so many passes, this one counted: that of
     the effect where it is on.
     """
-    if passes <= 1.0 or bearing_goes_with_passes(fx):
-        return soil
-    return stiffened(soil, rut_stiffness(passes, soil.sinkage_exponent, COMPACTION))
+    factor = 1.0
+    if passes > 1.0 and not bearing_goes_with_passes(fx):
+        factor = rut_stiffness(passes, soil.sinkage_exponent, COMPACTION)
+    return stiffened(soil, factor)
 
 
 @njit(**EXACT)
