@@ -22,7 +22,7 @@ _MOST_POINTS = 4000  # of a curve in a picture
 _NAMES = {  # name, unit
     "friction_angle_deg": ("friction angle", "deg"),
     "shear_modulus": ("shear deformation modulus K", "m"),
-    "sinkage_coefficient": ("sinkage coefficient S", "N/m^(n+2)"),
+    "sinkage_coefficient": ("sinkage coefficient S", "N/m^(n+2), n as in the map"),
     "cohesion": ("cohesion", "Pa"),
     "dig_gain": ("gain of slip-sinkage", ""),
 }

@@ -35,7 +35,12 @@ class Tyre(Checked):
         super().__post_init__()
         if (self.deflection > 0.0) == (self.stiffness > 0.0):
             given = f" = {self.deflection:g} and stiffness = {self.stiffness:g}"
-            raise FieldError(self, "deflection", f"{given}: expected one of the two > 0")
+            raise FieldError(
+                self,
+                "deflection",
+                f"{given}: expected exactly one of the two > 0, "
+                "also where a preset or base gives the other: 0 turns it off",
+            )
 
 
 class OnTyre:

@@ -78,8 +78,14 @@ def within_bounds(
 
 
 def make_controller(name: str, scenario: Scenario, **settings) -> Controller:
-    """A controller by name with its `settings` (`bounds` of its class); ParameterError as
+    """A controller by name with its `settings` (`bounds` of its class), for the wheel of a
+    scenario, `env.unwrapped.scenario` where `make` has changed it; ParameterError as
     `checked_settings`.
     """
+    if not isinstance(scenario, Scenario):
+        raise ParameterError(
+            f"scenario = {scenario!r:.60}: expected a Scenario: load_scenario(NAME), or the "
+            "`unwrapped.scenario` of an environment"
+        )
     values = checked_settings(name, scenario, settings, f"settings.{name}")
     return CONTROLLERS[name](scenario, **values)

@@ -16,6 +16,7 @@ from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import MEASURED, NOISE, Table
 
 DENSE = 240  # rows from which a table is binned
+REPEATED = 100  # the same of rows at few conditions, `FEWEST` and more at each
 MOST = 120  # bins
 FINE = 0.04  # extent of a bin that is not cut further, in correlation lengths of a form error
 JUMP = 0.25  # share of the extent of a bin, from which a gap between its values parts them
@@ -34,9 +35,11 @@ class Binned(NamedTuple):
 
 def binned(table: Table, setup: Setup) -> Binned:
     """The table with one row a bin if it is dense, as it is otherwise."""
-    if len(table) <= DENSE:
+    if len(table) <= REPEATED:
         return Binned(table, setup, "")
     bins = _bins(_coordinates(table, setup))
+    if len(table) <= DENSE and len(table) < FEWEST * len(bins):
+        return Binned(table, setup, "")
     columns: dict[str, Any] = {
         f.name: np.stack([_merged(getattr(table, f.name)[rows]) for rows in bins])
         for f in dataclasses.fields(table)
