@@ -35,12 +35,8 @@ class Tyre(Checked):
         super().__post_init__()
         if (self.deflection > 0.0) == (self.stiffness > 0.0):
             given = f" = {self.deflection:g} and stiffness = {self.stiffness:g}"
-            raise FieldError(
-                self,
-                "deflection",
-                f"{given}: expected exactly one of the two > 0, "
-                "also where a preset or base gives the other: 0 turns it off",
-            )
+            expected = "exactly one of the two > 0; 0 turns off what a preset or base gives"
+            raise FieldError(self, "deflection", f"{given}: expected {expected}")
 
 
 class OnTyre:
