@@ -28,7 +28,7 @@ TINY = {
     "grounds": {"two_lines": {"wheels": 8}, "field_vehicle": {"wheels": 4, "hidden": 0.75}},
     "hidden": 2,
 }
-TINY["effects"] = ["slip_sinkage", "bulldozing"]
+TINY["effects"] = ["stress_peak_shift", "bulldozing"]
 TINY["ppo"] = {"num_envs": 12, "batch_size": 64, "layer": 8, "threads": 1}
 
 
@@ -173,10 +173,10 @@ def test_teachers_of_several_grounds_and_hidden_worlds(trained):
     effects = [p.model and next(iter(p.model.effects)) for p in env.parts]
     assert [(p.num_envs, p.scenario.name, e) for p, e in zip(env.parts, effects, strict=True)] == [
         (4, "two_lines", None),
-        (2, "two_lines", "shear_softening"),
+        (2, "two_lines", "stress_peak_shift"),
         (2, "two_lines", "bulldozing"),
         (1, "field_vehicle", None),
-        (1, "field_vehicle", "shear_softening"),
+        (1, "field_vehicle", "stress_peak_shift"),
         (2, "field_vehicle", "bulldozing"),
     ]
     teachers = Teachers(env)

@@ -43,6 +43,16 @@ def test_bins_keep_loads_apart_and_are_few(tmp_path):
     assert binned(few, data.setup) == (few, data.setup, "")
 
 
+def test_rows_at_few_conditions_are_binned_from_a_hundred_on(tmp_path):
+    """Drives at held speeds, as of a log: their rows share errors."""
+    data = dense(tmp_path, 180)
+    assert binned(data.table, data.setup).words == ""  # of as many slips
+    held = dataclasses.replace(data.table, slip=np.repeat([0.05, 0.2, 0.4], 60))
+    found = binned(held, data.setup)
+    assert len(found.table) <= 9 and "180 rows are taken in" in found.words
+    assert binned(held.only(np.arange(100)), data.setup).words == ""
+
+
 def test_bins_are_few_whatever_varies(tmp_path):
     data = dense(tmp_path, 600)
     rng = np.random.default_rng(1)

@@ -120,7 +120,10 @@ def test_a_cover_passes_smoothly_into_the_firm_ground_below():
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: Tyre(0.01, 1e4), "deflection = 0.01 and stiffness = 10000: expected one of the"),
+        (
+            lambda: Tyre(0.01, 1e4),
+            "deflection = 0.01 and stiffness = 10000: expected exactly one of the",
+        ),
         (lambda: Tyre(), "expected exactly one of the two > 0"),
         (lambda: Tyre(-0.01), "deflection = -0.01"),
         (lambda: ModelWheel(0.2, 0.1, 0.0, Tyre(0.1)), "tyre.deflection = 0.1: expected at most"),
