@@ -61,6 +61,7 @@ class Stamps:
             notes.add(
                 f"{self.source}: {out.size} of {times.size} time stamps do not fit those around "
                 f"them and are left out. The first is {self._place(times, out[0])}."
+                + self._set_back(times, out, restart)
             )
         rising = times[kept]
         latest = np.maximum.accumulate(rising)
@@ -70,15 +71,17 @@ class Stamps:
             notes.add(
                 f"{self.source}: {late.size} of {times.size} {self.thing}s are late by at most "
                 f"{slack * 1e-9:g} s (max_gap) and were put where their time says. The first is "
-                f"{self._place(times, k)}."
+                f"{self.thing} {self.numbers[k]} ({times[k] * 1e-9:.3f} s after "
+                f"{latest[late[0]] * 1e-9:.3f} s)."
             )
         same = np.flatnonzero(np.diff(rising) == 0)
         if same.size:
             k = np.flatnonzero(kept)[same[0] + 1]
+            coarse = " Take a finer time, or a longer period and max_gap in the map."
             notes.add(
                 f"{self.source}: {same.size} of {times.size} time stamps are equal to the one "
                 f"before. Their readings are averaged. The first is that of {self.thing} "
-                f"{self.numbers[k]}."
+                f"{self.numbers[k]}." + (coarse if 2 * same.size > rising.size else "")
             )
         return kept
 
@@ -97,6 +100,18 @@ class Stamps:
                 f"those around them, first {self._place(times, k)}: expected time that "
                 f"rises{header}"
             )
+
+    def _set_back(self, times: np.ndarray, out: np.ndarray, restart: int) -> str:
+        """Where the clock goes back, if stamps that follow each other are left out for that."""
+        fall = np.diff(times)
+        k = int(np.argmin(fall)) + 1
+        most = max(part.size for part in np.split(out, np.flatnonzero(np.diff(out) > 1) + 1))
+        if most < _STANDS or fall[k - 1] > -restart:
+            return ""
+        return (
+            f" The clock goes back at {self._place(times, k)}: where two recordings are in one "
+            "file, split it there."
+        )
 
     def _place(self, times: np.ndarray, k: int) -> str:
         """Number and stamp of the row or message `k`, and the stamp before it."""

@@ -7,12 +7,15 @@ import math
 import re
 import sqlite3
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from soil_env import ParameterError
 from soil_env.logs import read_map, read_recording, replay
+from soil_env.logs.notes import Notes
+from soil_env.logs.stamps import Stamps
 from tests.logs.bags import example, write_json_mcap, write_map, write_mcap
 
 NS = 1_000_000_000
@@ -420,6 +423,32 @@ def test_stamps_that_go_back_are_counted_by_topic(tmp_path):
     assert "topic /drive" in out and "4 of 20" in out and "message 16 (100.500 s" in out
     assert "topic /drive" in late and "1 of 20" in late and "max_gap" in late
     assert found.channels["wheel_speed"].readings == 16 and found.channels["speed"].readings == 20
+
+
+def settled(seconds) -> list[str]:
+    """Notes on the stamps of a column, in rows from 2 on."""
+    stamps = Stamps("column t", "row")
+    times = np.round(np.asarray(seconds) * NS).astype(np.int64)
+    for k, time in enumerate(times):
+        stamps.add(int(time), k + 2)
+    notes = Notes()
+    stamps.settle(times, NS // 2, 5 * NS, Path("log.csv"), notes)
+    return notes.lines
+
+
+def test_two_drives_in_one_file_are_told_from_stamps_that_are_wrong():
+    drive = np.arange(0.0, 180.0, 0.1)
+    out, late = settled(np.concatenate([drive, drive]))[:2]
+    assert "The clock goes back at row 1802 (0.000 s after 179.900 s)" in out
+    assert "where two recordings are in one file, split it there" in out
+    assert "late by at most 0.5 s" in late and "after 0.500 s" in late
+    alone = settled([*drive[:900], 7.0, *drive[900:]])[0]
+    assert "1 of 1801 time stamps do not fit" in alone and "goes back" not in alone
+
+
+def test_whole_seconds_of_a_fast_log_are_told():
+    assert "Take a finer time" in settled(np.floor(np.arange(0.0, 60.0, 0.1)))[0]
+    assert "Take a finer time" not in settled([0.0, 0.1, 0.1, 0.2, 0.3])[0]
 
 
 @pytest.mark.parametrize("name", ["a.mcap", "a.db3"])
