@@ -414,11 +414,12 @@ def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel |
     deep = np.abs(table.sinkage) > radius
     if np.any(deep):
         r = radius[deep][0]
-        refuse(
-            "sinkage",
-            deep,
-            f"metres, at most the wheel radius {r:g} m (if it is millimetres, divide by 1000)",
-        )
+        hint = "if it is millimetres, divide by 1000"
+        others = np.abs(table.sinkage[~deep & np.isfinite(table.sinkage)])
+        if others.size > np.sum(deep) and np.median(others) > 0.0:
+            times = abs(table.sinkage[deep][0]) / np.median(others)
+            hint = f"it is {times:.2g} times the others"
+        refuse("sinkage", deep, f"metres, at most the wheel radius {r:g} m ({hint})")
     _check_whole(table)
 
 
