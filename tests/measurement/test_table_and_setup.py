@@ -68,7 +68,7 @@ def test_reads_a_full_table(tmp_path):
 def test_a_sinkage_beyond_the_radius_is_a_wrong_cell_or_a_wrong_unit(tmp_path):
     for deep, words in (
         (["0.03", "0.31", "0.029"], "row 3, sinkage = 0.31: .* (it is 11 times the others)"),
-.* (if it is millimetres, .*)"),
+        (["0.3", "0.31", "0.29"], "row 2, sinkage = 0.3: .* (if it is millimetres, .*)"),
     ):
         rows = [f"0.{k + 1},100,{z},5" for k, z in enumerate(deep)]
         (tmp_path / "data.csv").write_text("\n".join([HEADER, *rows]) + "\n")
