@@ -15,11 +15,7 @@ from tests.simulation.wheels import started
 from tests.terramechanics.cases import RESIDUAL, TOGETHER, WHEEL
 
 EFFECTS = TOGETHER | {"shear_rate": {"slope": 0.08}, "shear_softening": {"sharpness": 4.0}}
-MODELS = {
-    "no effects": None,
-    "effects": WheelSoilModel(WHEEL, None, EFFECTS),
-    "residual": WheelSoilModel(WHEEL, None, {}, RESIDUAL),
-}
+MODELS = {"no effects": None, "effects": WheelSoilModel(WHEEL, None, EFFECTS, RESIDUAL)}
 
 
 def driven(scenario, commands, model=None):
