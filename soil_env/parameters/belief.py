@@ -33,7 +33,7 @@ class Belief(Checked):
     Where `soils` names a library, the prior has the mean and the covariance of its soils instead,
     each with the scatter of `spread`. Of the numbers before, only `dig_gain` and `sinkage_exponent`
     count then, to which gain and S are referred. `rim_flow` to `shear_length` have one value, as
-    the recovery, for soils of a library too. With `method` "none" nothing is identified and
+    the recovery, for soils of a library too: by default that of the presets of loose ground. With `method` "none" nothing is identified and
     nothing of the observation may ask for it: a step costs about half.
     """
 
@@ -50,8 +50,8 @@ class Belief(Checked):
     dig_gain: float = quantity("", 0.0, 20.0, default=2.2)
     dig_gain_sd: float = quantity("", 0.0, 5.0, default=0.7, doc="relative")
     dig_recovery: float = quantity("", 0.05, 5.0, default=0.5)
-    rim_flow: float = quantity("", 0.0, 0.12, default=0.0, doc="this and the next three: `Soil`")
-    braked_peak: float = quantity("", 0.0, 0.9, default=0.0)
+    rim_flow: float = quantity("", 0.0, 0.12, default=0.1, doc="this and the next three: `Soil`")
+    braked_peak: float = quantity("", 0.0, 0.9, default=0.5)
     shear_growth: float = quantity("", 0.0, 2.0, default=0.0)
     shear_length: float = quantity("m", 1e-3, 3.0, default=0.1)
     model_error: float = quantity(
