@@ -5,6 +5,7 @@ Some worlds may have effects that the model of the identifier does not have (`hi
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from stable_baselines3.common.running_mean_std import RunningMeanStd
@@ -206,20 +207,22 @@ def hidden_worlds(
     by `seed`.
 
     Their effects are `names` in turn. Sizes are drawn from the prior of the catalogue, cut at one
-    standard deviation, so that most are of the size of the disagreement between published laws.
+    standard deviation, so that most are of the size of the disagreement between published laws. A
+    tyre has no lugs.
     """
     rng = np.random.default_rng([seed, count, 7])
+    if ModelWheel.of(scenario.wheel).tyre is not None:
+        names = [name for name in names if name != "grousers"]
     return [_drawn(scenario, CATALOGUE[names[k % len(names)]], rng) for k in range(count)]
 
 
 def _drawn(scenario: Scenario, effect: Effect, rng: np.random.Generator) -> WheelSoilModel:
     form = effect.forms[rng.integers(len(effect.forms))]
     values = {name: _size(effect.parameter(name), rng) for name in form.free} | dict(form.fixed)
-    wheel = scenario.wheel
-    height = _HEIGHT * scenario.wheel.radius if effect.name == "grousers" else 0.0
-    return WheelSoilModel(
-        ModelWheel(wheel.radius, wheel.width, height), effects={effect.name: values}
-    )
+    wheel = ModelWheel.of(scenario.wheel)
+    if effect.name == "grousers":
+        wheel = replace(wheel, grouser_height=_HEIGHT * wheel.radius)
+    return WheelSoilModel(wheel, effects={effect.name: values})
 
 
 def _size(p: EffectParameter, rng: np.random.Generator) -> float:

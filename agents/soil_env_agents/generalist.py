@@ -11,6 +11,7 @@ import io
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,7 @@ from soil_env.simulation.task import VERSION
 from soil_env.terramechanics.model import WheelSoilModel
 
 from . import common_layout, default_policy, ppo, student
+from .cells import Engine, choose, in_process
 from .choice import Chooser
 from .config import PPOConfig
 from .environment import HIDDEN, CommonVecEnv, hidden_worlds, side_by_side
@@ -86,34 +88,66 @@ class Generalist(Checked):
             if name not in HIDDEN:
                 raise unknown_value(name, HIDDEN, "effects")
 
-    def build(self, progress: Callable[[int], None] = lambda _: None) -> PPO:
-        """The untrained agent in the vector environment of all grounds.
+    def ground(self, name: str) -> tuple[Scenario, list[WheelSoilModel]]:
+        """The scenario of a ground and its worlds with a hidden effect."""
+        own = self.grounds[name]
+        scenario = load_scenario(own.scenario or name, own.changes)
+        seed = self.seed + list(self.grounds).index(name)
+        return scenario, hidden_worlds(scenario, self.hidden, seed, self.effects)
+
+    def teacher(self, cell: tuple[str, int], threads: int | None = None) -> dict[str, float]:
+        """Settings of the teacher for a (ground, world): 0 for the world without an effect, from 1
+        for the hidden ones.
 
         Each hidden world has the teacher that does best in it, and the world without an effect the
         one that does best in all worlds of the ground: at the start of a course the student cannot
         distinguish them.
         """
+        name, world = cell
+        scenario, hidden = self.ground(name)
+        if world:
+            return chosen(scenario, [hidden[world - 1]], ROUNDS, threads)
+        if not hidden:
+            return {}
+        return chosen(scenario, [*[None] * len(hidden), *hidden], OF_GROUND, threads)
+
+    def build(
+        self, progress: Callable[[int], None] = lambda _: None, engine: Engine = in_process
+    ) -> PPO:
+        """The untrained agent in the vector environment of all grounds.
+
+        The engine chooses the teachers; `progress` receives the number of those that are chosen.
+        """
+        cells = self.cells()
+        teachers: dict[tuple[str, int], dict[str, float]] = {}
+        choose_one = partial(self.teacher, threads=None if engine is in_process else 1)
+        for cell, settings in engine(choose_one, cells):
+            teachers[cell] = settings
+            progress(len(teachers))
         parts = []
-        for k, (name, own) in enumerate(self.grounds.items()):
-            scenario = load_scenario(own.scenario or name, own.changes)
-            hidden = hidden_worlds(scenario, self.hidden, self.seed + k, self.effects)
+        for name, own in self.grounds.items():
+            scenario, hidden = self.ground(name)
             some = round(own.hidden * own.wheels) if hidden else 0
             shares = (
                 own.wheels - some,
                 *np.diff(np.linspace(0, some, len(hidden) + 1).astype(int)).tolist(),
             )
-            everywhere = (
-                chosen(scenario, [*[None] * len(hidden), *hidden], OF_GROUND) if hidden else {}
-            )
-            taught_by = everywhere, *(chosen(scenario, [world], ROUNDS) for world in hidden)
-            for share, world, teacher in zip(shares, [None, *hidden], taught_by, strict=True):
+            for k, (share, world) in enumerate(zip(shares, [None, *hidden], strict=True)):
                 options = {"threads": self.ppo.threads, "model": world, "scatter": True}
-                parts.append(CommonVecEnv(share, scenario, teacher, **options))
-            progress(k + 1)
+                parts.append(CommonVecEnv(share, scenario, teachers[name, k], **options))
         return ppo.learner(side_by_side(parts, self.ppo, self.seed), self.ppo, self.seed)
 
+    def cells(self) -> list[tuple[str, int]]:
+        """All (ground, world) that have a teacher; the long ones first."""
+        return [(name, k) for k in range(self.hidden + 1) for name in self.grounds]
 
-def chosen(scenario: Scenario, worlds: Sequence[WheelSoilModel | None], rounds) -> dict[str, float]:
+
+def chosen(
+    scenario: Scenario,
+    worlds: Sequence[WheelSoilModel | None],
+    rounds: Sequence[tuple[int, int]],
+    threads: int | None = None,
+) -> dict[str, float]:
     """Settings of the teacher with the highest mean return in `worlds`, after `rounds` of (courses,
     settings left).
 
@@ -133,9 +167,10 @@ def chosen(scenario: Scenario, worlds: Sequence[WheelSoilModel | None], rounds) 
         for world in worlds:
             for k, settings in enumerate(tried):
                 teacher = Teacher(scenario, **settings)
-                earned[k] += run_courses(
-                    teacher, scenario, TEACHING_SET, courses, first, model=world
-                ).returns.mean()
+                runs = run_courses(
+                    teacher, scenario, TEACHING_SET, courses, first, model=world, threads=threads
+                )
+                earned[k] += runs.returns.mean()
             first += courses
         tried = [tried[k] for k in np.argsort(earned)[::-1][:left]]
     return tried[0]
@@ -165,12 +200,13 @@ def arrays(model: PPO, history: int, made: dict) -> dict[str, np.ndarray]:
 @click.command()
 @click.option("--config", type=PATH, default=None, metavar="YAML", help="Default: the shipped one.")
 @click.option("--out", type=PATH, required=True, metavar="FILE", help="The weights, .npz.")
-def command(config: Path | None, out: Path) -> None:
+@click.option("--workers", type=int, metavar="N", help="Processes that choose teachers.")
+def command(config: Path | None, out: Path, workers: int | None) -> None:
     """Train the default policy."""
     path = config or config_dir() / CONFIG
     asked = load(Generalist, read_yaml(path), str(path))
-    with Bar("Teachers", len(asked.grounds), "grounds") as bar:
-        model = asked.build(bar.update)
+    with Bar("Teachers", len(asked.cells()), "teachers") as bar:
+        model = asked.build(bar.update, choose("local", workers))
     with Bar("Student", asked.taught, "steps") as bar:
         student.teach(model, asked.taught, asked.seed, bar.update, asked.kept)
     with Bar("PPO", asked.improved, "steps") as bar:
