@@ -31,7 +31,7 @@ TEST_READY := $(VENV)/.installed-test
 DOCS_READY := $(VENV)/.installed-docs
 
 .DEFAULT_GOAL := help
-.PHONY: help train test checks lint types format environment kernels docs dist bench clean
+.PHONY: help train test checks lint types format environment kernels docs dist results clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST))
@@ -75,9 +75,16 @@ dist: $(TEST_READY)  ## wheel and sdist into dist/
 	$(PIP) install -q --no-compile -c constraints.txt build
 	$(PY) -m build
 
-bench: $(TRAIN_READY)  ## measure speed and calibration of the identifier, renew docs/results
-	$(PY) -m benchmarks.throughput $(ARGS)
-	$(PY) -m benchmarks.identification $(ARGS)
+# QUICK=1: the same commands with few courses, drives and tables, into runs/quick.
+RESULTS := $(if $(QUICK),runs/quick,docs/results)
+results: $(TEST_READY)  ## make the tables of docs/results anew, in hours; QUICK=1: in minutes, into runs/quick
+	$(BIN)/soil-env study --config configs/study_default_policy.yaml --out runs/$(if $(QUICK),quick_)agents $(if $(QUICK),--courses 100)
+	$(PY) -m benchmarks.gravity --out $(RESULTS)
+	$(PY) -m benchmarks.rigs --out $(RESULTS)
+	$(PY) -m benchmarks.prediction --out $(RESULTS) $(if $(QUICK),--smoke)
+	$(PY) -m benchmarks.identification --out $(RESULTS) $(if $(QUICK),--smoke)
+	$(PY) -m benchmarks.discovery run --held-out --entrant workflow --seed 2103 --limit $(if $(QUICK),12,240) --out runs/$(if $(QUICK),quick_)discovery
+	$(PY) -m benchmarks.throughput --out $(RESULTS) $(if $(QUICK),--smoke)
 
 clean:  ## remove .venv, build products and caches; runs/ stays
 	rm -rf $(VENV) build dist site *.egg-info .pytest_cache .ruff_cache .mypy_cache .import_linter_cache .hypothesis

@@ -33,7 +33,7 @@ from soil_env._io.document import Table
 from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import PATH, leave, run
-from soil_env.parameters import SoilState
+from soil_env.parameters import SoilState, soils
 from soil_env.terramechanics.steady import steady_state
 
 NAME = "rigs"
@@ -67,7 +67,8 @@ TEXT = (
     "rows and others predicted. Rows that were fitted are among the predicted ones where driving "
     "rows were fitted on a rig of one load. `flow, continuum` has the constants chosen on the "
     "continuum, `flow, CMU` those chosen on both wheels of that rig: with them soils from driving "
-    "rows predict its rows best. What counts are the rows of the other rig. On the particles soil "
+    "rows predict its rows best; `flow, presets` has those of the presets of soils, whose "
+    "K does not grow. What counts are the rows of the other rig. On the particles soil "
     "that flows is worse; friction and exponent are at their bounds there already with Eq. (10)."
 )
 STARTS = tuple((phi, math.log(k)) for phi in (28.0, 38.0) for k in (0.05, 0.2))
@@ -339,6 +340,8 @@ def command(data: Path, smoke: bool, out: Path) -> None:
     for on, names in CHOSEN_ON.items():
         on_these = [rigs[name] for name in names]
         laws[f"flow, {on}"] = choose(on_these, 1, GROWTHS[:1] if smoke else GROWTHS)
+    preset = soils()["dry_sand"]
+    laws["flow, presets"] = Law(preset.rim_flow, preset.braked_peak, preset.shear_growth)
     rows = all_figures(rigs, laws, *((1, 1) if smoke else (len(STARTS), None)))
     chosen = {name: law._asdict() for name, law in laws.items()}
     content = {"command": f"python -m benchmarks.{NAME}", "laws": chosen, "rows": rows}

@@ -169,6 +169,8 @@ SOIL = SoilState(
     BELIEF.sinkage_exponent,
     BELIEF.dig_gain,
     BELIEF.dig_recovery,
+    BELIEF.rim_flow,
+    BELIEF.braked_peak,
 )
 
 

@@ -3,8 +3,7 @@
 The score of a line is the log odds that the wheel comes over it: to the next choice, or to the end
 of the course. It is a logistic regression by the network `ChoosingExtractor.line_net` on the
 entries of the line. Neither a rule nor PPO tells it which line is better. The reserve of pull, by
-which the rules choose, leaves out that a wheel may dig in on a line that it could climb
-(docs/results.md).
+which the rules choose, leaves out that a wheel may dig in on a line that it could climb.
 """
 
 import numpy as np

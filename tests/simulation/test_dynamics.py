@@ -15,7 +15,7 @@ from soil_env.terramechanics.motor import motor_torque
 from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.terramechanics.steady import DEEPEST, SHALLOWEST
 from tests.simulation.wheels import lay_patches, on_random_courses, on_uniform_ground
-from tests.terramechanics.cases import FLOW, TOGETHER, WHEEL, any_soil
+from tests.terramechanics.cases import EQUATION_10, FLOW, TOGETHER, WHEEL, any_soil
 
 # a course on which half the torque gets through
 EASY = {
@@ -147,7 +147,7 @@ FIRM_BELOW = {"layer_gain": 1e4, "layer_depth": 0.03}
 
 @pytest.mark.parametrize(
     ("law", "changes"),
-    [({}, {}), (FLOW, {}), (FIRM_BELOW, TYRE)],
+    [(EQUATION_10, {}), (FLOW, {}), (EQUATION_10 | FIRM_BELOW, TYRE)],
     ids=["equation 10", "flow", "tyre on a cover"],
 )
 def test_energy_of_a_driven_and_braked_wheel_is_accounted_for(law, changes):
@@ -209,7 +209,7 @@ def test_rolling_out_and_back_keeps_the_rut():
     assert back[-1, 0] < out[-1, 0] - 0.3
     there = np.interp(0.4, out[:, 0], out[:, 1])
     again = np.interp(0.4, back[::-1, 0], back[::-1, 1])
-    assert 0.97 * there < again < 1.3 * there
+    assert 0.97 * there < again < 2.0 ** (1.0 - COMPACTION) * there
 
 
 @pytest.mark.parametrize("amplitude", [0.003, 0.02])
@@ -217,7 +217,8 @@ def test_rocking_on_the_spot_heals_nothing(amplitude):
     """A wheel in a hole of 10 cm that rocks by some mm stays in it: what moves under it is the
     ground it has dug up.
     """
-    wheels = start(soil="dry_sand", mode="wheel_speed")
+    soil = soils()["dry_sand"].state(0.15)._replace(**EQUATION_10)
+    wheels = on_uniform_ground(soil, 0.0, "wheel_speed")
     wheels.drive([0.3] * 30)
     wheels.state["sinkage"] = 0.1
     wheels.state["rut_depth"] = 0.1
@@ -234,12 +235,15 @@ def test_rocking_on_the_spot_heals_nothing(amplitude):
     assert wheels.now().sinkage > 0.097
 
 
-@pytest.mark.parametrize(("grade_deg", "error"), [(0.0, 0.05), (6.0, 0.15)])
-def test_passes_leave_the_rut_of_the_law_and_loosen_nothing(grade_deg, error):
+@pytest.mark.parametrize(
+    ("grade_deg", "law", "error"),
+    [(0.0, EQUATION_10, 0.05), (6.0, EQUATION_10, 0.15), (0.0, {}, 0.06), (6.0, {}, 0.18)],
+)
+def test_passes_leave_the_rut_of_the_law_and_loosen_nothing(grade_deg, law, error):
     """There and back over fresh soil, four passes: z_N = z_1 N^(1 - q), less what flows back. Up
     the slope the wheel slips by more than 14 %.
     """
-    soil = soils()["dry_sand"].state(0.15)._replace(dig_gain=1.0 if grade_deg else 0.0)
+    soil = soils()["dry_sand"].state(0.15)._replace(dig_gain=1.0 if grade_deg else 0.0, **law)
     wheels = on_uniform_ground(soil, math.radians(grade_deg), "wheel_speed")
     cells = wheels.courses["cells"][0]
     middle = terrain.cell_at(cells, 1.2)
@@ -255,8 +259,8 @@ def test_passes_leave_the_rut_of_the_law_and_loosen_nothing(grade_deg, error):
         assert grade_deg == 0.0 or n % 2 == 1 or np.median(slips) > 0.14
         assert cells[middle].passes == n + 1.0
         depths.append(float(cells[middle].depth))
-    law = np.arange(1, 5) ** (1.0 - COMPACTION)
-    np.testing.assert_allclose(np.array(depths) / depths[0], law, rtol=error)
+    ruts = np.arange(1, 5) ** (1.0 - COMPACTION)
+    np.testing.assert_allclose(np.array(depths) / depths[0], ruts, rtol=error)
     assert np.all(np.diff(depths) >= 0.0)
 
 

@@ -50,27 +50,38 @@ NODES = (0.5 * (_x + 1.0)) ** 2
 WEIGHTS = 0.5 * _w * (_x + 1.0)
 
 
-def stresses(theta1, n, r):
-    """Angles [rad], weights and normal stress for S = 1 at nodes of the arc of Eqs. (7)-(9)."""
-    half = 0.5 * theta1
-    front = theta1 - half * NODES
-    rear = half * NODES
+def stresses(theta1, peak, n, r):
+    """Angles [rad], weights and normal stress for S = 1 at nodes of the arc of Eqs. (7) and (8),
+    with its largest stress at `peak` [of theta1].
+    """
+    before = (1.0 - peak) * theta1
+    behind = peak * theta1
+    front = theta1 - before * NODES
     p = (r * (np.cos(front) - math.cos(theta1))) ** n
     return (
-        np.concatenate([front, rear]),
-        half * np.concatenate([WEIGHTS, WEIGHTS]),
+        np.concatenate([front, behind * NODES]),
+        np.concatenate([before * WEIGHTS, behind * WEIGHTS]),
         np.concatenate([p, p]),
     )
 
 
-def reaction(v, u, sinkage, load, soil, r, b):
+def rolling(v, u):
+    """1 - i: V/(r w) driving, 2 - r w/V braking. A wheel that turns against its travel has none."""
+    assert v * u > 0.0
+    return v / u if abs(u) >= abs(v) else 2.0 - u / v
+
+
+def reaction(v, u, sinkage, peak, load, soil, r, b):
     """(drawbar pull, torque, mobilised sinkage coefficient) from Eqs. (1)-(3) and (7)-(10), written
-    for numpy.
+    for numpy; soil is carried along the rim, and the stress has its `peak` there [of theta1].
     """
     theta1 = math.acos(1.0 - sinkage / r)
-    theta, w, p = stresses(theta1, soil.sinkage_exponent, r)
+    theta, w, p = stresses(theta1, peak, soil.sinkage_exponent, r)
     speed = math.hypot(u, REST_SPEED)
-    j = r * (u / speed * (theta1 - theta) - v / speed * (math.sin(theta1) - np.sin(theta)))
+    carried = soil.rim_flow * soil.tan_phi * rolling(v, u) ** 3
+    most = 0.5 * (math.cos(theta1) + math.hypot(math.cos(theta1), 0.1))
+    rim = u + v * carried * (1.0 + (carried / most) ** 4) ** -0.25
+    j = r * (rim / speed * (theta1 - theta) - v / speed * (math.sin(theta1) - np.sin(theta)))
     e = np.sign(j) * (1.0 - np.exp(-np.abs(j) / soil.shear_modulus))
     direction = v / math.hypot(v, REST_SPEED)
 
@@ -118,9 +129,11 @@ def one_step(before, command, soil, rig, guess):
     ):
         begin = (v + lead * (v - v0), u + lead * (u - u0))
         felt = z + min(max(sinking * duration, -0.1 * z), 0.1 * z)
+        braked = max(1.0 - u / v, 0.0)
+        peak = 0.5 + soil.braked_peak * braked / (1.0 + braked)
 
-        def forces(v, u, felt=felt):
-            return reaction(v, u, felt, weight * math.cos(before.grade), soil, r, b)
+        def forces(v, u, felt=felt, peak=peak):
+            return reaction(v, u, felt, peak, weight * math.cos(before.grade), soil, r, b)
 
         def residuals(x, begin=begin, forces=forces):
             pull, torque, _ = forces(*x)
@@ -196,7 +209,7 @@ def test_one_step_as_scipy_solves_it():
     judged = 0
     for k, before in enumerate(starts):
         after = wheels.now(k)
-        if after.converged == 0:
+        if after.converged == 0 or after.speed * after.wheel_speed <= 0.0:
             continue
         guess = (after.speed, 0.15 * after.wheel_speed)
         stated = one_step(before, commands[k], ground[k], wheels.rig, guess)

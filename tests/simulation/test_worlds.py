@@ -17,7 +17,7 @@ from soil_env.terramechanics.steady import Conditions, Rim, steady_with
 from soil_env.terramechanics.traversability import best_working_point_with
 from tests.simulation import wheels as bench
 from tests.simulation.courses import EVEN, course, margin
-from tests.terramechanics.cases import ACTING, CASES, LUG, RESIDUAL, TOGETHER, WHEEL
+from tests.terramechanics.cases import ACTING, CASES, EQUATION_10, LUG, RESIDUAL, TOGETHER, WHEEL
 
 SOFT = SoilState(math.tan(math.radians(34.0)), 1500.0, 0.012, 4e5, 0.8, 1.0, 0.5)
 
@@ -123,7 +123,7 @@ def test_a_residual_law_acts_as_it_predicts():
 
 def test_a_wheel_at_rest_has_settled():
     """On ground that slopes weaken it starts as deep as it stays: 40 % deeper than on the level."""
-    soil = soils()["lete_sand"].state(0.15)
+    soil = soils()["lete_sand"].state(0.15)._replace(**EQUATION_10)
     starts = []
     for grade_deg in (0.0, 6.0):
         wheels = on_uniform_ground({"grade": {"weakening": 1.0}}, soil, math.radians(grade_deg))
@@ -171,7 +171,7 @@ def test_multipass_acts_in_the_track_only():
     """Forward over fresh ground there is no track. On the way back the effect takes the place of
     the world's law, by which the track is 4.4 times as stiff as fresh soil: of 2 times, then 8.
     """
-    soil = soils()["lete_sand"].state(0.15)
+    soil = soils()["lete_sand"].state(0.15)._replace(**EQUATION_10)
     effects = (None, {"multipass": {"hardening": 1.0}}, {"multipass": {"hardening": 3.0}})
     runs = [on_uniform_ground(e, soil, 0.0).drive([0.4] * 60 + [-0.4] * 50)[:, :3] for e in effects]
     base, softer, stiffer = runs

@@ -115,4 +115,5 @@ RESIDUAL = (
 )
 
 #: Constants of soil that flows along the rim, in the order of `parameters.FLOW_LAW`.
+EQUATION_10 = {"rim_flow": 0.0, "braked_peak": 0.0}
 FLOW = {"rim_flow": 0.1, "braked_peak": 0.5, "shear_growth": 1.5, "shear_length": 0.08}

@@ -15,7 +15,7 @@ from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
 from soil_env.terramechanics.steady import steady_state
 from tests.terramechanics import reference
 from tests.terramechanics.arcs import arc_integrals
-from tests.terramechanics.cases import FLOW
+from tests.terramechanics.cases import EQUATION_10, FLOW
 from tests.terramechanics.test_reaction import R, ground_under, react, wheel_with
 
 LOAD = 150.0  # [N]
@@ -114,7 +114,7 @@ def test_an_arc_in_which_the_shear_turns_needs_the_split():
 @pytest.mark.parametrize("name", sorted(soils()))
 def test_without_flow_it_is_equation_10(name):
     """The length that K belongs to does not matter then; a little flow changes little."""
-    soil = soils()[name].state(R)
+    soil = soils()[name].state(R)._replace(**EQUATION_10)
     for slip in SLIPS:
         plain = steady_state(slip, LOAD, soil, R, R)
         assert steady_state(slip, LOAD, soil._replace(shear_length=1.7), R, R) == plain

@@ -18,6 +18,7 @@ from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTerm
 from soil_env.terramechanics.steady import LEVEL, Conditions, Rim, steady_with
 from soil_env.terramechanics.validity import OutsideValidity
+from tests.terramechanics.cases import EQUATION_10
 
 SOIL = Soil(32.0, 800.0, 0.015, 0.9, sinkage_coefficient=9e5, density=1600.0, dig_gain=0.0)
 BEKKER = dataclasses.replace(SOIL, sinkage_coefficient=None, k_c=3e4, k_phi=6e5)
@@ -135,7 +136,7 @@ def curved_state(soil, load, slip, wheel):
 def test_one_line_stands_for_the_curved_strength_under_a_wheel(name, gravity):
     """To 0.01 of the load, where the straight strength errs by up to the load."""
     wheel = ModelWheel(0.1, 0.08)
-    soil = soils()[name]
+    soil = replace(soils()[name], **EQUATION_10)
     model = WheelSoilModel(wheel, soil, gravity=gravity)
     loads = [2.5 * gravity, 1.5 * gravity]
     slips = [0.2, 0.6]

@@ -12,7 +12,16 @@ from soil_env.parameters import soils
 from soil_env.terramechanics import contact, reaction
 from soil_env.terramechanics.effects import NO_EFFECTS, acting_effects, grousers, pack_effects
 from soil_env.terramechanics.residual import residual_law
-from tests.terramechanics.cases import ACTING, CASES, FLOW, LUG, RESIDUAL, TOGETHER, any_soil
+from tests.terramechanics.cases import (
+    ACTING,
+    CASES,
+    EQUATION_10,
+    FLOW,
+    LUG,
+    RESIDUAL,
+    TOGETHER,
+    any_soil,
+)
 
 R = 0.15
 GRAVITY = 9.81
@@ -212,7 +221,7 @@ def test_blades_push_with_the_slip_at_their_lever(v, u, slip):
 
 def test_effects_at_their_neutral_values_leave_the_base_model():
     """The code for effects and that without them agree."""
-    soil = soils()["lete_sand"].state(R)
+    soil = soils()["lete_sand"].state(R)._replace(**EQUATION_10)
     plain = wheel_with("none")
     with_code = plain[0], reaction.Acting(NO_EFFECTS, None, residual_law(()))
     rng = np.random.default_rng(3)

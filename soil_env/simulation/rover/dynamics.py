@@ -137,7 +137,7 @@ def _change_ahead(rover, world):
 def _drive_period(rover, course, ruts, world):
     """Drive a rover for a control period by steps that are halved while Newton's method fails."""
     rig = world.rig
-    steps = steps_for(_change_ahead(rover, world), rover.halt_left)
+    steps = steps_for(_change_ahead(rover, world))
     longest = rig.period / (rig.substeps * steps)
     left = rig.period
     h = longest

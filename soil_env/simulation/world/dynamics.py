@@ -52,7 +52,6 @@ FINEST = 1024
 REFINED_TWICE = 0.3
 REFINED_FOUR_TIMES = 0.6
 REFINED_EIGHT_TIMES = 1.2
-DRIVING = 1e-9  # [s] of a halt left, up to which a wheel drives
 OVER = 1e-9  # [of a step] time left that counts as none
 LARGEST_LOWERING = 0.1  # [of the sinkage] change of it that is foreseen in a stage, at most
 
@@ -67,9 +66,9 @@ class Stand(NamedTuple):
 
 
 @njit(**INLINE)
-def steps_for(change, halt_left):
+def steps_for(change):
     """Steps that a wheel takes where others take one, for a `change` [of top rim speed] ahead."""
-    if halt_left >= DRIVING or change <= REFINED_TWICE:  # a halt has its speed loop
+    if change <= REFINED_TWICE:
         return 1
     if change <= REFINED_FOUR_TIMES:
         return 2
@@ -209,7 +208,7 @@ def drive_period(wheel, drive, course, world):
     """Drive a wheel for a control period; steps are halved while Newton's method fails."""
     rig = world.rig
     begin_period(wheel)
-    steps = steps_for(change_ahead(wheel, drive, rig), wheel.halt_left)
+    steps = steps_for(change_ahead(wheel, drive, rig))
     longest = rig.period / (rig.substeps * steps)
     left = rig.period
     h = longest
