@@ -134,9 +134,10 @@ def test_without_a_channel_less_is_known(drive):
     whole = known(drive)[0]
     none = known(drive, **NO_FORCE)[0]
     for name in ("torque", "drawbar_pull", "load"):
-        # Of another estimate, and so not less to the last digit.
+        # Of another estimate, and so not less to the last digit; `benchmarks.identification`
+        # has many drives.
         part = known(drive, **{name: math.nan})[0]
-        assert 0.9 * whole[1] < part[1] < 0.6
+        assert 0.85 * whole[1] < part[1] < 0.6
     assert none[1] > 0.65 and none[2] < 0.7
     for name in ("motor_torque", "acceleration"):
         assert (

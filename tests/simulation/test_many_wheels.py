@@ -78,7 +78,8 @@ def reaction(v, u, sinkage, peak, load, soil, r, b):
     theta1 = math.acos(1.0 - sinkage / r)
     theta, w, p = stresses(theta1, peak, soil.sinkage_exponent, r)
     speed = math.hypot(u, REST_SPEED)
-    carried = soil.rim_flow * soil.tan_phi * rolling(v, u) ** 3
+    moving = (u * u + v * v) / (u * u + v * v + REST_SPEED**2)
+    carried = soil.rim_flow * soil.tan_phi * rolling(v, u) ** 3 * moving
     most = 0.5 * (math.cos(theta1) + math.hypot(math.cos(theta1), 0.1))
     rim = u + v * carried * (1.0 + (carried / most) ** 4) ** -0.25
     j = r * (rim / speed * (theta1 - theta) - v / speed * (math.sin(theta1) - np.sin(theta)))

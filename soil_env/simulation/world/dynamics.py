@@ -53,6 +53,7 @@ REFINED_TWICE = 0.3
 REFINED_FOUR_TIMES = 0.6
 REFINED_EIGHT_TIMES = 1.2
 OVER = 1e-9  # [of a step] time left that counts as none
+LEAST_SINKAGE = 1e-15  # [m] below which a wheel counts as in the air: powers of it have no digits
 LARGEST_LOWERING = 0.1  # [of the sinkage] change of it that is foreseen in a stage, at most
 
 
@@ -118,6 +119,8 @@ def ground_ahead(wheel, stage, course, cells, border, fx):
 @njit(**INLINE)
 def foreseen_sinkage(wheel, duration):
     """Sinkage [m] at the end of a stage if it goes on as in the stage before."""
+    if wheel.sinkage < LEAST_SINKAGE:
+        return 0.0
     most = LARGEST_LOWERING * wheel.sinkage
     return wheel.sinkage + min(max(duration * wheel.sinking, -most), most)
 

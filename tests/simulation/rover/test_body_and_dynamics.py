@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 from soil_env._compiled.random_streams import seed_stream
-from soil_env.parameters import RoverScenario, load_rover, rover_names, to_dict
+from soil_env.parameters import RoverScenario, load_rover, rover_names, soils, to_dict
 from soil_env.parameters.readings import COMPLETE, RESTART, STEP
 from soil_env.simulation.rover.body import LEAST_LOAD
 from soil_env.simulation.rover.rovers import (
@@ -253,6 +253,9 @@ def six_wheeler():
     speed=st.just(0.0) | st.floats(-0.5, 0.5),
     commands=st.lists(st.sampled_from([-1.0, 0.0, 0.3, 1.0]), min_size=3, max_size=3),
 )
+@example(
+    soil=soils()["dry_sand"].state(0.4), depths=[0.0, 0.0, 1e-210], speed=0.0, commands=[-1.0] * 3
+)
 def test_edges_of_the_rover(six_wheeler, soil, depths, speed, commands):
     """Each wheel at another depth, from the air to beyond the radius, each with another command:
     loads, forces, depths and speeds are finite and bounded, and every period converges.
@@ -371,12 +374,12 @@ def test_a_wheel_that_rolls_leaves_a_stiffer_floor_on_which_the_next_sinks_less(
     assert a.wheel["floor"][1] == pytest.approx(a.wheel["sinkage"][0], rel=1e-3)
 
 
-@pytest.mark.parametrize("grade_deg", [0.0, 11.0])
+@pytest.mark.parametrize("grade_deg", [0.0, 10.0])
 def test_no_wheel_loosens_the_ground_for_those_behind(grade_deg):
     """However much the wheels ahead slip, the floor bears by the number of the pass alone."""
     simulation = started(uniform("mars_rover", grade_deg=grade_deg))
     a = driven(simulation, 0.5, 250)
-    assert grade_deg == 0.0 or a.wheel["slip"][0] > 0.15
+    assert grade_deg == 0.0 or a.wheel["slip"][0] > 0.14
     x = a.wheel["x"]
     for i in range(1, simulation.scenario.axles):
         cell = int(x[i] / CELL) + CELLS_BEHIND
