@@ -33,8 +33,9 @@ class Belief(Checked):
     Where `soils` names a library, the prior has the mean and the covariance of its soils instead,
     each with the scatter of `spread`. Of the numbers before, only `dig_gain` and `sinkage_exponent`
     count then, to which gain and S are referred. `rim_flow` to `shear_length` have one value, as
-    the recovery, for soils of a library too: by default that of the presets of loose ground. With `method` "none" nothing is identified and
-    nothing of the observation may ask for it: a step costs about half.
+    the recovery, for soils of a library too: by default that of the presets of loose ground. With
+    `method` "none" nothing is identified and nothing of the observation may ask for it: a step
+    costs about half.
     """
 
     friction_angle_deg: float = quantity("deg", 1.0, 60.0, default=30.0)
