@@ -34,6 +34,7 @@ from soil_env.identification.online.memory import (
     TANGENT,
 )
 from soil_env.identification.online.prior import setting_of
+from soil_env.parameters import FLOW_LAW
 from soil_env.parameters.readings import Image, SensorReading
 from tests.simulation import wheels
 
@@ -296,7 +297,13 @@ def reactions(soil, sinkage, slip, load, wheel):
     """(pull [N], torque [N m], ln s) on a soil, its own arrays [n] where there are several."""
     of = (soil.tan_phi, soil.cohesion, soil.sinkage_exponent, math.log(soil.shear_modulus))
     columns = np.broadcast_arrays(*of, sinkage, slip, load, wheel.radius, wheel.width)
-    return react(np.stack(columns, axis=-1).reshape(-1, 9))[:, :, 0].T
+    flow = [float(np.ravel(getattr(soil, name))[0]) for name in FLOW_LAW]
+    return react(np.stack(columns, axis=-1).reshape(-1, 9), flow)[:, :, 0].T
+
+
+def flow_of(setting):
+    """`FLOW_LAW` that an identifier knows the soil to have."""
+    return [float(setting[name]) for name in FLOW_LAW]
 
 
 def driven(soil, slips, scenario, speed=0.2, load=None, substeps=20, sunk=None):

@@ -20,7 +20,7 @@ from soil_env.identification.online.memory import (
 from soil_env.parameters import Belief, SoilState, load_scenario, soils
 from soil_env.terramechanics.steady import steady_state
 from soil_env.terramechanics.traversability import best_working_point
-from tests.identification.observing import Identified, unknowns_of
+from tests.identification.observing import Identified, flow_of, unknowns_of
 
 SCENARIO = replace(load_scenario("mixed"), belief=Belief())
 R = SCENARIO.wheel.radius
@@ -134,7 +134,8 @@ def test_its_standard_deviation_is_that_of_the_gaussian(name):
         stress = drawn[TANGENT], drawn[COHESION], math.exp(drawn[LN_K])
         S = math.exp(drawn[PRESSURE] - n * math.log(wheel.set.depth))
         gain = wheel.set.dig_gain * math.exp(drawn[SOIL - 1])
-        pulls.append(best_of(SoilState(*stress, S, n, gain, wheel.set.dig_recovery), W, SLIP))
+        known = wheel.set.dig_recovery, *flow_of(wheel.set)
+        pulls.append(best_of(SoilState(*stress, S, n, gain, *known), W, SLIP))
     assert sd == pytest.approx(np.std(pulls), rel=0.12)
 
 

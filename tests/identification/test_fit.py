@@ -32,7 +32,7 @@ from soil_env.identification.online.memory import (
 )
 from soil_env.parameters import Belief, SoilState, load_scenario, soils
 from soil_env.terramechanics.steady import steady_state
-from tests.identification.observing import Identified, reactions, shares_at, unknowns_of
+from tests.identification.observing import Identified, flow_of, reactions, shares_at, unknowns_of
 
 SCENARIO = replace(load_scenario("mixed"), belief=Belief())
 R = SCENARIO.wheel.radius
@@ -50,7 +50,7 @@ def soil_of(u, setting):
     S = math.exp(u[PRESSURE] - n * math.log(setting.depth))
     gain = setting.dig_gain * math.exp(u[GAIN])
     of_stress = float(u[TANGENT]), float(u[COHESION]), math.exp(u[LN_K])
-    return SoilState(*of_stress, S, float(n), gain, float(setting.dig_recovery))
+    return SoilState(*of_stress, S, float(n), gain, float(setting.dig_recovery), *flow_of(setting))
 
 
 def steady_cells(u, setting, slips=SLIPS, noise=SHARP, load=None):

@@ -16,6 +16,7 @@ from soil_env.identification.online.interface import Traversability
 from soil_env.identification.online.prior import setting_of
 from soil_env.parameters import SoilState, load_scenario
 from soil_env.terramechanics.traversability import best_working_point
+from tests.identification.observing import flow_of
 
 SCENARIO = load_scenario("mixed")
 WHEEL = SCENARIO.wheel
@@ -38,7 +39,7 @@ def soil_of(estimate):
     S = min(math.exp(ln_S), STIFFEST)
     dig_gain = min(s.dig_gain * math.exp(gain), MOST_DIGGING)
     stress = math.tan(phi), max(c, 0.0), math.exp(ln_K), S
-    return SoilState(*stress, s.exponent, dig_gain, s.dig_recovery)
+    return SoilState(*stress, s.exponent, dig_gain, s.dig_recovery, *flow_of(s))
 
 
 @settings(max_examples=40, deadline=None)

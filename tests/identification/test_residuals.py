@@ -29,13 +29,14 @@ from soil_env.identification.online.memory import (
     TORQUE_ZERO,
 )
 from soil_env.identification.online.residuals import BORDER_ERROR, FARTHEST
-from soil_env.parameters import load_scenario
+from soil_env.parameters import FLOW_LAW, load_scenario
 from tests.identification.observing import Identified, react
 
 SCENARIO = load_scenario("mixed")
 R = SCENARIO.wheel.radius
 B = SCENARIO.wheel.width
 W = SCENARIO.weight
+FLOW = [getattr(SCENARIO.belief, name) for name in FLOW_LAW]
 #: Scale on which the residuals vary with each unknown.
 SCALES = np.array(
     [0.1, 300.0, 0.1, 0.3, 0.3, 0.3, 0.02, 0.02, 0.02, 0.02, 1e-3, 0.02, 0.02]
@@ -118,7 +119,7 @@ def lay_on_ground(wheel, rng):
 def mobilised(soil, cell):
     """ln s [1] of the unknowns of a soil at a cell."""
     row = [soil[TANGENT], soil[COHESION], soil[EXPONENT], soil[LN_K], cell["sinkage"], cell["slip"]]
-    return react([*row, cell["load"], R, B])[:, 2, 0]
+    return react([*row, cell["load"], R, B], FLOW)[:, 2, 0]
 
 
 def vector(wheel):
@@ -199,7 +200,7 @@ def prediction(wheel):
     cell = wheel.cells[0]
     row = [u[TANGENT], u[COHESION], u[EXPONENT], u[LN_K]]
     row += [cell["sinkage"] - u[SINKAGE_ZERO], cell["slip"], cell["load"] * (1.0 - u[LOAD_GAIN])]
-    return react([*row, R, B])[0, :2] / np.array([[W], [W * R]])
+    return react([*row, R, B], FLOW)[0, :2] / np.array([[W], [W * R]])
 
 
 def test_residuals_are_readings_less_what_the_instruments_would_show():
@@ -278,7 +279,7 @@ def test_the_most_likely_slip_is_the_one_of_least_chi_squared():
     def chi_squared(slip):
         u = wheel.now.u
         row = [u[TANGENT], u[COHESION], u[EXPONENT], u[LN_K], cell["sinkage"][0], slip]
-        shown = react([*row, cell["load"][0], R, B])[0, :2, 0] / np.array([W, W * R])
+        shown = react([*row, cell["load"][0], R, B], FLOW)[0, :2, 0] / np.array([W, W * R])
         off = np.array([cell["pull"][0], cell["torque"][0]]) - shown
         return off**2 @ (1.0 / spread) + (slip - 0.2) ** 2 / 0.03**2
 
@@ -296,7 +297,7 @@ def test_the_law_of_sinkage_is_the_solution_of_its_equation():
     setting = wheel.set
     cell["sinkage"] = cell["middle"]
     row = [u[TANGENT], u[COHESION], u[EXPONENT], u[LN_K], cell["sinkage"][0], cell["slip"][0]]
-    ln_s = react([*row, cell["load"][0], R, B])[0, 2, 0]
+    ln_s = react([*row, cell["load"][0], R, B], FLOW)[0, 2, 0]
     ln_S = u[PRESSURE] - u[EXPONENT] * np.log(setting.depth)
     bearing = cell["middle"][0] * np.exp((ln_s - ln_S) / u[EXPONENT])
     a = cell["travel"][0] + setting.dig_recovery * cell["slide"][0]
