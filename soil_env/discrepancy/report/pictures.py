@@ -76,6 +76,14 @@ def _columns(report: Report, height: float, rows: int = 1, **options) -> tuple[F
     return figure, figure.subplots(rows, len(report.channels), squeeze=False, **options)
 
 
+def _with_legend(figure: Figure, axes: np.ndarray, columns: int) -> Figure:
+    """The figure with the legend of its first axes below, if they have one."""
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
+    return figure
+
+
 def _predicted(report: Report) -> Figure:
     """Held-out predictions of both models against what was measured."""
     figure, axes = _columns(report, 3.6)
@@ -84,7 +92,7 @@ def _predicted(report: Report) -> Figure:
         (unit, scale) = UNITS[name]
         y = scale * report.problem.data.y[:, j]
         image = y.size > MANY
-        for held, color, label in _both(report, report.held_before, report.held_after):
+        for held, color, label in _both(report, report.held_out_before, report.held_out_after):
             ax.plot(
                 y,
                 scale * held[:, j],
@@ -102,10 +110,7 @@ def _predicted(report: Report) -> Figure:
         noise = 2.0 * scale * report.problem.noise[j]
         ax.fill_between(ends, ends - noise, ends + noise, color="0.9", lw=0, zorder=-1)
         ax.set(title=TITLES[name], xlabel=f"measured [{unit}]", ylabel=f"predicted [{unit}]")
-    figure.legend(
-        *axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False
-    )
-    return figure
+    return _with_legend(figure, axes, 2)
 
 
 def _both(report: Report, before, after):
@@ -128,7 +133,7 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
     found = []
     for k, rows in enumerate(data.groups):
         if np.unique(varied["slip"].level[rows]).size >= min(3, varied["slip"].levels):
-            off = (data.y - report.held_before)[rows] / report.problem.noise
+            off = (data.y - report.held_out_before)[rows] / report.problem.noise
             found.append((float(np.nanmean(off**2)) if np.isfinite(off).any() else 0.0, k, rows))
     found.sort(key=lambda f: f[:2])
     picked = (
@@ -207,10 +212,7 @@ def _slip(report: Report) -> Figure:
                 va="center",
                 fontsize=8,
             )
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    if handles:
-        figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
-    return figure
+    return _with_legend(figure, axes, 3)
 
 
 def _next(report: Report) -> Figure:
@@ -235,10 +237,7 @@ def _next(report: Report) -> Figure:
             ylabel=f"predicted [{unit}]",
             xticks=range(1, len(of) + 1),
         )
-    figure.legend(
-        *axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False
-    )
-    return figure
+    return _with_legend(figure, axes, 4)
 
 
 def _ranking(report: Report) -> Figure:
