@@ -53,7 +53,7 @@ class CourseView:
         if steps == 0:
             self.clear()
         self._angles = self._angles + np.array([w["wheel_speed"] for w in wheels]) * self._step
-        if steps % (self._every * self.scenario.control.held) == 0:
+        if steps % (self._every * self.scenario.control.action_periods) == 0:
             samples = (
                 sample_of(simulation, w, self.scenario.belief.sinkage_exponent) for w in wheels
             )

@@ -154,7 +154,7 @@ def test_without_a_border_one_soil_is_for_ever():
 
 @pytest.mark.parametrize("names", [("dry_sand", "snow"), ("snow", "dry_sand")])
 def test_another_soil_on_the_level_is_noticed_by_the_forces(names):
-    """Within a few points, once, by two in a row that are odd; then the estimate is of that."""
+    """Within a few points, once, by two outliers in a row; then the estimate is of that."""
     first, second = (soils()[name].state(B)._replace(sinkage_exponent=1.05) for name in names)
     wheel = Identified(PLAIN)
     before_it = driven(first, SLIPS, PLAIN)
@@ -224,7 +224,7 @@ def test_an_odd_point_is_doubt_and_several_are_a_border(settled):
 
 
 def test_doubt_counts_once(settled):
-    """However many points in a row are odd before they are a border."""
+    """However many points in a row are outliers before they are a border."""
     odd, wheel = odd_after(*settled)
     points = wheel.now.points
     while wheel.now.borders == 0 and wheel.now.points < points + 10:
@@ -350,7 +350,7 @@ def test_forget_leaves_nothing_of_the_course_before():
 
 
 def test_the_first_estimate_comes_soon():
-    """Before a soil is settled no point is odd: so many readings, and the one that turns it."""
+    """No point of an unsettled soil is an outlier: so many readings, and the one that turns it."""
     wheel = Identified(PLAIN)
     readings = driven(SAND, np.full(30, 0.2), PLAIN, speed=0.5)
     needed = int(FIRST_READINGS) + 2
