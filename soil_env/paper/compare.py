@@ -103,14 +103,14 @@ def pair(values: Iterable[float]) -> tuple[float, float]:
     return first, second
 
 
-def alone(e: Equations, name: str, target: float, sand: Sand = SAND) -> float:
+def alone(e: Equations, name: str, target: float) -> float:
     """The value of one parameter of the sand at which the working point's drawbar pull is `target`
     [N].
     """
-    value = getattr(sand, name)
+    value = getattr(SAND, name)
     low, high = (-1e4, 1e5) if name == "cohesion" else (0.5 * value, 2.0 * value)
     return float(
-        brentq(lambda v: pull(e, replace(sand, **{name: v})) - target, low, high, xtol=1e-12 * high)
+        brentq(lambda v: pull(e, replace(SAND, **{name: v})) - target, low, high, xtol=1e-12 * high)
     )
 
 

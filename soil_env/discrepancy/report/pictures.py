@@ -1,6 +1,5 @@
 """Plots of a report, as SVG; the same report gives the same bytes."""
 
-import io
 import math
 import re
 from typing import Any
@@ -11,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from soil_env._io.document import plot_text
+from soil_env._io.files import picture_of
 from soil_env.discrepancy.report.sentences import CONDITIONS, TITLES, UNITS, fixed, title
 from soil_env.discrepancy.result import Report
 from soil_env.identification.table.data import CHANNELS
@@ -64,9 +64,7 @@ def _figure(width: float, height: float) -> Figure:
 
 
 def _saved(figure: Figure) -> bytes:
-    stream = io.BytesIO()
-    figure.savefig(stream, format="svg", metadata={"Date": None})
-    text = stream.getvalue().decode("utf-8")
+    text = picture_of(figure, "svg", metadata={"Date": None}).decode("utf-8")
     return re.sub(r"<!DOCTYPE.*?>|<metadata>.*?</metadata>", "", text, flags=re.S).encode("utf-8")
 
 
