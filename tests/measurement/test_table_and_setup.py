@@ -194,10 +194,10 @@ def test_reads_a_setup(tmp_path):
     )
     assert s.soil.lumped(0.1) == Prior(1e4 + 7e5, 8e4)
     assert s.noise.sinkage == 0.001 and s.noise.torque is None
-    odd = (
+    other_units = (
         "soil: {friction_angle_deg: 0.52, cohesion: 1.5, sinkage_coefficient: {value: 900, sd: 90}}"
     )
-    words = read_setup(written(tmp_path, SETUP + odd)).doubts()
+    words = read_setup(written(tmp_path, SETUP + other_units)).doubts()
     for word, part in zip(
         words, ("0.52 deg looks like radians", "1.5 Pa looks like kPa", "kN/m^(n+2)"), strict=True
     ):
