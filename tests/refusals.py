@@ -17,13 +17,13 @@ def refused(action, *parts):
 
 
 def refused_command(capsys, program, run, *arguments):
-    """stderr of a command that prints one line there, which begins with `program`, and nothing
-    else, and ends with status 2.
+    """(stdout, stderr) of a command that ends with status 2 and one line on stderr, which begins
+    with `program`.
     """
     capsys.readouterr()
     status = run(list(map(str, arguments)))
     shown = capsys.readouterr()
-    assert status == 2 and shown.out == "", shown
+    assert status == 2, shown
     assert shown.err.startswith(program) and ": error: " in shown.err, shown.err
     assert shown.err.count("\n") == 1, shown.err
-    return shown.err
+    return shown

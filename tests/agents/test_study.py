@@ -64,7 +64,7 @@ def main(arguments):
 
 def refused(capsys, *arguments):
     """stderr of a command that has to be refused: one line, status 2."""
-    return refused_command(capsys, "soil-env study", main, *arguments)
+    return refused_command(capsys, "soil-env study", main, *arguments).err
 
 
 @pytest.fixture(scope="module")

@@ -40,7 +40,7 @@ def run(capsys, *arguments):
 
 def refused(capsys, *arguments):
     """stderr of a run that has to be refused: one line, status 2."""
-    return refused_command(capsys, "train.py", train.main, *arguments)
+    return refused_command(capsys, "train.py", train.main, *arguments).err
 
 
 def steps_logged(folder):

@@ -20,7 +20,9 @@ TABLE = [
 
 def refusal(capsys, *arguments):
     """The line that a refused command prints."""
-    return refused_command(capsys, "soil-env", main, *arguments)
+    shown = refused_command(capsys, "soil-env", main, *arguments)
+    assert shown.out == ""
+    return shown.err
 
 
 @pytest.mark.parametrize("name", _COMMANDS)
