@@ -128,14 +128,14 @@ class Shadow:
         self.drifts = drifts
         self.begun = False
 
-    def follow(self, sim: Any, alive: np.ndarray, share: float) -> None:
+    def update(self, sim: Any, alive: np.ndarray, share: float) -> None:
         """Read the sensors of a control period, at a `share` of the longest drive."""
-        state, readings, observation = sim._noted
+        state, readings, observation = sim._sampled
         world = (state, self._misread(readings, 2.0 * share if self.drifts else 1.0), observation)
         if not self.begun:
             self.begun = True
-            self.board.follow(world, np.full(len(alive), RESTART), 0, len(alive))
-        self.board.follow(world, np.where(alive, STEP, IDLE), 0, len(alive))
+            self.board.update(world, np.full(len(alive), RESTART), 0, len(alive))
+        self.board.update(world, np.where(alive, STEP, IDLE), 0, len(alive))
 
     def _misread(self, readings: np.ndarray, size: float) -> np.ndarray:
         """The readings with zeros and gains, and without the sensors that are missing."""
@@ -204,10 +204,10 @@ def record(
         log["truth"].append(truth(soil, np.array(w.state["bearing_sinkage"]), load, scenario))
         log["driven"].append(alive & (w.state["halt_left"] == 0.0))
         log["alive"].append(alive.copy())
-        log["readings"].append(sim._noted[1][:, 0].copy())
+        log["readings"].append(sim._sampled[1][:, 0].copy())
         known = {OWN: published(w.ids)}
         for name, shadow in shadows.items():
-            shadow.follow(sim, alive, t / scenario.periods)
+            shadow.update(sim, alive, t / scenario.periods)
             known[name] = shadow.known()
         for name, found in known.items():
             for what, values in zip(KNOWN, found, strict=True):
@@ -309,7 +309,7 @@ def record_rover(
         log["driven"].append(np.repeat(driven[:, None], scenario.axles, 1))
         known = {OWN: published(w.known)}
         for name, shadow in shadows.items():
-            shadow.follow(simulation, going, t / scenario.periods)
+            shadow.update(simulation, going, t / scenario.periods)
             known[name] = shadow.known()
         for name, (estimate, sd, status) in known.items():
             for what, values in zip(

@@ -12,7 +12,7 @@ from soil_env._compiled.elementary import smoothed_sign
 from soil_env._compiled.flags import EXACT
 
 SLOWEST = 1e-3  # [m/s] speed that a slip is relative to, at least: at rest there is none
-MOST_SLIDING = 0.02  # [-] least V / (r w) from which the speed of a rim that spins is told
+MOST_SLIDING = 0.02  # [-] least V / (r w) from which the speed of a rim that spins is known
 LEAST_ROLLING = 1e-9  # [-] least r w / V of a braked wheel that anything is divided by
 
 
@@ -65,13 +65,6 @@ def motion_from_slip(slip):
     if slip < 0.0:
         return 1.0, 1.0 / max(1.0 + slip, LEAST_ROLLING)
     return 1.0, 1.0 - slip
-
-
-@njit(**EXACT)
-def travel_rate(travel):
-    """Derivative of `travel` of `motion_from_slip` by the slip: -1 driving, -travel^2 braking."""
-    braking = max(travel, 1.0)
-    return -braking * braking
 
 
 def travel_speeds(rim_speed: float | np.ndarray, slip: float | np.ndarray) -> np.ndarray:

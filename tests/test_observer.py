@@ -29,17 +29,17 @@ class Rig:
     @property
     def readings(self):
         """Readings of this control period."""
-        note = self.env.simulation._world.notes[0, 0]
-        own = {name: float(note[name]) for name in MEASURED}
-        return Readings(wheel_speed=note.rim_speed / self.env.scenario.wheel.radius, **own)
+        sample = self.env.simulation._world.samples[0, 0]
+        own = {name: float(sample[name]) for name in MEASURED}
+        return Readings(wheel_speed=sample.rim_speed / self.env.scenario.wheel.radius, **own)
 
     @property
     def now(self):
         """What else a vehicle knows."""
-        note = self.env.simulation._world.notes[0, 0]
-        known = {"halted": bool(note.halted)}
+        sample = self.env.simulation._world.samples[0, 0]
+        known = {"halted": bool(sample.halted)}
         if self.env.scenario.course.classes:
-            known["image"] = Image(*(float(note[name]) for name in Image._fields))
+            known["image"] = Image(*(float(sample[name]) for name in Image._fields))
             known["chooses"] = bool(self.seen[self.names.index("choice")])
         return known
 

@@ -2,7 +2,9 @@
 
 import dataclasses
 import math
+import re
 import warnings
+from functools import partial
 
 import numpy as np
 import pytest
@@ -26,6 +28,7 @@ from soil_env.parameters import (
 from soil_env.simulation.world.courses import course_distribution
 from soil_env.terramechanics.effects import NO_EFFECTS
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel, rows_of
+from tests.refusals import refused
 
 SOIL = {"friction_angle_deg": 30, "cohesion": 500, "shear_modulus": 0.02, "sinkage_exponent": 1.0}
 SOIL_S = SOIL | {"sinkage_coefficient": 1e6}
@@ -117,9 +120,7 @@ def test_a_gravity_that_is_none_is_refused_in_one_line(gravity):
         lambda: WheelSoilModel(ModelWheel(0.15, 0.12), gravity=gravity),
         lambda: setup_of({"wheel": wheel, "gravity": gravity}, "setup.yaml"),
     ):
-        with pytest.raises(ParameterError, match=r"gravity.*expected a number in \[0.1, 30\]") as e:
-            make()
-        assert "\n" not in str(e.value)
+        assert re.search(r"gravity.*expected a number in \[0.1, 30\]", refused(make))
 
 
 CURVED = Soil(**SOIL_S, reference_stress=2e4)
@@ -285,9 +286,7 @@ def test_a_file_changes_the_scenario_that_its_base_names(tmp_path):
         ({"base": "mixed", "corse": {}}, "did you mean 'course'"),
         ({"lenght": 1}, r"unknown key 'lenght' \(known: base, belief, "),
     ):
-        with pytest.raises(ParameterError, match=said) as error:
-            load_scenario(given)
-        assert "\n" not in str(error.value)
+        assert re.search(said, refused(partial(load_scenario, given)))
 
 
 def test_numbers_are_floats_wherever_floats_are_meant():

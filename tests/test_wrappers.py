@@ -46,7 +46,7 @@ def test_other_actions_are_refused(env, action):
 
 def test_environments_without_two_lines_or_with_another_action_are_refused(env):
     for other, said in (
-        (plain(scenario="mixed"), "SoilWheel-v0 with two lines"),
+        (plain(scenario="mixed"), "SoilWheel-v0 with two routes"),
         (env, "an action of one number"),
     ):
         with pytest.raises(ParameterError, match=f"expected {said}"):

@@ -23,7 +23,14 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import MlpExtractor
 from torch import nn
 
-from soil_env._io.loading import Checked, ParameterError, check_unpacked, load, quantity
+from soil_env._io.loading import (
+    Checked,
+    ParameterError,
+    check_unpacked,
+    load,
+    one_line,
+    quantity,
+)
 from soil_env.envs.rover_env import rover_action_space
 from soil_env.envs.wheel_env import action_space
 from soil_env.parameters import RoverScenario, Scenario
@@ -33,7 +40,7 @@ from soil_env.simulation.task.scaling import Scaling
 
 from . import inputs
 from .config import NAMES, PPOConfig
-from .history import History, lines_of
+from .history import History, columns_of_routes
 
 # Members of the zip.
 INFO = "soil_env.json"
@@ -83,7 +90,7 @@ def entries_of(scenario: Scenario | RoverScenario, variant: str) -> tuple[Observ
 
 
 class ChoosingExtractor(MlpExtractor):
-    """Hidden layers of the value network and of the drive, and one network that gives each line a
+    """Hidden layers of the value network and of the drive, and one network that gives each route a
     score.
     """
 
@@ -91,15 +98,16 @@ class ChoosingExtractor(MlpExtractor):
         self,
         feature_dim: int,
         choice: int,
-        lines: Sequence[list[int]],
+        routes: Sequence[list[int]],
         net_arch,
         activation_fn,
         device,
     ):
         super().__init__(feature_dim, net_arch, activation_fn, device)
         self.choice = choice
-        self.lines = lines
-        hidden = MlpExtractor(len(lines[0]), net_arch, activation_fn, device).policy_net
+        self.routes = routes
+        hidden = MlpExtractor(len(routes[0]), net_arch, activation_fn, device).policy_net
+        # The scores of routes; the weights in files of models have this name.
         self.line_net = nn.Sequential(*hidden, nn.Linear(net_arch[-1], 1, device=device))
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
@@ -108,27 +116,27 @@ class ChoosingExtractor(MlpExtractor):
 
         The scores are learned apart (`choice`), so no gradient goes to them.
         """
-        ahead, beside = (self.line_net(features[:, columns]).detach() for columns in self.lines)
+        ahead, beside = (self.line_net(features[:, columns]).detach() for columns in self.routes)
         return torch.cat(
             [self.policy_net(features), ahead - beside, features[:, [self.choice]]], dim=1
         )
 
 
 class ChoosingPolicy(ActorCriticPolicy):
-    """`MlpPolicy` with a head of its own for the choice of a line (`ChoosingExtractor`).
+    """`MlpPolicy` with a head of its own for the choice of a route (`ChoosingExtractor`).
 
     Where the entry `choice` of an observation is 1, the mean action is the difference of the scores
-    of the two lines: exchanged lines give the opposite choice (Bromley et al. 1993, NIPS 6).
+    of the two routes: exchanged routes give the opposite choice (Bromley et al. 1993, NIPS 6).
     """
 
-    def __init__(self, *args, choice: int = 0, lines: Sequence[list[int]] = (), **kwargs):
-        self.of_choice: dict[str, Any] = {"choice": choice, "lines": lines}
+    def __init__(self, *args, choice: int = 0, routes: Sequence[list[int]] = (), **kwargs):
+        self.of_choice: dict[str, Any] = {"choice": choice, "routes": routes}
         super().__init__(*args, **kwargs)
 
     def _build_mlp_extractor(self) -> None:
         arguments = self.net_arch, self.activation_fn, self.device
         self.mlp_extractor: nn.Module = ChoosingExtractor(
-            self.features_dim, self.of_choice["choice"], self.of_choice["lines"], *arguments
+            self.features_dim, self.of_choice["choice"], self.of_choice["routes"], *arguments
         )
 
     def _get_action_dist_from_latent(self, latent_pi: torch.Tensor):
@@ -150,8 +158,8 @@ def network(config: PPOConfig, names: Sequence[str]) -> tuple[type, dict]:
         "activation_fn": activation,
     }
     if "choice" in names:
-        lines = lines_of(names, config.history)
-        return ChoosingPolicy, common | {"choice": list(names).index("choice"), "lines": lines}
+        routes = columns_of_routes(names, config.history)
+        return ChoosingPolicy, common | {"choice": list(names).index("choice"), "routes": routes}
     return ActorCriticPolicy, common
 
 
@@ -188,11 +196,6 @@ def read_mapping(path: Path, name: str) -> dict | None:
     if content is not None and not isinstance(mapping, dict):
         raise ParameterError(f"{path}: {name}: expected a mapping, got {type(mapping).__name__}")
     return mapping
-
-
-def one_line(error: BaseException) -> str:
-    """The first line of an error's message, not too long."""
-    return (str(error).splitlines() or [type(error).__name__])[0][:200]
 
 
 def read_info(path: Path) -> Info:
@@ -330,13 +333,9 @@ class Agent(inputs.Observing):
         """
         seen = self._layout.observed(observation)
         batch = self.scaling(np.atleast_2d(seen))
-        count = len(batch)
         fresh = inputs.starts(episode_start, len(batch), state is None)
         if self.history is not None:
-            shape = count, self.history.kept
-            kept = (
-                np.zeros(shape, dtype=np.float32) if state is None else inputs.memory(state, shape)
-            )
+            kept = inputs.memory(state, (len(batch), self.history.kept))
             batch, state = self.history.observe(batch, kept, fresh)
         action, _ = self.policy.predict(
             self._normalised(batch), deterministic=inputs.switch(deterministic)

@@ -30,7 +30,7 @@ import yaml
 
 import soil_env
 from soil_env._io.files import is_unused, make_folder, replace_file
-from soil_env._io.loading import ParameterError, load, read_yaml, to_dict, unknown_value
+from soil_env._io.loading import ParameterError, load, one_line, read_yaml, to_dict, unknown_value
 from soil_env.cli.running import end_with_parent
 
 from .progress import console, show
@@ -356,7 +356,7 @@ def on_ray(
         except (ConnectionError, ValueError, RuntimeError, OSError) as error:
             where = address or "this machine"
             raise ParameterError(
-                f"--engine ray: no cluster at {where} ({_line(error, 0)})"
+                f"--engine ray: no cluster at {where} ({one_line(error)})"
             ) from None
     running: dict = {}
     try:
@@ -371,19 +371,17 @@ def on_ray(
             except ray.exceptions.RayTaskError as error:
                 if isinstance(error.cause, ParameterError):
                     raise ParameterError(str(error.cause)) from None
-                raise ParameterError(f"--engine ray: {cell} failed ({_line(error, -1)})") from None
+                raise ParameterError(
+                    f"--engine ray: {cell} failed ({one_line(error, -1)})"
+                ) from None
             except ray.exceptions.RayError as error:
-                raise ParameterError(f"--engine ray: {cell} was lost ({_line(error, 0)})") from None
+                raise ParameterError(f"--engine ray: {cell} was lost ({one_line(error)})") from None
             yield cell, result
     finally:
         for reference in running:
             ray.cancel(reference, force=True)
         if ours:
             ray.shutdown()
-
-
-def _line(error: Exception, which: int) -> str:
-    return (str(error).strip().splitlines() or [""])[which][:200]
 
 
 def _on_node(work: Callable, version: str, cell):

@@ -1,9 +1,9 @@
-"""Choice of a line ahead, learned from what became of the lines that were taken.
+"""Choice of a route ahead, learned from what became of the routes that were taken.
 
-The score of a line is the log odds that the wheel comes over it: to the next choice, or to the end
+The score of a route is the log odds that the wheel comes over it: to the next choice, or to the end
 of the course. It is a logistic regression by the network `ChoosingExtractor.line_net` on the
-entries of the line. Neither a rule nor PPO tells it which line is better. The reserve of pull, by
-which the rules choose, leaves out that a wheel may dig in on a line that it could climb.
+entries of the route. Neither a rule nor PPO tells it which route is better. The reserve of pull, by
+which the rules choose, leaves out that a wheel may dig in on a route that it could climb.
 """
 
 import numpy as np
@@ -20,23 +20,23 @@ PASSES = 20  # over the choices that are new, drawn from all that are kept
 
 
 class ChoiceVecEnv(VecEnvWrapper):
-    """A vector environment that keeps the lines taken, and whether the wheel came over them."""
+    """A vector environment that keeps the routes taken, and whether the wheel came over them."""
 
-    def __init__(self, venv: VecEnv, choice: int, lines: list[list[int]]):
+    def __init__(self, venv: VecEnv, choice: int, routes: list[list[int]]):
         super().__init__(venv)
         self.choice = choice
-        self.lines = lines
-        self.taken = np.zeros((KEPT, len(lines[0])), dtype=np.float32)
+        self.routes = routes
+        self.taken = np.zeros((KEPT, len(routes[0])), dtype=np.float32)
         self.passed = np.zeros(KEPT, dtype=np.float32)
         self.count = 0  # of the choices whose end is known
         self.seen = np.zeros((self.num_envs, *venv.observation_space.shape), dtype=np.float32)
-        # The line that each wheel took last.
-        self.on = np.zeros((self.num_envs, len(lines[0])), dtype=np.float32)
+        # The route that each wheel took last.
+        self.on = np.zeros((self.num_envs, len(routes[0])), dtype=np.float32)
         self.under_way, self.chose = np.zeros((2, self.num_envs), dtype=bool)
 
     @property
     def choosing(self) -> np.ndarray:
-        """Mask [wheels] of those whose next action chooses a line."""
+        """Mask [wheels] of those whose next action chooses a route."""
         return self.seen[:, self.choice] > 0.5
 
     def reset(self) -> np.ndarray:
@@ -48,7 +48,7 @@ class ChoiceVecEnv(VecEnvWrapper):
     def step_async(self, actions: np.ndarray) -> None:
         choosing = self.choosing
         self._keep(np.flatnonzero(choosing & ~self.chose & self.under_way), 1.0)
-        ahead, beside = (self.seen[:, columns] for columns in self.lines)
+        ahead, beside = (self.seen[:, columns] for columns in self.routes)
         # In a halt the last action decides.
         self.on[choosing] = np.where(actions < 0.0, beside, ahead)[choosing]
         self.under_way |= choosing
@@ -88,7 +88,7 @@ class Chooser(BaseCallback):
 
     @property
     def choosing(self) -> np.ndarray:
-        """Mask [wheels, 1] of those whose next action chooses a line."""
+        """Mask [wheels, 1] of those whose next action chooses a route."""
         return (
             np.zeros((self.normalised.num_envs, 1), bool)
             if self.env is None
@@ -112,15 +112,15 @@ class Chooser(BaseCallback):
             return
         env = self.env
         moments = self.normalised.obs_rms
-        mean = moments.mean[env.lines[0]]
-        sd = np.sqrt(moments.var[env.lines[0]] + self.normalised.epsilon)
+        mean = moments.mean[env.routes[0]]
+        sd = np.sqrt(moments.var[env.routes[0]] + self.normalised.epsilon)
         self.optimizer.param_groups[0]["lr"] = RATE * max(left, 0.02)
         for _ in range(int(passes * (env.count - self.learned) / BATCH)):
             at = self.rng.integers(min(env.count, KEPT), size=BATCH)
-            lines = np.clip(
+            routes = np.clip(
                 (env.taken[at] - mean) / sd, -self.normalised.clip_obs, self.normalised.clip_obs
             )
-            score = self.net(torch.from_numpy(lines.astype(np.float32)))[:, 0]
+            score = self.net(torch.from_numpy(routes.astype(np.float32)))[:, 0]
             loss = functional.binary_cross_entropy_with_logits(
                 score, torch.from_numpy(env.passed[at])
             )

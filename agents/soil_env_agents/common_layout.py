@@ -1,6 +1,6 @@
 """One observation layout for every wheel scenario, so that one agent can drive all of them.
 
-It is the layout `identified` of a course with three terrain classes and two lines, a flag that is 1
+It is the layout `identified` of a course with three terrain classes and two routes, a flag, 1
 where a camera sees them, and three constants of the drive. Without a camera its entries are 0. Then
 come the misfit of the identified soil, which is the measured pull less the best one that this soil
 should give, and the shares of bands of slip, in which `history` keeps the misfit of the course so
@@ -50,7 +50,7 @@ class CommonScaling(Scaling):
         if own != COMMON[: len(own)] or scenario.course.classes not in (0, 3):
             raise ParameterError(
                 f"scenario {scenario.name!r}: {scenario.course.classes} terrain classes, "
-                f"{scenario.course.lines} lines: expected no classes, or 3 with 2 lines"
+                f"{scenario.course.lines} routes: expected no classes, or 3 with 2 routes"
             )
         super().__init__(own)
         change = control.rim_acceleration * control.duration / (wheel.radius * wheel.no_load_speed)

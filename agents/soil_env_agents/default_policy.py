@@ -14,13 +14,13 @@ from soil_env.parameters import RoverScenario, Scenario, load_scenario
 from soil_env.simulation.task import check_version
 
 from . import common_layout, inputs
-from .history import History, lines_of
+from .history import History, columns_of_routes
 
 WEIGHTS = Path(__file__).with_name("default_policy.npz")
 NAME = "default_policy"
 MOST_BYTES = 2**26  # unpacked; the shipped file has a fourth of a megabyte
 CLIP = 10.0  # of a normalised input
-#: Of the drive, and of the score of a line; each with a weight [out, in] and a bias [out].
+#: Of the drive, and of the score of a route; each with a weight [out, in] and a bias [out].
 LAYERS = ("policy_0", "policy_1", "action", "line_0", "line_1", "score")
 _EXPECTED = (
     f"expected an .npz of {__package__}.generalist; the shipped one comes again with an "
@@ -73,7 +73,7 @@ class DefaultPolicy(inputs.Observing):
                 f"{common_layout.__name__}"
             )
         self.choice = names.index("choice")
-        self.lines = lines_of(names, self.history.steps)
+        self.routes = columns_of_routes(names, self.history.steps)
         try:
             if self.action(np.zeros((1, self.mean.size), dtype=np.float32)).shape != (1, 1):
                 raise ValueError
@@ -91,11 +91,10 @@ class DefaultPolicy(inputs.Observing):
         """
         inputs.switch(deterministic)  # there is no other
         seen = self._layout.observed(observation)
-        batch = np.atleast_2d(seen)
-        shape = (len(np.atleast_2d(seen)), self.history.kept)
+        batch = self.scaling(np.atleast_2d(seen))
         fresh = inputs.starts(episode_start, len(batch), state is None)
-        kept = np.zeros(shape, dtype=np.float32) if state is None else inputs.memory(state, shape)
-        batch, state = self.history.observe(self.scaling(batch), kept, fresh)
+        kept = inputs.memory(state, (len(batch), self.history.kept))
+        batch, state = self.history.observe(batch, kept, fresh)
         normal = np.clip((batch - self.mean) / self.sd, -self.clip, self.clip).astype(np.float32)
         action = np.clip(self.action(normal), -1.0, 1.0)
         return (action[0] if seen.ndim == 1 else action), state
@@ -103,7 +102,7 @@ class DefaultPolicy(inputs.Observing):
     def action(self, x):
         """Actions [n, 1] for normalised observations [n, D]; arrays, or values of an ONNX graph."""
         drive = _network(self.layers[:3], x)
-        ahead, beside = (_network(self.layers[3:], x[:, columns]) for columns in self.lines)
+        ahead, beside = (_network(self.layers[3:], x[:, columns]) for columns in self.routes)
         return np.where(np.greater(x[:, [self.choice]], 0.0), ahead - beside, drive)
 
 

@@ -117,7 +117,7 @@ def command(
     for name, driver in drivers.items():
         control = getattr(driver, "drives", {})
         env = make(observation=driver.variant, render_mode="rgb_array" if out else None, **control)
-        held = replace(task.control, **control).held
+        held = replace(task.control, **control).action_periods
         frames, info, steps = _drive(env, name, driver, held, seed, frame, every if video else 0)
         films[name] = frames or ([env.render()] if out else [])
         env.close()
@@ -127,11 +127,11 @@ def command(
             f"periods{early}"
         )
     if out is not None:
-        _save(out, next(iter(films.values())) if len(films) == 1 else _beside(films))
+        _save(out, next(iter(films.values())) if len(films) == 1 else _side_by_side(films))
         print(f"written: {out}")
 
 
-def _beside(films: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
+def _side_by_side(films: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
     """Frames with the side views of several drives next to each other, without charts, the name of
     each above it.
 

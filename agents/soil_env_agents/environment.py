@@ -19,7 +19,7 @@ from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from . import common_layout
 from .choice import ChoiceVecEnv
 from .config import PPOConfig
-from .history import History, lines_of
+from .history import History, columns_of_routes
 from .sb3 import CourseVecEnv, NativeVecEnv, SoilRoverVecEnv, SoilWheelVecEnv
 from .teachers import Teachers
 
@@ -66,11 +66,11 @@ def side_by_side(parts: Sequence[CourseVecEnv], config: PPOConfig, seed: int) ->
     if config.history:
         wheels = HistoryVecEnv(wheels, History(parts[0].observation_names, config.history))
     names = list(parts[0].observation_names)
-    lines = lines_of(names, config.history)
+    routes = columns_of_routes(names, config.history)
     if "choice" in names:
-        wheels = ChoiceVecEnv(wheels, names.index("choice"), lines)
+        wheels = ChoiceVecEnv(wheels, names.index("choice"), routes)
     env = VecNormalize(wheels, gamma=config.gamma)
-    env.obs_rms = Moments(env.observation_space.shape, lines)
+    env.obs_rms = Moments(env.observation_space.shape, routes)
     env.seed(seed)
     return env
 
@@ -89,19 +89,19 @@ class CommonVecEnv(SoilWheelVecEnv):
 
 
 class Moments(RunningMeanStd):
-    """Running mean and variance of each entry; the two lines ahead have those of both together."""
+    """Running mean and variance of each entry; the two routes ahead have those of both together."""
 
-    def __init__(self, shape: tuple[int, ...], lines: Sequence[list[int]]):
+    def __init__(self, shape: tuple[int, ...], routes: Sequence[list[int]]):
         super().__init__(shape=shape)
-        self.lines = lines
+        self.routes = routes
 
     def update_from_moments(self, batch_mean, batch_var, batch_count) -> None:
         """Take in the moments of a batch."""
         super().update_from_moments(batch_mean, batch_var, batch_count)
         for values in (self.mean, self.var):
-            mean = 0.5 * (values[self.lines[0]] + values[self.lines[1]])
-            values[self.lines[0]] = mean
-            values[self.lines[1]] = mean
+            mean = 0.5 * (values[self.routes[0]] + values[self.routes[1]])
+            values[self.routes[0]] = mean
+            values[self.routes[1]] = mean
 
 
 class SeveralWorlds(NativeVecEnv):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from soil_env._io.loading import ParameterError, load
+from soil_env._io.loading import ParameterError, load, one_line
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import VARIANTS, check_version, layout
 
@@ -66,8 +66,9 @@ class ExportedAgent(inputs.Observing):
             content = self.policy.session.get_modelmeta().custom_metadata_map.get("policy", "{}")
             self.content = json.loads(content)
         except Exception as error:  # onnxruntime has a dozen classes of them
-            said = (str(error).splitlines() or [""])[0][:200]
-            raise ParameterError(f"{path}: cannot be loaded as an ONNX policy ({said})") from None
+            raise ParameterError(
+                f"{path}: cannot be loaded as an ONNX policy ({one_line(error)})"
+            ) from None
         if not isinstance(self.content, dict) or self.content.get("format") != FORMAT:
             raise ParameterError(
                 f"{path}: not written by `soil-env export`: expected a description {FORMAT!r} "

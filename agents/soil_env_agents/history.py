@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from gymnasium import spaces
 
-from soil_env.simulation.task import AXLES, LINES
+from soil_env.simulation.task import AXLES, ROUTES
 
 #: Entries of the observation that are kept.
 READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "rim_speed")
@@ -42,10 +42,10 @@ class History:
             self.columns += sorted(map(names.index, own))
         self.halted = names.index("halted")
         self.classes = [k for k, name in enumerate(names) if name.startswith("here_class_")]
-        self.lines = [
-            [k for k, name in enumerate(names) if name.startswith(f"{line}_class_")]
-            for line in LINES
-            if f"{line}_class_1" in names
+        self.routes = [
+            [k for k, name in enumerate(names) if name.startswith(f"{route}_class_")]
+            for route in ROUTES
+            if f"{route}_class_1" in names
         ]
         self.bands = [k for k, name in enumerate(names) if name.startswith("slip_band_")]
         misfit = [names.index("misfit")] if self.bands else []
@@ -56,14 +56,14 @@ class History:
         ]
         self.past = steps * len(self.columns)
         #: Numbers added to the observation.
-        self.size = self.past + len(self.lines) * (len(self.columns) + 1) + 2 * len(self.bands)
+        self.size = self.past + len(self.routes) * (len(self.columns) + 1) + 2 * len(self.bands)
 
     @property
-    def of_lines(self) -> list[list[int]]:
-        """Columns of each line in what `observe` returns."""
+    def of_routes(self) -> list[list[int]]:
+        """Columns of each route in what `observe` returns."""
         size = len(self.columns) + 1
         start = self.entries + self.past
-        return [[*range(start + k * size, start + (k + 1) * size)] for k in range(len(self.lines))]
+        return [[*range(start + k * size, start + (k + 1) * size)] for k in range(len(self.routes))]
 
     @property
     def kept(self) -> int:
@@ -99,11 +99,11 @@ class History:
         history = [kept[:, [*range(m, m + self.past)]]]
         of_classes = now[1 : 1 + len(self.classes)]
         of_bands = now[1 + len(self.classes) :]
-        lines = [
-            sum(seen[:, [c]] * sums for c, sums in zip(line, of_classes, strict=True))
-            for line in self.lines
+        routes = [
+            sum(seen[:, [c]] * sums for c, sums in zip(route, of_classes, strict=True))
+            for route in self.routes
         ]
-        for felt, size in [(x, m) for x in lines] + [(x, 1) for x in of_bands]:
+        for felt, size in [(x, m) for x in routes] + [(x, 1) for x in of_bands]:
             share = felt[:, [size]]
             history += [felt[:, [*range(0, size)]] / np.maximum(share, 1e-6), share]
         return np.concatenate([seen, *history], axis=1), kept
@@ -113,24 +113,22 @@ class History:
         bounds = []
         for side, share in ((box.low, 0.0), (box.high, 1.0)):
             own = side[self.columns]
-            history = [*np.tile(own, self.steps), *np.tile(np.append(own, share), len(self.lines))]
+            history = [*np.tile(own, self.steps), *np.tile(np.append(own, share), len(self.routes))]
             history += [-1.0 + 2.0 * share, share] * len(self.bands)
             bounds.append(np.concatenate([side, history]).astype(np.float32))
         low, high = bounds
         return spaces.Box(low, high, dtype=np.float32)
 
 
-def lines_of(names: Sequence[str], history: int) -> list[list[int]]:
-    """Columns of each of two lines in the input of a network; empty lists where there is no choice
-    of a line.
+def columns_of_routes(names: Sequence[str], history: int) -> list[list[int]]:
+    """Columns of each of two routes in the input of a network; empty lists where there is no choice
+    of a route.
     """
     if "choice" not in names:
         return [[], []]
     own = [
-        [k for k, n in enumerate(names) if n.startswith(f"{line}_") and "_class_" not in n]
-        for line in LINES
+        [k for k, n in enumerate(names) if n.startswith(f"{route}_") and "_class_" not in n]
+        for route in ROUTES
     ]
-    return [
-        a + b
-        for a, b in zip(own, History(names, history).of_lines if history else [[], []], strict=True)
-    ]
+    past = History(names, history).of_routes if history else [[], []]
+    return [a + b for a, b in zip(own, past, strict=True)]

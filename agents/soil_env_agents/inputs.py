@@ -121,7 +121,9 @@ def switch(deterministic) -> bool:
 
 
 def memory(state, shape: tuple[int, ...]) -> np.ndarray:
-    """A memory of this `shape`, float32; ParameterError for anything else."""
+    """A memory of this `shape`, float32, zeros for None; ParameterError for anything else."""
+    if state is None:
+        return np.zeros(shape, dtype=np.float32)
     expected = (
         "expected what the last predict of as many observations returned, an array of shape "
         f"{shape}"

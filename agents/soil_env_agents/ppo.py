@@ -61,7 +61,7 @@ def learner(
     )
     with torch.no_grad():  # exploring around full stop would teach little but how to stall
         model.policy.action_net.bias.fill_(config.initial_action)
-        if hasattr(model.policy.mlp_extractor, "line_net"):  # no line is preferred at first
+        if hasattr(model.policy.mlp_extractor, "line_net"):  # no route is preferred at first
             model.policy.mlp_extractor.line_net[-1].weight.mul_(0.01)
     return model
 

@@ -1,10 +1,10 @@
 """Student of a privileged teacher: the beginning of a training.
 
-The teacher is `best_slip_true`: it knows the true soil under the wheel and that of the lines ahead
+The teacher is `best_slip_true`: it knows the true soil under the wheel and that of the routes ahead
 (privileged teacher: Lee et al. 2020, Science Robotics 5:eabc5986; Kumar et al. 2021, RSS). The
 student drives by its own observation. It learns the acceleration of the teacher in every state that
 it comes to itself, by least squares (DAgger: Ross, Gordon & Bagnell 2011, AISTATS). So where the
-soil is not known it learns the mean. The choice of a line it learns from what becomes of it
+soil is not known it learns the mean. The choice of a route it learns from what becomes of it
 (`choice`), and its value network the returns of the last rounds, so that PPO can go on from
 here.
 """

@@ -62,13 +62,6 @@ class Teacher(BestSlipTrue):
     def target_slip(self, observation, state):
         return self.share * super().target_slip(observation, state)
 
-    def lesson(self, batch: np.ndarray, state, fresh):
-        """(actions [n, 1] of the teacher, weights [n], state) for true observations; a row of
-        weight 0, as at a halt, is not learnt from.
-        """
-        action, state = self.predict(batch, state, fresh)
-        return action, 1.0 - batch[:, self.column["halted"]], state
-
 
 class _OfWheels(Teacher):
     """The teacher of the wheels of a rover."""
@@ -92,11 +85,6 @@ class RoverTeacher(RoverController):
         rims = {name: getattr(manner, name) * self.own.top_speed for name in ("start", "speed")}
         self.own.settings |= rims | {"acceleration": manner.acceleration}
         self.own.shares = manner.shares
-
-    def lesson(self, batch: np.ndarray, state, fresh):
-        """(actions [n, axles], weight [n] of each row, state) for true observations."""
-        action, state = self.predict(batch, state, fresh)
-        return action, 1.0 - batch[:, self.column["halted"]], state
 
 
 def teacher_of(part: VecEnv) -> Teacher | RoverTeacher:
@@ -122,11 +110,17 @@ class Teachers:
         self.starts = np.cumsum([part.num_envs for part, _ in self.parts])[:-1]
 
     def lesson(self, fresh: np.ndarray) -> tuple[np.ndarray, ...]:
-        """(actions, weights) of all wheels or rovers [n]; `fresh` [n]: a course begins."""
-        out = []
+        """(actions, weights) of all wheels or rovers [n]; `fresh` [n]: a course begins.
+
+        A row of weight 0, as at a halt, is not learnt from.
+        """
+        actions = []
+        weights = []
         for k, ((part, teacher), new) in enumerate(
             zip(self.parts, np.split(fresh, self.starts), strict=True)
         ):
-            *lesson, self.states[k] = teacher.lesson(part.true_soil(), self.states[k], new)
-            out.append(lesson)
-        return tuple(np.concatenate(column) for column in zip(*out, strict=True))
+            batch = part.true_soil()
+            action, self.states[k] = teacher.predict(batch, self.states[k], new)
+            actions.append(action)
+            weights.append(1.0 - batch[:, teacher.column["halted"]])
+        return np.concatenate(actions), np.concatenate(weights)

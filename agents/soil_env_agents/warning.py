@@ -86,8 +86,8 @@ class Random(Controller):
         self.level = rng.uniform(0.0, 1.0, count)
         self.mean = np.exp(rng.uniform(np.log(0.3), np.log(5.0), count))  # [s]
 
-    def beside(self, batch):
-        """Either line with equal chance."""
+    def prefers_other_route(self, batch):
+        """Either route with equal chance."""
         return self.rng.random(len(batch)) < 0.5
 
     def rim_speed(self, observation, state):
@@ -142,7 +142,7 @@ class Drives:
     best: np.ndarray  # [m] furthest point
     cause: np.ndarray  # [courses] `Cause`
     least: float  # [m] of progress in a period at the least mean speed that the task asks for
-    stretch: float  # [m] that the wheel has to get further within the limit of no progress
+    least_progress: float  # [m] that the wheel has to get further within the limit of no progress
 
     def since(self, period: np.ndarray) -> np.ndarray:
         """Time spent driving [s] from the periods `period` [courses] to each period."""
@@ -159,7 +159,7 @@ class Drives:
     @property
     def known(self) -> np.ndarray:
         """Periods whose outcome is known: not the last of a course that the time limit cut."""
-        near = np.argmax(self.driving & (self.best >= self.best[-1] - self.stretch), axis=0)
+        near = np.argmax(self.driving & (self.best >= self.best[-1] - self.least_progress), axis=0)
         cut = self.cause == Cause.TIME_LIMIT.value
         return self.alive & ~(cut & (self.since(near) > -UNKNOWN))
 

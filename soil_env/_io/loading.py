@@ -417,10 +417,15 @@ def read_json(path: Path) -> dict:
     except OSError as error:
         raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError) as error:  # no UTF-8 either
-        raise ParameterError(f"{path}: not valid JSON ({str(error)[:200]})") from None
+        raise ParameterError(f"{path}: not valid JSON ({one_line(error)})") from None
     if not isinstance(content, dict):
         raise ParameterError(f"{path}: expected an object at the top, got {type(content).__name__}")
     return content
+
+
+def one_line(error: BaseException, which: int = 0) -> str:
+    """The first line of the message of a library, or that of another number; not too long."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[which][:200]
 
 
 def check_unpacked(archive: str | Path | typing.BinaryIO, most: int) -> None:

@@ -93,7 +93,7 @@ def _others() -> None:
     best_points(
         np.ones((1, len(SoilState._fields))), np.array([100.0]), wheels()["planetary_rover"]
     )
-    for equations in compare.HELD:
+    for equations in compare.FIXED_COHESION:
         compare.root(equations)
         compare.forces(compare.PRINTED_SET, *compare.MEASURED[:2], equations)
 

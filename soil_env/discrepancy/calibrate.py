@@ -138,20 +138,19 @@ class Fit:
             [size * block for block, size in blocks if size > 0.0] or [self.effect[:, :0]], axis=1
         )
 
-    def linearised(self, sizes: Sizes | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def linearised(self) -> tuple[np.ndarray, np.ndarray]:
         """(A [M + p, k], e [M + p]): the whitened problem about its solution, the priors as the
         last p rows.
 
         Unknowns come first, then the form errors, of the sizes that it was fitted with. Unknowns at
         a bound do not move.
         """
-        sizes = self.sizes if sizes is None else sizes
-        extra = self.columns(sizes)
+        extra = self.columns(self.sizes)
         free = np.concatenate([self.free_unknowns, np.ones(extra.shape[1], dtype=bool)])
         x = np.concatenate([self.u, np.zeros(extra.shape[1])])
-        top = np.concatenate([self.jacobian, extra], axis=1) / sizes.scatter
+        top = np.concatenate([self.jacobian, extra], axis=1) / self.sizes.scatter
         return np.concatenate([top, np.eye(x.size)])[:, free], np.concatenate(
-            [self.residual / sizes.scatter, -x]
+            [self.residual / self.sizes.scatter, -x]
         )
 
 

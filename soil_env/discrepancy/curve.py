@@ -14,9 +14,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 SLIP_SCALES = np.geomspace(0.03, 3.0, 25)  # [-] k that are tried
-POWERS = np.array([1.0, 1.0, 0.0])  # p, q, m where the loads do not tell
+POWERS = np.array([1.0, 1.0, 0.0])  # p, q, m where the loads do not show them
 POWER_SD = 0.5  # of p, q and m about these
-LEAST_SPAN = 0.25  # of ln W, from which the loads tell the powers
+LEAST_SPAN = 0.25  # of ln W, from which the loads show the powers
 BRAKED = -0.02  # [-] slip below which a row is braked
 FEWEST_BRAKED = 2  # rows, for an amplitude of their own
 

@@ -66,8 +66,8 @@ class Report:
     base_model: WheelSoilModel
     model: WheelSoilModel
     #: [N, 3] held-out predictions of the base model, NaN where no value is in use.
-    held_before: np.ndarray
-    held_after: np.ndarray  # [N, 3] of the corrected model
+    held_out_before: np.ndarray
+    held_out_after: np.ndarray  # [N, 3] of the corrected model
     doubts: tuple[str, ...]  # mistakes that the table looks like
     dense: str  # how a dense table was taken; "" for one that was taken as it is
     settings: Settings

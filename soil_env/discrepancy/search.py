@@ -54,7 +54,7 @@ ALIKE = 0.17
 #: `benchmarks.discovery`; between 1 and 2.5 hardly a share of its answers moves.
 TEMPERATURE = 1.75
 NAMED = 0.5  # probability from which a hypothesis, or a name, is stated
-TOLD = 0.05  # least probability of an alternative
+REPORTED = 0.05  # least probability of an alternative
 _FIRST = 8  # single effects, the best, beside which a second one is sought
 _PAIRS = 10  # pairs refitted after the screen
 _FORMS = 3  # of them, the best, in all their forms
@@ -162,7 +162,7 @@ class Finding:
 
     @property
     def candidates(self) -> tuple[str, ...]:
-        """Effects with at least `TOLD` that are missing, or resembled by what is missing; none
+        """Effects with at least `REPORTED` that are missing, or resembled by what is missing; none
         beside a stated one.
         """
         near = {
@@ -172,7 +172,7 @@ class Finding:
         return (
             ()
             if self.names
-            else tuple(sorted((n for n in near if near[n] >= TOLD), key=lambda n: -near[n]))
+            else tuple(sorted((n for n in near if near[n] >= REPORTED), key=lambda n: -near[n]))
         )
 
     @property
@@ -211,11 +211,13 @@ class Finding:
         )
 
     def alternatives(self, name: str) -> tuple[str, ...]:
-        """Effects that stand in the place of a stated one with a probability of `TOLD` or more,
+        """Effects that stand in the place of a stated one with a probability of `REPORTED` or more,
         best first.
         """
         share = {n: self.share(n, without=(name,)) for n in self.tried if n not in self.names}
-        return tuple(sorted((n for n, p in share.items() if p >= TOLD), key=lambda n: -share[n]))
+        return tuple(
+            sorted((n for n, p in share.items() if p >= REPORTED), key=lambda n: -share[n])
+        )
 
     @property
     def stated(self) -> Hypothesis:

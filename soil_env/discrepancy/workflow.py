@@ -152,8 +152,8 @@ def _conclude(
         fit=final,
         base_model=model_of(problem, plain),
         model=model,
-        held_before=before,
-        held_after=after,
+        held_out_before=before,
+        held_out_after=after,
         doubts=doubted,
         dense=dense,
         settings=settings,
@@ -258,9 +258,8 @@ def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -
     wheel = problem.data.wheel
     if problem.data.setup.wheel.grouser_height is None and "grousers" not in effects:
         wheel = replace(wheel, grouser_height=0.0)  # a height was assumed only to try grousers
-    numbers: dict[str, Any] = {**values, **problem.laws}
     of_soil = Soil(
-        **numbers,
+        **values,
         density=problem.density,
         gravity_measured=problem.data.setup.gravity,
         source="calibrated by soil_env.discrepancy",

@@ -14,7 +14,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env.envs.wheels import Simulation
 
-#: Arrays of `Worlds` with all that is kept of a wheel; notes are written anew by every step.
+#: Arrays of `Worlds` with all that is kept of a wheel; samples are written anew by every step.
 KEPT = ("state", "courses", "observation", "on_board")
 
 

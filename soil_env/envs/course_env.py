@@ -204,7 +204,7 @@ class CourseEnv(_Storable, gymnasium.Env[NDArray[Any], ArrayLike]):
             )
         commands = actions_of(action, self._shape)
         self.simulation.step(0, commands if commands.size > 1 else commands.item())
-        self.infos.follow(_NONE)
+        self.infos.after_step(_NONE)
         worlds = self.simulation.worlds
         self._over = worlds.cause.item(0) != _RUNNING
         if self.render_mode is not None:
@@ -304,7 +304,7 @@ class CourseVectorEnv(
             self.single_action_space, self.num_envs
         )
         self._shape: tuple[int, ...] = (self.num_envs, *actions.shape)
-        held = self.scenario.control.held
+        held = self.scenario.control.action_periods
         # [control periods] after which an episode is truncated
         self._longest = np.inf if self._most_steps is None else self._most_steps * held
 
@@ -392,7 +392,7 @@ class CourseVectorEnv(
                 "a course has ended: reset(options={'reset_mask': ...}) it first"
             )
         self.simulation.step_all(commands, self._done.view(np.int8))  # True restarts
-        self.infos.follow(self._done)
+        self.infos.after_step(self._done)
         terminated = worlds.cause != _RUNNING
         truncated = ~terminated & (self.simulation.steps >= self._longest)
         np.logical_or(terminated, truncated, out=self._done)

@@ -127,8 +127,8 @@ class Infos:
         self._stale = np.ones(wheels, dtype=np.bool_)
         self._warnings = np.zeros((wheels, len(_WARNING)))
 
-    def follow(self, reset: np.ndarray) -> None:
-        """Note which estimates a step has changed; `reset` [wheels] bool: wheels it has reset."""
+    def after_step(self, reset: np.ndarray) -> None:
+        """Mark estimates that a step has changed; `reset` [wheels] bool: wheels it has reset."""
         changed = self._simulation.worlds.changed
         if changed is not None and (asks(self.kind) or len(self._simulation.worlds.recent)):
             which = (changed > 0) | reset

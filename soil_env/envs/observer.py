@@ -25,7 +25,7 @@ from soil_env.parameters.readings import RESTART, STEP, Image, SensorReading, Sh
 from soil_env.simulation.task import layout
 from soil_env.simulation.task.observation import clip, write_sensors
 from soil_env.simulation.wheels import (
-    NOTE,
+    SAMPLE,
     new_setting,
     new_wheel_worlds,
     wheel_numbers,
@@ -36,28 +36,28 @@ from soil_env.simulation.world.wheel import commanded
 
 
 @kept
-def write_reading(state, notes, observation, setting, begun, slips, chooses):
-    """Fill `observation` [1, D] of a wheel by its `NOTE` [1, 1], but for what is identified.
+def write_reading(state, samples, observation, setting, begun, slips, chooses):
+    """Fill `observation` [1, D] of a wheel by its `SAMPLE` [1, 1], but for what is identified.
 
     `begun`: its action has acted since the last readings; `slips`: the slip follows from the two
-    speeds; `chooses`: the action chooses a line now.
+    speeds; `chooses`: the action chooses a route now.
     """
     own = setting[0]
     task = own.task[0]
     wheel = state[0]
-    note = notes[0, 0]
+    sample = samples[0, 0]
     out = observation[0]
     if begun:
         commanded(wheel, wheel.action, wheel.halt_left > 0.0, own.rig[0])
-        roll_odometer(wheel, note.speed, task.period)
-    wheel.halt_left = note.halted
-    note.place = wheel.odometer
+        roll_odometer(wheel, sample.speed, task.period)
+    wheel.halt_left = sample.halted
+    sample.place = wheel.odometer
     if slips:
-        note.slip = 0.0
-        read_slip(wheel, note, own.sensors[0], NO_ERRORS)
-    write_sensors(out, wheel, note, task)
+        sample.slip = 0.0
+        read_slip(wheel, sample, own.sensors[0], NO_ERRORS)
+    write_sensors(out, wheel, sample, task)
     if own.camera[0].lines > 0:
-        write_view(out[task.seen :], note, chooses, own.camera[0])
+        write_view(out[task.seen :], sample, chooses, own.camera[0])
     clip(out, own.bounds)
 
 
@@ -73,7 +73,7 @@ class _Reader(OnlineIdentifier):
         self._speeds(readings)
         return self._period(readings.time)
 
-    def take(self, r: Readings, period: float, last: SensorReading) -> tuple[bool, np.ndarray]:
+    def read(self, r: Readings, period: float, last: SensorReading) -> tuple[bool, np.ndarray]:
         """(both speeds are known, `READING` with what stands for missing readings)."""
         self._time = r.time if r.time == r.time else self._time + period
         rim, speed = self._speeds(r)
@@ -123,7 +123,7 @@ class Observer:
         """Begin a drive: forget all readings, and count those that are held from 0."""
         self._reader.reset()
         self._worlds.state[:] = np.zeros((), self._worlds.state.dtype)
-        self._worlds.notes[:] = np.zeros((), NOTE)
+        self._worlds.samples[:] = np.zeros((), SAMPLE)
         self._last = SensorReading(*(0.0,) * len(SensorReading._fields))
         self._read: set[str] = set()  # names of readings that there have been
         self._image: Image | None = None
@@ -142,22 +142,22 @@ class Observer:
         """Observation [D] float32 in its units after a control period.
 
         `action` in [-1, 1]: that of the period; of no effect in the first call after a `reset`.
-        `halted`: the wheel is at a commanded halt now; `chooses`: its action chooses a line.
+        `halted`: the wheel is at a commanded halt now; `chooses`: its action chooses a route.
         `image`: of the camera, where the scenario has terrain classes; the last one stays without.
         Raises TypeError and ValueError as `OnlineIdentifier.update`, for readings and times that
         cannot be.
         """
         period = self._reader.check(readings)
         acted = actions_of(np.atleast_1d(np.asarray(action)), (1,))
-        self._take_image(image)
+        self._read_image(image)
         self._set_period(period)
-        known = self._take(readings, period)
+        known = self._read_sensors(readings, period)
         wheel = self._worlds.state[0]
-        note = self._worlds.notes[0, 0]
-        note.halted = 1.0 if halted else 0.0
+        sample = self._worlds.samples[0, 0]
+        sample.halted = 1.0 if halted else 0.0
         wheel.action = acted[0]
         write_reading(
-            *(self._worlds.state, self._worlds.notes, self._worlds.observation),
+            *(self._worlds.state, self._worlds.samples, self._worlds.observation),
             self._setting,
             self._begun,
             readings.slip != readings.slip,
@@ -178,7 +178,7 @@ class Observer:
         names = (f"immobilised_within_{horizon:g}_s" for horizon in HORIZONS)
         return dict(zip(names, found[0].tolist(), strict=True))
 
-    def _take_image(self, image: Image | None) -> None:
+    def _read_image(self, image: Image | None) -> None:
         if not self.scenario.course.classes:
             if image is not None:
                 raise ParameterError(
@@ -197,15 +197,15 @@ class Observer:
                 f"image: scenario {self.scenario.name!r} has terrain classes: expected the Image "
                 "of a camera"
             )
-        note = self._worlds.notes[0, 0]
+        sample = self._worlds.samples[0, 0]
         for name, value in zip(Image._fields, self._image, strict=True):
-            note[name] = value
+            sample[name] = value
 
-    def _take(self, readings: Readings, period: float) -> bool:
+    def _read_sensors(self, readings: Readings, period: float) -> bool:
         """Store readings, with the last ones in place of those that are missing; False where the
         speeds are missing.
         """
-        known, reading = self._reader.take(readings, period, self._last)
+        known, reading = self._reader.read(readings, period, self._last)
         values = SensorReading(*reading.tolist())
         for name, given in zip(Readings._fields, readings, strict=True):
             own = "rim_speed" if name == "wheel_speed" else name
@@ -218,19 +218,19 @@ class Observer:
             n for n, given in zip(Readings._fields, readings, strict=True) if given == given
         }
         self._last = values
-        note = self._worlds.notes[0, 0]
+        sample = self._worlds.samples[0, 0]
         for name, value in zip(SensorReading._fields, values, strict=True):
-            note[name] = value
+            sample[name] = value
         if known:
             self._board.setting["board"]["identifier"]["white"][0, 0, 0, 0] = self._reader.white
         return bool(known)
 
     def _identify(self) -> None:
         """Take the readings on board; the first of a drive set all to the prior."""
-        world = (self._worlds.state, self._worlds.notes, self._worlds.observation)
+        world = (self._worlds.state, self._worlds.samples, self._worlds.observation)
         self._worlds.state["periods"] = 1
         order = STEP if self._begun else RESTART
-        self._board.follow(world, np.array([order]), 0, 1)
+        self._board.update(world, np.array([order]), 0, 1)
 
     def _set_period(self, period: float) -> None:
         """Let everything count with a `period` [s] since the last readings."""

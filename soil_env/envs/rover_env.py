@@ -57,7 +57,7 @@ class SoilRoverEnv(CourseEnv):
     as that of `SoilWheelEnv` does (Hutangkabodee et al. 2006, Eqs. (1)-(10), with slip-sinkage), on
     its own place of the same course: those behind run in the ruts of those ahead, compacted where
     these rolled and loosened where they dug. Two axles are fixed to the body; of three, two hang on
-    a bogie that turns freely (rocker-bogie). What each wheel bears follows from the equilibrium of
+    a bogie that turns freely (rocker-bogie). The load of each wheel follows from the equilibrium of
     body and bogie with centre of mass, pitch, pulls and torques of all wheels. At commanded halts
     the drives are held and the agent's action is ignored.
 
@@ -174,7 +174,7 @@ class SoilRoverEnv(CourseEnv):
     ## Version history
     * v0: first version. It has not been released, so that laws still change under this number.
     * Observations of version 2 (`simulation.task.VERSION`): slip follows from the two speeds,
-      sensors have zeros and gains, grades tell nothing of soils. Policies of version 1 are refused.
+      sensors have zeros and gains, grades do not show soils. Policies of version 1 are refused.
     """
 
     def __init__(

@@ -65,10 +65,10 @@ class RoverInfos:
                 info[axle]["estimate"] = {name: values[:, a] for name, values in known.items()}
         return info if self.kind != "numeric" else flat(info)
 
-    def follow(self, reset: np.ndarray) -> None:
-        """Nothing to note after a step: estimates are taken as they are."""
+    def after_step(self, reset: np.ndarray) -> None:
+        """Nothing to do after a step: estimates are taken as they are."""
 
-    renew = follow
+    renew = after_step
 
     def final(self, ended: np.ndarray) -> dict[str, Any]:
         """Info of rovers that have `ended` [rovers], 0 for others, and `_key` beside each key."""

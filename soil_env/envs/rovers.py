@@ -32,7 +32,7 @@ class Worlds(NamedTuple):
     ruts: np.ndarray
     courses: np.ndarray
     readings: np.ndarray
-    notes: np.ndarray
+    samples: np.ndarray
     observation: np.ndarray
     terms: np.ndarray  # [rovers, 4] of the reward
     reward: np.ndarray  # [rovers]
@@ -68,7 +68,7 @@ class RoverSimulation(Vehicles):
         worlds = new_rover_worlds(rovers, scenario, self.numbers, identifies)
         drawn = rover_course_numbers(scenario, model)
         courses = (drawn, float(drawn.drawn.spec.ahead) + scenario.vehicle.base)
-        scratch = [new_rover_scratch() for _ in range(-(-rovers // self._share))]
+        scratch = [new_rover_scratch() for _ in range(-(-rovers // self._chunk))]
         self._begin((lay_rovers, step_rovers), worlds, worlds.state, courses, scratch)
         on_board = None
         if identifies:
@@ -80,7 +80,7 @@ class RoverSimulation(Vehicles):
         trial = new_rover_worlds(1, scenario, self.numbers, False)
         self._check_drivable(trial, trial.state)
 
-    def _notes(self) -> tuple[np.ndarray, ...]:
+    def _samples(self) -> tuple[np.ndarray, ...]:
         return self._heads, self._world.readings, self._world.observation
 
     def true_soil(self) -> np.ndarray:

@@ -20,8 +20,8 @@ from soil_env.parameters.readings import (
 )
 
 TRIAL_COURSES = 8  # drawn before a scenario is accepted
-SHARES = 4  # of the vehicles, for each thread: those that are done early take another
-VIEWS = ("_x", "_ready", "_noted", "worlds", "_order")  # attributes of `Vehicles`
+CHUNKS = 4  # of the vehicles, for each thread: those that are done early take another
+VIEWS = ("_x", "_ready", "_sampled", "worlds", "_order")  # attributes of `Vehicles`
 LEAST = 32  # vehicles that a thread takes at a time, at least
 
 
@@ -60,10 +60,10 @@ class Vehicles:
         self.scenario = scenario
         self.count: int = count
         self._threads = threads or processors()
-        share = count
+        chunk = count
         if self._threads > 1:
-            share = max(-(-count // (SHARES * self._threads)), LEAST)
-        self._share = share
+            chunk = max(-(-count // (CHUNKS * self._threads)), LEAST)
+        self._chunk = chunk
         self._orders = np.full(count, IDLE)
         self._course_orders = np.full(count, IDLE)
 
@@ -91,12 +91,12 @@ class Vehicles:
         heads = self._heads
         self._x = heads["x"]
         self._ready = self._world.courses["ready"]
-        self._noted = self._notes()
+        self._sampled = self._samples()
         results = {name: heads[name] for name in ("terms", "reward", "cause")}
         known = {} if self._on_board is None else self._on_board.views()
         self.worlds = self._arrays(**self._world._asdict(), **results, **known)
 
-    def _notes(self) -> tuple[np.ndarray, ...]:
+    def _samples(self) -> tuple[np.ndarray, ...]:
         """Arrays of the world that those on board read, and write what they know into."""
         raise NotImplementedError
 
@@ -196,9 +196,9 @@ class Vehicles:
         courses[(orders == STEP) & (self._ready < self._x + self._ahead)] = AHEAD
         laid = np.any(courses != IDLE)
 
-        def follow(number: int) -> int:
-            first = number * self._share
-            end = min(first + self._share, self.count)
+        def run_chunk(number: int) -> int:
+            first = number * self._chunk
+            end = min(first + self._chunk, self.count)
             scratch = self._scratch[number]
             failed = 0
             if laid:
@@ -206,15 +206,15 @@ class Vehicles:
             self._drive(orders, scratch, first, end)
             return failed
 
-        shares = range(len(self._scratch))
-        run = map if len(shares) == 1 else _pool(self._threads, os.getpid()).map
-        check_laid(sum(run(follow, shares)))
+        chunks = range(len(self._scratch))
+        run = map if len(chunks) == 1 else _pool(self._threads, os.getpid()).map
+        check_laid(sum(run(run_chunk, chunks)))
 
     def _drive(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:
         """Follow the orders for vehicles `first` to `end` - 1: the world, then what is on board."""
         self._move(orders, scratch, first, end)
         if self._on_board is not None:
-            self._on_board.follow(self._noted, orders, first, end)
+            self._on_board.update(self._sampled, orders, first, end)
 
     def _move(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:
         """Follow the orders in the world."""

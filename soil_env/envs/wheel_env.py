@@ -79,7 +79,7 @@ class SoilWheelEnv(CourseEnv):
     (1)-(10), with slip-sinkage (Lyasko 2010): a slipping wheel digs, and a wheel spinning on the
     spot keeps digging. At commanded halts, about every metre, the drive is held and the agent's
     action is ignored; afterwards the wheel has to start again where it stands. In scenarios with
-    two lines over a patch ("two_lines") the sign of the action at a halt chooses the line to go on.
+    two routes over a patch ("two_lines") the sign of the action at a halt chooses one of them.
 
     ## Action space
     `Box(-1, 1, (1,), float32)`, held for `repeat` control periods of 0.1 s:
@@ -187,9 +187,9 @@ class SoilWheelEnv(CourseEnv):
     | 20 | dig_recovery | - | 0 | 10 |
 
     Where the scenario has terrain classes (`course={"classes": 3}`, as in "two_lines"), a camera's
-    view follows, here for 3 classes and 2 lines; n is the number of entries above. Entries of the
+    view follows, here for 3 classes and 2 routes; n is the number of entries above. Entries of the
     patch ahead are 0 while its border is out of sight (`camera={"range": 2}`), and so are those of
-    the line beside where there is none. Labels are wrong now and then, grade and border distance
+    the route beside where there is none. Labels are wrong now and then, grade and border distance
     have errors, in part the same in every image (`Camera`).
 
     | # | name | unit | min | max |
@@ -198,17 +198,17 @@ class SoilWheelEnv(CourseEnv):
     | n+1 | here_class_1 | 0 or 1, label of the ground under the wheel | 0 | 1 |
     | n+2 | here_class_2 | 0 or 1 | 0 | 1 |
     | n+3 | here_class_3 | 0 or 1 | 0 | 1 |
-    | n+4 | ahead_grade | rad, uphill positive, steepest on the line straight ahead | -1.6 | 1.6 |
+    | n+4 | ahead_grade | rad, uphill positive, steepest on the route straight ahead | -1.6 | 1.6 |
     | n+5 | ahead_class_1 | 0 or 1 | 0 | 1 |
     | n+6 | ahead_class_2 | 0 or 1 | 0 | 1 |
     | n+7 | ahead_class_3 | 0 or 1 | 0 | 1 |
-    | n+8 | beside_grade | rad, uphill positive, steepest on the line beside | -1.6 | 1.6 |
+    | n+8 | beside_grade | rad, uphill positive, steepest on the route beside | -1.6 | 1.6 |
     | n+9 | beside_class_1 | 0 or 1 | 0 | 1 |
     | n+10 | beside_class_2 | 0 or 1 | 0 | 1 |
     | n+11 | beside_class_3 | 0 or 1 | 0 | 1 |
-    | n+12 | choice | 0 or 1, 1 while the action chooses: below 0 the line beside | 0 | 1 |
+    | n+12 | choice | 0 or 1, 1 while the action chooses: below 0 the route beside | 0 | 1 |
 
-    `"identified"` goes on with what was learnt of the class of each line, by its label:
+    `"identified"` goes on with what was learnt of the class of each route, by its label:
     `ahead_NAME` of entries 14 to 19 and 21 to 24, before them `ahead_met` (n+13; 0 while the
     estimate of that class is the prior, else 1), then
 
@@ -218,7 +218,7 @@ class SoilWheelEnv(CourseEnv):
     | n+25 | ahead_margin_sd | of load, of that pull | 0 | 2 |
 
     then the same as `beside_NAME`. `"true_soil"` goes on with `ahead_NAME` of its entries 14 to 20
-    and `ahead_margin` (n+20) of the true soil of each line, then the same as `beside_NAME`.
+    and `ahead_margin` (n+20) of the true soil of each route, then the same as `beside_NAME`.
 
     ## Rewards
     The sum of the terms in `info["reward_terms"]`, with weights `reward={...}`:
@@ -295,7 +295,7 @@ class SoilWheelEnv(CourseEnv):
     ## Version history
     * v0: first version. It has not been released, so that laws still change under this number.
     * Observations of version 2 (`simulation.task.VERSION`): slip follows from the two speeds,
-      sensors have zeros and gains, grades tell nothing of soils. Policies of version 1 are refused.
+      sensors have zeros and gains, grades do not show soils. Policies of version 1 are refused.
     """
 
     def __init__(

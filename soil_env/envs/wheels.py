@@ -31,7 +31,7 @@ class Worlds(NamedTuple):
 
     state: np.ndarray
     courses: np.ndarray
-    notes: np.ndarray
+    samples: np.ndarray
     observation: np.ndarray
     terms: np.ndarray  # [wheels, 4] of the reward
     reward: np.ndarray  # [wheels]
@@ -64,12 +64,16 @@ class Simulation(Vehicles):
         super().__init__(wheels, scenario, threads)
         identifies = warnings or asks_for_estimates(scenario, variant)
         self.numbers: WheelNumbers = wheel_numbers(scenario, variant, model)
-        notes = (wheels, scenario.control.held) if identifies else (-(-wheels // self._share), 1)
-        worlds = new_wheel_worlds(wheels, scenario, self.numbers, notes)
+        samples = (
+            (wheels, scenario.control.action_periods)
+            if identifies
+            else (-(-wheels // self._chunk), 1)
+        )
+        worlds = new_wheel_worlds(wheels, scenario, self.numbers, samples)
         self._options = options_of(self.numbers)
         settings = [
-            new_setting(self.numbers, identifies, share)
-            for share in range(-(-wheels // self._share))
+            new_setting(self.numbers, identifies, chunk)
+            for chunk in range(-(-wheels // self._chunk))
         ]
         drawn = course_numbers(scenario, model)
         courses = (drawn, float(drawn.drawn.spec.ahead))
@@ -85,8 +89,8 @@ class Simulation(Vehicles):
         trial = new_wheel_worlds(1, scenario, self.numbers, (1, 1))
         self._check_drivable(trial, trial.state)
 
-    def _notes(self) -> tuple[np.ndarray, ...]:
-        return self._heads, self._world.notes, self._world.observation
+    def _samples(self) -> tuple[np.ndarray, ...]:
+        return self._heads, self._world.samples, self._world.observation
 
     def _view(self) -> None:
         super()._view()

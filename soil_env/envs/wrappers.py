@@ -10,12 +10,12 @@ from soil_env.envs.wheel_env import SoilWheelEnv
 
 
 class LineAction(gymnasium.ActionWrapper, gymnasium.utils.RecordConstructorArgs):
-    """Wrapper of `SoilWheel-v0` on courses with two lines: the action is (drive, line), a
+    """Wrapper of `SoilWheel-v0` on courses with two routes: the action is (drive, route), a
     `Box(-1, 1, (2,))`.
 
-    The second number counts only where a line is chosen, below 0 for the line beside; else the
+    The second number counts only where a route is chosen, below 0 for the route beside; else the
     first one counts. In the plain action both are one number. SAC and TD3 learn to drive with
-    positive actions, and then hardly ever try the line beside.
+    positive actions, and then hardly ever try the route beside.
     """
 
     def __init__(self, env: gymnasium.Env):
@@ -23,7 +23,7 @@ class LineAction(gymnasium.ActionWrapper, gymnasium.utils.RecordConstructorArgs)
         gymnasium.ActionWrapper.__init__(self, env)
         inner = env.unwrapped
         if not isinstance(inner, SoilWheelEnv) or "choice" not in inner.observation_names:
-            raise ParameterError(f"LineAction: {env}: expected SoilWheel-v0 with two lines")
+            raise ParameterError(f"LineAction: {env}: expected SoilWheel-v0 with two routes")
         if env.action_space.shape != (1,):
             raise ParameterError(
                 f"LineAction: {env}: has {env.action_space}: expected an action of one number"
@@ -34,6 +34,6 @@ class LineAction(gymnasium.ActionWrapper, gymnasium.utils.RecordConstructorArgs)
 
     def action(self, action: ArrayLike) -> NDArray[np.float64]:
         """The number that counts now, as the action [1] of the plain environment."""
-        drive, line = np.split(actions_of(action, (2,)), 2)
+        drive, route = np.split(actions_of(action, (2,)), 2)
         choosing = self._inner.simulation.worlds.observation[0, self._choice] > 0.5
-        return line if choosing else drive
+        return route if choosing else drive

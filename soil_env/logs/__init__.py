@@ -2,7 +2,7 @@
 
 `mapping` names topic, field or column of each reading. `recordings` opens the file, which `bags` or
 `tables` read. `align` puts all readings on one time axis. `replay` runs the online identifier,
-`steady` finds the steady stretches by ground, and `report` makes the files. `soil-env logs --help`
+`steady` finds the steady windows by ground, and `report` makes the files. `soil-env logs --help`
 describes these.
 """
 

@@ -109,7 +109,7 @@ class TimeColumn(Checked):
 
 @dataclass(frozen=True)
 class Windows(Checked):
-    """Duration of a steady stretch of a log, and the least speed of its wheel."""
+    """Duration of a steady window of a log, and the least speed of its wheel."""
 
     duration: float = quantity("s", 0.1, 600.0, default=1.0)
     wheel_speed: float = quantity("rad/s", 0.0, 1e3, default=0.13, doc="least")

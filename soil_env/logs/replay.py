@@ -224,8 +224,8 @@ def _grounds(
     """Number [N] from 1 of the ground at each step, and the probability by ground that it is not as
     the last.
 
-    `found` [N]: borders found so far. A stretch shorter than two borders is part of the next: a
-    border that is long is found twice. A stretch whose estimate does not differ from that of the
+    `found` [N]: borders found so far. A part shorter than two borders is part of the next: a
+    border that is long is found twice. A part whose estimate does not differ from that of the
     ground before is part of that.
     """
     where = log.travelled(log_map.wheel.radius)
@@ -317,7 +317,7 @@ _SENSORS = {
 }
 _NOTHING = "Sinkage and forces are not measured. Only the slip is known, which identifies nothing."
 _NO_FORCE = (
-    "Drawbar pull and torque are not measured, so nothing tells of shear. Only the sinkage "
+    "Drawbar pull and torque are not measured, so nothing shows shear. Only the sinkage "
     "coefficient S is identified, if the load is measured. Friction angle, cohesion and K follow "
     "from it by the correlations of the belief."
 )

@@ -90,7 +90,7 @@ def report_of(
     }
     estimates = _estimates_picture(found)
     readings = _readings_picture(log, steady, log_map)
-    shaded = "Readings over time in SI units; steady stretches are shaded."
+    shaded = "Readings over time in SI units; steady windows are shaded."
     grey = (
         "The soil as identified, with 95 % intervals; grey where the estimate is the prior or held."
     )

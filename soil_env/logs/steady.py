@@ -1,7 +1,7 @@
-"""Steady stretches of a log as points of measurement tables, one table a ground, with a setup
+"""Steady windows of a log as points of measurement tables, one table a ground, with a setup
 beside each.
 
-A stretch is steady where the means of its two halves agree in slip, speed, pull, torque and pitch.
+A window is steady where the means of its two halves agree in slip, speed, pull, torque and pitch.
 Sinkage must have come to the value that belongs to the slip. It follows dz/dt = A (z_end - z), A =
 (|V| + recovery |r w - V|)/l (`effects.excavation_rate`). After a change dz between the halves, a
 time T/2 apart, dz/(1 - exp(-A T/2)) is left to go.
@@ -55,7 +55,7 @@ class Steady:
         """Reason for which the points are no measurement table; empty where they are one."""
         if not self.rows:
             return (
-                "no stretch of the log is steady enough (windows in map.yaml) and has sinkage, "
+                "no window of the log is steady enough (windows in map.yaml) and has sinkage, "
                 "pull or torque"
             )
         slip = [float(row["slip"]) for row in self.rows]
@@ -81,7 +81,7 @@ def cell(value: float | str, form: str) -> str:
 
 
 def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = None) -> Steady:
-    """The steady stretches of a log, none overlapping another, each as long as
+    """The steady windows of a log, none overlapping another, each as long as
     `log_map.windows.duration`.
 
     `ground` [N] is that of `Replay`, one more from each border on; left out, all is one ground.
@@ -162,7 +162,7 @@ def _drives(log: Aligned, rim: np.ndarray, log_map: LogMap) -> np.ndarray:
 
 
 def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bool:
-    """True if the columns [n] of a stretch are steady."""
+    """True if the columns [n] of a window are steady."""
     radius = log_map.wheel.radius
     weight = log_map.weight
     n = part["slip"].size
@@ -215,7 +215,7 @@ def _scatter(values: np.ndarray) -> float:
 
 
 def _row(part: dict[str, np.ndarray], start: float, period: float) -> Point:
-    """The means of a stretch that begins at `start` [s]; NaN where half of the values are
+    """The means of a window that begins at `start` [s]; NaN where half of the values are
     missing.
     """
     mean = {
@@ -243,7 +243,7 @@ class Ground:
 
 
 def grounds(found: Replay, steady: Steady) -> list[Ground]:
-    """All stretches of ground of a log, in the order of the drive."""
+    """All parts of the ground of a log, in the order of the drive."""
     out = []
     for number in sorted({*found.ground.tolist()}):
         time = found.time[found.ground == number]
@@ -390,7 +390,7 @@ def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
     return [
         *out,
         (
-            "The noise in the setup is the scatter within the stretches. Differences between "
+            "The noise in the setup is the scatter within the windows. Differences between "
             "places come on top of it."
         ),
     ]

@@ -8,7 +8,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from soil_env._io.loading import ParameterError, unknown_key
+from soil_env._io.loading import ParameterError, one_line, unknown_key
 from soil_env.logs.bags import Progress
 from soil_env.logs.mapping import TIMES
 from soil_env.logs.notes import Faults, Notes
@@ -234,9 +234,8 @@ def _parquet(
     except (OSError, pyarrow.ArrowException, ValueError, ArithmeticError, MemoryError) as error:
         if isinstance(error, ParameterError):
             raise
-        said = (str(error).splitlines() or [type(error).__name__])[0]
         raise ParameterError(
-            f"{path}: cannot be read as Parquet, whose index is at its end ({said})"
+            f"{path}: cannot be read as Parquet, whose index is at its end ({one_line(error)})"
         ) from None
     if number == 0:
         raise ParameterError(f"{path}: has no rows")

@@ -48,15 +48,15 @@ def load_doubt(table: Table, setup: Setup) -> str:
                 "in kilograms or kgf, multiply it by 9.81)."
             )
         known = np.isfinite(force)
-        odd = driven & known & (force > most * table.load)
-        rest = known & ~odd
-        if odd.sum() < FEWEST or not rest.any():
+        excessive = driven & known & (force > most * table.load)
+        rest = known & ~excessive
+        if excessive.sum() < FEWEST or not rest.any():
             continue
-        light = float(np.max(table.load[odd]))
+        light = float(np.max(table.load[excessive]))
         if light < LIGHTER * np.median(table.load[rest]):
-            share = float(np.median(force[odd] / table.load[odd]))
+            share = float(np.median(force[excessive] / table.load[excessive]))
             return (
-                f"{name} is {share:.2g} times the load in {odd.sum()} rows with loads up to "
+                f"{name} is {share:.2g} times the load in {excessive.sum()} rows with loads up to "
                 f"{light:.3g} N, more than soil gives, and not in the others: expected load in "
                 "newtons in every row (if these are in kilograms or kgf, multiply them by 9.81)."
             )

@@ -36,7 +36,7 @@ STEEPEST_TILT = 20.0  # [deg] of a rig that is not level
 LEAST_SD = 1e-6  # of a prior, as a share of its value; a smaller one is the value known
 # Below these soil parameters look like another unit: parameter, limit, its unit, what it looks
 # like, factor
-_ODD = (
+_OTHER_UNITS = (
     ("friction_angle_deg", 2.0, "deg", "radians", 57.3),
     ("cohesion", 50.0, "Pa", "kPa", 1e3),
     ("sinkage_coefficient", 1e4, "N/m^(n+2)", "kN/m^(n+2)", 1e3),
@@ -269,7 +269,7 @@ class Setup(Checked):
     def doubts(self) -> list[str]:
         """Values of the soil that are admissible but look like another unit, one sentence each."""
         words = []
-        for name, limit, unit, looks, factor in _ODD:
+        for name, limit, unit, looks, factor in _OTHER_UNITS:
             prior = getattr(self.soil, name)
             if prior is not None and 0.0 < prior.value < limit:
                 words.append(

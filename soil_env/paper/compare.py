@@ -32,7 +32,7 @@ SAND = P.table2
 POINT = P.working_point
 WHEEL = P.wheel
 MODELS = (AS_PRINTED, WONG_REECE)
-HELD = tuple(e._replace(cohesion=P.fixed_cohesion) for e in MODELS)
+FIXED_COHESION = tuple(e._replace(cohesion=P.fixed_cohesion) for e in MODELS)
 NAMES = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient")
 LABELS = {
     "friction_angle_deg": "phi [deg]",
@@ -103,14 +103,14 @@ def pair(values: Iterable[float]) -> tuple[float, float]:
     return first, second
 
 
-def alone(e: Equations, name: str, target: float, sand: Sand = SAND) -> float:
+def alone(e: Equations, name: str, target: float) -> float:
     """The value of one parameter of the sand at which the working point's drawbar pull is `target`
     [N].
     """
-    value = getattr(sand, name)
+    value = getattr(SAND, name)
     low, high = (-1e4, 1e5) if name == "cohesion" else (0.5 * value, 2.0 * value)
     return float(
-        brentq(lambda v: pull(e, replace(sand, **{name: v})) - target, low, high, xtol=1e-12 * high)
+        brentq(lambda v: pull(e, replace(SAND, **{name: v})) - target, low, high, xtol=1e-12 * high)
     )
 
 
@@ -216,14 +216,14 @@ def table_3() -> list[Row]:
     """The identified set, its errors, and the measured pulls beside those that the printed set
     predicts.
     """
-    found = [root(e) for e in HELD]
+    found = [root(e) for e in FIXED_COHESION]
     rows = []
     for k, (name, form) in enumerate(zip(NAMES, (".2f", ".4f", ".0f"), strict=True)):
         line = P.table3[name]
         errors = pair(100.0 * abs(as_shown(x[k], form) / line.actual - 1.0) for x in found)
         rows.append(Row(LABELS[name], line.identified, pair(x[k] for x in found), form))
         rows.append(Row("error [%]", line.error_percent, errors))
-    predicted = [forces(PRINTED_SET, *MEASURED[:2], e)[:, 0] for e in HELD]
+    predicted = [forces(PRINTED_SET, *MEASURED[:2], e)[:, 0] for e in FIXED_COHESION]
     for p, measured in enumerate(MEASURED.pull):
         name = (
             f"DP at {100 * MEASURED.slip[p]:.2f} % slip of the printed set, beside the measured [N]"
@@ -254,7 +254,7 @@ def table_4(backtracking: bool) -> list[Row]:
     )
     for k, (name, scan, form) in enumerate(zip(NAMES, scans, (".1f", ".4f", ".2g"), strict=True)):
         limits = []
-        for e in HELD:
+        for e in FIXED_COHESION:
             guesses = np.tile(GUESS, (scan.size, 1))
             guesses[:, k] = scan
             good = reaches(e, guesses, backtracking)
@@ -302,7 +302,9 @@ def box(*counts: int) -> Box:
         np.geomspace(S[0], S[1], counts[2]),
     )
     guesses = np.array(list(product(*sides)))
-    plain, backtracking = ([reaches(e, guesses, own) for e in HELD] for own in (False, True))
+    plain, backtracking = (
+        [reaches(e, guesses, own) for e in FIXED_COHESION] for own in (False, True)
+    )
     return Box(guesses, plain, backtracking)
 
 
@@ -336,8 +338,8 @@ def sets(k: int) -> dict[str, tuple[np.ndarray, Equations]]:
     """Parameter sets of Figs. 6 and 7 by `MODELS`[k]."""
     return {
         "Table 2": (ACTUAL_SET, MODELS[k]),
-        "Table 3, printed": (PRINTED_SET, HELD[k]),
-        "Table 3, ours": (root(HELD[k]), HELD[k]),
+        "Table 3, printed": (PRINTED_SET, FIXED_COHESION[k]),
+        "Table 3, ours": (root(FIXED_COHESION[k]), FIXED_COHESION[k]),
     }
 
 
@@ -352,7 +354,7 @@ def pull_misfits() -> list[float]:
     """
     return [
         float(np.sqrt(np.mean((prediction(PRINTED_SET, e)[:, 0] - MEASURED.pull) ** 2)))
-        for e in HELD
+        for e in FIXED_COHESION
     ]
 
 
@@ -432,5 +434,5 @@ def compute(seed: int = 0, draws: int = 1000) -> Results:
         name: (torque(*field(soils()[row])), torque_at_37_deg(soils()[row]))
         for name, row in FIELD.items()
     }
-    first, second = (table_5(e, seed, draws) for e in HELD)
+    first, second = (table_5(e, seed, draws) for e in FIXED_COHESION)
     return Results(seed, draws, rows, box(2, 2, 2), box(7, 7, 5), (first, second), torques)

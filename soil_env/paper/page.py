@@ -32,7 +32,7 @@ def write(results: Results, folder: Path, command: str) -> None:
 
 def markdown(results: Results, command: str) -> str:
     """The page as Markdown."""
-    tables = {f"{name}_table": _beside(rows) for name, rows in results.rows.items()}
+    tables = {f"{name}_table": _comparison(rows) for name, rows in results.rows.items()}
     tables["table4_table"] = _ranges(results)
     tables["corners"] = _corners(results)
     tables["criterion"] = _criterion_table()
@@ -66,7 +66,7 @@ def markdown(results: Results, command: str) -> str:
     return render("soil_env.paper:paper.md", **values, **tables)
 
 
-def _beside(rows: Sequence[Row]) -> Table:
+def _comparison(rows: Sequence[Row]) -> Table:
     """A printed number, ours by each reading, and the differences; none where our scan ends before
     a limit.
     """

@@ -31,7 +31,7 @@ from soil_env.parameters.soil import (
     lumped_coefficient,
     soils,
 )
-from soil_env.parameters.task import HELD, Control, Limits, RewardWeights
+from soil_env.parameters.task import ACTION_PERIODS, Control, Limits, RewardWeights
 from soil_env.parameters.vehicle import MOST_AXLES, Vehicle, mass_of_wheel
 from soil_env.parameters.wheel import (
     LARGEST_WHEEL,
@@ -48,7 +48,7 @@ __all__ = [
     "DEFAULT_SCENARIO",
     "EARTH_GRAVITY",
     "FLOW_LAW",
-    "HELD",
+    "ACTION_PERIODS",
     "LARGEST_WHEEL",
     "MOST_AXLES",
     "MOST_CLASSES",

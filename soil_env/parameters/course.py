@@ -12,7 +12,7 @@ class CourseSpec(Checked):
     """Distribution of the random courses. All pairs are (low, high) of a uniform distribution.
 
     Soils and slopes are drawn apart: patches have lengths and soils, slopes lengths and grades of
-    their own. So a grade tells nothing of the soil, and some slopes are too steep for theirs. Only
+    their own. So a grade does not show the soil, and some slopes are too steep for theirs. Only
     a soil that leaves this wheel less than `least_pull` on level ground is drawn again; with
     `classes` that of a class, about which its patches scatter.
 
@@ -23,7 +23,7 @@ class CourseSpec(Checked):
     and has to start again where it stands.
 
     With `classes` the ground is of that many terrain classes, which a camera can distinguish
-    (`Camera`), and with `lines` = 2 the wheel may go on along one of two lines over each patch
+    (`Camera`), and with `lines` = 2 the wheel may go on along one of two routes over each patch
     after the first of each class (docs/physics/wheel.md, "Terrain classes"). Rovers predict slip by
     class to choose a way around ground before they are on it (Angelova, Matthies, Helmick & Perona
     2007, J. Field Robotics 24:205-231; Rothrock et al. 2016, AIAA SPACE, doi 10.2514/6.2016-5539).
@@ -62,10 +62,10 @@ class CourseSpec(Checked):
         "of spread", 0.0, 1.0, default=0.2, doc="of the patches of a class about its soil"
     )
     lines: int = quantity(
-        "", 1, 2, default=1, doc="lines over a patch between which the wheel may choose"
+        "", 1, 2, default=1, doc="routes over a patch between which the wheel may choose"
     )
     halt_before: tuple[float, float] = quantity(
-        "m", 0.0, 1e3, default=(0.4, 0.7), doc="a patch with two lines"
+        "m", 0.0, 1e3, default=(0.4, 0.7), doc="a patch with two routes"
     )
 
     def __post_init__(self) -> None:
@@ -87,7 +87,7 @@ class CourseSpec(Checked):
             )
         if self.halt_time == 0.0:
             raise FieldError(
-                self, "halt_time", " = 0: expected halts where lines = 2, to choose a line in"
+                self, "halt_time", " = 0: expected halts where lines = 2, to choose a route in"
             )
         low, high = self.halt_before
         most = self.patch_length[0] - self.border
@@ -103,7 +103,7 @@ class CourseSpec(Checked):
 class Camera(Checked):
     """Camera on the rover, which sees the ground ahead if that has terrain classes.
 
-    It sees the class of each line, which is wrong with probability `label_error`, the grade, and
+    It sees the class of each route, which is wrong with probability `label_error`, the grade, and
     how far off the border is. Label and grade of a patch are read from its look: they are wrong in
     the same way in every image. The distance has an error of that kind and one that is new in every
     image, both of `border_noise`.

@@ -33,7 +33,7 @@ class SensorReading(NamedTuple):
 class Image(NamedTuple):
     """Numbers of an image, in this order in a record.
 
-    A patch is a stretch of the course with one class of ground on each of its lines. A label is the
+    A patch is a part of the course with one class of ground on each of its routes. A label is the
     number of a class by its looks, 0 to `camera.classes` - 1. What is after `seen` is of the patch
     ahead, and means something only if that is 1.
     """
@@ -43,13 +43,13 @@ class Image(NamedTuple):
     left: float  # [m] from the wheel to its end
     here: float  # label of the ground under the wheel
     seen: float  # 1 if the patch ahead is within `camera.sight`, else 0
-    chosen: float  # 1 if it has one line, or the wheel has come too near to choose, else 0
-    lines: float  # number of lines over the patch ahead, 1 or 2
-    taken: float  # line over it that the wheel heads for: 0 straight on, 1 beside
-    label_0: float  # label of the ground on line 0
-    label_1: float  # on line 1; that of line 0 where there is one line
-    grade_0: float  # [rad] steepest grade ahead on line 0, uphill positive
-    grade_1: float  # [rad] on line 1
+    chosen: float  # 1 if it has one route, or the wheel has come too near to choose, else 0
+    lines: float  # number of routes over the patch ahead, 1 or 2
+    taken: float  # route over it that the wheel heads for: 0 straight on, 1 beside
+    label_0: float  # label of the ground on route 0
+    label_1: float  # on route 1; that of route 0 where there is one route
+    grade_0: float  # [rad] steepest grade ahead on route 0, uphill positive
+    grade_1: float  # [rad] on route 1
 
 
 class Shown(NamedTuple):

@@ -101,7 +101,7 @@ class Scenario(Checked):
     @property
     def steps(self) -> int:
         """Actions until the time limit."""
-        return -(-self.periods // self.control.held)
+        return -(-self.periods // self.control.action_periods)
 
 
 def scenario_names() -> list[str]:

@@ -6,7 +6,7 @@ from typing import Literal
 from soil_env._io.loading import Checked, FieldError, quantity
 
 #: Control periods that an action lasts unless `Control.repeat` says otherwise.
-HELD = {"torque": 1, "wheel_speed": 1, "rim_acceleration": 5}
+ACTION_PERIODS = {"torque": 1, "wheel_speed": 1, "rim_acceleration": 5}
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Control(Checked):
     """Action of the agent, control period, integrator step and time limit.
 
     `repeat` is the number of control periods that an action lasts; where it is not given,
-    `HELD[action]`.
+    `ACTION_PERIODS[action]`.
     """
 
     period: float = quantity("s", 1e-3, 1.0, default=0.1, doc="of sensors, identifier and drive")
@@ -61,11 +61,11 @@ class Control(Checked):
             raise FieldError(self, "repeat", f" = {self.repeat!r}: expected a whole number")
 
     @property
-    def held(self) -> int:
+    def action_periods(self) -> int:
         """Control periods that an action lasts."""
-        return HELD[self.action] if self.repeat is None else int(self.repeat)
+        return ACTION_PERIODS[self.action] if self.repeat is None else int(self.repeat)
 
     @property
     def duration(self) -> float:
         """Time that an action lasts [s]."""
-        return self.period * self.held
+        return self.period * self.action_periods

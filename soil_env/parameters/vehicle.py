@@ -7,7 +7,7 @@ from typing import Literal
 from soil_env._io.loading import Checked, FieldError, quantity
 
 MOST_AXLES = 3  # [-] two fixed to the body, or three with a bogie
-LEAST_SHARE = 0.02  # [-] of the weight that an axle bears, for the rover not to tip; own choice
+LEAST_SHARE = 0.02  # [-] of the weight that an axle carries, for the rover not to tip; own choice
 
 
 @dataclass(frozen=True)
@@ -52,10 +52,10 @@ class Vehicle(Checked):
                 expected = f"expected between the axles of the bogie, {low} and {high}"
                 raise FieldError(self, "pivot", f" = {self.pivot}: {expected}")
         if min(self.shares) < LEAST_SHARE:
-            least = f"each bears at least {100 * LEAST_SHARE:g} % of the weight"
+            least = f"each carries at least {100 * LEAST_SHARE:g} % of the weight"
             expected = f"expected between the axles, so that {least}"
-            bear = ", ".join(f"{s:.3g}" for s in self.shares)
-            raise FieldError(self, "centre", f" = {self.centre}: {expected}; they bear {bear}")
+            carried = ", ".join(f"{s:.3g}" for s in self.shares)
+            raise FieldError(self, "centre", f" = {self.centre}: {expected}; they carry {carried}")
 
     @property
     def first_on_bogie(self) -> int:
@@ -74,7 +74,7 @@ class Vehicle(Checked):
 
     @property
     def shares(self) -> tuple[float, ...]:
-        """Share of the weight that each axle bears at rest on level ground; they add up to 1."""
+        """Share of the weight that each axle carries at rest on level ground; they add up to 1."""
         if self.bogie == "none":
             rear = self.centre / self.base
             return 1.0 - rear, rear

@@ -1,4 +1,4 @@
-"""Canvas on a pygame surface, laid out for one size and scaled to any other; colours."""
+"""Canvas on a pygame surface; colours."""
 
 import math
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ Point: TypeAlias = Sequence[float] | np.ndarray
 Points: TypeAlias = Sequence[Point] | np.ndarray
 Box: TypeAlias = tuple[float, float, float, float]  # left, top, width, height
 
-DESIGN = (960, 540)  # [px] the size in which the layout is written
+SIZE = (960, 540)  # [px]
 # Colours: Okabe & Ito, distinct with every kind of colour vision; soil runs from light to dark with
 # friction.
 WHITE = (255, 255, 255)
@@ -42,30 +42,26 @@ GRAINS = np.random.default_rng(5).random((512, 3))  # place in the cell, depth, 
 
 
 class Canvas:
-    """Drawing surface with twofold supersampling, text on top; points [n, 2] in units of the
-    design.
-    """
+    """Drawing surface with twofold supersampling, text on top; points [n, 2] in pixels."""
 
-    def __init__(self, size: tuple[int, int]) -> None:
+    def __init__(self) -> None:
         import pygame
 
         pygame.font.init()
         self._pygame = pygame
         self._draw = pygame.draw
-        self._scale = min(size[0] / DESIGN[0], size[1] / DESIGN[1])
-        self._offset = 0.5 * (np.array(size) - self._scale * np.array(DESIGN))
-        self._large = pygame.Surface((2 * size[0], 2 * size[1]), 0, 32)
-        self._surface = pygame.Surface(size, 0, 32)
+        self._large = pygame.Surface((2 * SIZE[0], 2 * SIZE[1]), 0, 32)
+        self._surface = pygame.Surface(SIZE, 0, 32)
         self._fonts: dict[int, pygame.font.Font] = {}  # by their height [px]
         self._written: dict[tuple[str, int, Colour], pygame.Surface] = {}
         self._texts: list[tuple[pygame.Surface, np.ndarray]] = []  # with their places
 
     def _at(self, points):
-        return (2.0 * (self._scale * np.asarray(points) + self._offset)).tolist()
+        return (2.0 * np.asarray(points)).tolist()
 
     def _width(self, width):
         """Width of a line in pixels of the large picture, which has twice as many."""
-        return max(1, round(2.0 * self._scale * width))
+        return max(1, round(2.0 * width))
 
     def clear(self) -> None:
         """Start a new picture."""
@@ -102,9 +98,7 @@ class Canvas:
     def circle(self, centre: Point, radius: float, colour: Colour, width: float = 0) -> None:
         """A disc, or a ring `width` wide inside `radius`."""
         thickness = self._width(width) if width else 0
-        self._draw.circle(
-            self._large, colour, self._at(centre), 2.0 * self._scale * radius, thickness
-        )
+        self._draw.circle(self._large, colour, self._at(centre), 2.0 * radius, thickness)
 
     def arrow(self, tail: Point, head: Point, colour: Colour, width: float = 2.0) -> None:
         """A line with a head 5 units long, or shorter."""
@@ -147,16 +141,11 @@ class Canvas:
         if key not in self._written:
             if len(self._written) > 400:
                 self._written.clear()
-            pixels = max(6, round(size * self._scale))
-            if pixels not in self._fonts:
-                self._fonts[pixels] = self._pygame.font.Font(None, pixels)
-            self._written[key] = self._fonts[pixels].render(words, True, colour)
+            if size not in self._fonts:
+                self._fonts[size] = self._pygame.font.Font(None, size)
+            self._written[key] = self._fonts[size].render(words, True, colour)
         image = self._written[key]
-        place = (
-            self._offset
-            + self._scale * np.array([x, y])
-            - np.multiply(image.get_size(), (align, 0.5))
-        )
+        place = np.array([x, y]) - np.multiply(image.get_size(), (align, 0.5))
         self._texts.append((image, place.round()))
 
     def finish(self) -> "pygame.Surface":

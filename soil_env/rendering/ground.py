@@ -139,8 +139,8 @@ def draw_course(
     left, top, width, height = COURSE
     x = np.linspace(0.0, length, 257)
     h = np.interp(x, profile.x, profile.height)
-    stretch = min(0.6 * height / max(np.ptp(h), 1e-6), 3.0 * width / length)
-    y = top + 0.62 * height - stretch * (h - 0.5 * (h.max() + h.min()))
+    magnified = min(0.6 * height / max(np.ptp(h), 1e-6), 3.0 * width / length)
+    y = top + 0.62 * height - magnified * (h - 0.5 * (h.max() + h.min()))
     friction = np.interp(0.5 * (x[1:] + x[:-1]), profile.x, profile.friction)
     c.soil(np.stack([left + width * x / length, y], axis=1), top + height, friction, bounds)
     for place in places:

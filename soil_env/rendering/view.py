@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from soil_env.parameters import Scenario
-from soil_env.rendering.canvas import DESIGN, Canvas
+from soil_env.rendering.canvas import SIZE, Canvas
 from soil_env.rendering.charts import QUANTITIES, SPAN, draw_charts
 from soil_env.rendering.ground import draw_course, friction_range, profile_of
 from soil_env.rendering.side_view import COLOURS, draw_side_view, sample_of, shown_wheels, width_of
@@ -24,12 +24,11 @@ class CourseView:
     `draw` a frame.
     """
 
-    def __init__(self, scenario: Scenario, mode: str, size: tuple[int, int] = DESIGN) -> None:
+    def __init__(self, scenario: Scenario, mode: str) -> None:
         if mode not in MODES:
             raise ValueError(f"render mode {mode!r}: expected one of {', '.join(MODES)}")
         self.scenario: Scenario = scenario
         self.mode: str = mode
-        self.size: tuple[int, int] = (size[0], size[1])
         self._canvas: Canvas | None = None
         self._window: pygame.Window | None = None
         self._clock: pygame.time.Clock | None = None
@@ -53,7 +52,7 @@ class CourseView:
         if steps == 0:
             self.clear()
         self._angles = self._angles + np.array([w["wheel_speed"] for w in wheels]) * self._step
-        if steps % (self._every * self.scenario.control.held) == 0:
+        if steps % (self._every * self.scenario.control.action_periods) == 0:
             samples = (
                 sample_of(simulation, w, self.scenario.belief.sinkage_exponent) for w in wheels
             )
@@ -81,7 +80,7 @@ class CourseView:
         """The picture as uint8 [height, width, 3] in mode "rgb_array"; in mode "human" it goes to
         the window.
         """
-        canvas = self._canvas or Canvas(self.size)
+        canvas = self._canvas or Canvas()
         self._canvas = canvas
         canvas.clear()
         simulation.complete(k)
@@ -94,7 +93,7 @@ class CourseView:
 
         return (
             np.frombuffer(pygame.image.tobytes(surface, "RGB"), np.uint8)
-            .reshape(*self.size[::-1], 3)
+            .reshape(*SIZE[::-1], 3)
             .copy()
         )
 
@@ -114,7 +113,7 @@ class CourseView:
 
         if self._window is None or self._clock is None:
             pygame.display.init()
-            self._window = pygame.Window(f"soil_env: {self.scenario.name}", self.size)
+            self._window = pygame.Window(f"soil_env: {self.scenario.name}", SIZE)
             self._clock = pygame.time.Clock()
         pygame.event.pump()
         self._window.get_surface().blit(surface, (0, 0))

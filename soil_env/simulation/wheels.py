@@ -32,7 +32,7 @@ from soil_env.simulation.task.rules import (
     task_of,
     total_of,
 )
-from soil_env.simulation.world.camera import CAMERA, IMAGE, Sight, camera_of, look, take_image
+from soil_env.simulation.world.camera import CAMERA, IMAGE, Sight, camera_of, sight_of, take_image
 from soil_env.simulation.world.courses import (
     extend_course,
     start_course,
@@ -58,10 +58,10 @@ from soil_env.terramechanics.reaction import Acting
 ATTEMPTS = 100  # at a course in the middle of a run, where nobody can change the scenario
 
 
-#: What a wheel hands to those on board after a control period: whether it was in a commanded halt
-#: (0 or 1), its odometry [m], a `READING`, an `IMAGE`. The reading is not first: numba takes a
+#: Of a wheel after a control period, for the estimators on board: whether it was in a commanded
+#: halt (0 or 1), its odometry [m], a `READING`, an `IMAGE`. The reading is not first: numba takes a
 #: record that begins like another for one, and warns.
-NOTE = record("halted", "place", *READING.names, *IMAGE.names)
+SAMPLE = record("halted", "place", *READING.names, *IMAGE.names)
 
 
 NOWHERE = Sight(0, 0.0, 0.0)  # place of a wheel that no image has shown
@@ -72,8 +72,8 @@ class WheelWorlds(NamedTuple):
 
     state: np.ndarray  # [wheels] `WHEEL`, with its action and order
     courses: np.ndarray  # [wheels] `course_dtype`
-    #: [wheels, held] `NOTE` of the last step; [shares, 1] if nothing on board reads them
-    notes: np.ndarray
+    #: [wheels, periods] `SAMPLE` of the last step; [chunks, 1] if nothing on board reads them
+    samples: np.ndarray
     observation: np.ndarray  # [wheels, D] float32
 
 
@@ -113,8 +113,8 @@ SETTING = record(
     sensors=(SENSOR_NOISE, 1),
     camera=(CAMERA, 1),
     bounds=("f4", (2, MOST_ENTRIES)),  # of the observation, in the first columns
-    recorded=("i8",),  # 1 if each step is noted for what runs on board
-    share=("i8",),  # number of the thread's share of the wheels
+    recorded=("i8",),  # 1 if each step is kept for what runs on board
+    chunk=("i8",),  # number of the thread's chunk of the wheels
     nodes=(ARC_NODES, 1),
     normals=(NORMALS, 1),
 )
@@ -132,14 +132,14 @@ def options_of(numbers: WheelNumbers) -> Options:
     return Options(numbers.acting, numbers.errors)
 
 
-def new_setting(numbers: WheelNumbers, recorded: bool, share: int) -> np.ndarray:
-    """Constants and work space of the thread of a share of the wheels, `SETTING` [1]."""
+def new_setting(numbers: WheelNumbers, recorded: bool, chunk: int) -> np.ndarray:
+    """Constants and work space of the thread of a chunk of the wheels, `SETTING` [1]."""
     setting = np.zeros(1, SETTING)
     setting["rig"] = numbers.rig
     setting["task"] = numbers.task
     setting["sensors"] = numbers.sensors
     setting["recorded"] = recorded
-    setting["share"] = share
+    setting["chunk"] = chunk
     setting["camera"] = numbers.camera
     entries = numbers.bounds.shape[1]
     if entries > MOST_ENTRIES:
@@ -149,13 +149,13 @@ def new_setting(numbers: WheelNumbers, recorded: bool, share: int) -> np.ndarray
 
 
 def new_wheel_worlds(
-    wheels: int, scenario: Scenario, numbers: WheelNumbers, notes: tuple[int, int]
+    wheels: int, scenario: Scenario, numbers: WheelNumbers, samples: tuple[int, int]
 ) -> WheelWorlds:
-    """Worlds for so many wheels, to be restarted, with `notes` of that shape."""
+    """Worlds for so many wheels, to be restarted, with `samples` of that shape."""
     return WheelWorlds(
         np.zeros(wheels, WHEEL),
         new_courses(wheels, scenario),
-        np.zeros(notes, NOTE),
+        np.zeros(samples, SAMPLE),
         np.zeros((wheels, numbers.bounds.shape[1]), dtype=np.float32),
     )
 
@@ -223,73 +223,73 @@ def lay_wheels(worlds, numbers, orders, setting, first, end):
 
 
 @njit(**FINITE)
-def _sense(wheel, note, course, setting):
-    """Fill the `NOTE` of a wheel after a control period; return its camera's `Sight`."""
+def _sense(wheel, sample, course, setting):
+    """Fill the `SAMPLE` of a wheel after a control period; return its camera's `Sight`."""
     task = setting.task
-    sense(wheel, note, setting.normals, setting.sensors, setting.errors, task.radius)
-    read_slip(wheel, note, setting.sensors, setting.errors)
+    sense(wheel, sample, setting.normals, setting.sensors, setting.errors, task.radius)
+    read_slip(wheel, sample, setting.sensors, setting.errors)
     if wheel.steps > 0:  # not at the start of a course
-        roll_odometer(wheel, note.speed, task.period)
-    note.halted = 1.0 if wheel.halt_left > 0.0 else 0.0
-    note.place = wheel.odometer
+        roll_odometer(wheel, sample.speed, task.period)
+    sample.halted = 1.0 if wheel.halt_left > 0.0 else 0.0
+    sample.place = wheel.odometer
     if setting.camera.lines == 0:
         return NOWHERE
-    sight = look(wheel, course, setting.camera)
-    take_image(note, wheel, course, sight, setting.camera)
+    sight = sight_of(wheel, course, setting.camera)
+    take_image(sample, wheel, course, sight, setting.camera)
     return sight
 
 
 @njit(**INLINE)
-def _observe(wheel, note, course, setting, sight, out):
+def _observe(wheel, sample, course, setting, sight, out):
     """Fill the observation `out` [D] of a wheel but for what is identified."""
     task = setting.task
-    write_sensors(out, wheel, note, task)
+    write_sensors(out, wheel, sample, task)
     truth = task.variant == TRUE_SOIL
     if truth:
         write_soil_under(out[SENSORS:], wheel, course, setting.rig.border)
     if setting.camera.lines > 0:
-        write_seen(out[task.seen :], wheel, note, course, sight, setting.camera, truth)
+        write_seen(out[task.seen :], wheel, sample, course, sight, setting.camera, truth)
 
 
 @njit(**FINITE)
-def _restart(wheel, note, course, setting, out):
+def _restart(wheel, sample, course, setting, out):
     """Observe a wheel at the start of its course."""
     mount_sensors(wheel, setting.normals, setting.sensors)
     wheel.cause = RUNNING
     wheel.periods = 1
-    sight = _sense(wheel, note, course, setting)
-    _observe(wheel, note, course, setting, sight, out)
+    sight = _sense(wheel, sample, course, setting)
+    _observe(wheel, sample, course, setting, sight, out)
 
 
 @njit(**FINITE)
-def _step(wheel, action, course, setting, notes, out):
+def _step(wheel, action, course, setting, samples, out):
     """The control periods of an action of a wheel, until its episode ends: drive, sense, judge,
     reward; then observe.
 
-    `notes` [held], or [1] to overwrite.
+    `samples` [periods], or [1] to overwrite.
     """
     task = setting.task
     world = World(setting.rig, setting.acting, setting.nodes)
     terms = wheel.terms
     for i in range(4):
         terms[i] = 0.0
-    note = notes[0]
+    sample = samples[0]
     sight = NOWHERE
     wheel.periods = 0
     wheel.cause = RUNNING
-    while wheel.periods < task.held and wheel.cause == RUNNING:
+    while wheel.periods < task.action_periods and wheel.cause == RUNNING:
         control_period(wheel, action, course, world)
-        note = notes[min(wheel.periods, notes.size - 1)]
-        sight = _sense(wheel, note, course, setting)
+        sample = samples[min(wheel.periods, samples.size - 1)]
+        sight = _sense(wheel, sample, course, setting)
         wheel.cause = judge(wheel, task)
         add_reward(wheel, wheel.cause, task, terms)
         wheel.periods += 1
     wheel.reward = total_of(terms)
-    _observe(wheel, note, course, setting, sight, out)
+    _observe(wheel, sample, course, setting, sight, out)
 
 
 @kept
-def step_wheels(state, courses, notes, observation, setting, options, span):
+def step_wheels(state, courses, samples, observation, setting, options, span):
     """Follow the orders of the wheels of a `span` (first, end): STEP by their action, or RESTART.
 
     The first four are the arrays of `WheelWorlds`; `setting` is that of the thread. Courses are
@@ -312,12 +312,12 @@ def step_wheels(state, courses, notes, observation, setting, options, span):
         if wheel.order != STEP and wheel.order != RESTART:
             continue
         course = courses[k]
-        own_notes = notes[k if own.recorded > 0 else own.share]
+        own_samples = samples[k if own.recorded > 0 else own.chunk]
         out = observation[k]
         if wheel.order == STEP:
-            _step(wheel, wheel.action, course, records, own_notes, out)
+            _step(wheel, wheel.action, course, records, own_samples, out)
         else:
-            _restart(wheel, own_notes[0], course, records, out)
+            _restart(wheel, own_samples[0], course, records, out)
         clip(out, own.bounds)
         wheel.order = IDLE  # it is done
 

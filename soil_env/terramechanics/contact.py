@@ -33,7 +33,7 @@ _x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
 # [-] u^2, distance of a node from the end of the arc over the zone's length
 NODE_DEPTHS = (0.5 * (_x + 1.0)) ** 2
 NODE_WEIGHTS = 0.5 * _w * (_x + 1.0)  # [-] weight of the node times d(u^2)/du
-#: [-] Least share of Int p cos that bears. Friction under a braked wheel about a radius deep
+#: [-] Least share of Int p cos that carries load. Friction under a braked wheel about a radius deep
 #: takes as much load as the normal stress gives, and S would grow without bound.
 LEAST_BEARING = 0.05
 LEAST_LAYERED = 0.05  # [-] sinkage exponent of a soil with firm ground below, at least
@@ -230,8 +230,8 @@ def layer_firmness(depth, soil):
 
 @njit(**EXACT)
 def layered_depth(depth, soil):
-    """Depth [m] at which a soil with firm ground below bears the pressure that its cover alone
-    bears at `depth` [m]: bisection in ln z.
+    """Depth [m] at which a soil with firm ground below carries the pressure that its cover alone
+    carries at `depth` [m]: bisection in ln z.
     """
     n = max(soil.sinkage_exponent, LEAST_LAYERED)
     goal = n * math.log(depth)
@@ -571,7 +571,7 @@ def _split_integrals(nodes, p, motion, K, law):
 
 @njit(**SUMS)
 def shear_integrals(nodes, p, motion, K, law, split):
-    """`ArcIntegrals` of the nodes of `lay_nodes` at a `motion` (rim, travel); notes de/dj at each
+    """`ArcIntegrals` of the nodes of `lay_nodes` at a `motion` (rim, travel); stores de/dj at each
     node.
 
     `p`: (Int p cos, Int p sin). With `split` an arc in which the shear turns has nodes of its own,
@@ -635,7 +635,7 @@ def forces(q, S, tan_phi, c, r, b, direction):
 
 @njit(**EXACT)
 def bearing_share(q, tan_phi, direction):
-    """Load borne by the normal stress and by the friction in proportion to it, over S r b [m^n];
+    """Load carried by the normal stress and by the friction in proportion to it, over S r b [m^n];
     Eq. (1).
     """
     return q.p_cos + direction * tan_phi * q.pe_sin

@@ -30,61 +30,19 @@ def soil_of(owner):
 @njit(**EXACT)
 def stiffened(soil, factor):
     """`soil` with a sinkage coefficient that is `factor` times as large."""
-    return SoilState(
-        soil.tan_phi,
-        soil.cohesion,
-        soil.shear_modulus,
-        factor * soil.sinkage_coefficient,
-        soil.sinkage_exponent,
-        soil.dig_gain,
-        soil.dig_recovery,
-        soil.rim_flow,
-        soil.braked_peak,
-        soil.shear_growth,
-        soil.shear_length,
-        soil.layer_gain,
-        soil.layer_depth,
-    )
+    return SoilState(*soil[:3], factor * soil.sinkage_coefficient, *soil[4:])
 
 
 @njit(**EXACT)
 def with_strength(soil, tan_phi, cohesion, shear_modulus, rim_flow):
     """`soil` with these numbers of its shear law."""
-    return SoilState(
-        tan_phi,
-        cohesion,
-        shear_modulus,
-        soil.sinkage_coefficient,
-        soil.sinkage_exponent,
-        soil.dig_gain,
-        soil.dig_recovery,
-        rim_flow,
-        soil.braked_peak,
-        soil.shear_growth,
-        soil.shear_length,
-        soil.layer_gain,
-        soil.layer_depth,
-    )
+    return SoilState(tan_phi, cohesion, shear_modulus, *soil[3:7], rim_flow, *soil[8:])
 
 
 @njit(**EXACT)
 def with_digging(soil, exponent, gain, recovery):
     """`soil` with these numbers of its sinkage."""
-    return SoilState(
-        soil.tan_phi,
-        soil.cohesion,
-        soil.shear_modulus,
-        soil.sinkage_coefficient,
-        exponent,
-        gain,
-        recovery,
-        soil.rim_flow,
-        soil.braked_peak,
-        soil.shear_growth,
-        soil.shear_length,
-        soil.layer_gain,
-        soil.layer_depth,
-    )
+    return SoilState(*soil[:4], exponent, gain, recovery, *soil[7:])
 
 
 @njit(**EXACT)

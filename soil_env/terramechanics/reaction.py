@@ -79,7 +79,7 @@ class Standing(NamedTuple):
     load: float  # [N] normal to the ground, for tyre and grip
 
 
-class Beside(NamedTuple):
+class ExtraForces(NamedTuple):
     """Forces beside the contact, at the slip and the speeds that a step begins with."""
 
     lift: float  # [m] sinkage beyond that which carries, as digging has it
@@ -224,11 +224,11 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
 
 @njit(**EXACT)
 def ground_under(at, soil, wheel, acting):
-    """(`SoilState` as sheared, `Arc`, `Beside`) of a wheel `Standing` on undisturbed `soil`."""
+    """(`SoilState` as sheared, `Arc`, `ExtraForces`) of a wheel `Standing` on fresh `soil`."""
     slip = slip_ratio(at.rim_speed, at.speed, REST_SPEED)
     pull, torque = _residual_forces(at, slip, soil, wheel, acting.residual)
     soil, arc, lift, bulldozing, blades = _ground_under(at, slip, soil, wheel, acting.effects)
-    return soil, arc, Beside(lift, bulldozing, blades, pull, torque)
+    return soil, arc, ExtraForces(lift, bulldozing, blades, pull, torque)
 
 
 @njit(**EXACT)
@@ -240,7 +240,7 @@ def _gripped(soil, arc, load, wheel):
 
 @njit(**EXACT)
 def _ground_under(at, slip, soil, wheel, fx):
-    """(`SoilState` as it is sheared, `Arc`, then the first three of `Beside`)."""
+    """(`SoilState` as it is sheared, `Arc`, then the first three of `ExtraForces`)."""
     shift = 0.0
     if soil.braked_peak > 0.0:
         shift = braked_shift(braked_share(at.rim_speed, at.speed, REST_SPEED), soil)
@@ -279,59 +279,48 @@ def _residual_forces(at, slip, soil, wheel, residual):
 
 
 @njit(**EXACT)
-def reaction(nodes, footing, speed, rim_speed, wheel, beside, acting):
-    """`Reaction` at the axle at travel speed V and rim speed u [m/s], with what `Beside` and the
-    drivetrain add.
+def reaction(nodes, footing, speed, rim_speed, wheel, extra, acting):
+    """`Reaction` at the axle at travel speed V and rim speed u [m/s], with `ExtraForces` and the
+    drivetrain.
     """
     f = soil_reaction(nodes, footing, speed, wheel.rim_ratio * rim_speed, wheel, acting.law)
-    return _at_the_axle(f, beside, speed, rim_speed, wheel, acting.effects, acting.residual)
+    return _at_the_axle(f, extra, speed, rim_speed, wheel, acting.effects, acting.residual)
 
 
 @njit(**EXACT)
-def _with_residual(f, beside, residual):
+def _with_residual(f, extra, residual):
     """`Reaction` f with the forces of a residual law."""
     if residual is None:
         return f
     else:
-        return Reaction(
-            f.load,
-            f.drawbar_pull + beside.pull,
-            f.torque + beside.torque,
-            f.sinkage_coefficient,
-            f.pull_v,
-            f.pull_u,
-            f.torque_v,
-            f.torque_u,
-            f.sinkage_coefficient_v,
-            f.sinkage_coefficient_u,
-        )
+        return Reaction(f.load, f.drawbar_pull + extra.pull, f.torque + extra.torque, *f[3:])
 
 
 @njit(**EXACT)
-def _at_the_axle(f, beside, speed, rim_speed, wheel, fx, residual):
+def _at_the_axle(f, extra, speed, rim_speed, wheel, fx, residual):
     """`Reaction` f at the shear radius as one at the axle."""
     if fx is None:
-        return _with_residual(f, beside, residual)
+        return _with_residual(f, extra, residual)
     else:
         p = wheel.rim_ratio
         q = wheel.shear_ratio
         lever = wheel.radius + 0.5 * wheel.grouser_height
         direction, turn = smoothed_sign(speed, REST_SPEED)
         slip, slip_u, slip_v = signed_slip(rim_speed, speed, REST_SPEED)
-        thrust, slope = grousers.blades_at(beside.blades, slip)
+        thrust, slope = grousers.blades_at(extra.blades, slip)
         thrust_v = slope * slip_v
         thrust_u = slope * slip_u
-        torque = q * f.torque + lever * thrust + beside.torque
+        torque = q * f.torque + lever * thrust + extra.torque
         torque_v = q * f.torque_v + lever * thrust_v
         torque_u = q * p * f.torque_u + lever * thrust_u
         friction = drive_friction(torque, rim_speed / wheel.radius, REST_SPEED / wheel.radius, fx)
         by_torque = 1.0 + friction.by_torque
         return Reaction(
             f.load,
-            f.drawbar_pull + thrust - direction * beside.bulldozing + beside.pull,
+            f.drawbar_pull + thrust - direction * extra.bulldozing + extra.pull,
             torque + friction.torque,
             f.sinkage_coefficient,
-            f.pull_v + thrust_v - turn * beside.bulldozing,
+            f.pull_v + thrust_v - turn * extra.bulldozing,
             p * f.pull_u + thrust_u,
             by_torque * torque_v,
             by_torque * torque_u + friction.by_wheel_speed / wheel.radius,
@@ -351,10 +340,5 @@ def moved(f, dv, du):
         f.drawbar_pull + f.pull_v * dv + f.pull_u * du,
         f.torque + f.torque_v * dv + f.torque_u * du,
         max(coefficient, 0.0),
-        f.pull_v,
-        f.pull_u,
-        f.torque_v,
-        f.torque_u,
-        f.sinkage_coefficient_v,
-        f.sinkage_coefficient_u,
+        *f[4:],
     )

@@ -62,13 +62,14 @@ from soil_env.terramechanics.effects.shear_softening import JANOSI, mobilisation
 from soil_env.terramechanics.effects.sinkage_offset import sinkage_zero
 from soil_env.terramechanics.effects.slip_bias import true_slip
 from soil_env.terramechanics.effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
+from soil_env.terramechanics.ground import stiffened, with_strength
 
 DEEPEST = 1.5  # [radii] sinkage beyond which a wheel counts as buried
 LEAST_DIGGING = 1e-3  # [-] least slip-sinkage ratio that anything is divided by
 LEAST_SPEED = 1e-9  # [m/s] a wheel whose speed is not known turns all the same
 LEAST_TURNING = 1e-15  # [rad/s] wheel speed above which friction of the drivetrain is in full
 SHALLOWEST = 1e-6  # [radii] least sinkage
-SHALLOWEST_TYRE = 1e-13  # [radii] least sinkage of a tyre, which hard ground bears by its length
+SHALLOWEST_TYRE = 1e-13  # [radii] least sinkage of a tyre, which hard ground carries by its length
 MOST_STEPS = 60  # of the secant
 LEAST_SLOPE = 0.05  # [-] of the misfit over ln z, towards which a secant is held
 SMALLEST_STEP = 1e-6  # [ln m] step after which the secant ends
@@ -303,11 +304,11 @@ def _misfit(nodes, x, p, wheel, fx):
         and p.load / (arc.radius * b) > c * q.e_sin
     ):
         f = 2.0  # friction takes more than the normal stress gives: no S carries the load here
-    bears = math.exp(available)
+    coefficient = math.exp(available)
     if on_tyre(wheel):
-        w = forces(q, min(bears, s), tan_phi, c, arc.radius, b, 1.0)
+        w = forces(q, min(coefficient, s), tan_phi, c, arc.radius, b, 1.0)
         return f, Forces(w.load, w.drawbar_pull, wheel.radius / arc.radius * w.torque)
-    return f, forces(q, bears, tan_phi, c, arc.radius, b, 1.0)
+    return f, forces(q, coefficient, tan_phi, c, arc.radius, b, 1.0)
 
 
 @njit(**INLINE)
@@ -437,26 +438,6 @@ def steady_state(slip: float, load: float, soil: SoilState, r: float, b: float) 
     return steady_with(slip, load, soil, Rim(r, b, 0.0, 0.0))
 
 
-@njit(**EXACT)
-def _under(soil, factors):
-    """The soil of a row, whose first parameters are larger by its `factors`."""
-    return SoilState(
-        factors[0] * soil.tan_phi,
-        factors[1] * soil.cohesion,
-        factors[2] * soil.shear_modulus,
-        factors[3] * soil.sinkage_coefficient,
-        soil.sinkage_exponent,
-        soil.dig_gain,
-        soil.dig_recovery,
-        soil.rim_flow,
-        soil.braked_peak,
-        soil.shear_growth,
-        soil.shear_length,
-        soil.layer_gain,
-        soil.layer_depth,
-    )
-
-
 @kept
 def _predict_rows(nodes, rows, soil, factors, unit_weight, fx, guess, out):
     carried = 0
@@ -467,7 +448,9 @@ def _predict_rows(nodes, rows, soil, factors, unit_weight, fx, guess, out):
         wheel = Rim(w[0], w[1], w[2], unit_weight, 0.0, 0.0, 0.0)
         if w.size > 3:
             wheel = Rim(w[0], w[1], w[2], unit_weight, w[3], w[4], w[5])
-        ground = _under(soil, factors[k])
+        f = factors[k]
+        strength = f[0] * soil.tan_phi, f[1] * soil.cohesion, f[2] * soil.shear_modulus
+        ground = with_strength(stiffened(soil, f[3]), *strength, soil.rim_flow)
         s = steady_at(nodes[0], point, ground, wheel, Conditions(c[0], c[1], c[2]), fx)
         out[k, 0] = s.sinkage
         out[k, 1] = s.drawbar_pull
@@ -500,8 +483,8 @@ def predict_rows(
 
 
 def sinkage_coefficient_at(soil: SoilState, exponent: float, depth: float) -> float:
-    """S' [N/m^(n'+2)] that bears the same pressure S' z^n' = S z^n as `soil` at `depth` z [m] with
-    another exponent n'.
+    """S' [N/m^(n'+2)] of the same pressure S' z^n' = S z^n as `soil` at `depth` z [m] with another
+    exponent n'.
 
     S has a unit that depends on n, so two values compare only at the same exponent.
     """

@@ -1,4 +1,4 @@
-"""Choice of a line: what is kept of the lines taken, and that the better line is learned."""
+"""Choice of a route: what is kept of the routes taken, and that the better route is learned."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ CONFIG = PPOConfig(num_envs=16, n_steps=16, batch_size=64, layer=16, history=2, 
 
 
 class _Forks(NativeVecEnv):
-    """Two wheels that choose in every third step: entry 0 is `choice`, 1 and 2 are of the lines
+    """Two wheels that choose in every third step: entry 0 is `choice`, 1 and 2 are of the routes
     ahead and beside.
     """
 
@@ -47,7 +47,7 @@ class _Forks(NativeVecEnv):
 
 
 def test_lines_taken_are_kept_with_what_became_of_them():
-    """A line is passed at the next choice or the end of the course, and not where the wheel is
+    """A route is passed at the next choice or the end of the course, and not where the wheel is
     immobilised before.
     """
     env = choice.ChoiceVecEnv(_Forks(), 0, [[1], [2]])
@@ -77,7 +77,7 @@ def test_the_line_that_is_passed_more_often_gets_the_higher_score():
     rng = np.random.default_rng(1)
     env = chooser.env
     env.reset()
-    size = len(env.lines[0])
+    size = len(env.routes[0])
     rows = rng.normal(size=(4000, size)).astype(np.float32)
     env.taken[:4000] = rows
     env.count = 4000
@@ -89,15 +89,15 @@ def test_the_line_that_is_passed_more_often_gets_the_higher_score():
     seen = rng.normal(size=(500, env.observation_space.shape[0])).astype(np.float32)
     seen[:, env.choice] = 1.0
     action = model.predict(seen)[0][:, 0]
-    ahead, beside = (seen[:, columns[2]] for columns in env.lines)
+    ahead, beside = (seen[:, columns[2]] for columns in env.routes)
     apart = np.abs(ahead - beside) > 0.5
     assert np.mean((action > 0.0)[apart] == (ahead > beside)[apart]) > 0.9
     model.policy.zero_grad()
     model.policy.evaluate_actions(torch.from_numpy(seen), torch.zeros(500, 1))[1].sum().backward()
-    of_lines = model.policy.mlp_extractor.line_net
+    of_routes = model.policy.mlp_extractor.line_net
     noise = model.policy.log_std
     # PPO leaves the choice.
-    assert noise.grad is not None and all(x.grad is None for x in of_lines.parameters())
+    assert noise.grad is not None and all(x.grad is None for x in of_routes.parameters())
 
 
 def test_where_nothing_is_chosen_nothing_is_learned():

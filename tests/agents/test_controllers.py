@@ -267,8 +267,8 @@ def test_the_line_that_a_controller_chooses_is_the_one_that_it_drives():
     *_, (sim, _) = evaluation_drive(controller, scenario, 5, 0, 40)
     worlds = sim.worlds
     courses = worlds.courses
-    lines = courses["lines"]
-    margins = lines["capacity"] - np.tan(courses["forks"]["grade"])[..., None]
+    routes = courses["routes"]
+    margins = routes["capacity"] - np.tan(courses["forks"]["grade"])[..., None]
     for k in range(40):
         for p in range(courses["drawn"][k]):
             passed = worlds.state["best_x"][k] > courses["patches"]["start"][k, p]
@@ -422,7 +422,7 @@ def test_drives_are_shown_side_by_side(tmp_path, capsys):
     assert main(["drive", "--rover", "mars_rover", "--controller", "default"]) == 2
     assert "--controller: default_policy: scenario 'mars_rover': a rover" in capsys.readouterr().err
 
-    held = load_scenario("mixed").control.held
+    held = load_scenario("mixed").control.action_periods
     asked = []
 
     class Counting:

@@ -107,7 +107,7 @@ def test_history_keeps_the_misfit_of_each_band_of_slip():
         ),
         (
             load_scenario("two_lines", {"course": {"classes": 2}}),
-            "expected no classes, or 3 with 2 lines",
+            "expected no classes, or 3 with 2 routes",
         ),
         (load_rover("mars_rover"), "a rover; expected one of a wheel"),
     ],

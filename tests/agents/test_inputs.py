@@ -1,4 +1,4 @@
-"""Inputs of the networks: a history of readings, and the two lines that are compared; worlds of a
+"""Inputs of the networks: a history of readings, and the two routes that are compared; worlds of a
 training.
 """
 
@@ -152,13 +152,13 @@ def test_a_class_is_remembered_by_what_it_felt_like_while_driving():
 
 
 def test_exchanged_lines_give_the_opposite_choice():
-    """And entries that are of no line do not count; they do where no line is chosen."""
+    """And entries that are of no route do not count; they do where no route is chosen."""
     scenario = load_scenario("two_lines")
     model = ppo.build(scenario, "identified", PPOConfig(**TINY, history=2), 0)
     names = model.get_vec_normalize_env().get_attr("observation_names")[0]
     extractor = model.policy.mlp_extractor
     choice = names.index("choice")
-    ahead, beside = extractor.lines
+    ahead, beside = extractor.routes
     assert [names[k].partition("_")[2] for k in ahead[:14]] == [
         names[k].partition("_")[2] for k in beside[:14]
     ]

@@ -12,7 +12,6 @@ import torch
 from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
 from stable_baselines3.common.callbacks import ConvertCallback
 
-from soil_env._io.loading import ParameterError
 from soil_env.parameters import load_rover, load_scenario
 from soil_env.simulation.task import layout
 from soil_env_agents.agent import INFO, load_agent, read_info
@@ -21,6 +20,7 @@ from soil_env_agents.evaluate.models import load_model
 from soil_env_agents.ppo import Schedules, build, resume, save
 from soil_env_agents.sb3 import SoilWheelVecEnv
 from tests.agents.drivers import observations
+from tests.refusals import refused
 
 TINY = PPOConfig(
     num_envs=8, n_steps=16, batch_size=32, n_epochs=2, layer=8, learning_rate=1e-3, history=0
@@ -44,16 +44,6 @@ def model(scenario):
 def saved(model, tmp_path):
     save(model, tmp_path / "model.zip")
     return tmp_path / "model.zip"
-
-
-def refused(action, *parts):
-    """Check that `action` raises a ParameterError of one line that holds all `parts`."""
-    with pytest.raises(ParameterError) as error:
-        action()
-    message = str(error.value)
-    assert "\n" not in message and len(message) < 600 and all(part in message for part in parts), (
-        message
-    )
 
 
 def test_the_zip_is_one_of_sb3_too(saved, model, scenario):

@@ -24,6 +24,7 @@ from soil_env_agents.evaluate.models import load_model
 from soil_env_agents.study import work
 from soil_env_agents.study.config import Study, read_config
 from soil_env_agents.training import open_run
+from tests.refusals import refused_command
 
 WORLDS = config_dir() / "worlds"
 PPO = {"num_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1, "layer": 4, "threads": 1}
@@ -63,11 +64,7 @@ def main(arguments):
 
 def refused(capsys, *arguments):
     """stderr of a command that has to be refused: one line, status 2."""
-    capsys.readouterr()
-    assert main(arguments) == 2
-    err = capsys.readouterr().err
-    assert err.startswith("soil-env study: error: ") and err.count("\n") == 1, err
-    return err
+    return refused_command(capsys, "soil-env study", main, *arguments).err
 
 
 @pytest.fixture(scope="module")

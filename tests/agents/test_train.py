@@ -16,6 +16,7 @@ from soil_env_agents.config import load_config
 from soil_env_agents.controllers import CONTROLLERS
 from soil_env_agents.evaluate.driving import METRICS
 from soil_env_agents.sb3 import SoilWheelVecEnv
+from tests.refusals import refused_command
 
 FILES = {"config.yaml", "scenario.yaml", "model.zip", "tensorboard", "comparison"}
 TINY = (
@@ -39,9 +40,7 @@ def run(capsys, *arguments):
 
 def refused(capsys, *arguments):
     """stderr of a run that has to be refused: one line, status 2."""
-    code, _, err = run(capsys, *arguments)
-    assert code == 2 and err.startswith("train.py: error: ") and err.count("\n") == 1, err
-    return err
+    return refused_command(capsys, "train.py", train.main, *arguments).err
 
 
 def steps_logged(folder):

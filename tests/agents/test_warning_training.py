@@ -57,19 +57,19 @@ def test_the_threshold_is_the_lowest_with_so_few_false_alarms():
 
 def test_probabilities_are_those_of_the_environment(monkeypatch):
     """Of the same network in compiled code."""
-    told = []
+    given = []
     assess = ImmobilisationWarning.assess
 
     def kept(self, rows, *known):
         inputs, out = assess(self, rows, *known)
-        told.append(out[:, 1].copy())
+        given.append(out[:, 1].copy())
         return inputs, out
 
     monkeypatch.setattr(ImmobilisationWarning, "assess", kept)
     found = warning.drives("two_lines", "soft_start", 5, 0, 3)
     again = warning.probabilities(shipped_network(), found)
     assert np.all(again[~found.alive] == 0.0) and np.ptp(again[found.alive]) > 0.01
-    np.testing.assert_allclose(again[found.alive], np.array(told)[found.alive], atol=1e-5)
+    np.testing.assert_allclose(again[found.alive], np.array(given)[found.alive], atol=1e-5)
 
 
 @pytest.mark.parametrize("family", FAMILIES)

@@ -8,6 +8,7 @@ import pytest
 
 from soil_env._io.loading import shipped_dir
 from soil_env.cli import _COMMANDS, main
+from tests.refusals import refused_command
 
 EXAMPLES = shipped_dir("examples")
 TABLE = [
@@ -19,10 +20,9 @@ TABLE = [
 
 def refusal(capsys, *arguments):
     """The line that a refused command prints."""
-    assert main(list(arguments)) == 2
-    printed = capsys.readouterr()
-    assert printed.out == "" and printed.err.count("\n") == 1
-    return printed.err
+    shown = refused_command(capsys, "soil-env", main, *arguments)
+    assert shown.out == ""
+    return shown.err
 
 
 @pytest.mark.parametrize("name", _COMMANDS)

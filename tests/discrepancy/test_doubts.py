@@ -1,4 +1,4 @@
-"""Rows that stand alone in their conditions and decide what is named are told."""
+"""Rows that stand alone in their conditions and decide what is named are reported."""
 
 import pytest
 

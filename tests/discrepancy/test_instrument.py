@@ -1,4 +1,4 @@
-"""Errors of the rig: read into a table, named, told from the soil, and ruled out by the setup."""
+"""Errors of the rig: read into a table, named, apart from the soil, and ruled out by the setup."""
 
 import dataclasses
 

@@ -32,6 +32,7 @@ from soil_env.discrepancy.workflow import model_of
 from soil_env.identification.table.data import CHANNELS
 from soil_env.measurement.setup import Rig, SetupWheel, setup_of
 from tests.discrepancy.tables import NOISE, WHEEL, problem, table
+from tests.refusals import refused
 
 ONE_LOAD = {"loads": (150.0,)}
 
@@ -143,9 +144,8 @@ def test_a_rig_is_asked_for_what_it_has_and_for_what_costs_little(case):
     ],
 )
 def test_a_wrong_rig_is_refused_in_one_line(rig, said):
-    with pytest.raises(ParameterError) as error:
-        setup_of({"wheel": {"radius": 0.1, "width": 0.1}, "rig": rig}, "setup.yaml")
-    assert said in str(error.value) and "\n" not in str(error.value)
+    content = {"wheel": {"radius": 0.1, "width": 0.1}, "rig": rig}
+    refused(lambda: setup_of(content, "setup.yaml"), said)
 
 
 def test_information_and_sureness_are_bounds():

@@ -87,7 +87,7 @@ def _renew(memory, setting, work):
 
 @kept
 def _mix(memory, setting, work):
-    library.take_information(memory[0], work[0])
+    library.write_information(memory[0], work[0])
     library.mix(memory[0], memory[0].u, setting[0], work[0])
     library.lean(memory[0], setting[0], work[0])
 
@@ -157,9 +157,9 @@ def forget_pool(pools, a, memory):
 
 
 @kept
-def tell(pools, a, memory, setting, work):
-    """`pooling.tell` of axle a."""
-    pooling.tell(pools[a], memory[a], setting[0], work[0])
+def keep_knowledge(pools, a, memory, setting, work):
+    """`pooling.keep_knowledge` of axle a."""
+    pooling.keep_knowledge(pools[a], memory[a], setting[0], work[0])
 
 
 @kept
@@ -179,7 +179,7 @@ def follow_averages(recent, readings, halted, setting):
     """Averages [MEMORY] of `readings` [T], the first of them at the start of a course."""
     immobilisation.begin(recent, readings[0], setting[0])
     for k in range(1, len(readings)):
-        immobilisation.follow(recent, readings[k], halted[k], setting[0])
+        immobilisation.average(recent, readings[k], halted[k], setting[0])
 
 
 def readings_of(rows):

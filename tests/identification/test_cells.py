@@ -35,7 +35,7 @@ def random_cells(rng, count, spread=1.0):
 
 
 def kept(cells, *, each=None):
-    """The cells that are kept of `cells`, one after another; `each` is told after each."""
+    """The cells that are kept of `cells`, one after another; `each` is called after each."""
     wheel = Identified(SCENARIO)
     for k, cell in enumerate(cells):
         wheel.remember(cell)

@@ -154,7 +154,7 @@ def test_without_a_border_one_soil_is_for_ever():
 
 @pytest.mark.parametrize("names", [("dry_sand", "snow"), ("snow", "dry_sand")])
 def test_another_soil_on_the_level_is_noticed_by_the_forces(names):
-    """Within a few points, once, by two in a row that are odd; then the estimate is of that."""
+    """Within a few points, once, by two outliers in a row; then the estimate is of that."""
     first, second = (soils()[name].state(B)._replace(sinkage_exponent=1.05) for name in names)
     wheel = Identified(PLAIN)
     before_it = driven(first, SLIPS, PLAIN)
@@ -184,20 +184,20 @@ def doubted(memory, reading):
     return wheel
 
 
-def odd_after(before, usual):
-    """(readings like the `usual` ones but for a pull that makes a point odd and no border, a wheel
-    that has just had one).
+def outlier_after(before, usual):
+    """(readings like the `usual` ones but for a pull that makes a point an outlier and no border, a
+    wheel that has just had one).
     """
     for size in np.arange(0.0, 0.5, 0.01):
-        odd = usual._replace(
+        outlier = usual._replace(
             drawbar_pull=usual.drawbar_pull + size * W,
             acceleration=usual.acceleration + size * SCENARIO.gravity,
         )
-        wheel = doubted(before, odd)
+        wheel = doubted(before, outlier)
         if wheel.now.widening > 1.0 or wheel.now.borders > 0:
             break
     assert 0.0 < size < 0.3 and wheel.now.borders == 0
-    return odd, wheel
+    return outlier, wheel
 
 
 @pytest.fixture(scope="module")
@@ -212,24 +212,24 @@ def settled():
 
 def test_an_odd_point_is_doubt_and_several_are_a_border(settled):
     """The first widens what is published; like ones as before take it back."""
-    odd, wheel = odd_after(*settled)
+    outlier, wheel = outlier_after(*settled)
     doubt = wheel.memory.copy()
     np.testing.assert_allclose(wheel.now.sd, DOUBT * wheel.now.fresh_sd, rtol=1e-12)
     wheel.observe(settled[1:] * 60)
     assert wheel.now.borders == 0 and wheel.now.widening == 1.0
     np.testing.assert_array_equal(wheel.now.sd, wheel.now.fresh_sd)
     wheel.memory[:] = doubt
-    wheel.observe([odd] * 100)
+    wheel.observe([outlier] * 100)
     assert wheel.now.borders >= 1
 
 
 def test_doubt_counts_once(settled):
-    """However many points in a row are odd before they are a border."""
-    odd, wheel = odd_after(*settled)
+    """However many points in a row are outliers before they are a border."""
+    outlier, wheel = outlier_after(*settled)
     points = wheel.now.points
     while wheel.now.borders == 0 and wheel.now.points < points + 10:
         np.testing.assert_allclose(wheel.now.sd, DOUBT * wheel.now.fresh_sd, rtol=1e-9)
-        wheel.observe([odd])
+        wheel.observe([outlier])
 
 
 CONTRARY = SensorReading(0.25, 0.022, 14.0, 147.0, 5.5, 0.3, 0.4, 0.0, 5.5, 0.93)
@@ -323,7 +323,7 @@ def test_wild_readings_never_give_nan(scenario, readings):
         assert isinstance(Status(now.status), Status)
 
 
-def told(wheel):
+def published(wheel):
     """All that is published."""
     now = wheel.now
     arrays = (now.estimate, now.sd, now.best_pull, now.u[:12], now.covariance, [now.status])
@@ -340,17 +340,17 @@ def test_forget_leaves_nothing_of_the_course_before():
     assert used.now.borders > 0 and used.now.refused > 0.0
     used.start()
     fresh = Identified(SCENARIO)
-    np.testing.assert_array_equal(told(used), told(fresh))
+    np.testing.assert_array_equal(published(used), published(fresh))
     readings = driven(SAND, SLIPS[:60], SCENARIO) + driven(OTHER, SLIPS[:60], SCENARIO)
     for reading in readings:
         used.observe([reading])
         fresh.observe([reading])
-        np.testing.assert_array_equal(told(used), told(fresh))
+        np.testing.assert_array_equal(published(used), published(fresh))
     assert fresh.now.borders == 1
 
 
 def test_the_first_estimate_comes_soon():
-    """Before a soil is settled no point is odd: so many readings, and the one that turns it."""
+    """No point of an unsettled soil is an outlier: so many readings, and the one that turns it."""
     wheel = Identified(PLAIN)
     readings = driven(SAND, np.full(30, 0.2), PLAIN, speed=0.5)
     needed = int(FIRST_READINGS) + 2

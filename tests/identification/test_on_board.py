@@ -26,15 +26,15 @@ def test_only_readings_enter():
     sim._on_board = None  # the world alone
     for k in range(80):
         sim.step(0, 0.4 + 0.35 * math.sin(0.7 * k))
-        notes = w.notes[0, : w.state["periods"][0]]
-        other.observe([tuple(note[name] for name in SensorReading._fields) for note in notes])
+        samples = w.samples[0, : w.state["periods"][0]]
+        other.observe([tuple(sample[name] for name in SensorReading._fields) for sample in samples])
         kept = w.courses.copy(), w.state.copy()
         for name in SoilState._fields:
             w.courses["patches"][name] *= 1.7
         for name in w.state.dtype.names:
             if w.state[name].dtype == float:
                 w.state[name] *= 1.3
-        on_board.follow(sim._notes(), np.full(1, STEP), 0, 1)
+        on_board.update(sim._samples(), np.full(1, STEP), 0, 1)
         w.courses[:] = kept[0]
         w.state[:] = kept[1]
     assert other.now.points > 5

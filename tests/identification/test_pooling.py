@@ -68,7 +68,7 @@ class Rover:
             self.tell(a)
 
     def tell(self, a):
-        observing.tell(self.pools, a, self.memory, self.setting, self.work)
+        observing.keep_knowledge(self.pools, a, self.memory, self.setting, self.work)
 
     def pooled(self, own=0):
         """The pool of a wheel, renewed."""

@@ -1,4 +1,4 @@
-"""The command from recording to report; steady stretches; the replay over gaps; what a log
+"""The command from recording to report; steady windows; the replay over gaps; what a log
 identifies.
 """
 

@@ -10,6 +10,7 @@ import pytest
 from soil_env._io.loading import ParameterError
 from soil_env.measurement.setup import Prior, Setup, SetupWheel, read_setup
 from soil_env.measurement.table import read_table
+from tests.refusals import refused
 
 HEADER = "slip,load,sinkage,drawbar_pull"
 GOOD = (HEADER, "0.1,100,0.02,5", "0.2,100,0.021,9", "0.3,120,0.022,12.5")
@@ -25,10 +26,7 @@ def written(tmp_path, *lines, name="data.csv", encoding="utf-8"):
 
 def refusal(read, *arguments):
     """Return the one-line message with which a reader refuses."""
-    with pytest.raises(ParameterError) as caught:
-        read(*arguments)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
+    return refused(lambda: read(*arguments))
 
 
 def test_reads_a_full_table(tmp_path):
@@ -196,10 +194,10 @@ def test_reads_a_setup(tmp_path):
     )
     assert s.soil.lumped(0.1) == Prior(1e4 + 7e5, 8e4)
     assert s.noise.sinkage == 0.001 and s.noise.torque is None
-    odd = (
+    other_units = (
         "soil: {friction_angle_deg: 0.52, cohesion: 1.5, sinkage_coefficient: {value: 900, sd: 90}}"
     )
-    words = read_setup(written(tmp_path, SETUP + odd)).doubts()
+    words = read_setup(written(tmp_path, SETUP + other_units)).doubts()
     for word, part in zip(
         words, ("0.52 deg looks like radians", "1.5 Pa looks like kPa", "kN/m^(n+2)"), strict=True
     ):

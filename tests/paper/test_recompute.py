@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import least_squares, linprog
 
 from soil_env.paper import compare, model, page
-from soil_env.paper.compare import HELD, MEASURED, MODELS, PRINTED_SET, P
+from soil_env.paper.compare import FIXED_COHESION, MEASURED, MODELS, PRINTED_SET, P
 from tests.terramechanics import reference
 
 AS_PRINTED, WONG_REECE = MODELS
@@ -64,7 +64,7 @@ def test_simpson_converges_to_the_quadrature():
     )
 
 
-@pytest.mark.parametrize("e", HELD)
+@pytest.mark.parametrize("e", FIXED_COHESION)
 @pytest.mark.parametrize("soil", [(30.0, 0.03, 4e5), (100.0, 0.06, -2e5)])
 def test_derivatives_against_central_differences(e, soil):
     """Also outside what a soil can be: the plain iteration goes there."""
@@ -86,14 +86,16 @@ def bounded(start):
         return math.degrees(x[0]), math.exp(x[1]), math.exp(x[2])
 
     def misfit(x):
-        return model.forces(soil(x), *MEASURED[:2], HELD[0])[:, 0] / MEASURED.pull - 1.0
+        return model.forces(soil(x), *MEASURED[:2], FIXED_COHESION[0])[:, 0] / MEASURED.pull - 1.0
 
     x = math.radians(start[0]), math.log(start[1]), math.log(start[2])
     return soil(least_squares(misfit, x, bounds=bounds, xtol=1e-14, ftol=1e-14, gtol=1e-14).x)
 
 
 def test_an_independent_solver_finds_the_same_root():
-    np.testing.assert_allclose(bounded((30.0, 0.03, 5e5)), compare.root(HELD[0]), rtol=1e-6)
+    np.testing.assert_allclose(
+        bounded((30.0, 0.03, 5e5)), compare.root(FIXED_COHESION[0]), rtol=1e-6
+    )
 
 
 def test_drawbar_pull_and_cohesion_to_the_last_digit():
@@ -162,13 +164,15 @@ def test_table_3_is_a_root_with_wong_and_reeces_peak():
     """Within the rounding of the printed digits; as printed it is none, by 150 N at the first of
     them.
     """
-    assert rounding(HELD[1]) < 1.0 and rounding(HELD[0]) > 10.0
+    assert rounding(FIXED_COHESION[1]) < 1.0 and rounding(FIXED_COHESION[0]) > 10.0
     np.testing.assert_allclose(
-        model.forces(PRINTED_SET, *MEASURED[:2], HELD[1])[:, 0], MEASURED.pull, atol=1.0
+        model.forces(PRINTED_SET, *MEASURED[:2], FIXED_COHESION[1])[:, 0], MEASURED.pull, atol=1.0
     )
-    predicted = model.forces(PRINTED_SET, *MEASURED[:2], HELD[0])[:, 0]
+    predicted = model.forces(PRINTED_SET, *MEASURED[:2], FIXED_COHESION[0])[:, 0]
     np.testing.assert_allclose(predicted, [20.7, 703.0, 1134.0], atol=0.2)
-    np.testing.assert_allclose(compare.root(HELD[0]), [31.967, 0.03170, 498358.0], rtol=1e-4)
+    np.testing.assert_allclose(
+        compare.root(FIXED_COHESION[0]), [31.967, 0.03170, 498358.0], rtol=1e-4
+    )
 
 
 def test_table_4_range_of_K(results):
@@ -200,9 +204,12 @@ def test_corners_of_table_4(results):
 
 def test_a_large_guess_of_S_is_forgotten():
     np.testing.assert_allclose(
-        model.newton_raphson(MEASURED, (33.0, 0.038, 1e12), HELD[0]), compare.root(HELD[0])
+        model.newton_raphson(MEASURED, (33.0, 0.038, 1e12), FIXED_COHESION[0]),
+        compare.root(FIXED_COHESION[0]),
     )
-    assert bounded((5.0, 0.015, 7e4))[1] == pytest.approx(compare.root(HELD[0])[1], rel=1e-4)
+    assert bounded((5.0, 0.015, 7e4))[1] == pytest.approx(
+        compare.root(FIXED_COHESION[0])[1], rel=1e-4
+    )
 
 
 def test_printed_points_lie_on_the_curves_of_figs_3_and_4():
@@ -244,7 +251,7 @@ def test_noise_of_table_5():
     """The printed errors lie in the middle half of ours; without noise there is nothing but
     Table 3.
     """
-    noise = compare.table_5(HELD[1], seed=0, draws=300)
+    noise = compare.table_5(FIXED_COHESION[1], seed=0, draws=300)
     assert np.all((noise.below > 0.25) & (noise.below < 0.75)) and 0.8 < noise.converged <= 1.0
     assert np.all(np.diff(noise.quantiles, axis=0) > 0.0)
 

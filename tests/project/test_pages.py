@@ -251,7 +251,7 @@ def test_actions_rewards_causes_and_info_of_the_environment():
         control = gymnasium.make(
             "soil_env:SoilWheel-v0", action=row["action"].split()[0]
         ).unwrapped.scenario.control
-        assert control.held == int(row["repeat"])
+        assert control.action_periods == int(row["repeat"])
     assert {row["cause"]: int(row["number"]) for row in found["Start and end"]} == {
         c.name: c.value for c in Cause
     }

@@ -72,9 +72,9 @@ class Drawn(NamedTuple):
         return self.courses["patches"][0, : self.count]
 
     @property
-    def lines(self) -> np.ndarray:
-        """`LINE` of the patches drawn so far, [patches, 2]."""
-        return self.courses["lines"][0, : self.count]
+    def routes(self) -> np.ndarray:
+        """`ROUTE` of the patches drawn so far, [patches, 2]."""
+        return self.courses["routes"][0, : self.count]
 
     @property
     def forks(self) -> np.ndarray:

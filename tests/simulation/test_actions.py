@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soil_env.parameters import HELD, load_scenario
+from soil_env.parameters import ACTION_PERIODS, load_scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
 from tests.simulation.wheels import started
 
@@ -56,7 +56,7 @@ def test_halts_take_the_commanded_speed_back_to_zero():
     assert starts >= 2
 
 
-@pytest.mark.parametrize("mode", HELD)
+@pytest.mark.parametrize("mode", ACTION_PERIODS)
 def test_a_held_action_is_the_same_action_over_as_many_periods(mode):
     """Equal to the bit: world, sensors, identifier, warning; rewards are summed, the step ends with
     the episode.

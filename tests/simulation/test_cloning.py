@@ -24,7 +24,7 @@ def memory(part, wheel, name="worlds"):
     if isinstance(part, tuple):
         out = {}
         for field in part._fields:
-            if field == "notes":  # which every step writes anew
+            if field == "samples":  # which every step writes anew
                 continue
             out |= memory(getattr(part, field), wheel, f"{name}.{field}")
         return out

@@ -88,8 +88,8 @@ def step(sim, rng):
 def read(sim):
     """Last readings {reading: [vehicles, axles]}, in double precision."""
     world = sim._world
-    notes = world.readings[:, :, 0] if hasattr(world, "readings") else world.notes[:, :1]
-    return {name: np.array(notes[name]) for name in SensorReading._fields}
+    samples = world.readings[:, :, 0] if hasattr(world, "readings") else world.samples[:, :1]
+    return {name: np.array(samples[name]) for name in SensorReading._fields}
 
 
 def truth(sim):

@@ -19,7 +19,7 @@ from soil_env.parameters import Belief, SoilState, load_scenario, soils
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause, layout
 from soil_env.simulation.task.scaling import Scaling
-from soil_env.simulation.wheels import NOTE, Setting, _observe, _sense
+from soil_env.simulation.wheels import SAMPLE, Setting, _observe, _sense
 from soil_env.simulation.world.camera import Sight
 from soil_env.simulation.world.sensors import NO_ERRORS, READING
 from soil_env.terramechanics.reaction import BASE
@@ -80,7 +80,7 @@ def test_all_variants_share_the_first_entries(variant):
 
 
 @kept
-def _write(worlds, note, setting, rows, sensed):
+def _write(worlds, sample, setting, rows, sensed):
     own = setting[0]
     records = Setting(
         own.rig[0],
@@ -94,24 +94,24 @@ def _write(worlds, note, setting, rows, sensed):
     )
     for i in range(len(rows)):
         if sensed:
-            _sense(worlds.state[0], note[0], worlds.courses[0], records)
+            _sense(worlds.state[0], sample[0], worlds.courses[0], records)
         sight = Sight(0, 0.0, 0.0)
-        _observe(worlds.state[0], note[0], worlds.courses[0], records, sight, rows[i])
+        _observe(worlds.state[0], sample[0], worlds.courses[0], records, sight, rows[i])
 
 
 @kept
-def _show(known, notes, setting, out):
-    show_estimate(known[0], notes[0, 0], setting[0].board[0], out)
+def _show(known, samples, setting, out):
+    show_estimate(known[0], samples[0, 0], setting[0].board[0], out)
 
 
-def written(sim, count=1, note=None):
+def written(sim, count=1, sample=None):
     """Observations [count, D] of the present state, each with readings of its own, or with those of
-    a `note` (`NOTE` [1]).
+    a `sample` (`SAMPLE` [1]).
     """
     kept_state = sim.worlds.state.copy()
     rows = np.zeros((count, sim.numbers.bounds.shape[1]), dtype=np.float32)
-    own = np.zeros(1, NOTE) if note is None else note
-    _write(sim._world, own, sim._scratch[0], rows, note is None)
+    own = np.zeros(1, SAMPLE) if sample is None else sample
+    _write(sim._world, own, sim._scratch[0], rows, sample is None)
     sim.worlds.state[:] = kept_state
     return rows
 
@@ -123,7 +123,7 @@ def observed_again(sim, estimate=None):
         known = sim.worlds.on_board.copy()
         if estimate is not None:
             known["identifier"]["estimate"] += estimate
-        _show(known, sim._world.notes, sim._on_board.setting, out)
+        _show(known, sim._world.samples, sim._on_board.setting, out)
     return out
 
 
@@ -238,16 +238,16 @@ def test_the_observation_follows_from_readings_alone():
     for _ in range(30):
         sim.step(0, 0.3)
     state = sim.worlds.state
-    note = np.zeros(1, NOTE)
+    sample = np.zeros(1, SAMPLE)
     for name in READING.names:
-        note[name] = 0.3
+        sample[name] = 0.3
     seen = []
     for factor in (1.0, 1.7):
         for name in state.dtype.names:
             shown = name in ("last_action", "rim_command", "halt_left", "odometer")
             if not shown and state.dtype[name].kind == "f":
                 state[name] *= factor
-        seen.append(written(sim, note=note))
+        seen.append(written(sim, sample=sample))
     np.testing.assert_array_equal(*seen)
 
 

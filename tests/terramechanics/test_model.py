@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import pickle
+import re
 import warnings
 from dataclasses import replace
 
@@ -11,13 +12,13 @@ import pytest
 import yaml
 from scipy.optimize import brentq
 
-from soil_env._io.loading import ParameterError
 from soil_env.measurement.table import read_table
 from soil_env.parameters import Soil, soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTerm
 from soil_env.terramechanics.steady import LEVEL, Conditions, Rim, steady_with
 from soil_env.terramechanics.validity import OutsideValidity
+from tests.refusals import refused
 from tests.terramechanics.cases import EQUATION_10
 
 SOIL = Soil(32.0, 800.0, 0.015, 0.9, sinkage_coefficient=9e5, density=1600.0, dig_gain=0.0)
@@ -181,9 +182,7 @@ def test_a_row_may_have_another_wheel(soil):
 )
 def test_wrong_conditions_are_refused_in_one_line(change, message):
     given = {k: v for k, v in (conditions() | change).items() if v is not None}
-    with pytest.raises(ParameterError, match=message) as error:
-        MODEL.predict(given)
-    assert "\n" not in str(error.value)
+    assert re.search(message, refused(lambda: MODEL.predict(given)))
 
 
 def test_residual_terms_are_added():
@@ -261,10 +260,8 @@ BARE = {
 def test_wrong_files_are_refused_in_one_line(tmp_path, change, message):
     path = tmp_path / "model.yaml"
     path.write_text(yaml.safe_dump(BARE | change))
-    with pytest.raises(ParameterError, match=message) as error:
-        WheelSoilModel.load(path)
-    assert str(error.value).startswith(f"{path}: ")
-    assert str(error.value).count(str(path)) == 1 and "\n" not in str(error.value)
+    said = refused(lambda: WheelSoilModel.load(path))
+    assert re.search(message, said) and said.startswith(f"{path}: ") and said.count(str(path)) == 1
 
 
 RANGE = {"slip": (0.05, 0.6), "load": (100.0, 200.0), "speed": (0.02, 0.1)}

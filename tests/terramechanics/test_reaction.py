@@ -84,7 +84,7 @@ def wheel_with(case):
 
 
 def ground_under(sinkage, v, u, soil, wheel, sin_grade=0.0, passes=1.0, weight=160.0):
-    """(soil as sheared, `Arc`, `Beside`) under a wheel of `wheel_with`."""
+    """(soil as sheared, `Arc`, `ExtraForces`) under a wheel of `wheel_with`."""
     at = reaction.Standing(*map(float, (sinkage, v, u, weight, sin_grade, passes, weight)))
     return _ground(at, soil, *wheel)
 
@@ -184,7 +184,7 @@ FLAT = reaction.Reaction(160.0, 20.0, 8.0, 1e6, -50.0, 30.0, -7.0, 4.0, 0.0, 0.0
 
 
 def axle(case, v=0.3, u=0.4, bulldozing=0.0, blades=0.0, pull=0.0, torque=0.0, f=FLAT):
-    beside = reaction.Beside(0.0, bulldozing, blades, pull, torque)
+    beside = reaction.ExtraForces(0.0, bulldozing, blades, pull, torque)
     return _at_the_axle(f, beside, v, u, *wheel_with(case))
 
 
@@ -230,7 +230,11 @@ def test_effects_at_their_neutral_values_leave_the_base_model():
         sinkage = rng.uniform(0.005, 0.12)
         load = rng.uniform(50.0, 250.0)
         ground = ground_under(sinkage, v, u, soil, plain)
-        assert ground == (soil, contact.smooth_arc(sinkage, R, 0.0), reaction.Beside(*[0.0] * 5))
+        assert ground == (
+            soil,
+            contact.smooth_arc(sinkage, R, 0.0),
+            reaction.ExtraForces(*[0.0] * 5),
+        )
         expected = react(ground, v, u, load, plain)
         ground = ground_under(sinkage, v, u, soil, with_code)
         assert react(ground, v, u, load, with_code) == pytest.approx(expected, rel=1e-12)

@@ -12,7 +12,7 @@ from soil_env.simulation.task import layout
 
 from ..inputs import Layout, Observing, starts
 
-_CHOICE = 0.01  # smallest action that chooses a line; the drive is held meanwhile
+_CHOICE = 0.01  # smallest action that chooses a route; the drive is held meanwhile
 
 
 class Setting(NamedTuple):
@@ -95,14 +95,16 @@ class Controller(Observing):
         fresh = starts(episode_start, len(batch), state is None)
         state = self.begin(batch, state, fresh)
         action = self.chosen(
-            batch, self.command(batch, self.rim_speed(batch, state), state), self.beside(batch)
+            batch,
+            self.command(batch, self.rim_speed(batch, state), state),
+            self.prefers_other_route(batch),
         )
         return (action[0] if np.ndim(observation) == 1 else action), state
 
-    def beside(self, batch: np.ndarray) -> np.ndarray:
-        """Mask [n] of the rows where the line beside is better than the one ahead.
+    def prefers_other_route(self, batch: np.ndarray) -> np.ndarray:
+        """Mask [n] of the rows where the route beside is better than the one ahead.
 
-        The better line has the higher margin, or looks less steep if the observation has no margin.
+        The better route has the higher margin, or without margins looks less steep.
         """
         if "choice" not in self.column:
             return np.zeros(len(batch), dtype=bool)
@@ -110,11 +112,11 @@ class Controller(Observing):
             return batch[:, self.column["beside_margin"]] > batch[:, self.column["ahead_margin"]]
         return batch[:, self.column["beside_grade"]] < batch[:, self.column["ahead_grade"]]
 
-    def chosen(self, batch: np.ndarray, action: np.ndarray, beside: np.ndarray) -> np.ndarray:
-        """Actions [n, 1]; their sign chooses a line at the halts before a fork."""
+    def chosen(self, batch: np.ndarray, action: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Actions [n, 1]; their sign chooses a route at the halts before a fork."""
         if "choice" not in self.column:
             return action
-        sign = np.where(beside, np.float32(-_CHOICE), np.maximum(action[:, 0], np.float32(_CHOICE)))
+        sign = np.where(other, np.float32(-_CHOICE), np.maximum(action[:, 0], np.float32(_CHOICE)))
         return np.where(batch[:, self.column["choice"]] > 0.5, sign, action[:, 0])[:, None]
 
     def command(self, batch: np.ndarray, rim_speed: np.ndarray, state: dict) -> np.ndarray:

@@ -56,7 +56,7 @@ class Plans(NamedTuple):
     speed: np.ndarray  # [m/s] its top speed
     second: np.ndarray  # of the ramp after it
     later_speed: np.ndarray
-    beside: np.ndarray  # bool: at the next fork, the line beside
+    other_route: np.ndarray  # bool: at the next fork, the route beside
 
     def at(self, where) -> Plans:
         """The plans at some rows."""
@@ -86,13 +86,15 @@ class _Driver(Ramped):
         self.plans = p.after(self.period)
         return np.where(back, BACK * self.top_speed, state["ramp"])
 
-    def beside(self, batch):
-        return self.plans.beside
+    def prefers_other_route(self, batch):
+        return self.plans.other_route
 
     def act(self, batch, state) -> np.ndarray:
         """Actions [n, 1]; advances the plans and the `state`."""
         return self.chosen(
-            batch, self.command(batch, self.rim_speed(batch, state), state), self.beside(batch)
+            batch,
+            self.command(batch, self.rim_speed(batch, state), state),
+            self.prefers_other_route(batch),
         )
 
 
@@ -176,7 +178,7 @@ class Oracle:
         top = self.driver.top_speed
         rng = self.rng
         fixed = self._soft_starts((d, len(FIXED)), *np.array(FIXED).T)
-        fixed = fixed._replace(beside=rng.random((d, len(FIXED))) < 0.5)
+        fixed = fixed._replace(other_route=rng.random((d, len(FIXED))) < 0.5)
         low, high = np.log(ACCELERATIONS)
         a, b = (np.exp(rng.uniform(low, high, (d, DRAWN))) for _ in range(2))
         v, u = (rng.uniform(*SPEEDS, (d, DRAWN)) * top for _ in range(2))

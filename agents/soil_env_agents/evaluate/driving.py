@@ -233,7 +233,7 @@ def drive(
     if hasattr(controller, "attach"):  # a planner, which tries plans on clones of the world
         controller.attach(sim, threads, model)
     worlds = sim.worlds
-    held = control.held
+    held = control.action_periods
     alive = np.ones(count, dtype=bool)
     what = np.full(count, STEP)
     memory = None

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from soil_env._io.loading import ParameterError, load
+from soil_env._io.loading import ParameterError, load, one_line
 from soil_env.envs.wheel_env import observation_space
 from soil_env.parameters import Control, CourseSpec, Scenario
 from soil_env.simulation.task import VARIANTS, layout
@@ -153,7 +153,7 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
             warnings.simplefilter("ignore")
             model = cls.load(path, device="cpu")
     except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
-        said = f"{type(error).__name__}: {saved.one_line(error)}"
+        said = f"{type(error).__name__}: {one_line(error)}"
         raise ParameterError(f"{path}: cannot be loaded as a {algorithm} model ({said})") from None
     variant, scaling = _variant(model, path, scenario.course)
     names = [e.name for e in layout(variant, scenario.course)]

@@ -36,7 +36,7 @@ def action_of(graph: Graph, policy, x: Values) -> Values:
         drive = _layers(graph, policy.action_net, _layers(graph, own.policy_net, x))
         if not hasattr(own, "line_net"):
             return drive
-        ahead, beside = (_layers(graph, own.line_net, x[:, columns]) for columns in own.lines)
+        ahead, beside = (_layers(graph, own.line_net, x[:, columns]) for columns in own.routes)
         return np.where(np.greater(x[:, [own.choice]], 0.0), np.subtract(ahead, beside), drive)
     actor: Any = getattr(policy, "actor", None)
     if hasattr(actor, "latent_pi"):  # SAC, TQC: squashed

@@ -149,17 +149,7 @@ def content(report: Report) -> dict[str, Any]:
                 }
                 for e, block in zip(report.effects, shown, strict=False)
             ],
-            "where": [
-                {
-                    "channel": d.channel,
-                    "region": d.region,
-                    "size": d.size,
-                    "size_sd": d.size_sd,
-                    "p_value": d.p_value,
-                    "words": sentences.disagreement(report, d),
-                }
-                for d in report.where
-            ],
+            "where": [vars(d) | {"words": sentences.disagreement(report, d)} for d in report.where],
             "ranking": [r._asdict() for r in report.finding.ranking],
             "gap": {name: g._asdict() for name, g in report.gap.items()},
             "remainder": {
@@ -189,14 +179,8 @@ def content(report: Report) -> dict[str, Any]:
             },
             "next_checks": [c._asdict() for c in report.next_checks],
             "next_tests": [
-                {
-                    "conditions": t.conditions,
-                    "channel": t.channel,
-                    "separates": t.separates,
-                    "expected_sigma": t.expected_sigma,
-                    "sure": t.sure,
-                    "cost": t.cost,
-                    "repeat": t.repeat,
+                vars(t)
+                | {
                     "predicted": [p._asdict() for p in t.predicted],
                     "words": sentences.next_test(report, t),
                 }

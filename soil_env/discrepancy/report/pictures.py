@@ -1,6 +1,5 @@
 """Plots of a report, as SVG; the same report gives the same bytes."""
 
-import io
 import math
 import re
 from typing import Any
@@ -11,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from soil_env._io.document import plot_text
+from soil_env._io.files import picture_of
 from soil_env.discrepancy.report.sentences import CONDITIONS, TITLES, UNITS, fixed, title
 from soil_env.discrepancy.result import Report
 from soil_env.identification.table.data import CHANNELS
@@ -64,9 +64,7 @@ def _figure(width: float, height: float) -> Figure:
 
 
 def _saved(figure: Figure) -> bytes:
-    stream = io.BytesIO()
-    figure.savefig(stream, format="svg", metadata={"Date": None})
-    text = stream.getvalue().decode("utf-8")
+    text = picture_of(figure, "svg", metadata={"Date": None}).decode("utf-8")
     return re.sub(r"<!DOCTYPE.*?>|<metadata>.*?</metadata>", "", text, flags=re.S).encode("utf-8")
 
 
@@ -74,6 +72,14 @@ def _columns(report: Report, height: float, rows: int = 1, **options) -> tuple[F
     """(figure, axes [rows, channels])."""
     figure = _figure(3.5 * max(len(report.channels), 2), height)
     return figure, figure.subplots(rows, len(report.channels), squeeze=False, **options)
+
+
+def _with_legend(figure: Figure, axes: np.ndarray, columns: int) -> Figure:
+    """The figure with the legend of its first axes below, if they have one."""
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
+    return figure
 
 
 def _predicted(report: Report) -> Figure:
@@ -84,7 +90,7 @@ def _predicted(report: Report) -> Figure:
         (unit, scale) = UNITS[name]
         y = scale * report.problem.data.y[:, j]
         image = y.size > MANY
-        for held, color, label in _both(report, report.held_before, report.held_after):
+        for held, color, label in _both(report, report.held_out_before, report.held_out_after):
             ax.plot(
                 y,
                 scale * held[:, j],
@@ -102,10 +108,7 @@ def _predicted(report: Report) -> Figure:
         noise = 2.0 * scale * report.problem.noise[j]
         ax.fill_between(ends, ends - noise, ends + noise, color="0.9", lw=0, zorder=-1)
         ax.set(title=TITLES[name], xlabel=f"measured [{unit}]", ylabel=f"predicted [{unit}]")
-    figure.legend(
-        *axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False
-    )
-    return figure
+    return _with_legend(figure, axes, 2)
 
 
 def _both(report: Report, before, after):
@@ -128,7 +131,7 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
     found = []
     for k, rows in enumerate(data.groups):
         if np.unique(varied["slip"].level[rows]).size >= min(3, varied["slip"].levels):
-            off = (data.y - report.held_before)[rows] / report.problem.noise
+            off = (data.y - report.held_out_before)[rows] / report.problem.noise
             found.append((float(np.nanmean(off**2)) if np.isfinite(off).any() else 0.0, k, rows))
     found.sort(key=lambda f: f[:2])
     picked = (
@@ -207,10 +210,7 @@ def _slip(report: Report) -> Figure:
                 va="center",
                 fontsize=8,
             )
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    if handles:
-        figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
-    return figure
+    return _with_legend(figure, axes, 3)
 
 
 def _next(report: Report) -> Figure:
@@ -235,10 +235,7 @@ def _next(report: Report) -> Figure:
             ylabel=f"predicted [{unit}]",
             xticks=range(1, len(of) + 1),
         )
-    figure.legend(
-        *axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False
-    )
-    return figure
+    return _with_legend(figure, axes, 4)
 
 
 def _ranking(report: Report) -> Figure:

@@ -13,7 +13,7 @@ from soil_env.discrepancy.instrument import LISTED, exact
 from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.next_tests import NextTest
 from soil_env.discrepancy.result import LEFT, WORSE, Report
-from soil_env.discrepancy.search import NAMED, ODDS, RIG_ODDS, TOLD, UNLISTED_ODDS, UNNAMED_ODDS
+from soil_env.discrepancy.search import NAMED, ODDS, REPORTED, RIG_ODDS, UNLISTED_ODDS, UNNAMED_ODDS
 from soil_env.discrepancy.unnamed import UNNAMED
 from soil_env.identification.table.data import CHANNELS, WHEEL
 from soil_env.terramechanics.steady import DEEPEST
@@ -174,22 +174,7 @@ def runs_help(report: Report) -> bool:
 
 def after_next(report: Report) -> str:
     """Sentence on the probability of the right candidate after the next runs."""
-    now = percent(right_now(report))
-    if report.verdict == "unlisted":
-        return (
-            "These runs repeat what the model misses most, or tell listed effects apart, not what "
-            "is in no catalogue"
-        )
-    if not runs_help(report):
-        return (
-            f"These runs would hardly help: the right candidate has {now} on average now, and "
-            "about as much after them"
-        )
-    return (
-        "Make the runs in this order and add their rows. A candidate, here an exact set of "
-        f"effects, is right as often as its probability says. So the right one has {now} on "
-        f"average now, and at least {percent(report.next_tests[-1].sure)} after them"
-    )
+    return filled("after_next.txt", report, now=percent(right_now(report)))
 
 
 def _place(point: Mapping[str, float]) -> str:
@@ -216,12 +201,11 @@ def summary(report: Report) -> str:
     shares = [
         f"{title(' and '.join(n))}{' alone' * (len(n) == 1)} ({sure(p)})"
         for p, n in of[:4]
-        if p >= TOLD
+        if p >= REPORTED
     ]
-    text = render(
-        f"{__package__}:summary.txt",
-        **_helpers(),
-        report=report,
+    return filled(
+        "summary.txt",
+        report,
         effects=[f"{title(e.name)} (probability {sure(e.probability)})" for e in report.effects],
         rivals=[title(a) for a in dict.fromkeys(a for e in report.effects for a in e.alternatives)],
         left=[
@@ -236,7 +220,7 @@ def summary(report: Report) -> str:
         ),
         values=int(report.problem.used.sum()),
         worst=max((g.over_noise[0] for g in gap.values()), default=0.0),
-        nearest=next((r for r in finding.ranking if r.probability >= TOLD), None),
+        nearest=next((r for r in finding.ranking if r.probability >= REPORTED), None),
         weak=sum(d.power < NAMED for d in finding.detectable.values()),
         most=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
         unseen=unseen(report),
@@ -247,6 +231,11 @@ def summary(report: Report) -> str:
             if not {*n} <= {*finding.names}
         ],
     )
+
+
+def filled(template: str, report: Report, **values: object) -> str:
+    """A template of this folder as one paragraph."""
+    text = render(f"{__package__}:{template}", report=report, **_helpers(), **values)
     return " ".join(text.split()).replace(" ,", ",")
 
 
@@ -328,14 +317,14 @@ def cautions(report: Report) -> list[str]:
 
 def _helpers() -> dict[str, object]:
     """Functions and limits that the templates use."""
-    functions = (added, disagreement, listed, percent, plural, rises, sure, title)
+    functions = (added, disagreement, listed, percent, plural, rises, runs_help, sure, title)
     limits = {
         "FEW": FEW,
         "LEFT": LEFT,
         "MENTIONED": MENTIONED,
         "NAMED": NAMED,
         "SCATTERED": SCATTERED,
-        "TOLD": TOLD,
+        "REPORTED": REPORTED,
     }
     return {f.__name__: f for f in functions} | limits | {"TITLES": TITLES}
 

@@ -2,7 +2,7 @@
 
 from soil_env.discrepancy.instrument import INSTRUMENT
 from soil_env.discrepancy.next_tests import CHECKS
-from soil_env.discrepancy.report.sentences import listed, runs_help, title
+from soil_env.discrepancy.report.sentences import filled, runs_help, title
 from soil_env.discrepancy.result import LEFT, Report
 from soil_env.discrepancy.unnamed import OF_SENSORS
 
@@ -26,13 +26,13 @@ EXPLAINED = {
         "as blades."
     ),
     "bulldozing": "The wheel pushes a heap of soil ahead of itself, which takes drawbar pull.",
-    "multipass": "Soil that was driven over before is denser and bears and shears otherwise.",
-    "penetration_rate": "Soil that is loaded faster bears more (or less) before it gives way.",
+    "multipass": "Soil that was driven over before is denser and carries and shears otherwise.",
+    "penetration_rate": "Soil that is loaded faster carries more (or less) before it gives way.",
     "shear_rate": "Soil that is sheared faster is stronger (or weaker).",
     "shear_softening": (
         "The strength of the soil rises to a peak and falls to a residual as it is sheared further."
     ),
-    "grade": "On a slope a part of the weight acts along the ground, and the ground bears less.",
+    "grade": "On a slope a part of the weight acts along the ground, and the ground carries less.",
     "drivetrain_friction": (
         "Bearings, gears and seals take torque between the sensor and the wheel."
     ),
@@ -65,81 +65,39 @@ def missed(report: Report) -> bool:
 
 def conclusion(report: Report) -> str:
     """The result in one sentence without a number."""
-    names = listed([title(e.name) for e in report.effects]) if report.effects else ""
     finding = report.finding
-    near = [title(n) for n in finding.candidates[:3]]
-    probably = "" if all(e.probability >= SURE for e in report.effects) else "probably "
-    explains = (
-        f"{names[:1].upper()}{names[1:]} "
-        f"{probably}{'explain' if len(report.effects) > 1 else 'explains'}"
+    rivals = [(finding.share(n), title(n)) for n in finding.candidates]
+    rivals += [(finding.unlisted, "something that is in no catalogue"), (finding.none, "nothing")]
+    return filled(
+        "conclusion.txt",
+        report,
+        effects=[title(e.name) for e in report.effects],
+        unsure=any(e.probability < SURE for e in report.effects),
+        near=[title(n) for n in finding.candidates[:3]],
+        likely=[name for p, name in sorted(rivals, reverse=True) if p >= LIKELY],
+        missed=missed(report),
     )
-    if report.verdict == "named":
-        return f"{explains} what the simulation misses."
-    if report.verdict == "partly":
-        return f"{explains} a part of what the simulation misses, and a part is left."
-    if report.verdict == "unlisted":
-        near_by = f"; {listed(near, 'or')} comes closest, but in another form" if near else ""
-        return (
-            f"Something is missing from the simulation that is none of the listed effects{near_by}."
-        )
-    if report.verdict == "ambiguous":
-        rivals = [(finding.share(n), title(n)) for n in finding.candidates]
-        rivals += [
-            (finding.unlisted, "something that is in no catalogue"),
-            (finding.none, "nothing"),
-        ]
-        likely = [name for p, name in sorted(rivals, reverse=True) if p >= LIKELY]
-        rest = (
-            f": most probable {'are' if len(likely) > 1 else 'is'} {listed(likely, 'or')}"
-            if likely
-            else ""
-        )
-        return f"These runs do not decide what is missing, if anything{rest}."
-    if report.verdict == "none":
-        if missed(report):
-            return (
-                "The simulation misses these runs by what laws and sensors that err could do: no "
-                "effect is named."
-            )
-        return "The simulation agrees with these runs as well as the laws of the soil allow."
-    return "These runs are too few to decide if anything is missing."
 
 
 def next_step(report: Report) -> str:
     """Return the next step, in words."""
-    if report.doubts:
-        return "Check the table as said above, and run this again."
-    beside = [n for e in report.effects for n in (e.name, *e.alternatives)]
-    asked = {
-        *beside,
-        *(n for n in report.finding.candidates if report.finding.share(n) >= LIKELY),
-    } & {*INSTRUMENT}
+    named = {e.name for e in report.effects}
+    possible = {n for n in report.finding.candidates if report.finding.share(n) >= LIKELY}
+    suspected = named | {a for e in report.effects for a in e.alternatives} | possible
     found = {c: sum(map(report.finding.share, c.decides)) for c in report.next_checks}
-    checks = [c for c in CHECKS if found.get(c, 0.0) >= LIKELY or asked & {*c.decides}]
+    checks = [
+        c for c in CHECKS if found.get(c, 0.0) >= LIKELY or suspected & {*INSTRUMENT} & {*c.decides}
+    ]
     before = report.problem.data.setup.checked
-    done = ", ".join(dict.fromkeys((*before, *(n for c in checks for n in c.decides))))
-    steps = [c.work for c in checks]
+    done = list(dict.fromkeys((*before, *(n for c in checks for n in c.decides))))
     of_sensor = report.finding.hypotheses[0].law in OF_SENSORS and report.verdict == "unlisted"
-    if of_sensor and not {"force_gain", "torque_gain"} <= {*done.split(", ")}:
-        steps.append(
-            "load each sensor with several known weights, and correct the columns where it is not "
-            "linear"
-        )
-    steps += [f"correct the columns, and write in the setup `checked: [{done}]`"] if checks else []
-    runs = runs_help(report) and report.verdict != "none"
-    steps += ["make the next tests below, the first one first, and add their rows"] if runs else []
-    steps += ["run this again"] if steps else []
-    said = " ".join(f"{step[:1].upper()}{step[1:]}." for step in steps)
-    if steps and (
-        report.verdict not in ("named", "none") or {e.name for e in report.effects} & {*INSTRUMENT}
-    ):
-        return said
-    if report.verdict in ("ambiguous", "undetermined") or (
-        report.verdict == "none" and missed(report)
-    ):
-        return (
-            "Make more runs, at other slips, loads and speeds, add their rows and run this again."
-        )
-    return "Simulate with model.yaml." + (
-        f" To be surer: {said[:1].lower()}{said[1:]}" if steps else ""
+    return filled(
+        "next_step.txt",
+        report,
+        checks=checks,
+        done=", ".join(done),
+        load_sensors=of_sensor and not {"force_gain", "torque_gain"} <= {*done},
+        runs=runs_help(report) and report.verdict != "none",
+        of_rig=named & {*INSTRUMENT},
+        missed=missed(report),
     )

@@ -50,7 +50,7 @@ def _newton(x, slip, load, memory, setting, work):
     ln_S = u[PRESSURE] - u[EXPONENT] * math.log(setting.depth)
     slope = min(f.ln_s.sinkage * z, FLATTEST)
     step = -(f.ln_s.value + u[EXPONENT] * math.log(ratio) - ln_S) / slope
-    if f.ln_s.value <= FLOORED:  # cohesion alone bears the load
+    if f.ln_s.value <= FLOORED:  # cohesion alone carries the load
         step = -FAR
     after = x + min(max(step, -FAR), FAR)
     low = math.log(SHALLOWEST * setting.radius)

@@ -27,7 +27,7 @@ BOARD_SETTING = record(
     "border_sd",  # [m] of the place of a border in an image
     shown=("i8",),  # 1: the observation has the estimate of the soil
     first=("i8",),  # index of its first entry
-    held=("i8",),  # control periods that an action lasts
+    action_periods=("i8",),  # control periods that an action lasts
     classes=("i8",),  # of terrain; 0: no camera
     lines=("i8",),  # over the patch ahead
     bounds=("f4", (2, MOST_ENTRIES)),
@@ -58,7 +58,7 @@ def board_setting(scenario: Scenario, shown: Shown) -> np.ndarray:
     setting["border_sd"] = math.sqrt(2.0) * scenario.camera.border_noise
     setting["shown"] = shown.on
     setting["first"] = shown.first
-    setting["held"] = scenario.control.held
+    setting["action_periods"] = scenario.control.action_periods
     setting["classes"] = scenario.course.classes
     setting["lines"] = scenario.course.lines
     entries = len(shown.low)

@@ -74,21 +74,21 @@ def begin_border(memory, setting, work, place, variance):
     memory.law_misfit = 1.0
     memory.cells_kept = 0
     memory.points = 0
-    memory.odd = 0.0
+    memory.excess = 0.0
     memory.widening = 1.0
 
 
 @njit(**EXACT)
-def see_border(memory, note, camera_sd, setting, work):
+def see_border(memory, sample, camera_sd, setting, work):
     """Begin a border where a camera sees ground of another class begin; True if it did.
 
-    `note`: an `Image`; `camera_sd` [m]: of the place of a border in it.
+    `sample`: an `Image`; `camera_sd` [m]: of the place of a border in it.
     """
-    following = note.label_0 if note.taken == 0.0 else note.label_1
-    in_sight = note.seen > 0.0 and note.left < 0.5 * setting.border
-    if memory.crossing > 0.0 or memory.points == 0 or not in_sight or following == note.here:
+    following = sample.label_0 if sample.taken == 0.0 else sample.label_1
+    in_sight = sample.seen > 0.0 and sample.left < 0.5 * setting.border
+    if memory.crossing > 0.0 or memory.points == 0 or not in_sight or following == sample.here:
         return False
-    begin_border(memory, setting, work, memory.place + note.left, camera_sd**2)
+    begin_border(memory, setting, work, memory.place + sample.left, camera_sd**2)
     return True
 
 

@@ -34,7 +34,7 @@ STEPS = 2  # of Gauss-Newton for a point, at most; with one the errors of ln K g
 SETTLED = 0.3  # squared length of a step in standard deviations, below which it is the last
 LONGEST = 1.0  # [prior standard deviations] of a step, of any unknown
 FARTHEST = 4.0  # [prior standard deviations] of the soil from its mean
-PAYLOAD = 0.05  # [of weight] doubt of the load where no sensor tells it
+PAYLOAD = 0.05  # [of weight] doubt of the load where no sensor measures it
 EXACTLY = 1e-5  # least standard deviation of an instrument, so that none is singular
 # Form error: where chi-squared is `CONTRADICTS` times its expectation the laws err, by as much as
 # leaves no contradiction.
@@ -148,7 +148,7 @@ def _normal_equations(memory, setting, work, size):
 
 
 @njit(**EXACT)
-def _take_step(memory, setting, work, size):
+def _apply_step(memory, setting, work, size):
     """Take `work.step`, shortened where it is too long; the share of it that is taken."""
     u = memory.u
     share = 1.0
@@ -203,7 +203,7 @@ def renew(memory, setting, work):
         length = 0.0
         for i in range(size):
             length += work.step[i] * work.gradient[i]
-        share = _take_step(memory, setting, work, size)
+        share = _apply_step(memory, setting, work, size)
         before = max(forces + sinkage, EXACTLY)
         left = max(1.0 - _fall(work, size, share) / before, 0.0)
         if share == 1.0 and length < SETTLED:

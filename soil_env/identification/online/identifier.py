@@ -22,7 +22,7 @@ from soil_env.identification.online.borders import (
 from soil_env.identification.online.cells import remember
 from soil_env.identification.online.fit import CONTRADICTS, renew, weigh_instruments
 from soil_env.identification.online.forces import reaction
-from soil_env.identification.online.library import lean, mix, take_information
+from soil_env.identification.online.library import lean, mix, write_information
 from soil_env.identification.online.linear import invert, solve_half
 from soil_env.identification.online.memory import (
     ALL,
@@ -55,7 +55,7 @@ from soil_env.identification.online.points import (
     ends_point,
     is_sound,
     is_steady,
-    note_rest,
+    record_rest,
     slip_error,
     weigh,
 )
@@ -68,14 +68,14 @@ HELD, MOVED, RENEWED = range(3)
 # Readings of a point on a border, where the ground changes from one to the next.
 READINGS_ON_BORDER = 5.0
 # Chi-squared (two degrees of freedom) of the forces of a point: its excess over `EXPECTED` is
-# summed, never below 0; a sum above `ANOTHER_SOIL` is another soil. A point above `ODD` is left out
-# until then.
+# summed, never below 0; a sum above `ANOTHER_SOIL` is another soil. A point above `OUTLIER` is
+# left out until then.
 EXPECTED = 3.0
 ANOTHER_SOIL = 8.0
-ODD = 3.5
+OUTLIER = 3.5
 LONG = 5  # points of a soil, up to which it is the laws that readings contradict
-SETTLED_POINTS = 3  # of a soil, before which no point is odd
-DOUBT = 1.3  # factor of the standard deviations while a point is odd
+SETTLED_POINTS = 3  # of a soil, before which no point is an outlier
+DOUBT = 1.3  # factor of the standard deviations while a point is an outlier
 DOUBLED = 4.0  # factor of the form error's variance in that test
 BEYOND = 4e-6  # [of load, squared] further error of the laws in that test
 OFTEN = 3  # points of a soil after which the best pull is renewed with every third one
@@ -111,7 +111,7 @@ def forget(memory, setting, work):
     memory.turning = 0.0
     memory.point_sinkage = 0.0
     memory.last_rim = 0.0
-    memory.odd = 0.0
+    memory.excess = 0.0
     memory.crossing = 0.0
     memory.form_error = setting.model_error
     memory.misfit = 1.0
@@ -258,12 +258,12 @@ def _complete(memory, reading, alone, setting, work):
         return
     if alone and not contradicted and memory.points >= SETTLED_POINTS:
         surprise = _surprise(memory, setting, work)
-        memory.odd = max(memory.odd + surprise - EXPECTED, 0.0)
-        if memory.odd > ANOTHER_SOIL:
+        memory.excess = max(memory.excess + surprise - EXPECTED, 0.0)
+        if memory.excess > ANOTHER_SOIL:
             feel_border(memory, setting, work)
             begin_pull(memory, setting, work)
             return
-        if surprise > ODD:  # the next ones decide
+        if surprise > OUTLIER:  # the next ones decide
             for i in range(PUBLISHED):
                 memory.sd[i] *= DOUBT / memory.widening
             memory.widening = DOUBT
@@ -271,7 +271,7 @@ def _complete(memory, reading, alone, setting, work):
         memory.widening = 1.0
     remember(memory)
     renew(memory, setting, work)
-    take_information(memory, work)
+    write_information(memory, work)
     mix(memory, memory.u, setting, work)
     if setting.library > 1:
         lean(memory, setting, work)
@@ -315,7 +315,7 @@ def observe(memory, reading, alone, setting, work):
     memory.last_rim = reading.rim_speed
     advance(memory, reading, turned, setting)
     weigh(memory, reading, setting)
-    note_rest(memory, reading, setting)
+    record_rest(memory, reading, setting)
     point = memory.open[0]
     error = slip_error(reading, setting)
     steady = is_steady(reading, error, turned, setting)

@@ -51,8 +51,8 @@ class Channels(NamedTuple):
     acceleration: float  # of travel [of gravity]
 
 
-#: The ground here and ahead, by the camera and the memory of terrain classes; 0 of lines that are
-#: out of sight. "line" is the route that the wheel is on the way to, "beside" the other one, or the
+#: The ground here and ahead, by the camera and the memory of terrain classes; 0 of routes that are
+#: out of sight. `route` is that which the wheel is on the way to, `beside` the other one, or the
 #: same where there is one route. A margin is the best steady drawbar pull [of load] of a class over
 #: the grade; "met" counts the patches it was found on.
 _VIEW = (
@@ -179,7 +179,7 @@ def begin(recent, reading, numbers):
 
 
 @njit(**EXACT)
-def follow(recent, reading, halted, numbers):
+def average(recent, reading, halted, numbers):
     """Take the readings of a control period into the averages, which stand still in halts."""
     if halted > 0.0:
         recent[_AVERAGES] = 0.0
@@ -200,12 +200,12 @@ def see(recent, image, classes, sight, numbers):
     """
     sine = recent[_PITCH]
     here = classes.of[int(image.here)]
-    line = classes.of[int(image.label_0)]
+    route = classes.of[int(image.label_0)]
     beside = classes.of[int(image.label_1)]
     grade = image.grade_0
     grade_beside = image.grade_1
     if image.taken > 0.0:
-        line, beside, grade, grade_beside = beside, line, grade_beside, grade
+        route, beside, grade, grade_beside = beside, route, grade_beside, grade
     tangent = sine / math.sqrt(max(1.0 - sine * sine, 0.01))
     seen = image.seen
     recent[_SEEN] = 1.0
@@ -216,8 +216,8 @@ def see(recent, image, classes, sight, numbers):
     recent[_SEEN + 5] = seen
     recent[_SEEN + 6] = seen * image.chosen
     recent[_SEEN + 7] = seen * (math.sin(grade) - sine)
-    recent[_SEEN + 8] = seen * (line.estimate[BEST_PULL] - math.tan(grade))
-    recent[_SEEN + 9] = seen * min(float(line.patches), _OFTEN)
+    recent[_SEEN + 8] = seen * (route.estimate[BEST_PULL] - math.tan(grade))
+    recent[_SEEN + 9] = seen * min(float(route.patches), _OFTEN)
     recent[_SEEN + 10] = seen * (beside.estimate[BEST_PULL] - math.tan(grade_beside))
     recent[_SEEN + 11] = seen * min(float(beside.patches), _OFTEN)
 

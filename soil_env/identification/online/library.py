@@ -17,7 +17,7 @@ UNLIKELY = 1e-6  # [of the likeliest] weight below which a soil of the library c
 
 
 @njit(**EXACT)
-def take_information(memory, work):
+def write_information(memory, work):
     """Write the information of the readings of a fit, less its prior, into `information`, and the
     gradient of their log-likelihood at its soil into `gradient`.
     """

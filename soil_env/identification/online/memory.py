@@ -97,14 +97,14 @@ MEMORY = record(
     "point_turning",
     "point_sinkage",  # [m] of the last point; 0 before the first
     "last_rim",  # [m/s]
-    "odd",  # sum of the excess of chi-squared of points
+    "excess",  # sum of what is beyond the expected of chi-squared of points
     "crossing",  # 1 on a border
     "border",  # [m] its middle: by a camera, by the forces, or by another wheel
     "border_variance",
     "form_error",  # [of load] of the laws
     "misfit",  # chi-squared of the forces over its expectation
     "law_misfit",  # the same of the law of sinkage
-    "widening",  # of standard deviations, while points in a row are odd
+    "widening",  # of standard deviations, while points in a row are outliers
     "rest_pull",  # [of weight] mean pull beyond that of the slope, standing
     "rests",  # readings that this is the mean of
     "standing",  # readings in a row at which the wheel stood

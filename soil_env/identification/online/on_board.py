@@ -45,8 +45,8 @@ from soil_env.identification.online.identifier import (
 from soil_env.identification.online.immobilisation import (
     MEMORY as AVERAGES,
     WARNING_SETTING,
+    average,
     begin,
-    follow,
     see,
     warning_setting,
 )
@@ -96,69 +96,69 @@ class WheelsOnBoard:
             "memory": self.memory["classes"][:, 0]["of"],
         }
 
-    def follow(self, world: tuple[Any, ...], orders: np.ndarray, first: int, end: int) -> None:
+    def update(self, world: tuple[Any, ...], orders: np.ndarray, first: int, end: int) -> None:
         """Follow the `orders` [wheels] int8 of the wheels `first` to `end` - 1 in a `world` of
-        (state, notes, observation).
+        (state, samples, observation).
         """
         estimate_wheels(self.memory, *world, orders, self.setting, self._work.mine(), (first, end))
 
 
 @njit(**EXACT)
-def _look_ahead(wheel, note, setting):
-    """Note the view for the warning, where it is asked for."""
+def _see_ahead(wheel, sample, setting):
+    """Store the view for the warning, where it is asked for."""
     if setting.warns > 0:
-        see(wheel.recent, note, wheel.classes[0], setting.board[0].sight, setting.warning[0])
+        see(wheel.recent, sample, wheel.classes[0], setting.board[0].sight, setting.warning[0])
 
 
 @njit(**EXACT)
-def _restart(wheel, note, setting, work):
+def _restart(wheel, sample, setting, work):
     """Set an estimator to its prior, at the start of a course."""
     forget(wheel.identifier[0], setting.board[0].identifier[0], work)
     forget_classes(wheel.classes[0], setting.classes[0])
     wheel.changed = 0
     if setting.warns > 0:
-        begin(wheel.recent, note, setting.warning[0])
+        begin(wheel.recent, sample, setting.warning[0])
     if setting.board[0].classes > 0:
-        _look_ahead(wheel, note, setting)
+        _see_ahead(wheel, sample, setting)
 
 
 @njit(**EXACT)
-def _after_period(wheel, note, vehicle, period, setting, work):
+def _after_period(wheel, sample, vehicle, period, setting, work):
     """Take the record of a control period of a wheel."""
     board = setting.board[0]
     numbers = board.identifier[0]
     memory = wheel.identifier[0]
     if setting.warns > 0:
-        follow(wheel.recent, note, note.halted, setting.warning[0])
+        average(wheel.recent, sample, sample.halted, setting.warning[0])
     paid = board.information > 0.0
     before = knowledge(memory, numbers) if paid and period == 0 else 0.0
     if board.classes > 0:
-        observe_image(memory, note, board.border_sd, numbers, work)
-    outcome = observe(memory, note, True, numbers, work)
+        observe_image(memory, sample, board.border_sd, numbers, work)
+    outcome = observe(memory, sample, True, numbers, work)
     if outcome != HELD:
         wheel.changed = 1
     if board.classes > 0:
         classes = setting.classes[0]
-        if outcome == RENEWED and clear_of_borders(note.since, note.left, classes):
-            remember_class(wheel.classes[0], int(note.here), int(note.patch), memory, classes)
-        _look_ahead(wheel, note, setting)
+        if outcome == RENEWED and clear_of_borders(sample.since, sample.left, classes):
+            remember_class(wheel.classes[0], int(sample.here), int(sample.patch), memory, classes)
+        _see_ahead(wheel, sample, setting)
     if paid:
-        after = knowledge(memory, numbers) if period == board.held - 1 else 0.0
+        after = knowledge(memory, numbers) if period == board.action_periods - 1 else 0.0
         add_information(vehicle, before, after, period == vehicle.periods - 1, board)
 
 
 @njit(**EXACT)
-def show_estimate(wheel, note, board, out):
+def show_estimate(wheel, sample, board, out):
     """Fill what is identified into the observation of a wheel."""
     dig_gain = board.identifier[0].dig_gain
     write_estimate(out[board.first :], wheel.identifier[0], dig_gain)
     if board.classes > 0:
         first = out.size - board.lines * OF_SOIL
-        for line in range(board.lines):
-            ahead = out[first + line * OF_SOIL :]
-            label = note.label_0 if line == 0 else note.label_1
-            grade = note.grade_0 if line == 0 else note.grade_1
-            if note.seen > 0.0 and line < note.lines:
+        for route in range(board.lines):
+            ahead = out[first + route * OF_SOIL :]
+            label = sample.label_0 if route == 0 else sample.label_1
+            grade = sample.grade_0 if route == 0 else sample.grade_1
+            if sample.seen > 0.0 and route < sample.lines:
                 _write_line(ahead, wheel.classes[0].of[int(label)], grade, dig_gain)
             else:
                 for i in range(OF_SOIL):
@@ -168,7 +168,7 @@ def show_estimate(wheel, note, board, out):
 
 @njit(**EXACT)
 def _write_line(out, known, grade, dig_gain):
-    """Fill `out` [13] with what is known of the soil of a line ahead.
+    """Fill `out` [13] with what is known of the soil of a route ahead.
 
     The margin is the best drawbar pull over the grade that is seen.
     """
@@ -179,10 +179,10 @@ def _write_line(out, known, grade, dig_gain):
 
 
 @kept
-def estimate_wheels(memory, state, notes, observation, orders, setting, work, span):
+def estimate_wheels(memory, state, samples, observation, orders, setting, work, span):
     """Follow the `orders` of the wheels of a `span` (first, end): STEP or RESTART.
 
-    `memory` [wheels] `ON_BOARD`; `state`, `notes` and `observation` as the world's step has left
+    `memory` [wheels] `ON_BOARD`; `state`, `samples` and `observation` as the world's step has left
     them.
     """
     numbers = setting[0]
@@ -195,13 +195,13 @@ def estimate_wheels(memory, state, notes, observation, orders, setting, work, sp
         vehicle = state[k]
         last = 0
         if order == RESTART:
-            _restart(wheel, notes[k, 0], numbers, work[0])
+            _restart(wheel, samples[k, 0], numbers, work[0])
         else:
             wheel.changed = 0
             last = vehicle.periods - 1
             for period in range(vehicle.periods):
-                _after_period(wheel, notes[k, period], vehicle, period, numbers, work[0])
+                _after_period(wheel, samples[k, period], vehicle, period, numbers, work[0])
             if board.information > 0.0:
                 sum_reward(vehicle)
         if board.shown > 0:
-            show_estimate(wheel, notes[k, last], board, observation[k])
+            show_estimate(wheel, samples[k, last], board, observation[k])

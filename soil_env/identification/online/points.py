@@ -292,7 +292,7 @@ STANDSTILL = 3.0  # readings after which a wheel that stands has settled
 
 
 @njit(**EXACT)
-def note_rest(memory, reading, setting):
+def record_rest(memory, reading, setting):
     """Where the wheel stands, its pull is that of its weight on the slope: the rest is the zero."""
     standing = abs(reading.rim_speed) < SLOWEST and abs(reading.speed) < SLOWEST
     memory.standing = memory.standing + 1.0 if standing else 0.0

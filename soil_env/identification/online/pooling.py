@@ -46,7 +46,7 @@ COHESION_ERROR = 100.0  # [Pa]
 TRUST = 0.5
 PLACE_SD = 0.25  # [border lengths] of a border that another wheel has found
 
-#: What the wheels of a rover know of the ground under one of them, and what it tells the others.
+#: What the wheels of a rover know of the ground under one of them, and what it gives the others.
 POOL = record(
     borders=("i8", SOILS),  # number of the soil that a column is of
     border_places=("f8", SOILS),  # [m] middle of the border before it, by odometry
@@ -72,14 +72,14 @@ def forget_pool(pool, memory):
     """Set a wheel's pool to what its identifier, just reset, has."""
     for s in range(SOILS):
         pool.borders[s] = -1
-    take_own(pool, memory)
+    copy_own(pool, memory)
     for i in range(PUBLISHED):
         pool.old[i] = memory.estimate[i]
         pool.old_sd[i] = memory.sd[i]
 
 
 @njit(**EXACT)
-def take_own(pool, memory):
+def copy_own(pool, memory):
     """Publish what the wheel's own identifier has."""
     pool.status = memory.status
     pool.best_pull[0] = memory.best_pull[0]
@@ -92,7 +92,7 @@ def take_own(pool, memory):
 
 
 @njit(**EXACT)
-def tell(pool, memory, setting, work):
+def keep_knowledge(pool, memory, setting, work):
     """Keep what a renewed identifier knows of its soil."""
     s = memory.borders % SOILS
     pool.borders[s] = memory.borders
@@ -167,7 +167,7 @@ def _add(pool, u, covariance, mean, share, work):
 def pool_with(pools, axles, own, memory, setting, work):
     """Renew what all wheels of a rover know of the ground under the one on the axle `own`."""
     pool = pools[own]
-    take_own(pool, memory)
+    copy_own(pool, memory)
     if memory.status == Status.NO_DATA.value:
         return
     for i in range(SOIL):

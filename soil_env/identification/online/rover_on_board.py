@@ -28,14 +28,14 @@ from soil_env.identification.online.pooling import (
     POOL,
     forget_pool,
     hand_over_border,
+    keep_knowledge,
     pool_with,
-    tell,
 )
 from soil_env.parameters import RoverScenario
 from soil_env.parameters.readings import RESTART, STEP, Shown
 from soil_env.parameters.vehicle import MOST_AXLES
 
-#: White noise, in the units of `Noise`, of what a sensor of the body does not tell of a wheel.
+#: White noise, in the units of `Noise`, of what a sensor of the body does not measure of a wheel.
 OF_BODY = 1e6
 
 #: Memory of the estimators of a rover, from the front wheel on.
@@ -69,7 +69,7 @@ class RoversOnBoard:
         pooled = self.memory["pools"][:, :axles]
         return {"on_board": self.memory, "ids": Known.of(alone), "known": Known.of(pooled)}
 
-    def follow(self, world: tuple[Any, ...], orders: np.ndarray, first: int, end: int) -> None:
+    def update(self, world: tuple[Any, ...], orders: np.ndarray, first: int, end: int) -> None:
         """Follow the `orders` [rovers] int8 of the rovers `first` to `end` - 1 in a `world` of
         (state, readings, observation).
         """
@@ -77,7 +77,7 @@ class RoversOnBoard:
 
 
 def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
-    """Leave out what the sensors of the body do not tell of one wheel.
+    """Leave out what the sensors of the body do not measure of one wheel.
 
     The accelerometer says nothing of it, and the load on a wheel changes with the pull. Nor does
     the torque of a motor whose speed loop turns the wheel faster or slower: that at the end of a
@@ -109,7 +109,7 @@ def _knowledge(rover, setting):
 
 @njit(**EXACT)
 def _after_period(rover, readings, period, vehicle, setting, work):
-    """Take the readings [axles, held] of a control period of a rover."""
+    """Take the readings [axles, periods] of a control period of a rover."""
     board = setting.board[0]
     numbers = board.identifier[0]
     axles = setting.axles
@@ -122,14 +122,14 @@ def _after_period(rover, readings, period, vehicle, setting, work):
             hand_over_border(rover.pools[0], memory, setting.places[a], numbers, work)
         outcome = observe(memory, readings[a, period], a == 0, numbers, work)
         if outcome == RENEWED:
-            tell(rover.pools[a], memory, numbers, work)
+            keep_knowledge(rover.pools[a], memory, numbers, work)
         furthest = max(furthest, outcome)
     for a in range(axles):
         memory = rover.identifiers[a]
         if furthest == RENEWED or memory.crossing > 0.0:
             pool_with(rover.pools, axles, a, memory, numbers, work)
     if paid:
-        after = _knowledge(rover, setting) if period == board.held - 1 else 0.0
+        after = _knowledge(rover, setting) if period == board.action_periods - 1 else 0.0
         add_information(vehicle, before, after, period == vehicle.periods - 1, board)
 
 

@@ -17,7 +17,7 @@ from soil_env.parameters import MOST_AXLES, RoverScenario
 from soil_env.simulation.world.wheel import WHEEL
 
 LOAD_TOLERANCE = 0.02  # [of the mean load of an axle] change of a load that asks for a new solution
-LEAST_LOAD = 0.02  # [of the mean load of an axle] that an axle bears: none is taken to lift off
+LEAST_LOAD = 0.02  # [of the mean load of an axle] that an axle carries: none is taken to lift off
 STEEPEST = 0.9  # [-] largest sine of the pitch
 
 #: What an axle has beside its wheel.
@@ -89,8 +89,8 @@ def suspension_of(scenario: RoverScenario) -> np.ndarray:
 
 
 @njit(**FINITE)
-def _share_out(together, moment, arm, other_arm, least):
-    """Loads [N] at two arms [m] that bear `together` and balance a moment [N m], each at least
+def _two_loads(together, moment, arm, other_arm, least):
+    """Loads [N] at two arms [m] that carry `together` and balance a moment [N m], each at least
     `least`.
     """
     one = (-moment - other_arm * together) / (arm - other_arm)
@@ -107,7 +107,7 @@ def _moment(force, height):
 
 
 @njit(**FINITE)
-def bear(forces, weight, s):
+def axle_loads(forces, weight, s):
     """Loads [N] of the axles, front to rear, in equilibrium with the torques and drawbar pulls of
     `forces` [axles].
 
@@ -119,15 +119,15 @@ def bear(forces, weight, s):
         moment += _moment(forces[a], s.height)
     b = s.bogie
     if b < 0:
-        front, rear = _share_out(weight, moment, s.arms[0], s.arms[1], least)
+        front, rear = _two_loads(weight, moment, s.arms[0], s.arms[1], least)
         return front, rear, 0.0
     about = _moment(forces[b], s.pivot_height) + _moment(forces[b + 1], s.pivot_height)
     single = 2 if b == 0 else 0
-    alone, pair = _share_out(weight, moment - about, s.arms[single], s.pivot_arm, least)
+    alone, pair = _two_loads(weight, moment - about, s.arms[single], s.pivot_arm, least)
     pair = max(pair, 2.0 * least)
     alone = weight - pair
     front_arm = s.arms[b] - s.pivot_arm
-    front, rear = _share_out(pair, about, front_arm, s.arms[b + 1] - s.pivot_arm, least)
+    front, rear = _two_loads(pair, about, front_arm, s.arms[b + 1] - s.pivot_arm, least)
     if b == 0:
         return front, rear, alone
     return alone, front, rear
@@ -141,7 +141,7 @@ def _height_of(rover, a):
 
 
 @njit(**FINITE)
-def take_pitch(rover, s):
+def set_pitch(rover, s):
     """Pitch of the body of a rover, from where its wheels stand."""
     front = _height_of(rover, 0)
     rear = _height_of(rover, s.axles - 1)

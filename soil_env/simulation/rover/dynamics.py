@@ -7,15 +7,15 @@ from numba import njit
 
 from soil_env._compiled.elementary import sin_cos
 from soil_env._compiled.flags import FINITE, INLINE
-from soil_env.simulation.rover.body import take_pitch
+from soil_env.simulation.rover.body import set_pitch
 from soil_env.simulation.rover.newton import equation_of, foresee, reaction_of, solve_speeds
-from soil_env.simulation.rover.ruts import floor_at, pass_on
+from soil_env.simulation.rover.ruts import copy_rut_behind, floor_at
 from soil_env.simulation.world.dynamics import (
     FINEST,
     GAMMA,
     OVER,
     ground_ahead,
-    held_change,
+    loop_change,
     move,
     stage_of,
     stand,
@@ -54,15 +54,15 @@ def _keep_stand(foot, at):
     foot.shear_modulus = at.footing.shear_modulus
     foot.carry = at.footing.carry
     foot.most_carried = at.footing.most_carried
-    foot.lift = at.beside.lift
-    foot.bulldozing = at.beside.bulldozing
-    foot.blades = at.beside.blades
-    foot.pull = at.beside.pull
-    foot.torque = at.beside.torque
+    foot.lift = at.extra.lift
+    foot.bulldozing = at.extra.bulldozing
+    foot.blades = at.extra.blades
+    foot.pull = at.extra.pull
+    foot.torque = at.extra.torque
 
 
 @njit(**INLINE)
-def _take_stage(rover, course, ruts, number, h, forced, world):
+def _solve_stage(rover, course, ruts, number, h, forced, world):
     """A stage of a step; False if Newton's method fails, with the rover as before, unless it is
     `forced` on.
     """
@@ -94,17 +94,17 @@ def _take_stage(rover, course, ruts, number, h, forced, world):
         move(wheel, end, stage, under, foot, rig)
         axle.height += (wheel.x - before) * sin_cos(foot.grade)[0]
         axle.floor = floor_at(ruts, a, wheel.x)
-    take_pitch(rover, world.suspension)
+    set_pitch(rover, world.suspension)
     for a in range(axles):
         wheel = rover.wheels[a]
         cell = wheel.cell
         leave_ruts(wheel, ruts[a])
-        pass_on(ruts, a, cell, wheel.cell)
+        copy_rut_behind(ruts, a, cell, wheel.cell)
     return True
 
 
 @njit(**INLINE)
-def _take_step(rover, course, ruts, h, forced, world):
+def _solve_step(rover, course, ruts, h, forced, world):
     """A step of h seconds in two stages; the time [s] that was driven, less than h if Newton's
     method fails.
     """
@@ -113,7 +113,7 @@ def _take_step(rover, course, ruts, h, forced, world):
         foot.speed_before = rover.wheels[a].speed
         foot.rim_before = world.rig.radius * rover.wheels[a].wheel_speed
     for number in range(2):
-        if not _take_stage(rover, course, ruts, number, h, forced, world):
+        if not _solve_stage(rover, course, ruts, number, h, forced, world):
             return number * (GAMMA * h)
     return h
 
@@ -129,7 +129,7 @@ def _change_ahead(rover, world):
     change = abs(dv)
     for a in range(world.suspension.axles):
         du = world.stage.found[a].change
-        change = max(change, held_change(du, rover.wheels[a], world.stage.feet[a], rig))
+        change = max(change, loop_change(du, rover.wheels[a], world.stage.feet[a], rig))
     return change / (rig.radius * rig.no_load_speed)
 
 
@@ -144,7 +144,7 @@ def _drive_period(rover, course, ruts, world):
     failed = False
     while left > OVER * longest:
         h = min(h, left)
-        driven = _take_step(rover, course, ruts, h, h <= longest / FINEST, world)
+        driven = _solve_step(rover, course, ruts, h, h <= longest / FINEST, world)
         left -= driven
         if driven == h:
             h = longest

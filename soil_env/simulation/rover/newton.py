@@ -13,7 +13,7 @@ from numba import njit
 from soil_env._compiled.elementary import sin_cos
 from soil_env._compiled.flags import FINITE, HUGE, INLINE, record
 from soil_env.parameters import MOST_AXLES, SoilState
-from soil_env.simulation.rover.body import LOAD_TOLERANCE, bear, weight_of
+from soil_env.simulation.rover.body import LOAD_TOLERANCE, axle_loads, weight_of
 from soil_env.simulation.world.newton import (
     LEAST_GAIN,
     LEAST_PIVOT,
@@ -30,7 +30,7 @@ from soil_env.terramechanics.motor import motor_torque
 from soil_env.terramechanics.reaction import (
     REST_SPEED,
     Acting,
-    Beside,
+    ExtraForces,
     Footing,
     Reaction,
     reaction,
@@ -40,7 +40,7 @@ TURNS = 4  # solutions of a stage at most, each with the loads of the one before
 
 _NOT_SHEARED = [name for name in SoilState._fields if name not in Footing._fields]
 #: What the wheel of an axle is to do in a control period and what it stands on in a stage. It has
-#: the fields of a `Drive`, a `Footing`, a `Beside` and the `SoilState` of a `Ground`.
+#: the fields of a `Drive`, a `Footing`, an `ExtraForces` and the `SoilState` of a `Ground`.
 FOOT = record(
     "start",  # [m] where the control period began
     "speed_before",  # [m/s] V at the beginning of the step
@@ -52,7 +52,7 @@ FOOT = record(
     "along",  # [N] weight along the grade
     *Footing._fields,
     *_NOT_SHEARED,
-    *Beside._fields,
+    *ExtraForces._fields,
     by_speed=("i8",),
 )
 #: Rotation of an axle at some speeds, with the `Reaction` there.
@@ -203,7 +203,7 @@ def _begin(rover, at, weight, world):
             f.drawbar_pull += f.pull_v * dv + f.pull_u * f.change
             f.torque += f.torque_v * dv + f.torque_u * f.change
             trial[a].rim += f.change
-    loads = bear(found, weight, s)
+    loads = axle_loads(found, weight, s)
     for a in range(s.axles):
         feet[a].load = loads[a]
     speed = rover.wheels[0].speed
@@ -283,7 +283,7 @@ def _iterate(v, at, world):
 
 
 @njit(**INLINE)
-def _bear_anew(weight, world):
+def _renew_loads(weight, world):
     """True if the forces found change a load; the loads are then theirs, and the speeds found are
     tried next.
     """
@@ -291,7 +291,7 @@ def _bear_anew(weight, world):
     feet = world.stage.feet
     found = world.stage.found
     trial = world.stage.trial
-    loads = bear(found, weight, s)
+    loads = axle_loads(found, weight, s)
     changed = False
     for a in range(s.axles):
         change = abs(loads[a] - feet[a].load)
@@ -313,6 +313,6 @@ def solve_speeds(rover, at, world):
     converged = False
     for turn in range(TURNS):
         v, converged = _iterate(v, at, world)
-        if turn == TURNS - 1 or not converged or not _bear_anew(weight, world):
+        if turn == TURNS - 1 or not converged or not _renew_loads(weight, world):
             break
     return v, converged

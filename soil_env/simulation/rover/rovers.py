@@ -16,7 +16,7 @@ from soil_env._compiled.flags import EXACT, FINITE, HUGE, INLINE, record
 from soil_env._compiled.random_streams import NORMALS, between, normal_pair, word
 from soil_env.parameters import MOST_AXLES, RoverScenario
 from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY
-from soil_env.simulation.rover.body import ROVER, suspension_of, take_pitch
+from soil_env.simulation.rover.body import ROVER, set_pitch, suspension_of
 from soil_env.simulation.rover.dynamics import control_period
 from soil_env.simulation.rover.newton import STAGE, RoverWorld
 from soil_env.simulation.rover.ruts import clear_ruts, new_ruts
@@ -52,8 +52,8 @@ from soil_env.terramechanics.reaction import Acting
 DEEPEST_ALONE = 0.5  # [of the limit] sinkage of a wheel by itself on the ground of a course
 
 
-#: What a rover hands to those on board after a control period, beside the readings of its wheels.
-ROVER_NOTE = record(
+#: Of a rover after a control period, for the estimators on board, beside readings of its wheels.
+ROVER_SAMPLE = record(
     "place",  # [m] by odometry
     "halted",  # 1 in a commanded halt, else 0
 )
@@ -65,7 +65,7 @@ class RoverScratch(NamedTuple):
     stage: np.ndarray  # [1] `STAGE`
     normals: np.ndarray  # [1] `NORMALS`
     readings: np.ndarray  # [axles, 1] `READING`
-    note: np.ndarray  # [1] `ROVER_NOTE`
+    sample: np.ndarray  # [1] `ROVER_SAMPLE`
 
 
 def new_rover_scratch() -> RoverScratch:
@@ -74,7 +74,7 @@ def new_rover_scratch() -> RoverScratch:
         np.zeros(1, STAGE),
         np.zeros(1, NORMALS),
         np.zeros((MOST_AXLES, 1), READING),
-        np.zeros(1, ROVER_NOTE),
+        np.zeros(1, ROVER_SAMPLE),
     )
 
 
@@ -84,8 +84,10 @@ class RoverWorlds(NamedTuple):
     state: np.ndarray  # [rovers] `ROVER`
     ruts: np.ndarray  # [rovers, axles, cells] `RUT`
     courses: np.ndarray  # [rovers] `course_dtype`; what is left in its cells is in `ruts`
-    readings: np.ndarray  # [rovers, axles, held] `READING` of the last step
-    notes: np.ndarray  # [rovers, held] `ROVER_NOTE` of it; both without rows if nothing is recorded
+    readings: np.ndarray  # [rovers, axles, periods] `READING` of the last step
+    samples: (
+        np.ndarray
+    )  # [rovers, periods] `ROVER_SAMPLE` of it; both without rows if nothing is recorded
     observation: np.ndarray  # [rovers, D] float32
 
 
@@ -131,7 +133,7 @@ def rover_course_numbers(
 ) -> RoverCourseNumbers:
     """Pack the numbers of `lay_rovers`; `model` gives the effects that are on in this world."""
     drawn = course_distribution(_with_front(scenario), model)
-    # the deepest wheel of a rover bears more than the mean and runs in a rut
+    # the deepest wheel of a rover carries more than the mean and runs in a rut
     drawn.spec.bogged_sinkage *= DEEPEST_ALONE
     return RoverCourseNumbers(
         drawn, rig_of(scenario, model)[0], acting_in(model), suspension_of(scenario)[0]
@@ -143,15 +145,15 @@ def new_rover_worlds(
 ) -> RoverWorlds:
     """Worlds for so many rovers, to be restarted; `recorded`: keep each step's sensor record."""
     axles = scenario.axles
-    held = scenario.control.held
+    periods = scenario.control.action_periods
     courses = new_courses(rovers, _with_front(scenario))
     kept_rovers = rovers if recorded else 0
     return RoverWorlds(
         np.zeros(rovers, ROVER),
         new_ruts(rovers, axles, courses["cells"].shape[1]),
         courses,
-        np.zeros((kept_rovers, axles, held), READING),
-        np.zeros((kept_rovers, held), ROVER_NOTE),
+        np.zeros((kept_rovers, axles, periods), READING),
+        np.zeros((kept_rovers, periods), ROVER_SAMPLE),
         np.zeros((rovers, numbers.bounds.shape[1]), dtype=np.float32),
     )
 
@@ -248,8 +250,8 @@ def _sense_body(rover, sensors):
 
 
 @njit(**FINITE)
-def _sense(rover, readings, note, period, setting):
-    """Fill `readings` [axles, held] of a control period and its `ROVER_NOTE`.
+def _sense(rover, readings, sample, period, setting):
+    """Fill `readings` [axles, periods] of a control period and its `ROVER_SAMPLE`.
 
     Of speed, pitch and acceleration the body has one sensor each; their `BodyReading`.
     """
@@ -265,27 +267,27 @@ def _sense(rover, readings, note, period, setting):
         reading.pitch = of_body.pitch
         reading.acceleration = of_body.acceleration
         read_slip(wheel, reading, setting.sensors, setting.errors)
-    note.halted = 1.0 if rover.halt_left > 0.0 else 0.0
-    note.place = rover.odometer
+    sample.halted = 1.0 if rover.halt_left > 0.0 else 0.0
+    sample.place = rover.odometer
     return of_body
 
 
 @njit(**FINITE)
-def _restart(rover, readings, notes, setting):
+def _restart(rover, readings, samples, setting):
     """`BodyReading` of a rover at the start of its course."""
-    take_pitch(rover, setting.world.suspension)
+    set_pitch(rover, setting.world.suspension)
     for a in range(setting.world.suspension.axles):
         mount_sensors(rover.wheels[a], setting.normals, setting.sensors)
     rover.cause = RUNNING
     rover.periods = 1
-    return _sense(rover, readings, notes[0], 0, setting)
+    return _sense(rover, readings, samples[0], 0, setting)
 
 
 @njit(**FINITE)
-def _step(rover, commands, course, ruts, readings, notes, setting):
+def _step(rover, commands, course, ruts, readings, samples, setting):
     """The control periods of an action of a rover, until its episode ends; its last `BodyReading`.
 
-    `readings` [axles, held], `notes` [held], or one of each to overwrite.
+    `readings` [axles, periods], `samples` [periods], or one of each to overwrite.
     """
     task = setting.task
     terms = rover.terms
@@ -294,10 +296,10 @@ def _step(rover, commands, course, ruts, readings, notes, setting):
     of_body = BodyReading(0.0, 0.0, 0.0)
     rover.periods = 0
     rover.cause = RUNNING
-    while rover.periods < task.held and rover.cause == RUNNING:
+    while rover.periods < task.action_periods and rover.cause == RUNNING:
         control_period(rover, commands, course, ruts, setting.world)
-        period = min(rover.periods, notes.size - 1)
-        of_body = _sense(rover, readings, notes[period], period, setting)
+        period = min(rover.periods, samples.size - 1)
+        of_body = _sense(rover, readings, samples[period], period, setting)
         rover.cause = judge(rover, task)
         add_reward(rover, rover.cause, task, terms)
         rover.periods += 1
@@ -330,7 +332,7 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
     setting = Setting(
         world, numbers.task[0], numbers.sensors[0], numbers.errors, scratch.normals[0]
     )
-    recorded = worlds.notes.shape[0] > 0
+    recorded = worlds.samples.shape[0] > 0
     for j in range(first, end):
         order = orders[j]
         if order != STEP and order != RESTART:
@@ -338,11 +340,11 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
         rover = worlds.state[j]
         course = worlds.courses[j]
         readings = worlds.readings[j] if recorded else scratch.readings
-        notes = worlds.notes[j] if recorded else scratch.note
+        samples = worlds.samples[j] if recorded else scratch.sample
         if order == STEP:
-            of_body = _step(rover, actions[j], course, worlds.ruts[j], readings, notes, setting)
+            of_body = _step(rover, actions[j], course, worlds.ruts[j], readings, samples, setting)
         else:
-            of_body = _restart(rover, readings, notes, setting)
+            of_body = _restart(rover, readings, samples, setting)
         out = worlds.observation[j]
         _observe(rover, of_body, readings, course, setting, out)
         clip(out, numbers.bounds)

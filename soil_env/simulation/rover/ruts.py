@@ -35,7 +35,7 @@ def floor_at(ruts, a, x):
 
 
 @njit(**FINITE)
-def pass_on(ruts, a, cell, after):
+def copy_rut_behind(ruts, a, cell, after):
     """Copy the rut of axle a to the axles behind it, in the cells from `cell` to before `after`;
     `ruts` [axles, cells].
     """

@@ -2,7 +2,7 @@
 
 from soil_env.simulation.task.layout import (
     AXLES,
-    LINES,
+    ROUTES,
     VARIANTS,
     VERSION,
     ObservedNumber,
@@ -14,7 +14,7 @@ from soil_env.simulation.task.rules import REWARD_TERMS, Cause
 
 __all__ = [
     "AXLES",
-    "LINES",
+    "ROUTES",
     "REWARD_TERMS",
     "VARIANTS",
     "VERSION",

@@ -11,7 +11,7 @@ from soil_env._io.loading import ParameterError, unknown_value
 from soil_env.parameters import CourseSpec
 
 #: Version of the layout. A policy of another one is refused, even if its numbers have these names.
-#: 2: slip follows from two speeds, sensors have zeros and gains, grades tell nothing of the soil.
+#: 2: slip follows from two speeds, sensors have zeros and gains, grades say nothing about the soil.
 VERSION = 2
 VARIANTS = ("blind", "identified", "true_soil")
 
@@ -71,7 +71,7 @@ _TRUE = (
 )
 
 
-_AHEAD = {  # of the soil of a line ahead
+_AHEAD = {  # of the soil of a route ahead
     "blind": (),
     "identified": (
         ObservedNumber("met", "0 or 1", 0.0, 1.0),
@@ -81,22 +81,22 @@ _AHEAD = {  # of the soil of a line ahead
     ),
     "true_soil": (*_TRUE, ObservedNumber("margin", "of load", -2.0, 2.0, 0.0, 0.1)),
 }
-LINES = ("ahead", "beside")
+ROUTES = ("ahead", "beside")
 AXLES = ("front", "middle", "rear")  # of a rover, which has its own entries for each (`rover.task`)
 
 
-def _seen(classes: int, lines: int) -> list[ObservedNumber]:
-    """Entries of the camera for so many terrain classes and lines."""
+def _seen(classes: int, routes: int) -> list[ObservedNumber]:
+    """Entries of the camera for so many terrain classes and routes."""
     entries = [ObservedNumber("border_distance", "m", 0.0, 100.0, 1.0, 0.5)]
     entries += [ObservedNumber(f"here_class_{c + 1}", "0 or 1", 0.0, 1.0) for c in range(classes)]
-    for line in LINES[:lines]:
+    for route in ROUTES[:routes]:
         entries.append(
-            ObservedNumber(f"{line}_grade", "rad, uphill positive", -1.6, 1.6, 0.0, 0.15)
+            ObservedNumber(f"{route}_grade", "rad, uphill positive", -1.6, 1.6, 0.0, 0.15)
         )
         entries += [
-            ObservedNumber(f"{line}_class_{c + 1}", "0 or 1", 0.0, 1.0) for c in range(classes)
+            ObservedNumber(f"{route}_class_{c + 1}", "0 or 1", 0.0, 1.0) for c in range(classes)
         ]
-    return entries + [ObservedNumber("choice", "0 or 1", 0.0, 1.0)] * (lines > 1)
+    return entries + [ObservedNumber("choice", "0 or 1", 0.0, 1.0)] * (routes > 1)
 
 
 def check_version(found: object, where: object) -> None:
@@ -112,7 +112,7 @@ def layout(variant: str, course: CourseSpec | None = None) -> tuple[ObservedNumb
     """Entries of an observation variant; the first ones are those of `blind` in every variant.
 
     On a `course` with terrain classes the entries of the camera follow, then those of the soils of
-    the lines ahead.
+    the routes ahead.
     """
     if not isinstance(variant, str):
         raise ParameterError(f"observation = {variant!r}: expected one of {', '.join(VARIANTS)}")
@@ -122,8 +122,8 @@ def layout(variant: str, course: CourseSpec | None = None) -> tuple[ObservedNumb
     if course is None or course.classes == 0:
         return entries
     ahead = [
-        replace(e, name=f"{line}_{e.name}")
-        for line in LINES[: course.lines]
+        replace(e, name=f"{route}_{e.name}")
+        for route in ROUTES[: course.lines]
         for e in _AHEAD[variant]
     ]
     return (*entries, *_seen(course.classes, course.lines), *ahead)

@@ -7,14 +7,14 @@ from numba import njit
 from soil_env._compiled.flags import EXACT, FINITE
 from soil_env.simulation.task.layout import VARIANTS
 from soil_env.simulation.world.camera import Sight, patch_ahead, seen_grade, write_view
-from soil_env.simulation.world.lines import choosing
+from soil_env.simulation.world.routes import choosing
 from soil_env.simulation.world.terrain import piece_at, soil_on
 from soil_env.terramechanics.ground import soil_of
 
 SENSORS = 14  # entries that every variant has
 TRUE_SOIL = VARIANTS.index("true_soil")
 ENTRIES_OF_SOIL = 7  # of a true soil
-ENTRIES_AHEAD = 8  # of the true soil of a line ahead: soil and margin
+ENTRIES_AHEAD = 8  # of the true soil of a route ahead: soil and margin
 
 
 @njit(**FINITE)
@@ -65,7 +65,7 @@ def write_soil_under(out, wheel, course, border):
 
 @njit(**EXACT)
 def write_seen(out, wheel, image, course, sight, camera, truth):
-    """Fill `out` with an `IMAGE` of the camera; with `truth`, the lines' true soils behind it."""
+    """Fill `out` with an `IMAGE` of the camera; with `truth`, the routes' true soils behind it."""
     i = write_view(out, image, choosing(wheel, course, camera) >= 0, camera)
     if truth:
         write_soils_ahead(out[i:], course, sight, camera)
@@ -83,14 +83,14 @@ def write_truth(out, wheel, course, border, camera):
 
 @njit(**EXACT)
 def write_soils_ahead(out, course, sight, camera):
-    """Fill `out` [lines x 8] with true soils of lines ahead and their margins over the grade."""
+    """Fill `out` [routes x 8] with true soils of routes ahead and their margins over the grade."""
     ahead = patch_ahead(course, sight, camera)
     for number in range(camera.lines):
         entries = out[number * ENTRIES_AHEAD :]
-        if ahead >= 0 and number < course.forks[ahead].lines:
-            line = course.lines[ahead, number]
-            write_soil(entries, soil_of(line))
-            entries[ENTRIES_OF_SOIL] = line.capacity - math.tan(seen_grade(course, ahead, number))
+        if ahead >= 0 and number < course.forks[ahead].routes:
+            route = course.routes[ahead, number]
+            write_soil(entries, soil_of(route))
+            entries[ENTRIES_OF_SOIL] = route.capacity - math.tan(seen_grade(course, ahead, number))
         else:
             for i in range(ENTRIES_AHEAD):
                 entries[i] = 0.0

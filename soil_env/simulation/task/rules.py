@@ -46,7 +46,7 @@ TASK = record(
     *(f.name for f in fields(RewardWeights)),
     variant=("i8",),  # index in `VARIANTS`
     periods=("i8",),  # control periods until the time limit
-    held=("i8",),  # control periods that an action lasts
+    action_periods=("i8",),  # control periods that an action lasts
     seen=("i8",),  # index of the first entry of the camera in the observation
 )
 
@@ -70,7 +70,7 @@ def task_of(scenario: Scenario, variant: str) -> np.ndarray:
             task[f.name] = getattr(part, f.name)
     task["variant"] = VARIANTS.index(variant)
     task["periods"] = scenario.periods
-    task["held"] = scenario.control.held
+    task["action_periods"] = scenario.control.action_periods
     task["seen"] = len(layout(variant))
     return task
 

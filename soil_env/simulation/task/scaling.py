@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soil_env._io.loading import ParameterError
-from soil_env.simulation.task import LINES, ObservedNumber
+from soil_env.simulation.task import ROUTES, ObservedNumber
 
-_OF_LINES = tuple(f"{line}_" for line in LINES)
+_OF_ROUTES = tuple(f"{route}_" for route in ROUTES)
 _ALWAYS = "log10_sinkage_coefficient"
 
 
@@ -22,7 +22,7 @@ class Scaling:
     """Scaling of observations [..., D] with these entries to order one and back; unchanged if not
     `scaled`.
 
-    Entries of a line ahead are 0 while it is out of sight, on either side of the scaling.
+    Entries of a route ahead are 0 while it is out of sight, on either side of the scaling.
     """
 
     def __init__(self, entries: Iterable[ObservedNumber], scaled: bool = True) -> None:
@@ -37,19 +37,19 @@ class Scaling:
         self.scale: NDArray[np.float32] = np.array(
             [e.scale for e in self.entries], dtype=np.float32
         )
-        # for each entry one that is 0 if its line is out of sight, and 1 if it is kept then
+        # for each entry one that is 0 if its route is out of sight, and 1 if it is kept then
         self._mark = np.arange(len(names))
         self._kept = np.ones(len(names), dtype=np.float32)
         self._wide: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
-        self._lines = []  # the entries of each line that are not 0 in sight
-        for line in _OF_LINES:
-            if line + _ALWAYS in names:
+        self._routes = []  # the entries of each route that are not 0 in sight
+        for route in _OF_ROUTES:
+            if route + _ALWAYS in names:
                 columns = [
-                    k for k, n in enumerate(names) if n.startswith(line) and self.centre[k] != 0.0
+                    k for k, n in enumerate(names) if n.startswith(route) and self.centre[k] != 0.0
                 ]
-                self._mark[columns] = names.index(line + _ALWAYS)
+                self._mark[columns] = names.index(route + _ALWAYS)
                 self._kept[columns] = 0.0
-                self._lines.append(columns)
+                self._routes.append(columns)
 
     @property
     def space(self) -> gymnasium.spaces.Box:
@@ -70,14 +70,14 @@ class Scaling:
             out = (values - self.centre) / self.scale
             return (
                 out
-                if not self._lines
+                if not self._routes
                 else np.where(values[..., self._mark] == 0.0, out * self._kept + 0.0, out)
             )
         centre, scale = self._rows(values)
         out = values - centre
         out /= scale
         rows = out.reshape(-1, len(self.entries))
-        for columns in self._lines:
+        for columns in self._routes:
             dark = np.flatnonzero(values.reshape(rows.shape)[:, self._mark[columns[0]]] == 0.0)
             rows[dark[:, None], columns] = 0.0
         return out
@@ -108,7 +108,7 @@ class Scaling:
         if not self.scaled:
             return given
         out: NDArray[np.float32] = given * self.scale + self.centre
-        for columns in self._lines:  # in sight no line has all of them at their centres
+        for columns in self._routes:  # in sight no route has all of them at their centres
             out[..., columns] = np.where(
                 (given[..., columns] == 0.0).all(axis=-1, keepdims=True), 0.0, out[..., columns]
             )

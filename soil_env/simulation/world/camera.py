@@ -1,8 +1,8 @@
-"""Camera: terrain class under the wheel, and class, grade and distance of the lines ahead.
+"""Camera: terrain class under the wheel, and class, grade and distance of the routes ahead.
 
-Label and grade of a line are wrong in the same way in every image (`lines._draw_looks`), so that
-they do not average out. The distance of a border has an error of that kind and one that is new in
-every image.
+Label and grade of a route are wrong in the same way in every image (`routes._draw_camera_errors`),
+so that they do not average out. The distance of a border has an error of that kind and one that is
+new in every image.
 """
 
 from typing import NamedTuple
@@ -14,11 +14,11 @@ from soil_env._compiled.flags import EXACT, record
 from soil_env._compiled.random_streams import normal_pair
 from soil_env.parameters import Scenario
 from soil_env.parameters.readings import Image
-from soil_env.simulation.world.lines import settled
+from soil_env.simulation.world.routes import settled
 
 #: The camera of a `Scenario`.
 CAMERA = record(
-    "sight",  # [m] before a patch from which its lines are seen
+    "sight",  # [m] before a patch from which its routes are seen
     "border",  # [m] over which one patch passes into the next
     "border_noise",  # [m] 1-sigma of the place of a border, new in every image
     classes=("i8",),
@@ -37,7 +37,7 @@ class Sight(NamedTuple):
 
 
 def camera_of(scenario: Scenario) -> np.ndarray:
-    """One `CAMERA`; it sees no lines where there are no terrain classes."""
+    """One `CAMERA`; it sees no routes where there are no terrain classes."""
     camera = np.zeros(1, CAMERA)
     camera["sight"] = scenario.camera.range
     camera["border"] = scenario.course.border
@@ -48,7 +48,7 @@ def camera_of(scenario: Scenario) -> np.ndarray:
 
 
 @njit(**EXACT)
-def look(wheel, course, camera):
+def sight_of(wheel, course, camera):
     """`Sight` of a new image, with a number of the wheel's stream."""
     patches = course.patches
     forks = course.forks
@@ -68,20 +68,20 @@ def look(wheel, course, camera):
 @njit(**EXACT)
 def label_here(course, sight):
     """The class of the ground under the wheel as the camera sees it."""
-    return course.lines[sight.patch, course.forks[sight.patch].taken].label
+    return course.routes[sight.patch, course.forks[sight.patch].taken].label
 
 
 @njit(**EXACT)
 def patch_ahead(course, sight, camera):
-    """The patch whose lines are in sight, or -1."""
+    """The patch whose routes are in sight, or -1."""
     ahead = sight.patch + 1
     return ahead if ahead < course.drawn and sight.left <= camera.sight else -1
 
 
 @njit(**EXACT)
-def seen_grade(course, p, line):
-    """Steepest grade [rad] of patch p as the camera sees it along a line."""
-    return course.forks[p].grade + course.lines[p, line].grade_error
+def seen_grade(course, p, route):
+    """Steepest grade [rad] of patch p as the camera sees it along a route."""
+    return course.forks[p].grade + course.routes[p, route].grade_error
 
 
 @njit(**EXACT)
@@ -89,15 +89,15 @@ def take_image(image, wheel, course, sight, camera):
     """Fill the `IMAGE` of a wheel, for what identifies the ground on board."""
     ahead = patch_ahead(course, sight, camera)
     p = max(ahead, 0)
-    straight = course.lines[p, 0]
-    beside = course.lines[p, 1]
+    straight = course.routes[p, 0]
+    beside = course.routes[p, 1]
     image.patch = sight.patch
     image.since = sight.since
     image.left = sight.left
     image.here = label_here(course, sight)
     image.seen = 1.0 if ahead >= 0 else 0.0
     image.chosen = 1.0 if settled(wheel, course, p) else 0.0
-    image.lines = course.forks[p].lines
+    image.lines = course.forks[p].routes
     image.taken = course.forks[p].taken
     image.label_0 = straight.label
     image.label_1 = beside.label
@@ -107,10 +107,10 @@ def take_image(image, wheel, course, sight, camera):
 
 @njit(**EXACT)
 def write_view(out, image, chooses, camera):
-    """Fill `out` with distance, class here, grade and class of lines ahead of an `IMAGE`; return
+    """Fill `out` with distance, class here, grade and class of routes ahead of an `IMAGE`; return
     the count.
 
-    `chooses`: the action chooses a line now.
+    `chooses`: the action chooses a route now.
     """
     classes = camera.classes
     seen = image.seen > 0.0

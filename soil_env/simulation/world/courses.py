@@ -1,9 +1,9 @@
-"""Drawing courses: patches of soil, and a profile of slopes that tells nothing of them
+"""Drawing courses: patches of soil, and a profile of slopes that says nothing about them
 (docs/physics/wheel.md).
 
 A course has a random stream of its own, and its patches are drawn from it in order, each with the
 slopes over it as the wheel comes near: what they are like does not depend on how far or in how many
-pieces the course is drawn. Ground of terrain classes and with two lines is drawn by `lines`.
+pieces the course is drawn. Ground of terrain classes and with two routes is drawn by `routes`.
 
 Slopes have lengths and grades of their own. So a grade changes inside a soil, a soil on a slope,
 and some slopes are too steep for their soil: such courses are kept.
@@ -17,7 +17,6 @@ from numba import njit
 from soil_env._compiled.flags import EXACT, HUGE, INLINE
 from soil_env._compiled.random_streams import word
 from soil_env.parameters import Scenario
-from soil_env.simulation.world.lines import draw_classes, draw_lines
 from soil_env.simulation.world.passability import (
     DISTRIBUTION,
     PRESET,
@@ -26,6 +25,7 @@ from soil_env.simulation.world.passability import (
     draw_ground,
     within,
 )
+from soil_env.simulation.world.routes import draw_classes, draw_routes
 from soil_env.simulation.world.terrain import cell_at, clear
 from soil_env.simulation.world.wheel import acting_in, rig_of
 from soil_env.terramechanics.ground import put_soil, soil_of
@@ -144,7 +144,7 @@ def _draw_patch(course, load, numbers, nodes):
     length = within(course, spec.patch_length)
     found = True
     if spec.classes > 0:
-        draw_lines(course, load, numbers, nodes)
+        draw_routes(course, load, numbers, nodes)
     else:
         found = _draw_soil(course, load, numbers, nodes)
     if found or course.drawn > 0:

@@ -12,8 +12,8 @@ from numba import njit
 
 from soil_env._compiled.elementary import sin_cos
 from soil_env._compiled.flags import FINITE, INLINE
-from soil_env.simulation.world.lines import choosing, plan_halt, take_line
 from soil_env.simulation.world.newton import Stage, foreseen, solve_speeds
+from soil_env.simulation.world.routes import choosing, plan_halt, set_route
 from soil_env.simulation.world.terrain import (
     grade_on,
     in_cell,
@@ -35,7 +35,7 @@ from soil_env.simulation.world.wheel import (
 from soil_env.terramechanics.effects.multipass import in_rut
 from soil_env.terramechanics.motor import motor_torque
 from soil_env.terramechanics.reaction import (
-    Beside,
+    ExtraForces,
     Footing,
     Standing,
     ground_under,
@@ -62,7 +62,7 @@ class Stand(NamedTuple):
 
     ground: Ground
     footing: Footing
-    beside: Beside
+    extra: ExtraForces
     along: float  # [N] weight along the grade
 
 
@@ -77,7 +77,7 @@ def steps_for(change):
 
 
 @njit(**INLINE)
-def held_change(du, wheel, drive, rig):
+def loop_change(du, wheel, drive, rig):
     """Size of a foreseen change `du` [m/s] of the rim speed: a speed loop stops at its command."""
     if not drive.by_speed:
         return abs(du)
@@ -90,7 +90,7 @@ def change_ahead(wheel, drive, rig):
     """Foreseen change of the speeds [of the top rim speed] in a step of the usual length."""
     along = rig.gravity * wheel.mass * sin_cos(wheel.grade)[0]
     dv, du = foreseen(wheel, drive, 0.0, 0.0, rig.period / rig.substeps, along, rig)
-    return max(abs(dv), held_change(du, wheel, drive, rig)) / (rig.radius * rig.no_load_speed)
+    return max(abs(dv), loop_change(du, wheel, drive, rig)) / (rig.radius * rig.no_load_speed)
 
 
 @njit(**INLINE)
@@ -106,7 +106,7 @@ def stage_of(number, h, speed, rim, speed_before, rim_before):
 
 @njit(**FINITE)
 def ground_ahead(wheel, stage, course, cells, border, fx):
-    """Ground `Ahead` of a wheel in a stage, with the `cells` of its rut; note its place."""
+    """Ground `Ahead` of a wheel in a stage, with the `cells` of its rut; store its place."""
     x = wheel.x + 0.5 * stage.duration * wheel.speed
     wheel.patch = piece_at(course.patches, x, wheel.patch)
     wheel.slope = piece_at(course.slopes, x, wheel.slope)
@@ -186,20 +186,20 @@ def stand(wheel, stage, ahead, load, world):
     sinkage = foreseen_sinkage(wheel, stage.duration)
     rim = rig.radius * wheel.wheel_speed
     standing = Standing(sinkage, wheel.speed, rim, weight, sine, ahead.passes, load)
-    soil, arc, beside = ground_under(standing, ahead.soil, rig, world.acting)
+    soil, arc, extra = ground_under(standing, ahead.soil, rig, world.acting)
     footing = lay_footing(world.nodes, arc, soil, weight * cosine)
-    ground = Ground(soil, sinkage, beside.lift, ahead.grade)
-    return Stand(ground, footing, beside, weight * sine)
+    ground = Ground(soil, sinkage, extra.lift, ahead.grade)
+    return Stand(ground, footing, extra, weight * sine)
 
 
 @njit(**INLINE)
-def take_stage(wheel, stage, ahead, drive, forced, world):
+def solve_stage(wheel, stage, ahead, drive, forced, world):
     """A stage on the ground `Ahead`; False if Newton's method fails, with the wheel as before,
     unless it is `forced` on.
     """
     load = world.rig.gravity * wheel.mass * sin_cos(ahead.grade)[1]
     at = stand(wheel, stage, ahead, load, world)
-    end = solve_speeds(wheel, stage, at.footing, at.along, drive, world, at.beside)
+    end = solve_speeds(wheel, stage, at.footing, at.along, drive, world, at.extra)
     if not (end.converged or forced):
         return False
     move(wheel, end, stage, at.ground, drive, world.rig)
@@ -227,7 +227,7 @@ def drive_period(wheel, drive, course, world):
             stage = stage_of(number, h, wheel.speed, rim, speed_before, rim_before)
             fx = world.acting.effects
             ahead = ground_ahead(wheel, stage, course, course.cells, rig.border, fx)
-            done = take_stage(wheel, stage, ahead, drive, forced, world)
+            done = solve_stage(wheel, stage, ahead, drive, forced, world)
             if not done:
                 break
             left -= stage.duration
@@ -246,7 +246,7 @@ def _at_fork(wheel, course, action, rig):
     """Set what an action chooses, and the halt to come, before a control period."""
     fork = choosing(wheel, course, rig)
     if fork >= 0:
-        take_line(course, fork, 1 if action < 0.0 else 0)
+        set_route(course, fork, 1 if action < 0.0 else 0)
     plan_halt(wheel, course, rig)
 
 

@@ -103,7 +103,7 @@ def near_enough(residual, change):
 
 
 @njit(**INLINE)
-def solve_speeds(wheel, stage, footing, along, drive, world, beside):
+def solve_speeds(wheel, stage, footing, along, drive, world, extra):
     """`Motion` at the end of a stage, by Newton's method; a step that does not reduce the residual
     is shortened.
 
@@ -133,7 +133,7 @@ def solve_speeds(wheel, stage, footing, along, drive, world, beside):
     share = 1.0
     tries = 0
     for _ in range(PASSES):
-        trial = reaction(world.nodes, footing, try_v, try_u, rig, beside, world.acting)
+        trial = reaction(world.nodes, footing, try_v, try_u, rig, extra, world.acting)
         torque, slope, _ = motor_torque(drive.command, drive.by_speed, try_u / r, rig)
         f1 = try_v - stage.speed - cv * (trial.drawbar_pull - along)
         f2 = try_u - stage.rim - cu * (torque - trial.torque)

@@ -43,7 +43,7 @@ DISTRIBUTION = record(
     grade=_PAIR,  # [rad]
     first_grade=_PAIR,  # [rad] of the first slope, and of those on the first patch of a class
     payload=_PAIR,  # [kg]
-    halt_before=_PAIR,  # [m] a patch with two lines
+    halt_before=_PAIR,  # [m] a patch with two routes
     variation=("f8", 6),  # [-] of friction angle, cohesion, K, stiffness, dig gain, exponent
     factor=("f8", (5, 5)),  # Cholesky factor of the correlations of the first five
     classes=("i8",),
@@ -108,21 +108,7 @@ def scattered(mean, share, owner, spec):
     depth = spec.reference_sinkage
     pressure = mean.sinkage_coefficient * depth**mean.sinkage_exponent * stiffer  # [Pa] at `depth`
     coefficient = pressure / depth**n
-    return SoilState(
-        math.tan(phi),
-        cohesion,
-        modulus,
-        coefficient,
-        n,
-        gain,
-        mean.dig_recovery,
-        mean.rim_flow,
-        mean.braked_peak,
-        mean.shear_growth,
-        mean.shear_length,
-        mean.layer_gain,
-        mean.layer_depth,
-    )
+    return SoilState(math.tan(phi), cohesion, modulus, coefficient, n, gain, *mean[6:])
 
 
 @njit(**EXACT)

@@ -19,7 +19,7 @@ BEHIND = CELLS_BEHIND * CELL  # [m] ground behind the start that has cells of it
 
 #: A soil: the fields of `SoilState`.
 SOIL = record(*SoilState._fields)
-#: A patch of a course, with the soil of the line that is taken over it.
+#: A patch of a course, with the soil of the route that is taken over it.
 PATCH = record(
     "start",  # [m] along the course; `HUGE` of patches that are not drawn yet
     "end",  # [m]
@@ -37,9 +37,9 @@ RUT = record(
     floor=("f4",),  # [m] depth of the rut of the wheels ahead, below the undisturbed surface
     depth=("f4",),  # [m] of the wheel's own rut below the floor, 0 before its first pass
 )
-#: One of two lines over a patch of a course with terrain classes. Line 0 leads straight ahead, line
-#: 1 beside it on the same slopes.
-LINE = record(
+#: One of two routes over a patch of a course with terrain classes. Route 0 leads straight ahead,
+#: route 1 beside it on the same slopes.
+ROUTE = record(
     # [rad] of the grade that a camera sees; before the soil: numba takes a record that begins like
     # a `SOIL` for one, and warns
     "grade_error",
@@ -48,13 +48,13 @@ LINE = record(
     terrain=("i8",),  # number of its class
     label=("i8",),  # number of the class that a camera sees
 )
-#: What the lines over a patch share. A patch with one line has it twice.
+#: What the routes over a patch share. A patch with one route has it twice.
 FORK = record(
-    "halt",  # [m] place of the halt before a patch with two lines, from its beginning
+    "halt",  # [m] place of the halt before a patch with two routes, from its beginning
     "border_error",  # [m] of where a camera sees the beginning of the patch
     "grade",  # [rad] steepest slope on the patch
-    lines=("i8",),
-    taken=("i8",),  # line whose soil the `PATCH` has
+    routes=("i8",),
+    taken=("i8",),  # route whose soil the `PATCH` has
 )
 
 
@@ -74,7 +74,7 @@ def course_dtype(patches: int, slopes: int, cells: int) -> np.dtype[Any]:
     return record(
         "ready",  # [m] place up to which the ground is final; `HUGE` once the whole course is drawn
         forks=(FORK, patches),
-        lines=(LINE, (patches, 2)),  # only drawn with terrain classes
+        routes=(ROUTE, (patches, 2)),  # only drawn with terrain classes
         library=(SOIL, MOST_CLASSES),  # soils of the classes
         drawn=("i8",),
         sloped=("i8",),  # slopes drawn
@@ -102,7 +102,7 @@ def new_courses(wheels: int, scenario: Scenario) -> np.ndarray:
     for pieces in ("patches", "slopes"):
         courses[pieces]["start"] = HUGE
         courses[pieces]["end"] = HUGE
-    courses["forks"]["lines"] = 1
+    courses["forks"]["routes"] = 1
     return courses
 
 
@@ -231,7 +231,7 @@ def leave_rut(cell, depth):
     cell.depth = max(cell.depth, depth)
 
 
-#: Undisturbed ground at one place; its grade [rad] first, as in a `LINE`.
+#: Undisturbed ground at one place; its grade [rad] first, as in a `ROUTE`.
 PLACE = record("grade", *SoilState._fields, patch=("i8",))
 
 

@@ -129,7 +129,7 @@ RIG = record(
     # [of top rim speed] change of the command by an action of 1 in a period; 0: the action is the
     # command
     "rim_step",
-    "sight",  # [m] before a patch from which its lines are seen
+    "sight",  # [m] before a patch from which its routes are seen
     substeps=("i8",),  # of a control period
     speed_command=("i8",),  # 1 if the drive follows a commanded rim speed
 )
@@ -155,7 +155,7 @@ class Ground(NamedTuple):
 
     soil: SoilState  # as the wheel meets it
     sinkage: float  # [m] that the arc is laid at
-    lift: float  # [m] of z_w beyond the depth that bears
+    lift: float  # [m] of z_w beyond the depth that carries
     grade: float  # [rad]
 
 
@@ -257,7 +257,7 @@ def sink(wheel, ground, mobilised, path, rig):
     """Place and sinkage of a wheel after a stage on `Ground`, in which its load mobilised the
     coefficient `mobilised`.
 
-    z_w is the depth at which undisturbed soil bears the pressure `mobilised` z^n at the depth z =
+    z_w is the depth at which undisturbed soil carries the pressure `mobilised` z^n at the depth z =
     `ground.sinkage`. Ground beyond the furthest places of a wheel is fresh; where it has been,
     travel leads to the depth of the rut instead of z_w, which each later pass deepens. The rut
     grows where the wheel digs and not where it climbs out of its hole.
@@ -265,10 +265,10 @@ def sink(wheel, ground, mobilised, path, rig):
     soil = ground.soil
     exponent = max(soil.sinkage_exponent, LEAST_EXPONENT)
     ratio = power(mobilised / soil.sinkage_coefficient, 1.0 / exponent)
-    borne = ground.sinkage * min(ratio, MOST_BEARING)
-    if soil.layer_gain > 0.0 and borne > 0.0:
-        borne = layered_depth(borne, soil)
-    bearing = borne + ground.lift
+    bearing = ground.sinkage * min(ratio, MOST_BEARING)
+    if soil.layer_gain > 0.0 and bearing > 0.0:
+        bearing = layered_depth(bearing, soil)
+    bearing += ground.lift
     x = wheel.x + path.moved
     beyond = onto_fresh(x, wheel.lowest_x, wheel.best_x)
     fresh = min(beyond / max(abs(path.moved), STANDING), 1.0)

@@ -40,7 +40,7 @@ def digging_ratio(slid, way, gain, recovery):
 
 @njit(**EXACT)
 def onto_fresh(x, low, high):
-    """Distance [m] by which a wheel at x has left the stretch from `low` to `high` that it had
+    """Distance [m] by which a wheel at x has left the section from `low` to `high` that it had
     touched before.
     """
     return max(x - high, 0.0) + max(low - x, 0.0)
@@ -147,7 +147,7 @@ EFFECT = Effect(
         ),
     ),
     symbols={
-        "z_w": "depth at which undisturbed soil bears the same pressure",
+        "z_w": "depth at which undisturbed soil carries the same pressure",
         "z_measured": "measured sinkage",
     },
     priors=_priors,

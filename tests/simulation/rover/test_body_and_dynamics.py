@@ -25,7 +25,7 @@ from soil_env.simulation.rover.rovers import (
     rover_numbers,
     step_rovers,
 )
-from soil_env.simulation.rover.ruts import new_ruts, pass_on
+from soil_env.simulation.rover.ruts import copy_rut_behind, new_ruts
 from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND
 from soil_env.terramechanics.effects.multipass import COMPACTION, in_rut, rut_stiffness
 from soil_env.terramechanics.steady import DEEPEST, Rim, steady_state, steady_with
@@ -392,13 +392,13 @@ def test_what_is_left_is_passed_on_to_all_wheels_behind():
     ruts = new_ruts(1, 3, 6)[0]
     ruts["depth"][0, 2:4] = (0.02, 0.03)
     ruts["passes"][0, 2:4] = (1.0, 3.0)
-    pass_on(ruts, 0, 2, 4)
+    copy_rut_behind(ruts, 0, 2, 4)
     ruts["depth"][1, 2] = 0.01
     ruts["passes"][1, 2] = 2.0
-    pass_on(ruts, 1, 2, 3)
+    copy_rut_behind(ruts, 1, 2, 3)
     assert ruts["floor"][1, 1:5] == pytest.approx([0.0, 0.02, 0.03, 0.0])
     assert ruts["floor"][2, 1:5] == pytest.approx([0.0, 0.03, 0.03, 0.0])
     assert ruts["passes"][2, 1:5] == pytest.approx([0.0, 2.0, 3.0, 0.0])
-    pass_on(ruts, 0, 2, 4)
+    copy_rut_behind(ruts, 0, 2, 4)
     assert ruts["passes"][2, 1:5] == pytest.approx([0.0, 2.0, 3.0, 0.0])  # never fewer
     assert not ruts["floor"][0].any()

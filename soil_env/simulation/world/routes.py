@@ -1,7 +1,7 @@
-"""Terrain classes, and the lines between which a wheel may choose (docs/physics/wheel.md).
+"""Terrain classes, and the routes between which a wheel may choose (docs/physics/wheel.md).
 
-Two lines over a patch have soils of different classes and the same slopes, which are drawn without
-looking at the soils: both lines may be passable, or one, or none.
+Two routes over a patch have soils of different classes and the same slopes, which are drawn without
+looking at the soils: both routes may be passable, or one, or none.
 """
 
 from numba import njit
@@ -36,7 +36,7 @@ def _introduced(course, p, classes):
     for c in range(classes):
         new = True
         for q in range(p):
-            new = new and course.lines[q, 0].terrain != c
+            new = new and course.routes[q, 0].terrain != c
         if new:
             if pick == 0:
                 return c
@@ -45,73 +45,73 @@ def _introduced(course, p, classes):
 
 
 @njit(**EXACT)
-def _draw_line(course, line, load, numbers, nodes):
-    """Draw the soil of a `LINE` of a known class."""
+def _draw_route(course, route, load, numbers, nodes):
+    """Draw the soil of a `ROUTE` of a known class."""
     spec = numbers.drawn.spec
-    mean = soil_of(course.library[line.terrain])
+    mean = soil_of(course.library[route.terrain])
     soil = scattered(mean, spec.class_scatter, course, spec)
-    put_soil(line, soil)
-    line.capacity = capacity(load, soil, numbers, nodes)
+    put_soil(route, soil)
+    route.capacity = capacity(load, soil, numbers, nodes)
 
 
 @njit(**INLINE)
-def draw_lines(course, load, numbers, nodes):
-    """Draw the lines of the next patch of a course with terrain classes."""
+def draw_routes(course, load, numbers, nodes):
+    """Draw the routes of the next patch of a course with terrain classes."""
     p = course.drawn
     spec = numbers.drawn.spec
     two = spec.lines > 1 and p >= spec.classes
-    course.forks[p].lines = 2 if two else 1
-    straight = course.lines[p, 0]
-    beside = course.lines[p, 1]
+    course.forks[p].routes = 2 if two else 1
+    straight = course.routes[p, 0]
+    beside = course.routes[p, 1]
     if p < spec.classes:
         straight.terrain = _introduced(course, p, spec.classes)
     else:
         straight.terrain = int(uniform(course) * spec.classes)
-    _draw_line(course, straight, load, numbers, nodes)
+    _draw_route(course, straight, load, numbers, nodes)
     if two:
         beside.terrain = _another(course, spec.classes, straight.terrain)
-        _draw_line(course, beside, load, numbers, nodes)
+        _draw_route(course, beside, load, numbers, nodes)
     else:
-        course.lines[p, 1] = straight
-    _draw_looks(course, p, spec)
-    take_line(course, p, 0)
+        course.routes[p, 1] = straight
+    _draw_camera_errors(course, p, spec)
+    set_route(course, p, 0)
 
 
 @njit(**INLINE)
-def _draw_looks(course, p, spec):
+def _draw_camera_errors(course, p, spec):
     """Draw the errors of the camera in patch p, and how far before it the wheel is halted."""
     fork = course.forks[p]
-    straight = course.lines[p, 0]
-    beside = course.lines[p, 1]
+    straight = course.routes[p, 0]
+    beside = course.routes[p, 1]
     for i in range(2):
-        line = course.lines[p, i]
-        line.label = line.terrain
+        route = course.routes[p, i]
+        route.label = route.terrain
         if uniform(course) < spec.label_error and spec.classes > 1:
-            line.label = _another(course, spec.classes, line.terrain)
+            route.label = _another(course, spec.classes, route.terrain)
     a, b = normal_pair(course)
     straight.grade_error = spec.grade_noise * a
     beside.grade_error = spec.grade_noise * b
     a, b = normal_pair(course)
     fork.border_error = spec.border_noise * a
-    if fork.lines == 1:
+    if fork.routes == 1:
         beside.label = straight.label
         beside.grade_error = straight.grade_error
     fork.halt = -within(course, spec.halt_before)
 
 
 @njit(**EXACT)
-def take_line(course, p, line):
-    """Let the course lead along a line of patch p."""
-    taken = course.lines[p, line]
-    course.forks[p].taken = line
+def set_route(course, p, route):
+    """Let the course lead along a route of patch p."""
+    taken = course.routes[p, route]
+    course.forks[p].taken = route
     put_soil(course.patches[p], taken)
 
 
 @njit(**EXACT)
 def next_fork(wheel, course, border):
-    """The patch with two lines that a wheel comes to next and has not touched yet, or -1."""
+    """The patch with two routes that a wheel comes to next and has not touched yet, or -1."""
     ahead = wheel.patch + 1
-    if ahead >= course.drawn or course.forks[ahead].lines < 2:
+    if ahead >= course.drawn or course.forks[ahead].routes < 2:
         return -1
     return ahead if wheel.best_x < course.patches[ahead].start - 0.5 * border else -1
 
@@ -128,7 +128,7 @@ def plan_halt(wheel, course, rig):
 
 @njit(**EXACT)
 def choosing(wheel, course, view):
-    """The patch whose line the action chooses now, or -1: at a halt with a fork in sight.
+    """The patch whose route the action chooses now, or -1: at a halt with a fork in sight.
 
     `view`: a record with `sight` and `border` [m], as those of a wheel's rig and of a camera.
     """
@@ -142,6 +142,6 @@ def choosing(wheel, course, view):
 
 @njit(**EXACT)
 def settled(wheel, course, p):
-    """True if a wheel has no choice over patch p: one line, or it has come to the halt."""
+    """True if a wheel has no choice over patch p: one route, or it has come to the halt."""
     fork = course.forks[p]
-    return fork.lines < 2 or wheel.best_x >= course.patches[p].start + fork.halt
+    return fork.routes < 2 or wheel.best_x >= course.patches[p].start + fork.halt

@@ -1,4 +1,4 @@
-"""Terrain classes, two lines over a patch, the choice between them at halts, and the camera."""
+"""Terrain classes, two routes over a patch, the choice between them at halts, and the camera."""
 
 import math
 
@@ -32,7 +32,7 @@ def drawn(scenario):
 
 
 def test_both_lines_have_the_slopes_of_the_profile(drawn, scenario):
-    """The steepest on a patch is what the camera sees; one line may be too steep, or both."""
+    """The steepest on a patch is what the camera sees; one route may be too steep, or both."""
     spec = scenario.course
     passable = []
     for one in drawn:
@@ -41,11 +41,11 @@ def test_both_lines_have_the_slopes_of_the_profile(drawn, scenario):
             start = one.patches["start"][p]
             on = (slopes["end"] > start) & (slopes["start"] < one.patches["end"][p])
             assert fork["grade"] == slopes["grade"][on].max()
-            for line in one.lines[p]:
-                best = margin(line, 0.0, one.mass, scenario)
-                assert line["capacity"] == pytest.approx(best, abs=1e-9)
-            if fork["lines"] == 2:
-                passable.append(one.lines["capacity"][p] > np.tan(fork["grade"]))
+            for route in one.routes[p]:
+                best = margin(route, 0.0, one.mass, scenario)
+                assert route["capacity"] == pytest.approx(best, abs=1e-9)
+            if fork["routes"] == 2:
+                passable.append(one.routes["capacity"][p] > np.tan(fork["grade"]))
         gentle = one.slopes["start"] < one.patches["end"][spec.classes - 1]
         assert np.all(np.degrees(one.slopes["grade"][gentle]) <= spec.first_grade_deg[1])
         assert np.all(np.degrees(one.slopes["grade"][~gentle]) >= spec.grade_deg[0])
@@ -57,22 +57,22 @@ def test_both_lines_have_the_slopes_of_the_profile(drawn, scenario):
 def test_patches_of_a_class_scatter_about_its_soil(drawn):
     """The first patches show each class once; the classes of two courses are different soils."""
     for one, other in zip(drawn[:10], drawn[1:11], strict=True):
-        classes = one.lines["terrain"]
+        classes = one.routes["terrain"]
         library = one.courses["library"][0, :3]
         assert sorted(classes[:3, 0]) == [0, 1, 2]
-        assert np.all(one.forks["lines"][:3] == 1) and np.all(one.forks["lines"][3:] == 2)
+        assert np.all(one.forks["routes"][:3] == 1) and np.all(one.forks["routes"][3:] == 2)
         assert np.all(classes[3:, 0] != classes[3:, 1])
         for c in range(3):
-            of_class = one.lines[classes == c]
+            of_class = one.routes[classes == c]
             assert np.all(np.abs(of_class["tan_phi"] / library["tan_phi"][c] - 1.0) < 0.04)
-            # a patch with one line has it twice
+            # a patch with one route has it twice
             assert len(np.unique(of_class["shear_modulus"])) > 1 or len(of_class) == 2
         for name in SoilState._fields[:6]:  # the recovery of digging is one
             assert not np.any(library[name] == other.courses["library"][0, :3][name])
 
 
 def test_what_is_in_sight_is_final(scenario):
-    """What is drawn later must not change a line that the camera has shown."""
+    """What is drawn later must not change a route that the camera has shown."""
     for seed in SEEDS:
         one = course(seed, scenario, whole=False)
         x = 0.0
@@ -81,10 +81,10 @@ def test_what_is_in_sight_is_final(scenario):
             patches = one.count
             seen = one.patches["start"] <= x + scenario.camera.range
             forks = one.forks.copy()
-            lines = one.lines.copy()
+            routes = one.routes.copy()
             one.extend(HUGE if x > 5.0 else one.ready + 1e-9)
             np.testing.assert_array_equal(one.forks[:patches][seen], forks[seen])
-            np.testing.assert_array_equal(one.lines[:patches][seen], lines[seen])
+            np.testing.assert_array_equal(one.routes[:patches][seen], routes[seen])
             x += 0.5
 
 
@@ -102,10 +102,10 @@ def test_where_no_soil_is_found_that_before_goes_on():
 
 
 def creep(chosen, seed, steps=900):
-    """Yield (simulation, wheels that are asked for a line) at each step of eight wheels at 0.2 m/s
+    """Yield (simulation, wheels that are asked for a route) at each step of eight wheels at 0.2 m/s
     or less.
 
-    `chosen` is the action at halts where a line is chosen; elsewhere the sign of the action changes
+    `chosen` is the action at halts where a route is chosen; elsewhere the action changes its sign
     now and then.
     """
     sim = simulation(
@@ -127,7 +127,7 @@ def test_the_sign_of_the_action_at_the_halt_chooses():
     """Before every fork there is a halt at which it does; what lies under and behind the wheel
     stays as it is.
     """
-    for chosen, line in ((-0.01, 1), (0.0, 0), (1.0, 0), (-1.0, 1)):
+    for chosen, route in ((-0.01, 1), (0.0, 0), (1.0, 0), (-1.0, 1)):
         passed = 0
         asked_at = [set() for _ in range(8)]
         for sim, asked in creep(chosen, 2):
@@ -137,12 +137,12 @@ def test_the_sign_of_the_action_at_the_halt_chooses():
         courses = sim.worlds.courses
         for k in range(8):
             here = int(sim.worlds.state["patch"][k])
-            forks = [p for p in range(here + 1) if courses["forks"]["lines"][k, p] == 2]
+            forks = [p for p in range(here + 1) if courses["forks"]["routes"][k, p] == 2]
             assert asked_at[k] >= set(forks)
             passed += len(forks)
             for p in forks:
-                assert courses["forks"]["taken"][k, p] == line
-                taken = courses["lines"][k, p, line]
+                assert courses["forks"]["taken"][k, p] == route
+                taken = courses["routes"][k, p, route]
                 for name in SoilState._fields:
                     assert courses["patches"][name][k, p] == taken[name]
         assert passed > 8
@@ -160,7 +160,7 @@ def test_the_wheel_halts_at_the_stated_distance_before_a_fork():
         for k in np.flatnonzero(begins):
             p = int(sim.worlds.state["patch"][k]) + 1
             left = courses["patches"]["start"][k, p] - state["x"][k]
-            if courses["forks"]["lines"][k, p] == 2 and left <= spec.halt_before[1]:
+            if courses["forks"]["routes"][k, p] == 2 and left <= spec.halt_before[1]:
                 seen.setdefault(
                     (k, p), left
                 )  # the first so near; there may be another, as every metre or so
@@ -185,9 +185,9 @@ def test_looking_longer_shows_no_more_of_label_and_grade():
     sim = simulation(seed=6, wheels=400, camera={"label_error": 0.2})
     for k in range(400):
         sim.complete(k)
-    lines = sim.worlds.courses["lines"]
+    routes = sim.worlds.courses["routes"]
     drawn = sim.worlds.courses["drawn"]
-    chosen = np.concatenate([lines[k, 3 : drawn[k]].ravel() for k in range(400)])
+    chosen = np.concatenate([routes[k, 3 : drawn[k]].ravel() for k in range(400)])
     error = chosen["grade_error"]
     wrong = chosen["label"] != chosen["terrain"]
     assert abs(error.mean()) < 4.0 * 0.01 / math.sqrt(error.size)
@@ -203,7 +203,7 @@ def test_looking_longer_shows_no_more_of_label_and_grade():
     stays = np.abs(sim.worlds.state["x"] - at) < 0.2
     for image in images[1:]:
         np.testing.assert_array_equal(image[stays][:, shown], images[0][stays][:, shown])
-    expected = sim.worlds.courses["forks"]["grade"][:, 3] + lines["grade_error"][:, 3, 0]
+    expected = sim.worlds.courses["forks"]["grade"][:, 3] + routes["grade_error"][:, 3, 0]
     np.testing.assert_allclose(image[stays, names.index("ahead_grade")], expected[stays], atol=1e-6)
 
 
@@ -211,7 +211,7 @@ def test_looking_longer_shows_no_more_of_label_and_grade():
 def look_often(wheels, courses, view, left):
     """Distance [m] to the next border by each of many images of a wheel on the first course."""
     for i in range(left.size):
-        left[i] = camera.look(wheels[0], courses[0], view[0]).left
+        left[i] = camera.sight_of(wheels[0], courses[0], view[0]).left
 
 
 def test_averaging_images_leaves_the_fixed_error_of_a_border(scenario):
@@ -234,14 +234,14 @@ def test_averaging_images_leaves_the_fixed_error_of_a_border(scenario):
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_only_true_soil_shows_the_soils_ahead(variant):
-    """Observations of worlds that differ in nothing but soils and capacities of the lines ahead."""
+    """Observations of worlds that differ only in soils and capacities of the routes ahead."""
     rows = []
     for change in (1.0, 1.1):
         sim = simulation(variant, seed=9)
-        lines = sim.worlds.courses["lines"]
+        routes = sim.worlds.courses["routes"]
         before_the_fork(sim, 1.0)
         for name in (*SoilState._fields, "capacity"):
-            lines[name][0, 3:] *= change
+            routes[name][0, 3:] *= change
         sim.step(0, 0.0)
         rows.append(sim.worlds.observation[0].copy())
     names = np.array([e.name for e in layout(variant, sim.scenario.course)])
@@ -257,10 +257,10 @@ def test_margin_of_true_soil_is_over_the_grade_that_is_seen():
     before_the_fork(sim, 1.0)
     sim.step(0, 0.0)
     names = [e.name for e in layout("true_soil", sim.scenario.course)]
-    for i, line in enumerate(("ahead", "beside")):
-        own = sim.worlds.courses["lines"][0, 3, i]
+    for i, route in enumerate(("ahead", "beside")):
+        own = sim.worlds.courses["routes"][0, 3, i]
         grade = sim.worlds.courses["forks"]["grade"][0, 3] + own["grade_error"]
         expected = margin(own, grade, sim.worlds.state["mass"][0], sim.scenario)
-        assert sim.worlds.observation[0][names.index(f"{line}_margin")] == pytest.approx(
+        assert sim.worlds.observation[0][names.index(f"{route}_margin")] == pytest.approx(
             expected, abs=1e-5
         )
