@@ -7,7 +7,7 @@ import pytest
 
 from soil_env._io.files import MANIFEST, write_own
 from soil_env.cli import main
-from soil_env.discrepancy import report
+from soil_env.discrepancy import report, workflow
 from tests.discrepancy.files import SETUP, changed, table_text, write_files
 
 NAMES = ["model.yaml", "report.html", "report.json"]
@@ -105,8 +105,12 @@ def test_bad_input_is_one_line(tmp_path, capsys, table, setup, message):
         ("page", KeyboardInterrupt(), 130),
     ],
 )
-def test_nothing_is_left_when_writing_fails(tmp_path, capsys, monkeypatch, step, error, status):
+def test_nothing_is_left_when_writing_fails(
+    tmp_path, capsys, monkeypatch, nothing, step, error, status
+):
+    """The report is there; what is judged is how it is written."""
     write_files(tmp_path, TABLE)
+    monkeypatch.setattr(workflow, "_conclude", lambda *arguments: nothing)
     write_own(tmp_path / "out", {"report.json": "old"})
 
     def fail(*arguments):
