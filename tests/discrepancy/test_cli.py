@@ -26,6 +26,7 @@ def names(folder):
     return sorted(p.name for p in folder.iterdir() if p.name != MANIFEST)
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_a_run_writes_three_files_and_says_so(tmp_path, capsys):
     table = table_text({"slip_sinkage": {"gain": 0.6}}, loads=(100, 200), slips=(0.1, 0.3, 0.5))
     write_files(tmp_path, table, SETUP + "rig: {slips: [0.2, 0.6], loads: [150, 300]}\n")
