@@ -4,6 +4,7 @@ examples use.
 For an image, or before many processes start at once.
 """
 
+import gc
 import multiprocessing
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -32,7 +33,8 @@ def command() -> None:
     """
     start = time.perf_counter()
     workers = min(len(PARTS), processors())
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+    # Numba's compiler makes many objects and leaves few cycles: looking for these takes time only.
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), gc.disable) as pool:
         done = {pool.submit(part): name for name, part in PARTS.items()}
         for future in as_completed(done):
             future.result()
