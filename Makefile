@@ -29,6 +29,7 @@ BASE_READY := $(VENV)/.installed
 TRAIN_READY := $(VENV)/.installed-train
 TEST_READY := $(VENV)/.installed-test
 DOCS_READY := $(VENV)/.installed-docs
+KERNELS_READY := $(VENV)/.compiled
 
 .DEFAULT_GOAL := help
 .PHONY: help train test checks lint types format environment kernels docs dist results clean
@@ -38,11 +39,11 @@ help:  ## list the targets
 
 # Compiling the kernels takes one core for a while; the rest of the installation, lint and site the other.
 train: $(BASE_READY)  ## install what training needs, then run train.py $(ARGS)
-	$(MAKE) -j 2 kernels $(TRAIN_READY)
+	$(MAKE) -j 2 $(KERNELS_READY) $(TRAIN_READY)
 	$(PY) train.py $(ARGS)
 
 test: $(BASE_READY)  ## lint, build the site, compile the kernels, run the tests
-	$(MAKE) -j 2 kernels checks
+	$(MAKE) -j 2 $(KERNELS_READY) checks
 	$(PY) -m pytest -q -n $(JOBS) --dist worksteal $(ARGS)
 
 checks: $(TEST_READY)
@@ -67,6 +68,7 @@ environment: $(TEST_READY)  ## only .venv with the pinned versions, for tests on
 
 kernels: $(BASE_READY)  ## compile what most tests use, once for all test processes
 	$(PY) -m soil_env.cli warmup
+	@touch $(KERNELS_READY)
 
 docs: $(DOCS_READY)  ## build the documentation into site/; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
@@ -102,6 +104,10 @@ $(TORCH_READY): constraints.txt | $(PY)
 	  || $(PIP) install -q --no-compile --no-deps --retries 1 --timeout 15 --index-url $(TORCH_INDEX) $(TORCH) \
 	  || echo "No CPU build of torch from $(TORCH_INDEX); going on with pip's usual indexes."
 	@touch $@
+
+# Kernels that nothing has changed since are not loaded again only to see that they are there.
+$(KERNELS_READY): pyproject.toml constraints.txt $(shell find soil_env -name '*.py') | $(BASE_READY)
+	$(MAKE) kernels
 
 # What soil_env itself needs: enough to compile the kernels while the rest is installed.
 $(BASE_READY): pyproject.toml constraints.txt | $(PY)

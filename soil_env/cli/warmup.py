@@ -4,6 +4,7 @@ examples use.
 For an image, or before many processes start at once.
 """
 
+import gc
 import multiprocessing
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -19,8 +20,10 @@ from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.online import Observer, OnlineIdentifier, Readings, slips
 from soil_env.parameters import SoilState, load_scenario, soils, wheels
 from soil_env.parameters.readings import Image
+from soil_env.terramechanics.effects import switched_on
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
-from soil_env.terramechanics.traversability import best_points
+from soil_env.terramechanics.steady import LEVEL, Rim, steady_with
+from soil_env.terramechanics.traversability import best_points, best_working_point_with
 
 
 @click.command("warmup")
@@ -30,7 +33,8 @@ def command() -> None:
     """
     start = time.perf_counter()
     workers = min(len(PARTS), processors())
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+    # Numba's compiler makes many objects and leaves few cycles: looking for these takes time only.
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), gc.disable) as pool:
         done = {pool.submit(part): name for name, part in PARTS.items()}
         for future in as_completed(done):
             future.result()
@@ -88,8 +92,13 @@ def _others() -> None:
     identifier.traversability()
     slips(np.array([0.3]), np.array([0.2]))
     model = _with_effects()
+    soil = soils()["lete_sand"].state(0.15)
+    rim = Rim(0.15, 0.15, 0.0, 0.0)
     for predictor in (WheelSoilModel(model.wheel, model.soil), model):
         predictor.predict({"slip": np.array([0.1, 0.3]), "load": 100.0})
+        fx = switched_on(predictor.numbers)
+        steady_with(0.1, 100.0, soil, rim, LEVEL, fx)
+        best_working_point_with(100.0, soil, rim, LEVEL, fx, 10.0)
     best_points(
         np.ones((1, len(SoilState._fields))), np.array([100.0]), wheels()["planetary_rover"]
     )

@@ -20,6 +20,6 @@ def test_throughput_measures_wheels_and_rovers_side_by_side(tmp_path):
 def test_rates_of_doubts_about_tables_are_printed(monkeypatch, capsys):
     some = {k: v for k, v in sound_tables.MISTAKES.items() if k == "sign of the slip"}
     monkeypatch.setattr(sound_tables, "MISTAKES", some)
-    assert run(sound_tables.main, ["--tables", "1", "--seed", "4"], "doubts") == 0
+    assert run(sound_tables.main, ["--tables", "1", "--seed", "2"], "doubts") == 0
     said = capsys.readouterr().out
     assert "sound, doubted: " in said and "sign of the slip, found where it matters: " in said

@@ -21,6 +21,7 @@ def planted(planted_files):
 
 @pytest.fixture(scope="session")
 def nothing(tmp_path_factory):
-    """Report of a table of the base model."""
-    folder = tmp_path_factory.mktemp("nothing")
+    """Report of a table of the base model, in a folder whose name a page has to escape."""
+    folder = tmp_path_factory.mktemp("nothing") / "<b>&"
+    folder.mkdir()
     return run(*write_files(folder, table_text({}, loads=(100, 200))))

@@ -7,7 +7,7 @@ import pytest
 
 from soil_env._io.files import MANIFEST, write_own
 from soil_env.cli import main
-from soil_env.discrepancy import report
+from soil_env.discrepancy import report, workflow
 from tests.discrepancy.files import SETUP, changed, table_text, write_files
 
 NAMES = ["model.yaml", "report.html", "report.json"]
@@ -26,6 +26,7 @@ def names(folder):
     return sorted(p.name for p in folder.iterdir() if p.name != MANIFEST)
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_a_run_writes_three_files_and_says_so(tmp_path, capsys):
     table = table_text({"slip_sinkage": {"gain": 0.6}}, loads=(100, 200), slips=(0.1, 0.3, 0.5))
     write_files(tmp_path, table, SETUP + "rig: {slips: [0.2, 0.6], loads: [150, 300]}\n")
@@ -105,8 +106,12 @@ def test_bad_input_is_one_line(tmp_path, capsys, table, setup, message):
         ("page", KeyboardInterrupt(), 130),
     ],
 )
-def test_nothing_is_left_when_writing_fails(tmp_path, capsys, monkeypatch, step, error, status):
+def test_nothing_is_left_when_writing_fails(
+    tmp_path, capsys, monkeypatch, nothing, step, error, status
+):
+    """The report is there; what is judged is how it is written."""
     write_files(tmp_path, TABLE)
+    monkeypatch.setattr(workflow, "_conclude", lambda *arguments: nothing)
     write_own(tmp_path / "out", {"report.json": "old"})
 
     def fail(*arguments):

@@ -1,18 +1,11 @@
 """Rows that stand alone in their conditions and decide what is named are reported."""
 
-import pytest
-
 from soil_env.discrepancy import doubts
 from soil_env.discrepancy.calibrate import calibrate
 from soil_env.discrepancy.search import search
 from tests.discrepancy.files import PLANTED, data_of, table_text
 
 LOADS = (100, 120, 150, 180, 220)
-
-
-def said(folder, text):
-    problem, noise = calibrate(data_of(folder, text))
-    return doubts.of_lone_rows(problem, noise, search(problem), lambda text: None), noise
 
 
 def with_slip(text: str, line: int, slip: str) -> str:
@@ -23,14 +16,15 @@ def with_slip(text: str, line: int, slip: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-@pytest.mark.parametrize("effects", [{}, PLANTED])
-def test_a_table_whose_rows_check_each_other_raises_no_doubt(tmp_path, effects):
-    found, noise = said(tmp_path, table_text(effects, LOADS))
-    assert found == () and not noise.alone.any()
+def test_a_table_whose_rows_check_each_other_raises_no_doubt(planted, nothing):
+    for report in (planted, nothing):
+        assert report.doubts == () and not report.noise.alone.any()
 
 
 def test_a_mistyped_slip_that_decides_is_told(tmp_path):
-    found, noise = said(tmp_path, with_slip(table_text(PLANTED, LOADS), 5, "1.0"))
+    text = with_slip(table_text(PLANTED, LOADS), 5, "1.0")
+    problem, noise = calibrate(data_of(tmp_path, text))
+    found = doubts.of_lone_rows(problem, noise, search(problem), lambda text: None)
     assert noise.alone.tolist().count(True) == 1 and noise.alone[3]
     (doubt,) = found
     assert (

@@ -122,6 +122,7 @@ def test_no_fit_leaves_the_catalogue_s_bounds(tmp_path):
                 assert low >= p.low - 1e-9 and high <= p.high + 1e-9, (effect.name, name)
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_a_law_stands_in_for_what_is_unlisted(tmp_path):
     """A drawbar pull that falls with the square of the speed, all else unchanged, is in no
     catalogue.

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import assume, given, settings, strategies as st
 
 from soil_env.parameters import soils
+from soil_env.terramechanics.contact import layer_firmness
 from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
 from soil_env.terramechanics.steady import steady_state
 from tests.identification.observing import react
@@ -73,7 +74,9 @@ def test_forces_are_those_of_the_equations(soil, sinkage, slip):
 @settings(max_examples=40, deadline=None)
 @given(st.sampled_from(UNIFORM), st.floats(-0.4, 0.9), st.sampled_from([{}, FLOW]))
 def test_at_the_steady_sinkage_the_forces_are_those_of_the_steady_state(name, slip, law):
-    """The mobilised S is that of the soil over the ratio of slip-sinkage, to the n."""
+    """The mobilised S is that of the soil over the ratio of slip-sinkage, to the n; firmer ground
+    below a cover adds its own.
+    """
     soil = soils()[name].state(B)._replace(**law)
     at = steady_state(slip, LOAD, soil, R, B)
     assume(at.supported)
@@ -81,6 +84,7 @@ def test_at_the_steady_sinkage_the_forces_are_those_of_the_steady_state(name, sl
     found = react([*row, at.sinkage, slip, LOAD, R, B], soil[7:])[0, :, 0]
     ratio = slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery)
     available = math.log(soil.sinkage_coefficient) - soil.sinkage_exponent * math.log(ratio)
+    available += math.log(layer_firmness(at.sinkage / ratio, soil))
     assert found[PULL] == pytest.approx(at.drawbar_pull, abs=1e-3 * LOAD)
     assert found[TORQUE] == pytest.approx(at.torque, abs=1e-3 * LOAD * R)
     assert found[LN_S] == pytest.approx(available, abs=1e-3)

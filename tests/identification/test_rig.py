@@ -13,7 +13,9 @@ from scipy.optimize import brentq
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table import identify_table
+from soil_env.identification.table.problem import TableProblem
 from soil_env.measurement.setup import Prior
+from soil_env.terramechanics.steady import Rows, _predict_rows
 from tests.identification import test_table as tables
 from tests.identification.test_table import (
     COLUMNS,
@@ -149,3 +151,16 @@ def test_a_noisy_run_weighs_as_little_as_it_says(tmp_path):
     half = identify_table(table_of(tmp_path, rows[::2]), setup_of())
     width = [p.high - p.low for p in (x.parameters["friction_angle_deg"] for x in (e, half))]
     assert width[0] == pytest.approx(width[1], rel=0.05)
+
+
+def test_rows_that_nobody_may_write_to_compile_nothing_anew(tmp_path):
+    """As those of a table are: code for them would be compiled and kept beside the other."""
+    problem = TableProblem(table_of(tmp_path, clean(), np.random.default_rng(0)), setup_of())
+    u = np.zeros(len(problem.unknowns))
+    expected = problem.steady(u, problem.rows)
+    versions = len(_predict_rows._function.overloads)
+    locked = Rows(*(column.copy() for column in problem.rows))
+    for column in locked:
+        column.flags.writeable = False
+    np.testing.assert_array_equal(problem.steady(u, locked), expected)
+    assert len(_predict_rows._function.overloads) == versions

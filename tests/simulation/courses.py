@@ -11,6 +11,7 @@ from soil_env._compiled.random_streams import seed_stream
 from soil_env.parameters import SoilState
 from soil_env.parameters.readings import AHEAD, TRY
 from soil_env.simulation.wheels import (
+    WheelNumbers,
     WheelWorlds,
     lay_wheels,
     new_setting,
@@ -100,12 +101,16 @@ class Drawn(NamedTuple):
         return soil, terrain.grade_on(slopes, x, terrain.piece_at(slopes, x, 0), border)
 
 
-def course(seed, scenario, model=None, whole=True) -> Drawn:
-    """One course, or its start only."""
-    own = wheel_numbers(scenario, "blind", model)
+def numbers_of(scenario, model=None) -> tuple[WheelNumbers, CourseNumbers]:
+    """What all courses of a scenario share."""
+    return wheel_numbers(scenario, "blind", model), drawing.course_numbers(scenario, model)
+
+
+def course(seed, scenario, model=None, whole=True, shared=None) -> Drawn:
+    """One course, or its start only; `shared`: `numbers_of` it, where many are drawn."""
+    own, numbers = shared or numbers_of(scenario, model)
     worlds = new_wheel_worlds(1, scenario, own, (1, 1))
     setting = new_setting(own, False, 0)
-    numbers = drawing.course_numbers(scenario, model)
     worlds.state["stream"] = stream_of(seed)["stream"]
     lay_wheels(worlds, numbers, np.array([TRY]), setting, 0, 1)
     mass = float(worlds.state["reward"][0])

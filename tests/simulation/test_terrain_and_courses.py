@@ -15,7 +15,7 @@ from soil_env.terramechanics.effects.multipass import COMPACTION
 from soil_env.terramechanics.ground import soil_of
 from soil_env.terramechanics.steady import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
-from tests.simulation.courses import EVEN, course, draw_soils, margin, stream_of
+from tests.simulation.courses import EVEN, course, draw_soils, margin, numbers_of, stream_of
 
 SEEDS = range(25)
 LONG = {"course": {"length": 40.0}}
@@ -125,8 +125,9 @@ def rows_of(scenario, courses):
     seen = []
     soils = []
     changes = []
+    shared = numbers_of(scenario)
     for seed in range(courses):
-        one = course([77, seed], scenario)
+        one = course([77, seed], scenario, shared=shared)
         patches = one.patches
         soil = np.stack(
             [

@@ -3,17 +3,19 @@ time.
 """
 
 from types import SimpleNamespace
+from unittest.mock import patch
 
 import numpy as np
 
-from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import HUGE
+from soil_env._compiled.flags import HUGE, uncompiled
 from soil_env.envs.rovers import RoverSimulation
 from soil_env.envs.wheels import Simulation
 from soil_env.parameters import RoverScenario, SoilState, load_scenario
 from soil_env.parameters.readings import IDLE, STEP
-from soil_env.simulation.world.wheel import World, settle_at
-from soil_env.terramechanics.contact import ARC_NODES
+from soil_env.simulation.world import wheel as in_world
+from soil_env.simulation.world.wheel import World
+from soil_env.terramechanics.effects import acting_effects
+from soil_env.terramechanics.steady import Rim, steady_with
 
 
 def started(scenario, variant="blind", seeds=(0,), **options):
@@ -81,9 +83,16 @@ def on_random_courses(seeds, mode="torque", course=None, model=None) -> Wheels:
     return Wheels(simulation)
 
 
-@kept
-def _settle(state, courses, mass, rig, acting, nodes):
-    settle_at(state[0], 0.0, mass, courses[0], World(rig[0], acting, nodes[0]))
+def _settle(wheel, mass, course, numbers, fx):
+    """`settle_at` as Python runs it, with the steady state that is compiled already."""
+
+    def steady(nodes, point, soil, rig, at_rest, effects):
+        rim = Rim(*(rig[name] for name in Rim._fields))
+        return steady_with(point.slip, point.load, soil, rim, at_rest, fx)
+
+    world = World(numbers.rig[0], numbers.acting, None)
+    with patch.object(in_world, "steady_at", steady):
+        uncompiled(in_world.settle_at)(wheel, 0.0, mass, course, world)
 
 
 def on_uniform_ground(
@@ -97,9 +106,9 @@ def on_uniform_ground(
     courses = simulation.worlds.courses
     courses["ready"] = HUGE
     lay_patches(courses, (0.0, 1e3), [soil], [grade])
-    numbers = simulation.numbers
     mass = scenario.wheel.body_mass + payload
-    _settle(state, courses, mass, numbers.rig, numbers.acting, np.zeros(1, ARC_NODES))
+    fx = None if model is None else acting_effects(model.numbers)
+    _settle(state[0], mass, courses[0], simulation.numbers, fx)
     state["next_halt"] = HUGE
     return Wheels(simulation)
 

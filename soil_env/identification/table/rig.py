@@ -52,7 +52,8 @@ def predict_table(
         for width in np.unique(rows.wheels[:, 1]):
             factors[rows.wheels[:, 1] == width, -1] *= _factor(setup, width)
     out = np.empty((rows.slip.size, 3))
-    rows = Rows(*map(np.ascontiguousarray, rows))
+    # Code is compiled anew for arrays in another order, and for those that nobody may write to.
+    rows = Rows(*(np.require(column, requirements=["C", "W"]) for column in rows))
     predict_rows(rows, soil, unit_weight, fx, guess, out, factors)
     out[:, 1] -= along
     return out
