@@ -21,7 +21,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import logsumexp
 
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import ParameterError, plural
 from soil_env.identification.table import form_error
 from soil_env.identification.table.form_error import LAW_LENGTHS, Process
 from soil_env.identification.table.noise import NoiseEstimate
@@ -182,8 +182,8 @@ class TableProblem:
                 f" + {s} noise" for s, e in zip(SOURCES, self.estimated, strict=True) if e
             )
             raise ParameterError(
-                f"{table.source}: {values} measured values (sinkage, drawbar_pull, torque) for "
-                f"{needed} parameters{unknown}: expected at least "
+                f"{table.source}: {plural(values, 'measured value')} (sinkage, drawbar_pull, "
+                f"torque) for {plural(needed, 'parameter')}{unknown}: expected at least "
                 f"{needed + int(self.estimated.sum())}"
             )
         self._by_unknowns = Last(self._differences)
