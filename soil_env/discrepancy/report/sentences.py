@@ -318,7 +318,7 @@ def cautions(report: Report) -> list[str]:
         digging=problem.laws["dig_gain"],
         unseen=unseen(report),
     )
-    lines = [report.dense, *map(str.strip, text.splitlines())]
+    lines = [*report.taken, *map(str.strip, text.splitlines())]
     return [line[:1].upper() + line[1:] for line in lines if line]
 
 

@@ -264,6 +264,7 @@ def _summary(
     warnings = [
         *first,
         *filter(None, (misfit, dense)),
+        *(() if examined is None else examined.undecided),
         *(() if examined is None else (w for w in examined.left_out if w not in first)),
         *_undetermined(parameters, labels, correlation),
         *_doubts(problem, u, plain, converged),
