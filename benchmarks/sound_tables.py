@@ -17,6 +17,7 @@ import re
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import click
@@ -237,6 +238,7 @@ def told(t: Sound) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return said, found.undecided
 
 
+@cache  # of a sound table for all mistakes
 def estimate(t: Sound) -> dict[str, Parameter] | None:
     """Parameters of the table as it is; a refusal of the table is no estimate."""
     try:
@@ -245,8 +247,10 @@ def estimate(t: Sound) -> dict[str, Parameter] | None:
         return None
 
 
-def matters(right: dict[str, Parameter] | None, off: dict[str, Parameter] | None) -> bool:
+def matters(sound: Sound, wrong: Sound) -> bool:
     """True if a mistake moves an estimate by more than `OFF` of its standard deviations."""
+    off = estimate(wrong)
+    right = None if off is None else estimate(sound)
     if right is None or off is None:
         return False
     return any(
@@ -259,8 +263,11 @@ def matters(right: dict[str, Parameter] | None, off: dict[str, Parameter] | None
 @click.command(help=__doc__)
 @click.option("--tables", type=WholeNumber(1), default=60, metavar="N", help="Sound tables.")
 @click.option("--sound-only", is_flag=True, help="No tables with mistakes.")
+@click.option(
+    "--only", multiple=True, type=click.Choice(list(MISTAKES)), help="This mistake, not all."
+)
 @seed_option()
-def main(tables: int, sound_only: bool, seed: int) -> None:
+def main(tables: int, sound_only: bool, only: tuple[str, ...], seed: int) -> None:
     """Print the rates."""
     drawn = list(sound_tables(tables, seed))
     doubted = [told(t) for t in drawn]
@@ -271,14 +278,9 @@ def main(tables: int, sound_only: bool, seed: int) -> None:
     _print("sound, cautioned", [bool(undecided) for _, undecided in doubted])
     if sound_only:
         return
-    right = [estimate(t) for t in drawn]
-    for name, change in MISTAKES.items():
-        wrong = [change(t) for t in drawn]
-        found = [
-            told(w)
-            for w, there in zip(wrong, right, strict=True)
-            if w is not None and matters(there, estimate(w))
-        ]
+    for name in only or MISTAKES:
+        pairs = [(t, MISTAKES[name](t)) for t in drawn]
+        found = [told(w) for t, w in pairs if w is not None and matters(t, w)]
         _print(f"{name}, found where it matters", [bool(said) for said, _ in found])
         _print(f"{name}, cautioned instead", [bool(u) and not said for said, u in found])
 

@@ -32,6 +32,7 @@ SURE = 7.5  # log of the evidence for another reading, from which it is told
 MAYBE = 4.5  # the same, from which it is mentioned as one that could be meant
 #: Times smaller that the mean square above the noise gets under a reading that is told.
 BETTER = 1.5
+CORRECTIONS = 4  # of slip and load that have noise, and fits in turn
 FEWEST_ROWS = 6  # that have to agree against a wrong one
 MOST_WRONG = 0.04  # share of the rows that may be wrong, but one may always be
 LONE = 1.0  # ranges of the others, by which a value that is told first leaves them
@@ -207,8 +208,9 @@ def _fit(
     u = np.zeros(len(problem.unknowns)) if start is None else start
     if search:
         u = problem.search()
-    problem.weigh(problem.by_conditions(u))
-    u, cost = problem.minimise(u, **COARSE)
+    for _ in range(CORRECTIONS if np.any(problem.noise[:2] > 0.0) else 1):
+        problem.correct(u)
+        u, cost = problem.minimise(u, **COARSE)
     e = problem.by_noise(problem.residual(u))[problem.measured.ravel()]
     return _Fit(reading, problem, u, cost, math.sqrt(float(np.mean(e**2))), math.nan)
 

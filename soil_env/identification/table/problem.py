@@ -12,7 +12,6 @@ out is estimated with the soil.
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cached_property
 from itertools import product
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -155,6 +154,7 @@ class TableProblem:
         )
         self.rows: Rows = Rows(*(column[use] for column in rows))
         self.corrected: Rows = self.rows  # at the most probable slip and load
+        self.processes: list[Process] = self._processes()
         self.y: np.ndarray = np.stack([getattr(table, name)[use] for name in MEASURED], axis=1)
         self.measured: np.ndarray = np.isfinite(self.y)
         self.relative: np.ndarray = np.broadcast_to(
@@ -224,11 +224,14 @@ class TableProblem:
             self.noise[k] = given if given is not None else guess.get(name, 0.0)
             self.floor[k] = 1e-4 * guess.get(name, 0.0)
 
-    @cached_property
-    def processes(self) -> list[Process]:
-        """Form errors over the rows, one for each of `LAW_LENGTHS`."""
-        radius, width, _ = self.rows.wheels.T
-        at = {"slip": self.rows.slip, "load": self.rows.load}
+    def _processes(self) -> list[Process]:
+        """Form errors over the corrected conditions, one for each of `LAW_LENGTHS`.
+
+        The measured conditions would not do: what they err by is in the residuals too, and the two
+        together look like an error of the laws.
+        """
+        radius, width, _ = self.corrected.wheels.T
+        at = {"slip": self.corrected.slip, "load": self.corrected.load}
         at |= {"wheel_radius": radius, "wheel_width": width}
         return [Process.over(at, most=_FUNCTIONS, lengths=lengths) for lengths in LAW_LENGTHS]
 
@@ -446,13 +449,16 @@ class TableProblem:
     def correct(self, u: np.ndarray) -> None:
         """Move slip and load to their most probable values under u, and weigh anew there."""
         if np.any(self.noise[:2] > 0.0):
-            solved = np.linalg.solve(self.V, self.residual(u)[:, :, None])[:, :, 0]
+            half = self.whiten(self.residual(u))
+            half = form_error.whitened(self.form_error, half).reshape(-1, 3)
+            solved = np.einsum("kdc,kd->kc", self._whitener, half)
             slip, load = (self.noise[:2] ** 2 * np.einsum("kcj,kc->kj", self.F, solved)).T
             load = np.clip(self.rows.load + load, 0.2 * self.rows.load, 5.0 * self.rows.load)
             self._by_unknowns = Last(self._differences)  # at other conditions
             self.corrected = self.rows._replace(
                 slip=np.clip(self.rows.slip + slip, -1.0, 1.0), load=load
             )
+            self.processes = self._processes()
         self.weigh(self.by_conditions(u))
 
     def update_noise(self, u: np.ndarray) -> None:
