@@ -19,7 +19,13 @@ from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table.data import CHANNELS, Data, prepare
-from soil_env.identification.table.noise import COMMON, NoiseEstimate, find_noise, given_noise
+from soil_env.identification.table.noise import (
+    COMMON,
+    NoiseEstimate,
+    find_noise,
+    given_noise,
+    with_noise_of_conditions,
+)
 from soil_env.identification.table.problem import COARSE, TableProblem
 from soil_env.measurement.doubts import contact_area, load_doubt
 from soil_env.measurement.setup import Setup
@@ -224,14 +230,24 @@ def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
     """Noise about the surface of a fit, read as the table is; a rough one where the values do not
     show it.
     """
-    model = np.zeros_like(data.y)
-    order = list(fit.reading.source)
-    found = fit.problem.steady(fit.u, fit.problem.rows) / fit.reading.scale
-    model[:, order] = np.where(np.isfinite(found), found, 0.0)
-    if fit.reading.name == "pull":
-        model[:, 1] *= -1.0
+
+    def surface(rows: Rows) -> np.ndarray:
+        model = np.zeros_like(data.y)
+        found = fit.problem.steady(fit.u, rows) / fit.reading.scale
+        model[:, list(fit.reading.source)] = np.where(np.isfinite(found), found, 0.0)
+        if fit.reading.name == "pull":
+            model[:, 1] *= -1.0
+        return model
+
+    model = surface(fit.problem.rows)
     try:
-        return find_noise(data, model)
+        found = find_noise(data, model)
+        if fit.reading.name:  # its slip may be another
+            return found
+        wide = with_noise_of_conditions(data, surface)[0]
+        return (
+            found if wide is data else dataclasses.replace(found, used=find_noise(wide, model).used)
+        )
     except ParameterError:
         alone = np.zeros(len(model), dtype=bool)
         return NoiseEstimate(_rough(data), np.full(3, math.inf), ("",) * 3, data.measured, alone)

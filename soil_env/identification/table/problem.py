@@ -386,7 +386,17 @@ class TableProblem:
         )
         self.form_error = kept
         log += np.log(np.tile(form_error.size_prior(), len(LAW_LENGTHS) * len(CHANNELS_OWN)))
-        return log, mean, covariance
+        return log - self._widening(), mean, covariance
+
+    def _widening(self) -> float:
+        """Half the logarithm of |V| over that of the noise of the channels alone: errors of slip
+        and load that explain more make each value less probable.
+        """
+        if not np.any(self.noise[:2] > 0.0):
+            return 0.0
+        whole = -np.sum(np.log(np.diagonal(self._whitener, axis1=1, axis2=2)))
+        alone = 0.5 * np.sum(np.log(self.variances[:, 2:][self.measured]))
+        return float(whole - alone)
 
     def allow_form_error(self, u: np.ndarray, of: LawError) -> None:
         """Take a form error, as it is at u, into the weights."""
