@@ -274,18 +274,19 @@ def main(tables: int, sound_only: bool, only: tuple[str, ...], seed: int) -> Non
     for t, (said, undecided) in zip(drawn, doubted, strict=True):
         for text in (*said, *undecided):
             print(f"  {t.what}: {text}")
-    _print("sound, doubted", [bool(said) for said, _ in doubted])
-    _print("sound, cautioned", [bool(undecided) for _, undecided in doubted])
+    print_share("sound, doubted", [bool(said) for said, _ in doubted])
+    print_share("sound, cautioned", [bool(undecided) for _, undecided in doubted])
     if sound_only:
         return
     for name in only or MISTAKES:
         pairs = [(t, MISTAKES[name](t)) for t in drawn]
         found = [told(w) for t, w in pairs if w is not None and matters(t, w)]
-        _print(f"{name}, found where it matters", [bool(said) for said, _ in found])
-        _print(f"{name}, cautioned instead", [bool(u) and not said for said, u in found])
+        print_share(f"{name}, found where it matters", [bool(said) for said, _ in found])
+        print_share(f"{name}, cautioned instead", [bool(u) and not said for said, u in found])
 
 
-def _print(name: str, values: list[bool]) -> None:
+def print_share(name: str, values: list[bool]) -> None:
+    """Print how many are true, and the rate with its 95 % interval."""
     rate = share(values)
     if rate is not None:
         low, high = (100.0 * rate[end] for end in ("low", "high"))
