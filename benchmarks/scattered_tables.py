@@ -18,7 +18,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.cli.running import WholeNumber, leave, run, seed_option
 from soil_env.identification.table import identify_table
 from soil_env.measurement.setup import NoiseLevels, Setup, SetupWheel, SoilPriors
-from soil_env.measurement.table import MEASURED, STRONGEST
+from soil_env.measurement.table import MEASURED
 from soil_env.parameters import Soil, soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
@@ -26,6 +26,7 @@ SLIP = 0.02  # [-] standard deviation of the slip
 LOAD = 0.03  # of the load, relative
 NOISE = 0.01  # of the channels, relative to a typical value
 DRIVES = 4  # of a table
+MOST_PRESSURE = 1e6  # [Pa] of a wheel on soil
 JUDGED = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient")
 #: Standard normal deviates of the ends of intervals of 68 % and 95 %.
 REACH = {68: 1.0, 95: 1.96}
@@ -49,7 +50,7 @@ def draw(rng: np.random.Generator, rows: int, shared: bool) -> tuple[Sound, Soil
         of_rows = np.sort(rng.integers(0, DRIVES, rows)) if shared else np.arange(rows)
         off = errors[of_rows] * (SLIP, LOAD)
         true = {"slip": slip + off[:, 0], "load": load * (1.0 + off[:, 1])}
-        if pressure < LEAST_PRESSURE or not LIGHTEST < middle < 0.3 * STRONGEST:
+        if not LEAST_PRESSURE < pressure < MOST_PRESSURE or middle < LIGHTEST:
             continue
         try:
             found = WheelSoilModel(ModelWheel(r, b), soil).predict(true)
