@@ -17,6 +17,7 @@ import re
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import click
@@ -26,6 +27,7 @@ from benchmarks.common import share
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import WholeNumber, leave, run, seed_option
 from soil_env.identification.table import identify_table
+from soil_env.identification.table.fit import Parameter
 from soil_env.identification.table.mistakes import examine
 from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors
 from soil_env.measurement.table import MEASURED, Table, read_table
@@ -223,27 +225,34 @@ MISTAKES: dict[str, Callable[[Sound], Sound | None]] = {
 }
 
 
-def told(t: Sound) -> tuple[str, ...]:
-    """What is said first of a table; a refusal counts, and so does a wrong row by its number where
-    it is left out.
+def told(t: Sound) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """What is said first of a table, and cautions on other readings. A refusal counts as said, and
+    so does a wrong row by its number where it is left out.
     """
     try:
         found = examine(t.table(), t.setup)
     except ParameterError as error:
-        return (str(error),)
+        return (str(error),), ()
     row = re.compile(rf"Row {t.wrong_row}\b")
-    return (*found.said, *(text for text in found.left_out if row.match(text)))
+    said = (*found.said, *(text for text in found.left_out if row.match(text)))
+    return said, found.undecided
+
+
+@cache  # of a sound table for all mistakes
+def estimate(t: Sound) -> dict[str, Parameter] | None:
+    """Parameters of the table as it is; a refusal of the table is no estimate."""
+    try:
+        return identify_table(t.table(), t.setup, check=False).parameters
+    except ParameterError:
+        return None
 
 
 def matters(sound: Sound, wrong: Sound) -> bool:
-    """True if the mistake moves an estimate by more than `OFF` of its standard deviations; a
-    refusal of the table is no estimate.
-    """
-    try:
-        estimates = [identify_table(t.table(), t.setup, check=False) for t in (sound, wrong)]
-    except ParameterError:
+    """True if a mistake moves an estimate by more than `OFF` of its standard deviations."""
+    off = estimate(wrong)
+    right = None if off is None else estimate(sound)
+    if right is None or off is None:
         return False
-    right, off = (e.parameters for e in estimates)
     return any(
         abs(off[name].value - p.value) > OFF * (off[name].high - off[name].low) / 3.92
         for name, p in right.items()
@@ -254,24 +263,30 @@ def matters(sound: Sound, wrong: Sound) -> bool:
 @click.command(help=__doc__)
 @click.option("--tables", type=WholeNumber(1), default=60, metavar="N", help="Sound tables.")
 @click.option("--sound-only", is_flag=True, help="No tables with mistakes.")
+@click.option(
+    "--only", multiple=True, type=click.Choice(list(MISTAKES)), help="This mistake, not all."
+)
 @seed_option()
-def main(tables: int, sound_only: bool, seed: int) -> None:
+def main(tables: int, sound_only: bool, only: tuple[str, ...], seed: int) -> None:
     """Print the rates."""
     drawn = list(sound_tables(tables, seed))
     doubted = [told(t) for t in drawn]
-    for t, said in zip(drawn, doubted, strict=True):
-        for text in said:
+    for t, (said, undecided) in zip(drawn, doubted, strict=True):
+        for text in (*said, *undecided):
             print(f"  {t.what}: {text}")
-    _print("sound, doubted", [bool(said) for said in doubted])
-    for name, change in MISTAKES.items() if not sound_only else ():
-        pairs = [(t, wrong) for t in drawn if (wrong := change(t)) is not None]
-        found = [bool(told(wrong)) for _, wrong in pairs]
-        _print(f"{name}, found", found)
-        where = [f for f, (t, w) in zip(found, pairs, strict=True) if matters(t, w)]
-        _print(f"{name}, found where it matters", where)
+    print_share("sound, doubted", [bool(said) for said, _ in doubted])
+    print_share("sound, cautioned", [bool(undecided) for _, undecided in doubted])
+    if sound_only:
+        return
+    for name in only or MISTAKES:
+        pairs = [(t, MISTAKES[name](t)) for t in drawn]
+        found = [told(w) for t, w in pairs if w is not None and matters(t, w)]
+        print_share(f"{name}, found where it matters", [bool(said) for said, _ in found])
+        print_share(f"{name}, cautioned instead", [bool(u) and not said for said, u in found])
 
 
-def _print(name: str, values: list[bool]) -> None:
+def print_share(name: str, values: list[bool]) -> None:
+    """Print how many are true, and the rate with its 95 % interval."""
     rate = share(values)
     if rate is not None:
         low, high = (100.0 * rate[end] for end in ("low", "high"))

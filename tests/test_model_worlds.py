@@ -104,6 +104,10 @@ def test_the_soil_of_a_table_is_driven_on():
     there = identify_table(table, replace(setup, gravity=1.62), check=False)
     assert (estimate.soil.gravity_measured, there.soil.gravity_measured) == (9.81, 1.62)
     assert there.model(setup.wheel).gravity == 1.62
+    doubted = replace(estimate, check_first=("Row 9 is wrong.",), misfit="No fit.")
+    with pytest.warns(UserWarning) as said:
+        doubted.model(setup.wheel)
+    assert [str(w.message) for w in said] == ["Row 9 is wrong.", "No fit."]
 
 
 def test_a_true_soil_is_a_soil():

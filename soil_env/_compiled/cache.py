@@ -14,7 +14,7 @@ import os
 import shutil
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, update_wrapper
 from importlib import import_module
@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from filelock import FileLock, Timeout
 from numba import config, njit
+from numba.core.event import Event, Listener, register
 
 PACKAGE = Path(__file__).resolve().parents[1]
 #: Folders and files of the package whose sources and constants compiled code is made of.
@@ -40,8 +41,8 @@ SOURCES = (
 FOLDER = "kernels"
 CHECKSUMS = "checksums.json"
 COMPILED = not config.DISABLE_JIT
-COMPILING = "compiling, at the first use only: up to a minute for each environment"
-PATIENCE = 3.0  # [s] that a first call may take before a line explains it
+COMPILING = "(at the first use only, up to a minute for each environment)"
+PATIENCE = 3.0  # [s] that a compilation may take before a line explains it, but for the first
 PACE = 0.5  # [s] between two counts of what is compiled, on a terminal
 
 
@@ -87,6 +88,7 @@ class Kept:
         self._opened = False
         self._threads = threading.Lock()
         self._versions = 0  # compiled ones that the checksums hold
+        _compilations.of.add(function)
         root = folder()
         self._folder = None
         if root is not None:
@@ -111,14 +113,13 @@ class Kept:
                 return self._function(*arguments)
             with self._alone():
                 loaded = self._check()
-                with _explained(self.py_func, PATIENCE if loaded else 0.0):
-                    try:
-                        result = self._call(arguments)
-                    except Exception:
-                        if not loaded or self._function.overloads:  # of the function itself
-                            raise
-                        self._drop()  # whole files that numba cannot load: nothing has run yet
-                        result = self._call(arguments)
+                try:
+                    result = self._call(arguments)
+                except Exception:
+                    if not loaded or self._function.overloads:  # of the function itself
+                        raise
+                    self._drop()  # whole files that numba cannot load: nothing has run yet
+                    result = self._call(arguments)
                 self._opened = True
                 self._note()
         return result
@@ -252,7 +253,11 @@ def tell(line: str) -> None:
     """
     if line not in _told and _speaks():
         _told.add(line)
-        print(f"soil_env: {line}", file=sys.stderr, flush=True)
+        _say(line)
+
+
+def _say(line: str) -> None:
+    print(f"soil_env: {line}", file=sys.stderr, flush=True)
 
 
 def _speaks() -> bool:
@@ -261,27 +266,47 @@ def _speaks() -> bool:
     return COMPILED and not testing and multiprocessing.parent_process() is None
 
 
-@contextmanager
-def _explained(function: Callable[..., Any], patience: float) -> Iterator[None]:
-    """Say what takes longer than `patience` [s]: on a terminal the count of what is compiled, else
-    once one line.
+class _Compilations(Listener):
+    """Explains what somebody waits for: each version of a function that Python calls, while it is
+    compiled, and none that is loaded.
+
+    Numba tells the start and the end, and compiles for one thread at a time.
     """
-    done = threading.Event()
-    watcher = threading.Thread(target=_count, args=(function, done, patience), daemon=True)
-    watcher.start()
-    try:
-        yield
-    finally:
-        done.set()
-        watcher.join()
+
+    def __init__(self) -> None:
+        self.of: set[Callable[..., Any]] = set()  # functions as Python runs them
+        self._patience = 0.0
+        self._done = threading.Event()
+        self._watcher: threading.Thread | None = None
+
+    def on_start(self, event: Event) -> None:
+        function = event.data["dispatcher"].py_func
+        if function in self.of and _speaks():
+            self._done.clear()
+            waiting = function, self._done, self._patience
+            self._watcher = threading.Thread(target=_count, args=waiting, daemon=True)
+            self._watcher.start()
+            self._patience = PATIENCE
+
+    def on_end(self, event: Event) -> None:
+        if event.data["dispatcher"].py_func in self.of and self._watcher is not None:
+            self._done.set()
+            self._watcher.join()
+
+
+_compilations = _Compilations()
+register("numba:compile", _compilations)
 
 
 def _count(function: Callable[..., Any], done: threading.Event, patience: float) -> None:
-    """Show how many of the functions that `function` calls are compiled, until it is done."""
+    """Say what takes longer than `patience` [s]: one line, or on a terminal, until it is done, how
+    many of the functions that `function` calls are compiled.
+    """
     if done.wait(patience):
         return
-    if not (_speaks() and sys.stderr.isatty()):
-        tell(COMPILING)
+    if not sys.stderr.isatty():
+        module = function.__module__.rpartition(".")[2]
+        _say(f"compiling {module}.{function.__name__} {COMPILING}")
         return
     called = called_by(function)
     while not done.wait(PACE):

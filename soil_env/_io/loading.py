@@ -15,6 +15,7 @@ import sys
 import types
 import typing
 import zipfile
+from collections.abc import Iterable, Sequence
 from dataclasses import field
 from decimal import Context
 from pathlib import Path
@@ -72,9 +73,9 @@ def check(instance) -> None:
             is_number = isinstance(x, (int, float)) and not isinstance(x, bool)
             if x is not None and not (is_number and low <= x <= high and math.isfinite(x)):
                 limits = f"[{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
-                raise FieldError(
-                    instance, f.name, f" = {_said(value)}: expected a number in {limits}"
-                )
+                means = f" ({doc})" if (doc := f.metadata.get("doc")) else ""
+                said = f" = {_said(value)}: expected a number in {limits}{means}"
+                raise FieldError(instance, f.name, said)
         own: type = type(instance)
         if f.name in _floats(own):
             plain = tuple(map(float, value)) if isinstance(value, tuple) else float(value or 0.0)
@@ -163,6 +164,33 @@ def nearest(name, known) -> str:
     """'; did you mean ...?' with the known name that is most like `name`; "" where none is."""
     near = difflib.get_close_matches(str(name), [str(k) for k in known], n=1)
     return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def plural(count: int, word: str) -> str:
+    """A count of something, in words."""
+    return f"{count} {word}" + ("" if count == 1 else "s")
+
+
+TITLES = 20  # lines of a CSV file, from the first, among which a header is looked for
+
+
+def below_title(
+    path: Path, first: Sequence[str], others: Iterable[Sequence[str]], names: Iterable[str]
+) -> None:
+    """`ParameterError` where one of the `others`, not the first, has the `names` of columns; each
+    line in cells.
+    """
+    wanted = set(names)
+
+    def bare(cells: Sequence[str]) -> list[str]:
+        return [cell.strip().strip('"') for cell in cells]
+
+    if not wanted <= set(bare(first)) and any(wanted <= set(bare(cells)) for cells in others):
+        title = " ".join(filter(None, bare(first)))
+        raise ParameterError(
+            f"{path}: the header stands below the line {title!r:.80}: expected it first; take out "
+            "the lines above, or begin them with #"
+        )
 
 
 def _sorted(known) -> str:

@@ -69,7 +69,7 @@ class Report:
     held_out_before: np.ndarray
     held_out_after: np.ndarray  # [N, 3] of the corrected model
     doubts: tuple[str, ...]  # mistakes that the table looks like
-    dense: str  # how a dense table was taken; "" for one that was taken as it is
+    taken: tuple[str, ...]  # how a dense table was taken, and how this one could be meant as well
     settings: Settings
 
     @property

@@ -155,7 +155,7 @@ def _conclude(
         held_out_before=before,
         held_out_after=after,
         doubts=doubted,
-        dense=dense,
+        taken=(dense, *examined.undecided),
         settings=settings,
     )
 

@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from soil_env._io.loading import ParameterError, UnknownKeyword
+from soil_env._io.loading import ParameterError, UnknownKeyword, plural
 from soil_env.envs.infos import NESTED
 from soil_env.envs.vehicles import Vehicles
 from soil_env.envs.worlds import for_each, storable
@@ -367,7 +367,7 @@ class CourseVectorEnv(
                 f"seed = {seed!r:.80}: expected a whole number, {self.num_envs} of them, or None"
             )
         if len(seed) != self.num_envs:
-            raise ParameterError(f"seed: expected {self.num_envs} seeds, got {len(seed)}")
+            raise ParameterError(f"seed: expected {plural(self.num_envs, 'seed')}, got {len(seed)}")
         return [None if s is None else _checked_seed(f"seed[{k}]", s) for k, s in enumerate(seed)]
 
     def step(

@@ -21,10 +21,12 @@ from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
 from typing import Any, NamedTuple
 
-from soil_env._io.loading import ParameterError, nearest, read_yaml
+from soil_env._io.loading import ParameterError, nearest, plural, read_yaml
 from soil_env.logs.notes import Notes
 
 SUFFIXES = (".mcap", ".db3")
+#: Commands that unpack a file, by its suffix.
+_UNPACK = {".zst": "zstd -d", ".zstd": "zstd -d", ".lz4": "lz4 -d", ".gz": "gzip -d"}
 _MOST_CHUNK = 2**28  # [bytes] unpacked, of a chunk; recorders make them of a few megabytes
 _MOST_MESSAGE = 2**26  # [bytes] unpacked, of a message of which a number is read
 #: Instructions of SQLite for any file, and more of them a byte; a plain bag takes less than one.
@@ -58,14 +60,20 @@ def bag_files(path: Path) -> list[Path]:
         about = read_yaml(path / "metadata.yaml").get("rosbag2_bagfile_information")
         named = about.get("relative_file_paths") if isinstance(about, dict) else None
         found = [path / Path(str(name)).name for name in named or []] or found
-    packed = [p for p in found if p.suffix not in SUFFIXES]
-    if packed:
-        raise ParameterError(
-            f"{packed[0]}: is compressed as a whole: expected .mcap or .db3; unpack it with zstd -d"
-        )
+    for file in found or sorted(path.iterdir()):
+        check_packed(file)
     if not found:
         raise ParameterError(f"{path}: no .mcap or .db3 file in this folder: expected a ROS 2 bag")
     return found
+
+
+def check_packed(file: Path) -> None:
+    """Refuse a file that is compressed as a whole; chunks and messages within one may be."""
+    if file.suffix in _UNPACK:
+        raise ParameterError(
+            f"{file}: is compressed as a whole: expected {file.stem}; unpack it with "
+            f"{_UNPACK[file.suffix]}"
+        )
 
 
 def messages(
@@ -452,7 +460,9 @@ def _item(message: Any, values: Any, step: str | int, where: str) -> Any:
             raise NotHere(f"{where}: no name {name!r}{nearest(name, names)} (names: {known})")
         step = names.index(name)
     if step >= len(values):
-        raise NotHere(f"{where}: the list has {len(values)} values: expected more than {step}")
+        raise NotHere(
+            f"{where}: the list has {plural(len(values), 'value')}: expected more than {step}"
+        )
     return values[step]
 
 

@@ -44,6 +44,6 @@ class Faults:
             )
         if self.wrong:
             notes.add(
-                f"{self.place}: {self.wrong} of {self.count} {self.things} cannot be read and are "
-                f"left out. The first is {self.first}."
+                f"{self.place}: {self.wrong} of {self.count} {self.things} cannot be read. "
+                f"Left out, first {self.first}."
             )

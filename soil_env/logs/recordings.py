@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env._io.loading import ParameterError, unknown_key
+from soil_env._io.loading import ParameterError, plural, unknown_key
 from soil_env.logs import bags, tables
 from soil_env.logs.align import Aligned, Channel, align
 from soil_env.logs.bags import Message, NotHere, Progress, Unlike, number, parse
@@ -62,6 +62,7 @@ def _check_kind(path: Path, log_map: LogMap) -> bool:
         )
     table = path.suffix.lower() in tables.SUFFIXES and path.is_file()
     if not (table or path.is_dir() or path.suffix in bags.SUFFIXES):
+        bags.check_packed(path)
         old = "; rosbags-convert makes one of a bag of ROS 1" * (path.suffix == ".bag")
         raise ParameterError(
             f"{path}: expected a ROS 2 bag (a folder), an .mcap, .db3, .csv or .parquet file{old}"
@@ -356,15 +357,15 @@ def _remarks(found: Aligned, log_map: LogMap, limits: dict[str, float]) -> list[
             lines.append(f"{place} has not one reading.")
         if c.empty:
             lines.append(
-                f"{place}: {c.empty} of {c.readings} readings are infinite or NaN, as of a range "
-                "finder without an echo, and count as missing."
+                f"{place}: infinite or NaN in {c.empty} of {c.readings} readings, as of a range "
+                "finder without an echo. These count as missing."
             )
         if c.unusable:
             doubtful = " Check its unit and field in the map." * (2 * c.unusable > c.readings)
             lines.append(
-                f"{place}: {c.unusable} of {c.readings} readings are beyond {limits[name]:g} "
-                f"{next(iter(UNITS[name]))}".rstrip()
-                + f", which this wheel cannot reach, and are left out.{doubtful}"
+                f"{place}: beyond {limits[name]:g} {next(iter(UNITS[name]))}".rstrip()
+                + f", which this wheel cannot reach, in {c.unusable} of {c.readings} readings. "
+                f"These are left out.{doubtful}"
             )
         if c.interpolated > _SLOW:
             lines.append(
@@ -374,6 +375,8 @@ def _remarks(found: Aligned, log_map: LogMap, limits: dict[str, float]) -> list[
             )
     jumps = np.flatnonzero(np.diff(found.time) > log_map.max_gap)
     if jumps.size:
-        gaps = "There is 1 gap" if jumps.size == 1 else f"There are {jumps.size} gaps"
-        lines.append(f"{gaps} of more than {log_map.max_gap:g} s without any reading.")
+        gaps = plural(jumps.size, "gap")
+        lines.append(
+            f"The recording has {gaps} of more than {log_map.max_gap:g} s without any reading."
+        )
     return lines

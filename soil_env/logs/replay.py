@@ -207,8 +207,8 @@ def _refused(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray
     status[bad] = Status.MISFIT
     return [
         (
-            f"{bad.sum()} of {bad.size} estimates are refused because no soil has such values{said}"
-            ". Perhaps a unit, a sign or the wheel in the map is wrong."
+            f"No soil has the values of {bad.sum()} of {bad.size} estimates{said}. They are left "
+            "out. Perhaps a unit, a sign or the wheel in the map is wrong."
         )
     ]
 

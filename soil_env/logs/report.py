@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from soil_env._io.document import Table, html_image, html_page, render
 from soil_env._io.files import picture_of, plain
+from soil_env._io.loading import plural
 from soil_env.logs.align import Aligned
 from soil_env.logs.mapping import UNITS, LogMap
 from soil_env.logs.replay import SD_OF, Replay, findings
@@ -18,6 +19,7 @@ from soil_env.logs.steady import Ground, Steady, advice, cell, commands, files, 
 from soil_env.online import Status
 
 ALWAYS = ("report.html", "log.json", "estimates.csv", "estimates.png", "readings.png")
+_DATES = 10**9 * 86400 * 3650  # [ns] from 1970, about ten years: before it a time is no date
 _MOST_POINTS = 4000  # of a curve in a picture
 _NAMES = {  # name, unit
     "friction_angle_deg": ("friction angle", "deg"),
@@ -52,7 +54,6 @@ def report_of(
 ) -> Report:
     """Report of a replayed log; `folder` is where its files will be."""
     parts = grounds(found, steady)
-    begin = datetime.fromtimestamp(log.start * 1e-9, UTC)
     length = log.time[-1] - log.time[0]
     values: dict[str, Any] = {
         "recording": recording,
@@ -80,8 +81,8 @@ def report_of(
     }
     values |= {
         "summary": (
-            f"From {begin.isoformat(timespec='milliseconds')}, {length:.1f} s, "
-            f"{len(log)} steps of {log.period:g} s."
+            f"From {_moment(log.start)}, {length:.1f} s, "
+            f"{plural(len(log), 'step')} of {log.period:g} s."
         ),
         "channels": _channel_table(log),
         "soil": _soil_table(found),
@@ -114,6 +115,13 @@ def report_of(
         **values,
     )
     return Report(written, text)
+
+
+def _moment(time: int) -> str:
+    """A time [ns] as a date, or as seconds of a clock that counts from a start of its own."""
+    if time < _DATES:
+        return f"{time * 1e-9:.3f} s of its clock"
+    return datetime.fromtimestamp(time * 1e-9, UTC).isoformat(timespec="milliseconds")
 
 
 def _channel_table(log: Aligned) -> Table:

@@ -59,8 +59,8 @@ class Stamps:
         out = np.flatnonzero(~kept)
         if out.size:
             notes.add(
-                f"{self.source}: {out.size} of {times.size} time stamps do not fit those around "
-                f"them and are left out. The first is {self._place(times, out[0])}."
+                f"{self.source}: left out {out.size} of {times.size} time stamps, out of order "
+                f"with those around. The first is {self._place(times, out[0])}."
                 + self._set_back(times, out, restart)
             )
         rising = times[kept]
@@ -69,8 +69,8 @@ class Stamps:
         if late.size:
             k = np.flatnonzero(kept)[late[0]]
             notes.add(
-                f"{self.source}: {late.size} of {times.size} {self.thing}s are late by at most "
-                f"{slack * 1e-9:g} s (max_gap) and were put where their time says. The first is "
+                f"{self.source}: put {late.size} of {times.size} {self.thing}s, late by at most "
+                f"{slack * 1e-9:g} s (max_gap), where their time says. The first is "
                 f"{self.thing} {self.numbers[k]} ({times[k] * 1e-9:.3f} s after "
                 f"{latest[late[0]] * 1e-9:.3f} s)."
             )
@@ -79,8 +79,8 @@ class Stamps:
             k = np.flatnonzero(kept)[same[0] + 1]
             coarse = " Take a finer time, or a longer period and max_gap in the map."
             notes.add(
-                f"{self.source}: {same.size} of {times.size} time stamps are equal to the one "
-                f"before. Their readings are averaged. The first is that of {self.thing} "
+                f"{self.source}: the stamp before once more in {same.size} of {times.size} time "
+                f"stamps. Their readings are averaged. The first is that of {self.thing} "
                 f"{self.numbers[k]}." + (coarse if 2 * same.size > rising.size else "")
             )
         return kept

@@ -26,6 +26,7 @@ import numpy as np
 import yaml
 
 from soil_env._compiled.flags import uncompiled
+from soil_env._io.loading import plural
 from soil_env.logs.align import Aligned
 from soil_env.logs.mapping import UNKNOWN_INERTIA, LogMap
 from soil_env.logs.replay import DIFFERS, Replay
@@ -364,15 +365,15 @@ def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
     """Sentences on the grounds, the steady points, and what may be fitted together."""
     out = [
         (
-            f"Grounds found: {len(grounds)}. The identifier saw {found.borders} borders and "
-            f"{found.restarts} gaps. A border counts where the soils on its two sides differ with "
-            f"a probability above {DIFFERS:g}. Soils that are alike, or driven on too briefly, "
-            "count as one ground."
+            f"Grounds found: {len(grounds)}. The identifier saw {plural(found.borders, 'border')} "
+            f"and {plural(found.restarts, 'gap')}. A border counts where the soils on its two "
+            f"sides differ with a probability above {DIFFERS:g}. Soils that are alike, or driven "
+            "on too briefly, count as one ground."
         )
     ]
     if steady.reason:
         return [*out, f"No measurement table: {steady.reason}."]
-    count = f"steady.csv has {len(steady.rows)} steady points"
+    count = f"steady.csv has {plural(len(steady.rows), 'steady point')}"
     if len(grounds) == 1:
         out.append(f"{count} of one ground. Its setup is setup.yaml.")
     else:

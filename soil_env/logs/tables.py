@@ -5,10 +5,11 @@ from collections.abc import Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
 from decimal import Decimal
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from soil_env._io.loading import ParameterError, one_line, unknown_key
+from soil_env._io.loading import TITLES, ParameterError, below_title, one_line, plural, unknown_key
 from soil_env.logs.bags import Progress
 from soil_env.logs.mapping import TIMES
 from soil_env.logs.notes import Faults, Notes
@@ -162,6 +163,8 @@ def _csv(
                     f"{path}: is cut off in its header, after column {header[-1]!r}: nothing to "
                     "read"
                 )
+            if stamps not in header:
+                below_title(path, header, islice(lines, TITLES), (stamps, *columns))
             _check_columns(path, header, stamps, columns)
             lenient[0] = "replace"
             at = header.index(stamps)
@@ -173,7 +176,9 @@ def _csv(
                     short = ()
                 # Allowed in the last row, where a recording was cut off.
                 if len(cells) != len(header):
-                    said = f"has {len(cells)} cells, expected {len(header)} as in the header"
+                    said = (
+                        f"has {plural(len(cells), 'cell')}, expected {len(header)} as in the header"
+                    )
                     short = (f"row {reader.line_num}", said)
                     continue
                 count += 1

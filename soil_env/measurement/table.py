@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from soil_env._io.loading import ParameterError, nearest
+from soil_env._io.loading import TITLES, ParameterError, below_title, nearest, plural
 from soil_env.measurement.setup import REQUIRED, Setup, SetupWheel
 from soil_env.parameters import LARGEST_WHEEL
 from soil_env.slip import slips_of_radius
@@ -228,6 +228,7 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
             if _SEPARATOR.fullmatch(first):  # of spreadsheets, for themselves
                 text[at] = "\n"
                 first = next((line for line in text if line.strip()), "")
+            _check_title(path, text[at:])
             mark = next((m for m in ";\t" if m in first and "," not in first), ",")
             reader = csv.reader(text, strict=True, delimiter=mark)
             lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
@@ -253,10 +254,16 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
             more = mark == "," and len(cells) > len(header)
             hint = " (numbers with decimal points, not commas)" if more else ""
             raise ParameterError(
-                f"{path}: row {line} has {len(cells)} cells: expected {len(header)}, as the "
-                f"header{hint}"
+                f"{path}: row {line} has {plural(len(cells), 'cell')}: expected {len(header)}, as "
+                f"the header{hint}"
             )
     return header, rows
+
+
+def _check_title(path: Path, lines: list[str]) -> None:
+    """Refuse a title above the header."""
+    title, *others = [re.split(r"[,;\t]", line) for line in lines if line.strip()][:TITLES]
+    below_title(path, title, others, REQUIRED)
 
 
 def _with_points(path: Path, lines: Rows) -> list[tuple[int, list[str]]]:

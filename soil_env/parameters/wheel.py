@@ -24,12 +24,14 @@ _LEFT_OUT = float("nan")  # this very object: a NaN from elsewhere is refused
 
 @dataclass(frozen=True)
 class Tyre(Checked):
-    """A flexible tyre by one of the two: its deflection on hard ground at any load, or the load
-    over it.
-    """
+    """A flexible tyre, by one of the two; a rigid wheel has none."""
 
-    deflection: float = quantity("m", 0.0, 1.0, default=0.0)
-    stiffness: float = quantity("N/m", 0.0, 1e9, default=0.0)
+    deflection: float = quantity(
+        "m", 0.0, 1.0, default=0.0, doc="on hard ground at any load; 0 where stiffness is given"
+    )
+    stiffness: float = quantity(
+        "N/m", 0.0, 1e9, default=0.0, doc="load over deflection; 0 where deflection is given"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

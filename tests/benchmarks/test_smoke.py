@@ -2,7 +2,7 @@
 
 import json
 
-from benchmarks import sound_tables
+from benchmarks import scattered_tables, sound_tables
 from benchmarks.stepping import ENVIRONMENTS
 from benchmarks.throughput import command
 from soil_env.cli.running import run
@@ -23,3 +23,10 @@ def test_rates_of_doubts_about_tables_are_printed(monkeypatch, capsys):
     assert run(sound_tables.main, ["--tables", "1", "--seed", "2"], "doubts") == 0
     said = capsys.readouterr().out
     assert "sound, doubted: " in said and "sign of the slip, found where it matters: " in said
+
+
+def test_rates_of_intervals_where_slip_and_load_scatter_are_printed(capsys):
+    arguments = ["--tables", "1", "--rows", "60", "--seed", "4"]
+    assert run(scattered_tables.main, arguments, "scatter") == 0
+    said = capsys.readouterr().out
+    assert said.count("shear_modulus, in the interval of 95 %: ") == 2

@@ -87,6 +87,12 @@ def test_a_second_process_loads_what_the_first_has_compiled(call):
     assert call() == (LOADED, [])
 
 
+def test_a_further_version_announces_its_compilation(call):
+    call()
+    result, said = call(CALL + "f(1)\n")
+    assert result == LOADED and len(said) == 1 and "compiling kernel_of_a_test.f " in said[0]
+
+
 def half(content):
     """The first half of a file."""
     return content[: len(content) // 2]

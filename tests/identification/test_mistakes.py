@@ -53,6 +53,25 @@ def test_a_wrong_unit_or_sign_is_doubted_or_refused(tmp_path, column, factor, wo
     assert words.lower() in " ".join(examined(tmp_path, changed(text, column, factor))).lower()
 
 
+@pytest.mark.parametrize(("gain", "rms"), [(5.0, 1.1), (9.0, 1.9), (5.0, 2.1), (4.0, 1.1)])
+def test_a_reading_that_is_a_little_better_is_a_caution(tmp_path, monkeypatch, gain, rms):
+    """One that is probable and hardly better, or better and less probable, is said, but not
+    first.
+    """
+    data = data_of(tmp_path, table_text({}))
+    reading = mistakes.readings(data.table, data.setup)[0]
+    other = mistakes.Better(reading, gain, rms, 2.0)
+    monkeypatch.setattr(mistakes, "_other_readings", lambda start: [other])
+    found = examine(data.table, data.setup)
+    assert found.said == ()
+    if gain < mistakes.MAYBE or rms > 2.0:
+        assert found.undecided == ()
+        return
+    assert "the table could be meant so" in found.undecided[0]
+    estimate = identify_table(data.table, data.setup)
+    assert found.undecided[0] in estimate.warnings and not estimate.check_first
+
+
 def test_exchanged_columns_are_doubted(tmp_path):
     lines = [line.split(",") for line in table_text({}).splitlines()]
     a = lines[0].index("drawbar_pull")

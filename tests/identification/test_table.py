@@ -168,6 +168,34 @@ def test_intervals_cover_the_truth_under_wrong_laws(tmp_path, stretched, smalles
     assert smallest < min(sizes) and max(sizes) < 0.3 and 0.05 < np.median(sizes) < 0.11, sizes
 
 
+@pytest.mark.parametrize("shared", [False, True])
+def test_intervals_cover_the_truth_where_slip_and_load_scatter(tmp_path, shared):
+    """Scatter that the setup knows is not taken for errors of the laws, nor for a mistake, be it of
+    each row or of each quarter of the table.
+    """
+    rng = np.random.default_rng(11)
+    setup = setup_of(("cohesion",), SD | {"slip": 0.02, "load": 4.0})
+    soil = Soil(*SAND[:3], SAND.sinkage_exponent, sinkage_coefficient=SAND.sinkage_coefficient)
+    hits = Counter()
+    sizes = []
+    for _ in range(2):
+        slip = rng.uniform(0.05, 0.65, 60)
+        load = rng.uniform(80.0, 200.0, 60)
+        errors = rng.normal(size=(4 if shared else 60, 2))
+        off = np.repeat(errors, 15 if shared else 1, axis=0) * (0.02, 4.0)
+        true = {"slip": slip + off[:, 0], "load": load + off[:, 1]}
+        rows = np.column_stack([slip, load, *WheelSoilModel(WHEEL, soil).predict(true)[:3]])
+        e = identify_table(table_of(tmp_path, rows, rng), setup)
+        assert not e.check_first and len(e.row) == 60
+        assert shared or not e.misfit  # four draws may be large together
+        sizes.append(e.law_error)
+        hits.update(inside(e))
+        k = e.parameters["shear_modulus"]
+        assert k.high / k.low < 2.0 and abs(math.log(k.value / SAND.shear_modulus)) < 0.2
+    assert min(hits.values()) >= 1, hits
+    assert max(sizes) < 0.06
+
+
 def test_errors_of_the_stresses_are_not_taken_for_errors_of_the_channels(tmp_path):
     """15 draws of errors of 8 % in the stresses: intervals hold, and the size is found."""
     rng = np.random.default_rng(9)

@@ -64,7 +64,7 @@ def write_mcap(path, messages, **options):
     return path
 
 
-def write_json_mcap(path, steps=200, chunk=2000, payload=0, start=1_000_000_000):
+def write_json_mcap(path, steps=200, chunk=2000, payload=0, start=1_000_000_000, packed=None):
     """A drive in steps of 0.1 s on /drive and /odom, and, with `payload`, as many bytes a step on
     /camera.
     """
@@ -85,5 +85,5 @@ def write_json_mcap(path, steps=200, chunk=2000, payload=0, start=1_000_000_000)
                 yield "/camera", time, image
 
     image = bytes(range(256)) * (payload // 256)
-    compression = CompressionType.NONE if payload else CompressionType.ZSTD
+    compression = packed or (CompressionType.NONE if payload else CompressionType.ZSTD)
     return write_mcap(path, messages(), chunk_size=chunk, compression=compression)

@@ -355,6 +355,7 @@ def test_command(tmp_path, capsys):
     assert float(lines[-1].split(",")[1]) == pytest.approx(facts["estimate"]["friction_angle_deg"])
     said = capsys.readouterr().out
     assert "/drive" in said and "steady.csv" in said
+    assert said.startswith("From 1.000 s of its clock, 19.9 s, 200 steps of 0.1 s.")
     bag = write_json_mcap(tmp_path / "short.mcap", steps=8)
     for name in ("ground1.csv", "ground1.yaml", "mine.csv"):
         (tmp_path / "out" / name).write_text("of the user")

@@ -441,12 +441,32 @@ def test_two_drives_in_one_file_are_told_from_stamps_that_are_wrong():
     assert "where two recordings are in one file, split it there" in out
     assert "late by at most 0.5 s" in late and "after 0.500 s" in late
     alone = settled([*drive[:900], 7.0, *drive[900:]])[0]
-    assert "1 of 1801 time stamps do not fit" in alone and "goes back" not in alone
+    assert "left out 1 of 1801 time stamps" in alone and "goes back" not in alone
 
 
 def test_whole_seconds_of_a_fast_log_are_told():
     assert "Take a finer time" in settled(np.floor(np.arange(0.0, 60.0, 0.1)))[0]
     assert "Take a finer time" not in settled([0.0, 0.1, 0.1, 0.2, 0.3])[0]
+
+
+@pytest.mark.parametrize("name", ["a.mcap.lz4", "bag/a.db3.lz4", "a.csv.lz4"])
+def test_files_compressed_as_a_whole_are_refused_with_what_unpacks_them(tmp_path, name):
+    (tmp_path / "bag").mkdir()
+    (tmp_path / name).write_bytes(b"\x04\x22\x4d\x18")
+    path = (tmp_path / name).parent if "/" in name else tmp_path / name
+    with pytest.raises(ParameterError, match=r"\.lz4: is compressed as a whole: .* lz4 -d"):
+        read_recording(path, read_map(write_map(tmp_path)))
+
+
+def test_chunks_compressed_by_lz4_are_read(tmp_path):
+    from mcap.writer import CompressionType
+
+    log_map = read_map(write_map(tmp_path))
+    found = [
+        read_recording(write_json_mcap(tmp_path / f"{kind.value}.mcap", packed=kind), log_map)
+        for kind in (CompressionType.LZ4, CompressionType.ZSTD)
+    ]
+    assert len(found[0]) == 200 and found[0].notes == found[1].notes
 
 
 @pytest.mark.parametrize("name", ["a.mcap", "a.db3"])
@@ -538,7 +558,7 @@ def test_a_csv_that_ends_in_the_middle_of_a_row(tmp_path):
     part = read_recording(tmp_path / "a.csv", log_map)
     assert len(part) == 10 and any("a.csv" in note for note in part.notes)
     for content, named in (
-        ("1.0,2,0.2\n" + rows, "1 of 11 rows cannot be read and are left out. The first is row 2"),
+        ("1.0,2,0.2\n" + rows, "1 of 11 rows cannot be read. Left out, first row 2"),
         (rows + "1.0,2,fast,0.02,5\n", "1 of 11 cells .* row 12: speed = 'fast'"),
         (rows.replace("0.02", "0.\xff2", 1), "1 of 10 cells .* row 2: sinkage"),
     ):
@@ -582,6 +602,7 @@ def test_time_stamps_of_every_unit_and_empty_cells(tmp_path, unit):
     [
         ("\n \n", "expected a header"),
         ("t,wheel_sp", "cut off in its header"),
+        ("Drive 3\n\n" + HEADER, "the header stands below the line 'Drive 3'"),
         (HEADER + "0,2,0.2", "cut off"),
         (HEADER + lines([0.0])[0] + "1e12,2,0.2,0.02,5\n" * 2, "row 3: t = '1e12'"),
         (HEADER + "1e999999999,2,0.2,0.02,5\n", "row 2: t = '1e999999999', expected a time in s"),
@@ -656,7 +677,7 @@ def test_equal_stamps_are_averaged_and_noted(tmp_path):
     found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, COLUMNS)))
     assert found.readings["speed"] == pytest.approx([0.0, 0.15, 0.3])
     note, *apart = found.notes
-    assert "1 of 4 time stamps are equal" in note and "row 4" in note
+    assert "in 1 of 4 time stamps" in note and "row 4" in note
     (speed,) = [line for line in apart if "readings of speed differ" in line]
     assert "differ at 1 time stamps that are there more than once, by up to 0.1 m/s" in speed
 

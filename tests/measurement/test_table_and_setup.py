@@ -115,6 +115,12 @@ def test_a_sinkage_beyond_the_radius_is_a_wrong_cell_or_a_wrong_unit(tmp_path):
         ([*GOOD, "0.10,100,0.02,5"], ["row 5 repeats row 2"]),
         ([HEADER, "0.1,100,0.02,5", "0.1,120,0.02,6"], ["slip = 0.1 in every row"]),
         ([HEADER, "0.1,100,0.02"], ["row 2 has 3 cells: expected 4"]),
+        ([HEADER, "0.1"], ["row 2 has 1 cell: expected 4"]),
+        (["Wheel test,,,", "", *GOOD], ["the header stands below the line 'Wheel test'"]),
+        (
+            ["Tests; June", *(line.replace(",", ";") for line in GOOD)],
+            ["the header stands below the line 'Tests June'"],
+        ),
         (["# " + GOOD[0], *GOOD[1:]], ["the first line has numbers", "without # before it"]),
         (
             [HEADER + ",torqe_sd", GOOD[1] + ",1"],

@@ -125,7 +125,7 @@ def test_a_cover_passes_smoothly_into_the_firm_ground_below():
             "deflection = 0.01 and stiffness = 10000: expected exactly one of the",
         ),
         (lambda: Tyre(), "expected exactly one of the two > 0"),
-        (lambda: Tyre(-0.01), "deflection = -0.01"),
+        (lambda: Tyre(-0.01), "[0, 1] m (on hard ground at any load; 0 where stiffness is given)"),
         (lambda: ModelWheel(0.2, 0.1, 0.0, Tyre(0.1)), "tyre.deflection = 0.1: expected at most"),
         (lambda: ModelWheel(0.2, 0.1, 0.01, Tyre(0.01)), "grouser_height = 0.01: expected none on"),
         (lambda: Layer(0.03, 0.5), "stiffness = 0.5"),

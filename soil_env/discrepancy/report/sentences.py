@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from soil_env._io.document import render
+from soil_env._io.loading import plural
 from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.instrument import LISTED, exact
 from soil_env.discrepancy.locate import Disagreement
@@ -94,11 +95,6 @@ def sure(p: float) -> str:
         if p < 0.001
         else f"{100.0 * p:.3g} %"
     )
-
-
-def plural(count: int, word: str) -> str:
-    """A count of something."""
-    return f"{count} {word}" + ("" if count == 1 else "s")
 
 
 def listed(names: Iterable[str], last: str = "and") -> str:
@@ -311,7 +307,7 @@ def cautions(report: Report) -> list[str]:
         digging=problem.laws["dig_gain"],
         unseen=unseen(report),
     )
-    lines = [report.dense, *map(str.strip, text.splitlines())]
+    lines = [*report.taken, *map(str.strip, text.splitlines())]
     return [line[:1].upper() + line[1:] for line in lines if line]
 
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, NamedTuple
+from warnings import warn
 
 import numpy as np
 from scipy.special import chdtr, chdtrc, fdtrc, ndtri, stdtrit
@@ -120,8 +121,11 @@ class TableEstimate:
     def model(self, wheel: Any) -> WheelSoilModel:
         """The base model of a wheel with a smooth rim on this soil, as the environments take it.
 
-        `wheel`: any with `radius` and `width` [m], that of the setup for one.
+        `wheel`: any with `radius` and `width` [m], that of the setup for one. Each line of
+        `check_first`, and the misfit, is a warning, for nothing shows it in a drive.
         """
+        for doubt in filter(None, (*self.check_first, self.misfit)):
+            warn(doubt, stacklevel=2)
         sizes = ModelWheel.of(wheel)
         gravity = self.soil.gravity_measured or EARTH_GRAVITY
         wheel = ModelWheel(sizes.radius, sizes.width)
@@ -260,6 +264,7 @@ def _summary(
     warnings = [
         *first,
         *filter(None, (misfit, dense)),
+        *(() if examined is None else examined.undecided),
         *(() if examined is None else (w for w in examined.left_out if w not in first)),
         *_undetermined(parameters, labels, correlation),
         *_doubts(problem, u, plain, converged),
@@ -542,12 +547,11 @@ def _not_modelled(problem: TableProblem) -> list[str]:
     unseen = int(np.sum(np.isnan(table.sinkage[used])))
     if left_out:
         words.append(
-            f"{left_out} of {len(table)} rows have one force alone and no sinkage, and were left "
-            "out."
+            f"Left out {left_out} of {len(table)} rows, with one force alone and no sinkage."
         )
     if unseen:
         words.append(
-            f"{unseen} of {len(table)} rows have no sinkage: it follows from the load there."
+            f"No sinkage in {unseen} of {len(table)} rows: it follows from the load there."
         )
     if np.any(table.passes[used] > 1):
         words.append(

@@ -19,7 +19,13 @@ from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table.data import CHANNELS, Data, prepare
-from soil_env.identification.table.noise import COMMON, NoiseEstimate, find_noise, given_noise
+from soil_env.identification.table.noise import (
+    COMMON,
+    NoiseEstimate,
+    find_noise,
+    given_noise,
+    with_noise_of_conditions,
+)
 from soil_env.identification.table.problem import COARSE, TableProblem
 from soil_env.measurement.doubts import contact_area, load_doubt
 from soil_env.measurement.setup import Setup
@@ -29,8 +35,10 @@ from soil_env.terramechanics.model import Rows
 GRAVITY = 9.81  # [m/s2]
 UNUSUAL = math.log(1e-3)  # log of the prior probability of a mistake of one kind
 SURE = 7.5  # log of the evidence for another reading, from which it is told
+MAYBE = 4.5  # the same, from which it is mentioned as one that could be meant
 #: Times smaller that the mean square above the noise gets under a reading that is told.
 BETTER = 1.5
+CORRECTIONS = 4  # of slip and load that have noise, and fits in turn
 FEWEST_ROWS = 6  # that have to agree against a wrong one
 MOST_WRONG = 0.04  # share of the rows that may be wrong, but one may always be
 LONE = 1.0  # ranges of the others, by which a value that is told first leaves them
@@ -206,8 +214,9 @@ def _fit(
     u = np.zeros(len(problem.unknowns)) if start is None else start
     if search:
         u = problem.search()
-    problem.weigh(problem.by_conditions(u))
-    u, cost = problem.minimise(u, **COARSE)
+    for _ in range(CORRECTIONS if np.any(problem.noise[:2] > 0.0) else 1):
+        problem.correct(u)
+        u, cost = problem.minimise(u, **COARSE)
     e = problem.by_noise(problem.residual(u))[problem.measured.ravel()]
     return _Fit(reading, problem, u, cost, math.sqrt(float(np.mean(e**2))), math.nan)
 
@@ -221,14 +230,24 @@ def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
     """Noise about the surface of a fit, read as the table is; a rough one where the values do not
     show it.
     """
-    model = np.zeros_like(data.y)
-    order = list(fit.reading.source)
-    found = fit.problem.steady(fit.u, fit.problem.rows) / fit.reading.scale
-    model[:, order] = np.where(np.isfinite(found), found, 0.0)
-    if fit.reading.name == "pull":
-        model[:, 1] *= -1.0
+
+    def surface(rows: Rows) -> np.ndarray:
+        model = np.zeros_like(data.y)
+        found = fit.problem.steady(fit.u, rows) / fit.reading.scale
+        model[:, list(fit.reading.source)] = np.where(np.isfinite(found), found, 0.0)
+        if fit.reading.name == "pull":
+            model[:, 1] *= -1.0
+        return model
+
+    model = surface(fit.problem.rows)
     try:
-        return find_noise(data, model)
+        found = find_noise(data, model)
+        if fit.reading.name:  # its slip may be another
+            return found
+        wide = with_noise_of_conditions(data, surface)[0]
+        return (
+            found if wide is data else dataclasses.replace(found, used=find_noise(wide, model).used)
+        )
     except ParameterError:
         alone = np.zeros(len(model), dtype=bool)
         return NoiseEstimate(_rough(data), np.full(3, math.inf), ("",) * 3, data.measured, alone)
@@ -257,6 +276,14 @@ class Better(NamedTuple):
     gain: float  # of the logarithm of the evidence
     rms: float
     rms_before: float
+
+    @property
+    def words(self) -> str:
+        """How the table is read, and by how much that is better."""
+        return (
+            f"{self.reading.words}, the base model misses the table by {self.rms:.2g} times the "
+            f"noise instead of {self.rms_before:.2g}"
+        )
 
 
 class _AsIs(NamedTuple):
@@ -298,7 +325,7 @@ def _other_readings(start: _AsIs) -> list[Better]:
                 noise = there
     base = _weighed(first if noise is start.noise else _fit(plain, noise.sd, noise.used, first.u))
     fits = [_weighed(_fit(other, noise.sd, noise.used, at[other.name].u)) for other in others]
-    if max(f.evidence for f in fits) - base.evidence > SURE:
+    if max(f.evidence for f in fits) - base.evidence > MAYBE:
         searched = _weighed(_fit(plain, noise.sd, noise.used, search=True))
         base = max(base, searched, key=lambda f: f.evidence)
     found = [Better(f.reading, f.evidence - base.evidence, f.rms, base.rms) for f in fits]
@@ -313,6 +340,7 @@ class Examined(NamedTuple):
     #: Of the rows that are left: [N, 3] values that are no outliers, and the noise.
     noise: NoiseEstimate
     left_out: tuple[str, ...]  # rows and values that are left out, in words
+    undecided: tuple[str, ...] = ()  # readings that could be meant as well
 
 
 @threadpool_limits.wrap(1)  # the matrices are small
@@ -330,27 +358,28 @@ def examine(table: Table, setup: Setup) -> Examined:
         return Examined(table, (*dead, *always), _as_is(data).noise, ())
     start, rows = _without_wrong_rows(_as_is(data))
     cells, gross = _outliers(start.data, start.noise)
-    first = [*rows, *gross, *_readings_doubted(start)]
+    readings_doubted, undecided = _readings_doubted(start)
+    first = [*rows, *gross, *readings_doubted]
     if not first and (load := load_doubt(start.data.table, setup)):
         first = [load]
-    return Examined(start.data.table, (*first, *always), start.noise, (*rows, *cells))
+    said = (*first, *always)
+    return Examined(start.data.table, said, start.noise, (*rows, *cells), undecided)
 
 
-def _readings_doubted(start: _AsIs) -> list[str]:
+def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
     """A doubt where another reading explains the table far better, or where the pull falls with
-    slip and fits no worse with its sign turned.
+    slip and fits no worse with its sign turned; and a caution where one explains it a little
+    better.
     """
     others = _other_readings(start)
+    possible = [b for b in others if b.gain > MAYBE and b.rms < b.rms_before]
     better = [
-        b for b in others if b.gain > SURE and BETTER * (b.rms**2 - 1.0) < b.rms_before**2 - 1.0
+        b for b in possible if b.gain > SURE and BETTER * (b.rms**2 - 1.0) < b.rms_before**2 - 1.0
     ]
     data, noise, _ = start
     if better:
         best = better[0]
-        text = (
-            f"{best.reading.words}, the base model misses the table by {best.rms:.2g} times the "
-            f"noise instead of {best.rms_before:.2g} ({_sure(best.gain)}): {best.reading.remedy}"
-        )
+        text = f"{best.words} ({_sure(best.gain)}): {best.reading.remedy}"
         check = {
             "pull": _pull_falls,
             "load": _beyond_strength,
@@ -361,13 +390,18 @@ def _readings_doubted(start: _AsIs) -> list[str]:
             raise ParameterError(f"{data.table.source}: {broken}; {text[:1].lower()}{text[1:]}")
         near = [f"{b.reading.words}" for b in better[1:] if best.gain - b.gain < -UNUSUAL / 2.0]
         also = f" {'; '.join(near)} it fits nearly as well." if near else ""
-        return [f"{text}.{also}"]
+        return [f"{text}.{also}"], ()
+    undecided = tuple(
+        f"{b.words}: the table could be meant so ({b.reading.remedy})." for b in possible[:1]
+    )
     turned = any(b.reading.name == "pull" and b.gain > 0.0 for b in others)
     if turned and (falls := _pull_falls(data, noise)):
-        return [f"{falls}: check the sign of drawbar_pull (positive = the wheel pulls)."]
+        said = f"{falls}: check the sign of drawbar_pull (positive = the wheel pulls)."
+        return [said], undecided
     if more := _gains_power(data, noise) or _outpulls_the_rim(data, noise):
-        return [f"{more}: check the units of torque and drawbar_pull, and the wheel's radius."]
-    return []
+        said = f"{more}: check the units of torque and drawbar_pull, and the wheel's radius."
+        return [said], undecided
+    return [], undecided
 
 
 def _sure(gain: float) -> str:

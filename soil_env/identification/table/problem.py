@@ -12,7 +12,6 @@ out is estimated with the soil.
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cached_property
 from itertools import product
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -21,7 +20,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import logsumexp
 
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import ParameterError, plural
 from soil_env.identification.table import form_error
 from soil_env.identification.table.form_error import LAW_LENGTHS, Process
 from soil_env.identification.table.noise import NoiseEstimate
@@ -155,6 +154,7 @@ class TableProblem:
         )
         self.rows: Rows = Rows(*(column[use] for column in rows))
         self.corrected: Rows = self.rows  # at the most probable slip and load
+        self.processes: list[Process] = self._processes()
         self.y: np.ndarray = np.stack([getattr(table, name)[use] for name in MEASURED], axis=1)
         self.measured: np.ndarray = np.isfinite(self.y)
         self.relative: np.ndarray = np.broadcast_to(
@@ -182,8 +182,8 @@ class TableProblem:
                 f" + {s} noise" for s, e in zip(SOURCES, self.estimated, strict=True) if e
             )
             raise ParameterError(
-                f"{table.source}: {values} measured values (sinkage, drawbar_pull, torque) for "
-                f"{needed} parameters{unknown}: expected at least "
+                f"{table.source}: {plural(values, 'measured value')} (sinkage, drawbar_pull, "
+                f"torque) for {plural(needed, 'parameter')}{unknown}: expected at least "
                 f"{needed + int(self.estimated.sum())}"
             )
         self._by_unknowns = Last(self._differences)
@@ -224,11 +224,14 @@ class TableProblem:
             self.noise[k] = given if given is not None else guess.get(name, 0.0)
             self.floor[k] = 1e-4 * guess.get(name, 0.0)
 
-    @cached_property
-    def processes(self) -> list[Process]:
-        """Form errors over the rows, one for each of `LAW_LENGTHS`."""
-        radius, width, _ = self.rows.wheels.T
-        at = {"slip": self.rows.slip, "load": self.rows.load}
+    def _processes(self) -> list[Process]:
+        """Form errors over the corrected conditions, one for each of `LAW_LENGTHS`.
+
+        The measured conditions would not do: what they err by is in the residuals too, and the two
+        together look like an error of the laws.
+        """
+        radius, width, _ = self.corrected.wheels.T
+        at = {"slip": self.corrected.slip, "load": self.corrected.load}
         at |= {"wheel_radius": radius, "wheel_width": width}
         return [Process.over(at, most=_FUNCTIONS, lengths=lengths) for lengths in LAW_LENGTHS]
 
@@ -383,7 +386,17 @@ class TableProblem:
         )
         self.form_error = kept
         log += np.log(np.tile(form_error.size_prior(), len(LAW_LENGTHS) * len(CHANNELS_OWN)))
-        return log, mean, covariance
+        return log - self._widening(), mean, covariance
+
+    def _widening(self) -> float:
+        """Half the logarithm of |V| over that of the noise of the channels alone: errors of slip
+        and load that explain more make each value less probable.
+        """
+        if not np.any(self.noise[:2] > 0.0):
+            return 0.0
+        whole = -np.sum(np.log(np.diagonal(self._whitener, axis1=1, axis2=2)))
+        alone = 0.5 * np.sum(np.log(self.variances[:, 2:][self.measured]))
+        return float(whole - alone)
 
     def allow_form_error(self, u: np.ndarray, of: LawError) -> None:
         """Take a form error, as it is at u, into the weights."""
@@ -446,13 +459,16 @@ class TableProblem:
     def correct(self, u: np.ndarray) -> None:
         """Move slip and load to their most probable values under u, and weigh anew there."""
         if np.any(self.noise[:2] > 0.0):
-            solved = np.linalg.solve(self.V, self.residual(u)[:, :, None])[:, :, 0]
+            half = self.whiten(self.residual(u))
+            half = form_error.whitened(self.form_error, half).reshape(-1, 3)
+            solved = np.einsum("kdc,kd->kc", self._whitener, half)
             slip, load = (self.noise[:2] ** 2 * np.einsum("kcj,kc->kj", self.F, solved)).T
             load = np.clip(self.rows.load + load, 0.2 * self.rows.load, 5.0 * self.rows.load)
             self._by_unknowns = Last(self._differences)  # at other conditions
             self.corrected = self.rows._replace(
                 slip=np.clip(self.rows.slip + slip, -1.0, 1.0), load=load
             )
+            self.processes = self._processes()
         self.weigh(self.by_conditions(u))
 
     def update_noise(self, u: np.ndarray) -> None:

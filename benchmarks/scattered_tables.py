@@ -1,0 +1,107 @@
+"""How often intervals of a table hold the soil where slip and load scatter, as the setup says.
+
+    python -m benchmarks.scattered_tables --tables 20    both kinds at 120 rows, some minutes
+
+Tables of many conditions on the soils of configs/soils.yaml that keep to the base model, with
+noise of 1 %. Slip errs by 0.02 and load by 3 %, in each row by itself, or all rows of a drive
+together, of which a table has four.
+"""
+
+import math
+from dataclasses import replace
+
+import click
+import numpy as np
+
+from benchmarks.sound_tables import LEAST_PRESSURE, LIGHTEST, MOST_GRIP, Sound, print_share
+from soil_env._io.loading import ParameterError
+from soil_env.cli.running import WholeNumber, leave, run, seed_option
+from soil_env.identification.table import identify_table
+from soil_env.measurement.setup import NoiseLevels, Setup, SetupWheel, SoilPriors
+from soil_env.measurement.table import MEASURED
+from soil_env.parameters import Soil, soils
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+
+SLIP = 0.02  # [-] standard deviation of the slip
+LOAD = 0.03  # of the load, relative
+NOISE = 0.01  # of the channels, relative to a typical value
+DRIVES = 4  # of a table
+MOST_PRESSURE = 1e6  # [Pa] of a wheel on soil
+JUDGED = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient")
+#: Standard normal deviates of the ends of intervals of 68 % and 95 %.
+REACH = {68: 1.0, 95: 1.96}
+
+
+def draw(rng: np.random.Generator, rows: int, shared: bool) -> tuple[Sound, Soil]:
+    """A table that a soil can make, and the soil."""
+    known = [s for s in soils().values() if s.reference_stress == 0.0 and s.layer is None]
+    while True:
+        preset = known[int(rng.integers(len(known)))]
+        r = math.exp(rng.uniform(math.log(0.05), math.log(0.35)))
+        b = r * rng.uniform(0.4, 1.2)
+        stiffness = preset.lumped(b)
+        soil = replace(preset, k_c=None, k_phi=None, sinkage_coefficient=stiffness, dig_gain=0.0)
+        z = r * rng.uniform(0.03, 0.2)
+        pressure = stiffness * z**soil.sinkage_exponent
+        middle = 0.6 * b * math.sqrt(2.0 * r * z) * pressure
+        slip = rng.uniform(0.03, 0.6, rows)
+        load = middle * np.exp(rng.uniform(-0.5, 0.5, rows))
+        errors = rng.normal(size=(DRIVES if shared else rows, 2))
+        of_rows = np.sort(rng.integers(0, DRIVES, rows)) if shared else np.arange(rows)
+        off = errors[of_rows] * (SLIP, LOAD)
+        true = {"slip": slip + off[:, 0], "load": load * (1.0 + off[:, 1])}
+        if not LEAST_PRESSURE < pressure < MOST_PRESSURE or middle < LIGHTEST:
+            continue
+        try:
+            found = WheelSoilModel(ModelWheel(r, b), soil).predict(true)
+        except ParameterError:
+            continue
+        y = np.stack(found[:3], axis=1)
+        grip = max(np.max(np.abs(y[:, 1])), np.max(np.abs(y[:, 2])) / r) / np.max(load)
+        if not np.all(found.supported) or grip > MOST_GRIP:
+            continue
+        if 0.005 * r < np.min(y[:, 0]) and np.max(y[:, 0]) < 0.6 * r:
+            break
+    sd = NOISE * np.array([z, 0.3 * middle, 0.3 * middle * r])
+    y = y + sd * rng.normal(size=y.shape)
+    columns = {"load": load, "slip": slip} | {c: y[:, j] for j, c in enumerate(MEASURED)}
+    given = dict(zip(MEASURED, map(float, sd), strict=True)) if rng.random() < 0.6 else {}
+    noise = NoiseLevels(slip=SLIP, load=LOAD * middle, **given)
+    return Sound(columns, Setup(SetupWheel(r, b), SoilPriors(), noise), ""), soil
+
+
+def judged(table: Sound, soil: Soil) -> tuple[bool, dict[str, float]]:
+    """(whether something is doubted or does not fit, errors over their standard deviations); K and
+    S in the logarithm.
+    """
+    found = identify_table(table.table(), table.setup)
+    out = {}
+    for name in JUDGED:
+        p = found.parameters[name]
+        value, low, high, truth = (
+            x if name == "friction_angle_deg" else math.log(x)
+            for x in (p.value, p.low, p.high, getattr(soil, name))
+        )
+        out[name] = abs(value - truth) / (high - low) * 2.0 * REACH[95]
+    return bool(found.check_first or found.misfit), out
+
+
+@click.command(help=__doc__)
+@click.option("--tables", type=WholeNumber(1), default=20, metavar="N", help="Tables of each kind.")
+@click.option("--rows", type=WholeNumber(60), default=120, metavar="N", help="Of a table.")
+@seed_option()
+def main(tables: int, rows: int, seed: int) -> None:
+    """Print the rates."""
+    for shared in (False, True):
+        rng = np.random.default_rng(seed)
+        found = [judged(*draw(rng, rows, shared)) for _ in range(tables)]
+        print(f"scatter of {'drives' if shared else 'rows'}, tables of {rows} rows")
+        print_share("  doubted, or not fitted", [doubted for doubted, _ in found])
+        for name in JUDGED:
+            for percent, reach in REACH.items():
+                inside = [far[name] <= reach for _, far in found]
+                print_share(f"  {name}, in the interval of {percent} %", inside)
+
+
+if __name__ == "__main__":
+    leave(run(main, None, "benchmarks.scattered_tables"))
