@@ -346,7 +346,7 @@ def test_forget_leaves_nothing_of_the_course_before():
         used.observe([reading])
         fresh.observe([reading])
         np.testing.assert_array_equal(published(used), published(fresh))
-    assert fresh.now.borders == 1
+    assert fresh.now.borders > 0
 
 
 def test_the_first_estimate_comes_soon():
