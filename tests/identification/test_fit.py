@@ -338,7 +338,7 @@ def test_a_border_that_is_found_elsewhere_does_not_hold_up_the_fit():
         wheel.now.border = place
         wheel.now.border_variance = sd**2
         put(wheel, cells_on_border(u, old, place, wheel.set))
-        wheel.renew(4)
+        wheel.renew(6)
         assert wheel.now.u[PLACE] == pytest.approx(place, abs=2.0 * sd)
         found.append(wheel.now.u[:SOIL] / wheel.set.soil_sd)
     np.testing.assert_allclose(found[1], found[0], atol=0.1)
@@ -380,4 +380,4 @@ def test_a_fit_far_from_its_prior_hides_no_misfit():
     put(wheel, cells)
     for _ in range(4):
         wheel.renew()
-        assert wheel.now.misfit > 0.5 * chi_squared(wheel)[0] / (2.0 * len(cells))
+        assert wheel.now.misfit > 0.4 * chi_squared(wheel)[0] / (2.0 * len(cells))

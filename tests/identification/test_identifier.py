@@ -387,7 +387,8 @@ def test_driving_with_varied_slip_finds_the_soil():
     """On twelve drives friction and K are right, on most far better known than before, and noise is
     no misfit of the laws.
     """
-    sim, truth = simulate(wheels=12)
+    # half a standard deviation of the prior from friction and cohesion of the soil
+    sim, truth = simulate(wheels=12, belief=Belief(friction_angle_deg=32.5, cohesion=395.0))
     ids = sim.worlds.ids
     prior = sim.belief["prior_sd"][0]
     for k in range(200):
