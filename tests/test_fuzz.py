@@ -299,12 +299,12 @@ def lost_and_turnover(substep):
         "course": {"halt_time": 0.0},
     }
     env = SoilWheelVectorEnv(8, "mixed", action="torque", threads=1, **changes)
-    env.reset(seed=4)
+    env.reset(seed=10)  # no course ends
     lost = 0.0
     turnover = 0.0
     for step in range(30):
         before = env.simulation.worlds.state.copy()
-        env.step(np.full((8, 1), 0.35 + 0.1 * math.sin(0.5 * step)))
+        assert not env.step(np.full((8, 1), 0.35 + 0.1 * math.sin(0.5 * step)))[2].any()
         balance = ledger(before, env.simulation.worlds, env.scenario)
         assert np.all(np.abs(balance.gap - balance.integrator) <= balance.tolerance)
         lost = lost + np.abs(balance.integrator).sum()

@@ -75,7 +75,9 @@ class DefaultPolicy(inputs.Observing):
         self.choice = names.index("choice")
         self.routes = columns_of_routes(names, self.history.steps)
         try:
-            if self.action(np.zeros((1, self.mean.size), dtype=np.float32)).shape != (1, 1):
+            with np.errstate(over="ignore", invalid="ignore"):
+                tried = self.action(np.zeros((1, self.mean.size), dtype=np.float32))
+            if tried.shape != (1, 1):
                 raise ValueError
         except ValueError:
             raise ParameterError(

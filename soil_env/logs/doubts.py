@@ -43,7 +43,7 @@ class Range(NamedTuple):
 
 
 #: Rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long.
-_HELD = 0.8  # of the travel speed: the rim of a wheel that holds back downhill
+_HELD = 0.7  # of the travel speed: the rim of a wheel that holds back downhill
 _RIM = Range(0.65, 6.0)
 _FREEST = Range(0.4, 3.2)  # the same in the tenth of the steps with the least slip
 _LOAD = Range(0.2, 5.0)  # [of weight]

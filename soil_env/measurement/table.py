@@ -228,7 +228,8 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
             if _SEPARATOR.fullmatch(first):  # of spreadsheets, for themselves
                 text[at] = "\n"
                 first = next((line for line in text if line.strip()), "")
-            _check_title(path, text[at:])
+            if first.strip():
+                _check_title(path, text[at:])
             mark = next((m for m in ";\t" if m in first and "," not in first), ",")
             reader = csv.reader(text, strict=True, delimiter=mark)
             lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]

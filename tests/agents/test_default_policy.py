@@ -14,6 +14,7 @@ from soil_env.parameters import load_rover, load_scenario
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env_agents import default_policy, generalist, student
 from soil_env_agents.common_layout import ADDED, COMMON, NAMES, CommonScaling
+from soil_env_agents.controllers import make_controller
 from soil_env_agents.default_policy import LAYERS, WEIGHTS, DefaultPolicy
 from soil_env_agents.evaluate.contestants import parse
 from soil_env_agents.evaluate.driving import run_courses
@@ -51,9 +52,13 @@ def trained():
 
 @pytest.mark.parametrize("name", GROUNDS)
 def test_it_drives_every_wheel_scenario(name):
+    """About as well as a soft start: it may lose one course in twelve to it."""
     scenario = load_scenario(name)
-    runs = run_courses(DefaultPolicy(scenario), scenario, 5, 12)
-    assert runs.metric("finished").mean() >= (0.3 if name in ("sticky", "unseen") else 0.7)
+    agent, rule = (
+        run_courses(driver, scenario, 5, 12).metric("finished").sum()
+        for driver in (DefaultPolicy(scenario), make_controller("soft_start", scenario))
+    )
+    assert agent >= max(rule - 1, 4)
 
 
 def test_common_layout_is_that_of_two_lines_with_a_flag_the_drive_and_the_misfit():

@@ -50,7 +50,8 @@ def test_a_missing_folder_is_one_line(tmp_path):
 def test_every_rig_has_its_rows(tmp_path):
     assert run(rigs.command, ["--smoke", "--out", str(tmp_path)], "rigs") == 0
     rows = json.loads((tmp_path / "rigs.json").read_text(encoding="utf-8"))["rows"]
-    assert {r["law"] for r in rows} == {"Eq. (10)", "flow, continuum", "flow, CMU"}
+    laws = {"Eq. (10)", "flow, continuum", "flow, CMU", "flow, presets"}
+    assert {r["law"] for r in rows} == laws
     assert {r["rig"] for r in rows} == {"CMU smooth", "CMU lugged", "continuum", "particles"}
     assert all(0.0 < r["sinkage_mm"] < 50.0 for r in rows)
     assert (tmp_path / "rigs.md").exists()

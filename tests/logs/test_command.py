@@ -195,11 +195,11 @@ def test_an_estimate_of_no_soil_is_refused_in_one_line(log_map, monkeypatch, nam
     written = report_of(
         "a.csv", log, log_map, found, steady_windows(log, log_map, found.ground)
     ).files
-    refused = [line for line in found.warnings if "refused" in line]
+    refused = [line for line in found.warnings if "No soil has the values" in line]
     assert (
         len(refused) == 1
         and "13 of 80" in refused[0]
-        and written["report.html"].count("estimates are refused") == 1
+        and written["report.html"].count("No soil has the values") == 1
     )
     cells = [
         dict(zip(COLUMNS, row.split(",")[1:], strict=False))
