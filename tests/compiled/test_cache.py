@@ -196,7 +196,7 @@ def outer(x):
 """
 
 
-SHOWN = "from soil_env._compiled import cache\ncache.PACE = 0.1\n"
+SHOWN = "from soil_env._compiled import cache\ncache.PACE = 0.001\n"
 
 
 def test_functions_that_a_function_calls_are_counted_once():
