@@ -30,9 +30,10 @@ from soil_env.identification.online.memory import (
     TORQUE_GAIN,
     TORQUE_ZERO,
 )
-from soil_env.parameters import Belief, SoilState, load_scenario, soils
+from soil_env.parameters import FLOW_LAW, Belief, SoilState, load_scenario, soils
 from soil_env.terramechanics.steady import steady_state
 from tests.identification.observing import Identified, flow_of, reactions, shares_at, unknowns_of
+from tests.terramechanics.cases import EQUATION_10
 
 SCENARIO = replace(load_scenario("mixed"), belief=Belief())
 R = SCENARIO.wheel.radius
@@ -40,6 +41,7 @@ B = SCENARIO.wheel.width
 W = SCENARIO.weight
 SLIPS = np.array([-0.15, 0.05, 0.12, 0.2, 0.3, 0.42, 0.55, 0.7])
 assert len(SLIPS) == CELLS
+FLOW = {name: getattr(SCENARIO.belief, name) for name in FLOW_LAW}
 SHARP = {"slip": 0.002, "sinkage": 2e-4, "pull": 1e-3, "torque": 1e-3}
 TWO_SENSORS = 0.3  # share of the second sensor of pull and torque
 
@@ -91,11 +93,11 @@ def put(wheel, cells):
     wheel.memory["weighings"] = 8.0
 
 
-def begin(soil=None):
+def begin(soil=None, law=None):
     """(a wheel at its prior, unknowns [HERE] of a soil, that of the prior if none is given, and
-    instruments without an error).
+    instruments without an error); `law`: another `FLOW_LAW` of the belief.
     """
-    wheel = Identified(SCENARIO)
+    wheel = Identified(replace(SCENARIO, belief=Belief(**law)) if law else SCENARIO)
     u = np.zeros(HERE)
     u[:SOIL] = wheel.set.soil_mean if soil is None else unknowns_of(soil, wheel.set)
     return wheel, u
@@ -325,7 +327,18 @@ def test_readings_on_a_border_tell_its_place_and_the_new_soil():
         assert off.max() < 2.0
 
 
-def test_a_border_that_is_found_elsewhere_does_not_hold_up_the_fit():
+def either_law(reason):
+    """Parameters `law`: Eq. (10), and soil that flows, which is known to fail for a `reason`."""
+    fails = pytest.mark.xfail(strict=True, reason=reason)
+    laws = [
+        pytest.param(EQUATION_10, id="equation 10"),
+        pytest.param(FLOW, id="flow", marks=fails),
+    ]
+    return pytest.mark.parametrize("law", laws)
+
+
+@either_law("0.12 prior sd apart after four steps, within 0.1 after six")
+def test_a_border_that_is_found_elsewhere_does_not_hold_up_the_fit(law):
     """Pitches that show its place to half a centimetre, a tenth of a metre from where it was
     noticed: place and soil are fitted as they are where it was known from the first.
     """
@@ -333,12 +346,12 @@ def test_a_border_that_is_found_elsewhere_does_not_hold_up_the_fit():
     place = 1.12
     sd = 0.005
     for noticed in (place, 1.0):
-        wheel, u = begin(NEAR)
+        wheel, u = begin(NEAR, law)
         old = cross_at(wheel, noticed, 0.05)
         wheel.now.border = place
         wheel.now.border_variance = sd**2
         put(wheel, cells_on_border(u, old, place, wheel.set))
-        wheel.renew(6)
+        wheel.renew(4)
         assert wheel.now.u[PLACE] == pytest.approx(place, abs=2.0 * sd)
         found.append(wheel.now.u[:SOIL] / wheel.set.soil_sd)
     np.testing.assert_allclose(found[1], found[0], atol=0.1)
@@ -369,9 +382,10 @@ def test_the_misfit_is_chi_squared_over_its_expectation():
     assert wheel.now.law_misfit == pytest.approx(sinkage, rel=0.1)
 
 
-def test_a_fit_far_from_its_prior_hides_no_misfit():
+@either_law("misfit 0.41 of chi squared")
+def test_a_fit_far_from_its_prior_hides_no_misfit(law):
     """On a border that is found elsewhere: a fall of the prior's part is none of the residuals."""
-    wheel, u = begin(NEAR)
+    wheel, u = begin(NEAR, law)
     old = cross_at(wheel, 1.0, 0.05)
     wheel.now.border = 1.12
     wheel.now.border_variance = 0.005**2
@@ -380,4 +394,4 @@ def test_a_fit_far_from_its_prior_hides_no_misfit():
     put(wheel, cells)
     for _ in range(4):
         wheel.renew()
-        assert wheel.now.misfit > 0.4 * chi_squared(wheel)[0] / (2.0 * len(cells))
+        assert wheel.now.misfit > 0.5 * chi_squared(wheel)[0] / (2.0 * len(cells))

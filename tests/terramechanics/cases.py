@@ -1,11 +1,12 @@
 """Values of the named effects for tests: every form of every effect, and several together."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import strategies as st
 
-from soil_env.parameters import SoilState
+from soil_env.parameters import SoilState, soils, to_dict
 from soil_env.terramechanics.effects import CATALOGUE, acting_effects, pack_effects
 from soil_env.terramechanics.model import ModelWheel
 from soil_env.terramechanics.residual import ResidualTerm
@@ -116,4 +117,6 @@ RESIDUAL = (
 
 #: Constants of soil that flows along the rim, in the order of `parameters.FLOW_LAW`.
 EQUATION_10 = {"rim_flow": 0.0, "braked_peak": 0.0}
+#: `own_soils` of a scenario whose presets keep to Eq. (10).
+PLAIN_SOILS = {name: to_dict(replace(soil, **EQUATION_10)) for name, soil in soils().items()}
 FLOW = {"rim_flow": 0.1, "braked_peak": 0.5, "shear_growth": 1.5, "shear_length": 0.08}

@@ -30,7 +30,7 @@ from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND
 from soil_env.terramechanics.effects.multipass import COMPACTION, in_rut, rut_stiffness
 from soil_env.terramechanics.steady import DEEPEST, Rim, steady_state, steady_with
 from tests.simulation.wheels import set_soil
-from tests.terramechanics.cases import any_soil
+from tests.terramechanics.cases import PLAIN_SOILS, any_soil
 
 #: `spread` of a scenario whose soils do not scatter.
 EVEN = dict.fromkeys(
@@ -282,11 +282,21 @@ def test_edges_of_the_rover(six_wheeler, soil, depths, speed, commands):
         assert abs(a.body["speed"]) < 5.0
 
 
-def test_energy_is_accounted_for():
+@pytest.mark.parametrize(
+    "own_soils",
+    [
+        pytest.param(PLAIN_SOILS, id="equation 10"),
+        pytest.param(
+            {}, id="flow", marks=pytest.mark.xfail(strict=True, reason="1.2e-3 in one period")
+        ),
+    ],
+)
+def test_energy_is_accounted_for(own_soils):
     """Work of the motors less that on soil, of height, of speed, and of the integrator, over every
     period.
     """
-    scenario = load_rover("mars_rover", {"control": {"action": "wheel_speed"}})
+    changes = {"control": {"action": "wheel_speed"}, "own_soils": own_soils}
+    scenario = load_rover("mars_rover", changes)
     simulation = started(scenario, seed=3)
     inertia = scenario.wheel.inertia
     w0 = now(simulation)
@@ -301,7 +311,7 @@ def test_energy_is_accounted_for():
         kinetic += 0.5 * inertia * (a["wheel_speed"] ** 2 - b["wheel_speed"] ** 2).sum()
         rise = (a["mass"] * scenario.gravity * (a["height"] - b["height"])).sum()
         missing = (a["motor_work"] - a["soil_work"] - a["numerical_work"]).sum() - kinetic - rise
-        assert abs(missing) < 1.5e-3 * max(np.abs(a["motor_work"]).sum(), 1.0)
+        assert abs(missing) < 1e-3 * max(np.abs(a["motor_work"]).sum(), 1.0)
         assert np.ptp(a["speed"]) == 0.0
         w0 = w1
 
@@ -374,12 +384,12 @@ def test_a_wheel_that_rolls_leaves_a_stiffer_floor_on_which_the_next_sinks_less(
     assert a.wheel["floor"][1] == pytest.approx(a.wheel["sinkage"][0], rel=1e-3)
 
 
-@pytest.mark.parametrize("grade_deg", [0.0, 10.0])
+@pytest.mark.parametrize("grade_deg", [0.0, 10.3])
 def test_no_wheel_loosens_the_ground_for_those_behind(grade_deg):
     """However much the wheels ahead slip, the floor bears by the number of the pass alone."""
     simulation = started(uniform("mars_rover", grade_deg=grade_deg))
     a = driven(simulation, 0.5, 250)
-    assert grade_deg == 0.0 or a.wheel["slip"][0] > 0.14
+    assert grade_deg == 0.0 or a.wheel["slip"][0] > 0.15
     x = a.wheel["x"]
     for i in range(1, simulation.scenario.axles):
         cell = int(x[i] / CELL) + CELLS_BEHIND
