@@ -81,6 +81,8 @@ dist: $(TEST_READY)  ## wheel and sdist into dist/
 RESULTS := $(if $(QUICK),runs/quick,docs/results)
 results: $(TEST_READY)  ## make the tables of docs/results anew, in hours; QUICK=1: in minutes, into runs/quick
 	$(BIN)/soil-env study --config configs/study_default_policy.yaml --out runs/$(if $(QUICK),quick_)agents $(if $(QUICK),--courses 100)
+	mkdir -p $(RESULTS)
+	sed -e 's/^# .*/# Agents and rules/' -e '/study.png/d' runs/$(if $(QUICK),quick_)agents/study.md > $(RESULTS)/agents.md
 	$(PY) -m benchmarks.gravity --out $(RESULTS)
 	$(PY) -m benchmarks.rigs --out $(RESULTS)
 	$(PY) -m benchmarks.prediction --out $(RESULTS) $(if $(QUICK),--smoke)
