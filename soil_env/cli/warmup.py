@@ -15,6 +15,7 @@ import gymnasium
 import numpy as np
 
 from soil_env._compiled.cache import place
+from soil_env.cli.running import end_with_parent
 from soil_env.envs.vehicles import processors
 from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.online import Observer, OnlineIdentifier, Readings, slips
@@ -33,13 +34,24 @@ def command() -> None:
     """
     start = time.perf_counter()
     workers = min(len(PARTS), processors())
-    # Numba's compiler makes many objects and leaves few cycles: looking for these takes time only.
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), gc.disable) as pool:
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin) as pool:
         done = {pool.submit(part): name for name, part in PARTS.items()}
-        for future in as_completed(done):
-            future.result()
-            print(f"{done[future]}: compiled", flush=True)
+        try:
+            for future in as_completed(done):
+                future.result()
+                print(f"{done[future]}: compiled", flush=True)
+        except BaseException:  # else the pool waits for what is being compiled
+            for child in multiprocessing.active_children():
+                child.terminate()
+            raise
     print(f"ready after {time.perf_counter() - start:.0f} s; {place()}")
+
+
+def _begin() -> None:
+    """Begin a worker process, which ends with its parent."""
+    end_with_parent()
+    # Numba's compiler makes many objects and leaves few cycles: looking for these takes time only.
+    gc.disable()
 
 
 def _drive(env_id: str, action: float, **options: Any) -> None:

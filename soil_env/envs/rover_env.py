@@ -59,7 +59,7 @@ class SoilRoverEnv(CourseEnv):
     these rolled and loosened where they dug. Two axles are fixed to the body; of three, two hang on
     a bogie that turns freely (rocker-bogie). The load of each wheel follows from the equilibrium of
     body and bogie with centre of mass, pitch, pulls and torques of all wheels. At commanded halts
-    the drives are held and the agent's action is ignored.
+    the drives brake, are held, and the agent's action is ignored.
 
     Rovers: "lunar_micro_rover" (default) and "field_rover" with two axles, "mars_rover" with three.
 

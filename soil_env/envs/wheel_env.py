@@ -77,9 +77,10 @@ class SoilWheelEnv(CourseEnv):
     A rigid, driven wheel with its share of a vehicle has to cross a course of unknown soils and
     grades without getting stuck. Wheel-soil contact follows Hutangkabodee et al. (2006), Eqs.
     (1)-(10), with slip-sinkage (Lyasko 2010): a slipping wheel digs, and a wheel spinning on the
-    spot keeps digging. At commanded halts, about every metre, the drive is held and the agent's
-    action is ignored; afterwards the wheel has to start again where it stands. In scenarios with
-    two routes over a patch ("two_lines") the sign of the action at a halt chooses one of them.
+    spot keeps digging. At commanded halts, about every metre, the drive brakes at
+    `control.halt_deceleration`, is held, and the agent's action is ignored; afterwards the wheel
+    has to start again where it stands. In scenarios with two routes over a patch ("two_lines") the
+    sign of the action at a halt chooses one of them.
 
     ## Action space
     `Box(-1, 1, (1,), float32)`, held for `repeat` control periods of 0.1 s:

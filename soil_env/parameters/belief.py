@@ -52,7 +52,7 @@ class Belief(Checked):
     dig_gain_sd: float = quantity("", 0.0, 5.0, default=0.7, doc="relative")
     dig_recovery: float = quantity("", 0.05, 5.0, default=0.5)
     rim_flow: float = quantity("", 0.0, 0.12, default=0.1, doc="it and the next three: of `Soil`")
-    braked_peak: float = quantity("", 0.0, 0.9, default=0.5)
+    braked_peak: float = quantity("", 0.0, 0.9, default=0.25)
     shear_growth: float = quantity("", 0.0, 2.0, default=0.0)
     shear_length: float = quantity("m", 1e-3, 3.0, default=0.1)
     model_error: float = quantity(

@@ -53,6 +53,9 @@ class Control(Checked):
     rim_acceleration: float = quantity(
         "m/s2", 1e-3, 1e3, default=0.3, doc="of the commanded rim, action 1 or -1"
     )
+    halt_deceleration: float = quantity(
+        "m/s2", 1e-3, 1e6, default=1.0, doc="of the commanded rim at a halt"
+    )
     repeat: int | None = quantity("control periods", 1, 1e5, default=None)
 
     def __post_init__(self) -> None:

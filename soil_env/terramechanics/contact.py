@@ -28,6 +28,9 @@ NODES_PER_ZONE = 8
 NODES = 2 * NODES_PER_ZONE  # those of the front zone, then those of the rear zone
 # [-] square of the cosine over which the bound of `most_carried` bends away from 0
 LEAST_COSINE = 0.01
+# [of the entry angle] above which soil flows up along a locked rim, fitted here (benchmarks.rigs):
+# at 1 locked wheels sink and drag 1.5 times as much as measured, and more
+RISING_FROM = 0.75
 FOREMOST_PEAK = 0.05  # [of the arc] that a shifted stress peak stays behind the entry, at least
 _x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
 # [-] u^2, distance of a node from the end of the arc over the zone's length
@@ -317,25 +320,31 @@ def carried_share(rim, travel, floor):
 
 
 @njit(**EXACT)
-def most_carried(arc):
-    """Bound on the carried share of the travel speed: cos(theta1), the least speed of a locked rim
-    along itself.
+def _cosine_of_rise(arc):
+    """(cosine, sine over 2) of the angle above which soil flows up along a locked rim."""
+    angle = RISING_FROM * arc.sheared_from
+    s = half_sin(angle)
+    return 1.0 - 2.0 * s * s, s * half_cos(angle)
 
-    So the shear under a locked wheel points backward all over the arc. The bound stays above 0
-    where the axle is below the ground.
+
+@njit(**EXACT)
+def most_carried(arc):
+    """Bound on the carried share of the travel speed: the speed of a locked rim along itself at
+    `RISING_FROM` of the entry angle.
+
+    Above that angle the soil overtakes a locked rim and lifts it, below it drags it back. The bound
+    stays above 0 where the axle is below the ground.
     """
-    s = half_sin(arc.sheared_from)
-    cosine = 1.0 - 2.0 * s * s
+    cosine, _ = _cosine_of_rise(arc)
     return 0.5 * (cosine + math.sqrt(cosine * cosine + LEAST_COSINE))
 
 
 @njit(**EXACT)
 def most_by_angle(arc):
     """Derivative of `most_carried` by the entry angle."""
-    s = half_sin(arc.sheared_from)
-    cosine = 1.0 - 2.0 * s * s
-    most = most_carried(arc)
-    return -2.0 * s * half_cos(arc.sheared_from) * most / math.sqrt(cosine**2 + LEAST_COSINE)
+    cosine, half_sine = _cosine_of_rise(arc)
+    change = -2.0 * RISING_FROM * half_sine
+    return change * most_carried(arc) / math.sqrt(cosine * cosine + LEAST_COSINE)
 
 
 @njit(**EXACT)

@@ -50,10 +50,11 @@ def travel_over_rim(slip):
 
 def carried(slip, flow, tan_phi, theta1):
     """Speed of soil carried along the rim over the travel speed: `flow` tan(phi) (1 - i)^3, held
-    below cos(theta1).
+    below cos(0.75 theta1).
     """
     share = flow * tan_phi * (1.0 - slip) ** 3
-    most = 0.5 * (math.cos(theta1) + math.hypot(math.cos(theta1), 0.1))
+    slowest = math.cos(0.75 * theta1)
+    most = 0.5 * (slowest + math.hypot(slowest, 0.1))
     return share * (1.0 + (share / most) ** 4) ** -0.25
 
 

@@ -87,7 +87,7 @@ def locked_drag(**law):
     "law",
     [
         pytest.param(EQUATION_10, id="equation 10"),
-        pytest.param({}, id="flow", marks=pytest.mark.xfail(strict=True, reason="3.7 times")),
+        pytest.param({}, id="flow", marks=pytest.mark.xfail(strict=True, reason="2.3 times")),
     ],
 )
 def test_a_locked_wheel_drags_twice_its_load_in_dry_sand(law):
@@ -97,7 +97,7 @@ def test_a_locked_wheel_drags_twice_its_load_in_dry_sand(law):
 
 def test_the_drag_of_a_locked_wheel_is_that_of_the_page():
     """Of docs/physics/index.md."""
-    assert locked_drag() == pytest.approx(3.7, abs=0.05)
+    assert locked_drag() == pytest.approx(2.29, abs=0.05)
 
 
 def strongest(soil, sinkage):

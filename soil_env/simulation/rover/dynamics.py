@@ -160,7 +160,7 @@ def control_period(rover, actions, course, ruts, world):
 
     `course`: its own; `ruts` [axles, cells]: `RUT`.
 
-    In a halt the drives ignore them and hold the wheels with their speed loops.
+    In a halt the drives ignore them; their speed loops brake the wheels and hold them.
     """
     halted = rover.halt_left > 0.0
     for a in range(world.suspension.axles):

@@ -254,7 +254,7 @@ def _at_fork(wheel, course, action, rig):
 def control_period(wheel, action, course, world):
     """One control period of a wheel under an action in [-1, 1] (`commanded`).
 
-    In a halt the drive ignores the action and holds the wheel with its speed loop.
+    In a halt the drive ignores the action; its speed loop brakes the wheel and holds it.
     """
     x_start = wheel.x
     drive_period(

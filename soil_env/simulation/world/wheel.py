@@ -80,6 +80,7 @@ WHEEL = record(
     "travel",  # [m] in the last control period
     "last_action",  # [-1, 1]
     "rim_command",  # [of the top rim speed] that the drive follows; 0 if the action is a torque
+    "halt_command",  # [of the top rim speed] that a halt brakes from, and then follows
     "mark_x",  # [m] `best_x` when it last was a further `no_progress_distance` on
     "idle_time",  # [s] since `mark_x` was set, halts left out
     "stalled_time",  # [s] of `idle_time` in which the wheel did not turn
@@ -129,6 +130,7 @@ RIG = record(
     # [of top rim speed] change of the command by an action of 1 in a period; 0: the action is the
     # command
     "rim_step",
+    "halt_step",  # [of top rim speed] that a halt lowers the command by in a period
     "sight",  # [m] before a patch from which its routes are seen
     substeps=("i8",),  # of a control period
     speed_command=("i8",),  # 1 if the drive follows a commanded rim speed
@@ -209,8 +211,10 @@ def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarra
     rig["period"] = c.period
     rig["substeps"] = math.ceil(c.period / c.substep - 1e-9)
     rig["speed_command"] = c.action != "torque"
+    top = w.radius * w.no_load_speed
     if c.action == "rim_acceleration":
-        rig["rim_step"] = c.rim_acceleration * c.period / (w.radius * w.no_load_speed)
+        rig["rim_step"] = c.rim_acceleration * c.period / top
+    rig["halt_step"] = c.halt_deceleration * c.period / top
     rig["sight"] = scenario.camera.range
     return rig
 
@@ -231,16 +235,23 @@ def commanded(wheel, action, halted, rig):
     """`Drive` of a control period: the action itself, or the rim speed that it leads to where it is
     a rim acceleration.
 
-    In a halt the wheel is held at rest, and the action that counts as the last one is 0.
+    A halt brakes the rim evenly to rest and holds it there; the action that counts as the last one
+    is 0.
     """
     if halted:
-        action = 0.0
+        slower = max(abs(wheel.halt_command) - rig.halt_step, 0.0)
+        wheel.halt_command = math.copysign(slower, wheel.halt_command)
+        wheel.last_action = 0.0
+        wheel.rim_command = 0.0
+        return Drive(wheel.halt_command, True)
+    by_speed = rig.speed_command > 0
     command = action
-    if rig.rim_step > 0.0 and not halted:
+    if rig.rim_step > 0.0:
         command = min(max(wheel.rim_command + rig.rim_step * action, -REVERSE), 1.0)
     wheel.last_action = action
-    wheel.rim_command = command if rig.speed_command > 0 else 0.0
-    return Drive(command, halted or rig.speed_command > 0)
+    wheel.rim_command = command if by_speed else 0.0
+    wheel.halt_command = command if by_speed else wheel.wheel_speed / rig.no_load_speed
+    return Drive(command, by_speed)
 
 
 @njit(**INLINE)
