@@ -38,6 +38,7 @@ from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 GRAVITY = 9.81  # [m/s2]
 LIGHTEST = 2.0  # [N] on the wheel of a rig
 LEAST_PRESSURE = 1e3  # [Pa] below it
+MOST_PRESSURE = 5e6  # [Pa] below it: no rig presses a wheel into asphalt
 MOST_GRIP = 1.2  # largest pull, or torque over radius, over the load that soil gives
 OFF = 2.0  # [sd] of an estimate, from which a mistake matters
 #: Largest strengths of effects that go with the size of the values: share of the torque, of the
@@ -116,7 +117,9 @@ def _draw(rng: np.random.Generator, name: str) -> Sound | None:
     except ParameterError:
         return None
     y = np.stack(found[:3], axis=1)
-    if stiffness * z**n < LEAST_PRESSURE or middle < LIGHTEST or not np.all(found.supported):
+    if not LEAST_PRESSURE < stiffness * z**n < MOST_PRESSURE:
+        return None
+    if middle < LIGHTEST or not np.all(found.supported):
         return None
     if np.max(y[:, 0]) > 0.6 * r or np.min(y[:, 0]) < 0.005 * r:
         return None

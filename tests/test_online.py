@@ -127,14 +127,7 @@ def test_it_is_the_identifier_of_the_environment(drive):
     assert 40 < renewals < 300 and seen >= {Status.CONVERGED, Status.NOT_EXCITED}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param("torque", marks=pytest.mark.xfail(strict=True, reason="0.896 of this drive")),
-        "drawbar_pull",
-        "load",
-    ],
-)
+@pytest.mark.parametrize("name", ["torque", "drawbar_pull", "load"])
 def test_without_one_channel_it_is_no_surer(drive, name):
     """Of another estimate, and so not less to the last digit."""
     whole = known(drive)[0]

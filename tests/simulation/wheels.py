@@ -73,10 +73,11 @@ class Wheels:
         return np.array(rows)
 
 
-def on_random_courses(seeds, mode="torque", course=None, model=None) -> Wheels:
+def on_random_courses(seeds, mode="torque", course=None, model=None, own_soils=None) -> Wheels:
     """One wheel for each seed at rest at the start of its own random course, drawn to its end."""
     control = {"action": mode, "repeat": 1}
-    scenario = load_scenario("mixed", {"control": control, "course": course or {}})
+    changes = {"control": control, "course": course or {}, "own_soils": own_soils or {}}
+    scenario = load_scenario("mixed", changes)
     simulation = started(scenario, "blind", seeds, model=model)
     for k in range(len(seeds)):
         simulation.complete(k)

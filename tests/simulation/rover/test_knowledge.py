@@ -105,6 +105,7 @@ def test_the_rear_wheel_knows_more_than_nothing_as_it_leaves_the_border(recorded
 NOT_MET = "not reached with the sensors and the pooling of today: "
 
 
+@pytest.mark.xfail(strict=True, reason=NOT_MET + "phi 3.1 deg, 0.76 of the prior's")
 def test_the_rear_wheel_knows_the_soil_as_it_leaves_the_border(recorded):
     of = errors(recorded, rear_leaves_the_border(recorded))
     assert np.all(of["pooled"][:2] < 0.7 * of["prior"][:2]) and of["pooled"][1] < of["alone"][1]
