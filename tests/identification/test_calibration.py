@@ -42,7 +42,6 @@ def test_intervals_hold_on_the_default_task(errors, quantity):
     assert np.mean(error**2) < np.mean(without**2)
 
 
-@pytest.mark.xfail(strict=True, reason="its tails are long, so its intervals are wide: 81 % hold")
 def test_intervals_of_the_pull_hold_as_often_as_those_of_the_soil(errors):
     error, sd, _ = (values[:, -1] for values in errors)
     assert np.mean(np.abs(error / sd) < 1.0) < 0.80
