@@ -120,8 +120,8 @@ def test_the_outlook_tells_how_well_each_model_predicts(planted):
     assert slips.what == ("slip",) and loads.what == ("load",)
     for way in (slips, loads):
         over = way.over_noise
-        assert over.all_effects < 1.5 < over.base_model
-        assert over.all_effects < over.curve and over.noise == 1.0
+        assert over.corrected < 1.5 < over.base
+        assert over.corrected < over.curve and over.noise == 1.0
         assert set(way.errors) == set(NOISE)
         assert way.errors["torque"].noise == NOISE["torque"]
 

@@ -10,10 +10,10 @@ import pytest
 
 from soil_env.discrepancy import run
 from soil_env.discrepancy.calibrate import calibrate
+from soil_env.discrepancy.corrected import model_of
 from soil_env.discrepancy.locate import boxes
 from soil_env.discrepancy.next_tests import conditions
 from soil_env.discrepancy.report.pictures import groups
-from soil_env.discrepancy.workflow import model_of
 from soil_env.identification.table.data import WHEEL, folds
 from tests.discrepancy.files import NOISE, SETUP, SLIPS, data_of, world, write_files
 
@@ -128,7 +128,7 @@ def test_a_vertical_load_is_resolved_on_the_grade(tmp_path):
     rms, problem, fit = fitted(tmp_path, hilly(), "load: vertical\n")
     assert rms < 1.2
     assert fitted(tmp_path, hilly())[0] > 5.0
-    model = model_of(problem, fit)
+    model = model_of(problem, fit.choices, fit.parameters())
     assert model.effects == {"grade": {"share": 1.0}}
     assert np.stack(model.predict(problem.data.table)[:3], axis=1) == pytest.approx(
         fit.output, rel=1e-5, abs=1e-6
