@@ -20,6 +20,7 @@ from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice
 from soil_env.discrepancy.prediction import USUAL, Prediction, independent
 from soil_env.discrepancy.predictive import DEEPEST
+from soil_env.discrepancy.unnamed import OF_LOAD
 from soil_env.identification.table.data import CHANNELS
 from soil_env.parameters import Soil
 from soil_env.slip import slips_of_radius
@@ -43,6 +44,7 @@ LEAST_STEP = {"slip": 0.012, "load": 0.15}  # of slip, and of ln W
 COARSER = 1.2  # factor of these steps until there are few enough nodes
 MOST = 2000  # nodes
 FEW = 4  # nodes of another condition, at most
+SENSED = ("slip_bias", "sinkage_offset")  # effects of a world that only sensors feel
 LITTLE = 0.05  # [noise] change below which an effect is left to the table
 
 
@@ -104,13 +106,17 @@ def parameters(problem: Problem, choice: Choice, values: Mapping[str, float]) ->
 def corrected(found: Prediction, named: Sequence[str] = ()) -> WheelSoilModel:
     """The model of a prediction: its soil, the effects that change something, and the rest as a
     table; without what of the `named` is an error of the rig.
+
+    What only sensors feel stays an effect where it is named: a world is no rig.
     """
     problem = found.problem
-    kept = found.choices
-    for name in dict.fromkeys(c.effect for c in kept if c.effect in CATALOGUE):
+    left = [name for name in (*INSTRUMENT, *OF_LOAD, *SENSED) if name not in {*named} & {*SENSED}]
+    kept = tuple(c for c in found.choices if c.effect not in left)
+    output = problem.predict(found.values, kept, np.maximum(found.output[:, 0], 0.0))
+    for name in dict.fromkeys(c.effect for c in kept):
         fewer = tuple(c for c in kept if c.effect != name)
-        there = problem.predict(found.values, fewer, np.maximum(found.output[:, 0], 0.0))
-        if np.max(np.abs(there - found.output) / problem.noise) < LITTLE:
+        there = problem.predict(found.values, fewer, np.maximum(output[:, 0], 0.0))
+        if np.max(np.abs(there - output) / problem.noise) < LITTLE:
             kept = fewer
     model = model_of(problem, kept, found.values)
     coarse = 1.0
@@ -140,9 +146,9 @@ def _remainder(
     }
     at |= dict(zip(nodes, grid.T, strict=True))
     true = at["slip"]
-    fx = model.numbers
-    scale = 1.0 / (1.0 - fx.slip_bias_radius_error)
-    at["slip"] = slips_of_radius(true - fx.slip_bias_offset, np.full(len(grid), scale))
+    bias = {"offset": 0.0, "radius_error": 0.0} | model.effects.get("slip_bias", {})
+    scale = np.full(len(grid), 1.0 / (1.0 - bias["radius_error"]))
+    at["slip"] = slips_of_radius(true - bias["offset"], scale)
     at["slip"] = np.clip(at["slip"], -1.0, 1.0)
     law = np.stack(replace(model, validity={}).predict(at)[:3], axis=1)
     radius = model.wheel.radius
@@ -212,8 +218,9 @@ def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
             out[name] = np.unique(np.concatenate(parts))
         elif name == "load":
             step = coarse * max(STEPS[name] * learnt.load_length, LEAST_STEP[name])
-            ends = [low / BEYOND_LOAD, high * BEYOND_LOAD]
-            out[name] = np.geomspace(*ends, math.ceil(math.log(ends[1] / ends[0]) / step) + 1)
+            low /= BEYOND_LOAD
+            high *= BEYOND_LOAD
+            out[name] = np.geomspace(low, high, math.ceil(math.log(high / low) / step) + 1)
         else:
             values = np.unique(np.round(x, 6))
             some = np.linspace(0, values.size - 1, min(values.size, FEW)).round().astype(int)
