@@ -143,21 +143,9 @@ def carried(problem: Problem) -> tuple[Choice, ...]:
 
 
 def independent(problem: Problem) -> list[str]:
-    """Conditions that vary, without those that follow from slip and those before them, and without
-    a load that only scatters.
-    """
-    varied = problem.data.varied
+    """Conditions that vary by themselves, without a load that only scatters."""
     scatters = np.ptp(np.log(problem.data.rows.load)) < LEAST_SPAN
-    out: list[str] = []
-    for name, factor in varied.items():
-        before = (
-            np.stack([varied[n].level for n in out]) if out else np.zeros((1, factor.level.size))
-        )
-        cells = np.unique(before, axis=1).shape[1]
-        joint = np.unique(np.concatenate([before, factor.level[None]]), axis=1).shape[1]
-        if name in LENGTHS and joint > cells and not (name == "load" and scatters):
-            out.append(name)
-    return out
+    return [name for name in problem.data.varied if not (name == "load" and scatters)]
 
 
 def at_conditions(problem: Problem, conditions: Mapping[str, np.ndarray]) -> Problem:

@@ -247,9 +247,9 @@ def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
     data = problem.data
     ruled_out = exact(data.setup)
     words = {
-        "pass": "every row is of the same pass",
-        "speed": "no speed variation",
-        "grade_deg": "no grade variation",
+        "pass": "no pass variation of its own",
+        "speed": "no speed variation of its own",
+        "grade_deg": "no grade variation of its own",
     }
     for effect in LISTED.values():
         measured = [
