@@ -114,7 +114,7 @@ def show(report: Report, console: Console) -> None:
         (
             words.conclusion(report),
             sentences.summary(report),
-            sentences.foreseen(report),
+            " ".join((sentences.foreseen(report), sentences.if_laws_err(report))).strip(),
             words.next_step(report),
         )
     )
@@ -140,6 +140,7 @@ def content(report: Report) -> dict[str, Any]:
                     "form": e.form,
                     "parameters": {k: v._asdict() for k, v in e.parameters.items()},
                     "probability": e.probability,
+                    "probability_if_laws_err": report.finding.if_laws_err(e.name),
                     "share": e.share,
                     "alternatives": e.alternatives,
                     "explained": words.EXPLAINED[e.name],
@@ -161,6 +162,7 @@ def content(report: Report) -> dict[str, Any]:
                 for way in report.outlook.left_out
             },
             "foreseen": sentences.foreseen(report),
+            "if_laws_err": sentences.if_laws_err(report),
             "guess": report.guess and report.guess._asdict(),
             "closed_interval": report.closed_interval,
             "untestable": [{"name": k, "reason": v} for k, v in report.finding.untestable.items()],

@@ -14,7 +14,15 @@ from soil_env.discrepancy.instrument import LISTED, exact
 from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.next_tests import NextTest
 from soil_env.discrepancy.result import LEFT, WORSE, Report
-from soil_env.discrepancy.search import NAMED, ODDS, REPORTED, RIG_ODDS, UNLISTED_ODDS, UNNAMED_ODDS
+from soil_env.discrepancy.search import (
+    LAW_ERRORS,
+    NAMED,
+    ODDS,
+    REPORTED,
+    RIG_ODDS,
+    UNLISTED_ODDS,
+    UNNAMED_ODDS,
+)
 from soil_env.discrepancy.unnamed import UNNAMED
 from soil_env.identification.table.data import CHANNELS, WHEEL
 from soil_env.terramechanics.steady import DEEPEST
@@ -288,7 +296,7 @@ def cautions(report: Report) -> list[str]:
         remains=[
             (TITLES[n], g.over_noise[1])
             for n, g in report.gap.items()
-            if g.after > LEFT * g.noise_floor
+            if report.effects and g.after > LEFT * g.noise_floor
         ],
         height=setup.wheel.grouser_height,
         digging=problem.laws["dig_gain"],
@@ -325,6 +333,19 @@ def rises(report: Report) -> list[str]:
 def added(report: Report) -> str:
     """Names of the named effects."""
     return listed(title(e.name) for e in report.effects)
+
+
+def if_laws_err(report: Report) -> str:
+    """The most probable effects, and how probable the first is where the laws err by the most."""
+    ranks = [r for r in report.finding.ranking if r.probability >= MENTIONED][:3]
+    if not ranks:
+        return ""
+    said = listed(f"{title(r.name)} ({sure(r.probability)})" for r in ranks)
+    first = max(report.finding.ranking, key=lambda r: r.if_laws_err[-1])
+    most = f"{title(first.name)} has {percent(first.if_laws_err[-1])}"
+    if first.if_laws_err[-1] < NAMED:
+        most = f"none exceeds {percent(first.if_laws_err[-1])}: then these runs name nothing"
+    return f"Most probable: {said}; if the laws err by {percent(LAW_ERRORS[-1])}, {most}."
 
 
 def foreseen(report: Report) -> str:

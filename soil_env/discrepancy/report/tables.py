@@ -20,6 +20,7 @@ from soil_env.discrepancy.report.sentences import (
     title,
 )
 from soil_env.discrepancy.result import Report
+from soil_env.discrepancy.search import LAW_ERRORS
 from soil_env.identification.table.data import CHANNELS
 
 
@@ -79,12 +80,13 @@ def left_out(report: Report) -> Table:
 
 
 def ranking(report: Report, most: int | None = None) -> Table:
-    """The candidates, the first `most` of them."""
+    """The candidates, the first `most` of them; evidence over the best without a name."""
     rows = [
-        (title(r.name), times(r.score), fixed(r.probability, 3))
+        (title(r.name), times(r.score), *(fixed(p, 3) for p in (r.probability, *r.if_laws_err)))
         for r in report.finding.ranking[:most]
     ]
-    return Table(("effect", "evidence over the best without a name", "probability"), rows)
+    head = ("effect", "evidence", "probability", *(f"laws {percent(x)} off" for x in LAW_ERRORS))
+    return Table(head, rows)
 
 
 def next_runs(report: Report) -> Table:
