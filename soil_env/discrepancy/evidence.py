@@ -63,6 +63,11 @@ class Evidence:
     share: dict[Sizes, float]  # posterior of the sizes
     mean: np.ndarray  # [p] of the whitened unknowns, over the sizes
     covariance: np.ndarray  # [p, p] of them
+    by_law: dict[float, float]  # log evidence under a size of the law's error, over that of all
+
+    def if_laws_err(self, size: float) -> float:
+        """Log evidence under an error of the base law of about this size, over that of all."""
+        return self.by_law[min(self.by_law, key=lambda x: abs(math.log(x / size)))]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -142,10 +147,17 @@ def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
         x.reshape(len(scales) * len(sizes), *x.shape[2:]) for x in (log, mean, covariance)
     )
     total = float(logsumexp(log))
+    laws = np.array([s.law for s in sizes])
+    of_size = logsumexp(log.reshape(len(scales), -1), axis=0) - total
+    by_law = {
+        float(x): float(logsumexp(of_size[laws == x]) - logsumexp(log_prior[laws == x]))
+        for x in np.unique(laws)
+    }
     share = np.exp(log - total)
     of = dict(zip(sizes, share.reshape(len(scales), -1).sum(axis=0).tolist(), strict=True))
     best = max(of, key=lambda sizes: of[sizes])
-    return Evidence(fit, total - math.log(len(scales)), best, of, *mixed(share, mean, covariance))
+    log_all = total - math.log(len(scales))
+    return Evidence(fit, log_all, best, of, *mixed(share, mean, covariance), by_law)
 
 
 def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
@@ -100,8 +100,8 @@ class Errors(NamedTuple):
     channel]; NaN where no curve knows the conditions.
     """
 
-    base_model: float
-    all_effects: float
+    base: float
+    corrected: float  # by all effects and a remainder
     curve: float
     noise: float
 
@@ -109,6 +109,7 @@ class Errors(NamedTuple):
 class LeftOut(NamedTuple):
     """Predictions of what was left out, one level of a condition after the other."""
 
+    split: str  # slip, load, or condition: a combination of all but the slip
     what: tuple[str, ...]  # conditions, which share a level
     errors: dict[str, Errors]  # by measured channel
     over_noise: Errors  # of all channels, over their noise
@@ -142,21 +143,9 @@ def carried(problem: Problem) -> tuple[Choice, ...]:
 
 
 def independent(problem: Problem) -> list[str]:
-    """Conditions that vary, without those that follow from slip and those before them, and without
-    a load that only scatters.
-    """
-    varied = problem.data.varied
+    """Conditions that vary by themselves, without a load that only scatters."""
     scatters = np.ptp(np.log(problem.data.rows.load)) < LEAST_SPAN
-    out: list[str] = []
-    for name, factor in varied.items():
-        before = (
-            np.stack([varied[n].level for n in out]) if out else np.zeros((1, factor.level.size))
-        )
-        cells = np.unique(before, axis=1).shape[1]
-        joint = np.unique(np.concatenate([before, factor.level[None]]), axis=1).shape[1]
-        if name in LENGTHS and joint > cells and not (name == "load" and scatters):
-            out.append(name)
-    return out
+    return [name for name in problem.data.varied if not (name == "load" and scatters)]
 
 
 def at_conditions(problem: Problem, conditions: Mapping[str, np.ndarray]) -> Problem:
@@ -247,10 +236,17 @@ class Prediction:
     jacobian: np.ndarray  # [M, p]
     covariance: _Covariance
 
-    def at(self, conditions: Mapping[str, np.ndarray]) -> Predicted:
-        """Predicted values at conditions, by the columns of a table."""
+    @property
+    def values(self) -> dict[str, float]:
+        """Every unknown by name."""
+        return {k.name: k.value(x) for k, x in zip(self.unknowns, self.u, strict=True)}
+
+    def at(self, conditions: Mapping[str, np.ndarray], without: Collection[str] = ()) -> Predicted:
+        """Predicted values at conditions, by the columns of a table, `without` these errors of the
+        rig.
+        """
         there = at_conditions(self.problem, conditions)
-        law, across = self._means(there)
+        law, across = self._means(there, without)
         guess = np.maximum(law[:, 0], 0.0)
         top = there.derivatives(self.unknowns, self.u, self.choices, guess)
         noise = np.ones(3)
@@ -278,13 +274,18 @@ class Prediction:
         found: np.ndarray = law + remainder.reshape(law.shape) * self.problem.noise
         return found
 
-    def _means(self, there: Problem) -> tuple[np.ndarray, np.ndarray]:
+    def _means(
+        self, there: Problem, without: Collection[str] = ()
+    ) -> tuple[np.ndarray, np.ndarray]:
         """([N, 3] values of the law, [M, 3 N] whitened covariance of the remainder) of other
         rows.
         """
-        values = {k.name: k.value(x) for k, x in zip(self.unknowns, self.u, strict=True)}
+        values = self.values
+        if "tilt_deg" in without:
+            values |= {"tilt_deg": 0.0}
+        choices = tuple(c for c in self.choices if c.effect not in without)
         guess = np.zeros(there.data.rows.slip.size)
-        law = np.nan_to_num(there.predict(values, self.choices, guess))
+        law = np.nan_to_num(there.predict(values, choices, guess))
         if self.learnt is None:
             return law, np.zeros((self.residual.size, law.size))
         across = self._across(there, _scales(there, law), self.learnt)
@@ -505,8 +506,10 @@ def outlook(problem: Problem) -> Outlook:
     models = (fit_prediction(problem, (), smooth=False), fit_prediction(problem))
     rows = problem.data.rows
     others = tuple(name for name in independent(problem) if name != "slip")
+    splits = {"slip": ("slip",), "load": tuple(n for n in others if n == "load")}
+    splits |= {} if others == splits["load"] else {"condition": others}
     out = []
-    for what in filter(None, (("slip",), others)):
+    for split, what in ((split, what) for split, what in splits.items() if what):
         levels = [problem.data.varied[name].level for name in what]
         groups = np.unique(np.stack(levels), axis=1, return_inverse=True)[1].ravel()
         if groups.max() + 1 < FEWEST_GROUPS:
@@ -521,11 +524,11 @@ def outlook(problem: Problem) -> Outlook:
             drawn = _curves(problem, rest.used, rows.slip[group], rows.load[group])
             if drawn is not None:
                 held[2, group] = drawn
-        out.append(_errors(problem, what, held))
+        out.append(_errors(problem, split, what, held))
     return Outlook(models[1], tuple(out))
 
 
-def _errors(problem: Problem, what: tuple[str, ...], held: np.ndarray) -> LeftOut:
+def _errors(problem: Problem, split: str, what: tuple[str, ...], held: np.ndarray) -> LeftOut:
     """Errors of held-out predictions [3, N, 3] of the base model, all effects and the curve."""
     off = held - problem.data.y
     errors: dict[str, Errors] = {}
@@ -538,4 +541,4 @@ def _errors(problem: Problem, what: tuple[str, ...], held: np.ndarray) -> LeftOu
         used = problem.used[:, j]
         if used.any():
             errors[name] = size(off[:, used, j], float(problem.noise[j]))
-    return LeftOut(what, errors, size((off / problem.noise)[:, problem.used], 1.0))
+    return LeftOut(split, what, errors, size((off / problem.noise)[:, problem.used], 1.0))

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from soil_env.discrepancy.calibrate import Fit, Problem
+from soil_env.discrepancy.corrected import Guess
 from soil_env.discrepancy.judgement import Gap, Interval
 from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.next_tests import Check, NextTest
 from soil_env.discrepancy.prediction import Outlook
 from soil_env.discrepancy.search import Finding
-from soil_env.discrepancy.symbolic import ResidualFit
 from soil_env.identification.table.data import CHANNELS
 from soil_env.identification.table.noise import NoiseEstimate
 from soil_env.terramechanics.model import WheelSoilModel
@@ -28,7 +28,6 @@ class EffectFound:
     name: str
     form: str
     parameters: dict[str, Interval]  # low = high = value where the form or the table sets it
-    fitted: dict[str, float]  # that predict best without errors of the laws, as model.yaml has them
     probability: float
     share: float | None  # of the gap above the noise that it closes; None where there is none
     alternatives: tuple[str, ...]  # that these data cannot separate from it
@@ -54,20 +53,20 @@ class Report:
     noise: NoiseEstimate
     where: tuple[Disagreement, ...]
     effects: tuple[EffectFound, ...]
-    law: ResidualFit | None  # where something unlisted is missing
     soil: dict[str, Interval]
     gap: dict[str, Gap]
-    closed: float | None  # None where nothing was added
+    closed: float | None  # by the named effects; None where none is named
     closed_interval: tuple[float, float] | None  # 95 %
     outlook: Outlook  # what can be predicted, whatever is missing
+    guess: Guess | None  # where the prediction is least sure
     next_checks: tuple[Check, ...]  # of the instrument, before the next runs
     next_tests: tuple[NextTest, ...]
-    fit: Fit  # of `model`, whose soil is `soil`
+    fit: Fit  # of the named effects
     base_model: WheelSoilModel
-    model: WheelSoilModel
+    model: WheelSoilModel  # corrected by all effects and a remainder, whatever is named
     #: [N, 3] held-out predictions of the base model, NaN where no value is in use.
     held_out_before: np.ndarray
-    held_out_after: np.ndarray  # [N, 3] of the corrected model
+    held_out_after: np.ndarray  # [N, 3] with the named effects
     doubts: tuple[str, ...]  # mistakes that the table looks like
     taken: tuple[str, ...]  # how a dense table was taken, and how this one could be meant as well
     settings: Settings
@@ -99,11 +98,6 @@ class Report:
         probabilities.
         """
         return self.finding.stated.evidence.typical("law")
-
-    @property
-    def corrected(self) -> bool:
-        """True if anything was added to the base model."""
-        return bool(self.fit.choices or self.model.residual)
 
     def known(self, name: str) -> bool:
         """True if the setup gives a soil parameter as known."""

@@ -54,6 +54,7 @@ ALIKE = 0.17
 #: `benchmarks.discovery`; between 1 and 2.5 hardly a share of its answers moves.
 TEMPERATURE = 1.75
 NAMED = 0.5  # probability from which a hypothesis, or a name, is stated
+LAW_ERRORS = (0.03, 0.1)  # of the base law, for which probabilities are given beside these
 REPORTED = 0.05  # least probability of an alternative
 _FIRST = 8  # single effects, the best, beside which a second one is sought
 _PAIRS = 10  # pairs refitted after the screen
@@ -72,6 +73,7 @@ class Hypothesis:
     evidence: Evidence  # in the most probable of the forms
     #: Listed effects that an unlisted one resembles: in place and conditions, not in form.
     like: tuple[str, ...] = ()
+    if_laws_err: tuple[float, ...] = ()  # its probability where they err by `LAW_ERRORS`
 
     @property
     def law(self) -> str:
@@ -87,6 +89,7 @@ class Rank(NamedTuple):
     #: effect.
     score: float
     probability: float
+    if_laws_err: tuple[float, ...]  # probability where the laws err by `LAW_ERRORS`
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,10 +120,15 @@ class Finding:
             )
 
         left = [h for h in self.hypotheses if alone or not refuted(h)]
-        share = np.array([0.0 if refuted(h) else h.probability for h in left])
-        total = float(share.sum())
-        share = share / total if total > 0.0 else np.full(len(left), 1.0 / len(left))
-        kept = [replace(h, probability=float(p)) for h, p in zip(left, share, strict=True)]
+        share = np.array(
+            [np.multiply((h.probability, *h.if_laws_err), not refuted(h)) for h in left]
+        )
+        total = share.sum(axis=0)
+        share = np.where(total > 0.0, share / np.maximum(total, 1e-300), 1.0 / len(left))
+        kept = [
+            replace(h, probability=p, if_laws_err=tuple(others))
+            for h, (p, *others) in zip(left, share.tolist(), strict=True)
+        ]
         kept.sort(key=lambda h: -h.probability)
         return replace(self, hypotheses=tuple(kept), refuted=(*self.refuted, names))
 
@@ -131,6 +139,11 @@ class Finding:
             for h in self.hypotheses
             if {*names} <= {*h.names} and not {*without} & {*h.names}
         )
+
+    def if_laws_err(self, name: str) -> tuple[float, ...]:
+        """Probabilities that an effect is missing where the laws err by `LAW_ERRORS`."""
+        with_it = [h.if_laws_err for h in self.hypotheses if name in h.names]
+        return tuple(map(sum, zip(*with_it, strict=True)))
 
     @property
     def none(self) -> float:
@@ -187,7 +200,7 @@ class Finding:
         score = {
             n: max(h.score for h in self.hypotheses if n in h.names) - without for n in self.tried
         }
-        out = [Rank(n, float(x), self.share(n)) for n, x in score.items()]
+        out = [Rank(n, float(x), self.share(n), self.if_laws_err(n)) for n, x in score.items()]
         return tuple(
             sorted(out, key=lambda r: (r.name not in self.names, -r.probability, -r.score))
         )
@@ -247,9 +260,9 @@ def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
     data = problem.data
     ruled_out = exact(data.setup)
     words = {
-        "pass": "every row is of the same pass",
-        "speed": "no speed variation",
-        "grade_deg": "no grade variation",
+        "pass": "no pass variation of its own",
+        "speed": "no speed variation of its own",
+        "grade_deg": "no grade variation of its own",
     }
     for effect in LISTED.values():
         measured = [
@@ -348,11 +361,16 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
     entries += _unnamed(
         problem, base, max((s for s in order if len(s) == 1), key=sets.log, default=())
     )
-    total = [log / TEMPERATURE + odds_of for *_, log, odds_of in entries]
-    share = np.exp(np.array(total) - logsumexp(total))
+    total = np.array(
+        [
+            [(log + x) / TEMPERATURE + odds_of for x in (0.0, *map(e.if_laws_err, LAW_ERRORS))]
+            for _, _, _, e, log, odds_of in entries
+        ]
+    )
+    share = np.exp(total - logsumexp(total, axis=0)).tolist()
     found = [
-        Hypothesis(s, free, float(p), log - base.log, e, like)
-        for (s, like, free, e, log, _), p in zip(entries, share, strict=True)
+        Hypothesis(s, free, p, log - base.log, e, like, tuple(others))
+        for (s, like, free, e, log, _), (p, *others) in zip(entries, share, strict=True)
     ]
     threshold = -TEMPERATURE * math.log(ODDS)
     usual = free[()] if rough else base

@@ -5,18 +5,17 @@ corrected model.
 import hashlib
 import os
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy import doubts, judgement, symbolic
+from soil_env.discrepancy import doubts, judgement
 from soil_env.discrepancy.calibrate import EXACT, PRIOR_WIDTH, Fit, Problem, calibrate
+from soil_env.discrepancy.corrected import corrected, least_sure, model_of, parameters
 from soil_env.discrepancy.evidence import Evidence
-from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice, exact
+from soil_env.discrepancy.instrument import LISTED, exact
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
 from soil_env.discrepancy.locate import locate, structure
 from soil_env.discrepancy.next_tests import MOST, next_checks, next_tests
@@ -24,16 +23,11 @@ from soil_env.discrepancy.prediction import outlook
 from soil_env.discrepancy.report import check_folder, write
 from soil_env.discrepancy.result import EffectFound, Report, Settings
 from soil_env.discrepancy.search import Finding, search
-from soil_env.discrepancy.unnamed import OF_SENSORS
 from soil_env.identification.table.bins import binned
 from soil_env.identification.table.data import prepare
 from soil_env.identification.table.mistakes import examine
 from soil_env.measurement.setup import Setup, read_setup
 from soil_env.measurement.table import Table, read_table
-from soil_env.parameters import Soil
-from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.terramechanics.residual import ResidualTerm
-from soil_env.terramechanics.validity import seen
 
 
 def run(
@@ -105,34 +99,15 @@ def _conclude(
     say("locating the disagreement")
     where = locate(problem, problem.fit((), base.parameters()), settings.seed)
     own = finding.stated.evidence
-    law = None
-    of_sensor = finding.verdict == "unlisted" and finding.hypotheses[0].law in OF_SENSORS
-    if finding.verdict in ("partly", "unlisted") and own.sizes.scatter == 1.0 and not of_sensor:
-        say("looking for a law of what is left")
-        law = symbolic.symbolic(problem, final)
     shares = judgement.shares(
         problem, before, {some: there for some, there in held.items() if some}
     )
-    if law is not None and law.terms:
-        there = symbolic.held_out_predictions(
-            problem, final, lambda text: say(f"predicting what was held out: {text}")
-        )
-        gain = judgement.closed_interval(
-            problem, after, there, np.random.default_rng([settings.seed, 3])
-        )
-        if gain is not None and gain[0] > 0.0:
-            final = law.fit
-            after = there
-        else:  # chosen without a group, it does not predict that group better than no law does
-            law = law.without(final)
     gap = judgement.gaps(problem, before, after)
-    corrected = bool(final.choices or (law is not None and law.terms))
-    closed = judgement.closed(problem, gap) if corrected else None
+    closed = judgement.closed(problem, gap) if final.choices else None
     say("predicting with all effects")
     foreseen = outlook(problem)
     say("choosing the next runs")
     runs = next_tests(problem, finding, next_runs)
-    model = model_of(problem, final, () if law is None else tuple(law.terms))
     intervals = judgement.intervals(finding, own)
     interval = None if closed is None else judgement.closed_interval(problem, before, after, rng)
     return Report(
@@ -140,18 +115,18 @@ def _conclude(
         problem=problem,
         noise=noise,
         where=where,
-        law=law,
         gap=gap,
         closed=closed,
         effects=_effects(problem, finding, final, intervals, shares),
         soil=_soil(problem, intervals),
         closed_interval=interval,
         outlook=foreseen,
+        guess=least_sure(foreseen.model),
         next_checks=next_checks(finding, runs),
         next_tests=runs,
         fit=final,
-        base_model=model_of(problem, plain),
-        model=model,
+        base_model=model_of(problem, (), plain.parameters()),
+        model=corrected(foreseen.model, finding.names),
         held_out_before=before,
         held_out_after=after,
         doubts=doubted,
@@ -238,52 +213,6 @@ def _far(problem: Problem, model: Evidence) -> bool:
     return bool(np.any(np.abs(model.mean[: len(given)])[given] > FAR / PRIOR_WIDTH))
 
 
-def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -> WheelSoilModel:
-    """The `WheelSoilModel` of a fit, with residual terms."""
-    soil = {**problem.known, **fit.parameters()}
-    names = (
-        "friction_angle_deg",
-        "cohesion",
-        "shear_modulus",
-        "sinkage_coefficient",
-        "sinkage_exponent",
-    )
-    values: dict[str, Any] = {name: float(soil[name]) for name in names} | problem.laws
-    acting = [c for c in fit.choices if c.effect not in INSTRUMENT]
-    effects = {c.effect: _parameters(problem, c, fit.parameters()) for c in acting}
-    # The load of a model presses normal to the ground but for this share.
-    if problem.data.setup.load == "vertical":
-        grade = effects.get("grade", {})
-        effects["grade"] = grade | {"share": 1.0 + grade.get("share", 0.0)}
-    wheel = problem.data.wheel
-    if problem.data.setup.wheel.grouser_height is None and "grousers" not in effects:
-        wheel = replace(wheel, grouser_height=0.0)  # a height was assumed only to try grousers
-    of_soil = Soil(
-        **values,
-        density=problem.density,
-        gravity_measured=problem.data.setup.gravity,
-        source="calibrated by soil_env.discrepancy",
-    )
-    conditions = seen(problem.data.rows.slip, problem.data.rows.load, problem.data.rows.conditions)
-    gravity = problem.data.setup.gravity
-    return WheelSoilModel(wheel, of_soil, effects, tuple(terms), gravity, conditions)
-
-
-def _parameters(problem: Problem, choice: Choice, values: dict[str, float]) -> dict[str, float]:
-    """Parameters of an effect: what its form frees, what it sets, and the reference speed that the
-    table set.
-    """
-    if choice.effect in INSTRUMENT:
-        return {name[len(choice.effect) + 1 :]: values[name] for name in choice.free}
-    numbers = problem.effects((choice,), values)
-    out = {}
-    for p in LISTED[choice.effect].parameters:
-        full = f"{choice.effect}_{p.name}"
-        if full in choice.free or full in choice.fixed or p.name == "reference_speed":
-            out[p.name] = min(max(float(getattr(numbers, full)), p.low), p.high)
-    return out
-
-
 def _effects(
     problem: Problem,
     finding: Finding,
@@ -294,12 +223,12 @@ def _effects(
     out = []
     for name in finding.names:
         choice = next(c for c in fit.choices if c.effect == name)
-        fitted = _parameters(problem, choice, fit.parameters())
-        parameters = {p: intervals.get(f"{name}_{p}", Interval(x, x, x)) for p, x in fitted.items()}
+        fitted = parameters(problem, choice, fit.parameters())
+        within = {p: intervals.get(f"{name}_{p}", Interval(x, x, x)) for p, x in fitted.items()}
         form = LISTED[name].forms[choice.form].name
         probability = finding.share(name)
         others = finding.alternatives(name)
-        out.append(EffectFound(name, form, parameters, fitted, probability, shares[name], others))
+        out.append(EffectFound(name, form, within, probability, shares[name], others))
     return tuple(out)
 
 

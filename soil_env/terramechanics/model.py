@@ -1,5 +1,5 @@
-"""A wheel on one soil as an object and as a file: base model, named effects and residual law;
-tables of predictions.
+"""A wheel on one soil as an object and as a file: base model, effects and residual law; tables of
+predictions.
 """
 
 import math
@@ -11,11 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
-from numba import njit
 from numpy.typing import ArrayLike
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import EXACT
 from soil_env._io.files import replace_file
 from soil_env._io.loading import (
     Checked,
@@ -32,18 +30,19 @@ from soil_env.parameters import (
     FLOW_LAW,
     LARGEST_WHEEL,
     Soil,
-    SoilState,
     Tyre,
     check_lugs,
 )
 from soil_env.parameters.wheel import OnTyre, refuse_lugs_on_tyre
-from soil_env.terramechanics.effects import Effects, pack_effects
+from soil_env.slip import slips_of_radius
+from soil_env.terramechanics.effects import CATALOGUE, Effects, pack_effects
 from soil_env.terramechanics.residual import (
-    GROUPS,
     ResidualLaw,
+    ResidualTable,
     ResidualTerm,
     WorkingPoint,
     dimensionless_groups,
+    interpolated,
     residual_at,
     residual_law,
 )
@@ -88,6 +87,7 @@ _EXPECTED = {
     "wheel": "a ModelWheel",
     "soil": "a Soil or None",
     "residual": "a sequence of ResidualTerm",
+    "remainder": "a ResidualTable or None",
 }
 
 
@@ -98,12 +98,14 @@ class Prediction(NamedTuple):
     drawbar_pull: np.ndarray  # [N]
     torque: np.ndarray  # [N m]
     supported: bool  # False where the soil carries the load in no row or not in all rows
+    #: [N, 3] standard deviations of a measurement of these, NaN where the model states none.
+    sd: np.ndarray
 
 
 @dataclass(frozen=True)
 class WheelSoilModel(Checked):
-    """A wheel on one soil: the base model of Eqs. (1)-(10), the named effects that are on, and a
-    residual law.
+    """A wheel on one soil: the base model of Eqs. (1)-(10), the effects that are on, and what they
+    miss, as the terms of a residual law and as the table of a `remainder`.
 
     `wheel`: a `ModelWheel`, or any wheel with a radius and a width, of which it has the sizes.
     `effects` maps a name of the catalogue to its parameters; those left out are neutral.
@@ -123,6 +125,7 @@ class WheelSoilModel(Checked):
         "m/s2", 0.1, 30.0, default=EARTH_GRAVITY, doc="of a prediction; a world has its scenario's"
     )
     validity: dict[str, tuple[float, float]] = field(default_factory=dict)
+    remainder: ResidualTable | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.wheel, ModelWheel) and hasattr(self.wheel, "width"):
@@ -131,6 +134,7 @@ class WheelSoilModel(Checked):
             ("wheel", ModelWheel),
             ("soil", (Soil, type(None))),
             ("residual", (tuple, list)),
+            ("remainder", (ResidualTable, type(None))),
         ):
             if not isinstance(getattr(self, name), kind):
                 raise FieldError(
@@ -150,18 +154,39 @@ class WheelSoilModel(Checked):
         """The effects as compiled code takes them."""
         return pack_effects(self.effects)
 
+    @property
+    def law(self) -> ResidualLaw:
+        """Residual terms and remainder as compiled code takes them."""
+        return residual_law(self.residual, self.remainder)
+
+    @property
+    def needed(self) -> dict[str, str]:
+        """What needs the speed or the pass to be known, by these names."""
+        by = {name: CATALOGUE[name].varies for name in self.effects}
+        groups = [group for term in self.residual for group in term.powers]
+        by |= {f"the residual law by {group}": group for group in groups}
+        by |= {f"the remainder by {group}": group for group in getattr(self.remainder, "axes", ())}
+        return {need: what for what, need in by.items() if need in ("speed", "pass")}
+
     def predict(self, conditions: Any | Mapping[str, ArrayLike]) -> Prediction:
         """Steady sinkage, drawbar pull and torque [N] for a whole table.
 
         `conditions`: a measurement table, or a mapping of arrays [N]; scalars count for every row.
         It has `slip` [-] and `load` [N] and, as far as they matter, `speed` [m/s], `pass`,
         `grade_deg`, `wheel_radius`, `wheel_width`, `grouser_height` [m]. Raises `ParameterError`
-        for unknown or missing names and for values that are not finite; warns once
-        (`OutsideValidity`) of conditions outside `validity`.
+        for unknown or missing names, also of a speed or pass that an effect or the residual law
+        goes with, and for values that are not finite; warns once (`OutsideValidity`) of conditions
+        outside `validity`.
         """
         if self.soil is None:
             raise ParameterError("WheelSoilModel: no soil: expected one, to predict with")
         c = rows_of(conditions, self.wheel)
+        for name, what in self.needed.items():
+            given = _mapping(conditions).get(name, math.nan)
+            if np.any(np.isnan(np.asarray(given, dtype=float))):
+                raise ParameterError(
+                    f"conditions: missing {name}: expected it, since {what} goes with it"
+                )
         beyond = outside(self.validity, c.slip, c.load, c.conditions)
         if beyond and not getattr(self, "_warned", False):
             object.__setattr__(self, "_warned", True)
@@ -171,6 +196,9 @@ class WheelSoilModel(Checked):
                 stacklevel=2,
             )
         out = np.empty((c.slip.size, 3))
+        sd = np.full_like(out, math.nan)
+        law = self.law
+        fx = self.numbers
         carried = 0
         footing = c.wheels[:, 1:2]  # S = k_c/b + k_phi
         if self.soil.reference_stress > 0.0:  # strength depends on the pressure
@@ -183,11 +211,20 @@ class WheelSoilModel(Checked):
             soil = self.soil.under(radius, width, float(rows.load[0]), self.gravity)
             weight = self.soil.density * self.gravity
             guess = np.zeros(len(values))
-            carried += predict_rows(rows, soil, weight, self.numbers, guess, values)
-            if self.residual:
-                add_residual(residual_law(self.residual), rows, soil, self.gravity, values)
+            carried += predict_rows(rows, soil, weight, fx, guess, values)
+            if self.residual or self.remainder is not None:
+                slip = slips_of_radius(
+                    rows.slip, np.full_like(guess, 1.0 - fx.slip_bias_radius_error)
+                )
+                rows = rows._replace(slip=slip + fx.slip_bias_offset)
+                added = np.empty_like(values)
+                deviations = np.empty_like(values)
+                state = floats(soil)
+                _residual_of(law, rows, guess, state, float(self.gravity), added, deviations)
+                values += added
+                sd[here] = deviations if self.remainder is not None else math.nan
             out[here] = values
-        return Prediction(out[:, 0], out[:, 1], out[:, 2], carried == c.slip.size)
+        return Prediction(out[:, 0], out[:, 1], out[:, 2], carried == c.slip.size, sd)
 
     def content(self) -> dict[str, Any]:
         """The mapping of model.yaml."""
@@ -208,6 +245,8 @@ class WheelSoilModel(Checked):
             }
         if self.residual:
             content["residual"] = [to_dict(term) for term in self.residual]
+        if self.remainder is not None:
+            content["remainder"] = to_dict(self.remainder)
         if self.validity:
             content["validity"] = {name: list(pair) for name, pair in self.validity.items()}
         return content
@@ -288,16 +327,23 @@ def _numbers(name: str, value) -> np.ndarray:
     return a
 
 
+def _mapping(conditions: Any) -> Mapping[str, ArrayLike]:
+    """Conditions by the columns of a table."""
+    if isinstance(conditions, Mapping):
+        return conditions
+    if not hasattr(conditions, "conditions"):
+        raise ParameterError(
+            f"conditions = {conditions!r}: expected a Table or a mapping of arrays"
+        )
+    found: Mapping[str, ArrayLike] = conditions.conditions()
+    return found
+
+
 def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
     """`Rows` of a table or a mapping; what is not given (or NaN) is level, fresh soil and the wheel
     of the model.
     """
-    if not isinstance(conditions, Mapping):
-        if not hasattr(conditions, "conditions"):
-            raise ParameterError(
-                f"conditions = {conditions!r}: expected a Table or a mapping of arrays"
-            )
-        conditions = conditions.conditions()
+    conditions = _mapping(conditions)
     known = ("slip", "load", *_OPTIONAL, *_SIZES)
     for name in conditions:
         if name not in known:
@@ -348,44 +394,21 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
     )
 
 
-@njit(**EXACT)
-def _groups(rows, k, sinkage, soil, gravity):
-    """`dimensionless_groups` of a row at a sinkage [m]."""
-    w = rows.wheels[k]
-    c = rows.conditions[k]
-    at = WorkingPoint(rows.slip[k], sinkage, rows.load[k], c[0], c[1], c[2])
-    rim = Rim(w[0], w[1], w[2], 0.0, 0.0, 0.0, 0.0)
-    return dimensionless_groups(at, soil, rim, gravity)
-
-
 @kept
-def _table_groups(rows, sinkage, soil, gravity, out):
+def _residual_of(law, rows, felt, soil, gravity, out, sd):
+    """Fill what a `ResidualLaw` adds to rows of true slips at the sinkages `felt` [N], and its
+    standard deviations [N, 3].
+    """
     for k in range(rows.slip.size):
-        groups = _groups(rows, k, sinkage[k], soil, gravity)
-        for g in range(len(groups)):
-            out[k, g] = groups[g]
-
-
-def table_groups(rows: Rows, sinkage: np.ndarray, soil: SoilState, gravity: float) -> np.ndarray:
-    """[N, 7] `dimensionless_groups` of rows at sinkages [N] in m."""
-    out = np.empty((rows.slip.size, len(GROUPS)))
-    _table_groups(rows, sinkage, floats(soil), float(gravity), out)
-    return out
-
-
-@kept
-def _add_residual(law, rows, soil, gravity, out):
-    for k in range(rows.slip.size):
-        z, pull, torque = residual_at(law, _groups(rows, k, out[k, 0], soil, gravity))
+        w = rows.wheels[k]
+        c = rows.conditions[k]
         load = rows.load[k]
-        r = rows.wheels[k, 0]
-        out[k, 0] += z * r
-        out[k, 1] += pull * load
-        out[k, 2] += torque * load * r
-
-
-def add_residual(
-    law: ResidualLaw, rows: Rows, soil: SoilState, gravity: float, out: np.ndarray
-) -> None:
-    """Add a `ResidualLaw` to predictions `out` [N, 3]."""
-    _add_residual(law, rows, floats(soil), float(gravity), out)
+        at = WorkingPoint(rows.slip[k], felt[k], load, c[0], c[1], c[2])
+        rim = Rim(w[0], w[1], w[2], 0.0, 0.0, 0.0, 0.0)
+        groups = dimensionless_groups(at, soil, rim, gravity)
+        scale = (w[0], load, load * w[0])
+        added = residual_at(law, groups)
+        deviation = interpolated(law, groups, 3)
+        for j in range(3):
+            out[k, j] = added[j] * scale[j]
+            sd[k, j] = deviation[j] * scale[j]

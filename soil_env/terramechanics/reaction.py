@@ -87,6 +87,7 @@ class ExtraForces(NamedTuple):
     blades: float  # [N] thrust of the lugs of a slipping wheel
     pull: float  # [N] of the residual law
     torque: float  # [N m] of the residual law
+    unfelt: float  # [m] sinkage of the residual law, which is read and not felt
 
 
 class Footing(NamedTuple):
@@ -226,9 +227,9 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
 def ground_under(at, soil, wheel, acting):
     """(`SoilState` as sheared, `Arc`, `ExtraForces`) of a wheel `Standing` on fresh `soil`."""
     slip = slip_ratio(at.rim_speed, at.speed, REST_SPEED)
-    pull, torque = _residual_forces(at, slip, soil, wheel, acting.residual)
+    unfelt, pull, torque = _residual_of(at, slip, soil, wheel, acting.residual)
     soil, arc, lift, bulldozing, blades = _ground_under(at, slip, soil, wheel, acting.effects)
-    return soil, arc, ExtraForces(lift, bulldozing, blades, pull, torque)
+    return soil, arc, ExtraForces(lift, bulldozing, blades, pull, torque, unfelt)
 
 
 @njit(**EXACT)
@@ -266,16 +267,18 @@ def _ground_under(at, slip, soil, wheel, fx):
 
 
 @njit(**EXACT)
-def _residual_forces(at, slip, soil, wheel, residual):
-    """(pull [N], torque [N m]) of a residual law, which fade out where the wheel stands."""
+def _residual_of(at, slip, soil, wheel, residual):
+    """(sinkage [m], pull [N], torque [N m]) of a residual law; forces fade out where the wheel
+    stands.
+    """
     if residual is None:
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     else:
         point = WorkingPoint(slip, at.sinkage, at.weight, abs(at.speed), at.passes, at.sin_grade)
         groups = dimensionless_groups(point, soil, wheel, wheel.gravity)
         moving = smoothed_sign(at.speed, REST_SPEED)[0] * at.weight
-        _, pull, torque = residual_at(residual, groups)
-        return moving * pull, moving * torque * wheel.radius
+        sinkage, pull, torque = residual_at(residual, groups)
+        return sinkage * wheel.radius, moving * pull, moving * torque * wheel.radius
 
 
 @njit(**EXACT)

@@ -1,14 +1,14 @@
-"""Residual law: what an unlisted effect adds to a channel, as a sum of products of powers of
-dimensionless groups.
+"""Residual law: what the laws of a model miss in each channel, as a sum of products of powers of
+dimensionless groups and as a table over them.
 
-    sinkage / r,  drawbar pull / W,  torque / (W r)   +=   sum of  a  prod_g  group_g ^ p_g
+    sinkage / r, drawbar pull / W, torque / (W r)   +=   sum of  a  prod_g  group_g ^ p_g  +  table
 
-`discrepancy.symbolic` finds such laws. They have no claim to hold outside the conditions they were
-found in, so every group is held inside the range it had there.
+`discrepancy.prediction` makes such tables, with their standard deviations. Neither has a claim to
+hold outside the conditions it was found in, so every group is held inside the range it had there.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -19,20 +19,12 @@ from soil_env._compiled.elementary import power
 from soil_env._compiled.flags import EXACT
 from soil_env._io.loading import Checked, ParameterError, quantity, unknown_key
 from soil_env.terramechanics.effects.entry import CHANNELS, Channel
-from soil_env.terramechanics.effects.text import plain
 
-#: Dimensionless groups by name: (symbol in an equation, symbol in its legend, meaning).
-LEGEND = {
-    "slip": ("i", "i", "slip"),
-    "grip": ("(1 - i)", "1 - i", "travel over rim speed"),
-    "sinkage": ("Z", "Z", "z_0/r, sinkage over radius"),
-    "load": ("L", "L", "W/(S b r^(n+1)), load over bearing strength"),
-    "speed": ("Fr", "Fr", "V/sqrt(g r), Froude number"),
-    "pass": ("N", "N", "pass number"),
-    "grade": ("sin(b)", "sin(b)", "sine of the grade"),
-}
-GROUPS = tuple(LEGEND)
-_LEFT = {"sinkage": "(z - z_0)/r", "drawbar_pull": "(DP - DP_0)/W", "torque": "(T - T_0)/(W r)"}
+#: Dimensionless groups: |i|, 1 - |i|, z/r, W/(S b r^(n+1)) load over bearing strength, V/sqrt(g r)
+#: Froude number, pass number, sine of the grade.
+GROUPS = ("slip", "grip", "sinkage", "load", "speed", "pass", "grade")
+COLUMNS = (*CHANNELS, *(f"{name}_sd" for name in CHANNELS))  # of a table
+AXES = ("slip", "load", "speed", "pass", "grade")  # groups that a table may go over
 
 
 @dataclass(frozen=True)
@@ -70,25 +62,82 @@ class ResidualTerm(Checked):
         return f"{self.coefficient:+.3g}{product}"
 
 
+@dataclass(frozen=True)
+class ResidualTable(Checked):
+    """A residual at nodes of dimensionless groups, linear between them, with standard deviations.
+
+    `axes`: at least two ascending nodes of each group of `AXES` that it goes over; of the slip with
+    its sign, braked below 0. `values`: of each channel and NAME_sd of it, the numbers of all
+    combinations of nodes, the last axis fastest, with spaces between them.
+    """
+
+    axes: dict[str, tuple[float, ...]]
+    values: dict[str, str]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for group, nodes in self.axes.items():
+            if group not in AXES:
+                raise unknown_key(group, AXES, "remainder: axes")
+            if len(nodes) < 2 or not np.all(np.diff(nodes) > 0.0):
+                raise ParameterError(
+                    f"remainder: axes: {group} = {list(nodes)[:4]}: expected at least two numbers, "
+                    "ascending"
+                )
+        for name in self.values:
+            if name not in COLUMNS:
+                raise unknown_key(name, COLUMNS, "remainder: values")
+        self.columns  # noqa: B018  # refuses what is no number
+
+    @property
+    def columns(self) -> np.ndarray:
+        """[nodes, 6] values by `COLUMNS`, 0 of a column that is not given."""
+        count = math.prod(map(len, self.axes.values()))
+        out = np.zeros((count, len(COLUMNS)))
+        for name, text in self.values.items():
+            try:
+                column = np.array(text.split(), dtype=float)
+            except ValueError:
+                column = np.empty(0)
+            if column.size != count or not np.all(np.isfinite(column)):
+                raise ParameterError(
+                    f"remainder: values: {name} = {text[:20]!r}...: expected {count} numbers, one "
+                    "for each combination of nodes"
+                )
+            out[:, COLUMNS.index(name)] = column
+        return out
+
+
 class ResidualLaw(NamedTuple):
-    """Terms as compiled code takes them."""
+    """Terms and a table as compiled code takes them."""
 
     channel: np.ndarray  # [T] index into CHANNELS
     coefficient: np.ndarray  # [T]
     powers: np.ndarray  # [T, 7]
     low: np.ndarray  # [T, 7] range of the groups
     high: np.ndarray  # [T, 7]
+    axis: np.ndarray  # [A] index into GROUPS of each axis of the table
+    count: np.ndarray  # [A] its nodes
+    nodes: np.ndarray  # of all axes, one after the other
+    table: np.ndarray  # [nodes, 6] by `COLUMNS`; none without a table
 
 
-def residual_law(terms: Sequence[ResidualTerm]) -> ResidualLaw:
-    """Pack terms for compiled code."""
+def residual_law(
+    terms: Sequence[ResidualTerm] = (), table: ResidualTable | None = None
+) -> ResidualLaw:
+    """Pack terms and a table for compiled code."""
     count = len(terms)
+    axes = {} if table is None else table.axes
     law = ResidualLaw(
         np.array([CHANNELS.index(t.channel) for t in terms], dtype=np.int64),
         np.array([t.coefficient for t in terms], dtype=float),
         np.zeros((count, len(GROUPS))),
         np.full((count, len(GROUPS)), -np.inf),
         np.full((count, len(GROUPS)), np.inf),
+        np.array([GROUPS.index(name) for name in axes], dtype=np.int64),
+        np.array([len(nodes) for nodes in axes.values()], dtype=np.int64),
+        np.array([x for nodes in axes.values() for x in nodes], dtype=float),
+        np.zeros((0, len(COLUMNS))) if table is None else table.columns,
     )
     for k, term in enumerate(terms):
         for group, p in term.powers.items():
@@ -97,29 +146,6 @@ def residual_law(terms: Sequence[ResidualTerm]) -> ResidualLaw:
             law.low[k, GROUPS.index(group)] = low
             law.high[k, GROUPS.index(group)] = high
     return law
-
-
-def product(powers: Mapping[str, float]) -> str:
-    """Groups of a term with their powers, each behind a space."""
-    parts = ""
-    for group, p in powers.items():
-        parts += f" {LEGEND[group][0]}" + (
-            "" if p == 1.0 else f"^{p:g}" if p > 0.0 else f"^({p:g})"
-        )
-    return parts
-
-
-def formulas(terms: Sequence[ResidualTerm], digits: int = 3) -> dict[str, str]:
-    """{channel: equation} of a law."""
-    out: dict[str, str] = {}
-    for term in terms:
-        size = f"{plain(abs(term.coefficient), digits)}{product(term.powers)}"
-        minus = term.coefficient < 0.0
-        if term.channel in out:
-            out[term.channel] += f" {'-' if minus else '+'} {size}"
-        else:
-            out[term.channel] = f"{_LEFT[term.channel]} = {'-' if minus else ''}{size}"
-    return out
 
 
 class WorkingPoint(NamedTuple):
@@ -135,13 +161,13 @@ class WorkingPoint(NamedTuple):
 
 @njit(**EXACT)
 def dimensionless_groups(at, soil, wheel, gravity):
-    """The seven `GROUPS` at one `WorkingPoint`."""
-    slip = min(abs(at.slip), 1.0)
+    """The seven `GROUPS` at one `WorkingPoint`; the slip with its sign."""
+    slip = min(max(at.slip, -1.0), 1.0)
     r = wheel.radius
     bearing = soil.sinkage_coefficient * wheel.width * power(r, soil.sinkage_exponent + 1.0)
     return (
         slip,
-        1.0 - slip,
+        1.0 - abs(slip),
         at.sinkage / r,
         at.load / bearing,
         abs(at.speed) / math.sqrt(gravity * r),
@@ -152,22 +178,54 @@ def dimensionless_groups(at, soil, wheel, gravity):
 
 @njit(**EXACT)
 def residual_at(law, groups):
-    """Sum of the terms for (sinkage / r, drawbar pull / W, torque / (W r)) at `groups`."""
-    sinkage = 0.0
-    pull = 0.0
-    torque = 0.0
+    """Terms and table for (sinkage / r, drawbar pull / W, torque / (W r)) at `groups`."""
+    sinkage, pull, torque = interpolated(law, groups, 0)
     for k in range(law.coefficient.size):
         value = law.coefficient[k]
         for g in range(len(groups)):
             p = law.powers[k, g]
             if p != 0.0:
-                value *= _raised(min(max(groups[g], law.low[k, g]), law.high[k, g]), p)
+                x = abs(groups[g]) if g == 0 else groups[g]
+                value *= _raised(min(max(x, law.low[k, g]), law.high[k, g]), p)
         if law.channel[k] == 0:
             sinkage += value
         elif law.channel[k] == 1:
             pull += value
         else:
             torque += value
+    return sinkage, pull, torque
+
+
+@njit(**EXACT)
+def interpolated(law, groups, first):
+    """Three columns of the table from `first` on, linear between the nodes about `groups`; 0
+    without a table.
+    """
+    sinkage = 0.0
+    pull = 0.0
+    torque = 0.0
+    axes = law.axis.size
+    corners = 1 << axes if law.table.shape[0] > 0 else 0
+    for corner in range(corners):
+        weight = 1.0
+        row = 0
+        start = 0
+        for a in range(axes):
+            count = law.count[a]
+            x = groups[law.axis[a]]
+            low = start
+            while low < start + count - 2 and law.nodes[low + 1] <= x:
+                low += 1
+            share = (x - law.nodes[low]) / (law.nodes[low + 1] - law.nodes[low])
+            share = min(max(share, 0.0), 1.0)
+            upper = (corner >> a) & 1
+            weight *= share if upper == 1 else 1.0 - share
+            row = row * count + low - start + upper
+            start += count
+        if weight > 0.0:
+            sinkage += weight * law.table[row, first]
+            pull += weight * law.table[row, first + 1]
+            torque += weight * law.table[row, first + 2]
     return sinkage, pull, torque
 
 

@@ -11,6 +11,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from soil_env._io.loading import ParameterError
+from soil_env.discrepancy.corrected import model_of
 from soil_env.discrepancy.evidence import settle
 from soil_env.discrepancy.instrument import Choice, exact
 from soil_env.discrepancy.next_tests import (
@@ -28,7 +29,6 @@ from soil_env.discrepancy.next_tests import (
 )
 from soil_env.discrepancy.predictive import DEEPEST, predicted, problem_at
 from soil_env.discrepancy.search import ODDS, Finding, Hypothesis
-from soil_env.discrepancy.workflow import model_of
 from soil_env.identification.table.data import CHANNELS
 from soil_env.measurement.setup import Rig, SetupWheel, setup_of
 from tests.discrepancy.tables import NOISE, WHEEL, problem, table
@@ -46,7 +46,7 @@ def rivals(effects, names, seed=1, **plan):
 
 def model(problem, fit):
     """`WheelSoilModel` of a fit, without the warning beyond its table."""
-    return dataclasses.replace(model_of(problem, fit), validity={})
+    return dataclasses.replace(model_of(problem, fit.choices, fit.parameters()), validity={})
 
 
 def with_rig(problem, **rig):

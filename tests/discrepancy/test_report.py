@@ -25,6 +25,7 @@ KEYS = (
     "gap",
     "closed",
     "prediction",
+    "trust",
     "untestable",
     "next_tests",
     "remainder",
@@ -46,11 +47,16 @@ def test_report_json_has_the_keys_of_the_contract(planted_files, nothing):
     tried = {r["name"] for r in content["ranking"]} | {u["name"] for u in content["untestable"]}
     assert tried == set(LISTED) and content["ranking"][0]["name"] == "slip_sinkage"
     assert content["closed_interval"][0] <= content["closed"] <= content["closed_interval"][1]
-    assert report.model.validity == {k: tuple(v) for k, v in content["validity"].items()}
-    left_out = content["prediction"]["left_out"]
-    assert {r["channel"] for r in left_out} == set(CHANNELS)
-    assert all(0.0 < r["all_effects"] < 3.0 * r["noise"] for r in left_out)
-    assert content["prediction"]["summary"] in (folder / "report.html").read_text()
+    assert report.model.validity == {k: tuple(v) for k, v in content["trust"].items()}
+    assert set(content["prediction"]) == {"slip", "load"}
+    for split in content["prediction"].values():
+        assert set(split) == set(CHANNELS)
+        for found in split.values():
+            assert 0.0 < found["corrected"] < 3.0 * found["noise"]
+            assert set(found) == {"base", "corrected", "curve", "noise"}
+    assert content["guess"]["conditions"]["load"] == pytest.approx(440.0)
+    assert "It guesses at slip" in content["foreseen"]
+    assert content["foreseen"] in (folder / "report.html").read_text()
     empty = drawn.content(nothing)
     assert set(KEYS) <= set(empty) and empty["verdict"] == "none" and empty["closed"] is None
     assert empty["effects"] == empty["where"] == [] and empty["probability"]["none"] > 0.5

@@ -10,10 +10,10 @@ import pytest
 
 from soil_env.discrepancy import run
 from soil_env.discrepancy.calibrate import calibrate
+from soil_env.discrepancy.corrected import model_of
 from soil_env.discrepancy.locate import boxes
 from soil_env.discrepancy.next_tests import conditions
 from soil_env.discrepancy.report.pictures import groups
-from soil_env.discrepancy.workflow import model_of
 from soil_env.identification.table.data import WHEEL, folds
 from tests.discrepancy.files import NOISE, SETUP, SLIPS, data_of, world, write_files
 
@@ -128,7 +128,7 @@ def test_a_vertical_load_is_resolved_on_the_grade(tmp_path):
     rms, problem, fit = fitted(tmp_path, hilly(), "load: vertical\n")
     assert rms < 1.2
     assert fitted(tmp_path, hilly())[0] > 5.0
-    model = model_of(problem, fit)
+    model = model_of(problem, fit.choices, fit.parameters())
     assert model.effects == {"grade": {"share": 1.0}}
     assert np.stack(model.predict(problem.data.table)[:3], axis=1) == pytest.approx(
         fit.output, rel=1e-5, abs=1e-6
@@ -148,3 +148,21 @@ def test_a_report_of_two_wheels_on_a_rig_that_is_not_level(tmp_path):
         "grouser height 0 m",
         "grouser height 0.02 m",
     }
+
+
+def test_values_of_little_noise_are_no_outliers_of_a_surface_that_is_off(tmp_path):
+    """Computed values with a missing effect: smooth, and a thousand times nearer to their law than
+    any polynomial comes.
+    """
+    setup = SETUP.split("noise:")[0] + "noise: {sinkage: 1e-6, drawbar_pull: 1e-3, torque: 2e-4}\n"
+    slips = np.linspace(-0.3, 0.6, 14)
+    lines = ["slip,load,sinkage,drawbar_pull,torque"]
+    for load in (60.0, 100.0, 150.0, 220.0):
+        found = world({"slip_sinkage": {"gain": 1.5}}).predict({"slip": slips, "load": load})
+        rows = zip(slips, *found[:3], strict=True)
+        lines += [",".join(f"{x:.9g}" for x in (i, load, *v)) for i, *v in rows]
+    text = "\n".join(lines) + "\n"
+    assert calibrate(data_of(tmp_path, text, setup))[1].used.all()
+    wrong = text.replace(lines[20], lines[20].replace(lines[20].split(",")[3], "90"))
+    used = calibrate(data_of(tmp_path, wrong, setup))[1].used
+    assert np.argwhere(~used).tolist() == [[19, 1]]

@@ -12,7 +12,7 @@ from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.parameters import Noise, Soil, SoilState, load_scenario, soils
 from soil_env.terramechanics.effects import acting_effects, pack_effects
 from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.terramechanics.residual import ResidualTerm
+from soil_env.terramechanics.residual import ResidualTable, ResidualTerm
 from soil_env.terramechanics.steady import Conditions, Rim, steady_with
 from soil_env.terramechanics.traversability import best_working_point_with
 from tests.simulation import wheels as bench
@@ -22,17 +22,17 @@ from tests.terramechanics.cases import ACTING, CASES, EQUATION_10, LUG, RESIDUAL
 SOFT = SoilState(math.tan(math.radians(34.0)), 1500.0, 0.012, 4e5, 0.8, 1.0, 0.5)
 
 
-def model_of(effects, residual=(), soil=None):
-    return WheelSoilModel(WHEEL, soil, effects, residual)
+def model_of(effects, residual=(), soil=None, remainder=None):
+    return WheelSoilModel(WHEEL, soil, effects, residual, remainder=remainder)
 
 
 #: No sensor noise, and a course that is long enough.
 STILL = {"course": {"length": 40.0}, "noise": {f.name: 0.0 for f in dataclasses.fields(Noise)}}
 
 
-def on_uniform_ground(effects, soil, grade, mode="wheel_speed", residual=()):
+def on_uniform_ground(effects, soil, grade, mode="wheel_speed", residual=(), remainder=None):
     """One wheel at rest on one soil and grade, in a world with `effects`, without halts."""
-    model = None if effects is None else model_of(effects, residual)
+    model = None if effects is None else model_of(effects, residual, remainder=remainder)
     return bench.on_uniform_ground(soil, grade, mode, model, **STILL)
 
 
@@ -90,7 +90,23 @@ def test_a_driven_wheel_settles_at_the_steady_state(case):
     assert change > 1e-3 or case == "grade-weight"  # there was something to settle at
 
 
-def test_a_residual_law_acts_as_it_predicts():
+TERMS = (
+    ResidualTerm("drawbar_pull", -0.05, {"load": 1}),
+    ResidualTerm("torque", 0.2, {"load": 1, "speed": 1}),
+    ResidualTerm("sinkage", 0.3, {"sinkage": 1, "slip": 0.5}),
+)
+REMAINDER = ResidualTable(
+    {"slip": (-0.1, 0.05, 0.6), "load": (0.001, 1.0), "speed": (0.0, 0.5)},
+    {
+        "sinkage": "0.01 0.02 0.03 0.04 -0.05 -0.06 -0.07 -0.08 0.03 0.02 0.01 0",
+        "drawbar_pull": "0.1 0.05 0.1 0.05 0.02 0.03 0.04 0.05 -0.1 -0.1 -0.2 -0.2",
+        "torque": "0 0.02 0.05 0.05 0.02 0.03 0.04 0.05 0.1 0.1 0.2 0.2",
+    },
+)
+
+
+@pytest.mark.parametrize("residual, remainder", [(TERMS, None), ((), REMAINDER)])
+def test_a_residual_law_acts_as_it_predicts(residual, remainder):
     """Its groups are those of the undisturbed soil and of the weight, whatever effects are on
     beside it.
     """
@@ -103,21 +119,22 @@ def test_a_residual_law_acts_as_it_predicts():
         dig_gain=1.0,
         dig_recovery=0.5,
     )
-    residual = (
-        ResidualTerm("drawbar_pull", -0.05, {"load": 1}),
-        ResidualTerm("torque", 0.2, {"load": 1, "speed": 1}),
-    )
     effects = {"penetration_rate": {"exponent": 0.4}, "grade": {"share": 1.0}}
-    wheels = on_uniform_ground(effects, soil.state(0.15), math.radians(-3.0), residual=residual)
+    grade = math.radians(-3.0)
+    wheels = on_uniform_ground(
+        effects, soil.state(0.15), grade, residual=residual, remainder=remainder
+    )
     wheels.drive([0.35] * 250)
     w = wheels.now()
     weight = w.mass * wheels.rig.gravity
     conditions = {"slip": w.slip, "load": weight, "speed": w.speed, "grade_deg": -3.0}
+    scale = [0.15, weight, weight * 0.15]
     stated, without = (
-        np.array([p.drawbar_pull[0] / weight, p.torque[0] / weight / 0.15])
-        for p in (model_of(effects, law, soil).predict(conditions) for law in (residual, ()))
+        np.concatenate(model_of(effects, *law, remainder=table).predict(conditions)[:3]) / scale
+        for law, table in (((residual, soil), remainder), (((), soil), None))
     )
-    found = w.drawbar_pull / weight + math.sin(math.radians(3.0)), w.torque / weight / 0.15
+    sunk = wheels.simulation.worlds.observation[0, 1]
+    found = sunk, w.drawbar_pull / weight + math.sin(-grade), w.torque / weight / 0.15
     assert found == pytest.approx(stated, abs=1e-5) and np.all(np.abs(stated - without) > 1e-3)
 
 

@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from soil_env.measurement.table import read_table
 from soil_env.parameters import Soil, soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
-from soil_env.terramechanics.residual import ResidualTerm
+from soil_env.terramechanics.residual import ResidualTable, ResidualTerm
 from soil_env.terramechanics.steady import LEVEL, Conditions, Rim, steady_with
 from soil_env.terramechanics.validity import OutsideValidity
 from tests.refusals import refused
@@ -35,12 +35,17 @@ TERMS = (
     ResidualTerm("drawbar_pull", -0.05, {"load": 1.0, "pass": 1.0}),
     ResidualTerm("torque", 0.02),
 )
+TABLE = ResidualTable(
+    {"slip": (0.0, 1.0)},
+    {"drawbar_pull": "0.1 0.3", "torque_sd": "0 0.1"},
+)
+BY_SPEED = ResidualTable({"speed": (0.0, 1.0)}, {"torque": "0 0.1"})
 MODEL = WheelSoilModel(WHEEL, SOIL, EFFECTS)
 UNIT_WEIGHT = 1600.0 * 9.81
 
 
 def conditions(count=5, **more):
-    return {"slip": np.linspace(0.0, 0.6, count), "load": 90.0, "speed": 0.1} | more
+    return {"slip": np.linspace(0.0, 0.6, count), "load": 90.0, "speed": 0.1, "pass": 1} | more
 
 
 def single(model, slip, load, wheel=WHEEL, conditions=LEVEL):
@@ -185,6 +190,36 @@ def test_wrong_conditions_are_refused_in_one_line(change, message):
     assert re.search(message, refused(lambda: MODEL.predict(given)))
 
 
+def test_a_remainder_is_added_at_the_true_slip_with_its_deviations():
+    at = conditions(slip=np.array([0.1, 0.3]), load=np.array([60.0, 90.0]))
+    bias = {"slip_bias": {"offset": 0.1}}
+    plain, found = (
+        WheelSoilModel(WHEEL, SOIL, bias, remainder=t).predict(at) for t in (None, TABLE)
+    )
+    true = at["slip"] + 0.1
+    assert found.drawbar_pull - plain.drawbar_pull == pytest.approx(at["load"] * (0.1 + 0.2 * true))
+    assert found.sd[:, 2] == pytest.approx(at["load"] * 0.15 * np.array([0.02, 0.04]))
+    assert np.all(np.isnan(plain.sd)) and np.all(found.sinkage == plain.sinkage)
+
+
+@pytest.mark.parametrize(
+    ("model", "name"),
+    [
+        (WheelSoilModel(WHEEL, SOIL, {"multipass": {"hardening": 0.2}}), "pass: .* multipass"),
+        (WheelSoilModel(WHEEL, SOIL, {"penetration_rate": {"exponent": 0.1}}), "speed: .* penetr"),
+        (WheelSoilModel(WHEEL, SOIL, {}, TERMS), "pass: .* the residual law by pass"),
+        (WheelSoilModel(WHEEL, SOIL, {}, remainder=BY_SPEED), "speed: .* the remainder by speed"),
+    ],
+)
+def test_conditions_that_a_term_goes_with_are_asked_for(model, name):
+    at = {"slip": 0.2, "load": 90.0}
+    whole = at | {"pass": 2, "speed": 0.05}
+    assert np.isfinite(model.predict(whole).torque)
+    assert re.search(f"missing {name}", refused(lambda: model.predict(at)))
+    unknown = whole | {name.partition(":")[0]: math.nan}
+    assert re.search(f"missing {name}", refused(lambda: model.predict(unknown)))
+
+
 def test_residual_terms_are_added():
     """z + r 0.01 i^2 (i at most 0.5), DP - W 0.05 N W/(S b r^(n+1)), T + W r 0.02."""
     plain = MODEL.predict(conditions(**{"pass": 2}))
@@ -204,8 +239,9 @@ def test_residual_terms_are_added():
         WheelSoilModel(ModelWheel(0.15, 0.12), SOIL),
         WheelSoilModel(WHEEL, BEKKER, {"slip_bias": {"offset": 1e-7}}),
         WheelSoilModel(WHEEL, SOIL, EFFECTS, TERMS, gravity=1.62, validity={"slip": (0.0, 0.6)}),
+        WheelSoilModel(WHEEL, SOIL, EFFECTS, remainder=TABLE),
     ],
-    ids=["plain", "bekker", "residual"],
+    ids=["plain", "bekker", "residual", "remainder"],
 )
 def test_save_and_load(tmp_path, model):
     path = tmp_path / "model.yaml"

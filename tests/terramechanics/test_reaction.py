@@ -184,7 +184,7 @@ FLAT = reaction.Reaction(160.0, 20.0, 8.0, 1e6, -50.0, 30.0, -7.0, 4.0, 0.0, 0.0
 
 
 def axle(case, v=0.3, u=0.4, bulldozing=0.0, blades=0.0, pull=0.0, torque=0.0, f=FLAT):
-    beside = reaction.ExtraForces(0.0, bulldozing, blades, pull, torque)
+    beside = reaction.ExtraForces(0.0, bulldozing, blades, pull, torque, 0.0)
     return _at_the_axle(f, beside, v, u, *wheel_with(case))
 
 
@@ -233,7 +233,7 @@ def test_effects_at_their_neutral_values_leave_the_base_model():
         assert ground == (
             soil,
             contact.smooth_arc(sinkage, R, 0.0),
-            reaction.ExtraForces(*[0.0] * 5),
+            reaction.ExtraForces(*[0.0] * 6),
         )
         expected = react(ground, v, u, load, plain)
         ground = ground_under(sinkage, v, u, soil, with_code)

@@ -1,19 +1,25 @@
-"""The residual law: terms, their packing, the dimensionless groups, and the ranges that the groups
-are held in.
+"""The residual law: terms and table, their packing, the dimensionless groups, and the ranges that
+the groups are held in.
 """
 
+import itertools
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from soil_env._io.loading import ParameterError
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.residual import (
     CHANNELS,
+    COLUMNS,
     GROUPS,
+    ResidualTable,
     ResidualTerm,
     WorkingPoint,
     dimensionless_groups,
+    interpolated,
     residual_at,
     residual_law,
 )
@@ -36,7 +42,7 @@ def test_groups_by_hand():
     found = dimensionless_groups(point, SOIL, Rim(0.15, 0.12, 0.0, 0.0), 1.62)
     bearing = 8e5 * 0.12 * 0.15**1.8  # S b r^(n+1)
     expected = {
-        "slip": 0.3,
+        "slip": -0.3,
         "grip": 0.7,
         "sinkage": 0.2,
         "load": 90.0 / bearing,
@@ -52,6 +58,60 @@ def test_groups_by_hand():
 def test_groups_are_held_inside_their_range(x, held):
     term = ResidualTerm("torque", 2.0, {"slip": 1.0}, {"slip": [0.2, 0.4], "pass": [5.0, 6.0]})
     assert value([term], (x, *POINT[1:]))[2] == pytest.approx(2.0 * held)
+
+
+def table_of(function, **axes):
+    """A table of (z/r, DP/W, T/(W r)) by a function of the groups, with ten times that as deviations.
+    """
+    nodes = np.array(list(itertools.product(*axes.values())))
+    values = np.array([function(dict(zip(axes, x, strict=True))) for x in nodes])
+    columns = np.concatenate([values, 10.0 * values], axis=1).T
+    text = [" ".join(map(repr, map(float, column))) for column in columns]
+    return ResidualTable(axes, dict(zip(COLUMNS, text, strict=True)))
+
+
+def test_a_table_is_linear_between_its_nodes_and_held_at_its_ends():
+    """Of the slip with its sign, the load and the pass, by a product that is linear in each."""
+
+    def values(at):
+        return (
+            at["slip"] + at["load"],
+            (1.0 + at["slip"]) * (2.0 + at["load"]) * at["pass"],
+            at["pass"],
+        )
+
+    table = table_of(
+        values, slip=(-0.4, -0.1, 0.0, 0.3, 0.6), load=(0.01, 0.02, 0.05), **{"pass": (1.0, 3.0)}
+    )
+    law = residual_law((), table)
+    for slip, load, passes in itertools.product((-0.4, -0.25, 0.1, 0.6), (0.01, 0.03), (1.0, 2.0)):
+        found = interpolated(law, (slip, 0.0, 0.0, load, 0.0, passes, 0.0), 0)
+        expected = values({"slip": slip, "load": load, "pass": passes})
+        assert found == pytest.approx(expected)
+    held = values({"slip": 0.6, "load": 0.05, "pass": 1.0})
+    assert interpolated(law, (0.9, 0.0, 0.0, 0.2, 0.0, 0.0, 0.0), 0) == pytest.approx(held)
+    assert interpolated(law, (0.9, 0.0, 0.0, 0.2, 0.0, 0.0, 0.0), 3) == pytest.approx(
+        [10.0 * x for x in held]
+    )
+    both = residual_law([ResidualTerm("torque", 1.0)], table)
+    assert residual_at(both, POINT)[2] == pytest.approx(1.0 + 2.0)
+    assert interpolated(residual_law(), POINT, 0) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("axes", "values", "message"),
+    [
+        ({"slip": [0.1]}, {}, "at least two numbers, ascending"),
+        ({"slip": [0.1, 0.1]}, {}, "at least two numbers, ascending"),
+        ({"grip": [0.1, 0.2]}, {}, "remainder: axes: unknown key 'grip'"),
+        ({"slip": [0.1, 0.2]}, {"torq": "1 2"}, "did you mean 'torque'"),
+        ({"slip": [0.1, 0.2]}, {"torque": "1 2 3"}, "expected 2 numbers"),
+        ({"slip": [0.1, 0.2]}, {"torque": "1 x"}, "expected 2 numbers"),
+    ],
+)
+def test_wrong_tables_are_refused(axes, values, message):
+    with pytest.raises(ParameterError, match=message):
+        ResidualTable({name: tuple(nodes) for name, nodes in axes.items()}, values)
 
 
 def test_downhill_and_rest():

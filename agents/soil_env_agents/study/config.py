@@ -274,8 +274,7 @@ def _model(path: Path, name: str, scenario: Scenario | None = None) -> dict:
     """Content of a model.yaml that is named in a file: as seen from here, else from beside that
     file.
 
-    Without a scenario, of a fitted model only the named effects: its law without a name belongs to
-    its soil.
+    Without a scenario, of a fitted model only the effects: what they leave belongs to its soil.
     """
     file = Path(name) if Path(name).is_file() else Path(path).parent / name
     model = WheelSoilModel.load(file)

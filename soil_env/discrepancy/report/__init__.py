@@ -114,7 +114,7 @@ def show(report: Report, console: Console) -> None:
         (
             words.conclusion(report),
             sentences.summary(report),
-            sentences.foreseen(report),
+            " ".join((sentences.foreseen(report), sentences.if_laws_err(report))).strip(),
             words.next_step(report),
         )
     )
@@ -139,8 +139,8 @@ def content(report: Report) -> dict[str, Any]:
                     "name": e.name,
                     "form": e.form,
                     "parameters": {k: v._asdict() for k, v in e.parameters.items()},
-                    "in_model": report.model.effects.get(e.name),
                     "probability": e.probability,
+                    "probability_if_laws_err": report.finding.if_laws_err(e.name),
                     "share": e.share,
                     "alternatives": e.alternatives,
                     "explained": words.EXPLAINED[e.name],
@@ -158,13 +158,12 @@ def content(report: Report) -> dict[str, Any]:
             },
             "closed": report.closed,
             "prediction": {
-                "summary": sentences.foreseen(report),
-                "left_out": [
-                    {"conditions": way.what, "channel": name, **errors._asdict()}
-                    for way in report.outlook.left_out
-                    for name, errors in way.errors.items()
-                ],
+                way.split: {name: errors._asdict() for name, errors in way.errors.items()}
+                for way in report.outlook.left_out
             },
+            "foreseen": sentences.foreseen(report),
+            "if_laws_err": sentences.if_laws_err(report),
+            "guess": report.guess and report.guess._asdict(),
             "closed_interval": report.closed_interval,
             "untestable": [{"name": k, "reason": v} for k, v in report.finding.untestable.items()],
             "detectable": {name: d.size for name, d in report.finding.detectable.items()},
@@ -186,7 +185,6 @@ def content(report: Report) -> dict[str, Any]:
                 }
                 for t in report.next_tests
             ],
-            "residual": _law(report, shown),
             "probability": {
                 "none": report.finding.none,
                 "unlisted": report.finding.unlisted,
@@ -210,7 +208,6 @@ def content(report: Report) -> dict[str, Any]:
                 name: v._asdict()
                 | {
                     "known": report.known(name),
-                    "in_model": report.fit.parameters().get(name, v.value),
                 }
                 for name, v in report.soil.items()
             },
@@ -223,7 +220,7 @@ def content(report: Report) -> dict[str, Any]:
             "left_out": [{"row": row, "channel": name} for row, name in report.left_out],
             "check_first": first,
             "cautions": [*first, *sentences.cautions(report)],
-            "validity": {name: list(pair) for name, pair in report.model.validity.items()},
+            "trust": {name: list(pair) for name, pair in report.model.validity.items()},
             "rows": len(report.problem.data.table),
             "settings": vars(report.settings),
             "versions": {
@@ -234,16 +231,3 @@ def content(report: Report) -> dict[str, Any]:
             },
         }
     )
-
-
-def _law(report: Report, shown: list[dict]) -> dict[str, Any] | None:
-    if report.law is None:
-        return None
-    return {
-        "terms": [str(t) for t in report.model.residual],
-        "coefficients": [
-            {"channel": t.channel, "powers": t.powers, "ranges": t.ranges, **c._asdict()}
-            for t, c in zip(report.law.terms, report.law.coefficients(), strict=True)
-        ],
-        **(shown[-1] if report.model.residual else {}),
-    }

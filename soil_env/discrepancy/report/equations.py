@@ -1,19 +1,14 @@
-"""Additions to the model as equations with the fitted numbers: for the terminal, the page and
+"""Named effects as equations with the fitted numbers: for the terminal, the page and
 report.json.
 """
 
-import math
 import re
 from html import escape
 from typing import Any, NamedTuple
 
 from soil_env.discrepancy.instrument import LISTED
-from soil_env.discrepancy.report.sentences import TITLES, UNITS
 from soil_env.discrepancy.result import EffectFound, Report
-from soil_env.discrepancy.symbolic import ResidualFit
-from soil_env.identification.table.data import CHANNELS
 from soil_env.terramechanics.effects.text import fitted, legend, plain, published, used
-from soil_env.terramechanics.residual import LEGEND, formulas, product
 
 _SOIL = {
     "phi": ("friction_angle_deg", "deg"),
@@ -27,7 +22,7 @@ _FUNCTIONS = ("exp", "ln", "sqrt", "tan", "sin", "cos", "tanh", "cot")
 
 
 class Block(NamedTuple):
-    """Addition to the model in equations."""
+    """A named effect in equations."""
 
     heading: str
     equation: list[str]  # as published, in symbols
@@ -46,11 +41,8 @@ class Block(NamedTuple):
 
 
 def blocks(report: Report) -> list[Block]:
-    """Blocks of the named effects, and of the law of something unlisted."""
-    return [
-        *(_of_effect(report, e) for e in report.effects),
-        *([_of_law(report, report.law)] if report.law is not None else []),
-    ]
+    """Blocks of the named effects."""
+    return [_of_effect(report, e) for e in report.effects]
 
 
 def _of_effect(report: Report, e: EffectFound) -> Block:
@@ -93,43 +85,6 @@ def _of_effect(report: Report, e: EffectFound) -> Block:
         where,
         form.source,
     )
-
-
-def _of_law(report: Report, law: ResidualFit) -> Block:
-    terms = report.model.residual
-    numbers = [
-        (
-            f"{plain(t.coefficient)}{product(t.powers)}",
-            (
-                f" in {TITLES[t.channel]}: 95 % interval of the coefficient {plain(c.low)} to "
-                f"{plain(c.high)}"
-            ),
-        )
-        for t, c in zip(terms, law.coefficients(), strict=True)
-    ]
-    where = {}
-    for channel in dict.fromkeys(t.channel for t in terms):
-        j = CHANNELS.index(channel)
-        (unit, scale) = UNITS[channel]
-        added = scale * law.offset[report.problem.used[:, j], j]
-        said = (
-            f"it adds {added.min():.3g} to {added.max():.3g} {unit} of {TITLES[channel]} in this "
-            "table"
-        )
-        numbers.append(("", said))
-        symbol = {"sinkage": "z", "drawbar_pull": "DP", "torque": "T"}[channel]
-        where[f"{symbol}, {symbol}_0"] = f"{TITLES[channel]} with and without the law"
-    for term in terms:
-        for group in term.powers:
-            _, symbol, meaning = LEGEND[group]
-            low, high = term.ranges.get(group, (math.nan, math.nan))
-            seen = f", seen from {low:.3g} to {high:.3g}" if math.isfinite(low) else ""
-            where.setdefault(symbol, meaning + seen)
-    source = (
-        "found by a symbolic search in these data, no published law. Outside the seen ranges each "
-        "group keeps the value of the nearer end."
-    )
-    return Block("a law without a name", list(formulas(terms).values()), [], numbers, where, source)
 
 
 def _number(x: float, unit: str = "", digits: int = 4) -> str:

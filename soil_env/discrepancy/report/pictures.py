@@ -83,7 +83,7 @@ def _with_legend(figure: Figure, axes: np.ndarray, columns: int) -> Figure:
 
 
 def _predicted(report: Report) -> Figure:
-    """Held-out predictions of both models against what was measured."""
+    """Held-out predictions without and with the named effects against what was measured."""
     figure, axes = _columns(report, 3.6)
     for name, ax in zip(report.channels, axes[0], strict=True):
         j = CHANNELS.index(name)
@@ -112,10 +112,10 @@ def _predicted(report: Report) -> Figure:
 
 
 def _both(report: Report, before, after):
-    """(values, colour, label) of each model; the base model alone where nothing was added."""
-    yield before, BEFORE, "base model" if report.corrected else "calibrated model"
-    if report.corrected:
-        yield after, AFTER, "corrected model"
+    """(values, colour, label) of each model; the base model alone where nothing is named."""
+    yield before, BEFORE, "base model"
+    if report.effects:
+        yield after, AFTER, "with the named effects"
 
 
 def groups(report: Report) -> list[tuple[str, np.ndarray]]:
@@ -181,8 +181,11 @@ def _slip(report: Report) -> Figure:
         along = np.array(
             [0.0, at["load"] * math.sin(math.radians(tilt)) * (data.setup.load == "normal"), 0.0]
         )
-        curves = _both(report, report.base_model.predict(at), report.model.predict(at))
-        lines = [(np.stack(p[:3], axis=1) - along, color, text) for p, color, text in curves]
+        base = np.stack(report.base_model.predict(at)[:3], axis=1) - along
+        lines = [
+            (base, BEFORE, "base model"),
+            (report.outlook.model.mean_at(at), AFTER, "corrected model"),
+        ]
         for name, ax in zip(report.channels, line, strict=True):
             j = CHANNELS.index(name)
             scale = UNITS[name][1]

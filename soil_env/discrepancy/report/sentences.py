@@ -14,18 +14,26 @@ from soil_env.discrepancy.instrument import LISTED, exact
 from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.next_tests import NextTest
 from soil_env.discrepancy.result import LEFT, WORSE, Report
-from soil_env.discrepancy.search import NAMED, ODDS, REPORTED, RIG_ODDS, UNLISTED_ODDS, UNNAMED_ODDS
+from soil_env.discrepancy.search import (
+    LAW_ERRORS,
+    NAMED,
+    ODDS,
+    REPORTED,
+    RIG_ODDS,
+    UNLISTED_ODDS,
+    UNNAMED_ODDS,
+)
 from soil_env.discrepancy.unnamed import UNNAMED
 from soil_env.identification.table.data import CHANNELS, WHEEL
 from soil_env.terramechanics.steady import DEEPEST
 from soil_env.terramechanics.validity import in_words
 
+GUESSED = 1.5  # sd of a prediction over those within the table, from which it is a guess
 MENTIONED = 0.05  # least probability of a remainder beside a name that is mentioned
 LITTLE = 0.02  # rise of the probability of the right candidate below which runs would hardly help
 SCATTERED = 1.2  # [noise] scatter of the values that is worth a caution
 FAR = 3.0  # [sd of the setup] from the setup's value at which a soil parameter is worth a caution
 FEW = 6  # conditions below which a table shows hardly any misfit
-OUTSIDE = 0.5  # widths of an effect's interval that the value which predicts best may be off it
 SOIL = {
     "friction_angle_deg": ("friction angle", "deg"),
     "cohesion": ("cohesion c", "Pa"),
@@ -48,16 +56,14 @@ CONDITIONS = {
     "grouser_height": ("grouser height", " m"),
 }
 IN_MODEL = (
-    "Values and intervals allow for errors of the laws; model.yaml, which simulates without them, "
-    "has the values that predict best so."
+    "model.yaml has all effects together, each shrunk to its published size, and a table of what "
+    "they leave: its soil and effects predict best so, and are other than these."
 )
 _MORE = {
     "sinkage": ("deeper", "shallower"),
     "drawbar_pull": ("higher", "lower"),
     "torque": ("higher", "lower"),
 }
-#: Groups of a law without a name, by what they are about.
-_GROUPS = {"grip": "slip", "pass": "pass number"}
 
 
 def figure(x: float) -> str:
@@ -211,9 +217,6 @@ def summary(report: Report) -> str:
         ],
         law_error=figure(100.0 * report.law_error),
         sets=shares,
-        groups=list(
-            dict.fromkeys(_GROUPS.get(g, g) for t in report.model.residual for g in t.powers)
-        ),
         values=int(report.problem.used.sum()),
         worst=max((g.over_noise[0] for g in gap.values()), default=0.0),
         nearest=next((r for r in finding.ranking if r.probability >= REPORTED), None),
@@ -271,13 +274,6 @@ def cautions(report: Report) -> list[str]:
             for rows in (problem.used, problem.data.measured)
         )
         worse_with += [(TITLES[CHANNELS[j]], whole, kept)] if whole > 1.2 * kept else []
-    outside = []
-    for e in report.effects:
-        for name, p in e.parameters.items():
-            value = e.fitted[name]
-            reach = OUTSIDE * (p.high - p.low)
-            if not p.low - reach <= value <= p.high + reach:
-                outside.append((e.name, name, not_tiny(value), p))
     text = render(
         f"{__package__}:cautions.txt",
         **_helpers(),
@@ -296,12 +292,11 @@ def cautions(report: Report) -> list[str]:
         worse_with=worse_with,
         at_bound=bounds,
         off_prior=off_prior,
-        outside=outside,
         buried=int(np.sum(fit.output[:, 0] >= 0.999 * DEEPEST * problem.data.wheel.radius)),
         remains=[
             (TITLES[n], g.over_noise[1])
             for n, g in report.gap.items()
-            if g.after > LEFT * g.noise_floor
+            if report.effects and g.after > LEFT * g.noise_floor
         ],
         height=setup.wheel.grouser_height,
         digging=problem.laws["dig_gain"],
@@ -326,19 +321,31 @@ def _helpers() -> dict[str, object]:
 
 
 def rises(report: Report) -> list[str]:
-    """Channels whose held-out error is larger with the corrected model, in sentences."""
+    """Channels whose held-out error is larger with the named effects, in sentences."""
     return [
         f"The held-out error of {TITLES[name]} rises by {percent(g.after / g.before - 1.0)} with "
         f"{added(report)}."
         for name, g in report.gap.items()
-        if report.corrected and g.after > (1.0 + WORSE) * g.before
+        if report.effects and g.after > (1.0 + WORSE) * g.before
     ]
 
 
 def added(report: Report) -> str:
-    """Names of what the corrected model has beyond the base model."""
-    names = [title(e.name) for e in report.effects]
-    return listed([*names, *(["a law without a name"] if report.model.residual else [])])
+    """Names of the named effects."""
+    return listed(title(e.name) for e in report.effects)
+
+
+def if_laws_err(report: Report) -> str:
+    """The most probable effects, and how probable the first is where the laws err by the most."""
+    ranks = [r for r in report.finding.ranking if r.probability >= MENTIONED][:3]
+    if not ranks:
+        return ""
+    said = listed(f"{title(r.name)} ({sure(r.probability)})" for r in ranks)
+    first = max(report.finding.ranking, key=lambda r: r.if_laws_err[-1])
+    most = f"{title(first.name)} has {percent(first.if_laws_err[-1])}"
+    if first.if_laws_err[-1] < NAMED:
+        most = f"none exceeds {percent(first.if_laws_err[-1])}: then these runs name nothing"
+    return f"Most probable: {said}; if the laws err by {percent(LAW_ERRORS[-1])}, {most}."
 
 
 def foreseen(report: Report) -> str:
@@ -348,10 +355,17 @@ def foreseen(report: Report) -> str:
         over = way.over_noise
         curve = "" if math.isnan(over.curve) else f", a plain curve by {figure(over.curve)}"
         parts.append(
-            f"Leaving {_level(way.what)} out, the base model errs by "
-            f"{figure(over.base_model)} times the noise, all effects together by "
-            f"{figure(over.all_effects)}{curve}."
+            f"Leaving {_level(way.what)} out, the base model errs by {figure(over.base)} times the "
+            f"noise, the corrected one by {figure(over.corrected)}{curve}."
         )
+    guess = report.guess
+    if guess is not None and guess.times > GUESSED:
+        name = "drawbar_pull" if "drawbar_pull" in report.channels else report.channels[0]
+        j = CHANNELS.index(name)
+        unit, scale = UNITS[name]
+        said = f"{figure(scale * guess.mean[j])} ± {figure(scale * guess.sd[j])} {unit}"
+        place = _place(guess.conditions)
+        parts.append(f"It guesses at {place} ({TITLES[name]} {said}): measure there to be surer.")
     return " ".join(parts)
 
 

@@ -20,6 +20,7 @@ from soil_env.discrepancy.report.sentences import (
     title,
 )
 from soil_env.discrepancy.result import Report
+from soil_env.discrepancy.search import LAW_ERRORS
 from soil_env.identification.table.data import CHANNELS
 
 
@@ -32,23 +33,20 @@ def effects(report: Report) -> Table:
         label += "" if e.share is None else f" (closes {percent(e.share)})"
         for name, p in e.parameters.items():
             unit = LISTED[e.name].parameter(name).unit
-            there = figures(e.fitted[name]) if e.name in report.model.effects else "not in it"
             interval = _interval(p) or ("at a bound" if report.is_free(e.name, name) else "set")
-            rows.append((label, name.replace("_", " "), figures(p.value), interval, there, unit))
+            rows.append((label, name.replace("_", " "), figures(p.value), interval, unit))
             label = ""
-    return Table(("effect", "parameter", "value", "95 % interval", "in model.yaml", "unit"), rows)
+    return Table(("effect", "parameter", "value", "95 % interval", "unit"), rows)
 
 
 def soil(report: Report) -> Table:
-    """Soil parameters with their intervals, and those of the corrected model."""
+    """Soil parameters with their intervals."""
     rows = []
-    fitted = report.fit.parameters()
     for name, p in report.soil.items():
         label, unit = SOIL[name]
         origin = _interval(p) or ("given" if report.known(name) else "assumed")
-        there = figures(not_tiny(fitted.get(name, p.value)))
-        rows.append((label, figures(not_tiny(p.value)), origin, there, unit))
-    return Table(("parameter", "value", "95 % interval", "in model.yaml", "unit"), rows)
+        rows.append((label, figures(not_tiny(p.value)), origin, unit))
+    return Table(("parameter", "value", "95 % interval", "unit"), rows)
 
 
 def _interval(p: Interval) -> str:
@@ -57,18 +55,16 @@ def _interval(p: Interval) -> str:
 
 
 def gap(report: Report) -> Table:
-    """Held-out error of each channel; without the column of the corrected model where nothing was
-    added.
-    """
+    """Held-out error of each channel, of the base model and with the named effects."""
     rows: list[tuple[str, ...]] = []
     for name, g in report.gap.items():
         before, after, noise = (amount(name, x, 3) for x in g)
         over = [f"{x:.2f}" for x in g.over_noise]
-        if report.corrected:
+        if report.effects:
             rows.append((TITLES[name], before, after, noise, " -> ".join(over)))
         else:
             rows.append((TITLES[name], before, noise, over[0]))
-    models = ("base model", "corrected") if report.corrected else ("calibrated model",)
+    models = ("base model", "with the name") if report.effects else ("calibrated model",)
     return Table(("channel", *models, "noise", "over the noise"), rows)
 
 
@@ -79,17 +75,18 @@ def left_out(report: Report) -> Table:
         for name, errors in way.errors.items():
             cells = ("-" if math.isnan(x) else amount(name, x, 3) for x in errors)
             rows.append((listed(CONDITIONS[n][0] for n in way.what), TITLES[name], *cells))
-    head = ("left out", "channel", "base model", "all effects", "plain curve", "noise")
+    head = ("left out", "channel", "base model", "corrected", "plain curve", "noise")
     return Table(head, rows)
 
 
 def ranking(report: Report, most: int | None = None) -> Table:
-    """The candidates, the first `most` of them."""
+    """The candidates, the first `most` of them; evidence over the best without a name."""
     rows = [
-        (title(r.name), times(r.score), fixed(r.probability, 3))
+        (title(r.name), times(r.score), *(fixed(p, 3) for p in (r.probability, *r.if_laws_err)))
         for r in report.finding.ranking[:most]
     ]
-    return Table(("effect", "evidence over the best without a name", "probability"), rows)
+    head = ("effect", "evidence", "probability", *(f"laws {percent(x)} off" for x in LAW_ERRORS))
+    return Table(head, rows)
 
 
 def next_runs(report: Report) -> Table:

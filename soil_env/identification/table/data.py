@@ -3,6 +3,7 @@ hold out.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,7 @@ MOST_PRESSURE = 1e7  # [Pa] above which it is
 MOST_FORCE = 5.0  # pull over load, torque over load times radius, beyond which the unit is wrong
 #: Conditions that are compared by their ratio.
 LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width")
+TERMS = ("speed", "pass", "grade_deg")  # conditions that the base law does not know
 WHEEL = ("wheel_radius", "wheel_width", "grouser_height")
 #: Difference below which two values of a condition are one level; relative where it is compared by
 #: its ratio.
@@ -61,7 +63,7 @@ class Data:
     wheel: ModelWheel
     rows: Rows
     y: np.ndarray  # [N, 3] measured, nan where not
-    varied: dict[str, Factor]  # slip first
+    varied: dict[str, Factor]  # by themselves; slip first
     cell: np.ndarray  # [N] int, rows of one cell are repeats
     #: [N, 3] noise of a value over that of its channel; [1, 3] ones where no row has its own.
     relative_sd: np.ndarray
@@ -153,7 +155,9 @@ def prepare(table: Table, setup: Setup) -> Data:
     for name, value in conditions_of(rows).items():
         found = _factor(name, value, name in LOGARITHMIC)
         same = name in WHEEL and any(_one_to_one(found, varied[w]) for w in WHEEL if w in varied)
-        if found.levels > 1 and not same:  # of sizes that change together one stands for the wheel
+        # Of sizes that change together one stands for the wheel. A speed that follows from the
+        # slip, as at one rim speed, is no condition of its own.
+        if found.levels > 1 and not same and not (name in TERMS and _follows(found, varied)):
             varied[name] = found
     if "slip" not in varied:
         raise ParameterError(f"{table.source}: slip: expected at least two different slips")
@@ -166,6 +170,15 @@ def _one_to_one(a: Factor, b: Factor) -> bool:
     """True if the levels of two factors part the rows in the same way."""
     pairs = np.unique(np.stack([a.level, b.level]), axis=1).shape[1]
     return bool(pairs == a.levels == b.levels)
+
+
+def _follows(factor: Factor, others: Mapping[str, Factor]) -> bool:
+    """True if the levels of other factors say that of a factor in every row."""
+    before = np.stack([other.level for other in others.values()])
+    cells, joint = (
+        np.unique(x, axis=1).shape[1] for x in (before, np.vstack([before, factor.level]))
+    )
+    return bool(cells == joint)
 
 
 def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:

@@ -187,9 +187,8 @@ def _without_outliers(
         left, leverage = _surface(basis, e, keep)
         known = keep & (leverage <= ALONE)
         spread = left / np.sqrt(np.maximum(1.0 - leverage, 0.05))
-        scale = sd
-        if sd is None:
-            scale = max(1.4826 * float(np.median(np.abs(spread[keep]))), 1e-12)
+        # Values of little noise leave the surface as it leaves them: that is no outlier.
+        scale = max(1.4826 * float(np.median(np.abs(spread[keep]))), sd or 1e-12)
         far = np.abs(spread) / scale
         if sd is None:
             freedom = int(keep.sum()) - basis.shape[1] - 1
@@ -201,7 +200,7 @@ def _without_outliers(
         keep[worst] = False
     if sd is not None:  # values that a first outlier had masked come back
         left, leverage = _surface(basis, e, keep)
-        keep |= used & (np.abs(left) <= OUTLIER * sd * np.sqrt(1.0 + leverage))
+        keep |= used & (np.abs(left) <= OUTLIER * scale * np.sqrt(1.0 + leverage))
     left = _surface(basis, e, keep)[0] / scale
     for k in np.flatnonzero(used & ~keep):
         others = left[used & (slip == slip[k]) & (np.arange(slip.size) != k)] * np.sign(left[k])

@@ -59,6 +59,7 @@ def _keep_stand(foot, at):
     foot.blades = at.extra.blades
     foot.pull = at.extra.pull
     foot.torque = at.extra.torque
+    foot.unfelt = at.extra.unfelt
 
 
 @njit(**INLINE)
@@ -89,7 +90,7 @@ def _solve_stage(rover, course, ruts, number, h, forced, world):
         axle = rover.axles[a]
         stage = _stage_of(number, h, wheel, foot, rig)
         end = Motion(speed, scratch.found[a].rim, reaction_of(scratch.found[a]), converged)
-        under = Ground(soil_of(foot), foot.sinkage, foot.lift, foot.grade)
+        under = Ground(soil_of(foot), foot.sinkage, foot.lift, foot.unfelt, foot.grade)
         before = wheel.x
         move(wheel, end, stage, under, foot, rig)
         axle.height += (wheel.x - before) * sin_cos(foot.grade)[0]

@@ -166,6 +166,7 @@ def move(wheel, end, stage, ground, drive, rig):
     wheel.speed = end.speed
     wheel.wheel_speed = end.rim / rig.radius
     wheel.grade = ground.grade
+    wheel.unfelt = ground.unfelt
     wheel.load = force.load
     wheel.drawbar_pull = force.drawbar_pull
     wheel.torque = force.torque
@@ -188,7 +189,7 @@ def stand(wheel, stage, ahead, load, world):
     standing = Standing(sinkage, wheel.speed, rim, weight, sine, ahead.passes, load)
     soil, arc, extra = ground_under(standing, ahead.soil, rig, world.acting)
     footing = lay_footing(world.nodes, arc, soil, weight * cosine)
-    ground = Ground(soil, sinkage, extra.lift, ahead.grade)
+    ground = Ground(soil, sinkage, extra.lift, extra.unfelt, ahead.grade)
     return Stand(ground, footing, extra, weight * sine)
 
 

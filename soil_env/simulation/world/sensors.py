@@ -104,7 +104,7 @@ def sense(wheel, reading, normals, sensors, errors, radius):
     """
     zero = wheel.zero[0]
     gain = wheel.gain[0]
-    sinkage = _seen_sinkage(wheel.slip, wheel.sinkage, errors)
+    sinkage = _seen_sinkage(wheel.slip, wheel.sinkage, errors) + wheel.unfelt
     pull = wheel.drawbar_pull
     motor = wheel.motor_torque
     rim = wheel.wheel_speed * radius

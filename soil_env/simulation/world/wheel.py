@@ -38,7 +38,6 @@ from soil_env.terramechanics.effects.grousers import contact_radius, shear_radiu
 from soil_env.terramechanics.effects.slip_sinkage import excavation_rate, onto_fresh
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.reaction import BASE, REST_SPEED, Acting, acting_on
-from soil_env.terramechanics.residual import residual_law
 from soil_env.terramechanics.steady import DEEPEST, Conditions, Point, steady_at
 
 SHALLOWEST = 1e-4  # [radii] least sinkage of a wheel
@@ -74,6 +73,7 @@ WHEEL = record(
     "torque_by_speed",  # dT/dV [N s]
     "torque_by_rim",  # dT/d(r w)
     "bearing_sinkage",  # z_w [m]
+    "unfelt",  # [m] sinkage of a residual law, which is read beyond z
     "motor_work",  # [J] in the last control period
     "soil_work",  # [J] that soil and drivetrain took, T w - DP V, in the last control period
     "numerical_work",  # [J] that the integrator took, in the last control period
@@ -158,6 +158,7 @@ class Ground(NamedTuple):
     soil: SoilState  # as the wheel meets it
     sinkage: float  # [m] that the arc is laid at
     lift: float  # [m] of z_w beyond the depth that carries
+    unfelt: float  # [m] as in `WHEEL`
     grade: float  # [rad]
 
 
@@ -223,7 +224,7 @@ def acting_in(model: WheelSoilModel | None) -> Acting:
     """Effects and residual law of a world that act on its wheels, not on their sensors."""
     if model is None:
         return BASE
-    law = residual_law(model.residual) if model.residual else None
+    law = model.law if model.residual or model.remainder else None
     acting = acting_on(acting_effects(model.numbers), law)
     if acting.effects is None:
         return acting
