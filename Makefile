@@ -70,7 +70,7 @@ kernels: $(BASE_READY)  ## compile what most tests use, once for all test proces
 	$(PY) -m soil_env.cli warmup
 	@touch $(KERNELS_READY)
 
-docs: $(DOCS_READY)  ## build the documentation into site/; a warning is an error
+docs: $(DOCS_READY)  ## execute the notebooks, build the documentation into site/; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 dist: $(TEST_READY)  ## wheel and sdist into dist/
@@ -124,7 +124,7 @@ $(TEST_READY): pyproject.toml constraints.txt $(BASE_READY) $(TORCH_READY)
 	$(PIP) install -q --no-compile -c constraints.txt -e '.[train,export,logs,test,docs]'
 	@touch $(BASE_READY) $(TRAIN_READY) $(DOCS_READY) $@
 
-# The site is made from the sources, none of which is imported: no torch.
-$(DOCS_READY): pyproject.toml constraints.txt | $(PY)
-	$(PIP) install -q --no-compile -c constraints.txt -e '.[docs]'
+# The pages are made from the sources, none of which is imported; the notebooks, executed apart, need torch.
+$(DOCS_READY): pyproject.toml constraints.txt $(BASE_READY) $(TORCH_READY)
+	$(PIP) install -q --no-compile -c constraints.txt -e '.[train,docs]'
 	@touch $@

@@ -4,6 +4,7 @@ the network.
 * `docs/api/` is generated: one page a package, one section a module.
 * A line of a page that begins with "Code:" names functions and classes; each name becomes a link to
   its API entry.
+* The gallery gets the courses finished from docs/results/agents.md.
 * Formulas become MathML. The worker that searches the index is in docs/vendor.
 
 The pages are made from the sources, none of which is imported. The build fails if a heavy module
@@ -42,6 +43,7 @@ _TAG = re.compile(r"\\tag\{(.*?)\}")
 _CODE_LINE = re.compile(r"^Code: .*$", re.MULTILINE)
 _NO_LINK = re.compile(r'<autoref (?![^>]*optional)[^>]*identifier="([^".]*)"[^>]*>(.*?)</autoref>')
 _NAME = re.compile(r"`([\w.]+)`")
+_FINISHED = re.compile(r"^<!-- finished: (\w+) -->$", re.MULTILINE)
 
 
 def on_config(config: dict, **_: object) -> None:
@@ -57,10 +59,11 @@ def on_files(files, *, config: dict, **_: object):
 
 
 def on_page_markdown(markdown: str, page, **_: object) -> str:
-    """Markdown with links in its "Code:" lines."""
-    return _CODE_LINE.sub(
+    """Markdown with links in its "Code:" lines, and with the figures of the gallery."""
+    linked = _CODE_LINE.sub(
         lambda line: _NAME.sub(lambda name: _link(name[1], page.file.src_uri), line[0]), markdown
     )
+    return _FINISHED.sub(lambda asked: finished(asked[1]), linked)
 
 
 def on_page_content(content: str, **_: object) -> str:
@@ -74,6 +77,23 @@ def on_env(env: object, **_: object) -> None:
         raise PluginError(
             f"the build imported {', '.join(imported)}: expected pages made from the sources alone"
         )
+
+
+def finished(scenario: str) -> str:
+    """Table of the courses finished in a scenario by each arm of docs/results/agents.md."""
+    lines = (ROOT / "docs" / "results" / "agents.md").read_text(encoding="utf-8").splitlines()
+    head, _, *rows = [
+        [cell.strip() for cell in line.split("|")[1:-1]] for line in lines if line.startswith("|")
+    ]
+    found = [
+        {"arm": row["arm"], "finished [%]": row["finished [%]"]}
+        for row in (dict(zip(head, cells, strict=True)) for cells in rows)
+        if row["scenario"] == scenario
+    ]
+    if not found:
+        raise PluginError(f"docs/results/agents.md: expected rows of {scenario}, found none")
+    columns = [" | ".join(row[key] for row in found) for key in ("arm", "finished [%]")]
+    return f"| | {columns[0]} |\n|{'---|' * (len(found) + 1)}\n| finished [%] | {columns[1]} |"
 
 
 @cache
