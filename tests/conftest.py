@@ -1,5 +1,6 @@
 """Markers by folder, headless drawing, and fixtures for tests that start other processes."""
 
+import gc
 import os
 import signal
 from pathlib import Path
@@ -31,6 +32,16 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if (TESTS / "benchmarks") in item.path.parents:
             item.add_marker("benchmarks")
+
+
+def pytest_collection():
+    """What is collected stays: the garbage collector does not look through it."""
+    gc.disable()
+
+
+def pytest_collection_finish():
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture()

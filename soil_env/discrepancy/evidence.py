@@ -278,11 +278,19 @@ def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[f
     further = _Further(problem, first, choices)
     one_sided = np.array([u.low >= u.mean for u in further.unknowns])
     of = [np.flatnonzero(np.array(further.owner) == k) for k in range(len(choices))]
+    single = np.array([k.size == 1 for k in of])  # most forms: all at once
+    only = np.concatenate([np.zeros(0, dtype=int), *(k for k in of if k.size == 1)])
+    several = [(column, k) for column, k in enumerate(of) if k.size != 1]
     sizes, log_prior = grid(())
     out = np.empty((len(sizes), len(choices)))
-    for s, (of_law, prior) in enumerate(zip(sizes, log_prior, strict=True)):
+    for row, of_law, prior in zip(out, sizes, log_prior, strict=True):
         log, normal, pull = further.under(of_law)
-        out[s] = [log + prior + _gain(normal[np.ix_(k, k)], pull[k], one_sided[k]) for k in of]
+        x = pull[only]
+        n = 1.0 + normal[only, only]
+        row[single] = np.where(one_sided[only] & (x < 0.0), 0.0, 0.5 * (x * x / n - np.log(n)))
+        for column, k in several:
+            row[column] = _gain(normal[np.ix_(k, k)], pull[k], one_sided[k])
+        row += log + prior
     return [float(logsumexp(column)) for column in out.T]
 
 
@@ -290,10 +298,6 @@ def _gain(normal: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> float:
     """Gain of log evidence by unknowns with unit priors; those that may not be negative stay at 0
     where they would.
     """
-    if pull.size == 1:  # most forms: numbers are quicker than arrays
-        x = float(pull[0])
-        n = 1.0 + float(normal[0, 0])
-        return 0.0 if one_sided[0] and x < 0.0 else 0.5 * (x * x / n - math.log(n))
     while pull.size:
         whole = normal + np.eye(pull.size)
         solved = np.linalg.solve(whole, pull)

@@ -43,15 +43,27 @@ SLOPES = len(forces.Slopes._fields)
 
 
 @kept
-def _react(rows, flow, work, out):
+def _react(rows, flow, sinking, work, out):
+    """With `sinking` (recovery, gain, ln S), each row begins with the sinkage that the one before
+    left.
+    """
+    sinkage = rows[0, 4]
     for k in range(len(rows)):
         row = rows[k]
+        if sinking.size == 0:
+            sinkage = row[4]
         ground = forces.Ground(row[0], row[1], row[2], row[3], flow[0], flow[1], flow[2], flow[3])
-        f = forces.reaction(work[0].slope_nodes[0], ground, row[4], row[5], row[6], row[7], row[8])
+        f = forces.reaction(work[0].slope_nodes[0], ground, sinkage, row[5], row[6], row[7], row[8])
         for i in range(7):
             out[k, 0, i] = f.pull[i]
             out[k, 1, i] = f.torque[i]
             out[k, 2, i] = f.ln_s[i]
+        if sinking.size > 0:
+            row[4] = sinkage
+            travel, slide, step = row[9], row[10], row[11]
+            bearing = sinkage * math.exp((f.ln_s[0] - sinking[2]) / ground.exponent)
+            a = travel + sinking[0] * slide
+            sinkage += step * ((a + sinking[1] * slide) * bearing - a * sinkage)
 
 
 def react(rows, flow=(0.0, 0.0, 0.0, 0.1)):
@@ -60,7 +72,7 @@ def react(rows, flow=(0.0, 0.0, 0.0, 0.1)):
     """
     rows = np.atleast_2d(np.asarray(rows, dtype=float))
     out = np.empty((len(rows), 3, SLOPES))
-    _react(rows, np.array(flow, dtype=float), new_work(), out)
+    _react(rows, np.array(flow, dtype=float), np.zeros(0), new_work(), out)
     return out
 
 
@@ -318,17 +330,20 @@ def driven(soil, slips, scenario, speed=0.2, load=None, substeps=20, sunk=None):
     step = scenario.control.period / substeps
     sinkage = 0.1 * wheel.radius if sunk is None else sunk
     settling = 200 * substeps if sunk is None else substeps
-    ln_S = math.log(soil.sinkage_coefficient)
-    rows = []
+    of = (soil.tan_phi, soil.cohesion, soil.sinkage_exponent, math.log(soil.shear_modulus))
+    steps = []
     for slip in slips:
         travel = speed * (1.0 - slip) if slip >= 0.0 else speed / (1.0 + slip)
-        slide = abs(speed - travel)
-        for _ in range(substeps if rows else settling):
-            (ln_s,) = reactions(soil, sinkage, slip, load, wheel)[2]
-            bearing = sinkage * math.exp((ln_s - ln_S) / soil.sinkage_exponent)
-            a = travel + soil.dig_recovery * slide
-            sinkage += step / length * ((a + soil.dig_gain * slide) * bearing - a * sinkage)
-        ((pull,), (torque,), _) = reactions(soil, sinkage, slip, load, wheel)
+        row = (*of, sinkage, slip, load, wheel.radius, wheel.width, travel, abs(speed - travel))
+        steps += [(*row, step / length)] * (substeps if steps else settling) + [(*row, 0.0)]
+    steps = np.array(steps)
+    out = np.empty((len(steps), 3, SLOPES))
+    law = np.array([soil.dig_recovery, soil.dig_gain, math.log(soil.sinkage_coefficient)])
+    _react(steps, np.array([getattr(soil, n) for n in FLOW_LAW]), law, new_work(), out)
+    rows = []
+    for k in np.flatnonzero(steps[:, -1] == 0.0):
+        sinkage, slip, *_, travel, _, _ = steps[k, 4:].tolist()
+        pull, torque, _ = out[k, :, 0].tolist()
         acceleration = pull / (load / scenario.gravity)
         rows.append(
             SensorReading(

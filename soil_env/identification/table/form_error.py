@@ -313,7 +313,18 @@ def marginals(
             inner = rest[:, seen]
             normal = gram[np.ix_(column, column)] - inner.T @ inner
             pull = pulls[seen]
-            for row in rows[np.all(there == some, axis=1)]:
+            these = rows[np.all(there == some, axis=1)]
+            if np.count_nonzero(some) == 1 and len(these) > 1:  # one decomposition for all
+                values, vectors = np.linalg.eigh(normal)
+                square = scales[these, column[0], None] ** 2
+                n = 1.0 + square * np.maximum(values, 0.0)
+                turned = vectors.T @ pull
+                moved = ((square / n)[:, :, None] * turned).transpose(0, 2, 1) @ turned
+                log[these] = base + 0.5 * (moved[:, 0, 0] - np.sum(np.log(n), axis=1))
+                mean[these] = centre - moved[:, 1:, 0]
+                covariance[these] = narrow + moved[:, 1:, 1:]
+                continue
+            for row in these:
                 d = scales[row, column]
                 factor = _factor(d[:, None] * normal * d)
                 half = _solved(factor, d[:, None] * pull)

@@ -53,7 +53,7 @@ def predict_table(
             factors[rows.wheels[:, 1] == width, -1] *= _factor(setup, width)
     out = np.empty((rows.slip.size, 3))
     # Code is compiled anew for arrays in another order, and for those that nobody may write to.
-    rows = Rows(*(np.require(column, requirements=["C", "W"]) for column in rows))
+    rows = Rows(*(a if a.flags.carray else np.require(a, requirements=["C", "W"]) for a in rows))
     predict_rows(rows, soil, unit_weight, fx, guess, out, factors)
     out[:, 1] -= along
     return out
