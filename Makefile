@@ -32,7 +32,7 @@ DOCS_READY := $(VENV)/.installed-docs
 KERNELS_READY := $(VENV)/.compiled
 
 .DEFAULT_GOAL := help
-.PHONY: help train test checks lint types format environment kernels docs dist results clean
+.PHONY: help train test checks lint types format environment kernels docs serve dist results clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST))
@@ -72,6 +72,9 @@ kernels: $(BASE_READY)  ## compile what most tests use, once for all test proces
 
 docs: $(DOCS_READY)  ## execute the notebooks, build the documentation into site/; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+serve: docs  ## build the site and show it at http://127.0.0.1:8000, without network
+	$(PY) -m http.server --bind 127.0.0.1 --directory site 8000
 
 dist: $(TEST_READY)  ## wheel and sdist into dist/
 	$(PIP) install -q --no-compile -c constraints.txt build

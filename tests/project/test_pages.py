@@ -39,6 +39,7 @@ FENCE = re.compile(
     r"^(?:<!-- not run: (?P<reason>.+?) -->\n)?```(?P<language>\w*)[^\n]*\n(?P<code>.*?)^```",
     re.M | re.S,
 )
+FRAME = str.maketrans("", "", "╭╮╰╯│─")  # of the conclusion, which README shortens
 SECONDS = 300  # a page may take, on a slow machine with nothing compiled
 
 pytestmark = pytest.mark.documents
@@ -54,6 +55,18 @@ def blocks(page: Path, *languages: str) -> list[re.Match]:
         for block in FENCE.finditer(page.read_text(encoding="utf-8"))
         if block["language"] in languages
     ]
+
+
+def printed_below(page: Path, found: list[re.Match], anywhere: bool = False) -> list[str]:
+    """Text blocks that stand right below these blocks, as what they print; `anywhere`: the next."""
+    text = page.read_text(encoding="utf-8")
+    below = (
+        re.compile(r"^```text\n(.*?)^```", re.M | re.S)
+        if anywhere
+        else re.compile(r"\n\n```text\n(.*?)^```", re.M | re.S)
+    )
+    looked = [(below.search if anywhere else below.match)(text, block.end()) for block in found]
+    return [match[1] for match in looked if match]
 
 
 def tables(page: Path) -> dict[str, list[dict[str, str]]]:
@@ -91,6 +104,25 @@ def test_the_python_of_a_page_runs(page, tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]
+    for printed in printed_below(page, blocks(page, "python")):
+        assert printed in done.stdout, done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [ROOT / "README.md", DOCS / "guide" / "discovery.md"], ids=name_of)
+def test_the_discovery_of_a_page(page):
+    """What the command prints, of which the notebook of the same table prints all."""
+    notebooks = pytest.importorskip("mkdocs_notebooks", reason="jupytext is in the extra docs")
+    notebook = notebooks.executed("discover_and_predict")["discover_and_predict"]
+    first = next(cell for cell in notebook.cells if cell.cell_type == "code")
+    said = "".join(output.text for output in first.outputs if output.name == "stdout")
+    command = next(b for b in blocks(page, "sh") if b["code"].startswith("soil-env discover"))
+    assert "examples/data/rig.csv" in command["code"]
+    (printed,) = printed_below(page, [command], anywhere=True)
+    words = " ".join(said.translate(FRAME).split())
+    for part in printed.translate(FRAME).split("[...]"):
+        for paragraph in part.split("\n\n"):
+            assert " ".join(paragraph.split()) in words, paragraph
 
 
 def test_the_ros_node_of_the_page_identifies(monkeypatch):
