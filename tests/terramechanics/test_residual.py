@@ -61,8 +61,7 @@ def test_groups_are_held_inside_their_range(x, held):
 
 
 def table_of(function, **axes):
-    """A table of (z/r, DP/W, T/(W r)) by a function of the groups, with ten times that as deviations.
-    """
+    """A table of (z/r, DP/W, T/(W r)) by a function of the groups, and ten times that as sd."""
     nodes = np.array(list(itertools.product(*axes.values())))
     values = np.array([function(dict(zip(axes, x, strict=True))) for x in nodes])
     columns = np.concatenate([values, 10.0 * values], axis=1).T
