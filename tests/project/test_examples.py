@@ -11,6 +11,10 @@ FOLDER = Path(__file__).resolve().parents[2] / "examples"
 #: Script -> (arguments, pattern of the output, module it needs).
 RUNS = {
     "own_controller": ("", r"^(FINISHED|ENTRAPPED|STALLED|BOGGED) at \d+\.\d m$", "numpy"),
+    "cleanrl_ppo": ("600 8", r"^600 steps: return -?\d+\.\d\d, \d+ % of 8 finished$", "torch"),
+    "sb3_ppo": ("600 8", r"^600 steps: return -?\d+\.\d\d, \d+ % of 8", "stable_baselines3"),
+    "sb3_sac": ("600 8", r"^600 steps: return -?\d+\.\d\d, \d+ % of 8", "stable_baselines3"),
+    "sb3_td3": ("600 8", r"^600 steps: return -?\d+\.\d\d, \d+ % of 8", "stable_baselines3"),
     "record_bag": ("--steps 200", r"200 sets of readings.*\n.*drive: \d\.\de-0[5-9]", "rosbags"),
 }
 
