@@ -1,5 +1,6 @@
 """The report of a result: report.json, the page, its equations, sentences and cautions."""
 
+import copy
 import dataclasses
 import json
 import math
@@ -181,6 +182,17 @@ def test_a_soil_far_from_the_setup_is_a_caution(planted):
             "Cohesion c" in said and f" {far} " in said for said in sentences.cautions(moved)
         )
     assert not any("standard deviations" in said for said in sentences.cautions(planted))
+
+
+def test_lugs_of_which_nothing_is_stated_are_a_caution(planted):
+    """Not taken for 0 nor for any height in silence."""
+    assert not any("grouser_height" in said for said in sentences.cautions(planted))
+    problem = copy.copy(planted.problem)
+    wheel = dataclasses.replace(problem.data.setup.wheel, grouser_height=None)
+    setup = dataclasses.replace(problem.data.setup, wheel=wheel)
+    problem.data = dataclasses.replace(problem.data, setup=setup)
+    said = sentences.cautions(dataclasses.replace(planted, problem=problem))
+    assert any("gives no grouser_height: the base model has a smooth wheel" in x for x in said)
 
 
 def test_digging_of_the_setup_is_no_missing_effect(tmp_path):

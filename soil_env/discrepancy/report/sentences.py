@@ -299,6 +299,8 @@ def cautions(report: Report) -> list[str]:
             if report.effects and g.after > LEFT * g.noise_floor
         ],
         height=setup.wheel.grouser_height,
+        lugs_unknown=setup.wheel.grouser_height is None
+        and bool(np.isnan(problem.data.table.grouser_height).all()),
         digging=problem.laws["dig_gain"],
         unseen=unseen(report),
     )
