@@ -287,11 +287,11 @@ class SoilWheelEnv(CourseEnv):
 
     `model`: a model.yaml (its mapping, or a `WheelSoilModel`): exactly its wheel, on exactly its
     soil, where it has one, with its effects, unknown to identifier and agent. Mass and drive are
-    the scenario's, behind a gear that keeps force and speed of the rim. A residual law acts on
-    drawbar pull and torque. `scatter=True` keeps the wheel of the scenario with the grouser height
-    of the model, and draws soils about that of the model with the scenario's `spread`. Where there
-    is a model, the info of `reset` has `world`: radius, width and grouser height [m], soil,
-    effects, and `scatter`.
+    the scenario's, behind a gear that keeps force and speed of the rim. A residual law, terms or
+    table, acts on drawbar pull and torque, and on the sinkage that is read. `scatter=True` keeps
+    the wheel of the scenario with the grouser height of the model, and draws soils about that of
+    the model with the scenario's `spread`. Where there is a model, the info of `reset` has
+    `world`: radius, width and grouser height [m], soil, effects, and `scatter`.
 
     ## Version history
     * v0: first version. It has not been released, so that laws still change under this number.
