@@ -2,13 +2,13 @@
 
     python sb3_sac.py [STEPS COURSES]
 
-With 60,000 steps, seed 0, in some minutes on two cores:
+With 60,000 steps, seed 0, in eight minutes on one core:
 
-    FIGURE
+    60000 steps: return 3.00, 52 % of 100 finished
 
-With nothing set SAC does not learn to choose a route: docs/guide/training.md says why. Here the
-wrapper `LineAction` gives the choice a number of its own, and `n_steps` lets the critic see its
-outcome. The last four settings save time.
+That is to drive, and not yet to choose a route. The wrapper `LineAction` gives the choice a number
+of its own, and `n_steps` lets the critic see its outcome: docs/guide/training.md. The other
+settings save time.
 """
 
 import sys

@@ -125,6 +125,18 @@ def test_the_discovery_of_a_page(page):
             assert " ".join(paragraph.split()) in words, paragraph
 
 
+def test_the_identification_of_the_page(tmp_path, monkeypatch, unrendered):
+    """The first command of the page prints the table below it."""
+    page = DOCS / "guide" / "identify.md"
+    command = blocks(page, "sh")[0]
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(ROOT / "examples" / "data", tmp_path / "examples" / "data")
+    done = CliRunner().invoke(soil_env, shlex.split(command["code"])[1:])
+    assert done.exit_code == 0, done.output
+    (printed,) = printed_below(page, [command], anywhere=True)
+    assert printed in done.output
+
+
 def test_the_ros_node_of_the_page_identifies(monkeypatch):
     """The node of the online identifier against a stand-in for rclpy, which is not on PyPI."""
     rclpy = mock.MagicMock()
