@@ -476,7 +476,7 @@ def test_runs_equal_a_loop_over_one_wheel(name):
                     for k in (
                         "motor_work",
                         "sinkage",
-                        "x",
+                        "best_x",
                         "slip",
                         "halt_left",
                         "drawbar_pull",
@@ -484,7 +484,7 @@ def test_runs_equal_a_loop_over_one_wheel(name):
                     )
                 ]
             )
-        work, sinkage, x, slip, halt, pull, travel = np.array(rows).T
+        work, sinkage, furthest, slip, halt, pull, travel = np.array(rows).T
         assert got.cause[course] == w.cause[0]
         one = {field: getattr(got, field)[course] for field in FIELDS} | {
             n: got.metric(n)[course] for n in got.names
@@ -493,7 +493,7 @@ def test_runs_equal_a_loop_over_one_wheel(name):
         pulls = (halt == 0.0) & (pull > 0.0) & (work > 0.0)
         expected = {
             "time": 0.1 * len(rows),
-            "distance": max(x.max(), 0.0),
+            "distance": max(furthest.max(), 0.0),
             "energy": np.maximum(work, 0.0).sum(),
             "return": returns,
             "sinkage": 1000.0 * sinkage.mean(),
