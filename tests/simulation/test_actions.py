@@ -57,6 +57,28 @@ def test_halts_take_the_commanded_speed_back_to_zero():
 
 
 @pytest.mark.parametrize("mode", ACTION_PERIODS)
+def test_a_halt_brakes_evenly_and_locks_no_wheel(mode):
+    """The command falls by 0.1 m/s in a period; the rim follows, so it slides little."""
+    sim = simulation(mode, course={"grade_deg": [-1.0, 0.0]})
+    state = sim.worlds.state
+    top = sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
+    braked = 0
+    for _ in range(400):
+        before = float(state["halt_command"][0])
+        halted = state["halt_left"][0] > 0.0
+        sim.step(0, 0.4)
+        if halted:
+            after = float(state["halt_command"][0])
+            assert after == pytest.approx(max(before - 0.1 / top, 0.0))
+            if after > 0.0:
+                braked += 1
+                assert state["slip"][0] > -0.6
+        if sim.worlds.cause[0] != Cause.RUNNING:
+            break
+    assert braked >= 2
+
+
+@pytest.mark.parametrize("mode", ACTION_PERIODS)
 def test_a_held_action_is_the_same_action_over_as_many_periods(mode):
     """Equal to the bit: world, sensors, identifier, warning; rewards are summed, the step ends with
     the episode.
