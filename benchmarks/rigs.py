@@ -69,8 +69,8 @@ TEXT = (
     "continuum, `flow, CMU` those chosen on both wheels of that rig: with them soils from driving "
     "rows predict its rows best; `flow, presets` has those of the presets of soils, whose "
     "K does not grow. What counts are the rows of the other rig. The angle from which soil rises "
-    "along a locked rim was chosen on the two locked wheels here. On the particles soil "
-    "that flows is worse; friction and exponent are at their bounds there already with Eq. (10)."
+    "along a locked rim and the peak's shift were set by hand on the CMU wheels. On the particles "
+    "soil that flows is worse; friction and exponent are at their bounds there already with Eq. (10)."
 )
 STARTS = tuple((phi, math.log(k)) for phi in (28.0, 38.0) for k in (0.05, 0.2))
 

@@ -477,6 +477,7 @@ def test_runs_equal_a_loop_over_one_wheel(name):
                         "motor_work",
                         "sinkage",
                         "best_x",
+                        "x",
                         "slip",
                         "halt_left",
                         "drawbar_pull",
@@ -484,7 +485,9 @@ def test_runs_equal_a_loop_over_one_wheel(name):
                     )
                 ]
             )
-        work, sinkage, furthest, slip, halt, pull, travel = np.array(rows).T
+        work, sinkage, furthest, x, slip, halt, pull, travel = np.array(rows).T
+        # furthest within a period, from which a braked wheel may roll back by its end
+        assert 0.0 <= furthest.max() - max(x.max(), 0.0) < 1e-3
         assert got.cause[course] == w.cause[0]
         one = {field: getattr(got, field)[course] for field in FIELDS} | {
             n: got.metric(n)[course] for n in got.names

@@ -146,6 +146,16 @@ def test_power_is_lost_and_a_locked_wheel_is_not_pushed_forward(soil, slip):
     assert locked.drawbar_pull < 0.0 or not locked.supported
 
 
+@pytest.mark.parametrize("name", sorted(soils()))
+def test_a_locked_wheel_is_dragged_and_held_by_its_brake(name):
+    """Pull backward, and a torque that would turn the wheel forward while its axle is above the
+    ground.
+    """
+    locked = steady_state(-1.0, LOAD, soils()[name].state(R), R, R)
+    assert locked.drawbar_pull < 0.0
+    assert locked.torque < 0.0 or locked.sinkage > R
+
+
 @settings(max_examples=200, deadline=None)
 @given(
     rim=st.floats(-1.0, 1.0),
