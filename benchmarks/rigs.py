@@ -70,7 +70,8 @@ TEXT = (
     "rows predict its rows best; `flow, presets` has those of the presets of soils, whose "
     "K does not grow. What counts are the rows of the other rig. The angle from which soil rises "
     "along a locked rim and the peak's shift were set by hand on the CMU wheels. On the particles "
-    "soil that flows is worse; friction and exponent are at their bounds there already with Eq. (10)."
+    "soil that flows is worse; friction and exponent are at their bounds there already with "
+    "Eq. (10)."
 )
 STARTS = tuple((phi, math.log(k)) for phi in (28.0, 38.0) for k in (0.05, 0.2))
 
