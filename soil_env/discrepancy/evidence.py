@@ -148,9 +148,11 @@ def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
     )
     total = float(logsumexp(log))
     laws = np.array([s.law for s in sizes])
-    of_size = logsumexp(log.reshape(len(scales), -1), axis=0) - total
+    # On short arrays a tenth of the time of `logsumexp`.
+    log_sum = np.logaddexp.reduce
+    of_size = log_sum(log.reshape(len(scales), -1), axis=0) - total
     by_law = {
-        float(x): float(logsumexp(of_size[laws == x]) - logsumexp(log_prior[laws == x]))
+        float(x): float(log_sum(of_size[laws == x]) - log_sum(log_prior[laws == x]))
         for x in np.unique(laws)
     }
     share = np.exp(log - total)

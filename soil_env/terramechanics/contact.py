@@ -579,13 +579,8 @@ def _split_integrals(nodes, p, motion, K, law):
 
 
 @njit(**SUMS)
-def shear_integrals(nodes, p, motion, K, law, split):
-    """`ArcIntegrals` of the nodes of `lay_nodes` at a `motion` (rim, travel); stores de/dj at each
-    node.
-
-    `p`: (Int p cos, Int p sin). With `split` an arc in which the shear turns has nodes of its own,
-    since de/dj has a kink there.
-    """
+def _integrals_under(nodes, p, motion, K, law, split):
+    """`shear_integrals` under one `law`."""
     nodes.turned = 0
     if split:
         turn = turning_angle(nodes, motion[0], motion[1])
@@ -593,6 +588,22 @@ def shear_integrals(nodes, p, motion, K, law, split):
             nodes.turned = 1
             return _split_integrals(nodes, p, (motion[0], motion[1], turn), K, law)
     return _shear_sums(nodes, NODES, p, motion, K, law)
+
+
+@njit(**EXACT)
+def shear_integrals(nodes, p, motion, K, law, split):
+    """`ArcIntegrals` of the nodes of `lay_nodes` at a `motion` (rim, travel); stores de/dj at each
+    node.
+
+    `p`: (Int p cos, Int p sin). With `split` an arc in which the shear turns has nodes of its own,
+    since de/dj has a kink there. `law`: a `ShearLaw`, or None for Eq. (10).
+    """
+    if law is None:
+        return _integrals_under(nodes, p, motion, K, None, split)
+    else:
+        if law.b == 0.0 and law.c == 0.0:  # Eq. (10), which takes half the time
+            return _integrals_under(nodes, p, motion, K, None, split)
+        return _integrals_under(nodes, p, motion, K, law, split)
 
 
 @njit(**SUMS)

@@ -37,7 +37,6 @@ from soil_env.parameters.wheel import OnTyre, refuse_lugs_on_tyre
 from soil_env.slip import slips_of_radius
 from soil_env.terramechanics.effects import CATALOGUE, Effects, pack_effects
 from soil_env.terramechanics.residual import (
-    ResidualLaw,
     ResidualTable,
     ResidualTerm,
     WorkingPoint,
@@ -155,8 +154,8 @@ class WheelSoilModel(Checked):
         return pack_effects(self.effects)
 
     @property
-    def law(self) -> ResidualLaw:
-        """Residual terms and remainder as compiled code takes them."""
+    def law(self) -> np.record:
+        """Residual terms and remainder as compiled code takes them, a record `RESIDUAL`."""
         return residual_law(self.residual, self.remainder)
 
     @property
@@ -396,7 +395,7 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
 
 @kept
 def _residual_of(law, rows, felt, soil, gravity, out, sd):
-    """Fill what a `ResidualLaw` adds to rows of true slips at the sinkages `felt` [N], and its
+    """Fill what a `RESIDUAL` adds to rows of true slips at the sinkages `felt` [N], and its
     standard deviations [N, 3].
     """
     for k in range(rows.slip.size):

@@ -7,12 +7,13 @@ any two speeds.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
 from numba import njit
 
 from soil_env._compiled.elementary import smoothed_sign
-from soil_env._compiled.flags import EXACT, INLINE
+from soil_env._compiled.flags import EXACT, INLINE, record, uncompiled
 from soil_env.slip import braked_share, signed_slip, slip_ratio
 from soil_env.terramechanics.contact import (
     LEAST_BEARING,
@@ -32,6 +33,7 @@ from soil_env.terramechanics.contact import (
     shear_rates,
 )
 from soil_env.terramechanics.effects import (
+    NO_EFFECTS,
     Effects,
     Passage,
     drive_friction,
@@ -39,13 +41,13 @@ from soil_env.terramechanics.effects import (
     soil_in_contact,
     soil_resistance,
 )
-from soil_env.terramechanics.effects.shear_softening import shear_law, shear_length_ratio
+from soil_env.terramechanics.effects.shear_softening import mobilisation, shear_length_ratio
 from soil_env.terramechanics.effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
 from soil_env.terramechanics.residual import (
-    ResidualLaw,
     WorkingPoint,
     dimensionless_groups,
     residual_at,
+    residual_law,
 )
 from soil_env.terramechanics.steady import LEAST_DIGGING, arc_of
 
@@ -53,14 +55,18 @@ from soil_env.terramechanics.steady import LEAST_DIGGING, arc_of
 REST_SPEED = 0.001
 
 
+#: `Effects` of a world: compiled functions hand on the address of a record, and copy a tuple.
+EFFECTS = record(*NO_EFFECTS._fields)
+
+
 class Acting(NamedTuple):
     """What acts between wheel and soil beside the base model; None where nothing does, which
-    compiles to no code.
+    compiles to no code. Where anything does, all three are there.
     """
 
-    effects: Effects | None
+    effects: Any  # `EFFECTS` or None
     law: ShearLaw | None  # None: Janosi & Hanamoto, Eq. (10)
-    residual: ResidualLaw | None
+    residual: Any  # `RESIDUAL` or None
 
 
 #: The base model of Eqs. (1)-(10).
@@ -124,10 +130,14 @@ class Reaction(NamedTuple):
 NO_REACTION = Reaction(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def acting_on(effects: Effects | None, residual: ResidualLaw | None) -> Acting:
-    """Pack effects and a residual law; `Acting.law` is None unless the strength has a peak."""
-    law = None if effects is None else shear_law(effects)
-    return Acting(effects, law, residual)
+def acting_on(effects: Effects | None, residual: np.record | None = None) -> Acting:
+    """Pack effects and a residual law."""
+    if effects is None and residual is None:
+        return BASE
+    effects = NO_EFFECTS if effects is None else effects
+    packed = np.array(effects, EFFECTS)[()]
+    law = uncompiled(mobilisation)(effects)
+    return Acting(packed, law, residual_law() if residual is None else residual)
 
 
 @njit(**INLINE)
@@ -273,6 +283,8 @@ def _residual_of(at, slip, soil, wheel, residual):
     """
     if residual is None:
         return 0.0, 0.0, 0.0
+    elif residual.terms + residual.axes == 0:
+        return 0.0, 0.0, 0.0
     else:
         point = WorkingPoint(slip, at.sinkage, at.weight, abs(at.speed), at.passes, at.sin_grade)
         groups = dimensionless_groups(point, soil, wheel, wheel.gravity)
@@ -287,23 +299,14 @@ def reaction(nodes, footing, speed, rim_speed, wheel, extra, acting):
     drivetrain.
     """
     f = soil_reaction(nodes, footing, speed, wheel.rim_ratio * rim_speed, wheel, acting.law)
-    return _at_the_axle(f, extra, speed, rim_speed, wheel, acting.effects, acting.residual)
+    return _at_the_axle(f, extra, speed, rim_speed, wheel, acting.effects)
 
 
 @njit(**EXACT)
-def _with_residual(f, extra, residual):
-    """`Reaction` f with the forces of a residual law."""
-    if residual is None:
-        return f
-    else:
-        return Reaction(f.load, f.drawbar_pull + extra.pull, f.torque + extra.torque, *f[3:])
-
-
-@njit(**EXACT)
-def _at_the_axle(f, extra, speed, rim_speed, wheel, fx, residual):
+def _at_the_axle(f, extra, speed, rim_speed, wheel, fx):
     """`Reaction` f at the shear radius as one at the axle."""
     if fx is None:
-        return _with_residual(f, extra, residual)
+        return f
     else:
         p = wheel.rim_ratio
         q = wheel.shear_ratio

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from soil_env._compiled.elementary import power
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import EXACT, record
 from soil_env._io.loading import Checked, ParameterError, quantity, unknown_key
 from soil_env.terramechanics.effects.entry import CHANNELS, Channel
 
@@ -25,6 +25,8 @@ from soil_env.terramechanics.effects.entry import CHANNELS, Channel
 GROUPS = ("slip", "grip", "sinkage", "load", "speed", "pass", "grade")
 COLUMNS = (*CHANNELS, *(f"{name}_sd" for name in CHANNELS))  # of a table
 AXES = ("slip", "load", "speed", "pass", "grade")  # groups that a table may go over
+MOST_TERMS = 32  # of a residual law
+MOST_NODES = 4096  # of a table, of all axes together and of all their combinations
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,11 @@ class ResidualTable(Checked):
                     f"remainder: axes: {group} = {list(nodes)[:4]}: expected at least two numbers, "
                     "ascending"
                 )
+        count = math.prod(map(len, self.axes.values()))
+        if not 2 <= count <= MOST_NODES:
+            raise ParameterError(
+                f"remainder: axes: {count} combinations of nodes: expected 2 to {MOST_NODES}"
+            )
         for name in self.values:
             if name not in COLUMNS:
                 raise unknown_key(name, COLUMNS, "remainder: values")
@@ -108,44 +115,49 @@ class ResidualTable(Checked):
         return out
 
 
-class ResidualLaw(NamedTuple):
-    """Terms and a table as compiled code takes them."""
-
-    channel: np.ndarray  # [T] index into CHANNELS
-    coefficient: np.ndarray  # [T]
-    powers: np.ndarray  # [T, 7]
-    low: np.ndarray  # [T, 7] range of the groups
-    high: np.ndarray  # [T, 7]
-    axis: np.ndarray  # [A] index into GROUPS of each axis of the table
-    count: np.ndarray  # [A] its nodes
-    nodes: np.ndarray  # of all axes, one after the other
-    table: np.ndarray  # [nodes, 6] by `COLUMNS`; none without a table
+#: Terms and a table as compiled code takes them, `RESIDUAL` [()], in their first places.
+RESIDUAL = record(
+    terms=("i8",),
+    axes=("i8",),  # of the table; 0 without one
+    channel=("i8", MOST_TERMS),  # index into CHANNELS
+    coefficient=("f8", MOST_TERMS),
+    powers=("f8", (MOST_TERMS, len(GROUPS))),
+    low=("f8", (MOST_TERMS, len(GROUPS))),  # range of the groups
+    high=("f8", (MOST_TERMS, len(GROUPS))),
+    axis=("i8", len(AXES)),  # index into GROUPS of each axis
+    count=("i8", len(AXES)),  # its nodes
+    nodes=("f8", MOST_NODES),  # of all axes, one after the other
+    table=("f8", (MOST_NODES, len(COLUMNS))),
+)
 
 
 def residual_law(
     terms: Sequence[ResidualTerm] = (), table: ResidualTable | None = None
-) -> ResidualLaw:
-    """Pack terms and a table for compiled code."""
-    count = len(terms)
-    axes = {} if table is None else table.axes
-    law = ResidualLaw(
-        np.array([CHANNELS.index(t.channel) for t in terms], dtype=np.int64),
-        np.array([t.coefficient for t in terms], dtype=float),
-        np.zeros((count, len(GROUPS))),
-        np.full((count, len(GROUPS)), -np.inf),
-        np.full((count, len(GROUPS)), np.inf),
-        np.array([GROUPS.index(name) for name in axes], dtype=np.int64),
-        np.array([len(nodes) for nodes in axes.values()], dtype=np.int64),
-        np.array([x for nodes in axes.values() for x in nodes], dtype=float),
-        np.zeros((0, len(COLUMNS))) if table is None else table.columns,
-    )
+) -> np.record:
+    """Pack terms and a table as a record `RESIDUAL`; `ParameterError` where there are too many."""
+    if len(terms) > MOST_TERMS:
+        raise ParameterError(f"residual: {len(terms)} terms: expected at most {MOST_TERMS}")
+    packed = np.zeros(1, RESIDUAL)[0]
+    packed.terms = len(terms)
+    packed.high[:] = np.inf
+    packed.low[:] = -np.inf
     for k, term in enumerate(terms):
+        packed.channel[k] = CHANNELS.index(term.channel)
+        packed.coefficient[k] = term.coefficient
         for group, p in term.powers.items():
-            law.powers[k, GROUPS.index(group)] = p
+            packed.powers[k, GROUPS.index(group)] = p
         for group, (low, high) in term.ranges.items():
-            law.low[k, GROUPS.index(group)] = low
-            law.high[k, GROUPS.index(group)] = high
-    return law
+            packed.low[k, GROUPS.index(group)] = low
+            packed.high[k, GROUPS.index(group)] = high
+    if table is not None:
+        packed.axes = len(table.axes)
+        packed.axis[: packed.axes] = [GROUPS.index(name) for name in table.axes]
+        packed.count[: packed.axes] = [len(nodes) for nodes in table.axes.values()]
+        nodes = np.concatenate([np.asarray(nodes) for nodes in table.axes.values()])
+        packed.nodes[: nodes.size] = nodes
+        columns = table.columns
+        packed.table[: len(columns)] = columns
+    return packed
 
 
 class WorkingPoint(NamedTuple):
@@ -180,7 +192,7 @@ def dimensionless_groups(at, soil, wheel, gravity):
 def residual_at(law, groups):
     """Terms and table for (sinkage / r, drawbar pull / W, torque / (W r)) at `groups`."""
     sinkage, pull, torque = interpolated(law, groups, 0)
-    for k in range(law.coefficient.size):
+    for k in range(law.terms):
         value = law.coefficient[k]
         for g in range(len(groups)):
             p = law.powers[k, g]
@@ -204,8 +216,8 @@ def interpolated(law, groups, first):
     sinkage = 0.0
     pull = 0.0
     torque = 0.0
-    axes = law.axis.size
-    corners = 1 << axes if law.table.shape[0] > 0 else 0
+    axes = law.axes
+    corners = 1 << axes if axes > 0 else 0
     for corner in range(corners):
         weight = 1.0
         row = 0

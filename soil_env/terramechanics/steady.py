@@ -270,8 +270,6 @@ def _integrals(nodes, arc, p, fx):
     if fx is None:
         return shear_integrals(nodes, stress, motion, modulus, None, flows)
     else:
-        if p.law.b == 0.0 and p.law.c == 0.0:  # Eq. (10), which takes half the time
-            return shear_integrals(nodes, stress, motion, modulus, None, flows)
         return shear_integrals(nodes, stress, motion, modulus, p.law, flows)
 
 

@@ -66,10 +66,20 @@ def test_a_course_drawn_piece_by_piece_is_that_drawn_at_once(seed, name):
 
 def test_a_start_takes_a_few_patches_however_long_the_course():
     counts = set()
-    for metres in (10.0, 100.0, 1000.0):
+    for metres in (5.0, 15.0, 40.0):
         scenario = load_scenario("mixed", {"course": {"length": metres}})
         counts.add(course(3, scenario, whole=False).count)
     assert len(counts) == 1 and max(counts) <= 3
+
+
+def test_a_course_has_room_for_its_whole_length():
+    """Beyond 100 m, too, which needs compiled code of its own."""
+    scenario = load_scenario("mixed", {"course": {"length": 1000.0}})
+    room = terrain.new_courses(1, scenario).dtype
+    spec = scenario.course
+    for pieces, length in (("patches", spec.patch_length), ("slopes", spec.slope_length)):
+        assert room[pieces].shape[0] * length[0] >= 1000.0 + length[1]
+    assert room["cells"].shape[0] * terrain.CELL >= 1000.0
 
 
 def test_ground_up_to_ready_is_final():

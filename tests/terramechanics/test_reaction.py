@@ -58,7 +58,7 @@ def _react(nodes, ground, v, u, load, rig, acting):
 @njit
 def _at_the_axle(f, beside, v, u, rig, acting):
     wheel = rig[0]
-    return reaction._at_the_axle(f, beside, v, u, wheel, acting.effects, acting.residual)
+    return reaction._at_the_axle(f, beside, v, u, wheel, acting.effects)
 
 
 def wheel_with(case):
@@ -223,7 +223,7 @@ def test_effects_at_their_neutral_values_leave_the_base_model():
     """The code for effects and that without them agree."""
     soil = soils()["lete_sand"].state(R)._replace(**EQUATION_10)
     plain = wheel_with("none")
-    with_code = plain[0], reaction.Acting(NO_EFFECTS, None, residual_law(()))
+    with_code = plain[0], reaction.acting_on(NO_EFFECTS)
     rng = np.random.default_rng(3)
     for _ in range(50):
         v, u = motion(rng)

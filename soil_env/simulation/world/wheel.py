@@ -33,7 +33,7 @@ from soil_env.simulation.world.terrain import (
 )
 from soil_env.slip import slip_ratio
 from soil_env.terramechanics.contact import layered_depth
-from soil_env.terramechanics.effects import NO_EFFECTS, acting_effects
+from soil_env.terramechanics.effects import acting_effects
 from soil_env.terramechanics.effects.grousers import contact_radius, shear_radius_ratio
 from soil_env.terramechanics.effects.slip_sinkage import excavation_rate, onto_fresh
 from soil_env.terramechanics.model import WheelSoilModel
@@ -178,10 +178,6 @@ class Path(NamedTuple):
     duration: float  # [s]
 
 
-#: `Effects` of a world: compiled functions hand on the address of a record, and copy a tuple.
-EFFECTS = record(*NO_EFFECTS._fields)
-
-
 def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarray:
     """Pack the constants of a scenario, `RIG` [1]; `model` gives lugs and effects."""
     w = scenario.wheel
@@ -225,10 +221,7 @@ def acting_in(model: WheelSoilModel | None) -> Acting:
     if model is None:
         return BASE
     law = model.law if model.residual or model.remainder else None
-    acting = acting_on(acting_effects(model.numbers), law)
-    if acting.effects is None:
-        return acting
-    return acting._replace(effects=np.array(acting.effects, EFFECTS)[()])
+    return acting_on(acting_effects(model.numbers), law)
 
 
 @njit(**INLINE)

@@ -1,10 +1,8 @@
 """Shear softening: strength with a peak and a residual."""
 
-from typing import Any
-
 from numba import njit
 
-from soil_env._compiled.flags import EXACT, uncompiled
+from soil_env._compiled.flags import EXACT
 from soil_env.terramechanics.contact import ShearLaw
 from soil_env.terramechanics.effects.entry import (
     PULL,
@@ -53,15 +51,6 @@ def shear_length_ratio(fx):
     if s >= 1.0 and fx.shear_softening_slope_kept > 0.0:
         return 4.0 * s / (1.0 + s)
     return 1.0
-
-
-def shear_law(fx: Any) -> ShearLaw | None:
-    """`mobilisation` of a world: None unless the strength has a peak or falls, which leaves its
-    code out.
-    """
-    if fx is None or (fx.shear_softening_sharpness < 1.0 and fx.shear_softening_drop == 0.0):
-        return None
-    return uncompiled(mobilisation)(fx)
 
 
 def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
