@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 
@@ -53,15 +54,42 @@ COMPILED = ["2.0", "0", "1"]
 LOADED = ["2.0", "1", "0"]
 
 
-@pytest.fixture()
-def start(tmp_path):
-    """A function that starts a process which calls the function of a new module."""
-    (tmp_path / "kernel_of_a_test.py").write_text(MODULE)
+@pytest.fixture(scope="module")
+def module(tmp_path_factory):
+    """Folder of a module with a function that is compiled."""
+    folder = tmp_path_factory.mktemp("module")
+    (folder / "kernel_of_a_test.py").write_text(MODULE)
+    return folder
+
+
+def environment(module, cached):
+    """Variables of a process that imports the module and keeps compiled code in `cached`."""
     own = {
-        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
-        "PYTHONPATH": os.pathsep.join([str(tmp_path), PYTHONPATH]),
+        "NUMBA_CACHE_DIR": str(cached),
+        "PYTHONPATH": os.pathsep.join([str(module), PYTHONPATH]),
     }
-    env = {k: v for k, v in os.environ.items() if k != "PYTEST_CURRENT_TEST"} | own
+    return {k: v for k, v in os.environ.items() if k != "PYTEST_CURRENT_TEST"} | own
+
+
+@pytest.fixture(scope="module")
+def compiled(module, tmp_path_factory):
+    """Folder of the code that a first process has compiled."""
+    folder = tmp_path_factory.mktemp("compiled")
+    env = environment(module, folder)
+    subprocess.run([sys.executable, "-c", CALL], env=env, check=True, capture_output=True)
+    return folder
+
+
+@pytest.fixture()
+def kept(compiled, tmp_path):
+    """A copy of that code, where `call` finds it."""
+    return shutil.copytree(compiled, tmp_path / "cache")
+
+
+@pytest.fixture()
+def start(module, tmp_path):
+    """A function that starts a process which calls the function of the module."""
+    env = environment(module, tmp_path / "cache")
 
     def start(code=CALL, stderr=subprocess.PIPE):
         command = [sys.executable, "-c", code]
@@ -87,8 +115,7 @@ def test_a_second_process_loads_what_the_first_has_compiled(call):
     assert call() == (LOADED, [])
 
 
-def test_a_further_version_announces_its_compilation(call):
-    call()
+def test_a_further_version_announces_its_compilation(call, kept):
     result, said = call(CALL + "f(1)\n")
     assert result == LOADED and len(said) == 1 and "compiling kernel_of_a_test.f " in said[0]
 
@@ -100,9 +127,8 @@ def half(content):
 
 @pytest.mark.parametrize("kind", ["nbc", "nbi"])
 @pytest.mark.parametrize("damage", [half, lambda content: b"\xff" * len(content)])
-def test_damaged_code_is_dropped_and_compiled_anew(call, tmp_path, kind, damage):
-    call()
-    (file,) = (tmp_path / "cache").rglob(f"*.{kind}")
+def test_damaged_code_is_dropped_and_compiled_anew(call, kept, kind, damage):
+    (file,) = kept.rglob(f"*.{kind}")
     file.write_bytes(damage(file.read_bytes()))
     result, said = call()
     assert result == COMPILED and sum("damaged" in line for line in said) == 1
@@ -129,9 +155,8 @@ def nested(file):
 
 
 @pytest.mark.parametrize("damage", [unloadable, unreadable, nested])
-def test_files_that_cannot_be_loaded_are_dropped_once(call, tmp_path, damage):
-    call()
-    (file,) = (tmp_path / "cache").rglob("*.nbc")
+def test_files_that_cannot_be_loaded_are_dropped_once(call, kept, damage):
+    (file,) = kept.rglob("*.nbc")
     damage(file)
     result, said = call()
     assert result == COMPILED and sum("damaged" in line for line in said) == 1
@@ -196,7 +221,7 @@ def outer(x):
 """
 
 
-SHOWN = "from soil_env._compiled import cache\ncache.PACE = 0.001\n"
+SHOWN = "from soil_env._compiled import cache\ncache.PACE = 0.05\n"
 
 
 def test_functions_that_a_function_calls_are_counted_once():
