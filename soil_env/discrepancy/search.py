@@ -53,7 +53,10 @@ ALIKE = 0.17
 #: 2017, Bayesian Anal. 12:1069-1103). Chosen on the development seed 136101 of
 #: `benchmarks.discovery`; between 1 and 2.5 hardly a share of its answers moves.
 TEMPERATURE = 1.75
-NAMED = 0.5  # probability from which a hypothesis, or a name, is stated
+NAMED = 0.5  # probability from which a hypothesis, or a name, is given
+#: Probability from which a name is sure, where the laws err by the largest of `LAW_ERRORS`; below
+#: it is likely.
+SURE = 0.8
 LAW_ERRORS = (0.03, 0.1)  # of the base law, for which probabilities are given beside these
 REPORTED = 0.05  # least probability of an alternative
 _FIRST = 8  # single effects, the best, beside which a second one is sought
@@ -144,6 +147,10 @@ class Finding:
         """Probabilities that an effect is missing where the laws err by `LAW_ERRORS`."""
         with_it = [h.if_laws_err for h in self.hypotheses if name in h.names]
         return tuple(map(sum, zip(*with_it, strict=True)))
+
+    def is_sure(self, name: str) -> bool:
+        """True if an effect is sure to be missing, and not only likely."""
+        return self.if_laws_err(name)[-1] >= SURE
 
     @property
     def none(self) -> float:

@@ -68,6 +68,21 @@ def test_a_misfit_without_a_name_is_no_agreement(nothing):
     assert "agrees" in words.conclusion(nothing) and "misses these runs" in words.conclusion(missed)
 
 
+@pytest.mark.parametrize(("share", "word"), [(0.81, ""), (0.79, " likely")])
+def test_a_name_that_larger_errors_of_the_laws_explain_is_likely(planted, share, word):
+    """Below 80 % where the laws err by 10 %."""
+    finding = planted.finding
+    total = finding.if_laws_err("slip_sinkage")[-1]
+    scaled = [
+        dataclasses.replace(h, if_laws_err=(h.if_laws_err[0], share / total * h.if_laws_err[-1]))
+        for h in finding.hypotheses
+    ]
+    other = dataclasses.replace(planted, finding=dataclasses.replace(finding, hypotheses=scaled))
+    assert words.conclusion(other).startswith(f"Slip-sinkage{word} explains")
+    missing = "Likely missing" if word else "Missing"
+    assert sentences.summary(other).startswith(f"{missing} from the model: slip-sinkage")
+
+
 def test_checks_are_asked_for_where_they_are_likely_to_find_something(nothing):
     base = nothing.finding.best()
 

@@ -141,6 +141,7 @@ def content(report: Report) -> dict[str, Any]:
                     "parameters": {k: v._asdict() for k, v in e.parameters.items()},
                     "probability": e.probability,
                     "probability_if_laws_err": report.finding.if_laws_err(e.name),
+                    "sure": report.finding.is_sure(e.name),
                     "share": e.share,
                     "alternatives": e.alternatives,
                     "explained": words.EXPLAINED[e.name],

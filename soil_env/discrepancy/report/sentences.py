@@ -209,6 +209,7 @@ def summary(report: Report) -> str:
         "summary.txt",
         report,
         effects=[f"{title(e.name)} (probability {sure(e.probability)})" for e in report.effects],
+        likely=not all(finding.is_sure(e.name) for e in report.effects),
         rivals=[title(a) for a in dict.fromkeys(a for e in report.effects for a in e.alternatives)],
         left=[
             f"{amount(n, g.remainder[0])} of {TITLES[n]}"

@@ -8,7 +8,6 @@ from soil_env.discrepancy.unnamed import OF_SENSORS
 
 #: The page on which every effect has its equations and sources.
 PAGE = "docs/physics/effects.md"
-SURE = 0.9  # probability below which an effect explains something "probably"
 LIKELY = 0.1  # least probability of what is named as possible, and of what a check would find
 EXPLAINED = {
     "slip_sinkage": (
@@ -72,9 +71,9 @@ def conclusion(report: Report) -> str:
         "conclusion.txt",
         report,
         effects=[title(e.name) for e in report.effects],
-        unsure=any(e.probability < SURE for e in report.effects),
+        likely=not all(finding.is_sure(e.name) for e in report.effects),
         near=[title(n) for n in finding.candidates[:3]],
-        likely=[name for p, name in sorted(rivals, reverse=True) if p >= LIKELY],
+        rivals=[name for p, name in sorted(rivals, reverse=True) if p >= LIKELY],
         missed=missed(report),
     )
 
