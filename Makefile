@@ -90,6 +90,7 @@ results: $(TEST_READY)  ## make the tables of docs/results anew, in hours; QUICK
 	$(PY) -m benchmarks.rigs --out $(RESULTS)
 	$(PY) -m benchmarks.prediction --out $(RESULTS) $(if $(QUICK),--smoke)
 	$(PY) -m benchmarks.identification --out $(RESULTS) $(if $(QUICK),--smoke)
+	$(PY) -m benchmarks.robustness --out $(RESULTS) $(if $(QUICK),--smoke)
 	$(PY) -m benchmarks.discovery run --held-out --entrant workflow --seed 2103 --limit $(if $(QUICK),12,240) --out runs/$(if $(QUICK),quick_)discovery
 	$(PY) -m benchmarks.throughput --out $(RESULTS) $(if $(QUICK),--smoke)
 

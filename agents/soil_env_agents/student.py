@@ -30,6 +30,7 @@ NOISE = 0.2  # sd of the noise of the action
 MEMORY = 0.8  # correlation of that noise from step to step
 FLIPPED = 0.1  # least share of the choices turned round, so that dead ends are met; half at first
 VALUE_STEPS = 600  # of the value network
+VALUE_PASSES = 30  # over the steps whose return is known, at most, of these steps
 
 
 class Lessons:
@@ -127,7 +128,8 @@ def teach(
         progress((k + 1) * ROUND * wheels)
     returns, ended = kept.returns(model.gamma)
     returns /= np.sqrt(env.ret_rms.var + env.epsilon)
-    for _ in range(VALUE_STEPS if ended.size else 0):
+    most = math.ceil(VALUE_PASSES * ended.size / BATCH)
+    for _ in range(min(VALUE_STEPS, most)):
         at = kept.drawn(rng, ended)
         value = policy.predict_values(torch.from_numpy(env.normalize_obs(kept.seen[at])))[:, 0]
         _descend(optimizer, functional.mse_loss(value, torch.from_numpy(returns[at])))
