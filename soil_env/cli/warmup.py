@@ -54,6 +54,10 @@ def _begin() -> None:
     gc.disable()
 
 
+#: An environment in which nothing is identified.
+BLIND: dict[str, Any] = {"observation": "blind", "belief": {"method": "none"}}
+
+
 def _drive(env_id: str, action: float, **options: Any) -> None:
     """Reset an environment, make a step and draw a picture."""
     env = gymnasium.make(env_id, render_mode="rgb_array", **options)
@@ -63,10 +67,10 @@ def _drive(env_id: str, action: float, **options: Any) -> None:
     env.close()
 
 
-def _drive_wheels(world: WheelSoilModel | None) -> None:
-    """Drive one wheel and many, of this world."""
-    _drive("SoilWheel-v0", 0.4, model=world)
-    envs = SoilWheelVectorEnv(64, model=world)
+def _drive_wheels(**options: Any) -> None:
+    """Drive one wheel and many."""
+    _drive("SoilWheel-v0", 0.4, **options)
+    envs = SoilWheelVectorEnv(64, **options)
     envs.reset(seed=0)
     envs.step(np.full((64, 1), 0.4, dtype=np.float32))
     envs.simulation.true_soils()
@@ -81,27 +85,33 @@ def _with_effects() -> WheelSoilModel:
 
 
 def _wheels() -> None:
-    _drive_wheels(None)
+    _drive_wheels(**BLIND)
 
 
 def _wheels_with_effects() -> None:
-    _drive_wheels(_with_effects())
+    _drive_wheels(model=_with_effects(), **BLIND)
 
 
 def _rovers() -> None:
-    _drive("SoilRover-v0", 0.4)
+    _drive("SoilRover-v0", 0.4, **BLIND)
 
 
-def _others() -> None:
-    """What identifies, predicts, reads tables and logs, and recomputes the source paper."""
-    # With its printed values; here so that importing this file reads none.
-    from soil_env.paper import compare
-
+def _identifier() -> None:
+    """What identifies; at the end what it needs of the parts before."""
     image = Image(*(0.0,) * len(Image._fields))
     Observer(load_scenario("two_lines")).observe(Readings(2.0, 0.25), image=image)
     identifier = OnlineIdentifier(wheels()["planetary_rover"])
     identifier.update(Readings(2.0, 0.25, 0.02, 10.0, 147.0, 5.0))
     identifier.traversability()
+    _drive_wheels()
+    _drive("SoilRover-v0", 0.4)
+
+
+def _predictions() -> None:
+    """What predicts, reads tables and logs, and recomputes the source paper."""
+    # With its printed values; here so that importing this file reads none.
+    from soil_env.paper import compare
+
     slips(np.array([0.3]), np.array([0.2]))
     model = _with_effects()
     soil = soils()["lete_sand"].state(0.15)
@@ -119,13 +129,14 @@ def _others() -> None:
         compare.forces(compare.PRINTED_SET, *compare.MEASURED[:2], equations)
 
 
-#: Parts that are compiled side by side, the longest first; those that compile versions of the same
-#: functions, for which one would wait for the other, not next to each other.
+#: Parts that are compiled side by side, the longest first. A process compiles an inner function
+#: once: what identifies is one part, and drives what the parts before have compiled.
 PARTS = {
     "wheels with effects": _wheels_with_effects,
     "rovers": _rovers,
+    "identifier": _identifier,
     "wheels": _wheels,
-    "identifier, predictions, tables, logs": _others,
+    "predictions, tables, logs": _predictions,
 }
 
 
