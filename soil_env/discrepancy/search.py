@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -162,7 +162,7 @@ class Finding:
         """
         return sum(h.probability for h in self.hypotheses if h.free)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Effects that are stated: the most that are missing together with a probability of
         `NAMED`.
@@ -173,7 +173,7 @@ class Finding:
                 named = (*named, name)
         return named
 
-    @property
+    @cached_property
     def candidates(self) -> tuple[str, ...]:
         """Effects with at least `REPORTED` that are missing, or resembled by what is missing; none
         beside a stated one.
@@ -188,12 +188,12 @@ class Finding:
             else tuple(sorted((n for n in near if near[n] >= REPORTED), key=lambda n: -near[n]))
         )
 
-    @property
+    @cached_property
     def tried(self) -> tuple[str, ...]:
         """Every effect that was tried."""
         return tuple(dict.fromkeys(n for h in self.hypotheses for n in h.names))
 
-    @property
+    @cached_property
     def ranking(self) -> tuple[Rank, ...]:
         """Every effect that was tried, the stated ones first, then the most probable."""
         without = max(h.score for h in self.hypotheses if not h.names)

@@ -216,9 +216,12 @@ def compressed(columns: np.ndarray) -> Compression:
     """(U [M, R], share [R]) with which C^-1/2 v = v - U share U'v for the covariance C = I + B B'
     of `columns` B.
     """
-    square, v = np.linalg.eigh(columns.T @ columns)  # robust where columns are as good as zero
+    wide = columns.shape[1] > len(columns)
+    # Eigenvectors are robust where columns are as good as zero; those of the smaller product.
+    square, v = np.linalg.eigh(columns @ columns.T if wide else columns.T @ columns)
     seen = square > _UNSEEN * max(1.0, float(square[-1]) if square.size else 0.0)
-    return columns @ v[:, seen] / np.sqrt(square[seen]), 1.0 - 1.0 / np.sqrt(1.0 + square[seen])
+    u = v[:, seen] if wide else columns @ v[:, seen] / np.sqrt(square[seen])
+    return u, 1.0 - 1.0 / np.sqrt(1.0 + square[seen])
 
 
 def whitened(compression: Compression | None, v: np.ndarray) -> np.ndarray:

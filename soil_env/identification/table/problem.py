@@ -33,6 +33,9 @@ from soil_env.terramechanics.model import Rows
 
 SOURCES = ("slip", "load", *MEASURED)  # of error; the last three are the channels
 STEP = 1e-3  # of a whitened unknown, for differences
+#: Factor of the sinkages from which a balance starts, for differences: from its solution it ends at
+#: once, and what a small step changes is lost in its tolerance.
+OFF_GUESS = 1.001
 _FAR = 1e3  # [sd] residual where the model has no value
 FINE = MappingProxyType({"xtol": 1e-9, "ftol": 1e-11, "gtol": 1e-9, "max_nfev": 100})
 #: To compare fits whose costs are far apart.
@@ -154,7 +157,7 @@ class TableProblem:
         )
         self.rows: Rows = Rows(*(column[use] for column in rows))
         self.corrected: Rows = self.rows  # at the most probable slip and load
-        self.processes: list[Process] = self._processes()
+        self._processes: list[Process] | None = None
         self.y: np.ndarray = np.stack([getattr(table, name)[use] for name in MEASURED], axis=1)
         self.measured: np.ndarray = np.isfinite(self.y)
         self.relative: np.ndarray = np.broadcast_to(
@@ -224,16 +227,19 @@ class TableProblem:
             self.noise[k] = given if given is not None else guess.get(name, 0.0)
             self.floor[k] = 1e-4 * guess.get(name, 0.0)
 
-    def _processes(self) -> list[Process]:
+    @property
+    def processes(self) -> list[Process]:
         """Form errors over the corrected conditions, one for each of `LAW_LENGTHS`.
 
         The measured conditions would not do: what they err by is in the residuals too, and the two
         together look like an error of the laws.
         """
-        radius, width, _ = self.corrected.wheels.T
-        at = {"slip": self.corrected.slip, "load": self.corrected.load}
-        at |= {"wheel_radius": radius, "wheel_width": width}
-        return [Process.over(at, most=_FUNCTIONS, lengths=lengths) for lengths in LAW_LENGTHS]
+        if self._processes is None:
+            radius, width, _ = self.corrected.wheels.T
+            at = {"slip": self.corrected.slip, "load": self.corrected.load}
+            at |= {"wheel_radius": radius, "wheel_width": width}
+            self._processes = [Process.over(at, most=_FUNCTIONS, lengths=x) for x in LAW_LENGTHS]
+        return self._processes
 
     def values(self, u: np.ndarray) -> dict[str, float]:
         """Every soil parameter by name."""
@@ -468,7 +474,7 @@ class TableProblem:
             self.corrected = self.rows._replace(
                 slip=np.clip(self.rows.slip + slip, -1.0, 1.0), load=load
             )
-            self.processes = self._processes()
+            self._processes = None  # at other conditions
         self.weigh(self.by_conditions(u))
 
     def update_noise(self, u: np.ndarray) -> None:
