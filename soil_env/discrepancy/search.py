@@ -18,7 +18,6 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
 
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.evidence import (
@@ -26,6 +25,7 @@ from soil_env.discrepancy.evidence import (
     Evidence,
     anonymous,
     detectable,
+    log_sum,
     promised,
     resembling,
     settle,
@@ -320,7 +320,7 @@ class _Sets:
     def log(self, names: tuple[str, ...]) -> float:
         """Log evidence, every combination of forms as probable before the table as another."""
         count = math.prod(len(forms(self.problem, n)) for n in names)
-        return float(logsumexp([e.log for e in self.found[names].values()])) - math.log(count)
+        return float(log_sum([e.log for e in self.found[names].values()])) - math.log(count)
 
 
 def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> Finding:
@@ -367,7 +367,7 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
             for _, _, _, e, log, odds_of in entries
         ]
     )
-    share = np.exp(total - logsumexp(total, axis=0)).tolist()
+    share = np.exp(total - log_sum(total, axis=0)).tolist()
     found = [
         Hypothesis(s, free, p, log - base.log, e, like, tuple(others))
         for (s, like, free, e, log, _), (p, *others) in zip(entries, share, strict=True)

@@ -247,6 +247,8 @@ class NormalEquations(NamedTuple):
         cls, jacobian: np.ndarray, errors: Sequence[np.ndarray], residual: np.ndarray
     ) -> "NormalEquations":
         """Those of residual [M], jacobian [M, p] and K form errors [M, R] at the size 1."""
+        # What counts of an error B is B B': no more columns than values.
+        errors = [np.linalg.qr(b.T, mode="r").T if b.shape[1] > len(b) else b for b in errors]
         a = np.concatenate([jacobian, *errors], axis=1)
         width = (jacobian.shape[1], *(b.shape[1] for b in errors))
         return cls(a.T @ a, a.T @ residual, float(residual @ residual), width)
@@ -257,8 +259,9 @@ class NormalEquations(NamedTuple):
         """
         width = tuple(w for w, some in zip(self.width, (True, *used), strict=True) if some)
         at = np.flatnonzero(np.repeat((True, *used), self.width))
+        gram = self.gram if at.size == len(self.gram) else self.gram[np.ix_(at, at)]
         return NormalEquations(
-            self.gram[np.ix_(at, at)] / noise**2,
+            gram / noise**2,
             self.along[at] / noise**2,
             self.square / noise**2,
             width,
@@ -293,8 +296,7 @@ def marginals(
     outer = np.arange(sum(width[: 1 + first]))
     place = np.repeat(np.arange(len(width) - 1), width[1:]) - first
     place = place[place >= 0]
-    for of in np.unique(sizes[:, :first], axis=0):
-        rows = np.flatnonzero(np.all(sizes[:, :first] == of, axis=1))
+    for rows in _alike(sizes[:, :first]):
         d = scales[rows[0], outer]
         kept = outer[d > 0.0]
         d = d[d > 0.0]
@@ -310,13 +312,14 @@ def marginals(
         narrow = of_unknowns.T @ of_unknowns
         pulls = np.column_stack([along[outer.size :] - rest.T @ of_data, rest.T @ of_unknowns])
         there = sizes[rows, first:] > 0.0
-        for some in np.unique(there, axis=0):
+        for alike in _alike(there):
+            some = there[alike[0]]
             seen = np.flatnonzero(some[place])
             column = outer.size + seen
             inner = rest[:, seen]
             normal = gram[np.ix_(column, column)] - inner.T @ inner
             pull = pulls[seen]
-            these = rows[np.all(there == some, axis=1)]
+            these = rows[alike]
             if np.count_nonzero(some) == 1 and len(these) > 1:  # one decomposition for all
                 values, vectors = np.linalg.eigh(normal)
                 square = scales[these, column[0], None] ** 2
@@ -336,6 +339,14 @@ def marginals(
                 mean[row] = centre - moved[1:, 0]
                 covariance[row] = narrow + moved[1:, 1:]
     return log, mean, covariance
+
+
+def _alike(rows: np.ndarray) -> list[np.ndarray]:
+    """Numbers of the rows [N, K] that are equal, one array for each different row."""
+    found: dict[bytes, list[int]] = {}
+    for k, row in enumerate(rows):
+        found.setdefault(row.tobytes(), []).append(k)
+    return [np.array(numbers) for numbers in found.values()]
 
 
 def _factor(normal: np.ndarray) -> np.ndarray:
