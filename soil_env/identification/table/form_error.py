@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import lapack, qr
 
 #: Correlation lengths of form errors: of the slip, with which shear displacements grow in
 #: proportion (Hutangkabodee et al. 2006, Eq. (10)); of the logarithm of load, speed, pass, the
@@ -248,7 +248,7 @@ class NormalEquations(NamedTuple):
     ) -> "NormalEquations":
         """Those of residual [M], jacobian [M, p] and K form errors [M, R] at the size 1."""
         # What counts of an error B is B B': no more columns than values.
-        errors = [np.linalg.qr(b.T, mode="r").T if b.shape[1] > len(b) else b for b in errors]
+        errors = [qr(b.T, mode="r")[0].T if b.shape[1] > len(b) else b for b in errors]
         a = np.concatenate([jacobian, *errors], axis=1)
         width = (jacobian.shape[1], *(b.shape[1] for b in errors))
         return cls(a.T @ a, a.T @ residual, float(residual @ residual), width)
@@ -320,9 +320,10 @@ def marginals(
             normal = gram[np.ix_(column, column)] - inner.T @ inner
             pull = pulls[seen]
             these = rows[alike]
-            if np.count_nonzero(some) == 1 and len(these) > 1:  # one decomposition for all
+            size = scales[these][:, column]
+            if len(these) > 1 and np.all(size == size[:, :1]):  # one decomposition for all
                 values, vectors = np.linalg.eigh(normal)
-                square = scales[these, column[0], None] ** 2
+                square = size[:, :1] ** 2
                 n = 1.0 + square * np.maximum(values, 0.0)
                 turned = vectors.T @ pull
                 moved = ((square / n)[:, :, None] * turned).transpose(0, 2, 1) @ turned

@@ -190,6 +190,7 @@ class TableProblem:
                 f"{needed + int(self.estimated.sum())}"
             )
         self._by_unknowns = Last(self._differences)
+        self._by_stresses = Last(self._changed_stresses)
         #: Of the base law, beside the noise; None as long as it is not known.
         self.form_error: form_error.Compression | None = None
         self.weigh(np.zeros((count, 3, 2)))
@@ -348,23 +349,24 @@ class TableProblem:
         Errors of the stresses reach the three channels together. Channels that err by themselves
         stand for all else that the model is not, such as a rig that bends.
         """
-        known = self.values(u)
-        h = _STRESS_STEP
         base = self.predict(u)
         functions = self.processes[span].at_points
-        blocks = []
-        for change in form_error.stress_changes(
-            known, h, float(np.median(self.steady(u, self.corrected)[:, 0]))
-        ):
-            moved = np.where(self.measured, self.steady(u, self.corrected, change) - base, 0.0) / h
-            blocks.append(
-                np.where(np.isfinite(moved), moved, 0.0)[:, :, None] * functions[:, None, :]
-            )
+        moved = self._by_stresses(u)[..., None] * functions[:, None, None, :]
         own = [(base * unit)[:, :, None] * functions[:, None, :] for unit in np.eye(3)]
         return (
-            self.by_noise(np.concatenate(blocks, axis=2)),
+            self.by_noise(moved.reshape(*base.shape, -1)),
             self.by_noise(np.concatenate(own, axis=2)),
         )
+
+    def _changed_stresses(self, u: np.ndarray) -> np.ndarray:
+        """[N, 3, C] change of the model by each of the `stress_changes`, relative."""
+        h = _STRESS_STEP
+        base = self.predict(u)
+        sinkage = float(np.median(self.steady(u, self.corrected)[:, 0]))
+        changes = form_error.stress_changes(self.values(u), h, sinkage)
+        there = [self.steady(u, self.corrected, change) for change in changes]
+        moved = [np.where(self.measured, out - base, 0.0) / h for out in there]
+        return finite([x.ravel() for x in moved], base.size).reshape(*base.shape, -1)
 
     def by_size(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(probability, mean [p] and covariance [p, p] of the unknowns, by size and span),
@@ -470,11 +472,13 @@ class TableProblem:
             solved = np.einsum("kdc,kd->kc", self._whitener, half)
             slip, load = (self.noise[:2] ** 2 * np.einsum("kcj,kc->kj", self.F, solved)).T
             load = np.clip(self.rows.load + load, 0.2 * self.rows.load, 5.0 * self.rows.load)
-            self._by_unknowns = Last(self._differences)  # at other conditions
+            # At other conditions:
+            self._by_unknowns = Last(self._differences)
+            self._by_stresses = Last(self._changed_stresses)
             self.corrected = self.rows._replace(
                 slip=np.clip(self.rows.slip + slip, -1.0, 1.0), load=load
             )
-            self._processes = None  # at other conditions
+            self._processes = None
         self.weigh(self.by_conditions(u))
 
     def update_noise(self, u: np.ndarray) -> None:
