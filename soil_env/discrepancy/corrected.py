@@ -230,7 +230,7 @@ def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
 
 
 @kept
-def _groups_at(point: WorkingPoint, soil: SoilState, rim: Rim, gravity: float) -> tuple[float, ...]:
+def groups_at(point: WorkingPoint, soil: SoilState, rim: Rim, gravity: float) -> tuple[float, ...]:
     found: tuple[float, ...] = dimensionless_groups(point, soil, rim, gravity)
     return found
 
@@ -246,6 +246,6 @@ def _groups(model: WheelSoilModel, name: str, values: np.ndarray) -> list[float]
         soil = model.soil.under(wheel.radius, wheel.width, at["load"], model.gravity)
         sine = math.sin(math.radians(at["grade_deg"]))
         point = WorkingPoint(at["slip"], 0.0, at["load"], at["speed"], at["pass"], sine)
-        groups = _groups_at(point, soil, rim, model.gravity)
+        groups = groups_at(point, soil, rim, model.gravity)
         out.append(float(groups[GROUPS.index(name.removesuffix("_deg"))]))
     return out
