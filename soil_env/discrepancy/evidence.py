@@ -226,6 +226,18 @@ def settle(
     return best
 
 
+class _Part(NamedTuple):
+    """Log evidence, normal [K, K] and pull [K] of `_Further` without an error of the law, and that
+    error over one span in its own directions.
+    """
+
+    log: float
+    normal: np.ndarray
+    pull: np.ndarray
+    values: np.ndarray  # [R] of its normal matrix
+    turned: np.ndarray  # [R, 1 + K] pulls of the residual and of the strengths on it
+
+
 class _Further:
     """Strengths of further effects beside a fitted model as linear unknowns [M, K], under each size
     of the law's error.
@@ -254,38 +266,49 @@ class _Further:
                 self.unknowns.append(moved)
                 self.owner.append(k)
         self.columns = finite(columns, base.size)
-        blocks = (first.fit.jacobian, *first.fit.law, first.fit.effect, first.fit.rig)
-        self.known = np.concatenate(blocks, axis=1)
-        self.width = [b.shape[1] for b in blocks]
         self.effect = first.sizes.effect
-        self.gram = self.known.T @ self.known
-        self.cross = self.known.T @ self.columns
-        self.along = self.known.T @ first.fit.residual
         self.own_gram = self.columns.T @ self.columns
         self.own_along = self.columns.T @ first.fit.residual
+        self.parts: dict[tuple[int, float], _Part] = {}
 
     def under(self, sizes: Sizes) -> tuple[float, np.ndarray, np.ndarray]:
         """(log evidence of the model alone, normal [K, K], pull [K]) at a size of the law's error,
         and scatter.
         """
+        key = sizes.span, sizes.scatter
+        if key not in self.parts:
+            self.parts[key] = self._part(*key)
+        part = self.parts[key]
+        square = sizes.law**2
+        taken = square / (1.0 + square * part.values)
+        by_law = part.turned.T @ (taken[:, None] * part.turned)
+        log = part.log + 0.5 * (by_law[0, 0] - np.sum(np.log1p(square * part.values)))
+        return log, part.normal - by_law[1:, 1:], part.pull - by_law[1:, 0]
+
+    def _part(self, span: int, noise: float) -> _Part:
+        """What all sizes of the law's error over a span share, under a noise."""
         fit = self.fit
-        noise = sizes.scatter
-        d = np.repeat([1.0, *sizes.laws, self.effect, 1.0], self.width) / noise
-        seen = d > 0.0
-        start = np.concatenate([fit.u, np.zeros(d.size - fit.u.size)])[seen]
-        d = d[seen]
-        factor = cholesky(
-            d[:, None] * self.gram[np.ix_(seen, seen)] * d + np.eye(d.size), lower=True
-        )
-        right = np.column_stack(
-            [d * self.along[seen] / noise - start, d[:, None] * self.cross[seen] / noise]
-        )
-        half = solve_triangular(factor, right, lower=True)
+        blocks = (fit.jacobian, self.effect * fit.effect, fit.rig)
+        known = np.concatenate(blocks, axis=1) / noise
+        law = fit.law[span] / noise
+        right = np.column_stack([fit.residual / noise, self.columns / noise, law])
+        factor = cholesky(known.T @ known + np.eye(known.shape[1]), lower=True)
+        pulls = known.T @ right
+        pulls[: fit.u.size, 0] -= fit.u
+        half = solve_triangular(factor, pulls, lower=True)
+        count = self.columns.shape[1] + 1
+        of_law = half[:, count:]
+        half = half[:, :count]
         square = fit.residual @ fit.residual / noise**2 + fit.u @ fit.u - half[:, 0] @ half[:, 0]
         log = -0.5 * square - np.sum(np.log(np.diag(factor))) - fit.residual.size * math.log(noise)
-        normal = self.own_gram / noise**2
-        pull = self.own_along / noise**2
-        return log, normal - half[:, 1:].T @ half[:, 1:], pull - half[:, 1:].T @ half[:, 0]
+        values, vectors = np.linalg.eigh(law.T @ law - of_law.T @ of_law)
+        return _Part(
+            log,
+            self.own_gram / noise**2 - half[:, 1:].T @ half[:, 1:],
+            self.own_along / noise**2 - half[:, 1:].T @ half[:, 0],
+            np.maximum(values, 0.0),
+            vectors.T @ (law.T @ right[:, :count] - of_law.T @ half),
+        )
 
 
 def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[float]:
