@@ -322,17 +322,25 @@ def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[f
     only = np.concatenate([np.zeros(0, dtype=int), *(k for k in of if k.size == 1)])
     several = [(column, k) for column, k in enumerate(of) if k.size != 1]
     sizes, log_prior = grid(())
+    log, normal, pull = map(np.array, zip(*map(further.under, sizes), strict=True))
+    x = pull[:, only]
+    n = 1.0 + normal[:, only, only]
     out = np.empty((len(sizes), len(choices)))
-    for row, of_law, prior in zip(out, sizes, log_prior, strict=True):
-        log, normal, pull = further.under(of_law)
-        x = pull[only]
-        n = 1.0 + normal[only, only]
-        row[single] = np.where(one_sided[only] & (x < 0.0), 0.0, 0.5 * (x * x / n - np.log(n)))
-        for column, k in several:
-            row[column] = _gain(normal[np.ix_(k, k)], pull[k], one_sided[k])
-        row += log + prior
-    found: list[float] = log_sum(out, axis=0).tolist()
+    out[:, single] = np.where(one_sided[only] & (x < 0.0), 0.0, 0.5 * (x * x / n - np.log(n)))
+    for column, k in several:
+        out[:, column] = _gains(normal[:, k[:, None], k], pull[:, k], one_sided[k])
+    found: list[float] = log_sum(out + (log + log_prior)[:, None], axis=0).tolist()
     return found
+
+
+def _gains(normal: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> np.ndarray:
+    """[S] of `_gain`, of normal [S, K, K] and pull [S, K]; all at once where none has to stay."""
+    whole = normal + np.eye(len(one_sided))
+    solved = np.linalg.solve(whole, pull[:, :, None])[:, :, 0]
+    out: np.ndarray = 0.5 * (np.sum(pull * solved, axis=1) - np.linalg.slogdet(whole)[1])
+    for k in np.flatnonzero(np.any(one_sided & (solved < 0.0), axis=1)):
+        out[k] = _gain(normal[k], pull[k], one_sided)
+    return out
 
 
 def _gain(normal: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> float:
