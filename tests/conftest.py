@@ -52,14 +52,12 @@ def importable(monkeypatch):
 
 @pytest.fixture()
 def unrendered(monkeypatch):
-    """Figures are composed but not rendered, which takes longer than what many a small study
+    """Figures are composed but not drawn, which takes longer than what many a small study
     computes.
     """
     from matplotlib.figure import Figure
 
-    monkeypatch.setattr(
-        Figure, "savefig", lambda figure, stream, **options: stream.write(b"not rendered")
-    )
+    monkeypatch.setattr(Figure, "draw", lambda figure, renderer: None)
 
 
 @pytest.fixture(scope="session")

@@ -23,6 +23,7 @@ from soil_env.parameters import SoilState, load_scenario, soils, wheels
 from soil_env.parameters.readings import Image
 from soil_env.terramechanics.effects import switched_on
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env.terramechanics.residual import WorkingPoint
 from soil_env.terramechanics.steady import LEVEL, Rim, steady_with
 from soil_env.terramechanics.traversability import best_points, best_working_point_with
 
@@ -109,7 +110,8 @@ def _identifier() -> None:
 
 def _predictions() -> None:
     """What predicts, reads tables and logs, and recomputes the source paper."""
-    # With its printed values; here so that importing this file reads none.
+    # Here so that importing this file loads neither scipy nor the printed values of the paper.
+    from soil_env.discrepancy.corrected import groups_at
     from soil_env.paper import compare
 
     slips(np.array([0.3]), np.array([0.2]))
@@ -121,6 +123,7 @@ def _predictions() -> None:
         fx = switched_on(predictor.numbers)
         steady_with(0.1, 100.0, soil, rim, LEVEL, fx)
         best_working_point_with(100.0, soil, rim, LEVEL, fx, 10.0)
+    groups_at(WorkingPoint(*(0.5,) * len(WorkingPoint._fields)), soil, rim, 10.0)
     best_points(
         np.ones((1, len(SoilState._fields))), np.array([100.0]), wheels()["planetary_rover"]
     )

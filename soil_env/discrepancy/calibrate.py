@@ -50,7 +50,13 @@ from soil_env.identification.table.priors import (
     soil_state,
     soil_unknowns,
 )
-from soil_env.identification.table.problem import differences, finite, most_probable
+from soil_env.identification.table.problem import (
+    OFF_GUESS,
+    Last,
+    differences,
+    finite,
+    most_probable,
+)
 from soil_env.identification.table.rig import predict_table
 from soil_env.parameters import SoilState
 from soil_env.slip import sliding_speeds
@@ -62,6 +68,7 @@ PRIOR_WIDTH = 1.5  # factor of the sd of the setup's priors
 #: Form error of an effect that is named by its place, in all channels alike, over that of others.
 ANY_FORM = 10.0
 _STRESS_STEP = 1e-3  # relative change of a stress, for differences
+_SAME = 1e-6  # [prior sd] of a start from a bound, and within which derivatives are the same
 _LAW = 24  # most functions of the process of the law's error
 _EFFECT = 24  # of that of the form of an effect
 _FREE = 40  # of an anonymous contribution
@@ -350,9 +357,8 @@ class Problem:
         u = np.array(
             [k.at(start[k.name]) if start and k.name in start else self._first(k) for k in unknowns]
         )
-        u = np.clip(
-            u, low + 1e-6 * np.minimum(high - low, 1.0), high - 1e-6 * np.minimum(high - low, 1.0)
-        )
+        off_bound = _SAME * np.minimum(high - low, 1.0)
+        u = np.clip(u, low + off_bound, high - off_bound)
         guess = np.zeros(self.data.rows.slip.size)
         known = None if near is None else compressed(near.columns(sizes) / sizes.scatter)
 
@@ -362,13 +368,13 @@ class Problem:
         def model(x):
             return scaled(self.whiten(self.predict(_values(unknowns, x), choices, guess)))
 
-        def derivatives(x):
-            return scaled(self.derivatives(unknowns, x, choices, guess))
-
+        by_unknowns = Last(lambda x: self.derivatives(unknowns, x, choices, guess))
+        if near is not None and near.choices == choices and np.allclose(u, near.u, 0.0, _SAME):
+            by_unknowns.know(u, near.jacobian)
         u, _, converged = most_probable(
             scaled(self.whiten(self.data.y)),
             model,
-            derivatives,
+            lambda x: scaled(by_unknowns(x)),
             u,
             (low, high),
             ftol=1e-5,
@@ -377,7 +383,7 @@ class Problem:
             max_nfev=25,
         )
         used = sizes if near is not None else EXACT._replace(scatter=sizes.scatter)
-        return self._finish(unknowns, choices, u, guess, converged, used)
+        return self._finish(unknowns, choices, u, guess, by_unknowns(u), converged, used)
 
     @staticmethod
     def _first(unknown: Unknown) -> float:
@@ -397,12 +403,12 @@ class Problem:
         """[M, p] of the whitened output by whitened unknowns (forward differences)."""
 
         def model(x):
-            return self.whiten(self.predict(_values(unknowns, x), choices, guess.copy()))
+            return self.whiten(self.predict(_values(unknowns, x), choices, OFF_GUESS * guess))
 
         base = model(u)
         return finite(differences(model, u, unknowns, base), base.size)
 
-    def _finish(self, unknowns, choices, u, guess, converged, sizes) -> Fit:
+    def _finish(self, unknowns, choices, u, guess, jacobian, converged, sizes) -> Fit:
         values = _values(unknowns, u)
         output = self.predict(values, choices, guess)
         residual = self.whiten(self.data.y) - self.whiten(output)
@@ -429,7 +435,7 @@ class Problem:
             output,
             added,
             residual,
-            self.derivatives(unknowns, u, choices, guess),
+            jacobian,
             tuple(map(self.block, law)),
             self.block(effect),
             tuple(free),
@@ -463,9 +469,11 @@ class Problem:
         sinkage = float(np.nanmedian(output[:, 0]))
         changes = stress_changes(self.known | values, h, sinkage)
         there = (
-            self.predict(values | soil, choices, guess.copy(), more=more) for soil, more in changes
+            self.predict(values | soil, choices, OFF_GUESS * guess, more=more)
+            for soil, more in changes
         )
-        return [_finite((out - output) / h) for out in there]
+        base = self.predict(values, choices, OFF_GUESS * guess)
+        return [_finite((out - base) / h) for out in there]
 
     def form_errors(
         self,

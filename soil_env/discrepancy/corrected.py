@@ -16,13 +16,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from soil_env._compiled.cache import kept
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice
 from soil_env.discrepancy.prediction import USUAL, Prediction, independent
 from soil_env.discrepancy.predictive import DEEPEST
 from soil_env.discrepancy.unnamed import OF_LOAD
 from soil_env.identification.table.data import CHANNELS
-from soil_env.parameters import Soil
+from soil_env.parameters import Soil, SoilState
 from soil_env.slip import slips_of_radius
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import WheelSoilModel
@@ -228,6 +229,12 @@ def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
     return out
 
 
+@kept
+def groups_at(point: WorkingPoint, soil: SoilState, rim: Rim, gravity: float) -> tuple[float, ...]:
+    found: tuple[float, ...] = dimensionless_groups(point, soil, rim, gravity)
+    return found
+
+
 def _groups(model: WheelSoilModel, name: str, values: np.ndarray) -> list[float]:
     """Values of the group of a condition."""
     assert model.soil is not None
@@ -239,6 +246,6 @@ def _groups(model: WheelSoilModel, name: str, values: np.ndarray) -> list[float]
         soil = model.soil.under(wheel.radius, wheel.width, at["load"], model.gravity)
         sine = math.sin(math.radians(at["grade_deg"]))
         point = WorkingPoint(at["slip"], 0.0, at["load"], at["speed"], at["pass"], sine)
-        groups = dimensionless_groups(point, soil, rim, model.gravity)
+        groups = groups_at(point, soil, rim, model.gravity)
         out.append(float(groups[GROUPS.index(name.removesuffix("_deg"))]))
     return out

@@ -321,7 +321,7 @@ def in_balance(
 
 def reading(out: np.ndarray, values: Mapping[str, float], radius: np.ndarray) -> np.ndarray:
     """[N, 3] that the sensors read of true values [N, 3]; radius [N]."""
-    if not values:
+    if not any(name.startswith(("force_", "torque_")) for name in values):
         return out
     read = out.copy()
     for j, name, other in ((1, "force", out[:, 2] / radius), (2, "torque", out[:, 1] * radius)):

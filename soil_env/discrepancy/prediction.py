@@ -32,7 +32,7 @@ from soil_env.discrepancy.unnamed import OF_LOAD
 from soil_env.identification.table.data import CHANNELS
 from soil_env.identification.table.form_error import LENGTHS, LOGARITHMIC
 from soil_env.identification.table.priors import Unknown
-from soil_env.identification.table.problem import Last, differences, finite, most_probable
+from soil_env.identification.table.problem import Last, most_probable
 from soil_env.terramechanics.model import rows_of
 
 #: Forms of each effect that are fitted together; the first of the others.
@@ -354,14 +354,9 @@ class _Fitting:
         values = {k.name: k.value(x) for k, x in zip(self.unknowns, u, strict=True)}
         return self.problem.predict(values, self.choices, self.guess)
 
-    def model(self, u: np.ndarray) -> np.ndarray:
-        """[M] of the law, whitened."""
-        return self.problem.whiten(self.output(u))
-
     def _derivatives(self, u: np.ndarray) -> np.ndarray:
-        """[M, p] of `model`."""
-        base = self.model(u)
-        return finite(differences(self.model, u, self.unknowns, base), base.size)
+        """[M, p] of the law, whitened."""
+        return self.problem.derivatives(self.unknowns, u, self.choices, self.guess)
 
     def covariance(self, scale: np.ndarray, learnt: Learnt | None) -> _Covariance:
         """Of remainder and noise over the noise, of the values in use."""
@@ -396,7 +391,7 @@ class _Fitting:
         scaled = self.covariance(_scales(self.problem, self.output(start)), learnt).whiten
         u, _, _ = most_probable(
             scaled(y),
-            lambda x: scaled(self.model(x)),
+            lambda x: scaled(self.problem.whiten(self.output(x))),
             lambda x: scaled(self.derivatives(x)),
             start,
             self.bounds,

@@ -13,12 +13,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
 
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.evidence import (
@@ -26,6 +25,7 @@ from soil_env.discrepancy.evidence import (
     Evidence,
     anonymous,
     detectable,
+    log_sum,
     promised,
     resembling,
     settle,
@@ -169,7 +169,7 @@ class Finding:
         """
         return sum(h.probability for h in self.hypotheses if h.free)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Effects that are stated: the most that are missing together with a probability of
         `NAMED`.
@@ -180,7 +180,7 @@ class Finding:
                 named = (*named, name)
         return named
 
-    @property
+    @cached_property
     def candidates(self) -> tuple[str, ...]:
         """Effects with at least `REPORTED` that are missing, or resembled by what is missing; none
         beside a stated one.
@@ -195,12 +195,12 @@ class Finding:
             else tuple(sorted((n for n in near if near[n] >= REPORTED), key=lambda n: -near[n]))
         )
 
-    @property
+    @cached_property
     def tried(self) -> tuple[str, ...]:
         """Every effect that was tried."""
         return tuple(dict.fromkeys(n for h in self.hypotheses for n in h.names))
 
-    @property
+    @cached_property
     def ranking(self) -> tuple[Rank, ...]:
         """Every effect that was tried, the stated ones first, then the most probable."""
         without = max(h.score for h in self.hypotheses if not h.names)
@@ -327,7 +327,7 @@ class _Sets:
     def log(self, names: tuple[str, ...]) -> float:
         """Log evidence, every combination of forms as probable before the table as another."""
         count = math.prod(len(forms(self.problem, n)) for n in names)
-        return float(logsumexp([e.log for e in self.found[names].values()])) - math.log(count)
+        return float(log_sum([e.log for e in self.found[names].values()])) - math.log(count)
 
 
 def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> Finding:
@@ -374,7 +374,7 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
             for _, _, _, e, log, odds_of in entries
         ]
     )
-    share = np.exp(total - logsumexp(total, axis=0)).tolist()
+    share = np.exp(total - log_sum(total, axis=0)).tolist()
     found = [
         Hypothesis(s, free, p, log - base.log, e, like, tuple(others))
         for (s, like, free, e, log, _), (p, *others) in zip(entries, share, strict=True)

@@ -1,16 +1,16 @@
 """Plots of a report, as SVG; the same report gives the same bytes."""
 
+import io
 import math
 import re
 from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from soil_env._io.document import plot_text
-from soil_env._io.files import picture_of
 from soil_env.discrepancy.report.sentences import CONDITIONS, TITLES, UNITS, fixed, title
 from soil_env.discrepancy.result import Report
 from soil_env.identification.table.data import CHANNELS
@@ -58,13 +58,14 @@ def pictures(report: Report) -> dict[str, bytes]:
 
 
 def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+    return Figure(figsize=(width, height), layout="constrained")
 
 
 def _saved(figure: Figure) -> bytes:
-    text = picture_of(figure, "svg", metadata={"Date": None}).decode("utf-8")
+    # Drawn once: `savefig` draws a figure with a layout twice.
+    stream = io.BytesIO()
+    FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None})
+    text = stream.getvalue().decode("utf-8")
     return re.sub(r"<!DOCTYPE.*?>|<metadata>.*?</metadata>", "", text, flags=re.S).encode("utf-8")
 
 

@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import lapack, qr
 
 #: Correlation lengths of form errors: of the slip, with which shear displacements grow in
 #: proportion (Hutangkabodee et al. 2006, Eq. (10)); of the logarithm of load, speed, pass, the
@@ -216,9 +216,12 @@ def compressed(columns: np.ndarray) -> Compression:
     """(U [M, R], share [R]) with which C^-1/2 v = v - U share U'v for the covariance C = I + B B'
     of `columns` B.
     """
-    square, v = np.linalg.eigh(columns.T @ columns)  # robust where columns are as good as zero
+    wide = columns.shape[1] > len(columns)
+    # Eigenvectors are robust where columns are as good as zero; those of the smaller product.
+    square, v = np.linalg.eigh(columns @ columns.T if wide else columns.T @ columns)
     seen = square > _UNSEEN * max(1.0, float(square[-1]) if square.size else 0.0)
-    return columns @ v[:, seen] / np.sqrt(square[seen]), 1.0 - 1.0 / np.sqrt(1.0 + square[seen])
+    u = v[:, seen] if wide else columns @ v[:, seen] / np.sqrt(square[seen])
+    return u, 1.0 - 1.0 / np.sqrt(1.0 + square[seen])
 
 
 def whitened(compression: Compression | None, v: np.ndarray) -> np.ndarray:
@@ -244,6 +247,8 @@ class NormalEquations(NamedTuple):
         cls, jacobian: np.ndarray, errors: Sequence[np.ndarray], residual: np.ndarray
     ) -> "NormalEquations":
         """Those of residual [M], jacobian [M, p] and K form errors [M, R] at the size 1."""
+        # What counts of an error B is B B': no more columns than values.
+        errors = [qr(b.T, mode="r")[0].T if b.shape[1] > len(b) else b for b in errors]
         a = np.concatenate([jacobian, *errors], axis=1)
         width = (jacobian.shape[1], *(b.shape[1] for b in errors))
         return cls(a.T @ a, a.T @ residual, float(residual @ residual), width)
@@ -254,8 +259,9 @@ class NormalEquations(NamedTuple):
         """
         width = tuple(w for w, some in zip(self.width, (True, *used), strict=True) if some)
         at = np.flatnonzero(np.repeat((True, *used), self.width))
+        gram = self.gram if at.size == len(self.gram) else self.gram[np.ix_(at, at)]
         return NormalEquations(
-            self.gram[np.ix_(at, at)] / noise**2,
+            gram / noise**2,
             self.along[at] / noise**2,
             self.square / noise**2,
             width,
@@ -290,8 +296,7 @@ def marginals(
     outer = np.arange(sum(width[: 1 + first]))
     place = np.repeat(np.arange(len(width) - 1), width[1:]) - first
     place = place[place >= 0]
-    for of in np.unique(sizes[:, :first], axis=0):
-        rows = np.flatnonzero(np.all(sizes[:, :first] == of, axis=1))
+    for rows in _alike(sizes[:, :first]):
         d = scales[rows[0], outer]
         kept = outer[d > 0.0]
         d = d[d > 0.0]
@@ -307,16 +312,18 @@ def marginals(
         narrow = of_unknowns.T @ of_unknowns
         pulls = np.column_stack([along[outer.size :] - rest.T @ of_data, rest.T @ of_unknowns])
         there = sizes[rows, first:] > 0.0
-        for some in np.unique(there, axis=0):
+        for alike in _alike(there):
+            some = there[alike[0]]
             seen = np.flatnonzero(some[place])
             column = outer.size + seen
             inner = rest[:, seen]
             normal = gram[np.ix_(column, column)] - inner.T @ inner
             pull = pulls[seen]
-            these = rows[np.all(there == some, axis=1)]
-            if np.count_nonzero(some) == 1 and len(these) > 1:  # one decomposition for all
+            these = rows[alike]
+            size = scales[these][:, column]
+            if len(these) > 1 and np.all(size == size[:, :1]):  # one decomposition for all
                 values, vectors = np.linalg.eigh(normal)
-                square = scales[these, column[0], None] ** 2
+                square = size[:, :1] ** 2
                 n = 1.0 + square * np.maximum(values, 0.0)
                 turned = vectors.T @ pull
                 moved = ((square / n)[:, :, None] * turned).transpose(0, 2, 1) @ turned
@@ -333,6 +340,14 @@ def marginals(
                 mean[row] = centre - moved[1:, 0]
                 covariance[row] = narrow + moved[1:, 1:]
     return log, mean, covariance
+
+
+def _alike(rows: np.ndarray) -> list[np.ndarray]:
+    """Numbers of the rows [N, K] that are equal, one array for each different row."""
+    found: dict[bytes, list[int]] = {}
+    for k, row in enumerate(rows):
+        found.setdefault(row.tobytes(), []).append(k)
+    return [np.array(numbers) for numbers in found.values()]
 
 
 def _factor(normal: np.ndarray) -> np.ndarray:

@@ -33,6 +33,9 @@ from soil_env.terramechanics.model import Rows
 
 SOURCES = ("slip", "load", *MEASURED)  # of error; the last three are the channels
 STEP = 1e-3  # of a whitened unknown, for differences
+#: Factor of the sinkages from which a balance starts, for differences: from its solution it ends at
+#: once, and what a small step changes is lost in its tolerance.
+OFF_GUESS = 1.001
 _FAR = 1e3  # [sd] residual where the model has no value
 FINE = MappingProxyType({"xtol": 1e-9, "ftol": 1e-11, "gtol": 1e-9, "max_nfev": 100})
 #: To compare fits whose costs are far apart.
@@ -154,7 +157,7 @@ class TableProblem:
         )
         self.rows: Rows = Rows(*(column[use] for column in rows))
         self.corrected: Rows = self.rows  # at the most probable slip and load
-        self.processes: list[Process] = self._processes()
+        self._processes: list[Process] | None = None
         self.y: np.ndarray = np.stack([getattr(table, name)[use] for name in MEASURED], axis=1)
         self.measured: np.ndarray = np.isfinite(self.y)
         self.relative: np.ndarray = np.broadcast_to(
@@ -187,6 +190,7 @@ class TableProblem:
                 f"{needed + int(self.estimated.sum())}"
             )
         self._by_unknowns = Last(self._differences)
+        self._by_stresses = Last(self._changed_stresses)
         #: Of the base law, beside the noise; None as long as it is not known.
         self.form_error: form_error.Compression | None = None
         self.weigh(np.zeros((count, 3, 2)))
@@ -224,16 +228,19 @@ class TableProblem:
             self.noise[k] = given if given is not None else guess.get(name, 0.0)
             self.floor[k] = 1e-4 * guess.get(name, 0.0)
 
-    def _processes(self) -> list[Process]:
+    @property
+    def processes(self) -> list[Process]:
         """Form errors over the corrected conditions, one for each of `LAW_LENGTHS`.
 
         The measured conditions would not do: what they err by is in the residuals too, and the two
         together look like an error of the laws.
         """
-        radius, width, _ = self.corrected.wheels.T
-        at = {"slip": self.corrected.slip, "load": self.corrected.load}
-        at |= {"wheel_radius": radius, "wheel_width": width}
-        return [Process.over(at, most=_FUNCTIONS, lengths=lengths) for lengths in LAW_LENGTHS]
+        if self._processes is None:
+            radius, width, _ = self.corrected.wheels.T
+            at = {"slip": self.corrected.slip, "load": self.corrected.load}
+            at |= {"wheel_radius": radius, "wheel_width": width}
+            self._processes = [Process.over(at, most=_FUNCTIONS, lengths=x) for x in LAW_LENGTHS]
+        return self._processes
 
     def values(self, u: np.ndarray) -> dict[str, float]:
         """Every soil parameter by name."""
@@ -342,23 +349,24 @@ class TableProblem:
         Errors of the stresses reach the three channels together. Channels that err by themselves
         stand for all else that the model is not, such as a rig that bends.
         """
-        known = self.values(u)
-        h = _STRESS_STEP
         base = self.predict(u)
         functions = self.processes[span].at_points
-        blocks = []
-        for change in form_error.stress_changes(
-            known, h, float(np.median(self.steady(u, self.corrected)[:, 0]))
-        ):
-            moved = np.where(self.measured, self.steady(u, self.corrected, change) - base, 0.0) / h
-            blocks.append(
-                np.where(np.isfinite(moved), moved, 0.0)[:, :, None] * functions[:, None, :]
-            )
+        moved = self._by_stresses(u)[..., None] * functions[:, None, None, :]
         own = [(base * unit)[:, :, None] * functions[:, None, :] for unit in np.eye(3)]
         return (
-            self.by_noise(np.concatenate(blocks, axis=2)),
+            self.by_noise(moved.reshape(*base.shape, -1)),
             self.by_noise(np.concatenate(own, axis=2)),
         )
+
+    def _changed_stresses(self, u: np.ndarray) -> np.ndarray:
+        """[N, 3, C] change of the model by each of the `stress_changes`, relative."""
+        h = _STRESS_STEP
+        base = self.predict(u)
+        sinkage = float(np.median(self.steady(u, self.corrected)[:, 0]))
+        changes = form_error.stress_changes(self.values(u), h, sinkage)
+        there = [self.steady(u, self.corrected, change) for change in changes]
+        moved = [np.where(self.measured, out - base, 0.0) / h for out in there]
+        return finite([x.ravel() for x in moved], base.size).reshape(*base.shape, -1)
 
     def by_size(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(probability, mean [p] and covariance [p, p] of the unknowns, by size and span),
@@ -464,11 +472,13 @@ class TableProblem:
             solved = np.einsum("kdc,kd->kc", self._whitener, half)
             slip, load = (self.noise[:2] ** 2 * np.einsum("kcj,kc->kj", self.F, solved)).T
             load = np.clip(self.rows.load + load, 0.2 * self.rows.load, 5.0 * self.rows.load)
-            self._by_unknowns = Last(self._differences)  # at other conditions
+            # At other conditions:
+            self._by_unknowns = Last(self._differences)
+            self._by_stresses = Last(self._changed_stresses)
             self.corrected = self.rows._replace(
                 slip=np.clip(self.rows.slip + slip, -1.0, 1.0), load=load
             )
-            self.processes = self._processes()
+            self._processes = None
         self.weigh(self.by_conditions(u))
 
     def update_noise(self, u: np.ndarray) -> None:
