@@ -231,6 +231,7 @@ def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
 
 @kept
 def groups_at(point: WorkingPoint, soil: SoilState, rim: Rim, gravity: float) -> tuple[float, ...]:
+    """`dimensionless_groups`, compiled for a call from Python."""
     found: tuple[float, ...] = dimensionless_groups(point, soil, rim, gravity)
     return found
 
