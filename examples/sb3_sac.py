@@ -2,13 +2,13 @@
 
     python sb3_sac.py [STEPS COURSES]
 
-With 60,000 steps, seed 0, in eight minutes on one core:
+With 60,000 steps, seed 0, in half an hour on a busy core:
 
-    60000 steps: return 3.00, 52 % of 100 finished
+    60000 steps: return 5.42, 70 % of 100 finished
 
-That is to drive, and not yet to choose a route. The wrapper `LineAction` gives the choice a number
-of its own, and `n_steps` lets the critic see its outcome: docs/guide/training.md. The other
-settings save time.
+Rules that know nothing of the soil finish 62 % at most; with 100 courses 70 % is no more for sure.
+The wrapper `LineAction` gives the choice of a route a number of its own, and `n_steps` lets the
+critic see its outcome: docs/guide/training.md. The other settings save time.
 """
 
 import sys
