@@ -63,6 +63,13 @@ def test_report_json_has_the_keys_of_the_contract(planted_files, nothing):
     assert empty["effects"] == empty["where"] == [] and empty["probability"]["none"] > 0.5
 
 
+def test_a_guess_where_only_the_slip_varies_is_told(planted):
+    """As of a rig with one load."""
+    guess = planted.guess._replace(conditions={"slip": 0.9}, times=5.0)
+    told = sentences.foreseen(dataclasses.replace(planted, guess=guess))
+    assert "It guesses at slip 0.9 (drawbar pull " in told
+
+
 def test_a_misfit_without_a_name_is_no_agreement(nothing):
     missed = dataclasses.replace(nothing, gap=nothing.gap | {"torque": Gap(2.0, 2.0, 1.0)})
     assert "agrees" in words.conclusion(nothing) and "misses these runs" in words.conclusion(missed)

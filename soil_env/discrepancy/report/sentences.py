@@ -180,7 +180,7 @@ def after_next(report: Report) -> str:
 
 
 def _place(point: Mapping[str, float]) -> str:
-    """Conditions of a test."""
+    """Conditions of a test or a prediction; only those that vary by themselves are there."""
     parts = [f"load {point['load']:.4g} N"] if "load" in point else []
     parts += [f"{point['speed']:.3g} m/s"] if "speed" in point else []
     parts += [f"pass {point['pass']:g}"] if point.get("pass", 1.0) != 1.0 else []
@@ -188,7 +188,8 @@ def _place(point: Mapping[str, float]) -> str:
         [f"a grade of {point['grade_deg']:.3g} deg"] if point.get("grade_deg", 0.0) != 0.0 else []
     )
     parts += [f"{CONDITIONS[n][0]} {point[n]:.3g} m" for n in WHEEL if n in point]
-    return f"slip {point['slip']:.2g} at {listed(parts)}"
+    slip = f"slip {point['slip']:.2g}"
+    return f"{slip} at {listed(parts)}" if parts else slip
 
 
 def summary(report: Report) -> str:
