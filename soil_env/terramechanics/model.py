@@ -141,6 +141,7 @@ class WheelSoilModel(Checked):
                 )
         super().__post_init__()
         pack_effects(self.effects)  # refuses what is unknown or out of range
+        residual_law(self.residual)  # refuses too many terms
         object.__setattr__(self, "validity", checked(self.validity))
 
     @property

@@ -11,6 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import SoilState
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.residual import (
     CHANNELS,
     COLUMNS,
@@ -32,6 +33,12 @@ POINT = (0.3, 0.7, 0.1, 0.05, 0.08, 2.0, 0.1)  # one value of each group
 def value(terms, groups=POINT):
     """(z/r, DP/W, T/(W r)) of terms."""
     return residual_at(residual_law(terms), groups)
+
+
+def test_a_model_with_too_many_terms_is_refused():
+    terms = (ResidualTerm("torque", 1.0),) * 33
+    with pytest.raises(ParameterError, match="residual: 33 terms: expected at most 32"):
+        WheelSoilModel(ModelWheel(0.15, 0.15), residual=terms)
 
 
 def test_groups_by_hand():
@@ -103,6 +110,7 @@ def test_a_table_is_linear_between_its_nodes_and_held_at_its_ends():
         ({"slip": [0.1]}, {}, "at least two numbers, ascending"),
         ({"slip": [0.1, 0.1]}, {}, "at least two numbers, ascending"),
         ({"grip": [0.1, 0.2]}, {}, "remainder: axes: unknown key 'grip'"),
+        ({"slip": list(range(4097))}, {}, "4097 combinations of nodes: expected 2 to 4096"),
         ({"slip": [0.1, 0.2]}, {"torq": "1 2"}, "did you mean 'torque'"),
         ({"slip": [0.1, 0.2]}, {"torque": "1 2 3"}, "expected 2 numbers"),
         ({"slip": [0.1, 0.2]}, {"torque": "1 x"}, "expected 2 numbers"),
