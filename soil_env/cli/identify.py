@@ -11,6 +11,7 @@ from rich.text import Text
 from soil_env._io.files import check_own, write_own
 from soil_env.cli.running import out_option
 from soil_env.cli.table_files import table_arguments
+from soil_env.discrepancy.instrument import exact
 from soil_env.identification.table.fit import identify_table
 from soil_env.identification.table.report import picture, report_of, text_of
 from soil_env.measurement.setup import read_setup
@@ -30,6 +31,7 @@ def command(data: Path, setup: Path, out: Path | None) -> None:
     what the data cannot determine.
     """
     known = read_setup(setup)
+    exact(known)  # refuses what `discover` would
     table = read_table(data, known.wheel, known.ignore_columns)
     if out is not None:
         check_own(out, FILES, (data, setup))

@@ -25,6 +25,8 @@ from soil_env.terramechanics.effects.entry import CHANNELS, Channel
 GROUPS = ("slip", "grip", "sinkage", "load", "speed", "pass", "grade")
 COLUMNS = (*CHANNELS, *(f"{name}_sd" for name in CHANNELS))  # of a table
 AXES = ("slip", "load", "speed", "pass", "grade")  # groups that a table may go over
+LARGEST = 10.0  # coefficient and value in a table: ten times radius, load, or load times radius
+MOST_SD = 1e6  # of such a value
 MOST_TERMS = 32  # of a residual law
 MOST_NODES = 4096  # of a table, of all axes together and of all their combinations
 
@@ -34,7 +36,7 @@ class ResidualTerm(Checked):
     """One term: coefficient [-] and the power of each group in it."""
 
     channel: Channel
-    coefficient: float = quantity("")
+    coefficient: float = quantity("", -LARGEST, LARGEST)
     powers: dict[str, float] = field(default_factory=dict)
     #: Group -> (low, high) of the data; outside, the group keeps the value of the nearer end.
     ranges: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -47,17 +49,13 @@ class ResidualTerm(Checked):
         for name in ("powers", "ranges"):
             for group in getattr(self, name):
                 if group not in GROUPS:
-                    raise unknown_key(group, GROUPS, f"residual: {name}")
+                    raise unknown_key(group, GROUPS, name)
         for group, p in self.powers.items():
             if not abs(p) <= 6.0:
-                raise ParameterError(
-                    f"residual: powers: {group} = {p!r}: expected a number in [-6, 6]"
-                )
+                raise ParameterError(f"powers: {group} = {p!r}: expected a number in [-6, 6]")
         for group, (low, high) in self.ranges.items():
             if not low <= high:
-                raise ParameterError(
-                    f"residual: ranges: {group} = {[low, high]}: expected [low, high]"
-                )
+                raise ParameterError(f"ranges: {group} = {[low, high]}: expected [low, high]")
 
     def __str__(self) -> str:
         product = "".join(f" {g}" if p == 1 else f" {g}^{p:g}" for g, p in self.powers.items())
@@ -80,20 +78,17 @@ class ResidualTable(Checked):
         super().__post_init__()
         for group, nodes in self.axes.items():
             if group not in AXES:
-                raise unknown_key(group, AXES, "remainder: axes")
+                raise unknown_key(group, AXES, "axes")
             if len(nodes) < 2 or not np.all(np.diff(nodes) > 0.0):
                 raise ParameterError(
-                    f"remainder: axes: {group} = {list(nodes)[:4]}: expected at least two numbers, "
-                    "ascending"
+                    f"axes: {group} = {list(nodes)[:4]}: expected at least two numbers, ascending"
                 )
         count = math.prod(map(len, self.axes.values()))
         if not 2 <= count <= MOST_NODES:
-            raise ParameterError(
-                f"remainder: axes: {count} combinations of nodes: expected 2 to {MOST_NODES}"
-            )
+            raise ParameterError(f"axes: {count} combinations of nodes: expected 2 to {MOST_NODES}")
         for name in self.values:
             if name not in COLUMNS:
-                raise unknown_key(name, COLUMNS, "remainder: values")
+                raise unknown_key(name, COLUMNS, "values")
         self.columns  # noqa: B018  # refuses what is no number
 
     @property
@@ -106,10 +101,11 @@ class ResidualTable(Checked):
                 column = np.array(text.split(), dtype=float)
             except ValueError:
                 column = np.empty(0)
-            if column.size != count or not np.all(np.isfinite(column)):
+            most = LARGEST if name in CHANNELS else MOST_SD
+            if column.size != count or not np.all(np.abs(column) <= most):
                 raise ParameterError(
-                    f"remainder: values: {name} = {text[:20]!r}...: expected {count} numbers, one "
-                    "for each combination of nodes"
+                    f"values: {name} = {text[:20]!r}...: expected {count} numbers in "
+                    f"[{-most:g}, {most:g}], one for each combination of nodes"
                 )
             out[:, COLUMNS.index(name)] = column
         return out

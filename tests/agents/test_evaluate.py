@@ -212,7 +212,7 @@ def test_a_module_in_the_current_folder_is_found(tmp_path, monkeypatch):
     assert rows["make"] == rows["half"] == rows["Half"]
 
 
-def test_effects_of_a_world_and_the_limit_of_the_oracle(tmp_path):
+def test_effects_of_a_world_and_the_limit_of_the_oracle(tmp_path, capsys):
     world = ROOT / "configs/worlds/bulldozing.yaml"
     assert (
         evaluate(
@@ -220,7 +220,11 @@ def test_effects_of_a_world_and_the_limit_of_the_oracle(tmp_path):
         )
         == 0
     )
+    page = (tmp_path / "with" / "evaluation.md").read_text()
+    for text in (capsys.readouterr().out, page):
+        assert "in a world with bulldozing" in text
     assert evaluate(tmp_path / "without", "soft_start", "--courses=3") == 0
+    assert "in a world" not in capsys.readouterr().out
     there = result_of(tmp_path / "with")
     plain = result_of(tmp_path / "without")
     assert list(there["model"]["effects"]) == ["bulldozing"] and "model" not in plain

@@ -407,6 +407,16 @@ def test_intervals_from_few_points_at_one_load(tmp_path):
     assert min(hits["friction_angle_deg"], hits["shear_modulus"]) >= 10, hits
 
 
+def test_a_check_that_nothing_has_is_refused_as_by_discover(tmp_path, capsys):
+    setup = tmp_path / "setup.yaml"
+    setup.write_text((EXAMPLE / "setup.yaml").read_text() + "checked: [tiltt]\n")
+    for command in ("identify", "discover"):
+        arguments = [command, str(EXAMPLE / "single_wheel.csv"), "--setup", str(setup)]
+        assert main([*arguments, "--out", str(tmp_path / command)]) == 2
+        said = capsys.readouterr().err.splitlines()[-1]
+        assert "checked: unknown value 'tiltt'; did you mean 'tilt'?" in said
+
+
 def test_command(tmp_path, capsys):
     arguments = [
         "identify",

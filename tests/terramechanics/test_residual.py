@@ -109,11 +109,12 @@ def test_a_table_is_linear_between_its_nodes_and_held_at_its_ends():
     [
         ({"slip": [0.1]}, {}, "at least two numbers, ascending"),
         ({"slip": [0.1, 0.1]}, {}, "at least two numbers, ascending"),
-        ({"grip": [0.1, 0.2]}, {}, "remainder: axes: unknown key 'grip'"),
+        ({"grip": [0.1, 0.2]}, {}, "axes: unknown key 'grip'"),
         ({"slip": list(range(4097))}, {}, "4097 combinations of nodes: expected 2 to 4096"),
         ({"slip": [0.1, 0.2]}, {"torq": "1 2"}, "did you mean 'torque'"),
         ({"slip": [0.1, 0.2]}, {"torque": "1 2 3"}, "expected 2 numbers"),
         ({"slip": [0.1, 0.2]}, {"torque": "1 x"}, "expected 2 numbers"),
+        ({"slip": [0.1, 0.2]}, {"torque": "1 11"}, r"expected 2 numbers in \[-10, 10\]"),
     ],
 )
 def test_wrong_tables_are_refused(axes, values, message):

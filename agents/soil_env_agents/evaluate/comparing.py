@@ -132,7 +132,8 @@ def table(result: Mapping) -> tuple[Table, str]:
     """The main metrics of all controllers, and a line with the meaning of the columns."""
     columns = OF_ROVERS if "fighting" in result["metrics"] else COLUMNS
     title = (
-        f"{result['courses']} courses of {result['scenario']!r}, the same for all; 95 % intervals"
+        f"{result['courses']} courses of {result['scenario']!r}{other_world(result)}, the same for "
+        "all; 95 % intervals"
     )
     seeds = {
         name: f" ({count} seeds)" if count > 1 else "" for name, count in result["members"].items()
@@ -141,6 +142,13 @@ def table(result: Mapping) -> tuple[Table, str]:
         result
     )
     return metric_table(entries, columns, title), legend(columns, MEANINGS)
+
+
+def other_world(result: Mapping) -> str:
+    """What acts in a world of `--model`; empty without one."""
+    model = result.get("model") or {}
+    acting = [*model.get("effects", {}), *(k for k in ("residual", "remainder") if model.get(k))]
+    return f" in a world with {', '.join(acting) or 'no effect'}" if model else ""
 
 
 def nobody(result: Mapping) -> list[str]:

@@ -120,7 +120,7 @@ def page(result: Mapping) -> str:
         cells = (difference(m, result["paired"][a][b][m]) for m in shown)
         paired.append([f"`{a}` - `{b}`", *cells, cell(result["improvement"][a][b])])
     parts = [
-        f"# Controllers on scenario {result['scenario']}",
+        f"# Controllers on scenario {result['scenario']}{comparing.other_world(result)}",
         (
             f"{result['courses']} courses of set {result['seed']}, the same for all controllers; "
             "95 % intervals."

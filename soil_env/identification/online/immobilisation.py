@@ -318,6 +318,7 @@ class ImmobilisationWarning:
 
         `known`: averages [wheels, MEMORY], estimates and their sd [wheels, 5].
         """
+        known = tuple(map(np.ascontiguousarray, known))  # views would be compiled anew
         inputs = np.empty((len(rows), len(INPUTS)))
         out = np.empty((len(rows), len(HORIZONS)))
         _assess(rows, *known, self.setting, self._net, inputs, self._hidden, out)
