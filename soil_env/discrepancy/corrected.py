@@ -31,6 +31,8 @@ from soil_env.terramechanics.residual import (
     AXES,
     COLUMNS,
     GROUPS,
+    LARGEST,
+    MOST_SD,
     ResidualTable,
     WorkingPoint,
     dimensionless_groups,
@@ -155,7 +157,8 @@ def _remainder(
     radius = model.wheel.radius
     size = np.stack([np.full(len(grid), radius), at["load"], at["load"] * radius], axis=1)
     mean, sd = found.at(at, without)
-    columns = np.concatenate([np.nan_to_num(mean - law) / size, sd / size], axis=1)
+    left = np.clip(np.nan_to_num(mean - law) / size, -LARGEST, LARGEST)
+    columns = np.concatenate([left, np.minimum(sd / size, MOST_SD)], axis=1)
     text = [
         " ".join(f"{x + 0.0:.{4 if k < len(CHANNELS) else 2}g}" for x in column)
         for k, column in enumerate(columns.T)
