@@ -1,7 +1,7 @@
 """What the default policy and the best rule still finish when a sensor errs or is dead, in worlds
 with effects, and on another wheel.
 
-    python -m benchmarks.robustness                  a quarter of an hour; docs/results/robustness.*
+    python -m benchmarks.robustness                  26 core minutes; docs/results/robustness.*
     python -m benchmarks.robustness --smoke --out X  every part in seconds; numbers mean nothing
 
 Courses of `two_lines`. Both drivers act on observations that `Observer` makes of the readings, as

@@ -202,22 +202,9 @@ def _factor(rows: Rows, by: str, bench: Bench) -> np.ndarray:
     return column / bench.speed if by == "speed" else column
 
 
-#: Parameters of the laws that change what comes out.
-_CHANGING = frozenset(
-    (
-        "soft_wheel_gain",
-        "force_pull",
-        "rut_force_pull",
-        "slip_force_pull",
-        "pull_curve_loss",
-        "torque_curve_loss",
-    )
-)
-
-
 def changed(out: np.ndarray, rows: Rows, values: Mapping[str, float], bench: Bench) -> np.ndarray:
     """[N, 3] sinkage, pull and torque under the anonymous law among `values`."""
-    if _CHANGING.isdisjoint(values):
+    if not values:
         return out
     out = out.copy()
     size = bench.load * rows.wheels[:, 0]

@@ -25,7 +25,9 @@ from soil_env.terramechanics.effects.entry import CHANNELS, Channel
 GROUPS = ("slip", "grip", "sinkage", "load", "speed", "pass", "grade")
 COLUMNS = (*CHANNELS, *(f"{name}_sd" for name in CHANNELS))  # of a table
 AXES = ("slip", "load", "speed", "pass", "grade")  # groups that a table may go over
-LARGEST = 10.0  # coefficient and value in a table: ten times radius, load, or load times radius
+#: Coefficient and value in a table, at most: ten times radius, load, or load times radius. Own choice,
+#: far beyond any wheel.
+LARGEST = 10.0
 MOST_SD = 1e6  # of such a value
 MOST_TERMS = 32  # of a residual law
 MOST_NODES = 4096  # of a table, of all axes together and of all their combinations

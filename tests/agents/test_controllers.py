@@ -366,12 +366,12 @@ def test_planning_changes_nothing_in_the_world_and_foresees_no_noise():
 def test_the_oracle_finishes_courses_that_full_throttle_does_not(action, monkeypatch):
     scenario = load_scenario("two_lines", {"control": {"action": action}})
     blind = run_courses(make_controller("full_throttle", scenario), scenario, SEED, 40)
-    failed = np.flatnonzero(blind.metric("finished") < 0.5)[:4]
-    assert failed.size == 4
+    failed = np.flatnonzero(blind.metric("finished") < 0.5)[:6]
+    assert failed.size == 6
     rng = driving.course_rng
     monkeypatch.setattr(driving, "course_rng", lambda seed, k: rng(seed, int(failed[k])))
-    runs = run_courses(Oracle(scenario), scenario, SEED, 4)
-    assert runs.metric("finished").sum() >= 3
+    runs = run_courses(Oracle(scenario), scenario, SEED, 6)
+    assert runs.metric("finished").sum() >= 4
 
 
 def test_drives_are_shown_side_by_side(tmp_path, capsys):

@@ -9,7 +9,6 @@ import pytest
 
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.calibrate import calibrate
-from soil_env.discrepancy.search import search
 from soil_env.discrepancy.workflow import run
 from soil_env.identification.table.data import prepare
 from soil_env.measurement.setup import NoiseLevels
@@ -65,14 +64,9 @@ def test_noise_of_slip_and_load_is_noise_of_the_channels_by_their_slopes(effects
     assert again.noise * again.data.relative_sd == pytest.approx(found)
 
 
-def searched(rows, setup):
-    """Verdict of the search alone."""
-    return search(calibrate(prepare(rows, setup))[0]).verdict
-
-
 def test_slips_that_were_read_with_noise_are_no_effect_where_that_is_told():
     assert run(*noisy(0, 0.03)).verdict == "none"
-    assert searched(*noisy(0, 0.03, stated=False)) == "unlisted"
+    assert run(*noisy(0, 0.03, stated=False)).verdict == "unlisted"
 
 
 def test_a_dip_at_one_slip_of_every_load_is_no_row_of_outliers():
@@ -83,7 +77,7 @@ def test_a_dip_at_one_slip_of_every_load_is_no_row_of_outliers():
     dip = 9.0 * NOISE[1] * np.exp(-0.5 * ((rows.slip - SLIPS[4]) / 0.03) ** 2)
     dipped = dataclasses.replace(rows, drawbar_pull=rows.drawbar_pull - dip)
     assert calibrate(prepare(dipped, setup))[1].used.all()
-    assert searched(dipped, setup) == "unlisted"
+    assert run(dipped, setup).verdict == "unlisted"
     wrong = rows.drawbar_pull - 9.0 * NOISE[1] * (np.arange(len(rows)) == np.argmax(dip))
     used = calibrate(prepare(dataclasses.replace(rows, drawbar_pull=wrong), setup))[1].used
     assert np.flatnonzero(~used[:, 1]).tolist() == [np.argmax(dip)] and used[:, [0, 2]].all()
