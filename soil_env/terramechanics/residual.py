@@ -25,8 +25,8 @@ from soil_env.terramechanics.effects.entry import CHANNELS, Channel
 GROUPS = ("slip", "grip", "sinkage", "load", "speed", "pass", "grade")
 COLUMNS = (*CHANNELS, *(f"{name}_sd" for name in CHANNELS))  # of a table
 AXES = ("slip", "load", "speed", "pass", "grade")  # groups that a table may go over
-#: Coefficient and value in a table, at most: ten times radius, load, or load times radius. Own choice,
-#: far beyond any wheel.
+#: Coefficient and value in a table, at most: ten times radius, load, or load times radius. Own
+#: choice, far beyond any wheel.
 LARGEST = 10.0
 MOST_SD = 1e6  # of such a value
 MOST_TERMS = 32  # of a residual law
