@@ -30,8 +30,8 @@ from soil_env._io.document import Table as Page
 from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import PATH, leave, run
-from soil_env.discrepancy.calibrate import Problem, calibrate
-from soil_env.discrepancy.prediction import drawn, fit_prediction
+from soil_env.discovery.calibrate import Problem, calibrate
+from soil_env.discovery.prediction import drawn, fit_prediction
 from soil_env.identification.table.data import prepare
 from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_setup
 from soil_env.measurement.table import MEASURED, Table, read_table

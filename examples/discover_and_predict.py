@@ -11,8 +11,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from rich.console import Console
 
-from soil_env.discrepancy import run
-from soil_env.discrepancy.report import show
+from soil_env.discovery import run
+from soil_env.discovery.report import show
 
 report = run("data/rig.csv", "data/rig.setup.yaml")
 show(report, Console(width=100, color_system=None, force_jupyter=False))

@@ -4,7 +4,7 @@
 nothing else; `gymnasium.make("soil_env:SoilWheel-v0")` needs no import. Their classes are imported
 when they are asked for. Rooms: physics in `terramechanics`, world and task in `simulation`,
 identification in `identification`, the environments, which join both, in `envs`, the search for
-missing effects in `discrepancy`.
+missing effects in `discovery`.
 """
 
 from importlib import import_module

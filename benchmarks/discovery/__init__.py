@@ -1,1 +1,1 @@
-"""Blind benchmark of discrepancy discovery: a generator of cases, entrants and scores."""
+"""Blind benchmark of discovery: a generator of cases, entrants and scores."""

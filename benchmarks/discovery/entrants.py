@@ -1,6 +1,6 @@
 """Entrants: functions from (data.csv, setup.yaml) to an `Answer`.
 
-`workflow` is the discrepancy workflow of soil_env. The least-squares fits that docs/results.md
+`workflow` is the discovery workflow of soil_env. The least-squares fits that docs/results.md
 compares it with are at commit 723d8c2d.
 """
 
@@ -14,8 +14,8 @@ from pathlib import Path
 
 from benchmarks.discovery.unlisted import INSTRUMENTS
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy import run
-from soil_env.discrepancy.report import content
+from soil_env.discovery import run
+from soil_env.discovery.report import content
 from soil_env.terramechanics.effects import CATALOGUE
 
 #: What an answer may name: every effect of the catalogue, and errors of the instrument.
@@ -83,7 +83,7 @@ def entrant(name: str) -> Entrant:
 
 
 def workflow(data: Path, setup: Path) -> Answer:
-    """Discrepancy workflow of soil_env, by the content of its report.json.
+    """Discovery workflow of soil_env, by the content of its report.json.
 
     Of an ambiguous verdict the first candidate is named if it is more probable than nothing or
     something unlisted.

@@ -9,10 +9,10 @@ from rich.console import Console
 
 from soil_env.cli.running import WholeNumber, out_option, seed_option
 from soil_env.cli.table_files import table_arguments
-from soil_env.discrepancy.next_tests import MOST
-from soil_env.discrepancy.report import FILES, show
-from soil_env.discrepancy.report.sentences import summary
-from soil_env.discrepancy.workflow import run
+from soil_env.discovery.next_tests import MOST
+from soil_env.discovery.report import FILES, show
+from soil_env.discovery.report.sentences import summary
+from soil_env.discovery.workflow import run
 
 
 @click.command("discover")

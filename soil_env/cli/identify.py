@@ -11,7 +11,7 @@ from rich.text import Text
 from soil_env._io.files import check_own, write_own
 from soil_env.cli.running import out_option
 from soil_env.cli.table_files import table_arguments
-from soil_env.discrepancy.instrument import exact
+from soil_env.discovery.instrument import exact
 from soil_env.identification.table.fit import identify_table
 from soil_env.identification.table.report import picture, report_of, text_of
 from soil_env.measurement.setup import read_setup

@@ -111,7 +111,7 @@ def _identifier() -> None:
 def _predictions() -> None:
     """What predicts, reads tables and logs, and recomputes the source paper."""
     # Here so that importing this file loads neither scipy nor the printed values of the paper.
-    from soil_env.discrepancy.corrected import groups_at
+    from soil_env.discovery.corrected import groups_at
     from soil_env.paper import compare
 
     slips(np.array([0.3]), np.array([0.2]))

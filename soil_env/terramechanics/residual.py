@@ -3,7 +3,7 @@ dimensionless groups and as a table over them.
 
     sinkage / r, drawbar pull / W, torque / (W r)   +=   sum of  a  prod_g  group_g ^ p_g  +  table
 
-`discrepancy.prediction` makes such tables, with their standard deviations. Neither has a claim to
+`discovery.prediction` makes such tables, with their standard deviations. Neither has a claim to
 hold outside the conditions it was found in, so every group is held inside the range it had there.
 """
 

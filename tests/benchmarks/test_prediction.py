@@ -6,7 +6,7 @@ import pytest
 from benchmarks import prediction
 from benchmarks.rigs import DATA
 from soil_env._io.loading import ParameterError
-from tests.discrepancy.files import PLANTED, data_of, table_text
+from tests.discovery.files import PLANTED, data_of, table_text
 
 measured = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data in {DATA}")
 

@@ -50,7 +50,7 @@ def test_ctrl_c_during_the_imports_is_one_line(tmp_path):
     env = {
         **os.environ,
         "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}",
-        "INTERRUPT_AT": "soil_env.discrepancy.workflow",
+        "INTERRUPT_AT": "soil_env.discovery.workflow",
     }
     found = ended("-m", "soil_env.cli", "discover", "--help", env=env)
     assert found == (130, "", "\nsoil-env discover: interrupted\n")

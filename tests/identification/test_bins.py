@@ -8,7 +8,7 @@ import pytest
 from soil_env.identification.table import identify_table
 from soil_env.identification.table.bins import DENSE, MOST, binned
 from soil_env.identification.table.data import folds, prepare
-from tests.discrepancy.files import NOISE, SETUP, data_of, world
+from tests.discovery.files import NOISE, SETUP, data_of, world
 
 BARE = SETUP.split("soil:")[0] + "soil: {density: 1600}\nnoise: {sinkage: 0.0006}\n"
 

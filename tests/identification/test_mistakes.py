@@ -17,7 +17,7 @@ from soil_env.identification.table.mistakes import examine
 from soil_env.measurement.doubts import load_doubt
 from soil_env.measurement.setup import Prior, Setup, SetupWheel, SoilPriors
 from soil_env.measurement.table import read_table
-from tests.discrepancy.files import PLANTED, SETUP, changed, data_of, table_text, write_files
+from tests.discovery.files import PLANTED, SETUP, changed, data_of, table_text, write_files
 
 
 def examined(folder, text, setup=SETUP):

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy.calibrate import calibrate
-from soil_env.discrepancy.workflow import run
+from soil_env.discovery.calibrate import calibrate
+from soil_env.discovery.workflow import run
 from soil_env.identification.table.data import prepare
 from soil_env.measurement.setup import NoiseLevels
-from tests.discrepancy.tables import NOISE, table, world as world_of
+from tests.discovery.tables import NOISE, table, world as world_of
 
 SLIPS = np.linspace(0.05, 0.7, 8)
 

@@ -29,7 +29,7 @@ event.register("numba:compile", compiled)
 
 folder = Path(sys.argv[1])
 from soil_env.cli import main
-from soil_env.discrepancy import calibrate
+from soil_env.discovery import calibrate
 from soil_env.identification.table.data import prepare
 from soil_env.measurement import read_setup, read_table
 from soil_env_agents.controllers import make_controller

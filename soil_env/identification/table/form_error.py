@@ -3,7 +3,7 @@ the conditions.
 
 What is measured is y = f(u) + sum_k s_k B_k w_k + noise, w_k ~ N(0, 1), where the columns B_k span
 a Gaussian process over the conditions and s_k is the unknown size of a kind of form error
-(docs/physics/discrepancy.md). A process is written in its leading eigenfunctions at the rows of the
+(docs/physics/discovery.md). A process is written in its leading eigenfunctions at the rows of the
 table (Karhunen-Loeve), so that its covariance becomes ordinary linear unknowns with unit prior.
 """
 

@@ -1,0 +1,554 @@
+"""Fit of the model, with or without effects, to a measurement table: the most probable parameters
+under the priors.
+
+Priors of the soil and the least squares are those of `soil_env.identification.table`, with noise of
+slip and load as noise of the channels. The whitened unknowns u minimise
+
+    J(u) = e'C^-1 e + |u|^2,    e = (y - f(u)) / sigma,    C = I + B B'
+
+with the form errors B of `identification.table.form_error`: of the base law, in the stresses, and
+of each effect, a smooth factor on what it adds to each channel. Priors of the setup are widened
+(`PRIOR_WIDTH`), since a soil a little off its prior must not be taken for a missing effect.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env.discovery.instrument import (
+    LAWS,
+    LISTED,
+    Choice,
+    in_balance,
+    nuisances,
+    reading,
+    true_rows,
+)
+from soil_env.discovery.unnamed import changed, factors, loaded
+from soil_env.identification.table import form_error
+from soil_env.identification.table.data import CHANNELS, Data
+from soil_env.identification.table.form_error import (
+    INPUTS,
+    LENGTHS,
+    Process,
+    compressed,
+    stress_changes,
+    whitened,
+)
+from soil_env.identification.table.noise import NoiseEstimate, find_noise, with_noise_of_conditions
+from soil_env.identification.table.priors import (
+    USUAL_SINKAGE,
+    Unknown,
+    given_laws,
+    soil_state,
+    soil_unknowns,
+)
+from soil_env.identification.table.problem import (
+    OFF_GUESS,
+    Last,
+    differences,
+    finite,
+    most_probable,
+)
+from soil_env.identification.table.rig import predict_table
+from soil_env.parameters import SoilState
+from soil_env.slip import sliding_speeds
+from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, Effects
+from soil_env.terramechanics.effects.entry import Bench
+from soil_env.terramechanics.model import Rows
+
+PRIOR_WIDTH = 1.5  # factor of the sd of the setup's priors
+#: Form error of an effect that is named by its place, in all channels alike, over that of others.
+ANY_FORM = 10.0
+_STRESS_STEP = 1e-3  # relative change of a stress, for differences
+_SAME = 1e-6  # [prior sd] of a start from a bound, and within which derivatives are the same
+_LAW = 24  # most functions of the process of the law's error
+_EFFECT = 24  # of that of the form of an effect
+_FREE = 40  # of an anonymous contribution
+#: Correlation lengths of the error of the base law, one as probable as another. The shortest is
+#: about the step between two slips of a table, for laws that are right at some slips alone: soil
+#: flows in two zones below a driven wheel, and in one at large slip (Wong 1967, J. Agric. Eng. Res.
+#: 12:257-269).
+LAW_LENGTHS = (*form_error.LAW_LENGTHS, LENGTHS | {"slip": 0.1})
+#: Correlation lengths of an anonymous contribution of all conditions over those of a form error.
+_LONGER = 1.6
+
+
+class Sizes(NamedTuple):
+    """Sizes of the form errors."""
+
+    law: float = 0.0  # alpha, relative, of the stresses of the base law
+    effect: float = 0.0  # beta, relative to what an effect adds
+    #: Of an anonymous contribution, relative to the channel's rms.
+    free: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    span: int = 0  # of `LAW_LENGTHS`, that of the base law's error
+    #: Of every value by itself about the model, over the noise: more than 1 if soils vary by row.
+    scatter: float = 1.0
+    #: Anonymous contributions of one condition in one place (`evidence.patterns`), and their
+    #: relative sizes.
+    patterns: tuple[tuple[str, float], ...] = ()
+    rig: float = 0.0  # of the nuisances of the instrument, over their standard deviations
+
+    @property
+    def laws(self) -> tuple[float, ...]:
+        """Size of the base law's error over each of the spans."""
+        return tuple(self.law if k == self.span else 0.0 for k in range(len(LAW_LENGTHS)))
+
+
+EXACT = Sizes()
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted model. Whitened quantities: residuals in noise sd, unknowns in prior sd."""
+
+    choices: tuple[Choice, ...]
+    unknowns: tuple[Unknown, ...]
+    u: np.ndarray  # [p]
+    output: np.ndarray  # [N, 3] model values
+    added: tuple[np.ndarray, ...]  # [N, 3] what each effect adds to them
+    residual: np.ndarray  # [M] whitened (y - f) of the values in use
+    jacobian: np.ndarray  # [M, p] d(f)/d(u), whitened
+    #: [M, R] whitened form error of the base law at the size 1, over each of the spans.
+    law: tuple[np.ndarray, ...]
+    effect: np.ndarray  # [M, R] of the effects
+    free: tuple[np.ndarray, ...]  # [M, R] of an anonymous contribution to each channel
+    rig: np.ndarray  # [M, R] of the nuisances of the instrument
+    converged: bool
+    sizes: Sizes = EXACT  # that the unknowns are most probable under
+
+    def parameters(self) -> dict[str, float]:
+        """Every unknown by name."""
+        return _values(self.unknowns, self.u)
+
+    @property
+    def free_unknowns(self) -> np.ndarray:
+        """[p] which unknowns are not at a bound."""
+        at = [(k.mean + k.sd * u, k) for k, u in zip(self.unknowns, self.u, strict=True)]
+        return np.array([min(x - k.low, k.high - x) > 1e-4 * k.sd for x, k in at], dtype=bool)
+
+    def columns(self, sizes: Sizes) -> np.ndarray:
+        """[M, R] whitened form errors at their sizes side by side, those of size 0 left out."""
+        blocks = zip(
+            (*self.law, self.effect, *self.free, self.rig),
+            (*sizes.laws, sizes.effect, *sizes.free, sizes.rig),
+            strict=True,
+        )
+        return np.concatenate(
+            [size * block for block, size in blocks if size > 0.0] or [self.effect[:, :0]], axis=1
+        )
+
+    def linearised(self) -> tuple[np.ndarray, np.ndarray]:
+        """(A [M + p, k], e [M + p]): the whitened problem about its solution, the priors as the
+        last p rows.
+
+        Unknowns come first, then the form errors, of the sizes that it was fitted with. Unknowns at
+        a bound do not move.
+        """
+        extra = self.columns(self.sizes)
+        free = np.concatenate([self.free_unknowns, np.ones(extra.shape[1], dtype=bool)])
+        x = np.concatenate([self.u, np.zeros(extra.shape[1])])
+        top = np.concatenate([self.jacobian, extra], axis=1) / self.sizes.scatter
+        return np.concatenate([top, np.eye(x.size)])[:, free], np.concatenate(
+            [self.residual / self.sizes.scatter, -x]
+        )
+
+
+@dataclass(eq=False)
+class Problem:
+    """Table, unknowns of the soil, noise and values in use, which all fits to one table share."""
+
+    data: Data
+    noise: np.ndarray  # [3]
+    used: np.ndarray  # [N, 3] bool, measured and not an outlier
+    freedom: float = math.inf  # degrees of freedom that the noise is known to
+    soil: tuple[Unknown, ...] = ()
+    known: dict[str, float] = field(default_factory=dict)
+    offset: np.ndarray | None = None  # [N, 3] added to the model, a residual law
+
+    def __post_init__(self) -> None:
+        setup = self.data.setup
+        self.soil, self.known = soil_unknowns(
+            setup, self.data.rows.load, self.data.y[:, 0], PRIOR_WIDTH
+        )
+        self.density: float = 1500.0 if setup.soil.density is None else setup.soil.density.value
+        self.laws: dict[str, float] = given_laws(setup)
+        self.bench: Bench = self._bench()
+        #: Prior (sd, low, high) and neutral value or centre of the parameters for which the rig
+        #: sets them.
+        self.scales = {
+            f"{e.name}_{k}": v for e in LISTED.values() for k, v in e.priors(self.bench).items()
+        }
+        self.centres = {
+            f"{e.name}_{k}": v for e in LISTED.values() for k, v in e.neutral(self.bench).items()
+        }
+        self.neutral: Effects = NO_EFFECTS._replace(**self.centres)
+        self._processes()
+
+    def _processes(self) -> None:
+        """Form errors over the conditions of the table, and the size of each channel."""
+        at = self.data.conditions | self.data.elapsed
+        self.law_processes: list[Process] = [
+            Process.over(at, of=INPUTS, most=_LAW, lengths=x) for x in LAW_LENGTHS
+        ]
+        own = {e.conditions for e in LAWS.values()}
+        self.effect_processes: dict[tuple[str, ...], Process] = {
+            more: Process.over(at, of=(*INPUTS, *more), most=_EFFECT) for more in own
+        }
+        lengths = {k: _LONGER * v for k, v in LENGTHS.items()}
+        self.free_functions: np.ndarray = Process.over(
+            at, additive=True, most=_FREE, lengths=lengths
+        ).at_points
+        square = np.where(self.used, np.nan_to_num(self.data.y) ** 2, 0.0)
+        self.size: np.ndarray = np.sqrt(square.sum(axis=0) / np.maximum(self.used.sum(axis=0), 1))
+
+    def _bench(self) -> Bench:
+        """Sizes of this rig, which priors of effects scale with."""
+        rows = self.data.rows
+        r = self.data.wheel.radius
+        wheel = self.data.setup.wheel
+        speed = rows.conditions[:, 0]
+        z = self.data.y[:, 0]
+        sinkage = float(np.nanmedian(np.abs(z))) if np.any(np.isfinite(z)) else USUAL_SINKAGE * r
+        middle = 0.0
+        sliding = 0.0
+        if np.all(speed > 0.0):
+            middle = math.exp(float(np.mean(np.log(speed))))
+            slide = sliding_speeds(speed, rows.slip)
+            slide = slide[slide > 0.0]
+            sliding = math.exp(float(np.mean(np.log(slide)))) if slide.size else middle
+        return Bench(
+            radius=r,
+            load=float(np.median(rows.load)),
+            sinkage=sinkage,
+            speed=middle,
+            median_speed=float(np.median(speed)),
+            highest_speed=float(np.max(speed)),
+            sliding=sliding,
+            lowest_slip=float(np.min(rows.slip)),
+            lugs=wheel.grouser_count,
+            smooth=wheel.grouser_height == 0.0 and not np.any(rows.wheels[:, 2]),
+        )
+
+    def unknowns(self, choices: tuple[Choice, ...]) -> tuple[Unknown, ...]:
+        """Unknowns of a model: soil first, then the effects in order."""
+        out = list(self.soil)
+        for choice in choices:
+            for full in choice.free:
+                p = LAWS[choice.effect].parameter(full[len(choice.effect) + 1 :])
+                low = p.low
+                high = p.high
+                if p.centre is not None:
+                    centre = self.centres.get(full, p.centre)
+                    out.append(
+                        Unknown(
+                            full,
+                            math.log(centre),
+                            p.scale,
+                            math.log(max(low, 1e-3 * centre)),
+                            math.log(high),
+                            True,
+                        )
+                    )
+                    continue
+                sd, low, high = self.scales.get(full, (p.scale, low, high))
+                low = max(low, p.low)
+                high = min(high, p.high)
+                mean = self.laws["dig_gain"] if full == "slip_sinkage_gain" else p.neutral
+                out.append(Unknown(full, mean, sd, low, high, False))
+        return tuple(out)
+
+    def state(self, values: dict[str, float]) -> SoilState:
+        """The soil of a set of parameters."""
+        return soil_state(self.known | values, self.laws)
+
+    def effects(self, choices: tuple[Choice, ...], values: dict[str, float]) -> Effects:
+        """The effects of a set of parameters."""
+        numbers: dict[str, float] = {}
+        for choice in (c for c in choices if c.effect in CATALOGUE):
+            numbers |= choice.fixed
+            numbers |= {name: values[name] for name in choice.free}
+        return self.neutral._replace(**numbers) if numbers else self.neutral
+
+    def predict(
+        self,
+        values: dict[str, float],
+        choices: tuple[Choice, ...],
+        guess: np.ndarray,
+        rows: Rows | None = None,
+        more: Mapping[str, float] | None = None,
+    ) -> np.ndarray:
+        """Model values [N, 3] of a set of parameters, at other `rows` than those of the table if
+        given.
+
+        `guess` [N] of the sinkage is renewed; `more` is added to parameters of effects.
+        """
+        fx = self.effects(choices, values)
+        if more:
+            fx = fx._replace(**{k: getattr(fx, k) + v for k, v in more.items()})
+        soil = self.known | values
+        weight = self.density * self.data.setup.gravity
+        wrong = {
+            name: values[name] for c in choices if c.effect not in CATALOGUE for name in c.free
+        }
+        if "tilt_angle_deg" in wrong:
+            soil = soil | {"tilt_deg": wrong["tilt_angle_deg"]}
+        rows = true_rows(rows or self.data.rows, wrong)
+        by_row = factors(rows, wrong, self.bench)
+
+        def balanced(under: Rows) -> np.ndarray:
+            return predict_table(self.data.setup, under, soil, weight, fx, guess, by_row)
+
+        out = in_balance(loaded(rows, wrong, self.bench.load), wrong, balanced)
+        out = reading(changed(out, rows, wrong, self.bench), wrong, rows.wheels[:, 0])
+        return out if self.offset is None else out + self.offset
+
+    def sinkage_guess(self, fit: Fit) -> np.ndarray:
+        """[N] sinkages to start a prediction from."""
+        return np.maximum(fit.output[:, 0], 0.0)
+
+    def whiten(self, values: np.ndarray) -> np.ndarray:
+        """[M] of an array [N, 3]: the values in use over the noise."""
+        return (values / (self.noise * self.data.relative_sd))[self.used]
+
+    def without(self, rows: np.ndarray) -> Problem:
+        """The problem without the values of the rows [N] bool."""
+        rest = copy.copy(self)
+        rest.used = self.used & ~rows[:, None]
+        return rest
+
+    def restricted(self, fit: Fit, used: np.ndarray) -> Fit:
+        """A fit to the values `used` [N, 3], with its whitened rows for those that this problem
+        uses.
+        """
+        keep = self.used[used]
+        return dataclasses.replace(
+            fit,
+            residual=fit.residual[keep],
+            jacobian=fit.jacobian[keep],
+            effect=fit.effect[keep],
+            rig=fit.rig[keep],
+            law=tuple(block[keep] for block in fit.law),
+            free=tuple(block[keep] for block in fit.free),
+        )
+
+    def fit(
+        self,
+        choices: tuple[Choice, ...] = (),
+        start: dict[str, float] | None = None,
+        sizes: Sizes = EXACT,
+        near: Fit | None = None,
+    ) -> Fit:
+        """Most probable parameters of the model with the given effects.
+
+        `start`: parameters by name; effects that it does not name start a little off neutral. With
+        `near`, a fit to the same table, the covariance holds its form errors at these `sizes`;
+        without, that of the noise alone, times the scatter.
+        """
+        unknowns = self.unknowns(choices)
+        low, high = (np.array([k.bounds[end] for k in unknowns]) for end in (0, 1))
+        u = np.array(
+            [k.at(start[k.name]) if start and k.name in start else self._first(k) for k in unknowns]
+        )
+        off_bound = _SAME * np.minimum(high - low, 1.0)
+        u = np.clip(u, low + off_bound, high - off_bound)
+        guess = np.zeros(self.data.rows.slip.size)
+        known = None if near is None else compressed(near.columns(sizes) / sizes.scatter)
+
+        def scaled(values):
+            return whitened(known, values / sizes.scatter)
+
+        def model(x):
+            return scaled(self.whiten(self.predict(_values(unknowns, x), choices, guess)))
+
+        by_unknowns = Last(lambda x: self.derivatives(unknowns, x, choices, guess))
+        if near is not None and near.choices == choices and np.allclose(u, near.u, 0.0, _SAME):
+            by_unknowns.know(u, near.jacobian)
+        u, _, converged = most_probable(
+            scaled(self.whiten(self.data.y)),
+            model,
+            lambda x: scaled(by_unknowns(x)),
+            u,
+            (low, high),
+            ftol=1e-5,
+            xtol=1e-4,
+            gtol=1e-4,
+            max_nfev=25,
+        )
+        used = sizes if near is not None else EXACT._replace(scatter=sizes.scatter)
+        return self._finish(unknowns, choices, u, guess, by_unknowns(u), converged, used)
+
+    @staticmethod
+    def _first(unknown: Unknown) -> float:
+        """Start of an unknown: the prior mean; strengths that are bounded at their neutral value a
+        little off it.
+        """
+        bounded = not unknown.log and unknown.low >= unknown.mean and "_" in unknown.name
+        return 0.3 if bounded else 0.0
+
+    def derivatives(
+        self,
+        unknowns: Sequence[Unknown],
+        u: np.ndarray,
+        choices: tuple[Choice, ...],
+        guess: np.ndarray,
+    ) -> np.ndarray:
+        """[M, p] of the whitened output by whitened unknowns (forward differences)."""
+
+        def model(x):
+            return self.whiten(self.predict(_values(unknowns, x), choices, OFF_GUESS * guess))
+
+        base = model(u)
+        return finite(differences(model, u, unknowns, base), base.size)
+
+    def _finish(self, unknowns, choices, u, guess, jacobian, converged, sizes) -> Fit:
+        values = _values(unknowns, u)
+        output = self.predict(values, choices, guess)
+        residual = self.whiten(self.data.y) - self.whiten(output)
+        residual = np.where(np.isfinite(residual), residual, 1e3)
+        added = self.added(values, choices, output, guess)
+        law, effect = self.form_errors(
+            choices, self.stresses(values, choices, output, guess), added
+        )
+        free = [
+            self.block(_in_channel(self.free_functions, self.size[j] * unit))
+            for j, unit in enumerate(np.eye(3))
+        ]
+        rig = nuisances(
+            self.data.setup,
+            self.bench,
+            self.data.rows,
+            _finite(output),
+            tuple(c.effect for c in choices),
+        )
+        return Fit(
+            choices,
+            unknowns,
+            u,
+            output,
+            added,
+            residual,
+            jacobian,
+            tuple(map(self.block, law)),
+            self.block(effect),
+            tuple(free),
+            self.block(rig),
+            converged,
+            sizes,
+        )
+
+    def added(
+        self,
+        values: dict[str, float],
+        choices: tuple[Choice, ...],
+        output: np.ndarray,
+        guess: np.ndarray,
+    ) -> tuple[np.ndarray, ...]:
+        """[N, 3] what each effect adds to the output."""
+        rest = (choices[:k] + choices[k + 1 :] for k in range(len(choices)))
+        return tuple(
+            _finite(output - self.predict(values, others, guess.copy())) for others in rest
+        )
+
+    def stresses(
+        self,
+        values: dict[str, float],
+        choices: tuple[Choice, ...],
+        output: np.ndarray,
+        guess: np.ndarray,
+    ) -> list[np.ndarray]:
+        """[N, 3] change of the output by each `stress_changes`, relative."""
+        h = _STRESS_STEP
+        sinkage = float(np.nanmedian(output[:, 0]))
+        changes = stress_changes(self.known | values, h, sinkage)
+        there = (
+            self.predict(values | soil, choices, OFF_GUESS * guess, more=more)
+            for soil, more in changes
+        )
+        base = self.predict(values, choices, OFF_GUESS * guess)
+        return [_finite((out - base) / h) for out in there]
+
+    def form_errors(
+        self,
+        choices: tuple[Choice, ...],
+        stresses: Sequence[np.ndarray],
+        added: Sequence[np.ndarray],
+        at: Mapping[str, np.ndarray] | None = None,
+    ) -> tuple[list[np.ndarray], np.ndarray]:
+        """Form errors [N, 3, R] at the size 1 of the base law, by span, and of the effects; `at`:
+        other conditions.
+
+        Of what `stresses` and `added` change.
+        """
+
+        def functions(process: Process) -> np.ndarray:
+            return process.at_points if at is None else process.at(at)
+
+        law = [functions(process) for process in self.law_processes]
+        blocks = [np.zeros((*stresses[0].shape, 0))]
+        for choice, factor in zip(choices, added, strict=True):
+            own = functions(self.effect_process(choice))
+            moved = np.array([name in LAWS[choice.effect].moves for name in CHANNELS])
+            units = [ANY_FORM * moved] if LAWS[choice.effect].any_form else np.eye(3)[moved]
+            blocks += [_in_channel(own, factor * unit) for unit in units]
+        laws = [
+            np.concatenate([s[:, :, None] * own[:, None, :] for s in stresses], axis=2)
+            for own in law
+        ]
+        return laws, np.concatenate(blocks, axis=2)
+
+    def effect_process(self, choice: Choice) -> Process:
+        """Form error of an effect: it goes with what the base law knows and with what the effect is
+        about.
+        """
+        return self.effect_processes[LAWS[choice.effect].conditions]
+
+    def block(self, errors: np.ndarray) -> np.ndarray:
+        """[M, R] of form errors [N, 3, R], whitened, of the values in use."""
+        return (errors / (self.noise * self.data.relative_sd)[..., None])[self.used]
+
+
+def _values(unknowns: Sequence[Unknown], u: np.ndarray) -> dict[str, float]:
+    """Parameters at whitened unknowns."""
+    return {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    """The values, 0 where the model has none."""
+    return np.where(np.isfinite(values), values, 0.0)
+
+
+def _in_channel(functions: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """[N, 3, R] of functions [N, R] times a factor [3] or [N, 3]."""
+    return functions[:, None, :] * np.broadcast_to(factor, (len(functions), 3))[:, :, None]
+
+
+def calibrate(data: Data) -> tuple[Problem, NoiseEstimate]:
+    """`Problem` with its noise found and its outliers left out."""
+    spread = np.array(
+        [np.nanstd(data.y[:, j]) if data.measured[:, j].any() else 1.0 for j in range(3)]
+    )
+    rough = np.array(
+        [
+            getattr(data.setup.noise, name) or max(0.05 * spread[j], 1e-12)
+            for j, name in enumerate(CHANNELS)
+        ]
+    )
+    first = Problem(data, rough, data.measured)
+    fit = first.fit()
+
+    def base(rows: Rows) -> np.ndarray:
+        return first.predict(fit.parameters(), (), first.sinkage_guess(fit), rows)
+
+    data, counted = with_noise_of_conditions(data, base)
+    noise = dataclasses.replace(find_noise(data, fit.output), of_conditions=counted)
+    known = [f for f, o in zip(noise.freedom, noise.origin, strict=True) if o]
+    problem = Problem(data, noise.sd, noise.used, float(min(known)))
+    return problem, noise

@@ -1,0 +1,255 @@
+"""Models that are simulated: `WheelSoilModel` of a fit, and of the prediction with all effects.
+
+What the laws of the world do not have, the table of the remainder has: the smooth remainder of each
+channel, soil that goes with the load, and what an error of the rig could be as well, with the
+standard deviations of a run. Errors of the rig that are named, and the tilt of the setup, are in
+neither.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from soil_env._compiled.cache import kept
+from soil_env.discovery.calibrate import Problem
+from soil_env.discovery.instrument import INSTRUMENT, LISTED, Choice
+from soil_env.discovery.prediction import USUAL, Prediction, independent
+from soil_env.discovery.predictive import DEEPEST
+from soil_env.discovery.unnamed import OF_LOAD
+from soil_env.identification.table.data import CHANNELS
+from soil_env.parameters import Soil, SoilState
+from soil_env.slip import slips_of_radius
+from soil_env.terramechanics.effects import CATALOGUE
+from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.terramechanics.residual import (
+    AXES,
+    COLUMNS,
+    GROUPS,
+    LARGEST,
+    MOST_SD,
+    ResidualTable,
+    WorkingPoint,
+    dimensionless_groups,
+)
+from soil_env.terramechanics.steady import Rim
+from soil_env.terramechanics.validity import seen
+
+BEYOND_SLIP = 0.1  # that the table goes beyond the measured slips
+BEYOND_LOAD = 2.0  # factor by which it goes beyond the measured loads
+STEPS = {"slip": 0.08, "load": 0.2}  # correlation lengths between two nodes of it
+LEAST_STEP = {"slip": 0.012, "load": 0.15}  # of slip, and of ln W
+COARSER = 1.2  # factor of these steps until there are few enough nodes
+MOST = 2000  # nodes
+FEW = 4  # nodes of another condition, at most
+SENSED = ("slip_bias", "sinkage_offset")  # effects of a world that only sensors feel
+LITTLE = 0.05  # [noise] change below which an effect is left to the table
+
+
+def model_of(
+    problem: Problem, choices: Sequence[Choice], values: Mapping[str, float]
+) -> WheelSoilModel:
+    """The `WheelSoilModel` of fitted parameters: their soil, and their effects as the world has
+    them.
+    """
+    soil = {**problem.known, **values}
+    names = (
+        "friction_angle_deg",
+        "cohesion",
+        "shear_modulus",
+        "sinkage_coefficient",
+        "sinkage_exponent",
+    )
+    numbers: dict[str, Any] = {name: float(soil[name]) for name in names} | problem.laws
+    effects: dict[str, dict[str, float]] = {}
+    for choice in choices:
+        if choice.effect in CATALOGUE:
+            own = effects.setdefault(choice.effect, {})
+            own |= parameters(problem, choice, values)
+    # The load of a model presses normal to the ground but for this share.
+    if problem.data.setup.load == "vertical":
+        grade = effects.get("grade", {})
+        effects["grade"] = grade | {"share": 1.0 + grade.get("share", 0.0)}
+    wheel = problem.data.wheel
+    if problem.data.setup.wheel.grouser_height is None and "grousers" not in effects:
+        wheel = replace(wheel, grouser_height=0.0)  # a height was assumed only to try grousers
+    of_soil = Soil(
+        **numbers,
+        density=problem.density,
+        gravity_measured=problem.data.setup.gravity,
+        source="calibrated by soil_env.discovery",
+    )
+    rows = problem.data.rows
+    conditions = seen(rows.slip, rows.load, rows.conditions)
+    return WheelSoilModel(
+        wheel, of_soil, effects, gravity=problem.data.setup.gravity, validity=conditions
+    )
+
+
+def parameters(problem: Problem, choice: Choice, values: Mapping[str, float]) -> dict[str, float]:
+    """Parameters of an effect: what its form frees, what it sets, and the reference speed that the
+    table set.
+    """
+    if choice.effect in INSTRUMENT:
+        return {name[len(choice.effect) + 1 :]: values[name] for name in choice.free}
+    numbers = problem.effects((choice,), dict(values))
+    out = {}
+    for p in LISTED[choice.effect].parameters:
+        full = f"{choice.effect}_{p.name}"
+        if full in choice.free or full in choice.fixed or p.name == "reference_speed":
+            out[p.name] = min(max(float(getattr(numbers, full)), p.low), p.high)
+    return out
+
+
+def corrected(found: Prediction, named: Sequence[str] = ()) -> WheelSoilModel:
+    """The model of a prediction: its soil, the effects that change something, and the rest as a
+    table; without what of the `named` is an error of the rig.
+
+    What only sensors feel stays an effect where it is named: a world is no rig.
+    """
+    problem = found.problem
+    left = [name for name in (*INSTRUMENT, *OF_LOAD, *SENSED) if name not in {*named} & {*SENSED}]
+    kept = tuple(c for c in found.choices if c.effect not in left)
+    output = problem.predict(found.values, kept, np.maximum(found.output[:, 0], 0.0))
+    for name in dict.fromkeys(c.effect for c in kept):
+        fewer = tuple(c for c in kept if c.effect != name)
+        there = problem.predict(found.values, fewer, np.maximum(output[:, 0], 0.0))
+        if np.max(np.abs(there - output) / problem.noise) < LITTLE:
+            kept = fewer
+    model = model_of(problem, kept, found.values)
+    coarse = 1.0
+    while math.prod(x.size for x in _nodes(found, coarse).values()) > MOST:
+        coarse *= COARSER
+    nodes = _nodes(found, coarse)
+    without = [*(name for name in named if name in INSTRUMENT), "tilt_deg"]
+    return replace(model, remainder=_remainder(found, model, nodes, without))
+
+
+def _remainder(
+    found: Prediction,
+    model: WheelSoilModel,
+    nodes: Mapping[str, np.ndarray],
+    without: Sequence[str],
+) -> ResidualTable:
+    """The table of what `model` misses of a prediction, at nodes of the conditions that this goes
+    with.
+    """
+    grid = np.stack(np.meshgrid(*nodes.values(), indexing="ij"), axis=-1).reshape(-1, len(nodes))
+    rows = found.problem.data.rows
+    # What does not vary by itself has its middle value.
+    at: dict[str, np.ndarray] = {
+        "load": np.full(len(grid), np.median(rows.load)),
+        "speed": np.full(len(grid), np.median(rows.conditions[:, 0])),
+        "pass": np.full(len(grid), np.median(rows.conditions[:, 1])),
+    }
+    at |= dict(zip(nodes, grid.T, strict=True))
+    true = at["slip"]
+    bias = {"offset": 0.0, "radius_error": 0.0} | model.effects.get("slip_bias", {})
+    scale = np.full(len(grid), 1.0 / (1.0 - bias["radius_error"]))
+    at["slip"] = slips_of_radius(true - bias["offset"], scale)
+    at["slip"] = np.clip(at["slip"], -1.0, 1.0)
+    law = np.stack(replace(model, validity={}).predict(at)[:3], axis=1)
+    radius = model.wheel.radius
+    size = np.stack([np.full(len(grid), radius), at["load"], at["load"] * radius], axis=1)
+    mean, sd = found.at(at, without)
+    left = np.clip(np.nan_to_num(mean - law) / size, -LARGEST, LARGEST)
+    columns = np.concatenate([left, np.minimum(sd / size, MOST_SD)], axis=1)
+    text = [
+        " ".join(f"{x + 0.0:.{4 if k < len(CHANNELS) else 2}g}" for x in column)
+        for k, column in enumerate(columns.T)
+    ]
+    axes = {name.removesuffix("_deg"): tuple(_groups(model, name, x)) for name, x in nodes.items()}
+    return ResidualTable(axes, dict(zip(COLUMNS, text, strict=True)))
+
+
+class Guess(NamedTuple):
+    """Conditions about those of the table at which a prediction is least sure."""
+
+    conditions: dict[str, float]
+    mean: np.ndarray  # [3]
+    sd: np.ndarray  # [3]
+    times: float  # sd over the largest of the measured conditions, mean of the channels in use
+
+
+def least_sure(found: Prediction) -> Guess | None:
+    """The least sure corner of the remainder's table; None where the wheel is buried in all."""
+    problem = found.problem
+    nodes = _nodes(found, 1.0)
+    corners = np.array(list(product(*((x[0], x[-1]) for x in nodes.values()))))
+    at = dict(zip(nodes, corners.T, strict=True))
+    usual = {n: np.full(len(corners), np.median(x)) for n, x in problem.data.conditions.items()}
+    there = found.at(
+        {n: at.get(n, usual[n]) for n in ("load", "speed", "pass", "slip", "grade_deg")}
+    )
+    used = problem.used.any(axis=0)
+    known = found.at(problem.data.conditions).sd.max(axis=0)
+    times = np.mean((there.sd / known)[:, used], axis=1)
+    times[there.mean[:, 0] > DEEPEST * problem.data.wheel.radius] = 0.0
+    k = int(np.argmax(times))
+    if times[k] == 0.0:
+        return None
+    point = {n: float(x[k]) for n, x in at.items()}
+    return Guess(point, there.mean[k], there.sd[k], float(times[k]))
+
+
+def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
+    """Conditions, in the units of a table, at which the remainder is written down, with steps that
+    are `coarse` times the usual.
+    """
+    problem = found.problem
+    learnt = found.learnt or USUAL
+    out = {}
+    for name in AXES:
+        condition = "grade_deg" if name == "grade" else name
+        if condition not in independent(problem):
+            continue
+        x = problem.data.conditions[condition]
+        low = float(x.min())
+        high = float(x.max())
+        if name == "slip":
+            step = coarse * max(STEPS[name] * learnt.slip_length, LEAST_STEP[name])
+            start = max(low - BEYOND_SLIP, -0.95) if low < 0.0 else 0.0
+            ends = [start, *([0.0] if start < 0.0 < high else []), min(high + BEYOND_SLIP, 0.95)]
+            parts = [
+                np.linspace(a, b, math.ceil((b - a) / step) + 1)
+                for a, b in zip(ends, ends[1:], strict=False)
+            ]
+            out[name] = np.unique(np.concatenate(parts))
+        elif name == "load":
+            step = coarse * max(STEPS[name] * learnt.load_length, LEAST_STEP[name])
+            low /= BEYOND_LOAD
+            high *= BEYOND_LOAD
+            out[name] = np.geomspace(low, high, math.ceil(math.log(high / low) / step) + 1)
+        else:
+            values = np.unique(np.round(x, 6))
+            some = np.linspace(0, values.size - 1, min(values.size, FEW)).round().astype(int)
+            out[condition] = values[some]
+    return out
+
+
+@kept
+def groups_at(point: WorkingPoint, soil: SoilState, rim: Rim, gravity: float) -> tuple[float, ...]:
+    """`dimensionless_groups`, compiled for a call from Python."""
+    found: tuple[float, ...] = dimensionless_groups(point, soil, rim, gravity)
+    return found
+
+
+def _groups(model: WheelSoilModel, name: str, values: np.ndarray) -> list[float]:
+    """Values of the group of a condition."""
+    assert model.soil is not None
+    wheel = model.wheel
+    rim = Rim(wheel.radius, wheel.width, 0.0, 0.0)
+    out = []
+    for x in values.tolist():
+        at = {"slip": 0.0, "load": 1.0, "speed": 0.0, "pass": 1.0, "grade_deg": 0.0} | {name: x}
+        soil = model.soil.under(wheel.radius, wheel.width, at["load"], model.gravity)
+        sine = math.sin(math.radians(at["grade_deg"]))
+        point = WorkingPoint(at["slip"], 0.0, at["load"], at["speed"], at["pass"], sine)
+        groups = groups_at(point, soil, rim, model.gravity)
+        out.append(float(groups[GROUPS.index(name.removesuffix("_deg"))]))
+    return out

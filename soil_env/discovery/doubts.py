@@ -1,0 +1,51 @@
+"""Doubts about a table whose rows do not check each other: single rows that decide what is named.
+
+The measured values of a row are checked by the rows beside it (`identification.table.noise`). A row
+at a slip or load that no other row comes near is checked by none, and a mistyped condition makes
+such a row. Mistakes that show before any effect is known are in `identification.table.mistakes`.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from soil_env._io.loading import ParameterError
+from soil_env.discovery.calibrate import Problem, calibrate
+from soil_env.discovery.instrument import LISTED
+from soil_env.discovery.search import Finding, search
+from soil_env.identification.table.data import prepare
+from soil_env.identification.table.noise import NoiseEstimate
+
+FEW = 20  # rows for each one that may stand alone; in a smaller table most of them do
+
+
+def of_lone_rows(
+    problem: Problem, noise: NoiseEstimate, finding: Finding, say: Callable[[str], None]
+) -> tuple[str, ...]:
+    """Return a doubt where rows that stand alone in their conditions decide what is named, none as
+    a rule.
+    """
+    table = problem.data.table
+    alone = np.flatnonzero(noise.alone)
+    if not 0 < alone.size <= len(table) // FEW:
+        return ()
+    say("searching without the rows that stand alone")
+    try:
+        others, _ = calibrate(prepare(table.only(~noise.alone), problem.data.setup))
+    except ParameterError:  # too little is left
+        return ()
+    found = search(others, lambda text: say(f"searching without the rows that stand alone: {text}"))
+    if (found.verdict, {*found.names}) == (finding.verdict, {*finding.names}):
+        return ()
+    rows = ", line ".join(
+        f"{table.row[k]} (slip {table.slip[k]:g}, load {table.load[k]:g} N)" for k in alone
+    )
+    named = " and ".join(LISTED[name].title for name in found.names) or "nothing"
+    one = alone.size == 1
+    return (
+        (
+            f"Line {rows} {'stands' if one else 'stand'} alone in {'its' if one else 'their'} "
+            f"conditions and {'decides' if one else 'decide'} what is named: without "
+            f"{'it' if one else 'them'} that is {named}. Check slip and load there."
+        ),
+    )

@@ -1,0 +1,569 @@
+"""Evidence of a model: its probability of the table, with the sizes of the form errors
+marginalised.
+
+About a fit the model is linear in the unknowns and in the form errors, all with unit priors, so
+under given sizes the table has a normal density (Laplace; `form_error.marginals`). Sizes are on a
+grid with the priors below. Noise that is estimated from few values has its own scale on the grid. A
+strength that may not be negative has a truncated prior, and its evidence the ratio of the posterior
+to the prior probability of being allowed.
+
+Beside a fitted model there may be an *anonymous contribution*, which no catalogue lists. Three
+kinds are equally probable.
+
+* *Smooth*: a function of all conditions and of the time in one channel or more.
+* *Patterns*: a function of one condition, or of one and the slip, in a single place: one channel,
+  or one of the stresses (`form_error.stress_changes`), as most mechanisms work, or a value for each
+  bed of soil. A stress may not change with what the base law knows, which is its form error.
+* *Scatter*: every value by itself, as where each row has its own soil.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.special import chdtri, log_ndtr, ndtr
+
+from soil_env.discovery.calibrate import LAW_LENGTHS, Fit, Problem, Sizes
+from soil_env.discovery.instrument import INSTRUMENT, LISTED, Choice
+from soil_env.identification.table.data import CHANNELS
+from soil_env.identification.table.form_error import (
+    INPUTS,
+    LENGTHS,
+    SIZES,
+    NormalEquations,
+    Process,
+    marginals,
+    mixed,
+    size_prior,
+)
+from soil_env.identification.table.priors import Unknown
+from soil_env.identification.table.problem import finite
+
+log_sum = np.logaddexp.reduce  # on short arrays a tenth of the time of `logsumexp`
+#: Size beta of an effect's form error, relative to what it adds: published forms differ by 10 to
+#: 30 % of it.
+EFFECT_SIZES = (0.03, 0.12, 0.3)
+EFFECT_PRIOR = (0.35, 0.5, 0.15)  # probability of each of them
+_NOISE_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of estimated noise, equally probable
+ALIKE_SIZES = (0.6, 1.0)  # of what resembles an effect and is not it
+_ROUNDS = 2  # of fit and sizes in turn
+_SLIGHT = 1e-3  # posterior share below which a size of the form error does not count
+_LITTLE = 0.05  # [prior sd] strength at which an effect's first order is taken
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """A fitted model and how probable it makes the table."""
+
+    fit: Fit
+    log: float  # log evidence, up to what all models of the table share
+    sizes: Sizes  # most probable
+    share: dict[Sizes, float]  # posterior of the sizes
+    mean: np.ndarray  # [p] of the whitened unknowns, over the sizes
+    covariance: np.ndarray  # [p, p] of them
+    by_law: dict[float, float]  # log evidence under a size of the law's error, over that of all
+
+    def if_laws_err(self, size: float) -> float:
+        """Log evidence under an error of the base law of about this size, over that of all."""
+        return self.by_law[min(self.by_law, key=lambda x: abs(math.log(x / size)))]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its effects."""
+        return tuple(c.effect for c in self.fit.choices)
+
+    def typical(self, kind: str) -> float:
+        """Root mean square of a size over its posterior."""
+        return math.sqrt(sum(p * getattr(s, kind) ** 2 for s, p in self.share.items()))
+
+
+class Grid(NamedTuple):
+    """Sizes of form errors that are marginalised."""
+
+    sizes: list[Sizes]
+    log_prior: np.ndarray  # [S]
+    errors: tuple[np.ndarray, ...]  # K form errors [M, R] at the size 1, whitened
+    table: np.ndarray  # [S, K] their sizes
+    first: int  # leading columns of `table` whose values many of its rows share
+
+
+def grid(names: tuple[str, ...]) -> tuple[list[Sizes], np.ndarray]:
+    """(sizes of the form errors of the base law and of effects, log prior of each); an instrument's
+    laws are exact.
+    """
+    return _points(_effect_sizes(names))[:2]
+
+
+def _effect_sizes(names: tuple[str, ...]) -> tuple[tuple[float, float], ...]:
+    """(size, probability) of the form errors of effects."""
+    if not names:
+        return ((0.0, 1.0),)
+    if {*names} <= {*INSTRUMENT}:
+        return ((EFFECT_SIZES[0], 1.0),)
+    return tuple(zip(EFFECT_SIZES, EFFECT_PRIOR, strict=True))
+
+
+@cache
+def _points(
+    effect: tuple[tuple[float, float], ...],
+) -> tuple[list[Sizes], np.ndarray, np.ndarray]:
+    """(sizes, log prior of each, [S, K] sizes of the form errors of rig, effects and laws)."""
+    law = zip(SIZES.tolist(), size_prior(), strict=True)
+    every = product(law, effect, range(len(LAW_LENGTHS)))
+    points = [
+        (Sizes(a, e, span=k, rig=1.0), p * q / len(LAW_LENGTHS)) for (a, p), (e, q), k in every
+    ]
+    sizes = [s for s, _ in points]
+    table = np.array([(s.rig, s.effect, *s.laws) for s in sizes])
+    return sizes, np.log([p for _, p in points]), table
+
+
+def plain_grid(fit: Fit) -> Grid:
+    """`grid` of a fit."""
+    sizes, log_prior, table = _points(_effect_sizes(tuple(c.effect for c in fit.choices)))
+    return Grid(sizes, log_prior, (fit.rig, fit.effect, *fit.law), table, 2)
+
+
+def noise_scales(freedom: float) -> np.ndarray:
+    """Noise over its estimate, equally probable values, where the estimate has so many degrees of
+    freedom.
+    """
+    if not math.isfinite(freedom):
+        return np.ones(1)
+    scales: np.ndarray = np.sqrt(freedom / chdtri(freedom, 1.0 - np.array(_NOISE_QUANTILES)))
+    return scales
+
+
+def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
+    """`Evidence` of a fit, linearised about it, over the sizes of `plain_grid` or others."""
+    sizes, log_prior, errors, table, first = over or plain_grid(fit)
+    scatter = np.array([s.scatter for s in sizes])
+    p = fit.u.size
+    scales = noise_scales(problem.freedom)
+    normal = NormalEquations.of(fit.jacobian, errors, fit.residual)
+    log, mean, covariance = (
+        np.empty((len(scales), len(sizes), *more)) for more in ((), (p,), (p, p))
+    )
+    for k, noise in enumerate(scales):
+        for more in np.unique(scatter):
+            at = scatter == more
+            sd = noise * more
+            found = marginals(normal, table[at], fit.u, first, sd)
+            log[k, at] = (
+                found[0]
+                + log_prior[at]
+                - fit.residual.size * math.log(sd)
+                + _allowed(fit, *found[1:])
+            )
+            mean[k, at], covariance[k, at] = found[1:]
+    log, mean, covariance = (
+        x.reshape(len(scales) * len(sizes), *x.shape[2:]) for x in (log, mean, covariance)
+    )
+    total = float(log_sum(log))
+    laws = np.array([s.law for s in sizes])
+    of_size = log_sum(log.reshape(len(scales), -1), axis=0) - total
+    by_law = {
+        float(x): float(log_sum(of_size[laws == x]) - log_sum(log_prior[laws == x]))
+        for x in np.unique(laws)
+    }
+    share = np.exp(log - total)
+    of = dict(zip(sizes, share.reshape(len(scales), -1).sum(axis=0).tolist(), strict=True))
+    best = max(of, key=lambda sizes: of[sizes])
+    log_all = total - math.log(len(scales))
+    return Evidence(fit, log_all, best, of, *mixed(share, mean, covariance), by_law)
+
+
+def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """[S] log of the posterior over the prior probability that every unknown is within its
+    bounds.
+    """
+    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    out = np.zeros(len(mean))
+    for k, unknown in enumerate(fit.unknowns):
+        low, high = unknown.bounds
+        out += _between((low - mean[:, k]) / sd[:, k], (high - mean[:, k]) / sd[:, k])
+        out -= _between(np.array([low]), np.array([high]))[0]
+    return out
+
+
+def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """log(Phi(b) - Phi(a)), a < b."""
+    turn = a > 0.0  # there by the other tail, where the difference of two ones would vanish
+    upper: np.ndarray = log_ndtr(np.where(turn, -a, b))
+    lower: np.ndarray = log_ndtr(np.where(turn, -b, a))
+    between: np.ndarray = upper + np.log1p(-np.exp(np.minimum(lower - upper, -1e-12)))
+    return between
+
+
+def settle(
+    problem: Problem,
+    choices: tuple[Choice, ...],
+    near: Evidence | None = None,
+    start: dict[str, float] | None = None,
+) -> Evidence:
+    """Evidence of a model, fitted under the form errors that are most probable with it, and
+    linearised there.
+
+    `near`, a model of the same table, is where the first fit takes its form errors from.
+    """
+    first = (
+        Sizes() if near is None else Sizes(min(near.sizes.law, 0.05), span=near.sizes.span, rig=1.0)
+    )
+    if start is None and near is not None:
+        start = near.fit.parameters()
+    best = weigh(problem, problem.fit(choices, start, first, None if near is None else near.fit))
+    for _ in range(_ROUNDS):
+        sizes = best.sizes
+        now = weigh(problem, problem.fit(choices, best.fit.parameters(), sizes, best.fit))
+        done = now.sizes == sizes and abs(now.log - best.log) < 0.1
+        best = now
+        if done:
+            break
+    return best
+
+
+class _Part(NamedTuple):
+    """Log evidence, normal [K, K] and pull [K] of `_Further` without an error of the law, and that
+    error over one span in its own directions.
+    """
+
+    log: float
+    normal: np.ndarray
+    pull: np.ndarray
+    values: np.ndarray  # [R] of its normal matrix
+    turned: np.ndarray  # [R, 1 + K] pulls of the residual and of the strengths on it
+
+
+class _Further:
+    """Strengths of further effects beside a fitted model as linear unknowns [M, K], under each size
+    of the law's error.
+
+    Under the covariance of noise and form errors, the model's unknowns free, the strengths x have
+    the normal matrix `normal` [K, K] and the pull `pull` [K] of the table.
+    """
+
+    def __init__(self, problem: Problem, first: Evidence, choices: list[Choice]) -> None:
+        self.fit = first.fit
+        self.choices = choices
+        self.unknowns = []
+        columns = []
+        self.owner = []
+        base = problem.whiten(first.fit.output)
+        guess = problem.sinkage_guess(first.fit)
+        for k, choice in enumerate(choices):
+            own = [u for u in problem.unknowns((choice,)) if u.name in choice.free]
+            for moved in (u for u in own if not u.log):
+                trial = {u.name: u.value(0.0) for u in own} | {moved.name: moved.value(_LITTLE)}
+                values = first.fit.parameters() | trial
+                all_ = (*first.fit.choices, choice)
+                columns.append(
+                    (problem.whiten(problem.predict(values, all_, guess.copy())) - base) / _LITTLE
+                )
+                self.unknowns.append(moved)
+                self.owner.append(k)
+        self.columns = finite(columns, base.size)
+        self.effect = first.sizes.effect
+        self.own_gram = self.columns.T @ self.columns
+        self.own_along = self.columns.T @ first.fit.residual
+        self.parts: dict[tuple[int, float], _Part] = {}
+
+    def under(self, sizes: Sizes) -> tuple[float, np.ndarray, np.ndarray]:
+        """(log evidence of the model alone, normal [K, K], pull [K]) at a size of the law's error,
+        and scatter.
+        """
+        key = sizes.span, sizes.scatter
+        if key not in self.parts:
+            self.parts[key] = self._part(*key)
+        part = self.parts[key]
+        square = sizes.law**2
+        taken = square / (1.0 + square * part.values)
+        by_law = part.turned.T @ (taken[:, None] * part.turned)
+        log = part.log + 0.5 * (by_law[0, 0] - np.sum(np.log1p(square * part.values)))
+        return log, part.normal - by_law[1:, 1:], part.pull - by_law[1:, 0]
+
+    def _part(self, span: int, noise: float) -> _Part:
+        """What all sizes of the law's error over a span share, under a noise."""
+        fit = self.fit
+        blocks = (fit.jacobian, self.effect * fit.effect, fit.rig)
+        known = np.concatenate(blocks, axis=1) / noise
+        law = fit.law[span] / noise
+        right = np.column_stack([fit.residual / noise, self.columns / noise, law])
+        factor = cholesky(known.T @ known + np.eye(known.shape[1]), lower=True)
+        pulls = known.T @ right
+        pulls[: fit.u.size, 0] -= fit.u
+        half = solve_triangular(factor, pulls, lower=True)
+        count = self.columns.shape[1] + 1
+        of_law = half[:, count:]
+        half = half[:, :count]
+        square = fit.residual @ fit.residual / noise**2 + fit.u @ fit.u - half[:, 0] @ half[:, 0]
+        log = -0.5 * square - np.sum(np.log(np.diag(factor))) - fit.residual.size * math.log(noise)
+        values, vectors = np.linalg.eigh(law.T @ law - of_law.T @ of_law)
+        return _Part(
+            log,
+            self.own_gram / noise**2 - half[:, 1:].T @ half[:, 1:],
+            self.own_along / noise**2 - half[:, 1:].T @ half[:, 0],
+            np.maximum(values, 0.0),
+            vectors.T @ (law.T @ right[:, :count] - of_law.T @ half),
+        )
+
+
+def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[float]:
+    """Log evidence that a further effect promises in each of its forms beside those of `first`, to
+    first order.
+    """
+    further = _Further(problem, first, choices)
+    one_sided = np.array([u.low >= u.mean for u in further.unknowns])
+    of = [np.flatnonzero(np.array(further.owner) == k) for k in range(len(choices))]
+    single = np.array([k.size == 1 for k in of])  # most forms: all at once
+    only = np.concatenate([np.zeros(0, dtype=int), *(k for k in of if k.size == 1)])
+    several = [(column, k) for column, k in enumerate(of) if k.size != 1]
+    sizes, log_prior = grid(())
+    log, normal, pull = map(np.array, zip(*map(further.under, sizes), strict=True))
+    x = pull[:, only]
+    n = 1.0 + normal[:, only, only]
+    out = np.empty((len(sizes), len(choices)))
+    out[:, single] = np.where(one_sided[only] & (x < 0.0), 0.0, 0.5 * (x * x / n - np.log(n)))
+    for column, k in several:
+        out[:, column] = _gains(normal[:, k[:, None], k], pull[:, k], one_sided[k])
+    found: list[float] = log_sum(out + (log + log_prior)[:, None], axis=0).tolist()
+    return found
+
+
+def _gains(normal: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> np.ndarray:
+    """[S] of `_gain`, of normal [S, K, K] and pull [S, K]; all at once where none has to stay."""
+    whole = normal + np.eye(len(one_sided))
+    solved = np.linalg.solve(whole, pull[:, :, None])[:, :, 0]
+    out: np.ndarray = 0.5 * (np.sum(pull * solved, axis=1) - np.linalg.slogdet(whole)[1])
+    for k in np.flatnonzero(np.any(one_sided & (solved < 0.0), axis=1)):
+        out[k] = _gain(normal[k], pull[k], one_sided)
+    return out
+
+
+def _gain(normal: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> float:
+    """Gain of log evidence by unknowns with unit priors; those that may not be negative stay at 0
+    where they would.
+    """
+    while pull.size:
+        whole = normal + np.eye(pull.size)
+        solved = np.linalg.solve(whole, pull)
+        wrong = one_sided & (solved < 0.0)
+        if not wrong.any():
+            return float(0.5 * pull @ solved - 0.5 * np.linalg.slogdet(whole)[1])
+        normal = normal[np.ix_(~wrong, ~wrong)]
+        pull = pull[~wrong]
+        one_sided = one_sided[~wrong]
+    return 0.0
+
+
+class Detectable(NamedTuple):
+    """The smallest strength of an effect that a table would have shown."""
+
+    size: float  # in the unit of the parameter
+    parameter: str
+    form: str
+    power: float  # probability that the strength is larger, by its prior
+
+
+def detectable(
+    problem: Problem, base: Evidence, choices: list[Choice], threshold: float
+) -> Detectable:
+    """`Detectable` of an effect, in the form of `choices` that shows best.
+
+    A strength of x prior standard deviations with the normal n under the form errors of the base
+    model is expected to gain x^2 n/2 - ln(1 + n)/2 nats; it is seen where that exceeds the
+    `threshold` that its prior sets.
+    """
+    further = _Further(problem, base, choices)
+    normal = sum(
+        p * np.maximum(np.diag(further.under(s)[1]), 1e-12)
+        for s, p in base.share.items()
+        if p > _SLIGHT
+    )
+    x = np.sqrt((2.0 * threshold + np.log1p(normal)) / normal)
+    power = np.array([_beyond(u, float(at)) for u, at in zip(further.unknowns, x, strict=True)])
+    k = int(np.argmax(power + 1e-9 / x))
+    moved = further.unknowns[k]
+    choice = choices[further.owner[k]]
+    form = LISTED[choice.effect].forms[choice.form].name
+    return Detectable(
+        float(x[k] * moved.sd), moved.name[len(choice.effect) + 1 :], form, float(power[k])
+    )
+
+
+def _beyond(unknown: Unknown, x: float) -> float:
+    """Prior probability of a strength further than x standard deviations from its mean, within its
+    bounds.
+    """
+    low, high = unknown.bounds
+    inside = ndtr(high) - ndtr(low)
+    return float(
+        (max(ndtr(high) - ndtr(max(x, low)), 0.0) + max(ndtr(min(-x, high)) - ndtr(low), 0.0))
+        / inside
+    )
+
+
+#: Sizes of a smooth contribution to a channel, relative to its root mean square; each as probable
+#: as another, and each set of channels as another.
+FREE_SIZES = (0.03, 0.15, 0.5)
+#: Sizes of a pattern, relative to the stress or to the root mean square of the channel.
+PATTERN_SIZES = (0.05, 0.15, 0.4)
+SCATTERS = (1.5, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0)  # of the values over the noise
+_STRESSES = (
+    "normal stress",
+    "shear stress",
+    "place of the normal stress",
+    "spread of the normal stress",
+    "place of the shear stress",
+)
+Pattern = tuple[str, float]  # where and with what, and its size
+#: What a listed effect is about, in whatever form, and so no anonymous contribution: all that goes
+#: with the pass, the size of a stress with the speed, the pull with the grade, a friction with the
+#: speed, a zero that drifts.
+_OWNED = {
+    **dict.fromkeys((*_STRESSES, *CHANNELS), ("pass",)),
+    **dict.fromkeys((*_STRESSES[:2], "torque"), ("pass", "speed")),
+    "drawbar_pull": ("pass", "grade_deg"),
+    "sinkage": ("pass", "elapsed"),
+}
+FEWEST_BEDS = 4  # beds of soil of a table that can show that each has a soil of its own
+MOST_BEDS = 60  # the same: more are rows, which scatter says better
+_FUNCTIONS = 12  # of a pattern at most
+_LIKELY = 2  # sizes of the other form errors that are tried beside it
+_COARSE = (0.02, 0.1)  # sizes of the law's error that are tried with it, too
+
+
+def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
+    """Patterns of size 1 about a fit, [M, R] by name: whitened changes of the M measurements.
+
+    A pattern is a systematic error of a channel, or of a stress, that goes smoothly with the named
+    conditions; its R columns are basis functions.
+    """
+    at = problem.data.conditions | problem.data.elapsed
+    moved = problem.stresses(fit.parameters(), fit.choices, fit.output, problem.sinkage_guess(fit))
+    sizes = [np.broadcast_to(problem.size * unit, fit.output.shape) for unit in np.eye(3)]
+    channels: dict[str, np.ndarray] = {
+        CHANNELS[j]: sizes[j] for j in range(3) if problem.used[:, j].any()
+    }
+    alone = [n for n in LENGTHS if n in at and np.ptp(at[n]) > 0.0]
+    alone_with_slip = Process.over(at, of=("slip",), most=_FUNCTIONS).at_points
+    out = {}
+    for names in [*((n,) for n in alone), *(("slip", n) for n in alone if n != "slip")]:
+        process = Process.over(at, of=names, most=_FUNCTIONS)
+        if process.names != names:
+            continue
+        places = channels
+        functions = process.at_points
+        if not {*names} <= {*INPUTS}:
+            places = dict(zip(_STRESSES, moved, strict=True)) | channels
+            if "slip" in names:  # what goes with the slip alone is the form error of the base law
+                functions = (
+                    functions
+                    - alone_with_slip @ np.linalg.lstsq(alone_with_slip, functions, rcond=1e-6)[0]
+                )
+        for place, change in places.items():
+            if names[-1] in _OWNED.get(place, ()):
+                continue
+            errors = change[:, :, None] * functions[:, None, :]
+            out[f"{place} with {' and '.join(names)}"] = problem.block(errors)
+    beds = problem.data.beds
+    if FEWEST_BEDS <= beds.max() + 1 <= min(MOST_BEDS, beds.size // 3):
+        for place, change in zip(_STRESSES[:2], moved, strict=False):
+            out[f"{place} with bed"] = problem.block(
+                change[:, :, None] * np.eye(beds.max() + 1)[beds][:, None, :]
+            )
+    return out
+
+
+def anonymous_grid(
+    problem: Problem, plain: Evidence, fit: Fit, beside: Pattern | None = None
+) -> Grid:
+    """Sizes of anonymous contributions about a fit, beside sizes of the other form errors that
+    `plain` has likely.
+
+    With `beside`, a pattern of a first round, those of a second: with that pattern, another or a
+    smooth contribution.
+    """
+    likely = sorted(plain.share, key=lambda s: -plain.share[s])
+    likely = list(
+        dict.fromkeys(
+            [*likely[:_LIKELY], *(s._replace(law=law) for s in likely[:1] for law in _COARSE)]
+        )
+    )
+    usual = plain_grid(fit)
+    prior = dict(zip(usual.sizes, usual.log_prior, strict=True))
+    before = np.array([prior[s] for s in likely])
+    options = [(0.0, *FREE_SIZES) if used.any() else (0.0,) for used in problem.used.T]
+    free = [f for f in product(*options) if any(f)]
+    by = patterns(problem, fit)
+    first = () if beside is None else (beside,)
+    # (sizes, log of their probability up to a constant).
+    kinds: list[list[tuple[dict[str, Any], float]]] = [
+        [
+            ({"free": f, "patterns": first}, -math.log(len(FREE_SIZES)) * np.count_nonzero(f))
+            for f in free
+        ],
+        [({"patterns": (*first, (n, x))}, 0.0) for n in by for x in PATTERN_SIZES],
+        [({"scatter": x}, 0.0) for x in SCATTERS if beside is None],
+    ]
+    kinds = [points for points in kinds if points]
+    costs = [np.array([cost for _, cost in points]) for points in kinds]
+    cost = np.concatenate([c - log_sum(c) - math.log(len(costs)) for c in costs])
+    sizes = [s._replace(**point) for s in likely for points in kinds for point, _ in points]
+    log_prior = ((before - log_sum(before))[:, None] + cost).ravel()
+    leading = [by[name] for name, _ in first]
+    later = np.zeros((len(sizes), len(by)))
+    column = {name: k for k, name in enumerate(by)}
+    for row, s in zip(later, sizes, strict=True):
+        for name, x in s.patterns[len(first) :]:
+            row[column[name]] += x
+    known = np.array([(s.rig, s.effect, *s.laws, *(x for _, x in first), *s.free) for s in sizes])
+    table = np.column_stack([known, later])
+    errors = (fit.rig, fit.effect, *fit.law, *leading, *fit.free, *by.values())
+    return Grid(sizes, log_prior, errors, table, 2 + len(fit.law) + len(first))
+
+
+def resembling(problem: Problem, plain: Evidence) -> Evidence:
+    """Evidence of an anonymous law of the same freedom as a fitted effect: what it adds, in another
+    form.
+
+    It moves the same channels under the same conditions by as much, with an error of its form that
+    is as large as it is: a shape that no published form has.
+    """
+    usual = plain_grid(plain.fit)
+    rows = [k for k, s in enumerate(usual.sizes) if s.effect == EFFECT_SIZES[0]]
+    sizes = [usual.sizes[k]._replace(effect=x) for x in ALIKE_SIZES for k in rows]
+    table = np.array([(s.rig, s.effect, *s.laws) for s in sizes])
+    prior = np.tile(usual.log_prior[rows], len(ALIKE_SIZES))
+    return weigh(
+        problem,
+        plain.fit,
+        usual._replace(sizes=sizes, log_prior=prior - log_sum(prior), table=table),
+    )
+
+
+def anonymous(problem: Problem, plain: Evidence) -> Evidence:
+    """Evidence of a model with an anonymous contribution beside it; fitted anew where that is
+    scatter.
+
+    The parameters of a fit without scatter are bent to explain it, and lie far from those of a fit
+    with scatter. What no single pattern is, two may be: beside the most probable one a second is
+    tried, as probable before as none.
+    """
+    free = weigh(problem, plain.fit, anonymous_grid(problem, plain, plain.fit))
+    if free.sizes.scatter > 1.0:
+        again = problem.fit(plain.fit.choices, None, free.sizes, plain.fit)
+        return max(
+            free, weigh(problem, again, anonymous_grid(problem, plain, again)), key=lambda e: e.log
+        )
+    single = [s for s in free.share if s.patterns]
+    if not single:
+        return free
+    best = max(single, key=lambda s: free.share[s]).patterns[0]
+    more = weigh(problem, plain.fit, anonymous_grid(problem, plain, plain.fit, best))
+    log = float(np.logaddexp(free.log, more.log)) - math.log(2.0)
+    likelier = max(free, more, key=lambda e: e.log)
+    return replace(likelier, log=log)

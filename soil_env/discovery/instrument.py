@@ -1,0 +1,350 @@
+"""Errors of the rig and its sensors: candidates beside the effects of the catalogue, and nuisances
+of every table.
+
+A rig is level, its wheel measured and its sensors calibrated to the standard deviations of
+`Setup.calibration`. Errors of that size are in the covariance of every fit (`nuisances`), so that
+no effect is named for them. A larger one is a candidate with a name, in `INSTRUMENT`. The simulated
+world has none of these, and model.yaml holds none.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from functools import cache
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env._io.loading import ParameterError, unknown_value
+from soil_env.discovery.unnamed import OF_LOAD, UNNAMED
+from soil_env.measurement.setup import Calibration, Setup
+from soil_env.slip import slips_of_radius
+from soil_env.terramechanics.effects import CATALOGUE
+from soil_env.terramechanics.effects.entry import (
+    PULL,
+    SINKAGE,
+    TORQUE,
+    Bench,
+    Channel,
+    Effect,
+    EffectParameter,
+    Form,
+)
+from soil_env.terramechanics.model import Rows
+
+OFFSET = 0.05  # [mean load, times the radius] sd of a zero error that is a candidate
+LEAST_OFFSET = 0.003  # [the same] sd of the zero error of every table, a nuisance
+PRESSED = (0.2, 3.0)  # of the stated load, within which the true one is sought
+
+
+def _entry(
+    name: str,
+    title: str,
+    moves: tuple[Channel, ...],
+    p: EffectParameter,
+    equation: str,
+    priors=None,
+) -> Effect:
+    form = Form("constant", (p.name,), equation, "calibration of the rig")
+    symbols = {
+        "DP_measured": "measured drawbar pull",
+        "T_measured": "measured torque",
+        "W_n": "force on the ground",
+        "r_true": "true radius",
+        "W_true": "true load",
+        "z": "sinkage",
+    }
+    return Effect(
+        name, title, moves, (p,), (form,), symbols=symbols, priors=priors or (lambda bench: {})
+    )
+
+
+def _within(
+    name: str, sd: float, most: float, size: Callable[[Bench], float]
+) -> Callable[[Bench], dict]:
+    """Prior (sd, low, high) of a parameter that goes with a size of the rig, both over that
+    size.
+    """
+    return lambda bench: {name: (sd * size(bench), -most * size(bench), most * size(bench))}
+
+
+_P = EffectParameter
+INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
+    {
+        effect.name: effect
+        for effect in (
+            _entry(
+                "tilt",
+                "a rig that is not level",
+                (PULL,),
+                _P(
+                    "angle_deg",
+                    "e",
+                    "deg",
+                    0.0,
+                    -15.0,
+                    15.0,
+                    2.0,
+                    "uphill tilt of the ground against the axes of the rig",
+                ),
+                "DP_measured = DP - W sin({angle_deg}); W_n = W cos({angle_deg})",
+            ),
+            _entry(
+                "force_offset",
+                "zero error of the drawbar pull",
+                (PULL,),
+                _P("offset", "d", "N", 0.0, -1e6, 1e6, 0.0, "offset of the load cell"),
+                "DP_measured = DP + {offset}",
+                _within("offset", OFFSET, 1.0, lambda bench: bench.load),
+            ),
+            _entry(
+                "force_gain",
+                "gain error of the drawbar pull",
+                (PULL,),
+                _P("gain", "g", "", 0.0, -0.5, 0.5, 0.08, "relative error of the load cell"),
+                "DP_measured = DP (1 + {gain})",
+            ),
+            _entry(
+                "torque_offset",
+                "zero error of the torque",
+                (TORQUE,),
+                _P("offset", "d", "N m", 0.0, -1e6, 1e6, 0.0, "offset of the torque sensor"),
+                "T_measured = T + {offset}",
+                _within("offset", OFFSET, 1.0, lambda bench: bench.load * bench.radius),
+            ),
+            _entry(
+                "torque_gain",
+                "gain error of the torque",
+                (TORQUE,),
+                _P("gain", "g", "", 0.0, -0.5, 0.5, 0.08, "relative error of the torque sensor"),
+                "T_measured = T (1 + {gain})",
+            ),
+            _entry(
+                "wheel_radius",
+                "a wheel radius other than stated",
+                (SINKAGE, PULL, TORQUE),
+                _P("error", "e", "", 0.0, -0.3, 0.3, 0.05, "relative error of the stated radius"),
+                "r_true = r (1 + {error})",
+            ),
+            _entry(
+                "force_crosstalk",
+                "crosstalk of the torque in the drawbar pull",
+                (PULL,),
+                _P(
+                    "share",
+                    "x",
+                    "",
+                    0.0,
+                    -0.5,
+                    0.5,
+                    0.08,
+                    "torque over radius that is read as drawbar pull",
+                ),
+                "DP_measured = DP + {share} T/r",
+            ),
+            _entry(
+                "torque_crosstalk",
+                "crosstalk of the drawbar pull in the torque",
+                (TORQUE,),
+                _P(
+                    "share",
+                    "x",
+                    "",
+                    0.0,
+                    -0.5,
+                    0.5,
+                    0.08,
+                    "drawbar pull that is read as torque over radius",
+                ),
+                "T_measured = T + {share} r DP",
+            ),
+            _entry(
+                "arm_load",
+                "a load that goes with the torque",
+                (SINKAGE, PULL, TORQUE),
+                _P(
+                    "share",
+                    "a",
+                    "",
+                    0.0,
+                    -1.0,
+                    1.0,
+                    0.2,
+                    "radius over the lever of the arm that holds the wheel",
+                ),
+                "W_true = W + {share} T/r",
+            ),
+            _entry(
+                "spring_load",
+                "a load that goes with the sinkage",
+                (SINKAGE, PULL, TORQUE),
+                _P(
+                    "rate",
+                    "k",
+                    "N/m",
+                    0.0,
+                    -1e6,
+                    1e6,
+                    0.0,
+                    "load that is lost over a metre of sinkage",
+                ),
+                "W_true = W - {rate} z",
+                _within("rate", 2.0, 8.0, lambda bench: bench.load / bench.radius),
+            ),
+        )
+    }
+)
+#: Everything that can be named.
+LISTED: Mapping[str, Effect] = MappingProxyType({**CATALOGUE, **INSTRUMENT})
+#: The same, and what has no name.
+LAWS: Mapping[str, Effect] = MappingProxyType({**LISTED, **UNNAMED, **OF_LOAD})
+
+
+class Choice(NamedTuple):
+    """One effect in one of its published forms."""
+
+    effect: str
+    form: int
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Parameters of the form, `<effect>_<parameter>`."""
+        return _free(self)
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """Parameters that the form sets."""
+        return {f"{self.effect}_{p}": v for p, v in LAWS[self.effect].forms[self.form].fixed}
+
+
+@cache
+def _free(choice: Choice) -> tuple[str, ...]:
+    return tuple(f"{choice.effect}_{p}" for p in LAWS[choice.effect].forms[choice.form].free)
+
+
+def _known(sd: Calibration) -> dict[str, float | None]:
+    """Standard deviation by name to which a rig is known; None where it goes with the load."""
+    return {name: getattr(sd, "tilt_deg" if name == "tilt" else name) for name in INSTRUMENT}
+
+
+def _spread(sd: Calibration, bench: Bench) -> dict[str, float]:
+    """`_known` with numbers for what goes with the load."""
+    usual = {
+        "force_offset": LEAST_OFFSET * bench.load,
+        "torque_offset": LEAST_OFFSET * bench.load * bench.radius,
+        "spring_load": 0.1 * bench.load / bench.radius,
+    }
+    return {name: usual[name] if x is None else x for name, x in _known(sd).items()}
+
+
+def exact(setup: Setup) -> dict[str, str]:
+    """Reason by name of the errors that a setup rules out, or has as an unknown of its own."""
+    known = {
+        name: "calibrated, by the setup"
+        for name, sd in _known(setup.calibration).items()
+        if sd == 0.0
+    }
+    for name in setup.checked:
+        if name not in LISTED:
+            raise unknown_value(name, LISTED, f"{setup.source}: checked")
+        if setup.checked.count(name) > 1:
+            raise ParameterError(
+                f"{setup.source}: checked: {name} is there twice: expected each name once"
+            )
+    if len(setup.checked) == len(LISTED):
+        raise ParameterError(
+            f"{setup.source}: checked: has all effects: expected those that a check has ruled out"
+        )
+    known |= dict.fromkeys(setup.checked, "checked, by the setup")
+    return known | ({"tilt": "tilt_deg of the setup has it"} if setup.tilt_deg is not None else {})
+
+
+def odds(setup: Setup, bench: Bench) -> dict[str, float]:
+    """Prior odds by name of the errors of a rig, over those of one whose setup states nothing.
+
+    A rig that is known five times better than usual is wrong a fifth as often, since somebody
+    looked.
+    """
+    own = _spread(setup.calibration, bench)
+    usual = _spread(Calibration(), bench)
+    for name, most in (("force_offset", bench.load), ("torque_offset", bench.load * bench.radius)):
+        if own[name] > most:
+            limit = f"at most {most:.3g}, the middle load" + (
+                " times the radius" if name == "torque_offset" else ""
+            )
+            raise ParameterError(
+                f"{setup.source}: calibration.{name} = {own[name]:g}: expected {limit}"
+            )
+    return {name: min(own[name] / usual[name], 1.0) for name in INSTRUMENT}
+
+
+def true_rows(rows: Rows, values: Mapping[str, float]) -> Rows:
+    """Rows under the true wheel radius, which the recorded slip follows from."""
+    error = values.get("wheel_radius_error", 0.0)
+    if error == 0.0:
+        return rows
+    wheels = rows.wheels.copy()
+    wheels[:, 0] *= 1.0 + error
+    return rows._replace(
+        wheels=wheels, slip=slips_of_radius(rows.slip, np.full(rows.slip.size, 1.0 / (1.0 + error)))
+    )
+
+
+def in_balance(
+    rows: Rows, values: Mapping[str, float], outcome: Callable[[Rows], np.ndarray]
+) -> np.ndarray:
+    """[N, 3] outcome of rows under the load that an arm or a spring leaves of the stated one.
+
+    The load follows from the outcome: it is the limit of three loads, each from the one before
+    (Aitken 1926, Proc. R. Soc. Edinb. 46:289-305).
+    """
+    arm = values.get("arm_load_share", 0.0)
+    spring = values.get("spring_load_rate", 0.0)
+    out = outcome(rows)
+    start = rows.load
+    r = rows.wheels[:, 0]
+    if arm == spring == 0.0:
+        return out
+
+    def pressed(out: np.ndarray) -> np.ndarray:
+        z, _, torque = np.nan_to_num(out).T
+        load: np.ndarray = np.clip(start + arm * torque / r - spring * z, *np.outer(PRESSED, start))
+        return load
+
+    first = pressed(out)
+    second = pressed(outcome(rows._replace(load=first)))
+    change = np.where(np.abs(first - start) > 1e-9 * start, first - start, math.inf)
+    ratio = np.clip((second - first) / change, -4.0, 0.8)
+    limit = np.clip(first + (second - first) / (1.0 - ratio), *np.outer(PRESSED, start))
+    return outcome(rows._replace(load=limit))
+
+
+def reading(out: np.ndarray, values: Mapping[str, float], radius: np.ndarray) -> np.ndarray:
+    """[N, 3] that the sensors read of true values [N, 3]; radius [N]."""
+    if not any(name.startswith(("force_", "torque_")) for name in values):
+        return out
+    read = out.copy()
+    for j, name, other in ((1, "force", out[:, 2] / radius), (2, "torque", out[:, 1] * radius)):
+        gain, offset = (values.get(f"{name}_{of}_{of}", 0.0) for of in ("gain", "offset"))
+        share = values.get(f"{name}_crosstalk_share", 0.0)
+        read[:, j] += gain * out[:, j] + offset + share * other
+    return read
+
+
+def nuisances(
+    setup: Setup, bench: Bench, rows: Rows, output: np.ndarray, named: tuple[str, ...]
+) -> np.ndarray:
+    """[N, 3, R] change of the readings [N, 3] by one sd of each error of one sensor that is not
+    named.
+    """
+    spread = _spread(setup.calibration, bench)
+    out = []
+    for name, effect in INSTRUMENT.items():
+        if len(effect.moves) > 1 or name in (*named, *exact(setup)):
+            continue
+        if name == "tilt":
+            out.append(np.outer(-rows.load * math.sin(math.radians(spread[name])), [0.0, 1.0, 0.0]))
+        else:
+            values = {f"{name}_{effect.parameters[0].name}": spread[name]}
+            out.append(reading(output, values, rows.wheels[:, 0]) - output)
+    return np.stack(out, axis=2) if out else np.zeros((*output.shape, 0))

@@ -1,0 +1,194 @@
+"""Statistics of a finding: intervals, the gap on held-out data and shares of it.
+
+All are linearised about the fits of the search and need no further ones.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env.discovery.calibrate import Fit, Problem
+from soil_env.discovery.evidence import Evidence
+from soil_env.discovery.search import Finding
+from soil_env.identification.table.data import CHANNELS, folds
+from soil_env.identification.table.priors import Unknown
+
+SURE = 1.959964  # [sd] of a 95 % interval
+_CLOSED_DRAWS = 2000  # of the groups, for the interval of `closed`
+_LEAST_GAP = 0.5  # share of those draws with a gap to close below which no interval is given
+
+
+class Interval(NamedTuple):
+    """Value with its 95 % interval; low = high = value where it was given."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Gap(NamedTuple):
+    """Root mean square of measured - predicted on held-out data [unit of the channel]."""
+
+    before: float
+    after: float
+    noise_floor: float
+
+    @property
+    def over_noise(self) -> tuple[float, float]:
+        """Error before and after over the noise."""
+        return self.before / self.noise_floor, self.after / self.noise_floor
+
+    @property
+    def remainder(self) -> tuple[float, float | None]:
+        """(error after, beyond the noise; its share of the mean square before, beyond the noise,
+        None if none).
+        """
+        before, after = (max(x**2 - self.noise_floor**2, 0.0) for x in (self.before, self.after))
+        return math.sqrt(after), after / before if before > 0.0 else None
+
+
+def intervals(finding: Finding, own: Evidence) -> dict[str, Interval]:
+    """Posterior mean and 95 % interval of every unknown, from the same posterior as the names.
+
+    Of the soil over all hypotheses and sizes of form errors, each with its probability; of the
+    effects over the sizes in `own`, their model. In the logarithm where the unknown is fitted in
+    it; never beyond the bounds.
+    """
+    p = len(finding.best().evidence.fit.unknowns)
+    parts = [
+        (h.probability, h.evidence.mean[:p], np.diag(h.evidence.covariance)[:p])
+        for h in finding.hypotheses
+    ]
+    soil = sum(w * mean for w, mean, _ in parts)
+    square = sum(w * (variance + (mean - soil) ** 2) for w, mean, variance in parts)
+    mean = np.concatenate([soil, own.mean[p:]])
+    sd = np.sqrt(np.concatenate([square, np.diag(own.covariance)[p:]]))
+    return {
+        k.name: _interval(k, float(u), float(s))
+        for k, u, s in zip(own.fit.unknowns, mean, sd, strict=True)
+    }
+
+
+def _interval(unknown: Unknown, u: float, sd: float) -> Interval:
+    """Mean and quantiles, those of the normal distribution brought within the bounds."""
+    return Interval(
+        *(
+            float(unknown.value(min(max(x, unknown.bounds[0]), unknown.bounds[1])))
+            for x in (u, u - SURE * sd, u + SURE * sd)
+        )
+    )
+
+
+def groups(problem: Problem) -> tuple[np.ndarray, int]:
+    """([F, M] which of the values in use each held-out group has, number of ways to cut the table
+    into groups).
+    """
+    ways = folds(problem.data)
+    rows = np.nonzero(problem.used)[0]
+    return np.stack([group[rows] for way in ways for group in way]), len(ways)
+
+
+def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
+    """[N, 3] what the model predicts of each value, its unknowns fitted to the groups without it;
+    NaN where not in use.
+
+    The fit gives the covariance its form errors; the prediction is that of the laws, as model.yaml
+    has them. Refits are linearised about the fit to all. Mean over the ways to cut the table.
+    """
+    a, e = fit.linearised()
+    member, ways = groups(problem)
+    top = a[: fit.residual.size]
+    normal = a.T @ a
+    r = e[: fit.residual.size]
+    laws = int(fit.free_unknowns.sum())
+    error = np.zeros(r.size)
+    for out in member:
+        j = top[out]
+        moved = np.linalg.solve(normal - j.T @ j, a.T @ e - j.T @ r[out])
+        error[out] += fit.sizes.scatter * (r[out] - j[:, :laws] @ moved[:laws]) / ways
+    predicted = np.full(problem.used.shape, math.nan)
+    noise = np.broadcast_to(problem.noise * problem.data.relative_sd, problem.used.shape)
+    scale = noise[problem.used]
+    predicted[problem.used] = problem.data.y[problem.used] - error * scale
+    return predicted
+
+
+def gaps(problem: Problem, before: np.ndarray, after: np.ndarray) -> dict[str, Gap]:
+    """`Gap` by measured channel of two held-out predictions [N, 3], over the values in use."""
+    out: dict[str, Gap] = {}
+    for j, name in enumerate(CHANNELS):
+        used = problem.used[:, j]
+        if used.any():
+            y = problem.data.y[used, j]
+            old, new = (float(np.sqrt(np.mean((y - p[used, j]) ** 2))) for p in (before, after))
+            out[name] = Gap(old, new, float(problem.noise[j]))
+    return out
+
+
+def closed(problem: Problem, gap: dict[str, Gap]) -> float | None:
+    """Share of the held-out mean square above the noise that is gone, over all values; None where
+    there was none.
+    """
+    count = {name: int(problem.used[:, CHANNELS.index(name)].sum()) for name in gap}
+    before, after = (
+        sum(n * max(gap[name].over_noise[k] ** 2 - 1.0, 0.0) for name, n in count.items())
+        for k in (0, 1)
+    )
+    return None if before <= 0.0 else 1.0 - after / before
+
+
+def closed_interval(
+    problem: Problem, before: np.ndarray, after: np.ndarray, rng: np.random.Generator
+) -> tuple[float, float] | None:
+    """95 % interval of `closed`, from held-out predictions [N, 3]; None where hardly any draw has a
+    gap.
+
+    Values of one slip share the error of that slip, and values of one combination of the other
+    conditions share another: both are drawn with replacement, and a row counts as often as its slip
+    times as often as its combination (pigeonhole bootstrap, Owen 2007, Ann. Appl. Stat. 1:386-411;
+    conservative). The models are not refitted, since each value was predicted without its own
+    group.
+    """
+    weight = np.ones((_CLOSED_DRAWS, problem.data.rows.slip.size))
+    for way in folds(problem.data):
+        group = np.argmax(np.stack(way), axis=0)
+        equal = np.full(len(way), 1.0 / len(way))
+        weight *= rng.multinomial(len(way), equal, size=_CLOSED_DRAWS)[:, group]
+    total = []
+    for held in (before, after):
+        square = np.where(problem.used, ((problem.data.y - held) / problem.noise) ** 2, 0.0)
+        count = weight @ problem.used  # [draws, 3]
+        mean = (weight @ square) / np.maximum(count, 1.0)
+        total.append(np.sum(count * np.maximum(mean - 1.0, 0.0), axis=1))
+    gap = total[0] > 0.0
+    if np.mean(gap) < _LEAST_GAP:
+        return None
+    share = 1.0 - total[1][gap] / total[0][gap]
+    low, high = np.quantile(share, (0.025, 0.975))
+    return float(low), float(high)
+
+
+def shares(
+    problem: Problem, before: np.ndarray, held: dict[tuple[str, ...], np.ndarray]
+) -> dict[str, float | None]:
+    """Share of the gap above the noise that each named effect closes, from held-out predictions of
+    its sets.
+
+    Of two effects the mean of what one closes alone and of what it closes beside the other (Shapley
+    value).
+    """
+    if not held:
+        return {}
+    full = max(held, key=len)
+    closes: dict[tuple[str, ...], float] = {}
+    for names, after in held.items():
+        share = closed(problem, gaps(problem, before, after))
+        if share is None:  # there is no gap, whatever is added
+            return dict.fromkeys(full)
+        closes[names] = share
+    if len(full) == 1:
+        return {full[0]: closes[full]}
+    return {
+        n: 0.5 * (closes[n,] + closes[full] - sum(closes[m,] for m in full if m != n)) for n in full
+    }

@@ -1,0 +1,198 @@
+"""Location of disagreements between a table and a fitted model: channel, region of the conditions,
+size, p value.
+
+Every box of one or two conditions (intervals of levels of one, half-lines of two) is looked at in
+every channel. What the fit's own parameters would absorb is projected out, so under the null the
+statistic of a box is standard normal
+
+    t = v'e / sqrt(v'P v),    e = P n,    P = I - A (A'A)^-1 A',    n ~ N(0, I),
+
+v being 1 in the box and A the Jacobian of the fit with its priors as further rows. The p value is
+that of the largest |t| over all boxes and channels; its null distribution is simulated through P.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.special import ndtr, stdtr
+
+from soil_env.discovery.calibrate import Fit, Problem, Sizes
+from soil_env.discovery.evidence import Evidence
+from soil_env.identification.table.data import CHANNELS
+
+SIGNIFICANT = 0.01  # p value above which a disagreement is not reported
+LAW = 0.1  # relative error of the laws that `structure` allows
+EFFECT = 0.12  # relative error of an effect's form that it allows
+MOST = 4  # disagreements reported
+LEAST_VALUES = 3  # in a box
+_DRAWS = 400  # of the noise, for the distribution of the largest |t|
+#: Quantile of the simulated maxima at which the number of independent looks is read off.
+_TAIL = 0.95
+_SHOWS = 2.0  # least |t| of the plain mean residual of a box
+_OPEN = 0.02  # share of a box's variance that the parameters must leave for it to be looked at
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """One box in which a channel leaves the model."""
+
+    channel: str
+    #: condition -> (low, high) in its unit; what is not named is not limited.
+    region: dict[str, tuple[float, float]]
+    size: float  # [m, N or N m] mean of measured - model in the box
+    size_sd: float  # the same in standard deviations of the noise of one value
+    p_value: float  # of anything as large anywhere
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """Boxes of the conditions: members [R, N] bool and, for each, condition -> (first, last)
+    level.
+    """
+
+    member: np.ndarray
+    limits: tuple[dict[str, tuple[int, int]], ...]
+
+
+def boxes(problem: Problem) -> Boxes:
+    """All boxes: the whole table, intervals of one condition, half-lines of two; each set of rows
+    once.
+    """
+    varied = problem.data.varied
+    limits: list[dict[str, tuple[int, int]]] = [{}]
+    for name, c in varied.items():
+        ends = ((a, b) for a in range(c.levels) for b in range(a, c.levels))
+        limits += [{name: (a, b)} for a, b in ends if b - a + 1 < c.levels]
+    for (one, c), (two, d) in combinations(varied.items(), 2):
+        limits += [{one: p, two: q} for p in _half_lines(c.levels) for q in _half_lines(d.levels)]
+    member = []
+    kept = []
+    seen = set()
+    for box in limits:
+        inside = np.ones(problem.data.rows.slip.size, dtype=bool)
+        for name, (a, b) in box.items():
+            inside &= (varied[name].level >= a) & (varied[name].level <= b)
+        if inside.sum() >= LEAST_VALUES and inside.tobytes() not in seen:
+            seen.add(inside.tobytes())
+            member.append(inside)
+            kept.append(box)
+    return Boxes(np.array(member), tuple(kept))
+
+
+def _half_lines(levels: int) -> list[tuple[int, int]]:
+    return [(0, k) for k in range(levels - 1)] + [(k, levels - 1) for k in range(1, levels)]
+
+
+def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...]:
+    """Significant disagreements, the most certain first; none where the model explains the table.
+
+    After each, the box is given to the model as a further parameter, so that the next one says
+    something new; in one channel the boxes do not overlap.
+    """
+    found = boxes(problem)
+    if not found.limits:
+        return ()
+    a, e = fit.linearised()
+    q = np.linalg.qr(a)[0]  # directions that the parameters absorb
+    row, channel = np.nonzero(problem.used)
+    measured = [j for j in range(3) if problem.used[:, j].any()]
+    v = np.concatenate(
+        [(found.member[:, row] & (channel == j)).T.astype(float) for j in measured], axis=1
+    )
+    where = [(j, k) for j in measured for k in range(len(found.limits))]
+    open_ = v.sum(axis=0) >= LEAST_VALUES
+    if not open_.any():
+        return ()
+    v = v[:, open_]
+    where = [w for w, ok in zip(where, open_, strict=True) if ok]
+    total = np.sqrt(v.sum(axis=0))
+    v = np.concatenate([v, np.zeros((q.shape[0] - v.shape[0], v.shape[1]))])
+    raw = v
+    v, left = _project(v, q, total)
+    looks = _looks(v, np.array([j for j, _ in where]), problem.freedom, np.random.default_rng(seed))
+    # the next box must also show in the plain residual, with the same sign
+    r = np.concatenate([fit.residual, np.zeros(e.size - fit.residual.size)])
+    plain = (raw.T @ r) / total
+    out: list[Disagreement] = []
+    taken: list[tuple[int, np.ndarray]] = []
+    allowed = left & (np.abs(plain) > _SHOWS)
+    while len(out) < MOST and allowed.any():
+        t = v.T @ e
+        t = np.where(allowed & (t * plain > 0.0), np.abs(t), 0.0)
+        k = int(np.argmax(t))
+        p = _p_value(float(t[k]), looks, problem.freedom)
+        if p >= SIGNIFICANT:
+            break
+        j, box = where[k]
+        out.append(_disagreement(problem, fit, CHANNELS[j], found, box, p))
+        taken.append((j, found.member[box] & problem.used[:, j]))
+        e = e - v[:, k] * (v[:, k] @ e)
+        v, left = _project(v, v[:, k : k + 1], np.ones(v.shape[1]))
+        apart = [
+            not any(j == i and np.any(m & found.member[b]) for i, m in taken) for j, b in where
+        ]
+        allowed = allowed & left & np.array(apart)
+    return tuple(out)
+
+
+def structure(problem: Problem, model: Evidence, seed: int = 0) -> float:
+    """p value of the pattern that a model leaves in a channel, over slip, load and the other
+    conditions.
+
+    A posterior predictive check: beyond the noise, laws that are off by `LAW`, and an effect whose
+    form is off by `EFFECT`. Unlike the evidence it needs no other model to compare with.
+    """
+    effect = max(model.sizes.effect, EFFECT) if model.fit.choices else 0.0
+    sizes = Sizes(LAW, effect, span=model.sizes.span, scatter=model.sizes.scatter, rig=1.0)
+    left = locate(
+        problem, problem.fit(model.fit.choices, model.fit.parameters(), sizes, model.fit), seed
+    )
+    return left[0].p_value if left else 1.0
+
+
+def _project(v: np.ndarray, q: np.ndarray, total: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(unit columns of v without the directions q, which of them keep a part of their length
+    `total`).
+    """
+    v = v - q @ (q.T @ v)
+    length = np.sqrt(np.einsum("mr,mr->r", v, v))
+    left = length > math.sqrt(_OPEN) * total
+    return v / np.where(left, length, math.inf), left
+
+
+def _looks(v: np.ndarray, channel: np.ndarray, freedom: float, rng: np.random.Generator) -> float:
+    """Number of independent looks whose largest |t| is as large as that over the columns of v, each
+    of a channel.
+    """
+    t = np.abs(rng.standard_normal((_DRAWS, v.shape[0]), dtype=np.float32) @ v.astype(np.float32))
+    if math.isfinite(freedom):
+        noise = np.sqrt(rng.chisquare(freedom, (_DRAWS, 3)) / freedom)
+        t /= noise.astype(np.float32)[:, channel]
+    alone = _alone(float(np.quantile(t.max(axis=1), _TAIL)), freedom)
+    return max(1.0, math.log(_TAIL) / math.log1p(-alone)) if alone < 1.0 else 1.0
+
+
+def _alone(t: float, freedom: float) -> float:
+    """p value of one look."""
+    return float(2.0 * (ndtr(-t) if math.isinf(freedom) else stdtr(freedom, -t)))
+
+
+def _p_value(t: float, looks: float, freedom: float) -> float:
+    alone = _alone(t, freedom)
+    return -math.expm1(looks * math.log1p(-alone)) if alone < 1.0 else 1.0
+
+
+def _disagreement(
+    problem: Problem, fit: Fit, channel: str, found: Boxes, box: int, p: float
+) -> Disagreement:
+    j = CHANNELS.index(channel)
+    varied = problem.data.varied
+    inside = found.member[box] & problem.used[:, j]
+    size = float(np.mean((problem.data.y - fit.output)[inside, j]))
+    region = {}
+    for name, (a, b) in found.limits[box].items():
+        value = varied[name].value[(varied[name].level >= a) & (varied[name].level <= b)]
+        region[name] = (float(value.min()), float(value.max()))
+    return Disagreement(channel, region, size, float(size / problem.noise[j]), p)

@@ -1,0 +1,431 @@
+"""Design of the next runs: those that are expected to say most about which candidate is right.
+
+Every candidate predicts a grid of conditions that the rig can make, jointly normal: mean and
+covariance follow from its fit and its form errors. The information that a set of runs is expected
+to give about the candidates i of probability P_i is at least
+
+    I = -sum_i P_i ln sum_j P_j exp(-B_ij)
+
+(Kolchinsky & Tracey 2017, Entropy 19:361). B_ij is the Bhattacharyya distance of what i and j
+predict there together. exp(-B_ij) is also the factor by which the odds of j
+against i are expected to change if i is right, under the square root of the evidence; `search`
+tempers it a little less. Runs are chosen one after the other, each by the information that it adds
+to those before it for its cost.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env.discovery.calibrate import Problem
+from soil_env.discovery.evidence import Evidence, settle
+from soil_env.discovery.instrument import LISTED
+from soil_env.discovery.predictive import predicted, problem_at
+from soil_env.discovery.search import ODDS, Finding, forms
+from soil_env.identification.table.data import CHANNELS, WHEEL
+
+MOST = 4  # runs proposed
+LEAST = 1e-3  # [nat] of information below which no run is proposed
+LEAST_OF_CHECK = 0.2  # the same of a check: what errors of 5 % together are worth
+WITHIN_REACH = 0.01  # least probability of a candidate
+CANDIDATES = 14  # at most, the most probable ones
+#: Of the runs to choose from, where the setup says nothing of the rig.
+SLIPS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
+BASE = "base model"
+_LARGEST = 3000  # points of a grid
+
+
+class Check(NamedTuple):
+    """A reading of the instrument without soil, which finds the errors that it `decides` or rules
+    them out.
+    """
+
+    name: str
+    work: str  # to do
+    decides: tuple[str, ...]
+
+
+CHECKS = (
+    Check("level", "put a level on the rig", ("tilt",)),
+    Check(
+        "lifted",
+        "lift the wheel, and read pull and torque at rest and turning",
+        ("force_offset", "torque_offset", "drivetrain_friction"),
+    ),
+    Check(
+        "plate",
+        "roll the wheel on a hard plate without pull, under each load and at each speed: sinkage "
+        "and slip have to read 0",
+        ("sinkage_offset", "slip_bias", "wheel_radius"),
+    ),
+    Check(
+        "weights",
+        "hang known weights on the load cell and on a lever at the wheel, and read both sensors "
+        "each time",
+        ("force_gain", "torque_gain", "force_crosstalk", "torque_crosstalk"),
+    ),
+    Check(
+        "scale",
+        "stand the wheel on a scale, raise it, and turn the wheel against a block: the load has to "
+        "stay",
+        ("arm_load", "spring_load"),
+    ),
+)
+
+
+class Predicted(NamedTuple):
+    """A candidate at one run: its probability before it, and what it predicts, with noise."""
+
+    name: str
+    probability: float
+    mean: list[float]  # as CHANNELS, SI; NaN where not measured
+    sd: list[float]
+
+
+@dataclass(frozen=True)
+class NextTest:
+    """One run to make."""
+
+    conditions: dict[str, float]  # slip, load [N] and what else matters, as the columns of a table
+    predicted: tuple[Predicted, ...]  # by every candidate, the most probable first
+    separates: tuple[str, str]  # candidates that it separates most
+    channel: str  # in which
+    expected_sigma: float  # difference of their predictions there over its standard deviation
+    #: Least probability of the right candidate, on average, once this run and those before it are
+    #: made.
+    sure: float
+    cost: float
+    information: float  # [nat] expected at least, beyond the runs before it
+    repeat: bool = False  # of the run that the model misses most
+
+
+class Grid(NamedTuple):
+    """Conditions [G] that could be run."""
+
+    value: dict[str, np.ndarray]  # by column
+    asked: tuple[str, ...]  # columns that matter
+
+
+class Candidates(NamedTuple):
+    """Candidates and their joint predictions [G, C] of the measured channels on a grid, in units of
+    the noise.
+    """
+
+    names: tuple[str, ...]
+    share: np.ndarray  # [K] probability
+    mean: np.ndarray  # [K, G, C]
+    root: tuple[np.ndarray, ...]  # K of [G, C, R], (root root') is the covariance
+    own: np.ndarray  # [K, G, C] further variance of every value by itself, the noise with it
+
+    def joint(self, chosen: Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
+        """(mean [K, G, m], covariance [K, G, m, m]) of the chosen runs followed by each run of the
+        grid.
+        """
+        count, points, channels = self.mean.shape
+        chosen = list(chosen)
+        before = len(chosen) * channels
+        mean = np.empty((count, points, before + channels))
+        cov = np.zeros((count, points, before + channels, before + channels))
+        for k, root in enumerate(self.root):
+            first = root[chosen].reshape(before, root.shape[2])
+            mean[k, :, :before] = self.mean[k, chosen].ravel()
+            mean[k, :, before:] = self.mean[k]
+            cov[k, :, :before, :before] = first @ first.T + np.diag(self.own[k, chosen].ravel())
+            cross = root @ first.T
+            cov[k, :, before:, :before] = cross
+            cov[k, :, :before, before:] = cross.transpose(0, 2, 1)
+            own = self.own[k][:, :, None] * np.eye(channels)
+            cov[k, :, before:, before:] = root @ root.transpose(0, 2, 1) + own
+        return mean, cov
+
+
+def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[NextTest, ...]:
+    """At most `most` runs that would tell the sets of effects within reach apart, in the order to
+    make them.
+
+    Effects whose condition the table does not vary, and the rig could, are within reach with their
+    prior odds.
+    """
+    share = _shares(finding)
+    found = {h.names: h.evidence for h in finding.hypotheses if not h.free}
+    unseen = [
+        e.name
+        for e in LISTED.values()
+        if e.name in finding.untestable and _could_show(problem, e.name)
+    ]
+    for name in unseen if share[()] * ODDS >= WITHIN_REACH else ():
+        share[name,] = share[()] * ODDS
+        found[name,] = settle(problem, (forms(problem, name)[0],))
+    ranked = sorted(found, key=lambda s: -share[s])
+    order = [s for s in ranked if share[s] >= WITHIN_REACH][:CANDIDATES] or ranked[:1]
+    unlisted = finding.unlisted > max([finding.none, *(finding.share(n) for n in finding.tried)])
+    return proposed(problem, [found[s] for s in order], [share[s] for s in order], most, unlisted)
+
+
+def next_checks(finding: Finding, runs: Sequence[NextTest]) -> tuple[Check, ...]:
+    """Checks that are expected to say more about which candidate is right than any of these
+    runs.
+    """
+    least = max((t.information for t in runs), default=0.0)
+    share = {s: p for s, p in _shares(finding).items() if p > 0.0}
+    names = [*share, ()]
+    p = np.array([*share.values(), finding.unlisted])  # no check knows what is in no catalogue
+    left = list(CHECKS)
+    out = []
+    before = 0.0
+    overlap = np.ones((p.size, p.size))
+    while left:
+        worth = [
+            float(information(p, (overlap * decided(names, c))[:, :, None])[0]) - before
+            for c in left
+        ]
+        k = int(np.argmax(worth))
+        if worth[k] <= max(least, LEAST_OF_CHECK):
+            break
+        overlap = overlap * decided(names, left[k])
+        before = before + worth[k]
+        out.append(left.pop(k))
+    return tuple(out)
+
+
+def _shares(finding: Finding) -> dict[tuple[str, ...], float]:
+    """Probability of each set of effects, but of something unlisted alone, which predicts
+    nothing.
+    """
+    share: dict[tuple[str, ...], float] = {}
+    for h in finding.hypotheses:
+        if h.names or not h.free:
+            share[h.names] = share.get(h.names, 0.0) + h.probability
+    return share
+
+
+def proposed(
+    problem: Problem,
+    evidence: Sequence[Evidence],
+    share: Sequence[float],
+    most: int = MOST,
+    repeat: bool = False,
+) -> tuple[NextTest, ...]:
+    """The runs for candidates of these probabilities; `repeat`: the run that the first one misses
+    most comes first.
+    """
+    if len(evidence) < 2 and not repeat:
+        return ()
+    grid = conditions(problem, evidence)
+    missed = np.where(
+        problem.data.measured, np.abs(problem.data.y - evidence[0].fit.output) / problem.noise, 0.0
+    )
+    worst = int(np.argmax(missed.max(axis=1)))
+    last = grid.value["slip"].size
+    grid = grid._replace(
+        value={n: np.append(x, problem.data.conditions[n][worst]) for n, x in grid.value.items()}
+    )
+    there = problem_at(problem, grid.value)
+    seen = problem.used.any(axis=0)
+    mean, root, own, feasible = zip(*(predicted(problem, there, e) for e in evidence), strict=True)
+    able = np.all(feasible, axis=0)
+    able[last] = False  # only as the repeat
+    names = tuple(" and ".join(e.names) or BASE for e in evidence)
+    of = Candidates(
+        names,
+        np.array(share) / sum(share),
+        np.stack(mean)[:, :, seen],
+        tuple(r[:, seen] for r in root),
+        np.stack(own)[:, :, seen],
+    )
+    chosen: list[int] = []
+    out: list[NextTest] = []
+    before = 0.0
+    while len(out) < most:
+        overlap = overlaps(*of.joint(chosen))
+        gain = information(of.share, overlap) - before
+        cost = _costs(problem, grid, chosen)
+        forced = repeat and not chosen
+        g = last if forced else int(np.argmax(np.where(able, gain / cost, -math.inf)))
+        if not forced and not (able[g] and gain[g] > LEAST):
+            break
+        able[g] = False  # once each: a repeat says nothing of how far the laws err
+        chosen.append(g)
+        before += gain[g]
+        said = _said(problem, of, g)
+        point = {name: float(grid.value[name][g]) for name in grid.asked}
+        sure = float(sureness(of.share, overlap)[g])
+        out.append(NextTest(point, *said, sure, float(cost[g]), float(gain[g]), forced))
+    return tuple(out)
+
+
+def _said(
+    problem: Problem, of: Candidates, g: int
+) -> tuple[tuple[Predicted, ...], tuple[str, str], str, float]:
+    """Predictions of a run, and what it separates, as in `NextTest`."""
+    seen = problem.used.any(axis=0)
+    mean = np.full((len(of.names), 3), np.nan)
+    sd = mean.copy()
+    mean[:, seen] = of.mean[:, g]
+    sd[:, seen] = np.sqrt(
+        [np.sum(root[g] ** 2, axis=1) + own[g] for root, own in zip(of.root, of.own, strict=True)]
+    )
+    off = np.nan_to_num(np.abs(mean[:1] - mean) / np.sqrt(0.5 * (sd[:1] ** 2 + sd**2)))
+    rival = int(np.argmax(of.share * off.max(axis=1)))
+    j = int(np.argmax(off[rival]))
+    values = ((mean * problem.noise).tolist(), (sd * problem.noise).tolist())
+    said = tuple(Predicted(*row) for row in zip(of.names, of.share.tolist(), *values, strict=True))
+    return said, (of.names[0], of.names[rival]), CHANNELS[j], float(off[rival, j])
+
+
+def overlaps(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    """[K, K, G] of exp(-Bhattacharyya distance) between normal predictions, `mean` [K, G, m], `cov`
+    [K, G, m, m].
+    """
+    count, points = mean.shape[:2]
+    out = np.ones((count, count, points))
+    size = np.linalg.slogdet(cov)[1]
+    for i in range(count):
+        for j in range(i):
+            middle = 0.5 * (cov[i] + cov[j])
+            off = mean[i] - mean[j]
+            square = np.sum(off * np.linalg.solve(middle, off[:, :, None])[:, :, 0], axis=1)
+            distance = square / 8.0 + 0.5 * (
+                np.linalg.slogdet(middle)[1] - 0.5 * (size[i] + size[j])
+            )
+            out[i, j] = np.exp(-np.maximum(distance, 0.0))
+            out[j, i] = out[i, j]
+    return out
+
+
+def information(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
+    """[G] least information [nat] about which candidate is right."""
+    out: np.ndarray = -share @ np.log(np.einsum("j,ijg->ig", share, overlap))
+    return out
+
+
+def sureness(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
+    """[G] least probability that the right candidate has afterwards, on average (by Jensen's
+    inequality).
+    """
+    out: np.ndarray = share**2 @ (1.0 / np.einsum("j,ijg->ig", share, overlap))
+    return out
+
+
+def decided(names: Sequence[tuple[str, ...]], check: Check) -> np.ndarray:
+    """[K, K] 0 for two sets of effects that a check tells apart, 1 for others."""
+    of = [{*check.decides} & {*n} for n in names]
+    return np.array([[float(a == b) for b in of] for a in of])
+
+
+def _costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
+    """[G] cost of each run after the last chosen one, or the last of the table, by the setup's
+    rig.
+    """
+    rig = problem.data.setup.rig
+    table = problem.data.conditions
+    last = {n: x[chosen[-1]] if chosen else table[n][-1] for n, x in grid.value.items()}
+    changed = {
+        n: np.abs(x - last[n]) > 1e-6 * max(1.0, abs(last[n])) for n, x in grid.value.items()
+    }
+    changed["wheel"] = np.any([changed[n] for n in WHEEL], axis=0)
+    # On fresh soil they have to be made first.
+    changed["pass"] = np.maximum(grid.value["pass"] - 1.0, 0.0)
+    cost = np.full(grid.value["slip"].size, rig.cost.get("run", 1.0))
+    return cost + sum(
+        (price * changed[name] for name, price in rig.cost.items() if name != "run"),
+        np.zeros_like(cost),
+    )
+
+
+def _levels(problem: Problem) -> dict[str, list[float]]:
+    """Values of each condition but the wheel: the rig's, else around those of the table."""
+    rig = problem.data.setup.rig
+    column = problem.data.conditions
+    passes = column["pass"]
+    grade = column["grade_deg"]
+    timed = bool(np.all(column["speed"] > 0.0))
+    around = {
+        "slip": list(SLIPS),
+        "load": _around(column["load"], 0.7, 1.4),
+        "speed": _around(column["speed"], 0.5, 2.0) if timed else [0.0],
+        "pass": sorted({1.0, 2.0, float(passes.max()), float(passes.max()) + 1.0}),
+        "grade_deg": sorted({float(grade.min()), float(grade.max())}),
+    }
+    listed = {
+        "slip": rig.slips,
+        "load": rig.loads,
+        "speed": rig.speeds if timed else (),
+        "pass": rig.passes,
+        "grade_deg": rig.grades_deg,
+    }
+    return {name: sorted(map(float, listed[name])) or values for name, values in around.items()}
+
+
+def _could_show(problem: Problem, name: str) -> bool:
+    """True if the rig can vary the condition that an effect needs."""
+    effect = LISTED[name]
+    able = (
+        not effect.hidden(problem.bench) and len(_levels(problem).get(effect.varies or "", ())) > 1
+    )
+    return able and bool(forms(problem, name)) and effect.varies not in problem.data.varied
+
+
+def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
+    """Slips and loads, wheels, and the speeds, passes and grades that matter, by the setup's rig or
+    about the table.
+
+    What no candidate knows is the middle speed, the first pass and the least grade of the table, or
+    what the rig has nearest to them.
+    """
+    column = problem.data.conditions
+    varied = problem.data.varied
+    rig = problem.data.setup.rig
+    grade = column["grade_deg"]
+    timed = bool(np.all(column["speed"] > 0.0))
+    choices = [choice for c in candidates for choice in c.fit.choices]
+    known = {"slip", "load"} | {LISTED[c.effect].varies for c in choices}
+    if any("drivetrain_friction_viscous" in c.free for c in choices):
+        known.add("speed")
+    usual = {
+        "speed": float(np.median(column["speed"])),
+        "pass": float(column["pass"].min()),
+        "grade_deg": min(max(0.0, float(grade.min())), float(grade.max())),
+    }
+    listed = {"speed": rig.speeds if timed else (), "pass": rig.passes, "grade_deg": rig.grades_deg}
+    usual = {
+        n: min(listed[n], key=lambda v: abs(v - x)) if listed[n] else x for n, x in usual.items()
+    }
+    levels = {n: x if n in known else [float(usual[n])] for n, x in _levels(problem).items()}
+    wheels = np.unique(problem.data.rows.wheels, axis=0)
+    if rig.wheels:
+        unknown = problem.data.wheel.grouser_height
+        heights = [unknown if w.grouser_height is None else w.grouser_height for w in rig.wheels]
+        wheels = np.array(
+            [(w.radius, w.width, h) for w, h in zip(rig.wheels, heights, strict=True)]
+        )
+    points = np.array([(*p, *w) for p in product(*levels.values()) for w in wheels])
+    if len(points) > _LARGEST:
+        points = points[np.sort(np.random.default_rng(0).permutation(len(points))[:_LARGEST])]
+    names = (*levels, *WHEEL)
+    value = dict(zip(names, points.T, strict=True))
+    always = ("slip", "load", "speed") if timed else ("slip", "load")
+    return Grid(
+        value,
+        tuple(
+            n for n in names if n in always or n in varied or np.ptp([*value[n], *column[n]]) > 0.0
+        ),
+    )
+
+
+def _around(x: np.ndarray, below: float, above: float) -> list[float]:
+    """The ends and the middle of the values, and beyond by the two factors, in two digits where the
+    table has none.
+    """
+    low = float(x.min())
+    high = float(x.max())
+    middle = _round((low * high) ** 0.5) if high > 1.1 * low else low
+    return sorted({_round(below * low), low, middle, high, _round(above * high)})
+
+
+def _round(x: float) -> float:
+    return float(f"{x:.2g}")

@@ -1,0 +1,149 @@
+"""Posterior predictions of a candidate at any conditions: what a proposal of further runs needs of
+the search.
+
+`Finding.hypotheses` are the candidates with their probabilities, each with its `Evidence`: the
+fitted parameters and the posterior of the sizes of its form errors. `predicted` carries the
+posterior of one to other conditions.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.special import ndtr
+
+from soil_env.discovery.calibrate import ANY_FORM, LAW_LENGTHS, Fit, Problem
+from soil_env.discovery.evidence import Evidence
+from soil_env.discovery.instrument import LISTED, nuisances
+from soil_env.discovery.prediction import at_conditions
+from soil_env.identification.table.form_error import INPUTS, LENGTHS, Process
+
+DEEPEST = 0.6  # [radii] deepest sinkage of a feasible run
+_BEYOND = 30.0  # [sd] from which a normal density is none
+_FUNCTIONS = 60  # of a form error over table and other rows, at most
+
+
+def problem_at(problem: Problem, conditions: Mapping[str, np.ndarray]) -> Problem:
+    """The problem with conditions [G], by the columns of a table, for rows: every channel in use.
+
+    Form errors are over the rows of the table and these.
+    """
+    there = at_conditions(problem, conditions)
+    table = problem.data.conditions | problem.data.elapsed
+    ours = _conditions(there)
+    both = {n: np.concatenate([x, ours[n]]) for n, x in table.items()}
+
+    def over(names: Sequence[str], lengths: Mapping[str, float] = LENGTHS) -> Process:
+        known = [n for n in both if n in names or (n == "slip" and "log_slip" in names)]
+        unique = np.unique(np.stack([both[n] for n in known]), axis=1)
+        return Process.over(
+            dict(zip(known, unique, strict=True)), of=names, most=_FUNCTIONS, lengths=lengths
+        )
+
+    there.law_processes = [over(INPUTS, lengths=x) for x in LAW_LENGTHS]
+    there.effect_processes = {more: over((*INPUTS, *more)) for more in problem.effect_processes}
+    return there
+
+
+def _conditions(there: Problem) -> dict[str, np.ndarray]:
+    """Conditions of a grid, after the end of the campaign where the table has times."""
+    ended = {n: np.ones(there.data.rows.slip.size) for n in there.data.elapsed}
+    return there.data.conditions | ended
+
+
+def predicted(
+    problem: Problem, there: Problem, candidate: Evidence
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(mean [G, 3], root [G, 3, R] and own variance [G, 3] as in `next_tests`, feasible [G]) of a
+    candidate.
+
+    In units of the noise, at the rows of `there`, from `problem_at`. Form errors have their typical
+    sizes.
+    """
+    fit = candidate.fit
+    p = candidate.fit.u.size
+    sizes = candidate.sizes._replace(
+        law=candidate.typical("law"), effect=candidate.typical("effect")
+    )
+
+    def blocks(
+        of: Problem,
+        values: dict[str, float],
+        output: np.ndarray,
+        added: Sequence[np.ndarray],
+        at: dict[str, np.ndarray],
+    ) -> list[np.ndarray]:
+        stresses = of.stresses(values, fit.choices, output, np.maximum(output[:, 0], 0.0))
+        law, effect = there.form_errors(fit.choices, stresses, added, at)
+        rig = nuisances(
+            of.data.setup, of.bench, of.data.rows, output, tuple(c.effect for c in fit.choices)
+        )
+        return [sizes.law * law[sizes.span], sizes.effect * effect, sizes.rig * rig]
+
+    table = problem.data.conditions | problem.data.elapsed
+    known = [
+        problem.block(b)
+        for b in blocks(problem, fit.parameters(), np.nan_to_num(fit.output), fit.added, table)
+    ]
+    a = np.concatenate([fit.jacobian, *known], axis=1) / sizes.scatter
+    start = np.concatenate([fit.u, np.zeros(a.shape[1] - p)])
+    covariance = np.linalg.inv(np.eye(start.size) + a.T @ a)
+    off, covariance = _within_bounds(
+        fit, covariance @ (a.T @ fit.residual / sizes.scatter - start), covariance
+    )
+
+    u = fit.u + off[:p]
+    guess = np.zeros(there.data.rows.slip.size)
+    at = _conditions(there)
+    values = {k.name: k.value(x) for k, x in zip(fit.unknowns, u, strict=True)}
+    out = there.predict(values, fit.choices, guess)
+    feasible = (
+        (guess > 0.0)
+        & (guess < DEEPEST * there.data.wheel.radius)
+        & np.all(np.isfinite(out), axis=1)
+    )
+    out = np.where(np.isfinite(out), out, 0.0)
+    added = there.added(values, fit.choices, out, guess)
+    ours = [there.block(b) for b in blocks(there, values, out, added, at)]
+    top = np.concatenate([there.derivatives(fit.unknowns, u, fit.choices, guess), *ours], axis=1)
+    mean = out / there.noise + (top[:, p:] @ off[p:]).reshape(-1, 3)
+    root = top @ np.linalg.cholesky(covariance + 1e-12 * np.eye(start.size))
+    own = np.full(mean.shape, sizes.scatter**2)
+    for choice, x in zip(fit.choices, added, strict=True):
+        beta = sizes.effect * (ANY_FORM if LISTED[choice.effect].any_form else 1.0)
+        own += beta**2 * there.effect_process(choice).left(at)[:, None] * (x / there.noise) ** 2
+    return mean, root.reshape(*mean.shape, -1), own, feasible
+
+
+def _within_bounds(
+    fit: Fit, off: np.ndarray, covariance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean [k], from the fit, and covariance [k, k] of unknowns that are within their bounds, one
+    after the other.
+    """
+    for k, unknown in enumerate(fit.unknowns):
+        mean = fit.u[k] + off[k]
+        sd = math.sqrt(covariance[k, k])
+        low, high = ((end - mean) / sd for end in unknown.bounds)
+        if min(-low, high) < 4.0:
+            if low > 8.0 or high < -8.0:  # far outside: at the bound
+                moved = low if low > 0.0 else high
+                left = 1e-4
+            else:
+                moved, left = _truncated(low, high)
+            along = covariance[:, k] / sd
+            off = off + along * moved
+            covariance = covariance + np.outer(along, along) * (min(max(left, 1e-4), 1.0) - 1.0)
+    return off, covariance
+
+
+def _truncated(low: float, high: float) -> tuple[float, float]:
+    """(mean, variance) of a standard normal variable between two bounds."""
+    if low > 0.0:  # by the other tail, where the difference of two ones would vanish
+        mean, variance = _truncated(-high, -low)
+        return -mean, variance
+    inside = float(ndtr(high) - ndtr(low))
+    low, high = max(low, -_BEYOND), min(high, _BEYOND)
+    at_low, at_high = (math.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi) for x in (low, high))
+    mean = (at_low - at_high) / inside
+    return mean, 1.0 + (low * at_low - high * at_high) / inside - mean**2

@@ -1,0 +1,234 @@
+"""Result of the workflow as files (report.json, report.html, model.yaml) and on the terminal."""
+
+import json
+import platform
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+import yaml
+from markupsafe import Markup
+from rich.console import Console
+from rich.panel import Panel
+from rich.text import Text
+
+from soil_env import __version__
+from soil_env._io.document import html_image, html_page, render
+from soil_env._io.files import check_own, plain, write_own
+from soil_env._io.loading import ParameterError
+from soil_env.discovery.instrument import LISTED
+from soil_env.discovery.report import equations, sentences, tables, words
+from soil_env.discovery.result import Report
+from soil_env.identification.table.data import CHANNELS
+
+__all__ = ["FILES", "check_folder", "content", "page", "show", "text", "write"]
+
+FILES = ("report.json", "report.html", "model.yaml")
+COLOURS = {"named": "green", "none": "green"}
+_SHOWN = 8  # candidates of the ranking on the terminal
+LEAST = 1e-3  # probability below which a hypothesis is not listed
+
+
+def check_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
+    """Raise `ParameterError` where report files could not be written into `folder`, or would
+    replace one of the user's; creates nothing.
+    """
+    try:
+        check_own(folder, FILES, inputs)
+    except OSError as error:
+        raise ParameterError(f"{error.filename}: {error.strerror}") from None
+
+
+def write(report: Report, folder: Path) -> None:
+    """Write report.json, report.html and model.yaml into `folder`: all are made before the first is
+    written.
+    """
+    values = content(report)
+    files = {
+        "report.json": json.dumps(values, indent=2, allow_nan=False, ensure_ascii=False) + "\n",
+        "report.html": page(report, values),
+        "model.yaml": yaml.safe_dump(report.model.content(), sort_keys=False),
+    }
+    try:
+        write_own(folder, files)
+    except OSError as error:
+        raise ParameterError(f"{error.filename}: {error.strerror}") from None
+
+
+def page(report: Report, values: dict[str, Any]) -> str:
+    """Return report.html, which needs no other file; `values` is `content(report)`."""
+    # Here: matplotlib takes a second to load.
+    from soil_env.discovery.report.pictures import CAPTIONS, pictures
+
+    images = {
+        name: Markup(html_image(svg, CAPTIONS[name], "svg+xml"))
+        for name, svg in pictures(report).items()
+    }
+    names = ", ".join(sentences.title(e.name) for e in report.effects)
+    mathematics = {
+        "equation": lambda text: Markup(equations.mathematics(text)),
+        "meaning": lambda text: Markup(equations.leading_mathematics(text)),
+    }
+    body = render(
+        f"{__name__}:report.html", images=images, values=values, **mathematics, **_common(report)
+    )
+    style = render(f"{__name__}:report.css")
+    return html_page(f"{report.verdict}: {names}" if names else report.verdict, body, style)
+
+
+def text(report: Report) -> str:
+    """Return the report for the terminal, below its summary."""
+    return render(f"{__name__}:report.txt", shown=_SHOWN, **_common(report))
+
+
+def _common(report: Report) -> dict[str, Any]:
+    """Values of both templates."""
+    return {
+        "report": report,
+        "sentences": sentences,
+        "words": words,
+        "tables": tables,
+        "blocks": equations.blocks(report),
+        "cautions": sentences.cautions(report),
+        "where": [
+            (
+                sentences.disagreement(report, d),
+                "< 1e-6" if d.p_value < 1e-6 else f"{d.p_value:.2g}",
+            )
+            for d in report.where
+        ],
+        "next_tests": [sentences.next_test(report, t) for t in report.next_tests],
+    }
+
+
+def show(report: Report, console: Console) -> None:
+    """Print the conclusion with its tables."""
+    colour = COLOURS.get(report.verdict, "yellow")
+    if report.doubts:
+        doubts = Text(" ".join(report.doubts))
+        console.print(Panel(doubts, title="[bold]check first[/]", title_align="left", style="red"))
+    title = f"[bold]{report.verdict}[/]"
+    said = "\n\n".join(
+        (
+            words.conclusion(report),
+            sentences.summary(report),
+            " ".join((sentences.foreseen(report), sentences.if_laws_err(report))).strip(),
+            words.next_step(report),
+        )
+    )
+    console.print(Panel(Text(said), title=title, title_align="left", style=colour))
+    console.print(Text(text(report)))
+
+
+def content(report: Report) -> dict[str, Any]:
+    """Plain values for JSON, null where there is no number; every key is always present."""
+    shown = [block.content() for block in equations.blocks(report)]
+    first = list(report.doubts)
+    noise = report.noise
+    return plain(
+        {
+            "verdict": report.verdict,
+            "conclusion": words.conclusion(report),
+            "summary": sentences.summary(report),
+            "next_step": words.next_step(report),
+            "candidates": report.finding.candidates,
+            "effects": [
+                {
+                    "name": e.name,
+                    "form": e.form,
+                    "parameters": {k: v._asdict() for k, v in e.parameters.items()},
+                    "probability": e.probability,
+                    "probability_if_laws_err": report.finding.if_laws_err(e.name),
+                    "sure": report.finding.is_sure(e.name),
+                    "share": e.share,
+                    "alternatives": e.alternatives,
+                    "explained": words.EXPLAINED[e.name],
+                    "symbols": {p.name: p.symbol for p in LISTED[e.name].parameters if p.symbol},
+                    **block,
+                }
+                for e, block in zip(report.effects, shown, strict=False)
+            ],
+            "where": [vars(d) | {"words": sentences.disagreement(report, d)} for d in report.where],
+            "ranking": [r._asdict() for r in report.finding.ranking],
+            "gap": {name: g._asdict() for name, g in report.gap.items()},
+            "remainder": {
+                n: dict(zip(("rms", "share"), g.remainder, strict=True))
+                for n, g in report.gap.items()
+            },
+            "closed": report.closed,
+            "prediction": {
+                way.split: {name: errors._asdict() for name, errors in way.errors.items()}
+                for way in report.outlook.left_out
+            },
+            "foreseen": sentences.foreseen(report),
+            "if_laws_err": sentences.if_laws_err(report),
+            "guess": report.guess and report.guess._asdict(),
+            "closed_interval": report.closed_interval,
+            "untestable": [{"name": k, "reason": v} for k, v in report.finding.untestable.items()],
+            "detectable": {name: d.size for name, d in report.finding.detectable.items()},
+            "detectable_as": {
+                name: {
+                    "form": d.form,
+                    "parameter": d.parameter,
+                    "unit": LISTED[name].parameter(d.parameter).unit,
+                    "power": d.power,
+                }
+                for name, d in report.finding.detectable.items()
+            },
+            "next_checks": [c._asdict() for c in report.next_checks],
+            "next_tests": [
+                vars(t)
+                | {
+                    "predicted": [p._asdict() for p in t.predicted],
+                    "words": sentences.next_test(report, t),
+                }
+                for t in report.next_tests
+            ],
+            "probability": {
+                "none": report.finding.none,
+                "unlisted": report.finding.unlisted,
+                "remainder": report.finding.remainder,
+            },
+            "hypotheses": [
+                {
+                    "effects": h.names,
+                    "like": h.like,
+                    "law": h.law,
+                    "unlisted": h.free,
+                    "probability": h.probability,
+                    "score": h.score,
+                }
+                for h in report.finding.hypotheses
+                if h.probability >= LEAST
+            ],
+            "refuted": report.finding.refuted,
+            "law_error": report.law_error,
+            "soil": {
+                name: v._asdict()
+                | {
+                    "known": report.known(name),
+                }
+                for name, v in report.soil.items()
+            },
+            "scatter": report.finding.scatter,
+            "noise": {
+                name: {"sd": noise.sd[j], "origin": noise.origin[j]}
+                for j, name in enumerate(CHANNELS)
+                if name in report.channels
+            },
+            "left_out": [{"row": row, "channel": name} for row, name in report.left_out],
+            "check_first": first,
+            "cautions": [*first, *sentences.cautions(report)],
+            "trust": {name: list(pair) for name, pair in report.model.validity.items()},
+            "rows": len(report.problem.data.table),
+            "settings": vars(report.settings),
+            "versions": {
+                "soil_env": __version__,
+                "python": platform.python_version(),
+                "numpy": np.__version__,
+                "scipy": scipy.__version__,
+            },
+        }
+    )

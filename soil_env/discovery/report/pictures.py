@@ -1,0 +1,270 @@
+"""Plots of a report, as SVG; the same report gives the same bytes."""
+
+import io
+import math
+import re
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+from soil_env._io.document import plot_text
+from soil_env.discovery.report.sentences import CONDITIONS, TITLES, UNITS, fixed, title
+from soil_env.discovery.result import Report
+from soil_env.identification.table.data import CHANNELS
+
+BEFORE = "#c2571a"
+AFTER = "#1f6f8b"
+MEASURED = "#222222"
+LIGHT = "#7fb2c2"
+MANY = 1200  # points of a plot above which they are drawn as an image
+CURVES = 4  # groups of rows whose curves over slip are drawn
+CAPTIONS = {
+    "predicted": "Held-out predictions against the measured values; grey: twice the noise.",
+    "slip": (
+        "Measured values and models over slip, in a few groups of rows that differ in slip alone, "
+        "from where the base model does best (top) to where it does worst. A red cross was left "
+        "out as an outlier."
+    ),
+    "next": (
+        "Predictions of the most probable candidates at the next runs, with two standard "
+        "deviations. A run decides between candidates whose bars do not overlap."
+    ),
+    "ranking": (
+        "Probability of each effect, and that nothing listed is missing. Dark: stated; light: "
+        "alternatives."
+    ),
+}
+COLOURS = (AFTER, BEFORE, "#6b4c9a", "#7a7a7a")  # of candidates
+_STYLE = {
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#888888",
+    "axes.linewidth": 0.7,
+    "svg.hashsalt": "soil_env",
+}
+
+
+def pictures(report: Report) -> dict[str, bytes]:
+    """{name: SVG} of "predicted", "slip", "ranking" and, where runs are proposed, "next"."""
+    with matplotlib.rc_context(_STYLE):
+        drawn = {"predicted": _predicted, "slip": _slip, "ranking": _ranking}
+        drawn |= {"next": _next} if report.next_tests else {}
+        return {name: _saved(draw(report)) for name, draw in drawn.items()}
+
+
+def _figure(width: float, height: float) -> Figure:
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _saved(figure: Figure) -> bytes:
+    # Drawn once: `savefig` draws a figure with a layout twice.
+    stream = io.BytesIO()
+    FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None})
+    text = stream.getvalue().decode("utf-8")
+    return re.sub(r"<!DOCTYPE.*?>|<metadata>.*?</metadata>", "", text, flags=re.S).encode("utf-8")
+
+
+def _columns(report: Report, height: float, rows: int = 1, **options) -> tuple[Figure, np.ndarray]:
+    """(figure, axes [rows, channels])."""
+    figure = _figure(3.5 * max(len(report.channels), 2), height)
+    return figure, figure.subplots(rows, len(report.channels), squeeze=False, **options)
+
+
+def _with_legend(figure: Figure, axes: np.ndarray, columns: int) -> Figure:
+    """The figure with the legend of its first axes below, if they have one."""
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
+    return figure
+
+
+def _predicted(report: Report) -> Figure:
+    """Held-out predictions without and with the named effects against what was measured."""
+    figure, axes = _columns(report, 3.6)
+    for name, ax in zip(report.channels, axes[0], strict=True):
+        j = CHANNELS.index(name)
+        (unit, scale) = UNITS[name]
+        y = scale * report.problem.data.y[:, j]
+        image = y.size > MANY
+        for held, color, label in _both(report, report.held_out_before, report.held_out_after):
+            ax.plot(
+                y,
+                scale * held[:, j],
+                "o",
+                ms=3.2,
+                color=color,
+                alpha=0.7,
+                label=label,
+                mew=0,
+                rasterized=image,
+            )
+        used = y[report.problem.used[:, j]]
+        ends = np.array([used.min(), used.max()])
+        ax.plot(ends, ends, color=MEASURED, lw=0.8, zorder=0)
+        noise = 2.0 * scale * report.problem.noise[j]
+        ax.fill_between(ends, ends - noise, ends + noise, color="0.9", lw=0, zorder=-1)
+        ax.set(title=TITLES[name], xlabel=f"measured [{unit}]", ylabel=f"predicted [{unit}]")
+    return _with_legend(figure, axes, 2)
+
+
+def _both(report: Report, before, after):
+    """(values, colour, label) of each model; the base model alone where nothing is named."""
+    yield before, BEFORE, "base model"
+    if report.effects:
+        yield after, AFTER, "with the named effects"
+
+
+def groups(report: Report) -> list[tuple[str, np.ndarray]]:
+    """At most `CURVES` groups of rows that differ in slip alone, (what they share, rows sorted by
+    slip).
+
+    Of all groups with three slips or more, evenly from the one that the base model misses least to
+    the one that it misses most.
+    """
+    data = report.problem.data
+    varied = report.problem.data.varied
+    others = [c for name, c in varied.items() if name != "slip"]
+    found = []
+    for k, rows in enumerate(data.groups):
+        if np.unique(varied["slip"].level[rows]).size >= min(3, varied["slip"].levels):
+            off = (data.y - report.held_out_before)[rows] / report.problem.noise
+            found.append((float(np.nanmean(off**2)) if np.isfinite(off).any() else 0.0, k, rows))
+    found.sort(key=lambda f: f[:2])
+    picked = (
+        [found[k] for k in sorted({round(x) for x in np.linspace(0, len(found) - 1, CURVES)})]
+        if found
+        else []
+    )
+    out = []
+    for _, _, rows in picked:
+        parts = [_value(c.name, float(np.median(c.value[rows]))) for c in others]
+        out.append((", ".join(parts), rows[np.argsort(data.rows.slip[rows], kind="stable")]))
+    return out
+
+
+def _value(name: str, x: float) -> str:
+    label, unit = CONDITIONS[name]
+    return f"{label} {round(x, 1) if name == 'grade_deg' else x:.3g}{unit}"
+
+
+def _slip(report: Report) -> Figure:
+    """Measured against both models over slip, in a few groups of rows."""
+    picked = groups(report)
+    figure, axes = _columns(
+        report, 1.0 + 2.1 * max(len(picked), 1), max(len(picked), 1), sharex=True
+    )
+    data = report.problem.data
+    for axis, name in zip(axes[0], report.channels, strict=True):
+        axis.set_title(f"{TITLES[name]} [{UNITS[name][0]}]")
+    for axis in axes[-1]:
+        axis.set_xlabel("slip")
+    # Of the rig; a model has none.
+    tilt = report.soil["tilt_deg"].value if "tilt_deg" in report.soil else 0.0
+    for (label, rows), line in zip(picked, axes, strict=False):
+        slip = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), 60)
+        middle = data.rows.wheels[rows[len(rows) // 2]]
+        at: dict[str, Any] = {
+            name: float(np.median(column[rows])) for name, column in data.conditions.items()
+        }
+        at |= {
+            "slip": slip,
+            "load": data.rows.load[rows].mean(),
+            "grade_deg": data.conditions["grade_deg"][rows].mean(),
+        }
+        at |= dict(zip(("wheel_radius", "wheel_width", "grouser_height"), middle, strict=True))
+        if data.setup.load == "vertical":
+            at["grade_deg"] += tilt
+        along = np.array(
+            [0.0, at["load"] * math.sin(math.radians(tilt)) * (data.setup.load == "normal"), 0.0]
+        )
+        base = np.stack(report.base_model.predict(at)[:3], axis=1) - along
+        lines = [
+            (base, BEFORE, "base model"),
+            (report.outlook.model.mean_at(at), AFTER, "corrected model"),
+        ]
+        for name, ax in zip(report.channels, line, strict=True):
+            j = CHANNELS.index(name)
+            scale = UNITS[name][1]
+            used = report.problem.used[rows, j]
+            for p, color, text in lines:
+                ax.plot(slip, scale * p[:, j], color=color, lw=1.4, label=text)
+            ax.errorbar(
+                data.rows.slip[rows],
+                scale * data.y[rows, j],
+                2.0 * scale * report.problem.noise[j],
+                fmt="o",
+                ms=3,
+                lw=0.8,
+                color=MEASURED,
+                label="measured, 2 sd of noise",
+            )
+            ax.plot(
+                data.rows.slip[rows][~used], scale * data.y[rows, j][~used], "x", color="red", ms=6
+            )
+        if label:
+            line[0].set_ylabel(
+                plot_text(label.replace(", ", "\n")),
+                rotation=0,
+                ha="right",
+                va="center",
+                fontsize=8,
+            )
+    return _with_legend(figure, axes, 3)
+
+
+def _next(report: Report) -> Figure:
+    """Predictions of the most probable candidates at the next runs."""
+    names = [p.name for p in report.next_tests[0].predicted][:CURVES]
+    figure, axes = _columns(report, 3.4)
+    for name, ax in zip(report.channels, axes[0], strict=True):
+        j = CHANNELS.index(name)
+        (unit, scale) = UNITS[name]
+        for k, said in enumerate(names):
+            of = [t.predicted[k] for t in report.next_tests]
+            at = np.arange(1, len(of) + 1) + 0.12 * (k - 0.5 * (len(names) - 1))
+            mean, sd = (
+                scale * np.array([getattr(p, part)[j] for p in of]) for part in ("mean", "sd")
+            )
+            ax.errorbar(
+                at, mean, 2.0 * sd, fmt="o", ms=4, lw=1.2, color=COLOURS[k], label=title(said)
+            )
+        ax.set(
+            title=TITLES[name],
+            xlabel="next run",
+            ylabel=f"predicted [{unit}]",
+            xticks=range(1, len(of) + 1),
+        )
+    return _with_legend(figure, axes, 4)
+
+
+def _ranking(report: Report) -> Figure:
+    """Probability of each effect, and of nothing and something unlisted."""
+    finding = report.finding
+    named = {e.name for e in report.effects}
+    near = {a for e in report.effects for a in e.alternatives}
+    bars = [
+        (
+            title(r.name),
+            r.probability,
+            AFTER if r.name in named else LIGHT if r.name in near else "0.75",
+        )
+        for r in report.finding.ranking
+    ]
+    bars += [
+        ("something unlisted as well", finding.remainder - finding.unlisted, "0.75"),
+        ("something unlisted alone", finding.unlisted, BEFORE),
+        ("nothing", finding.none, "0.5"),
+    ]
+    figure = _figure(7.0, 0.9 + 0.24 * len(bars))
+    ax = figure.subplots()
+    labels, shares, colors = zip(*bars[::-1], strict=True)
+    ax.barh(labels, shares, color=colors, height=0.7)
+    for k, share in enumerate(shares):
+        ax.text(share, k, f" {fixed(share, 3)}", va="center", fontsize=8)
+    ax.set(xlabel="probability", xlim=(0.0, 1.12))
+    return figure

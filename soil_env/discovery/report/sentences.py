@@ -1,0 +1,410 @@
+"""Sentences of a report: summary, cautions, disagreements and next tests, by the templates of this
+folder.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from soil_env._io.document import render
+from soil_env._io.loading import plural
+from soil_env.discovery.calibrate import PRIOR_WIDTH
+from soil_env.discovery.instrument import LISTED, exact
+from soil_env.discovery.locate import Disagreement
+from soil_env.discovery.next_tests import NextTest
+from soil_env.discovery.result import LEFT, WORSE, Report
+from soil_env.discovery.search import (
+    LAW_ERRORS,
+    NAMED,
+    ODDS,
+    REPORTED,
+    RIG_ODDS,
+    UNLISTED_ODDS,
+    UNNAMED_ODDS,
+)
+from soil_env.discovery.unnamed import UNNAMED
+from soil_env.identification.table.data import CHANNELS, WHEEL
+from soil_env.terramechanics.steady import DEEPEST
+from soil_env.terramechanics.validity import in_words
+
+GUESSED = 1.5  # sd of a prediction over those within the table, from which it is a guess
+MENTIONED = 0.05  # least probability of a remainder beside a name that is mentioned
+LITTLE = 0.02  # rise of the probability of the right candidate below which runs would hardly help
+SCATTERED = 1.2  # [noise] scatter of the values that is worth a caution
+FAR = 3.0  # [sd of the setup] from the setup's value at which a soil parameter is worth a caution
+FEW = 6  # conditions below which a table shows hardly any misfit
+SOIL = {
+    "friction_angle_deg": ("friction angle", "deg"),
+    "cohesion": ("cohesion c", "Pa"),
+    "shear_modulus": ("shear deformation modulus K", "m"),
+    "sinkage_coefficient": ("sinkage coefficient S", "N/m^(n+2)"),
+    "sinkage_exponent": ("sinkage exponent n", ""),
+    "density": ("density", "kg/m3"),
+    "tilt_deg": ("tilt of the rig", "deg"),
+}
+UNITS = {"sinkage": ("mm", 1e3), "drawbar_pull": ("N", 1.0), "torque": ("N m", 1.0)}
+TITLES = {"sinkage": "sinkage", "drawbar_pull": "drawbar pull", "torque": "torque"}
+CONDITIONS = {
+    "slip": ("slip", ""),
+    "load": ("load", " N"),
+    "speed": ("speed", " m/s"),
+    "pass": ("pass", ""),
+    "grade_deg": ("grade", " deg"),
+    "wheel_radius": ("wheel radius", " m"),
+    "wheel_width": ("wheel width", " m"),
+    "grouser_height": ("grouser height", " m"),
+}
+IN_MODEL = (
+    "model.yaml has all effects together, each shrunk to its published size, and a table of what "
+    "they leave: its soil and effects predict best so, and are other than these."
+)
+_MORE = {
+    "sinkage": ("deeper", "shallower"),
+    "drawbar_pull": ("higher", "lower"),
+    "torque": ("higher", "lower"),
+}
+
+
+def figure(x: float) -> str:
+    """Two digits, without an exponent where the number is large."""
+    return f"{x:.2g}" if abs(x) < 99.5 else f"{x:.0f}"
+
+
+def figures(value: float, digits: int = 4) -> str:
+    """A number for a table; empty where there is none."""
+    return "" if value is None or not math.isfinite(value) else f"{value + 0.0:.{digits}g}"
+
+
+def fixed(value: float, decimals: int) -> str:
+    """A number with a fixed number of decimals, never -0."""
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"
+
+
+def times(log: float) -> str:
+    """A factor of which the natural logarithm is given."""
+    decades = log / math.log(10.0)
+    return f"{figure(10.0**decades)} times" if -2.0 <= decades < 3.0 else f"10^{decades:.0f} times"
+
+
+def percent(share: float) -> str:
+    """A share in percent."""
+    return f"{100.0 * share:.0f} %"
+
+
+def sure(p: float) -> str:
+    """A probability in percent."""
+    return (
+        "more than 99.9 %"
+        if p > 0.999
+        else "less than 0.1 %"
+        if p < 0.001
+        else f"{100.0 * p:.3g} %"
+    )
+
+
+def listed(names: Iterable[str], last: str = "and") -> str:
+    """Names with commas and a last word between the last two."""
+    *first, final = names
+    return f"{', '.join(first)} {last} {final}" if first else final
+
+
+def title(names: str) -> str:
+    """Name of an effect, or of two joined by " and ", in a sentence."""
+    return " and ".join(LISTED[n].title if n in LISTED else n for n in names.split(" and "))
+
+
+def amount(channel: str, value: float, digits: int = 2) -> str:
+    """A value of a channel in its unit."""
+    unit, scale = UNITS[channel]
+    return f"{figure(scale * value) if digits == 2 else figures(scale * value, digits)} {unit}"
+
+
+def not_tiny(value: float) -> float:
+    """0 for what a bound at 0 leaves of a soil parameter."""
+    return value if abs(value) > 1e-6 else 0.0
+
+
+def disagreement(report: Report, d: Disagreement) -> str:
+    """Region where the base model leaves the table, and the size of the difference."""
+    varied = report.problem.data.varied
+    parts = [_limit(name, limits, varied[name].value) for name, limits in d.region.items()]
+    others = [CONDITIONS[name][0] for name in varied if name not in d.region]
+    parts += [f"every {listed(others)}"] if others else []
+    return (
+        f"measured {TITLES[d.channel]} is on average {amount(d.channel, abs(d.size))} "
+        f"{_MORE[d.channel][d.size < 0.0]} than the model's ({abs(d.size_sd):.1f} times the noise) "
+        f"at {', '.join(parts)}"
+    )
+
+
+def _limit(name: str, limits: tuple[float, float], values: np.ndarray) -> str:
+    low, high = (f"{x:.3g}" for x in limits)
+    label, unit = CONDITIONS[name]
+    if low == high:
+        return f"{label} {low}{unit}"
+    if limits[1] >= values.max():
+        return f"{label} {low}{unit} and above"
+    if limits[0] <= values.min():
+        return f"{label} {high}{unit} and below"
+    return f"{label} {low} to {high}{unit}"
+
+
+def next_test(report: Report, t: NextTest) -> str:
+    """A test in a sentence."""
+    at = _place(t.conditions)
+    if t.repeat:
+        return f"{at}, again: the model misses most here, which may be a slip of the rig"
+    against = f"{title(t.separates[0])} against {title(t.separates[1])}"
+    return (
+        f"{at}: {against}, expected to differ by {t.expected_sigma:.1f} sd in {TITLES[t.channel]}"
+    )
+
+
+def right_now(report: Report) -> float:
+    """Probability that the right candidate has on average, before the next runs."""
+    return sum(p.probability**2 for p in report.next_tests[0].predicted)
+
+
+def runs_help(report: Report) -> bool:
+    """True if there are next runs that should raise that probability by `LITTLE` or more, or one to
+    repeat.
+    """
+    runs = report.next_tests
+    return bool(runs) and (runs[0].repeat or runs[-1].sure - right_now(report) >= LITTLE)
+
+
+def after_next(report: Report) -> str:
+    """Sentence on the probability of the right candidate after the next runs."""
+    return filled("after_next.txt", report, now=percent(right_now(report)))
+
+
+def _place(point: Mapping[str, float]) -> str:
+    """Conditions of a test or a prediction; only those that vary by themselves are there."""
+    parts = [f"load {point['load']:.4g} N"] if "load" in point else []
+    parts += [f"{point['speed']:.3g} m/s"] if "speed" in point else []
+    parts += [f"pass {point['pass']:g}"] if point.get("pass", 1.0) != 1.0 else []
+    parts += (
+        [f"a grade of {point['grade_deg']:.3g} deg"] if point.get("grade_deg", 0.0) != 0.0 else []
+    )
+    parts += [f"{CONDITIONS[n][0]} {point[n]:.3g} m" for n in WHEEL if n in point]
+    slip = f"slip {point['slip']:.2g}"
+    return f"{slip} at {listed(parts)}" if parts else slip
+
+
+def summary(report: Report) -> str:
+    """Conclusion: what is missing, its probability, and how far the gap closes."""
+    finding = report.finding
+    gap = report.gap
+    exact = dict.fromkeys(h.names for h in finding.hypotheses if h.names)
+    of = sorted(
+        ((sum(h.probability for h in finding.hypotheses if h.names == n), n) for n in exact),
+        reverse=True,
+    )
+    shares = [
+        f"{title(' and '.join(n))}{' alone' * (len(n) == 1)} ({sure(p)})"
+        for p, n in of[:4]
+        if p >= REPORTED
+    ]
+    return filled(
+        "summary.txt",
+        report,
+        effects=[f"{title(e.name)} (probability {sure(e.probability)})" for e in report.effects],
+        likely=not all(finding.is_sure(e.name) for e in report.effects),
+        rivals=[title(a) for a in dict.fromkeys(a for e in report.effects for a in e.alternatives)],
+        left=[
+            f"{amount(n, g.remainder[0])} of {TITLES[n]}"
+            for n, g in gap.items()
+            if g.remainder[0] > 0.0
+        ],
+        law_error=figure(100.0 * report.law_error),
+        sets=shares,
+        values=int(report.problem.used.sum()),
+        worst=max((g.over_noise[0] for g in gap.values()), default=0.0),
+        nearest=next((r for r in finding.ranking if r.probability >= REPORTED), None),
+        weak=sum(d.power < NAMED for d in finding.detectable.values()),
+        most=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
+        unseen=unseen(report),
+        law=UNNAMED[law].title if (law := finding.hypotheses[0].law) else "",
+        refuted=[
+            title(" and ".join(n))
+            for n in dict.fromkeys(finding.refuted)
+            if not {*n} <= {*finding.names}
+        ],
+    )
+
+
+def filled(template: str, report: Report, **values: object) -> str:
+    """A template of this folder as one paragraph."""
+    text = render(f"{__package__}:{template}", report=report, **_helpers(), **values)
+    return " ".join(text.split()).replace(" ,", ",")
+
+
+def unseen(report: Report) -> list[str]:
+    """Effects that the table cannot show; not those that the setup rules out."""
+    return [
+        title(n) for n in report.finding.untestable if n not in exact(report.problem.data.setup)
+    ]
+
+
+def cautions(report: Report) -> list[str]:
+    """Cautions beside the doubts of `Report.doubts`, of the table, the fit, the gap and
+    model.yaml.
+    """
+    problem = report.problem
+    noise = report.noise
+    fit = report.fit
+    setup = report.problem.data.setup
+    bounds = []
+    off_prior = []
+    widened = {k.name: k for k in problem.soil}
+    for unknown, u in zip(fit.unknowns, fit.u, strict=True):
+        label = SOIL.get(unknown.name, (unknown.name.replace("_", " "), ""))[0]
+        value = float(unknown.value(u))
+        x = unknown.mean + unknown.sd * float(u)
+        if min(x - unknown.low, unknown.high - x) <= 1e-4 * unknown.sd:
+            bounds.append((label, not_tiny(value)))
+        elif getattr(setup.soil, unknown.name, None) is not None:
+            far = abs(PRIOR_WIDTH * widened[unknown.name].at(value))
+            off_prior += [(label, far)] if far > FAR else []
+    far = np.abs(problem.data.y - fit.output) / problem.noise
+    dropped = problem.data.measured & ~problem.used
+    worse_with = []
+    for j in np.flatnonzero(dropped.any(axis=0)):
+        kept, whole = (
+            math.sqrt(float(np.mean(far[rows[:, j], j] ** 2)))
+            for rows in (problem.used, problem.data.measured)
+        )
+        worse_with += [(TITLES[CHANNELS[j]], whole, kept)] if whole > 1.2 * kept else []
+    text = render(
+        f"{__package__}:cautions.txt",
+        **_helpers(),
+        report=report,
+        conditions=len(np.unique(problem.data.cell)),
+        values=int(problem.used.sum()),
+        unknowns=len(fit.unknowns),
+        missing=[TITLES[name] for name in CHANNELS if name not in report.channels],
+        from_scatter=[
+            (TITLES[n], amount(n, noise.sd[j]))
+            for j, n in enumerate(CHANNELS)
+            if noise.origin[j] == "scatter"
+        ],
+        left_out=[f"{TITLES[name]} in row {row}" for row, name in report.left_out],
+        ordinary=int(np.sum(far[dropped] <= 3.0)),
+        worse_with=worse_with,
+        at_bound=bounds,
+        off_prior=off_prior,
+        buried=int(np.sum(fit.output[:, 0] >= 0.999 * DEEPEST * problem.data.wheel.radius)),
+        remains=[
+            (TITLES[n], g.over_noise[1])
+            for n, g in report.gap.items()
+            if report.effects and g.after > LEFT * g.noise_floor
+        ],
+        height=setup.wheel.grouser_height,
+        lugs_unknown=setup.wheel.grouser_height is None
+        and bool(np.isnan(problem.data.table.grouser_height).all()),
+        digging=problem.laws["dig_gain"],
+        unseen=unseen(report),
+    )
+    lines = [*report.taken, *map(str.strip, text.splitlines())]
+    return [line[:1].upper() + line[1:] for line in lines if line]
+
+
+def _helpers() -> dict[str, object]:
+    """Functions and limits that the templates use."""
+    functions = (added, disagreement, listed, percent, plural, rises, runs_help, sure, title)
+    limits = {
+        "FEW": FEW,
+        "LEFT": LEFT,
+        "MENTIONED": MENTIONED,
+        "NAMED": NAMED,
+        "SCATTERED": SCATTERED,
+        "REPORTED": REPORTED,
+    }
+    return {f.__name__: f for f in functions} | limits | {"TITLES": TITLES}
+
+
+def rises(report: Report) -> list[str]:
+    """Channels whose held-out error is larger with the named effects, in sentences."""
+    return [
+        f"The held-out error of {TITLES[name]} rises by {percent(g.after / g.before - 1.0)} with "
+        f"{added(report)}."
+        for name, g in report.gap.items()
+        if report.effects and g.after > (1.0 + WORSE) * g.before
+    ]
+
+
+def added(report: Report) -> str:
+    """Names of the named effects."""
+    return listed(title(e.name) for e in report.effects)
+
+
+def if_laws_err(report: Report) -> str:
+    """The most probable effects, and how probable the first is where the laws err by the most."""
+    ranks = [r for r in report.finding.ranking if r.probability >= MENTIONED][:3]
+    if not ranks:
+        return ""
+    said = listed(f"{title(r.name)} ({sure(r.probability)})" for r in ranks)
+    first = max(report.finding.ranking, key=lambda r: r.if_laws_err[-1])
+    most = f"{title(first.name)} has {percent(first.if_laws_err[-1])}"
+    if first.if_laws_err[-1] < NAMED:
+        most = f"none exceeds {percent(first.if_laws_err[-1])}: then these runs name nothing"
+    return f"Most probable: {said}; if the laws err by {percent(LAW_ERRORS[-1])}, {most}."
+
+
+def foreseen(report: Report) -> str:
+    """How well runs that were not made are predicted."""
+    parts = []
+    for way in report.outlook.left_out:
+        over = way.over_noise
+        curve = "" if math.isnan(over.curve) else f", a plain curve by {figure(over.curve)}"
+        parts.append(
+            f"Leaving {_level(way.what)} out, the base model errs by {figure(over.base)} times the "
+            f"noise, the corrected one by {figure(over.corrected)}{curve}."
+        )
+    guess = report.guess
+    if guess is not None and guess.times > GUESSED:
+        name = "drawbar_pull" if "drawbar_pull" in report.channels else report.channels[0]
+        j = CHANNELS.index(name)
+        unit, scale = UNITS[name]
+        said = f"{figure(scale * guess.mean[j])} ± {figure(scale * guess.sd[j])} {unit}"
+        place = _place(guess.conditions)
+        parts.append(f"It guesses at {place} ({TITLES[name]} {said}): measure there to be surer.")
+    return " ".join(parts)
+
+
+def _level(conditions: tuple[str, ...]) -> str:
+    """Level of a condition, or a combination of several, in words."""
+    names = listed(CONDITIONS[name][0] for name in conditions)
+    return f"a {names}" if len(conditions) == 1 else f"a combination of {names}"
+
+
+def probabilities(report: Report) -> str:
+    """Probabilities that are of no one effect."""
+    finding = report.finding
+    return (
+        f"probability that nothing is missing {fixed(finding.none, 3)}, that something is missing "
+        f"that is in no catalogue {fixed(finding.remainder, 3)} ({fixed(finding.unlisted, 3)} of "
+        "it with nothing that is listed)"
+    )
+
+
+def rule() -> str:
+    """Prior odds behind the probabilities."""
+    listed, rig, law, other = (
+        f"1 to {1.0 / odds:.0f}" for odds in (ODDS, RIG_ODDS, UNNAMED_ODDS, UNLISTED_ODDS)
+    )
+    return (
+        f"Before the table, the odds that an effect is missing are {listed} for each that is "
+        f"listed, {rig} for each error of the instrument, {law} for each of {len(UNNAMED)} laws "
+        f"without a name, and {other} for anything else. The laws of the model count as "
+        "approximate, by an amount that the table decides. What has 50 % or more is stated."
+    )
+
+
+def validity(report: Report) -> str:
+    """Conditions that the corrected model has seen."""
+    return (
+        f"Fitted to {in_words(report.model.validity)}; beyond, model.yaml is an extrapolation and "
+        "warns of it."
+    )

@@ -1,0 +1,140 @@
+"""Tables of a report."""
+
+import math
+
+from soil_env._io.document import Table
+from soil_env.discovery.instrument import LISTED
+from soil_env.discovery.judgement import Interval
+from soil_env.discovery.report.sentences import (
+    CONDITIONS,
+    SOIL,
+    TITLES,
+    UNITS,
+    amount,
+    figures,
+    fixed,
+    listed,
+    not_tiny,
+    percent,
+    times,
+    title,
+)
+from soil_env.discovery.result import Report
+from soil_env.discovery.search import LAW_ERRORS
+from soil_env.identification.table.data import CHANNELS
+
+
+def effects(report: Report) -> Table:
+    """Every parameter of the named effects."""
+    rows = []
+    for e in report.effects:
+        label = title(e.name)
+        label += f", or {', '.join(title(a) for a in e.alternatives)}" if e.alternatives else ""
+        label += "" if e.share is None else f" (closes {percent(e.share)})"
+        for name, p in e.parameters.items():
+            unit = LISTED[e.name].parameter(name).unit
+            interval = _interval(p) or ("at a bound" if report.is_free(e.name, name) else "set")
+            rows.append((label, name.replace("_", " "), figures(p.value), interval, unit))
+            label = ""
+    return Table(("effect", "parameter", "value", "95 % interval", "unit"), rows)
+
+
+def soil(report: Report) -> Table:
+    """Soil parameters with their intervals."""
+    rows = []
+    for name, p in report.soil.items():
+        label, unit = SOIL[name]
+        origin = _interval(p) or ("given" if report.known(name) else "assumed")
+        rows.append((label, figures(not_tiny(p.value)), origin, unit))
+    return Table(("parameter", "value", "95 % interval", "unit"), rows)
+
+
+def _interval(p: Interval) -> str:
+    """The 95 % interval; empty where the value was not fitted."""
+    return "" if p.low == p.high else f"{figures(p.low)} .. {figures(p.high)}"
+
+
+def gap(report: Report) -> Table:
+    """Held-out error of each channel, of the base model and with the named effects."""
+    rows: list[tuple[str, ...]] = []
+    for name, g in report.gap.items():
+        before, after, noise = (amount(name, x, 3) for x in g)
+        over = [f"{x:.2f}" for x in g.over_noise]
+        if report.effects:
+            rows.append((TITLES[name], before, after, noise, " -> ".join(over)))
+        else:
+            rows.append((TITLES[name], before, noise, over[0]))
+    models = ("base model", "with the name") if report.effects else ("calibrated model",)
+    return Table(("channel", *models, "noise", "over the noise"), rows)
+
+
+def left_out(report: Report) -> Table:
+    """Errors of predictions of what was left out, by channel."""
+    rows = []
+    for way in report.outlook.left_out:
+        for name, errors in way.errors.items():
+            cells = ("-" if math.isnan(x) else amount(name, x, 3) for x in errors)
+            rows.append((listed(CONDITIONS[n][0] for n in way.what), TITLES[name], *cells))
+    head = ("left out", "channel", "base model", "corrected", "plain curve", "noise")
+    return Table(head, rows)
+
+
+def ranking(report: Report, most: int | None = None) -> Table:
+    """The candidates, the first `most` of them; evidence over the best without a name."""
+    rows = [
+        (title(r.name), times(r.score), *(fixed(p, 3) for p in (r.probability, *r.if_laws_err)))
+        for r in report.finding.ranking[:most]
+    ]
+    head = ("effect", "evidence", "probability", *(f"laws {percent(x)} off" for x in LAW_ERRORS))
+    return Table(head, rows)
+
+
+def next_runs(report: Report) -> Table:
+    """The runs to make next, in their order."""
+    names = list(report.next_tests[0].conditions)
+    head = [
+        f"{label} [{unit.strip()}]" if unit else label
+        for label, unit in (CONDITIONS[n] for n in names)
+    ]
+    rows = [
+        (k, *(f"{t.conditions[n]:.4g}" for n in names), figures(t.cost, 2), percent(t.sure))
+        for k, t in enumerate(report.next_tests, start=1)
+    ]
+    return Table(("run", *head, "cost", "right one then"), rows)
+
+
+def next_predictions(report: Report, most: int | None = None) -> Table:
+    """Predictions of the candidates, the first `most` of them, at each of these runs, with one
+    standard deviation.
+    """
+    rows = []
+    for k, test in enumerate(report.next_tests, start=1):
+        for p in test.predicted[:most]:
+            cells = []
+            for name in report.channels:
+                j = CHANNELS.index(name)
+                scale = UNITS[name][1]
+                cells.append(f"{scale * p.mean[j]:.3g}±{scale * p.sd[j]:.2g}")
+            rows.append(
+                (k, " + ".join(map(title, p.name.split(" and "))), fixed(p.probability, 2), *cells)
+            )
+    channels = (f"{TITLES[n].split()[-1]} ± sd [{UNITS[n][0]}]" for n in report.channels)
+    return Table(("run", "exactly these effects", "p", *channels), rows)
+
+
+def untestable(report: Report) -> Table:
+    """Effects that the table cannot show, with the reason."""
+    return Table(
+        ("effect", "reason"), [(title(k), v) for k, v in report.finding.untestable.items()]
+    )
+
+
+def detectable(report: Report) -> Table:
+    """The smallest strength of each effect that would have been seen."""
+    rows = []
+    for name, d in report.finding.detectable.items():
+        unit = LISTED[name].parameter(d.parameter).unit
+        rows.append(
+            (title(name), d.parameter.replace("_", " "), figures(d.size, 2), unit, percent(d.power))
+        )
+    return Table(("effect", "parameter", "smallest", "unit", "chance of a larger one"), rows)

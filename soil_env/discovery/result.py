@@ -1,0 +1,118 @@
+"""The result of the workflow: what is missing, how sure that is, the corrected model, and what they
+follow from.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from soil_env.discovery.calibrate import Fit, Problem
+from soil_env.discovery.corrected import Guess
+from soil_env.discovery.judgement import Gap, Interval
+from soil_env.discovery.locate import Disagreement
+from soil_env.discovery.next_tests import Check, NextTest
+from soil_env.discovery.prediction import Outlook
+from soil_env.discovery.search import Finding
+from soil_env.identification.table.data import CHANNELS
+from soil_env.identification.table.noise import NoiseEstimate
+from soil_env.terramechanics.model import WheelSoilModel
+
+WORSE = 0.1  # rise of a held-out error that is stated
+LEFT = 1.5  # [noise] of a held-out error after the correction above which a remainder is stated
+
+
+@dataclass(frozen=True)
+class EffectFound:
+    """A named effect as it is fitted."""
+
+    name: str
+    form: str
+    parameters: dict[str, Interval]  # low = high = value where the form or the table sets it
+    probability: float
+    share: float | None  # of the gap above the noise that it closes; None where there is none
+    alternatives: tuple[str, ...]  # that these data cannot separate from it
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Inputs of a run."""
+
+    data: str
+    setup: str
+    seed: int
+    data_sha256: str | None  # None where no file was read
+    setup_sha256: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """Everything that a run found. `soil_env.discovery.report` draws it."""
+
+    finding: Finding
+    problem: Problem
+    noise: NoiseEstimate
+    where: tuple[Disagreement, ...]
+    effects: tuple[EffectFound, ...]
+    soil: dict[str, Interval]
+    gap: dict[str, Gap]
+    closed: float | None  # by the named effects; None where none is named
+    closed_interval: tuple[float, float] | None  # 95 %
+    outlook: Outlook  # what can be predicted, whatever is missing
+    guess: Guess | None  # where the prediction is least sure
+    next_checks: tuple[Check, ...]  # of the instrument, before the next runs
+    next_tests: tuple[NextTest, ...]
+    fit: Fit  # of the named effects
+    base_model: WheelSoilModel
+    model: WheelSoilModel  # corrected by all effects and a remainder, whatever is named
+    #: [N, 3] held-out predictions of the base model, NaN where no value is in use.
+    held_out_before: np.ndarray
+    held_out_after: np.ndarray  # [N, 3] with the named effects
+    doubts: tuple[str, ...]  # mistakes that the table looks like
+    taken: tuple[str, ...]  # how a dense table was taken, and how this one could be meant as well
+    settings: Settings
+
+    @property
+    def verdict(self) -> str:
+        """named, partly, ambiguous, unlisted, none or undetermined.
+
+        The verdict of the probabilities, with one exception. Named effects are `partly` what is
+        missing if they leave a held-out error of more than `LEFT` times the noise, or one a tenth
+        larger than the base model's.
+        """
+        said = self.finding.verdict
+        return "partly" if said == "named" and any(map(self.remains, self.gap)) else said
+
+    def remains(self, channel: str) -> bool:
+        """True if a stated remainder of the gap is left in a channel."""
+        gap = self.gap[channel]
+        return gap.after > LEFT * gap.noise_floor or gap.after > (1.0 + WORSE) * gap.before
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Measured channels."""
+        return tuple(name for j, name in enumerate(CHANNELS) if self.problem.used[:, j].any())
+
+    @property
+    def law_error(self) -> float:
+        """Relative error of the stress laws that the table suggests, root mean square over its
+        probabilities.
+        """
+        return self.finding.stated.evidence.typical("law")
+
+    def known(self, name: str) -> bool:
+        """True if the setup gives a soil parameter as known."""
+        return name in self.problem.known or (
+            name == "density" and self.problem.data.setup.soil.density is not None
+        )
+
+    def is_free(self, effect: str, parameter: str) -> bool:
+        """True if a parameter of a named effect was fitted; without an interval it is then at a
+        bound of its range.
+        """
+        return f"{effect}_{parameter}" in {unknown.name for unknown in self.fit.unknowns}
+
+    @property
+    def left_out(self) -> list[tuple[int, str]]:
+        """(line of the file, channel) of the values that were taken for outliers."""
+        at = np.argwhere(self.problem.data.measured & ~self.problem.used)
+        return [(int(self.problem.data.table.row[k]), CHANNELS[j]) for k, j in at]

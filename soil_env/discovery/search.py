@@ -1,0 +1,439 @@
+"""Search for the missing effects: the probability of every hypothesis about what the base model
+lacks.
+
+A hypothesis is a set of no, one or two effects of the catalogue, with or without an anonymous
+contribution that no listed effect explains. Its probability is its prior (below) times the tempered
+evidence of its model, in which the law of the base model and of each effect may be wrong
+(`evidence`). The verdict, the names and their alternatives follow from these probabilities alone
+(`Finding`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env.discovery.calibrate import Problem
+from soil_env.discovery.evidence import (
+    Detectable,
+    Evidence,
+    anonymous,
+    detectable,
+    log_sum,
+    promised,
+    resembling,
+    settle,
+)
+from soil_env.discovery.instrument import INSTRUMENT, LISTED, Choice, exact, odds
+from soil_env.discovery.unnamed import UNNAMED
+from soil_env.identification.table.data import CHANNELS
+
+#: Prior odds that a listed effect of the soil or the drive is missing, and that the instrument has
+#: a listed error, each independent of the others: none is there with 32 %. An error is less
+#: probable where the setup states that the rig is known better than usual (`instrument.odds`). No
+#: single name has odds of its own.
+ODDS = 0.06  # of the soil or the drive
+RIG_ODDS = 0.04  # of the instrument
+#: Prior odds of an anonymous contribution: the catalogue holds what the literature has found to
+#: matter.
+UNLISTED_ODDS = 0.05
+#: Prior odds of each anonymous law of few numbers (`unnamed`), half of those of a listed effect.
+UNNAMED_ODDS = 0.03
+#: Odds that what moves the channels of listed effects under their conditions is none of them, but
+#: resembles them (`evidence.resembling`).
+ALIKE = 0.17
+#: Log evidences are divided by this. The form errors have assumed shapes and lengths, which no soil
+#: keeps to, so that evidence is less certain than it says (generalised Bayes: Grunwald & van Ommen
+#: 2017, Bayesian Anal. 12:1069-1103). Chosen on the development seed 136101 of
+#: `benchmarks.discovery`; between 1 and 2.5 hardly a share of its answers moves.
+TEMPERATURE = 1.75
+NAMED = 0.5  # probability from which a hypothesis, or a name, is given
+#: Probability from which a name is sure, where the laws err by the largest of `LAW_ERRORS`; below
+#: it is likely.
+SURE = 0.8
+LAW_ERRORS = (0.03, 0.1)  # of the base law, for which probabilities are given beside these
+REPORTED = 0.05  # least probability of an alternative
+_FIRST = 8  # single effects, the best, beside which a second one is sought
+_PAIRS = 10  # pairs refitted after the screen
+_FORMS = 3  # of them, the best, in all their forms
+_FREE = 3  # best sets of effects that are tried with an anonymous contribution too
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A set of effects, with or without an anonymous contribution, and its probability."""
+
+    names: tuple[str, ...]
+    free: bool
+    probability: float
+    score: float  # log odds of the data for it against the base model
+    evidence: Evidence  # in the most probable of the forms
+    #: Listed effects that an unlisted one resembles: in place and conditions, not in form.
+    like: tuple[str, ...] = ()
+    if_laws_err: tuple[float, ...] = ()  # its probability where they err by `LAW_ERRORS`
+
+    @property
+    def law(self) -> str:
+        """Name of its anonymous law of few numbers (`unnamed`), "" if it has none."""
+        return next((name for name in self.evidence.names if name in UNNAMED), "")
+
+
+class Rank(NamedTuple):
+    """One effect among the candidates."""
+
+    name: str
+    #: Log odds of the data for the best hypothesis with it against the best without a listed
+    #: effect.
+    score: float
+    probability: float
+    if_laws_err: tuple[float, ...]  # probability where the laws err by `LAW_ERRORS`
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """The hypotheses, the most probable first, and what follows from them."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    untestable: dict[str, str]
+    detectable: dict[str, Detectable]
+    #: Sets of effects that held-out rows or a pattern speak against.
+    refuted: tuple[tuple[str, ...], ...] = ()
+
+    def without(self, names: tuple[str, ...], alone: bool = False) -> Finding:
+        """The finding once these effects, together, are refuted: what is left, with probabilities
+        that sum to 1.
+
+        `alone`: these effects and no other; sets with more may explain what they leave. So is the
+        base model, without names. What is refuted alone stays as a hypothesis, as what the others
+        are compared with.
+        """
+        alone = alone or not names
+
+        def refuted(h: Hypothesis) -> bool:
+            return (
+                ({*h.names} == {*names} and bool(names or not h.free))
+                if alone
+                else {*names} <= {*h.names}
+            )
+
+        left = [h for h in self.hypotheses if alone or not refuted(h)]
+        share = np.array(
+            [np.multiply((h.probability, *h.if_laws_err), not refuted(h)) for h in left]
+        )
+        total = share.sum(axis=0)
+        share = np.where(total > 0.0, share / np.maximum(total, 1e-300), 1.0 / len(left))
+        kept = [
+            replace(h, probability=p, if_laws_err=tuple(others))
+            for h, (p, *others) in zip(left, share.tolist(), strict=True)
+        ]
+        kept.sort(key=lambda h: -h.probability)
+        return replace(self, hypotheses=tuple(kept), refuted=(*self.refuted, names))
+
+    def share(self, *names: str, without: tuple[str, ...] = ()) -> float:
+        """Probability that these effects are missing, and none of `without`."""
+        return sum(
+            h.probability
+            for h in self.hypotheses
+            if {*names} <= {*h.names} and not {*without} & {*h.names}
+        )
+
+    def if_laws_err(self, name: str) -> tuple[float, ...]:
+        """Probabilities that an effect is missing where the laws err by `LAW_ERRORS`."""
+        with_it = [h.if_laws_err for h in self.hypotheses if name in h.names]
+        return tuple(map(sum, zip(*with_it, strict=True)))
+
+    def is_sure(self, name: str) -> bool:
+        """True if an effect is sure to be missing, and not only likely."""
+        return self.if_laws_err(name)[-1] >= SURE
+
+    @property
+    def none(self) -> float:
+        """Probability that nothing is missing beyond an ordinary form error."""
+        return next(h.probability for h in self.hypotheses if not h.names and not h.free)
+
+    @property
+    def unlisted(self) -> float:
+        """Probability that something is missing and nothing that is listed."""
+        return sum(h.probability for h in self.hypotheses if not h.names and h.free)
+
+    @property
+    def remainder(self) -> float:
+        """Probability that something is missing that no listed effect explains, with or without a
+        listed one.
+        """
+        return sum(h.probability for h in self.hypotheses if h.free)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Effects that are stated: the most that are missing together with a probability of
+        `NAMED`.
+        """
+        named: tuple[str, ...] = ()
+        for name in sorted(self.tried, key=lambda n: -self.share(n)):
+            if self.share(*named, name) >= NAMED:
+                named = (*named, name)
+        return named
+
+    @cached_property
+    def candidates(self) -> tuple[str, ...]:
+        """Effects with at least `REPORTED` that are missing, or resembled by what is missing; none
+        beside a stated one.
+        """
+        near = {
+            n: max(self.share(n), sum(h.probability for h in self.hypotheses if n in h.like))
+            for n in self.tried
+        }
+        return (
+            ()
+            if self.names
+            else tuple(sorted((n for n in near if near[n] >= REPORTED), key=lambda n: -near[n]))
+        )
+
+    @cached_property
+    def tried(self) -> tuple[str, ...]:
+        """Every effect that was tried."""
+        return tuple(dict.fromkeys(n for h in self.hypotheses for n in h.names))
+
+    @cached_property
+    def ranking(self) -> tuple[Rank, ...]:
+        """Every effect that was tried, the stated ones first, then the most probable."""
+        without = max(h.score for h in self.hypotheses if not h.names)
+        score = {
+            n: max(h.score for h in self.hypotheses if n in h.names) - without for n in self.tried
+        }
+        out = [Rank(n, float(x), self.share(n), self.if_laws_err(n)) for n, x in score.items()]
+        return tuple(
+            sorted(out, key=lambda r: (r.name not in self.names, -r.probability, -r.score))
+        )
+
+    @property
+    def verdict(self) -> str:
+        """named, partly, ambiguous, unlisted, none or undetermined."""
+        if self.names:
+            return "partly" if self.remainder >= NAMED else "named"
+        if self.unlisted >= NAMED:
+            return "unlisted"
+        return "ambiguous" if self.none < NAMED else "undetermined" if self.blind else "none"
+
+    @property
+    def blind(self) -> bool:
+        """True if a listed effect, had one been missing, would more probably have been overlooked
+        than seen.
+        """
+        return not self.detectable or sum(d.power for d in self.detectable.values()) < NAMED * len(
+            self.detectable
+        )
+
+    def alternatives(self, name: str) -> tuple[str, ...]:
+        """Effects that stand in the place of a stated one with a probability of `REPORTED` or more,
+        best first.
+        """
+        share = {n: self.share(n, without=(name,)) for n in self.tried if n not in self.names}
+        return tuple(
+            sorted((n for n, p in share.items() if p >= REPORTED), key=lambda n: -share[n])
+        )
+
+    @property
+    def stated(self) -> Hypothesis:
+        """The most probable hypothesis with exactly the stated effects."""
+        return next(h for h in self.hypotheses if {*h.names} == {*self.names} and not h.like)
+
+    @property
+    def scatter(self) -> float:
+        """Scatter of the values about the model over their noise, root mean square over the
+        probabilities.
+        """
+        return math.sqrt(
+            sum(h.probability * h.evidence.typical("scatter") ** 2 for h in self.hypotheses)
+        )
+
+    def best(self, *names: str, free: bool = False) -> Hypothesis:
+        """The hypothesis with exactly these effects, with an anonymous contribution or without."""
+        return next(
+            h for h in self.hypotheses if {*h.names} == {*names} and h.free == free and not h.like
+        )
+
+
+def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
+    """(names to try, reason by name of those that this table cannot show)."""
+    names = []
+    reasons = {}
+    data = problem.data
+    ruled_out = exact(data.setup)
+    words = {
+        "pass": "no pass variation of its own",
+        "speed": "no speed variation of its own",
+        "grade_deg": "no grade variation of its own",
+    }
+    for effect in LISTED.values():
+        measured = [
+            k
+            for k in effect.moves
+            if problem.used[:, ("sinkage", "drawbar_pull", "torque").index(k)].any()
+        ]
+        if not measured:
+            reasons[effect.name] = f"{' and '.join(effect.moves)} not measured"
+        elif effect.name in ruled_out:
+            reasons[effect.name] = ruled_out[effect.name]
+        elif effect.hidden(problem.bench):
+            reasons[effect.name] = effect.hidden(problem.bench)
+        elif (
+            effect.varies is not None
+            and effect.varies not in data.varied
+            and not effect.shows_without
+        ):
+            reasons[effect.name] = words[effect.varies]
+        else:
+            names.append(effect.name)
+    return names, reasons
+
+
+def forms(problem: Problem, name: str) -> list[Choice]:
+    """Forms of an effect that this table can be fitted with."""
+    speed = problem.bench.speed > 0.0
+    return [Choice(name, k) for k, f in enumerate(LISTED[name].forms) if speed or not f.needs_speed]
+
+
+#: Effects, effects that it resembles, with an anonymous contribution, evidence, its logarithm, log
+#: of the prior odds.
+Entry = tuple[tuple[str, ...], tuple[str, ...], bool, Evidence, float, float]
+
+
+class _Sets:
+    """Evidence of sets of effects in the forms that were tried."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.found: dict[tuple[str, ...], dict[tuple[Choice, ...], Evidence]] = {}
+
+    def add(self, choices: tuple[Choice, ...], near: Evidence | None) -> Evidence:
+        """Fit a set in these forms, once."""
+        choices = tuple(sorted(choices))
+        of = self.found.setdefault(tuple(c.effect for c in choices), {})
+        if choices not in of:
+            of[choices] = settle(self.problem, choices, near)
+        return of[choices]
+
+    def best(self, names: tuple[str, ...]) -> Evidence:
+        """Evidence in the best form."""
+        return max(self.found[tuple(sorted(names))].values(), key=lambda e: e.log)
+
+    def log(self, names: tuple[str, ...]) -> float:
+        """Log evidence, every combination of forms as probable before the table as another."""
+        count = math.prod(len(forms(self.problem, n)) for n in names)
+        return float(log_sum([e.log for e in self.found[names].values()])) - math.log(count)
+
+
+def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> Finding:
+    """Return the probabilities of all hypotheses; `say` receives the progress."""
+    names, untestable = candidates(problem)
+    prior = partial(log_prior, of_rig=odds(problem.data.setup, problem.bench))
+    sets = _Sets(problem)
+    say("base model")
+    base = sets.add((), None)
+    for name in names:
+        say(f"with {LISTED[name].title}")
+        for choice in forms(problem, name):
+            sets.add((choice,), base)
+    _pairs(problem, names, sets, say)
+    order = sorted(sets.found, key=lambda s: -(sets.log(s) / TEMPERATURE + prior(s)))
+    entries: list[Entry] = [(s, (), False, sets.best(s), sets.log(s), prior(s)) for s in order]
+    say("with something that no catalogue lists")
+    free: dict[tuple[str, ...], Evidence] = {(): anonymous(problem, base)}
+    # Under scatter the evidence without it does not say which sets matter.
+    rough = free[()].sizes.scatter > 1.0
+    for s in [s for s in order if len(s) == 1] if rough else order[:_FREE]:
+        if s not in free:
+            say(
+                "with something that no catalogue lists and "
+                + " and ".join(LISTED[n].title for n in s)
+            )
+            free[s] = anonymous(problem, sets.best(s))
+    entries += [
+        (s, (), True, e, sets.log(s) + e.log - sets.best(s).log, prior(s, True))
+        for s, e in free.items()
+    ]
+    for s in order:
+        if not s or any(LISTED[n].any_form for n in s):
+            continue  # what resembles it has its name
+        alike = resembling(problem, sets.best(s))
+        entries.append(((), s, True, alike, alike.log, prior(s) + math.log(ALIKE)))
+    say("with a law that no catalogue lists")
+    entries += _unnamed(
+        problem, base, max((s for s in order if len(s) == 1), key=sets.log, default=())
+    )
+    total = np.array(
+        [
+            [(log + x) / TEMPERATURE + odds_of for x in (0.0, *map(e.if_laws_err, LAW_ERRORS))]
+            for _, _, _, e, log, odds_of in entries
+        ]
+    )
+    share = np.exp(total - log_sum(total, axis=0)).tolist()
+    found = [
+        Hypothesis(s, free, p, log - base.log, e, like, tuple(others))
+        for (s, like, free, e, log, _), (p, *others) in zip(entries, share, strict=True)
+    ]
+    threshold = -TEMPERATURE * math.log(ODDS)
+    usual = free[()] if rough else base
+    seen = {
+        n: detectable(problem, usual, forms(problem, n), threshold)
+        for n in names
+        if n not in INSTRUMENT
+    }
+    return Finding(tuple(sorted(found, key=lambda h: -h.probability)), untestable, seen)
+
+
+def _unnamed(problem: Problem, base: Evidence, nearest: tuple[str, ...]) -> list[Entry]:
+    """Entries of the anonymous laws of few numbers; `nearest`: the listed effect that explains
+    most.
+    """
+    seen = {k for k, used in zip(CHANNELS, problem.used.T, strict=True) if used.any()}
+    laws = [
+        law
+        for law in UNNAMED.values()
+        if law.varies in (None, *problem.data.varied) and {*law.moves} <= seen
+    ]
+    found = [settle(problem, (Choice(law.name, 0),), base) for law in laws if nearest]
+    return [((), nearest, True, e, e.log, math.log(UNNAMED_ODDS)) for e in found]
+
+
+def log_prior(
+    names: tuple[str, ...], free: bool = False, of_rig: Mapping[str, float] = MappingProxyType({})
+) -> float:
+    """Log prior odds of a set of effects, with an anonymous contribution or without, against the
+    base model.
+
+    `of_rig`: odds of errors of the instrument over the usual ones.
+    """
+    of = {name: RIG_ODDS * of_rig.get(name, 1.0) if name in INSTRUMENT else ODDS for name in names}
+    return sum(map(math.log, of.values())) + free * math.log(UNLISTED_ODDS)
+
+
+def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Callable[[str], None]) -> None:
+    """Pairs: all beside the best single effects screened to first order, the most promising
+    refitted in their forms.
+    """
+    say("screening pairs")
+    promise: dict[tuple[Choice, ...], float] = {}
+    for name in sorted(names, key=lambda n: -sets.best((n,)).log)[:_FIRST]:
+        first = sets.best((name,))
+        others = [c for n in names if n != name for c in forms(problem, n)]
+        for choice, log in zip(others, promised(problem, first, others), strict=True):
+            pair = tuple(sorted((*first.fit.choices, choice)))
+            promise[pair] = max(log, promise.get(pair, -math.inf))
+    order = sorted(promise, key=lambda p: -promise[p])[:_PAIRS]
+    for pair in order:
+        say(f"with {' and '.join(LISTED[c.effect].title for c in pair)}")
+        sets.add(pair, max((sets.best((c.effect,)) for c in pair), key=lambda e: e.log))
+    tried = sorted({tuple(c.effect for c in p) for p in order}, key=lambda s: -sets.best(s).log)
+    for names_of_pair in tried[:_FORMS]:
+        best = sets.best(names_of_pair)
+        for at, other in ((0, 1), (1, 0)):
+            for choice in forms(problem, names_of_pair[at]):
+                sets.add((choice, best.fit.choices[other]), best)

@@ -1,0 +1,241 @@
+"""The whole workflow: from a measurement table and its setup to the missing effect and the
+corrected model.
+"""
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from soil_env._io.loading import ParameterError
+from soil_env.discovery import doubts, judgement
+from soil_env.discovery.calibrate import EXACT, PRIOR_WIDTH, Fit, Problem, calibrate
+from soil_env.discovery.corrected import corrected, least_sure, model_of, parameters
+from soil_env.discovery.evidence import Evidence
+from soil_env.discovery.instrument import LISTED, exact
+from soil_env.discovery.judgement import Interval, held_out_predictions
+from soil_env.discovery.locate import locate, structure
+from soil_env.discovery.next_tests import MOST, next_checks, next_tests
+from soil_env.discovery.prediction import outlook
+from soil_env.discovery.report import check_folder, write
+from soil_env.discovery.result import EffectFound, Report, Settings
+from soil_env.discovery.search import Finding, search
+from soil_env.identification.table.bins import binned
+from soil_env.identification.table.data import prepare
+from soil_env.identification.table.mistakes import examine
+from soil_env.measurement.setup import Setup, read_setup
+from soil_env.measurement.table import Table, read_table
+
+
+def run(
+    table: Table | str | Path,
+    setup: Setup | str | Path,
+    out: str | Path | None = None,
+    *,
+    seed: int = 0,
+    next_runs: int = MOST,
+    progress: Callable[[str], None] | None = None,
+) -> Report:
+    """Find where table and model disagree, name the missing effect, add it, and report how far the
+    gap closes.
+
+    Parameters: `table` and `setup`, read or as files; `out`, a folder for report.json, report.html
+    and model.yaml, written at the end, all of them or none; `seed` of the simulated null
+    distributions; `next_runs`, how many are proposed; `progress` is called with what is being done,
+    "stage: step".
+
+    Raises `ParameterError` with one line for bad input, and where `out` cannot be written.
+    """
+    say = progress or (lambda text: None)
+    if out is not None:
+        if not os.fspath(out):
+            raise ParameterError("out is empty: expected a folder")
+        files = [Path(given) for given in (table, setup) if isinstance(given, (str, Path))]
+        check_folder(Path(out), files)
+    say("reading")
+    read = setup if isinstance(setup, Setup) else read_setup(setup)
+    exact(read)  # refuses wrong names before any work
+    rows = table if isinstance(table, Table) else read_table(table, read.wheel, read.ignore_columns)
+    settings = Settings(
+        rows.source,
+        "" if isinstance(setup, Setup) else os.fspath(setup),
+        seed,
+        None if isinstance(table, Table) else _digest(table),
+        None if isinstance(setup, Setup) else _digest(setup),
+    )
+    # The matrices are small: threads of the BLAS cost more than they give.
+    with threadpool_limits(1):
+        report = _conclude(rows, read, settings, say, next_runs)
+    if out is not None:
+        say("writing")
+        write(report, Path(out))
+    return report
+
+
+def _digest(path: str | Path) -> str:
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def _conclude(
+    table: Table, setup: Setup, settings: Settings, say: Callable[[str], None], next_runs: int
+) -> Report:
+    say("looking for mistakes")
+    table, setup, dense = binned(table, setup)
+    examined = examine(table, setup)
+    doubted = examined.said
+    say("calibrating the base model")
+    problem, noise = calibrate(prepare(examined.table, setup))
+    finding = search(problem, lambda text: say(f"searching: {text}"))
+    base = finding.best().evidence.fit
+    say("predicting what was held out")
+    rng = np.random.default_rng([settings.seed, 1])
+    finding, (plain, final), held = _that_predicts(problem, finding, base, settings.seed)
+    before = held[()]
+    after = held[finding.names]
+    doubted += doubts.of_lone_rows(problem, noise, finding, say)
+    say("locating the disagreement")
+    where = locate(problem, problem.fit((), base.parameters()), settings.seed)
+    own = finding.stated.evidence
+    shares = judgement.shares(
+        problem, before, {some: there for some, there in held.items() if some}
+    )
+    gap = judgement.gaps(problem, before, after)
+    closed = judgement.closed(problem, gap) if final.choices else None
+    say("predicting with all effects")
+    foreseen = outlook(problem)
+    say("choosing the next runs")
+    runs = next_tests(problem, finding, next_runs)
+    intervals = judgement.intervals(finding, own)
+    interval = None if closed is None else judgement.closed_interval(problem, before, after, rng)
+    return Report(
+        finding=finding,
+        problem=problem,
+        noise=noise,
+        where=where,
+        gap=gap,
+        closed=closed,
+        effects=_effects(problem, finding, final, intervals, shares),
+        soil=_soil(problem, intervals),
+        closed_interval=interval,
+        outlook=foreseen,
+        guess=least_sure(foreseen.model),
+        next_checks=next_checks(finding, runs),
+        next_tests=runs,
+        fit=final,
+        base_model=model_of(problem, (), plain.parameters()),
+        model=corrected(foreseen.model, finding.names),
+        held_out_before=before,
+        held_out_after=after,
+        doubts=doubted,
+        taken=(dense, *examined.undecided),
+        settings=settings,
+    )
+
+
+STRUCTURED = 1e-3  # p value of a pattern below which a model does not explain the table
+FAR = 8.0  # [sd of the setup] of a soil parameter
+Held = dict[tuple[str, ...], np.ndarray]  # held-out predictions [N, 3] by set of effects
+
+
+def _that_predicts(
+    problem: Problem, finding: Finding, base: Fit, seed: int
+) -> tuple[Finding, tuple[Fit, Fit], Held]:
+    """The finding without sets of effects that held-out rows speak against.
+
+    With it the fits of the base model and of the named effects, and the held-out predictions of the
+    base model, of the named effects and, where there are two, of each alone.
+
+    Evidence is as certain as the shapes that form errors are assumed to have. Where the law errs in
+    another way, it may be sure of effects that are not there. Refuted are effects that predict rows
+    worse to which they were not fitted than the base model does (95 % interval), and a second
+    effect that closes nothing of the gap beside the first. So is the most probable set behind a
+    name, without those that have a further effect, if it needs a soil far from the setup's, or
+    leaves a pattern in a channel (`structure`) and is not, by itself, more probable than an
+    anonymous law; and the base model with a pattern where nothing would be missing.
+    """
+    while True:
+        own = finding.stated.evidence
+        names = finding.names
+        behind = (
+            next(h.names for h in finding.hypotheses if {*names} <= {*h.names}) if names else ()
+        )
+        model = finding.best(*behind)
+        anonymous = finding.best(free=True)
+        asserted = bool(names) or finding.verdict in ("none", "undetermined")
+        if asserted and behind not in finding.refuted:
+            weak = not names or model.probability <= anonymous.probability
+            if _far(problem, model.evidence) or (
+                weak and structure(problem, model.evidence, seed) < STRUCTURED
+            ):
+                finding = finding.without(behind, alone=True)
+                continue
+        # Names and intervals follow from fits with form errors. What predicts best with a law as it
+        # is, without the form error that this table shows, is its fit under noise alone (White
+        # 1982, Econometrica 50:1-25).
+        noise_alone = EXACT._replace(scatter=own.sizes.scatter)
+        fits = {}
+        for some in dict.fromkeys(((), *((n,) for n in names), names)):
+            near = (
+                base if not some else own.fit if some == names else finding.best(*some).evidence.fit
+            )
+            fits[some] = problem.fit(near.choices, near.parameters(), noise_alone)
+        held = {some: held_out_predictions(problem, fit) for some, fit in fits.items()}
+        if not any(
+            _worse(problem, some, held[some], held[names], seed) for some in held if some != names
+        ):
+            return finding, (fits[()], fits[names]), held
+        finding = finding.without(names)
+
+
+def _worse(
+    problem: Problem, some: tuple[str, ...], before: np.ndarray, after: np.ndarray, seed: int
+) -> bool:
+    """True if held-out predictions [N, 3] are worse than those of fewer effects; than the base
+    model's, for sure.
+    """
+    share = judgement.closed(problem, judgement.gaps(problem, before, after))
+    if share is None or share >= 0.0 or some:
+        return share is not None and share < 0.0
+    interval = judgement.closed_interval(problem, before, after, np.random.default_rng([seed, 2]))
+    return interval is not None and interval[1] < 0.0
+
+
+def _far(problem: Problem, model: Evidence) -> bool:
+    """True if a soil parameter is further from the setup's value than a soil that is like the
+    setup's can be.
+    """
+    given = [
+        getattr(problem.data.setup.soil, unknown.name, None) is not None for unknown in problem.soil
+    ]
+    return bool(np.any(np.abs(model.mean[: len(given)])[given] > FAR / PRIOR_WIDTH))
+
+
+def _effects(
+    problem: Problem,
+    finding: Finding,
+    fit: Fit,
+    intervals: dict[str, Interval],
+    shares: dict[str, float | None],
+) -> tuple[EffectFound, ...]:
+    out = []
+    for name in finding.names:
+        choice = next(c for c in fit.choices if c.effect == name)
+        fitted = parameters(problem, choice, fit.parameters())
+        within = {p: intervals.get(f"{name}_{p}", Interval(x, x, x)) for p, x in fitted.items()}
+        form = LISTED[name].forms[choice.form].name
+        probability = finding.share(name)
+        others = finding.alternatives(name)
+        out.append(EffectFound(name, form, within, probability, shares[name], others))
+    return tuple(out)
+
+
+def _soil(problem: Problem, intervals: dict[str, Interval]) -> dict[str, Interval]:
+    given = {name: Interval(value, value, value) for name, value in problem.known.items()}
+    return {
+        **{k.name: intervals[k.name] for k in problem.soil},
+        **given,
+        "density": Interval(*[problem.density] * 3),
+    }

@@ -1,0 +1,81 @@
+"""Small synthetic tables with a planted effect, for the tests of the discovery workflow."""
+
+import csv
+import itertools
+
+import numpy as np
+
+from soil_env.identification.table.data import Data, prepare
+from soil_env.measurement.setup import read_setup
+from soil_env.measurement.table import read_table
+from soil_env.parameters import Soil
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+
+NOISE = {"sinkage": 0.0006, "drawbar_pull": 0.8, "torque": 0.1}
+SETUP = """\
+wheel: {radius: 0.15, width: 0.12, grouser_height: 0.01}
+soil:
+  friction_angle_deg: {value: 30, sd: 1.5}
+  cohesion: {value: 3700, sd: 700}
+  shear_modulus: {value: 0.03, sd: 0.006}
+  sinkage_coefficient: {value: 770000, sd: 88000}
+  sinkage_exponent: {value: 0.63, sd: 0.025}
+  density: 1600
+noise: {sinkage: 0.0006, drawbar_pull: 0.8, torque: 0.1}
+"""
+PLANTED = {"slip_sinkage": {"gain": 1.5}}
+SLIPS = (0.05, 0.12, 0.2, 0.3, 0.42, 0.55)
+
+
+def world(effects: dict) -> WheelSoilModel:
+    """A wheel on one soil with effects."""
+    soil = Soil(
+        friction_angle_deg=31,
+        cohesion=3500,
+        shear_modulus=0.028,
+        sinkage_coefficient=740000,
+        sinkage_exponent=0.64,
+        dig_gain=0.0,
+        density=1600,
+    )
+    return WheelSoilModel(ModelWheel(0.15, 0.12, 0.01), soil, effects)
+
+
+def table_text(
+    effects: dict, loads=(100, 150, 220), slips=SLIPS, channels=tuple(NOISE), seed=0, **conditions
+) -> str:
+    """CSV of `world(effects)` with noise at all combinations of the conditions."""
+    names = ("load", *conditions, "slip")
+    at = np.array(list(itertools.product(loads, *conditions.values(), slips)), dtype=float)
+    predicted = world(effects).predict(dict(zip(names, at.T, strict=True)))
+    values = np.stack(predicted[:3], axis=1)
+    values += np.random.default_rng(seed).normal(size=values.shape) * list(NOISE.values())
+    chosen = [list(NOISE).index(name) for name in channels]
+    lines = [",".join((*names, *channels))]
+    lines += [
+        ",".join(f"{x:.6g}" for x in (*a, *v[chosen])) for a, v in zip(at, values, strict=True)
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def write_files(folder, table: str, setup: str = SETUP):
+    """(data.csv, setup.yaml) in a folder."""
+    (folder / "data.csv").write_text(table)
+    (folder / "setup.yaml").write_text(setup)
+    return folder / "data.csv", folder / "setup.yaml"
+
+
+def data_of(folder, table: str, setup: str = SETUP) -> Data:
+    """`Data` of the text of a table and of a setup, read from files."""
+    data, path = write_files(folder, table, setup)
+    known = read_setup(path)
+    return prepare(read_table(data, known.wheel, known.ignore_columns), known)
+
+
+def changed(text: str, name: str, change) -> str:
+    """The table with `change` of each value of one column, a function or a factor."""
+    lines = list(csv.reader(text.splitlines()))
+    k = lines[0].index(name)
+    for line in lines[1:]:
+        line[k] = repr(change(float(line[k])) if callable(change) else change * float(line[k]))
+    return "\n".join(",".join(line) for line in lines) + "\n"

@@ -1,0 +1,90 @@
+"""The model that is simulated: what it predicts, its table, what of the rig is not in it, and a
+drive in its world.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from soil_env.discovery.calibrate import calibrate
+from soil_env.discovery.corrected import MOST, corrected, least_sure
+from soil_env.discovery.prediction import fit_prediction
+from soil_env.parameters import Noise
+from tests.discovery.files import NOISE, PLANTED, SETUP, changed, data_of, table_text
+from tests.simulation import wheels
+
+LOADS = (80.0, 120.0, 180.0)
+
+
+@pytest.fixture(scope="module")
+def prediction(tmp_path_factory):
+    text = changed(table_text(PLANTED, loads=LOADS), "drawbar_pull", lambda x: x + 6.0)
+    return fit_prediction(calibrate(data_of(tmp_path_factory.mktemp("table"), text))[0])
+
+
+@pytest.fixture(scope="module")
+def model(prediction):
+    return corrected(prediction)
+
+
+def test_the_model_predicts_what_the_prediction_does(prediction, model):
+    rng = np.random.default_rng(0)
+    at = {"slip": rng.uniform(0.06, 0.6, 60), "load": rng.uniform(50.0, 350.0, 60)}
+    known = prediction.at(at)
+    found = dataclasses.replace(model, validity={}).predict(at)
+    off = (np.stack(found[:3], axis=1) - known.mean) / list(NOISE.values())
+    assert np.sqrt(np.mean(off**2)) < 0.1 and np.abs(off).max() < 0.5
+    assert found.sd == pytest.approx(known.sd, rel=0.15)
+    assert math.prod(map(len, model.remainder.axes.values())) <= MOST
+    assert "slip_sinkage" in model.effects
+    assert not {"slip_bias", "sinkage_offset", "force_offset"} & set(model.effects)
+
+
+def test_an_error_of_the_rig_that_is_named_is_not_in_the_model(prediction, model):
+    at = {"slip": np.array([0.1, 0.4]), "load": 120.0}
+    names = ("force_offset", "slip_bias")
+    without = corrected(prediction, names)
+    offset = prediction.values["force_offset_offset"]
+    assert abs(offset) > 1.0 and "slip_bias" in without.effects
+    change = model.predict(at).drawbar_pull - without.predict(at).drawbar_pull
+    assert change == pytest.approx(offset, abs=0.1)
+
+
+def test_the_least_sure_conditions_are_beyond_the_table(prediction):
+    guess = least_sure(prediction)
+    assert guess.conditions["load"] in (pytest.approx(40.0), pytest.approx(360.0))
+    assert guess.times > 1.5
+    there = prediction.at({name: np.array([x]) for name, x in guess.conditions.items()})
+    assert there.sd[0] == pytest.approx(guess.sd)
+
+
+@pytest.mark.filterwarnings("ignore::soil_env.terramechanics.validity.OutsideValidity")
+def test_a_drive_in_the_world_of_the_model_is_as_it_predicts(model):
+    still = {
+        "course": {"length": 40.0},
+        "noise": {f.name: 0.0 for f in dataclasses.fields(Noise)},
+        "wheel": {"radius": model.wheel.radius, "width": model.wheel.width},
+    }
+    soil = model.soil.state(model.wheel.width)
+    drive = wheels.on_uniform_ground(soil, 0.0, "wheel_speed", model, **still)
+    drive.drive([0.35] * 250)
+    w = drive.now()
+    weight = w.mass * drive.rig.gravity
+    at = {"slip": w.slip, "load": weight}
+    stated = np.concatenate(model.predict(at)[:3])
+    sunk = drive.simulation.worlds.observation[0, 1] * model.wheel.radius
+    size = np.array([model.wheel.radius, weight, weight * model.wheel.radius])
+    assert np.array([sunk, w.drawbar_pull, w.torque]) / size == pytest.approx(
+        stated / size, abs=1e-3
+    )
+
+
+def test_a_vertical_load_and_a_tilted_rig(tmp_path):
+    """The tilt of the setup is the rig's, and the model has none."""
+    setup = SETUP + "tilt_deg: {value: 2, sd: 0.01}\n"
+    found = fit_prediction(calibrate(data_of(tmp_path, table_text({}, loads=LOADS), setup))[0])
+    at = {"slip": np.array([0.2]), "load": np.array([120.0])}
+    tilted, level = found.at(at).mean[0, 1], corrected(found).predict(at).drawbar_pull[0]
+    assert level - tilted == pytest.approx(120.0 * math.sin(math.radians(2.0)), rel=0.1)

@@ -1,0 +1,33 @@
+"""Rows that stand alone in their conditions and decide what is named are reported."""
+
+from soil_env.discovery import doubts
+from soil_env.discovery.calibrate import calibrate
+from soil_env.discovery.search import search
+from tests.discovery.files import PLANTED, data_of, table_text
+
+LOADS = (100, 120, 150, 180, 220)
+
+
+def with_slip(text: str, line: int, slip: str) -> str:
+    """The table with another slip in a line of the file; the second column is slip."""
+    lines = text.splitlines()
+    cells = lines[line - 1].split(",")
+    lines[line - 1] = ",".join([cells[0], slip, *cells[2:]])
+    return "\n".join(lines) + "\n"
+
+
+def test_a_table_whose_rows_check_each_other_raises_no_doubt(planted, nothing):
+    for report in (planted, nothing):
+        assert report.doubts == () and not report.noise.alone.any()
+
+
+def test_a_mistyped_slip_that_decides_is_told(tmp_path):
+    text = with_slip(table_text(PLANTED, LOADS), 5, "1.0")
+    problem, noise = calibrate(data_of(tmp_path, text))
+    found = doubts.of_lone_rows(problem, noise, search(problem), lambda text: None)
+    assert noise.alone.tolist().count(True) == 1 and noise.alone[3]
+    (doubt,) = found
+    assert (
+        doubt.startswith("Line 5 (slip 1, load 100 N) stands alone")
+        and "without it that is slip-sinkage." in doubt
+    )

@@ -1,0 +1,174 @@
+"""Predictions with all effects: curves, remainders, held-out rows and stated deviations."""
+
+import math
+
+import numpy as np
+import pytest
+
+from soil_env.discovery.calibrate import calibrate
+from soil_env.discovery.curve import fit_curve
+from soil_env.discovery.prediction import (
+    WIDER,
+    carried,
+    drawn,
+    fit_prediction,
+    independent,
+    outlook,
+)
+from soil_env.discovery.search import candidates
+from tests.discovery.files import NOISE, PLANTED, changed, data_of, table_text, world
+
+LOADS = (80.0, 120.0, 180.0)
+
+
+def problem_of(folder, text):
+    return calibrate(data_of(folder, text))[0]
+
+
+def truth(effects, slip, load):
+    found = world(effects).predict({"slip": np.array(slip), "load": np.array(load)})
+    return np.stack(found[:3], axis=1)
+
+
+def over_noise(values):
+    return math.sqrt(float(np.mean((values / list(NOISE.values())) ** 2)))
+
+
+def test_a_curve_of_its_own_kind_is_found():
+    slip = np.tile(np.linspace(-0.4, 0.6, 11), 3)
+    load = np.repeat(LOADS, 11)
+    x = load / 120.0
+    grown = 1.0 - np.exp(-np.abs(slip) / 0.17)
+    y = -3.0 * x**1.2 + x**0.8 * np.where(slip < 0.0, -40.0, 25.0) * grown
+    curve = fit_curve(slip, load, y, 0.1)
+    assert curve.at(slip, load) == pytest.approx(y, abs=0.15)
+    one = fit_curve(slip[:11], load[:11], y[:11], 0.1)
+    assert one.powers.tolist() == [1.0, 1.0, 0.0]
+    assert one.at(slip[:11], load[:11]) == pytest.approx(y[:11], abs=0.05)
+
+
+@pytest.fixture(scope="module")
+def planted(tmp_path_factory):
+    return problem_of(tmp_path_factory.mktemp("planted"), table_text(PLANTED, loads=LOADS))
+
+
+@pytest.fixture(scope="module")
+def learnt(planted):
+    return fit_prediction(planted)
+
+
+def test_rows_that_were_not_made_are_predicted_within_the_stated_deviations(planted, learnt):
+    slip = [0.08, 0.25, 0.48, 0.16, 0.36]
+    load = [100.0, 150.0, 90.0, 200.0, 170.0]
+    at = {"slip": np.array(slip), "load": np.array(load)}
+    y = truth(PLANTED, slip, load)
+    full = learnt.at(at)
+    base = fit_prediction(planted, (), smooth=False).at(at)
+    assert over_noise(full.mean - y) < min(1.0, 0.7 * over_noise(base.mean - y))
+    assert np.all(full.sd > 0.9 * np.array(list(NOISE.values())))
+    assert np.mean(np.abs(full.mean - y) < 2.0 * full.sd) > 0.9
+
+
+def test_far_rows_are_less_sure(learnt):
+    near, far = (
+        learnt.at({"slip": np.array([0.3]), "load": np.array([load])}).sd for load in (120.0, 600.0)
+    )
+    assert np.all(far > 2.0 * near)
+
+
+def test_a_refit_near_another_is_that_of_its_rows_alone(planted, learnt):
+    group = planted.data.varied["slip"].level == 2
+    rest = planted.without(group)
+    rows = planted.data.rows
+    at = {"slip": rows.slip[group], "load": rows.load[group]}
+    near, alone = (fit_prediction(rest, near=of).mean_at(at) for of in (learnt, None))
+    assert over_noise(near - alone) < 0.5
+
+
+def test_the_deviations_of_a_model_without_remainder_are_those_of_noise_and_soil(tmp_path):
+    problem = problem_of(tmp_path, table_text({}, loads=LOADS))
+    found = fit_prediction(problem, (), smooth=False).at({"slip": [0.25], "load": [120.0]})
+    assert found.sd[0] / list(NOISE.values()) == pytest.approx(WIDER, rel=0.25)
+    assert np.all(found.sd[0] >= WIDER * np.array(list(NOISE.values())))
+
+
+def test_a_smooth_remainder_that_no_effect_has_is_predicted(tmp_path):
+    """A torque with a hump of ten times the noise amid the slips."""
+    slips = np.linspace(0.02, 0.6, 12)
+    text = table_text({}, loads=LOADS, slips=slips)
+    lines = [line.split(",") for line in text.splitlines()]
+    k = lines[0].index("torque")
+    s = lines[0].index("slip")
+
+    def hump(slip):
+        return 1.0 * np.exp(-0.5 * ((slip - 0.3) / 0.08) ** 2)
+
+    for line in lines[1:]:
+        line[k] = f"{float(line[k]) + hump(float(line[s])):.6g}"
+    problem = problem_of(tmp_path, "\n".join(map(",".join, lines)) + "\n")
+    at = {"slip": np.array([0.285, 0.32]), "load": np.array([110.0, 140.0])}
+    y = truth({}, at["slip"], at["load"])
+    y[:, 2] += hump(at["slip"])
+    with_it, without = (
+        fit_prediction(problem, smooth=smooth).at(at).mean for smooth in (True, False)
+    )
+    off, more = (np.abs(found - y)[:, 2].max() for found in (with_it, without))
+    assert off < 0.25 < more
+
+
+def test_the_outlook_tells_how_well_each_model_predicts(planted):
+    slips, loads = outlook(planted).left_out
+    assert slips.what == ("slip",) and loads.what == ("load",)
+    for way in (slips, loads):
+        over = way.over_noise
+        assert over.corrected < 1.5 < over.base
+        assert over.corrected < over.curve and over.noise == 1.0
+        assert set(way.errors) == set(NOISE)
+        assert way.errors["torque"].noise == NOISE["torque"]
+
+
+def test_what_follows_from_slip_is_no_condition_of_its_own(tmp_path):
+    text = table_text({}, loads=LOADS)
+    lines = [line.split(",") for line in text.splitlines()]
+    s = lines[0].index("slip")
+    speeds = ["speed", *(repr(0.1 * (1.0 - float(line[s]))) for line in lines[1:])]
+    whole = "\n".join(",".join((*line, v)) for line, v in zip(lines, speeds, strict=True)) + "\n"
+    problem = problem_of(tmp_path, whole)
+    assert list(problem.data.varied) == independent(problem) == ["slip", "load"]
+    assert "penetration_rate" in candidates(problem)[1]
+    assert not {"penetration_rate", "shear_rate"} & {c.effect for c in carried(problem)}
+    rows = problem.data.rows
+    assert drawn(problem, {"slip": rows.slip, "load": rows.load}) is not None
+
+
+def test_no_curve_is_drawn_over_conditions_that_it_does_not_know(tmp_path):
+    text = table_text({}, loads=(100.0,), **{"pass": (1, 2, 3)})
+    problem = problem_of(tmp_path, text)
+    assert drawn(problem, {"slip": np.array([0.2]), "load": np.array([100.0])}) is None
+    passes = outlook(problem).left_out[-1]
+    assert passes.what == ("pass",) and math.isnan(passes.over_noise.curve)
+
+
+def test_a_soil_known_to_be_cohesionless_moves_off_its_bound(tmp_path):
+    """A prior about 0 is no fixed value: the fit finds the cohesion of the table."""
+    setup = """\
+wheel: {radius: 0.15, width: 0.12, grouser_height: 0.01}
+soil:
+  friction_angle_deg: {value: 31, sd: 0.5}
+  cohesion: {value: 0, sd: 3000}
+  density: 1600
+noise: {sinkage: 0.0006, drawbar_pull: 0.8, torque: 0.1}
+"""
+    problem = calibrate(data_of(tmp_path, table_text({}), setup))[0]
+    base = fit_prediction(problem, (), smooth=False)
+    found = {k.name: k.value(x) for k, x in zip(base.unknowns, base.u, strict=True)}
+    assert found["cohesion"] > 1500.0
+
+
+def test_a_table_of_one_channel_is_predicted(tmp_path):
+    text = table_text(PLANTED, loads=LOADS, channels=("drawbar_pull",))
+    problem = problem_of(tmp_path, changed(text, "drawbar_pull", 1.0))
+    found = fit_prediction(problem).at({"slip": np.array([0.25]), "load": np.array([120.0])})
+    y = truth(PLANTED, [0.25], [120.0])
+    assert abs(found.mean[0, 1] - y[0, 1]) < 2.0
+    assert np.all(np.isfinite(found.mean)) and np.all(found.sd > 0.0)

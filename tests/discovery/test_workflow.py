@@ -1,0 +1,153 @@
+"""The workflow from a table to its report: on small tables with a planted effect, and on the
+example.
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from soil_env.discovery import judgement, run, workflow
+from soil_env.discovery.calibrate import Problem
+from soil_env.discovery.corrected import model_of
+from soil_env.discovery.instrument import Choice
+from soil_env.discovery.report import content, words
+from soil_env.terramechanics.effects import CATALOGUE
+from soil_env.terramechanics.model import WheelSoilModel
+from tests.discovery.files import PLANTED, SETUP, data_of, table_text, world, write_files
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_the_planted_effect_is_named(planted):
+    assert planted.verdict == "named" and [e.name for e in planted.effects] == ["slip_sinkage"]
+    assert planted.effects[0].alternatives == ()
+    assert planted.effects[0].probability > 0.9 and planted.effects[0].share == planted.closed
+    assert planted.closed > 0.7
+    assert all(g.after <= g.before + 0.1 * g.noise_floor for g in planted.gap.values())
+    assert planted.where[0].channel == "sinkage" and planted.where[0].p_value < 1e-3
+
+
+@pytest.fixture()
+def searched(planted, monkeypatch):
+    """The search of the planted table, which was made once: what follows it is made anew."""
+    assert planted.finding.refuted == ()
+    monkeypatch.setattr(workflow, "search", lambda problem, say: planted.finding)
+
+
+@pytest.mark.usefixtures("searched")
+def test_what_predicts_worse_than_the_base_model_is_not_named(tmp_path, monkeypatch):
+    """As where the law errs in a way that no form error has: evidence for effects that fail on
+    held-out rows.
+    """
+
+    def predicted(problem, fit):
+        bad = any(choice.effect == "slip_sinkage" for choice in fit.choices)
+        return judgement.held_out_predictions(problem, fit) + (20.0 * problem.noise if bad else 0.0)
+
+    monkeypatch.setattr(workflow, "held_out_predictions", predicted)
+    report = run(*write_files(tmp_path, table_text(PLANTED)), seed=1)
+    assert (
+        "slip_sinkage",
+    ) in report.finding.refuted and "slip_sinkage" not in report.finding.tried
+    assert report.closed is None or report.closed >= 0.0
+    assert sum(h.probability for h in report.finding.hypotheses) == pytest.approx(1.0)
+    result = content(report)
+    assert ["slip_sinkage"] in result["refuted"] and "It is not slip-sinkage" in result["summary"]
+
+
+@pytest.mark.usefixtures("searched")
+def test_an_effect_that_beats_an_anonymous_law_stays_although_it_leaves_a_pattern(
+    tmp_path, monkeypatch
+):
+    """A law that errs in an assumed-away way leaves patterns beside the right effect too."""
+    monkeypatch.setattr(workflow, "structure", lambda problem, model, seed: 0.0)
+    report = run(*write_files(tmp_path, table_text(PLANTED)), seed=1)
+    assert [e.name for e in report.effects] == ["slip_sinkage"] and report.finding.refuted == ()
+
+
+def test_the_held_out_gap_is_that_of_refits_without_the_group(planted):
+    """The linearised held-out predictions against true refits, one slip left out after the
+    other.
+    """
+    problem = planted.problem
+    near = planted.finding.best().evidence.fit
+    fit = problem.fit((), near.parameters(), planted.fit.sizes._replace(effect=0.0), near)
+    varied = problem.data.varied
+    ways = [varied["slip"].level, varied["load"].level]
+    predicted = np.zeros_like(problem.data.y)
+    for level in ways:
+        for k in range(level.max() + 1):
+            rest = problem.without(level == k)
+            there = rest.fit((), fit.parameters(), fit.sizes, rest.restricted(fit, problem.used))
+            predicted[level == k] += there.output[level == k] / len(ways)
+    refitted = judgement.gaps(problem, predicted, predicted)
+    for name, g in planted.gap.items():
+        assert refitted[name].before == pytest.approx(g.before, rel=0.1), name
+
+
+def test_the_model_file_predicts_what_the_fit_predicts(planted):
+    """`WheelSoilModel` of a fit against the fit's own output, with effects that need what the table
+    sets.
+    """
+    problem = planted.problem
+    for name in ("grousers", "bulldozing", "shear_softening", "sinkage_offset"):
+        fit = problem.fit((Choice(name, 0),))
+        p = model_of(problem, fit.choices, fit.parameters()).predict(problem.data.table)
+        np.testing.assert_allclose(np.stack(p[:3], axis=1), fit.output, rtol=1e-5, atol=1e-6)
+
+
+def test_the_same_seed_gives_the_same_files(planted_files, tmp_path):
+    _, folder = planted_files
+    run(folder.parent / "data.csv", folder.parent / "setup.yaml", tmp_path / "again", seed=1)
+    for name in ("report.json", "report.html", "model.yaml"):
+        assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes(), name
+
+
+def test_no_fit_leaves_the_catalogue_s_bounds(tmp_path):
+    """On a wheel of two metres the rig's own scales are larger than these."""
+    text = "slip,load,sinkage\n0.1,9e4,0.5\n0.3,9e4,0.5\n0.5,9e4,0.5\n"
+    table = data_of(tmp_path, text, SETUP.replace("radius: 0.15", "radius: 2"))
+    problem = Problem(table, np.ones(3), table.measured)
+    for effect in CATALOGUE.values():
+        for k, form in enumerate(effect.forms):
+            unknowns = problem.unknowns((Choice(effect.name, k),))[len(problem.soil) :]
+            for unknown, name in zip(unknowns, form.free, strict=True):
+                p = effect.parameter(name)
+                ends = [unknown.low, unknown.high]
+                low, high = (math.exp(x) for x in ends) if unknown.log else ends
+                assert low >= p.low - 1e-9 and high <= p.high + 1e-9, (effect.name, name)
+
+
+@pytest.mark.usefixtures("unrendered")
+def test_what_is_unlisted_is_in_the_corrected_model(tmp_path):
+    """A drawbar pull that falls with the square of the speed, all else unchanged, is in no
+    catalogue: the remainder has it.
+    """
+    lines = table_text({}, loads=(60, 100, 150, 220), speed=(0.02, 0.06, 0.2)).splitlines()
+    out = [lines[0]]
+    for line in lines[1:]:
+        load, speed, slip, z, pull, torque = (float(x) for x in line.split(","))
+        out.append(f"{load},{speed},{slip},{z},{pull - 600.0 * speed**2},{torque}")
+    report = run(*write_files(tmp_path, "\n".join(out) + "\n"), tmp_path / "out")
+    assert report.verdict == "unlisted" and report.effects == () and report.where
+    model = WheelSoilModel.load(tmp_path / "out" / "model.yaml")
+    assert {"slip", "load", "speed"} == set(model.remainder.axes)
+    at = {"slip": [0.25, 0.25], "load": 120.0, "speed": [0.04, 0.2]}
+    truth = world({}).predict(at).drawbar_pull - 600.0 * np.array(at["speed"]) ** 2
+    found = model.predict(at)
+    assert np.all(np.abs(found.drawbar_pull - truth) < 2.0 * found.sd[:, 1])
+    for way in report.outlook.left_out:
+        assert way.errors["drawbar_pull"].corrected < 0.5 * way.errors["drawbar_pull"].base
+    assert report.closed is None and report.finding.unlisted > 0.5
+
+
+def test_a_sensor_that_is_not_linear_is_to_be_checked(tmp_path):
+    lines = table_text({}, loads=(60, 120, 220)).splitlines()
+    for k, line in enumerate(lines[1:], start=1):
+        *others, torque = line.split(",")
+        lines[k] = ",".join((*others, str(float(torque) / (1.0 + 0.08 * float(torque)))))
+    report = run(*write_files(tmp_path, "\n".join(lines) + "\n"))
+    assert report.verdict == "unlisted" and report.finding.hypotheses[0].law == "torque_curve"
+    assert "each sensor with several" in words.next_step(report)
