@@ -221,7 +221,22 @@ def outer(x):
 """
 
 
-SHOWN = "from soil_env._compiled import cache\ncache.PACE = 0.05\n"
+#: A compilation that takes many counts, on however fast a processor.
+SHOWN = """
+import time
+from numba.core.event import Listener, register
+from soil_env._compiled import cache
+cache.PACE = 0.05
+
+class Slow(Listener):
+    def on_start(self, event):
+        time.sleep(20 * cache.PACE)
+
+    def on_end(self, event):
+        pass
+
+register("numba:compile", Slow())
+"""
 
 
 def test_functions_that_a_function_calls_are_counted_once():
