@@ -82,17 +82,18 @@ dist: $(TEST_READY)  ## wheel and sdist into dist/
 
 # QUICK=1: the same commands with few courses, drives and tables, into runs/quick.
 RESULTS := $(if $(QUICK),runs/quick,docs/results)
-results: $(TEST_READY)  ## make the tables of docs/results anew, in hours; QUICK=1: in minutes, into runs/quick
+results: $(TEST_READY)  ## make the tables of docs/results anew, in hours; QUICK=1: in minutes, into runs/quick, and compared with docs/results
 	$(BIN)/soil-env study --config configs/study_default_policy.yaml --out runs/$(if $(QUICK),quick_)agents $(if $(QUICK),--courses 100)
 	mkdir -p $(RESULTS)
 	sed -e 's/^# .*/# Agents and rules/' -e '/study.png/d' runs/$(if $(QUICK),quick_)agents/study.md > $(RESULTS)/agents.md
 	$(PY) -m benchmarks.gravity --out $(RESULTS)
 	$(PY) -m benchmarks.rigs --out $(RESULTS)
-	$(PY) -m benchmarks.prediction --out $(RESULTS) $(if $(QUICK),--smoke)
-	$(PY) -m benchmarks.identification --out $(RESULTS) $(if $(QUICK),--smoke)
-	$(PY) -m benchmarks.robustness --out $(RESULTS) $(if $(QUICK),--smoke)
-	$(PY) -m benchmarks.discovery run --held-out --entrant workflow --seed 2103 --limit $(if $(QUICK),12,240) --out runs/$(if $(QUICK),quick_)discovery
+	$(PY) -m benchmarks.prediction --out $(RESULTS)
+	$(PY) -m benchmarks.identification --out $(RESULTS) --courses $(if $(QUICK),6,60)
+	$(PY) -m benchmarks.robustness --out $(RESULTS) $(if $(QUICK),--courses 20)
+	$(PY) -m benchmarks.discovery run --held-out --entrant workflow --seed 2103 --limit $(if $(QUICK),12,240) --out runs/$(if $(QUICK),quick_)discovery --publish $(RESULTS)
 	$(PY) -m benchmarks.throughput --out $(RESULTS) $(if $(QUICK),--smoke)
+	$(if $(QUICK),$(PY) -m pytest -q tests/project/test_results.py)
 
 clean:  ## remove .venv, build products and caches; runs/ stays
 	rm -rf $(VENV) build dist site *.egg-info .pytest_cache .ruff_cache .mypy_cache .import_linter_cache .hypothesis

@@ -75,7 +75,7 @@ def tables(page: Path) -> dict[str, list[dict[str, str]]]:
     for section in re.split(r"^#+ ", page.read_text(encoding="utf-8"), flags=re.MULTILINE):
         if table := re.search(r"^\| .*\n\|-.*\n((\| .*\n)+)", section + "\n", re.MULTILINE):
             rows = [
-                [cell.strip() for cell in line.strip("| ").split(" | ")]
+                [cell.strip() for cell in line.strip()[2:-2].split(" | ")]
                 for line in table[0].splitlines()
             ]
             found[section.splitlines()[0]] = [

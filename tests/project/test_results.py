@@ -1,0 +1,214 @@
+"""The page of results: its figures are those of docs/results, and quick results agree with them.
+
+`make results QUICK=1` writes quick results and runs the comparison; without them it is skipped.
+"""
+
+import json
+import re
+
+import pytest
+from scipy.stats import binom, binomtest
+
+from .test_pages import DOCS, ROOT, tables
+
+PAGE = DOCS / "results.md"
+RESULTS = DOCS / "results"
+QUICK = ROOT / "runs" / "quick"
+NUMBER = r"[-+]?\d+(?:\.\d+)?"
+#: Of a quick share and the one of the page: a tenth of a per cent of the pairs by chance alone.
+CONFIDENCE = 0.999
+#: Of quick medians of errors and intervals, on few courses: relative, and in points.
+ERRORS_WITHIN = 0.35
+SHARES_WITHIN = 22.0
+#: Relative difference of figures that nothing random goes into, on another processor.
+COMPUTED_WITHIN = 0.02
+
+pytestmark = pytest.mark.documents
+
+
+def numbers(cell: str) -> list[float]:
+    """The numbers of a cell of a table."""
+    return [float(x) for x in re.findall(NUMBER, cell)]
+
+
+def first_table(name: str, beginning: str) -> list[dict[str, str]]:
+    """The table of docs/results/NAME.md whose heading begins so."""
+    return next(
+        rows
+        for heading, rows in tables(RESULTS / f"{name}.md").items()
+        if heading.startswith(beginning)
+    )
+
+
+def finished(page) -> dict[tuple[str, str], float]:
+    """Courses finished [%] by (scenario, arm), of a table of agents."""
+    (rows,) = tables(page).values()
+    return {(row["scenario"], row["arm"]): numbers(row["finished [%]"])[0] for row in rows}
+
+
+def test_agents_and_rules():
+    known = finished(RESULTS / "agents.md")
+    (rows,) = tables(RESULTS / "agents.md").values()
+    ahead = {
+        (row["scenario"], row["arm"]): numbers(row["finished - default [points]"]) for row in rows
+    }
+    for row in tables(PAGE)["Agent and rules on every ground"]:
+        ground = row["ground"].strip("`")
+        for column in list(row)[1:6]:
+            arm = "default" if column == "agent" else column.strip("`")
+            assert float(row[column]) == known[ground, arm], (ground, column)
+        rule, difference = row[list(row)[6]].split(" ", 1)
+        value, low, high = ahead[ground, rule.strip("`")]
+        assert numbers(difference) == [-value, -high, -low], ground
+        blind = ("constant", "soft_start", "best_slip_identified")
+        assert known[ground, rule.strip("`")] == max(known[ground, arm] for arm in blind)
+
+
+def test_identification():
+    shipped = {row["scenario"]: row for row in first_table("identification", "as shipped")}
+    errors = {row["scenario"]: row for row in first_table("identification", "errors")}
+    for row in tables(PAGE)["Identification"]:
+        name = row["scenario"].replace("`", "")
+        for column, of, key, digits in (
+            ("prior RMS", shipped, "prior RMS", 2),
+            ("RMS", shipped, "RMS", 2),
+            ("68 % intervals hold", shipped, "68 % hold", 0),
+            ("with larger errors", errors, "68 % hold", 0),
+            ("MISFIT [% of steps]", shipped, "MISFIT [% of steps]", 1),
+        ):
+            assert numbers(row[column]) == pytest.approx(
+                numbers(of[name][key]), abs=0.501 * 10.0**-digits
+            ), (name, column)
+
+
+def test_braked_wheels():
+    laws = {
+        "Eq. (10)": "Eq. (10)",
+        "soil that flows, constants of the other rig": None,
+        "presets": "flow, presets",
+    }
+    rows = first_table("rigs", "Root mean square")
+    for row in tables(PAGE)["Laws on measured wheels"]:
+        wheel = row["wheel"].split(", ")[0]
+        for column, law in laws.items():
+            law = law or ("flow, continuum" if wheel.startswith("CMU") else "flow, CMU")
+            (found,) = [
+                r["pull [% of load]"]
+                for r in rows
+                if r["wheel"] == wheel
+                and r["fitted to"].startswith("driving rows")
+                and r["predicted"] == "braked"
+                and r["law"] == law
+            ]
+            assert row[column] == found, (wheel, column)
+
+
+def test_predictions():
+    rows = {
+        row["method"]: row for row in tables(RESULTS / "prediction.md")["Errors over the noise"]
+    }
+    names = {
+        "Base model": "base model",
+        "with a remainder": "base and remainder",
+        "all effects in one fit with a remainder": "all effects",
+        "Gaussian process": "Gaussian process",
+    }
+    text = " ".join(PAGE.read_text(encoding="utf-8").split())
+    for words, name in names.items():
+        said = re.search(rf"{words} ({NUMBER}) \((?:worst )?({NUMBER})\)", text)
+        assert list(said.groups()) == list(rows[name].values())[1:], name
+
+
+TARGETS = {
+    "one effect: its mechanism named first": "first",
+    "one effect: first or among the alternatives": "included",
+    "one effect: more than half sure of a wrong one": "wrong",
+    "two effects: both named and no other": "both",
+    "no effect: no name": "none",
+    "effect in no catalogue: verdict unlisted": "unlisted",
+    "effect in no catalogue: more than half sure of a listed one": "misled",
+    "error of the instrument: named or an alternative": "instrument",
+}
+
+
+def discovered(folder) -> dict[str, dict[str, float]]:
+    """Shares of right answers by question."""
+    return json.loads((folder / "discovery.json").read_text())["entrants"]["workflow"]["targets"]
+
+
+def test_discovery():
+    known = discovered(RESULTS)
+    rows = {row["question"]: row["answers [%]"] for row in tables(PAGE)["Discovery"]}
+    assert rows.keys() == TARGETS.keys()
+    for question, target in TARGETS.items():
+        share = known[target]
+        said = [100.0 * share[key] for key in ("value", "low", "high")] + [share["of"]]
+        assert numbers(rows[question]) == pytest.approx(said, abs=0.51), question
+
+
+def quick(name: str):
+    """Path of a file of the quick results; the test is skipped where there is none."""
+    file = QUICK / name
+    if not file.exists():
+        pytest.skip("no quick results: make results QUICK=1 writes them")
+    return file
+
+
+def agrees(count: int, of: int, value: float, of_page: int) -> bool:
+    """True if a quick count can come of the same share as the page's value in `of_page` trials."""
+    page = binomtest(round(value * of_page), of_page).proportion_ci(CONFIDENCE, method="wilson")
+    low = binom.ppf(0.5 * (1.0 - CONFIDENCE), of, page.low)
+    high = binom.ppf(0.5 * (1.0 + CONFIDENCE), of, page.high)
+    return bool(low <= count <= high)
+
+
+@pytest.mark.parametrize(("count", "expected"), [(70, True), (55, True), (30, False), (99, False)])
+def test_a_quick_share_that_is_far_off_does_not_agree(count, expected):
+    assert agrees(count, 100, 0.7, 1000) is expected
+
+
+def test_quick_agents_agree():
+    page = finished(RESULTS / "agents.md")
+    for key, value in finished(quick("agents.md")).items():
+        assert agrees(round(value), 100, page[key] / 100.0, 1000), (key, value, page[key])
+
+
+@pytest.mark.parametrize("name", ["gravity", "rigs", "prediction"])
+def test_what_is_computed_comes_again(name):
+    known = tables(RESULTS / f"{name}.md")
+    found = tables(quick(f"{name}.md"))
+    assert found.keys() == known.keys()
+    for heading, rows in found.items():
+        for row, of_page in zip(rows, known[heading], strict=True):
+            for column, cell in row.items():
+                assert numbers(cell) == pytest.approx(
+                    numbers(of_page[column]), rel=COMPUTED_WITHIN, abs=COMPUTED_WITHIN
+                ), (heading, column)
+
+
+def test_quick_identification_agrees():
+    known = tables(RESULTS / "identification.md")
+    for heading, rows in tables(quick("identification.md")).items():
+        for row, of_page in zip(rows, known[heading], strict=True):
+            assert numbers(row["RMS"]) == pytest.approx(
+                numbers(of_page["RMS"]), rel=ERRORS_WITHIN
+            ), (heading, row)
+            assert numbers(row["68 % hold"]) == pytest.approx(
+                numbers(of_page["68 % hold"]), abs=SHARES_WITHIN
+            ), (heading, row)
+
+
+def test_quick_robustness_agrees():
+    known = {r["row"]: r for r in next(iter(tables(RESULTS / "robustness.md").values()))}
+    for row in next(iter(tables(quick("robustness.md")).values())):
+        for driver in ("agent", "rule"):
+            value, of_page = (float(r[driver]) / 100.0 for r in (row, known[row["row"]]))
+            assert agrees(round(20 * value), 20, of_page, 200), (row, of_page)
+
+
+def test_quick_discovery_agrees():
+    known = discovered(RESULTS)
+    for target, share in discovered(quick("discovery.json").parent).items():
+        if share and target in TARGETS.values():
+            of_page = known[target]
+            assert agrees(share["count"], share["of"], of_page["value"], of_page["of"]), target
