@@ -1,0 +1,143 @@
+"""The wheel on a continuum: the laws that its soil and its contact have to keep."""
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.continuum import __main__ as continuum
+from benchmarks.continuum.soil import GRAVITY, Bed, Material
+from benchmarks.continuum.wheel import HELD, START, Rig, Shape, outline
+
+SAND = Material(friction=math.tan(math.radians(30.0)))
+LOAM = Material(friction=math.tan(math.radians(24.0)), cohesion=800.0)
+COARSE = Bed(length=0.6, depth=0.12, spacing=0.02)
+SMOOTH = Shape(radius=0.15, width=0.1)
+LUGGED = Shape(radius=0.15, width=0.1, lugs=12, lug_height=0.012, lug_thickness=0.012)
+LOAD = 60.0  # [N]
+
+
+def rig(material=SAND, shape=SMOOTH, slope=0.0):
+    return Rig(COARSE, material, shape, LOAD, np.random.default_rng(0), slope)
+
+
+def strengths(particles, material):
+    """(square root of J2, strength) of all particles [Pa]."""
+    xx, zz, xz, yy = particles.stress.T
+    pressure = -(xx + zz + yy) / 3.0
+    deviators = (xx + pressure) ** 2 + (zz + pressure) ** 2 + (yy + pressure) ** 2
+    return np.sqrt(0.5 * deviators + xz**2), material.friction * pressure + material.cohesion
+
+
+def test_a_bed_at_rest_bears_its_own_weight():
+    bed = rig()
+    depth = bed.surface - bed.particles.position[:, 1]
+    upright = -bed.particles.stress[:, 1]
+    assert np.mean(upright) == pytest.approx(SAND.density * GRAVITY * np.mean(depth), rel=0.05)
+
+
+def test_soil_that_touches_nothing_falls_freely():
+    falling = rig()
+    falling.particles.position[:, 1] += 0.1
+    falling.particles.velocity[:] = 0.0
+    falling.particles.gradient[:] = 0.0
+    falling.particles.stress[:] = 0.0
+    falling.body = falling.body._replace(load=0.0)
+    steps = round(0.05 / falling.step.time)
+    falling.forward(0.05)
+    velocity = falling.particles.velocity
+    assert velocity[:, 0] == pytest.approx(0.0, abs=1e-9)
+    assert velocity[:, 1] == pytest.approx(-GRAVITY * steps * falling.step.time, rel=1e-9)
+
+
+@pytest.mark.parametrize(("material", "shape"), [(SAND, SMOOTH), (LOAM, LUGGED)])
+def test_a_wheel_at_rest_is_carried_and_no_soil_is_stronger_than_it_is(material, shape):
+    still = rig(material, shape)
+    still.forward(0.6)
+    still.forward(0.4)
+    assert shape.width * still.forces.up == pytest.approx(LOAD, rel=0.02)
+    assert abs(shape.width * still.forces.along) < 0.02 * LOAD
+    assert still.sinkage > -shape.lug_height and still.wheel.x == START
+    stress, strength = strengths(still.particles, material)
+    assert np.all(stress <= strength + 1e-6 * (1.0 + strength))
+
+
+def test_a_wheel_that_slips_more_pulls_more_and_sinks_deeper():
+    found = {}
+    for slip in (0.05, 0.5):
+        driven = rig()
+        driven.wheel.along = 0.2 * (1.0 - slip)
+        driven.wheel.speed = 0.2 / SMOOTH.radius
+        driven.forward(0.3)
+        driven.forward(0.3)
+        found[slip] = driven.forces.along, driven.forces.torque, driven.sinkage
+    assert all(more > less for more, less in zip(found[0.5], found[0.05], strict=True))
+
+
+def test_the_motor_turns_a_free_wheel_and_gravity_pulls_it_back_on_a_slope():
+    free = rig(slope=math.radians(40.0))
+    free.let_go(mass=LOAD / GRAVITY, inertia=0.5, stall_torque=20.0, no_load_speed=5.0)
+    free.forward(0.1, 0.0, True)
+    assert free.wheel.along < 0.0
+    level = rig()
+    level.let_go(mass=LOAD / GRAVITY, inertia=0.5, stall_torque=20.0, no_load_speed=5.0)
+    level.forward(0.5, 0.3, True)
+    assert level.wheel.along > 0.02 and level.wheel.speed == pytest.approx(1.5, abs=0.3)
+    assert level.body.mass_along < HELD
+
+
+@pytest.mark.parametrize("shape", [SMOOTH, LUGGED])
+def test_the_normal_of_a_wheel_is_the_slope_of_the_distance_to_it(shape):
+    rng = np.random.default_rng(1)
+    step = 1e-7
+    kinks = 0
+    for _ in range(300):
+        away = shape.radius + rng.uniform(-0.01, 0.03)
+        at = rng.uniform(0.0, 2.0 * math.pi)
+        x, z = away * math.cos(at), away * math.sin(at)
+        angle = rng.uniform(-7.0, 7.0)
+        distance, along, up = outline(x, z, angle, shape)
+        assert along**2 + up**2 == pytest.approx(1.0)
+        further = outline(x + step, z, angle, shape)[0], outline(x, z + step, angle, shape)[0]
+        slope = (np.array(further) - distance) / step
+        kinks += not np.allclose(slope, (along, up), atol=0.1)
+    assert kinks <= 15
+
+
+def test_lugs_turn_with_the_wheel_clockwise():
+    top = LUGGED.radius + LUGGED.lug_height
+    angle = 0.1
+    on_top = top * math.cos(-angle), top * math.sin(-angle)
+    assert outline(*on_top, angle, LUGGED)[0] == pytest.approx(0.0, abs=1e-12)
+    assert outline(*on_top, 0.0, LUGGED)[0] > 0.005
+
+
+def test_tables_go_on_with_what_is_missing(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(continuum, "LOADS", (40.0,))
+    monkeypatch.setattr(continuum, "SLIPS", (0.1, 0.2))
+    asked = []
+
+    def row(cell):
+        asked.append(cell)
+        return [0.01, 5.0, 2.0, 1e-4, 0.1, 0.01]
+
+    def here(work, cells, workers):
+        return ((cell, work(cell)) for cell in cells)
+
+    monkeypatch.setattr(continuum, "row", row)
+    monkeypatch.setattr(continuum, "processes", here)
+    wanted = ["rig", "--out", str(tmp_path), "--only", "loam_lugged"]
+    assert continuum.main(wanted) == 0
+    file = tmp_path / "loam_lugged.csv"
+    lines = file.read_text().splitlines()
+    assert len(asked) == 2 and lines[0].startswith("slip,load,speed,sinkage")
+    file.write_text("\n".join(lines[:2]) + "\n")
+    assert continuum.main(wanted) == 0
+    assert len(asked) == 3 and file.read_text().splitlines() == lines
+
+
+def test_the_shipped_tables_are_whole():
+    for table in continuum.names():
+        rows = continuum.read(continuum.TABLES / f"{table}.csv")
+        wanted = {(load, slip) for load in continuum.LOADS for slip in continuum.SLIPS}
+        assert rows.keys() == wanted, table
