@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.continuum import __main__ as continuum
+from benchmarks.continuum import __main__ as continuum, rig as rows_of
 from benchmarks.continuum.soil import GRAVITY, Bed, Material
 from benchmarks.continuum.wheel import HELD, START, Rig, Shape, outline
 
@@ -124,7 +124,7 @@ def test_tables_go_on_with_what_is_missing(tmp_path, monkeypatch, capsys):
     def here(work, cells, workers):
         return ((cell, work(cell)) for cell in cells)
 
-    monkeypatch.setattr(continuum, "row", row)
+    monkeypatch.setattr(rows_of, "row", row)
     monkeypatch.setattr(continuum, "processes", here)
     wanted = ["rig", "--out", str(tmp_path), "--only", "loam_lugged"]
     assert continuum.main(wanted) == 0
@@ -138,6 +138,6 @@ def test_tables_go_on_with_what_is_missing(tmp_path, monkeypatch, capsys):
 
 def test_the_shipped_tables_are_whole():
     for table in continuum.names():
-        rows = continuum.read(continuum.TABLES / f"{table}.csv")
+        rows = rows_of.read(continuum.TABLES / f"{table}.csv")
         wanted = {(load, slip) for load in continuum.LOADS for slip in continuum.SLIPS}
         assert rows.keys() == wanted, table

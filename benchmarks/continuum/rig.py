@@ -1,0 +1,121 @@
+"""Rows of measurement tables: a wheel at forced slips under loads on the continuum.
+
+The rim moves at `RIM_SPEED` and the axle at the speed that gives the slip; the wheel is free up and
+down. Values are means over the second half of the travel, their standard deviations those of the
+means of its fifths. The grid decides a little: pull and torque fall by a tenth where it is half as
+wide. It is a fixed virtual soil, not a sand.
+"""
+
+import csv
+import math
+import zlib
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from benchmarks.continuum.soil import Bed, Material
+from benchmarks.continuum.wheel import Rig, Shape
+from soil_env._io.files import replace_files
+
+TABLES = Path(__file__).resolve().parent / "tables"
+SOILS = {
+    "sand": Material(friction=math.tan(math.radians(30.0))),
+    "loam": Material(friction=math.tan(math.radians(24.0)), cohesion=800.0),
+}
+#: Friction angles [deg] in direct shear.
+SHEAR_TESTS = {name: math.degrees(math.atan(soil.friction)) for name, soil in SOILS.items()}
+SHEAR_TEST_SD = 1.0  # [deg] of a shear test
+COHESION_SD = 100.0  # [Pa]
+EXACT = (  # a rig that is computed
+    "tilt_deg",
+    "force_gain",
+    "force_offset",
+    "torque_gain",
+    "torque_offset",
+    "wheel_radius",
+    "force_crosstalk",
+    "torque_crosstalk",
+    "arm_load",
+    "spring_load",
+)
+SHAPES = {
+    "smooth": Shape(radius=0.15, width=0.1),
+    "lugged": Shape(radius=0.15, width=0.1, lugs=12, lug_height=0.012, lug_thickness=0.012),
+}
+LOADS = (40.0, 80.0, 120.0, 180.0)  # [N]
+SLIPS = (0.05, 0.15, 0.3, 0.5, 0.7)
+RIM_SPEED = 0.2  # [m/s] of the rim without lugs
+TRAVEL = 0.3  # [m] of the axle
+AVERAGED = 0.5  # [of the travel] at its end, over which is averaged
+WINDOWS = 5  # of that part, for the standard deviation of its mean
+SAMPLES = 40  # of the whole travel
+COLUMNS = ("sinkage", "drawbar_pull", "torque")
+HEAD = ("slip", "load", "speed", *COLUMNS, *(f"{name}_sd" for name in COLUMNS))
+
+
+def measured(shape: Shape, material: Material, load: float, slip: float, bed: Bed) -> list[float]:
+    """A row of a table: sinkage [m], drawbar pull [N], torque [N m], then their deviations."""
+    seed = zlib.crc32(f"{load} {slip}".encode())
+    rig = Rig(bed, material, shape, load, np.random.default_rng(seed))
+    rig.wheel.along = RIM_SPEED * (1.0 - slip)
+    rig.wheel.speed = RIM_SPEED / shape.radius
+    seconds = TRAVEL / rig.wheel.along
+    samples = []
+    for _ in range(SAMPLES):
+        rig.forward(seconds / SAMPLES)
+        of_width = (rig.forces.along, rig.forces.torque)
+        samples.append([rig.sinkage, *(shape.width * float(x) for x in of_width)])
+    last = np.array(samples[-round(AVERAGED * SAMPLES) :])
+    windows = [part.mean(axis=0) for part in np.array_split(last, WINDOWS)]
+    deviation = np.std(windows, axis=0, ddof=1) / math.sqrt(WINDOWS)
+    return [*last.mean(axis=0).tolist(), *deviation.tolist()]
+
+
+def names() -> dict[str, tuple[str, str]]:
+    """Soil and shape of each table, by its name."""
+    return {f"{soil}_{shape}": (soil, shape) for soil, shape in product(SOILS, SHAPES)}
+
+
+def row(cell: tuple[str, float, float]) -> list[float]:
+    """`measured` of a table, a load and a slip."""
+    table, load, slip = cell
+    soil, shape = names()[table]
+    return measured(SHAPES[shape], SOILS[soil], load, slip, Bed())
+
+
+def read(file: Path) -> dict[tuple[float, float], list[str]]:
+    """Rows of a table by load and slip; none where there is no table."""
+    if not file.exists():
+        return {}
+    with file.open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.reader(stream))[1:]
+    return {(float(r[1]), float(r[0])): r for r in rows}
+
+
+def write_table(folder: Path, table: str, rows: dict[tuple[float, float], list[str]]) -> None:
+    """Write a table and its setup."""
+    lines = [",".join(HEAD), *(",".join(rows[key]) for key in sorted(rows))]
+    soil, shape = names()[table]
+    outline = SHAPES[shape]
+    wheel = {"radius": outline.radius, "width": outline.width}
+    wheel["grouser_height"] = outline.lug_height
+    if outline.lugs:
+        wheel["grouser_count"] = outline.lugs
+    setup = {
+        "wheel": wheel,
+        "soil": {
+            "friction_angle_deg": {"value": round(SHEAR_TESTS[soil], 1), "sd": SHEAR_TEST_SD},
+            "cohesion": {"value": SOILS[soil].cohesion, "sd": COHESION_SD},
+            "density": SOILS[soil].density,
+        },
+        "calibration": dict.fromkeys(EXACT, 0),
+    }
+    replace_files(
+        folder,
+        {
+            f"{table}.csv": "\n".join(lines) + "\n",
+            f"{table}.setup.yaml": yaml.safe_dump(setup, sort_keys=False),
+        },
+    )
