@@ -1,11 +1,12 @@
-"""Prediction of runs that were left out, on wheels that nobody here made.
+"""Prediction of runs that were left out, on measured wheels and on wheels on continua and
+particles.
 
     python -m benchmarks.prediction             minutes; writes docs/results/prediction.json and .md
     python -m benchmarks.prediction --data DIR  folder of the measurements, else $SOIL_ENV_DATA
     python -m benchmarks.prediction --smoke --out X   every part in seconds, numbers without meaning
 
-The wheels are those of `benchmarks.rigs`, as measurement tables with the setups that a user would
-write. Rows are left out by rim speed, slip or load, and predicted by the base model, by it with a
+The wheels are those of `benchmarks.rigs` and `benchmarks.continuum`, as measurement tables with the
+setups that a user would write. Rows are left out by rim speed, slip or load, and predicted by the base model, by it with a
 remainder, by all effects in one fit with a remainder, by a generic curve, and by a Gaussian process
 over slip and load that knows no law of soils.
 """
@@ -24,6 +25,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from benchmarks.common import ready, short, study_options, write
+from benchmarks.continuum import rig
 from benchmarks.rigs import DATA, TRAINING_LOADS
 from examples.cmu_rig import convert
 from soil_env._io.document import Table as Page
@@ -81,6 +83,12 @@ def cases(folder: Path) -> Iterator[Case]:
     yield Case(
         "continuum, all slips, the largest out", table, setup, (table.slip == table.slip.max(),)
     )
+    for name in rig.names():
+        setup = read_setup(rig.TABLES / f"{name}.setup.yaml")
+        table = read_table(rig.TABLES / f"{name}.csv", setup.wheel)
+        yield Case(f"{name.replace('_', ', ')}, a load out", table, setup, _each(table.load))
+        largest = table.load == table.load.max()
+        yield Case(f"{name.replace('_', ', ')}, the largest load out", table, setup, (largest,))
     table = read_table(folder / "dem_kyoto" / "lugged_wheel.csv", PARTICLES.wheel)
     yield Case("particles, a slip out", table, PARTICLES, _each(table.slip))
 
