@@ -6,9 +6,9 @@ particles.
     python -m benchmarks.prediction --smoke --out X   every part in seconds, numbers without meaning
 
 The wheels are those of `benchmarks.rigs` and `benchmarks.continuum`, as measurement tables with the
-setups that a user would write. Rows are left out by rim speed, slip or load, and predicted by the base model, by it with a
-remainder, by all effects in one fit with a remainder, by a generic curve, and by a Gaussian process
-over slip and load that knows no law of soils.
+setups that a user would write. Rows are left out by rim speed, slip or load, and predicted by the
+base model, by it with a remainder, by all effects in one fit with a remainder, by a generic curve,
+and by a Gaussian process over slip and load that knows no law of soils.
 """
 
 import math
