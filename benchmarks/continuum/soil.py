@@ -15,8 +15,9 @@ import numpy as np
 from numba import njit
 
 GRAVITY = 9.81  # [m/s2]
-#: Options of compiled functions: sums in any order, products fused with sums.
-FAST = {"error_model": "numpy", "fastmath": {"contract", "nsz", "reassoc"}, "cache": True}
+#: Options of compiled functions: sums in any order, products fused with sums. They are not kept on
+#: disk, where numba would not notice an edit of a function that another file calls.
+FAST = {"error_model": "numpy", "fastmath": {"contract", "nsz", "reassoc"}}
 EDGE = 4  # [spacings] of empty grid around the bed
 SHARE = 0.35  # of the time in which sound crosses a cell, for a time step
 MOST_GAP = 0.05  # [-] largest volume strain by which loosened soil has to be compressed again
@@ -160,6 +161,16 @@ def cell(x, spacing):
 
 
 @njit(**FAST)
+def within(x, nodes, spacing):
+    """A coordinate [m], no further than the grid: grains that lugs throw stop at its edge."""
+    low = (1.0 - EDGE) * spacing
+    high = (nodes - 3.0 - EDGE) * spacing
+    if not x > low:  # nor is it NaN
+        return low
+    return min(x, high)
+
+
+@njit(**FAST)
 def weights(d):
     """Values of the quadratic B-splines of three nodes at the distance `d` from the first."""
     return 0.5 * (1.5 - d) ** 2, 0.75 - (d - 1.0) ** 2, 0.5 * (d - 0.5) ** 2
@@ -246,8 +257,11 @@ def gather(grid, particles, q, step):
     gradient[1, 1] = scale * zz
     particles.velocity[q, 0] = along
     particles.velocity[q, 1] = up
-    particles.position[q, 0] += step.time * along
-    particles.position[q, 1] += step.time * up
+    nodes_along, nodes_up = grid.mass.shape
+    x = particles.position[q, 0] + step.time * along
+    z = particles.position[q, 1] + step.time * up
+    particles.position[q, 0] = within(x, nodes_along, step.spacing)
+    particles.position[q, 1] = within(z, nodes_up, step.spacing)
 
 
 @njit(**FAST)

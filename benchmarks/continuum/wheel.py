@@ -221,6 +221,8 @@ class Rig:
             command,
             by_speed,
         )
+        if not math.isfinite(self.wheel.z + self.forces.along):
+            raise FloatingPointError(f"the continuum became unstable at {self.wheel.x:.3f} m")
 
     def let_go(
         self, mass: float, inertia: float, stall_torque: float, no_load_speed: float

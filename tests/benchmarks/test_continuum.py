@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.continuum import __main__ as continuum, rig as rows_of
-from benchmarks.continuum.soil import GRAVITY, Bed, Material
+from benchmarks.continuum.soil import EDGE, GRAVITY, Bed, Material
 from benchmarks.continuum.wheel import HELD, START, Rig, Shape, outline
 
 SAND = Material(friction=math.tan(math.radians(30.0)))
@@ -48,6 +48,16 @@ def test_soil_that_touches_nothing_falls_freely():
     velocity = falling.particles.velocity
     assert velocity[:, 0] == pytest.approx(0.0, abs=1e-9)
     assert velocity[:, 1] == pytest.approx(-GRAVITY * steps * falling.step.time, rel=1e-9)
+
+
+def test_grains_that_are_thrown_stay_on_the_grid():
+    thrown = rig()
+    top = thrown.particles.position[:, 1] > COARSE.depth - thrown.bed.between
+    thrown.particles.velocity[top] = 6.0, 6.0
+    thrown.forward(0.2)
+    position = thrown.particles.position
+    assert np.all(np.isfinite(position)) and position[:, 1].max() > COARSE.depth + 0.2
+    assert np.all(position[:, 1] < COARSE.depth + COARSE.headroom + EDGE * COARSE.spacing)
 
 
 @pytest.mark.parametrize(("material", "shape"), [(SAND, SMOOTH), (LOAM, LUGGED)])
