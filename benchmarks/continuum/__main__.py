@@ -35,7 +35,7 @@ TEXT = (
     "A wheel on a continuum that shares no equation with soil_env is measured under 40, 80 and 120 "
     "N; discovery corrects the base model. Errors: root mean square over the rows of 180 N, which "
     "were not fitted. Drives: from rest up a slope, 80 % of the steepest of the corrected model, "
-    "under 180 N, six seconds. The slip to hold is, of eight, the one that gets furthest in a "
+    "under 180 N, six seconds. The slip to hold is, of six, the one that gets furthest in a "
     "model. Means of three beds with 95 % intervals (Student)."
 )
 

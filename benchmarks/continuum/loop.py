@@ -28,7 +28,7 @@ from soil_env_agents.controllers import make_controller
 
 LEARNT = (40.0, 80.0, 120.0)  # [N] loads that the models are fitted to
 LOAD = 180.0  # [N] of the drive: the load of the rows that are left out
-SLIPS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)  # that the controller is tuned over
+SLIPS = (0.1, 0.2, 0.3, 0.4, 0.6, 0.8)  # that the controller is tuned over
 TOP = 0.2  # [m/s] highest rim speed
 SECONDS = 6.0  # of a drive
 STEEPNESS = 0.8  # of the slope, in that on which the corrected model's best pull is used up
