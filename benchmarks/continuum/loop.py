@@ -1,9 +1,10 @@
 """The loop from a measured table to a drive: a model is learnt from the continuum at some loads, a
-controller is tuned in it, and drives on the continuum under another load.
+rule is tuned in it, and drives on the continuum under another load.
 
-A controller that is tuned in the base model, fitted to the same rows, drives beside it. The task: a
-vehicle of one wheel starts from rest on an even slope and has `SECONDS` to get far. The controller
-holds a slip, the only setting that is tuned.
+The rule climbs at a steady rim speed, and does not go where its slip would be larger than `SLIP`:
+it knows the steepest grade on which it is not. This grade is tuned in the environment of the
+corrected model, and in that of the base model that is fitted to the same rows. On the continuum the
+wheel then drives up either grade: a good model is one whose grade has that slip.
 """
 
 import math
@@ -28,24 +29,24 @@ from soil_env_agents.controllers import make_controller
 
 LEARNT = (40.0, 80.0, 120.0)  # [N] loads that the models are fitted to
 LOAD = 180.0  # [N] of the drive: the load of the rows that are left out
-SLIPS = (0.1, 0.2, 0.3, 0.4, 0.6, 0.8)  # that the controller is tuned over
-TOP = 0.2  # [m/s] highest rim speed
+SLIP = 0.3  # [-] not to exceed: more of it costs energy and digs
+GRADES = tuple(np.arange(-8.0, 16.01, 0.5).tolist())  # [deg] that the rule is tuned over
+SPEED = 0.2  # [m/s] of the rim
+ACCELERATION = 0.2  # [m/s2] of the rim from rest
 SECONDS = 6.0  # of a drive
-STEEPNESS = 0.8  # of the slope, in that on which the corrected model's best pull is used up
 REST = 0.5  # [s] in which the wheel comes to rest on the soil
 LONG = Bed(length=1.5)
 #: Drive of the wheel: much stronger than the soil.
 DRIVE = {"body_mass": LOAD / GRAVITY, "inertia": 0.5, "stall_torque": 60.0, "no_load_speed": 4.0}
-CONTROLLER = "fixed_slip"
+CONTROLLER = "soft_start"
 VARIANT = "blind"
-SEARCHED = np.linspace(0.02, 0.9, 89)  # slips at which the best pull of a model is looked for
 
 
 class Drive(NamedTuple):
     """What came of a drive."""
 
+    slip: float  # [-] mean of the second half
     distance: float  # [m]
-    off: float  # [-] mean distance of the slip from the one to hold, in the second half
     sinkage: float  # [m] deepest
 
 
@@ -71,16 +72,8 @@ def learn(table: Path) -> tuple[Report, dict[str, list[float]]]:
     return report, errors
 
 
-def steepest(model: WheelSoilModel) -> float:
-    """Slope [rad] on which the best pull of a model at the load of the drive is used up."""
-    speed = TOP * (1.0 - SEARCHED)
-    pull = model.predict({"slip": SEARCHED, "load": LOAD, "speed": speed}).drawbar_pull
-    return math.atan(float(np.max(pull)) / LOAD)
-
-
-def settings(shape: Shape, slope: float) -> dict[str, Any]:
-    """The drive up a slope [rad], with exact sensors: changes of the scenario `mixed`."""
-    grade = math.degrees(slope)
+def settings(shape: Shape, grade: float) -> dict[str, Any]:
+    """The drive up a grade [deg], with exact sensors: changes of the scenario `mixed`."""
     even = (LONG.length * 100.0,) * 2
     return {
         "wheel": {"radius": shape.radius, "width": shape.width} | DRIVE,
@@ -101,28 +94,28 @@ def settings(shape: Shape, slope: float) -> dict[str, Any]:
     }
 
 
-def scenario_of(shape: Shape, slope: float) -> Scenario:
-    """Scenario of the drive up a slope [rad]."""
-    return load_scenario("mixed", settings(shape, slope))
+def scenario_of(shape: Shape, grade: float) -> Scenario:
+    """Scenario of the drive up a grade [deg]."""
+    return load_scenario("mixed", settings(shape, grade))
 
 
-def task(shape: Shape, slope: float, model: WheelSoilModel) -> gymnasium.Env:
-    """The drive up a slope [rad] in the environment of a model."""
+def task(shape: Shape, grade: float, model: WheelSoilModel) -> gymnasium.Env:
+    """The drive up a grade [deg] in the environment of a model."""
     return gymnasium.make(
         "soil_env:SoilWheel-v0",
         scenario="mixed",
         model=model,
         observation=VARIANT,
         scaled=False,
-        **settings(shape, slope),
+        **settings(shape, grade),
     )
 
 
-def _drive(scenario: Scenario, slip: float, step: Callable, observation: np.ndarray) -> Drive:
-    """Let the controller hold a slip; `step` takes an action and returns the next observation,
-    the place [m], the slip and the sinkage [m].
+def _drive(scenario: Scenario, step: Callable, observation: np.ndarray) -> Drive:
+    """Let the rule drive; `step` takes an action and returns the next observation, the place [m],
+    the slip and the sinkage [m].
     """
-    controller = make_controller(CONTROLLER, scenario, slip=slip, speed=TOP)
+    controller = make_controller(CONTROLLER, scenario, speed=SPEED, acceleration=ACCELERATION)
     memory = None
     found = []
     for period in range(round(SECONDS / scenario.control.period)):
@@ -131,13 +124,13 @@ def _drive(scenario: Scenario, slip: float, step: Callable, observation: np.ndar
         observation, *state = step(action[0])
         found.append(state)
     place, slips, sinkage = np.array(found).T
-    late = slips[len(slips) // 2 :]
-    return Drive(float(place[-1]), float(np.mean(np.abs(late - slip))), float(sinkage.max()))
+    return Drive(float(np.mean(slips[len(slips) // 2 :])), float(place[-1]), float(sinkage.max()))
 
 
-def simulated(env: gymnasium.Env, slip: float) -> Drive:
+def simulated(shape: Shape, grade: float, model: WheelSoilModel) -> Drive:
     """A drive in the environment of a model."""
-    observation, info = env.reset(seed=0)
+    env = task(shape, grade, model)
+    observation, _ = env.reset(seed=0)
     last = [observation, 0.0, 0.0, 0.0]
     over = False
 
@@ -150,11 +143,24 @@ def simulated(env: gymnasium.Env, slip: float) -> Drive:
             last[:] = seen, state["x"], state["slip"], state["sinkage"]
         return last
 
-    return _drive(env.unwrapped.scenario, slip, step, observation)
+    return _drive(env.unwrapped.scenario, step, observation)
 
 
-def on_continuum(rig: Rig, scenario: Scenario, slip: float, slope: float) -> Drive:
-    """A drive on the continuum, whose readings the controller gets."""
+def tuned(shape: Shape, model: WheelSoilModel) -> tuple[float, Drive]:
+    """(steepest grade [deg] on which the slip is not too large, the drive there)."""
+    best = None
+    for grade in GRADES:
+        drive = simulated(shape, grade, model)
+        if best is not None and drive.slip > SLIP:
+            break
+        best = grade, drive
+    assert best is not None
+    return best
+
+
+def on_continuum(rig: Rig, scenario: Scenario, grade: float) -> Drive:
+    """A drive up a grade [deg] on the continuum, whose readings the rule gets."""
+    slope = math.radians(grade)
     rig.forward(REST)
     rig.let_go(DRIVE["body_mass"], DRIVE["inertia"], DRIVE["stall_torque"], DRIVE["no_load_speed"])
     observer = Observer(scenario, VARIANT)
@@ -183,4 +189,4 @@ def on_continuum(rig: Rig, scenario: Scenario, slip: float, slope: float) -> Dri
             rig.sinkage,
         ]
 
-    return _drive(scenario, slip, step, observer.observe(read()))
+    return _drive(scenario, step, observer.observe(read()))
