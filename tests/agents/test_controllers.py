@@ -290,8 +290,9 @@ def test_settings_are_kept_and_wrong_ones_refused(name):
         assert 0.0 < make_controller(name, scenario).settings[key] <= high
         assert make_controller(name, scenario, **{key: 0.5 * high}).settings[key] == 0.5 * high
         for wrong in (-0.1, 1.001 * high, float("nan"), "much"):
-            with pytest.raises(ParameterError, match=rf"^here.{key} = "):
+            with pytest.raises(ParameterError, match=rf"^here.{key} = ") as refused:
                 checked_settings(name, scenario, {key: wrong}, "here")
+            assert not str(refused.value).endswith("-")  # no unit
     with pytest.raises(ParameterError, match="unknown key"):
         make_controller(name, scenario, speeed=0.2)
 
