@@ -444,8 +444,13 @@ def test_a_drive_with_an_action_that_is_not_finite_is_refused(tmp_path, capsys, 
     (tmp_path / "lost.py").write_text(
         "import numpy as np\n\n\nclass Lost:\n    def predict(self, obs, state=None, **rest):\n"
         "        return np.full((len(obs), 1), np.nan), state\n"
+        "class Old:\n    def predict(self, obs):\n        return 0.3\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     assert main(["drive", "--controller", "lost:Lost"]) == 2
     said = "lost:Lost: predict gave [nan] in control period 0: expected finite numbers\n"
     assert capsys.readouterr().err.endswith(said)
+    assert main(["drive", "--controller", "lost:Old"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("soil-env drive: error: --controller: lost:Old: predict failed (Type")
+    assert error.endswith("'state'): expected predict(obs, state, episode_start, deterministic)\n")

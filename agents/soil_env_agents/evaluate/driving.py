@@ -40,7 +40,10 @@ METRICS = {
     "time": ("s", "episode length"),
     "speed": ("m/s", "distance over time"),
     "energy_per_metre": ("J/m", "work of all motors over distance, at least 0.1 m"),
-    "slip": ("-", "mean signed slip over time (braking: negative), halts left out"),
+    "slip": (
+        "-",
+        "mean signed slip (negative where it brakes, as downhill) over time, halts left out",
+    ),
     "sinkage": ("mm", "mean sinkage over time, of the deepest wheel"),
     "return": ("-", "sum of rewards, not discounted"),
 }
