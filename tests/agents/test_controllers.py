@@ -58,7 +58,7 @@ def test_a_controller_refuses_an_observation_that_is_not_its_own(scenario, actio
             controller.predict(scaling(seen[0]))
         with pytest.raises(ParameterError, match=f"expected {seen.shape[1]} numbers, those of"):
             controller.predict(seen[:, :-1])
-        with pytest.raises(ParameterError, match="expected"):
+        with pytest.raises(ParameterError, match="slip = nan: expected -1 to 1: values in"):
             controller.predict(np.full_like(seen, np.nan))
     other = started(load_scenario("mixed"), "identified", [[5, 0]]).worlds.observation
     if scenario == "two_lines":  # as many numbers as `blind` has here

@@ -223,6 +223,7 @@ def test_effects_of_a_world_and_the_limit_of_the_oracle(tmp_path, capsys):
     page = (tmp_path / "with" / "evaluation.md").read_text()
     for text in (capsys.readouterr().out, page):
         assert "in a world with bulldozing" in text
+        assert "[-]" not in text
     assert evaluate(tmp_path / "without", "soft_start", "--courses=3") == 0
     assert "in a world" not in capsys.readouterr().out
     there = result_of(tmp_path / "with")
