@@ -170,10 +170,11 @@ def fill(
     engine: Engine,
     progress: Callable[[Cell], None],
     needs: Callable[[Cell], object] = lambda cell: None,
+    found: Callable[[Cell], None] | None = None,
 ) -> None:
     """Do the cells without a file, and those made from something else than `needs` says now.
 
-    `progress` receives every finished cell, also those that were there already.
+    `progress` receives every finished cell; those that were there already go to `found`, if given.
     """
     missing = []
     stale = 0
@@ -181,7 +182,7 @@ def fill(
     for cell in cells:
         made_from[cell] = _digest(needs(cell))
         if is_done(folder, cell, needs):
-            progress(cell)
+            (found or progress)(cell)
         else:
             stale += cell_file(folder, cell).is_file()
             missing.append(cell)

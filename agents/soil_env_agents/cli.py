@@ -2,6 +2,9 @@
 packages.
 """
 
+import shlex
+import shutil
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,6 +28,9 @@ from soil_env.cli.running import WholeNumber
 WITH_KEYS = {"ignore_unknown_options": True}
 _TEXT = ("scenario", "name", "runs", "observation", "model")  # keys whose value is always text
 _PACKAGES = ("stable_baselines3", "tensorboard", "torch", "tqdm")  # of the extra `train`
+_FAILURES = (ParameterError, OSError, MemoryError)  # that end a command with one line
+#: Files of a folder in which no work is done yet, beside hidden ones.
+_BEGINNINGS = ("study.yaml", "config.yaml", "scenario.yaml")
 
 
 def keys_argument(command: Callable) -> Callable:
@@ -128,16 +134,71 @@ def controllers_as(option: str) -> Iterator[None]:
     except ParameterError as error:
         text = str(error)
         own = text.removeprefix("controllers: ")
-        raise ParameterError(text if own == text else f"{option}: {own}") from None
+        if own == text:
+            raise
+        renamed = ParameterError(f"{option}: {own}")
+        for note in getattr(error, "__notes__", ()):
+            renamed.add_note(note)
+        raise renamed from None
 
 
 @contextmanager
-def continued_by(command: str) -> Iterator[None]:
-    """Add the command that continues the work to the message of an interrupt."""
+def continued_by(command: str, folder: Path) -> Iterator[None]:
+    """Add the command that continues the work to the message of an interrupt; to that of an error,
+    too, if work is done in `folder`.
+    """
     try:
         yield
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"continue with: {command}") from None
+    except _FAILURES as error:
+        if _has_work(folder):
+            error.add_note(
+                f"{folder} keeps what is done; once that is mended go on with: {command}"
+            )
+        raise
+
+
+@contextmanager
+def begun_in(folder: Path, new: bool, made: bool) -> Iterator[None]:
+    """Empty a `new` folder again where an error ends the block before any work is done in it;
+    remove one that the command `made`.
+    """
+    try:
+        yield
+    except FileExistsError:  # another command is at work there
+        raise
+    except _FAILURES:
+        if new and folder.is_dir() and not _has_work(folder):
+            for path in folder.iterdir():
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+            if made:
+                folder.rmdir()
+        raise
+
+
+def _has_work(folder: Path) -> bool:
+    """True if a folder holds more than what a command writes there before it begins."""
+    return any(
+        path.is_file() and path.name not in _BEGINNINGS and not path.name.startswith(".")
+        for path in folder.rglob("*")
+    )
+
+
+def again(subcommand: str, *arguments: object) -> str:
+    """The line that runs a subcommand of this program, which is called as the user called it."""
+    script = Path(sys.argv[0])
+    interpreter = (sys.orig_argv or [sys.executable])[0]
+    of_package = [interpreter, "-m", "soil_env.cli", subcommand]
+    if script.name == "train.py":
+        program = [interpreter, sys.argv[0]] if subcommand == "train" else of_package
+    elif script.parts[-3:] == ("soil_env", "cli", "__main__.py"):
+        program = of_package
+    elif script.name == "soil-env" and shutil.which(script.name) != shutil.which(sys.argv[0]):
+        program = [sys.argv[0], subcommand]
+    else:
+        program = ["soil-env", subcommand]
+    return shlex.join([*program, *map(str, arguments)])
 
 
 def lacks_training(error: ImportError) -> bool:

@@ -102,7 +102,8 @@ def command(
             f"--policy {policy}: expected none beside --controller {controller}; several are one "
             "list"
         )
-    with controllers_as("--controller" if policy is None else "--policy"):
+    option = "--controller" if policy is None else "--policy"
+    with controllers_as(option):
         named = controller or policy or "best_slip_identified"
         drivers = {
             c.name: load(c, task) for c in parse(named, known=controllers_of(task)[0]).values()
@@ -118,7 +119,9 @@ def command(
         control = getattr(driver, "drives", {})
         env = make(observation=driver.variant, render_mode="rgb_array" if out else None, **control)
         held = replace(task.control, **control).action_periods
-        frames, info, steps = _drive(env, name, driver, held, seed, frame, every if video else 0)
+        shot = every if video else 0
+        with controllers_as(option):
+            frames, info, steps = _drive(env, name, driver, held, seed, frame, shot)
         films[name] = frames or ([env.render()] if out else [])
         env.close()
         early = f", before --frame {frame}" if frame is not None and steps < frame else ""

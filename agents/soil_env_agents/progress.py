@@ -2,12 +2,16 @@
 elsewhere.
 """
 
+import math
+from collections.abc import Mapping
+
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    TaskID,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
@@ -16,21 +20,25 @@ from rich.progress import (
 from soil_env._io.document import Table, hanging
 
 console = Console()  # output of all commands of this package
+_RECENT = 30.0  # [s] whose speed the remaining time of a bar with one row follows
 
 
 class Bar:
-    """Progress of one job: a live bar on a terminal, a line every tenth of the way elsewhere.
+    """Progress of one job: live on a terminal, a line every tenth of the way elsewhere.
 
-    Use with `with`.
+    `total`: amount, or {part: amount} where some parts may be much slower than others: each has its
+    own row and remaining time, shown as soon as that part has advanced twice. Use with `with`.
     """
 
-    def __init__(self, title: str, total: int, unit: str, done: int = 0):
+    def __init__(self, title: str, total: int | Mapping[str, int], unit: str, done: int = 0):
+        parts = total if isinstance(total, Mapping) else {"": total}
         self.title = title
-        self.total = total
+        self.total = sum(parts.values())
         self.unit = unit
         self.done = done
         self.printed = done
         self.live = None
+        self.rows: dict[str, TaskID] = {}
         if console.is_terminal:
             self.live = Progress(
                 TextColumn("{task.description}"),
@@ -40,10 +48,13 @@ class Bar:
                 TimeElapsedColumn(),
                 TimeRemainingColumn(),
                 console=console,
+                speed_estimate_period=_RECENT if "" in parts else math.inf,
             )
-            self.task = self.live.add_task(
-                escape(f"{title} [{unit}]"), total=total, completed=done, note=""
-            )
+            for part, amount in parts.items():
+                named = f"{title} {part} [{unit}]" if part else f"{title} [{unit}]"
+                self.rows[part] = self.live.add_task(
+                    escape(named), total=amount, completed=done, note=""
+                )
 
     def __enter__(self):
         if self.live:
@@ -54,11 +65,14 @@ class Bar:
         if self.live:
             self.live.stop()
 
-    def update(self, done: int | None = None, advance: int = 0, note: str = "") -> None:
-        """Set or advance the amount done; `note` is shown beside it."""
-        self.done = self.done + advance if done is None else done
+    def update(
+        self, done: int | None = None, advance: int = 0, note: str = "", part: str = ""
+    ) -> None:
+        """Set the amount done, or advance that of a part; `note` is shown beside it."""
+        step = advance if done is None else done - self.done
+        self.done += step
         if self.live:
-            self.live.update(self.task, completed=self.done, note=note)
+            self.live.update(self.rows[part], advance=step, note="" if part else note)
         elif self.done - self.printed >= 0.1 * self.total or (
             self.done >= self.total > self.printed
         ):
@@ -67,9 +81,13 @@ class Bar:
                 f"{self.title}: {self.done:,} of {self.total:,} {self.unit} {note}", soft_wrap=True
             )
 
-    def note(self, note: str, advance: int) -> None:
-        """Advance the amount done, with a note beside it."""
-        self.update(advance=advance, note=note)
+    def found(self, amount: int, part: str = "") -> None:
+        """Advance by what an earlier run has done, which says nothing of the speed."""
+        self.done += amount
+        if self.live:
+            row = self.rows[part]
+            before = self.live.tasks[row].completed
+            self.live.reset(row, completed=int(before) + amount)
 
 
 def show(*parts: object) -> None:

@@ -10,7 +10,16 @@ from soil_env._io.files import alone
 from soil_env._io.loading import ParameterError, merge
 from soil_env.cli.running import PATH
 
-from .cli import WITH_KEYS, config_mapping, continued_by, keys_argument, needing_training, overrides
+from .cli import (
+    WITH_KEYS,
+    again,
+    begun_in,
+    config_mapping,
+    continued_by,
+    keys_argument,
+    needing_training,
+    overrides,
+)
 from .config import PPOConfig, TrainConfig, load_config
 from .progress import show
 
@@ -75,7 +84,9 @@ def command(config: Path | None, resume: Path | None, keys: tuple[str, ...]) -> 
         except ParameterError as error:
             raise ParameterError(f"{where}: {error}" if config else str(error)) from None
         folder = training.make_run_folder(settings, scenario)
-    with alone(folder), continued_by(f"soil-env train --resume {folder}"):
+    new = resume is None
+    line = again("train", "--resume", folder)
+    with begun_in(folder, new, made=new), alone(folder), continued_by(line, folder):
         show(f"Run folder: {folder}")
         if all((folder / name).is_file() for name in (training.MODEL, comparison.DONE)):
             show(f"Already finished. Delete its {comparison.DONE} to compare again.")

@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 from stable_baselines3.common.callbacks import BaseCallback
 
-from soil_env._io.files import is_unused, replace_file
+from soil_env._io.files import check_outputs, is_unused, replace_file
 from soil_env._io.loading import ParameterError, read_yaml, to_dict
 from soil_env.envs.wheel_env import IMMOBILISED
 from soil_env.parameters import RoverScenario, Scenario, load_rover, load_scenario
@@ -94,6 +94,7 @@ def make_run_folder(config: TrainConfig, scenario: Scenario | RoverScenario) -> 
         raise ParameterError(f"name = {name!r}: expected the name of a folder, not a path")
     folder = Path(config.runs) / name
     try:
+        check_outputs(config.runs)
         folder.mkdir(parents=True)
         for file, content in (("config", config), ("scenario", scenario)):
             text = yaml.safe_dump(to_dict(content), sort_keys=False)
@@ -103,6 +104,8 @@ def make_run_folder(config: TrainConfig, scenario: Scenario | RoverScenario) -> 
         raise ParameterError(
             f"{folder}: exists; give another --name, or --resume {folder}"
         ) from None
+    except NotADirectoryError as error:
+        raise ParameterError(f"runs = {config.runs!r}: {error.filename} {error.strerror}") from None
     except OSError as error:
         raise ParameterError(f"{folder}: cannot be written ({error.strerror})") from None
     return folder

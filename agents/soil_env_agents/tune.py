@@ -7,7 +7,7 @@ import click
 import yaml
 
 from soil_env._io.files import alone, check_own, write_own
-from soil_env._io.loading import unknown_value
+from soil_env._io.loading import ParameterError, unknown_value
 from soil_env.cli.running import PATH, WholeNumber
 from soil_env.parameters import DEFAULT_SCENARIO, Control, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
@@ -16,6 +16,7 @@ from .cells import code_version
 from .cli import continued_by, controllers_as
 from .evaluate.contestants import parse
 from .evaluate.driving import TUNING_SET
+from .evaluate.own import settings_of
 from .evaluate.tuning import trials_of, tuned_settings
 from .progress import show
 
@@ -66,18 +67,24 @@ def command(
     soil-env tune --scenario mixed --out tuned
     soil-env tune --controllers soft_start,mine:Ramp --actions torque --out tuned
     """
-    name = load_scenario(scenario, place="--scenario").name
+    asked = load_scenario(scenario, place="--scenario")
+    name = asked.name
     world = WheelSoilModel.load(model) if model else None
     names = None
     if controllers is not None:
         with controllers_as("--controllers"):
             names = [c.source for c in parse(controllers).values() if c.kind != "model"]
+            if not any(settings_of(source, asked) for source in names):
+                raise ParameterError(
+                    f"controllers: {controllers}: nothing to tune: expected a controller with "
+                    "settings, or a class with `bounds`"
+                )
     for action in actions.split(","):
         if action not in ACTIONS:
             raise unknown_value(action, ACTIONS, "--actions")
     settings = {}
     check_own(out, (f"{name}.yaml",))
-    with alone(out), continued_by("the same command"):
+    with alone(out), continued_by("the same command", out):
         for action in actions.split(","):
             task = load_scenario(scenario, {"control": {"action": action}})
             log = out / f"trials-{action}.log"

@@ -72,7 +72,7 @@ class _Commands(click.Group):
 def soil_env() -> None:
     """Wheels on soil they do not know: drive, train, identify, discover.
 
-    Exit status: 0 done, 2 bad input (one line, nothing written), 130 interrupted.
+    Exit status: 0 done, 2 bad input (one line, which names what it keeps), 130 interrupted.
     """
 
 

@@ -55,7 +55,7 @@ def run(
                 sys.stdout.flush()
         return 0
     except click.ClickException as error:
-        return _fail(name, error.format_message())
+        return _fail(name, error.format_message(), error)
     except click.exceptions.Exit as end:
         return end.exit_code
     except BrokenPipeError:
@@ -70,14 +70,14 @@ def run(
         print(f"\n{name}: interrupted{'; ' if text else ''}{text}", file=sys.stderr)
         return TERMINATED if signal.SIGTERM in received else INTERRUPTED
     except MemoryError as error:
-        return _fail(name, f"not enough memory ({error})")
+        return _fail(name, f"not enough memory ({error})", error)
     except OSError as error:
         if error.filename is None:  # all our files are named: a print failed
             _drop_output()
-            return _fail(name, f"the output cannot be written ({error.strerror or error})")
-        return _fail(name, f"{error.filename}: {error.strerror or error}")
+            return _fail(name, f"the output cannot be written ({error.strerror or error})", error)
+        return _fail(name, f"{error.filename}: {error.strerror or error}", error)
     except ParameterError as error:
-        return _fail(name, str(error))
+        return _fail(name, str(error), error)
 
 
 def _called(command: object, arguments: Sequence[str], name: str) -> str:
@@ -88,8 +88,10 @@ def _called(command: object, arguments: Sequence[str], name: str) -> str:
     return f"{name} {arguments[0]}" if arguments and arguments[0] in known else name
 
 
-def _fail(name: str, text: str) -> int:
-    print(f"{name}: error: {' '.join(text.split())}", file=sys.stderr)
+def _fail(name: str, text: str, error: Exception) -> int:
+    """Print a line of the text and of the notes of an error."""
+    said = "; ".join([text, *getattr(error, "__notes__", ())])
+    print(f"{name}: error: {' '.join(said.split())}", file=sys.stderr)
     return BAD_INPUT
 
 

@@ -46,8 +46,7 @@ _OTHER_UNITS = (
 
 @dataclass(frozen=True)
 class SetupWheel(Checked):
-    """The wheel that was measured; `grouser_height` 0 is a smooth rim, None one of which nothing is
-    said.
+    """The wheel that was measured; `grouser_height` 0 is a smooth rim, left out it may have lugs.
 
     `grouser_count` is the number of lugs around the rim.
     """
@@ -83,8 +82,8 @@ class Prior(Checked):
 
 @dataclass(frozen=True)
 class SoilPriors(Checked):
-    """Priors of the soil, `parameters.Soil` for their meaning; None is to be fitted with a broad
-    prior.
+    """Priors of the soil, `parameters.Soil` for their meaning; what is left out is fitted with a
+    broad prior.
 
     `dig_gain` and `dig_recovery` are known or nothing: digging that the model is to have before any
     effect is sought, none where they are left out. So are `rim_flow` to `shear_length`, without
@@ -147,7 +146,7 @@ class SoilPriors(Checked):
 
 @dataclass(frozen=True)
 class NoiseLevels(Checked):
-    """Standard deviations of the measured values; None is to be estimated from the table.
+    """Standard deviations of the measured values; what is left out is estimated from the table.
 
     `slip` and `load` are conditions: left out, they count as exact.
     """

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import yaml
@@ -115,6 +115,8 @@ class WheelSoilModel(Checked):
     "grade_deg": ...} in the units of a measurement table. The first prediction beyond them gives
     the warning `OutsideValidity`.
     """
+
+    more_keys: ClassVar = ("format",)  # of a model.yaml, beside the fields
 
     wheel: ModelWheel
     soil: Soil | None = None

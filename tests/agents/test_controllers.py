@@ -58,7 +58,7 @@ def test_a_controller_refuses_an_observation_that_is_not_its_own(scenario, actio
             controller.predict(scaling(seen[0]))
         with pytest.raises(ParameterError, match=f"expected {seen.shape[1]} numbers, those of"):
             controller.predict(seen[:, :-1])
-        with pytest.raises(ParameterError, match="expected"):
+        with pytest.raises(ParameterError, match="slip = nan: expected -1 to 1: values in"):
             controller.predict(np.full_like(seen, np.nan))
     other = started(load_scenario("mixed"), "identified", [[5, 0]]).worlds.observation
     if scenario == "two_lines":  # as many numbers as `blind` has here
@@ -290,8 +290,9 @@ def test_settings_are_kept_and_wrong_ones_refused(name):
         assert 0.0 < make_controller(name, scenario).settings[key] <= high
         assert make_controller(name, scenario, **{key: 0.5 * high}).settings[key] == 0.5 * high
         for wrong in (-0.1, 1.001 * high, float("nan"), "much"):
-            with pytest.raises(ParameterError, match=rf"^here.{key} = "):
+            with pytest.raises(ParameterError, match=rf"^here.{key} = ") as refused:
                 checked_settings(name, scenario, {key: wrong}, "here")
+            assert not str(refused.value).endswith("-")  # no unit
     with pytest.raises(ParameterError, match="unknown key"):
         make_controller(name, scenario, speeed=0.2)
 
@@ -443,8 +444,13 @@ def test_a_drive_with_an_action_that_is_not_finite_is_refused(tmp_path, capsys, 
     (tmp_path / "lost.py").write_text(
         "import numpy as np\n\n\nclass Lost:\n    def predict(self, obs, state=None, **rest):\n"
         "        return np.full((len(obs), 1), np.nan), state\n"
+        "class Old:\n    def predict(self, obs):\n        return 0.3\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     assert main(["drive", "--controller", "lost:Lost"]) == 2
     said = "lost:Lost: predict gave [nan] in control period 0: expected finite numbers\n"
     assert capsys.readouterr().err.endswith(said)
+    assert main(["drive", "--controller", "lost:Old"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("soil-env drive: error: --controller: lost:Old: predict failed (Type")
+    assert error.endswith("'state'): expected predict(obs, state, episode_start, deterministic)\n")

@@ -223,6 +223,7 @@ def test_effects_of_a_world_and_the_limit_of_the_oracle(tmp_path, capsys):
     page = (tmp_path / "with" / "evaluation.md").read_text()
     for text in (capsys.readouterr().out, page):
         assert "in a world with bulldozing" in text
+        assert "[-]" not in text
     assert evaluate(tmp_path / "without", "soft_start", "--courses=3") == 0
     assert "in a world" not in capsys.readouterr().out
     there = result_of(tmp_path / "with")
@@ -443,6 +444,24 @@ def test_a_controller_that_fails_on_the_way_is_named(capsys, tmp_path):
         error.count("\n") == 1 and "action nan in step 3" in error and f"{DRIVERS}:LateNaN" in error
     )
     assert len(list((tmp_path / "out" / "cells").iterdir())) == 1  # what was done before is kept
+    resume = f"soil-env evaluate --resume {tmp_path / 'out'} --allow-code"
+    assert error.endswith(f"keeps what is done; once that is mended go on with: {resume}\n")
+
+
+def test_a_controller_that_fails_before_anything_is_done_leaves_nothing(capsys, tmp_path):
+    (tmp_path / "empty").mkdir()
+    for name in ("new", "empty"):
+        assert evaluate(tmp_path / name, f"mine={DRIVERS}:LateNaN") == 2
+        assert "keeps" not in capsys.readouterr().err
+    assert [str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*")] == ["empty"]
+
+
+def test_a_misspelt_option_is_named_before_one_that_is_missing(capsys, tmp_path):
+    assert main("--controler=full_throttle", f"--out={tmp_path / 'out'}") == 2
+    error = capsys.readouterr().err
+    assert "unknown option --controler; did you mean '--controllers'?" in error
+    assert main(f"--out={tmp_path / 'out'}") == 2
+    assert "expected --controllers and --out" in capsys.readouterr().err
 
 
 TASK = load_scenario("mixed", {"control": {"time_limit": 25.0, "action": "torque"}})

@@ -179,6 +179,31 @@ def test_bad_input_is_refused_in_one_line(capsys, tmp_path, monkeypatch, argumen
     assert not list(tmp_path.glob("runs/*")), "a refused run left a folder behind"
 
 
+def test_runs_that_are_a_file_are_named(capsys, tmp_path):
+    (tmp_path / "mine").write_text("x")
+    err = refused(capsys, *TINY, "--runs", tmp_path / "mine")
+    assert f"mine': {tmp_path / 'mine'} is a file: expected a folder" in err
+
+
+def test_a_training_that_fails_before_any_work_leaves_no_folder(capsys, tmp_path, monkeypatch):
+    def fail(*_):
+        raise MemoryError("of a test")
+
+    monkeypatch.setattr(training, "train", fail)
+    asked = [*TINY, "--runs", tmp_path, "--name", "n"]
+    assert "keeps" not in refused(capsys, *asked)
+    assert not list(tmp_path.iterdir())
+
+    def fail_late(folder, *_):
+        (folder / training.CHECKPOINT).write_bytes(b"work")
+        fail()
+
+    monkeypatch.setattr(training, "train", fail_late)
+    said = refused(capsys, *asked)
+    assert f"go on with: soil-env train --resume {tmp_path / 'n'}\n" in said
+    assert (tmp_path / "n" / training.CHECKPOINT).is_file()
+
+
 def test_an_existing_run_is_not_overwritten(capsys, tmp_path):
     (tmp_path / "n").mkdir()
     (tmp_path / "n" / "precious").write_text("x")

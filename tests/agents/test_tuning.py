@@ -17,6 +17,7 @@ from soil_env_agents.controllers.rover import ROVER_CONTROLLERS
 from soil_env_agents.evaluate import tuning
 from soil_env_agents.evaluate.driving import TUNING_SET, run_courses
 from soil_env_agents.evaluate.tuning import shipped_settings, tuned_settings
+from soil_env_agents.progress import Bar
 
 pytest.importorskip("optuna")
 ROOT = Path(__file__).resolve().parents[2]
@@ -47,7 +48,8 @@ def test_every_range_lies_within_the_bounds_of_its_setting(vehicle):
 def test_the_trial_that_finishes_most_is_kept_then_the_highest_return(few):
     chosen = tuned_settings(SHORT, 8, ("constant_torque",))
     space = CONTROLLERS["constant_torque"].bounds
-    trials = tuning.tried("constant_torque", space, 6, SHORT, 8, None, None, lambda count: None)
+    bar = Bar("Tuning", {"constant_torque": 48}, "courses")
+    trials = tuning.tried("constant_torque", space, 6, SHORT, 8, None, None, bar)
     best = max(trials, key=lambda t: (t["finished"], t["return"]))
     assert (
         chosen == {"constant_torque": {"share": best["share"]}}
@@ -161,3 +163,10 @@ def test_shipped_settings_serve_an_unchanged_scenario_only(name):
     assert shipped_settings(of({"course": {"length": 9.0}}), 2) == {}
     assert shipped_settings(of({"control": {"action": "rim_acceleration", "repeat": 2}}), 2) == {}
     assert shipped_settings(of({"reward": {"energy": 3.0}}), 2) == shipped
+
+
+def test_controllers_without_settings_are_refused(tmp_path, capsys):
+    asked = ["tune", "--controllers=full_throttle", f"--out={tmp_path / 'out'}"]
+    assert soil_env(asked) == 2
+    assert "--controllers: full_throttle: nothing to tune" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

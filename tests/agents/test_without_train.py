@@ -7,6 +7,9 @@ import os
 import subprocess
 import sys
 from importlib.util import find_spec
+from pathlib import Path
+
+from soil_env.cli import _COMMANDS
 
 REFUSED = [["train", "--timesteps", "64"], ["export", "runs/x", "--out", "o"]]
 HELPS = [[name, "--help"] for name in ("train", "evaluate", "export", "study", "tune")]
@@ -37,6 +40,26 @@ action, _ = DefaultPolicy(env.unwrapped.scenario).predict(env.reset(seed=0)[0])
 env.step(action)
 print(json.dumps(said))
 """
+
+
+HELP = """
+import contextlib, io, json, sys
+import train
+from soil_env.cli import main
+with contextlib.redirect_stdout(io.StringIO()):
+    assert not train.main(["--help"])
+    for name in json.loads(sys.argv[1]):
+        assert not main([name, "--help"]), name
+print([name for name in sys.modules if name in ("torch", "stable_baselines3")])
+"""
+
+
+def test_help_loads_neither_torch_nor_sb3():
+    root = Path(__file__).resolve().parents[2]
+    command = [sys.executable, "-c", HELP, json.dumps(list(_COMMANDS))]
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=root, timeout=300)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout == "[]\n"
 
 
 def test_without_the_extra_train(tmp_path):

@@ -21,6 +21,7 @@ def test_every_kind_is_described(kind, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith(f"{kind}: ") and len(lines) > 8
     assert all("[" in line or "  " in line or ": " in line for line in lines if line)
+    assert not any("None" in line for line in lines)  # which a YAML file does not have
 
 
 def test_the_keys_of_a_scenario_are_all_there_with_unit_range_and_default():

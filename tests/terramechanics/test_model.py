@@ -264,6 +264,7 @@ BARE = {
     ("change", "message"),
     [
         ({"wheels": {}}, "unknown key 'wheels'; did you mean 'wheel'"),
+        ({"formt": "x"}, "unknown key 'formt'; did you mean 'format'"),
         ({"format": "soil_env model 2"}, "expected format: 'soil_env model 1'"),
         (
             {"wheel": {"radius": 15, "width": 0.12}},

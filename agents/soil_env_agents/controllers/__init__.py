@@ -69,9 +69,9 @@ def within_bounds(
         )
         if not 0.0 <= value <= high or (value == 0.0 and not setting.zero):
             bracket = "[" if setting.zero else "("
+            unit = "" if setting.unit in ("-", "1") else f" {setting.unit}".rstrip()
             raise ParameterError(
-                f"{where}.{key} = {given!r}: expected a number in {bracket}0, {high:.4g}] "
-                f"{setting.unit}"
+                f"{where}.{key} = {given!r}: expected a number in {bracket}0, {high:.4g}]{unit}"
             )
         out[key] = value
     return out

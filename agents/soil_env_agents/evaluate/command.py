@@ -8,7 +8,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from soil_env._io.files import alone
+from soil_env._io.files import alone, check_outputs, is_unused
 from soil_env._io.loading import ParameterError, to_dict
 from soil_env.cli.running import PATH, WholeNumber
 from soil_env.parameters import DEFAULT_SCENARIO, Scenario, load_scenario
@@ -17,8 +17,10 @@ from soil_env.terramechanics.model import WheelSoilModel
 from .. import cells
 from ..cli import (
     WITH_KEYS,
+    again,
     allow_code_option,
     as_options,
+    begun_in,
     continued_by,
     controllers_as,
     engine_options,
@@ -26,7 +28,7 @@ from ..cli import (
     overrides,
     unknown_option,
 )
-from ..progress import Bar, show
+from ..progress import show
 from . import contestants, evaluation, report
 from .driving import HELD_OUT_SET, TUNING_SET
 from .evaluation import Evaluation
@@ -125,8 +127,9 @@ def command(
     """
     chosen = cells.choose(engine, workers, address)
     if resume is None:
-        folder = given["out"]
         asked = _asked(SimpleNamespace(**given), keys)
+        folder = given["out"]
+        check_outputs(folder)
     else:
         source = click.get_current_context().get_parameter_source
         if keys or any(source(name) is not ParameterSource.DEFAULT for name in given):
@@ -134,11 +137,12 @@ def command(
         folder = resume
         asked = cells.load_study(Evaluation, resume, None if allow_code else _refuse_code)
     evaluation.check_controllers(asked)
-    code = " --allow-code" if contestants.code_in(to_dict(asked)) else ""
-    with alone(folder), continued_by(f"soil-env evaluate --resume {folder}{code}"):
+    code = ["--allow-code"] if contestants.code_in(to_dict(asked)) else []
+    with begun_in(folder, is_unused(folder), not folder.exists()), alone(folder):
         if resume is None and cells.is_begun(asked, folder, ignored=("tuned", "codes")):
             asked = cells.load_study(Evaluation, folder)
-        carry_out(asked, folder, chosen, ship=engine == "ray")
+        with continued_by(again("evaluate", "--resume", folder, *code), folder):
+            carry_out(asked, folder, chosen, ship=engine == "ray")
 
 
 def _refuse_code(content: dict, where: str) -> None:
@@ -167,10 +171,7 @@ def carry_out(
     cells.save_study(asked, folder)
     (folder / _TUNING).unlink(missing_ok=True)
     job = evaluation.Job(asked, None if engine is cells.in_process else 1, ship)
-    with Bar(
-        "Driving", asked.courses * len(asked.controllers) + asked.oracle_courses, "courses"
-    ) as bar:
-        runs = evaluation.run(asked, folder, engine, job, lambda count: bar.update(advance=count))
+    runs = evaluation.run(asked, folder, engine, job)
     result = evaluation.result(asked, runs)
     written = report.write(result, runs, folder)
     report.print_table(result)
@@ -180,8 +181,6 @@ def carry_out(
 
 def _asked(options: SimpleNamespace, keys: tuple[str, ...]) -> Evaluation:
     """The evaluation of the command line."""
-    if options.controllers is None or options.out is None:
-        raise ParameterError("expected --controllers and --out, or --resume (see --help)")
     extra = overrides(keys)
     for key, value in extra.items():
         if key not in ("changes", "settings"):
@@ -193,6 +192,8 @@ def _asked(options: SimpleNamespace, keys: tuple[str, ...]) -> Evaluation:
         for name, entry in entries.items():
             if not isinstance(entry, dict):
                 raise ParameterError(f"--{name}: expected --{name}.KEY VALUE")
+    if options.controllers is None or options.out is None:
+        raise ParameterError("expected --controllers and --out, or --resume (see --help)")
     tuning = options.tuning_courses
     if tuning and options.seed == TUNING_SET:
         raise ParameterError(

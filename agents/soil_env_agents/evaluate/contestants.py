@@ -14,6 +14,7 @@ from pathlib import Path
 
 from soil_env._io.loading import ParameterError, unknown_key, unknown_value
 
+from ..cli import again
 from ..controllers import CONTROLLERS
 from ..exported import POLICY
 from .comparing import ORACLE
@@ -187,8 +188,10 @@ def model_bytes(path: str) -> bytes:
         return Path(path).read_bytes()
     except OSError as error:
         if (Path(path).parent / "config.yaml").is_file():
-            unfinished = f"its training is not done: soil-env train --resume {Path(path).parent}"
-            raise ParameterError(f"controllers: {path}: missing; {unfinished}") from None
+            resume = again("train", "--resume", Path(path).parent)
+            raise ParameterError(
+                f"controllers: {path}: missing; its training is not done: {resume}"
+            ) from None
         expected = "expected a model, .zip, or a run folder"
         raise ParameterError(
             f"controllers: {path}: cannot be read ({error.strerror}); {expected}"

@@ -40,7 +40,10 @@ METRICS = {
     "time": ("s", "episode length"),
     "speed": ("m/s", "distance over time"),
     "energy_per_metre": ("J/m", "work of all motors over distance, at least 0.1 m"),
-    "slip": ("-", "mean slip over time, halts left out"),
+    "slip": (
+        "-",
+        "mean signed slip (negative where it brakes, as downhill) over time, halts left out",
+    ),
     "sinkage": ("mm", "mean sinkage over time, of the deepest wheel"),
     "return": ("-", "sum of rewards, not discounted"),
 }
@@ -57,8 +60,8 @@ DETAILED = {
         "-",
         "drawbar work over motor work while driving with a drawbar pull > 0",
     ),
-    "slip_p50": ("-", "median slip over time, halts left out"),
-    "slip_p95": ("-", "95th percentile of slip over time, halts left out"),
+    "slip_p50": ("-", "median signed slip over time, halts left out"),
+    "slip_p95": ("-", "95th percentile of signed slip over time, halts left out"),
     "sinkage_p50": ("mm", "median sinkage over time, halts left out"),
     "sinkage_p95": ("mm", "95th percentile of sinkage over time, halts left out"),
 }

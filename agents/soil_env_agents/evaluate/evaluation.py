@@ -7,7 +7,7 @@ interruptions give the same files.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -17,6 +17,7 @@ from soil_env._io.loading import ParameterError, quantity, to_dict
 from ..cells import Engine, code_version, fill, read_cell
 from ..config import OfTask, check_oracle
 from ..controllers.oracle import Oracle
+from ..progress import Bar
 from . import loading
 from .comparing import ORACLE, ORACLE_BLOCK, comparison
 from .contestants import Contestant, digest, model_bytes
@@ -166,16 +167,24 @@ class Job:
         return self._loaded[key]
 
 
-def run(
-    asked: Evaluation, folder: Path, engine: Engine, job: Job, progress: Callable[[int], None]
-) -> dict:
-    """Drive what is missing in `folder`; {controller: [runs of each member]}, and of `ORACLE` if it
-    drives.
-
-    `progress` receives numbers of courses done.
+def run(asked: Evaluation, folder: Path, engine: Engine, job: Job) -> dict:
+    """Drive what is missing in `folder`, with a progress bar; {controller: [runs of each member]},
+    and of `ORACLE` if it drives.
     """
     blocks = asked.blocks()
-    fill(job, blocks, folder, engine, lambda block: progress(block.count), job.needs)
+    names = {key: c.name for key, c in asked.controllers.items()} | {ORACLE: ORACLE}
+    courses: Counter[str] = Counter()
+    for block in blocks:
+        courses[names[block.controller]] += block.count
+    with Bar("Driving", courses, "courses") as bar:
+
+        def progress(block: Block) -> None:
+            bar.update(advance=block.count, part=names[block.controller])
+
+        def found(block: Block) -> None:
+            bar.found(block.count, names[block.controller])
+
+        fill(job, blocks, folder, engine, progress, job.needs, found)
 
     def of(key: str) -> Runs:
         own = [b for b in asked.blocks() if b.controller == key]

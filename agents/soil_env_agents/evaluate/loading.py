@@ -18,6 +18,8 @@ from .contestants import Contestant
 from .driving import simulate
 from .own import describe, made
 
+_PREDICT = "predict(obs, state, episode_start, deterministic)"
+
 
 def load(contestant: Contestant, scenario: Scenario, content: bytes | None = None):
     """The controller: an object with `predict` and `variant`.
@@ -53,9 +55,7 @@ def _from_class(contestant: Contestant, scenario: Scenario):
         own = str(error).startswith(("controllers: ", "--settings."))
         raise ParameterError(str(error) if own else f"controllers: {name}: {error}") from None
     if not callable(getattr(thing, "predict", None)):
-        raise ParameterError(
-            f"controllers: {spec}: has no method predict(obs, state, episode_start, deterministic)"
-        )
+        raise ParameterError(f"controllers: {spec}: has no method {_PREDICT}")
     variant = getattr(thing, "variant", "identified")
     if variant not in VARIANTS:
         raise ParameterError(
@@ -84,8 +84,10 @@ class _Wrapped:
                 deterministic=deterministic,
             )
         except Exception as error:
+            called = error.__traceback__ is not None and error.__traceback__.tb_next is not None
+            expected = "" if called else f": expected {_PREDICT}"
             raise ParameterError(
-                f"controllers: {self.spec}: predict failed ({describe(error)})"
+                f"controllers: {self.spec}: predict failed ({describe(error)}){expected}"
             ) from error
         return _checked(answer, (len(observation), self.axles), self.spec)
 

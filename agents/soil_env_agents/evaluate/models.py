@@ -17,6 +17,7 @@ from soil_env.parameters import Control, CourseSpec, Scenario
 from soil_env.simulation.task import VARIANTS, layout
 from soil_env.simulation.task.scaling import Scaling
 
+from ..cli import again
 from ..common_layout import CommonScaling
 from ..default_policy import DefaultPolicy
 from ..exported import ExportedAgent
@@ -107,9 +108,10 @@ def _exported(path: Path, scenario: Scenario) -> ExportedAgent:
         made_for = load(Scenario, agent.content["scenario"], f"controllers: {path}: scenario")
         constants, asked_for = (CommonScaling(task).added for task in (made_for, scenario))
         if not np.allclose(constants, asked_for):
+            anew = again("export", "default", "--scenario", scenario.name)
             _warn(
                 f"{path}: exported for the wheel of {made_for.name!r}, that of {scenario.name!r} "
-                f"differs: soil-env export default --scenario {scenario.name}"
+                f"differs: {anew}"
             )
     return agent
 

@@ -114,7 +114,7 @@ def describe(error: BaseException) -> str:
     """An exception in one line: its class, its message, and where it was raised, in code that is
     not of Python or of an installed library if there is some.
     """
-    ours = __file__, importlib.__file__
+    ours = str(Path(__file__).parent), importlib.__file__
     frames = [
         f
         for f in traceback.extract_tb(error.__traceback__)

@@ -14,7 +14,7 @@ from ..progress import show
 from . import comparing
 from .comparing import ORACLE
 from .driving import RATES, Runs
-from .tables import cell, difference, draw_metrics, save_csv
+from .tables import bracketed, cell, difference, draw_metrics, save_csv
 
 _FILES = ("evaluation.json", "evaluation.md", "courses.csv", "metrics.png")
 _PANELS = (
@@ -111,7 +111,7 @@ def page(result: Mapping) -> str:
         columns = [*result["controllers"].values(), *limits.values()]
         unit = "%" if rate else about["unit"]
         cells = (cell(c[m], 100.0 if rate else 1.0, 1 if rate else 2) for c in columns)
-        metrics.append([f"{m.replace('_', ' ')} [{unit}]", about["meaning"], *cells])
+        metrics.append([f"{m.replace('_', ' ')}{bracketed(unit)}", about["meaning"], *cells])
     iqm = [*(cell(result["iqm"][n]) for n in names), *("" for _ in limits)]
     metrics.append(["interquartile mean of return", "", *iqm])
     shown = ("immobilised", "finished", "return")

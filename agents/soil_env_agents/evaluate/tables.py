@@ -78,15 +78,18 @@ def metric_table(
     return Table(["controller", *(c.heading for c in columns)], rows, caption)
 
 
+def bracketed(unit: str) -> str:
+    """' [m]' for a heading; nothing where the unit is '-', of a number without one."""
+    return "" if unit == "-" else f" [{unit}]"
+
+
 def legend(columns: Iterable[Column], metrics: Mapping[str, tuple[str, str]]) -> str:
     """One line with the meaning of the columns, of {metric: (unit, meaning)}."""
     entries = []
     for c in columns:
         unit, meaning = metrics[c.metric]
         unit = "%" if c.factor == 100.0 else unit
-        entries.append(
-            f"{c.heading}: {meaning}" + ("" if unit == "-" or unit in c.heading else f" [{unit}]")
-        )
+        entries.append(f"{c.heading}: {meaning}" + ("" if unit in c.heading else bracketed(unit)))
     return f"Columns: {'; '.join(entries)}"
 
 
@@ -119,7 +122,7 @@ def draw_metrics(rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[st
             axis.set_ylim(-0.6, len(names) - 0.4)
             axis.xaxis.set_major_locator(MaxNLocator(3))
             axis.grid(alpha=0.3)
-            axis.set_xlabel(f"{metric.replace('_', ' ')} [{unit}]")
+            axis.set_xlabel(f"{metric.replace('_', ' ')}{bracketed(unit)}")
         line[0].set_yticks(range(len(names)), [plot_text(name) for name in names])
         line[0].set_title(plot_text(group), loc="left", fontsize=9)
     # The same bytes for the same figure.

@@ -11,7 +11,6 @@ import hashlib
 import json
 from collections.abc import Iterable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -89,17 +88,15 @@ def tuned_settings(
     chosen = {name: shipped[name] for name in names if name in shipped}
     missing = [name for name in names if name not in shipped]
     trials = trials_of(courses)
-    with Bar("Tuning", courses * trials * len(missing), "courses") as bar:
+    with Bar("Tuning", dict.fromkeys(missing, courses * trials), "courses") as bar:
         for name in missing:
-            found = tried(
-                name, spaces[name], trials, scenario, courses, model, log, partial(bar.note, name)
-            )
+            found = tried(name, spaces[name], trials, scenario, courses, model, log, bar)
             best = max(found, key=lambda trial: (trial["finished"], trial["return"]))
             chosen[name] = {key: best[key] for key in spaces[name]}
     return {name: chosen[name] for name in names}
 
 
-def tried(name, space, trials, scenario, courses, model, log, progress) -> list[dict]:
+def tried(name, space, trials, scenario, courses, model, log, bar) -> list[dict]:
     """{**settings, "finished": share, "return": mean} of each trial of a controller, in their
     order.
     """
@@ -138,7 +135,7 @@ def tried(name, space, trials, scenario, courses, model, log, progress) -> list[
         study.tell(trial.number, state=state.FAIL)
     done = len(study.get_trials(states=(state.COMPLETE,)))
     if done:
-        progress(courses * done)
+        bar.found(courses * done, name)
     for number in range(done, trials):
         study.sampler = optuna.samplers.TPESampler(
             seed=int(np.random.SeedSequence([number]).generate_state(1)[0])
@@ -158,7 +155,7 @@ def tried(name, space, trials, scenario, courses, model, log, progress) -> list[
         for key, value in score.items():
             trial.set_user_attr(key, value)
         study.tell(trial, score["finished"] + _TIE * score["return"])
-        progress(courses)
+        bar.update(advance=courses, note=name, part=name)
     found = study.get_trials(states=(state.COMPLETE,))[:trials]
     return [{**trial.params, **trial.user_attrs} for trial in found]
 

@@ -5,15 +5,17 @@ from pathlib import Path
 
 import click
 
-from soil_env._io.files import alone
+from soil_env._io.files import alone, is_unused
 from soil_env._io.loading import ParameterError, read_yaml, to_dict
 from soil_env.cli.running import PATH, WholeNumber
 
 from .. import cells
 from ..cli import (
     WITH_KEYS,
+    again,
     allow_code_option,
     as_options,
+    begun_in,
     config_file,
     continued_by,
     engine_options,
@@ -86,10 +88,11 @@ def command(
         with needing_training():
             from .. import training  # noqa: F401
     if not report:
-        code = " --allow-code" if code_in(to_dict(asked)) else ""
-        with alone(out), continued_by(f"soil-env study --out {out}{code}"):
+        code = ["--allow-code"] if code_in(to_dict(asked)) else []
+        with begun_in(out, is_unused(out), not out.exists()), alone(out):
             work.begin(asked, out)
-            work.fill(asked, out, chosen, elsewhere=engine == "ray")
+            with continued_by(again("study", "--out", out, *code), out):
+                work.fill(asked, out, chosen, elsewhere=engine == "ray")
     content = results.result(asked, out)
     if not content["scenarios"]:
         raise ParameterError(f"{out}: no cell is done; expected a study that has run")

@@ -213,7 +213,8 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
             refuse(
                 True,
                 f"{name} is {np.median(ratio):.3g} times {times} in the middle of the rows, where "
-                f"{times} is {np.median(over):.3g}: expected {unit} (if it is {small})",
+                f"{times} is {np.median(over):.3g}: expected {unit} (if it is {small}; "
+                "if load is in kilograms, multiply that by 9.81)",
             )
     z = y[:, 0]
     if np.any(np.isfinite(z)) and np.nanmax(z) < 0.0:
