@@ -126,6 +126,12 @@ def test_a_sensor_that_is_stuck_is_doubted(logs, name):
     assert len(lines) == 1 and f"column {name}" in lines[0]
 
 
+def test_a_wheel_speed_of_zero_while_the_wheel_travels_is_doubted(logs):
+    log, log_map = logs["mixed"][0]
+    (of_speeds, stuck) = doubts(changed(log, wheel_speed=0.0), log_map)
+    assert "rim speed of 0 times" in of_speeds and "stuck" in stuck
+
+
 @pytest.mark.parametrize("wrong", WRONG)
 def test_each_wrong_reading_is_doubted_in_one_line(logs, wrong):
     without, factors, mass, where, proposed = WRONG[wrong]

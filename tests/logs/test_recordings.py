@@ -364,6 +364,16 @@ def test_a_bag_that_runs_something_is_refused(drives, tmp_path, hostile, words):
     assert bag.read_bytes() == before and [p.name for p in tmp_path.iterdir()] == ["a.db3"]
 
 
+def test_a_name_in_the_schema_that_is_no_utf_8_is_refused(drives, tmp_path):
+    """SQLite quotes it in the text of its error."""
+    bag, base = sqlite_bag(tmp_path, drives)
+    base.close()
+    content = bag.read_bytes()
+    bag.write_bytes(content.replace(b"timestamp_idx ON messages", b"timestamp_idx ON m\xa6ssages"))
+    with pytest.raises(ParameterError, match="a.db3: cannot be read as a ROS 2 bag in SQLite"):
+        read_recording(bag, drives[1])
+
+
 def test_more_work_than_a_plain_bag_takes_is_ended(drives, tmp_path, monkeypatch):
     monkeypatch.setattr("soil_env.logs.bags._MOST_WORK", (1000, 0))
     monkeypatch.setattr("soil_env.logs.bags._WORK_STEP", 100)
@@ -429,8 +439,8 @@ def settled(seconds) -> list[str]:
     times = np.round(np.asarray(seconds) * NS).astype(np.int64)
     for k, time in enumerate(times):
         stamps.add(int(time), k + 2)
-    notes = Notes()
-    stamps.settle(times, NS // 2, 5 * NS, Path("log.csv"), notes)
+    notes = Notes(Path("log.csv"))
+    stamps.settle(times, NS // 2, 5 * NS, notes)
     return notes.lines
 
 
