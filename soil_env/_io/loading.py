@@ -115,11 +115,8 @@ def _floats(cls: type) -> frozenset[str]:
 def _choices(cls: type) -> dict[str, tuple]:
     """Values that each `Literal` field of a dataclass may have."""
     hints = typing.get_type_hints(cls)
-    return {
-        name: typing.get_args(h)
-        for name, h in hints.items()
-        if typing.get_origin(h) is typing.Literal
-    }
+    literals = {n: h for n, h in hints.items() if typing.get_origin(h) is typing.Literal}
+    return {name: typing.get_args(h) for name, h in literals.items()}
 
 
 class Checked:
@@ -205,21 +202,23 @@ def load(cls, mapping, where: str = ""):
     "setup.yaml: wheel.radius = 150: ...".
     """
     where = where or cls.__name__
-    if not isinstance(mapping, dict):
-        raise ParameterError(f"{where}: expected a mapping of {_keys(cls)}, got {mapping!r}")
-    hints = typing.get_type_hints(cls)
     names = {f.name: f for f in dataclasses.fields(cls) if f.init}
+    if not isinstance(mapping, dict):
+        raise ParameterError(f"{where}: expected a mapping of {', '.join(names)}, got {mapping!r}")
+    hints = typing.get_type_hints(cls)
     for key in mapping:
         if key not in names:
             raise unknown_key(key, (*names, *getattr(cls, "more_keys", ())), where)
     values = {
         key: _convert(hints[key], value, _below(where, key)) for key, value in mapping.items()
     }
-    required = [
-        n for n, f in names.items() if f.default is f.default_factory is dataclasses.MISSING
+    missing = [
+        n
+        for n, f in names.items()
+        if n not in values and f.default is f.default_factory is dataclasses.MISSING
     ]
-    if missing := ", ".join(n for n in required if n not in values):
-        raise ParameterError(f"{where}: missing {missing}")
+    if missing:
+        raise ParameterError(f"{where}: missing {', '.join(missing)}")
     try:
         return cls(**values)
     except FieldError as error:
@@ -238,10 +237,6 @@ def _below(where: str, key: str) -> str:
     return f"{where}{'.' if ': ' in where else ': '}{key}"
 
 
-def _keys(cls) -> str:
-    return ", ".join(f.name for f in dataclasses.fields(cls) if f.init)
-
-
 def _convert(hint, value, where: str):
     """`value` as the annotated type `hint` of a field."""
     origin = typing.get_origin(hint)
@@ -258,22 +253,18 @@ def _convert(hint, value, where: str):
         return value
     if isinstance(hint, type) and dataclasses.is_dataclass(hint):
         return value if isinstance(value, hint) else load(hint, value, where)
-    if origin is tuple and items[1:] == (Ellipsis,):
-        expect(isinstance(value, (list, tuple)), "a list")
-        return tuple(_convert(items[0], v, where) for v in value)
     if origin is tuple:
-        expect(
-            isinstance(value, (list, tuple)) and len(value) == len(items),
-            f"a list of {len(items)} values",
-        )
+        is_list = isinstance(value, (list, tuple))
+        if items[1:] == (Ellipsis,):
+            expect(is_list, "a list")
+            items = items[:1] * len(value)
+        expect(is_list and len(value) == len(items), f"a list of {len(items)} values")
         return tuple(_convert(item, v, where) for item, v in zip(items, value, strict=True))
     if hint is dict or origin is dict:
         expect(isinstance(value, dict), "a mapping")
-        return (
-            {str(k): _convert(items[1], v, f"{where}.{k}") for k, v in value.items()}
-            if items
-            else value
-        )
+        if not items:
+            return value
+        return {str(k): _convert(items[1], v, f"{where}.{k}") for k, v in value.items()}
     if origin is typing.Literal:
         expect(value in items, f"one of {', '.join(map(repr, items))}")
         return value
@@ -317,11 +308,8 @@ def merge(base: dict, changes: dict) -> dict:
     """
     out = dict(base)
     for key, value in changes.items():
-        out[key] = (
-            merge(out[key], value)
-            if isinstance(value, dict) and isinstance(out.get(key), dict)
-            else value
-        )
+        both = isinstance(value, dict) and isinstance(out.get(key), dict)
+        out[key] = merge(out[key], value) if both else value
     return out
 
 
@@ -367,23 +355,25 @@ class _Strict(yaml.SafeLoader):
         """
         self.values += 1
         if self.values > MOST_VALUES or len(above) >= DEEPEST:
-            raise yaml.constructor.ConstructorError(None, None, _TOO_MUCH, node.start_mark)
+            raise _wrong(node, _TOO_MUCH)
         if node in above:
-            raise yaml.constructor.ConstructorError(
-                None, None, "a value that contains itself", node.start_mark
-            )
+            raise _wrong(node, "a value that contains itself")
         if isinstance(node, yaml.ScalarNode):
             return
         keys = set()
         for item in node.value:
-            for part in item if isinstance(item, tuple) else (item,):
+            parts = item if isinstance(item, tuple) else (item,)
+            for part in parts:
                 self._check(part, (*above, node))
-            key = item[0] if isinstance(item, tuple) else None
-            if isinstance(key, yaml.ScalarNode):
-                if key.value in keys:
-                    twice = f"key {key.value!r} appears twice"
-                    raise yaml.constructor.ConstructorError(None, None, twice, key.start_mark)
-                keys.add(key.value)
+            if len(parts) == 2 and isinstance(parts[0], yaml.ScalarNode):
+                key = parts[0].value
+                if key in keys:
+                    raise _wrong(parts[0], f"key {key!r} appears twice")
+                keys.add(key)
+
+
+def _wrong(node: yaml.Node, said: str) -> yaml.YAMLError:
+    return yaml.constructor.ConstructorError(None, None, said, node.start_mark)
 
 
 def _number_of(loader: _Strict, node: yaml.ScalarNode) -> int | float:
@@ -391,14 +381,13 @@ def _number_of(loader: _Strict, node: yaml.ScalarNode) -> int | float:
     text = node.value.replace("_", "").lstrip("+-")
     whole = node.tag.endswith(":int")
     if ":" in text or (whole and len(text) > 1 and text[0] == "0" and text.isdecimal()):
-        said = f"{node.value}: expected a decimal number without leading 0 and :, or quoted text"
-        raise yaml.constructor.ConstructorError(None, None, said, node.start_mark)
+        expected = "a decimal number without leading 0 and :, or quoted text"
+        raise _wrong(node, f"{node.value}: expected {expected}")
     if whole:
         return loader.construct_yaml_int(node)
     number = loader.construct_yaml_float(node)
     if math.isinf(number) and "inf" not in text.lower():
-        said = f"{node.value}: expected a number below {sys.float_info.max:.2g}"
-        raise yaml.constructor.ConstructorError(None, None, said, node.start_mark)
+        raise _wrong(node, f"{node.value}: expected a number below {sys.float_info.max:.2g}")
     return number
 
 

@@ -51,12 +51,11 @@ def command(recording: Path, map_file: Path, out: Path) -> None:
         log = read_recording(recording, log_map, progress)
     found = replay(log, log_map)
     steady = steady_windows(log, log_map, found.ground)
-    report = report_of(recording.name, log, log_map, found, steady, out)
-    check_own(out, report.files, (recording, map_file))
-    write_own(out, report.files)
-    earlier = [p.name for p in out.iterdir() if FILES.fullmatch(p.name)]
-    drop_own(out, set(earlier) - set(report.files))
-    print(report.text, end="")
+    files, text = report_of(recording.name, log, log_map, found, steady, out)
+    check_own(out, files, (recording, map_file))
+    write_own(out, files)
+    drop_own(out, {p.name for p in out.iterdir() if FILES.fullmatch(p.name)} - set(files))
+    print(text, end="")
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """Canvas on a pygame surface; colours."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeAlias
@@ -70,12 +71,7 @@ class Canvas:
 
     def clip(self, box: Box | None) -> None:
         """Confine shapes (not text) to a box; None lifts it."""
-        if box is None:
-            self._large.set_clip(None)
-            return
-        (x, y), (x1, y1) = self._at([box[:2], np.add(box[:2], box[2:])])
-        inside = self._pygame.Rect(round(x), round(y), round(x1 - x), round(y1 - y))
-        self._large.set_clip(inside)
+        self._large.set_clip(box and np.rint(self._at(box)).astype(int).tolist())
 
     def box(self, box: Box, colour: Colour | None, edge: Colour | None = None) -> None:
         """A rectangle, filled unless `colour` is None, with an edge if a colour is given for it."""
@@ -118,16 +114,13 @@ class Canvas:
         colours.
         """
         colours = soil_colour(friction, bounds)
-        (x, y) = np.transpose(points)
-        start = 0
-        for i in range(1, len(colours) + 1):  # one polygon for each run of one colour
-            if i == len(colours) or (colours[i] != colours[start]).any():
-                top = points[start : i + 1]
-                self.polygon(
-                    [*top, (x[i] + 0.6, y[i]), (x[i] + 0.6, bottom), (x[start], bottom)],
-                    colours[start],
-                )
-                start = i
+        x, y = np.transpose(points)
+        # One polygon for each run of one colour.
+        changes = np.flatnonzero(np.diff(colours, axis=0).any(axis=1)) + 1
+        for start, end in itertools.pairwise([0, *changes, len(colours)]):
+            right = x[end] + 0.6
+            below = [(right, y[end]), (right, bottom), (x[start], bottom)]
+            self.polygon([*points[start : end + 1], *below], colours[start])
         self.lines(points, SURFACE)
         return colours
 
@@ -158,6 +151,5 @@ class Canvas:
 def soil_colour(friction: np.ndarray | list[float], bounds: tuple[float, float]) -> np.ndarray:
     """Colours [n, 3] of soils with friction angles [n] in deg; the ramp spans `bounds` [deg]."""
     place = np.linspace(*bounds, len(_RAMP))
-    return np.stack([np.interp(friction, place, channel) for channel in _RAMP.T], axis=1).astype(
-        int
-    )
+    channels = [np.interp(friction, place, channel) for channel in _RAMP.T]
+    return np.stack(channels, axis=1).astype(int)
