@@ -85,8 +85,7 @@ def align(
     ns = round(period * 1e9)
     measured = {n: c for n, c in channels.items() if n not in constants}
     turning = np.frombuffer(channels["wheel_speed"].times, np.int64)
-    if turning.size == 0:
-        return Aligned(0, np.zeros(0), {n: np.zeros(0) for n in channels}, channels, period)
+
     origin = int(turning.min())
     steps = {
         n: (np.frombuffer(c.times, np.int64) - origin + ns // 2) // ns for n, c in measured.items()

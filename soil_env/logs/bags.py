@@ -121,9 +121,7 @@ class _Decoder:
 
         try:
             new = get_types_from_msg(text, kind)
-            new = {k: v for k, v in new.items() if k not in self._own.types}
-            if new:
-                self._own.register(new)
+            self._own.register({k: v for k, v in new.items() if k not in self._own.types})
         # The parser and the code made of the definition have errors of their own.
         except Exception as error:
             self._unread[kind] = error
@@ -191,14 +189,11 @@ def _mcap_records(file: Path, notes: Notes) -> Iterator[Any]:
             # Besides errors of its own the library lets those of struct and of text through.
             except Exception as error:
                 why = "" if isinstance(error, EndOfFile) else f" ({error})"
-                at = (
-                    f"after the message recorded at {last * 1e-9:.3f} s"
-                    if last
-                    else "before its first message"
-                )
-                end = (
-                    "at its end" if stream.tell() >= size else f"at byte {stream.tell()} of {size}"
-                )
+                at = "before its first message"
+                if last:
+                    at = f"after the message recorded at {last * 1e-9:.3f} s"
+                place = stream.tell()
+                end = "at its end" if place >= size else f"at byte {place} of {size}"
                 notes.add(
                     f"{file.name} is cut off or damaged {end}{why}, {at}. What comes before was "
                     "read."
@@ -250,12 +245,9 @@ def _decoding(decoder: _Decoder, where: str, channel, schema) -> Callable[[bytes
     """
     if channel.message_encoding == "json":
         return partial(json.loads, object_hook=lambda d: SimpleNamespace(**d))
-    if (
-        channel.message_encoding != "cdr"
-        or schema is None
-        or schema.encoding not in ("ros2msg", "")
-    ):
-        encoding = f"{channel.message_encoding} with schema {schema.encoding if schema else 'none'}"
+    kind = schema.encoding if schema else "none"
+    if channel.message_encoding != "cdr" or kind not in ("ros2msg", ""):
+        encoding = f"{channel.message_encoding} with schema {kind}"
         raise ParameterError(
             f"{where}: encoding {encoding}: expected cdr with schema ros2msg, or json"
         )
@@ -439,9 +431,9 @@ def uphill(x: float, y: float, z: float, w: float) -> float:
     orientation.
     """
     norm = x * x + y * y + z * z + w * w
-    return (
-        math.nan if norm < 1e-6 else -math.asin(min(max(2.0 * (w * y - z * x) / norm, -1.0), 1.0))
-    )
+    if norm < 1e-6:
+        return math.nan
+    return -math.asin(min(max(2.0 * (w * y - z * x) / norm, -1.0), 1.0))
 
 
 def _paths(value: Any, prefix: str = "", depth: int = 6) -> list[str]:

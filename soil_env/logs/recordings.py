@@ -39,11 +39,10 @@ def read_recording(
         reader.read_table(stamps)
     else:
         reader.read_bag()
+    turning = reader.channels["wheel_speed"]
+    if not turning.times:
+        raise ParameterError(f"{path}: {turning.place}: not one reading of wheel_speed")
     found = align(reader.channels, reader.constants, log_map.period, log_map.max_gap)
-    if len(found) == 0:
-        raise ParameterError(
-            f"{path}: {log_map.channels['wheel_speed'].place}: not one reading of wheel_speed"
-        )
     found.notes.extend(reader.notes.lines + _remarks(found, log_map, reader.limits))
     found.doubts.extend(
         time_doubts(reader.interval, reader.length, log_map) + doubts(found, log_map)

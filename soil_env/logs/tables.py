@@ -108,11 +108,8 @@ def _expected(stamp: str | int, unit: str) -> str:
 def _check_columns(path: Path, header: list[str], stamps: str, columns: dict[str, str]) -> None:
     for name, what in {stamps: "time", **columns}.items():
         if name not in header:
-            raise ParameterError(
-                str(unknown_key(name, header, f"{path}: {what}")).replace(
-                    "unknown key", "no column"
-                )
-            )
+            unknown = str(unknown_key(name, header, f"{path}: {what}"))
+            raise ParameterError(unknown.replace("unknown key", "no column"))
         if header.count(name) > 1:
             places = ", ".join(str(k) for k, other in enumerate(header, 1) if other == name)
             raise ParameterError(
@@ -164,9 +161,8 @@ def _csv(stamps: str, columns: dict[str, str], notes: Notes, faults: Faults) -> 
                     short = ()
                 # Allowed in the last row, where a recording was cut off.
                 if len(cells) != len(header):
-                    said = (
-                        f"has {plural(len(cells), 'cell')}, expected {len(header)} as in the header"
-                    )
+                    expected = f"expected {len(header)} as in the header"
+                    said = f"has {plural(len(cells), 'cell')}, {expected}"
                     short = (f"row {reader.line_num}", said)
                     continue
                 count += 1

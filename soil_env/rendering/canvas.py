@@ -1,5 +1,6 @@
 """Canvas on a pygame surface; colours."""
 
+import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -53,8 +54,8 @@ class Canvas:
         self._draw = pygame.draw
         self._large = pygame.Surface((2 * SIZE[0], 2 * SIZE[1]), 0, 32)
         self._surface = pygame.Surface(SIZE, 0, 32)
-        self._fonts: dict[int, pygame.font.Font] = {}  # by their height [px]
-        self._written: dict[tuple[str, int, Colour], pygame.Surface] = {}
+        self._font = functools.cache(functools.partial(pygame.font.Font, None))  # by height [px]
+        self._written = functools.lru_cache(400)(self._write)
         self._texts: list[tuple[pygame.Surface, np.ndarray]] = []  # with their places
 
     def _at(self, points):
@@ -130,16 +131,12 @@ class Canvas:
         """Words with their middle line at y; align 0, 0.5 or 1 puts their left end, middle or right
         end at x.
         """
-        key = words, size, colour
-        if key not in self._written:
-            if len(self._written) > 400:
-                self._written.clear()
-            if size not in self._fonts:
-                self._fonts[size] = self._pygame.font.Font(None, size)
-            self._written[key] = self._fonts[size].render(words, True, colour)
-        image = self._written[key]
+        image = self._written(words, size, colour)
         place = np.array([x, y]) - np.multiply(image.get_size(), (align, 0.5))
         self._texts.append((image, place.round()))
+
+    def _write(self, words: str, size: int, colour: Colour) -> "pygame.Surface":
+        return self._font(size).render(words, True, colour)
 
     def finish(self) -> "pygame.Surface":
         """The finished picture as a surface, which the next picture overwrites."""

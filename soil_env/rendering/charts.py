@@ -105,9 +105,9 @@ def _in_shown_units(values: np.ndarray, i: int) -> np.ndarray:
     """phi [deg], K [mm] or S [MN/m^(n+2)], for i = 0, 1, 2, from phi [rad] or the logarithm of K or
     S in SI units.
     """
-    return (
-        np.degrees(values) if i == 0 else (1e3, 1e-6)[i - 1] * np.exp(np.clip(values, -50.0, 50.0))
-    )
+    if i == 0:
+        return np.degrees(values)
+    return (1e3 if i == 1 else 1e-6) * np.exp(np.clip(values, -50.0, 50.0))
 
 
 def nice(value: float) -> float:
@@ -118,18 +118,17 @@ def nice(value: float) -> float:
 
 def ticks(low: float, high: float, step: float) -> list[float]:
     """Multiples of `step` in [low, high]."""
-    return [
-        i * step for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
-    ]
+    first = math.ceil(low / step - 1e-9)
+    last = math.floor(high / step + 1e-9)
+    return [i * step for i in range(first, last + 1)]
 
 
 def _log_ticks(low: float, high: float) -> list[float]:
     """Decades in [low, high], with 2 and 5 between them where there are at most two decades."""
     parts = (1.0, 2.0, 5.0) if high <= 101.0 * low else (1.0,)
     decades = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
-    return [
-        m * 10.0**d for d in decades for m in parts if 0.999 * low <= m * 10.0**d <= 1.001 * high
-    ]
+    values = [m * 10.0**d for d in decades for m in parts]
+    return [v for v in values if 0.999 * low <= v <= 1.001 * high]
 
 
 def _limits(values: np.ndarray, log: bool) -> tuple[float, float]:
