@@ -8,7 +8,6 @@ that drive. A doubt is one line: what, where, what was expected.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,30 +27,17 @@ _USUAL = (2e-3, 2.0)  # [s] between rows, usual
 _SHORT = 10.0  # [s] length of a short table
 
 
-class Range(NamedTuple):
-    """Plausible values of a ratio; wide, so that hardly a wheel on soil is outside."""
-
-    low: float
-    high: float
-
-    def has(self, value: float) -> bool:
-        """True if the value is in the range."""
-        return self.low <= value <= self.high
-
-    def __str__(self) -> str:
-        return f"{self.low:g} to {self.high:g}"
-
-
-#: Rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long.
 _HELD = 0.7  # of the travel speed: the rim of a wheel that holds back downhill
-_RIM = Range(0.65, 6.0)
-_FREEST = Range(0.4, 3.2)  # the same in the tenth of the steps with the least slip
-_LOAD = Range(0.2, 5.0)  # [of weight]
-_PULL = Range(1e-3, 2.0)  # [of weight]
-_TORQUE = Range(5e-3, 3.0)  # [of weight times radius]
-_PITCH = Range(0.0, 0.8)  # [rad]
-_FELT = Range(0.0, 0.7)  # [of gravity]; more with an axis that points down
-_SINKAGE = Range(1e-3, math.inf)  # [radii] largest of a log
+# Plausible ratios, least and most; wide, so that hardly a wheel on soil is outside.
+#: Rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long.
+_RIM = (0.65, 6.0)
+_FREEST = (0.4, 3.2)  # the same in the tenth of the steps with the least slip
+_LOAD = (0.2, 5.0)  # [of weight]
+_PULL = (1e-3, 2.0)  # [of weight]
+_TORQUE = (5e-3, 3.0)  # [of weight times radius]
+_PITCH = (0.0, 0.8)  # [rad]
+_FELT = (0.0, 0.7)  # [of gravity]; more with an axis that points down
+_SINKAGE = (1e-3, math.inf)  # [radii] largest of a log
 
 
 def time_doubts(interval: float, length: float, log_map: LogMap) -> list[str]:
@@ -114,7 +100,7 @@ class _Doubts:
     def _place(self, name: str) -> str:
         return f"{name} ({self.map.channels[name].place})"
 
-    def _doubt(self, name: str, said: str, expected: object, reason: str) -> None:
+    def _doubt(self, name: str, said: str, expected: str, reason: str) -> None:
         self.lines.append(
             f"{self._place(name)} reads {said}, expected {expected}. Perhaps {reason}."
         )
@@ -149,8 +135,10 @@ class _Doubts:
         turns = moves & (np.abs(rim) > self.slowest)
         known = turns.sum() >= _LEAST
         freest = float(np.quantile(np.abs(rim[turns] / speed[turns]), 0.1)) if known else 1.0
-        if over < _RIM.low or not _FREEST.has(freest) or (over > _RIM.high and not known):
-            over = over if over < _RIM.low or not known else freest
+        low, high = _RIM
+        free, freer = _FREEST
+        if over < low or not free <= freest <= freer or (over > high and not known):
+            over = over if over < low or not known else freest
             least = max(over, 1e-9)  # of a sensor that reads nothing
             limits = {
                 "wheel_speed": (_HELD / least, 2.0 / least),
@@ -164,7 +152,7 @@ class _Doubts:
                 or f"another unit or gear{', or a wheel that hardly gets on' * (over > 1.0)}"
             )
             said = f"a rim speed of {over:.3g} times the travel speed of {self._place('speed')}"
-            self._doubt("wheel_speed", said, _RIM, reason)
+            self._doubt("wheel_speed", said, f"{low:g} to {high:g}", reason)
             return False
         if _median(np.sign(rim * speed)[both]) < 0.0:
             said = f"against the travel speed of {self._place('speed')}"
@@ -202,22 +190,21 @@ class _Doubts:
             "motor_torque": (of_twist, 0.75, _TORQUE),
         }
         before = len(self.lines)
-        for name, ((scale, unit, words), quantile, plausible) in sizes.items():
+        for name, ((scale, unit, words), quantile, (low, high)) in sizes.items():
             values = self._driven(np.abs(self.log.get(name)))
-            size = float(np.quantile(values, quantile)) if values.size >= _LEAST else math.nan
-            ratio = size / scale
-            if math.isnan(ratio) or plausible.has(ratio) or (ratio == 0.0 and name == "sinkage"):
+            if values.size < _LEAST:
                 continue
-            reason = (
-                self._unit(name, plausible.low / ratio, plausible.high / ratio)
-                if ratio
-                else "a dead sensor"
-            )
+            size = float(np.quantile(values, quantile))
+            ratio = size / scale
+            if low <= ratio <= high or (ratio == 0.0 and name == "sinkage"):
+                continue
+            reason = self._unit(name, low / ratio, high / ratio) if ratio else "a dead sensor"
             if name == "load":
                 reason += f", or wheel.body_mass {size / gravity:.3g} kg"
             if name == "acceleration":
                 reason += ", or an axis that points down"
-            self._doubt(name, f"{ratio:.3g} times {words} ({scale:.3g} {unit})", plausible, reason)
+            said = f"{ratio:.3g} times {words} ({scale:.3g} {unit})"
+            self._doubt(name, said, f"{low:g} to {high:g}", reason)
             if name == "load":
                 break
         return len(self.lines) == before

@@ -61,7 +61,6 @@ def markdown(results: Results, command: str) -> str:
         "criterion": _criterion_table(),
         "rules": _rules(),
         "noise": _noise(results),
-        "rms": _rms(),
         "torques": _torque_table(results),
     }
     own, printed, _ = sets(1).values()
@@ -79,6 +78,7 @@ def markdown(results: Results, command: str) -> str:
         "low": (low.min(), low.max()),
         "off": {name: off for name, _, _, *off in rules()},
         "miss": misses.max(axis=0),
+        "rms": pull_misfits(),
         "misprint": rows["fig3"][-1].ours[1] - POINT.if_measured_drawbar_pull,
         "reach": [100.0 * found.mean() for found in results.box.found],
     }
@@ -148,13 +148,11 @@ def _criterion_table() -> Table:
 def _rules() -> Table:
     heads = (f"{name}: DP [N]" for name in READINGS)
     differences = (f"{name}: from (12), exact [%]" for name in READINGS)
-    return Table(
-        ("resistance, integration", *heads, *differences),
-        [
-            (name, f"{one:.2f}", f"{two:.2f}", f"{off_one:+.2f}", f"{off_two:+.2f}")
-            for name, one, two, off_one, off_two in rules()
-        ],
-    )
+    rows = [
+        (name, f"{one:.2f}", f"{two:.2f}", f"{off_one:+.2f}", f"{off_two:+.2f}")
+        for name, one, two, off_one, off_two in rules()
+    ]
+    return Table(("resistance, integration", *heads, *differences), rows)
 
 
 def _noise(r: Results) -> Table:
@@ -171,21 +169,6 @@ def _noise(r: Results) -> Table:
     return Table(("error with noise [%]", "printed", *columns), rows)
 
 
-def _rms() -> Table:
-    """The printed rms errors of Figs. 6 and 7, and ours where three points allow one."""
-    known = [f"{own:.2f}" for own in pull_misfits()]
-    rows: list[tuple[str, ...]] = []
-    for what, values in (
-        ("drawbar pull [N]", P.fig6_rms_drawbar_pull),
-        ("torque [N m]", P.fig7_rms_torque),
-    ):
-        for points, printed in values.items():
-            ours = known if not rows else ("-", "-")  # the first row is that of three pulls
-            rows.append((f"{what}, set from {points.replace('_', ' ')}", f"{printed:.2f}", *ours))
-    columns = (f"{name}, at the three points" for name in READINGS)
-    return Table(("rms error", "printed, over the curve", *columns), rows)
-
-
 def _torque_table(r: Results) -> Table:
     rows = []
     for name, found in r.torques.items():
@@ -194,16 +177,15 @@ def _torque_table(r: Results) -> Table:
         row = [name.replace("_", " "), f"about {about:.0f}" if below is None else f"< {below:.0f}"]
         for T in found:
             carried = np.isfinite(T).any()
-            row.append(
-                f"{np.nanmin(T):.0f} to {np.nanmax(T):.0f}" if carried else "buried at every slip"
-            )
-            row.append(f"{np.nanmax(T) - (about or below):+.0f}" if carried else "-")
+            if np.isfinite(T).any():
+                row.append(f"{np.nanmin(T):.0f} to {np.nanmax(T):.0f}")
+                row.append(f"{np.nanmax(T) - (about or below):+.0f}")
+            else:
+                row += ["buried at every slip", "-"]
         rows.append(row)
-    difference = "highest less printed"
-    return Table(
-        ("soil", "printed T [N m]", "ours, balanced", difference, "ours, at 37 deg", difference),
-        rows,
-    )
+    more = "highest less printed"
+    header = ("soil", "printed T [N m]", "ours, balanced", more, "ours, at 37 deg", more)
+    return Table(header, rows)
 
 
 def _axes(figure: Figure, x: str, y: str, position: int = 111) -> Axes:

@@ -11,24 +11,11 @@ from benchmarks.drives import record
 from soil_env.logs import LogMap, Source, Windows
 from soil_env.logs.align import Aligned
 from soil_env.logs.doubts import doubts, time_doubts
-from soil_env.logs.mapping import TimeColumn
+from soil_env.logs.mapping import UNITS, TimeColumn
 from soil_env.parameters import load_scenario
 from soil_env_agents.controllers.wheel import ConstantSpeed
 
-#: In the order of `SensorReading`.
 SLIP_SD = 0.01  # in a log, of the slip that follows from the speeds
-READINGS = (
-    "slip",
-    "sinkage",
-    "drawbar_pull",
-    "load",
-    "torque",
-    "speed",
-    "wheel_speed",
-    "pitch",
-    "motor_torque",
-    "acceleration",
-)
 
 
 class SteppedSpeed(ConstantSpeed):
@@ -56,7 +43,7 @@ def log_of(driven, scenario):
         "motor_torque": twist,
     }
     fields = {"wheel_speed": "rim_speed"}
-    readings = {name: rows[fields.get(name, name)].astype(float) for name in READINGS}
+    readings = {name: rows[fields.get(name, name)].astype(float) for name in UNITS}
     readings["wheel_speed"] /= wheel.radius
     readings["sinkage"][np.abs(readings["sinkage"]) > wheel.radius] = math.nan  # as of a recording
     sources = {
