@@ -59,33 +59,6 @@ def quantity(
     return field(default=default, metadata={"unit": unit, "low": low, "high": high, "doc": doc})
 
 
-def check(instance) -> None:
-    """Raise `FieldError` if a `quantity` field of `instance` is not finite or out of range; None is
-    allowed.
-
-    Whole numbers in a field of floats become floats: compiled code would be compiled anew for them.
-    """
-    for f in (f for f in dataclasses.fields(instance) if "unit" in f.metadata):
-        value = getattr(instance, f.name)
-        low = f.metadata["low"]
-        high = f.metadata["high"]
-        for x in map(_of_python, value if isinstance(value, tuple) else (value,)):
-            is_number = isinstance(x, (int, float)) and not isinstance(x, bool)
-            if x is not None and not (is_number and low <= x <= high and math.isfinite(x)):
-                limits = f"[{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
-                means = f" ({doc})" if (doc := f.metadata.get("doc")) else ""
-                said = f" = {_said(value)}: expected a number in {limits}{means}"
-                raise FieldError(instance, f.name, said)
-        own: type = type(instance)
-        if f.name in _floats(own):
-            plain = tuple(map(float, value)) if isinstance(value, tuple) else float(value or 0.0)
-            object.__setattr__(instance, f.name, None if value is None else plain)
-        if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
-            raise FieldError(
-                instance, f.name, f" = {list(value)}: expected the smaller number first"
-            )
-
-
 def _of_python(value: typing.Any) -> typing.Any:
     """A number of numpy as one of Python; anything else as it is."""
     return value.item() if isinstance(value, numbers.Real) and hasattr(value, "item") else value
@@ -104,32 +77,43 @@ def _bound(x: float) -> str:
     return str(x) if isinstance(x, int) and float(short) != x else short
 
 
-@functools.cache
-def _floats(cls: type) -> frozenset[str]:
-    """Fields of a dataclass that hold floats: one, a tuple of them, or None in their place."""
-    hints = typing.get_type_hints(cls)
-    return frozenset(n for n, h in hints.items() if float in (h, *typing.get_args(h)))
-
-
-@functools.cache
-def _choices(cls: type) -> dict[str, tuple]:
-    """Values that each `Literal` field of a dataclass may have."""
-    hints = typing.get_type_hints(cls)
-    literals = {n: h for n, h in hints.items() if typing.get_origin(h) is typing.Literal}
-    return {name: typing.get_args(h) for name, h in literals.items()}
+_hints = functools.cache(typing.get_type_hints)  # of the fields of a class
 
 
 class Checked:
     """Base of the parameter classes: every `quantity` and every choice is checked on
     construction.
+
+    A `quantity` is finite and in its range, or None. Whole numbers in a field of floats become
+    floats: compiled code would be compiled anew for them.
     """
 
     def __post_init__(self) -> None:
-        check(self)
-        own: type = type(self)
-        for name, known in _choices(own).items():
-            if getattr(self, name) not in known:
-                raise FieldError(self, name, str(unknown_value(getattr(self, name), known)))
+        own: typing.Any = type(self)
+        for f in dataclasses.fields(own):
+            hint = _hints(own)[f.name]
+            value = getattr(self, f.name)
+            if typing.get_origin(hint) is typing.Literal and value not in typing.get_args(hint):
+                raise FieldError(self, f.name, str(unknown_value(value, typing.get_args(hint))))
+            if "unit" in f.metadata:
+                _check_quantity(self, f, value)
+                if value is not None and float in (hint, *typing.get_args(hint)):
+                    plain = tuple(map(float, value)) if isinstance(value, tuple) else float(value)
+                    object.__setattr__(self, f.name, plain)
+
+
+def _check_quantity(owner: Checked, f: dataclasses.Field, value: typing.Any) -> None:
+    low = f.metadata["low"]
+    high = f.metadata["high"]
+    for x in map(_of_python, value if isinstance(value, tuple) else (value,)):
+        is_number = isinstance(x, (int, float)) and not isinstance(x, bool)
+        if x is not None and not (is_number and low <= x <= high and math.isfinite(x)):
+            limits = f"[{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
+            means = f" ({doc})" if (doc := f.metadata["doc"]) else ""
+            said = f" = {_said(value)}: expected a number in {limits}{means}"
+            raise FieldError(owner, f.name, said)
+    if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
+        raise FieldError(owner, f.name, f" = {list(value)}: expected the smaller number first")
 
 
 def unknown_key(key, known, where: str) -> ParameterError:

@@ -17,7 +17,7 @@ from soil_env.logs.stamps import LATEST
 SUFFIXES = (".csv", ".parquet", ".pq")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _EXCEL = 25569  # [days] from 1899-12-30, where Excel counts from, to 1970
-_PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}  # units of Parquet's timestamps
+
 _DAY = 86400 * 10**9  # [ns]
 _EXAMPLES = {
     "iso": "text as 2026-05-04T09:30:00.25 or 09:30:00.25",
@@ -205,7 +205,7 @@ def _parquet(
                 times = batch.column(stamps)
                 tick = 0  # [ns] of the column's unit
                 if pyarrow.types.is_timestamp(times.type):
-                    tick = 10**9 // _PER_SECOND[times.type.unit]
+                    tick = round(TIMES[times.type.unit] * 1e9)
                     times = times.cast(pyarrow.int64())
                 cells = (
                     ["" if x is None else str(x) for x in batch.column(c).to_pylist()]

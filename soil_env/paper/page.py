@@ -176,7 +176,6 @@ def _torque_table(r: Results) -> Table:
         about = P.fig9_about.get(name)
         row = [name.replace("_", " "), f"about {about:.0f}" if below is None else f"< {below:.0f}"]
         for T in found:
-            carried = np.isfinite(T).any()
             if np.isfinite(T).any():
                 row.append(f"{np.nanmin(T):.0f} to {np.nanmax(T):.0f}")
                 row.append(f"{np.nanmax(T) - (about or below):+.0f}")
