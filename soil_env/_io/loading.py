@@ -155,19 +155,14 @@ def plural(count: int, word: str) -> str:
 TITLES = 20  # lines of a CSV file, from the first, among which a header is looked for
 
 
-def below_title(
-    path: Path, first: Sequence[str], others: Iterable[Sequence[str]], names: Iterable[str]
-) -> None:
-    """`ParameterError` where one of the `others`, not the first, has the `names` of columns; each
+def below_title(path: Path, lines: Iterable[Sequence[str]], names: Iterable[str]) -> None:
+    """`ParameterError` where one of the lines, not the first, has the `names` of columns; each
     line in cells.
     """
-    wanted = set(names)
-
-    def bare(cells: Sequence[str]) -> list[str]:
-        return [cell.strip().strip('"') for cell in cells]
-
-    if not wanted <= set(bare(first)) and any(wanted <= set(bare(cells)) for cells in others):
-        title = " ".join(filter(None, bare(first)))
+    bare = [[cell.strip().strip('"') for cell in cells] for cells in lines]
+    has_names = [set(names) <= set(cells) for cells in bare]
+    if any(has_names) and not has_names[0]:
+        title = " ".join(filter(None, bare[0]))
         raise ParameterError(
             f"{path}: the header stands below the line {title!r:.80}: expected it first; take out "
             "the lines above, or begin them with #"

@@ -53,12 +53,13 @@ def bag_files(path: Path) -> list[Path]:
     """
     if path.is_file():
         return [path]
-    found = sorted(p for p in path.iterdir() if p.suffix in SUFFIXES)
+    inside = sorted(path.iterdir())
+    found = [file for file in inside if file.suffix in SUFFIXES]
     if (path / "metadata.yaml").is_file():
         about = read_yaml(path / "metadata.yaml").get("rosbag2_bagfile_information")
         named = about.get("relative_file_paths") if isinstance(about, dict) else None
         found = [path / Path(str(name)).name for name in named or []] or found
-    for file in found or sorted(path.iterdir()):
+    for file in found or inside:
         check_packed(file)
     if not found:
         raise ParameterError(f"{path}: no .mcap or .db3 file in this folder: expected a ROS 2 bag")

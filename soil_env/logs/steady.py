@@ -59,9 +59,9 @@ class Steady:
                 "no window of the log is steady enough (windows in map.yaml) and has sinkage, "
                 "pull or torque"
             )
-        slip = [float(row["slip"]) for row in self.rows]
+        slip = [row["slip"] for row in self.rows]
         if max(slip) - min(slip) < _LEAST_SPREAD:
-            many = "1 steady point" if len(slip) == 1 else f"{len(slip)} steady points of one slip"
+            many = plural(len(slip), "steady point") + " of one slip" * (len(slip) > 1)
             return f"{many}: a measurement table has at least two slips"
         return ""
 
@@ -112,9 +112,8 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
             continue
         row = _row(part, float(log.time[at]), log.period)
         if any(row[name] == row[name] for name in MEASURED) and row["load"] > 0.0:
-            rows.append(
-                row | {"run": f"ground{ground[at]}.drive{runs[at]}", "ground": int(ground[at])}
-            )
+            run = f"ground{ground[at]}.drive{runs[at]}"
+            rows.append(row | {"run": run, "ground": int(ground[at])})
             for name, scatter in residuals.items():
                 scatter.append(_scatter(part[name]))
         at += n
@@ -133,9 +132,8 @@ def _columns(log: Aligned, log_map: LogMap) -> dict[str, np.ndarray]:
     """
     rim, speed, slip = log.motion(log_map.wheel.radius)
     pitch = log.get("pitch")
-    mass = log_map.wheel.body_mass
     motor = log.get("motor_torque")
-    if "motor_torque" in log.readings and len(log) > 1 and log_map.wheel.inertia != UNKNOWN_INERTIA:
+    if len(log) > 1 and log_map.wheel.inertia != UNKNOWN_INERTIA:
         motor = motor - log_map.wheel.inertia * np.gradient(log.get("wheel_speed"), log.time)
 
     def first(name: str, other: np.ndarray) -> np.ndarray:
@@ -148,7 +146,7 @@ def _columns(log: Aligned, log_map: LogMap) -> dict[str, np.ndarray]:
         "load": first("load", log_map.weight * np.cos(np.nan_to_num(pitch))),
         "pitch": pitch,
         "sinkage": log.get("sinkage"),
-        "drawbar_pull": first("drawbar_pull", log.get("acceleration") * mass),
+        "drawbar_pull": first("drawbar_pull", log.get("acceleration") * log_map.wheel.body_mass),
         "torque": first("torque", motor),
     }
 

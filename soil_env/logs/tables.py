@@ -149,7 +149,7 @@ def _csv(stamps: str, columns: dict[str, str], notes: Notes, faults: Faults) -> 
                     "read"
                 )
             if stamps not in header:
-                below_title(path, header, islice(lines, TITLES), (stamps, *columns))
+                below_title(path, [header, *islice(lines, TITLES)], (stamps, *columns))
             _check_columns(path, header, stamps, columns)
             lenient[0] = "replace"
             at = header.index(stamps)

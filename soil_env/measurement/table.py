@@ -221,13 +221,12 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
             )
         # With or without a byte order mark.
         with path.open(encoding="utf-8-sig", newline="") as stream:
-            text = [line if not line.lstrip().startswith("#") else "\n" for line in stream]
-            at, first = next(((k, s) for k, s in enumerate(text) if s.strip()), (0, ""))
-            if _SEPARATOR.fullmatch(first):  # of spreadsheets, for themselves
-                text[at] = "\n"
-                first = next((line for line in text if line.strip()), "")
-            if first.strip():
-                _check_title(path, text[at:])
+            text = ["\n" if line.lstrip().startswith("#") else line for line in stream]
+            written = [k for k, line in enumerate(text) if line.strip()]
+            if written and _SEPARATOR.fullmatch(text[written[0]]):  # of spreadsheets
+                text[written.pop(0)] = "\n"
+            first = text[written[0]] if written else ""
+            below_title(path, [re.split(r"[,;\t]", text[k]) for k in written[:TITLES]], REQUIRED)
             mark = next((m for m in ";\t" if m in first and "," not in first), ",")
             reader = csv.reader(text, strict=True, delimiter=mark)
             lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
@@ -245,9 +244,8 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
         raise ParameterError(f"{path}: empty file: expected a header line with column names")
     if mark != ",":
         lines = _with_points(path, lines)
-    width = max(max(k for k, cell in enumerate(cells) if cell) for _, cells in lines) + 1
-    header = lines[0][1][:width]
-    rows = [(line, cells[:width]) for line, cells in lines[1:]]
+    width = max(k for _, cells in lines for k, cell in enumerate(cells) if cell) + 1
+    (_, header), *rows = [(line, cells[:width]) for line, cells in lines]
     for line, cells in rows:
         if len(cells) != len(header):
             more = mark == "," and len(cells) > len(header)
@@ -257,12 +255,6 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
                 f"the header{hint}"
             )
     return header, rows
-
-
-def _check_title(path: Path, lines: list[str]) -> None:
-    """Refuse a title above the header."""
-    title, *others = [re.split(r"[,;\t]", line) for line in lines if line.strip()][:TITLES]
-    below_title(path, title, others, REQUIRED)
 
 
 def _with_points(path: Path, lines: Rows) -> list[tuple[int, list[str]]]:
@@ -450,14 +442,11 @@ def in_radians(cells: list[str]) -> bool:
 
     One grade alone looks so by chance: in six of a thousand cases with four digits.
     """
-    numbers = [(float(c), len(c.rpartition(".")[2])) for c in cells if c and float(c) != 0.0]
-
-    def whole_degrees(x: float, digits: int) -> bool:
-        return (
-            digits >= 3
-            and abs(round(math.radians(round(math.degrees(x))), digits) - x) < 10.0**-digits * 1e-3
-        )
-
-    return bool(numbers) and all(
-        abs(x) < math.radians(40.0) and whole_degrees(x, d) for x, d in numbers
-    )
+    grades = [cell for cell in cells if cell and float(cell) != 0.0]
+    for grade in grades:
+        x = float(grade)
+        digits = len(grade.rpartition(".")[2])
+        whole = round(math.radians(round(math.degrees(x))), digits)
+        if digits < 3 or abs(x) >= math.radians(40.0) or abs(whole - x) >= 10.0**-digits * 1e-3:
+            return False
+    return bool(grades)

@@ -77,12 +77,11 @@ class CourseView:
         """The picture as uint8 [height, width, 3] in mode "rgb_array"; in mode "human" it goes to
         the window.
         """
-        canvas = self._canvas or Canvas()
-        self._canvas = canvas
-        canvas.clear()
+        self._canvas = self._canvas or Canvas()
+        self._canvas.clear()
         simulation.complete(k)
-        self._paint(canvas, simulation, k)
-        surface = canvas.finish()
+        self._paint(self._canvas, simulation, k)
+        surface = self._canvas.finish()
         if self.mode == "human":
             self._show(surface)
             return None

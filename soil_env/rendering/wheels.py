@@ -55,7 +55,6 @@ class _Wheel(NamedTuple):
     rim_speed: float  # r w [m/s]
     tyre_deflection: float = 0.0  # [m]
     tyre_compliance: float = 0.0  # [m/N]
-    grip: float = 0.0  # [-]
 
 
 @kept
