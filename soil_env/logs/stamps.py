@@ -157,7 +157,7 @@ def _longest_rising(times: np.ndarray) -> np.ndarray:
 def _together(times: np.ndarray, restart: int) -> np.ndarray:
     """True [N] of rising stamps, but for those alone and those of another clock."""
     out = np.ones(times.size, bool)
-    gaps = times[1:] - times[:-1]
+    gaps = np.diff(times)
     if gaps.size == 0:
         return out
     apart = max(float(restart), _ALONE * float(np.median(gaps)))

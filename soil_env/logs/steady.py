@@ -71,10 +71,6 @@ class Steady:
         cells = [[cell(r[n], ".9g") for n in names] for r in self.rows]
         return "\n".join(",".join(line) for line in (names, *cells)) + "\n"
 
-    def on(self, ground: int) -> "Steady":
-        """The points of one ground."""
-        return Steady([row for row in self.rows if row["ground"] == ground], self.noise)
-
 
 def cell(value: float | str, form: str) -> str:
     """Text of a value; empty for NaN."""
@@ -237,7 +233,7 @@ def grounds(found: Replay, steady: Steady) -> list[Ground]:
     for number in sorted({*found.ground.tolist()}):
         time = found.time[found.ground == number].tolist()
         differs = found.differs[number - 1]
-        points = steady.on(number)
+        points = Steady([row for row in steady.rows if row["ground"] == number], steady.noise)
         out.append(Ground(number, time[0], time[-1], differs, points, found.surest_on(number)))
     return out
 

@@ -446,7 +446,9 @@ def in_radians(cells: list[str]) -> bool:
     for grade in grades:
         x = float(grade)
         digits = len(grade.rpartition(".")[2])
+        if digits < 3 or not abs(x) < math.radians(40.0):
+            return False
         whole = round(math.radians(round(math.degrees(x))), digits)
-        if digits < 3 or abs(x) >= math.radians(40.0) or abs(whole - x) >= 10.0**-digits * 1e-3:
+        if abs(whole - x) >= 10.0**-digits * 1e-3:
             return False
     return bool(grades)
