@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from soil_env import parameters
-from soil_env._io.loading import check, config_dir, load, read_yaml, to_dict
+from soil_env._io.loading import config_dir, load, read_yaml, to_dict
 from soil_env.envs.worlds import world_of
 from soil_env.identification.online.prior import of_library
 from soil_env.identification.table.rig import predict_table
@@ -36,7 +36,7 @@ SOIL_S = SOIL | {"sinkage_coefficient": 1e6}
 
 @pytest.mark.parametrize("preset", [*parameters.soils().values(), *parameters.wheels().values()])
 def test_presets_have_a_source_and_are_of_sensible_size(preset):
-    check(preset)
+    preset.__post_init__()
     assert preset.source
     if isinstance(preset, Soil):
         for width in (0.1, 0.1524, 0.5):  # pressure [Pa] at a sinkage of 3 cm

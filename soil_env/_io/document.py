@@ -36,11 +36,8 @@ class Table:
 
     def markdown(self) -> str:
         """Pipe table of Markdown, the caption in italics below; cells may hold Markdown."""
-        lines = [
-            _markdown_row(self.header),
-            "|" + "---|" * len(self.header),
-            *map(_markdown_row, self.rows),
-        ]
+        rule = "|" + "---|" * len(self.header)
+        lines = [_markdown_row(self.header), rule, *map(_markdown_row, self.rows)]
         return "\n".join(lines) + (f"\n\n*{self.caption}*" if self.caption else "")
 
     def html(self) -> str:
@@ -64,22 +61,18 @@ class Table:
         numbers = self._numbers()
         over = indent + sum(widths) + 2 * (len(widths) - 1) - WIDTH
         if over > 0 and not all(numbers):
-            longest = max(
-                (k for k, number in enumerate(numbers) if not number), key=widths.__getitem__
-            )
+            texts = [k for k, number in enumerate(numbers) if not number]
+            longest = max(texts, key=widths.__getitem__)
             most = max(widths[longest] - over, len(lines[0][longest]), 12)
             widths[longest] = most
             for line in lines:
                 cell = line[longest]
                 line[longest] = cell if len(cell) <= most else cell[: most - 3] + "..."
-        aligned = [
-            "  ".join(
-                cell.rjust(width) if number else cell.ljust(width)
-                for cell, width, number in zip(line, widths, numbers, strict=True)
-            )
-            for line in lines
-        ]
-        shown = [*([self.caption] if self.caption else []), *aligned]
+        sides = [">" if number else "<" for number in numbers]
+        shown = [self.caption] if self.caption else []
+        for line in lines:
+            columns = zip(line, sides, widths, strict=True)
+            shown.append("  ".join(f"{cell:{side}{width}}" for cell, side, width in columns))
         return "\n".join((" " * indent + line).rstrip() for line in shown)
 
     def _numbers(self) -> list[bool]:
@@ -155,8 +148,5 @@ def hanging(text: str) -> str:
 
 def _source(name: str) -> str:
     package, _, file = name.rpartition(":")
-    return (
-        resources.files(package or "soil_env._io")
-        .joinpath("templates", file)
-        .read_text(encoding="utf-8")
-    )
+    folder = resources.files(package or "soil_env._io") / "templates"
+    return (folder / file).read_text(encoding="utf-8")

@@ -101,7 +101,7 @@ def write_own(folder: str | Path, contents: Mapping[str, bytes | str]) -> None:
         new = _digest(_bytes(content))
         known[name] = [new, *known.get(name, ())[:1]]  # the old file stays until all are written
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-    replace_files(folder, {MANIFEST: json.dumps(known, indent=1) + "\n", **contents})
+    replace_files(folder, {MANIFEST: json_text(known), **contents})
 
 
 def drop_own(folder: str | Path, names: Iterable[str]) -> None:
@@ -157,10 +157,13 @@ def alone(folder: str | Path) -> Iterator[None]:
 
 
 def write_json(path: str | Path, content, indent: int | None = 1) -> None:
-    """Write nested plain values, arrays and numbers of numpy as JSON; NaN and infinities become
-    null.
-    """
-    replace_file(path, json.dumps(plain(content), indent=indent, allow_nan=False) + "\n")
+    """Write `json_text`."""
+    replace_file(path, json_text(content, indent))
+
+
+def json_text(content, indent: int | None = 1) -> str:
+    """JSON of nested values, arrays and numbers of numpy; NaN and infinities become null."""
+    return json.dumps(plain(content), indent=indent, allow_nan=False) + "\n"
 
 
 def plain(value):

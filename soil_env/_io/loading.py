@@ -59,33 +59,6 @@ def quantity(
     return field(default=default, metadata={"unit": unit, "low": low, "high": high, "doc": doc})
 
 
-def check(instance) -> None:
-    """Raise `FieldError` if a `quantity` field of `instance` is not finite or out of range; None is
-    allowed.
-
-    Whole numbers in a field of floats become floats: compiled code would be compiled anew for them.
-    """
-    for f in (f for f in dataclasses.fields(instance) if "unit" in f.metadata):
-        value = getattr(instance, f.name)
-        low = f.metadata["low"]
-        high = f.metadata["high"]
-        for x in map(_of_python, value if isinstance(value, tuple) else (value,)):
-            is_number = isinstance(x, (int, float)) and not isinstance(x, bool)
-            if x is not None and not (is_number and low <= x <= high and math.isfinite(x)):
-                limits = f"[{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
-                means = f" ({doc})" if (doc := f.metadata.get("doc")) else ""
-                said = f" = {_said(value)}: expected a number in {limits}{means}"
-                raise FieldError(instance, f.name, said)
-        own: type = type(instance)
-        if f.name in _floats(own):
-            plain = tuple(map(float, value)) if isinstance(value, tuple) else float(value or 0.0)
-            object.__setattr__(instance, f.name, None if value is None else plain)
-        if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
-            raise FieldError(
-                instance, f.name, f" = {list(value)}: expected the smaller number first"
-            )
-
-
 def _of_python(value: typing.Any) -> typing.Any:
     """A number of numpy as one of Python; anything else as it is."""
     return value.item() if isinstance(value, numbers.Real) and hasattr(value, "item") else value
@@ -104,35 +77,43 @@ def _bound(x: float) -> str:
     return str(x) if isinstance(x, int) and float(short) != x else short
 
 
-@functools.cache
-def _floats(cls: type) -> frozenset[str]:
-    """Fields of a dataclass that hold floats: one, a tuple of them, or None in their place."""
-    hints = typing.get_type_hints(cls)
-    return frozenset(n for n, h in hints.items() if float in (h, *typing.get_args(h)))
-
-
-@functools.cache
-def _choices(cls: type) -> dict[str, tuple]:
-    """Values that each `Literal` field of a dataclass may have."""
-    hints = typing.get_type_hints(cls)
-    return {
-        name: typing.get_args(h)
-        for name, h in hints.items()
-        if typing.get_origin(h) is typing.Literal
-    }
+_hints = functools.cache(typing.get_type_hints)  # of the fields of a class
 
 
 class Checked:
     """Base of the parameter classes: every `quantity` and every choice is checked on
     construction.
+
+    A `quantity` is finite and in its range, or None. Whole numbers in a field of floats become
+    floats: compiled code would be compiled anew for them.
     """
 
     def __post_init__(self) -> None:
-        check(self)
-        own: type = type(self)
-        for name, known in _choices(own).items():
-            if getattr(self, name) not in known:
-                raise FieldError(self, name, str(unknown_value(getattr(self, name), known)))
+        own: typing.Any = type(self)
+        for f in dataclasses.fields(own):
+            hint = _hints(own)[f.name]
+            value = getattr(self, f.name)
+            if typing.get_origin(hint) is typing.Literal and value not in typing.get_args(hint):
+                raise FieldError(self, f.name, str(unknown_value(value, typing.get_args(hint))))
+            if "unit" in f.metadata:
+                _check_quantity(self, f, value)
+                if value is not None and float in (hint, *typing.get_args(hint)):
+                    plain = tuple(map(float, value)) if isinstance(value, tuple) else float(value)
+                    object.__setattr__(self, f.name, plain)
+
+
+def _check_quantity(owner: Checked, f: dataclasses.Field, value: typing.Any) -> None:
+    low = f.metadata["low"]
+    high = f.metadata["high"]
+    for x in map(_of_python, value if isinstance(value, tuple) else (value,)):
+        is_number = isinstance(x, (int, float)) and not isinstance(x, bool)
+        if x is not None and not (is_number and low <= x <= high and math.isfinite(x)):
+            limits = f"[{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
+            means = f" ({doc})" if (doc := f.metadata["doc"]) else ""
+            said = f" = {_said(value)}: expected a number in {limits}{means}"
+            raise FieldError(owner, f.name, said)
+    if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
+        raise FieldError(owner, f.name, f" = {list(value)}: expected the smaller number first")
 
 
 def unknown_key(key, known, where: str) -> ParameterError:
@@ -174,19 +155,14 @@ def plural(count: int, word: str) -> str:
 TITLES = 20  # lines of a CSV file, from the first, among which a header is looked for
 
 
-def below_title(
-    path: Path, first: Sequence[str], others: Iterable[Sequence[str]], names: Iterable[str]
-) -> None:
-    """`ParameterError` where one of the `others`, not the first, has the `names` of columns; each
+def below_title(path: Path, lines: Iterable[Sequence[str]], names: Iterable[str]) -> None:
+    """`ParameterError` where one of the lines, not the first, has the `names` of columns; each
     line in cells.
     """
-    wanted = set(names)
-
-    def bare(cells: Sequence[str]) -> list[str]:
-        return [cell.strip().strip('"') for cell in cells]
-
-    if not wanted <= set(bare(first)) and any(wanted <= set(bare(cells)) for cells in others):
-        title = " ".join(filter(None, bare(first)))
+    bare = [[cell.strip().strip('"') for cell in cells] for cells in lines]
+    has_names = [set(names) <= set(cells) for cells in bare]
+    if any(has_names) and not has_names[0]:
+        title = " ".join(filter(None, bare[0]))
         raise ParameterError(
             f"{path}: the header stands below the line {title!r:.80}: expected it first; take out "
             "the lines above, or begin them with #"
@@ -205,21 +181,23 @@ def load(cls, mapping, where: str = ""):
     "setup.yaml: wheel.radius = 150: ...".
     """
     where = where or cls.__name__
-    if not isinstance(mapping, dict):
-        raise ParameterError(f"{where}: expected a mapping of {_keys(cls)}, got {mapping!r}")
-    hints = typing.get_type_hints(cls)
     names = {f.name: f for f in dataclasses.fields(cls) if f.init}
+    if not isinstance(mapping, dict):
+        raise ParameterError(f"{where}: expected a mapping of {', '.join(names)}, got {mapping!r}")
+    hints = typing.get_type_hints(cls)
     for key in mapping:
         if key not in names:
             raise unknown_key(key, (*names, *getattr(cls, "more_keys", ())), where)
     values = {
         key: _convert(hints[key], value, _below(where, key)) for key, value in mapping.items()
     }
-    required = [
-        n for n, f in names.items() if f.default is f.default_factory is dataclasses.MISSING
+    missing = [
+        n
+        for n, f in names.items()
+        if n not in values and f.default is f.default_factory is dataclasses.MISSING
     ]
-    if missing := ", ".join(n for n in required if n not in values):
-        raise ParameterError(f"{where}: missing {missing}")
+    if missing:
+        raise ParameterError(f"{where}: missing {', '.join(missing)}")
     try:
         return cls(**values)
     except FieldError as error:
@@ -238,10 +216,6 @@ def _below(where: str, key: str) -> str:
     return f"{where}{'.' if ': ' in where else ': '}{key}"
 
 
-def _keys(cls) -> str:
-    return ", ".join(f.name for f in dataclasses.fields(cls) if f.init)
-
-
 def _convert(hint, value, where: str):
     """`value` as the annotated type `hint` of a field."""
     origin = typing.get_origin(hint)
@@ -258,22 +232,18 @@ def _convert(hint, value, where: str):
         return value
     if isinstance(hint, type) and dataclasses.is_dataclass(hint):
         return value if isinstance(value, hint) else load(hint, value, where)
-    if origin is tuple and items[1:] == (Ellipsis,):
-        expect(isinstance(value, (list, tuple)), "a list")
-        return tuple(_convert(items[0], v, where) for v in value)
     if origin is tuple:
-        expect(
-            isinstance(value, (list, tuple)) and len(value) == len(items),
-            f"a list of {len(items)} values",
-        )
+        is_list = isinstance(value, (list, tuple))
+        if items[1:] == (Ellipsis,):
+            expect(is_list, "a list")
+            items = items[:1] * len(value)
+        expect(is_list and len(value) == len(items), f"a list of {len(items)} values")
         return tuple(_convert(item, v, where) for item, v in zip(items, value, strict=True))
     if hint is dict or origin is dict:
         expect(isinstance(value, dict), "a mapping")
-        return (
-            {str(k): _convert(items[1], v, f"{where}.{k}") for k, v in value.items()}
-            if items
-            else value
-        )
+        if not items:
+            return value
+        return {str(k): _convert(items[1], v, f"{where}.{k}") for k, v in value.items()}
     if origin is typing.Literal:
         expect(value in items, f"one of {', '.join(map(repr, items))}")
         return value
@@ -317,11 +287,8 @@ def merge(base: dict, changes: dict) -> dict:
     """
     out = dict(base)
     for key, value in changes.items():
-        out[key] = (
-            merge(out[key], value)
-            if isinstance(value, dict) and isinstance(out.get(key), dict)
-            else value
-        )
+        both = isinstance(value, dict) and isinstance(out.get(key), dict)
+        out[key] = merge(out[key], value) if both else value
     return out
 
 
@@ -367,23 +334,25 @@ class _Strict(yaml.SafeLoader):
         """
         self.values += 1
         if self.values > MOST_VALUES or len(above) >= DEEPEST:
-            raise yaml.constructor.ConstructorError(None, None, _TOO_MUCH, node.start_mark)
+            raise _wrong(node, _TOO_MUCH)
         if node in above:
-            raise yaml.constructor.ConstructorError(
-                None, None, "a value that contains itself", node.start_mark
-            )
+            raise _wrong(node, "a value that contains itself")
         if isinstance(node, yaml.ScalarNode):
             return
         keys = set()
         for item in node.value:
-            for part in item if isinstance(item, tuple) else (item,):
+            parts = item if isinstance(item, tuple) else (item,)
+            for part in parts:
                 self._check(part, (*above, node))
-            key = item[0] if isinstance(item, tuple) else None
-            if isinstance(key, yaml.ScalarNode):
-                if key.value in keys:
-                    twice = f"key {key.value!r} appears twice"
-                    raise yaml.constructor.ConstructorError(None, None, twice, key.start_mark)
-                keys.add(key.value)
+            if len(parts) == 2 and isinstance(parts[0], yaml.ScalarNode):
+                key = parts[0].value
+                if key in keys:
+                    raise _wrong(parts[0], f"key {key!r} appears twice")
+                keys.add(key)
+
+
+def _wrong(node: yaml.Node, said: str) -> yaml.YAMLError:
+    return yaml.constructor.ConstructorError(None, None, said, node.start_mark)
 
 
 def _number_of(loader: _Strict, node: yaml.ScalarNode) -> int | float:
@@ -391,14 +360,13 @@ def _number_of(loader: _Strict, node: yaml.ScalarNode) -> int | float:
     text = node.value.replace("_", "").lstrip("+-")
     whole = node.tag.endswith(":int")
     if ":" in text or (whole and len(text) > 1 and text[0] == "0" and text.isdecimal()):
-        said = f"{node.value}: expected a decimal number without leading 0 and :, or quoted text"
-        raise yaml.constructor.ConstructorError(None, None, said, node.start_mark)
+        expected = "a decimal number without leading 0 and :, or quoted text"
+        raise _wrong(node, f"{node.value}: expected {expected}")
     if whole:
         return loader.construct_yaml_int(node)
     number = loader.construct_yaml_float(node)
     if math.isinf(number) and "inf" not in text.lower():
-        said = f"{node.value}: expected a number below {sys.float_info.max:.2g}"
-        raise yaml.constructor.ConstructorError(None, None, said, node.start_mark)
+        raise _wrong(node, f"{node.value}: expected a number below {sys.float_info.max:.2g}")
     return number
 
 

@@ -53,9 +53,8 @@ def keys_of(cls: type, above: str = "") -> Iterator[str]:
         inner = _class_in(hint)
         kind = _range(f) or _kind(hint)
         if inner is Prior:
-            kind = (
-                f"{_range(_SOIL[f.name]) if f.name in _SOIL else '[deg]'}, or {{value, sd}} of it"
-            )
+            number = _range(_SOIL[f.name]) if f.name in _SOIL else "[deg]"
+            kind = f"{number}, or {{value, sd}} of it"
         elif inner is not None:
             named = typing.get_origin(hint) is dict
             within.append((f"{above}{f.name}{'.NAME' if named else ''}.", inner))
@@ -69,10 +68,8 @@ def keys_of(cls: type, above: str = "") -> Iterator[str]:
 
 def _class_in(hint: Any) -> type | None:
     """The dataclass that a hint names, alone, as one of several, or as the values of a mapping."""
-    for one in (hint, *typing.get_args(hint)):
-        if isinstance(one, type) and dataclasses.is_dataclass(one):
-            return one
-    return None
+    kinds = (hint, *typing.get_args(hint))
+    return next((k for k in kinds if isinstance(k, type) and dataclasses.is_dataclass(k)), None)
 
 
 def _range(f: Any) -> str:
@@ -81,11 +78,10 @@ def _range(f: Any) -> str:
         return ""
     low = f.metadata["low"]
     high = f.metadata["high"]
-    unit = f.metadata["unit"] or "-"
-    if low == -math.inf and high == math.inf:
-        return f"[{unit}]"
-    bound = f"{low:g} to {high:g}" if high < math.inf else f"at least {low:g}"
-    return f"[{unit}] {bound}"
+    bound = f" at least {low:g}" if low > -math.inf else ""
+    if high < math.inf:
+        bound = f" {low:g} to {high:g}"
+    return f"[{f.metadata['unit'] or '-'}]{bound}"
 
 
 def _kind(hint: Any) -> str:
@@ -103,13 +99,13 @@ def _kind(hint: Any) -> str:
 
 def _default(f: Any) -> str:
     """The default in words, or that there is none."""
-    if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING:
+    if f.default is f.default_factory is dataclasses.MISSING:
         return "required"
     value = f.default if f.default is not dataclasses.MISSING else f.default_factory()
-    if isinstance(value, float) and math.isnan(value):
-        return "left out: as the usual wheel"
     if value is None or value in ("", {}, ()) or dataclasses.is_dataclass(value):
         return ""
     if isinstance(value, tuple):
         return f"default [{', '.join(f'{x:g}' for x in value)}]"
-    return f"default {value:g}" if isinstance(value, float) else f"default {value}"
+    if isinstance(value, float):
+        return "left out: as the usual wheel" if math.isnan(value) else f"default {value:g}"
+    return f"default {value}"

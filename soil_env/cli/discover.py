@@ -5,9 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import click
-from rich.console import Console
 
-from soil_env.cli.running import WholeNumber, out_option, seed_option
+from soil_env.cli.running import WholeNumber, console, out_option, seed_option
 from soil_env.cli.table_files import table_arguments
 from soil_env.discovery.next_tests import MOST
 from soil_env.discovery.report import FILES, show
@@ -41,7 +40,7 @@ def command(data: Path, setup: Path, out: Path, seed: int, runs: int, quiet: boo
         first = f"CHECK FIRST: {' '.join(report.doubts)} " if report.doubts else ""
         print(f"{report.verdict}: {first}{summary(report)}")
         return
-    show(report, Console(width=None if sys.stdout.isatty() else 100))
+    show(report, console())
     for name in FILES:
         print(f"written: {out / name}")
 

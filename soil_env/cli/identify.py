@@ -1,15 +1,12 @@
 """`soil-env identify`."""
 
-import json
-import sys
 from pathlib import Path
 
 import click
-from rich.console import Console
 from rich.text import Text
 
-from soil_env._io.files import check_own, write_own
-from soil_env.cli.running import out_option
+from soil_env._io.files import check_own, json_text, write_own
+from soil_env.cli.running import console, out_option
 from soil_env.cli.table_files import table_arguments
 from soil_env.discovery.instrument import exact
 from soil_env.identification.table.fit import identify_table
@@ -37,12 +34,9 @@ def command(data: Path, setup: Path, out: Path | None) -> None:
         check_own(out, FILES, (data, setup))
     estimate = identify_table(table, known)
     if out is not None:
-        contents = (
-            json.dumps(report_of(estimate), indent=2, allow_nan=False) + "\n",
-            picture(estimate),
-        )
-        write_own(out, dict(zip(FILES, contents, strict=True)))
-    Console(width=None if sys.stdout.isatty() else 110).print(Text(text_of(estimate)))
+        report = json_text(report_of(estimate), indent=2)
+        write_own(out, dict(zip(FILES, (report, picture(estimate)), strict=True)))
+    console(110).print(Text(text_of(estimate)))
     if out is not None:
         for name in FILES:
             print(f"written: {out / name}")

@@ -1,8 +1,6 @@
 """`soil-env logs`."""
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import click
@@ -47,24 +45,21 @@ def command(recording: Path, map_file: Path, out: Path) -> None:
     """
     log_map = read_map(map_file)
     check_own(out, (*ALWAYS, "steady.csv", "setup.yaml"), (recording, map_file))
-    with _progress() as progress:
-        log = read_recording(recording, log_map, progress)
+    columns = (TextColumn("reading"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
+    hidden = not sys.stderr.isatty()
+    with Progress(
+        *columns, console=Console(stderr=True), transient=True, disable=hidden
+    ) as progress:
+        task = progress.add_task("reading", total=None)
+
+        def show(done: int, size: int) -> None:
+            progress.update(task, completed=done, total=size)
+
+        log = read_recording(recording, log_map, show)
     found = replay(log, log_map)
     steady = steady_windows(log, log_map, found.ground)
-    report = report_of(recording.name, log, log_map, found, steady, out)
-    check_own(out, report.files, (recording, map_file))
-    write_own(out, report.files)
-    earlier = [p.name for p in out.iterdir() if FILES.fullmatch(p.name)]
-    drop_own(out, set(earlier) - set(report.files))
-    print(report.text, end="")
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[int, int], None]]:
-    """Show how much has been read, on a terminal (stderr)."""
-    columns = (TextColumn("reading"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
-    with Progress(
-        *columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
-    ) as shown:
-        task = shown.add_task("reading", total=None)
-        yield lambda done, size: shown.update(task, completed=done, total=size)
+    files, text = report_of(recording.name, log, log_map, found, steady, out)
+    check_own(out, files, (recording, map_file))
+    write_own(out, files)
+    drop_own(out, {p.name for p in out.iterdir() if FILES.fullmatch(p.name)} - set(files))
+    print(text, end="")

@@ -1,14 +1,12 @@
 """`soil-env paper`."""
 
-import sys
 from pathlib import Path
 
 import click
-from rich.console import Console
 from rich.markdown import Markdown
 
 from soil_env._io.files import check_own
-from soil_env.cli.running import WholeNumber, out_option, seed_option
+from soil_env.cli.running import WholeNumber, console, out_option, seed_option
 from soil_env.paper import page
 from soil_env.paper.compare import compute
 
@@ -39,4 +37,4 @@ def command(out: Path | None, draws: int, seed: int) -> None:
         print(f"written: {out / 'paper.md'}, figures in {out / 'paper'}")
     else:
         text = page.markdown(results, asked)
-        Console(width=None if sys.stdout.isatty() else 100).print(Markdown(text, hyperlinks=False))
+        console().print(Markdown(text, hyperlinks=False))

@@ -17,6 +17,7 @@ from types import FrameType
 from typing import Any, NoReturn
 
 import click
+from rich.console import Console
 
 from soil_env._io.loading import ParameterError
 
@@ -189,6 +190,11 @@ def _send(number: int) -> None:
         signal.pthread_kill(thread, number)
     else:
         signal.raise_signal(number)
+
+
+def console(width: int = 100) -> Console:
+    """The terminal, or lines of this width in a file or a pipe."""
+    return Console(width=None if sys.stdout.isatty() else width)
 
 
 class WholeNumber(click.ParamType):

@@ -141,11 +141,3 @@ PARTS = {
     "wheels": _wheels,
     "predictions, tables, logs": _predictions,
 }
-
-
-def warm_up() -> None:
-    """Run once what is compiled, in this process: environments, identifier, tables, logs,
-    controllers, views, the source paper.
-    """
-    for part in PARTS.values():
-        part()

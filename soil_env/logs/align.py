@@ -26,21 +26,13 @@ class Channel:
 
     place: str  # topic and field, or column
     readings: int = 0
-    empty: int = (
-        0  # infinite or NaN: a range finder without an echo (REP 117), a sensor that is off
-    )
+    #: Infinite or NaN: a range finder without an echo (REP 117), a sensor that is off.
+    empty: int = 0
     unusable: int = 0  # out of any range
     interpolated: float = 0.0  # share of the steps
     missing: float = 0.0  # share of the steps
     times: array = field(default_factory=lambda: array("q"), repr=False)  # [ns] of usable readings
     values: array = field(default_factory=lambda: array("d"), repr=False)
-
-    def facts(self) -> dict[str, str | int | float]:
-        """Fields of the report."""
-        return {
-            n: getattr(self, n)
-            for n in ("place", "readings", "empty", "unusable", "interpolated", "missing")
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,13 +62,10 @@ class Aligned:
         """
         rim = self.get("wheel_speed") * radius
         speed = self.get("speed")
-        slip = self.get("slip")
-        slip = np.where(np.isnan(slip), slips(rim, speed), np.clip(slip, -1.0, 1.0))
-        return (
-            rim,
-            np.where(np.isnan(speed), travel_speeds(rim, np.maximum(slip, _LOCKED)), speed),
-            slip,
-        )
+        slip = np.clip(self.get("slip"), -1.0, 1.0)
+        slip = np.where(np.isnan(slip), slips(rim, speed), slip)
+        of_slip = travel_speeds(rim, np.maximum(slip, _LOCKED))
+        return rim, np.where(np.isnan(speed), of_slip, speed), slip
 
     def travelled(self, radius: float) -> np.ndarray:
         """Distance [N] in m from the beginning, without what was travelled in gaps; `radius` [m] of
@@ -96,8 +85,7 @@ def align(
     ns = round(period * 1e9)
     measured = {n: c for n, c in channels.items() if n not in constants}
     turning = np.frombuffer(channels["wheel_speed"].times, np.int64)
-    if turning.size == 0:
-        return Aligned(0, np.zeros(0), {n: np.zeros(0) for n in channels}, channels, period)
+
     origin = int(turning.min())
     steps = {
         n: (np.frombuffer(c.times, np.int64) - origin + ns // 2) // ns for n, c in measured.items()
@@ -138,11 +126,12 @@ def interpolated(
     """`values` [N] with NaN filled linearly between neighbours at most `max_gap` apart; True [N]
     where filled.
     """
-    known = np.flatnonzero(~np.isnan(values))
-    if known.size < 2:
-        return values, np.zeros(values.size, bool)
-    after = np.clip(np.searchsorted(known, np.arange(values.size)), 1, known.size - 1)
-    near = time[known[after]] - time[known[after - 1]] <= max_gap * (1.0 + 1e-9)
-    inside = (np.arange(values.size) > known[0]) & (np.arange(values.size) < known[-1])
-    filled = np.isnan(values) & inside & near
+    filled = np.isnan(values)
+    known = np.flatnonzero(~filled)
+    if not known.size:
+        return values, ~filled
+    near = np.diff(time[known]) <= max_gap * (1.0 + 1e-9)
+    filled[: known[0]] = False
+    filled[known[0] : known[-1]] &= np.repeat(near, np.diff(known))
+    filled[known[-1] :] = False
     return np.where(filled, np.interp(time, time[known], values[known]), values), filled

@@ -18,7 +18,7 @@ from contextlib import closing, suppress
 from functools import partial
 from numbers import Real
 from pathlib import Path
-from types import MappingProxyType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from soil_env._io.loading import ParameterError, nearest, plural, read_yaml
@@ -34,8 +34,6 @@ _MOST_WORK = (10_000_000, 10)
 _WORK_STEP = 100_000  # instructions between two counts
 _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[[^\[\]]+\])*)\Z")  # of a path into a message
 _LISTS_OF_NAMES = ("name", "joint_names", "names")
-
-Progress = Callable[[int, int], None]  # bytes read, of how many in all
 
 
 class Message(NamedTuple):
@@ -55,12 +53,13 @@ def bag_files(path: Path) -> list[Path]:
     """
     if path.is_file():
         return [path]
-    found = sorted(p for p in path.iterdir() if p.suffix in SUFFIXES)
+    inside = sorted(path.iterdir())
+    found = [file for file in inside if file.suffix in SUFFIXES]
     if (path / "metadata.yaml").is_file():
         about = read_yaml(path / "metadata.yaml").get("rosbag2_bagfile_information")
         named = about.get("relative_file_paths") if isinstance(about, dict) else None
         found = [path / Path(str(name)).name for name in named or []] or found
-    for file in found or sorted(path.iterdir()):
+    for file in found or inside:
         check_packed(file)
     if not found:
         raise ParameterError(f"{path}: no .mcap or .db3 file in this folder: expected a ROS 2 bag")
@@ -76,13 +75,7 @@ def check_packed(file: Path) -> None:
         )
 
 
-def messages(
-    path: Path,
-    wanted: set[str],
-    notes: Notes,
-    progress: Progress,
-    definitions: Mapping[str, str] = MappingProxyType({}),
-) -> Iterator[Message]:
+def messages(wanted: set[str], notes: Notes, definitions: Mapping[str, str]) -> Iterator[Message]:
     """The messages on the topics `wanted` of a bag (a folder) or of one of its files, in the order
     of recording; `definitions` of message types, the text of their .msg files.
     """
@@ -91,23 +84,20 @@ def messages(
         import rosbags  # noqa: F401
     except ImportError:
         raise ParameterError("bags need the extra logs: pip install 'soil_env[logs]'") from None
-    files = bag_files(path)
-    sizes = [p.stat().st_size if p.is_file() else 0 for p in files]
-    for k, file in enumerate(files):
+    files = bag_files(notes.path)
+    notes.size = sum(file.stat().st_size for file in files if file.is_file())
+    for file in files:
         if not file.is_file():
             notes.add(
                 f"{file.name} is named in metadata.yaml and is not there. Its part of the "
                 "recording is missing."
             )
             continue
-
-        def report(position: int, before: int = sum(sizes[:k])) -> None:
-            progress(before + position, sum(sizes))
-
         notes.file = file.name
         reader = _mcap if file.suffix == ".mcap" else _sqlite
-        yield from reader(file, wanted, notes, report, definitions)
-        report(sizes[k])
+        yield from reader(file, wanted, notes, _Decoder(definitions))
+        notes.before += file.stat().st_size
+        notes.report(0)
 
 
 class _Decoder:
@@ -132,9 +122,7 @@ class _Decoder:
 
         try:
             new = get_types_from_msg(text, kind)
-            new = {k: v for k, v in new.items() if k not in self._own.types}
-            if new:
-                self._own.register(new)
+            self._own.register({k: v for k, v in new.items() if k not in self._own.types})
         # The parser and the code made of the definition have errors of their own.
         except Exception as error:
             self._unread[kind] = error
@@ -177,7 +165,7 @@ def _unpacked(data: bytes) -> bytes:
     return zstandard.decompress(data)
 
 
-def _mcap_records(file: Path, notes: Notes, report: Callable[[int], None]) -> Iterator[Any]:
+def _mcap_records(file: Path, notes: Notes) -> Iterator[Any]:
     """Records of an MCAP file up to its index, those in chunks one by one; damaged chunks are left
     out.
     """
@@ -202,27 +190,22 @@ def _mcap_records(file: Path, notes: Notes, report: Callable[[int], None]) -> It
             # Besides errors of its own the library lets those of struct and of text through.
             except Exception as error:
                 why = "" if isinstance(error, EndOfFile) else f" ({error})"
-                at = (
-                    f"after the message recorded at {last * 1e-9:.3f} s"
-                    if last
-                    else "before its first message"
-                )
-                end = (
-                    "at its end" if stream.tell() >= size else f"at byte {stream.tell()} of {size}"
-                )
+                at = "before its first message"
+                if last:
+                    at = f"after the message recorded at {last * 1e-9:.3f} s"
+                place = stream.tell()
+                end = "at its end" if place >= size else f"at byte {place} of {size}"
                 notes.add(
                     f"{file.name} is cut off or damaged {end}{why}, {at}. What comes before was "
                     "read."
                 )
                 return
+            inside = [record]
             try:
-                if isinstance(record, Chunk) and record.uncompressed_size > _MOST_CHUNK:
-                    raise ValueError(f"it unpacks to more than {_MOST_CHUNK} bytes")
-                inside = (
-                    breakup_chunk(record, validate_crc=True)
-                    if isinstance(record, Chunk)
-                    else [record]
-                )
+                if isinstance(record, Chunk):
+                    if record.uncompressed_size > _MOST_CHUNK:
+                        raise ValueError(f"it unpacks to more than {_MOST_CHUNK} bytes")
+                    inside = breakup_chunk(record, validate_crc=True)
             # checksum, decompression: each library has errors of its own
             except Exception as error:
                 notes.add(
@@ -233,23 +216,16 @@ def _mcap_records(file: Path, notes: Notes, report: Callable[[int], None]) -> It
             for r in inside:
                 last = r.log_time if isinstance(r, Record) else last
                 yield r
-            report(stream.tell())
+            notes.report(stream.tell())
 
 
-def _mcap(
-    file: Path,
-    wanted: set[str],
-    notes: Notes,
-    report: Callable[[int], None],
-    definitions: Mapping[str, str],
-) -> Iterator[Message]:
+def _mcap(file: Path, wanted: set[str], notes: Notes, decoder: _Decoder) -> Iterator[Message]:
     """Messages of an MCAP file."""
     from mcap.records import Channel, Message as Record, Schema
 
-    decoder = _Decoder(definitions)
     schemas = {}
     channels = {}
-    for r in _mcap_records(file, notes, report):
+    for r in _mcap_records(file, notes):
         if isinstance(r, Schema):
             schemas[r.id] = r
         elif isinstance(r, Channel):
@@ -257,11 +233,8 @@ def _mcap(
             kind = schema.name if schema else r.message_encoding
             notes.topics.setdefault(r.topic, kind)
             if r.topic in wanted:
-                channels[r.id] = (
-                    r.topic,
-                    kind,
-                    _decoding(decoder, f"{file}: topic {r.topic}", r, schema),
-                )
+                decode = _decoding(decoder, f"{file}: topic {r.topic}", r, schema)
+                channels[r.id] = (r.topic, kind, decode)
         elif isinstance(r, Record) and r.channel_id in channels:
             topic, kind, decode = channels[r.channel_id]
             yield Message(topic, r.log_time, kind, partial(decode, r.data))
@@ -273,12 +246,9 @@ def _decoding(decoder: _Decoder, where: str, channel, schema) -> Callable[[bytes
     """
     if channel.message_encoding == "json":
         return partial(json.loads, object_hook=lambda d: SimpleNamespace(**d))
-    if (
-        channel.message_encoding != "cdr"
-        or schema is None
-        or schema.encoding not in ("ros2msg", "")
-    ):
-        encoding = f"{channel.message_encoding} with schema {schema.encoding if schema else 'none'}"
+    kind = schema.encoding if schema else "none"
+    if channel.message_encoding != "cdr" or kind not in ("ros2msg", ""):
+        encoding = f"{channel.message_encoding} with schema {kind}"
         raise ParameterError(
             f"{where}: encoding {encoding}: expected cdr with schema ros2msg, or json"
         )
@@ -287,15 +257,8 @@ def _decoding(decoder: _Decoder, where: str, channel, schema) -> Callable[[bytes
     return partial(decoder.cdr, schema.name, where)
 
 
-def _sqlite(
-    file: Path,
-    wanted: set[str],
-    notes: Notes,
-    report: Callable[[int], None],
-    definitions: Mapping[str, str],
-) -> Iterator[Message]:
+def _sqlite(file: Path, wanted: set[str], notes: Notes, decoder: _Decoder) -> Iterator[Message]:
     """Messages of a .db3 file in the order of its rows, which is that of recording."""
-    decoder = _Decoder(definitions)
     size = file.stat().st_size
     _check_size(file, size)
     with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as base:
@@ -306,7 +269,7 @@ def _sqlite(
                     raise ParameterError(
                         f"{file}: {name} is no plain table of SQLite: expected a ROS 2 bag"
                     )
-            rows = base.execute("SELECT id, name, type FROM topics").fetchall()
+            rows = base.execute("SELECT id, name, type FROM topics")
             topics = {i: (str(name), str(kind)) for i, name, kind in rows}
             count = base.execute("SELECT max(rowid) FROM messages").fetchone()[0] or 1
             notes.topics |= dict(topics.values())
@@ -321,8 +284,9 @@ def _sqlite(
                 decode = partial(decoder.cdr, kind, f"{file}: topic {name}", data)
                 yield Message(name, time, kind, decode)
                 if number % 64 == 0:
-                    report(int(size * min(number / count, 1.0)))
-        except sqlite3.Error as error:
+                    notes.report(int(size * min(number / count, 1.0)))
+        # The text of an error may quote bytes of the file that are no UTF-8.
+        except (sqlite3.Error, UnicodeDecodeError) as error:
             raise ParameterError(
                 f"{file}: cannot be read as a ROS 2 bag in SQLite ({error})"
             ) from None
@@ -347,8 +311,7 @@ def _is_plain(base: sqlite3.Connection, name: str) -> bool:
     made = base.execute("SELECT type, sql FROM sqlite_master WHERE name = ?", (name,)).fetchone()
     if made is None or made[0] != "table" or not str(made[1]).upper().startswith("CREATE TABLE"):
         return False
-    columns = base.execute(f"PRAGMA table_xinfo({name})").fetchall()
-    return all(hidden == 0 for *_, hidden in columns)
+    return all(hidden == 0 for *_, hidden in base.execute(f"PRAGMA table_xinfo({name})"))
 
 
 def _check_size(file: Path, size: int) -> None:
@@ -417,8 +380,7 @@ def number(
         elif _has_fields(value) and hasattr(value, step):
             value = getattr(value, step)
         else:
-            near = _near(message, steps)
-            raise _wrong(message, f"{where}: the message has no such field{near}")
+            raise _wrong(message, f"{where}: the message has no such field{_near(message, steps)}")
     if quaternion:
         try:
             parts = [float(getattr(value, name)) for name in "xyzw"]
@@ -445,8 +407,7 @@ def _wrong(message: Any, said: str) -> ValueError:
 def _item(message: Any, values: Any, step: str | int, where: str) -> Any:
     """Element of a list by its index, or by its "[name]" in the list of names of the message."""
     if not hasattr(values, "__len__") or isinstance(values, str):
-        said = f"{where}: {step} of something that is no list: {_kind(values)}"
-        raise _wrong(message, said)
+        raise _wrong(message, f"{where}: {step} of something that is no list: {_kind(values)}")
     if isinstance(step, str):
         names = next(
             (list(getattr(message, key)) for key in _LISTS_OF_NAMES if hasattr(message, key)), None
@@ -471,9 +432,9 @@ def uphill(x: float, y: float, z: float, w: float) -> float:
     orientation.
     """
     norm = x * x + y * y + z * z + w * w
-    return (
-        math.nan if norm < 1e-6 else -math.asin(min(max(2.0 * (w * y - z * x) / norm, -1.0), 1.0))
-    )
+    if norm < 1e-6:
+        return math.nan
+    return -math.asin(min(max(2.0 * (w * y - z * x) / norm, -1.0), 1.0))
 
 
 def _paths(value: Any, prefix: str = "", depth: int = 6) -> list[str]:
@@ -491,18 +452,14 @@ def _paths(value: Any, prefix: str = "", depth: int = 6) -> list[str]:
 def _kind(value: Any) -> str:
     if value is None:
         return "null"
-    return (
-        f"a list of {len(value)}"
-        if hasattr(value, "__len__")
-        else type(value).__name__.removesuffix("_")
-    )
+    if hasattr(value, "__len__"):
+        return f"a list of {len(value)}"
+    return type(value).__name__.removesuffix("_")
 
 
 def _near(message: Any, steps: tuple[str | int, ...]) -> str:
     """The most similar path of a message, and the others."""
     asked = ".".join(str(s) for s in steps if not isinstance(s, int) and not s.startswith("["))
     known = _paths(message)
-    return (
-        f"{nearest(asked, known)} (fields: "
-        f"{', '.join(known[:24])}{', ...' if len(known) > 24 else ''})"
-    )
+    more = ", ..." if len(known) > 24 else ""
+    return f"{nearest(asked, known)} (fields: {', '.join(known[:24])}{more})"

@@ -8,7 +8,6 @@ that drive. A doubt is one line: what, where, what was expected.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,30 +27,17 @@ _USUAL = (2e-3, 2.0)  # [s] between rows, usual
 _SHORT = 10.0  # [s] length of a short table
 
 
-class Range(NamedTuple):
-    """Plausible values of a ratio; wide, so that hardly a wheel on soil is outside."""
-
-    low: float
-    high: float
-
-    def has(self, value: float) -> bool:
-        """True if the value is in the range."""
-        return self.low <= value <= self.high
-
-    def __str__(self) -> str:
-        return f"{self.low:g} to {self.high:g}"
-
-
-#: Rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long.
 _HELD = 0.7  # of the travel speed: the rim of a wheel that holds back downhill
-_RIM = Range(0.65, 6.0)
-_FREEST = Range(0.4, 3.2)  # the same in the tenth of the steps with the least slip
-_LOAD = Range(0.2, 5.0)  # [of weight]
-_PULL = Range(1e-3, 2.0)  # [of weight]
-_TORQUE = Range(5e-3, 3.0)  # [of weight times radius]
-_PITCH = Range(0.0, 0.8)  # [rad]
-_FELT = Range(0.0, 0.7)  # [of gravity]; more with an axis that points down
-_SINKAGE = Range(1e-3, math.inf)  # [radii] largest of a log
+# Plausible ratios, least and most; wide, so that hardly a wheel on soil is outside.
+#: Rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long.
+_RIM = (0.65, 6.0)
+_FREEST = (0.4, 3.2)  # the same in the tenth of the steps with the least slip
+_LOAD = (0.2, 5.0)  # [of weight]
+_PULL = (1e-3, 2.0)  # [of weight]
+_TORQUE = (5e-3, 3.0)  # [of weight times radius]
+_PITCH = (0.0, 0.8)  # [rad]
+_FELT = (0.0, 0.7)  # [of gravity]; more with an axis that points down
+_SINKAGE = (1e-3, math.inf)  # [radii] largest of a log
 
 
 def time_doubts(interval: float, length: float, log_map: LogMap) -> list[str]:
@@ -69,15 +55,13 @@ def time_doubts(interval: float, length: float, log_map: LogMap) -> list[str]:
     usual = [
         u
         for u, f in TIMES.items()
-        if u != "iso" and _USUAL[0] <= interval * f / TIMES[now] <= _USUAL[1]
+        if u not in ("iso", now) and _USUAL[0] <= interval * f / TIMES[now] <= _USUAL[1]
     ]
-    likely = " or ".join(u for u in usual if u != now) or "another"
+    likely = " or ".join(usual) or "another"
     return [
-        (
-            f"time (column {log_map.time.column}): rows are {interval:.3g} s apart, {length:.3g} s "
-            f"in all, expected {_USUAL[0]:g} to {_USUAL[1]:g} s apart. Perhaps unit {likely} in "
-            f"place of {now}."
-        )
+        f"time (column {log_map.time.column}): rows are {interval:.3g} s apart, {length:.3g} s in "
+        f"all, expected {_USUAL[0]:g} to {_USUAL[1]:g} s apart. Perhaps unit {likely} in place of "
+        f"{now}."
     ]
 
 
@@ -96,9 +80,7 @@ class _Doubts:
         self.rim = log.readings["wheel_speed"] * log_map.wheel.radius
         self.speed = log.get("speed")
         self.slowest = _STANDS * log_map.wheel.radius
-        self.drives = (np.abs(self.rim) > self.slowest) | (
-            np.abs(np.nan_to_num(self.speed)) > self.slowest
-        )
+        self.drives = (np.abs(self.rim) > self.slowest) | (np.abs(self.speed) > self.slowest)
         sound_speeds = self._speeds()
         sound_sizes = self._sizes()
         for name in ("load", "sinkage"):
@@ -118,7 +100,7 @@ class _Doubts:
     def _place(self, name: str) -> str:
         return f"{name} ({self.map.channels[name].place})"
 
-    def _doubt(self, name: str, said: str, expected: object, reason: str) -> None:
+    def _doubt(self, name: str, said: str, expected: str, reason: str) -> None:
         self.lines.append(
             f"{self._place(name)} reads {said}, expected {expected}. Perhaps {reason}."
         )
@@ -126,11 +108,11 @@ class _Doubts:
     def _units(self, name: str, low: float, high: float) -> list[str]:
         """Units in which the reading would be `low` to `high` times as large."""
         unit = self.map.channels[name].unit
-        others = ("A", "quaternion")
         now = si_factor(name, unit)
-        units = {} if unit in others else UNITS[name]
         return [
-            u for u, f in units.items() if u not in others and f != now and low <= f / now <= high
+            u
+            for u, f in UNITS[name].items()
+            if not {u, unit} & {"A", "quaternion"} and f != now and low <= f / now <= high
         ]
 
     def _unit(self, name: str, low: float, high: float) -> str:
@@ -143,45 +125,46 @@ class _Doubts:
         """Compare rim speed, travel speed and slip; True if nothing is doubtful."""
         rim = self.rim
         speed = self.speed
-        slip = self.log.readings.get("slip")
-        both = self.drives & ~np.isnan(rim) & ~np.isnan(speed)
-        moves = both & (np.abs(np.nan_to_num(speed)) > self.slowest)
+        both = self.drives & ~np.isnan(rim + speed)
+        moves = both & (np.abs(speed) > self.slowest)
         both = moves if moves.sum() >= _LEAST else both
         if both.sum() < _LEAST:
             return True
         over = _median(np.abs(rim[both])) / max(_median(np.abs(speed[both])), 1e-9)
+
         turns = moves & (np.abs(rim) > self.slowest)
         known = turns.sum() >= _LEAST
         freest = float(np.quantile(np.abs(rim[turns] / speed[turns]), 0.1)) if known else 1.0
-        if over < _RIM.low or not _FREEST.has(freest) or (over > _RIM.high and not known):
-            over = over if over < _RIM.low or not known else freest
+        low, high = _RIM
+        free, freer = _FREEST
+        if over < low or not free <= freest <= freer or (over > high and not known):
+            over = over if over < low or not known else freest
+            least = max(over, 1e-9)  # of a sensor that reads nothing
+            limits = {
+                "wheel_speed": (_HELD / least, 2.0 / least),
+                "speed": (over / 2.0, over / _HELD),
+            }
             units = [
-                f"wheel_speed in {u}" for u in self._units("wheel_speed", _HELD / over, 2.0 / over)
+                f"{name} in {u}" for name, of in limits.items() for u in self._units(name, *of)
             ]
-            units += [f"speed in {u}" for u in self._units("speed", over / 2.0, over / _HELD)]
             reason = (
                 " or ".join(units)
                 or f"another unit or gear{', or a wheel that hardly gets on' * (over > 1.0)}"
             )
             said = f"a rim speed of {over:.3g} times the travel speed of {self._place('speed')}"
-            self._doubt("wheel_speed", said, _RIM, reason)
+            self._doubt("wheel_speed", said, f"{low:g} to {high:g}", reason)
             return False
-        if _median(np.sign(rim[both]) * np.sign(speed[both])) < 0.0:
+        if _median(np.sign(rim * speed)[both]) < 0.0:
             said = f"against the travel speed of {self._place('speed')}"
             self._doubt("wheel_speed", said, "the same direction", "another sign of one of the two")
             return False
-        return slip is None or self._slip(slip, both)
-
-    def _slip(self, slip: np.ndarray, both: np.ndarray) -> bool:
-        """Compare the measured slip with that of the speeds in the steps `both`; True if nothing is
-        doubtful.
-        """
-        of_speeds = slips(self.rim, self.speed)
-        away, opposite = (_median(np.abs(slip - sign * of_speeds)[both]) for sign in (1.0, -1.0))
+        of_speeds = slips(rim, speed)[both]
+        slip = self.log.get("slip")[both]
+        away, opposite = (_median(np.abs(slip - sign * of_speeds)) for sign in (1.0, -1.0))
         if away > _SLIPS[1] or away > max(_SLIPS[0], 2.0 * opposite):
-            expected = f"{_median(of_speeds[both]):.2g} by the two speeds"
+            expected = f"{_median(of_speeds):.2g} by the two speeds"
             self._doubt(
-                "slip", f"{_median(slip[both]):.2g}", expected, "another sign, unit or definition"
+                "slip", f"{_median(slip):.2g}", expected, "another sign, unit or definition"
             )
             return False
         return True
@@ -207,22 +190,21 @@ class _Doubts:
             "motor_torque": (of_twist, 0.75, _TORQUE),
         }
         before = len(self.lines)
-        for name, ((scale, unit, words), quantile, plausible) in sizes.items():
+        for name, ((scale, unit, words), quantile, (low, high)) in sizes.items():
             values = self._driven(np.abs(self.log.get(name)))
-            size = float(np.quantile(values, quantile)) if values.size >= _LEAST else math.nan
-            ratio = size / scale
-            if math.isnan(ratio) or plausible.has(ratio) or (ratio == 0.0 and name == "sinkage"):
+            if values.size < _LEAST:
                 continue
-            reason = (
-                self._unit(name, plausible.low / ratio, plausible.high / ratio)
-                if ratio
-                else "a dead sensor"
-            )
+            size = float(np.quantile(values, quantile))
+            ratio = size / scale
+            if low <= ratio <= high or (ratio == 0.0 and name == "sinkage"):
+                continue
+            reason = self._unit(name, low / ratio, high / ratio) if ratio else "a dead sensor"
             if name == "load":
                 reason += f", or wheel.body_mass {size / gravity:.3g} kg"
             if name == "acceleration":
                 reason += ", or an axis that points down"
-            self._doubt(name, f"{ratio:.3g} times {words} ({scale:.3g} {unit})", plausible, reason)
+            said = f"{ratio:.3g} times {words} ({scale:.3g} {unit})"
+            self._doubt(name, said, f"{low:g} to {high:g}", reason)
             if name == "load":
                 break
         return len(self.lines) == before
@@ -233,14 +215,12 @@ class _Doubts:
         """
         log = self.log
         gravity = self.map.gravity
-        if "pitch" not in log.readings:
+        if len(log) < _LEAST:
             return
         name = "acceleration" if "acceleration" in log.readings else "drawbar_pull"
-        if name not in log.readings or len(log) < _LEAST:
-            return
-        felt = log.readings[name] / (1.0 if name == "acceleration" else self.map.wheel.body_mass)
+        felt = log.get(name) / (1.0 if name == "acceleration" else self.map.wheel.body_mass)
         felt = felt - np.nan_to_num(np.gradient(self.speed, log.time))
-        expected = gravity * np.sin(log.readings["pitch"])
+        expected = gravity * np.sin(log.get("pitch"))
         known = ~np.isnan(expected + felt)
         x = expected[known]
         y = felt[known]

@@ -1,22 +1,33 @@
 """Remarks on a recording, and counts of what could not be read of it."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 from soil_env._io.loading import ParameterError
 
+Progress = Callable[[int, int], None]  # read, of how much in all: bytes, or rows of Parquet
+
 
 class Notes:
-    """Remarks of a reader beside the messages."""
+    """Remarks of a reader beside the messages, and how far it is."""
 
-    def __init__(self) -> None:
+    def __init__(self, path: Path, progress: Progress = lambda done, size: None) -> None:
+        self.path = path
         self.lines: list[str] = []
         self.topics: dict[str, str] = {}  # seen, with their type
         self.file = ""  # being read
+        self.size = 0  # of all files
+        self.before = 0  # of those that have been read
+        self._progress = progress
 
     def add(self, line: str) -> None:
         """Add a sentence, once."""
         if line not in self.lines:
             self.lines.append(line)
+
+    def report(self, position: int) -> None:
+        """Show how far the present file has been read."""
+        self._progress(self.before + position, self.size)
 
 
 class Faults:
@@ -34,16 +45,11 @@ class Faults:
         self.wrong += 1
         self.first = self.first or f"{where}: {' '.join(str(reason).split())[:300]}"
 
-    def settle(self, path: Path, notes: Notes) -> None:
+    def settle(self, notes: Notes) -> None:
         """Add a note where there are faults; `ParameterError` where less than half is left."""
+        said = f"{self.place}: {self.wrong} of {self.count} {self.things} cannot be read"
         if 2 * self.wrong > self.count:
-            place = "" if self.place == path.name else f"{self.place}: "
-            raise ParameterError(
-                f"{path}: {place}{self.wrong} of {self.count} {self.things} cannot be read, "
-                f"first {self.first}"
-            )
+            said = said.removeprefix(f"{notes.path.name}: ")
+            raise ParameterError(f"{notes.path}: {said}, first {self.first}")
         if self.wrong:
-            notes.add(
-                f"{self.place}: {self.wrong} of {self.count} {self.things} cannot be read. "
-                f"Left out, first {self.first}."
-            )
+            notes.add(f"{said}. Left out, first {self.first}.")

@@ -3,17 +3,17 @@
 import math
 from array import array
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from soil_env._io.loading import ParameterError, plural, unknown_key
 from soil_env.logs import bags, tables
 from soil_env.logs.align import Aligned, Channel, align
-from soil_env.logs.bags import Message, NotHere, Progress, Unlike, number, parse
+from soil_env.logs.bags import Message, NotHere, Unlike, number, parse
 from soil_env.logs.doubts import doubts, time_doubts
 from soil_env.logs.mapping import UNITS, LogMap, Source, TimeColumn, factor
-from soil_env.logs.notes import Faults, Notes
+from soil_env.logs.notes import Faults, Notes, Progress
 from soil_env.logs.stamps import LATEST, Stamps
 from soil_env.online import largest_readings
 
@@ -34,18 +34,16 @@ def read_recording(
     """
     path = Path(path)
     stamps = log_map.time if _check_kind(path, log_map) else None
-    notes = Notes()
-    reader = _Reader(log_map)
+    reader = _Reader(log_map, Notes(path, progress))
     if stamps is not None:
-        reader.read_table(path, stamps, notes, progress)
+        reader.read_table(stamps)
     else:
-        reader.read_bag(path, notes, progress)
+        reader.read_bag()
+    turning = reader.channels["wheel_speed"]
+    if not turning.times:
+        raise ParameterError(f"{path}: {turning.place}: not one reading of wheel_speed")
     found = align(reader.channels, reader.constants, log_map.period, log_map.max_gap)
-    if len(found) == 0:
-        raise ParameterError(
-            f"{path}: {log_map.channels['wheel_speed'].place}: not one reading of wheel_speed"
-        )
-    found.notes.extend(notes.lines + _remarks(found, log_map, reader.limits))
+    found.notes.extend(reader.notes.lines + _remarks(found, log_map, reader.limits))
     found.doubts.extend(
         time_doubts(reader.interval, reader.length, log_map) + doubts(found, log_map)
     )
@@ -81,41 +79,44 @@ def _check_kind(path: Path, log_map: LogMap) -> bool:
 class _Reader:
     """Numbers of a recording by channel."""
 
-    def __init__(self, log_map: LogMap) -> None:
+    def __init__(self, log_map: LogMap, notes: Notes) -> None:
         self.map = log_map
-        given = log_map.channels
-        self.constants = {
-            n: s.constant * factor(n, s) + s.offset
-            for n, s in given.items()
-            if s.constant is not None
-        }
-        self.sources = {n: s for n, s in given.items() if s.constant is None}
-        self.channels = {n: Channel(s.place) for n, s in given.items()}
+        self.notes = notes
+        self.constants = {}
+        self.sources = {}
+        self.channels = {n: Channel(s.place) for n, s in log_map.channels.items()}
         # Larger readings are left out.
         self.limits = largest_readings(log_map.wheel, log_map.gravity)._asdict()
         self.interval = math.nan  # [s] median between the first rows of a table
         self.length = 0.0  # [s] from the first to the last row
+        #: `max_gap` and `restart_gap` [ns].
+        self._gaps = round(log_map.max_gap * 1e9), round(log_map.restart_gap * 1e9)
         self._left = MOST_READINGS
-        for name, value in self.constants.items():
+        for name, source in log_map.channels.items():
+            if source.constant is None:
+                self.sources[name] = source
+                continue
+            value = source.constant * factor(name, source) + source.offset
             most = self.limits[name]
             if not abs(value) <= most:
                 raise ParameterError(
                     f"channels.{name}: constant {value:g} in SI units: expected at most {most:g}"
                 )
+            self.constants[name] = value
 
-    def _add(self, name: str, place: int, value: float, path: Path) -> None:
+    def _add(self, name: str, place: int, value: float) -> None:
         """Keep a reading in the unit of its source; `place`: index of its stamp."""
         self._left -= 1
         if self._left < 0:
             raise ParameterError(
-                f"{path}: has more than {MOST_READINGS} readings of the channels of the map: "
-                "expected fewer; read it in parts"
+                f"{self.notes.path}: has more than {MOST_READINGS} readings of the channels of the "
+                "map: expected fewer; read it in parts"
             )
         channel = self.channels[name]
         channel.times.append(place)
         channel.values.append(value)
 
-    def _settle(self, name: str, times: np.ndarray, kept: np.ndarray, notes: Notes) -> None:
+    def _settle(self, name: str, times: np.ndarray, kept: np.ndarray) -> None:
         """Turn the readings of a channel into SI units, and their places into times [ns]; count
         and leave out those without a sound stamp (`kept`) and those that cannot be; note those of
         one stamp that differ.
@@ -133,117 +134,102 @@ class _Reader:
         channel.empty = int(np.sum(~known))
         channel.unusable = int(np.sum(known & ~plausible))
         stamps = times[place[plausible]]
+        si = si[plausible]
         channel.times = array("q", stamps.tobytes())
-        channel.values = array("d", si[plausible].tobytes())
-        off = _spread(stamps, si[plausible])
+        channel.values = array("d", si.tobytes())
+        off = _spread(stamps, si)
         if off.size:
-            notes.add(
+            self.notes.add(
                 f"{channel.place}: readings of {name} differ at {off.size} time stamps that are "
                 f"there more than once, by up to {np.max(off):.3g} {next(iter(UNITS[name]))} (in "
                 f"the middle {np.median(off):.3g}): their mean is taken."
             )
 
-    def read_table(self, path: Path, stamps: TimeColumn, notes: Notes, progress: Progress) -> None:
+    def read_table(self, stamps: TimeColumn) -> None:
         """Read a CSV or Parquet file with a column of time stamps."""
         columns: dict[str, list[str]] = {}
         for name, source in self.sources.items():
             columns.setdefault(source.column, []).append(name)
         labels = {column: ", ".join(names) for column, names in columns.items()}
         order = Stamps(f"column {stamps.column}", "row")
-        for row in tables.rows(path, stamps.column, stamps.unit, labels, notes, progress):
-            for names, value in zip(columns.values(), row.values, strict=True):
+        for row, time, values in tables.rows(stamps.column, stamps.unit, labels, self.notes):
+            for names, value in zip(columns.values(), values, strict=True):
                 if value is None:
                     continue
                 for name in names:
-                    self._add(name, len(order), value, path)
-            order.add(row.time, row.number)
+                    self._add(name, len(order), value)
+            order.add(time, row)
         times = np.frombuffer(order.times, np.int64)
-        kept = order.settle(times, *self._gaps(), path, notes)
-        first = times[kept][:4096]
-        if first.size > 1:
-            self.interval = float(np.median(np.abs(np.diff(first)))) * 1e-9
-        if first.size:
-            self.length = float(times[kept][-1] - first[0]) * 1e-9
+        kept = order.settle(times, *self._gaps, self.notes)
+        sound = times[kept]
+        if sound.size > 1:
+            self.interval = float(np.median(np.abs(np.diff(sound[:4096])))) * 1e-9
+            self.length = float(sound[-1] - sound[0]) * 1e-9
         for name in self.sources:
-            self._settle(name, times, kept, notes)
+            self._settle(name, times, kept)
 
-    def _gaps(self) -> tuple[int, int]:
-        """`max_gap` and `restart_gap` [ns]."""
-        return round(self.map.max_gap * 1e9), round(self.map.restart_gap * 1e9)
-
-    def read_bag(self, path: Path, notes: Notes, progress: Progress) -> None:
+    def read_bag(self) -> None:
         """Read a bag."""
+        notes = self.notes
         topics = {s.topic: _Topic(s.topic) for s in self.sources.values()}
         for name, source in self.sources.items():
-            steps = parse(source.field, f"channels.{name}.field")
-            topics[source.topic].channels[name] = _Path(name, source, steps)
+            topics[source.topic].channels[name] = _Path(name, source)
         file = ""
-        found = bags.messages(path, set(topics), notes, progress, self.map.messages)
-        for message in found:
+        for message in bags.messages(set(topics), notes, self.map.messages):
             topic = topics[message.topic]
             if notes.file != file:
                 file = notes.file
                 for other in topics.values():
                     other.stamps.begin()
-            content = topic.open(message)
-            if content is None:
+            content, stamp = topic.open(message)
+            if stamp is None:
                 continue
             for name, place in topic.channels.items():
-                value = place.number(content.value, message.kind, topic.faults.count)
+                value = place.number(content, message.kind, topic.faults.count)
                 if value is not None:
-                    self._add(name, len(topic.stamps), value, path)
-            topic.stamps.add(content.stamp, topic.faults.count, message.time)
-        self._check_found(path, notes, topics)
+                    self._add(name, len(topic.stamps), value)
+            topic.stamps.add(stamp, topic.faults.count, message.time)
+        self._check_found(topics)
         delays = {}
         for of, topic in topics.items():
             by_header = self.map.clock == "header" and any(topic.stamps.times)
-            times, kept = topic.settle(by_header, self._gaps(), path, notes)
+            times, kept = topic.settle(by_header, self._gaps, notes)
             for name in topic.channels:
-                self._settle(name, times, kept, notes)
+                self._settle(name, times, kept)
             if by_header:
                 recorded = np.frombuffer(topic.stamps.recorded, np.int64)
                 delays[of] = float(np.mean((recorded - times)[kept])) * 1e-9
         _note_delays(notes, delays, set(topics))
 
-    def _check_found(self, path: Path, notes: Notes, topics: dict[str, "_Topic"]) -> None:
+    def _check_found(self, topics: dict[str, "_Topic"]) -> None:
         """Raise `ParameterError` for a topic that is not in the recording, one of which less than
         half can be read, and a field that no message has.
         """
+        notes = self.notes
+        path = notes.path
         if not notes.topics:
             said = f" ({'; '.join(notes.lines)})" if notes.lines else ""
             raise ParameterError(f"{path}: has no topics: not one message is whole{said}")
         for name, source in self.sources.items():
             if source.topic not in notes.topics:
-                where = f"{path}: channels.{name}.topic"
+                unknown = unknown_key(source.topic, notes.topics, f"{path}: channels.{name}.topic")
                 cut = " (of what is whole)" if notes.lines else ""
-                raise ParameterError(
-                    str(unknown_key(source.topic, notes.topics, where)).replace("key", "topic")
-                    + cut
-                )
+                raise ParameterError(str(unknown).replace("key", "topic") + cut)
         for topic in topics.values():
-            topic.faults.settle(path, notes)
+            topic.faults.settle(notes)
             for name, channel in topic.channels.items():
-                channel.faults.settle(path, notes)
+                channel.faults.settle(notes)
                 if channel.lacking and not self.channels[name].values:
                     raise ParameterError(f"{path}: {channel.lacking}, in all messages")
 
 
 def _spread(times: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Largest less smallest of the values [N] at each of the times [N] at which they differ."""
-    if not values.size:
-        return values
     order = np.argsort(times, kind="stable")
-    first = np.flatnonzero(np.diff(times[order], prepend=times[order[0]] - 1))
+    first = np.unique(times[order], return_index=True)[1]
     there = values[order]
     found: np.ndarray = np.maximum.reduceat(there, first) - np.minimum.reduceat(there, first)
     return found[found > 0.0]
-
-
-class _Content(NamedTuple):
-    """A decoded message."""
-
-    value: Any
-    stamp: int  # [ns] of its header; 0 = none
 
 
 class _Topic:
@@ -254,8 +240,9 @@ class _Topic:
         self.stamps = Stamps(f"topic {name}", "message")
         self.faults = Faults(f"topic {name}", "messages")
 
-    def open(self, message: Message) -> _Content | None:
-        """The content of a message; None where it cannot be decoded, which is counted.
+    def open(self, message: Message) -> tuple[Any, int | None]:
+        """The content of a message and the stamp [ns] of its header, 0 without one; None where it
+        cannot be decoded, which is counted.
 
         `ParameterError` for a type that nothing defines.
         """
@@ -263,38 +250,37 @@ class _Topic:
         try:
             if not abs(message.time) <= LATEST:
                 raise ValueError(f"recorded at {message.time} ns")
-            value = message.decode()
-            return _Content(value, _stamp(value))
+            content = message.decode()
+            return content, _stamp(content)
         except ParameterError:
             raise
         # Decoders have errors of their own, and those of whatever damaged bytes make them do.
         except Exception as error:
             self.faults.add(f"message {self.faults.count}", error or type(error).__name__)
-            return None
+            return None, None
 
     def settle(
-        self, by_header: bool, gaps: tuple[int, int], path: Path, notes: Notes
+        self, by_header: bool, gaps: tuple[int, int], notes: Notes
     ) -> tuple[np.ndarray, np.ndarray]:
         """Stamps [N] in ns by header or recording, and True [N] for those that count."""
         stamps = self.stamps
         times = np.frombuffer(stamps.times if by_header else stamps.recorded, np.int64)
-        if not by_header:
-            return times, stamps.settle(times, *gaps, path, notes)
-        zeros = Faults(f"{stamps.source}, header.stamp", "stamps")
-        zeros.count = times.size
-        for k in np.flatnonzero(times == 0).tolist():
-            zeros.add(f"message {stamps.numbers[k]}", "zero or missing; try clock: log")
-        zeros.settle(path, notes)
-        return times, stamps.settle(times, *gaps, path, notes)
+        if by_header:
+            zeros = Faults(f"{stamps.source}, header.stamp", "stamps")
+            zeros.count = times.size
+            for k in np.flatnonzero(times == 0).tolist():
+                zeros.add(f"message {stamps.numbers[k]}", "zero or missing; try clock: log")
+            zeros.settle(notes)
+        return times, stamps.settle(times, *gaps, notes)
 
 
 class _Path:
     """Place of a channel in the messages of its topic."""
 
-    def __init__(self, name: str, source: Source, steps: tuple[str | int, ...]) -> None:
+    def __init__(self, name: str, source: Source) -> None:
         self._name = name
         self._source = source
-        self._steps = steps
+        self._steps = parse(source.field, f"channels.{name}.field")
         self.faults = Faults(f"{name}: {source.place}", "messages")
         self.lacking: NotHere | None = None  # the first
 

@@ -39,10 +39,13 @@ _LEFT = 1.2  # [border lengths] before a border that the identifier found, where
 _COMPARED = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "cohesion")
 _SEEN = 0.8  # prior probability that there is another soil behind a border that the identifier saw
 _DOUBTED = 0.1  # [prior sd] by which every estimate may be off beside its own sd
+#: Of the parameters of a soil but the gain of slip-sinkage, of which little may be known.
 _BOUNDS = {
-    f.name: (f.metadata["low"], f.metadata["high"]) for f in fields(Soil) if f.name in ESTIMATED
+    f.name: (f.metadata["low"], f.metadata["high"])
+    for f in fields(Soil)
+    if f.name in ESTIMATED and f.name != "dig_gain"
 }
-_NO_WAY = (math.nan,) * 3  # slip, speed and distance of a step without them
+_NO_WAY = (math.nan,) * 3  # margin, its sd and torque of a step without them
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +74,8 @@ class Replay:
         columns = zip(*(self.values[n].tolist() for n in COLUMNS), strict=True)
         states = zip(self.status.tolist(), self.renewed, self.ground, strict=True)
         for t, row, (status, new, ground) in zip(self.time.tolist(), columns, states, strict=True):
-            cells = ["" if x != x else f"{x:.8g}" for x in row]
-            lines.append(f"{t:.9g},{','.join(cells)},{Status(status).name},{int(new)},{ground}")
+            cells = ",".join("" if x != x else f"{x:.8g}" for x in row)
+            lines.append(f"{t:.9g},{cells},{Status(status).name},{int(new)},{ground}")
         return "\n".join(lines) + "\n"
 
     def surest_on(self, ground: int) -> dict[str, float] | None:
@@ -94,13 +97,13 @@ class Replay:
         Of the estimates away from borders that the readings do not contradict; `current`: with
         status CONVERGED.
         """
-        kept = self.status == Status.CONVERGED
-        kept = ~self.on_border & (kept if current else kept | (self.status == Status.NOT_EXCITED))
-        return {
-            name: float(np.min(self.values[sd], where=kept, initial=getattr(self.prior, sd)))
-            / getattr(self.prior, sd)
-            for name, sd in SD_OF.items()
-        }
+        sound = [Status.CONVERGED] if current else [Status.CONVERGED, Status.NOT_EXCITED]
+        kept = np.isin(self.status, sound) & ~self.on_border
+        out = {}
+        for name, sd in SD_OF.items():
+            prior = getattr(self.prior, sd)
+            out[name] = float(np.min(self.values[sd], where=kept, initial=prior)) / prior
+        return out
 
 
 def replay(log: Aligned, log_map: LogMap) -> Replay:
@@ -127,12 +130,9 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     renewed = np.zeros(size, bool)
     on_border = np.zeros(size, bool)
     table = np.empty((size, len(COLUMNS)))
-    no_inertia = log_map.wheel.inertia == UNKNOWN_INERTIA
-    names = [
-        n
-        for n in Readings._fields
-        if n in log.readings and not (no_inertia and n == "motor_torque")
-    ]
+    names = set(log.readings)
+    if log_map.wheel.inertia == UNKNOWN_INERTIA:
+        names.discard("motor_torque")
     before = 0
     last = math.nan
     way = _NO_WAY
@@ -145,11 +145,8 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
         reading = Readings(**{n: float(log.readings[n][k]) for n in names}, time=t)
         e = identifier.update(reading)
         if e.renewed:
-            load = reading.load
-            pitch = reading.pitch if reading.pitch == reading.pitch else 0.0
-            ahead = identifier.traversability(
-                None if load != load else max(load, _LEAST_LOAD), pitch
-            )
+            load = None if math.isnan(reading.load) else max(reading.load, _LEAST_LOAD)
+            ahead = identifier.traversability(load, float(np.nan_to_num(reading.pitch)))
             way = ahead.drawbar_margin, ahead.drawbar_margin_sd, ahead.torque_required
         table[k] = [*(getattr(e, name) for name in ESTIMATED), *way]
         status[k] = e.status
@@ -166,7 +163,6 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
         )
     warnings += _refused(log.time, values, status)
     ground, differs = _grounds(log, log_map, found, values, status, prior)
-    borders = int(found[-1]) if size else 0
     return Replay(
         log.time,
         values,
@@ -174,7 +170,7 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
         renewed,
         ground,
         differs,
-        borders,
+        int(found.max(initial=0)),
         prior,
         on_border,
         frozenset(names),
@@ -190,8 +186,6 @@ def _refused(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray
     bad = ~np.all([np.isfinite(values[n]) for n in ESTIMATED], axis=0)
     said = ""
     for name, (low, high) in _BOUNDS.items():
-        if name == "dig_gain":  # of which little may be known
-            continue
         outside = ~bad & ~((values[name] >= low) & (values[name] <= high))
         if outside.any() and not said:
             k = int(np.argmax(outside))
@@ -206,10 +200,8 @@ def _refused(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray
         column[bad] = math.nan
     status[bad] = Status.MISFIT
     return [
-        (
-            f"No soil has the values of {bad.sum()} of {bad.size} estimates{said}. They are left "
-            "out. Perhaps a unit, a sign or the wheel in the map is wrong."
-        )
+        f"No soil has the values of {bad.sum()} of {bad.size} estimates{said}. They are left out. "
+        "Perhaps a unit, a sign or the wheel in the map is wrong."
     ]
 
 
@@ -230,28 +222,23 @@ def _grounds(
     """
     where = log.travelled(log_map.wheel.radius)
     border = log_map.belief.border
-    size = len(log)
     gap = np.diff(log.time, append=math.inf) > log_map.restart_gap
-    out = np.zeros(size, np.int64)
-    ends = (
-        np.flatnonzero((np.diff(found, append=found[-1:] + 1) != 0) | gap).tolist() if size else []
-    )
+    out = np.zeros(len(log), np.int64)
     begins = 0
     before = None
     differs = []
-    for end in ends:
-        if not gap[end] and where[end] - where[begins] < 2.0 * border:
-            continue
-        settled = (
-            end
-            if gap[end]
-            else int(np.searchsorted(where, where[end] - _LEFT * border, side="right")) - 1
-        )
+    for end in np.flatnonzero((np.diff(found, append=found[-1:] + 1) != 0) | gap).tolist():
+        settled = end
+        if not gap[end]:
+            if where[end] - where[begins] < 2.0 * border:
+                continue
+            settled = int(np.searchsorted(where, where[end] - _LEFT * border, side="right")) - 1
         here = _last_known(values, status, begins, max(settled, begins), prior)
-        differs.append(math.nan if before is None else _probability_of_two(before, here))
-        if before is not None and differs[-1] < DIFFERS:
-            differs.pop()
+        two = math.nan if before is None else _probability_of_two(before, here)
+        if before is not None and two < DIFFERS:
             here = _pooled(before, here)
+        else:
+            differs.append(two)
         out[begins : end + 1] = len(differs)
         begins = end + 1
         before = None if gap[end] else here
@@ -264,13 +251,11 @@ def _last_known(
     """(Value, variance) [2, 3] of `_COMPARED` over the prior's sd, as last known in the steps
     `first` to `last`.
     """
-    steps = slice(first, last + 1)
-    known = np.flatnonzero(
-        (status[steps] != Status.NO_DATA) & np.isfinite(values["cohesion"][steps])
-    )
-    if known.size == 0:
-        return np.array([np.zeros(len(_COMPARED)), np.ones(len(_COMPARED))])
-    k = first + int(known[-1])
+    known = (status != Status.NO_DATA) & np.isfinite(values["cohesion"])
+    steps = np.flatnonzero(known[first : last + 1])
+    if not steps.size:
+        return np.repeat([[0.0], [1.0]], len(_COMPARED), axis=1)
+    k = first + steps[-1]
     rows = []
     for name in _COMPARED:
         value = float(values[name][k])
@@ -278,7 +263,7 @@ def _last_known(
         scale = getattr(prior, SD_OF[name])
         away = math.log(value / middle) if "relative" in SD_OF[name] else value - middle
         rows.append((away / scale, min(float(values[SD_OF[name]][k]) / scale, 1.0) ** 2))
-    return np.array(rows).T
+    return np.transpose(rows)
 
 
 def _probability_of_two(one: np.ndarray, other: np.ndarray) -> float:
@@ -303,9 +288,7 @@ def _pooled(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """The estimate of two of one soil, whose prior (0, 1) counts once."""
     own = 1.0 / np.maximum(one[1], 1e-9)
     more = 1.0 / np.maximum(other[1], 1e-9)
-    return np.array(
-        [(one[0] * own + other[0] * more) / (own + more - 1.0), 1.0 / (own + more - 1.0)]
-    )
+    return np.array([one[0] * own + other[0] * more, np.ones_like(own)]) / (own + more - 1.0)
 
 
 #: Quantities and the readings that measure them.
@@ -360,9 +343,9 @@ def findings(found: Replay, log: Aligned) -> list[str]:
         lines.append(
             f"{words} {result}. Its least standard deviation is {shares[name]:.2f} of the prior's."
         )
-    share = {s: float(np.mean(found.status == s)) if found.status.size else 0.0 for s in Status}
-    current_share = 100.0 * share[Status.CONVERGED]
+    current_share = 100.0 * np.mean(found.status == Status.CONVERGED)
     lines.append(f"The estimate was current in {current_share:.0f} % of the steps.")
-    if share[Status.MISFIT] > _CONTRADICTS:
-        lines.append(_MISFIT.format(100.0 * share[Status.MISFIT]))
+    misfit = np.mean(found.status == Status.MISFIT)
+    if misfit > _CONTRADICTS:
+        lines.append(_MISFIT.format(100.0 * misfit))
     return lines

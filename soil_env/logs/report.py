@@ -1,16 +1,15 @@
 """Report of a log: tables, pictures and a self-contained page."""
 
-import json
 import math
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from soil_env._io.document import Table, html_image, html_page, render
-from soil_env._io.files import picture_of, plain
+from soil_env._io.files import json_text, picture_of
 from soil_env._io.loading import plural
 from soil_env.logs.align import Aligned
 from soil_env.logs.mapping import UNITS, LogMap
@@ -35,15 +34,6 @@ _SHOWN = {  # in the picture: scale, label
 }
 
 
-class Report(NamedTuple):
-    """Files of the folder by name, `ALWAYS` and tables and setups of steady points, and the text
-    for the terminal.
-    """
-
-    files: dict[str, bytes | str]
-    text: str
-
-
 def report_of(
     recording: str,
     log: Aligned,
@@ -51,8 +41,10 @@ def report_of(
     found: Replay,
     steady: Steady,
     folder: Path = Path(),  # noqa: B008
-) -> Report:
-    """Report of a replayed log; `folder` is where its files will be."""
+) -> tuple[dict[str, bytes | str], str]:
+    """Files of a replayed log by name, `ALWAYS` and tables and setups of steady points, and the
+    text for the terminal; `folder` is where the files will be.
+    """
     parts = grounds(found, steady)
     length = log.time[-1] - log.time[0]
     values: dict[str, Any] = {
@@ -66,7 +58,10 @@ def report_of(
         "start": log.start,
         "steps": len(log),
         "period": log.period,
-        "channels": {name: channel.facts() for name, channel in log.channels.items()},
+        "channels": {
+            name: {n: v for n, v in vars(channel).items() if n not in ("times", "values")}
+            for name, channel in log.channels.items()
+        },
         "learnt": found.learnt(),
         "estimate": {name: float(values[-1]) for name, values in found.values.items()},
         "status": Status(found.status[-1]).name,
@@ -95,26 +90,28 @@ def report_of(
     grey = (
         "The soil as identified, with 95 % intervals; grey where the estimate is the prior or held."
     )
-    pictures = {"readings": html_image(readings, shaded), "estimates": html_image(estimates, grey)}
     body = render(
-        "soil_env.logs:report.html", commands=commands(parts, steady), **values, **pictures
+        "soil_env.logs:report.html",
+        commands=commands(parts, steady),
+        readings=html_image(readings, shaded),
+        estimates=html_image(estimates, grey),
+        **values,
     )
     written: dict[str, bytes | str] = {
         "report.html": html_page(f"Log: {recording}", body),
-        "log.json": json.dumps(plain(facts), indent=1, allow_nan=False) + "\n",
+        "log.json": json_text(facts),
         "estimates.csv": found.csv(),
         "estimates.png": estimates,
         "readings.png": readings,
     }
     written |= files(parts, steady, log_map, found.prior)
-    places = [folder / name for name in written]
     text = render(
         "soil_env.logs:report.txt",
         commands=commands(parts, steady, folder),
-        places=places,
+        places=[folder / name for name in written],
         **values,
     )
-    return Report(written, text)
+    return written, text
 
 
 def _moment(time: int) -> str:
@@ -129,23 +126,17 @@ def _channel_table(log: Aligned) -> Table:
     length = max(float(log.time[-1] - log.time[0]), log.period)
     rows = []
     for name, c in log.channels.items():
-        counted = (
-            c.readings,
-            f"{c.readings / length:.1f}",
-            f"{c.interpolated:.0%}",
-            f"{c.missing:.0%}",
-        )
-        values = log.readings[name]
-        unit = next(iter(UNITS[name]))
-        span = (
-            f"{np.nanmin(values):.4g} .. {np.nanmax(values):.4g} {unit}"
-            if np.isfinite(values).any()
-            else "-"
-        )
-        rows.append((name, c.place, *(counted if c.readings else ("",) * 4), span))
-    return Table(
-        ("reading", "source", "readings", "a second", "interpolated", "missing", "range"), rows
-    )
+        counted = ["", "", "", ""]
+        if c.readings:
+            rate = f"{c.readings / length:.1f}"
+            counted = [str(c.readings), rate, f"{c.interpolated:.0%}", f"{c.missing:.0%}"]
+        known = log.readings[name][np.isfinite(log.readings[name])]
+        span = "-"
+        if known.size:
+            span = f"{known.min():.4g} .. {known.max():.4g} {next(iter(UNITS[name]))}"
+        rows.append((name, c.place, *counted, span))
+    header = ("reading", "source", "readings", "a second", "interpolated", "missing", "range")
+    return Table(header, rows)
 
 
 def _soil_table(found: Replay) -> Table:
@@ -177,29 +168,12 @@ def _ground_table(parts: list[Ground]) -> Table:
                 f"{e['sinkage_coefficient']:.3g} +- {e['sinkage_coefficient_relative_sd']:.0%}",
             )
         time = (f"{g.begin:.1f}", f"{g.end:.1f}", cell(g.differs, ".2f"))
-        rows.append(
-            (
-                g.number,
-                *time,
-                *cells,
-                len(slip),
-                f"{min(slip):.2f} to {max(slip):.2f}" if slip else "",
-            )
-        )
-    header = (
-        "ground",
-        "from [s]",
-        "to [s]",
-        "differs",
-        "friction angle",
-        "K",
-        "S",
-        "steady points",
-        "slip",
-    )
-    return Table(
-        header, rows, "differs: the probability that its soil is not that of the ground before"
-    )
+        span = f"{min(slip):.2f} to {max(slip):.2f}" if slip else ""
+        rows.append((g.number, *time, *cells, len(slip), span))
+    times = ("ground", "from [s]", "to [s]", "differs")
+    header = (*times, "friction angle", "K", "S", "steady points", "slip")
+    caption = "differs: the probability that its soil is not that of the ground before"
+    return Table(header, rows, caption)
 
 
 def _figure(rows: int, height: float) -> tuple[Figure, np.ndarray]:
@@ -221,14 +195,13 @@ def _estimates_picture(found: Replay) -> bytes:
     for axis, (name, (scale, label)) in zip(axes, _SHOWN.items(), strict=False):
         value = scale * found.values[name][k]
         half = 1.96 * found.values[SD_OF[name]][k]
-        low = value - half
-        high = value + half
+        band = (value - half, value + half)
         if "relative" in SD_OF[name]:
-            low = value * np.exp(-np.minimum(half, 10.0))
-            high = value * np.exp(np.minimum(half, 10.0))
+            factor = np.exp(np.minimum(half, 10.0))
+            band = (value / factor, value * factor)
             axis.set_yscale("log")
-        axis.fill_between(t, low, high, color="C0", alpha=0.25, lw=0, where=valid)
-        axis.fill_between(t, low, high, color="0.8", lw=0, where=~valid)
+        axis.fill_between(t, *band, color="C0", alpha=0.25, lw=0, where=valid)
+        axis.fill_between(t, *band, color="0.8", lw=0, where=~valid)
         axis.plot(t, np.where(valid, value, math.nan), color="C0", lw=1.2)
         axis.plot(t, np.where(valid, math.nan, value), color="0.5", lw=1.0)
         axis.set_ylabel(label)
@@ -244,9 +217,8 @@ def _readings_picture(log: Aligned, steady: Steady, log_map: LogMap) -> bytes:
     for axis, (name, values) in zip(axes, log.readings.items(), strict=True):
         axis.plot(log.time[k], values[k], lw=0.8)
         for row in steady.rows:
-            axis.axvspan(
-                row["start"], row["start"] + log_map.windows.duration, color="C1", alpha=0.25, lw=0
-            )
+            end = row["start"] + log_map.windows.duration
+            axis.axvspan(row["start"], end, color="C1", alpha=0.25, lw=0)
         unit = next(iter(UNITS[name]))
         axis.set_ylabel(f"{name.replace('_', ' ')}\n[{unit or '-'}]", fontsize=8)
     return picture_of(figure, dpi=110)

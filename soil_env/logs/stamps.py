@@ -7,7 +7,6 @@ never goes back is taken for right, and what lies beside it is left out.
 
 from array import array
 from bisect import bisect_right
-from pathlib import Path
 
 import numpy as np
 
@@ -44,9 +43,7 @@ class Stamps:
         """Begin another file, whose times may lie before those of the last."""
         self._files.append(len(self))
 
-    def settle(
-        self, times: np.ndarray, slack: int, restart: int, path: Path, notes: Notes
-    ) -> np.ndarray:
+    def settle(self, times: np.ndarray, slack: int, restart: int, notes: Notes) -> np.ndarray:
         """True [N] for each of the stamps `times` [ns] that counts; notes on others.
 
         A stamp may be late by `slack` [ns]. A single one is left out where it is further than
@@ -55,7 +52,7 @@ class Stamps:
         kept = np.zeros(times.size, bool)
         for first, end in zip(self._files, [*self._files[1:], times.size], strict=True):
             kept[first:end] = sound(times[first:end], slack, restart)
-        self._check(times, kept, path)
+        self._check(times, kept, notes)
         out = np.flatnonzero(~kept)
         if out.size:
             notes.add(
@@ -85,21 +82,22 @@ class Stamps:
             )
         return kept
 
-    def _check(self, times: np.ndarray, kept: np.ndarray, path: Path) -> None:
+    def _check(self, times: np.ndarray, kept: np.ndarray, notes: Notes) -> None:
         """Raise `ParameterError` for a clock that stands, and for one that hardly ever rises."""
-        header = "; try clock: log" if self.thing == "message" else ""
+        said = ""
         if times.size >= _STANDS and np.all(times == times[0]):
-            raise ParameterError(
-                f"{path}: {self.source}: all {times.size} time stamps are {times[0] * 1e-9:.3f} s: "
-                f"expected time that passes{header}"
+            said = (
+                f"all {times.size} time stamps are {times[0] * 1e-9:.3f} s: expected time that "
+                "passes"
             )
-        if 2 * np.sum(kept) < times.size:
-            k = int(np.argmin(kept))
-            raise ParameterError(
-                f"{path}: {self.source}: {np.sum(~kept)} of {times.size} time stamps do not fit "
-                f"those around them, first {self._place(times, k)}: expected time that "
-                f"rises{header}"
+        elif 2 * np.sum(kept) < times.size:
+            said = (
+                f"{np.sum(~kept)} of {times.size} time stamps do not fit those around them, first "
+                f"{self._place(times, int(np.argmin(kept)))}: expected time that rises"
             )
+        if said:
+            header = "; try clock: log" if self.thing == "message" else ""
+            raise ParameterError(f"{notes.path}: {self.source}: {said}{header}")
 
     def _set_back(self, times: np.ndarray, out: np.ndarray, restart: int) -> str:
         """Where the clock goes back, if stamps that follow each other are left out for that."""
@@ -159,7 +157,7 @@ def _longest_rising(times: np.ndarray) -> np.ndarray:
 def _together(times: np.ndarray, restart: int) -> np.ndarray:
     """True [N] of rising stamps, but for those alone and those of another clock."""
     out = np.ones(times.size, bool)
-    gaps = times[1:] - times[:-1]
+    gaps = np.diff(times)
     if gaps.size == 0:
         return out
     apart = max(float(restart), _ALONE * float(np.median(gaps)))

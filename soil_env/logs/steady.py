@@ -59,9 +59,9 @@ class Steady:
                 "no window of the log is steady enough (windows in map.yaml) and has sinkage, "
                 "pull or torque"
             )
-        slip = [float(row["slip"]) for row in self.rows]
+        slip = [row["slip"] for row in self.rows]
         if max(slip) - min(slip) < _LEAST_SPREAD:
-            many = "1 steady point" if len(slip) == 1 else f"{len(slip)} steady points of one slip"
+            many = plural(len(slip), "steady point") + " of one slip" * (len(slip) > 1)
             return f"{many}: a measurement table has at least two slips"
         return ""
 
@@ -70,10 +70,6 @@ class Steady:
         names = [n for n in _COLUMNS if any(r[n] == r[n] for r in self.rows)]
         cells = [[cell(r[n], ".9g") for n in names] for r in self.rows]
         return "\n".join(",".join(line) for line in (names, *cells)) + "\n"
-
-    def on(self, ground: int) -> "Steady":
-        """The points of one ground."""
-        return Steady([row for row in self.rows if row["ground"] == ground], self.noise)
 
 
 def cell(value: float | str, form: str) -> str:
@@ -112,17 +108,15 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
             continue
         row = _row(part, float(log.time[at]), log.period)
         if any(row[name] == row[name] for name in MEASURED) and row["load"] > 0.0:
-            rows.append(
-                row | {"run": f"ground{ground[at]}.drive{runs[at]}", "ground": int(ground[at])}
-            )
+            run = f"ground{ground[at]}.drive{runs[at]}"
+            rows.append(row | {"run": run, "ground": int(ground[at])})
             for name, scatter in residuals.items():
                 scatter.append(_scatter(part[name]))
         at += n
     noise = {}
     for name, scatter in residuals.items():
-        pooled = (
-            math.sqrt(float(np.nanmean(np.square(scatter)))) if np.isfinite(scatter).any() else 0.0
-        )
+        known = np.isfinite(scatter)
+        pooled = math.sqrt(np.mean(np.square(scatter)[known])) if known.any() else 0.0
         if pooled > _LEAST_SD and (name != "load" or "load" in log.readings):
             noise[name] = pooled / math.sqrt(n)
     return Steady(rows, noise)
@@ -134,9 +128,8 @@ def _columns(log: Aligned, log_map: LogMap) -> dict[str, np.ndarray]:
     """
     rim, speed, slip = log.motion(log_map.wheel.radius)
     pitch = log.get("pitch")
-    mass = log_map.wheel.body_mass
     motor = log.get("motor_torque")
-    if "motor_torque" in log.readings and len(log) > 1 and log_map.wheel.inertia != UNKNOWN_INERTIA:
+    if len(log) > 1 and log_map.wheel.inertia != UNKNOWN_INERTIA:
         motor = motor - log_map.wheel.inertia * np.gradient(log.get("wheel_speed"), log.time)
 
     def first(name: str, other: np.ndarray) -> np.ndarray:
@@ -149,7 +142,7 @@ def _columns(log: Aligned, log_map: LogMap) -> dict[str, np.ndarray]:
         "load": first("load", log_map.weight * np.cos(np.nan_to_num(pitch))),
         "pitch": pitch,
         "sinkage": log.get("sinkage"),
-        "drawbar_pull": first("drawbar_pull", log.get("acceleration") * mass),
+        "drawbar_pull": first("drawbar_pull", log.get("acceleration") * log_map.wheel.body_mass),
         "torque": first("torque", motor),
     }
 
@@ -167,19 +160,13 @@ def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bo
     radius = log_map.wheel.radius
     weight = log_map.weight
     n = part["slip"].size
-    if (
-        np.isnan(part["slip"]).any()
-        or np.isnan(part["speed"]).any()
-        or np.mean(part["speed"]) < 0.0
-    ):
+    if np.isnan([part["slip"], part["speed"]]).any() or np.mean(part["speed"]) < 0.0:
         return False
-    rim = float(np.mean(np.abs(part["rim"])))
-    speeds = (
-        float(np.mean(np.abs(part["speed"]))),
-        float(np.mean(np.abs(part["rim"] - part["speed"]))),
+    rim, speed, slid = (
+        np.mean(np.abs(v)) for v in (part["rim"], part["speed"], part["rim"] - part["speed"])
     )
     rate, _ = uncompiled(excavation_rate)(
-        *speeds, 0.0, log_map.belief.dig_recovery, log_map.relaxation * radius
+        speed, slid, 0.0, log_map.belief.dig_recovery, log_map.relaxation * radius
     )
     come = -math.expm1(-rate * (n / 2) * period)
     limits = {  # of the change of the means from the first to the second half
@@ -190,17 +177,15 @@ def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bo
         "load": 0.04 * weight,
         "drawbar_pull": 0.04 * weight,
         "torque": 0.04 * weight * radius,
-        "sinkage": 0.05
-        * radius
-        * come,  # by the law of slip-sinkage 5 % of the radius are left to go
+        # By the law of slip-sinkage 5 % of the radius are left to go.
+        "sinkage": 0.05 * radius * come,
     }
     return all(_change(part[name]) <= limit for name, limit in limits.items())
 
 
 def _change(values: np.ndarray) -> float:
     """Difference of the means of the two halves; 0 where nothing is measured."""
-    first = values[: values.size // 2]
-    second = values[values.size // 2 :]
+    first, second = np.split(values, [values.size // 2])
     if np.isnan(first).all() or np.isnan(second).all():
         return 0.0
     return abs(float(np.nanmean(second) - np.nanmean(first)))
@@ -224,8 +209,7 @@ def _row(part: dict[str, np.ndarray], start: float, period: float) -> Point:
         for n, v in part.items()
     }
     time = start + 0.5 * (part["slip"].size - 1) * period
-    row: Point = {name: mean[name] for name in ("slip", "load", "speed", *MEASURED)}
-    return row | {"grade_deg": math.degrees(mean["pitch"]), "time": time, "start": start}
+    return mean | {"grade_deg": math.degrees(mean["pitch"]), "time": time, "start": start}
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,19 +231,10 @@ def grounds(found: Replay, steady: Steady) -> list[Ground]:
     """All parts of the ground of a log, in the order of the drive."""
     out = []
     for number in sorted({*found.ground.tolist()}):
-        time = found.time[found.ground == number]
-        begin = float(time[0])
-        end = float(time[-1])
-        out.append(
-            Ground(
-                number,
-                begin,
-                end,
-                found.differs[number - 1],
-                steady.on(number),
-                found.surest_on(number),
-            )
-        )
+        time = found.time[found.ground == number].tolist()
+        differs = found.differs[number - 1]
+        points = Steady([row for row in steady.rows if row["ground"] == number], steady.noise)
+        out.append(Ground(number, time[0], time[-1], differs, points, found.surest_on(number)))
     return out
 
 
@@ -301,29 +276,25 @@ def setup_text(
     """setup.yaml beside a table: wheel, the belief as priors with what the map knows of the soil,
     scatter as noise.
     """
-    lines = [
-        (
-            "# soil: the belief of the map (the prior of the online identifier), and what the map "
-            "says is known"
-        )
-    ]
+    text = (
+        "# soil: the belief of the map (the prior of the online identifier), and what the map says "
+        "is known\n"
+    )
     if estimate is not None:
-        lines.append(
+        text += (
             "# online, of the same drive: friction angle {friction_angle_deg:.1f} +- "
             "{friction_angle_sd_deg:.1f} deg, K {shear_modulus:.3g} m +- "
             "{shear_modulus_relative_sd:.0%}, S {sinkage_coefficient:.3g} +- "
-            "{sinkage_coefficient_relative_sd:.0%}".format(**estimate)
-        )
-        lines.append(
+            "{sinkage_coefficient_relative_sd:.0%}\n"
             "# dig_gain: as identified online; take it out to let soil-env discover look for "
-            "slip-sinkage"
-        )
+            "slip-sinkage\n"
+        ).format(**estimate)
     content = {
         "wheel": {"radius": log_map.wheel.radius, "width": log_map.wheel.width},
         "soil": _priors(log_map, prior, estimate) | log_map.soil,
         "noise": {n: _short(v) for n, v in steady.noise.items()},
     }
-    return "\n".join(lines) + "\n" + yaml.safe_dump(content, sort_keys=False)
+    return text + yaml.safe_dump(content, sort_keys=False)
 
 
 def _priors(
@@ -364,12 +335,10 @@ def _short(value: float) -> float:
 def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
     """Sentences on the grounds, the steady points, and what may be fitted together."""
     out = [
-        (
-            f"Grounds found: {len(grounds)}. The identifier saw {plural(found.borders, 'border')} "
-            f"and {plural(found.restarts, 'gap')}. A border counts where the soils on its two "
-            f"sides differ with a probability above {DIFFERS:g}. Soils that are alike, or driven "
-            "on too briefly, count as one ground."
-        )
+        f"Grounds found: {len(grounds)}. The identifier saw {plural(found.borders, 'border')} and "
+        f"{plural(found.restarts, 'gap')}. A border counts where the soils on its two sides differ "
+        f"with a probability above {DIFFERS:g}. Soils that are alike, or driven on too briefly, "
+        "count as one ground.",
     ]
     if steady.reason:
         return [*out, f"No measurement table: {steady.reason}."]
@@ -390,10 +359,8 @@ def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
         )
     return [
         *out,
-        (
-            "The noise in the setup is the scatter within the windows. Differences between "
-            "places come on top of it."
-        ),
+        "The noise in the setup is the scatter within the windows. Differences between places come "
+        "on top of it.",
     ]
 
 

@@ -3,21 +3,21 @@
 import csv
 from collections.abc import Iterator
 from contextlib import suppress
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from decimal import Decimal
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from soil_env._io.loading import TITLES, ParameterError, below_title, one_line, plural, unknown_key
-from soil_env.logs.bags import Progress
 from soil_env.logs.mapping import TIMES
 from soil_env.logs.notes import Faults, Notes
 from soil_env.logs.stamps import LATEST
 
 SUFFIXES = (".csv", ".parquet", ".pq")
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _EXCEL = 25569  # [days] from 1899-12-30, where Excel counts from, to 1970
-_PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}  # units of Parquet's timestamps
+
 _DAY = 86400 * 10**9  # [ns]
 _EXAMPLES = {
     "iso": "text as 2026-05-04T09:30:00.25 or 09:30:00.25",
@@ -27,29 +27,23 @@ _EXAMPLES = {
 _Cells = tuple[int, str | int, list[str]]
 
 
-class Row(NamedTuple):
-    """A row of a table."""
-
-    number: int  # in the file
-    time: int  # [ns]
-    values: list[float | None]  # of the columns; None = empty, or no number
-
-
 def rows(
-    path: Path, stamps: str, unit: str, columns: dict[str, str], notes: Notes, progress: Progress
-) -> Iterator[Row]:
-    """Rows of a table: time stamps in the column `stamps` of `unit`, and `columns`, each with its
-    readings.
+    stamps: str, unit: str, columns: dict[str, str], notes: Notes
+) -> Iterator[tuple[int, int, list[float | None]]]:
+    """Rows of a table: number in the file, time [ns], and the values of the columns, None where
+    empty or no number.
+
+    Time stamps are in the column `stamps` of `unit`; `columns`, each with its readings.
 
     Rows without a time and cells without a number are left out, and counted in notes;
     `ParameterError` where that leaves less than half.
     """
-    whole = Faults(path.name, "rows")
+    whole = Faults(notes.path.name, "rows")
     cells = {column: Faults(f"column {column}", "cells") for column in columns}
     midnights = 0
     last = 0
-    read = _csv if path.suffix.lower() == ".csv" else _parquet
-    for number, time, texts in read(path, stamps, columns, notes, progress, whole):
+    read = _csv if notes.path.suffix.lower() == ".csv" else _parquet
+    for number, time, texts in read(stamps, columns, notes, whole):
         whole.count += 1
         try:
             at = _nanoseconds(time, unit)
@@ -60,17 +54,17 @@ def rows(
             midnights += at < last - 23 * _DAY // 24
             last = at
             at += midnights * _DAY
-        values: list[float | None] = []
-        for text, (column, faults) in zip(texts, cells.items(), strict=True):
+        values: list[float | None] = [None] * len(texts)
+        for k, (column, faults) in enumerate(cells.items()):
             faults.count += 1
             try:
-                values.append(float(text) if text.strip() else None)
+                if texts[k].strip():
+                    values[k] = float(texts[k])
             except ValueError:
-                faults.add(f"row {number}", f"{column} = {text!r}, expected a number")
-                values.append(None)
-        yield Row(number, at, values)
+                faults.add(f"row {number}", f"{column} = {texts[k]!r}, expected a number")
+        yield number, at, values
     for faults in (whole, *cells.values()):
-        faults.settle(path, notes)
+        faults.settle(notes)
 
 
 def _nanoseconds(stamp: str | int, unit: str) -> int:
@@ -81,8 +75,8 @@ def _nanoseconds(stamp: str | int, unit: str) -> int:
         time: Any = stamp
     elif unit == "iso":
         at = _moment(stamp.strip())
-        delta = (at if at.tzinfo else at.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
-        time = (delta.days * 86400 + delta.seconds) * 1_000_000_000 + delta.microseconds * 1000
+        at = at if at.tzinfo else at.replace(tzinfo=UTC)
+        time = (at - _EPOCH) // timedelta(microseconds=1) * 1000
     else:
         # A float has too few digits for a time of today.
         count = Decimal(stamp.strip()) - (_EXCEL if unit == "excel" else 0)
@@ -101,7 +95,7 @@ def _moment(text: str) -> datetime:
 
 def _expected(stamp: str | int, unit: str) -> str:
     """What a time stamp of this unit looks like, and the unit that this one may have."""
-    text = f"a time in {unit}" if unit not in _EXAMPLES else _EXAMPLES[unit]
+    text = _EXAMPLES.get(unit, f"a time in {unit}")
     if unit != "iso" and isinstance(stamp, str):
         with suppress(ValueError):
             _moment(stamp.strip())
@@ -114,11 +108,8 @@ def _expected(stamp: str | int, unit: str) -> str:
 def _check_columns(path: Path, header: list[str], stamps: str, columns: dict[str, str]) -> None:
     for name, what in {stamps: "time", **columns}.items():
         if name not in header:
-            raise ParameterError(
-                str(unknown_key(name, header, f"{path}: {what}")).replace(
-                    "unknown key", "no column"
-                )
-            )
+            unknown = str(unknown_key(name, header, f"{path}: {what}"))
+            raise ParameterError(unknown.replace("unknown key", "no column"))
         if header.count(name) > 1:
             places = ", ".join(str(k) for k, other in enumerate(header, 1) if other == name)
             raise ParameterError(
@@ -127,18 +118,12 @@ def _check_columns(path: Path, header: list[str], stamps: str, columns: dict[str
             )
 
 
-def _csv(
-    path: Path,
-    stamps: str,
-    columns: dict[str, str],
-    notes: Notes,
-    progress: Progress,
-    faults: Faults,
-) -> Iterator[_Cells]:
+def _csv(stamps: str, columns: dict[str, str], notes: Notes, faults: Faults) -> Iterator[_Cells]:
     """Rows of a CSV file; those of another length than the header are counted as faults, and a last
     one that is cut off is not.
     """
-    size = path.stat().st_size
+    path = notes.path
+    notes.size = path.stat().st_size
     short: tuple[str, ...] = ()
     count = 0
     try:
@@ -157,14 +142,14 @@ def _csv(
                     f"{path}: has no line: expected a header with column names, and rows below it"
                 )
             # The file ends there.
-            in_header = raw.tell() == size and not path.read_bytes().endswith(b"\n")
+            in_header = raw.tell() == notes.size and not path.read_bytes().endswith(b"\n")
             if in_header and stamps in header and not set(columns) <= set(header):
                 raise ParameterError(
                     f"{path}: is cut off in its header, after column {header[-1]!r}: nothing to "
                     "read"
                 )
             if stamps not in header:
-                below_title(path, header, islice(lines, TITLES), (stamps, *columns))
+                below_title(path, [header, *islice(lines, TITLES)], (stamps, *columns))
             _check_columns(path, header, stamps, columns)
             lenient[0] = "replace"
             at = header.index(stamps)
@@ -176,15 +161,14 @@ def _csv(
                     short = ()
                 # Allowed in the last row, where a recording was cut off.
                 if len(cells) != len(header):
-                    said = (
-                        f"has {plural(len(cells), 'cell')}, expected {len(header)} as in the header"
-                    )
+                    expected = f"expected {len(header)} as in the header"
+                    said = f"has {plural(len(cells), 'cell')}, {expected}"
                     short = (f"row {reader.line_num}", said)
                     continue
                 count += 1
                 yield reader.line_num, cells[at], [cells[p] for p in places]
                 if count % 4096 == 0:
-                    progress(raw.tell(), size)
+                    notes.report(raw.tell())
     except UnicodeDecodeError as error:
         raise ParameterError(
             f"{path}: not UTF-8 text (byte {error.start} of a line): expected a CSV file"
@@ -197,18 +181,14 @@ def _csv(
         )
     if short:
         notes.add(f"{path.name} is cut off in its last row, which is left out.")
-    progress(size, size)
+    notes.report(notes.size)
 
 
 def _parquet(
-    path: Path,
-    stamps: str,
-    columns: dict[str, str],
-    notes: Notes,
-    progress: Progress,
-    faults: Faults,
+    stamps: str, columns: dict[str, str], notes: Notes, faults: Faults
 ) -> Iterator[_Cells]:
     """Rows of a Parquet file as text; stamps of a column of type timestamp in nanoseconds."""
+    path = notes.path
     try:
         import pyarrow
         import pyarrow.parquet
@@ -219,12 +199,13 @@ def _parquet(
     number = 0
     try:
         with pyarrow.parquet.ParquetFile(path) as file:
+            notes.size = file.metadata.num_rows
             _check_columns(path, file.schema_arrow.names, stamps, columns)
             for batch in file.iter_batches(4096, columns=[stamps, *columns]):
                 times = batch.column(stamps)
                 tick = 0  # [ns] of the column's unit
                 if pyarrow.types.is_timestamp(times.type):
-                    tick = 10**9 // _PER_SECOND[times.type.unit]
+                    tick = round(TIMES[times.type.unit] * 1e9)
                     times = times.cast(pyarrow.int64())
                 cells = (
                     ["" if x is None else str(x) for x in batch.column(c).to_pylist()]
@@ -234,7 +215,7 @@ def _parquet(
                     number += 1
                     stamp = "" if time is None else time * tick if tick else str(time)
                     yield number, stamp, texts
-                progress(number, file.metadata.num_rows)
+                notes.report(number)
     # Damaged pages also end in errors of Python's own: text, sizes, memory.
     except (OSError, pyarrow.ArrowException, ValueError, ArithmeticError, MemoryError) as error:
         if isinstance(error, ParameterError):

@@ -29,35 +29,34 @@ def load_doubt(table: Table, setup: Setup) -> str:
     """
     radius = table.radius(setup.wheel)
     driven = table.rim_slip(setup) > DRIVEN
-    depth = np.where(
-        np.isnan(table.sinkage), USUAL_SINKAGE * radius, np.clip(table.sinkage, 0.0, radius)
-    )
+    usual = np.where(np.isnan(table.sinkage), USUAL_SINKAGE * radius, table.sinkage)
+    depth = np.clip(usual, 0.0, radius)
     area = contact_area(depth, radius, table.width(setup.wheel))
     prior = setup.soil.cohesion
     cohesion = 0.0 if prior is None else max(prior.value - 2.0 * prior.sd, 0.0)
     most = np.maximum(MOST_GRIP, cohesion * area / table.load + FRICTION)
-    for name, force in (
-        ("torque/radius", table.torque / radius),
-        ("drawbar_pull", table.drawbar_pull),
-    ):
-        share = (force / table.load)[driven & np.isfinite(force)]
-        if share.size and np.median(share) > np.median(most[driven]):
-            return (
-                f"{name} is {np.median(share):.2g} times the load in the middle of the rows with "
-                f"slip above {DRIVEN:g}, more than soil gives: expected load in newtons (if it is "
-                "in kilograms or kgf, multiply it by 9.81)."
-            )
+    forces = {"torque/radius": table.torque / radius, "drawbar_pull": table.drawbar_pull}
+    for name, force in forces.items():
+        share = force / table.load
         known = np.isfinite(force)
-        excessive = driven & known & (force > most * table.load)
+        if np.any(driven & known):
+            middle = np.median(share[driven & known])
+            if middle > np.median(most[driven]):
+                return (
+                    f"{name} is {middle:.2g} times the load in the middle of the rows with slip "
+                    f"above {DRIVEN:g}, more than soil gives: expected load in newtons (if it is "
+                    "in kilograms or kgf, multiply it by 9.81)."
+                )
+        excessive = driven & known & (share > most)
         rest = known & ~excessive
         if excessive.sum() < FEWEST or not rest.any():
             continue
-        light = float(np.max(table.load[excessive]))
+        light = np.max(table.load[excessive])
         if light < LIGHTER * np.median(table.load[rest]):
-            share = float(np.median(force[excessive] / table.load[excessive]))
             return (
-                f"{name} is {share:.2g} times the load in {excessive.sum()} rows with loads up to "
-                f"{light:.3g} N, more than soil gives, and not in the others: expected load in "
-                "newtons in every row (if these are in kilograms or kgf, multiply them by 9.81)."
+                f"{name} is {np.median(share[excessive]):.2g} times the load in {excessive.sum()} "
+                f"rows with loads up to {light:.3g} N, more than soil gives, and not in the "
+                "others: expected load in newtons in every row (if these are in kilograms or kgf, "
+                "multiply them by 9.81)."
             )
     return ""

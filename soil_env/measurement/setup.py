@@ -107,31 +107,27 @@ class SoilPriors(Checked):
 
     def __post_init__(self) -> None:
         limits = {f.name: f.metadata for f in dataclasses.fields(Soil)}
-        for f in dataclasses.fields(self):
-            prior = getattr(self, f.name)
-            limit = limits[f.name]
-            if prior is not None and not limit["low"] <= prior.value <= limit["high"]:
+        given = {name: prior for name, prior in vars(self).items() if prior is not None}
+        for name, prior in given.items():
+            limit = limits[name]
+            if not limit["low"] <= prior.value <= limit["high"]:
                 expected = (
                     f"a number in [{limit['low']:g}, {limit['high']:g}] {limit['unit']}".rstrip()
                 )
-                raise ParameterError(f"{f.name} = {prior.value:g}: expected {expected}")
-        for name in ("dig_gain", "dig_recovery"):
-            if getattr(self, name) is not None and not getattr(self, name).known:
-                raise ParameterError(
-                    f"{name}: expected a plain number; digging that is not known is an effect to "
-                    "find"
-                )
-        for name in FLOW_LAW:
-            if getattr(self, name) is not None and not getattr(self, name).known:
-                raise ParameterError(f"{name}: expected a plain number: it is given, not fitted")
+                raise ParameterError(f"{name} = {prior.value:g}: expected {expected}")
+        plain = dict.fromkeys(FLOW_LAW, "it is given, not fitted")
+        digs = "digging that is not known is an effect to find"
+        for name, why in (plain | {"dig_gain": digs, "dig_recovery": digs}).items():
+            if name in given and not given[name].known:
+                raise ParameterError(f"{name}: expected a plain number; {why}")
         if self.dig_recovery is not None and self.dig_gain is None:
             raise ParameterError("dig_recovery: expected only with dig_gain")
-        pair = (self.k_c is not None) + (self.k_phi is not None)
-        if pair == 1 or (pair == 2 and self.sinkage_coefficient is not None):
+        of_plates = {"k_c", "k_phi", "sinkage_coefficient"} & given.keys()
+        if of_plates not in ({"k_c", "k_phi"}, {"sinkage_coefficient"}, set()):
             raise ParameterError(
                 "expected either sinkage_coefficient, or both k_c and k_phi, or none of them"
             )
-        if pair == 2 and self.k_phi is not None and self.k_phi.value <= 0.0:
+        if self.k_phi is not None and self.k_phi.value <= 0.0:
             raise ParameterError(f"k_phi = {self.k_phi.value:g}: expected a number > 0 N/m^(n+2)")
 
     def lumped(self, width: float) -> Prior | None:
@@ -161,11 +157,8 @@ class NoiseLevels(Checked):
         for f in dataclasses.fields(self):
             value = getattr(self, f.name)
             if value is not None and not 0.0 < value < math.inf:
-                unit = f" {f.metadata['unit']}".rstrip()
-                raise ParameterError(
-                    f"{f.name} = {value:g}: expected a standard deviation > 0{unit}, or leave it "
-                    "out"
-                )
+                expected = f"a standard deviation > 0 {f.metadata['unit']}".rstrip()
+                raise ParameterError(f"{f.name} = {value:g}: expected {expected}, or leave it out")
 
 
 @dataclass(frozen=True)
@@ -192,10 +185,8 @@ class Rig(Checked):
             if name not in COSTS:
                 raise unknown_key(name, COSTS, "cost")
             if not 0.0 <= value < math.inf or (name == "run" and value == 0.0):
-                raise ParameterError(
-                    f"cost.{name} = {value:g}: expected a number "
-                    f"{'> 0' if name == 'run' else '>= 0'}"
-                )
+                least = "> 0" if name == "run" else ">= 0"
+                raise ParameterError(f"cost.{name} = {value:g}: expected a number {least}")
 
 
 @dataclass(frozen=True)
@@ -249,12 +240,10 @@ class Setup(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.tilt_deg is not None and not abs(self.tilt_deg.value) <= STEEPEST_TILT:
-            limits = f"[-{STEEPEST_TILT:g}, {STEEPEST_TILT:g}]"
-            raise ParameterError(
-                f"tilt_deg = {self.tilt_deg.value:g}: expected degrees in {limits}"
-            )
-        for name in self.ignore_columns:
-            if name in REQUIRED:
+            expected = f"degrees in [-{STEEPEST_TILT:g}, {STEEPEST_TILT:g}]"
+            raise ParameterError(f"tilt_deg = {self.tilt_deg.value:g}: expected {expected}")
+        for name in REQUIRED:
+            if name in self.ignore_columns:
                 raise ParameterError(
                     f"ignore_columns: {name!r}: expected other columns, every table needs this one"
                 )
@@ -289,10 +278,9 @@ def setup_of(mapping: dict[str, Any], where: str) -> Setup:
     """`read_setup` of the mapping of a file that is at hand already; `where` it comes from, for
     messages.
     """
-    mapping = dict(mapping)
-    for section in ("soil", "noise", "calibration", "checked", "tilt_deg", "ignore_columns", "rig"):
-        if section in mapping and mapping[section] is None:
-            del mapping[section]  # a heading with nothing below it
+    # A heading with nothing below it is left out.
+    sections = ("soil", "noise", "calibration", "checked", "tilt_deg", "ignore_columns", "rig")
+    mapping = {k: v for k, v in mapping.items() if v is not None or k not in sections}
     if isinstance(mapping.get("soil"), dict):
         mapping["soil"] = {
             key: _prior(v, f"{where}: soil.{key}") for key, v in mapping["soil"].items()
@@ -301,7 +289,7 @@ def setup_of(mapping: dict[str, Any], where: str) -> Setup:
         mapping["tilt_deg"] = _prior(mapping["tilt_deg"], f"{where}: tilt_deg")
     if isinstance(rig := mapping.get("rig"), dict):
         for key, value in rig.items():
-            if isinstance(value, list) and not value:
+            if value == []:
                 raise ParameterError(
                     f"{where}: rig.{key} = []: expected at least one value, or leave it out"
                 )

@@ -109,9 +109,8 @@ class Table:
 
     def only(self, rows: np.ndarray) -> "Table":
         """The table with these rows only: indices, or [N] bool."""
-        columns = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         return dataclasses.replace(
-            self, **{k: v[rows] for k, v in columns.items() if isinstance(v, np.ndarray)}
+            self, **{k: v[rows] for k, v in vars(self).items() if isinstance(v, np.ndarray)}
         )
 
     def radius(self, wheel: SetupWheel) -> np.ndarray:
@@ -189,7 +188,6 @@ def read_table(
     columns = {
         name: _column(path, name, header, rows) for name in COLUMNS if name not in ("run", "pass")
     }
-    runs = [cells[header.index("run")] if "run" in header else "" for _, cells in rows]
     passes = _column(path, "pass", header, rows)
     table = Table(
         source=str(path),
@@ -197,14 +195,14 @@ def read_table(
         row=np.array([line for line, _ in rows]),
         # Checked below
         passes=np.clip(np.where(np.isnan(passes), 1.0, passes), 0, MOST_PASSES).astype(int),
-        run=np.array(runs),
+        run=np.array(_texts("run", header, rows)),
         **columns,
     )
-    _check_rows(table, header, rows, wheel)
+    _check_rows(table, header, rows, wheel, passes)
     _check_repeats(path, whole)
-    for f in dataclasses.fields(table):
-        if isinstance(getattr(table, f.name), np.ndarray):
-            getattr(table, f.name).flags.writeable = False
+    for column in vars(table).values():
+        if isinstance(column, np.ndarray):
+            column.flags.writeable = False
     return table
 
 
@@ -223,13 +221,12 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
             )
         # With or without a byte order mark.
         with path.open(encoding="utf-8-sig", newline="") as stream:
-            text = [line if not line.lstrip().startswith("#") else "\n" for line in stream]
-            at, first = next(((k, s) for k, s in enumerate(text) if s.strip()), (0, ""))
-            if _SEPARATOR.fullmatch(first):  # of spreadsheets, for themselves
-                text[at] = "\n"
-                first = next((line for line in text if line.strip()), "")
-            if first.strip():
-                _check_title(path, text[at:])
+            text = ["\n" if line.lstrip().startswith("#") else line for line in stream]
+            written = [k for k, line in enumerate(text) if line.strip()]
+            if written and _SEPARATOR.fullmatch(text[written[0]]):  # of spreadsheets
+                text[written.pop(0)] = "\n"
+            first = text[written[0]] if written else ""
+            below_title(path, [re.split(r"[,;\t]", text[k]) for k in written[:TITLES]], REQUIRED)
             mark = next((m for m in ";\t" if m in first and "," not in first), ",")
             reader = csv.reader(text, strict=True, delimiter=mark)
             lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
@@ -247,9 +244,8 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
         raise ParameterError(f"{path}: empty file: expected a header line with column names")
     if mark != ",":
         lines = _with_points(path, lines)
-    width = max(max(k for k, cell in enumerate(cells) if cell) for _, cells in lines) + 1
-    header = lines[0][1][:width]
-    rows = [(line, cells[:width]) for line, cells in lines[1:]]
+    width = max(k for _, cells in lines for k, cell in enumerate(cells) if cell) + 1
+    (_, header), *rows = [(line, cells[:width]) for line, cells in lines]
     for line, cells in rows:
         if len(cells) != len(header):
             more = mark == "," and len(cells) > len(header)
@@ -259,12 +255,6 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
                 f"the header{hint}"
             )
     return header, rows
-
-
-def _check_title(path: Path, lines: list[str]) -> None:
-    """Refuse a title above the header."""
-    title, *others = [re.split(r"[,;\t]", line) for line in lines if line.strip()][:TITLES]
-    below_title(path, title, others, REQUIRED)
 
 
 def _with_points(path: Path, lines: Rows) -> list[tuple[int, list[str]]]:
@@ -290,18 +280,18 @@ def _check_header(path: Path, header: list[str]) -> None:
             f"{path}: the first line has numbers: expected a header line with column names, "
             "without # before it"
         )
+    if "" in header:
+        raise ParameterError(
+            f"{path}: column {header.index('') + 1} has no name: expected one in the header"
+        )
+    unknown = [name for name in dict.fromkeys(header) if name not in COLUMNS]
+    if unknown:
+        names = ", ".join(f"{name!r}{nearest(name.lower(), COLUMNS)}" for name in unknown)
+        raise ParameterError(
+            f"{path}: unknown column{'s' * (len(unknown) > 1)} {names} (known: "
+            f"{', '.join(COLUMNS)}; a column to pass over: ignore_columns in the setup)"
+        )
     for name in header:
-        if not name:
-            raise ParameterError(
-                f"{path}: column {header.index(name) + 1} has no name: expected one in the header"
-            )
-        if name not in COLUMNS:
-            unknown = [n for n in dict.fromkeys(header) if n and n not in COLUMNS]
-            names = ", ".join(f"{n!r}{nearest(n.lower(), COLUMNS)}" for n in unknown)
-            raise ParameterError(
-                f"{path}: unknown column{'s' * (len(unknown) > 1)} {names} (known: "
-                f"{', '.join(COLUMNS)}; a column to pass over: ignore_columns in the setup)"
-            )
         if header.count(name) > 1:
             raise ParameterError(
                 f"{path}: column {name!r} appears {header.count(name)} times: expected once"
@@ -317,14 +307,15 @@ def _check_header(path: Path, header: list[str]) -> None:
         )
 
 
+def _texts(name: str, header: list[str], rows: Rows) -> list[str]:
+    """The cells [N] of one column, "" for those of an absent one."""
+    return [cells[header.index(name)] if name in header else "" for _, cells in rows]
+
+
 def _column(path: Path, name: str, header: list[str], rows: Rows) -> np.ndarray:
     """The numbers [N] of one column, NaN for an empty cell or an absent column."""
     out = np.full(len(rows), math.nan)
-    if name not in header:
-        return out
-    position = header.index(name)
-    for k, (line, cells) in enumerate(rows):
-        text = cells[position]
+    for k, text in enumerate(_texts(name, header, rows)):
         if not text:
             continue
         value = _canonical(text)
@@ -337,18 +328,21 @@ def _column(path: Path, name: str, header: list[str], rows: Rows) -> np.ndarray:
                 else "(empty = not measured)"
             )
             raise ParameterError(
-                f"{path}: row {line}, {name} = {text!r}: expected a finite number{unit} {hint}"
+                f"{path}: row {rows[k][0]}, {name} = {text!r}: expected a finite number{unit} "
+                f"{hint}"
             )
     return out
 
 
-def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel | None) -> None:
-    """Refuse values that cannot be right, the first by column and row."""
+def _check_rows(
+    table: Table, header: list[str], rows: Rows, wheel: SetupWheel | None, passes: np.ndarray
+) -> None:
+    """Refuse values that cannot be right, the first by column and row; `passes` [N] as given."""
 
     def refuse(name: str, wrong: np.ndarray, expected: str) -> None:
         if np.any(wrong):
             k = int(np.flatnonzero(wrong)[0])
-            text = rows[k][1][header.index(name)]
+            text = _texts(name, header, rows)[k]
             value = f"= {text}" if text else "is empty"
             raise ParameterError(
                 f"{table.source}: row {rows[k][0]}, {name} {value}: expected {expected}"
@@ -356,64 +350,42 @@ def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel |
 
     for name in REQUIRED:
         refuse(name, np.isnan(getattr(table, name)), "a number in every row")
-    outside = np.abs(table.slip) > 1.0
-    largest = float(np.max(np.abs(table.slip)))
+    slip = np.abs(table.slip)
     hint = ""
-    if 2.0 < largest <= 100.0:
-        hint = " (if it is percent, divide by 100)"
-    elif largest <= 2.0:
+    if np.max(slip) <= 2.0:
         hint = " (if it is (r w - V)/V where the wheel drives, divide it by 1 + itself)"
-    refuse("slip", outside, f"slip in [-1, 1]{hint}")
-    refuse(
-        "load", table.load < LIGHTEST, f"a load > 0 N, upward on the wheel, at least {LIGHTEST:g}"
-    )
+    elif np.max(slip) <= 100.0:
+        hint = " (if it is percent, divide by 100)"
+    refuse("slip", slip > 1.0, f"slip in [-1, 1]{hint}")
+    expected = f"a load > 0 N, upward on the wheel, at least {LIGHTEST:g}"
+    refuse("load", table.load < LIGHTEST, expected)
     refuse("load", table.load > STRONGEST, f"newtons, at most {STRONGEST:g}")
     refuse("speed", table.speed < 0.0, "a travel speed >= 0 m/s")
-    refuse(
-        "speed",
-        table.speed > FASTEST,
-        f"metres per second, at most {FASTEST:g} (if it is mm/s, divide by 1000)",
-    )
-    if "pass" in header:
-        numbers = _column(Path(table.source), "pass", header, rows)
-        wrong = (numbers != np.floor(numbers)) | (numbers < 1) | (numbers > MOST_PASSES)
-        refuse(
-            "pass",
-            wrong & ~np.isnan(numbers),
-            f"a whole number from 1 (fresh soil) to {MOST_PASSES:g}",
-        )
-    refuse(
-        "grade_deg", np.abs(table.grade_deg) > STEEPEST, f"degrees in [-{STEEPEST:g}, {STEEPEST:g}]"
-    )
-    grades = (
-        [cells[header.index("grade_deg")] for _, cells in rows] if "grade_deg" in header else []
-    )
-    if in_radians(grades) and np.unique(np.abs(table.grade_deg[table.grade_deg != 0.0])).size > 1:
-        refuse(
-            "grade_deg",
-            np.abs(table.grade_deg) > 0.0,
-            "degrees (these look like radians: multiply by 57.3)",
-        )
+    expected = f"metres per second, at most {FASTEST:g} (if it is mm/s, divide by 1000)"
+    refuse("speed", table.speed > FASTEST, expected)
+    wrong = (passes % 1.0 > 0.0) | (passes < 1) | (passes > MOST_PASSES)
+    refuse("pass", wrong, f"a whole number from 1 (fresh soil) to {MOST_PASSES:g}")
+    grade = np.abs(table.grade_deg)
+    refuse("grade_deg", grade > STEEPEST, f"degrees in [-{STEEPEST:g}, {STEEPEST:g}]")
+    looks = in_radians(_texts("grade_deg", header, rows))
+    if looks and np.unique(grade[grade > 0.0]).size > 1:
+        refuse("grade_deg", grade > 0.0, "degrees (these look like radians: multiply by 57.3)")
     for name in ("wheel_radius", "wheel_width"):
         size = getattr(table, name)
         refuse(name, (size <= 0.0) | (size > LARGEST_WHEEL), f"metres in (0, {LARGEST_WHEEL:g}]")
     for name in NOISE:
         sd = getattr(table, name)
-        unit = UNITS[name]
-        expected = f"a standard deviation in [{EXACTEST:g}, {COARSEST:g}] {unit}, or an empty cell"
+        limits = f"[{EXACTEST:g}, {COARSEST:g}] {UNITS[name]}"
+        expected = f"a standard deviation in {limits}, or an empty cell"
         refuse(name, (sd < EXACTEST) | (sd > COARSEST), expected)
-    for name, unit in (("drawbar_pull", "newtons"), ("torque", "newton metres")):
-        outside = np.abs(getattr(table, name)) > STRONGEST
-        refuse(name, outside, f"{unit} in [-{STRONGEST:g}, {STRONGEST:g}]")
-    refuse(
-        "grouser_height",
-        (table.grouser_height < 0.0) | (table.grouser_height > 1.0),
-        "metres in [0, 1]",
-    )
-    expected = "metres (this can only be millimetres, divide by 1000, or centimetres)"
-    refuse("sinkage", np.abs(table.sinkage) > DEEPEST, expected)
+    limits = f"[-{STRONGEST:g}, {STRONGEST:g}]"
+    refuse("drawbar_pull", np.abs(table.drawbar_pull) > STRONGEST, f"newtons in {limits}")
+    refuse("torque", np.abs(table.torque) > STRONGEST, f"newton metres in {limits}")
     radius = table.wheel_radius
     height = table.grouser_height
+    refuse("grouser_height", (height < 0.0) | (height > 1.0), "metres in [0, 1]")
+    expected = "metres (this can only be millimetres, divide by 1000, or centimetres)"
+    refuse("sinkage", np.abs(table.sinkage) > DEEPEST, expected)
     if wheel is not None:
         radius = table.radius(wheel)
         height = table.height(wheel)
@@ -421,19 +393,19 @@ def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel |
     refuse("wheel_radius", table.wheel_radius <= height, "metres, more than the grouser height")
     deep = np.abs(table.sinkage) > radius
     if np.any(deep):
-        r = radius[deep][0]
         hint = "if it is millimetres, divide by 1000"
         others = np.abs(table.sinkage[~deep & np.isfinite(table.sinkage)])
         if others.size > np.sum(deep) and np.median(others) > 0.0:
             times = abs(table.sinkage[deep][0]) / np.median(others)
             hint = f"it is {times:.2g} times the others"
-        refuse("sinkage", deep, f"metres, at most the wheel radius {r:g} m ({hint})")
+        expected = f"metres, at most the wheel radius {radius[deep][0]:g} m ({hint})"
+        refuse("sinkage", deep, expected)
     _check_whole(table)
 
 
 def _check_whole(table: Table) -> None:
     """Refuse rows without a measurement, and a table that has one slip only."""
-    nothing = np.isnan(table.sinkage) & np.isnan(table.drawbar_pull) & np.isnan(table.torque)
+    nothing = np.all([np.isnan(getattr(table, name)) for name in MEASURED], axis=0)
     if np.any(nothing):
         line = table.row[nothing][0]
         raise ParameterError(
@@ -470,14 +442,13 @@ def in_radians(cells: list[str]) -> bool:
 
     One grade alone looks so by chance: in six of a thousand cases with four digits.
     """
-    numbers = [(float(c), len(c.rpartition(".")[2])) for c in cells if c and float(c) != 0.0]
-
-    def whole_degrees(x: float, digits: int) -> bool:
-        return (
-            digits >= 3
-            and abs(round(math.radians(round(math.degrees(x))), digits) - x) < 10.0**-digits * 1e-3
-        )
-
-    return bool(numbers) and all(
-        abs(x) < math.radians(40.0) and whole_degrees(x, d) for x, d in numbers
-    )
+    grades = [cell for cell in cells if cell and float(cell) != 0.0]
+    for grade in grades:
+        x = float(grade)
+        digits = len(grade.rpartition(".")[2])
+        if digits < 3 or not abs(x) < math.radians(40.0):
+            return False
+        whole = round(math.radians(round(math.degrees(x))), digits)
+        if abs(whole - x) >= 10.0**-digits * 1e-3:
+            return False
+    return bool(grades)

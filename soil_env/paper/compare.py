@@ -5,11 +5,11 @@ Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,12 +26,13 @@ from soil_env.paper.model import (
     forces,
     newton_raphson,
 )
-from soil_env.parameters import Soil, lumped_coefficient, soils
+from soil_env.parameters import lumped_coefficient, soils
 
 SAND = P.table2
 POINT = P.working_point
-WHEEL = P.wheel
+
 MODELS = (AS_PRINTED, WONG_REECE)
+EXACT = tuple(e._replace(simpson=0) for e in MODELS)
 FIXED_COHESION = tuple(e._replace(cohesion=P.fixed_cohesion) for e in MODELS)
 NAMES = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient")
 LABELS = {
@@ -65,10 +66,10 @@ class Row(NamedTuple):
 
     name: str
     printed: float
-    ours: tuple[float, float]
+    ours: Sequence[float]
     form: str = ".2f"
     #: "<" or ">" where ours is the end of what was scanned, and no limit was found.
-    beyond: tuple[str, str] = ("", "")
+    beyond: Sequence[str] = ("", "")
 
 
 def as_shown(value: float, form: str) -> float:
@@ -76,31 +77,27 @@ def as_shown(value: float, form: str) -> float:
     return float(format(value, form))
 
 
-def sand_set(sand: Sand = SAND) -> tuple[float, float, float]:
-    """(phi [deg], K [m], S)."""
-    return (
-        sand.friction_angle_deg,
-        sand.shear_modulus,
-        lumped_coefficient(sand.k_c, sand.k_phi, WHEEL.width),
-    )
+def field(soil: Any, e: Equations = AS_PRINTED) -> tuple[tuple[float, float, float], Equations]:
+    """(phi [deg], K [m], S) of a `Sand` or a `Soil`, and the equations with its c and n."""
+    S = lumped_coefficient(soil.k_c, soil.k_phi, e.width)
+    e = e._replace(cohesion=soil.cohesion, exponent=soil.sinkage_exponent)
+    return (soil.friction_angle_deg, soil.shear_modulus, S), e
+
+
+def at_37_deg(soil: Any, slip: ArrayLike, e: Equations = AS_PRINTED) -> np.ndarray:
+    """`forces` by slip on a soil of `field`, the wheel held at the sinkage of the working point."""
+    own, e = field(soil, e)
+    return forces(own, slip, e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg))), e)
 
 
 def pulls(e: Equations, sand: Sand, slip: ArrayLike) -> np.ndarray:
     """DP [N] by slip, at the entry angle of the working point."""
-    e = e._replace(cohesion=sand.cohesion, exponent=sand.sinkage_exponent)
-    sinkage = e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg)))
-    return forces(sand_set(sand), slip, sinkage, e)[:, 0]
+    return at_37_deg(sand, slip, e)[:, 0]
 
 
 def pull(e: Equations, sand: Sand = SAND) -> float:
     """DP [N] at the working point."""
     return float(pulls(e, sand, POINT.slip)[0])
-
-
-def pair(values: Iterable[float]) -> tuple[float, float]:
-    """One number by each of two models."""
-    first, second = values
-    return first, second
 
 
 def alone(e: Equations, name: str, target: float) -> float:
@@ -124,51 +121,39 @@ def variation(e: Equations) -> float:
 
 def working_point() -> list[Row]:
     """Sections 3.1 and 4: the drawbar pull, and what is said of cohesion."""
-    at_1150 = pair(alone(e, "cohesion", POINT.if_measured_drawbar_pull) for e in MODELS)
-    at_1200 = pair(alone(e, "cohesion", 1200.0) for e in MODELS)
-    no_cohesion = pair(pull(e, replace(SAND, cohesion=0.0)) for e in MODELS)
+    at_1150 = [alone(e, "cohesion", POINT.if_measured_drawbar_pull) for e in MODELS]
+    at_1200 = [alone(e, "cohesion", 1200.0) for e in MODELS]
+    no_cohesion = [pull(e, replace(SAND, cohesion=0.0)) for e in MODELS]
+    changes = [variation(e) for e in MODELS]
     c = POINT.then_identified_cohesion
     limit = POINT.cohesion_may_turn_negative_below
-    error = pair(100.0 * (c / SAND.cohesion - 1.0) for c in at_1200)
+    error = [100.0 * (c / SAND.cohesion - 1.0) for c in at_1200]
     return [
-        Row("DP [N]", POINT.drawbar_pull, pair(pull(e) for e in MODELS)),
+        Row("DP [N]", POINT.drawbar_pull, [pull(e) for e in MODELS]),
         Row("c identified from 1150 N [Pa]", c, at_1150),
         Row("the same from 1200 N", c, at_1200),
         Row("its error [%]", POINT.then_error_percent, error, ".0f"),
         Row("c is negative below a DP of [N]", limit, no_cohesion, ".0f"),
-        Row(
-            "change of DP by c = 3000 Pa, mean [%]",
-            P.variation_percent,
-            pair(map(variation, MODELS)),
-            ".1f",
-        ),
+        Row("change of DP by c = 3000 Pa, mean [%]", P.variation_percent, changes, ".1f"),
     ]
 
 
 def table_1() -> list[Row]:
     """Each parameter identified alone from a drawbar pull 5 % off, and its error."""
     rows = []
-    forms = {"friction_angle_deg": ".2f", "shear_modulus": ".4f", "k_c": ".0f", "k_phi": ".0f"}
-    for name in P.table1:
-        line = P.table1[name]
-        value = getattr(SAND, name)
+    forms = {"shear_modulus": ".4f", "k_c": ".0f", "k_phi": ".0f", "sinkage_exponent": ".4f"}
+    for name, line in P.table1.items():
+        form = forms.get(name, ".2f")
         for k, factor in enumerate((0.95, 1.05)):
-            found = pair(alone(e, name, factor * pull(e)) for e in MODELS)
+            found = [alone(e, name, factor * pull(e)) for e in MODELS]
             label = f"{LABELS[name]}, DP {100 * (factor - 1):+.0f} %"
-            rows.append(
-                Row(
-                    label,
-                    line.identified[k],
-                    found,
-                    forms.get(name, ".4f" if value < 1.0 else ".2f"),
-                )
-            )
-            errors = pair(100.0 * (as_shown(v, rows[-1].form) / value - 1.0) for v in found)
+            rows.append(Row(label, line.identified[k], found, form))
+            errors = [100.0 * (as_shown(v, form) / getattr(SAND, name) - 1.0) for v in found]
             rows.append(Row("error [%]", line.error_percent[k], errors))
     return rows
 
 
-def rules() -> list[tuple[str, float, float, float, float]]:
+def rules() -> list[tuple[Any, ...]]:
     """DP [N] of the working point by other rules of integration, and by Eq. (11), and the mean
     difference from (12) integrated exactly over `WIDE_SLIP`, relative to its mean [%].
     """
@@ -178,10 +163,11 @@ def rules() -> list[tuple[str, float, float, float, float]]:
     found = []
     for name, m, compaction in cases:
         ours = [e._replace(simpson=m, compaction=compaction) for e in MODELS]
-        exact = [pulls(e._replace(simpson=0), SAND, slip).mean() for e in MODELS]
-        means = [pulls(e, SAND, slip).mean() for e in ours]
-        off = pair(100.0 * (a / b - 1.0) for a, b in zip(means, exact, strict=True))
-        found.append((name, *pair(map(pull, ours)), *off))
+        off = [
+            100.0 * (pulls(e, SAND, slip).mean() / pulls(exact, SAND, slip).mean() - 1.0)
+            for e, exact in zip(ours, EXACT, strict=True)
+        ]
+        found.append((name, *map(pull, ours), *off))
     return found
 
 
@@ -197,11 +183,11 @@ def on_the_curve(name: str) -> list[tuple[str, float, Row]]:
         ("Table 1, DP +5 %", above, 1.05 * POINT.drawbar_pull),
     ]
     if name == "cohesion":
-        c = POINT.then_identified_cohesion
-        printed.append(("Section 3.1", c, POINT.if_measured_drawbar_pull))
+        target = POINT.if_measured_drawbar_pull
+        printed.append(("Section 3.1", POINT.then_identified_cohesion, target))
     rows = []
     for where, value, target in printed:
-        ours = pair(pull(e, replace(SAND, **{name: value})) for e in MODELS)
+        ours = [pull(e, replace(SAND, **{name: value})) for e in MODELS]
         rows.append((where, value, Row(f"{LABELS[name]} {value:g} ({where})", target, ours)))
     return rows
 
@@ -220,15 +206,13 @@ def table_3() -> list[Row]:
     rows = []
     for k, (name, form) in enumerate(zip(NAMES, (".2f", ".4f", ".0f"), strict=True)):
         line = P.table3[name]
-        errors = pair(100.0 * abs(as_shown(x[k], form) / line.actual - 1.0) for x in found)
-        rows.append(Row(LABELS[name], line.identified, pair(x[k] for x in found), form))
+        errors = [100.0 * abs(as_shown(x[k], form) / line.actual - 1.0) for x in found]
+        rows.append(Row(LABELS[name], line.identified, [x[k] for x in found], form))
         rows.append(Row("error [%]", line.error_percent, errors))
-    predicted = [forces(PRINTED_SET, *MEASURED[:2], e)[:, 0] for e in FIXED_COHESION]
-    for p, measured in enumerate(MEASURED.pull):
-        name = (
-            f"DP at {100 * MEASURED.slip[p]:.2f} % slip of the printed set, beside the measured [N]"
-        )
-        rows.append(Row(name, measured, tuple(d[p] for d in predicted)))
+    predicted = [prediction(PRINTED_SET, e)[:, 0] for e in FIXED_COHESION]
+    for slip, measured, *ours in zip(MEASURED.slip, MEASURED.pull, *predicted, strict=True):
+        name = f"DP at {100 * slip:.2f} % slip of the printed set, beside the measured [N]"
+        rows.append(Row(name, measured, ours))
     return rows
 
 
@@ -253,42 +237,29 @@ def table_4(backtracking: bool) -> list[Row]:
         np.geomspace(1e3, 1e14, 441),
     )
     for k, (name, scan, form) in enumerate(zip(NAMES, scans, (".1f", ".4f", ".2g"), strict=True)):
-        limits = []
+        lowest = []
+        highest = []
+        guesses = np.tile(GUESS, (scan.size, 1))
+        guesses[:, k] = scan
         for e in FIXED_COHESION:
-            guesses = np.tile(GUESS, (scan.size, 1))
-            guesses[:, k] = scan
-            good = reaches(e, guesses, backtracking)
-            below, above = (
-                np.flatnonzero(~good & side) for side in (scan < GUESS[k], scan > GUESS[k])
-            )
-            lowest = (scan[below[-1] + 1], "") if below.size else (scan[0], "<")
-            limits.append((lowest, (scan[above[0] - 1], "") if above.size else (scan[-1], ">")))
-        for end, label in enumerate(("lowest", "highest")):
-            own, beyond = zip(*(pair[end] for pair in limits), strict=True)
-            rows.append(
-                Row(
-                    f"{LABELS[name]}, {label}",
-                    P.table4[name][end],
-                    pair(map(float, own)),
-                    form,
-                    beyond,
-                )
-            )
+            lost = ~reaches(e, guesses, backtracking)
+            below = np.flatnonzero(lost & (scan < GUESS[k]))
+            above = np.flatnonzero(lost & (scan > GUESS[k]))
+            lowest.append((scan[below[-1] + 1], "") if below.size else (scan[0], "<"))
+            highest.append((scan[above[0] - 1], "") if above.size else (scan[-1], ">"))
+        low, high = P.table4[name]
+        for label, printed, limits in (("lowest", low, lowest), ("highest", high, highest)):
+            ours, beyond = zip(*limits, strict=True)
+            rows.append(Row(f"{LABELS[name]}, {label}", printed, ours, form, beyond))
     return rows
 
 
 class Box(NamedTuple):
-    """Guesses in the printed ranges of Table 4, and which of them reach the root by each of
-    `MODELS`: plain Newton-Raphson, and with backtracking.
-    """
+    """Guesses in the printed ranges of Table 4, and which of them reach the root."""
 
     guesses: np.ndarray  # [G, 3]
-    plain: list[np.ndarray]  # [G] each
-    backtracking: list[np.ndarray]
-
-    def columns(self) -> list[np.ndarray]:
-        """Plain and with backtracking as printed, then both with Wong & Reece's peak."""
-        return [found[k] for k in range(2) for found in (self.plain, self.backtracking)]
+    #: [G] each: plain and with backtracking as printed, then both with Wong & Reece's peak.
+    found: list[np.ndarray]
 
 
 def box(*counts: int) -> Box:
@@ -302,10 +273,7 @@ def box(*counts: int) -> Box:
         np.geomspace(S[0], S[1], counts[2]),
     )
     guesses = np.array(list(product(*sides)))
-    plain, backtracking = (
-        [reaches(e, guesses, own) for e in FIXED_COHESION] for own in (False, True)
-    )
-    return Box(guesses, plain, backtracking)
+    return Box(guesses, [reaches(e, guesses, b) for e in FIXED_COHESION for b in (False, True)])
 
 
 class Noisy(NamedTuple):
@@ -352,10 +320,8 @@ def pull_misfits() -> list[float]:
     """Root mean square [N] by which the printed set of Table 3 misses the three measured drawbar
     pulls.
     """
-    return [
-        float(np.sqrt(np.mean((prediction(PRINTED_SET, e)[:, 0] - MEASURED.pull) ** 2)))
-        for e in FIXED_COHESION
-    ]
+    misses = [prediction(PRINTED_SET, e)[:, 0] - MEASURED.pull for e in FIXED_COHESION]
+    return [float(np.sqrt(np.mean(miss**2))) for miss in misses]
 
 
 def sinkages(soil: ArrayLike, slip: np.ndarray, e: Equations) -> np.ndarray:
@@ -381,36 +347,6 @@ def torque(soil: ArrayLike, e: Equations) -> np.ndarray:
     return forces(soil, SLIPS, sinkages(soil, SLIPS, e), e)[:, 2]
 
 
-def field(soil: Soil) -> tuple[tuple[float, float, float], Equations]:
-    """(phi [deg], K [m], S) of a natural soil, and the equations as printed with its c and n."""
-    e = AS_PRINTED._replace(cohesion=soil.cohesion, exponent=soil.sinkage_exponent)
-    return (soil.friction_angle_deg, soil.shear_modulus, soil.lumped(e.width)), e
-
-
-def torque_at_37_deg(soil: Soil) -> np.ndarray:
-    """Torque [N m] by Eq. (3) at `SLIPS` with the wheel held at the sinkage of the working
-    point.
-    """
-    own, e = field(soil)
-    return forces(own, SLIPS, e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg))), e)[
-        :, 2
-    ]
-
-
-def criterion() -> list[tuple[str, float, float, float]]:
-    """(name, lowest and highest torque [N m], slip from which it is more than is available) of
-    each set of the paper's sand, NaN if none; Fig. 8.
-    """
-    rows = []
-    for k, name in enumerate(("as printed", "Wong & Reece's peak")):
-        for label, (soil, e) in sets(k).items():
-            T = torque(soil, e)
-            above = SLIPS[P.available_torque < T]
-            first = float(above[0]) if above.size else math.nan
-            rows.append((f"{label}, {name}", float(T.min()), float(T.max()), first))
-    return rows
-
-
 @dataclass(frozen=True)
 class Results:
     """All that the page shows."""
@@ -420,19 +356,24 @@ class Results:
     rows: dict[str, list[Row]]
     corners: Box  # of Table 4
     box: Box  # the whole of it
-    noise: tuple[Noisy, Noisy]
+    noise: list[Noisy]
     torques: dict[str, tuple[np.ndarray, np.ndarray]]  # by the load balance, and at a held sinkage
 
 
 def compute(seed: int = 0, draws: int = 1000) -> Results:
     """Recompute everything; `draws` of the noise in Table 5."""
-    rows = {"point": working_point(), "table1": table_1(), "table3": table_3()}
-    rows |= {"table4": table_4(False), "table4_backtracking": table_4(True)}
-    for figure, names in (("fig3", ("cohesion",)), ("fig4", NAMES[:2])):
-        rows[figure] = [row for name in names for _, _, row in on_the_curve(name)]
-    torques = {
-        name: (torque(*field(soils()[row])), torque_at_37_deg(soils()[row]))
-        for name, row in FIELD.items()
+    rows = {
+        "point": working_point(),
+        "table1": table_1(),
+        "table3": table_3(),
+        "table4": table_4(False),
+        "table4_backtracking": table_4(True),
+        "fig3": [row for *_, row in on_the_curve("cohesion")],
+        "fig4": [row for name in NAMES[:2] for *_, row in on_the_curve(name)],
     }
-    first, second = (table_5(e, seed, draws) for e in FIXED_COHESION)
-    return Results(seed, draws, rows, box(2, 2, 2), box(7, 7, 5), (first, second), torques)
+    fields = {name: soils()[row] for name, row in FIELD.items()}
+    torques = {
+        name: (torque(*field(soil)), at_37_deg(soil, SLIPS)[:, 2]) for name, soil in fields.items()
+    }
+    noise = [table_5(e, seed, draws) for e in FIXED_COHESION]
+    return Results(seed, draws, rows, box(2, 2, 2), box(7, 7, 5), noise, torques)

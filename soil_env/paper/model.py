@@ -44,8 +44,7 @@ def _printed() -> SimpleNamespace:
         content[table] = {name: SimpleNamespace(**line) for name, line in content[table].items()}
     for group in ("wheel", "working_point"):
         content[group] = SimpleNamespace(**content[group])
-    points = tuple(SimpleNamespace(**point) for point in content["measured"])
-    return SimpleNamespace(**content | {"measured": points, "table2": Sand(**content["table2"])})
+    return SimpleNamespace(**content | {"table2": Sand(**content["table2"])})
 
 
 P = _printed()
@@ -141,7 +140,9 @@ class Points(NamedTuple):
 
 
 #: The three measured points of Table 3.
-MEASURED = Points(*np.array([(p.slip, p.sinkage, p.drawbar_pull) for p in P.measured]).T.copy())
+MEASURED = Points(
+    *(np.array([p[name] for p in P.measured]) for name in ("slip", "sinkage", "drawbar_pull"))
+)
 
 
 def newton_raphson(

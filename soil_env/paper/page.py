@@ -2,29 +2,49 @@
 templates/paper.md.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from soil_env._io.document import Table, render
 from soil_env._io.files import picture_of, write_own
 from soil_env.paper import compare
-from soil_env.paper.compare import MEASURED, NAMES, P, Results, Row
+from soil_env.paper.compare import (
+    LABELS,
+    MEASURED,
+    MODELS,
+    NAMES,
+    POINT,
+    RULES,
+    SAND,
+    SLIPS,
+    WIDE_SLIP,
+    WONG_REECE,
+    P,
+    Results,
+    Row,
+    as_shown,
+    forces,
+    on_the_curve,
+    prediction,
+    pull_misfits,
+    pulls,
+    rules,
+    sets,
+)
 
-FIGURES = ("fig2", "fig3", "fig4", "fig6_7", "fig8", "fig9")
-WIDTHS = {"fig3": 6.4, "fig8": 6.4, "fig9": 6.4}  # [in], else 11
 READINGS = "equations as printed", "with Wong & Reece's peak"
 
 
 def write(results: Results, folder: Path, command: str) -> None:
     """Write `folder`/paper.md and the figures in `folder`/paper."""
     files: dict[str, bytes | str] = {}
-    draws = (_by_slip, _by_cohesion, _by_phi_and_K, _predictions, _criterion, _torques)
-    for name, draw in zip(FIGURES, draws, strict=True):
-        figure = Figure(figsize=(WIDTHS.get(name, 11.0), 4.2), layout="constrained")
+    for name, (width, draw) in FIGURES.items():
+        figure = Figure(figsize=(width, 4.2), layout="constrained")
         draw(figure, results)
         files[f"paper/{name}.png"] = picture_of(figure, dpi=110, metadata={"Software": None})
     write_own(folder, {**files, "paper.md": markdown(results, command)})
@@ -32,51 +52,48 @@ def write(results: Results, folder: Path, command: str) -> None:
 
 def markdown(results: Results, command: str) -> str:
     """The page as Markdown."""
-    tables = {f"{name}_table": _comparison(rows) for name, rows in results.rows.items()}
-    tables["table4_table"] = _ranges(results)
-    tables["corners"] = _corners(results)
-    tables["criterion"] = _criterion_table()
-    own, printed, _ = compare.sets(1).values()
-    low = 100.0 * (1.0 - compare.prediction(*printed)[:, 1] / compare.prediction(*own)[:, 1])
-    tables |= {"rules": _rules(), "noise": _noise(results), "rms": _rms()}
-    tables["torques"] = _torque_table(results)
-
-    fits = [*results.rows["fig3"][:-1], *results.rows["fig4"]]
+    rows = results.rows
+    names = ("point", "table1", "table3", "fig3", "fig4")
+    tables = {f"{name}_table": _comparison(rows[name]) for name in names}
+    tables |= {
+        "table4_table": _ranges(results),
+        "corners": _corners(results),
+        "criterion": _criterion_table(),
+        "rules": _rules(),
+        "noise": _noise(results),
+        "torques": _torque_table(results),
+    }
+    own, printed, _ = sets(1).values()
+    low = 100.0 * (1.0 - prediction(*printed)[:, 1] / prediction(*own)[:, 1])
+    fits = [*rows["fig3"][:-1], *rows["fig4"]]
     misses = np.abs([np.subtract(row.ours, row.printed) for row in fits])
 
-    def agree(table: str, reading: int = 1) -> int:
-        """Count the printed numbers of a table that agree to the last digit."""
-        return sum(
-            compare.as_shown(row.ours[reading], row.form) == row.printed
-            for row in results.rows[table]
-        )
-
     values = {
-        "agree": agree,
+        # Numbers of Table 1 that agree to the last digit.
+        "agree": sum(as_shown(r.ours[1], r.form) == r.printed for r in rows["table1"]),
         "r": results,
         "p": P,
         "c": compare,
         "command": command,
         "low": (low.min(), low.max()),
-        "off": dict((name, (one, two)) for name, _, _, one, two in compare.rules()),
+        "off": {name: off for name, _, _, *off in rules()},
         "miss": misses.max(axis=0),
-        "misprint": results.rows["fig3"][-1].ours[1] - compare.POINT.if_measured_drawbar_pull,
-        "reach": [100.0 * found.mean() for found in results.box.columns()],
+        "rms": pull_misfits(),
+        "misprint": rows["fig3"][-1].ours[1] - POINT.if_measured_drawbar_pull,
+        "reach": [100.0 * found.mean() for found in results.box.found],
     }
     return render("soil_env.paper:paper.md", **values, **tables)
 
 
 def _comparison(rows: Sequence[Row]) -> Table:
-    """A printed number, ours by each reading, and the differences; none where our scan ends before
-    a limit.
-    """
+    """A printed number, ours by each reading, and the differences."""
     header = ["", "printed", *(text for name in READINGS for text in (name, "difference"))]
     lines = []
     for row in rows:
         line = [row.name, format(row.printed, row.form)]
-        for value, shown, side in zip(row.ours, _shown(row), row.beyond, strict=True):
-            difference = compare.as_shown(value, row.form) - row.printed
-            line += [shown, "-" if side else format(difference, "+" + row.form)]
+        for value in row.ours:
+            difference = as_shown(value, row.form) - row.printed
+            line += [format(value, row.form), format(difference, "+" + row.form)]
         lines.append(line)
     return Table(header, lines)
 
@@ -105,19 +122,25 @@ def _corners(r: Results) -> Table:
     """What becomes of the corners of Table 4."""
     rows = [
         (f"{phi:.0f}", f"{K:.3f}", f"{S:.2g}", *("converges" if ok else "lost" for ok in found))
-        for (phi, K, S), *found in zip(r.corners.guesses, *r.corners.columns(), strict=True)
+        for (phi, K, S), *found in zip(r.corners.guesses, *r.corners.found, strict=True)
     ]
-    total = (f"{found.sum()} of {found.size}" for found in r.corners.columns())
+    total = (f"{found.sum()} of {found.size}" for found in r.corners.found)
     return Table(("phi [deg]", "K [m]", "S", *METHODS), [*rows, ("all", "", "", *total)])
 
 
 def _criterion_table() -> Table:
-    """Torque of the paper's sand, beside what is available."""
+    """Torque by each set of the paper's sand, and the slip from which it is more than is
+    available.
+    """
     rows = []
-    for name, low, high, first in compare.criterion():
-        passed = "never" if np.isnan(first) else f"{first:.2f}"
-        more = f"{high - P.available_torque:+.0f}"
-        rows.append((name, f"{low:.0f} to {high:.0f}", more, passed))
+    for k, reading in enumerate(("as printed", "Wong & Reece's peak")):
+        for name, (soil, e) in sets(k).items():
+            T = compare.torque(soil, e)
+            above = SLIPS[P.available_torque < T]
+            passed = f"{above[0]:.2f}" if above.size else "never"
+            more = f"{T.max() - P.available_torque:+.0f}"
+            span = f"{T.min():.0f} to {T.max():.0f}"
+            rows.append((f"{name}, {reading}", span, more, passed))
     header = ("set", "T [N m]", "highest less available", "more than available from slip")
     return Table(header, rows)
 
@@ -125,19 +148,17 @@ def _criterion_table() -> Table:
 def _rules() -> Table:
     heads = (f"{name}: DP [N]" for name in READINGS)
     differences = (f"{name}: from (12), exact [%]" for name in READINGS)
-    return Table(
-        ("resistance, integration", *heads, *differences),
-        [
-            (name, f"{one:.2f}", f"{two:.2f}", f"{off_one:+.2f}", f"{off_two:+.2f}")
-            for name, one, two, off_one, off_two in compare.rules()
-        ],
-    )
+    rows = [
+        (name, f"{one:.2f}", f"{two:.2f}", f"{off_one:+.2f}", f"{off_two:+.2f}")
+        for name, one, two, off_one, off_two in rules()
+    ]
+    return Table(("resistance, integration", *heads, *differences), rows)
 
 
 def _noise(r: Results) -> Table:
     rows = []
     for k, name in enumerate(NAMES):
-        row = [compare.LABELS[name], f"{P.table5[name][1]:.2f}"]
+        row = [LABELS[name], f"{P.table5[name][1]:.2f}"]
         for n in r.noise:
             low, median, high = n.quantiles[:, k]
             row += [f"{median:.1f} [{low:.1f}, {high:.1f}]", f"{100 * n.below[k]:.0f} %"]
@@ -148,25 +169,6 @@ def _noise(r: Results) -> Table:
     return Table(("error with noise [%]", "printed", *columns), rows)
 
 
-def _rms() -> Table:
-    """The printed rms errors of Figs. 6 and 7, and ours where three points allow one."""
-    header = (
-        "rms error",
-        "printed, over the curve",
-        *(f"{name}, at the three points" for name in READINGS),
-    )
-    rows = []
-    for what, values in (
-        ("drawbar pull [N]", P.fig6_rms_drawbar_pull),
-        ("torque [N m]", P.fig7_rms_torque),
-    ):
-        for points, printed in values.items():
-            row = [f"{what}, set from {points.replace('_', ' ')}", f"{printed:.2f}"]
-            known = values is P.fig6_rms_drawbar_pull and points == "three_points"
-            rows.append(row + [f"{own:.2f}" if known else "-" for own in compare.pull_misfits()])
-    return Table(header, rows)
-
-
 def _torque_table(r: Results) -> Table:
     rows = []
     for name, found in r.torques.items():
@@ -174,20 +176,18 @@ def _torque_table(r: Results) -> Table:
         about = P.fig9_about.get(name)
         row = [name.replace("_", " "), f"about {about:.0f}" if below is None else f"< {below:.0f}"]
         for T in found:
-            carried = np.isfinite(T).any()
-            row.append(
-                f"{np.nanmin(T):.0f} to {np.nanmax(T):.0f}" if carried else "buried at every slip"
-            )
-            row.append(f"{np.nanmax(T) - (about or below):+.0f}" if carried else "-")
+            if np.isfinite(T).any():
+                row.append(f"{np.nanmin(T):.0f} to {np.nanmax(T):.0f}")
+                row.append(f"{np.nanmax(T) - (about or below):+.0f}")
+            else:
+                row += ["buried at every slip", "-"]
         rows.append(row)
-    difference = "highest less printed"
-    return Table(
-        ("soil", "printed T [N m]", "ours, balanced", difference, "ours, at 37 deg", difference),
-        rows,
-    )
+    more = "highest less printed"
+    header = ("soil", "printed T [N m]", "ours, balanced", more, "ours, at 37 deg", more)
+    return Table(header, rows)
 
 
-def _axes(figure: Figure, x: str, y: str, position=111):
+def _axes(figure: Figure, x: str, y: str, position: int = 111) -> Axes:
     axes = figure.add_subplot(position)
     axes.set(xlabel=x, ylabel=y)
     axes.grid(alpha=0.3)
@@ -196,64 +196,68 @@ def _axes(figure: Figure, x: str, y: str, position=111):
 
 def _by_slip(figure: Figure, r: Results) -> None:
     """Fig. 2: drawbar pull against slip by Simpson's rule and exactly, and the differences."""
-    slip = np.linspace(0.01, compare.WIDE_SLIP[1], 80)
+    slip = np.linspace(0.01, WIDE_SLIP[1], 80)
     pull = _axes(figure, "slip [-]", "drawbar pull [N]", 121)
     error = _axes(figure, "slip [-]", "from (12), exact [N]", 122)
-    for k, e in enumerate(compare.MODELS):
-        cases = {f"(12), m = {m}": e._replace(simpson=m) for m in compare.RULES}
+    for k, e in enumerate(MODELS):
+        cases = {f"(12), m = {m}": e._replace(simpson=m) for m in RULES}
         cases["(12), exact"] = e._replace(simpson=0)
-        exact = compare.pulls(cases["(12), exact"], compare.SAND, slip)
+        exact = pulls(cases["(12), exact"], SAND, slip)
         for colour, (name, own) in enumerate(cases.items()):
-            y = compare.pulls(own, compare.SAND, slip)
+            y = pulls(own, SAND, slip)
             label = f"{name}, {READINGS[k]}"
             for axes, values in ((pull, y), (error, y - exact)):
                 axes.plot(slip, values, ("--", "-")[k], color=f"C{colour}", label=label)
         full = e._replace(simpson=0, compaction=False)
-        y = compare.pulls(full, compare.SAND, slip)
+        y = pulls(full, SAND, slip)
         pull.plot(slip, y, ("k--", "k-")[k], label=f"(11), exact, {READINGS[k]}")
-    i = compare.POINT.slip
-    target = compare.POINT.drawbar_pull
-    at_point = compare.pull(compare.WONG_REECE._replace(simpson=0))
+    i = POINT.slip
+    target = POINT.drawbar_pull
+    at_point = compare.pull(WONG_REECE._replace(simpson=0))
     pull.plot([i], [target], "r^", label="printed")
     error.plot([i], [target - at_point], "r^")
     pull.legend(fontsize=7)
 
 
-def _along(axes, name: str) -> None:
+def _along(figure: Figure, label: str, name: str, position: int = 111) -> Axes:
     """Drawbar pull against one parameter by both readings, and the printed points."""
-    points = compare.on_the_curve(name)
+    axes = _axes(figure, label, "drawbar pull (12) [N]", position)
+    points = on_the_curve(name)
     values = np.array([value for _, value, _ in points])
     margin = 0.3 * np.ptp(values)
     wide = np.linspace(values.min() - margin, values.max() + margin, 60)
-    for e, style, label in zip(compare.MODELS, ("C0--", "C1-"), READINGS, strict=True):
-        pull = [compare.pull(e, replace(compare.SAND, **{name: float(v)})) for v in wide]
+    for e, style, label in zip(MODELS, ("C0--", "C1-"), READINGS, strict=True):
+        pull = [compare.pull(e, replace(SAND, **{name: float(v)})) for v in wide]
         axes.plot(wide, pull, style, label=label)
     for mark, (where, value, row) in zip("v^>s", points, strict=False):
         axes.plot([value], [row.printed], f"k{mark}", label=f"printed, {where}")
+    return axes
 
 
 def _by_cohesion(figure: Figure, r: Results) -> None:
     """Fig. 3."""
-    axes = _axes(figure, "cohesion c [Pa]", "drawbar pull (12) [N]")
-    _along(axes, "cohesion")
-    axes.legend(fontsize=8)
+    _along(figure, "cohesion c [Pa]", "cohesion").legend(fontsize=8)
 
 
 def _by_phi_and_K(figure: Figure, r: Results) -> None:
     """Fig. 4."""
     for k, name in enumerate(NAMES[:2]):
-        axes = _axes(figure, compare.LABELS[name], "drawbar pull (12) [N]", 121 + k)
-        _along(axes, name)
+        axes = _along(figure, LABELS[name], name, 121 + k)
     axes.legend(fontsize=8)
+
+
+def _by_set(axes: Axes, slip: np.ndarray, values: Callable[..., np.ndarray]) -> None:
+    """`values` of a set and its equations, with each set of the paper's sand by both readings."""
+    for k, style in enumerate(("--", "-")):
+        for colour, (name, (soil, e)) in enumerate(sets(k).items()):
+            label = f"{name}, {READINGS[k]}"
+            axes.plot(slip, values(soil, e), style, color=f"C{colour}", label=label)
 
 
 def _criterion(figure: Figure, r: Results) -> None:
     """Fig. 8: torque required and available."""
     axes = _axes(figure, "slip [-]", "torque required (3) [N m]")
-    for k, style in enumerate(("--", "-")):
-        for colour, (name, (soil, e)) in enumerate(compare.sets(k).items()):
-            T = compare.torque(soil, e)
-            axes.plot(compare.SLIPS, T, style, color=f"C{colour}", label=f"{name}, {READINGS[k]}")
+    _by_set(axes, SLIPS, compare.torque)
     axes.axhline(P.available_torque, color="k", linestyle=":", label="available, printed")
     axes.set_ylim(0.0)
     axes.legend(fontsize=8)
@@ -265,13 +269,8 @@ def _predictions(figure: Figure, r: Results) -> None:
     sinkage = np.interp(slip, MEASURED.slip, MEASURED.sinkage)
     pull = _axes(figure, "slip [-]", "drawbar pull (12) [N]", 121)
     torque = _axes(figure, "slip [-]", "torque (3) [N m]", 122)
-    for k, style in enumerate(("--", "-")):
-        for colour, (name, (soil, e)) in enumerate(compare.sets(k).items()):
-            y = compare.forces(soil, slip, sinkage, e)
-            for axes, column in ((pull, 0), (torque, 2)):
-                axes.plot(
-                    slip, y[:, column], style, color=f"C{colour}", label=f"{name}, {READINGS[k]}"
-                )
+    _by_set(pull, slip, lambda soil, e: forces(soil, slip, sinkage, e)[:, 0])
+    _by_set(torque, slip, lambda soil, e: forces(soil, slip, sinkage, e)[:, 2])
     pull.plot(MEASURED.slip, MEASURED.pull, "ko", label="measured")
     pull.legend(fontsize=7)
 
@@ -281,13 +280,20 @@ def _torques(figure: Figure, r: Results) -> None:
     axes = _axes(figure, "slip [-]", "torque required (3) [N m]")
     for k, (name, (T, _)) in enumerate(r.torques.items()):
         label = name.replace("_", " ") + ("" if np.isfinite(T).any() else ": buried")
-        axes.plot(compare.SLIPS, T, color=f"C{k}", label=label)
+        axes.plot(SLIPS, T, color=f"C{k}", label=label)
     axes.axhline(P.available_torque, color="k", linestyle=":", label="available")
-    axes.axhline(
-        P.fig9_about["clayey_soil"],
-        color=f"C{len(r.torques) - 1}",
-        linestyle="--",
-        label="printed, clayey",
-    )
+    clay = P.fig9_about["clayey_soil"]
+    axes.axhline(clay, color=f"C{len(r.torques) - 1}", linestyle="--", label="printed, clayey")
     axes.set_ylim(0.0)
     axes.legend()
+
+
+#: Width [in] of each figure, and the function that draws it.
+FIGURES = {
+    "fig2": (11.0, _by_slip),
+    "fig3": (6.4, _by_cohesion),
+    "fig4": (11.0, _by_phi_and_K),
+    "fig6_7": (11.0, _predictions),
+    "fig8": (6.4, _criterion),
+    "fig9": (6.4, _torques),
+}

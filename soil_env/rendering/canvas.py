@@ -1,5 +1,7 @@
 """Canvas on a pygame surface; colours."""
 
+import functools
+import itertools
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeAlias
@@ -52,8 +54,8 @@ class Canvas:
         self._draw = pygame.draw
         self._large = pygame.Surface((2 * SIZE[0], 2 * SIZE[1]), 0, 32)
         self._surface = pygame.Surface(SIZE, 0, 32)
-        self._fonts: dict[int, pygame.font.Font] = {}  # by their height [px]
-        self._written: dict[tuple[str, int, Colour], pygame.Surface] = {}
+        self._font = functools.cache(functools.partial(pygame.font.Font, None))  # by height [px]
+        self._written = functools.lru_cache(400)(self._write)
         self._texts: list[tuple[pygame.Surface, np.ndarray]] = []  # with their places
 
     def _at(self, points):
@@ -70,12 +72,7 @@ class Canvas:
 
     def clip(self, box: Box | None) -> None:
         """Confine shapes (not text) to a box; None lifts it."""
-        if box is None:
-            self._large.set_clip(None)
-            return
-        (x, y), (x1, y1) = self._at([box[:2], np.add(box[:2], box[2:])])
-        inside = self._pygame.Rect(round(x), round(y), round(x1 - x), round(y1 - y))
-        self._large.set_clip(inside)
+        self._large.set_clip(box and np.rint(self._at(box)).astype(int).tolist())
 
     def box(self, box: Box, colour: Colour | None, edge: Colour | None = None) -> None:
         """A rectangle, filled unless `colour` is None, with an edge if a colour is given for it."""
@@ -118,16 +115,13 @@ class Canvas:
         colours.
         """
         colours = soil_colour(friction, bounds)
-        (x, y) = np.transpose(points)
-        start = 0
-        for i in range(1, len(colours) + 1):  # one polygon for each run of one colour
-            if i == len(colours) or (colours[i] != colours[start]).any():
-                top = points[start : i + 1]
-                self.polygon(
-                    [*top, (x[i] + 0.6, y[i]), (x[i] + 0.6, bottom), (x[start], bottom)],
-                    colours[start],
-                )
-                start = i
+        x, y = np.transpose(points)
+        # One polygon for each run of one colour.
+        changes = np.flatnonzero(np.diff(colours, axis=0).any(axis=1)) + 1
+        for start, end in itertools.pairwise([0, *changes, len(colours)]):
+            right = x[end] + 0.6
+            below = [(right, y[end]), (right, bottom), (x[start], bottom)]
+            self.polygon([*points[start : end + 1], *below], colours[start])
         self.lines(points, SURFACE)
         return colours
 
@@ -137,16 +131,12 @@ class Canvas:
         """Words with their middle line at y; align 0, 0.5 or 1 puts their left end, middle or right
         end at x.
         """
-        key = words, size, colour
-        if key not in self._written:
-            if len(self._written) > 400:
-                self._written.clear()
-            if size not in self._fonts:
-                self._fonts[size] = self._pygame.font.Font(None, size)
-            self._written[key] = self._fonts[size].render(words, True, colour)
-        image = self._written[key]
+        image = self._written(words, size, colour)
         place = np.array([x, y]) - np.multiply(image.get_size(), (align, 0.5))
         self._texts.append((image, place.round()))
+
+    def _write(self, words: str, size: int, colour: Colour) -> "pygame.Surface":
+        return self._font(size).render(words, True, colour)
 
     def finish(self) -> "pygame.Surface":
         """The finished picture as a surface, which the next picture overwrites."""
@@ -158,6 +148,5 @@ class Canvas:
 def soil_colour(friction: np.ndarray | list[float], bounds: tuple[float, float]) -> np.ndarray:
     """Colours [n, 3] of soils with friction angles [n] in deg; the ramp spans `bounds` [deg]."""
     place = np.linspace(*bounds, len(_RAMP))
-    return np.stack([np.interp(friction, place, channel) for channel in _RAMP.T], axis=1).astype(
-        int
-    )
+    channels = [np.interp(friction, place, channel) for channel in _RAMP.T]
+    return np.stack(channels, axis=1).astype(int)

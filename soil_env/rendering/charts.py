@@ -32,9 +32,8 @@ def draw_charts(
     slip = wheels[:, 0]
     sinkage = wheels[:, 1]
     limits = -1.0 if slip.min(initial=0.0) < -0.25 else -0.25, 1.0
-    _draw_chart(
-        c, 0, "slip, sinkage / radius (broad) [-]", end, time, limits, colours, slip, sinkage
-    )
+    name = "slip, sinkage / radius (broad) [-]"
+    _draw_chart(c, 0, name, end, time, limits, colours, slip, sinkage)
     for i, name in enumerate(_SOIL):
         estimate, sd, true = (wheels[:, k + i] for k in (2, 5, 8))
         low, high, estimate, true = (
@@ -42,21 +41,10 @@ def draw_charts(
         )
         band = (low[0], high[0]) if identified and len(colours) == 1 else None
         shown = np.concatenate([true, *(band or estimate if identified else ())], axis=None)
-        words = "estimate, true (broad)" if identified else "true"
-        above = estimate if identified else None
-        _draw_chart(
-            c,
-            i + 1,
-            f"{name}: {words}",
-            end,
-            time,
-            _limits(shown, i > 0),
-            colours,
-            above,
-            true,
-            i > 0,
-            band,
-        )
+        name = f"{name}: {'estimate, true (broad)' if identified else 'true'}"
+        above = estimate if identified else ()
+        limits = _limits(shown, i > 0)
+        _draw_chart(c, i + 1, name, end, time, limits, colours, above, true, i > 0, band)
 
 
 def _draw_chart(
@@ -75,7 +63,7 @@ def _draw_chart(
     """The strip chart `place` of `SPAN` seconds up to `end` [s], with the axis of time below the
     last one.
 
-    Two lines a wheel: `behind`, broad and pale, and `above`, if any; `band`: (lower, upper).
+    Two lines a wheel: `behind`, broad and pale, and `above` (() for none); `band`: (lower, upper).
     """
     left, top, width, height = CHARTS[place]
     of = np.log if log else np.asarray
@@ -88,14 +76,16 @@ def _draw_chart(
             axis=-1,
         )
 
+    is_last = place == len(CHARTS) - 1
     c.box(CHARTS[place], WHITE)
     c.text(left, top - 11, name, 16)
     for t in ticks(end - SPAN, end, 5.0):
-        c.lines(at(np.array([t, t]), limits), GRID, 1)
+        line = at(np.array([t, t]), limits)
+        c.lines(line, GRID, 1)
+        if is_last:
+            c.text(line[0, 0], top + height + 10, f"{t:g}", 14, GREY, 0.5)
     for v in (
-        _log_ticks(*limits)
-        if log
-        else ticks(limits[0], limits[1], nice((limits[1] - limits[0]) / 2.4))
+        _log_ticks(*limits) if log else ticks(limits[0], limits[1], nice(np.ptp(limits) / 2.4))
     ):
         ends = at(np.array([end - SPAN, end]), [v, v])
         c.lines(ends, GRID, 1)
@@ -105,13 +95,9 @@ def _draw_chart(
         c.polygon([*at(time, band[0]), *at(time, band[1])[::-1]], LIGHT_BLUE)
     for values, (_, pale) in zip(behind, colours, strict=True):
         c.lines(at(time, values), pale, _BROAD)
-    for values, (dark, _) in zip(above if above is not None else (), colours, strict=False):
+    for values, (dark, _) in zip(above, colours, strict=False):
         c.lines(at(time, values), dark, 1.8)
-    if place == len(CHARTS) - 1:
-        for t in ticks(end - SPAN, end, 5.0):
-            c.text(
-                left + width * (t - end + SPAN) / SPAN, top + height + 10, f"{t:g}", 14, GREY, 0.5
-            )
+    if is_last:
         c.text(left + 0.5 * width, top + height + 24, "time [s]", 15, GREY, 0.5)
 
 
@@ -119,9 +105,9 @@ def _in_shown_units(values: np.ndarray, i: int) -> np.ndarray:
     """phi [deg], K [mm] or S [MN/m^(n+2)], for i = 0, 1, 2, from phi [rad] or the logarithm of K or
     S in SI units.
     """
-    return (
-        np.degrees(values) if i == 0 else (1e3, 1e-6)[i - 1] * np.exp(np.clip(values, -50.0, 50.0))
-    )
+    if i == 0:
+        return np.degrees(values)
+    return (1e3 if i == 1 else 1e-6) * np.exp(np.clip(values, -50.0, 50.0))
 
 
 def nice(value: float) -> float:
@@ -132,18 +118,17 @@ def nice(value: float) -> float:
 
 def ticks(low: float, high: float, step: float) -> list[float]:
     """Multiples of `step` in [low, high]."""
-    return [
-        i * step for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
-    ]
+    first = math.ceil(low / step - 1e-9)
+    last = math.floor(high / step + 1e-9)
+    return [i * step for i in range(first, last + 1)]
 
 
 def _log_ticks(low: float, high: float) -> list[float]:
     """Decades in [low, high], with 2 and 5 between them where there are at most two decades."""
     parts = (1.0, 2.0, 5.0) if high <= 101.0 * low else (1.0,)
     decades = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
-    return [
-        m * 10.0**d for d in decades for m in parts if 0.999 * low <= m * 10.0**d <= 1.001 * high
-    ]
+    values = [m * 10.0**d for d in decades for m in parts]
+    return [v for v in values if 0.999 * low <= v <= 1.001 * high]
 
 
 def _limits(values: np.ndarray, log: bool) -> tuple[float, float]:

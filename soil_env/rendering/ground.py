@@ -94,13 +94,9 @@ def draw_ground(
     place, depth, shade = GRAINS[cells % len(GRAINS)].T
     gx = (cells // 4 + place) * step
     spots = scene.at(gx, np.interp(gx, across, now) - (0.3 + 12.0 * depth) * step)
-    tints = (
-        colours[np.searchsorted(middle, gx).clip(0, middle.size - 1)]
-        * np.where(shade < 0.5, 0.82, 1.1)[:, None]
-    )
-    for spot, size, tint in zip(
-        spots, 1.0 + 1.2 * shade, tints.clip(0, 255).astype(int).tolist(), strict=True
-    ):
+    own = colours[np.searchsorted(middle, gx).clip(0, middle.size - 1)]
+    tints = (own * np.where(shade < 0.5, 0.82, 1.1)[:, None]).clip(0, 255).astype(int).tolist()
+    for spot, size, tint in zip(spots, 1.0 + 1.2 * shade, tints, strict=True):
         c.circle(spot, size, tint)
     untouched = scene.at(across, before)[before - now > 0.03 * r]
     for i in range(0, len(untouched) - 2, 4):
@@ -122,12 +118,8 @@ def draw_scale_bar(c: Canvas, scene: Scene) -> None:
     right = scene.box[0] + scene.box[2] - 14
     y = scene.box[1] + 22
     left = right - bar * scene.scale
-    for ends in (
-        [(left, y), (right, y)],
-        [(left, y - 4), (left, y + 4)],
-        [(right, y - 4), (right, y + 4)],
-    ):
-        c.lines(ends, INK, 2)
+    for low, high in (((left, y), (right, y)), *(((x, y - 4), (x, y + 4)) for x in (left, right))):
+        c.lines([low, high], INK, 2)
     c.text(0.5 * (left + right), y - 12, f"{bar:g} m", 15, align=0.5)
 
 

@@ -56,25 +56,23 @@ def shown_wheels(simulation: Any, j: int) -> list[dict[str, Any]]:
     worlds = simulation.worlds
     if isinstance(simulation.scenario, RoverScenario):
         known = worlds.known
-        axles = simulation.scenario.axles
-        rows: list[Any] = [(j, a) for a in range(axles)]
-        names = axle_names(axles)
+        names = axle_names(simulation.scenario.axles)
+        rows: list[Any] = [(j, a) for a in range(len(names))]
         rover = worlds.state[j]
         wheels = [
-            by_name(rover.wheels[a]) | {"rut": float(rover.axles[a].floor)} for a in range(axles)
-        ]
+            by_name(wheel) | {"rut": float(axle.floor)}
+            for wheel, axle in zip(rover.wheels, rover.axles, strict=True)
+        ][: len(names)]
     else:
         known = worlds.ids
-        rows = [j]
         names = ("wheel",)
+        rows = [j]
         wheels = [simulation.wheel(j) | {"rut": 0.0}]
     border = float(simulation.numbers.rig["border"][0])
     for w, k, name in zip(wheels, rows, names, strict=True):
         w |= {"name": name, "soil": soil_at(worlds.courses, j, w["x"], border)}
-        w |= {
-            key: None if known is None else getattr(known, key)[k]
-            for key in ("estimate", "sd", "status")
-        }
+        for key in ("estimate", "sd", "status"):
+            w[key] = None if known is None else getattr(known, key)[k]
     return wheels
 
 
@@ -102,12 +100,12 @@ def sample_of(simulation: Any, w: dict[str, Any], exponent: float) -> tuple[floa
 def hubs_of(simulation: Any, wheels: list[dict[str, Any]], profile: Profile) -> np.ndarray:
     """Places [wheels, 2] of the hubs (horizontal, height) [m]."""
     r = radius_of(simulation)
-    return np.array(
-        [
-            drawing.hub_of(profile.at(w["x"]), w["grade"], r - w["sinkage"] - w["rut"])
-            for w in wheels
-        ]
-    )
+    hubs = []
+    for w in wheels:
+        grade = w["grade"]
+        upward = np.array([-math.sin(grade), math.cos(grade)])  # normal to the ground
+        hubs.append(profile.at(w["x"]) + (r - w["sinkage"] - w["rut"]) * upward)
+    return np.array(hubs)
 
 
 class Posture(NamedTuple):
@@ -151,12 +149,15 @@ def draw_side_view(
     """Vehicle j in a camera that moves with it, its readings above and the table of its
     `shown_wheels` below.
     """
-    is_rover = isinstance(simulation.scenario, RoverScenario)
     worlds = simulation.worlds
     width = width_of(simulation)
-    if is_rover:
+    posture = None
+    hubs = hubs_of(simulation, wheels, profile)
+    if isinstance(simulation.scenario, RoverScenario):
         body = by_name(worlds.state[j])
         left = (worlds.ruts["floor"][j] + worlds.ruts["depth"][j]).max(axis=0)
+        vehicle = simulation.scenario.vehicle
+        posture = posture_of(vehicle, hubs, float(body["pitch"]))
     else:
         body = wheels[0] | {"pitch": wheels[0]["grade"]}
         left = worlds.courses["cells"]["depth"][j]
@@ -165,7 +166,6 @@ def draw_side_view(
     scene = Scene(SCENE, SCENE[2] / width, place, np.array(profile.at(middle)))
     x = middle + (np.linspace(0.0, 1.0, 261) - AT[0]) * 1.2 * width  # along the slope
     rut = depth_of_ruts(x, left) / np.gradient(profile.at(x)[0], x)
-    hubs = hubs_of(simulation, wheels, profile)
     task = simulation.numbers.task[0]
     r = radius_of(simulation)
     wheel_width = float(simulation.numbers.rig["width"][0])
@@ -176,20 +176,17 @@ def draw_side_view(
     c.box(scene.box, canvas.SKY)
     draw_ground(c, scene, x, profile, rut, hubs, r, bounds)
     draw_flag(c, scene, scene.at(*profile.at(task.length)))
-    posture = (
-        posture_of(simulation.scenario.vehicle, hubs, float(body["pitch"])) if is_rover else None
-    )
+    places = [scene.at(*hub) for hub in hubs]
     if posture is not None:
-        _draw_body(c, scene, simulation.scenario.vehicle, posture, r)
-    for w, hub, angle in zip(wheels, hubs, angles, strict=True):
-        drawing.draw_wheel(
-            c, scene.at(*hub), size, float(angle), COLOURS[w["name"]][0] if is_rover else canvas.RIM
-        )
-    for w, hub, own in zip(wheels, hubs, stresses, strict=True):
+        _draw_body(c, scene, vehicle, posture, r)
+    for w, place, angle in zip(wheels, places, angles, strict=True):
+        colour = canvas.RIM if posture is None else COLOURS[w["name"]][0]
+        drawing.draw_wheel(c, place, size, float(angle), colour)
+    for w, place, own in zip(wheels, places, stresses, strict=True):
         side = -1.0 if w["speed"] < -REST_SPEED else 1.0
-        drawing.draw_stresses(c, scene.at(*hub), size, float(w["grade"]), side, own, per_pascal)
+        drawing.draw_stresses(c, place, size, float(w["grade"]), side, own, per_pascal)
     if posture is not None:
-        _draw_suspension(c, scene, simulation.scenario.vehicle, posture, r)
+        _draw_suspension(c, scene, vehicle, posture, r)
     drawing.draw_stress_key(c, scene.box, stresses)
     c.clip(None)
     c.box(scene.box, None, canvas.GRID)

@@ -35,7 +35,7 @@ class CourseView:
         self._step = scenario.control.duration  # [s] from record to record
         self._identified = scenario.belief.method != "none"  # else there is no estimate to show
         self._every = max(1, math.ceil(SPAN / self._step / _POINTS))  # records per sample
-        self._history: deque[tuple] = deque(maxlen=_POINTS + 2)
+        self._history: deque[list[float]] = deque(maxlen=_POINTS + 2)
         self._angles: Any = 0.0  # [rad] that the wheels have turned
 
     def clear(self) -> None:
@@ -53,12 +53,10 @@ class CourseView:
             self.clear()
         self._angles = self._angles + np.array([w["wheel_speed"] for w in wheels]) * self._step
         if steps % (self._every * self.scenario.control.action_periods) == 0:
-            samples = (
-                sample_of(simulation, w, self.scenario.belief.sinkage_exponent) for w in wheels
-            )
-            self._history.append(
-                (steps * self.scenario.control.period, *(x for own in samples for x in own))
-            )
+            sample = [steps * self.scenario.control.period]
+            for w in wheels:
+                sample += sample_of(simulation, w, self.scenario.belief.sinkage_exponent)
+            self._history.append(sample)
 
     def _paint(self, canvas: Canvas, simulation: Any, k: int) -> None:
         """Draw number k as it is now on a cleared canvas; its course is complete."""
@@ -72,30 +70,24 @@ class CourseView:
         draw_side_view(canvas, simulation, k, wheels, profile, bounds, angles, self._identified)
         draw_course(canvas, profile, length, [w["x"] for w in wheels], bounds)
         colours = [COLOURS[w["name"]] for w in wheels]
-        history = np.array(self._history)
-        history = history.reshape(-1, 1 + QUANTITIES * len(wheels)).T
+        history = np.reshape(self._history, (-1, 1 + QUANTITIES * len(wheels))).T
         draw_charts(canvas, history, colours, self._identified and wheels[0]["status"] is not None)
 
     def draw(self, simulation: Any, k: int) -> np.ndarray | None:
         """The picture as uint8 [height, width, 3] in mode "rgb_array"; in mode "human" it goes to
         the window.
         """
-        canvas = self._canvas or Canvas()
-        self._canvas = canvas
-        canvas.clear()
+        self._canvas = self._canvas or Canvas()
+        self._canvas.clear()
         simulation.complete(k)
-        self._paint(canvas, simulation, k)
-        surface = canvas.finish()
+        self._paint(self._canvas, simulation, k)
+        surface = self._canvas.finish()
         if self.mode == "human":
             self._show(surface)
             return None
         import pygame
 
-        return (
-            np.frombuffer(pygame.image.tobytes(surface, "RGB"), np.uint8)
-            .reshape(*SIZE[::-1], 3)
-            .copy()
-        )
+        return pygame.surfarray.array3d(surface).swapaxes(0, 1).copy()
 
     def close(self) -> None:
         """Close the window, if there is one, and free the surfaces."""

@@ -6,8 +6,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soil_env._compiled.cache import kept
-from soil_env.rendering import canvas
-from soil_env.rendering.canvas import Box, Canvas, Colour
+from soil_env.rendering.canvas import (
+    AMBER,
+    BLUE,
+    GREEN,
+    GREY,
+    LIGHT_BLUE,
+    LIGHT_ORANGE,
+    ORANGE,
+    RIM,
+    SPOKE,
+    WHEEL,
+    WHITE,
+    Box,
+    Canvas,
+    Colour,
+)
 from soil_env.simulation.task import Cause
 from soil_env.slip import braked_share
 from soil_env.terramechanics import contact
@@ -41,7 +55,6 @@ class _Wheel(NamedTuple):
     rim_speed: float  # r w [m/s]
     tyre_deflection: float = 0.0  # [m]
     tyre_compliance: float = 0.0  # [m/N]
-    grip: float = 0.0  # [-]
 
 
 @kept
@@ -79,31 +92,20 @@ def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
     return stresses
 
 
-def hub_of(ground: Any, grade: float, height: float) -> np.ndarray:
-    """Place [m] of a hub `height` [m] above the undisturbed ground, normal to it, at `ground`
-    (place, height) [m].
-    """
-    return np.asarray(ground) + height * np.array([-math.sin(grade), math.cos(grade)])
-
-
-def draw_wheel(
-    c: Canvas, centre: np.ndarray, size: float, angle: float, hub: Colour = canvas.RIM
-) -> None:
+def draw_wheel(c: Canvas, centre: np.ndarray, size: float, angle: float, hub: Colour = RIM) -> None:
     """Rim, hub and six spokes, turned clockwise (forward: the course runs to the right) by `angle`
     [rad].
     """
-    c.circle(centre, size, canvas.WHEEL)
+
+    def at(radius: float, a: float) -> np.ndarray:
+        return centre + radius * size * np.array([math.cos(a), math.sin(a)])
+
+    c.circle(centre, size, WHEEL)
     for a in angle + np.arange(6) * math.pi / 3.0:
-        c.lines(
-            [centre, centre + 0.95 * size * np.array([math.cos(a), math.sin(a)])], canvas.SPOKE, 3.0
-        )
-    c.circle(centre, size, canvas.RIM, 0.07 * size)
-    c.circle(
-        centre + 0.8 * size * np.array([math.sin(angle), -math.cos(angle)]),
-        0.06 * size,
-        canvas.ORANGE,
-    )
-    c.circle(centre, 0.14 * size if hub == canvas.RIM else 0.22 * size, hub)
+        c.lines([centre, at(0.95, a)], SPOKE, 3.0)
+    c.circle(centre, size, RIM, 0.07 * size)
+    c.circle(at(0.8, angle - 0.5 * math.pi), 0.06 * size, ORANGE)
+    c.circle(centre, 0.14 * size if hub == RIM else 0.22 * size, hub)
 
 
 def draw_stresses(
@@ -124,25 +126,21 @@ def draw_stresses(
     normal, shear = (np.minimum(np.abs(s) * scale, 0.85 * size)[:, None] for s in stresses[1:])
     rim = hub + outward * size
     outer = hub + outward * (size + normal)
-    c.polygon([*rim, *outer[::-1]], canvas.LIGHT_BLUE)
-    c.lines(outer, canvas.BLUE)
-    for i in (
-        np.linspace(0, ARC_POINTS - 1, 2 + int(size * stresses.angle[-1] / 9.0))[1:-1]
-        .round()
-        .astype(int)
-    ):
-        c.arrow(outer[i], rim[i], canvas.BLUE, 1.6)
+    c.polygon([*rim, *outer[::-1]], LIGHT_BLUE)
+    c.lines(outer, BLUE)
+    arrows = np.linspace(0, ARC_POINTS - 1, 2 + int(size * stresses.angle[-1] / 9.0))[1:-1]
+    for i in arrows.round().astype(int):
+        c.arrow(outer[i], rim[i], BLUE, 1.6)
     inside = hub + outward * 0.93 * size
     inner = hub + outward * (0.93 * size - shear)
-    c.polygon([*inside, *inner[::-1]], canvas.LIGHT_ORANGE)
-    c.lines(inner, canvas.ORANGE)
+    c.polygon([*inside, *inner[::-1]], LIGHT_ORANGE)
+    c.lines(inner, ORANGE)
     i = int(np.argmax(shear))
     if shear[i] > 4.0:
-        forward = (
-            0.16 * size * np.array([outward[i, 1], -outward[i, 0]]) * np.sign(stresses.shear[i])
-        )
+        ahead = np.array([outward[i, 1], -outward[i, 0]])
+        forward = 0.16 * size * ahead * np.sign(stresses.shear[i])
         middle = 0.5 * (inside[i] + inner[i])
-        c.arrow(middle - forward, middle + forward, canvas.ORANGE, 2.2)
+        c.arrow(middle - forward, middle + forward, ORANGE, 2.2)
 
 
 def draw_stress_key(c: Canvas, box: Box, wheels: list[Stresses]) -> None:
@@ -150,8 +148,8 @@ def draw_stress_key(c: Canvas, box: Box, wheels: list[Stresses]) -> None:
     box.
     """
     keys = (
-        ("normal stress σ", canvas.BLUE, canvas.LIGHT_BLUE),
-        ("shear stress τ", canvas.ORANGE, canvas.LIGHT_ORANGE),
+        ("normal stress σ", BLUE, LIGHT_BLUE),
+        ("shear stress τ", ORANGE, LIGHT_ORANGE),
     )
     for row, (name, edge, fill) in enumerate(keys):
         peaks = (1e-3 * s[row + 1][np.argmax(np.abs(s[row + 1]))] for s in wheels)
@@ -162,13 +160,10 @@ def draw_stress_key(c: Canvas, box: Box, wheels: list[Stresses]) -> None:
 
 def draw_cause(c: Canvas, cause: Cause, halted: bool) -> None:
     """The state of the episode, in a coloured field."""
-    halted = halted and cause == Cause.RUNNING
-    colour = (
-        canvas.AMBER
-        if halted
-        else {Cause.RUNNING: canvas.GREY, Cause.FINISHED: canvas.GREEN}.get(cause, canvas.ORANGE)
-    )
+    colour = {Cause.RUNNING: GREY, Cause.FINISHED: GREEN}.get(cause, ORANGE)
+    words = cause.name.lower().replace("_", " ")
+    if halted and cause == Cause.RUNNING:
+        colour = AMBER
+        words = "halted"
     c.box((474, 8, 88, 22), colour)
-    c.text(
-        518, 19, "halted" if halted else cause.name.lower().replace("_", " "), 17, canvas.WHITE, 0.5
-    )
+    c.text(518, 19, words, 17, WHITE, 0.5)

@@ -24,7 +24,7 @@ from soil_env.measurement.table import read_table
 from soil_env.parameters import load_rover, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 from tests.fuzz_cases import damaged, damaged_zip
-from tests.logs.bags import example, write_map, write_mcap
+from tests.logs.bags import MAP, example, write_map, write_mcap
 
 ROOT = Path(__file__).resolve().parents[2]
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
@@ -263,14 +263,8 @@ def test_a_graph_that_no_export_makes_is_refused(tmp_path, kind, words):
 
 
 FUZZ = int(os.environ.get("SOIL_ENV_FUZZ", "200"))  # cases a kind
-BAG_MAP = {
-    "wheel": "planetary_rover",
-    "channels": {
-        "wheel_speed": {"topic": "/drive", "field": "speed"},
-        "speed": {"topic": "/odom", "field": "twist.x"},
-        "sinkage": {"topic": "/odom", "field": "depth", "unit": "mm"},
-    },
-}
+WITHOUT_TORQUE = {name: of for name, of in MAP["channels"].items() if name != "torque"}
+BAG_MAP = MAP | {"channels": WITHOUT_TORQUE}
 CDR_MAP = {
     "wheel": "planetary_rover",
     "channels": {

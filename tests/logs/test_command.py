@@ -55,6 +55,14 @@ def made(log_map, plan, period=0.1, noise=0.0, soil="lete_sand", **changes):
     )
 
 
+def of_two_soils(log_map, *changes):
+    """Readings of two drives of 16 s at four slips, one after the other."""
+    plan = [(s, 4.0) for s in (0.1, 0.3, 0.2, 0.5)]
+    one, two = (made(log_map, plan, noise=1.0, **own) for own in changes)
+    readings = {n: np.concatenate([v, two.readings[n]]) for n, v in one.readings.items()}
+    return Aligned(0, np.concatenate([one.time, two.time + 16.0]), readings, {}, 0.1)
+
+
 def of(log, readings):
     """A log with other readings."""
     return dataclasses.replace(log, readings=readings, channels={})
@@ -192,9 +200,8 @@ def test_an_estimate_of_no_soil_is_refused_in_one_line(log_map, monkeypatch, nam
     monkeypatch.setattr(OnlineIdentifier, "update", absurd)
     log.channels.update({n: Channel(n) for n in log.readings})
     found = replay(log, log_map)
-    written = report_of(
-        "a.csv", log, log_map, found, steady_windows(log, log_map, found.ground)
-    ).files
+    steady = steady_windows(log, log_map, found.ground)
+    written, _ = report_of("a.csv", log, log_map, found, steady)
     refused = [line for line in found.warnings if "No soil has the values" in line]
     assert (
         len(refused) == 1
@@ -239,25 +246,16 @@ def test_the_setup_of_a_log_has_the_belief_as_priors(without_digging, tmp_path):
 def test_points_of_two_soils_are_not_one_table(without_digging, tmp_path):
     """Each ground has its own table, of which the fit is its soil; that of all points has both."""
     log_map = dataclasses.replace(without_digging, soil={})
-    plan = [(s, 4.0) for s in (0.1, 0.3, 0.2, 0.5)]
     names = ("dry_sand", "quartz_sand")
-    one, two = (made(log_map, plan, noise=1.0, soil=name) for name in names)
-    readings = {n: np.concatenate([v, two.readings[n]]) for n, v in one.readings.items()}
-    log = Aligned(0, np.concatenate([one.time, two.time + 16.0]), readings, {}, 0.1)
+    log = of_two_soils(log_map, *({"soil": name} for name in names))
     found = replay(log, log_map)
     steady = steady_windows(log, log_map, found.ground)
     parts = grounds(found, steady)
     assert len(parts) == 2 and parts[1].begin == pytest.approx(16.0, abs=1.0)
     assert {row["run"].split(".")[0] for row in steady.rows} == {"ground1", "ground2"}
     written = files(parts, steady, log_map, found.prior)
-    assert set(written) == {
-        "steady.csv",
-        "setup.yaml",
-        "ground1.csv",
-        "ground1.yaml",
-        "ground2.csv",
-        "ground2.yaml",
-    }
+    tables = {f"ground{k}.{kind}" for k in (1, 2) for kind in ("csv", "yaml")}
+    assert set(written) == tables | {"steady.csv", "setup.yaml"}
     for name, content in written.items():
         (tmp_path / name).write_text(content)
     fits = {}
@@ -281,14 +279,9 @@ def test_points_of_two_soils_are_not_one_table(without_digging, tmp_path):
 
 def test_soils_that_differ_in_sinkage_alone_are_two_grounds(without_digging):
     log_map = dataclasses.replace(without_digging, soil={})
-    plan = [(s, 4.0) for s in (0.1, 0.3, 0.2, 0.5)]
     stiff = soils()["lete_sand"].lumped(0.15)
     soft = {"k_c": None, "k_phi": None, "sinkage_coefficient": stiff / 4.0}
-    one, two = (made(log_map, plan, noise=1.0, **changes) for changes in ({}, soft))
-    readings = {n: np.concatenate([v, two.readings[n]]) for n, v in one.readings.items()}
-    found = replay(
-        Aligned(0, np.concatenate([one.time, two.time + 16.0]), readings, {}, 0.1), log_map
-    )
+    found = replay(of_two_soils(log_map, {}, soft), log_map)
     assert len(found.differs) == 2 and found.differs[1] > 0.8
 
 
@@ -330,49 +323,24 @@ def test_borders_without_another_soil_are_no_grounds(log_map):
 
 
 def test_command(tmp_path, capsys):
-    bag = write_json_mcap(tmp_path / "drive.mcap")
-    (tmp_path / "out").mkdir()
-    assert (
-        main(["logs", str(bag), "--map", str(write_map(tmp_path)), "--out", str(tmp_path / "out")])
-        == 0
-    )
-    written = {p.name for p in (tmp_path / "out").iterdir()} - {MANIFEST}
-    assert {name for name in written if not name.startswith("ground")} == {
-        "report.html",
-        "log.json",
-        "estimates.csv",
-        "estimates.png",
-        "readings.png",
-        "steady.csv",
-        "setup.yaml",
-    }
-    page = (tmp_path / "out" / "report.html").read_text()
+    out = tmp_path / "out"
+    given = ["--map", str(write_map(tmp_path)), "--out", str(out)]
+    assert main(["logs", str(write_json_mcap(tmp_path / "drive.mcap")), *given]) == 0
+    always = {"report.html", "log.json", "estimates.csv", "estimates.png", "readings.png"}
+    written = {p.name for p in out.iterdir() if not p.name.startswith("ground")}
+    assert written == always | {"steady.csv", "setup.yaml", MANIFEST}
+    page = (out / "report.html").read_text()
     assert not re.search(r"(src|href)=.(?!data:)", page) and page.count("<img") == 2
-    facts = json.loads((tmp_path / "out" / "log.json").read_text())
-    lines = (tmp_path / "out" / "estimates.csv").read_text().splitlines()
+    facts = json.loads((out / "log.json").read_text())
+    lines = (out / "estimates.csv").read_text().splitlines()
     assert facts["steps"] == 200 == len(lines) - 1
     assert float(lines[-1].split(",")[1]) == pytest.approx(facts["estimate"]["friction_angle_deg"])
     said = capsys.readouterr().out
     assert "/drive" in said and "steady.csv" in said
     assert said.startswith("From 1.000 s of its clock, 19.9 s, 200 steps of 0.1 s.")
-    bag = write_json_mcap(tmp_path / "short.mcap", steps=8)
-    for name in ("ground1.csv", "ground1.yaml", "mine.csv"):
-        (tmp_path / "out" / name).write_text("of the user")
-    assert (
-        main(
-            ["logs", str(bag), "--map", str(tmp_path / "map.yaml"), "--out", str(tmp_path / "out")]
-        )
-        == 0
-    )
+    mine = {"ground1.csv", "ground1.yaml", "mine.csv"}
+    for name in mine:
+        (out / name).write_text("of the user")
+    assert main(["logs", str(write_json_mcap(tmp_path / "short.mcap", steps=8)), *given]) == 0
     # nothing of the other log, and all that the user has put there
-    left = {p.name for p in (tmp_path / "out").iterdir()} - {MANIFEST}
-    assert left == {
-        "ground1.csv",
-        "ground1.yaml",
-        "mine.csv",
-        "report.html",
-        "log.json",
-        "estimates.csv",
-        "estimates.png",
-        "readings.png",
-    }
+    assert {p.name for p in out.iterdir()} == always | mine | {MANIFEST}

@@ -11,24 +11,11 @@ from benchmarks.drives import record
 from soil_env.logs import LogMap, Source, Windows
 from soil_env.logs.align import Aligned
 from soil_env.logs.doubts import doubts, time_doubts
-from soil_env.logs.mapping import TimeColumn
+from soil_env.logs.mapping import UNITS, TimeColumn
 from soil_env.parameters import load_scenario
 from soil_env_agents.controllers.wheel import ConstantSpeed
 
-#: In the order of `SensorReading`.
 SLIP_SD = 0.01  # in a log, of the slip that follows from the speeds
-READINGS = (
-    "slip",
-    "sinkage",
-    "drawbar_pull",
-    "load",
-    "torque",
-    "speed",
-    "wheel_speed",
-    "pitch",
-    "motor_torque",
-    "acceleration",
-)
 
 
 class SteppedSpeed(ConstantSpeed):
@@ -56,7 +43,7 @@ def log_of(driven, scenario):
         "motor_torque": twist,
     }
     fields = {"wheel_speed": "rim_speed"}
-    readings = {name: rows[fields.get(name, name)].astype(float) for name in READINGS}
+    readings = {name: rows[fields.get(name, name)].astype(float) for name in UNITS}
     readings["wheel_speed"] /= wheel.radius
     readings["sinkage"][np.abs(readings["sinkage"]) > wheel.radius] = math.nan  # as of a recording
     sources = {
@@ -124,6 +111,12 @@ def test_a_sensor_that_is_stuck_is_doubted(logs, name):
     readings = log.readings | {name: np.full(len(log), np.median(log.readings[name]))}
     lines = [line for line in doubts(replace(log, readings=readings), log_map) if "stuck" in line]
     assert len(lines) == 1 and f"column {name}" in lines[0]
+
+
+def test_a_wheel_speed_of_zero_while_the_wheel_travels_is_doubted(logs):
+    log, log_map = logs["mixed"][0]
+    (of_speeds, stuck) = doubts(changed(log, wheel_speed=0.0), log_map)
+    assert "rim speed of 0 times" in of_speeds and "stuck" in stuck
 
 
 @pytest.mark.parametrize("wrong", WRONG)

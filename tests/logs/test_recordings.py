@@ -24,6 +24,13 @@ pytest.importorskip("mcap")
 pytest.importorskip("rosbags")
 
 
+def read(path, changes=None):
+    """The readings of a recording by the map of `write_map` with these changes, written beside
+    it.
+    """
+    return read_recording(path, read_map(write_map(path.parent, changes)))
+
+
 @pytest.fixture(scope="module")
 def drives(tmp_path_factory):
     """A drive of the environment in both storages of ROS 2, with its map: (folder, map, estimates
@@ -111,9 +118,7 @@ def test_messages_that_are_compressed_one_by_one(tmp_path):
     recorder.writer.close()
     file = next((tmp_path / "b").glob("*.db3"))
     assert b"\x28\xb5\x2f\xfd" in file.read_bytes()
-    found = read_recording(
-        tmp_path / "b", read_map(write_map(tmp_path, code["CHANNELS"] | {"sinkage": None}))
-    )
+    found = read(tmp_path / "b", code["CHANNELS"] | {"sinkage": None})
     for name, values in found.readings.items():
         assert values == pytest.approx(np.full(7, reading[name])), name
 
@@ -155,7 +160,7 @@ def test_units_gear_and_motor_constant(tmp_path):
         "load": {"constant": 0.15, "unit": "kN"},
         "torque": None,
     }
-    found = read_recording(bag, read_map(write_map(tmp_path, changes))).readings
+    found = read(bag, changes).readings
     assert found["wheel_speed"][0] == pytest.approx(-2.0 * 2.0 * math.pi / 60.0 / 4.0)
     assert found["motor_torque"][0] == pytest.approx(1.0 * 0.05 * 100 * 0.5)
     assert found["sinkage"][0] == pytest.approx(0.15 - 0.022) and np.all(found["load"] == 150.0)
@@ -315,18 +320,18 @@ def test_a_type_that_nothing_defines_is_given_in_the_map(drives, tmp_path):
         "sinkage": {"topic": "/range", "field": "range"},
     }
     with pytest.raises(ParameterError, match=r"/range.*rover_msgs/msg/Wheel.*messages: \{rover_m"):
-        read_recording(bag, read_map(write_map(tmp_path, changes)))
+        read(bag, changes)
     text = (
         "std_msgs/Header header\nuint8 kind\nfloat32 view\nfloat32 least\nfloat32 most\n"
         "float32 range\nfloat32 variance\n"
     )
     given = changes | {"messages": {"rover_msgs/msg/Wheel": text}}
-    found = read_recording(bag, read_map(write_map(tmp_path, given)))
+    found = read(bag, given)
     whole = read_recording(drives[0] / "SQLITE3", read_map(write_map(tmp_path, changes)))
     assert np.array_equal(found.readings["sinkage"], whole.readings["sinkage"])
     wrong = changes | {"messages": {"rover_msgs/msg/Wheel": "float64"}}
     with pytest.raises(ParameterError, match=r"messages\.rover_msgs/msg/Wheel: not the text"):
-        read_recording(bag, read_map(write_map(tmp_path, wrong)))
+        read(bag, wrong)
 
 
 ENDLESS = "WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n) "
@@ -364,6 +369,16 @@ def test_a_bag_that_runs_something_is_refused(drives, tmp_path, hostile, words):
     assert bag.read_bytes() == before and [p.name for p in tmp_path.iterdir()] == ["a.db3"]
 
 
+def test_a_name_in_the_schema_that_is_no_utf_8_is_refused(drives, tmp_path):
+    """SQLite quotes it in the text of its error."""
+    bag, base = sqlite_bag(tmp_path, drives)
+    base.close()
+    content = bag.read_bytes()
+    bag.write_bytes(content.replace(b"timestamp_idx ON messages", b"timestamp_idx ON m\xa6ssages"))
+    with pytest.raises(ParameterError, match="a.db3: cannot be read as a ROS 2 bag in SQLite"):
+        read_recording(bag, drives[1])
+
+
 def test_more_work_than_a_plain_bag_takes_is_ended(drives, tmp_path, monkeypatch):
     monkeypatch.setattr("soil_env.logs.bags._MOST_WORK", (1000, 0))
     monkeypatch.setattr("soil_env.logs.bags._WORK_STEP", 100)
@@ -399,14 +414,14 @@ def test_the_clock_is_that_of_the_header_or_of_the_recording(tmp_path):
     are 3 s apart.
     """
     bag = stamped(tmp_path / "a.mcap", delay=3.0)
-    by_header = read_recording(bag, read_map(write_map(tmp_path)))
+    by_header = read(bag)
     assert by_header.start == 100 * NS and any("/odom" in note for note in by_header.notes)
     assert np.isnan(by_header.readings["speed"]).all()
-    by_log = read_recording(bag, read_map(write_map(tmp_path, {"clock": "log"})))
+    by_log = read(bag, {"clock": "log"})
     assert by_log.start == 103 * NS and by_log.readings["speed"] == pytest.approx(
         0.1 * np.arange(20)
     )
-    soon = read_recording(stamped(tmp_path / "b.mcap", delay=0.004), read_map(write_map(tmp_path)))
+    soon = read(stamped(tmp_path / "b.mcap", delay=0.004))
     assert soon.readings["speed"] == pytest.approx(0.1 * np.arange(20))
 
 
@@ -414,9 +429,7 @@ def test_stamps_that_go_back_are_counted_by_topic(tmp_path):
     """A clock that is set back: the stamps of one topic from then on are left out, but for one
     within max_gap.
     """
-    found = read_recording(
-        stamped(tmp_path / "a.mcap", 0.0, back=15), read_map(write_map(tmp_path))
-    )
+    found = read(stamped(tmp_path / "a.mcap", 0.0, back=15))
     out, late = found.notes[:2]
     assert "topic /drive" in out and "4 of 20" in out and "message 16 (100.500 s" in out
     assert "topic /drive" in late and "1 of 20" in late and "max_gap" in late
@@ -429,8 +442,8 @@ def settled(seconds) -> list[str]:
     times = np.round(np.asarray(seconds) * NS).astype(np.int64)
     for k, time in enumerate(times):
         stamps.add(int(time), k + 2)
-    notes = Notes()
-    stamps.settle(times, NS // 2, 5 * NS, Path("log.csv"), notes)
+    notes = Notes(Path("log.csv"))
+    stamps.settle(times, NS // 2, 5 * NS, notes)
     return notes.lines
 
 
@@ -455,7 +468,7 @@ def test_files_compressed_as_a_whole_are_refused_with_what_unpacks_them(tmp_path
     (tmp_path / name).write_bytes(b"\x04\x22\x4d\x18")
     path = (tmp_path / name).parent if "/" in name else tmp_path / name
     with pytest.raises(ParameterError, match=r"\.lz4: is compressed as a whole: .* lz4 -d"):
-        read_recording(path, read_map(write_map(tmp_path)))
+        read(path)
 
 
 def test_chunks_compressed_by_lz4_are_read(tmp_path):
@@ -479,25 +492,21 @@ def test_a_file_without_a_message_is_refused(tmp_path, name, content):
         content = write_json_mcap(tmp_path / "whole.mcap").read_bytes()[:content]
     (tmp_path / name).write_bytes(content)
     with pytest.raises(ParameterError, match=name):
-        read_recording(tmp_path / name, read_map(write_map(tmp_path)))
+        read(tmp_path / name)
 
 
 def test_a_value_that_cannot_be_is_left_out_and_counted(tmp_path):
-    found = read_recording(stamped(tmp_path / "a.mcap", 0.0), read_map(write_map(tmp_path)))
+    found = read(stamped(tmp_path / "a.mcap", 0.0))
     channel = found.channels["wheel_speed"]
     assert (channel.empty, channel.unusable, channel.readings) == (1, 0, 20)  # infinite
     assert any("wheel_speed" in note and "1 of 20" in note for note in found.notes)
     assert found.readings["wheel_speed"] == pytest.approx(2.0)  # interpolated there
     millimetres = {"topic": "/odom", "field": "depth", "unit": "m"}
-    found = read_recording(
-        tmp_path / "a.mcap", read_map(write_map(tmp_path, {"sinkage": millimetres}))
-    )
+    found = read(tmp_path / "a.mcap", {"sinkage": millimetres})
     assert found.channels["sinkage"].unusable == 20 and np.isnan(found.readings["sinkage"]).all()
     assert sum("sinkage" in note for note in found.notes) == 1
     with pytest.raises(ParameterError, match="sinkage"):
-        read_recording(
-            tmp_path / "a.mcap", read_map(write_map(tmp_path, {"sinkage": {"constant": 20}}))
-        )
+        read(tmp_path / "a.mcap", {"sinkage": {"constant": 20}})
 
 
 @pytest.mark.parametrize("share", [0.2, 0.4, 0.6])
@@ -547,30 +556,32 @@ COLUMNS = {n: {"column": n} for n in ("wheel_speed", "speed", "sinkage", "torque
 HEADER = "t,wheel_speed,speed,sinkage,torque\n"
 
 
+def read_csv(folder, content, changes=COLUMNS):
+    """The readings of a CSV file with this content below `HEADER`."""
+    (folder / "a.csv").write_bytes((HEADER + content).encode("latin-1"))
+    return read(folder / "a.csv", changes)
+
+
 def lines(times):
     return [f"{t:g},2,{0.1 * k:.1f},0.02,5\n" for k, t in enumerate(times)]
 
 
 def test_a_csv_that_ends_in_the_middle_of_a_row(tmp_path):
-    log_map = read_map(write_map(tmp_path, COLUMNS))
     rows = "".join(lines(0.1 * np.arange(10)))
-    (tmp_path / "a.csv").write_text(HEADER + rows + "1.0,2,0.2")
-    part = read_recording(tmp_path / "a.csv", log_map)
+    part = read_csv(tmp_path, rows + "1.0,2,0.2")
     assert len(part) == 10 and any("a.csv" in note for note in part.notes)
     for content, named in (
         ("1.0,2,0.2\n" + rows, "1 of 11 rows cannot be read. Left out, first row 2"),
         (rows + "1.0,2,fast,0.02,5\n", "1 of 11 cells .* row 12: speed = 'fast'"),
         (rows.replace("0.02", "0.\xff2", 1), "1 of 10 cells .* row 2: sinkage"),
     ):
-        (tmp_path / "a.csv").write_bytes((HEADER + content).encode("latin-1"))
-        part = read_recording(tmp_path / "a.csv", log_map)
+        part = read_csv(tmp_path, content)
         assert len(part) in (10, 11) and len(part.notes) == 1
         assert re.search(named, part.notes[0]), part.notes
     # Of the short ones the last is taken for one that was cut off.
     for bad in ("2,0.2\n" * 12, "1.0,2,0.1,zero,5\n" * 11):
-        (tmp_path / "a.csv").write_text(HEADER + rows + bad)
         with pytest.raises(ParameterError, match="11 of 21 .* cannot be read, first row 12"):
-            read_recording(tmp_path / "a.csv", log_map)
+            read_csv(tmp_path, rows + bad)
 
 
 TIMES = {  # unit -> three stamps a tenth of a second apart
@@ -589,8 +600,7 @@ def test_time_stamps_of_every_unit_and_empty_cells(tmp_path, unit):
     (tmp_path / "a.csv").write_text(
         "\ufefft,wheel_speed,speed,sinkage,torque\n" + "\n".join(rows) + "\n\n", "utf-8"
     )
-    changes = COLUMNS | {"time": {"column": "t", "unit": unit}}
-    found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, changes)))
+    found = read(tmp_path / "a.csv", COLUMNS | {"time": {"column": "t", "unit": unit}})
     assert found.start == pytest.approx(1_770_000_000 * NS, abs=1000)  # days have few digits
     assert found.time == pytest.approx([0.0, 0.1, 0.2])
     assert found.readings["speed"] == pytest.approx([0.25, 0.3, 0.35])
@@ -617,7 +627,7 @@ def test_time_stamps_of_every_unit_and_empty_cells(tmp_path, unit):
 def test_a_table_with_nothing_whole_in_it(tmp_path, content, named):
     (tmp_path / "a.csv").write_text(content)
     with pytest.raises(ParameterError, match="a.csv.*" + named):
-        read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, COLUMNS)))
+        read(tmp_path / "a.csv", COLUMNS)
 
 
 def test_time_that_goes_back_in_a_table(tmp_path):
@@ -625,8 +635,7 @@ def test_time_that_goes_back_in_a_table(tmp_path):
     counted.
     """
     times = [0.0, 0.1, 0.2, 0.4, 0.3, *(0.1 * k for k in range(5, 10)), 0.1, 0.2, 1.0]
-    (tmp_path / "a.csv").write_text(HEADER + "".join(lines(times)))
-    found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, COLUMNS)))
+    found = read_csv(tmp_path, "".join(lines(times)))
     assert found.readings["speed"] == pytest.approx(
         [0.0, 0.1, 0.2, 0.4, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 1.2]
     )
@@ -638,9 +647,7 @@ def test_time_that_goes_back_in_a_table(tmp_path):
 def test_times_of_day_after_midnight(tmp_path):
     stamps = ("23:59:59.800", "23:59:59.9", "0:00:00.000", "00:00:00.100000")
     rows = "".join(f"{t},2,0.25,0.02,5\n" for t in stamps)
-    (tmp_path / "a.csv").write_text(HEADER + rows)
-    changes = COLUMNS | {"time": {"column": "t", "unit": "iso"}}
-    found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, changes)))
+    found = read_csv(tmp_path, rows, COLUMNS | {"time": {"column": "t", "unit": "iso"}})
     assert found.time == pytest.approx([0.0, 0.1, 0.2, 0.3]) and not found.notes
 
 
@@ -664,8 +671,7 @@ def test_stamps_of_another_time_are_left_out_and_no_others(tmp_path, place, wron
     times = [1.77e9 + 0.1 * k for k in range(60)]
     times[place:place] = wrong
     rows = "".join(f"{t:.3f},2,0.25,0.02,5\n" for t in times)
-    (tmp_path / "a.csv").write_text(HEADER + rows)
-    found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, COLUMNS)))
+    found = read_csv(tmp_path, rows)
     assert found.start == 1_770_000_000 * NS and found.time == pytest.approx(0.1 * np.arange(60))
     assert found.channels["speed"].readings == 60
     (note,) = found.notes
@@ -673,8 +679,7 @@ def test_stamps_of_another_time_are_left_out_and_no_others(tmp_path, place, wron
 
 
 def test_equal_stamps_are_averaged_and_noted(tmp_path):
-    (tmp_path / "a.csv").write_text(HEADER + "".join(lines([0.0, 0.1, 0.1, 0.2])))
-    found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, COLUMNS)))
+    found = read_csv(tmp_path, "".join(lines([0.0, 0.1, 0.1, 0.2])))
     assert found.readings["speed"] == pytest.approx([0.0, 0.15, 0.3])
     note, *apart = found.notes
     assert "in 1 of 4 time stamps" in note and "row 4" in note
@@ -684,12 +689,11 @@ def test_equal_stamps_are_averaged_and_noted(tmp_path):
 
 def test_too_many_steps_of_the_time_axis_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("soil_env.logs.align.MOST_STEPS", 50)
-    (tmp_path / "a.csv").write_text(HEADER + "".join(lines(0.4 * np.arange(20))))
     with pytest.raises(ParameterError, match="period: .* 77 steps"):
-        read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, COLUMNS)))
+        read_csv(tmp_path, "".join(lines(0.4 * np.arange(20))))
     monkeypatch.setattr("soil_env.logs.recordings.MOST_READINGS", 50)
     with pytest.raises(ParameterError, match=r"a\.csv: has more than 50 readings"):
-        read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, COLUMNS)))
+        read(tmp_path / "a.csv", COLUMNS)
 
 
 def test_memory_does_not_grow_with_the_bag(tmp_path):

@@ -16,13 +16,14 @@ from pathlib import Path
 import gymnasium, numpy as np
 from numba.core import event
 from soil_env._compiled.cache import Kept
-from soil_env.cli.warmup import warm_up
+from soil_env.cli.warmup import PARTS
 
 def versions():
     kept = (o for o in gc.get_objects() if isinstance(o, Kept))
     return {(o.__module__, o.__qualname__): len(o._function.overloads) for o in kept}
 
-warm_up()
+for part in PARTS.values():
+    part()
 warm = versions()
 compiled = event.RecordingListener()
 event.register("numba:compile", compiled)
