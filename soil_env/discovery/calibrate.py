@@ -16,7 +16,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -51,6 +51,7 @@ from soil_env.identification.table.priors import (
     soil_unknowns,
 )
 from soil_env.identification.table.problem import (
+    COARSE,
     OFF_GUESS,
     Last,
     differences,
@@ -126,7 +127,7 @@ class Fit:
 
     def parameters(self) -> dict[str, float]:
         """Every unknown by name."""
-        return _values(self.unknowns, self.u)
+        return parameters_at(self.unknowns, self.u)
 
     @property
     def free_unknowns(self) -> np.ndarray:
@@ -242,27 +243,15 @@ class Problem:
         out = list(self.soil)
         for choice in choices:
             for full in choice.free:
-                p = LAWS[choice.effect].parameter(full[len(choice.effect) + 1 :])
-                low = p.low
-                high = p.high
+                p = LAWS[choice.effect].parameter(full.removeprefix(f"{choice.effect}_"))
                 if p.centre is not None:
                     centre = self.centres.get(full, p.centre)
-                    out.append(
-                        Unknown(
-                            full,
-                            math.log(centre),
-                            p.scale,
-                            math.log(max(low, 1e-3 * centre)),
-                            math.log(high),
-                            True,
-                        )
-                    )
+                    low, high = math.log(max(p.low, 1e-3 * centre)), math.log(p.high)
+                    out.append(Unknown(full, math.log(centre), p.scale, low, high, True))
                     continue
-                sd, low, high = self.scales.get(full, (p.scale, low, high))
-                low = max(low, p.low)
-                high = min(high, p.high)
+                sd, low, high = self.scales.get(full, (p.scale, p.low, p.high))
                 mean = self.laws["dig_gain"] if full == "slip_sinkage_gain" else p.neutral
-                out.append(Unknown(full, mean, sd, low, high, False))
+                out.append(Unknown(full, mean, sd, max(low, p.low), min(high, p.high), False))
         return tuple(out)
 
     def state(self, values: dict[str, float]) -> SoilState:
@@ -352,38 +341,22 @@ class Problem:
         `near`, a fit to the same table, the covariance holds its form errors at these `sizes`;
         without, that of the noise alone, times the scatter.
         """
-        unknowns = self.unknowns(choices)
-        low, high = (np.array([k.bounds[end] for k in unknowns]) for end in (0, 1))
+        law = Law(self, choices)
+        low, high = law.bounds
         u = np.array(
-            [k.at(start[k.name]) if start and k.name in start else self._first(k) for k in unknowns]
+            [
+                k.at(start[k.name]) if start and k.name in start else self._first(k)
+                for k in law.unknowns
+            ]
         )
         off_bound = _SAME * np.minimum(high - low, 1.0)
         u = np.clip(u, low + off_bound, high - off_bound)
-        guess = np.zeros(self.data.rows.slip.size)
         known = None if near is None else compressed(near.columns(sizes) / sizes.scatter)
-
-        def scaled(values):
-            return whitened(known, values / sizes.scatter)
-
-        def model(x):
-            return scaled(self.whiten(self.predict(_values(unknowns, x), choices, guess)))
-
-        by_unknowns = Last(lambda x: self.derivatives(unknowns, x, choices, guess))
         if near is not None and near.choices == choices and np.allclose(u, near.u, 0.0, _SAME):
-            by_unknowns.know(u, near.jacobian)
-        u, _, converged = most_probable(
-            scaled(self.whiten(self.data.y)),
-            model,
-            lambda x: scaled(by_unknowns(x)),
-            u,
-            (low, high),
-            ftol=1e-5,
-            xtol=1e-4,
-            gtol=1e-4,
-            max_nfev=25,
-        )
+            law.derivatives.know(u, near.jacobian)
+        u, converged = law.fitted(u, lambda values: whitened(known, values / sizes.scatter))
         used = sizes if near is not None else EXACT._replace(scatter=sizes.scatter)
-        return self._finish(unknowns, choices, u, guess, by_unknowns(u), converged, used)
+        return self._finish(law, u, converged, used)
 
     @staticmethod
     def _first(unknown: Unknown) -> float:
@@ -393,52 +366,24 @@ class Problem:
         bounded = not unknown.log and unknown.low >= unknown.mean and "_" in unknown.name
         return 0.3 if bounded else 0.0
 
-    def derivatives(
-        self,
-        unknowns: Sequence[Unknown],
-        u: np.ndarray,
-        choices: tuple[Choice, ...],
-        guess: np.ndarray,
-    ) -> np.ndarray:
-        """[M, p] of the whitened output by whitened unknowns (forward differences)."""
-
-        def model(x):
-            return self.whiten(self.predict(_values(unknowns, x), choices, OFF_GUESS * guess))
-
-        base = model(u)
-        return finite(differences(model, u, unknowns, base), base.size)
-
-    def _finish(self, unknowns, choices, u, guess, jacobian, converged, sizes) -> Fit:
-        values = _values(unknowns, u)
-        output = self.predict(values, choices, guess)
+    def _finish(self, law: Law, u: np.ndarray, converged: bool, sizes: Sizes) -> Fit:
+        values = law.values(u)
+        output = law.output(u)
         residual = self.whiten(self.data.y) - self.whiten(output)
-        residual = np.where(np.isfinite(residual), residual, 1e3)
-        added = self.added(values, choices, output, guess)
-        law, effect = self.form_errors(
-            choices, self.stresses(values, choices, output, guess), added
-        )
-        free = [
-            self.block(_in_channel(self.free_functions, self.size[j] * unit))
-            for j, unit in enumerate(np.eye(3))
-        ]
-        rig = nuisances(
-            self.data.setup,
-            self.bench,
-            self.data.rows,
-            _finite(output),
-            tuple(c.effect for c in choices),
-        )
+        added = self.added(values, law.choices, output, law.guess)
+        of_law, effect, rig = self.form_errors(values, law.choices, output, law.guess, added)
+        free = [_in_channel(self.free_functions, size) for size in np.diag(self.size)]
         return Fit(
-            choices,
-            unknowns,
+            law.choices,
+            law.unknowns,
             u,
             output,
             added,
-            residual,
-            jacobian,
-            tuple(map(self.block, law)),
+            np.where(np.isfinite(residual), residual, 1e3),
+            law.derivatives(u),
+            tuple(map(self.block, of_law)),
             self.block(effect),
-            tuple(free),
+            tuple(map(self.block, free)),
             self.block(rig),
             converged,
             sizes,
@@ -477,32 +422,36 @@ class Problem:
 
     def form_errors(
         self,
+        values: dict[str, float],
         choices: tuple[Choice, ...],
-        stresses: Sequence[np.ndarray],
+        output: np.ndarray,
+        guess: np.ndarray,
         added: Sequence[np.ndarray],
         at: Mapping[str, np.ndarray] | None = None,
-    ) -> tuple[list[np.ndarray], np.ndarray]:
-        """Form errors [N, 3, R] at the size 1 of the base law, by span, and of the effects; `at`:
-        other conditions.
+    ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
+        """Form errors [N, 3, R] at the size 1: of the base law, by span; of the effects, of what is
+        `added`; and the nuisances of the instrument.
 
-        Of what `stresses` and `added` change.
+        `at`: conditions of the rows, where they are not those of the processes.
         """
 
         def functions(process: Process) -> np.ndarray:
             return process.at_points if at is None else process.at(at)
 
-        law = [functions(process) for process in self.law_processes]
-        blocks = [np.zeros((*stresses[0].shape, 0))]
+        stresses = np.stack(self.stresses(values, choices, output, guess), axis=2)
+        laws = [
+            (stresses[..., None] * own[:, None, None, :]).reshape(*output.shape, -1)
+            for own in map(functions, self.law_processes)
+        ]
+        blocks = [np.zeros((*output.shape, 0))]
         for choice, factor in zip(choices, added, strict=True):
             own = functions(self.effect_process(choice))
             moved = np.array([name in LAWS[choice.effect].moves for name in CHANNELS])
             units = [ANY_FORM * moved] if LAWS[choice.effect].any_form else np.eye(3)[moved]
             blocks += [_in_channel(own, factor * unit) for unit in units]
-        laws = [
-            np.concatenate([s[:, :, None] * own[:, None, :] for s in stresses], axis=2)
-            for own in law
-        ]
-        return laws, np.concatenate(blocks, axis=2)
+        named = tuple(c.effect for c in choices)
+        rig = nuisances(self.data.setup, self.bench, self.data.rows, _finite(output), named)
+        return laws, np.concatenate(blocks, axis=2), rig
 
     def effect_process(self, choice: Choice) -> Process:
         """Form error of an effect: it goes with what the base law knows and with what the effect is
@@ -515,8 +464,60 @@ class Problem:
         return (errors / (self.noise * self.data.relative_sd)[..., None])[self.used]
 
 
-def _values(unknowns: Sequence[Unknown], u: np.ndarray) -> dict[str, float]:
-    """Parameters at whitened unknowns."""
+class Law:
+    """The model of a table with some effects as a function of the whitened unknowns u [p].
+
+    `guess` [N] of the sinkage is renewed by every output.
+    """
+
+    def __init__(
+        self, problem: Problem, choices: tuple[Choice, ...], guess: np.ndarray | None = None
+    ) -> None:
+        self.problem = problem
+        self.choices = choices
+        self.unknowns = problem.unknowns(choices)
+        low, high = (np.array([k.bounds[end] for k in self.unknowns]) for end in (0, 1))
+        self.bounds = low, high
+        self.guess = np.zeros(problem.data.rows.slip.size) if guess is None else guess
+        #: [M, p] of the whitened output by whitened unknowns (forward differences).
+        self.derivatives = Last(self._derivatives)
+
+    def values(self, u: np.ndarray) -> dict[str, float]:
+        """Every unknown by name."""
+        return parameters_at(self.unknowns, u)
+
+    def output(self, u: np.ndarray) -> np.ndarray:
+        """[N, 3] model values."""
+        return self.problem.predict(self.values(u), self.choices, self.guess)
+
+    def _derivatives(self, u: np.ndarray) -> np.ndarray:
+        def model(x):
+            guess = OFF_GUESS * self.guess
+            return self.problem.whiten(self.problem.predict(self.values(x), self.choices, guess))
+
+        base = model(u)
+        return finite(differences(model, u, self.unknowns, base), base.size)
+
+    def fitted(
+        self, start: np.ndarray, whiten: Callable[[np.ndarray], np.ndarray]
+    ) -> tuple[np.ndarray, bool]:
+        """(most probable u, whether it converged) where `whiten` takes the whitened values to those
+        of a covariance.
+        """
+        whole = self.problem.whiten
+        u, _, converged = most_probable(
+            whiten(whole(self.problem.data.y)),
+            lambda x: whiten(whole(self.output(x))),
+            lambda x: whiten(self.derivatives(x)),
+            start,
+            self.bounds,
+            **COARSE,
+        )
+        return u, converged
+
+
+def parameters_at(unknowns: Sequence[Unknown], u: np.ndarray) -> dict[str, float]:
+    """Parameters by name at whitened unknowns."""
     return {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
 
 
@@ -532,13 +533,11 @@ def _in_channel(functions: np.ndarray, factor: np.ndarray) -> np.ndarray:
 
 def calibrate(data: Data) -> tuple[Problem, NoiseEstimate]:
     """`Problem` with its noise found and its outliers left out."""
-    spread = np.array(
-        [np.nanstd(data.y[:, j]) if data.measured[:, j].any() else 1.0 for j in range(3)]
-    )
+    spread = [np.nanstd(y) if np.isfinite(y).any() else 1.0 for y in data.y.T]
     rough = np.array(
         [
-            getattr(data.setup.noise, name) or max(0.05 * spread[j], 1e-12)
-            for j, name in enumerate(CHANNELS)
+            getattr(data.setup.noise, name) or max(0.05 * sd, 1e-12)
+            for name, sd in zip(CHANNELS, spread, strict=True)
         ]
     )
     first = Problem(data, rough, data.measured)
