@@ -17,7 +17,7 @@ import copy
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -46,8 +46,8 @@ from soil_env.identification.table.noise import NoiseEstimate, find_noise, with_
 from soil_env.identification.table.priors import (
     USUAL_SINKAGE,
     Unknown,
+    bounds_of,
     given_laws,
-    soil_state,
     soil_unknowns,
 )
 from soil_env.identification.table.problem import (
@@ -59,7 +59,6 @@ from soil_env.identification.table.problem import (
     most_probable,
 )
 from soil_env.identification.table.rig import predict_table
-from soil_env.parameters import SoilState
 from soil_env.slip import sliding_speeds
 from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, Effects
 from soil_env.terramechanics.effects.entry import Bench
@@ -68,6 +67,7 @@ from soil_env.terramechanics.model import Rows
 PRIOR_WIDTH = 1.5  # factor of the sd of the setup's priors
 #: Form error of an effect that is named by its place, in all channels alike, over that of others.
 ANY_FORM = 10.0
+AT_BOUND = 1e-4  # [prior sd] of an unknown from a bound, within which it does not move
 _STRESS_STEP = 1e-3  # relative change of a stress, for differences
 _SAME = 1e-6  # [prior sd] of a start from a bound, and within which derivatives are the same
 _LAW = 24  # most functions of the process of the law's error
@@ -132,8 +132,9 @@ class Fit:
     @property
     def free_unknowns(self) -> np.ndarray:
         """[p] which unknowns are not at a bound."""
-        at = [(k.mean + k.sd * u, k) for k, u in zip(self.unknowns, self.u, strict=True)]
-        return np.array([min(x - k.low, k.high - x) > 1e-4 * k.sd for x, k in at], dtype=bool)
+        low, high = bounds_of(self.unknowns)
+        free: np.ndarray = np.minimum(self.u - low, high - self.u) > AT_BOUND
+        return free
 
     def columns(self, sizes: Sizes) -> np.ndarray:
         """[M, R] whitened form errors at their sizes side by side, those of size 0 left out."""
@@ -170,12 +171,11 @@ class Problem:
     noise: np.ndarray  # [3]
     used: np.ndarray  # [N, 3] bool, measured and not an outlier
     freedom: float = math.inf  # degrees of freedom that the noise is known to
-    soil: tuple[Unknown, ...] = ()
-    known: dict[str, float] = field(default_factory=dict)
-    offset: np.ndarray | None = None  # [N, 3] added to the model, a residual law
 
     def __post_init__(self) -> None:
         setup = self.data.setup
+        self.soil: tuple[Unknown, ...]
+        self.known: dict[str, float]
         self.soil, self.known = soil_unknowns(
             setup, self.data.rows.load, self.data.y[:, 0], PRIOR_WIDTH
         )
@@ -221,10 +221,9 @@ class Problem:
         middle = 0.0
         sliding = 0.0
         if np.all(speed > 0.0):
-            middle = math.exp(float(np.mean(np.log(speed))))
+            middle = _geometric_mean(speed)
             slide = sliding_speeds(speed, rows.slip)
-            slide = slide[slide > 0.0]
-            sliding = math.exp(float(np.mean(np.log(slide)))) if slide.size else middle
+            sliding = _geometric_mean(slide[slide > 0.0]) if np.any(slide > 0.0) else middle
         return Bench(
             radius=r,
             load=float(np.median(rows.load)),
@@ -254,17 +253,12 @@ class Problem:
                 out.append(Unknown(full, mean, sd, max(low, p.low), min(high, p.high), False))
         return tuple(out)
 
-    def state(self, values: dict[str, float]) -> SoilState:
-        """The soil of a set of parameters."""
-        return soil_state(self.known | values, self.laws)
-
     def effects(self, choices: tuple[Choice, ...], values: dict[str, float]) -> Effects:
         """The effects of a set of parameters."""
         numbers: dict[str, float] = {}
         for choice in (c for c in choices if c.effect in CATALOGUE):
-            numbers |= choice.fixed
-            numbers |= {name: values[name] for name in choice.free}
-        return self.neutral._replace(**numbers) if numbers else self.neutral
+            numbers |= choice.fixed | {name: values[name] for name in choice.free}
+        return self.neutral._replace(**numbers)
 
     def predict(
         self,
@@ -288,7 +282,7 @@ class Problem:
             name: values[name] for c in choices if c.effect not in CATALOGUE for name in c.free
         }
         if "tilt_angle_deg" in wrong:
-            soil = soil | {"tilt_deg": wrong["tilt_angle_deg"]}
+            soil["tilt_deg"] = wrong["tilt_angle_deg"]
         rows = true_rows(rows or self.data.rows, wrong)
         by_row = factors(rows, wrong, self.bench)
 
@@ -296,8 +290,7 @@ class Problem:
             return predict_table(self.data.setup, under, soil, weight, fx, guess, by_row)
 
         out = in_balance(loaded(rows, wrong, self.bench.load), wrong, balanced)
-        out = reading(changed(out, rows, wrong, self.bench), wrong, rows.wheels[:, 0])
-        return out if self.offset is None else out + self.offset
+        return reading(changed(out, rows, wrong, self.bench), wrong, rows.wheels[:, 0])
 
     def sinkage_guess(self, fit: Fit) -> np.ndarray:
         """[N] sinkages to start a prediction from."""
@@ -312,21 +305,6 @@ class Problem:
         rest = copy.copy(self)
         rest.used = self.used & ~rows[:, None]
         return rest
-
-    def restricted(self, fit: Fit, used: np.ndarray) -> Fit:
-        """A fit to the values `used` [N, 3], with its whitened rows for those that this problem
-        uses.
-        """
-        keep = self.used[used]
-        return dataclasses.replace(
-            fit,
-            residual=fit.residual[keep],
-            jacobian=fit.jacobian[keep],
-            effect=fit.effect[keep],
-            rig=fit.rig[keep],
-            law=tuple(block[keep] for block in fit.law),
-            free=tuple(block[keep] for block in fit.free),
-        )
 
     def fit(
         self,
@@ -367,11 +345,10 @@ class Problem:
         return 0.3 if bounded else 0.0
 
     def _finish(self, law: Law, u: np.ndarray, converged: bool, sizes: Sizes) -> Fit:
-        values = law.values(u)
         output = law.output(u)
         residual = self.whiten(self.data.y) - self.whiten(output)
-        added = self.added(values, law.choices, output, law.guess)
-        of_law, effect, rig = self.form_errors(values, law.choices, output, law.guess, added)
+        added = law.added(u, output)
+        of_law, effect, rig = law.form_errors(u, output, added)
         free = [_in_channel(self.free_functions, size) for size in np.diag(self.size)]
         return Fit(
             law.choices,
@@ -388,70 +365,6 @@ class Problem:
             converged,
             sizes,
         )
-
-    def added(
-        self,
-        values: dict[str, float],
-        choices: tuple[Choice, ...],
-        output: np.ndarray,
-        guess: np.ndarray,
-    ) -> tuple[np.ndarray, ...]:
-        """[N, 3] what each effect adds to the output."""
-        rest = (choices[:k] + choices[k + 1 :] for k in range(len(choices)))
-        return tuple(
-            _finite(output - self.predict(values, others, guess.copy())) for others in rest
-        )
-
-    def stresses(
-        self,
-        values: dict[str, float],
-        choices: tuple[Choice, ...],
-        output: np.ndarray,
-        guess: np.ndarray,
-    ) -> list[np.ndarray]:
-        """[N, 3] change of the output by each `stress_changes`, relative."""
-        h = _STRESS_STEP
-        sinkage = float(np.nanmedian(output[:, 0]))
-        changes = stress_changes(self.known | values, h, sinkage)
-        there = (
-            self.predict(values | soil, choices, OFF_GUESS * guess, more=more)
-            for soil, more in changes
-        )
-        base = self.predict(values, choices, OFF_GUESS * guess)
-        return [_finite((out - base) / h) for out in there]
-
-    def form_errors(
-        self,
-        values: dict[str, float],
-        choices: tuple[Choice, ...],
-        output: np.ndarray,
-        guess: np.ndarray,
-        added: Sequence[np.ndarray],
-        at: Mapping[str, np.ndarray] | None = None,
-    ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
-        """Form errors [N, 3, R] at the size 1: of the base law, by span; of the effects, of what is
-        `added`; and the nuisances of the instrument.
-
-        `at`: conditions of the rows, where they are not those of the processes.
-        """
-
-        def functions(process: Process) -> np.ndarray:
-            return process.at_points if at is None else process.at(at)
-
-        stresses = np.stack(self.stresses(values, choices, output, guess), axis=2)
-        laws = [
-            (stresses[..., None] * own[:, None, None, :]).reshape(*output.shape, -1)
-            for own in map(functions, self.law_processes)
-        ]
-        blocks = [np.zeros((*output.shape, 0))]
-        for choice, factor in zip(choices, added, strict=True):
-            own = functions(self.effect_process(choice))
-            moved = np.array([name in LAWS[choice.effect].moves for name in CHANNELS])
-            units = [ANY_FORM * moved] if LAWS[choice.effect].any_form else np.eye(3)[moved]
-            blocks += [_in_channel(own, factor * unit) for unit in units]
-        named = tuple(c.effect for c in choices)
-        rig = nuisances(self.data.setup, self.bench, self.data.rows, _finite(output), named)
-        return laws, np.concatenate(blocks, axis=2), rig
 
     def effect_process(self, choice: Choice) -> Process:
         """Form error of an effect: it goes with what the base law knows and with what the effect is
@@ -476,8 +389,7 @@ class Law:
         self.problem = problem
         self.choices = choices
         self.unknowns = problem.unknowns(choices)
-        low, high = (np.array([k.bounds[end] for k in self.unknowns]) for end in (0, 1))
-        self.bounds = low, high
+        self.bounds = bounds_of(self.unknowns)
         self.guess = np.zeros(problem.data.rows.slip.size) if guess is None else guess
         #: [M, p] of the whitened output by whitened unknowns (forward differences).
         self.derivatives = Last(self._derivatives)
@@ -497,6 +409,62 @@ class Law:
 
         base = model(u)
         return finite(differences(model, u, self.unknowns, base), base.size)
+
+    def added(self, u: np.ndarray, output: np.ndarray) -> tuple[np.ndarray, ...]:
+        """[N, 3] what each effect adds to the output at u."""
+        values = self.values(u)
+        rest = (self.choices[:k] + self.choices[k + 1 :] for k in range(len(self.choices)))
+        return tuple(
+            _finite(output - self.problem.predict(values, others, self.guess.copy()))
+            for others in rest
+        )
+
+    def stresses(self, u: np.ndarray, output: np.ndarray) -> list[np.ndarray]:
+        """[N, 3] change of the output at u by each `stress_changes`, relative."""
+        h = _STRESS_STEP
+        values = self.values(u)
+        sinkage = float(np.nanmedian(output[:, 0]))
+
+        def out(soil, more):
+            guess = OFF_GUESS * self.guess
+            return self.problem.predict(values | soil, self.choices, guess, more=more)
+
+        base = out({}, {})
+        changes = stress_changes(self.problem.known | values, h, sinkage)
+        return [_finite((out(*change) - base) / h) for change in changes]
+
+    def form_errors(
+        self,
+        u: np.ndarray,
+        output: np.ndarray,
+        added: Sequence[np.ndarray],
+        at: Mapping[str, np.ndarray] | None = None,
+    ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
+        """Form errors [N, 3, R] at u at the size 1: of the base law, by span; of the effects, of
+        what is `added`; and the nuisances of the instrument.
+
+        `at`: conditions of the rows, where they are not those of the processes.
+        """
+        problem = self.problem
+
+        def functions(process: Process) -> np.ndarray:
+            return process.at_points if at is None else process.at(at)
+
+        stresses = np.stack(self.stresses(u, output), axis=2)
+        laws = [
+            (stresses[..., None] * own[:, None, None, :]).reshape(*output.shape, -1)
+            for own in map(functions, problem.law_processes)
+        ]
+        blocks = [np.zeros((*output.shape, 0))]
+        for choice, factor in zip(self.choices, added, strict=True):
+            own = functions(problem.effect_process(choice))
+            moved = np.array([name in LAWS[choice.effect].moves for name in CHANNELS])
+            units = [ANY_FORM * moved] if LAWS[choice.effect].any_form else np.eye(3)[moved]
+            blocks += [_in_channel(own, factor * unit) for unit in units]
+        named = tuple(c.effect for c in self.choices)
+        data = problem.data
+        rig = nuisances(data.setup, problem.bench, data.rows, _finite(output), named)
+        return laws, np.concatenate(blocks, axis=2), rig
 
     def fitted(
         self, start: np.ndarray, whiten: Callable[[np.ndarray], np.ndarray]
@@ -519,6 +487,10 @@ class Law:
 def parameters_at(unknowns: Sequence[Unknown], u: np.ndarray) -> dict[str, float]:
     """Parameters by name at whitened unknowns."""
     return {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
+
+
+def _geometric_mean(values: np.ndarray) -> float:
+    return math.exp(float(np.mean(np.log(values))))
 
 
 def _finite(values: np.ndarray) -> np.ndarray:

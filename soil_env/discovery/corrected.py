@@ -19,7 +19,7 @@ import numpy as np
 from soil_env._compiled.cache import kept
 from soil_env.discovery.calibrate import Problem
 from soil_env.discovery.instrument import INSTRUMENT, LISTED, Choice
-from soil_env.discovery.prediction import USUAL, Prediction, independent
+from soil_env.discovery.prediction import Prediction, independent
 from soil_env.discovery.predictive import DEEPEST
 from soil_env.discovery.unnamed import OF_LOAD
 from soil_env.identification.table.data import CHANNELS
@@ -189,7 +189,6 @@ def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
     are `coarse` times the usual.
     """
     problem = found.problem
-    learnt = found.learnt or USUAL
     out = {}
     for name in AXES:
         condition = "grade_deg" if name == "grade" else name
@@ -199,7 +198,7 @@ def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
         low = float(x.min())
         high = float(x.max())
         if name in STEPS:
-            step = coarse * max(STEPS[name] * learnt.lengths[name], LEAST_STEP[name])
+            step = coarse * max(STEPS[name] * found.learnt.lengths[name], LEAST_STEP[name])
         if name == "slip":
             start = max(low - BEYOND_SLIP, -0.95) if low < 0.0 else 0.0
             ends = [start, *([0.0] if start < 0.0 < high else []), min(high + BEYOND_SLIP, 0.95)]

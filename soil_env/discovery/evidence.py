@@ -27,7 +27,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import chdtri, log_ndtr, ndtr
 
-from soil_env.discovery.calibrate import LAW_LENGTHS, Fit, Problem, Sizes
+from soil_env.discovery.calibrate import LAW_LENGTHS, Fit, Law, Problem, Sizes
 from soil_env.discovery.instrument import INSTRUMENT, LISTED, Choice
 from soil_env.identification.table.data import CHANNELS
 from soil_env.identification.table.form_error import (
@@ -318,17 +318,10 @@ def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[f
     further = _Further(problem, first, choices)
     one_sided = np.array([u.low >= u.mean for u in further.unknowns])
     of = [np.flatnonzero(np.array(further.owner) == k) for k in range(len(choices))]
-    single = np.array([k.size == 1 for k in of])  # most forms: all at once
-    only = np.concatenate([np.zeros(0, dtype=int), *(k for k in of if k.size == 1)])
-    several = [(column, k) for column, k in enumerate(of) if k.size != 1]
     sizes, log_prior = grid(())
     log, normal, pull = map(np.array, zip(*map(further.under, sizes), strict=True))
-    x = pull[:, only]
-    n = 1.0 + normal[:, only, only]
-    out = np.empty((len(sizes), len(choices)))
-    out[:, single] = np.where(one_sided[only] & (x < 0.0), 0.0, 0.5 * (x * x / n - np.log(n)))
-    for column, k in several:
-        out[:, column] = _gains(normal[:, k[:, None], k], pull[:, k], one_sided[k])
+    gains = [_gains(normal[:, k[:, None], k], pull[:, k], one_sided[k]) for k in of]
+    out = np.stack(gains, axis=1)
     found: list[float] = log_sum(out + (log + log_prior)[:, None], axis=0).tolist()
     return found
 
@@ -443,7 +436,7 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
     conditions; its R columns are basis functions.
     """
     at = problem.data.conditions | problem.data.elapsed
-    moved = problem.stresses(fit.parameters(), fit.choices, fit.output, problem.sinkage_guess(fit))
+    moved = Law(problem, fit.choices, problem.sinkage_guess(fit)).stresses(fit.u, fit.output)
     sizes = [np.broadcast_to(problem.size * unit, fit.output.shape) for unit in np.eye(3)]
     channels: dict[str, np.ndarray] = {
         CHANNELS[j]: sizes[j] for j in range(3) if problem.used[:, j].any()

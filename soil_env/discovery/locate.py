@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.special import ndtr, stdtr
+from scipy.special import stdtr
 
 from soil_env.discovery.calibrate import Fit, Problem, Sizes
 from soil_env.discovery.evidence import Evidence
@@ -97,24 +97,17 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
     a, e = fit.linearised()
     q = np.linalg.qr(a)[0]  # directions that the parameters absorb
     row, channel = np.nonzero(problem.used)
-    measured = [j for j in range(3) if problem.used[:, j].any()]
-    v = np.concatenate(
-        [(found.member[:, row] & (channel == j)).T.astype(float) for j in measured], axis=1
-    )
-    where = [(j, k) for j in measured for k in range(len(found.limits))]
-    open_ = v.sum(axis=0) >= LEAST_VALUES
-    if not open_.any():
+    inside = found.member[:, row] & (channel == np.arange(3)[:, None])[:, None]
+    where = np.argwhere(inside.sum(axis=2) >= LEAST_VALUES)  # channel, box
+    if not where.size:
         return ()
-    v = v[:, open_]
-    where = [w for w, ok in zip(where, open_, strict=True) if ok]
-    total = np.sqrt(v.sum(axis=0))
-    v = np.concatenate([v, np.zeros((q.shape[0] - v.shape[0], v.shape[1]))])
-    raw = v
-    v, left = _project(v, q, total)
-    looks = _looks(v, np.array([j for j, _ in where]), problem.freedom, np.random.default_rng(seed))
+    raw = np.zeros((len(q), len(where)))
+    raw[: row.size] = inside[tuple(where.T)].T
+    total = np.sqrt(raw.sum(axis=0))
+    v, left = _project(raw, q, total)
+    looks = _looks(v, where[:, 0], problem.freedom, np.random.default_rng(seed))
     # the next box must also show in the plain residual, with the same sign
-    r = np.concatenate([fit.residual, np.zeros(e.size - fit.residual.size)])
-    plain = (raw.T @ r) / total
+    plain = (raw[: row.size].T @ fit.residual) / total
     out: list[Disagreement] = []
     taken: list[tuple[int, np.ndarray]] = []
     allowed = left & (np.abs(plain) > _SHOWS)
@@ -176,7 +169,7 @@ def _looks(v: np.ndarray, channel: np.ndarray, freedom: float, rng: np.random.Ge
 
 def _alone(t: float, freedom: float) -> float:
     """p value of one look."""
-    return float(2.0 * (ndtr(-t) if math.isinf(freedom) else stdtr(freedom, -t)))
+    return float(2.0 * stdtr(freedom, -t))
 
 
 def _p_value(t: float, looks: float, freedom: float) -> float:

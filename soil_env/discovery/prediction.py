@@ -76,8 +76,10 @@ class Learnt(NamedTuple):
         return np.log([*self.size, *self.lengths.values(), *self.beyond])
 
 
-#: Medians, and standard deviations of the logarithm, before the table is seen: own assumptions.
+#: Medians, and standard deviations `SPREAD` of the logarithm, before the table is seen: own
+#: assumptions.
 USUAL = Learnt(np.full(3, 0.1), {"slip": 0.4, "load": 1.0}, np.full(3, 0.5))
+NO_REMAINDER = Learnt(np.zeros(3), USUAL.lengths, np.zeros(3))  # and the stated noise alone
 SPREAD = np.array([1.0, 1.0, 1.0, 0.5, 0.6, 0.8, 0.8, 0.8])
 
 
@@ -146,7 +148,6 @@ def at_conditions(problem: Problem, conditions: Mapping[str, np.ndarray]) -> Pro
     rows = rows_of(conditions, problem.data.wheel)
     there.data = dataclasses.replace(problem.data, rows=rows, relative_sd=np.ones((1, 3)))
     there.used = np.ones((rows.slip.size, 3), dtype=bool)
-    there.offset = None
     return there
 
 
@@ -175,29 +176,20 @@ class _Remainder:
         found: np.ndarray = np.exp(-0.5 * np.sum(off**2, axis=2))
         return found
 
-    def blocks(
-        self, scale: np.ndarray, learnt: Learnt
-    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """(covariance [m, m] of the remainder, variance [m] of the noise) of each channel."""
-        correlation = self.correlation(self.table, learnt)
-        remainder = []
-        noise = []
-        for j, use in enumerate(self.problem.used.T):
-            own = scale[use, j] * learnt.size[j] / self.relative[use, j]
-            remainder.append(correlation[np.ix_(use, use)] * own[:, None] * own)
-            noise.append(1.0 + (learnt.beyond[j] / self.relative[use, j]) ** 2)
-        return remainder, noise
-
-    def covariance(self, scale: np.ndarray, learnt: Learnt | None) -> _Covariance:
+    def covariance(self, scale: np.ndarray, learnt: Learnt) -> _Covariance:
         """Of remainder and noise over the noise, of the values in use."""
-        channel = np.nonzero(self.problem.used)[1]
-        places = [np.flatnonzero(channel == j) for j in range(len(CHANNELS))]
-        if learnt is None:
-            return _Covariance(places, [np.eye(at.size) for at in places])
-        both = zip(*self.blocks(scale, learnt), strict=True)
-        return _Covariance(
-            places, [cholesky(alike + np.diag(own), lower=True) for alike, own in both]
-        )
+        correlation = self.correlation(self.table, learnt)
+        used = self.problem.used
+        channel = np.nonzero(used)[1]
+        found = []
+        for j, use in enumerate(used.T):
+            relative = self.relative[use, j]
+            own = scale[use, j] * learnt.size[j] / relative
+            remainder = correlation[np.ix_(use, use)] * own[:, None] * own
+            noise = 1.0 + (learnt.beyond[j] / relative) ** 2
+            root = cholesky(remainder + np.diag(noise), lower=True)
+            found.append(_Channel(np.flatnonzero(channel == j), root, remainder, noise))
+        return _Covariance(found)
 
 
 def _scales(problem: Problem, output: np.ndarray) -> np.ndarray:
@@ -210,23 +202,31 @@ def _scales(problem: Problem, output: np.ndarray) -> np.ndarray:
     return found
 
 
+class _Channel(NamedTuple):
+    """Covariance of remainder and noise of the m values of a channel."""
+
+    places: np.ndarray  # [m] among all M values
+    root: np.ndarray  # [m, m] lower Cholesky factor
+    remainder: np.ndarray  # [m, m]
+    noise: np.ndarray  # [m] variance
+
+
 class _Covariance(NamedTuple):
     """Covariance of remainder and noise of M values over the noise: channels are independent."""
 
-    places: list[np.ndarray]  # of the values of each channel among the M
-    roots: list[np.ndarray]  # lower Cholesky factor of each
+    channels: list[_Channel]
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
         """[M, B] of values [M, B], or [M]: independent ones of variance 1."""
         out = np.empty_like(values, dtype=float)
-        for at, root in zip(self.places, self.roots, strict=True):
-            out[at] = solve_triangular(root, values[at], lower=True)
+        for channel in self.channels:
+            out[channel.places] = solve_triangular(channel.root, values[channel.places], lower=True)
         return out
 
     @property
     def log_size(self) -> float:
         """Half the logarithm of the determinant."""
-        return float(sum(np.sum(np.log(np.diag(root))) for root in self.roots))
+        return float(sum(np.sum(np.log(np.diag(channel.root))) for channel in self.channels))
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +236,7 @@ class Prediction:
     law: Law
     u: np.ndarray  # [p]
     remainder: _Remainder
-    learnt: Learnt | None  # None: without a remainder, under the stated noise alone
+    learnt: Learnt
     output: np.ndarray  # [N, 3] of the law
     residual: np.ndarray  # [M]
     jacobian: np.ndarray  # [M, p]
@@ -257,13 +257,10 @@ class Prediction:
         rig.
         """
         there = at_conditions(self.problem, conditions)
-        law, across = self._means(there, without)
+        mean, law, across = self._means(there, without)
         top = Law(there, self.law.choices, np.maximum(law[:, 0], 0.0)).derivatives(self.u)
-        noise = np.ones(3)
-        own = np.zeros_like(law)
-        if self.learnt is not None:
-            own = (self.learnt.size * _scales(there, law)) ** 2
-            noise = noise + self.learnt.beyond**2
+        own = (self.learnt.size * _scales(there, law)) ** 2
+        noise = 1.0 + self.learnt.beyond**2
         # The values are known through the unknowns and through the remainder: with J whitened,
         # (C + J J')^-1 = C^-1 - C^-1 J (I + J'J)^-1 J' C^-1.
         j = self.covariance.whiten(self.jacobian)
@@ -273,22 +270,17 @@ class Prediction:
         gained -= np.sum(solve_triangular(root, j.T @ known, lower=True) ** 2, axis=0)
         variance = np.sum(top**2, axis=1) - gained
         sd = np.sqrt(np.maximum(variance.reshape(law.shape) + own, 0.0) + noise)
-        return Predicted(self._mean(law, across), WIDER * sd * self.problem.noise)
+        return Predicted(mean, WIDER * sd * self.problem.noise)
 
     def mean_at(self, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
         """[N, 3] predicted values alone."""
-        return self._mean(*self._means(at_conditions(self.problem, conditions)))
-
-    def _mean(self, law: np.ndarray, across: np.ndarray) -> np.ndarray:
-        remainder = across.T @ self.covariance.whiten(self.residual)
-        found: np.ndarray = law + remainder.reshape(law.shape) * self.problem.noise
-        return found
+        return self._means(at_conditions(self.problem, conditions))[0]
 
     def _means(
         self, there: Problem, without: Collection[str] = ()
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """([N, 3] values of the law, [M, 3 N] whitened covariance of the remainder) of other
-        rows.
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """([N, 3] predicted values, [N, 3] of the law, [M, 3 N] whitened covariance of the
+        remainder) of other rows.
         """
         values = self.values
         if "tilt_deg" in without:
@@ -296,8 +288,6 @@ class Prediction:
         choices = tuple(c for c in self.law.choices if c.effect not in without)
         guess = np.zeros(there.data.rows.slip.size)
         law = np.nan_to_num(there.predict(values, choices, guess))
-        if self.learnt is None:
-            return law, np.zeros((self.residual.size, law.size))
         rows, channel = np.nonzero(self.problem.used)
         points = self.remainder.points(there)
         alike = self.remainder.correlation(points, self.learnt)[:, None, rows]
@@ -305,7 +295,9 @@ class Prediction:
         ours = ours / self.remainder.relative[self.problem.used]
         theirs = self.learnt.size**2 * _scales(there, law)
         across = theirs[:, :, None] * (np.arange(3)[:, None] == channel) * alike * ours
-        return law, self.covariance.whiten(across.reshape(law.size, -1).T)
+        across = self.covariance.whiten(across.reshape(law.size, -1).T)
+        remainder = across.T @ self.covariance.whiten(self.residual)
+        return law + remainder.reshape(law.shape) * self.problem.noise, law, across
 
 
 def fit_prediction(
@@ -329,7 +321,7 @@ def fit_prediction(
     u = np.clip(np.zeros(low.size), low + OFF_BOUND, high - OFF_BOUND)
     u = np.where(high - low < 2.0 * OFF_BOUND, 0.5 * (low + high), u)
     if not smooth:
-        return _fitted(law, u, None)
+        return _fitted(law, u, NO_REMAINDER)
     learnt = USUAL
     for _ in range(ROUNDS):
         found = _fitted(law, u, learnt)
@@ -338,7 +330,7 @@ def fit_prediction(
     return _fitted(law, u, learnt)
 
 
-def _fitted(law: Law, start: np.ndarray, learnt: Learnt | None) -> Prediction:
+def _fitted(law: Law, start: np.ndarray, learnt: Learnt) -> Prediction:
     """The most probable unknowns under a covariance whose scales are those of the start."""
     problem = law.problem
     remainder = _Remainder(problem)
@@ -387,8 +379,7 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
         off = (logarithms - usual) / SPREAD
         value = 0.5 * (v @ a + off @ off) + c.log_size + np.sum(np.log(np.diag(of_unknowns)))
         slope = off / SPREAD
-        blocks = zip(c.places, c.roots, *remainder.blocks(scale, learnt), strict=True)
-        for k, (at, root, alike, noise) in enumerate(blocks):
+        for k, (at, root, alike, noise) in enumerate(c.channels):
             inverse = solve_triangular(root, np.eye(at.size), lower=True)
             beside = inverse.T @ np.column_stack([b[at], a[at]])
             g = 0.5 * (inverse.T @ inverse - beside @ beside.T)
@@ -409,24 +400,16 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
 
 def drawn(problem: Problem, conditions: Mapping[str, np.ndarray]) -> np.ndarray | None:
     """[N, 3] of the generic curve at conditions; None where others vary than it knows."""
-    rows = rows_of(conditions, problem.data.wheel)
-    return _curves(problem, problem.used, rows.slip, rows.load)
-
-
-def _curves(
-    problem: Problem, used: np.ndarray, slip: np.ndarray, load: np.ndarray
-) -> np.ndarray | None:
-    """[N, 3] of the curves of the values `used`, at slips and loads [N]."""
     if set(independent(problem)) - {"slip", "load"}:
         return None
+    there = rows_of(conditions, problem.data.wheel)
     rows = problem.data.rows
-    out = np.full((slip.size, len(CHANNELS)), np.nan)
-    for j, use in enumerate(used.T):
+    out = np.full((there.slip.size, len(CHANNELS)), np.nan)
+    for j, use in enumerate(problem.used.T):
         if use.sum() >= FEWEST:
             y = problem.data.y[use, j]
-            out[:, j] = fit_curve(rows.slip[use], rows.load[use], y, problem.noise[j]).at(
-                slip, load
-            )
+            curve = fit_curve(rows.slip[use], rows.load[use], y, problem.noise[j])
+            out[:, j] = curve.at(there.slip, there.load)
     return out
 
 
@@ -436,12 +419,14 @@ def outlook(problem: Problem) -> Outlook:
     Unknowns are fitted anew to the rest; the remainder keeps what was learnt from all rows.
     """
     models = (fit_prediction(problem, (), smooth=False), fit_prediction(problem))
-    rows = problem.data.rows
     others = tuple(name for name in independent(problem) if name != "slip")
-    splits = {"slip": ("slip",), "load": tuple(n for n in others if n == "load")}
-    splits |= {} if others == splits["load"] else {"condition": others}
+    splits: dict[str, tuple[str, ...]] = {"slip": ("slip",)}
+    if "load" in others:
+        splits["load"] = ("load",)
+    if others not in ((), ("load",)):
+        splits["condition"] = others
     out = []
-    for split, what in ((split, what) for split, what in splits.items() if what):
+    for split, what in splits.items():
         levels = [problem.data.varied[name].level for name in what]
         groups = np.unique(np.stack(levels), axis=1, return_inverse=True)[1].ravel()
         if groups.max() + 1 < FEWEST_GROUPS:
@@ -453,9 +438,9 @@ def outlook(problem: Problem) -> Outlook:
             at = {name: x[group] for name, x in problem.data.conditions.items()}
             for j, model in enumerate(models):
                 held[j, group] = fit_prediction(rest, near=model).mean_at(at)
-            drawn = _curves(problem, rest.used, rows.slip[group], rows.load[group])
-            if drawn is not None:
-                held[2, group] = drawn
+            curve = drawn(rest, at)
+            if curve is not None:
+                held[2, group] = curve
         out.append(_errors(problem, split, what, held))
     return Outlook(models[1], tuple(out))
 
@@ -463,14 +448,14 @@ def outlook(problem: Problem) -> Outlook:
 def _errors(problem: Problem, split: str, what: tuple[str, ...], held: np.ndarray) -> LeftOut:
     """Errors of held-out predictions [3, N, 3] of the base model, all effects and the curve."""
     off = held - problem.data.y
-    errors: dict[str, Errors] = {}
 
     def size(values: np.ndarray, noise: float) -> Errors:
         base, full, curve = np.sqrt(np.mean(values**2, axis=1))
         return Errors(float(base), float(full), float(curve), noise)
 
-    for j, name in enumerate(CHANNELS):
-        used = problem.used[:, j]
-        if used.any():
-            errors[name] = size(off[:, used, j], float(problem.noise[j]))
+    errors: dict[str, Errors] = {
+        name: size(off[:, used, j], float(problem.noise[j]))
+        for j, (name, used) in enumerate(zip(CHANNELS, problem.used.T, strict=True))
+        if used.any()
+    }
     return LeftOut(split, what, errors, size((off / problem.noise)[:, problem.used], 1.0))

@@ -67,17 +67,22 @@ def predicted(
         law=candidate.typical("law"), effect=candidate.typical("effect")
     )
 
-    def errors(of, values, output, added, at):
-        guess = np.maximum(output[:, 0], 0.0)
-        law, effect, rig = of.form_errors(values, fit.choices, output, guess, added, at)
-        blocks = (sizes.law * law[sizes.span], sizes.effect * effect, sizes.rig * rig)
-        return map(of.block, blocks)
+    def errors(law, u, output, added, at):
+        of_law, effect, rig = law.form_errors(u, output, added, at)
+        blocks = (sizes.law * of_law[sizes.span], sizes.effect * effect, sizes.rig * rig)
+        return map(law.problem.block, blocks)
 
     table = problem.data.conditions | problem.data.elapsed
     ours = copy.copy(problem)
     ours.law_processes = there.law_processes
     ours.effect_processes = there.effect_processes
-    known = errors(ours, fit.parameters(), np.nan_to_num(fit.output), fit.added, table)
+    known = errors(
+        Law(ours, fit.choices, problem.sinkage_guess(fit)),
+        fit.u,
+        np.nan_to_num(fit.output),
+        fit.added,
+        table,
+    )
     a = np.concatenate([fit.jacobian, *known], axis=1) / sizes.scatter
     start = np.concatenate([fit.u, np.zeros(a.shape[1] - p)])
     covariance = np.linalg.inv(np.eye(start.size) + a.T @ a)
@@ -93,8 +98,8 @@ def predicted(
     feasible &= np.all(np.isfinite(out), axis=1)
     out = np.nan_to_num(out, posinf=0.0, neginf=0.0)
     at = _conditions(there)
-    added = there.added(law.values(u), fit.choices, out, sunk)
-    theirs = errors(there, law.values(u), out, added, at)
+    added = law.added(u, out)
+    theirs = errors(law, u, out, added, at)
     top = np.concatenate([law.derivatives(u), *theirs], axis=1)
     mean = out / there.noise + (top[:, p:] @ off[p:]).reshape(-1, 3)
     root = top @ np.linalg.cholesky(covariance + 1e-12 * np.eye(start.size))

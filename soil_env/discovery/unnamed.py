@@ -24,8 +24,8 @@ import numpy as np
 
 from soil_env.identification.table.rig import BY_ROW
 from soil_env.terramechanics.effects.entry import (
+    CHANNELS,
     PULL,
-    SINKAGE,
     TORQUE,
     Bench,
     Channel,
@@ -49,18 +49,11 @@ def _law(
     *p: EffectParameter,
     varies: str | None = None,
 ) -> Effect:
-    return Effect(
-        name,
-        title,
-        moves,
-        p,
-        (Form(name, tuple(k.name for k in p), "", "own assumption"),),
-        varies=varies,
-    )
+    form = Form(name, tuple(k.name for k in p), "", "own assumption")
+    return Effect(name, title, moves, p, (form,), varies=varies)
 
 
 _BOTH: tuple[Channel, ...] = (PULL, TORQUE)
-_ALL: tuple[Channel, ...] = (SINKAGE, PULL, TORQUE)
 _FORCE = _p("pull", 0.15, -3.0, 3.0), _p("torque", 0.15, -3.0, 3.0)
 _POWER = _p("power", 0.35, 0.3, 4.0, 1.5)
 _SLIP = _p("slip", 0.5, 0.03, 1.0, 0.2)
@@ -105,7 +98,7 @@ UNNAMED: Mapping[str, Effect] = MappingProxyType(
             _law(
                 "slip_load",
                 "a load that goes with the slip",
-                (SINKAGE, PULL, TORQUE),
+                CHANNELS,
                 _p("load", 0.15, -0.8, 2.0),
                 _SLIP,
             ),
@@ -124,14 +117,14 @@ UNNAMED: Mapping[str, Effect] = MappingProxyType(
             _law(
                 "soft_wheel",
                 "a wheel that its load deforms",
-                (SINKAGE, PULL, TORQUE),
+                CHANNELS,
                 _p("gain", 0.5, -0.4, 4.0),
             ),
             *(
                 _law(
                     name,
                     f"a soil whose {name.split('_')[0]} alone goes with the {by}",
-                    (SINKAGE, PULL, TORQUE),
+                    CHANNELS,
                     _p("power", 0.2, -2.0, 2.0),
                     varies=by,
                 )
@@ -147,7 +140,7 @@ UNNAMED: Mapping[str, Effect] = MappingProxyType(
 #: K: grows with the contact length, and so with load (fitted here).
 OF_LOAD: Mapping[str, Effect] = MappingProxyType(
     {
-        name: _law(name, f"a soil whose {name.split('_')[0]} goes with the load", _ALL, power)
+        name: _law(name, f"a soil whose {name.split('_')[0]} goes with the load", CHANNELS, power)
         for name, power in (
             ("friction_load", _p("power", 0.12, -1.0, 1.0)),
             ("modulus_load", _p("power", 0.6, -3.0, 3.0)),

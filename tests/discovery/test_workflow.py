@@ -80,7 +80,7 @@ def test_the_held_out_gap_is_that_of_refits_without_the_group(planted):
     for level in ways:
         for k in range(level.max() + 1):
             rest = problem.without(level == k)
-            there = rest.fit((), fit.parameters(), fit.sizes, rest.restricted(fit, problem.used))
+            there = rest.fit((), fit.parameters(), fit.sizes, rest.fit((), fit.parameters()))
             predicted[level == k] += there.output[level == k] / len(ways)
     refitted = judgement.gaps(problem, predicted, predicted)
     for name, g in planted.gap.items():

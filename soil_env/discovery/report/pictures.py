@@ -86,12 +86,14 @@ def _with_legend(figure: Figure, axes: np.ndarray, columns: int) -> Figure:
 def _predicted(report: Report) -> Figure:
     """Held-out predictions without and with the named effects against what was measured."""
     figure, axes = _columns(report, 3.6)
+    models = [(report.held_out_before, BEFORE, "base model")]
+    if report.effects:
+        models.append((report.held_out_after, AFTER, "with the named effects"))
     for name, ax in zip(report.channels, axes[0], strict=True):
         j = CHANNELS.index(name)
-        (unit, scale) = UNITS[name]
+        unit, scale = UNITS[name]
         y = scale * report.problem.data.y[:, j]
-        image = y.size > MANY
-        for held, color, label in _both(report, report.held_out_before, report.held_out_after):
+        for held, color, label in models:
             ax.plot(
                 y,
                 scale * held[:, j],
@@ -101,7 +103,7 @@ def _predicted(report: Report) -> Figure:
                 alpha=0.7,
                 label=label,
                 mew=0,
-                rasterized=image,
+                rasterized=y.size > MANY,
             )
         used = y[report.problem.used[:, j]]
         ends = np.array([used.min(), used.max()])
@@ -112,13 +114,6 @@ def _predicted(report: Report) -> Figure:
     return _with_legend(figure, axes, 2)
 
 
-def _both(report: Report, before, after):
-    """(values, colour, label) of each model; the base model alone where nothing is named."""
-    yield before, BEFORE, "base model"
-    if report.effects:
-        yield after, AFTER, "with the named effects"
-
-
 def groups(report: Report) -> list[tuple[str, np.ndarray]]:
     """At most `CURVES` groups of rows that differ in slip alone, (what they share, rows sorted by
     slip).
@@ -127,7 +122,7 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
     the one that it misses most.
     """
     data = report.problem.data
-    varied = report.problem.data.varied
+    varied = data.varied
     others = [c for name, c in varied.items() if name != "slip"]
     found = []
     for k, rows in enumerate(data.groups):
@@ -135,13 +130,9 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
             off = (data.y - report.held_out_before)[rows] / report.problem.noise
             found.append((float(np.nanmean(off**2)) if np.isfinite(off).any() else 0.0, k, rows))
     found.sort(key=lambda f: f[:2])
-    picked = (
-        [found[k] for k in sorted({round(x) for x in np.linspace(0, len(found) - 1, CURVES)})]
-        if found
-        else []
-    )
+    evenly = np.linspace(0, len(found) - 1, min(CURVES, len(found))).round().astype(int)
     out = []
-    for _, _, rows in picked:
+    for _, _, rows in (found[k] for k in evenly):
         parts = [_value(c.name, float(np.median(c.value[rows]))) for c in others]
         out.append((", ".join(parts), rows[np.argsort(data.rows.slip[rows], kind="stable")]))
     return out
@@ -167,16 +158,10 @@ def _slip(report: Report) -> Figure:
     tilt = report.soil["tilt_deg"].value if "tilt_deg" in report.soil else 0.0
     for (label, rows), line in zip(picked, axes, strict=False):
         slip = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), 60)
-        middle = data.rows.wheels[rows[len(rows) // 2]]
         at: dict[str, Any] = {
-            name: float(np.median(column[rows])) for name, column in data.conditions.items()
+            name: float(np.mean(column[rows])) for name, column in data.conditions.items()
         }
-        at |= {
-            "slip": slip,
-            "load": data.rows.load[rows].mean(),
-            "grade_deg": data.conditions["grade_deg"][rows].mean(),
-        }
-        at |= dict(zip(("wheel_radius", "wheel_width", "grouser_height"), middle, strict=True))
+        at["slip"] = slip
         if data.setup.load == "vertical":
             at["grade_deg"] += tilt
         along = np.array(
@@ -223,7 +208,7 @@ def _next(report: Report) -> Figure:
     figure, axes = _columns(report, 3.4)
     for name, ax in zip(report.channels, axes[0], strict=True):
         j = CHANNELS.index(name)
-        (unit, scale) = UNITS[name]
+        unit, scale = UNITS[name]
         for k, said in enumerate(names):
             of = [t.predicted[k] for t in report.next_tests]
             at = np.arange(1, len(of) + 1) + 0.12 * (k - 0.5 * (len(names) - 1))
