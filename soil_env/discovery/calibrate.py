@@ -297,8 +297,9 @@ class Problem:
         return np.maximum(fit.output[:, 0], 0.0)
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
-        """[M] of an array [N, 3]: the values in use over the noise."""
-        return (values / (self.noise * self.data.relative_sd))[self.used]
+        """[M, ..] of an array [N, 3, ..]: the values in use over the noise."""
+        scale = self.noise * self.data.relative_sd
+        return (values.T / scale.T).T[self.used]
 
     def without(self, rows: np.ndarray) -> Problem:
         """The problem without the values of the rows [N] bool."""
@@ -334,7 +335,26 @@ class Problem:
             law.derivatives.know(u, near.jacobian)
         u, converged = law.fitted(u, lambda values: whitened(known, values / sizes.scatter))
         used = sizes if near is not None else EXACT._replace(scatter=sizes.scatter)
-        return self._finish(law, u, converged, used)
+        output = law.output(u)
+        residual = self.whiten(self.data.y) - self.whiten(output)
+        added = law.added(u, output)
+        of_law, effect, rig = law.form_errors(u, output, added)
+        free = [_in_channel(self.free_functions, size) for size in np.diag(self.size)]
+        return Fit(
+            choices,
+            law.unknowns,
+            u,
+            output,
+            added,
+            np.where(np.isfinite(residual), residual, 1e3),
+            law.derivatives(u),
+            tuple(map(self.whiten, of_law)),
+            self.whiten(effect),
+            tuple(map(self.whiten, free)),
+            self.whiten(rig),
+            converged,
+            used,
+        )
 
     @staticmethod
     def _first(unknown: Unknown) -> float:
@@ -344,37 +364,11 @@ class Problem:
         bounded = not unknown.log and unknown.low >= unknown.mean and "_" in unknown.name
         return 0.3 if bounded else 0.0
 
-    def _finish(self, law: Law, u: np.ndarray, converged: bool, sizes: Sizes) -> Fit:
-        output = law.output(u)
-        residual = self.whiten(self.data.y) - self.whiten(output)
-        added = law.added(u, output)
-        of_law, effect, rig = law.form_errors(u, output, added)
-        free = [_in_channel(self.free_functions, size) for size in np.diag(self.size)]
-        return Fit(
-            law.choices,
-            law.unknowns,
-            u,
-            output,
-            added,
-            np.where(np.isfinite(residual), residual, 1e3),
-            law.derivatives(u),
-            tuple(map(self.block, of_law)),
-            self.block(effect),
-            tuple(map(self.block, free)),
-            self.block(rig),
-            converged,
-            sizes,
-        )
-
     def effect_process(self, choice: Choice) -> Process:
         """Form error of an effect: it goes with what the base law knows and with what the effect is
         about.
         """
         return self.effect_processes[LAWS[choice.effect].conditions]
-
-    def block(self, errors: np.ndarray) -> np.ndarray:
-        """[M, R] of form errors [N, 3, R], whitened, of the values in use."""
-        return (errors / (self.noise * self.data.relative_sd)[..., None])[self.used]
 
 
 class Law:

@@ -327,29 +327,17 @@ def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[f
 
 
 def _gains(normal: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> np.ndarray:
-    """[S] of `_gain`, of normal [S, K, K] and pull [S, K]; all at once where none has to stay."""
+    """[S] gain of log evidence by unknowns with unit priors, of normal [S, K, K] and pull [S, K];
+    those that may not be negative stay at 0 where they would.
+    """
     whole = normal + np.eye(len(one_sided))
     solved = np.linalg.solve(whole, pull[:, :, None])[:, :, 0]
     out: np.ndarray = 0.5 * (np.sum(pull * solved, axis=1) - np.linalg.slogdet(whole)[1])
-    for k in np.flatnonzero(np.any(one_sided & (solved < 0.0), axis=1)):
-        out[k] = _gain(normal[k], pull[k], one_sided)
+    wrong = one_sided & (solved < 0.0)
+    for k in np.flatnonzero(wrong.any(axis=1)):
+        free = ~wrong[k]
+        out[k] = _gains(normal[None, k, free][..., free], pull[None, k, free], one_sided[free])[0]
     return out
-
-
-def _gain(normal: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> float:
-    """Gain of log evidence by unknowns with unit priors; those that may not be negative stay at 0
-    where they would.
-    """
-    while pull.size:
-        whole = normal + np.eye(pull.size)
-        solved = np.linalg.solve(whole, pull)
-        wrong = one_sided & (solved < 0.0)
-        if not wrong.any():
-            return float(0.5 * pull @ solved - 0.5 * np.linalg.slogdet(whole)[1])
-        normal = normal[np.ix_(~wrong, ~wrong)]
-        pull = pull[~wrong]
-        one_sided = one_sided[~wrong]
-    return 0.0
 
 
 class Detectable(NamedTuple):
@@ -461,11 +449,11 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
             if names[-1] in _OWNED.get(place, ()):
                 continue
             errors = change[:, :, None] * functions[:, None, :]
-            out[f"{place} with {' and '.join(names)}"] = problem.block(errors)
+            out[f"{place} with {' and '.join(names)}"] = problem.whiten(errors)
     beds = problem.data.beds
     if FEWEST_BEDS <= beds.max() + 1 <= min(MOST_BEDS, beds.size // 3):
         for place, change in zip(_STRESSES[:2], moved, strict=False):
-            out[f"{place} with bed"] = problem.block(
+            out[f"{place} with bed"] = problem.whiten(
                 change[:, :, None] * np.eye(beds.max() + 1)[beds][:, None, :]
             )
     return out

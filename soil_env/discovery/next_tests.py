@@ -231,6 +231,7 @@ def proposed(
         tuple(r[:, seen] for r in root),
         np.stack(own)[:, :, seen],
     )
+    sd = np.sqrt(np.diagonal(of.joint()[1], axis1=2, axis2=3))
     chosen: list[int] = []
     out: list[NextTest] = []
     before = 0.0
@@ -245,7 +246,7 @@ def proposed(
         able[g] = False  # once each: a repeat says nothing of how far the laws err
         chosen.append(g)
         before += gain[g]
-        said = _said(problem, of, g)
+        said = _said(problem, of, sd[:, g], g)
         point = {name: float(grid.value[name][g]) for name in grid.asked}
         sure = float(sureness(of.share, overlap)[g])
         out.append(NextTest(point, *said, sure, float(cost[g]), float(gain[g]), forced))
@@ -253,16 +254,14 @@ def proposed(
 
 
 def _said(
-    problem: Problem, of: Candidates, g: int
+    problem: Problem, of: Candidates, own: np.ndarray, g: int
 ) -> tuple[tuple[Predicted, ...], tuple[str, str], str, float]:
     """Predictions of a run, and what it separates, as in `NextTest`."""
     seen = problem.used.any(axis=0)
     mean = np.full((len(of.names), 3), np.nan)
     sd = mean.copy()
     mean[:, seen] = of.mean[:, g]
-    sd[:, seen] = np.sqrt(
-        [np.sum(root[g] ** 2, axis=1) + own[g] for root, own in zip(of.root, of.own, strict=True)]
-    )
+    sd[:, seen] = own
     off = np.nan_to_num(np.abs(mean[:1] - mean) / np.sqrt(0.5 * (sd[:1] ** 2 + sd**2)))
     rival = int(np.argmax(of.share * off.max(axis=1)))
     j = int(np.argmax(off[rival]))

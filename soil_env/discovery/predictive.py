@@ -70,7 +70,7 @@ def predicted(
     def errors(law, u, output, added, at):
         of_law, effect, rig = law.form_errors(u, output, added, at)
         blocks = (sizes.law * of_law[sizes.span], sizes.effect * effect, sizes.rig * rig)
-        return map(law.problem.block, blocks)
+        return map(law.problem.whiten, blocks)
 
     table = problem.data.conditions | problem.data.elapsed
     ours = copy.copy(problem)

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from soil_env._io.loading import ParameterError
 from soil_env.discovery import doubts, judgement
 from soil_env.discovery.calibrate import EXACT, PRIOR_WIDTH, Fit, Problem, calibrate
-from soil_env.discovery.corrected import corrected, least_sure, model_of, parameters
+from soil_env.discovery.corrected import corrected, least_sure, parameters
 from soil_env.discovery.evidence import Evidence
 from soil_env.discovery.instrument import LISTED, exact
 from soil_env.discovery.judgement import Interval, held_out_predictions
@@ -124,7 +124,7 @@ def _conclude(
         next_checks=next_checks(finding, runs),
         next_tests=runs,
         fit=final,
-        base_model=model_of(problem, (), fits[()].parameters()),
+        base=fits[()],
         model=corrected(foreseen.model, finding.names),
         held_out_before=before,
         held_out_after=after,

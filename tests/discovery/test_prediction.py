@@ -160,9 +160,7 @@ soil:
 noise: {sinkage: 0.0006, drawbar_pull: 0.8, torque: 0.1}
 """
     problem = calibrate(data_of(tmp_path, table_text({}), setup))[0]
-    base = fit_prediction(problem, (), smooth=False)
-    found = {k.name: k.value(x) for k, x in zip(base.unknowns, base.u, strict=True)}
-    assert found["cohesion"] > 1500.0
+    assert fit_prediction(problem, (), smooth=False).values["cohesion"] > 1500.0
 
 
 def test_a_table_of_one_channel_is_predicted(tmp_path):

@@ -1,7 +1,6 @@
 """Plots of a report, as SVG; the same report gives the same bytes."""
 
 import io
-import math
 import re
 from typing import Any
 
@@ -11,6 +10,8 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from soil_env._io.document import plot_text
+from soil_env.discovery.calibrate import Law
+from soil_env.discovery.prediction import at_conditions
 from soil_env.discovery.report.sentences import CONDITIONS, TITLES, UNITS, fixed, title
 from soil_env.discovery.result import Report
 from soil_env.identification.table.data import CHANNELS
@@ -154,20 +155,13 @@ def _slip(report: Report) -> Figure:
         axis.set_title(f"{TITLES[name]} [{UNITS[name][0]}]")
     for axis in axes[-1]:
         axis.set_xlabel("slip")
-    # Of the rig; a model has none.
-    tilt = report.soil["tilt_deg"].value if "tilt_deg" in report.soil else 0.0
     for (label, rows), line in zip(picked, axes, strict=False):
         slip = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), 60)
         at: dict[str, Any] = {
             name: float(np.mean(column[rows])) for name, column in data.conditions.items()
         }
         at["slip"] = slip
-        if data.setup.load == "vertical":
-            at["grade_deg"] += tilt
-        along = np.array(
-            [0.0, at["load"] * math.sin(math.radians(tilt)) * (data.setup.load == "normal"), 0.0]
-        )
-        base = np.stack(report.base_model.predict(at)[:3], axis=1) - along
+        base = Law(at_conditions(report.problem, at), ()).output(report.base.u)
         lines = [
             (base, BEFORE, "base model"),
             (report.outlook.model.mean_at(at), AFTER, "corrected model"),
@@ -212,9 +206,8 @@ def _next(report: Report) -> Figure:
         for k, said in enumerate(names):
             of = [t.predicted[k] for t in report.next_tests]
             at = np.arange(1, len(of) + 1) + 0.12 * (k - 0.5 * (len(names) - 1))
-            mean, sd = (
-                scale * np.array([getattr(p, part)[j] for p in of]) for part in ("mean", "sd")
-            )
+            mean = scale * np.array([p.mean[j] for p in of])
+            sd = scale * np.array([p.sd[j] for p in of])
             ax.errorbar(
                 at, mean, 2.0 * sd, fmt="o", ms=4, lw=1.2, color=COLOURS[k], label=title(said)
             )
@@ -238,7 +231,7 @@ def _ranking(report: Report) -> Figure:
             r.probability,
             AFTER if r.name in named else LIGHT if r.name in near else "0.75",
         )
-        for r in report.finding.ranking
+        for r in finding.ranking
     ]
     bars += [
         ("something unlisted as well", finding.remainder - finding.unlisted, "0.75"),
