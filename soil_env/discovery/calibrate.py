@@ -207,8 +207,8 @@ class Problem:
         self.free_functions: np.ndarray = Process.over(
             at, additive=True, most=_FREE, lengths=lengths
         ).at_points
-        square = np.where(self.used, np.nan_to_num(self.data.y) ** 2, 0.0)
-        self.size: np.ndarray = np.sqrt(square.sum(axis=0) / np.maximum(self.used.sum(axis=0), 1))
+        square = np.sum(self.data.y**2, axis=0, where=self.used)
+        self.size: np.ndarray = np.sqrt(square / np.maximum(self.used.sum(axis=0), 1))
 
     def _bench(self) -> Bench:
         """Sizes of this rig, which priors of effects scale with."""

@@ -228,11 +228,12 @@ def _groups(model: WheelSoilModel, name: str, values: np.ndarray) -> list[float]
     wheel = model.wheel
     rim = Rim(wheel.radius, wheel.width, 0.0, 0.0)
     group = name.removesuffix("_deg")
+    field = {"pass": "passes", "grade": "sin_grade"}.get(group, group)
+    if group == "grade":
+        values = np.sin(np.radians(values))
     out = []
     for x in values.tolist():
-        at = {"slip": 0.0, "load": 1.0, "speed": 0.0, "pass": 1.0, "grade_deg": 0.0} | {name: x}
-        soil = model.soil.under(wheel.radius, wheel.width, at["load"], model.gravity)
-        sine = math.sin(math.radians(at["grade_deg"]))
-        point = WorkingPoint(at["slip"], 0.0, at["load"], at["speed"], at["pass"], sine)
+        point = WorkingPoint(0.0, 0.0, 1.0, 0.0, 1.0, 0.0)._replace(**{field: x})
+        soil = model.soil.under(wheel.radius, wheel.width, point.load, model.gravity)
         out.append(float(groups_at(point, soil, rim, model.gravity)[GROUPS.index(group)]))
     return out

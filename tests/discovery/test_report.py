@@ -67,7 +67,34 @@ def test_a_guess_where_only_the_slip_varies_is_told(planted):
     """As of a rig with one load."""
     guess = planted.guess._replace(conditions={"slip": 0.9}, times=5.0)
     told = sentences.foreseen(dataclasses.replace(planted, guess=guess))
-    assert "It guesses at slip 0.9 (drawbar pull " in told
+    assert "It guesses at slip 0.9 (drawbar pull " in told and "not to learn what is" in told
+
+
+@pytest.mark.parametrize(
+    ("form", "simulated", "words"),
+    [
+        ("excavation", {"gain": 0.0, "recovery": 0.5, "exponent_slope": 0.1}, "not excavation"),
+        ("ratio", {"gain": 1.4, "recovery": 0.5}, "the form ratio,"),
+        ("ratio", None, "no equation"),
+    ],
+)
+def test_the_summary_says_what_the_model_simulates_of_a_name(planted, form, simulated, words):
+    """A name is stated in the form that fits best, which need not be that of model.yaml."""
+    own = {} if simulated is None else {"slip_sinkage": simulated}
+    report = dataclasses.replace(
+        planted,
+        effects=(dataclasses.replace(planted.effects[0], form=form),),
+        model=dataclasses.replace(planted.model, effects=own),
+    )
+    first, second, *_ = sentences.summary(report).replace("%).", "%)|").split("|")
+    assert "slip-sinkage" in first and words in second.partition(". ")[0]
+    assert ("ratio and exponent" in second) == (form == "excavation")
+
+
+def test_an_error_of_the_rig_is_in_no_model(planted):
+    effect = dataclasses.replace(planted.effects[0], name="tilt", form="constant", parameters={})
+    said = sentences.simulated(dataclasses.replace(planted, effects=(effect,)))
+    assert "simulates nothing" in said
 
 
 def test_a_misfit_without_a_name_is_no_agreement(nothing):
@@ -239,5 +266,6 @@ def test_runs_that_separate_nothing_are_not_recommended(sure, words):
     )
     assert sentences.right_now(report) == pytest.approx(0.745)
     assert words in sentences.after_next(report)
+    assert "what is missing" in sentences.after_next(report)
     assert sentences.runs_help(report) == (sure > 0.8)
     assert not sentences.runs_help(SimpleNamespace(next_tests=[]))

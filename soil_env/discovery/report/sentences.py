@@ -215,21 +215,17 @@ def summary(report: Report) -> str:
         "summary.txt",
         report,
         effects=[f"{title(e.name)} (probability {sure(e.probability)})" for e in report.effects],
-        likely=not all(finding.is_sure(e.name) for e in report.effects),
         rivals=[title(a) for a in dict.fromkeys(a for e in report.effects for a in e.alternatives)],
         left=[
             f"{amount(n, g.remainder[0])} of {TITLES[n]}"
             for n, g in gap.items()
             if g.remainder[0] > 0.0
         ],
-        law_error=figure(100.0 * report.law_error),
         sets=shares[:4],
-        values=int(report.problem.used.sum()),
         worst=max((g.over_noise[0] for g in gap.values()), default=0.0),
         nearest=next((r for r in finding.ranking if r.probability >= REPORTED), None),
         weak=sum(d.power < NAMED for d in finding.detectable.values()),
         most=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
-        unseen=unseen(report),
         law=UNNAMED[law].title if (law := finding.hypotheses[0].law) else "",
         refuted=[
             title(" and ".join(n))
@@ -237,6 +233,11 @@ def summary(report: Report) -> str:
             if not {*n} <= {*finding.names}
         ],
     )
+
+
+def likely(report: Report) -> bool:
+    """True if a named effect is likely and not sure."""
+    return not all(report.finding.is_sure(e.name) for e in report.effects)
 
 
 def simulated(report: Report) -> str:
@@ -255,9 +256,9 @@ def simulated(report: Report) -> str:
             what += (
                 ""
                 if e.form in [f.name for f in held]
-                else f", not {e.form.replace('_', ' ')} as here"
+                else f", not {e.form.replace('_', ' ')} as stated here"
             )
-            what += ", shrunk to its published size, and a table of what is left"
+            what += ", shrunk to published sizes, and a table of what is left"
         said.append(f"Of {title(e.name)} model.yaml simulates {what}.")
     return " ".join(said)
 
@@ -313,8 +314,6 @@ def cautions(report: Report) -> list[str]:
         report,
         {
             "conditions": len(np.unique(problem.data.cell)),
-            "values": int(problem.used.sum()),
-            "unknowns": len(fit.unknowns),
             "missing": [TITLES[name] for name in CHANNELS if name not in report.channels],
             "from_scatter": [
                 (TITLES[n], amount(n, noise.sd[j]))
@@ -332,11 +331,8 @@ def cautions(report: Report) -> list[str]:
                 for n, g in report.gap.items()
                 if report.effects and g.after > LEFT * g.noise_floor
             ],
-            "height": setup.wheel.grouser_height,
             "lugs_unknown": setup.wheel.grouser_height is None
             and bool(np.isnan(problem.data.table.grouser_height).all()),
-            "digging": problem.laws["dig_gain"],
-            "unseen": unseen(report),
         },
     )
     lines = [*report.taken, *map(str.strip, text.splitlines())]
@@ -389,8 +385,8 @@ def foreseen(report: Report) -> str:
         said = f"{figure(scale * guess.mean[j])} ± {figure(scale * guess.sd[j])} {unit}"
         place = _place(guess.conditions)
         parts.append(
-            f"It guesses at {place} ({TITLES[name]} {said}): a run there tells how well "
-            "it predicts, not what is missing."
+            f"It guesses at {place} ({TITLES[name]} {said}): measure there to predict "
+            "better, not to learn what is missing."
         )
     return " ".join(parts)
 
