@@ -73,7 +73,7 @@ def _interval(unknown: Unknown, u: float, sd: float) -> Interval:
     """Mean and quantiles, those of the normal distribution brought within the bounds."""
     return Interval(
         *(
-            float(unknown.value(min(max(x, unknown.bounds[0]), unknown.bounds[1])))
+            float(unknown.value(np.clip(x, *unknown.bounds)))
             for x in (u, u - SURE * sd, u + SURE * sd)
         )
     )

@@ -346,27 +346,18 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
     """That of the largest marginal likelihood, linearised about a fit, under the priors."""
     remainder = fit.remainder
     used = fit.problem.used
-    measured = used.any(axis=0)
-    seen = [name in remainder.names for name in USUAL.lengths]
-    free = np.concatenate([measured, seen, measured])
     scale = _scales(fit.problem, fit.output)
     e = fit.residual + fit.jacobian @ fit.u
     usual = USUAL.logarithms
     square = {name: remainder.square(name) for name in USUAL.lengths if name in remainder.names}
 
-    def whole(x: np.ndarray) -> np.ndarray:
-        out = usual.copy()
-        out[free] = x
-        return out
-
     def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
         """-ln of the likelihood and its derivatives: with a = K^-1 e of the covariance K of the
         values, (tr(K^-1 dK) - a'dK a)/2.
         """
-        logarithms = whole(x)
-        if np.any(np.abs(logarithms) > FAR):
+        if np.any(np.abs(x) > FAR):
             return IMPOSSIBLE, np.zeros(x.size)
-        learnt = Learnt.of(logarithms)
+        learnt = Learnt.of(x)
         try:
             c = remainder.covariance(scale, learnt)
         except np.linalg.LinAlgError:
@@ -376,7 +367,7 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
         b = solve_triangular(of_unknowns, j.T, lower=True).T  # K^-1 = I - b b', whitened
         v = c.whiten(e)
         a = v - b @ (b.T @ v)
-        off = (logarithms - usual) / SPREAD
+        off = (x - usual) / SPREAD
         value = 0.5 * (v @ a + off @ off) + c.log_size + np.sum(np.log(np.diag(of_unknowns)))
         slope = off / SPREAD
         for k, (at, root, alike, noise) in enumerate(c.channels):
@@ -390,12 +381,11 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
             for n, (name, length) in enumerate(learnt.lengths.items(), start=3):
                 if name in square:
                     slope[n] += np.sum(g * square[name][use]) / length**2
-        return float(value), slope[free]
+        return float(value), slope
 
-    found = minimize(
-        cost, start.logarithms[free], jac=True, method="L-BFGS-B", options={"maxiter": 25}
-    )
-    return Learnt.of(whole(found.x))
+    # What the table does not show has no slope and stays usual.
+    found = minimize(cost, start.logarithms, jac=True, method="L-BFGS-B", options={"maxiter": 25})
+    return Learnt.of(found.x)
 
 
 def drawn(problem: Problem, conditions: Mapping[str, np.ndarray]) -> np.ndarray | None:

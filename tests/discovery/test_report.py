@@ -73,8 +73,8 @@ def test_a_guess_where_only_the_slip_varies_is_told(planted):
 @pytest.mark.parametrize(
     ("form", "simulated", "words"),
     [
-        ("excavation", {"gain": 0.0, "recovery": 0.5, "exponent_slope": 0.1}, "not excavation"),
-        ("ratio", {"gain": 1.4, "recovery": 0.5}, "the form ratio,"),
+        ("excavation", {"gain": 0.0, "recovery": 0.5, "exponent_slope": 0.1}, 'not "excavation"'),
+        ("ratio", {"gain": 1.4, "recovery": 0.5}, 'the form "ratio",'),
         ("ratio", None, "no equation"),
     ],
 )
@@ -88,7 +88,7 @@ def test_the_summary_says_what_the_model_simulates_of_a_name(planted, form, simu
     )
     first, second, *_ = sentences.summary(report).replace("%).", "%)|").split("|")
     assert "slip-sinkage" in first and words in second.partition(". ")[0]
-    assert ("ratio and exponent" in second) == (form == "excavation")
+    assert ('"ratio" and "exponent"' in second) == (form == "excavation")
 
 
 def test_an_error_of_the_rig_is_in_no_model(planted):

@@ -92,14 +92,6 @@ def _common(report: Report) -> dict[str, Any]:
         "tables": tables,
         "blocks": equations.blocks(report),
         "cautions": sentences.cautions(report),
-        "where": [
-            (
-                sentences.disagreement(report, d),
-                "< 1e-6" if d.p_value < 1e-6 else f"{d.p_value:.2g}",
-            )
-            for d in report.where
-        ],
-        "next_tests": [sentences.next_test(report, t) for t in report.next_tests],
     }
 
 

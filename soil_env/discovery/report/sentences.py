@@ -139,6 +139,11 @@ def disagreement(report: Report, d: Disagreement) -> str:
     )
 
 
+def chance(p: float) -> str:
+    """A p value."""
+    return "< 1e-6" if p < 1e-6 else f"{p:.2g}"
+
+
 def _limit(name: str, limits: tuple[float, float], values: np.ndarray) -> str:
     low, high = (f"{x:.3g}" for x in limits)
     label, unit = CONDITIONS[name]
@@ -245,22 +250,22 @@ def simulated(report: Report) -> str:
     said = []
     for e in report.effects:
         own = report.model.effects.get(e.name, {}).keys()
-        held = [f for f in LISTED[e.name].forms if own >= {*f.free, *dict(f.fixed)}]
-        names = [f.name.replace("_", " ") for f in held]
+        held = [f.name for f in LISTED[e.name].forms if own >= {*f.free, *dict(f.fixed)}]
         if e.name in INSTRUMENT:
             what = "nothing, since it is an error of the rig"
         elif not held:
             what = "no equation, only values in its table of what effects leave"
         else:
-            what = f"the form{'s' * (len(held) > 1)} {listed(names)}"
-            what += (
-                ""
-                if e.form in [f.name for f in held]
-                else f", not {e.form.replace('_', ' ')} as stated here"
-            )
-            what += ", shrunk to published sizes, and a table of what is left"
+            other = "" if e.form in held else f", not {_quoted(e.form)} as stated here"
+            forms = "form" if len(held) == 1 else "forms"
+            what = f"the {forms} {listed(map(_quoted, held))}{other}, shrunk to published sizes, "
+            what += "and a table of what is left"
         said.append(f"Of {title(e.name)} model.yaml simulates {what}.")
     return " ".join(said)
+
+
+def _quoted(form: str) -> str:
+    return f'"{form.replace("_", " ")}"'
 
 
 def filled(template: str, report: Report, **values: object) -> str:
