@@ -87,14 +87,12 @@ def parameters(problem: Problem, choice: Choice, values: Mapping[str, float]) ->
     """Parameters of an effect: what its form frees, what it sets, and the reference speed that the
     table set.
     """
-    if choice.effect in INSTRUMENT:
-        return {name[len(choice.effect) + 1 :]: values[name] for name in choice.free}
-    numbers = problem.effects((choice,), dict(values))
+    numbers = problem.effects((choice,), dict(values))._asdict() | dict(values)
     out = {}
     for p in LISTED[choice.effect].parameters:
         full = f"{choice.effect}_{p.name}"
         if full in choice.free or full in choice.fixed or p.name == "reference_speed":
-            out[p.name] = min(max(float(getattr(numbers, full)), p.low), p.high)
+            out[p.name] = min(max(float(numbers[full]), p.low), p.high)
     return out
 
 

@@ -123,9 +123,11 @@ def closed(problem: Problem, gap: dict[str, Gap]) -> float | None:
     """Share of the held-out mean square above the noise that is gone, over all values; None where
     there was none.
     """
-    count = {name: int(problem.used[:, CHANNELS.index(name)].sum()) for name in gap}
     before, after = (
-        sum(n * max(gap[name].over_noise[k] ** 2 - 1.0, 0.0) for name, n in count.items())
+        sum(
+            int(problem.used[:, CHANNELS.index(name)].sum()) * max(g.over_noise[k] ** 2 - 1.0, 0.0)
+            for name, g in gap.items()
+        )
         for k in (0, 1)
     )
     return None if before <= 0.0 else 1.0 - after / before

@@ -63,8 +63,8 @@ def run(
         rows.source,
         "" if isinstance(setup, Setup) else os.fspath(setup),
         seed,
-        None if isinstance(table, Table) else _digest(table),
-        None if isinstance(setup, Setup) else _digest(setup),
+        _digest(table),
+        _digest(setup),
     )
     # The matrices are small: threads of the BLAS cost more than they give.
     with threadpool_limits(1):
@@ -75,8 +75,11 @@ def run(
     return report
 
 
-def _digest(path: str | Path) -> str:
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+def _digest(given: Table | Setup | str | Path) -> str | None:
+    """SHA-256 of a file; None where none was read."""
+    if isinstance(given, (Table, Setup)):
+        return None
+    return hashlib.sha256(Path(given).read_bytes()).hexdigest()
 
 
 def _conclude(
