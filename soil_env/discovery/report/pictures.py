@@ -144,6 +144,19 @@ def _value(name: str, x: float) -> str:
     return f"{label} {round(x, 1) if name == 'grade_deg' else x:.3g}{unit}"
 
 
+def curves(report: Report, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(slips [60], values [60, 3] of the base model and of the corrected one) over the slips of a
+    group of rows, as the rig measures them.
+    """
+    data = report.problem.data
+    at: dict[str, Any] = {
+        name: float(np.mean(column[rows])) for name, column in data.conditions.items()
+    }
+    at["slip"] = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), 60)
+    base = Law(at_conditions(report.problem, at), ()).output(report.base.u)
+    return at["slip"], base, report.outlook.model.mean_at(at)
+
+
 def _slip(report: Report) -> Figure:
     """Measured against both models over slip, in a few groups of rows."""
     picked = groups(report)
@@ -156,15 +169,10 @@ def _slip(report: Report) -> Figure:
     for axis in axes[-1]:
         axis.set_xlabel("slip")
     for (label, rows), line in zip(picked, axes, strict=False):
-        slip = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), 60)
-        at: dict[str, Any] = {
-            name: float(np.mean(column[rows])) for name, column in data.conditions.items()
-        }
-        at["slip"] = slip
-        base = Law(at_conditions(report.problem, at), ()).output(report.base.u)
+        slip, base, corrected = curves(report, rows)
         lines = [
             (base, BEFORE, "base model"),
-            (report.outlook.model.mean_at(at), AFTER, "corrected model"),
+            (corrected, AFTER, "corrected model"),
         ]
         for name, ax in zip(report.channels, line, strict=True):
             j = CHANNELS.index(name)
