@@ -167,9 +167,11 @@ def json_text(content, indent: int | None = 1) -> str:
 
 
 def plain(value):
-    """Nested values as JSON has them: arrays and tuples as lists, keys as text, NaN and infinities
-    None, -0.0 0.0.
+    """Nested values as JSON has them: arrays and tuples as lists, named tuples as mappings, keys as
+    text, NaN and infinities None, -0.0 0.0.
     """
+    if hasattr(value, "_asdict"):
+        return plain(value._asdict())
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):

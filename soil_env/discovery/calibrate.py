@@ -16,8 +16,8 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -46,11 +46,12 @@ from soil_env.identification.table.noise import NoiseEstimate, find_noise, with_
 from soil_env.identification.table.priors import (
     USUAL_SINKAGE,
     Unknown,
+    bounds_of,
     given_laws,
-    soil_state,
     soil_unknowns,
 )
 from soil_env.identification.table.problem import (
+    COARSE,
     OFF_GUESS,
     Last,
     differences,
@@ -58,7 +59,6 @@ from soil_env.identification.table.problem import (
     most_probable,
 )
 from soil_env.identification.table.rig import predict_table
-from soil_env.parameters import SoilState
 from soil_env.slip import sliding_speeds
 from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, Effects
 from soil_env.terramechanics.effects.entry import Bench
@@ -67,6 +67,7 @@ from soil_env.terramechanics.model import Rows
 PRIOR_WIDTH = 1.5  # factor of the sd of the setup's priors
 #: Form error of an effect that is named by its place, in all channels alike, over that of others.
 ANY_FORM = 10.0
+AT_BOUND = 1e-4  # [prior sd] of an unknown from a bound, within which it does not move
 _STRESS_STEP = 1e-3  # relative change of a stress, for differences
 _SAME = 1e-6  # [prior sd] of a start from a bound, and within which derivatives are the same
 _LAW = 24  # most functions of the process of the law's error
@@ -126,13 +127,14 @@ class Fit:
 
     def parameters(self) -> dict[str, float]:
         """Every unknown by name."""
-        return _values(self.unknowns, self.u)
+        return parameters_at(self.unknowns, self.u)
 
     @property
     def free_unknowns(self) -> np.ndarray:
         """[p] which unknowns are not at a bound."""
-        at = [(k.mean + k.sd * u, k) for k, u in zip(self.unknowns, self.u, strict=True)]
-        return np.array([min(x - k.low, k.high - x) > 1e-4 * k.sd for x, k in at], dtype=bool)
+        low, high = bounds_of(self.unknowns)
+        free: np.ndarray = np.minimum(self.u - low, high - self.u) > AT_BOUND
+        return free
 
     def columns(self, sizes: Sizes) -> np.ndarray:
         """[M, R] whitened form errors at their sizes side by side, those of size 0 left out."""
@@ -169,12 +171,11 @@ class Problem:
     noise: np.ndarray  # [3]
     used: np.ndarray  # [N, 3] bool, measured and not an outlier
     freedom: float = math.inf  # degrees of freedom that the noise is known to
-    soil: tuple[Unknown, ...] = ()
-    known: dict[str, float] = field(default_factory=dict)
-    offset: np.ndarray | None = None  # [N, 3] added to the model, a residual law
 
     def __post_init__(self) -> None:
         setup = self.data.setup
+        self.soil: tuple[Unknown, ...]
+        self.known: dict[str, float]
         self.soil, self.known = soil_unknowns(
             setup, self.data.rows.load, self.data.y[:, 0], PRIOR_WIDTH
         )
@@ -206,8 +207,8 @@ class Problem:
         self.free_functions: np.ndarray = Process.over(
             at, additive=True, most=_FREE, lengths=lengths
         ).at_points
-        square = np.where(self.used, np.nan_to_num(self.data.y) ** 2, 0.0)
-        self.size: np.ndarray = np.sqrt(square.sum(axis=0) / np.maximum(self.used.sum(axis=0), 1))
+        square = np.sum(self.data.y**2, axis=0, where=self.used)
+        self.size: np.ndarray = np.sqrt(square / np.maximum(self.used.sum(axis=0), 1))
 
     def _bench(self) -> Bench:
         """Sizes of this rig, which priors of effects scale with."""
@@ -220,10 +221,9 @@ class Problem:
         middle = 0.0
         sliding = 0.0
         if np.all(speed > 0.0):
-            middle = math.exp(float(np.mean(np.log(speed))))
+            middle = _geometric_mean(speed)
             slide = sliding_speeds(speed, rows.slip)
-            slide = slide[slide > 0.0]
-            sliding = math.exp(float(np.mean(np.log(slide)))) if slide.size else middle
+            sliding = _geometric_mean(slide[slide > 0.0]) if np.any(slide > 0.0) else middle
         return Bench(
             radius=r,
             load=float(np.median(rows.load)),
@@ -242,40 +242,23 @@ class Problem:
         out = list(self.soil)
         for choice in choices:
             for full in choice.free:
-                p = LAWS[choice.effect].parameter(full[len(choice.effect) + 1 :])
-                low = p.low
-                high = p.high
+                p = LAWS[choice.effect].parameter(full.removeprefix(f"{choice.effect}_"))
                 if p.centre is not None:
                     centre = self.centres.get(full, p.centre)
-                    out.append(
-                        Unknown(
-                            full,
-                            math.log(centre),
-                            p.scale,
-                            math.log(max(low, 1e-3 * centre)),
-                            math.log(high),
-                            True,
-                        )
-                    )
+                    low, high = math.log(max(p.low, 1e-3 * centre)), math.log(p.high)
+                    out.append(Unknown(full, math.log(centre), p.scale, low, high, True))
                     continue
-                sd, low, high = self.scales.get(full, (p.scale, low, high))
-                low = max(low, p.low)
-                high = min(high, p.high)
+                sd, low, high = self.scales.get(full, (p.scale, p.low, p.high))
                 mean = self.laws["dig_gain"] if full == "slip_sinkage_gain" else p.neutral
-                out.append(Unknown(full, mean, sd, low, high, False))
+                out.append(Unknown(full, mean, sd, max(low, p.low), min(high, p.high), False))
         return tuple(out)
-
-    def state(self, values: dict[str, float]) -> SoilState:
-        """The soil of a set of parameters."""
-        return soil_state(self.known | values, self.laws)
 
     def effects(self, choices: tuple[Choice, ...], values: dict[str, float]) -> Effects:
         """The effects of a set of parameters."""
         numbers: dict[str, float] = {}
         for choice in (c for c in choices if c.effect in CATALOGUE):
-            numbers |= choice.fixed
-            numbers |= {name: values[name] for name in choice.free}
-        return self.neutral._replace(**numbers) if numbers else self.neutral
+            numbers |= choice.fixed | {name: values[name] for name in choice.free}
+        return self.neutral._replace(**numbers)
 
     def predict(
         self,
@@ -299,7 +282,7 @@ class Problem:
             name: values[name] for c in choices if c.effect not in CATALOGUE for name in c.free
         }
         if "tilt_angle_deg" in wrong:
-            soil = soil | {"tilt_deg": wrong["tilt_angle_deg"]}
+            soil["tilt_deg"] = wrong["tilt_angle_deg"]
         rows = true_rows(rows or self.data.rows, wrong)
         by_row = factors(rows, wrong, self.bench)
 
@@ -307,37 +290,22 @@ class Problem:
             return predict_table(self.data.setup, under, soil, weight, fx, guess, by_row)
 
         out = in_balance(loaded(rows, wrong, self.bench.load), wrong, balanced)
-        out = reading(changed(out, rows, wrong, self.bench), wrong, rows.wheels[:, 0])
-        return out if self.offset is None else out + self.offset
+        return reading(changed(out, rows, wrong, self.bench), wrong, rows.wheels[:, 0])
 
     def sinkage_guess(self, fit: Fit) -> np.ndarray:
         """[N] sinkages to start a prediction from."""
         return np.maximum(fit.output[:, 0], 0.0)
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
-        """[M] of an array [N, 3]: the values in use over the noise."""
-        return (values / (self.noise * self.data.relative_sd))[self.used]
+        """[M, ..] of an array [N, 3, ..]: the values in use over the noise."""
+        scale = self.noise * self.data.relative_sd
+        return (values.T / scale.T).T[self.used]
 
     def without(self, rows: np.ndarray) -> Problem:
         """The problem without the values of the rows [N] bool."""
         rest = copy.copy(self)
         rest.used = self.used & ~rows[:, None]
         return rest
-
-    def restricted(self, fit: Fit, used: np.ndarray) -> Fit:
-        """A fit to the values `used` [N, 3], with its whitened rows for those that this problem
-        uses.
-        """
-        keep = self.used[used]
-        return dataclasses.replace(
-            fit,
-            residual=fit.residual[keep],
-            jacobian=fit.jacobian[keep],
-            effect=fit.effect[keep],
-            rig=fit.rig[keep],
-            law=tuple(block[keep] for block in fit.law),
-            free=tuple(block[keep] for block in fit.free),
-        )
 
     def fit(
         self,
@@ -352,38 +320,41 @@ class Problem:
         `near`, a fit to the same table, the covariance holds its form errors at these `sizes`;
         without, that of the noise alone, times the scatter.
         """
-        unknowns = self.unknowns(choices)
-        low, high = (np.array([k.bounds[end] for k in unknowns]) for end in (0, 1))
+        law = Law(self, choices)
+        low, high = law.bounds
         u = np.array(
-            [k.at(start[k.name]) if start and k.name in start else self._first(k) for k in unknowns]
+            [
+                k.at(start[k.name]) if start and k.name in start else self._first(k)
+                for k in law.unknowns
+            ]
         )
         off_bound = _SAME * np.minimum(high - low, 1.0)
         u = np.clip(u, low + off_bound, high - off_bound)
-        guess = np.zeros(self.data.rows.slip.size)
         known = None if near is None else compressed(near.columns(sizes) / sizes.scatter)
-
-        def scaled(values):
-            return whitened(known, values / sizes.scatter)
-
-        def model(x):
-            return scaled(self.whiten(self.predict(_values(unknowns, x), choices, guess)))
-
-        by_unknowns = Last(lambda x: self.derivatives(unknowns, x, choices, guess))
         if near is not None and near.choices == choices and np.allclose(u, near.u, 0.0, _SAME):
-            by_unknowns.know(u, near.jacobian)
-        u, _, converged = most_probable(
-            scaled(self.whiten(self.data.y)),
-            model,
-            lambda x: scaled(by_unknowns(x)),
-            u,
-            (low, high),
-            ftol=1e-5,
-            xtol=1e-4,
-            gtol=1e-4,
-            max_nfev=25,
-        )
+            law.derivatives.know(u, near.jacobian)
+        u, converged = law.fitted(u, lambda values: whitened(known, values / sizes.scatter))
         used = sizes if near is not None else EXACT._replace(scatter=sizes.scatter)
-        return self._finish(unknowns, choices, u, guess, by_unknowns(u), converged, used)
+        output = law.output(u)
+        residual = self.whiten(self.data.y) - self.whiten(output)
+        added = law.added(u, output)
+        of_law, effect, rig = law.form_errors(u, output, added)
+        free = [_in_channel(self.free_functions, size) for size in np.diag(self.size)]
+        return Fit(
+            choices,
+            law.unknowns,
+            u,
+            output,
+            added,
+            np.where(np.isfinite(residual), residual, 1e3),
+            law.derivatives(u),
+            tuple(map(self.whiten, of_law)),
+            self.whiten(effect),
+            tuple(map(self.whiten, free)),
+            self.whiten(rig),
+            converged,
+            used,
+        )
 
     @staticmethod
     def _first(unknown: Unknown) -> float:
@@ -393,131 +364,127 @@ class Problem:
         bounded = not unknown.log and unknown.low >= unknown.mean and "_" in unknown.name
         return 0.3 if bounded else 0.0
 
-    def derivatives(
-        self,
-        unknowns: Sequence[Unknown],
-        u: np.ndarray,
-        choices: tuple[Choice, ...],
-        guess: np.ndarray,
-    ) -> np.ndarray:
-        """[M, p] of the whitened output by whitened unknowns (forward differences)."""
-
-        def model(x):
-            return self.whiten(self.predict(_values(unknowns, x), choices, OFF_GUESS * guess))
-
-        base = model(u)
-        return finite(differences(model, u, unknowns, base), base.size)
-
-    def _finish(self, unknowns, choices, u, guess, jacobian, converged, sizes) -> Fit:
-        values = _values(unknowns, u)
-        output = self.predict(values, choices, guess)
-        residual = self.whiten(self.data.y) - self.whiten(output)
-        residual = np.where(np.isfinite(residual), residual, 1e3)
-        added = self.added(values, choices, output, guess)
-        law, effect = self.form_errors(
-            choices, self.stresses(values, choices, output, guess), added
-        )
-        free = [
-            self.block(_in_channel(self.free_functions, self.size[j] * unit))
-            for j, unit in enumerate(np.eye(3))
-        ]
-        rig = nuisances(
-            self.data.setup,
-            self.bench,
-            self.data.rows,
-            _finite(output),
-            tuple(c.effect for c in choices),
-        )
-        return Fit(
-            choices,
-            unknowns,
-            u,
-            output,
-            added,
-            residual,
-            jacobian,
-            tuple(map(self.block, law)),
-            self.block(effect),
-            tuple(free),
-            self.block(rig),
-            converged,
-            sizes,
-        )
-
-    def added(
-        self,
-        values: dict[str, float],
-        choices: tuple[Choice, ...],
-        output: np.ndarray,
-        guess: np.ndarray,
-    ) -> tuple[np.ndarray, ...]:
-        """[N, 3] what each effect adds to the output."""
-        rest = (choices[:k] + choices[k + 1 :] for k in range(len(choices)))
-        return tuple(
-            _finite(output - self.predict(values, others, guess.copy())) for others in rest
-        )
-
-    def stresses(
-        self,
-        values: dict[str, float],
-        choices: tuple[Choice, ...],
-        output: np.ndarray,
-        guess: np.ndarray,
-    ) -> list[np.ndarray]:
-        """[N, 3] change of the output by each `stress_changes`, relative."""
-        h = _STRESS_STEP
-        sinkage = float(np.nanmedian(output[:, 0]))
-        changes = stress_changes(self.known | values, h, sinkage)
-        there = (
-            self.predict(values | soil, choices, OFF_GUESS * guess, more=more)
-            for soil, more in changes
-        )
-        base = self.predict(values, choices, OFF_GUESS * guess)
-        return [_finite((out - base) / h) for out in there]
-
-    def form_errors(
-        self,
-        choices: tuple[Choice, ...],
-        stresses: Sequence[np.ndarray],
-        added: Sequence[np.ndarray],
-        at: Mapping[str, np.ndarray] | None = None,
-    ) -> tuple[list[np.ndarray], np.ndarray]:
-        """Form errors [N, 3, R] at the size 1 of the base law, by span, and of the effects; `at`:
-        other conditions.
-
-        Of what `stresses` and `added` change.
-        """
-
-        def functions(process: Process) -> np.ndarray:
-            return process.at_points if at is None else process.at(at)
-
-        law = [functions(process) for process in self.law_processes]
-        blocks = [np.zeros((*stresses[0].shape, 0))]
-        for choice, factor in zip(choices, added, strict=True):
-            own = functions(self.effect_process(choice))
-            moved = np.array([name in LAWS[choice.effect].moves for name in CHANNELS])
-            units = [ANY_FORM * moved] if LAWS[choice.effect].any_form else np.eye(3)[moved]
-            blocks += [_in_channel(own, factor * unit) for unit in units]
-        laws = [
-            np.concatenate([s[:, :, None] * own[:, None, :] for s in stresses], axis=2)
-            for own in law
-        ]
-        return laws, np.concatenate(blocks, axis=2)
-
     def effect_process(self, choice: Choice) -> Process:
         """Form error of an effect: it goes with what the base law knows and with what the effect is
         about.
         """
         return self.effect_processes[LAWS[choice.effect].conditions]
 
-    def block(self, errors: np.ndarray) -> np.ndarray:
-        """[M, R] of form errors [N, 3, R], whitened, of the values in use."""
-        return (errors / (self.noise * self.data.relative_sd)[..., None])[self.used]
+
+class Law:
+    """The model of a table with some effects as a function of the whitened unknowns u [p].
+
+    `guess` [N] of the sinkage is renewed by every output.
+    """
+
+    def __init__(
+        self, problem: Problem, choices: tuple[Choice, ...], guess: np.ndarray | None = None
+    ) -> None:
+        self.problem = problem
+        self.choices = choices
+        self.unknowns = problem.unknowns(choices)
+        self.bounds = bounds_of(self.unknowns)
+        self.guess = np.zeros(problem.data.rows.slip.size) if guess is None else guess
+        #: [M, p] of the whitened output by whitened unknowns (forward differences).
+        self.derivatives = Last(self._derivatives)
+
+    def values(self, u: np.ndarray) -> dict[str, float]:
+        """Every unknown by name."""
+        return parameters_at(self.unknowns, u)
+
+    def output(self, u: np.ndarray) -> np.ndarray:
+        """[N, 3] model values."""
+        return self.problem.predict(self.values(u), self.choices, self.guess)
+
+    def _derivatives(self, u: np.ndarray) -> np.ndarray:
+        def model(x):
+            guess = OFF_GUESS * self.guess
+            return self.problem.whiten(self.problem.predict(self.values(x), self.choices, guess))
+
+        base = model(u)
+        return finite(differences(model, u, self.unknowns, base), base.size)
+
+    def added(self, u: np.ndarray, output: np.ndarray) -> tuple[np.ndarray, ...]:
+        """[N, 3] what each effect adds to the output at u."""
+        values = self.values(u)
+        rest = (self.choices[:k] + self.choices[k + 1 :] for k in range(len(self.choices)))
+        return tuple(
+            _finite(output - self.problem.predict(values, others, self.guess.copy()))
+            for others in rest
+        )
+
+    def stresses(self, u: np.ndarray, output: np.ndarray) -> list[np.ndarray]:
+        """[N, 3] change of the output at u by each `stress_changes`, relative."""
+        h = _STRESS_STEP
+        values = self.values(u)
+        sinkage = float(np.nanmedian(output[:, 0]))
+
+        def out(soil, more):
+            guess = OFF_GUESS * self.guess
+            return self.problem.predict(values | soil, self.choices, guess, more=more)
+
+        base = out({}, {})
+        changes = stress_changes(self.problem.known | values, h, sinkage)
+        return [_finite((out(*change) - base) / h) for change in changes]
+
+    def form_errors(
+        self,
+        u: np.ndarray,
+        output: np.ndarray,
+        added: Sequence[np.ndarray],
+        at: Mapping[str, np.ndarray] | None = None,
+    ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
+        """Form errors [N, 3, R] at u at the size 1: of the base law, by span; of the effects, of
+        what is `added`; and the nuisances of the instrument.
+
+        `at`: conditions of the rows, where they are not those of the processes.
+        """
+        problem = self.problem
+
+        def functions(process: Process) -> np.ndarray:
+            return process.at_points if at is None else process.at(at)
+
+        stresses = np.stack(self.stresses(u, output), axis=2)
+        laws = [
+            (stresses[..., None] * own[:, None, None, :]).reshape(*output.shape, -1)
+            for own in map(functions, problem.law_processes)
+        ]
+        blocks = [np.zeros((*output.shape, 0))]
+        for choice, factor in zip(self.choices, added, strict=True):
+            own = functions(problem.effect_process(choice))
+            moved = np.array([name in LAWS[choice.effect].moves for name in CHANNELS])
+            units = [ANY_FORM * moved] if LAWS[choice.effect].any_form else np.eye(3)[moved]
+            blocks += [_in_channel(own, factor * unit) for unit in units]
+        named = tuple(c.effect for c in self.choices)
+        data = problem.data
+        rig = nuisances(data.setup, problem.bench, data.rows, _finite(output), named)
+        return laws, np.concatenate(blocks, axis=2), rig
+
+    def fitted(
+        self, start: np.ndarray, whiten: Callable[[np.ndarray], np.ndarray]
+    ) -> tuple[np.ndarray, bool]:
+        """(most probable u, whether it converged) where `whiten` takes the whitened values to those
+        of a covariance.
+        """
+        whole = self.problem.whiten
+        u, _, converged = most_probable(
+            whiten(whole(self.problem.data.y)),
+            lambda x: whiten(whole(self.output(x))),
+            lambda x: whiten(self.derivatives(x)),
+            start,
+            self.bounds,
+            **COARSE,
+        )
+        return u, converged
 
 
-def _values(unknowns: Sequence[Unknown], u: np.ndarray) -> dict[str, float]:
-    """Parameters at whitened unknowns."""
+def parameters_at(unknowns: Sequence[Unknown], u: np.ndarray) -> dict[str, float]:
+    """Parameters by name at whitened unknowns."""
     return {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
+
+
+def _geometric_mean(values: np.ndarray) -> float:
+    return math.exp(float(np.mean(np.log(values))))
 
 
 def _finite(values: np.ndarray) -> np.ndarray:
@@ -532,13 +499,11 @@ def _in_channel(functions: np.ndarray, factor: np.ndarray) -> np.ndarray:
 
 def calibrate(data: Data) -> tuple[Problem, NoiseEstimate]:
     """`Problem` with its noise found and its outliers left out."""
-    spread = np.array(
-        [np.nanstd(data.y[:, j]) if data.measured[:, j].any() else 1.0 for j in range(3)]
-    )
+    spread = [np.nanstd(y) if np.isfinite(y).any() else 1.0 for y in data.y.T]
     rough = np.array(
         [
-            getattr(data.setup.noise, name) or max(0.05 * spread[j], 1e-12)
-            for j, name in enumerate(CHANNELS)
+            getattr(data.setup.noise, name) or max(0.05 * sd, 1e-12)
+            for name, sd in zip(CHANNELS, spread, strict=True)
         ]
     )
     first = Problem(data, rough, data.measured)

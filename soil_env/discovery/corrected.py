@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,10 +19,11 @@ import numpy as np
 from soil_env._compiled.cache import kept
 from soil_env.discovery.calibrate import Problem
 from soil_env.discovery.instrument import INSTRUMENT, LISTED, Choice
-from soil_env.discovery.prediction import USUAL, Prediction, independent
+from soil_env.discovery.prediction import Prediction, independent
 from soil_env.discovery.predictive import DEEPEST
 from soil_env.discovery.unnamed import OF_LOAD
 from soil_env.identification.table.data import CHANNELS
+from soil_env.identification.table.priors import BROAD
 from soil_env.parameters import Soil, SoilState
 from soil_env.slip import slips_of_radius
 from soil_env.terramechanics.effects import CATALOGUE
@@ -58,51 +59,40 @@ def model_of(
     them.
     """
     soil = {**problem.known, **values}
-    names = (
-        "friction_angle_deg",
-        "cohesion",
-        "shear_modulus",
-        "sinkage_coefficient",
-        "sinkage_exponent",
-    )
-    numbers: dict[str, Any] = {name: float(soil[name]) for name in names} | problem.laws
+    numbers: dict[str, Any] = {name: float(soil[name]) for name in BROAD} | problem.laws
     effects: dict[str, dict[str, float]] = {}
     for choice in choices:
         if choice.effect in CATALOGUE:
-            own = effects.setdefault(choice.effect, {})
-            own |= parameters(problem, choice, values)
+            effects.setdefault(choice.effect, {}).update(parameters(problem, choice, values))
     # The load of a model presses normal to the ground but for this share.
-    if problem.data.setup.load == "vertical":
+    setup = problem.data.setup
+    if setup.load == "vertical":
         grade = effects.get("grade", {})
         effects["grade"] = grade | {"share": 1.0 + grade.get("share", 0.0)}
     wheel = problem.data.wheel
-    if problem.data.setup.wheel.grouser_height is None and "grousers" not in effects:
+    if setup.wheel.grouser_height is None and "grousers" not in effects:
         wheel = replace(wheel, grouser_height=0.0)  # a height was assumed only to try grousers
     of_soil = Soil(
         **numbers,
         density=problem.density,
-        gravity_measured=problem.data.setup.gravity,
+        gravity_measured=setup.gravity,
         source="calibrated by soil_env.discovery",
     )
     rows = problem.data.rows
     conditions = seen(rows.slip, rows.load, rows.conditions)
-    return WheelSoilModel(
-        wheel, of_soil, effects, gravity=problem.data.setup.gravity, validity=conditions
-    )
+    return WheelSoilModel(wheel, of_soil, effects, gravity=setup.gravity, validity=conditions)
 
 
 def parameters(problem: Problem, choice: Choice, values: Mapping[str, float]) -> dict[str, float]:
     """Parameters of an effect: what its form frees, what it sets, and the reference speed that the
     table set.
     """
-    if choice.effect in INSTRUMENT:
-        return {name[len(choice.effect) + 1 :]: values[name] for name in choice.free}
-    numbers = problem.effects((choice,), dict(values))
+    numbers = problem.effects((choice,), dict(values))._asdict() | dict(values)
     out = {}
     for p in LISTED[choice.effect].parameters:
         full = f"{choice.effect}_{p.name}"
         if full in choice.free or full in choice.fixed or p.name == "reference_speed":
-            out[p.name] = min(max(float(getattr(numbers, full)), p.low), p.high)
+            out[p.name] = min(max(float(numbers[full]), p.low), p.high)
     return out
 
 
@@ -114,7 +104,7 @@ def corrected(found: Prediction, named: Sequence[str] = ()) -> WheelSoilModel:
     """
     problem = found.problem
     left = [name for name in (*INSTRUMENT, *OF_LOAD, *SENSED) if name not in {*named} & {*SENSED}]
-    kept = tuple(c for c in found.choices if c.effect not in left)
+    kept = tuple(c for c in found.law.choices if c.effect not in left)
     output = problem.predict(found.values, kept, np.maximum(found.output[:, 0], 0.0))
     for name in dict.fromkeys(c.effect for c in kept):
         fewer = tuple(c for c in kept if c.effect != name)
@@ -140,19 +130,11 @@ def _remainder(
     with.
     """
     grid = np.stack(np.meshgrid(*nodes.values(), indexing="ij"), axis=-1).reshape(-1, len(nodes))
-    rows = found.problem.data.rows
-    # What does not vary by itself has its middle value.
-    at: dict[str, np.ndarray] = {
-        "load": np.full(len(grid), np.median(rows.load)),
-        "speed": np.full(len(grid), np.median(rows.conditions[:, 0])),
-        "pass": np.full(len(grid), np.median(rows.conditions[:, 1])),
-    }
+    at = _usual(found.problem, ("load", "speed", "pass"), len(grid))
     at |= dict(zip(nodes, grid.T, strict=True))
-    true = at["slip"]
     bias = {"offset": 0.0, "radius_error": 0.0} | model.effects.get("slip_bias", {})
     scale = np.full(len(grid), 1.0 / (1.0 - bias["radius_error"]))
-    at["slip"] = slips_of_radius(true - bias["offset"], scale)
-    at["slip"] = np.clip(at["slip"], -1.0, 1.0)
+    at["slip"] = np.clip(slips_of_radius(at["slip"] - bias["offset"], scale), -1.0, 1.0)
     law = np.stack(replace(model, validity={}).predict(at)[:3], axis=1)
     radius = model.wheel.radius
     size = np.stack([np.full(len(grid), radius), at["load"], at["load"] * radius], axis=1)
@@ -165,6 +147,12 @@ def _remainder(
     ]
     axes = {name.removesuffix("_deg"): tuple(_groups(model, name, x)) for name, x in nodes.items()}
     return ResidualTable(axes, dict(zip(COLUMNS, text, strict=True)))
+
+
+def _usual(problem: Problem, names: Sequence[str], count: int) -> dict[str, np.ndarray]:
+    """Middle value of the table for `count` rows: of what does not vary by itself."""
+    conditions = problem.data.conditions
+    return {name: np.full(count, np.median(conditions[name])) for name in names}
 
 
 class Guess(NamedTuple):
@@ -182,10 +170,7 @@ def least_sure(found: Prediction) -> Guess | None:
     nodes = _nodes(found, 1.0)
     corners = np.array(list(product(*((x[0], x[-1]) for x in nodes.values()))))
     at = dict(zip(nodes, corners.T, strict=True))
-    usual = {n: np.full(len(corners), np.median(x)) for n, x in problem.data.conditions.items()}
-    there = found.at(
-        {n: at.get(n, usual[n]) for n in ("load", "speed", "pass", "slip", "grade_deg")}
-    )
+    there = found.at(_usual(problem, ("load", "speed", "pass", "grade_deg"), len(corners)) | at)
     used = problem.used.any(axis=0)
     known = found.at(problem.data.conditions).sd.max(axis=0)
     times = np.mean((there.sd / known)[:, used], axis=1)
@@ -202,7 +187,6 @@ def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
     are `coarse` times the usual.
     """
     problem = found.problem
-    learnt = found.learnt or USUAL
     out = {}
     for name in AXES:
         condition = "grade_deg" if name == "grade" else name
@@ -211,17 +195,14 @@ def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
         x = problem.data.conditions[condition]
         low = float(x.min())
         high = float(x.max())
+        if name in STEPS:
+            step = coarse * max(STEPS[name] * found.learnt.lengths[name], LEAST_STEP[name])
         if name == "slip":
-            step = coarse * max(STEPS[name] * learnt.slip_length, LEAST_STEP[name])
             start = max(low - BEYOND_SLIP, -0.95) if low < 0.0 else 0.0
             ends = [start, *([0.0] if start < 0.0 < high else []), min(high + BEYOND_SLIP, 0.95)]
-            parts = [
-                np.linspace(a, b, math.ceil((b - a) / step) + 1)
-                for a, b in zip(ends, ends[1:], strict=False)
-            ]
+            parts = [np.linspace(a, b, math.ceil((b - a) / step) + 1) for a, b in pairwise(ends)]
             out[name] = np.unique(np.concatenate(parts))
         elif name == "load":
-            step = coarse * max(STEPS[name] * learnt.load_length, LEAST_STEP[name])
             low /= BEYOND_LOAD
             high *= BEYOND_LOAD
             out[name] = np.geomspace(low, high, math.ceil(math.log(high / low) / step) + 1)
@@ -244,12 +225,13 @@ def _groups(model: WheelSoilModel, name: str, values: np.ndarray) -> list[float]
     assert model.soil is not None
     wheel = model.wheel
     rim = Rim(wheel.radius, wheel.width, 0.0, 0.0)
+    group = name.removesuffix("_deg")
+    field = {"pass": "passes", "grade": "sin_grade"}.get(group, group)
+    if group == "grade":
+        values = np.sin(np.radians(values))
     out = []
     for x in values.tolist():
-        at = {"slip": 0.0, "load": 1.0, "speed": 0.0, "pass": 1.0, "grade_deg": 0.0} | {name: x}
-        soil = model.soil.under(wheel.radius, wheel.width, at["load"], model.gravity)
-        sine = math.sin(math.radians(at["grade_deg"]))
-        point = WorkingPoint(at["slip"], 0.0, at["load"], at["speed"], at["pass"], sine)
-        groups = groups_at(point, soil, rim, model.gravity)
-        out.append(float(groups[GROUPS.index(name.removesuffix("_deg"))]))
+        point = WorkingPoint(0.0, 0.0, 1.0, 0.0, 1.0, 0.0)._replace(**{field: x})
+        soil = model.soil.under(wheel.radius, wheel.width, point.load, model.gravity)
+        out.append(float(groups_at(point, soil, rim, model.gravity)[GROUPS.index(group)]))
     return out

@@ -44,9 +44,9 @@ def _basis(
     grown = -np.expm1(-np.abs(slip) / (scale * np.exp(powers[2] * x)))
     side = np.exp(powers[1] * x) * grown
     level = np.exp(powers[0] * x)
-    if braked:
-        return np.stack([level, side * (slip >= 0.0), -side * (slip < 0.0)], axis=1)
-    return np.stack([level, side * np.sign(slip + 1e-300)], axis=1)
+    driven = side * (slip >= 0.0)
+    dragged = -side * (slip < 0.0)
+    return np.stack([level, driven, dragged] if braked else [level, driven + dragged], axis=1)
 
 
 def fit_curve(slip: np.ndarray, load: np.ndarray, y: np.ndarray, sd: np.ndarray | float) -> Curve:

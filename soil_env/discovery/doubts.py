@@ -41,11 +41,14 @@ def of_lone_rows(
         f"{table.row[k]} (slip {table.slip[k]:g}, load {table.load[k]:g} N)" for k in alone
     )
     named = " and ".join(LISTED[name].title for name in found.names) or "nothing"
-    one = alone.size == 1
+    stand, their, decide, them = (
+        ("stands", "its", "decides", "it")
+        if alone.size == 1
+        else ("stand", "their", "decide", "them")
+    )
     return (
         (
-            f"Line {rows} {'stands' if one else 'stand'} alone in {'its' if one else 'their'} "
-            f"conditions and {'decides' if one else 'decide'} what is named: without "
-            f"{'it' if one else 'them'} that is {named}. Check slip and load there."
+            f"Line {rows} {stand} alone in {their} conditions and {decide} what is named: without "
+            f"{them} that is {named}. Check slip and load there."
         ),
     )

@@ -27,7 +27,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import chdtri, log_ndtr, ndtr
 
-from soil_env.discovery.calibrate import LAW_LENGTHS, Fit, Problem, Sizes
+from soil_env.discovery.calibrate import LAW_LENGTHS, Fit, Law, Problem, Sizes
 from soil_env.discovery.instrument import INSTRUMENT, LISTED, Choice
 from soil_env.identification.table.data import CHANNELS
 from soil_env.identification.table.form_error import (
@@ -318,45 +318,26 @@ def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[f
     further = _Further(problem, first, choices)
     one_sided = np.array([u.low >= u.mean for u in further.unknowns])
     of = [np.flatnonzero(np.array(further.owner) == k) for k in range(len(choices))]
-    single = np.array([k.size == 1 for k in of])  # most forms: all at once
-    only = np.concatenate([np.zeros(0, dtype=int), *(k for k in of if k.size == 1)])
-    several = [(column, k) for column, k in enumerate(of) if k.size != 1]
     sizes, log_prior = grid(())
     log, normal, pull = map(np.array, zip(*map(further.under, sizes), strict=True))
-    x = pull[:, only]
-    n = 1.0 + normal[:, only, only]
-    out = np.empty((len(sizes), len(choices)))
-    out[:, single] = np.where(one_sided[only] & (x < 0.0), 0.0, 0.5 * (x * x / n - np.log(n)))
-    for column, k in several:
-        out[:, column] = _gains(normal[:, k[:, None], k], pull[:, k], one_sided[k])
+    gains = [_gains(normal[:, k[:, None], k], pull[:, k], one_sided[k]) for k in of]
+    out = np.stack(gains, axis=1)
     found: list[float] = log_sum(out + (log + log_prior)[:, None], axis=0).tolist()
     return found
 
 
 def _gains(normal: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> np.ndarray:
-    """[S] of `_gain`, of normal [S, K, K] and pull [S, K]; all at once where none has to stay."""
+    """[S] gain of log evidence by unknowns with unit priors, of normal [S, K, K] and pull [S, K];
+    those that may not be negative stay at 0 where they would.
+    """
     whole = normal + np.eye(len(one_sided))
     solved = np.linalg.solve(whole, pull[:, :, None])[:, :, 0]
     out: np.ndarray = 0.5 * (np.sum(pull * solved, axis=1) - np.linalg.slogdet(whole)[1])
-    for k in np.flatnonzero(np.any(one_sided & (solved < 0.0), axis=1)):
-        out[k] = _gain(normal[k], pull[k], one_sided)
+    wrong = one_sided & (solved < 0.0)
+    for k in np.flatnonzero(wrong.any(axis=1)):
+        free = ~wrong[k]
+        out[k] = _gains(normal[None, k, free][..., free], pull[None, k, free], one_sided[free])[0]
     return out
-
-
-def _gain(normal: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> float:
-    """Gain of log evidence by unknowns with unit priors; those that may not be negative stay at 0
-    where they would.
-    """
-    while pull.size:
-        whole = normal + np.eye(pull.size)
-        solved = np.linalg.solve(whole, pull)
-        wrong = one_sided & (solved < 0.0)
-        if not wrong.any():
-            return float(0.5 * pull @ solved - 0.5 * np.linalg.slogdet(whole)[1])
-        normal = normal[np.ix_(~wrong, ~wrong)]
-        pull = pull[~wrong]
-        one_sided = one_sided[~wrong]
-    return 0.0
 
 
 class Detectable(NamedTuple):
@@ -443,7 +424,7 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
     conditions; its R columns are basis functions.
     """
     at = problem.data.conditions | problem.data.elapsed
-    moved = problem.stresses(fit.parameters(), fit.choices, fit.output, problem.sinkage_guess(fit))
+    moved = Law(problem, fit.choices, problem.sinkage_guess(fit)).stresses(fit.u, fit.output)
     sizes = [np.broadcast_to(problem.size * unit, fit.output.shape) for unit in np.eye(3)]
     channels: dict[str, np.ndarray] = {
         CHANNELS[j]: sizes[j] for j in range(3) if problem.used[:, j].any()
@@ -468,11 +449,11 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
             if names[-1] in _OWNED.get(place, ()):
                 continue
             errors = change[:, :, None] * functions[:, None, :]
-            out[f"{place} with {' and '.join(names)}"] = problem.block(errors)
+            out[f"{place} with {' and '.join(names)}"] = problem.whiten(errors)
     beds = problem.data.beds
     if FEWEST_BEDS <= beds.max() + 1 <= min(MOST_BEDS, beds.size // 3):
         for place, change in zip(_STRESSES[:2], moved, strict=False):
-            out[f"{place} with bed"] = problem.block(
+            out[f"{place} with bed"] = problem.whiten(
                 change[:, :, None] * np.eye(beds.max() + 1)[beds][:, None, :]
             )
     return out

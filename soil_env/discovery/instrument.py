@@ -21,8 +21,8 @@ from soil_env.measurement.setup import Calibration, Setup
 from soil_env.slip import slips_of_radius
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.effects.entry import (
+    CHANNELS,
     PULL,
-    SINKAGE,
     TORQUE,
     Bench,
     Channel,
@@ -43,7 +43,7 @@ def _entry(
     moves: tuple[Channel, ...],
     p: EffectParameter,
     equation: str,
-    priors=None,
+    priors=lambda bench: {},
 ) -> Effect:
     form = Form("constant", (p.name,), equation, "calibration of the rig")
     symbols = {
@@ -54,9 +54,12 @@ def _entry(
         "W_true": "true load",
         "z": "sinkage",
     }
-    return Effect(
-        name, title, moves, (p,), (form,), symbols=symbols, priors=priors or (lambda bench: {})
-    )
+    return Effect(name, title, moves, (p,), (form,), symbols=symbols, priors=priors)
+
+
+def _p(name: str, symbol: str, unit: str, most: float, sd: float, doc: str) -> EffectParameter:
+    """A parameter within `most` of 0."""
+    return EffectParameter(name, symbol, unit, 0.0, -most, most, sd, doc)
 
 
 def _within(
@@ -68,7 +71,6 @@ def _within(
     return lambda bench: {name: (sd * size(bench), -most * size(bench), most * size(bench))}
 
 
-_P = EffectParameter
 INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
     {
         effect.name: effect
@@ -77,12 +79,10 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
                 "tilt",
                 "a rig that is not level",
                 (PULL,),
-                _P(
+                _p(
                     "angle_deg",
                     "e",
                     "deg",
-                    0.0,
-                    -15.0,
                     15.0,
                     2.0,
                     "uphill tilt of the ground against the axes of the rig",
@@ -93,7 +93,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
                 "force_offset",
                 "zero error of the drawbar pull",
                 (PULL,),
-                _P("offset", "d", "N", 0.0, -1e6, 1e6, 0.0, "offset of the load cell"),
+                _p("offset", "d", "N", 1e6, 0.0, "offset of the load cell"),
                 "DP_measured = DP + {offset}",
                 _within("offset", OFFSET, 1.0, lambda bench: bench.load),
             ),
@@ -101,14 +101,14 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
                 "force_gain",
                 "gain error of the drawbar pull",
                 (PULL,),
-                _P("gain", "g", "", 0.0, -0.5, 0.5, 0.08, "relative error of the load cell"),
+                _p("gain", "g", "", 0.5, 0.08, "relative error of the load cell"),
                 "DP_measured = DP (1 + {gain})",
             ),
             _entry(
                 "torque_offset",
                 "zero error of the torque",
                 (TORQUE,),
-                _P("offset", "d", "N m", 0.0, -1e6, 1e6, 0.0, "offset of the torque sensor"),
+                _p("offset", "d", "N m", 1e6, 0.0, "offset of the torque sensor"),
                 "T_measured = T + {offset}",
                 _within("offset", OFFSET, 1.0, lambda bench: bench.load * bench.radius),
             ),
@@ -116,26 +116,24 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
                 "torque_gain",
                 "gain error of the torque",
                 (TORQUE,),
-                _P("gain", "g", "", 0.0, -0.5, 0.5, 0.08, "relative error of the torque sensor"),
+                _p("gain", "g", "", 0.5, 0.08, "relative error of the torque sensor"),
                 "T_measured = T (1 + {gain})",
             ),
             _entry(
                 "wheel_radius",
                 "a wheel radius other than stated",
-                (SINKAGE, PULL, TORQUE),
-                _P("error", "e", "", 0.0, -0.3, 0.3, 0.05, "relative error of the stated radius"),
+                CHANNELS,
+                _p("error", "e", "", 0.3, 0.05, "relative error of the stated radius"),
                 "r_true = r (1 + {error})",
             ),
             _entry(
                 "force_crosstalk",
                 "crosstalk of the torque in the drawbar pull",
                 (PULL,),
-                _P(
+                _p(
                     "share",
                     "x",
                     "",
-                    0.0,
-                    -0.5,
                     0.5,
                     0.08,
                     "torque over radius that is read as drawbar pull",
@@ -146,12 +144,10 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
                 "torque_crosstalk",
                 "crosstalk of the drawbar pull in the torque",
                 (TORQUE,),
-                _P(
+                _p(
                     "share",
                     "x",
                     "",
-                    0.0,
-                    -0.5,
                     0.5,
                     0.08,
                     "drawbar pull that is read as torque over radius",
@@ -161,13 +157,11 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
             _entry(
                 "arm_load",
                 "a load that goes with the torque",
-                (SINKAGE, PULL, TORQUE),
-                _P(
+                CHANNELS,
+                _p(
                     "share",
                     "a",
                     "",
-                    0.0,
-                    -1.0,
                     1.0,
                     0.2,
                     "radius over the lever of the arm that holds the wheel",
@@ -177,13 +171,11 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
             _entry(
                 "spring_load",
                 "a load that goes with the sinkage",
-                (SINKAGE, PULL, TORQUE),
-                _P(
+                CHANNELS,
+                _p(
                     "rate",
                     "k",
                     "N/m",
-                    0.0,
-                    -1e6,
                     1e6,
                     0.0,
                     "load that is lost over a metre of sinkage",
@@ -239,11 +231,6 @@ def _spread(sd: Calibration, bench: Bench) -> dict[str, float]:
 
 def exact(setup: Setup) -> dict[str, str]:
     """Reason by name of the errors that a setup rules out, or has as an unknown of its own."""
-    known = {
-        name: "calibrated, by the setup"
-        for name, sd in _known(setup.calibration).items()
-        if sd == 0.0
-    }
     for name in setup.checked:
         if name not in LISTED:
             raise unknown_value(name, LISTED, f"{setup.source}: checked")
@@ -255,6 +242,8 @@ def exact(setup: Setup) -> dict[str, str]:
         raise ParameterError(
             f"{setup.source}: checked: has all effects: expected those that a check has ruled out"
         )
+    sure = [name for name, sd in _known(setup.calibration).items() if sd == 0.0]
+    known = dict.fromkeys(sure, "calibrated, by the setup")
     known |= dict.fromkeys(setup.checked, "checked, by the setup")
     return known | ({"tilt": "tilt_deg of the setup has it"} if setup.tilt_deg is not None else {})
 

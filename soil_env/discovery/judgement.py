@@ -12,6 +12,7 @@ from soil_env.discovery.calibrate import Fit, Problem
 from soil_env.discovery.evidence import Evidence
 from soil_env.discovery.search import Finding
 from soil_env.identification.table.data import CHANNELS, folds
+from soil_env.identification.table.form_error import mixed
 from soil_env.identification.table.priors import Unknown
 
 SURE = 1.959964  # [sd] of a 95 % interval
@@ -56,14 +57,12 @@ def intervals(finding: Finding, own: Evidence) -> dict[str, Interval]:
     it; never beyond the bounds.
     """
     p = len(finding.best().evidence.fit.unknowns)
-    parts = [
-        (h.probability, h.evidence.mean[:p], np.diag(h.evidence.covariance)[:p])
-        for h in finding.hypotheses
-    ]
-    soil = sum(w * mean for w, mean, _ in parts)
-    square = sum(w * (variance + (mean - soil) ** 2) for w, mean, variance in parts)
+    share = np.array([h.probability for h in finding.hypotheses])
+    mean = np.stack([h.evidence.mean[:p] for h in finding.hypotheses])
+    within = np.stack([h.evidence.covariance[:p, :p] for h in finding.hypotheses])
+    soil, covariance = mixed(share, mean, within)
     mean = np.concatenate([soil, own.mean[p:]])
-    sd = np.sqrt(np.concatenate([square, np.diag(own.covariance)[p:]]))
+    sd = np.sqrt(np.concatenate([np.diag(covariance), np.diag(own.covariance)[p:]]))
     return {
         k.name: _interval(k, float(u), float(s))
         for k, u, s in zip(own.fit.unknowns, mean, sd, strict=True)
@@ -74,19 +73,10 @@ def _interval(unknown: Unknown, u: float, sd: float) -> Interval:
     """Mean and quantiles, those of the normal distribution brought within the bounds."""
     return Interval(
         *(
-            float(unknown.value(min(max(x, unknown.bounds[0]), unknown.bounds[1])))
+            float(unknown.value(np.clip(x, *unknown.bounds)))
             for x in (u, u - SURE * sd, u + SURE * sd)
         )
     )
-
-
-def groups(problem: Problem) -> tuple[np.ndarray, int]:
-    """([F, M] which of the values in use each held-out group has, number of ways to cut the table
-    into groups).
-    """
-    ways = folds(problem.data)
-    rows = np.nonzero(problem.used)[0]
-    return np.stack([group[rows] for way in ways for group in way]), len(ways)
 
 
 def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
@@ -97,20 +87,23 @@ def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
     has them. Refits are linearised about the fit to all. Mean over the ways to cut the table.
     """
     a, e = fit.linearised()
-    member, ways = groups(problem)
+    ways = folds(problem.data)
+    rows = np.nonzero(problem.used)[0]
     top = a[: fit.residual.size]
     normal = a.T @ a
     r = e[: fit.residual.size]
     laws = int(fit.free_unknowns.sum())
     error = np.zeros(r.size)
-    for out in member:
+    for out in (group[rows] for way in ways for group in way):
         j = top[out]
         moved = np.linalg.solve(normal - j.T @ j, a.T @ e - j.T @ r[out])
-        error[out] += fit.sizes.scatter * (r[out] - j[:, :laws] @ moved[:laws]) / ways
+        error[out] += fit.sizes.scatter * (r[out] - j[:, :laws] @ moved[:laws]) / len(ways)
     predicted = np.full(problem.used.shape, math.nan)
-    noise = np.broadcast_to(problem.noise * problem.data.relative_sd, problem.used.shape)
-    scale = noise[problem.used]
-    predicted[problem.used] = problem.data.y[problem.used] - error * scale
+    scale = problem.noise * problem.data.relative_sd
+    predicted[problem.used] = (
+        problem.data.y[problem.used]
+        - error * np.broadcast_to(scale, problem.used.shape)[problem.used]
+    )
     return predicted
 
 
@@ -130,9 +123,11 @@ def closed(problem: Problem, gap: dict[str, Gap]) -> float | None:
     """Share of the held-out mean square above the noise that is gone, over all values; None where
     there was none.
     """
-    count = {name: int(problem.used[:, CHANNELS.index(name)].sum()) for name in gap}
     before, after = (
-        sum(n * max(gap[name].over_noise[k] ** 2 - 1.0, 0.0) for name, n in count.items())
+        sum(
+            int(problem.used[:, CHANNELS.index(name)].sum()) * max(g.over_noise[k] ** 2 - 1.0, 0.0)
+            for name, g in gap.items()
+        )
         for k in (0, 1)
     )
     return None if before <= 0.0 else 1.0 - after / before
@@ -169,26 +164,19 @@ def closed_interval(
     return float(low), float(high)
 
 
-def shares(
-    problem: Problem, before: np.ndarray, held: dict[tuple[str, ...], np.ndarray]
-) -> dict[str, float | None]:
+def shares(problem: Problem, held: dict[tuple[str, ...], np.ndarray]) -> dict[str, float | None]:
     """Share of the gap above the noise that each named effect closes, from held-out predictions of
-    its sets.
+    its sets, the base model among them.
 
     Of two effects the mean of what one closes alone and of what it closes beside the other (Shapley
     value).
     """
-    if not held:
-        return {}
     full = max(held, key=len)
     closes: dict[tuple[str, ...], float] = {}
     for names, after in held.items():
-        share = closed(problem, gaps(problem, before, after))
+        share = closed(problem, gaps(problem, held[()], after))
         if share is None:  # there is no gap, whatever is added
             return dict.fromkeys(full)
         closes[names] = share
-    if len(full) == 1:
-        return {full[0]: closes[full]}
-    return {
-        n: 0.5 * (closes[n,] + closes[full] - sum(closes[m,] for m in full if m != n)) for n in full
-    }
+    others = {n: tuple(m for m in full if m != n) for n in full}
+    return {n: 0.5 * (closes[n,] + closes[full] - closes[others[n]]) for n in full}

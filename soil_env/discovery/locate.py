@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.special import ndtr, stdtr
+from scipy.special import stdtr
 
 from soil_env.discovery.calibrate import Fit, Problem, Sizes
 from soil_env.discovery.evidence import Evidence
@@ -46,39 +46,29 @@ class Disagreement:
     p_value: float  # of anything as large anywhere
 
 
-@dataclass(frozen=True, eq=False)
-class Boxes:
-    """Boxes of the conditions: members [R, N] bool and, for each, condition -> (first, last)
-    level.
-    """
-
-    member: np.ndarray
-    limits: tuple[dict[str, tuple[int, int]], ...]
+Limits = dict[str, tuple[int, int]]  # condition -> (first, last) level
 
 
-def boxes(problem: Problem) -> Boxes:
-    """All boxes: the whole table, intervals of one condition, half-lines of two; each set of rows
-    once.
+def boxes(problem: Problem) -> tuple[tuple[Limits, ...], np.ndarray]:
+    """(limits, members [R, N] bool) of all boxes: the whole table, intervals of one condition,
+    half-lines of two; each set of rows once.
     """
     varied = problem.data.varied
-    limits: list[dict[str, tuple[int, int]]] = [{}]
+    limits: list[Limits] = [{}]
     for name, c in varied.items():
-        ends = ((a, b) for a in range(c.levels) for b in range(a, c.levels))
-        limits += [{name: (a, b)} for a, b in ends if b - a + 1 < c.levels]
+        ends = combinations(range(c.levels + 1), 2)
+        limits += [{name: (a, b - 1)} for a, b in ends if b - a < c.levels]
     for (one, c), (two, d) in combinations(varied.items(), 2):
         limits += [{one: p, two: q} for p in _half_lines(c.levels) for q in _half_lines(d.levels)]
-    member = []
-    kept = []
-    seen = set()
+    found: dict[bytes, Limits] = {}
     for box in limits:
         inside = np.ones(problem.data.rows.slip.size, dtype=bool)
         for name, (a, b) in box.items():
             inside &= (varied[name].level >= a) & (varied[name].level <= b)
-        if inside.sum() >= LEAST_VALUES and inside.tobytes() not in seen:
-            seen.add(inside.tobytes())
-            member.append(inside)
-            kept.append(box)
-    return Boxes(np.array(member), tuple(kept))
+        if inside.sum() >= LEAST_VALUES:
+            found.setdefault(inside.tobytes(), box)
+    member = np.frombuffer(b"".join(found), dtype=bool)
+    return tuple(found.values()), member.reshape(len(found), -1)
 
 
 def _half_lines(levels: int) -> list[tuple[int, int]]:
@@ -91,30 +81,21 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
     After each, the box is given to the model as a further parameter, so that the next one says
     something new; in one channel the boxes do not overlap.
     """
-    found = boxes(problem)
-    if not found.limits:
-        return ()
+    limits, member = boxes(problem)
     a, e = fit.linearised()
     q = np.linalg.qr(a)[0]  # directions that the parameters absorb
     row, channel = np.nonzero(problem.used)
-    measured = [j for j in range(3) if problem.used[:, j].any()]
-    v = np.concatenate(
-        [(found.member[:, row] & (channel == j)).T.astype(float) for j in measured], axis=1
-    )
-    where = [(j, k) for j in measured for k in range(len(found.limits))]
-    open_ = v.sum(axis=0) >= LEAST_VALUES
-    if not open_.any():
+    inside = member[:, row] & (channel == np.arange(3)[:, None])[:, None]
+    where = np.argwhere(inside.sum(axis=2) >= LEAST_VALUES)  # channel, box
+    if not where.size:
         return ()
-    v = v[:, open_]
-    where = [w for w, ok in zip(where, open_, strict=True) if ok]
-    total = np.sqrt(v.sum(axis=0))
-    v = np.concatenate([v, np.zeros((q.shape[0] - v.shape[0], v.shape[1]))])
-    raw = v
-    v, left = _project(v, q, total)
-    looks = _looks(v, np.array([j for j, _ in where]), problem.freedom, np.random.default_rng(seed))
+    raw = np.zeros((len(q), len(where)))
+    raw[: row.size] = inside[tuple(where.T)].T
+    total = np.sqrt(raw.sum(axis=0))
+    v, left = _project(raw, q, total)
+    looks = _looks(v, where[:, 0], problem.freedom, np.random.default_rng(seed))
     # the next box must also show in the plain residual, with the same sign
-    r = np.concatenate([fit.residual, np.zeros(e.size - fit.residual.size)])
-    plain = (raw.T @ r) / total
+    plain = (raw[: row.size].T @ fit.residual) / total
     out: list[Disagreement] = []
     taken: list[tuple[int, np.ndarray]] = []
     allowed = left & (np.abs(plain) > _SHOWS)
@@ -126,13 +107,11 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
         if p >= SIGNIFICANT:
             break
         j, box = where[k]
-        out.append(_disagreement(problem, fit, CHANNELS[j], found, box, p))
-        taken.append((j, found.member[box] & problem.used[:, j]))
+        out.append(_disagreement(problem, fit, CHANNELS[j], limits[box], member[box], p))
+        taken.append((j, member[box] & problem.used[:, j]))
         e = e - v[:, k] * (v[:, k] @ e)
         v, left = _project(v, v[:, k : k + 1], np.ones(v.shape[1]))
-        apart = [
-            not any(j == i and np.any(m & found.member[b]) for i, m in taken) for j, b in where
-        ]
+        apart = [not any(j == i and np.any(m & member[b]) for i, m in taken) for j, b in where]
         allowed = allowed & left & np.array(apart)
     return tuple(out)
 
@@ -176,7 +155,7 @@ def _looks(v: np.ndarray, channel: np.ndarray, freedom: float, rng: np.random.Ge
 
 def _alone(t: float, freedom: float) -> float:
     """p value of one look."""
-    return float(2.0 * (ndtr(-t) if math.isinf(freedom) else stdtr(freedom, -t)))
+    return float(2.0 * stdtr(freedom, -t))
 
 
 def _p_value(t: float, looks: float, freedom: float) -> float:
@@ -185,14 +164,14 @@ def _p_value(t: float, looks: float, freedom: float) -> float:
 
 
 def _disagreement(
-    problem: Problem, fit: Fit, channel: str, found: Boxes, box: int, p: float
+    problem: Problem, fit: Fit, channel: str, box: Limits, member: np.ndarray, p: float
 ) -> Disagreement:
     j = CHANNELS.index(channel)
     varied = problem.data.varied
-    inside = found.member[box] & problem.used[:, j]
+    inside = member & problem.used[:, j]
     size = float(np.mean((problem.data.y - fit.output)[inside, j]))
     region = {}
-    for name, (a, b) in found.limits[box].items():
+    for name, (a, b) in box.items():
         value = varied[name].value[(varied[name].level >= a) & (varied[name].level <= b)]
         region[name] = (float(value.min()), float(value.max()))
     return Disagreement(channel, region, size, float(size / problem.noise[j]), p)

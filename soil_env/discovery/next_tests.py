@@ -125,22 +125,18 @@ class Candidates(NamedTuple):
         """(mean [K, G, m], covariance [K, G, m, m]) of the chosen runs followed by each run of the
         grid.
         """
-        count, points, channels = self.mean.shape
         chosen = list(chosen)
-        before = len(chosen) * channels
-        mean = np.empty((count, points, before + channels))
-        cov = np.zeros((count, points, before + channels, before + channels))
-        for k, root in enumerate(self.root):
-            first = root[chosen].reshape(before, root.shape[2])
-            mean[k, :, :before] = self.mean[k, chosen].ravel()
-            mean[k, :, before:] = self.mean[k]
-            cov[k, :, :before, :before] = first @ first.T + np.diag(self.own[k, chosen].ravel())
-            cross = root @ first.T
-            cov[k, :, before:, :before] = cross
-            cov[k, :, :before, before:] = cross.transpose(0, 2, 1)
-            own = self.own[k][:, :, None] * np.eye(channels)
-            cov[k, :, before:, before:] = root @ root.transpose(0, 2, 1) + own
-        return mean, cov
+        mean, own = (_behind(x[:, chosen], x) for x in (self.mean, self.own))
+        roots = (_behind(root[None, chosen], root[None])[0] for root in self.root)
+        cov = np.stack([root @ root.transpose(0, 2, 1) for root in roots])
+        return mean, cov + own[..., None] * np.eye(own.shape[2])
+
+
+def _behind(first: np.ndarray, each: np.ndarray) -> np.ndarray:
+    """[K, G, (n + 1) C, ..] of `each` run [K, G, C, ..] behind the `first` ones [K, n, C, ..]."""
+    known = first.reshape(len(first), 1, -1, *each.shape[3:])
+    known = np.broadcast_to(known, (*each.shape[:2], *known.shape[2:]))
+    return np.concatenate([known, each], axis=2)
 
 
 def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[NextTest, ...]:
@@ -216,9 +212,7 @@ def proposed(
     if len(evidence) < 2 and not repeat:
         return ()
     grid = conditions(problem, evidence)
-    missed = np.where(
-        problem.data.measured, np.abs(problem.data.y - evidence[0].fit.output) / problem.noise, 0.0
-    )
+    missed = np.nan_to_num(np.abs(problem.data.y - evidence[0].fit.output) / problem.noise)
     worst = int(np.argmax(missed.max(axis=1)))
     last = grid.value["slip"].size
     grid = grid._replace(
@@ -237,6 +231,7 @@ def proposed(
         tuple(r[:, seen] for r in root),
         np.stack(own)[:, :, seen],
     )
+    sd = np.sqrt(np.diagonal(of.joint()[1], axis1=2, axis2=3))
     chosen: list[int] = []
     out: list[NextTest] = []
     before = 0.0
@@ -251,7 +246,7 @@ def proposed(
         able[g] = False  # once each: a repeat says nothing of how far the laws err
         chosen.append(g)
         before += gain[g]
-        said = _said(problem, of, g)
+        said = _said(problem, of, sd[:, g], g)
         point = {name: float(grid.value[name][g]) for name in grid.asked}
         sure = float(sureness(of.share, overlap)[g])
         out.append(NextTest(point, *said, sure, float(cost[g]), float(gain[g]), forced))
@@ -259,16 +254,14 @@ def proposed(
 
 
 def _said(
-    problem: Problem, of: Candidates, g: int
+    problem: Problem, of: Candidates, own: np.ndarray, g: int
 ) -> tuple[tuple[Predicted, ...], tuple[str, str], str, float]:
     """Predictions of a run, and what it separates, as in `NextTest`."""
     seen = problem.used.any(axis=0)
     mean = np.full((len(of.names), 3), np.nan)
     sd = mean.copy()
     mean[:, seen] = of.mean[:, g]
-    sd[:, seen] = np.sqrt(
-        [np.sum(root[g] ** 2, axis=1) + own[g] for root, own in zip(of.root, of.own, strict=True)]
-    )
+    sd[:, seen] = own
     off = np.nan_to_num(np.abs(mean[:1] - mean) / np.sqrt(0.5 * (sd[:1] ** 2 + sd**2)))
     rival = int(np.argmax(of.share * off.max(axis=1)))
     j = int(np.argmax(off[rival]))
@@ -321,53 +314,54 @@ def _costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
     """[G] cost of each run after the last chosen one, or the last of the table, by the setup's
     rig.
     """
-    rig = problem.data.setup.rig
+    prices = {"run": 1.0} | problem.data.setup.rig.cost
     table = problem.data.conditions
     last = {n: x[chosen[-1]] if chosen else table[n][-1] for n, x in grid.value.items()}
-    changed = {
+    counted = {
         n: np.abs(x - last[n]) > 1e-6 * max(1.0, abs(last[n])) for n, x in grid.value.items()
     }
-    changed["wheel"] = np.any([changed[n] for n in WHEEL], axis=0)
+    counted["run"] = np.ones(grid.value["slip"].size)
+    counted["wheel"] = np.any([counted[n] for n in WHEEL], axis=0)
     # On fresh soil they have to be made first.
-    changed["pass"] = np.maximum(grid.value["pass"] - 1.0, 0.0)
-    cost = np.full(grid.value["slip"].size, rig.cost.get("run", 1.0))
-    return cost + sum(
-        (price * changed[name] for name, price in rig.cost.items() if name != "run"),
-        np.zeros_like(cost),
-    )
+    counted["pass"] = np.maximum(grid.value["pass"] - 1.0, 0.0)
+    out: np.ndarray = np.sum([price * counted[name] for name, price in prices.items()], axis=0)
+    return out
 
 
-def _levels(problem: Problem) -> dict[str, list[float]]:
-    """Values of each condition but the wheel: the rig's, else around those of the table."""
+def _of_rig(problem: Problem) -> dict[str, Sequence[float]]:
+    """Values of each condition but the wheel that the setup lists for the rig."""
     rig = problem.data.setup.rig
-    column = problem.data.conditions
-    passes = column["pass"]
-    grade = column["grade_deg"]
-    timed = bool(np.all(column["speed"] > 0.0))
-    around = {
-        "slip": list(SLIPS),
-        "load": _around(column["load"], 0.7, 1.4),
-        "speed": _around(column["speed"], 0.5, 2.0) if timed else [0.0],
-        "pass": sorted({1.0, 2.0, float(passes.max()), float(passes.max()) + 1.0}),
-        "grade_deg": sorted({float(grade.min()), float(grade.max())}),
-    }
-    listed = {
+    timed = problem.bench.speed > 0.0
+    return {
         "slip": rig.slips,
         "load": rig.loads,
         "speed": rig.speeds if timed else (),
         "pass": rig.passes,
         "grade_deg": rig.grades_deg,
     }
-    return {name: sorted(map(float, listed[name])) or values for name, values in around.items()}
+
+
+def _levels(problem: Problem) -> dict[str, list[float]]:
+    """Values of each condition but the wheel: the rig's, else around those of the table."""
+    column = problem.data.conditions
+    most = float(column["pass"].max())
+    grade = column["grade_deg"]
+    around = {
+        "slip": list(SLIPS),
+        "load": _around(column["load"], 0.7, 1.4),
+        "speed": _around(column["speed"], 0.5, 2.0) if problem.bench.speed > 0.0 else [0.0],
+        "pass": sorted({1.0, 2.0, most, most + 1.0}),
+        "grade_deg": sorted({float(grade.min()), float(grade.max())}),
+    }
+    return {n: sorted(map(float, x)) or around[n] for n, x in _of_rig(problem).items()}
 
 
 def _could_show(problem: Problem, name: str) -> bool:
     """True if the rig can vary the condition that an effect needs."""
     effect = LISTED[name]
-    able = (
-        not effect.hidden(problem.bench) and len(_levels(problem).get(effect.varies or "", ())) > 1
-    )
-    return able and bool(forms(problem, name)) and effect.varies not in problem.data.varied
+    if effect.hidden(problem.bench) or effect.varies in problem.data.varied:
+        return False
+    return len(_levels(problem).get(effect.varies or "", ())) > 1 and bool(forms(problem, name))
 
 
 def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
@@ -378,10 +372,8 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
     what the rig has nearest to them.
     """
     column = problem.data.conditions
-    varied = problem.data.varied
     rig = problem.data.setup.rig
     grade = column["grade_deg"]
-    timed = bool(np.all(column["speed"] > 0.0))
     choices = [choice for c in candidates for choice in c.fit.choices]
     known = {"slip", "load"} | {LISTED[c.effect].varies for c in choices}
     if any("drivetrain_friction_viscous" in c.free for c in choices):
@@ -391,11 +383,11 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
         "pass": float(column["pass"].min()),
         "grade_deg": min(max(0.0, float(grade.min())), float(grade.max())),
     }
-    listed = {"speed": rig.speeds if timed else (), "pass": rig.passes, "grade_deg": rig.grades_deg}
-    usual = {
-        n: min(listed[n], key=lambda v: abs(v - x)) if listed[n] else x for n, x in usual.items()
-    }
-    levels = {n: x if n in known else [float(usual[n])] for n, x in _levels(problem).items()}
+    levels = _levels(problem)
+    of_rig = _of_rig(problem)
+    for name in usual.keys() - known:
+        nearest = min(of_rig[name] or [usual[name]], key=lambda x: abs(x - usual[name]))
+        levels[name] = [float(nearest)]
     wheels = np.unique(problem.data.rows.wheels, axis=0)
     if rig.wheels:
         unknown = problem.data.wheel.grouser_height
@@ -406,15 +398,10 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
     points = np.array([(*p, *w) for p in product(*levels.values()) for w in wheels])
     if len(points) > _LARGEST:
         points = points[np.sort(np.random.default_rng(0).permutation(len(points))[:_LARGEST])]
-    names = (*levels, *WHEEL)
-    value = dict(zip(names, points.T, strict=True))
-    always = ("slip", "load", "speed") if timed else ("slip", "load")
-    return Grid(
-        value,
-        tuple(
-            n for n in names if n in always or n in varied or np.ptp([*value[n], *column[n]]) > 0.0
-        ),
-    )
+    value = dict(zip((*levels, *WHEEL), points.T, strict=True))
+    always = ("slip", "load", "speed") if problem.bench.speed > 0.0 else ("slip", "load")
+    asked = (n for n, x in value.items() if n in always or np.ptp([*x, *column[n]]) > 0.0)
+    return Grid(value, tuple(asked))
 
 
 def _around(x: np.ndarray, below: float, above: float) -> list[float]:

@@ -17,22 +17,19 @@ import copy
 import dataclasses
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize
 
-from soil_env.discovery.calibrate import Problem
+from soil_env.discovery.calibrate import Law, Problem
 from soil_env.discovery.curve import LEAST_SPAN, fit_curve
 from soil_env.discovery.instrument import LISTED, Choice
-from soil_env.discovery.search import candidates
+from soil_env.discovery.search import candidates, forms
 from soil_env.discovery.unnamed import OF_LOAD
 from soil_env.identification.table.data import CHANNELS
-from soil_env.identification.table.form_error import LENGTHS, LOGARITHMIC
-from soil_env.identification.table.priors import Unknown
-from soil_env.identification.table.problem import Last, most_probable
+from soil_env.identification.table.form_error import LENGTHS, coordinates
 from soil_env.terramechanics.model import rows_of
 
 #: Forms of each effect that are fitted together; the first of the others.
@@ -49,7 +46,6 @@ LEFT_OUT = (
     "spring_load",
 )
 ROUNDS = 2  # of fit and remainder
-STEPS = MappingProxyType({"ftol": 1e-5, "xtol": 1e-4, "gtol": 1e-4, "max_nfev": 25})  # of a fit
 OFF_BOUND = 0.3  # [prior sd] of the start from a bound
 IMPOSSIBLE = 1e10  # -ln of the likelihood of what has none
 FORCE_SCALE = 0.3  # of the load: scale of pull, and of torque over the radius
@@ -65,24 +61,25 @@ class Learnt(NamedTuple):
     """What is learnt of the remainder and of the noise."""
 
     size: np.ndarray  # [3] a of each channel
-    slip_length: float
-    load_length: float  # of ln W
+    lengths: dict[str, float]  # of the slip and of ln W
     beyond: np.ndarray  # [3] noise beyond the stated, over it
 
     @classmethod
     def of(cls, logarithms: np.ndarray) -> Learnt:
         """Of the logarithms [8] of all, in this order."""
-        x = np.exp(logarithms)
-        return cls(x[:3], float(x[3]), float(x[4]), x[5:])
+        size, lengths, beyond = np.split(np.exp(logarithms), (3, 5))
+        return cls(size, dict(zip(USUAL.lengths, lengths.tolist(), strict=True)), beyond)
 
     @property
     def logarithms(self) -> np.ndarray:
         """[8], in the order of the fields."""
-        return np.log([*self.size, self.slip_length, self.load_length, *self.beyond])
+        return np.log([*self.size, *self.lengths.values(), *self.beyond])
 
 
-#: Medians, and standard deviations of the logarithm, before the table is seen: own assumptions.
-USUAL = Learnt(np.full(3, 0.1), 0.4, 1.0, np.full(3, 0.5))
+#: Medians, and standard deviations `SPREAD` of the logarithm, before the table is seen: own
+#: assumptions.
+USUAL = Learnt(np.full(3, 0.1), {"slip": 0.4, "load": 1.0}, np.full(3, 0.5))
+NO_REMAINDER = Learnt(np.zeros(3), USUAL.lengths, np.zeros(3))  # and the stated noise alone
 SPREAD = np.array([1.0, 1.0, 1.0, 0.5, 0.6, 0.8, 0.8, 0.8])
 
 
@@ -126,17 +123,12 @@ def carried(problem: Problem) -> tuple[Choice, ...]:
     """Effects that the table can carry, in one form or several that act together."""
     out = []
     varied = independent(problem)
-    speed = problem.bench.speed > 0.0
     for name in candidates(problem)[0]:
         if name in LEFT_OUT or LISTED[name].varies not in (None, *varied):
             continue
-        forms = LISTED[name].forms
-        names = FORMS.get(name, (forms[0].name,))
-        out += [
-            Choice(name, k)
-            for k, form in enumerate(forms)
-            if form.name in names and (speed or not form.needs_speed)
-        ]
+        published = LISTED[name].forms
+        names = FORMS.get(name, (published[0].name,))
+        out += [c for c in forms(problem, name) if published[c.form].name in names]
     if "load" in varied:
         out += [Choice(name, 0) for name in OF_LOAD]
     return tuple(out)
@@ -156,41 +148,48 @@ def at_conditions(problem: Problem, conditions: Mapping[str, np.ndarray]) -> Pro
     rows = rows_of(conditions, problem.data.wheel)
     there.data = dataclasses.replace(problem.data, rows=rows, relative_sd=np.ones((1, 3)))
     there.used = np.ones((rows.slip.size, 3), dtype=bool)
-    there.offset = None
     return there
 
 
 class _Remainder:
-    """Covariance of the remainder g over the conditions of a table."""
+    """Covariance of the remainder g over the conditions of a table, and of the noise."""
 
     def __init__(self, problem: Problem) -> None:
-        self.names = independent(problem)
+        self.problem = problem
+        self.names = tuple(independent(problem))
         self.table = self.points(problem)
+        self.relative = np.broadcast_to(problem.data.relative_sd, problem.used.shape)
 
     def points(self, problem: Problem) -> np.ndarray:
         """[N, D] coordinates of the rows of a problem."""
-        conditions = problem.data.conditions
-        return np.stack([_coordinate(n, conditions[n]) for n in self.names], axis=1)
+        return coordinates(problem.data.conditions, self.names)
 
-    def squares(self) -> dict[str, np.ndarray]:
-        """[N, N] square of the difference of each coordinate between rows of the table."""
-        return {
-            n: (x[:, None] - x[None, :]) ** 2 for n, x in zip(self.names, self.table.T, strict=True)
-        }
+    def square(self, name: str) -> np.ndarray:
+        """[N, N] square of the difference of a coordinate between rows of the table."""
+        x = self.table[:, self.names.index(name)]
+        return (x[:, None] - x) ** 2
 
     def correlation(self, points: np.ndarray, learnt: Learnt) -> np.ndarray:
         """[N, P] of points [N, D] with the rows of the table."""
-        own = {"slip": learnt.slip_length, "load": learnt.load_length}
-        lengths = np.array([own.get(n, LENGTHS[n]) for n in self.names])
-        off = (points[:, None, :] - self.table[None, :, :]) / lengths
+        lengths = LENGTHS | learnt.lengths
+        off = (points[:, None, :] - self.table) / np.array([lengths[n] for n in self.names])
         found: np.ndarray = np.exp(-0.5 * np.sum(off**2, axis=2))
         return found
 
-
-def _coordinate(name: str, values: np.ndarray) -> np.ndarray:
-    if name not in LOGARITHMIC:
-        return values
-    return np.log(values + 1e-3) if name == "grouser_height" else np.log(np.maximum(values, 1e-6))
+    def covariance(self, scale: np.ndarray, learnt: Learnt) -> _Covariance:
+        """Of remainder and noise over the noise, of the values in use."""
+        correlation = self.correlation(self.table, learnt)
+        used = self.problem.used
+        channel = np.nonzero(used)[1]
+        found = []
+        for j, use in enumerate(used.T):
+            relative = self.relative[use, j]
+            own = scale[use, j] * learnt.size[j] / relative
+            remainder = correlation[np.ix_(use, use)] * own[:, None] * own
+            noise = 1.0 + (learnt.beyond[j] / relative) ** 2
+            root = cholesky(remainder + np.diag(noise), lower=True)
+            found.append(_Channel(np.flatnonzero(channel == j), root, remainder, noise))
+        return _Covariance(found)
 
 
 def _scales(problem: Problem, output: np.ndarray) -> np.ndarray:
@@ -203,57 +202,65 @@ def _scales(problem: Problem, output: np.ndarray) -> np.ndarray:
     return found
 
 
+class _Channel(NamedTuple):
+    """Covariance of remainder and noise of the m values of a channel."""
+
+    places: np.ndarray  # [m] among all M values
+    root: np.ndarray  # [m, m] lower Cholesky factor
+    remainder: np.ndarray  # [m, m]
+    noise: np.ndarray  # [m] variance
+
+
 class _Covariance(NamedTuple):
     """Covariance of remainder and noise of M values over the noise: channels are independent."""
 
-    places: tuple[np.ndarray, ...]  # of the values of each channel among the M
-    roots: tuple[np.ndarray, ...]  # lower Cholesky factor of each
+    channels: list[_Channel]
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
         """[M, B] of values [M, B], or [M]: independent ones of variance 1."""
         out = np.empty_like(values, dtype=float)
-        for at, root in zip(self.places, self.roots, strict=True):
-            out[at] = solve_triangular(root, values[at], lower=True)
+        for channel in self.channels:
+            out[channel.places] = solve_triangular(channel.root, values[channel.places], lower=True)
         return out
 
     @property
     def log_size(self) -> float:
         """Half the logarithm of the determinant."""
-        return float(sum(np.sum(np.log(np.diag(root))) for root in self.roots))
+        return float(sum(np.sum(np.log(np.diag(channel.root))) for channel in self.channels))
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
     """A fit of all effects with its remainder; whitened quantities are over the noise."""
 
-    problem: Problem
-    choices: tuple[Choice, ...]
-    unknowns: tuple[Unknown, ...]
+    law: Law
     u: np.ndarray  # [p]
-    learnt: Learnt | None  # None: without a remainder, under the stated noise alone
+    remainder: _Remainder
+    learnt: Learnt
     output: np.ndarray  # [N, 3] of the law
     residual: np.ndarray  # [M]
     jacobian: np.ndarray  # [M, p]
     covariance: _Covariance
 
     @property
+    def problem(self) -> Problem:
+        """The table."""
+        return self.law.problem
+
+    @property
     def values(self) -> dict[str, float]:
         """Every unknown by name."""
-        return {k.name: k.value(x) for k, x in zip(self.unknowns, self.u, strict=True)}
+        return self.law.values(self.u)
 
     def at(self, conditions: Mapping[str, np.ndarray], without: Collection[str] = ()) -> Predicted:
         """Predicted values at conditions, by the columns of a table, `without` these errors of the
         rig.
         """
         there = at_conditions(self.problem, conditions)
-        law, across = self._means(there, without)
-        guess = np.maximum(law[:, 0], 0.0)
-        top = there.derivatives(self.unknowns, self.u, self.choices, guess)
-        noise = np.ones(3)
-        own = np.zeros_like(law)
-        if self.learnt is not None:
-            own = (self.learnt.size * _scales(there, law)) ** 2
-            noise = noise + self.learnt.beyond**2
+        mean, law, across = self._means(there, without)
+        top = Law(there, self.law.choices, np.maximum(law[:, 0], 0.0)).derivatives(self.u)
+        own = (self.learnt.size * _scales(there, law)) ** 2
+        noise = 1.0 + self.learnt.beyond**2
         # The values are known through the unknowns and through the remainder: with J whitened,
         # (C + J J')^-1 = C^-1 - C^-1 J (I + J'J)^-1 J' C^-1.
         j = self.covariance.whiten(self.jacobian)
@@ -263,44 +270,34 @@ class Prediction:
         gained -= np.sum(solve_triangular(root, j.T @ known, lower=True) ** 2, axis=0)
         variance = np.sum(top**2, axis=1) - gained
         sd = np.sqrt(np.maximum(variance.reshape(law.shape) + own, 0.0) + noise)
-        return Predicted(self._mean(law, across), WIDER * sd * self.problem.noise)
+        return Predicted(mean, WIDER * sd * self.problem.noise)
 
     def mean_at(self, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
         """[N, 3] predicted values alone."""
-        return self._mean(*self._means(at_conditions(self.problem, conditions)))
-
-    def _mean(self, law: np.ndarray, across: np.ndarray) -> np.ndarray:
-        remainder = across.T @ self.covariance.whiten(self.residual)
-        found: np.ndarray = law + remainder.reshape(law.shape) * self.problem.noise
-        return found
+        return self._means(at_conditions(self.problem, conditions))[0]
 
     def _means(
         self, there: Problem, without: Collection[str] = ()
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """([N, 3] values of the law, [M, 3 N] whitened covariance of the remainder) of other
-        rows.
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """([N, 3] predicted values, [N, 3] of the law, [M, 3 N] whitened covariance of the
+        remainder) of other rows.
         """
         values = self.values
         if "tilt_deg" in without:
             values |= {"tilt_deg": 0.0}
-        choices = tuple(c for c in self.choices if c.effect not in without)
+        choices = tuple(c for c in self.law.choices if c.effect not in without)
         guess = np.zeros(there.data.rows.slip.size)
         law = np.nan_to_num(there.predict(values, choices, guess))
-        if self.learnt is None:
-            return law, np.zeros((self.residual.size, law.size))
-        across = self._across(there, _scales(there, law), self.learnt)
-        return law, self.covariance.whiten(across.reshape(law.size, -1).T)
-
-    def _across(self, there: Problem, scale: np.ndarray, learnt: Learnt) -> np.ndarray:
-        """[N, 3, M] covariance of the remainder at other rows with that of the values in use."""
-        remainder = _Remainder(self.problem)
         rows, channel = np.nonzero(self.problem.used)
-        alike = remainder.correlation(remainder.points(there), learnt)[:, rows]
-        ours = _scales(self.problem, self.output)[self.problem.used] / _relative(self.problem)
-        same = np.arange(3)[:, None] == channel
-        own = learnt.size**2 * scale
-        found: np.ndarray = own[:, :, None] * same * (alike * ours)[:, None, :]
-        return found
+        points = self.remainder.points(there)
+        alike = self.remainder.correlation(points, self.learnt)[:, None, rows]
+        ours = _scales(self.problem, self.output)[self.problem.used]
+        ours = ours / self.remainder.relative[self.problem.used]
+        theirs = self.learnt.size**2 * _scales(there, law)
+        across = theirs[:, :, None] * (np.arange(3)[:, None] == channel) * alike * ours
+        across = self.covariance.whiten(across.reshape(law.size, -1).T)
+        remainder = across.T @ self.covariance.whiten(self.residual)
+        return law + remainder.reshape(law.shape) * self.problem.noise, law, across
 
 
 def fit_prediction(
@@ -315,181 +312,94 @@ def fit_prediction(
     With `near`, a fit to more rows, it starts there and keeps what was learnt of the remainder.
     """
     if near is not None:
-        fitting = _Fitting(problem, near.choices)
-        fitting.derivatives.know(near.u, near.jacobian[problem.used[near.problem.used]])
-        return fitting.fitted(near.u, near.learnt)
-    fitting = _Fitting(problem, carried(problem) if choices is None else choices)
-    u = fitting.start()
+        law = Law(problem, near.law.choices)
+        law.derivatives.know(near.u, near.jacobian[problem.used[near.problem.used]])
+        return _fitted(law, near.u, near.learnt)
+    law = Law(problem, carried(problem) if choices is None else choices)
+    low, high = law.bounds
+    # Off the bounds: a start on a bound would stay there.
+    u = np.clip(np.zeros(low.size), low + OFF_BOUND, high - OFF_BOUND)
+    u = np.where(high - low < 2.0 * OFF_BOUND, 0.5 * (low + high), u)
     if not smooth:
-        return fitting.fitted(u, None)
+        return _fitted(law, u, NO_REMAINDER)
     learnt = USUAL
     for _ in range(ROUNDS):
-        found = fitting.fitted(u, learnt)
+        found = _fitted(law, u, learnt)
         u = found.u
-        learnt = fitting.learn(found, learnt)
-    return fitting.fitted(u, learnt)
+        learnt = _learn(found, learnt)
+    return _fitted(law, u, learnt)
 
 
-class _Fitting:
-    """Fits of one model to one table."""
-
-    def __init__(self, problem: Problem, choices: tuple[Choice, ...]) -> None:
-        self.problem = problem
-        self.choices = choices
-        self.unknowns = problem.unknowns(choices)
-        low, high = (np.array([k.bounds[end] for k in self.unknowns]) for end in (0, 1))
-        self.bounds = low, high
-        self.remainder = _Remainder(problem)
-        self.guess = np.zeros(problem.data.rows.slip.size)
-        self.derivatives = Last(self._derivatives)
-
-    def start(self) -> np.ndarray:
-        """[p] the prior mean, off the bounds: a start on a bound would stay there."""
-        low, high = self.bounds
-        u = np.clip(np.zeros(low.size), low + OFF_BOUND, high - OFF_BOUND)
-        return np.where(high - low < 2.0 * OFF_BOUND, 0.5 * (low + high), u)
-
-    def output(self, u: np.ndarray) -> np.ndarray:
-        """[N, 3] of the law."""
-        values = {k.name: k.value(x) for k, x in zip(self.unknowns, u, strict=True)}
-        return self.problem.predict(values, self.choices, self.guess)
-
-    def _derivatives(self, u: np.ndarray) -> np.ndarray:
-        """[M, p] of the law, whitened."""
-        return self.problem.derivatives(self.unknowns, u, self.choices, self.guess)
-
-    def covariance(self, scale: np.ndarray, learnt: Learnt | None) -> _Covariance:
-        """Of remainder and noise over the noise, of the values in use."""
-        places = tuple(
-            np.flatnonzero(np.nonzero(self.problem.used)[1] == j) for j in range(len(CHANNELS))
-        )
-        if learnt is None:
-            return _Covariance(places, tuple(np.eye(at.size) for at in places))
-        blocks = [
-            alike + np.diag(own) for alike, own in zip(*self.blocks(scale, learnt), strict=True)
-        ]
-        return _Covariance(places, tuple(cholesky(block, lower=True) for block in blocks))
-
-    def blocks(
-        self, scale: np.ndarray, learnt: Learnt
-    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """(covariance [m, m] of the remainder, variance [m] of the noise) of each channel."""
-        used = self.problem.used
-        relative = np.broadcast_to(self.problem.data.relative_sd, used.shape)
-        correlation = self.remainder.correlation(self.remainder.table, learnt)
-        remainder = []
-        noise = []
-        for j, use in enumerate(used.T):
-            own = scale[use, j] * learnt.size[j] / relative[use, j]
-            remainder.append(correlation[np.ix_(use, use)] * own[:, None] * own)
-            noise.append(1.0 + (learnt.beyond[j] / relative[use, j]) ** 2)
-        return remainder, noise
-
-    def fitted(self, start: np.ndarray, learnt: Learnt | None) -> Prediction:
-        """The most probable unknowns under a covariance whose scales are those of the start."""
-        y = self.problem.whiten(self.problem.data.y)
-        scaled = self.covariance(_scales(self.problem, self.output(start)), learnt).whiten
-        u, _, _ = most_probable(
-            scaled(y),
-            lambda x: scaled(self.problem.whiten(self.output(x))),
-            lambda x: scaled(self.derivatives(x)),
-            start,
-            self.bounds,
-            **STEPS,
-        )
-        output = np.nan_to_num(self.output(u))
-        return Prediction(
-            self.problem,
-            self.choices,
-            self.unknowns,
-            u,
-            learnt,
-            output,
-            y - self.problem.whiten(output),
-            self.derivatives(u),
-            self.covariance(_scales(self.problem, output), learnt),
-        )
-
-    def learn(self, fit: Prediction, start: Learnt) -> Learnt:
-        """That of the largest marginal likelihood, linearised about a fit, under the priors."""
-        measured = self.problem.used.any(axis=0)
-        free = np.concatenate([measured, [True, "load" in self.remainder.names], measured])
-        scale = _scales(self.problem, fit.output)
-        e = fit.residual + fit.jacobian @ fit.u
-        usual = USUAL.logarithms
-        square = self.remainder.squares()
-
-        def whole(x: np.ndarray) -> np.ndarray:
-            out = usual.copy()
-            out[free] = x
-            return out
-
-        def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
-            """-ln of the likelihood and its derivatives: with a = K^-1 e of the covariance K of the
-            values, (tr(K^-1 dK) - a'dK a)/2.
-            """
-            logarithms = whole(x)
-            if np.any(np.abs(logarithms) > FAR):
-                return IMPOSSIBLE, np.zeros(x.size)
-            learnt = Learnt.of(logarithms)
-            try:
-                c = self.covariance(scale, learnt)
-            except np.linalg.LinAlgError:
-                return IMPOSSIBLE, np.zeros(x.size)
-            j = c.whiten(fit.jacobian)
-            of_unknowns = cholesky(np.eye(fit.u.size) + j.T @ j, lower=True)
-            b = solve_triangular(of_unknowns, j.T, lower=True).T  # K^-1 = I - b b', whitened
-            v = c.whiten(e)
-            a = v - b @ (b.T @ v)
-            off = (logarithms - usual) / SPREAD
-            value = 0.5 * (v @ a + off @ off) + c.log_size + np.sum(np.log(np.diag(of_unknowns)))
-            slope = off / SPREAD
-            blocks = zip(c.places, c.roots, *self.blocks(scale, learnt), strict=True)
-            for k, (at, root, alike, noise) in enumerate(blocks):
-                inverse = solve_triangular(root, np.eye(at.size), lower=True)
-                beside = inverse.T @ np.column_stack([b[at], a[at]])
-                g = 0.5 * (inverse.T @ inverse - beside @ beside.T)
-                slope[5 + k] += 2.0 * np.diag(g) @ (noise - 1.0)
-                g *= alike
-                slope[k] += 2.0 * np.sum(g)
-                use = self.problem.used[:, k]
-                for n, name in ((3, "slip"), (4, "load")):
-                    if name in square:
-                        length = learnt.slip_length if n == 3 else learnt.load_length
-                        slope[n] += np.sum(g * square[name][np.ix_(use, use)]) / length**2
-            return float(value), slope[free]
-
-        found = minimize(
-            cost, start.logarithms[free], jac=True, method="L-BFGS-B", options={"maxiter": 25}
-        )
-        return Learnt.of(whole(found.x))
+def _fitted(law: Law, start: np.ndarray, learnt: Learnt) -> Prediction:
+    """The most probable unknowns under a covariance whose scales are those of the start."""
+    problem = law.problem
+    remainder = _Remainder(problem)
+    scales = _scales(problem, law.output(start))
+    u, _ = law.fitted(start, remainder.covariance(scales, learnt).whiten)
+    output = np.nan_to_num(law.output(u))
+    residual = problem.whiten(problem.data.y) - problem.whiten(output)
+    covariance = remainder.covariance(_scales(problem, output), learnt)
+    return Prediction(law, u, remainder, learnt, output, residual, law.derivatives(u), covariance)
 
 
-def _relative(problem: Problem) -> np.ndarray:
-    """[M] noise of the values in use over that of their channel."""
-    return np.broadcast_to(problem.data.relative_sd, problem.used.shape)[problem.used]
+def _learn(fit: Prediction, start: Learnt) -> Learnt:
+    """That of the largest marginal likelihood, linearised about a fit, under the priors."""
+    remainder = fit.remainder
+    used = fit.problem.used
+    scale = _scales(fit.problem, fit.output)
+    e = fit.residual + fit.jacobian @ fit.u
+    usual = USUAL.logarithms
+    square = {name: remainder.square(name) for name in USUAL.lengths if name in remainder.names}
+
+    def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
+        """-ln of the likelihood and its derivatives: with a = K^-1 e of the covariance K of the
+        values, (tr(K^-1 dK) - a'dK a)/2.
+        """
+        if np.any(np.abs(x) > FAR):
+            return IMPOSSIBLE, np.zeros(x.size)
+        learnt = Learnt.of(x)
+        try:
+            c = remainder.covariance(scale, learnt)
+        except np.linalg.LinAlgError:
+            return IMPOSSIBLE, np.zeros(x.size)
+        j = c.whiten(fit.jacobian)
+        of_unknowns = cholesky(np.eye(fit.u.size) + j.T @ j, lower=True)
+        b = solve_triangular(of_unknowns, j.T, lower=True).T  # K^-1 = I - b b', whitened
+        v = c.whiten(e)
+        a = v - b @ (b.T @ v)
+        off = (x - usual) / SPREAD
+        value = 0.5 * (v @ a + off @ off) + c.log_size + np.sum(np.log(np.diag(of_unknowns)))
+        slope = off / SPREAD
+        for k, (at, root, alike, noise) in enumerate(c.channels):
+            inverse = solve_triangular(root, np.eye(at.size), lower=True)
+            beside = inverse.T @ np.column_stack([b[at], a[at]])
+            g = 0.5 * (inverse.T @ inverse - beside @ beside.T)
+            slope[5 + k] += 2.0 * np.diag(g) @ (noise - 1.0)
+            g *= alike
+            slope[k] += 2.0 * np.sum(g)
+            use = np.ix_(used[:, k], used[:, k])
+            for n, (name, length) in enumerate(learnt.lengths.items(), start=3):
+                if name in square:
+                    slope[n] += np.sum(g * square[name][use]) / length**2
+        return float(value), slope
+
+    # What the table does not show has no slope and stays usual.
+    found = minimize(cost, start.logarithms, jac=True, method="L-BFGS-B", options={"maxiter": 25})
+    return Learnt.of(found.x)
 
 
 def drawn(problem: Problem, conditions: Mapping[str, np.ndarray]) -> np.ndarray | None:
     """[N, 3] of the generic curve at conditions; None where others vary than it knows."""
-    rows = rows_of(conditions, problem.data.wheel)
-    return _curves(problem, problem.used, rows.slip, rows.load)
-
-
-def _curves(
-    problem: Problem, used: np.ndarray, slip: np.ndarray, load: np.ndarray
-) -> np.ndarray | None:
-    """[N, 3] of the curves of the values `used`, at slips and loads [N]."""
     if set(independent(problem)) - {"slip", "load"}:
         return None
+    there = rows_of(conditions, problem.data.wheel)
     rows = problem.data.rows
-    out = np.full((slip.size, len(CHANNELS)), np.nan)
-    for j, use in enumerate(used.T):
+    out = np.full((there.slip.size, len(CHANNELS)), np.nan)
+    for j, use in enumerate(problem.used.T):
         if use.sum() >= FEWEST:
             y = problem.data.y[use, j]
-            out[:, j] = fit_curve(rows.slip[use], rows.load[use], y, problem.noise[j]).at(
-                slip, load
-            )
+            curve = fit_curve(rows.slip[use], rows.load[use], y, problem.noise[j])
+            out[:, j] = curve.at(there.slip, there.load)
     return out
 
 
@@ -499,12 +409,14 @@ def outlook(problem: Problem) -> Outlook:
     Unknowns are fitted anew to the rest; the remainder keeps what was learnt from all rows.
     """
     models = (fit_prediction(problem, (), smooth=False), fit_prediction(problem))
-    rows = problem.data.rows
     others = tuple(name for name in independent(problem) if name != "slip")
-    splits = {"slip": ("slip",), "load": tuple(n for n in others if n == "load")}
-    splits |= {} if others == splits["load"] else {"condition": others}
+    splits: dict[str, tuple[str, ...]] = {"slip": ("slip",)}
+    if "load" in others:
+        splits["load"] = ("load",)
+    if others not in ((), ("load",)):
+        splits["condition"] = others
     out = []
-    for split, what in ((split, what) for split, what in splits.items() if what):
+    for split, what in splits.items():
         levels = [problem.data.varied[name].level for name in what]
         groups = np.unique(np.stack(levels), axis=1, return_inverse=True)[1].ravel()
         if groups.max() + 1 < FEWEST_GROUPS:
@@ -516,9 +428,9 @@ def outlook(problem: Problem) -> Outlook:
             at = {name: x[group] for name, x in problem.data.conditions.items()}
             for j, model in enumerate(models):
                 held[j, group] = fit_prediction(rest, near=model).mean_at(at)
-            drawn = _curves(problem, rest.used, rows.slip[group], rows.load[group])
-            if drawn is not None:
-                held[2, group] = drawn
+            curve = drawn(rest, at)
+            if curve is not None:
+                held[2, group] = curve
         out.append(_errors(problem, split, what, held))
     return Outlook(models[1], tuple(out))
 
@@ -526,14 +438,14 @@ def outlook(problem: Problem) -> Outlook:
 def _errors(problem: Problem, split: str, what: tuple[str, ...], held: np.ndarray) -> LeftOut:
     """Errors of held-out predictions [3, N, 3] of the base model, all effects and the curve."""
     off = held - problem.data.y
-    errors: dict[str, Errors] = {}
 
     def size(values: np.ndarray, noise: float) -> Errors:
         base, full, curve = np.sqrt(np.mean(values**2, axis=1))
         return Errors(float(base), float(full), float(curve), noise)
 
-    for j, name in enumerate(CHANNELS):
-        used = problem.used[:, j]
-        if used.any():
-            errors[name] = size(off[:, used, j], float(problem.noise[j]))
+    errors: dict[str, Errors] = {
+        name: size(off[:, used, j], float(problem.noise[j]))
+        for j, (name, used) in enumerate(zip(CHANNELS, problem.used.T, strict=True))
+        if used.any()
+    }
     return LeftOut(split, what, errors, size((off / problem.noise)[:, problem.used], 1.0))

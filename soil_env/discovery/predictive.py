@@ -6,15 +6,16 @@ fitted parameters and the posterior of the sizes of its form errors. `predicted`
 posterior of one to other conditions.
 """
 
+import copy
 import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.special import ndtr
 
-from soil_env.discovery.calibrate import ANY_FORM, LAW_LENGTHS, Fit, Problem
+from soil_env.discovery.calibrate import ANY_FORM, LAW_LENGTHS, Fit, Law, Problem
 from soil_env.discovery.evidence import Evidence
-from soil_env.discovery.instrument import LISTED, nuisances
+from soil_env.discovery.instrument import LISTED
 from soil_env.discovery.prediction import at_conditions
 from soil_env.identification.table.form_error import INPUTS, LENGTHS, Process
 
@@ -66,25 +67,22 @@ def predicted(
         law=candidate.typical("law"), effect=candidate.typical("effect")
     )
 
-    def blocks(
-        of: Problem,
-        values: dict[str, float],
-        output: np.ndarray,
-        added: Sequence[np.ndarray],
-        at: dict[str, np.ndarray],
-    ) -> list[np.ndarray]:
-        stresses = of.stresses(values, fit.choices, output, np.maximum(output[:, 0], 0.0))
-        law, effect = there.form_errors(fit.choices, stresses, added, at)
-        rig = nuisances(
-            of.data.setup, of.bench, of.data.rows, output, tuple(c.effect for c in fit.choices)
-        )
-        return [sizes.law * law[sizes.span], sizes.effect * effect, sizes.rig * rig]
+    def errors(law, u, output, added, at):
+        of_law, effect, rig = law.form_errors(u, output, added, at)
+        blocks = (sizes.law * of_law[sizes.span], sizes.effect * effect, sizes.rig * rig)
+        return map(law.problem.whiten, blocks)
 
     table = problem.data.conditions | problem.data.elapsed
-    known = [
-        problem.block(b)
-        for b in blocks(problem, fit.parameters(), np.nan_to_num(fit.output), fit.added, table)
-    ]
+    ours = copy.copy(problem)
+    ours.law_processes = there.law_processes
+    ours.effect_processes = there.effect_processes
+    known = errors(
+        Law(ours, fit.choices, problem.sinkage_guess(fit)),
+        fit.u,
+        np.nan_to_num(fit.output),
+        fit.added,
+        table,
+    )
     a = np.concatenate([fit.jacobian, *known], axis=1) / sizes.scatter
     start = np.concatenate([fit.u, np.zeros(a.shape[1] - p)])
     covariance = np.linalg.inv(np.eye(start.size) + a.T @ a)
@@ -93,19 +91,16 @@ def predicted(
     )
 
     u = fit.u + off[:p]
-    guess = np.zeros(there.data.rows.slip.size)
+    law = Law(there, fit.choices)
+    out = law.output(u)
+    sunk = law.guess
+    feasible = (sunk > 0.0) & (sunk < DEEPEST * there.data.wheel.radius)
+    feasible &= np.all(np.isfinite(out), axis=1)
+    out = np.nan_to_num(out, posinf=0.0, neginf=0.0)
     at = _conditions(there)
-    values = {k.name: k.value(x) for k, x in zip(fit.unknowns, u, strict=True)}
-    out = there.predict(values, fit.choices, guess)
-    feasible = (
-        (guess > 0.0)
-        & (guess < DEEPEST * there.data.wheel.radius)
-        & np.all(np.isfinite(out), axis=1)
-    )
-    out = np.where(np.isfinite(out), out, 0.0)
-    added = there.added(values, fit.choices, out, guess)
-    ours = [there.block(b) for b in blocks(there, values, out, added, at)]
-    top = np.concatenate([there.derivatives(fit.unknowns, u, fit.choices, guess), *ours], axis=1)
+    added = law.added(u, out)
+    theirs = errors(law, u, out, added, at)
+    top = np.concatenate([law.derivatives(u), *theirs], axis=1)
     mean = out / there.noise + (top[:, p:] @ off[p:]).reshape(-1, 3)
     root = top @ np.linalg.cholesky(covariance + 1e-12 * np.eye(start.size))
     own = np.full(mean.shape, sizes.scatter**2)

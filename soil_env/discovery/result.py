@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from soil_env.discovery.calibrate import Fit, Problem
-from soil_env.discovery.corrected import Guess
+from soil_env.discovery.corrected import Guess, model_of
 from soil_env.discovery.judgement import Gap, Interval
 from soil_env.discovery.locate import Disagreement
 from soil_env.discovery.next_tests import Check, NextTest
@@ -61,8 +61,8 @@ class Report:
     guess: Guess | None  # where the prediction is least sure
     next_checks: tuple[Check, ...]  # of the instrument, before the next runs
     next_tests: tuple[NextTest, ...]
-    fit: Fit  # of the named effects
-    base_model: WheelSoilModel
+    fit: Fit  # of the named effects, under the noise alone
+    base: Fit  # of none
     model: WheelSoilModel  # corrected by all effects and a remainder, whatever is named
     #: [N, 3] held-out predictions of the base model, NaN where no value is in use.
     held_out_before: np.ndarray
@@ -88,6 +88,11 @@ class Report:
         return gap.after > LEFT * gap.noise_floor or gap.after > (1.0 + WORSE) * gap.before
 
     @property
+    def base_model(self) -> WheelSoilModel:
+        """The calibrated base model."""
+        return model_of(self.problem, (), self.base.parameters())
+
+    @property
     def channels(self) -> tuple[str, ...]:
         """Measured channels."""
         return tuple(name for j, name in enumerate(CHANNELS) if self.problem.used[:, j].any())
@@ -109,7 +114,7 @@ class Report:
         """True if a parameter of a named effect was fitted; without an interval it is then at a
         bound of its range.
         """
-        return f"{effect}_{parameter}" in {unknown.name for unknown in self.fit.unknowns}
+        return f"{effect}_{parameter}" in self.fit.parameters()
 
     @property
     def left_out(self) -> list[tuple[int, str]]:

@@ -266,18 +266,8 @@ def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
     reasons = {}
     data = problem.data
     ruled_out = exact(data.setup)
-    words = {
-        "pass": "no pass variation of its own",
-        "speed": "no speed variation of its own",
-        "grade_deg": "no grade variation of its own",
-    }
     for effect in LISTED.values():
-        measured = [
-            k
-            for k in effect.moves
-            if problem.used[:, ("sinkage", "drawbar_pull", "torque").index(k)].any()
-        ]
-        if not measured:
+        if not problem.used[:, [CHANNELS.index(k) for k in effect.moves]].any():
             reasons[effect.name] = f"{' and '.join(effect.moves)} not measured"
         elif effect.name in ruled_out:
             reasons[effect.name] = ruled_out[effect.name]
@@ -288,7 +278,8 @@ def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
             and effect.varies not in data.varied
             and not effect.shows_without
         ):
-            reasons[effect.name] = words[effect.varies]
+            condition = effect.varies.removesuffix("_deg")
+            reasons[effect.name] = f"no {condition} variation of its own"
         else:
             names.append(effect.name)
     return names, reasons

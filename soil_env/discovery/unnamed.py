@@ -24,8 +24,8 @@ import numpy as np
 
 from soil_env.identification.table.rig import BY_ROW
 from soil_env.terramechanics.effects.entry import (
+    CHANNELS,
     PULL,
-    SINKAGE,
     TORQUE,
     Bench,
     Channel,
@@ -49,20 +49,14 @@ def _law(
     *p: EffectParameter,
     varies: str | None = None,
 ) -> Effect:
-    return Effect(
-        name,
-        title,
-        moves,
-        p,
-        (Form(name, tuple(k.name for k in p), "", "own assumption"),),
-        varies=varies,
-    )
+    form = Form(name, tuple(k.name for k in p), "", "own assumption")
+    return Effect(name, title, moves, p, (form,), varies=varies)
 
 
 _BOTH: tuple[Channel, ...] = (PULL, TORQUE)
-_ALL: tuple[Channel, ...] = (SINKAGE, PULL, TORQUE)
 _FORCE = _p("pull", 0.15, -3.0, 3.0), _p("torque", 0.15, -3.0, 3.0)
 _POWER = _p("power", 0.35, 0.3, 4.0, 1.5)
+_LOSS = _p("loss", 0.3, -0.4, 3.0)
 _SLIP = _p("slip", 0.5, 0.03, 1.0, 0.2)
 _COLUMNS = {"speed": 0, "pass": 1}  # of `Rows.conditions`
 #: Soil parameter and condition of the anonymous laws of one soil parameter.
@@ -82,64 +76,41 @@ _PRESSED = {
 _SOIL = _ANONYMOUS | _PRESSED
 #: Laws of sensors, for which no law goes into a model.
 OF_SENSORS = ("torque_curve", "pull_curve")
-UNNAMED: Mapping[str, Effect] = MappingProxyType(
-    {
-        law.name: law
-        for law in (
-            _law(
-                "force",
-                "a force that goes with the sinkage, as of soil beside the wheel",
-                _BOTH,
-                *_FORCE,
-                _POWER,
-            ),
-            _law(
-                "rut_force",
-                "a force that goes with the sinkage in a rut",
-                _BOTH,
-                *_FORCE,
-                _POWER,
-                varies="pass",
-            ),
-            _law("slip_force", "a force that goes with the slip", _BOTH, *_FORCE, _SLIP),
-            _law(
-                "slip_load",
-                "a load that goes with the slip",
-                (SINKAGE, PULL, TORQUE),
-                _p("load", 0.15, -0.8, 2.0),
-                _SLIP,
-            ),
-            _law(
-                "torque_curve",
-                "a torque that is not read in proportion",
-                (TORQUE,),
-                _p("loss", 0.3, -0.4, 3.0),
-            ),
-            _law(
-                "pull_curve",
-                "a drawbar pull that is not read in proportion",
-                (PULL,),
-                _p("loss", 0.3, -0.4, 3.0),
-            ),
-            _law(
-                "soft_wheel",
-                "a wheel that its load deforms",
-                (SINKAGE, PULL, TORQUE),
-                _p("gain", 0.5, -0.4, 4.0),
-            ),
-            *(
-                _law(
-                    name,
-                    f"a soil whose {name.split('_')[0]} alone goes with the {by}",
-                    (SINKAGE, PULL, TORQUE),
-                    _p("power", 0.2, -2.0, 2.0),
-                    varies=by,
-                )
-                for name, (_, by) in _ANONYMOUS.items()
-            ),
+_NAMELESS = (
+    _law(
+        "force",
+        "a force that goes with the sinkage, as of soil beside the wheel",
+        _BOTH,
+        *_FORCE,
+        _POWER,
+    ),
+    _law(
+        "rut_force",
+        "a force that goes with the sinkage in a rut",
+        _BOTH,
+        *_FORCE,
+        _POWER,
+        varies="pass",
+    ),
+    _law("slip_force", "a force that goes with the slip", _BOTH, *_FORCE, _SLIP),
+    _law(
+        "slip_load", "a load that goes with the slip", CHANNELS, _p("load", 0.15, -0.8, 2.0), _SLIP
+    ),
+    _law("torque_curve", "a torque that is not read in proportion", (TORQUE,), _LOSS),
+    _law("pull_curve", "a drawbar pull that is not read in proportion", (PULL,), _LOSS),
+    _law("soft_wheel", "a wheel that its load deforms", CHANNELS, _p("gain", 0.5, -0.4, 4.0)),
+    *(
+        _law(
+            name,
+            f"a soil whose {name.split('_')[0]} alone goes with the {by}",
+            CHANNELS,
+            _p("power", 0.2, -2.0, 2.0),
+            varies=by,
         )
-    }
+        for name, (_, by) in _ANONYMOUS.items()
+    ),
 )
+UNNAMED: Mapping[str, Effect] = MappingProxyType({law.name: law for law in _NAMELESS})
 
 
 #: Laws of soil that goes with the pressure, which predict (`prediction`) and are not named.
@@ -147,7 +118,7 @@ UNNAMED: Mapping[str, Effect] = MappingProxyType(
 #: K: grows with the contact length, and so with load (fitted here).
 OF_LOAD: Mapping[str, Effect] = MappingProxyType(
     {
-        name: _law(name, f"a soil whose {name.split('_')[0]} goes with the load", _ALL, power)
+        name: _law(name, f"a soil whose {name.split('_')[0]} goes with the load", CHANNELS, power)
         for name, power in (
             ("friction_load", _p("power", 0.12, -1.0, 1.0)),
             ("modulus_load", _p("power", 0.6, -3.0, 3.0)),
@@ -184,13 +155,11 @@ def factors(rows: Rows, values: Mapping[str, float], bench: Bench) -> np.ndarray
     law.
     """
     laws = [name for name in _SOIL if f"{name}_power" in values]
-    if not laws:
-        return None
     out = np.ones((rows.slip.size, len(BY_ROW)))
     for name in laws:
         parameter, by = _SOIL[name]
         out[:, BY_ROW.index(parameter)] *= _factor(rows, by, bench) ** values[f"{name}_power"]
-    return out
+    return out if laws else None
 
 
 def _factor(rows: Rows, by: str, bench: Bench) -> np.ndarray:

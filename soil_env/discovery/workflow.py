@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from soil_env._io.loading import ParameterError
 from soil_env.discovery import doubts, judgement
 from soil_env.discovery.calibrate import EXACT, PRIOR_WIDTH, Fit, Problem, calibrate
-from soil_env.discovery.corrected import corrected, least_sure, model_of, parameters
+from soil_env.discovery.corrected import corrected, least_sure, parameters
 from soil_env.discovery.evidence import Evidence
 from soil_env.discovery.instrument import LISTED, exact
 from soil_env.discovery.judgement import Interval, held_out_predictions
@@ -63,8 +63,8 @@ def run(
         rows.source,
         "" if isinstance(setup, Setup) else os.fspath(setup),
         seed,
-        None if isinstance(table, Table) else _digest(table),
-        None if isinstance(setup, Setup) else _digest(setup),
+        _digest(table),
+        _digest(setup),
     )
     # The matrices are small: threads of the BLAS cost more than they give.
     with threadpool_limits(1):
@@ -75,8 +75,11 @@ def run(
     return report
 
 
-def _digest(path: str | Path) -> str:
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+def _digest(given: Table | Setup | str | Path) -> str | None:
+    """SHA-256 of a file; None where none was read."""
+    if isinstance(given, (Table, Setup)):
+        return None
+    return hashlib.sha256(Path(given).read_bytes()).hexdigest()
 
 
 def _conclude(
@@ -89,19 +92,18 @@ def _conclude(
     say("calibrating the base model")
     problem, noise = calibrate(prepare(examined.table, setup))
     finding = search(problem, lambda text: say(f"searching: {text}"))
-    base = finding.best().evidence.fit
     say("predicting what was held out")
     rng = np.random.default_rng([settings.seed, 1])
-    finding, (plain, final), held = _that_predicts(problem, finding, base, settings.seed)
+    finding, fits, held = _that_predicts(problem, finding, settings.seed)
     before = held[()]
     after = held[finding.names]
+    final = fits[finding.names]
     doubted += doubts.of_lone_rows(problem, noise, finding, say)
     say("locating the disagreement")
-    where = locate(problem, problem.fit((), base.parameters()), settings.seed)
-    own = finding.stated.evidence
-    shares = judgement.shares(
-        problem, before, {some: there for some, there in held.items() if some}
+    where = locate(
+        problem, problem.fit((), finding.best().evidence.fit.parameters()), settings.seed
     )
+    own = finding.stated.evidence
     gap = judgement.gaps(problem, before, after)
     closed = judgement.closed(problem, gap) if final.choices else None
     say("predicting with all effects")
@@ -117,7 +119,7 @@ def _conclude(
         where=where,
         gap=gap,
         closed=closed,
-        effects=_effects(problem, finding, final, intervals, shares),
+        effects=_effects(problem, finding, final, intervals, judgement.shares(problem, held)),
         soil=_soil(problem, intervals),
         closed_interval=interval,
         outlook=foreseen,
@@ -125,7 +127,7 @@ def _conclude(
         next_checks=next_checks(finding, runs),
         next_tests=runs,
         fit=final,
-        base_model=model_of(problem, (), plain.parameters()),
+        base=fits[()],
         model=corrected(foreseen.model, finding.names),
         held_out_before=before,
         held_out_after=after,
@@ -137,16 +139,15 @@ def _conclude(
 
 STRUCTURED = 1e-3  # p value of a pattern below which a model does not explain the table
 FAR = 8.0  # [sd of the setup] of a soil parameter
+Fits = dict[tuple[str, ...], Fit]  # by set of effects
 Held = dict[tuple[str, ...], np.ndarray]  # held-out predictions [N, 3] by set of effects
 
 
-def _that_predicts(
-    problem: Problem, finding: Finding, base: Fit, seed: int
-) -> tuple[Finding, tuple[Fit, Fit], Held]:
+def _that_predicts(problem: Problem, finding: Finding, seed: int) -> tuple[Finding, Fits, Held]:
     """The finding without sets of effects that held-out rows speak against.
 
-    With it the fits of the base model and of the named effects, and the held-out predictions of the
-    base model, of the named effects and, where there are two, of each alone.
+    With it the fits, and the held-out predictions, of the base model, of the named effects and,
+    where there are two, of each alone.
 
     Evidence is as certain as the shapes that form errors are assumed to have. Where the law errs in
     another way, it may be sure of effects that are not there. Refuted are effects that predict rows
@@ -176,17 +177,17 @@ def _that_predicts(
         # is, without the form error that this table shows, is its fit under noise alone (White
         # 1982, Econometrica 50:1-25).
         noise_alone = EXACT._replace(scatter=own.sizes.scatter)
-        fits = {}
-        for some in dict.fromkeys(((), *((n,) for n in names), names)):
-            near = (
-                base if not some else own.fit if some == names else finding.best(*some).evidence.fit
-            )
-            fits[some] = problem.fit(near.choices, near.parameters(), noise_alone)
+        near: Fits = {(n,): finding.best(n).evidence.fit for n in names}
+        near |= {names: own.fit, (): finding.best().evidence.fit}
+        fits = {
+            some: problem.fit(fit.choices, fit.parameters(), noise_alone)
+            for some, fit in near.items()
+        }
         held = {some: held_out_predictions(problem, fit) for some, fit in fits.items()}
         if not any(
             _worse(problem, some, held[some], held[names], seed) for some in held if some != names
         ):
-            return finding, (fits[()], fits[names]), held
+            return finding, fits, held
         finding = finding.without(names)
 
 
@@ -233,9 +234,8 @@ def _effects(
 
 
 def _soil(problem: Problem, intervals: dict[str, Interval]) -> dict[str, Interval]:
-    given = {name: Interval(value, value, value) for name, value in problem.known.items()}
+    given = problem.known | {"density": problem.density}
     return {
         **{k.name: intervals[k.name] for k in problem.soil},
-        **given,
-        "density": Interval(*[problem.density] * 3),
+        **{name: Interval(x, x, x) for name, x in given.items()},
     }

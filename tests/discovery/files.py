@@ -72,10 +72,16 @@ def data_of(folder, table: str, setup: str = SETUP) -> Data:
     return prepare(read_table(data, known.wheel, known.ignore_columns), known)
 
 
+def with_column(text: str, name: str, value) -> str:
+    """The table with a column, new or in place of its own: `value` of each row {name: number}."""
+    rows = list(csv.DictReader(text.splitlines()))
+    for row in rows:
+        row[name] = repr(value({key: float(x) for key, x in row.items()}))
+    return "\n".join(",".join(line) for line in (rows[0], *(row.values() for row in rows))) + "\n"
+
+
 def changed(text: str, name: str, change) -> str:
     """The table with `change` of each value of one column, a function or a factor."""
-    lines = list(csv.reader(text.splitlines()))
-    k = lines[0].index(name)
-    for line in lines[1:]:
-        line[k] = repr(change(float(line[k])) if callable(change) else change * float(line[k]))
-    return "\n".join(",".join(line) for line in lines) + "\n"
+    if callable(change):
+        return with_column(text, name, lambda row: change(row[name]))
+    return with_column(text, name, lambda row: change * row[name])

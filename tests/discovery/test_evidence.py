@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from soil_env.discovery import evidence
-from soil_env.discovery.calibrate import Sizes
+from soil_env.discovery.calibrate import Law, Sizes
 from soil_env.discovery.instrument import Choice
 from soil_env.discovery.search import forms
 from tests.discovery.tables import NOISE, problem, table
@@ -173,9 +173,8 @@ def test_beds_that_differ_are_a_pattern_of_the_stress():
         for name in evidence.patterns(problem(data, np.random.default_rng(3)), p.fit())
         if "bed" in name
     ]
-    softer = p.stresses(
-        p.fit().parameters(), (), p.fit().output, np.maximum(p.fit().output[:, 0], 0.0)
-    )[0]
+    fit = p.fit()
+    softer = Law(p, (), p.sinkage_guess(fit)).stresses(fit.u, fit.output)[0]
     off = np.array([0.2, -0.15, 0.1, -0.2, 0.15, -0.1])[bed]
     q = problem(there, np.random.default_rng(3), softer * off[:, None])
     free = evidence.anonymous(q, evidence.settle(q, ()))

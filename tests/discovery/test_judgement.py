@@ -74,14 +74,15 @@ def test_shares_of_two_effects_sum_to_what_both_close(problem):
     rng = np.random.default_rng(5)
     before = predictions(problem, 4.0, rng)
     held = {
+        (): before,
         ("a",): predictions(problem, 3.0, rng),
         ("b",): predictions(problem, 2.0, rng),
         ("a", "b"): predictions(problem, 1.2, rng),
     }
-    shares = judgement.shares(problem, before, held)
+    shares = judgement.shares(problem, held)
     both = judgement.closed(problem, judgement.gaps(problem, before, held["a", "b"]))
     assert sum(shares.values()) == pytest.approx(both) and shares["b"] > shares["a"] > 0.0
-    alone = judgement.shares(problem, before, {("b",): held["b",]})
+    alone = judgement.shares(problem, {(): before, ("b",): held["b",]})
     assert alone["b"] == judgement.closed(problem, judgement.gaps(problem, before, held["b",]))
 
 

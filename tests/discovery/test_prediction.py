@@ -16,7 +16,7 @@ from soil_env.discovery.prediction import (
     outlook,
 )
 from soil_env.discovery.search import candidates
-from tests.discovery.files import NOISE, PLANTED, changed, data_of, table_text, world
+from tests.discovery.files import NOISE, PLANTED, changed, data_of, table_text, with_column, world
 
 LOADS = (80.0, 120.0, 180.0)
 
@@ -95,17 +95,16 @@ def test_the_deviations_of_a_model_without_remainder_are_those_of_noise_and_soil
 def test_a_smooth_remainder_that_no_effect_has_is_predicted(tmp_path):
     """A torque with a hump of ten times the noise amid the slips."""
     slips = np.linspace(0.02, 0.6, 12)
-    text = table_text({}, loads=LOADS, slips=slips)
-    lines = [line.split(",") for line in text.splitlines()]
-    k = lines[0].index("torque")
-    s = lines[0].index("slip")
 
     def hump(slip):
         return 1.0 * np.exp(-0.5 * ((slip - 0.3) / 0.08) ** 2)
 
-    for line in lines[1:]:
-        line[k] = f"{float(line[k]) + hump(float(line[s])):.6g}"
-    problem = problem_of(tmp_path, "\n".join(map(",".join, lines)) + "\n")
+    text = with_column(
+        table_text({}, loads=LOADS, slips=slips),
+        "torque",
+        lambda row: row["torque"] + float(hump(row["slip"])),
+    )
+    problem = problem_of(tmp_path, text)
     at = {"slip": np.array([0.285, 0.32]), "load": np.array([110.0, 140.0])}
     y = truth({}, at["slip"], at["load"])
     y[:, 2] += hump(at["slip"])
@@ -128,12 +127,8 @@ def test_the_outlook_tells_how_well_each_model_predicts(planted):
 
 
 def test_what_follows_from_slip_is_no_condition_of_its_own(tmp_path):
-    text = table_text({}, loads=LOADS)
-    lines = [line.split(",") for line in text.splitlines()]
-    s = lines[0].index("slip")
-    speeds = ["speed", *(repr(0.1 * (1.0 - float(line[s]))) for line in lines[1:])]
-    whole = "\n".join(",".join((*line, v)) for line, v in zip(lines, speeds, strict=True)) + "\n"
-    problem = problem_of(tmp_path, whole)
+    text = with_column(table_text({}, loads=LOADS), "speed", lambda row: 0.1 * (1.0 - row["slip"]))
+    problem = problem_of(tmp_path, text)
     assert list(problem.data.varied) == independent(problem) == ["slip", "load"]
     assert "penetration_rate" in candidates(problem)[1]
     assert not {"penetration_rate", "shear_rate"} & {c.effect for c in carried(problem)}
@@ -160,9 +155,7 @@ soil:
 noise: {sinkage: 0.0006, drawbar_pull: 0.8, torque: 0.1}
 """
     problem = calibrate(data_of(tmp_path, table_text({}), setup))[0]
-    base = fit_prediction(problem, (), smooth=False)
-    found = {k.name: k.value(x) for k, x in zip(base.unknowns, base.u, strict=True)}
-    assert found["cohesion"] > 1500.0
+    assert fit_prediction(problem, (), smooth=False).values["cohesion"] > 1500.0
 
 
 def test_a_table_of_one_channel_is_predicted(tmp_path):

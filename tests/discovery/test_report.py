@@ -7,16 +7,19 @@ import math
 import re
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from soil_env.discovery import report as drawn, run
-from soil_env.discovery.calibrate import PRIOR_WIDTH
+from soil_env.discovery.calibrate import PRIOR_WIDTH, calibrate
 from soil_env.discovery.instrument import LISTED
 from soil_env.discovery.judgement import Gap
 from soil_env.discovery.next_tests import CHECKS
+from soil_env.discovery.prediction import fit_prediction
 from soil_env.discovery.report import equations, sentences, words
+from soil_env.discovery.report.pictures import curves
 from soil_env.identification.table.data import CHANNELS
-from tests.discovery.files import PLANTED, SETUP, table_text, write_files
+from tests.discovery.files import PLANTED, SETUP, data_of, table_text, write_files
 
 KEYS = (
     "verdict",
@@ -67,7 +70,49 @@ def test_a_guess_where_only_the_slip_varies_is_told(planted):
     """As of a rig with one load."""
     guess = planted.guess._replace(conditions={"slip": 0.9}, times=5.0)
     told = sentences.foreseen(dataclasses.replace(planted, guess=guess))
-    assert "It guesses at slip 0.9 (drawbar pull " in told
+    assert "It guesses at slip 0.9 (drawbar pull " in told and "not to learn what is" in told
+
+
+@pytest.mark.parametrize(
+    ("form", "simulated", "words"),
+    [
+        ("excavation", {"gain": 0.0, "recovery": 0.5, "exponent_slope": 0.1}, 'not "excavation"'),
+        ("ratio", {"gain": 1.4, "recovery": 0.5}, 'the form "ratio",'),
+        ("ratio", None, "no equation"),
+    ],
+)
+def test_the_summary_says_what_the_model_simulates_of_a_name(planted, form, simulated, words):
+    """A name is stated in the form that fits best, which need not be that of model.yaml."""
+    own = {} if simulated is None else {"slip_sinkage": simulated}
+    report = dataclasses.replace(
+        planted,
+        effects=(dataclasses.replace(planted.effects[0], form=form),),
+        model=dataclasses.replace(planted.model, effects=own),
+    )
+    first, second, *_ = sentences.summary(report).replace("%).", "%)|").split("|")
+    assert "slip-sinkage" in first and words in second.partition(". ")[0]
+    assert ('"ratio" and "exponent"' in second) == (form == "excavation")
+
+
+def test_an_error_of_the_rig_is_in_no_model(planted):
+    effect = dataclasses.replace(planted.effects[0], name="tilt", form="constant", parameters={})
+    said = sentences.simulated(dataclasses.replace(planted, effects=(effect,)))
+    assert "simulates nothing" in said
+
+
+def test_curves_have_the_tilt_of_a_rig_once(tmp_path):
+    """Where the load is vertical it is a part of the grade."""
+    setup = SETUP + "tilt_deg: {value: 4, sd: 0.01}\nload: vertical\n"
+    problem = calibrate(data_of(tmp_path, table_text({}, loads=(100, 200)), setup))[0]
+    model = fit_prediction(problem, (), smooth=False)
+    report = SimpleNamespace(
+        problem=problem, base=problem.fit(), outlook=SimpleNamespace(model=model)
+    )
+    rows = problem.data.groups[0]
+    slip, *drawn_curves = curves(report, rows)
+    for curve, known in zip(drawn_curves, (report.base.output, model.output), strict=True):
+        found = np.interp(problem.data.rows.slip[rows], slip, curve[:, 1])
+        assert found == pytest.approx(known[rows, 1], abs=0.5)
 
 
 def test_a_misfit_without_a_name_is_no_agreement(nothing):
@@ -239,5 +284,6 @@ def test_runs_that_separate_nothing_are_not_recommended(sure, words):
     )
     assert sentences.right_now(report) == pytest.approx(0.745)
     assert words in sentences.after_next(report)
+    assert "what is missing" in sentences.after_next(report)
     assert sentences.runs_help(report) == (sure > 0.8)
     assert not sentences.runs_help(SimpleNamespace(next_tests=[]))

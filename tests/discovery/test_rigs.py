@@ -68,7 +68,7 @@ def test_wheels_are_a_condition(tmp_path):
     assert [len(way) for way in folds(data)] == [6, 6]  # slips; loads with wheels
     assert data.cell.max() + 1 == 36
     problem = calibrate(data)[0]
-    assert any(set(limit) == {"grouser_height"} for limit in boxes(problem).limits)
+    assert any(set(limit) == {"grouser_height"} for limit in boxes(problem)[0])
     grid = conditions(problem, ())
     wheels = np.unique(np.stack([grid.value[name] for name in WHEEL], axis=1), axis=0)
     assert (

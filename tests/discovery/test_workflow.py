@@ -15,7 +15,16 @@ from soil_env.discovery.instrument import Choice
 from soil_env.discovery.report import content, words
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import WheelSoilModel
-from tests.discovery.files import PLANTED, SETUP, data_of, table_text, world, write_files
+from tests.discovery.files import (
+    PLANTED,
+    SETUP,
+    changed,
+    data_of,
+    table_text,
+    with_column,
+    world,
+    write_files,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -80,7 +89,7 @@ def test_the_held_out_gap_is_that_of_refits_without_the_group(planted):
     for level in ways:
         for k in range(level.max() + 1):
             rest = problem.without(level == k)
-            there = rest.fit((), fit.parameters(), fit.sizes, rest.restricted(fit, problem.used))
+            there = rest.fit((), fit.parameters(), fit.sizes, rest.fit((), fit.parameters()))
             predicted[level == k] += there.output[level == k] / len(ways)
     refitted = judgement.gaps(problem, predicted, predicted)
     for name, g in planted.gap.items():
@@ -125,12 +134,12 @@ def test_what_is_unlisted_is_in_the_corrected_model(tmp_path):
     """A drawbar pull that falls with the square of the speed, all else unchanged, is in no
     catalogue: the remainder has it.
     """
-    lines = table_text({}, loads=(60, 100, 150, 220), speed=(0.02, 0.06, 0.2)).splitlines()
-    out = [lines[0]]
-    for line in lines[1:]:
-        load, speed, slip, z, pull, torque = (float(x) for x in line.split(","))
-        out.append(f"{load},{speed},{slip},{z},{pull - 600.0 * speed**2},{torque}")
-    report = run(*write_files(tmp_path, "\n".join(out) + "\n"), tmp_path / "out")
+    text = with_column(
+        table_text({}, loads=(60, 100, 150, 220), speed=(0.02, 0.06, 0.2)),
+        "drawbar_pull",
+        lambda row: row["drawbar_pull"] - 600.0 * row["speed"] ** 2,
+    )
+    report = run(*write_files(tmp_path, text), tmp_path / "out")
     assert report.verdict == "unlisted" and report.effects == () and report.where
     model = WheelSoilModel.load(tmp_path / "out" / "model.yaml")
     assert {"slip", "load", "speed"} == set(model.remainder.axes)
@@ -144,10 +153,7 @@ def test_what_is_unlisted_is_in_the_corrected_model(tmp_path):
 
 
 def test_a_sensor_that_is_not_linear_is_to_be_checked(tmp_path):
-    lines = table_text({}, loads=(60, 120, 220)).splitlines()
-    for k, line in enumerate(lines[1:], start=1):
-        *others, torque = line.split(",")
-        lines[k] = ",".join((*others, str(float(torque) / (1.0 + 0.08 * float(torque)))))
-    report = run(*write_files(tmp_path, "\n".join(lines) + "\n"))
+    text = changed(table_text({}, loads=(60, 120, 220)), "torque", lambda x: x / (1.0 + 0.08 * x))
+    report = run(*write_files(tmp_path, text))
     assert report.verdict == "unlisted" and report.finding.hypotheses[0].law == "torque_curve"
     assert "each sensor with several" in words.next_step(report)

@@ -92,14 +92,6 @@ def _common(report: Report) -> dict[str, Any]:
         "tables": tables,
         "blocks": equations.blocks(report),
         "cautions": sentences.cautions(report),
-        "where": [
-            (
-                sentences.disagreement(report, d),
-                "< 1e-6" if d.p_value < 1e-6 else f"{d.p_value:.2g}",
-            )
-            for d in report.where
-        ],
-        "next_tests": [sentences.next_test(report, t) for t in report.next_tests],
     }
 
 
@@ -124,8 +116,6 @@ def show(report: Report, console: Console) -> None:
 
 def content(report: Report) -> dict[str, Any]:
     """Plain values for JSON, null where there is no number; every key is always present."""
-    shown = [block.content() for block in equations.blocks(report)]
-    first = list(report.doubts)
     noise = report.noise
     return plain(
         {
@@ -135,56 +125,38 @@ def content(report: Report) -> dict[str, Any]:
             "next_step": words.next_step(report),
             "candidates": report.finding.candidates,
             "effects": [
-                {
-                    "name": e.name,
-                    "form": e.form,
-                    "parameters": {k: v._asdict() for k, v in e.parameters.items()},
-                    "probability": e.probability,
+                vars(e)
+                | {
                     "probability_if_laws_err": report.finding.if_laws_err(e.name),
                     "sure": report.finding.is_sure(e.name),
-                    "share": e.share,
-                    "alternatives": e.alternatives,
                     "explained": words.EXPLAINED[e.name],
                     "symbols": {p.name: p.symbol for p in LISTED[e.name].parameters if p.symbol},
-                    **block,
+                    **block.content(),
                 }
-                for e, block in zip(report.effects, shown, strict=False)
+                for e, block in zip(report.effects, equations.blocks(report), strict=True)
             ],
             "where": [vars(d) | {"words": sentences.disagreement(report, d)} for d in report.where],
-            "ranking": [r._asdict() for r in report.finding.ranking],
-            "gap": {name: g._asdict() for name, g in report.gap.items()},
+            "ranking": report.finding.ranking,
+            "gap": report.gap,
             "remainder": {
                 n: dict(zip(("rms", "share"), g.remainder, strict=True))
                 for n, g in report.gap.items()
             },
             "closed": report.closed,
-            "prediction": {
-                way.split: {name: errors._asdict() for name, errors in way.errors.items()}
-                for way in report.outlook.left_out
-            },
+            "prediction": {way.split: way.errors for way in report.outlook.left_out},
             "foreseen": sentences.foreseen(report),
             "if_laws_err": sentences.if_laws_err(report),
-            "guess": report.guess and report.guess._asdict(),
+            "guess": report.guess,
             "closed_interval": report.closed_interval,
             "untestable": [{"name": k, "reason": v} for k, v in report.finding.untestable.items()],
             "detectable": {name: d.size for name, d in report.finding.detectable.items()},
             "detectable_as": {
-                name: {
-                    "form": d.form,
-                    "parameter": d.parameter,
-                    "unit": LISTED[name].parameter(d.parameter).unit,
-                    "power": d.power,
-                }
+                name: d._asdict() | {"unit": LISTED[name].parameter(d.parameter).unit}
                 for name, d in report.finding.detectable.items()
             },
-            "next_checks": [c._asdict() for c in report.next_checks],
+            "next_checks": report.next_checks,
             "next_tests": [
-                vars(t)
-                | {
-                    "predicted": [p._asdict() for p in t.predicted],
-                    "words": sentences.next_test(report, t),
-                }
-                for t in report.next_tests
+                vars(t) | {"words": sentences.next_test(report, t)} for t in report.next_tests
             ],
             "probability": {
                 "none": report.finding.none,
@@ -206,11 +178,7 @@ def content(report: Report) -> dict[str, Any]:
             "refuted": report.finding.refuted,
             "law_error": report.law_error,
             "soil": {
-                name: v._asdict()
-                | {
-                    "known": report.known(name),
-                }
-                for name, v in report.soil.items()
+                name: v._asdict() | {"known": report.known(name)} for name, v in report.soil.items()
             },
             "scatter": report.finding.scatter,
             "noise": {
@@ -219,9 +187,9 @@ def content(report: Report) -> dict[str, Any]:
                 if name in report.channels
             },
             "left_out": [{"row": row, "channel": name} for row, name in report.left_out],
-            "check_first": first,
-            "cautions": [*first, *sentences.cautions(report)],
-            "trust": {name: list(pair) for name, pair in report.model.validity.items()},
+            "check_first": report.doubts,
+            "cautions": [*report.doubts, *sentences.cautions(report)],
+            "trust": report.model.validity,
             "rows": len(report.problem.data.table),
             "settings": vars(report.settings),
             "versions": {

@@ -7,15 +7,16 @@ from html import escape
 from typing import Any, NamedTuple
 
 from soil_env.discovery.instrument import LISTED
+from soil_env.discovery.report.sentences import SOIL
 from soil_env.discovery.result import EffectFound, Report
 from soil_env.terramechanics.effects.text import fitted, legend, plain, published, used
 
-_SOIL = {
-    "phi": ("friction_angle_deg", "deg"),
-    "c": ("cohesion", "Pa"),
-    "K": ("shear_modulus", "m"),
-    "S": ("sinkage_coefficient", "N/m^(n+2)"),
-    "n": ("sinkage_exponent", ""),
+_SYMBOLS = {
+    "friction_angle_deg": "phi",
+    "cohesion": "c",
+    "shear_modulus": "K",
+    "sinkage_coefficient": "S",
+    "sinkage_exponent": "n",
 }
 _GREEK = {"theta": "θ", "phi": "φ", "gamma": "γ", "tau": "τ", "sigma": "σ"}
 _FUNCTIONS = ("exp", "ln", "sqrt", "tan", "sin", "cos", "tanh", "cot")
@@ -33,11 +34,12 @@ class Block(NamedTuple):
 
     def content(self) -> dict[str, Any]:
         """The block in report.json."""
-        out = {
+        return {
             "equation": "; ".join(self.equation),
             "fitted": "; ".join(self.fitted or self.equation),
+            "where": self.where,
+            "source": self.source,
         }
-        return out | {"where": self.where, "source": self.source}
 
 
 def blocks(report: Report) -> list[Block]:
@@ -49,7 +51,9 @@ def _of_effect(report: Report, e: EffectFound) -> Block:
     effect = LISTED[e.name]
     wheel = report.model.wheel
     form = effect.form(e.form)
-    known = {symbol: _number(report.soil[key].value, unit) for symbol, (key, unit) in _SOIL.items()}
+    known = {
+        symbol: _number(report.soil[name].value, SOIL[name][1]) for name, symbol in _SYMBOLS.items()
+    }
     known |= {
         "r": _number(wheel.radius, "m"),
         "b": _number(wheel.width, "m"),
@@ -66,15 +70,12 @@ def _of_effect(report: Report, e: EffectFound) -> Block:
         value = e.parameters[name]
         said = f" = {_number(value.value, p.unit, 3)}"
         if value.low != value.high:
-            said += (
-                f" (95 % interval {_number(value.low, '', 3)} to {_number(value.high, p.unit, 3)})"
-            )
+            ends = f"{_number(value.low, '', 3)} to {_number(value.high, p.unit, 3)}"
+            said += f" (95 % interval {ends})"
+        elif report.is_free(e.name, name):
+            said += " (at a bound of its range)"
         else:
-            said += (
-                " (at a bound of its range)"
-                if report.is_free(e.name, name)
-                else " (set, not fitted)"
-            )
+            said += " (set, not fitted)"
         numbers.append((p.symbol, f"{said}: {p.doc}"))
     values = {name: p.value for name, p in e.parameters.items()}
     return Block(
@@ -94,14 +95,8 @@ def _number(x: float, unit: str = "", digits: int = 4) -> str:
 def mathematics(text: str) -> str:
     """An equation in plain text as HTML: italic letters, subscripts, superscripts, Greek."""
     text = escape(text, quote=False)
-    out = []
-    unit = re.compile(r"\(-?[\d.e+-]+ [^()]+\)")
     # A number with its unit stays as it is.
-    for piece in re.split(r"(\(-?[\d.e+-]+ [A-Za-z][^()]*\))", text):
-        out.append(
-            piece if unit.fullmatch(piece) else re.sub(r"(?<![&\w])[A-Za-z]\w*", _symbol, piece)
-        )
-    text = "".join(out)
+    text = re.sub(r"(\(-?[\d.e+-]+ [A-Za-z][^()]*\))|(?<![&\w])[A-Za-z]\w*", _symbol, text)
     text = re.sub(r"\^\(([^()]*)\)", r"<sup>\1</sup>", text)
     text = re.sub(r"\^(-?[\w.]+|<i>.*?</i>)", r"<sup>\1</sup>", text)
     return re.sub(r"(?<=[\s(\[=>])-(?=[\s\d(<\w])", "−", f" {text}").strip()
@@ -109,8 +104,8 @@ def mathematics(text: str) -> str:
 
 def _symbol(match: re.Match) -> str:
     name, _, below = match[0].partition("_")
-    if name in _FUNCTIONS:
-        return name
+    if match[1] or name in _FUNCTIONS:
+        return match[0]
     digits = re.fullmatch(r"([A-Za-z]+?)(\d+|m|p)", name)
     if digits and (digits[1] in _GREEK or len(digits[1]) == 1) and not below:
         name = digits[1]

@@ -1,7 +1,6 @@
 """Plots of a report, as SVG; the same report gives the same bytes."""
 
 import io
-import math
 import re
 from typing import Any
 
@@ -11,6 +10,8 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from soil_env._io.document import plot_text
+from soil_env.discovery.calibrate import Law
+from soil_env.discovery.prediction import at_conditions
 from soil_env.discovery.report.sentences import CONDITIONS, TITLES, UNITS, fixed, title
 from soil_env.discovery.result import Report
 from soil_env.identification.table.data import CHANNELS
@@ -86,12 +87,14 @@ def _with_legend(figure: Figure, axes: np.ndarray, columns: int) -> Figure:
 def _predicted(report: Report) -> Figure:
     """Held-out predictions without and with the named effects against what was measured."""
     figure, axes = _columns(report, 3.6)
+    models = [(report.held_out_before, BEFORE, "base model")]
+    if report.effects:
+        models.append((report.held_out_after, AFTER, "with the named effects"))
     for name, ax in zip(report.channels, axes[0], strict=True):
         j = CHANNELS.index(name)
-        (unit, scale) = UNITS[name]
+        unit, scale = UNITS[name]
         y = scale * report.problem.data.y[:, j]
-        image = y.size > MANY
-        for held, color, label in _both(report, report.held_out_before, report.held_out_after):
+        for held, color, label in models:
             ax.plot(
                 y,
                 scale * held[:, j],
@@ -101,7 +104,7 @@ def _predicted(report: Report) -> Figure:
                 alpha=0.7,
                 label=label,
                 mew=0,
-                rasterized=image,
+                rasterized=y.size > MANY,
             )
         used = y[report.problem.used[:, j]]
         ends = np.array([used.min(), used.max()])
@@ -112,13 +115,6 @@ def _predicted(report: Report) -> Figure:
     return _with_legend(figure, axes, 2)
 
 
-def _both(report: Report, before, after):
-    """(values, colour, label) of each model; the base model alone where nothing is named."""
-    yield before, BEFORE, "base model"
-    if report.effects:
-        yield after, AFTER, "with the named effects"
-
-
 def groups(report: Report) -> list[tuple[str, np.ndarray]]:
     """At most `CURVES` groups of rows that differ in slip alone, (what they share, rows sorted by
     slip).
@@ -127,7 +123,7 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
     the one that it misses most.
     """
     data = report.problem.data
-    varied = report.problem.data.varied
+    varied = data.varied
     others = [c for name, c in varied.items() if name != "slip"]
     found = []
     for k, rows in enumerate(data.groups):
@@ -135,13 +131,9 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
             off = (data.y - report.held_out_before)[rows] / report.problem.noise
             found.append((float(np.nanmean(off**2)) if np.isfinite(off).any() else 0.0, k, rows))
     found.sort(key=lambda f: f[:2])
-    picked = (
-        [found[k] for k in sorted({round(x) for x in np.linspace(0, len(found) - 1, CURVES)})]
-        if found
-        else []
-    )
+    evenly = np.linspace(0, len(found) - 1, min(CURVES, len(found))).round().astype(int)
     out = []
-    for _, _, rows in picked:
+    for _, _, rows in (found[k] for k in evenly):
         parts = [_value(c.name, float(np.median(c.value[rows]))) for c in others]
         out.append((", ".join(parts), rows[np.argsort(data.rows.slip[rows], kind="stable")]))
     return out
@@ -150,6 +142,19 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
 def _value(name: str, x: float) -> str:
     label, unit = CONDITIONS[name]
     return f"{label} {round(x, 1) if name == 'grade_deg' else x:.3g}{unit}"
+
+
+def curves(report: Report, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(slips [60], values [60, 3] of the base model and of the corrected one) over the slips of a
+    group of rows, as the rig measures them.
+    """
+    data = report.problem.data
+    at: dict[str, Any] = {
+        name: float(np.mean(column[rows])) for name, column in data.conditions.items()
+    }
+    at["slip"] = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), 60)
+    base = Law(at_conditions(report.problem, at), ()).output(report.base.u)
+    return at["slip"], base, report.outlook.model.mean_at(at)
 
 
 def _slip(report: Report) -> Figure:
@@ -163,29 +168,11 @@ def _slip(report: Report) -> Figure:
         axis.set_title(f"{TITLES[name]} [{UNITS[name][0]}]")
     for axis in axes[-1]:
         axis.set_xlabel("slip")
-    # Of the rig; a model has none.
-    tilt = report.soil["tilt_deg"].value if "tilt_deg" in report.soil else 0.0
     for (label, rows), line in zip(picked, axes, strict=False):
-        slip = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), 60)
-        middle = data.rows.wheels[rows[len(rows) // 2]]
-        at: dict[str, Any] = {
-            name: float(np.median(column[rows])) for name, column in data.conditions.items()
-        }
-        at |= {
-            "slip": slip,
-            "load": data.rows.load[rows].mean(),
-            "grade_deg": data.conditions["grade_deg"][rows].mean(),
-        }
-        at |= dict(zip(("wheel_radius", "wheel_width", "grouser_height"), middle, strict=True))
-        if data.setup.load == "vertical":
-            at["grade_deg"] += tilt
-        along = np.array(
-            [0.0, at["load"] * math.sin(math.radians(tilt)) * (data.setup.load == "normal"), 0.0]
-        )
-        base = np.stack(report.base_model.predict(at)[:3], axis=1) - along
+        slip, base, corrected = curves(report, rows)
         lines = [
             (base, BEFORE, "base model"),
-            (report.outlook.model.mean_at(at), AFTER, "corrected model"),
+            (corrected, AFTER, "corrected model"),
         ]
         for name, ax in zip(report.channels, line, strict=True):
             j = CHANNELS.index(name)
@@ -223,13 +210,12 @@ def _next(report: Report) -> Figure:
     figure, axes = _columns(report, 3.4)
     for name, ax in zip(report.channels, axes[0], strict=True):
         j = CHANNELS.index(name)
-        (unit, scale) = UNITS[name]
+        unit, scale = UNITS[name]
         for k, said in enumerate(names):
             of = [t.predicted[k] for t in report.next_tests]
             at = np.arange(1, len(of) + 1) + 0.12 * (k - 0.5 * (len(names) - 1))
-            mean, sd = (
-                scale * np.array([getattr(p, part)[j] for p in of]) for part in ("mean", "sd")
-            )
+            mean = scale * np.array([p.mean[j] for p in of])
+            sd = scale * np.array([p.sd[j] for p in of])
             ax.errorbar(
                 at, mean, 2.0 * sd, fmt="o", ms=4, lw=1.2, color=COLOURS[k], label=title(said)
             )
@@ -253,7 +239,7 @@ def _ranking(report: Report) -> Figure:
             r.probability,
             AFTER if r.name in named else LIGHT if r.name in near else "0.75",
         )
-        for r in report.finding.ranking
+        for r in finding.ranking
     ]
     bars += [
         ("something unlisted as well", finding.remainder - finding.unlisted, "0.75"),

@@ -3,6 +3,7 @@ folder.
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from soil_env._io.document import render
 from soil_env._io.loading import plural
 from soil_env.discovery.calibrate import PRIOR_WIDTH
-from soil_env.discovery.instrument import LISTED, exact
+from soil_env.discovery.instrument import INSTRUMENT, LISTED, exact
 from soil_env.discovery.locate import Disagreement
 from soil_env.discovery.next_tests import NextTest
 from soil_env.discovery.result import LEFT, WORSE, Report
@@ -138,6 +139,11 @@ def disagreement(report: Report, d: Disagreement) -> str:
     )
 
 
+def chance(p: float) -> str:
+    """A p value."""
+    return "< 1e-6" if p < 1e-6 else f"{p:.2g}"
+
+
 def _limit(name: str, limits: tuple[float, float], values: np.ndarray) -> str:
     low, high = (f"{x:.3g}" for x in limits)
     label, unit = CONDITIONS[name]
@@ -181,13 +187,19 @@ def after_next(report: Report) -> str:
 
 def _place(point: Mapping[str, float]) -> str:
     """Conditions of a test or a prediction; only those that vary by themselves are there."""
-    parts = [f"load {point['load']:.4g} N"] if "load" in point else []
-    parts += [f"{point['speed']:.3g} m/s"] if "speed" in point else []
-    parts += [f"pass {point['pass']:g}"] if point.get("pass", 1.0) != 1.0 else []
-    parts += (
-        [f"a grade of {point['grade_deg']:.3g} deg"] if point.get("grade_deg", 0.0) != 0.0 else []
-    )
-    parts += [f"{CONDITIONS[n][0]} {point[n]:.3g} m" for n in WHEEL if n in point]
+    formats = {
+        "load": "load {:.4g} N",
+        "speed": "{:.3g} m/s",
+        "pass": "pass {:g}",
+        "grade_deg": "a grade of {:.3g} deg",
+    }
+    formats |= {name: f"{CONDITIONS[name][0]} {{:.3g}} m" for name in WHEEL}
+    usual = {"pass": 1.0, "grade_deg": 0.0}
+    parts = [
+        said.format(point[name])
+        for name, said in formats.items()
+        if name in point and point[name] != usual.get(name)
+    ]
     slip = f"slip {point['slip']:.2g}"
     return f"{slip} at {listed(parts)}" if parts else slip
 
@@ -196,35 +208,29 @@ def summary(report: Report) -> str:
     """Conclusion: what is missing, its probability, and how far the gap closes."""
     finding = report.finding
     gap = report.gap
-    exact = dict.fromkeys(h.names for h in finding.hypotheses if h.names)
-    of = sorted(
-        ((sum(h.probability for h in finding.hypotheses if h.names == n), n) for n in exact),
-        reverse=True,
-    )
+    of: defaultdict[tuple[str, ...], float] = defaultdict(float)
+    for h in finding.hypotheses:
+        of[h.names] += h.probability
     shares = [
         f"{title(' and '.join(n))}{' alone' * (len(n) == 1)} ({sure(p)})"
-        for p, n in of[:4]
-        if p >= REPORTED
+        for n, p in sorted(of.items(), key=lambda item: -item[1])
+        if n and p >= REPORTED
     ]
     return filled(
         "summary.txt",
         report,
         effects=[f"{title(e.name)} (probability {sure(e.probability)})" for e in report.effects],
-        likely=not all(finding.is_sure(e.name) for e in report.effects),
         rivals=[title(a) for a in dict.fromkeys(a for e in report.effects for a in e.alternatives)],
         left=[
             f"{amount(n, g.remainder[0])} of {TITLES[n]}"
             for n, g in gap.items()
             if g.remainder[0] > 0.0
         ],
-        law_error=figure(100.0 * report.law_error),
-        sets=shares,
-        values=int(report.problem.used.sum()),
+        sets=shares[:4],
         worst=max((g.over_noise[0] for g in gap.values()), default=0.0),
         nearest=next((r for r in finding.ranking if r.probability >= REPORTED), None),
         weak=sum(d.power < NAMED for d in finding.detectable.values()),
         most=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
-        unseen=unseen(report),
         law=UNNAMED[law].title if (law := finding.hypotheses[0].law) else "",
         refuted=[
             title(" and ".join(n))
@@ -234,10 +240,43 @@ def summary(report: Report) -> str:
     )
 
 
+def likely(report: Report) -> bool:
+    """True if a named effect is likely and not sure."""
+    return not all(report.finding.is_sure(e.name) for e in report.effects)
+
+
+def simulated(report: Report) -> str:
+    """What model.yaml simulates of each named effect."""
+    said = []
+    for e in report.effects:
+        own = report.model.effects.get(e.name, {}).keys()
+        held = [f.name for f in LISTED[e.name].forms if own >= {*f.free, *dict(f.fixed)}]
+        if e.name in INSTRUMENT:
+            what = "nothing, since it is an error of the rig"
+        elif not held:
+            what = "no equation, only values in its table of what effects leave"
+        else:
+            other = "" if e.form in held else f", not {_quoted(e.form)} as stated here"
+            forms = "form" if len(held) == 1 else "forms"
+            what = f"the {forms} {listed(map(_quoted, held))}{other}, shrunk to published sizes, "
+            what += "and a table of what is left"
+        said.append(f"Of {title(e.name)} model.yaml simulates {what}.")
+    return " ".join(said)
+
+
+def _quoted(form: str) -> str:
+    return f'"{form.replace("_", " ")}"'
+
+
 def filled(template: str, report: Report, **values: object) -> str:
     """A template of this folder as one paragraph."""
-    text = render(f"{__package__}:{template}", report=report, **_helpers(), **values)
-    return " ".join(text.split()).replace(" ,", ",")
+    return " ".join(_rendered(template, report, values).split()).replace(" ,", ",")
+
+
+def _rendered(template: str, report: Report, values: Mapping[str, object]) -> str:
+    """A template of this folder, which may use every name of this module."""
+    known = globals() | {"plural": plural, "report": report}
+    return render(f"{__package__}:{template}", **(known | dict(values)))
 
 
 def unseen(report: Report) -> list[str]:
@@ -254,15 +293,14 @@ def cautions(report: Report) -> list[str]:
     problem = report.problem
     noise = report.noise
     fit = report.fit
-    setup = report.problem.data.setup
+    setup = problem.data.setup
     bounds = []
     off_prior = []
     widened = {k.name: k for k in problem.soil}
-    for unknown, u in zip(fit.unknowns, fit.u, strict=True):
+    for unknown, u, free in zip(fit.unknowns, fit.u, fit.free_unknowns, strict=True):
         label = SOIL.get(unknown.name, (unknown.name.replace("_", " "), ""))[0]
         value = float(unknown.value(u))
-        x = unknown.mean + unknown.sd * float(u)
-        if min(x - unknown.low, unknown.high - x) <= 1e-4 * unknown.sd:
+        if not free:
             bounds.append((label, not_tiny(value)))
         elif getattr(setup.soil, unknown.name, None) is not None:
             far = abs(PRIOR_WIDTH * widened[unknown.name].at(value))
@@ -276,52 +314,34 @@ def cautions(report: Report) -> list[str]:
             for rows in (problem.used, problem.data.measured)
         )
         worse_with += [(TITLES[CHANNELS[j]], whole, kept)] if whole > 1.2 * kept else []
-    text = render(
-        f"{__package__}:cautions.txt",
-        **_helpers(),
-        report=report,
-        conditions=len(np.unique(problem.data.cell)),
-        values=int(problem.used.sum()),
-        unknowns=len(fit.unknowns),
-        missing=[TITLES[name] for name in CHANNELS if name not in report.channels],
-        from_scatter=[
-            (TITLES[n], amount(n, noise.sd[j]))
-            for j, n in enumerate(CHANNELS)
-            if noise.origin[j] == "scatter"
-        ],
-        left_out=[f"{TITLES[name]} in row {row}" for row, name in report.left_out],
-        ordinary=int(np.sum(far[dropped] <= 3.0)),
-        worse_with=worse_with,
-        at_bound=bounds,
-        off_prior=off_prior,
-        buried=int(np.sum(fit.output[:, 0] >= 0.999 * DEEPEST * problem.data.wheel.radius)),
-        remains=[
-            (TITLES[n], g.over_noise[1])
-            for n, g in report.gap.items()
-            if report.effects and g.after > LEFT * g.noise_floor
-        ],
-        height=setup.wheel.grouser_height,
-        lugs_unknown=setup.wheel.grouser_height is None
-        and bool(np.isnan(problem.data.table.grouser_height).all()),
-        digging=problem.laws["dig_gain"],
-        unseen=unseen(report),
+    text = _rendered(
+        "cautions.txt",
+        report,
+        {
+            "conditions": len(np.unique(problem.data.cell)),
+            "missing": [TITLES[name] for name in CHANNELS if name not in report.channels],
+            "from_scatter": [
+                (TITLES[n], amount(n, noise.sd[j]))
+                for j, n in enumerate(CHANNELS)
+                if noise.origin[j] == "scatter"
+            ],
+            "left_out": [f"{TITLES[name]} in row {row}" for row, name in report.left_out],
+            "ordinary": int(np.sum(far[dropped] <= 3.0)),
+            "worse_with": worse_with,
+            "at_bound": bounds,
+            "off_prior": off_prior,
+            "buried": int(np.sum(fit.output[:, 0] >= 0.999 * DEEPEST * problem.data.wheel.radius)),
+            "remains": [
+                (TITLES[n], g.over_noise[1])
+                for n, g in report.gap.items()
+                if report.effects and g.after > LEFT * g.noise_floor
+            ],
+            "lugs_unknown": setup.wheel.grouser_height is None
+            and bool(np.isnan(problem.data.table.grouser_height).all()),
+        },
     )
     lines = [*report.taken, *map(str.strip, text.splitlines())]
     return [line[:1].upper() + line[1:] for line in lines if line]
-
-
-def _helpers() -> dict[str, object]:
-    """Functions and limits that the templates use."""
-    functions = (added, disagreement, listed, percent, plural, rises, runs_help, sure, title)
-    limits = {
-        "FEW": FEW,
-        "LEFT": LEFT,
-        "MENTIONED": MENTIONED,
-        "NAMED": NAMED,
-        "SCATTERED": SCATTERED,
-        "REPORTED": REPORTED,
-    }
-    return {f.__name__: f for f in functions} | limits | {"TITLES": TITLES}
 
 
 def rises(report: Report) -> list[str]:
@@ -369,7 +389,10 @@ def foreseen(report: Report) -> str:
         unit, scale = UNITS[name]
         said = f"{figure(scale * guess.mean[j])} ± {figure(scale * guess.sd[j])} {unit}"
         place = _place(guess.conditions)
-        parts.append(f"It guesses at {place} ({TITLES[name]} {said}): measure there to be surer.")
+        parts.append(
+            f"It guesses at {place} ({TITLES[name]} {said}): measure there to predict "
+            "better, not to learn what is missing."
+        )
     return " ".join(parts)
 
 

@@ -110,14 +110,14 @@ def next_predictions(report: Report, most: int | None = None) -> Table:
     rows = []
     for k, test in enumerate(report.next_tests, start=1):
         for p in test.predicted[:most]:
-            cells = []
-            for name in report.channels:
-                j = CHANNELS.index(name)
-                scale = UNITS[name][1]
-                cells.append(f"{scale * p.mean[j]:.3g}±{scale * p.sd[j]:.2g}")
-            rows.append(
-                (k, " + ".join(map(title, p.name.split(" and "))), fixed(p.probability, 2), *cells)
-            )
+            values = zip(CHANNELS, p.mean, p.sd, strict=True)
+            cells = [
+                f"{UNITS[name][1] * mean:.3g}±{UNITS[name][1] * sd:.2g}"
+                for name, mean, sd in values
+                if name in report.channels
+            ]
+            names = " + ".join(map(title, p.name.split(" and ")))
+            rows.append((k, names, fixed(p.probability, 2), *cells))
     channels = (f"{TITLES[n].split()[-1]} ± sd [{UNITS[n][0]}]" for n in report.channels)
     return Table(("run", "exactly these effects", "p", *channels), rows)
 

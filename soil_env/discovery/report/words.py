@@ -71,7 +71,6 @@ def conclusion(report: Report) -> str:
         "conclusion.txt",
         report,
         effects=[title(e.name) for e in report.effects],
-        likely=not all(finding.is_sure(e.name) for e in report.effects),
         near=[title(n) for n in finding.candidates[:3]],
         rivals=[name for p, name in sorted(rivals, reverse=True) if p >= LIKELY],
         missed=missed(report),

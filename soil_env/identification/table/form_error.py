@@ -102,7 +102,7 @@ class Process:
         """
         known = [n for n in lengths if _condition(n) in conditions and (of is None or n in of)]
         names = tuple(n for n in known if np.ptp(_coordinate(n, conditions)) > 1e-6)
-        points = _points(conditions, names)
+        points = coordinates(conditions, names)
         empty = cls(
             names, np.array([lengths[n] for n in names]), additive, points, np.zeros((0, 0))
         )
@@ -127,7 +127,7 @@ class Process:
 
     def at(self, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
         """[N, R] of the functions at conditions [N]."""
-        return self._covariance(_points(conditions, self.names)) @ self.weights
+        return self._covariance(coordinates(conditions, self.names)) @ self.weights
 
     @cached_property
     def at_points(self) -> np.ndarray:
@@ -147,7 +147,6 @@ def _condition(name: str) -> str:
 
 
 def _coordinate(name: str, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
-    """[N] of a coordinate in which processes are stationary."""
     value = conditions[_condition(name)]
     if name == "log_slip":
         return np.copysign(np.log1p(np.abs(value) / LITTLE_SLIP), value)
@@ -156,7 +155,8 @@ def _coordinate(name: str, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.log(value + 1e-3) if name == "grouser_height" else np.log(np.maximum(value, 1e-6))
 
 
-def _points(conditions: Mapping[str, np.ndarray], names: tuple[str, ...]) -> np.ndarray:
+def coordinates(conditions: Mapping[str, np.ndarray], names: tuple[str, ...]) -> np.ndarray:
+    """[N, d] of the coordinates by name in which processes are stationary."""
     size = np.size(next(iter(conditions.values())))
     return (
         np.stack([_coordinate(n, conditions) for n in names], axis=1)

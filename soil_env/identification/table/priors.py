@@ -5,7 +5,7 @@ In u every prior is the standard normal, and parameters of any unit have one sca
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -61,6 +61,12 @@ class Unknown(NamedTuple):
     def bounds(self) -> tuple[float, float]:
         """Bounds of the whitened unknown."""
         return (self.low - self.mean) / self.sd, (self.high - self.mean) / self.sd
+
+
+def bounds_of(unknowns: Sequence[Unknown]) -> tuple[np.ndarray, np.ndarray]:
+    """(lower [p], upper [p]) bounds of whitened unknowns."""
+    low, high = (np.array([k.bounds[end] for k in unknowns]) for end in (0, 1))
+    return low, high
 
 
 def soil_unknowns(

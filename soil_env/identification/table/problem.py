@@ -24,7 +24,7 @@ from soil_env._io.loading import ParameterError, plural
 from soil_env.identification.table import form_error
 from soil_env.identification.table.form_error import LAW_LENGTHS, Process
 from soil_env.identification.table.noise import NoiseEstimate
-from soil_env.identification.table.priors import USUAL_SINKAGE, Unknown, soil_unknowns
+from soil_env.identification.table.priors import USUAL_SINKAGE, Unknown, bounds_of, soil_unknowns
 from soil_env.identification.table.rig import predict_table
 from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import MEASURED, Table
@@ -175,8 +175,7 @@ class TableProblem:
                 f"{setup.source}: soil: every parameter is known: expected at least one to "
                 "identify, left out or as {value: ..., sd: ...}"
             )
-        lowest, highest = zip(*(k.bounds for k in self.unknowns), strict=True)
-        self.bounds: tuple[np.ndarray, np.ndarray] = (np.array(lowest), np.array(highest))
+        self.bounds: tuple[np.ndarray, np.ndarray] = bounds_of(self.unknowns)
         self._noise()
         values = int(self.measured.sum())
         needed = len(self.unknowns)
