@@ -83,7 +83,7 @@ def cases(folder: Path) -> Iterator[Case]:
     yield Case(
         "continuum, all slips, the largest out", table, setup, (table.slip == table.slip.max(),)
     )
-    for name in rig.names():
+    for name in rig.WHEELS:
         setup = read_setup(rig.TABLES / f"{name}.setup.yaml")
         table = read_table(rig.TABLES / f"{name}.csv", setup.wheel)
         yield Case(f"{name.replace('_', ', ')}, a load out", table, setup, _each(table.load))

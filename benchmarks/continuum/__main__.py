@@ -19,7 +19,7 @@ from scipy.stats import t as student_t
 
 from benchmarks.common import ready, short, study_options, write
 from benchmarks.continuum import loop, rig
-from benchmarks.continuum.rig import LOADS, RIM_SPEED, SHAPES, SLIPS, SOILS, TABLES, names
+from benchmarks.continuum.rig import LOADS, RIM_SPEED, SHAPES, SLIPS, SOILS, TABLES, WHEELS
 from benchmarks.continuum.soil import Bed
 from benchmarks.continuum.wheel import Rig
 from soil_env._io.document import Table
@@ -29,8 +29,7 @@ from soil_env.cli.running import PATH, WholeNumber, leave, run
 from soil_env_agents.cells import processes
 
 NAME = "benchmarks.continuum"
-DRIVEN = ("sand_smooth", "loam_lugged")  # tables of the loop
-BEDS = 5  # of each drive, alike but for the disorder of the particles
+BEDS = 3  # of each drive, alike but for the disorder of the particles
 TEXT = (
     "A wheel on a continuum that shares no equation with soil_env is measured under 40, 80 and 120 "
     "N; discovery corrects the base model. Errors: root mean square over the rows of 180 N, which "
@@ -47,12 +46,12 @@ def command() -> None:
 
 @command.command("rig")
 @click.option("--out", type=PATH, default=TABLES, metavar="DIR", help="Folder of the tables.")
-@click.option("--only", type=click.Choice(list(names())), help="One table.")
+@click.option("--only", type=click.Choice(list(WHEELS)), help="One table.")
 @click.option("--workers", type=WholeNumber(1), default=1, show_default=True, help="Processes.")
 def rig_command(out: Path, only: str | None, workers: int) -> None:
     """Measure what the tables still lack: a wheel at forced slips under loads."""
     make_folder(out)
-    tables = {table: rig.read(out / f"{table}.csv") for table in names() if only in (None, table)}
+    tables = {table: rig.read(out / f"{table}.csv") for table in WHEELS if only in (None, table)}
     left = [
         (table, load, slip)
         for load, slip in product(LOADS, SLIPS)
@@ -70,14 +69,14 @@ def rig_command(out: Path, only: str | None, workers: int) -> None:
 
 @command.command("loop")
 @study_options("continuum")
-@click.option("--only", type=click.Choice(list(names())), help="One table.")
+@click.option("--only", type=click.Choice(list(WHEELS)), help="One table.")
 @click.option("--beds", type=WholeNumber(2), default=BEDS, show_default=True, help="Of each drive.")
 @click.option("--workers", type=WholeNumber(1), default=2, show_default=True, help="Processes.")
 def loop_command(smoke: bool, out: Path, only: str | None, beds: int, workers: int) -> None:
     """Learn models from tables, tune a rule in them and let it drive on the continuum."""
     file = ready(out, "continuum")
     found = read_json(file) if file.exists() else {}
-    for table in (only,) if only else DRIVEN:
+    for table in (only,) if only else WHEELS:
         if table not in found:
             found[table] = short(_learnt(table)) | {"drives": {}}
             write_json(file, found)
@@ -99,7 +98,7 @@ def loop_command(smoke: bool, out: Path, only: str | None, beds: int, workers: i
 def _learnt(table: str) -> dict:
     """What is learnt from a table, and the rule that is tuned in each model."""
     report, errors = loop.learn(TABLES / f"{table}.csv")
-    shape = SHAPES[names()[table][1]]
+    shape = SHAPES[WHEELS[table][1]]
     tuned = {}
     for name, model in (("base", report.base_model), ("corrected", report.model)):
         grade, drive = loop.tuned(shape, model)
@@ -115,7 +114,7 @@ def _learnt(table: str) -> dict:
 def _driven(cell: tuple[str, str, float, int], smoke: bool) -> loop.Drive:
     """The drive of a table, a model, its grade and a bed."""
     table, _, grade, bed = cell
-    soil, shape = names()[table]
+    soil, shape = WHEELS[table]
     ground = Bed(length=1.5, depth=0.08, spacing=0.04) if smoke else loop.LONG
     slope = math.radians(grade)
     load = loop.LOAD * math.cos(slope)

@@ -90,6 +90,7 @@ def settings(shape: Shape, grade: float) -> dict[str, Any]:
             "lines": 1,
             "least_pull": -1.0,
         },
+        "limits": {"bogged_sinkage": 1.4},  # soil that is deep at its best pull is no obstacle here
         "control": {"action": "wheel_speed", "time_limit": SECONDS},
     }
 

@@ -9,7 +9,6 @@ wide. It is a fixed virtual soil, not a sand.
 import csv
 import math
 import zlib
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +43,8 @@ SHAPES = {
     "smooth": Shape(radius=0.15, width=0.1),
     "lugged": Shape(radius=0.15, width=0.1, lugs=12, lug_height=0.012, lug_thickness=0.012),
 }
+#: Soil and shape of each table.
+WHEELS = {"sand_smooth": ("sand", "smooth"), "loam_lugged": ("loam", "lugged")}
 LOADS = (40.0, 80.0, 120.0, 180.0)  # [N]
 SLIPS = (0.05, 0.15, 0.3, 0.5, 0.7)
 RIM_SPEED = 0.2  # [m/s] of the rim without lugs
@@ -73,15 +74,10 @@ def measured(shape: Shape, material: Material, load: float, slip: float, bed: Be
     return [*last.mean(axis=0).tolist(), *deviation.tolist()]
 
 
-def names() -> dict[str, tuple[str, str]]:
-    """Soil and shape of each table, by its name."""
-    return {f"{soil}_{shape}": (soil, shape) for soil, shape in product(SOILS, SHAPES)}
-
-
 def row(cell: tuple[str, float, float]) -> list[float]:
     """`measured` of a table, a load and a slip."""
     table, load, slip = cell
-    soil, shape = names()[table]
+    soil, shape = WHEELS[table]
     return measured(SHAPES[shape], SOILS[soil], load, slip, Bed())
 
 
@@ -97,7 +93,7 @@ def read(file: Path) -> dict[tuple[float, float], list[str]]:
 def write_table(folder: Path, table: str, rows: dict[tuple[float, float], list[str]]) -> None:
     """Write a table and its setup."""
     lines = [",".join(HEAD), *(",".join(rows[key]) for key in sorted(rows))]
-    soil, shape = names()[table]
+    soil, shape = WHEELS[table]
     outline = SHAPES[shape]
     wheel = {"radius": outline.radius, "width": outline.width}
     wheel["grouser_height"] = outline.lug_height

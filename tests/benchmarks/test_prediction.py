@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks import prediction
-from benchmarks.continuum.rig import LOADS, names
+from benchmarks.continuum.rig import LOADS, WHEELS
 from benchmarks.rigs import DATA
 from soil_env._io.loading import ParameterError
 from tests.discovery.files import PLANTED, data_of, table_text
@@ -31,7 +31,7 @@ def test_a_load_left_out_of_a_table_of_the_model_is_predicted(tmp_path):
 @measured
 def test_every_measured_case_leaves_each_of_its_rows_out():
     cases = list(prediction.cases(DATA))
-    of_continuum = [len(LOADS), 1] * len(names())
+    of_continuum = [len(LOADS), 1] * len(WHEELS)
     assert [len(c.groups) for c in cases] == [5, 5, 1, 5, 1, 5, 1, *of_continuum, 11]
     for case in cases:
         counts = np.sum(case.groups, axis=0)
