@@ -166,11 +166,13 @@ def capacity(load, soil, numbers, nodes):
 def draw_ground(ground, owner, load, numbers, nodes):
     """Draw the soil of `ground`, which leaves this wheel the least pull; False if none was found.
 
-    Of slopes nothing is asked: they are drawn without looking at soils.
+    Of slopes nothing is asked: they are drawn without looking at soils. A least pull of minus the
+    weight asks nothing of the soil either, not even that the wheel is not bogged at its best pull.
     """
+    least = numbers.drawn.spec.least_pull
     for _ in range(REDRAWS):
         soil = draw_soil(owner, numbers.drawn)
-        if capacity(load, soil, numbers, nodes) >= numbers.drawn.spec.least_pull:
+        if least <= -1.0 or capacity(load, soil, numbers, nodes) >= least:
             put_soil(ground, soil)
             return True
     return False
