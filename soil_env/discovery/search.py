@@ -135,6 +135,12 @@ class Finding:
         kept.sort(key=lambda h: -h.probability)
         return replace(self, hypotheses=tuple(kept), refuted=(*self.refuted, names))
 
+    def in_form(self, evidence: Evidence) -> Finding:
+        """The finding with the stated effects in the forms of `evidence`."""
+        stated = self.stated
+        kept = (replace(h, evidence=evidence) if h is stated else h for h in self.hypotheses)
+        return replace(self, hypotheses=tuple(kept))
+
     def share(self, *names: str, without: tuple[str, ...] = ()) -> float:
         """Probability that these effects are missing, and none of `without`."""
         return sum(

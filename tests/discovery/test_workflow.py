@@ -58,6 +58,26 @@ def test_what_predicts_worse_than_the_base_model_is_not_named(tmp_path, monkeypa
 
 
 @pytest.mark.usefixtures("searched")
+def test_a_name_is_refuted_only_in_all_its_probable_forms(planted, tmp_path, monkeypatch):
+    stated = planted.fit.choices
+
+    def predicted(problem, fit):
+        bad = fit.choices == stated
+        return judgement.held_out_predictions(problem, fit) + (20.0 * problem.noise if bad else 0.0)
+
+    monkeypatch.setattr(workflow, "held_out_predictions", predicted)
+    monkeypatch.setattr(workflow, "REPORTED", 1e-9)
+    report = run(*write_files(tmp_path, table_text(PLANTED)), seed=1)
+    assert report.finding.refuted == () and report.finding.names == ("slip_sinkage",)
+    other = CATALOGUE["slip_sinkage"].forms[report.fit.choices[0].form]
+    assert report.fit.choices != stated and report.effects[0].form == other.name
+    assert report.finding.stated.evidence.fit.choices == report.fit.choices
+    within = [i for p, i in report.effects[0].parameters.items() if p in other.free]
+    assert within and all(i.low < i.value < i.high for i in within)
+    assert content(report)["effects"][0]["form"] == other.name
+
+
+@pytest.mark.usefixtures("searched")
 def test_an_effect_that_beats_an_anonymous_law_stays_although_it_leaves_a_pattern(
     tmp_path, monkeypatch
 ):
