@@ -13,6 +13,7 @@ from soil_env.discovery.calibrate import Problem
 from soil_env.discovery.corrected import model_of
 from soil_env.discovery.instrument import Choice
 from soil_env.discovery.report import content, words
+from soil_env.discovery.search import ALIKE, TEMPERATURE
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import WheelSoilModel
 from tests.discovery.files import PLANTED, SETUP, data_of, table_text, world, write_files
@@ -27,6 +28,16 @@ def test_the_planted_effect_is_named(planted):
     assert planted.closed > 0.7
     assert all(g.after <= g.before + 0.1 * g.noise_floor for g in planted.gap.values())
     assert planted.where[0].channel == "sinkage" and planted.where[0].p_value < 1e-3
+
+
+def test_each_of_two_effects_is_resembled_by_itself(planted):
+    alike = [h for h in planted.finding.hypotheses if h.like and not h.law]
+    assert {len(h.like) for h in alike} == {1, 2}
+    for h in alike:
+        listed = planted.finding.best(*h.like)
+        odds = math.log(h.probability / listed.probability)
+        gain = (h.score - listed.score) / TEMPERATURE
+        assert odds == pytest.approx(gain + len(h.like) * math.log(ALIKE), abs=1e-6)
 
 
 @pytest.fixture()
