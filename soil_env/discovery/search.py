@@ -35,16 +35,15 @@ from soil_env.discovery.unnamed import UNNAMED
 from soil_env.identification.table.data import CHANNELS
 
 #: Prior odds that a listed effect of the soil or the drive is missing, and that the instrument has
-#: a listed error, each independent of the others: none is there with 32 %. An error is rarer, since
-#: what is within the calibration of a rig is no error, and rarer still where the setup states that
-#: the rig is known better than usual (`instrument.odds`). No single name has odds of its own.
-#: Chosen on the development seed 136101 of `benchmarks.discovery`.
-ODDS = 0.07  # of the soil or the drive
-RIG_ODDS = 0.025  # of the instrument
+#: a listed error, each independent of the others: none is there with 32 %. An error is less
+#: probable where the setup states that the rig is known better than usual (`instrument.odds`). No
+#: single name has odds of its own.
+ODDS = 0.06  # of the soil or the drive
+RIG_ODDS = 0.04  # of the instrument
 #: Prior odds of an anonymous contribution: the catalogue holds what the literature has found to
 #: matter.
 UNLISTED_ODDS = 0.05
-#: Prior odds of each anonymous law of few numbers (`unnamed`), less than half of an effect's.
+#: Prior odds of each anonymous law of few numbers (`unnamed`), half of those of a listed effect.
 UNNAMED_ODDS = 0.03
 #: Odds, for each effect of a set, that what moves its channels under its conditions is not it, but
 #: resembles it (`evidence.resembling`).
