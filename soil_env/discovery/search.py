@@ -45,8 +45,8 @@ RIG_ODDS = 0.04  # of the instrument
 UNLISTED_ODDS = 0.05
 #: Prior odds of each anonymous law of few numbers (`unnamed`), half of those of a listed effect.
 UNNAMED_ODDS = 0.03
-#: Odds that what moves the channels of listed effects under their conditions is none of them, but
-#: resembles them (`evidence.resembling`).
+#: Odds, for each effect of a set, that what moves its channels under its conditions is not it, but
+#: resembles it (`evidence.resembling`).
 ALIKE = 0.17
 #: Log evidences are divided by this. The form errors have assumed shapes and lengths, which no soil
 #: keeps to, so that evidence is less certain than it says (generalised Bayes: Grunwald & van Ommen
@@ -134,6 +134,12 @@ class Finding:
         ]
         kept.sort(key=lambda h: -h.probability)
         return replace(self, hypotheses=tuple(kept), refuted=(*self.refuted, names))
+
+    def in_form(self, evidence: Evidence) -> Finding:
+        """The finding with the stated effects in the forms of `evidence`."""
+        stated = self.stated
+        kept = (replace(h, evidence=evidence) if h is stated else h for h in self.hypotheses)
+        return replace(self, hypotheses=tuple(kept))
 
     def share(self, *names: str, without: tuple[str, ...] = ()) -> float:
         """Probability that these effects are missing, and none of `without`."""
@@ -354,7 +360,7 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
         if not s or any(LISTED[n].any_form for n in s):
             continue  # what resembles it has its name
         alike = resembling(problem, sets.best(s))
-        entries.append(((), s, True, alike, alike.log, prior(s) + math.log(ALIKE)))
+        entries.append(((), s, True, alike, alike.log, prior(s) + len(s) * math.log(ALIKE)))
     say("with a law that no catalogue lists")
     entries += _unnamed(
         problem, base, max((s for s in order if len(s) == 1), key=sets.log, default=())

@@ -3,8 +3,9 @@ corrected model.
 """
 
 import hashlib
+import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.discovery import doubts, judgement
 from soil_env.discovery.calibrate import EXACT, PRIOR_WIDTH, Fit, Problem, calibrate
 from soil_env.discovery.corrected import corrected, least_sure, parameters
-from soil_env.discovery.evidence import Evidence
+from soil_env.discovery.evidence import Evidence, settle
 from soil_env.discovery.instrument import LISTED, exact
 from soil_env.discovery.judgement import Interval, held_out_predictions
 from soil_env.discovery.locate import locate, structure
@@ -22,7 +23,7 @@ from soil_env.discovery.next_tests import MOST, next_checks, next_tests
 from soil_env.discovery.prediction import outlook
 from soil_env.discovery.report import check_folder, write
 from soil_env.discovery.result import EffectFound, Report, Settings
-from soil_env.discovery.search import Finding, search
+from soil_env.discovery.search import REPORTED, TEMPERATURE, Finding, forms, search
 from soil_env.identification.table.bins import binned
 from soil_env.identification.table.data import prepare
 from soil_env.identification.table.mistakes import examine
@@ -152,10 +153,11 @@ def _that_predicts(problem: Problem, finding: Finding, seed: int) -> tuple[Findi
     Evidence is as certain as the shapes that form errors are assumed to have. Where the law errs in
     another way, it may be sure of effects that are not there. Refuted are effects that predict rows
     worse to which they were not fitted than the base model does (95 % interval), and a second
-    effect that closes nothing of the gap beside the first. So is the most probable set behind a
-    name, without those that have a further effect, if it needs a soil far from the setup's, or
-    leaves a pattern in a channel (`structure`) and is not, by itself, more probable than an
-    anonymous law; and the base model with a pattern where nothing would be missing.
+    effect that closes nothing of the gap beside the first, in all their forms that are probable.
+    So is the most probable set behind a name, without those that have a further effect, if it needs
+    a soil far from the setup's, or leaves a pattern in a channel (`structure`) and is not, by
+    itself, more probable than an anonymous law; and the base model with a pattern where nothing
+    would be missing.
     """
     while True:
         own = finding.stated.evidence
@@ -173,22 +175,45 @@ def _that_predicts(problem: Problem, finding: Finding, seed: int) -> tuple[Findi
             ):
                 finding = finding.without(behind, alone=True)
                 continue
-        # Names and intervals follow from fits with form errors. What predicts best with a law as it
-        # is, without the form error that this table shows, is its fit under noise alone (White
-        # 1982, Econometrica 50:1-25).
-        noise_alone = EXACT._replace(scatter=own.sizes.scatter)
-        near: Fits = {(n,): finding.best(n).evidence.fit for n in names}
-        near |= {names: own.fit, (): finding.best().evidence.fit}
-        fits = {
-            some: problem.fit(fit.choices, fit.parameters(), noise_alone)
-            for some, fit in near.items()
-        }
-        held = {some: held_out_predictions(problem, fit) for some, fit in fits.items()}
-        if not any(
-            _worse(problem, some, held[some], held[names], seed) for some in held if some != names
-        ):
-            return finding, fits, held
+        for form in _probable_forms(problem, own):
+            fits = _under_noise(problem, finding, form)
+            held = {some: held_out_predictions(problem, fit) for some, fit in fits.items()}
+            fewer = (some for some in held if some != names)
+            if not any(_worse(problem, some, held[some], held[names], seed) for some in fewer):
+                return finding.in_form(form), fits, held
         finding = finding.without(names)
+
+
+def _probable_forms(problem: Problem, own: Evidence) -> Iterator[Evidence]:
+    """The model of a set of effects, then with one effect in another form, the most probable first;
+    those that are `REPORTED` as probable.
+    """
+    yield own
+    choices = own.fit.choices
+    others = [
+        settle(problem, (*choices[:k], other, *choices[k + 1 :]), own)
+        for k, choice in enumerate(choices)
+        for other in forms(problem, choice.effect)
+        if other != choice
+    ]
+    least = own.log + TEMPERATURE * math.log(REPORTED)
+    yield from sorted((e for e in others if e.log >= least), key=lambda e: -e.log)
+
+
+def _under_noise(problem: Problem, finding: Finding, own: Evidence) -> Fits:
+    """Fits under noise alone of the base model, of each named effect and of all, in their forms of
+    `own`.
+
+    Names and intervals follow from fits with form errors. What predicts best with a law as it is,
+    without the form error that this table shows, is its fit under noise alone (White 1982,
+    Econometrica 50:1-25).
+    """
+    noise_alone = EXACT._replace(scatter=own.sizes.scatter)
+    near: Fits = {(n,): finding.best(n).evidence.fit for n in finding.names}
+    near |= {finding.names: own.fit, (): finding.best().evidence.fit}
+    return {
+        some: problem.fit(fit.choices, fit.parameters(), noise_alone) for some, fit in near.items()
+    }
 
 
 def _worse(

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from soil_env._io.loading import ParameterError
 from soil_env.discovery.calibrate import calibrate
 from soil_env.discovery.curve import fit_curve
 from soil_env.discovery.prediction import (
@@ -134,6 +135,43 @@ def test_what_follows_from_slip_is_no_condition_of_its_own(tmp_path):
     assert not {"penetration_rate", "shear_rate"} & {c.effect for c in carried(problem)}
     rows = problem.data.rows
     assert drawn(problem, {"slip": rows.slip, "load": rows.load}) is not None
+
+
+def test_a_grade_by_a_latin_square_of_load_and_speed_is_a_condition_of_its_own(tmp_path):
+    speeds = (0.05, 0.1, 0.2)
+    grades = (-5.0, 0.0, 5.0)
+    text = table_text({}, loads=LOADS, speed=speeds, grade_deg=grades)
+    header, *lines = text.splitlines()
+    square = {
+        (load, speed, grades[(i + j) % 3])
+        for i, load in enumerate(LOADS)
+        for j, speed in enumerate(speeds)
+    }
+    chosen = [k for k in lines if tuple(map(float, k.split(",")[:3])) in square]
+    assert len(chosen) == len(lines) // 3
+    problem = problem_of(tmp_path, "\n".join((header, *chosen)) + "\n")
+    assert list(problem.data.varied) == ["slip", "load", "speed", "grade_deg"]
+    assert "grade" in candidates(problem)[0]
+
+
+def test_conditions_of_scattered_runs_are_each_their_own(tmp_path):
+    rng = np.random.default_rng(1)
+    ends = {"slip": (0.05, 0.5), "load": (80, 180), "speed": (0.05, 0.2), "grade_deg": (-5, 5)}
+    values = [rng.integers(1, 4, 60), *(rng.uniform(*both, 60) for both in ends.values())]
+    table = (
+        ",".join(("pass", *ends, "torque"))
+        + "\n"
+        + "".join(
+            ",".join(f"{x:.4g}" for x in (*row, 1.0 + 3.0 * row[1])) + "\n"
+            for row in zip(*values, strict=True)
+        )
+    )
+    assert set(data_of(tmp_path, table).varied) == {"pass", *ends}
+
+
+def test_a_table_of_one_level_of_slip_and_of_load_is_refused_in_a_line(tmp_path):
+    with pytest.raises(ParameterError, match="at least two different slips"):
+        data_of(tmp_path, table_text({}, loads=(100,), slips=(0.2, 0.202), speed=(0.05, 0.1)))
 
 
 def test_no_curve_is_drawn_over_conditions_that_it_does_not_know(tmp_path):

@@ -13,6 +13,7 @@ from soil_env.discovery.calibrate import Problem
 from soil_env.discovery.corrected import model_of
 from soil_env.discovery.instrument import Choice
 from soil_env.discovery.report import content, words
+from soil_env.discovery.search import ALIKE, TEMPERATURE
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import WheelSoilModel
 from tests.discovery.files import (
@@ -36,6 +37,16 @@ def test_the_planted_effect_is_named(planted):
     assert planted.closed > 0.7
     assert all(g.after <= g.before + 0.1 * g.noise_floor for g in planted.gap.values())
     assert planted.where[0].channel == "sinkage" and planted.where[0].p_value < 1e-3
+
+
+def test_each_of_two_effects_is_resembled_by_itself(planted):
+    alike = [h for h in planted.finding.hypotheses if h.like and not h.law]
+    assert {len(h.like) for h in alike} == {1, 2}
+    for h in alike:
+        listed = planted.finding.best(*h.like)
+        odds = math.log(h.probability / listed.probability)
+        gain = (h.score - listed.score) / TEMPERATURE
+        assert odds == pytest.approx(gain + len(h.like) * math.log(ALIKE), abs=1e-6)
 
 
 @pytest.fixture()
@@ -64,6 +75,26 @@ def test_what_predicts_worse_than_the_base_model_is_not_named(tmp_path, monkeypa
     assert sum(h.probability for h in report.finding.hypotheses) == pytest.approx(1.0)
     result = content(report)
     assert ["slip_sinkage"] in result["refuted"] and "It is not slip-sinkage" in result["summary"]
+
+
+@pytest.mark.usefixtures("searched")
+def test_a_name_is_refuted_only_in_all_its_probable_forms(planted, tmp_path, monkeypatch):
+    stated = planted.fit.choices
+
+    def predicted(problem, fit):
+        bad = fit.choices == stated
+        return judgement.held_out_predictions(problem, fit) + (20.0 * problem.noise if bad else 0.0)
+
+    monkeypatch.setattr(workflow, "held_out_predictions", predicted)
+    monkeypatch.setattr(workflow, "REPORTED", 1e-9)
+    report = run(*write_files(tmp_path, table_text(PLANTED)), seed=1)
+    assert report.finding.refuted == () and report.finding.names == ("slip_sinkage",)
+    other = CATALOGUE["slip_sinkage"].forms[report.fit.choices[0].form]
+    assert report.fit.choices != stated and report.effects[0].form == other.name
+    assert report.finding.stated.evidence.fit.choices == report.fit.choices
+    within = [i for p, i in report.effects[0].parameters.items() if p in other.free]
+    assert within and all(i.low < i.value < i.high for i in within)
+    assert content(report)["effects"][0]["form"] == other.name
 
 
 @pytest.mark.usefixtures("searched")

@@ -21,6 +21,7 @@ MOST_FORCE = 5.0  # pull over load, torque over load times radius, beyond which 
 #: Conditions that are compared by their ratio.
 LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width")
 TERMS = ("speed", "pass", "grade_deg")  # conditions that the base law does not know
+OWN = 0.1  # share of the sd of a condition that it has by itself, below which it follows
 WHEEL = ("wheel_radius", "wheel_width", "grouser_height")
 #: Difference below which two values of a condition are one level; relative where it is compared by
 #: its ratio.
@@ -156,7 +157,8 @@ def prepare(table: Table, setup: Setup) -> Data:
         found = _factor(name, value, name in LOGARITHMIC)
         same = name in WHEEL and any(_one_to_one(found, varied[w]) for w in WHEEL if w in varied)
         # Of sizes that change together one stands for the wheel. A speed that follows from the
-        # slip, as at one rim speed, is no condition of its own.
+        # slip, as at one rim speed, is no condition of its own. A grade by a Latin square of load
+        # and speed is one: neither says anything of it.
         if found.levels > 1 and not same and not (name in TERMS and _follows(found, varied)):
             varied[name] = found
     if "slip" not in varied:
@@ -173,12 +175,12 @@ def _one_to_one(a: Factor, b: Factor) -> bool:
 
 
 def _follows(factor: Factor, others: Mapping[str, Factor]) -> bool:
-    """True if the levels of other factors say that of a factor in every row."""
-    before = np.stack([other.level for other in others.values()])
-    cells, joint = (
-        np.unique(x, axis=1).shape[1] for x in (before, np.vstack([before, factor.level]))
-    )
-    return bool(cells == joint)
+    """True if a sum of functions of other factors, one of each, is a factor but for `OWN`."""
+    value = factor.scaled
+    constant = np.ones((value.size, 1))
+    functions = np.hstack([constant, *(np.eye(o.levels)[o.level] for o in others.values())])
+    own = value - functions @ np.linalg.lstsq(functions, value, rcond=1e-9)[0]
+    return bool(np.std(own) < OWN * np.std(value))
 
 
 def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
