@@ -9,9 +9,8 @@ of them: its variance is by their whole covariance.
 import math
 
 import numpy as np
-from numba import njit
 
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.identification.online.forces import LEAST_COEFFICIENT, reaction
 from soil_env.identification.online.memory import (
     COHESION,
@@ -38,7 +37,7 @@ DEEPEST = 1.5  # [radii]
 FLATTEST = -0.1  # slope of the condition by ln z, at least
 
 
-@njit(**EXACT)
+@compiled
 def _newton(x, slip, load, memory, setting, work):
     """(ln z after a step, `Reaction` at x, slope of the condition by ln z, ratio q)."""
     u = memory.soil
@@ -58,7 +57,7 @@ def _newton(x, slip, load, memory, setting, work):
     return min(max(after, low), high), f, slope, ratio
 
 
-@njit(**EXACT)
+@compiled
 def _slopes(x, f, slope, ratio, memory, setting, work):
     """Slopes of the steady pull by the soil, S keeping the condition, into `work.step`."""
     u = memory.soil
@@ -73,7 +72,7 @@ def _slopes(x, f, slope, ratio, memory, setting, work):
     by[GAIN] = through * u[EXPONENT] * (1.0 - 1.0 / ratio)
 
 
-@njit(**EXACT)
+@compiled
 def renew_best_pull(memory, load, setting, work):
     """Renew `memory.fresh_pull` under a measured `load` [N]."""
     load *= 1.0 - memory.u[LOAD_GAIN]

@@ -4,9 +4,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from soil_env._compiled.flags import EXACT, record
+from soil_env._compiled.flags import compiled, record
 from soil_env.identification.online.memory import SETTING
 from soil_env.identification.online.prior import setting_of
 from soil_env.identification.status import Status
@@ -69,7 +68,7 @@ def board_setting(scenario: Scenario, shown: Shown) -> np.ndarray:
     return setting
 
 
-@njit(**EXACT)
+@compiled
 def knowledge(known, setting):
     """Knowledge in an estimate beyond the prior of a `SETTING` [nat].
 
@@ -82,7 +81,7 @@ def knowledge(known, setting):
     return -math.log(left)
 
 
-@njit(**EXACT)
+@compiled
 def add_information(vehicle, before, after, ends, board):
     """Reward knowledge [nat] of a control period: weight x (discount x `after` - `before`).
 
@@ -96,21 +95,21 @@ def add_information(vehicle, before, after, ends, board):
     vehicle.terms[INFORMATION] += board.information * (kept - before)
 
 
-@njit(**EXACT)
+@compiled
 def sum_reward(vehicle):
     """Reward of a step as the sum of its terms."""
     terms = vehicle.terms
     vehicle.reward = terms[0] + terms[1] + terms[2] + terms[INFORMATION]
 
 
-@njit(**EXACT)
+@compiled
 def clip(out, board):
     """Cut the observation `out` [D] to its bounds."""
     for i in range(out.size):
         out[i] = min(max(out[i], board.bounds[0, i]), board.bounds[1, i])
 
 
-@njit(**EXACT)
+@compiled
 def write_moments(out, six, four, mean, sd, dig_gain):
     """Mean and sd of (phi, ln K, ln S, c, ln gain).
 
@@ -128,7 +127,7 @@ def write_moments(out, six, four, mean, sd, dig_gain):
     out[four + 3] = sd[4]
 
 
-@njit(**EXACT)
+@compiled
 def write_estimate(out, known, dig_gain):
     """Fill `out` [13] with an estimate, its best drawbar pull and the sd of that."""
     write_moments(out, 0, 7, known.estimate, known.sd, dig_gain)

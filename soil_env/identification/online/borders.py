@@ -4,10 +4,8 @@ soil's; over a border one soil passes into the next.
 
 import math
 
-from numba import njit
-
 from soil_env._compiled.elementary import smooth_step
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.identification.online.linear import factorise, invert
 from soil_env.identification.online.memory import (
     INSTRUMENTS,
@@ -23,14 +21,14 @@ PLACE_SD = 0.3  # [border lengths] of the place of a border that forces show, wh
 OLD_DOUBT = 3.0
 
 
-@njit(**EXACT)
+@compiled
 def share_at(behind, length):
     """(share of the new soil, its slope [1/m]) at a distance behind the middle of a border [m]."""
     share, slope = smooth_step(behind / length + 0.5)
     return share, slope / length
 
 
-@njit(**EXACT)
+@compiled
 def begin_border(memory, setting, work, place, variance):
     """Begin with another soil, whose border has its middle at `place` [m]; what was known becomes
     the old soil. Instruments begin anew: carried over, they were too sure.
@@ -78,7 +76,7 @@ def begin_border(memory, setting, work, place, variance):
     memory.widening = 1.0
 
 
-@njit(**EXACT)
+@compiled
 def see_border(memory, sample, camera_sd, setting, work):
     """Begin a border where a camera sees ground of another class begin; True if it did.
 
@@ -92,7 +90,7 @@ def see_border(memory, sample, camera_sd, setting, work):
     return True
 
 
-@njit(**EXACT)
+@compiled
 def feel_border(memory, setting, work):
     """Begin a border that forces show here.
 
@@ -108,7 +106,7 @@ CELL_PLACE = 2e-3
 CELL_SHARE = 0.1
 
 
-@njit(**EXACT)
+@compiled
 def put_on_border(memory, cell, setting):
     """Note how well the place of a new cell is known, if it is on the border."""
     if memory.borders == 0 or cell.place > memory.border + 0.5 * setting.border:
@@ -117,7 +115,7 @@ def put_on_border(memory, cell, setting):
     cell.place_error = CELL_PLACE + CELL_SHARE * cell.spread
 
 
-@njit(**EXACT)
+@compiled
 def blend_estimates(into, memory, setting):
     """Publish the blend of the old and the fresh estimate of a record on a border."""
     share, slope = share_at(memory.place - memory.border, setting.border)
@@ -129,7 +127,7 @@ def blend_estimates(into, memory, setting):
         into.sd[i] = math.sqrt(variance + (slope * change) ** 2 * memory.border_variance)
 
 
-@njit(**EXACT)
+@compiled
 def blend_pull(memory, setting):
     """Publish the blend of old and fresh best pull on a border."""
     share, slope = share_at(memory.place - memory.border, setting.border)
@@ -140,7 +138,7 @@ def blend_pull(memory, setting):
     memory.best_pull[1] = math.sqrt(variance)
 
 
-@njit(**EXACT)
+@compiled
 def end_border(memory):
     """Leave a border behind: the ground is of the new soil."""
     memory.crossing = 0.0

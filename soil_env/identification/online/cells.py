@@ -4,9 +4,7 @@ as excitation (regression dilution: Fuller 1987, Measurement Error Models, ch. 1
 
 import math
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.identification.online.memory import CELLS
 
 # Differences that count as one, beside noise.
@@ -20,7 +18,7 @@ NEAREST = 1e-6  # [m2] least square of the distance of their places
 FARTHEST = 1e300
 
 
-@njit(**EXACT)
+@compiled
 def _distance(a, b):
     """Squared distance of two cells in the units above."""
     pull = PULL_UNIT**2 + a.pull_variance + b.pull_variance
@@ -31,13 +29,13 @@ def _distance(a, b):
     return square + (a.sinkage - b.sinkage) ** 2 / depth
 
 
-@njit(**EXACT)
+@compiled
 def _joint_variance(a, b, share):
     """Variance of (1 - share) x + share y, from theirs."""
     return (1.0 - share) ** 2 * a + share * share * b
 
 
-@njit(**EXACT)
+@compiled
 def _merge(into, cell):
     """Average a cell into another; one share for all quantities, so that they stay of one
     condition.
@@ -70,7 +68,7 @@ def _merge(into, cell):
         into.middle += share * (cell.middle - into.middle)
 
 
-@njit(**EXACT)
+@compiled
 def _apart(a, b):
     """`_distance`, far where one of the two is on a border; nearer if both are, by their places."""
     if a.place_error > 0.0 and b.place_error > 0.0:
@@ -80,7 +78,7 @@ def _apart(a, b):
     return _distance(a, b)
 
 
-@njit(**EXACT)
+@compiled
 def remember(memory):
     """Put the newest cell among the kept ones: into a like one, beside them, or, where there is no
     room, in the place of one of the two that are most alike.

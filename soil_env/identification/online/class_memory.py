@@ -12,9 +12,8 @@ together (Birge 1932, Physical Review 40:207-227).
 """
 
 import numpy as np
-from numba import njit
 
-from soil_env._compiled.flags import EXACT, record
+from soil_env._compiled.flags import compiled, record
 from soil_env.identification.online.memory import PUBLISHED
 from soil_env.parameters.course import MOST_CLASSES
 
@@ -44,7 +43,7 @@ def class_setting(setting: np.ndarray, pull: tuple[float, float]) -> np.ndarray:
     return numbers
 
 
-@njit(**EXACT)
+@compiled
 def forget_classes(classes, setting):
     """Set the memory of a wheel to the prior."""
     classes.patch = -1
@@ -56,7 +55,7 @@ def forget_classes(classes, setting):
             known.sd[i] = setting.prior_precision[i] ** -0.5
 
 
-@njit(**EXACT)
+@compiled
 def remember_class(classes, c, patch, memory, setting):
     """Renew class c by the estimate that a `memory` has on a `patch`; it replaces an earlier one
     from there.
@@ -88,7 +87,7 @@ def remember_class(classes, c, patch, memory, setting):
             known.sd[i] = (max(apart, 1.0) / total) ** 0.5
 
 
-@njit(**EXACT)
+@compiled
 def clear_of_borders(since, left, setting):
     """True if an estimate made `since` [m] the last border and `left` [m] before the next is of one
     soil.

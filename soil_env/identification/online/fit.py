@@ -5,9 +5,7 @@ covariance.
 
 import math
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.identification.online.linear import factorise, invert, solve
 from soil_env.identification.online.memory import (
     ALL,
@@ -45,7 +43,7 @@ SHRINKS = 1.1
 LARGEST_ERROR = 0.1  # [of load]
 
 
-@njit(**EXACT)
+@compiled
 def weigh_instruments(memory, setting, work):
     """Prior variances of the instruments, those of two sensors by the shares that they have had."""
     inertial = 0.0
@@ -84,7 +82,7 @@ def weigh_instruments(memory, setting, work):
         variances[i] += EXACTLY**2
 
 
-@njit(**EXACT)
+@compiled
 def _begin_with_prior(memory, setting, work, size):
     """Normal matrix and gradient of the prior alone."""
     A = work.normal
@@ -117,7 +115,7 @@ def _begin_with_prior(memory, setting, work, size):
         g[PULL_ZERO] += (memory.rest_pull - u[PULL_ZERO]) / variance
 
 
-@njit(**EXACT)
+@compiled
 def _normal_equations(memory, setting, work, size):
     """Normal matrix and gradient of all cells at the unknowns; chi-squared of each kind."""
     _begin_with_prior(memory, setting, work, size)
@@ -147,7 +145,7 @@ def _normal_equations(memory, setting, work, size):
     return forces, sinkage
 
 
-@njit(**EXACT)
+@compiled
 def _apply_step(memory, setting, work, size):
     """Take `work.step`, shortened where it is too long; the share of it that is taken."""
     u = memory.u
@@ -174,7 +172,7 @@ def _apply_step(memory, setting, work, size):
     return share
 
 
-@njit(**EXACT)
+@compiled
 def _fall(work, size, share):
     """Fall of chi-squared of the cells, without the prior, over a share of `work.step`."""
     step = work.step
@@ -188,7 +186,7 @@ def _fall(work, size, share):
     return fall
 
 
-@njit(**EXACT)
+@compiled
 def renew(memory, setting, work):
     """Renew unknowns and covariance by all cells, `misfit` and form error of the laws."""
     size = ALL if memory.behind > 0 else HERE

@@ -6,10 +6,9 @@ import math
 import threading
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.identification.online.best_pull import renew_best_pull
 from soil_env.identification.online.borders import (
     blend_estimates,
@@ -91,7 +90,7 @@ DEEPEST = 2.0  # [radii] of that
 DEEPER = 10.0  # of that over the sinkage, at most
 
 
-@njit(**EXACT)
+@compiled
 def begin_pull(memory, setting, work):
     """Set the best pull of a soil of which nothing is known to that of the prior."""
     for k in range(SLIPS):
@@ -100,7 +99,7 @@ def begin_pull(memory, setting, work):
     renew_best_pull(memory, load, setting, work)
 
 
-@njit(**EXACT)
+@compiled
 def forget(memory, setting, work):
     """Set the memory of a wheel back to the prior."""
     memory.mass = 0.0
@@ -148,7 +147,7 @@ def forget(memory, setting, work):
         memory.best_pull[i] = memory.fresh_pull[i]
 
 
-@njit(**EXACT)
+@compiled
 def _surprise(memory, setting, work):
     """Chi-squared of the forces of the newest cell under the soil so far."""
     cell = memory.cells[memory.cells_kept]
@@ -175,7 +174,7 @@ def _surprise(memory, setting, work):
     return square / (pp * tt - pt * pt)
 
 
-@njit(**EXACT)
+@compiled
 def _find_bearing(memory, reading, setting, work):
     """Renew the bearing sinkage under the wheel, and the best pull there."""
     u = memory.soil
@@ -195,7 +194,7 @@ def _find_bearing(memory, reading, setting, work):
         memory.fresh_pull[1] *= PULL_WIDER * widening(memory, setting)
 
 
-@njit(**EXACT)
+@compiled
 def widening(memory, setting):
     """Factor of the standard deviations for what the linearised fit leaves out, and for a form
     error beyond the believed one.
@@ -203,7 +202,7 @@ def widening(memory, setting):
     return WIDER * math.sqrt(memory.form_error / setting.model_error)
 
 
-@njit(**EXACT)
+@compiled
 def publish(u, V, into, memory, setting):
     """Write `fresh` and its standard deviations by `u` and `covariance` of a record: S is that at
     the bearing sinkage, for the exponent of the belief.
@@ -227,7 +226,7 @@ def publish(u, V, into, memory, setting):
         sd[i] = min(sd[i] * wider, setting.prior_sd[i]) * memory.widening
 
 
-@njit(**EXACT)
+@compiled
 def _judge(memory, setting):
     """Status of the estimate."""
     learnt = max(memory.sd[0] / setting.prior_sd[0], memory.sd[1] / setting.prior_sd[1])
@@ -240,7 +239,7 @@ def _judge(memory, setting):
         memory.status = Status.NOT_EXCITED.value
 
 
-@njit(**EXACT)
+@compiled
 def _complete(memory, reading, alone, setting, work):
     """Close the open point and renew what is known by it."""
     cell = memory.cells[memory.cells_kept]
@@ -288,7 +287,7 @@ def _complete(memory, reading, alone, setting, work):
     _judge(memory, setting)
 
 
-@njit(**EXACT)
+@compiled
 def _is_finite(memory):
     """True if all that is published is a number."""
     total = abs(memory.best_pull[0]) + memory.best_pull[1] + memory.form_error
@@ -299,7 +298,7 @@ def _is_finite(memory):
     return math.isfinite(total)
 
 
-@njit(**EXACT)
+@compiled
 def observe(memory, reading, alone, setting, work):
     """Take one set of readings: `HELD`, `MOVED` or `RENEWED`.
 
@@ -342,7 +341,7 @@ def observe(memory, reading, alone, setting, work):
     return outcome
 
 
-@njit(**EXACT)
+@compiled
 def observe_image(memory, image, camera_sd, setting, work):
     """Take an `Image`: where another class of ground begins, so does another soil.
 

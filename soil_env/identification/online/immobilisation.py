@@ -17,10 +17,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import EXACT, record
+from soil_env._compiled.flags import compiled, record
 from soil_env.identification.online.class_memory import BEST_PULL
 from soil_env.identification.published import HORIZONS
 from soil_env.parameters import Scenario
@@ -146,7 +145,7 @@ def warning_setting(scenario: Scenario) -> np.ndarray:
     return numbers
 
 
-@njit(**EXACT)
+@compiled
 def _channels(reading, numbers):
     """`Channels` of one set of readings."""
     load = max(reading.load, _LEAST_LOAD * numbers.weight)
@@ -168,7 +167,7 @@ def _channels(reading, numbers):
     )
 
 
-@njit(**EXACT)
+@compiled
 def begin(recent, reading, numbers):
     """Start the averages of a wheel, at rest at the start of a course, with its first readings."""
     values = _channels(reading, numbers)
@@ -178,7 +177,7 @@ def begin(recent, reading, numbers):
     recent[_AVERAGES] = 0.0
 
 
-@njit(**EXACT)
+@compiled
 def average(recent, reading, halted, numbers):
     """Take the readings of a control period into the averages, which stand still in halts."""
     if halted > 0.0:
@@ -193,7 +192,7 @@ def average(recent, reading, halted, numbers):
     recent[_AVERAGES] += numbers.period
 
 
-@njit(**EXACT)
+@compiled
 def see(recent, image, classes, sight, numbers):
     """Store the view of a control period by an image and what is known of the `CLASSES`; `sight`
     [m] of the camera.
@@ -222,7 +221,7 @@ def see(recent, image, classes, sight, numbers):
     recent[_SEEN + 11] = seen * min(float(beside.patches), _OFTEN)
 
 
-@njit(**EXACT)
+@compiled
 def _write_inputs(recent, x, sd, numbers, out):
     """Write `INPUTS` of a wheel: `recent` [MEMORY], its estimate and sd [5] of (phi, ln K, ln S, c,
     ln of the gain).
@@ -248,7 +247,7 @@ def _write_inputs(recent, x, sd, numbers, out):
         soil[i - _SEEN + len(_SOIL)] = recent[i]
 
 
-@njit(**EXACT)
+@compiled
 def _layer(x, weights, bias, squashed, out):
     """`out` = x weights + bias, or tanh of it."""
     for j in range(out.size):

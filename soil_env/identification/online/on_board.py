@@ -8,10 +8,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import EXACT, record
+from soil_env._compiled.flags import compiled, record
 from soil_env.identification.online.board import (
     BOARD_SETTING,
     OF_SOIL,
@@ -103,14 +102,14 @@ class WheelsOnBoard:
         estimate_wheels(self.memory, *world, orders, self.setting, self._work.mine(), (first, end))
 
 
-@njit(**EXACT)
+@compiled
 def _see_ahead(wheel, sample, setting):
     """Store the view for the warning, where it is asked for."""
     if setting.warns > 0:
         see(wheel.recent, sample, wheel.classes[0], setting.board[0].sight, setting.warning[0])
 
 
-@njit(**EXACT)
+@compiled
 def _restart(wheel, sample, setting, work):
     """Set an estimator to its prior, at the start of a course."""
     forget(wheel.identifier[0], setting.board[0].identifier[0], work)
@@ -122,7 +121,7 @@ def _restart(wheel, sample, setting, work):
         _see_ahead(wheel, sample, setting)
 
 
-@njit(**EXACT)
+@compiled
 def _after_period(wheel, sample, vehicle, period, setting, work):
     """Take the record of a control period of a wheel."""
     board = setting.board[0]
@@ -147,7 +146,7 @@ def _after_period(wheel, sample, vehicle, period, setting, work):
         add_information(vehicle, before, after, period == vehicle.periods - 1, board)
 
 
-@njit(**EXACT)
+@compiled
 def show_estimate(wheel, sample, board, out):
     """Fill what is identified into the observation of a wheel."""
     dig_gain = board.identifier[0].dig_gain
@@ -166,7 +165,7 @@ def show_estimate(wheel, sample, board, out):
     clip(out, board)
 
 
-@njit(**EXACT)
+@compiled
 def _write_line(out, known, grade, dig_gain):
     """Fill `out` [13] with what is known of the soil of a route ahead.
 

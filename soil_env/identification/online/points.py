@@ -7,9 +7,7 @@ no point, because the laws are those of steady motion.
 import math
 from typing import NamedTuple
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 
 # Readings of a point; with 4 the errors of ln K grow by 5 %.
 READINGS = 8.0
@@ -42,7 +40,7 @@ TYPICAL_TORQUE = 0.3  # [of weight x radius] at which a gain counts as an error 
 TYPICAL_PULL = 0.2  # [of weight] the same of a pull
 
 
-@njit(**EXACT)
+@compiled
 def is_sound(reading, setting):
     """True if all readings are numbers that a wheel can give."""
     force = LARGEST_FORCE * setting.weight
@@ -55,7 +53,7 @@ def is_sound(reading, setting):
     return sound and abs(reading.sinkage) < SLACK * setting.radius
 
 
-@njit(**EXACT)
+@compiled
 def slip_error(reading, setting):
     """Standard deviation of the slip: of its own sensor, or by the white noise of the speeds."""
     white = setting.white[0]
@@ -67,7 +65,7 @@ def slip_error(reading, setting):
     return rate * math.hypot(white.speed, travel * white.rim_speed) / rim
 
 
-@njit(**EXACT)
+@compiled
 def advance(memory, reading, turned, setting):
     """Advance place and clocks by a period; `turned`: change of the rim speed in it [m/s]."""
     step = setting.period / setting.length
@@ -77,7 +75,7 @@ def advance(memory, reading, turned, setting):
     memory.turning += turned * step
 
 
-@njit(**EXACT)
+@compiled
 def is_steady(reading, error, turned, setting):
     """True if the wheel drives on the ground without spinning, locking or a jump of its speed."""
     drives = reading.rim_speed > SLOWEST and LOCKED <= reading.slip <= SPINNING
@@ -90,7 +88,7 @@ def is_steady(reading, error, turned, setting):
     )
 
 
-@njit(**EXACT)
+@compiled
 def ends_point(point, reading, error, most, setting):
     """True if the open point has enough readings, or this one is unlike its first."""
     enough = point.readings >= most and (
@@ -100,7 +98,7 @@ def ends_point(point, reading, error, most, setting):
     return enough or long or abs(reading.slip - point.first_slip) > SLIP_RANGE + 3.0 * error
 
 
-@njit(**EXACT)
+@compiled
 def weigh(memory, reading, setting):
     """Renew the mass on the wheel by a reading of the load, if there is one; first it is the
     body's.
@@ -126,7 +124,7 @@ class Sensor(NamedTuple):
     gain: float  # of what its gain makes of a typical reading
 
 
-@njit(**EXACT)
+@compiled
 def _combine(one, other, unit):
     """(mean of two sensors by their precision, its white variance, share of the other), over a
     unit.
@@ -139,7 +137,7 @@ def _combine(one, other, unit):
     return mean / unit, variance / (unit * unit), share
 
 
-@njit(**EXACT)
+@compiled
 def combined_pull(memory, reading, setting):
     """`_combine` of force sensor and accelerometer, of the weight."""
     white = setting.white[0]
@@ -166,7 +164,7 @@ def combined_pull(memory, reading, setting):
     )
 
 
-@njit(**EXACT)
+@compiled
 def _combined_torque(reading, turned, setting):
     """`_combine` of torque sensor and motor torque, of weight x radius; `turned`: change of the rim
     speed [m/s] in the period, which costs the motor a torque of its own.
@@ -186,7 +184,7 @@ def _combined_torque(reading, turned, setting):
     )
 
 
-@njit(**EXACT)
+@compiled
 def collect(point, memory, reading, error, turned, setting):
     """Add a reading to the open point."""
     place = memory.place - LAG * reading.speed * setting.period
@@ -216,7 +214,7 @@ def collect(point, memory, reading, error, turned, setting):
     point.turning += memory.turning
 
 
-@njit(**EXACT)
+@compiled
 def clear(point):
     """Make the open point empty."""
     point.readings = 0.0
@@ -243,7 +241,7 @@ def clear(point):
 STOPPED = 0.1
 
 
-@njit(**EXACT)
+@compiled
 def close(point, memory, cell, setting):
     """Write the means of the open point into `cell`, with the change of sinkage since the last."""
     n = point.readings
@@ -291,7 +289,7 @@ def close(point, memory, cell, setting):
 STANDSTILL = 3.0  # readings after which a wheel that stands has settled
 
 
-@njit(**EXACT)
+@compiled
 def record_rest(memory, reading, setting):
     """Where the wheel stands, its pull is that of its weight on the slope: the rest is the zero."""
     standing = abs(reading.rim_speed) < SLOWEST and abs(reading.speed) < SLOWEST

@@ -14,9 +14,7 @@ slip-sinkage are not pooled: a wheel behind another runs on a floor that this ha
 
 import math
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT, record
+from soil_env._compiled.flags import compiled, record
 from soil_env.identification.online.borders import begin_border, blend_estimates
 from soil_env.identification.online.identifier import LEARNT, begin_pull, publish
 from soil_env.identification.online.library import mix
@@ -67,7 +65,7 @@ POOL = record(
 )
 
 
-@njit(**EXACT)
+@compiled
 def forget_pool(pool, memory):
     """Set a wheel's pool to what its identifier, just reset, has."""
     for s in range(SOILS):
@@ -78,7 +76,7 @@ def forget_pool(pool, memory):
         pool.old_sd[i] = memory.sd[i]
 
 
-@njit(**EXACT)
+@compiled
 def copy_own(pool, memory):
     """Publish what the wheel's own identifier has."""
     pool.status = memory.status
@@ -91,7 +89,7 @@ def copy_own(pool, memory):
         pool.fresh_sd[i] = memory.fresh_sd[i]
 
 
-@njit(**EXACT)
+@compiled
 def keep_knowledge(pool, memory, setting, work):
     """Keep what a renewed identifier knows of its soil."""
     s = memory.borders % SOILS
@@ -104,7 +102,7 @@ def keep_knowledge(pool, memory, setting, work):
             pool.shared_covariance[s, i, j] = work.inverse[i, j]
 
 
-@njit(**EXACT)
+@compiled
 def _under_one_gaussian(memory, setting, work):
     """Mean into `work.soil` and covariance into `work.inverse` of the soil under the prior of one
     Gaussian.
@@ -123,7 +121,7 @@ def _under_one_gaussian(memory, setting, work):
         work.soil[i] += u[i]
 
 
-@njit(**EXACT)
+@compiled
 def hand_over_border(front, memory, behind, setting, work):
     """Begin with the next soil where the front wheel, `behind` [m] ahead, found its border."""
     number = memory.borders + 1
@@ -136,7 +134,7 @@ def hand_over_border(front, memory, behind, setting, work):
         begin_pull(memory, setting, work)
 
 
-@njit(**EXACT)
+@compiled
 def _disagreement(memory, other, s, work):
     """Chi-squared over its degrees of freedom between what a wheel and another one know."""
     for i in range(SHARED):
@@ -151,7 +149,7 @@ def _disagreement(memory, other, s, work):
     return total / SHARED
 
 
-@njit(**EXACT)
+@compiled
 def _add(pool, u, covariance, mean, share, work):
     """Add a share of the precision of a Gaussian of the shared unknowns to what is pooled."""
     factorise(covariance, SHARED, work.factor)
@@ -163,7 +161,7 @@ def _add(pool, u, covariance, mean, share, work):
             pool.gradient[i] += more * (mean[j] - u[j])
 
 
-@njit(**EXACT)
+@compiled
 def pool_with(pools, axles, own, memory, setting, work):
     """Renew what all wheels of a rover know of the ground under the one on the axle `own`."""
     pool = pools[own]

@@ -8,9 +8,7 @@ Slip and sinkage have noise, which enters as effective variance (Orear 1982, Am.
 import math
 from typing import NamedTuple
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.identification.online.borders import share_at
 from soil_env.identification.online.forces import Ground, reaction
 from soil_env.identification.online.memory import (
@@ -63,7 +61,7 @@ class Residuals(NamedTuple):
     sinkage_weight: float  # 0 where the cell shows no change of sinkage
 
 
-@njit(**EXACT)
+@compiled
 def _blend(cell, memory, setting, work):
     """Write the soil under a cell into `work.soil`; (share of the new soil, its slope by the
     place).
@@ -82,7 +80,7 @@ def _blend(cell, memory, setting, work):
     return share, -0.5 * (ahead_by + behind_by)
 
 
-@njit(**EXACT)
+@compiled
 def _over_border(row, share, by_place, memory, work):
     """Share the slopes of a residual by the soil among new and old soil and the place of the
     border; its change over the border for a metre of that.
@@ -98,7 +96,7 @@ def _over_border(row, share, by_place, memory, work):
     return slopes[row, PLACE]
 
 
-@njit(**EXACT)
+@compiled
 def ground_of(unknowns, setting):
     """`Ground` of the unknowns of a soil and what is known of its law."""
     return Ground(
@@ -113,7 +111,7 @@ def ground_of(unknowns, setting):
     )
 
 
-@njit(**EXACT)
+@compiled
 def _put_soil(row, slopes, factor, work):
     """Slopes of a residual by tan phi, c, n and ln K."""
     work.slopes[row, TANGENT] = factor * slopes.tan_phi
@@ -122,13 +120,13 @@ def _put_soil(row, slopes, factor, work):
     work.slopes[row, LN_K] = factor * slopes.ln_K
 
 
-@njit(**EXACT)
+@compiled
 def slip_slope(slip, setting):
     """Change of the slip for a relative error of the speed; none for a slip sensor."""
     return 0.0 if setting.white[0].slip > 0.0 else 1.0 - abs(slip)
 
 
-@njit(**EXACT)
+@compiled
 def residuals(cell, memory, setting, work):
     """`Residuals` of a cell at the unknowns, with slopes in `work.slopes`; renews its most likely
     slip.
@@ -194,7 +192,7 @@ def residuals(cell, memory, setting, work):
     return Residuals(p, t, pp, pt, tt, s, weight)
 
 
-@njit(**EXACT)
+@compiled
 def _of_sinkage(cell, ln_s, sinkage, share, by_place, memory, setting, work):
     """Residual of the law of slip-sinkage, z' - z = come (B z_b - A z), over its unit, and its
     weight.

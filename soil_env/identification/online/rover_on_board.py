@@ -7,10 +7,9 @@ As `on_board`, it reads the record of a step after the world has made it.
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import EXACT, record
+from soil_env._compiled.flags import compiled, record
 from soil_env.identification.online.board import (
     BOARD_SETTING,
     OF_SOIL,
@@ -89,7 +88,7 @@ def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
     setting["load_varies"] = 1
 
 
-@njit(**EXACT)
+@compiled
 def _restart(rover, setting, work):
     """Set the estimators of a rover to their prior, at the start of a course."""
     for a in range(setting.axles):
@@ -98,7 +97,7 @@ def _restart(rover, setting, work):
         forget_pool(rover.pools[a], memory)
 
 
-@njit(**EXACT)
+@compiled
 def _knowledge(rover, setting):
     """Mean of `knowledge` over the axles of a rover."""
     known = 0.0
@@ -107,7 +106,7 @@ def _knowledge(rover, setting):
     return known / setting.axles
 
 
-@njit(**EXACT)
+@compiled
 def _after_period(rover, readings, period, vehicle, setting, work):
     """Take the readings [axles, periods] of a control period of a rover."""
     board = setting.board[0]
@@ -133,7 +132,7 @@ def _after_period(rover, readings, period, vehicle, setting, work):
         add_information(vehicle, before, after, period == vehicle.periods - 1, board)
 
 
-@njit(**EXACT)
+@compiled
 def _show(rover, setting, out):
     """Fill what is identified into the observation of a rover."""
     board = setting.board[0]
