@@ -11,11 +11,8 @@ from soil_env.identification.online.memory import CELLS
 PULL_UNIT = 0.003  # [of weight]
 SLIP_UNIT = 0.025  # [-]
 SINKAGE_UNIT = 0.05  # relative
-LEAST_SINKAGE = 1e-6  # [m] that sinkages are compared with
-OTHER_GROUND = 1e12  # distance of a cell on a border from one that is not
 ON_BORDER = 1e9  # [1/m2] of two cells on a border, so that others are merged before them
 NEAREST = 1e-6  # [m2] least square of the distance of their places
-FARTHEST = 1e300
 
 
 @compiled
@@ -23,7 +20,7 @@ def _distance(a, b):
     """Squared distance of two cells in the units above."""
     pull = PULL_UNIT**2 + a.pull_variance + b.pull_variance
     slip = SLIP_UNIT**2 + a.slip_variance + b.slip_variance
-    sinkage = 0.5 * SINKAGE_UNIT * (abs(a.sinkage) + abs(b.sinkage)) + LEAST_SINKAGE
+    sinkage = 0.5 * SINKAGE_UNIT * (a.sinkage + b.sinkage)
     depth = sinkage * sinkage + a.sinkage_variance + b.sinkage_variance
     square = (a.pull - b.pull) ** 2 / pull + (a.slip - b.slip) ** 2 / slip
     return square + (a.sinkage - b.sinkage) ** 2 / depth
@@ -74,7 +71,7 @@ def _apart(a, b):
     if a.place_error > 0.0 and b.place_error > 0.0:
         return ON_BORDER * ((a.place - b.place) ** 2 + NEAREST)
     if a.place_error > 0.0 or b.place_error > 0.0:
-        return OTHER_GROUND
+        return math.inf
     return _distance(a, b)
 
 
@@ -85,7 +82,7 @@ def remember(memory):
     """
     kept = memory.cells_kept
     newest = memory.cells[kept]
-    nearest = FARTHEST
+    nearest = math.inf
     into = -1
     for k in range(kept):
         distance = _apart(memory.cells[k], newest)
@@ -98,7 +95,7 @@ def remember(memory):
     if kept < CELLS:
         memory.cells_kept = kept + 1
         return
-    least = FARTHEST
+    least = math.inf
     first = 0
     second = 1
     for b in range(1, kept + 1):

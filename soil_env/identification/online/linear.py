@@ -9,7 +9,6 @@ import math
 from soil_env._compiled.flags import compiled
 
 LEAST_PIVOT = 1e-12  # [of the diagonal] below which a matrix counts as singular there
-TINIEST = 1e-300  # least pivot
 
 
 @compiled
@@ -20,7 +19,7 @@ def factorise(a, n, factor):
         pivot = a[j, j]
         for k in range(j + 1, n):
             pivot -= factor[j, k] * factor[j, k]
-        root = math.sqrt(max(pivot, LEAST_PIVOT * abs(a[j, j]), TINIEST))
+        root = math.sqrt(max(pivot, LEAST_PIVOT * abs(a[j, j])))
         factor[j, j] = root
         for i in range(j):
             rest = a[i, j]

@@ -214,40 +214,23 @@ def collect(point, memory, reading, error, turned, setting):
     point.turning += memory.turning
 
 
-@compiled
-def clear(point):
-    """Make the open point empty."""
-    point.readings = 0.0
-    point.slip = 0.0
-    point.slip_weight = 0.0
-    point.sinkage = 0.0
-    point.pull = 0.0
-    point.pull_weight = 0.0
-    point.inertial = 0.0
-    point.torque = 0.0
-    point.torque_weight = 0.0
-    point.motor = 0.0
-    point.load = 0.0
-    point.cos_pitch = 0.0
-    point.place = 0.0
-    point.place_square = 0.0
-    point.travel = 0.0
-    point.slide = 0.0
-    point.turning = 0.0
-
-
 # [relaxation lengths] that the rim turns faster or slower between two points, above which the wheel
 # has stopped between them: soil yields under it there
 STOPPED = 0.1
 
 
 @compiled
-def close(point, memory, cell, setting):
+def close(memory, cell, setting):
     """Write the means of the open point into `cell`, with the change of sinkage since the last."""
+    point = memory.open[0]
     n = point.readings
     sinkage = point.sinkage / n
+    travel = point.travel / n
+    slide = point.slide / n
+    turning = point.turning / n
     cell.slip = point.slip / point.slip_weight
     cell.slip_variance = 1.0 / point.slip_weight
+    cell.most_likely_slip = cell.slip
     cell.sinkage = sinkage
     cell.sinkage_variance = setting.white[0].sinkage ** 2 / n
     cell.pull = point.pull / point.pull_weight
@@ -260,30 +243,21 @@ def close(point, memory, cell, setting):
     if setting.load_varies > 0:
         cell.load = max(point.load / n, LIFTED * setting.weight)
     cell.readings = n
-    cell.most_likely_slip = cell.slip
     mean = point.place / n
     cell.place = point.first_place + mean
     cell.spread = math.sqrt(max(point.place_square / n - mean * mean, 0.0))
     cell.place_error = 0.0
-    cell.changes = 0.0
-    cell.rise = 0.0
-    cell.travel = 0.0
-    cell.slide = 0.0
-    cell.middle = 0.0
-    travel = point.travel / n
-    slide = point.slide / n
-    turning = point.turning / n
-    if memory.point_sinkage > 0.0 and turning - memory.point_turning < STOPPED:
-        cell.changes = 1.0
-        cell.rise = sinkage - memory.point_sinkage
-        cell.travel = travel - memory.point_travel
-        cell.slide = slide - memory.point_slide
-        cell.middle = 0.5 * (sinkage + memory.point_sinkage)
+    rolled = memory.point_sinkage > 0.0 and turning - memory.point_turning < STOPPED
+    cell.changes = 1.0 if rolled else 0.0
+    cell.rise = sinkage - memory.point_sinkage
+    cell.travel = travel - memory.point_travel
+    cell.slide = slide - memory.point_slide
+    cell.middle = 0.5 * (sinkage + memory.point_sinkage)
     memory.point_sinkage = sinkage
     memory.point_travel = travel
     memory.point_slide = slide
     memory.point_turning = turning
-    clear(point)
+    memory.open[0] = setting.blank[0].open[0]
 
 
 STANDSTILL = 3.0  # readings after which a wheel that stands has settled
