@@ -27,9 +27,9 @@ from soil_env_agents.controllers.wheel import ConstantSpeed, SoftStart
 from soil_env_agents.evaluate.driving import drive
 from soil_env_agents.evaluate.tuning import shipped_settings
 
-#: Judged quantities with their units; the first five in the order of `Identifiers.estimate`.
+#: Judged quantities with their units, in the order of `Known.estimate`.
 QUANTITIES = ("phi [deg]", "ln K", "ln S", "c [kPa]", "ln gain", "best pull [of load]")
-#: From the units of `Identifiers.estimate` to these.
+#: From the units of `Known.estimate` to these.
 UNITS = np.array([math.degrees(1.0), 1.0, 1.0, 1e-3, 1.0, 1.0])
 SHARED = np.array([0, 1, 3])  # of these the wheels of a rover share: phi, ln K, c
 SWING_PERIOD = 4.0  # [s]
