@@ -10,7 +10,6 @@ import numpy as np
 
 from soil_env.envs.rovers import RoverSimulation
 from soil_env.identification.online.board import Known
-from soil_env.identification.online.identifier import prior_pull
 from soil_env.identification.online.interface import UNMEASURED
 from soil_env.identification.online.on_board import WheelsOnBoard
 from soil_env.identification.online.prior import setting_of
@@ -28,9 +27,9 @@ from soil_env_agents.controllers.wheel import ConstantSpeed, SoftStart
 from soil_env_agents.evaluate.driving import drive
 from soil_env_agents.evaluate.tuning import shipped_settings
 
-#: Judged quantities with their units; the first five in the order of `Identifiers.estimate`.
+#: Judged quantities with their units, in the order of `Known.estimate`.
 QUANTITIES = ("phi [deg]", "ln K", "ln S", "c [kPa]", "ln gain", "best pull [of load]")
-#: From the units of `Identifiers.estimate` to these.
+#: From the units of `Known.estimate` to these.
 UNITS = np.array([math.degrees(1.0), 1.0, 1.0, 1e-3, 1.0, 1.0])
 SHARED = np.array([0, 1, 3])  # of these the wheels of a rover share: phi, ln K, c
 SWING_PERIOD = 4.0  # [s]
@@ -173,9 +172,7 @@ OWN = "own"
 
 def published(known: Known) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Estimates and standard deviations [..., 6] of `QUANTITIES`, and the status."""
-    estimate = np.concatenate([known.estimate, known.best_pull[..., :1]], axis=-1)
-    sd = np.concatenate([known.sd, known.best_pull[..., 1:]], axis=-1)
-    return estimate, sd, known.status.copy()
+    return known.estimate.copy(), known.sd.copy(), known.status.copy()
 
 
 def record(
@@ -217,8 +214,8 @@ def record(
 
 def prior_of(scenario: Scenario) -> np.ndarray:
     """`QUANTITIES` [6] of the prior."""
-    setting = setting_of(scenario)
-    return np.append(setting["prior"][0], prior_pull(setting)[0])
+    prior: np.ndarray = setting_of(scenario)["prior"][0]
+    return prior
 
 
 def truth(

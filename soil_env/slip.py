@@ -6,17 +6,16 @@ plural arrays of numpy.
 """
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.elementary import smoothed_sign
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 
 SLOWEST = 1e-3  # [m/s] speed that a slip is relative to, at least: at rest there is none
 MOST_SLIDING = 0.02  # [-] least V / (r w) from which the speed of a rim that spins is known
 LEAST_ROLLING = 1e-9  # [-] least r w / V of a braked wheel that anything is divided by
 
 
-@njit(**EXACT)
+@compiled
 def signed_slip(rim_speed, travel_speed, floor):
     """(slip in [-1, 1], its derivatives by the two speeds [s/m]): (r w - V)/max(|r w|, |V|), of the
     sign of r w - V.
@@ -39,7 +38,7 @@ def signed_slip(rim_speed, travel_speed, floor):
     return slip, by_rim / scale, by_travel / scale
 
 
-@njit(**EXACT)
+@compiled
 def slip_ratio(rim_speed, travel_speed, floor):
     """Slip in [-1, 1]: (r w - V)/(r w) when driving, (r w - V)/V when braking; mirrored in reverse
     (`signed_slip`).
@@ -48,7 +47,7 @@ def slip_ratio(rim_speed, travel_speed, floor):
     return -slip if rim_speed + travel_speed < 0.0 else slip
 
 
-@njit(**EXACT)
+@compiled
 def braked_share(rim_speed, travel_speed, floor):
     """Share |i| of its travel that a braked wheel slides, 0 driving; up to 1, of a wheel that is
     locked or turns against its travel.
@@ -57,7 +56,7 @@ def braked_share(rim_speed, travel_speed, floor):
     return max(-slip * smoothed_sign(travel_speed, floor)[0], 0.0)
 
 
-@njit(**EXACT)
+@compiled
 def motion_from_slip(slip):
     """(rim, travel) of a wheel travelling forward at the given slip in [-1, 1]; -1 is locked, 1
     spins on the spot.
@@ -98,14 +97,14 @@ def sliding_speeds(travel_speed: np.ndarray, slip: np.ndarray) -> np.ndarray:
     return np.where(slip < 0.0, slide, slide / np.maximum(1.0 - slip, MOST_SLIDING))
 
 
-@njit(**EXACT)
+@compiled
 def sliding_speed(slip, travel_speed):
     """|r w - V| [m/s] of a wheel that travels at V with the given slip."""
     slide = travel_speed * abs(slip)
     return slide if slip < 0.0 else slide / max(1.0 - slip, MOST_SLIDING)
 
 
-@njit(**EXACT)
+@compiled
 def slip_of_radius(slip, scale):
     """Slip after V/(r w) is multiplied by `scale`, as by another radius; driving or braking."""
     if slip <= -1.0 or scale == 1.0:

@@ -183,7 +183,7 @@ def drives(scenario: str, family: str, seed: int, first: int, count: int) -> Dri
     driver = make_driver(family, task, [seed, first], count)
     for sim, alive in drive(driver, task, seed, first, count, threads=1, warnings=True):
         worlds = sim.worlds
-        read = warning.inputs(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
+        read = warning.assess(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd).inputs
         drives_on = alive & (worlds.state["halt_left"] == 0.0)
         furthest = worlds.state["best_x"].copy()
         kept.append((read.astype(np.float32), alive.copy(), drives_on, furthest))

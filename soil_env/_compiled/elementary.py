@@ -9,9 +9,8 @@ those of exp, log and asin as in fdlibm (Sun Microsystems 1993).
 import math
 
 import numpy as np
-from numba import njit
 
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 
 LARGEST_EXPONENT = 700.0  # [-] e^700 is the largest power that is formed
 # [-] added and subtracted it rounds to a whole number, which is then in the low bits
@@ -26,7 +25,7 @@ ROUNDING_BITS = 0x4338000000000000  # bits of `ROUNDING`
 TINIEST = 1e-300  # [-] least number whose logarithm is taken
 
 
-@njit(**EXACT)
+@compiled
 def exp(x):
     """e^x for x cut to [-700, 700]: 2^k (1 + r + r^2 P(r)) with |r| <= ln(2)/2."""
     x = max(min(x, LARGEST_EXPONENT), -LARGEST_EXPONENT)
@@ -43,7 +42,7 @@ def exp(x):
     return (r2 * p + r + 1.0) * np.int64(power_of_two).view(np.float64)
 
 
-@njit(**EXACT)
+@compiled
 def log(x):
     """Natural logarithm of a normal number x > 0: ln m + k ln 2 with m in [sqrt(1/2), sqrt(2))."""
     bits = np.float64(x).view(np.int64)
@@ -60,13 +59,13 @@ def log(x):
     return k * LN2_HIGH + (2.0 * s + (k * LN2_LOW + s * t * q))
 
 
-@njit(**EXACT)
+@compiled
 def power(x, y):
     """x^y for x of at least 1e-300."""
     return exp(y * log(max(x, TINIEST)))
 
 
-@njit(**EXACT)
+@compiled
 def half_sin(x):
     """sin(x/2) for |x| <= pi."""
     h = 0.5 * x
@@ -78,7 +77,7 @@ def half_sin(x):
     return (h * t) * ((t2 * t2) * c + (t2 * b + a)) + h
 
 
-@njit(**EXACT)
+@compiled
 def half_cos(x):
     """cos(x/2) for |x| <= pi."""
     h = 0.5 * x
@@ -90,7 +89,7 @@ def half_cos(x):
     return t2 * ((t2 * t2) * c + (t2 * b + a)) + (t * -0.5 + 1.0)
 
 
-@njit(**EXACT)
+@compiled
 def sin_cos(x):
     """(sin x, cos x) for |x| <= pi."""
     s = half_sin(x)
@@ -98,7 +97,7 @@ def sin_cos(x):
     return 2.0 * s * c, 1.0 - 2.0 * s * s
 
 
-@njit(**EXACT)
+@compiled
 def asin_root(t):
     """asin(sqrt(t)) for t cut to [0, 1]; above 1/4 by asin(s) = pi/2 - 2 asin(sqrt((1 - s)/2))."""
     t = max(min(t, 1.0), 0.0)
@@ -118,7 +117,7 @@ def asin_root(t):
     return 0.5 * math.pi - 2.0 * s if near_one else s
 
 
-@njit(**EXACT)
+@compiled
 def smoothed_sign(speed, floor):
     """(sign of a speed in (-1, 1), its derivative [s/m]), smooth through rest over about `floor`
     [m/s].
@@ -128,7 +127,7 @@ def smoothed_sign(speed, floor):
     return speed / length, floor * floor / (square * length)
 
 
-@njit(**EXACT)
+@compiled
 def smooth_step(t):
     """(w, dw/dt): cubic from 0 at t = 0 to 1 at t = 1, constant and level beyond."""
     t = min(max(t, 0.0), 1.0)

@@ -1,11 +1,11 @@
-"""Options of `numba.njit` and of numpy records that all compiled functions share.
+"""Decorators of compiled functions, and the numpy records that they share.
 
 Compiled functions are plain Python on numbers, named tuples and numpy records; with
 NUMBA_DISABLE_JIT=1 the same code runs without a compiler. A function that Python calls is decorated
-by `cache.kept`, all others by `njit(**EXACT)` and the like. What to know of numba here:
+by `cache.kept`, all others by `compiled` and the like. What to know of numba here:
 
 - A function costs about a tenth of a second of compilation. Those that are called in one place are
-  put into their callers (`INLINE`).
+  put into their callers (`inlined`).
 - `if x is None: ... else: ...` compiles to one branch where `x` is an argument and None. With a
   value both branches are compiled, so their results need one type.
 - An array that is sliced or handed on has its references counted, at some 10 ns each; a record, or
@@ -19,22 +19,22 @@ by `cache.kept`, all others by `njit(**EXACT)` and the like. What to know of num
 from typing import Any
 
 import numpy as np
+from numba import njit
 
+_EXACT: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz"}}
 #: Sums keep their order; a product and a sum may be fused, so that results differ between machines
 #: by rounding only.
-EXACT: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz"}}
-#: As `EXACT`, of functions that never meet NaN or infinity: a minimum is then one instruction and
-#: not a branch.
-FINITE: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz", "nnan", "ninf"}}
+compiled: Any = njit(**_EXACT)
+#: As `compiled`, for functions that never meet NaN or infinity: a minimum is then one instruction
+#: and not a branch.
+compiled_finite: Any = njit(error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf"})
 #: Loops that sum: LLVM may change the order of a sum, without which it vectorises none. They are
 #: put into their callers.
-SUMS: dict[str, Any] = {
-    "error_model": "numpy",
-    "fastmath": {"contract", "nsz", "reassoc"},
-    "forceinline": True,
-}
+compiled_sums: Any = njit(
+    error_model="numpy", fastmath={"contract", "nsz", "reassoc"}, forceinline=True
+)
 #: Put into the caller, whose other options then hold.
-INLINE: dict[str, Any] = EXACT | {"inline": "always"}
+inlined: Any = njit(**_EXACT, inline="always")
 
 
 def uncompiled(function: Any) -> Any:
@@ -42,7 +42,7 @@ def uncompiled(function: Any) -> Any:
     return getattr(function, "py_func", function)
 
 
-#: Stands for infinity in `FINITE` functions: more than any number there.
+#: Stands for infinity in `compiled_finite` functions: more than any number there.
 HUGE = 1e300
 
 

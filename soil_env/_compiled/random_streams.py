@@ -9,10 +9,9 @@ compiled code that runs in threads.
 import math
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.elementary import half_cos, half_sin, log
-from soil_env._compiled.flags import EXACT, SUMS, record
+from soil_env._compiled.flags import compiled, compiled_sums, record
 
 WEYL = np.uint64(0x9E3779B97F4A7C15)  # odd, 2^64 over the golden ratio
 # multipliers and shifts of the mixing function (Stafford's variant 13)
@@ -36,7 +35,7 @@ def seed_stream(rng: np.random.Generator) -> np.uint64:
     return rng.integers(0, 2**64, dtype=np.uint64)
 
 
-@njit(**EXACT)
+@compiled
 def word(owner):
     """Next 64 bits of the stream of a record. Another stream may start from them."""
     owner.stream += WEYL
@@ -46,19 +45,19 @@ def word(owner):
     return z ^ (z >> SHIFT_LAST)
 
 
-@njit(**EXACT)
+@compiled
 def uniform(owner):
     """Next number in [0, 1)."""
     return float(word(owner) >> SHIFT_TO_UNIT) * TO_UNIT
 
 
-@njit(**EXACT)
+@compiled
 def between(owner, low, high):
     """Next number, uniform in [low, high)."""
     return low + (high - low) * uniform(owner)
 
 
-@njit(**EXACT)
+@compiled
 def normal_pair(owner):
     """Two independent standard normal numbers (Box & Muller 1958)."""
     radius = math.sqrt(-2.0 * math.log(1.0 - uniform(owner)))
@@ -66,7 +65,7 @@ def normal_pair(owner):
     return radius * math.cos(angle), radius * math.sin(angle)
 
 
-@njit(**EXACT)
+@compiled
 def draw_normals(owner, normals, pairs):
     """Fill the first `pairs` (at most 8) of `normals` with standard normal numbers."""
     for i in range(8):
@@ -75,7 +74,7 @@ def draw_normals(owner, normals, pairs):
     _to_normal(normals)
 
 
-@njit(**SUMS)
+@compiled_sums
 def _to_normal(normals):
     """Make normal numbers of uniform ones; all eight at once."""
     for i in range(8):

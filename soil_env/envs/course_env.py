@@ -104,12 +104,18 @@ def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
     return a.clip(-1.0, 1.0)
 
 
-class _Storable:
-    """An environment with the spec of `gymnasium.make`, or of `make_vec`, which makes it again, as
-    the JSON of the spec does.
+class _Common:
+    """What the environments of one course and of many share: observations, and the spec of
+    `gymnasium.make`, or of `make_vec`, which makes the environment again, as its JSON does.
     """
 
+    world: dict[str, Any] | None = None  # `info["world"]`, where there is a model
+    scaling: Scaling
     _spec: EnvSpec | None = None
+
+    def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
+        """Observations [..., D] of this env in the units of the tables."""
+        return self.scaling.physical(observation)
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -121,7 +127,7 @@ class _Storable:
         self._spec = storable(spec)
 
 
-class CourseEnv(_Storable, gymnasium.Env[NDArray[Any], ArrayLike]):
+class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
     """Base of the environments of one course; a subclass sets `simulation` and `infos`, and makes
     the view.
     """
@@ -147,7 +153,7 @@ class CourseEnv(_Storable, gymnasium.Env[NDArray[Any], ArrayLike]):
         self.scenario = scenario
         self.observation_variant = variant
         self.observation_names: tuple[str, ...] = tuple(e.name for e in entries)
-        self.scaling: Scaling = Scaling(entries, scaled)
+        self.scaling = Scaling(entries, scaled)
         self.observation_space: gymnasium.spaces.Box = self.scaling.space
         self.action_space: gymnasium.spaces.Box = actions
         self._shape: tuple[int, ...] = actions.shape
@@ -156,7 +162,6 @@ class CourseEnv(_Storable, gymnasium.Env[NDArray[Any], ArrayLike]):
             **self.metadata,
             "render_fps": max(1, round(1.0 / scenario.control.duration)),
         }
-        self.world: dict[str, Any] | None = None  # `info["world"]`, where there is a model
         self._renderer: CourseView | None = None
         self._seeded = False
         self._over = True
@@ -183,9 +188,7 @@ class CourseEnv(_Storable, gymnasium.Env[NDArray[Any], ArrayLike]):
         self.infos.renew(_ONLY)
         if self.render_mode is not None:
             self._view().clear()
-            self._view().record(self.simulation, 0)
-            if self.render_mode == "human":
-                self.render()
+        self._record()
         info = self.infos.one(0)
         if self.world is not None and self.infos.kind in NESTED:
             info["world"] = copy.deepcopy(self.world)
@@ -207,16 +210,9 @@ class CourseEnv(_Storable, gymnasium.Env[NDArray[Any], ArrayLike]):
         self.infos.after_step(_NONE)
         worlds = self.simulation.worlds
         self._over = worlds.cause.item(0) != _RUNNING
-        if self.render_mode is not None:
-            self._view().record(self.simulation, 0)
-            if self.render_mode == "human":
-                self.render()
+        self._record()
         seen = self.scaling(worlds.observation[0])
         return seen, worlds.reward.item(0), self._over, False, self.infos.one(0)
-
-    def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
-        """Observations [..., D] of this env in the units of the tables."""
-        return self.scaling.physical(observation)
 
     def render(self) -> NDArray[np.uint8] | None:
         """A frame [H, W, 3] uint8 with "rgb_array"; draws into a window with "human"."""
@@ -238,6 +234,13 @@ class CourseEnv(_Storable, gymnasium.Env[NDArray[Any], ArrayLike]):
             self._renderer.close()
             self._renderer = None
 
+    def _record(self) -> None:
+        """Show what has happened, if anybody looks on."""
+        if self.render_mode is not None:
+            self._view().record(self.simulation, 0)
+            if self.render_mode == "human":
+                self.render()
+
     def _view(self) -> "CourseView":
         if self._renderer is None:
             from soil_env.rendering.view import CourseView  # takes a while
@@ -248,7 +251,7 @@ class CourseEnv(_Storable, gymnasium.Env[NDArray[Any], ArrayLike]):
 
 
 class CourseVectorEnv(
-    _Storable, gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]
+    _Common, gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]
 ):
     """Base of the environments of many courses; a subclass sets `scenario`, `simulation` and
     `infos`.
@@ -287,14 +290,13 @@ class CourseVectorEnv(
         self._most_steps = max_episode_steps
         self._rngs: list[np.random.Generator | None] | None = None
         self._done = np.ones(self.num_envs, dtype=np.bool_)
-        self.world: dict[str, Any] | None = None  # as of the single environment
 
     def _set_spaces(
         self, entries: Sequence[ObservedNumber], actions: gymnasium.spaces.Box, scaled: bool
     ) -> None:
         """Spaces of these entries and actions; `scenario` is there already."""
         self.observation_names: tuple[str, ...] = tuple(e.name for e in entries)
-        self.scaling: Scaling = Scaling(entries, scaled)
+        self.scaling = Scaling(entries, scaled)
         self.single_observation_space: gymnasium.spaces.Box = self.scaling.space
         self.single_action_space: gymnasium.spaces.Box = actions
         self.observation_space: gymnasium.Space[Any] = batch_space(
@@ -410,10 +412,6 @@ class CourseVectorEnv(
             truncated,
             self.infos.many() | finals,
         )
-
-    def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
-        """Observations [..., D] of this env in the units of the tables."""
-        return self.scaling.physical(observation)
 
     def _finals(self) -> dict[str, Any]:
         """Last observations and infos of the courses that have ended, before they are reset."""

@@ -9,7 +9,7 @@ from soil_env._compiled.flags import names_of
 from soil_env._io.loading import ParameterError
 from soil_env.envs.wheels import Simulation
 from soil_env.identification import Status
-from soil_env.identification.published import HORIZONS, published
+from soil_env.identification.published import FORESEEN, HORIZONS, Traversability, published
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
 from soil_env.simulation.world.wheel import WHEEL
@@ -25,7 +25,7 @@ _STUCK = STUCK.tolist()
 _CAUSES = tuple(cause.name for cause in Cause)
 _TERMS = tuple(f"reward_{name}" for name in REWARD_TERMS)
 STATUS = {status.value: status.name for status in Status}
-_STATE = (
+STATE = (
     "x",
     "speed",
     "wheel_speed",
@@ -40,16 +40,8 @@ _STATE = (
 assert WHEEL.fields is not None
 _TERMS_AT = WHEEL.fields["terms"][1] // 8  # place of the reward terms among the numbers of a wheel
 _TERMS_END = _TERMS_AT + len(REWARD_TERMS)
-assert names_of(WHEEL)[: len(_STATE)] == _STATE
-_WARNING = (
-    "best_slip",
-    "drawbar_margin",
-    "drawbar_margin_sd",
-    "torque_required",
-    "torque_available",
-    "passable",
-)
-_FORESEEN = tuple(f"immobilised_within_{horizon:g}_s" for horizon in HORIZONS)
+assert names_of(WHEEL)[: len(STATE)] == STATE
+_WARNING = Traversability._fields
 _SEEN = [[e.name for e in layout("blind")].index(name) for name in ("load", "pitch")]
 
 
@@ -102,17 +94,55 @@ def _numbers(info: Mapping[str, Any]) -> dict[str, np.number]:
     }
 
 
-class Infos:
-    """Infos of the wheels of one `Simulation`, of a `kind` of `INFOS`.
+class VehicleInfos:
+    """Infos of the vehicles of one simulation, of a `kind` of `INFOS`."""
+
+    def __init__(self, simulation: Any, kind: str) -> None:
+        self.scenario: Any = simulation.scenario
+        self.kind: str = kind
+        self._simulation = simulation
+
+    def many(self) -> dict[str, Any]:
+        """Info of all vehicles, arrays [vehicles]; causes and statuses are numbers."""
+        if self.kind == "none":
+            return {}
+        worlds = self._simulation.worlds
+        info = {"cause": worlds.cause.copy(), "immobilised": STUCK[worlds.cause]}
+        terms = self._terms()
+        if self.kind == "short":
+            short = dict(zip(_TERMS, terms.values(), strict=True))
+            return info | {"x": worlds.state["x"].copy()} | short
+        every = np.ones(worlds.cause.size, dtype=np.bool_)
+        full = info | {"reward_terms": terms} | self._groups(every, asks(self.kind))
+        return full if self.kind != "numeric" else flat(full)
+
+    def final(self, ended: np.ndarray) -> dict[str, Any]:
+        """Info of the vehicles that have `ended` [vehicles] bool, before a reset; 0 for all others,
+        and `_key` beside each key.
+        """
+        return masked(self.many(), ended)
+
+    def _terms(self) -> dict[str, np.ndarray]:
+        """Terms of the reward, arrays [vehicles]."""
+        terms = self._simulation.worlds.terms
+        return {name: terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
+
+    def _groups(self, which: np.ndarray, identified: bool) -> dict[str, Any]:
+        """Groups of a full info, arrays [vehicles], of the vehicles `which` [vehicles] bool; what
+        is identified only if it is asked for.
+        """
+        raise NotImplementedError
+
+
+class Infos(VehicleInfos):
+    """Infos of the wheels of one `Simulation`.
 
     `traversability` is that of the last change of the estimate: see `renew`; its probabilities of
     immobilisation are of now.
     """
 
     def __init__(self, simulation: Simulation, kind: str) -> None:
-        self.scenario: Scenario = simulation.scenario
-        self.kind: str = kind
-        self._simulation = simulation
+        super().__init__(simulation, kind)
         wheels = simulation.count
         self._assess = None
         self._foresight = None
@@ -163,24 +193,21 @@ class Infos:
         if asks(self.kind):
             ids = worlds.ids
             gain = self.scenario.belief.dig_gain
-            known = published(
-                ids.estimate[k].tolist(), ids.sd[k].tolist(), ids.best_pull[k].tolist(), gain
-            )
+            known = published(ids.estimate[k].tolist(), ids.sd[k].tolist(), gain)
             info["estimate"] = known | {"status": STATUS[ids.status.item(k)]}
             only = np.array([k])
             warning = dict(zip(_WARNING, self._renewed(worlds, only)[k].tolist(), strict=True))
             foreseen = self._foreseen(worlds, only)[0].tolist()
             info["traversability"] = warning | {"passable": warning["passable"] > 0.0}
-            info["traversability"] |= dict(zip(_FORESEEN, foreseen, strict=True))
-        info["state"] = dict(zip(_STATE, numbers[: len(_STATE)].tolist()))  # noqa: B905 (hot)
+            info["traversability"] |= dict(zip(FORESEEN, foreseen, strict=True))
+        info["state"] = dict(zip(STATE, numbers[: len(STATE)].tolist()))  # noqa: B905 (hot)
         return info if self.kind != "numeric" else _numbers(flat(info))
 
     def _foreseen(self, worlds: Any, rows: np.ndarray) -> np.ndarray:
         """Probabilities [n, 2] of immobilisation within `HORIZONS` of the wheels `rows` [n]."""
         assert self._foresight is not None
-        return self._foresight.probabilities(
-            rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd
-        )
+        ids = worlds.ids
+        return self._foresight.assess(rows, worlds.recent, ids.estimate, ids.sd).probabilities
 
     def _renewed(self, worlds: Any, rows: np.ndarray) -> np.ndarray:
         """Traversability [wheels, 6], `_WARNING`, at the measured load; up to date for `rows`."""
@@ -189,26 +216,9 @@ class Infos:
             ids = worlds.ids
             assert self._simulation.belief is not None and self._assess is not None
             setting = self._simulation.belief
-            self._assess(rows, ids.estimate, ids.best_pull, self._seen, setting, self._warnings)
+            self._assess(rows, ids.estimate, ids.sd, self._seen, setting, self._warnings)
             self._stale[rows] = False
         return self._warnings
-
-    def many(self) -> dict[str, Any]:
-        """Info of all wheels, arrays [wheels]; `cause` and `status` are numbers."""
-        worlds = self._simulation.worlds
-        if self.kind == "none":
-            return {}
-        terms = {name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
-        info = {"cause": worlds.cause.copy(), "immobilised": STUCK[worlds.cause]}
-        if self.kind == "short":
-            return (
-                info
-                | {"x": worlds.state["x"].copy()}
-                | dict(zip(_TERMS, terms.values(), strict=True))
-            )
-        full = info | {"reward_terms": terms}
-        full |= self._groups(worlds, np.ones(worlds.cause.size, dtype=np.bool_), asks(self.kind))
-        return full if self.kind != "numeric" else flat(full)
 
     def final(self, ended: np.ndarray) -> dict[str, Any]:
         """Info of the wheels that have `ended` [wheels] bool, before a reset; 0 for all others.
@@ -216,19 +226,14 @@ class Infos:
         It is that of `kind`, with the groups of "full" if something is identified, else of "state".
         """
         worlds = self._simulation.worlds
-        info = self.many()
-        info["reward_terms"] = {
-            name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)
-        }
         identified = worlds.recent is not None and len(worlds.recent) > 0
-        info |= {"x": worlds.state["x"].copy()} | self._groups(worlds, ended, identified)
-        return masked(info, ended)
+        info = self.many() | {"reward_terms": self._terms(), "x": worlds.state["x"].copy()}
+        return masked(info | self._groups(ended, identified), ended)
 
-    def _groups(
-        self, worlds: Any, which: np.ndarray, identified: bool
-    ) -> dict[str, dict[str, np.ndarray]]:
+    def _groups(self, which: np.ndarray, identified: bool) -> dict[str, Any]:
         """Estimate and traversability (of `which`), if `identified`, and state, arrays [wheels]."""
-        groups = {"state": {name: worlds.state[name].copy() for name in _STATE}}
+        worlds = self._simulation.worlds
+        groups = {"state": {name: worlds.state[name].copy() for name in STATE}}
         if not identified:
             return groups
         foreseen = np.zeros((which.size, len(HORIZONS)))
@@ -236,7 +241,7 @@ class Infos:
         warning = dict(zip(_WARNING, self._renewed(worlds, rows).T.copy(), strict=True))
         warning["passable"] = warning["passable"] > 0.0
         foreseen[rows] = self._foreseen(worlds, rows)
-        warning |= dict(zip(_FORESEEN, foreseen.T.copy(), strict=True))
+        warning |= dict(zip(FORESEEN, foreseen.T.copy(), strict=True))
         return {
             "estimate": estimates(worlds.ids, self.scenario),
             "traversability": warning,
@@ -246,9 +251,8 @@ class Infos:
 
 def estimates(known: Any, scenario: Scenario) -> dict[str, np.ndarray]:
     """Estimates of the soil under each wheel, arrays [wheels] or [rovers, axles], of `known`."""
-    arrays = (known.estimate, known.sd, known.best_pull)
-    mean, sd, pull = (np.moveaxis(array, -1, 0).copy() for array in arrays)
-    found = published(mean, sd, pull, scenario.belief.dig_gain, np)
+    mean, sd = (np.moveaxis(array, -1, 0).copy() for array in (known.estimate, known.sd))
+    found = published(mean, sd, scenario.belief.dig_gain, np)
     return found | {"status": known.status.copy()}
 
 

@@ -19,7 +19,7 @@ from soil_env.envs.course_env import actions_of
 from soil_env.identification.online.immobilisation import SCALES, ImmobilisationWarning
 from soil_env.identification.online.interface import OnlineIdentifier, Readings, refusal_of
 from soil_env.identification.online.on_board import WheelsOnBoard
-from soil_env.identification.published import HORIZONS
+from soil_env.identification.published import FORESEEN
 from soil_env.parameters import RoverScenario, Scenario
 from soil_env.parameters.readings import RESTART, STEP, Image, SensorReading, Shown
 from soil_env.simulation.task import layout
@@ -174,9 +174,8 @@ class Observer:
         """
         recent = self._views["recent"]
         ids = self._views["ids"]
-        found = self._warning.probabilities(np.zeros(1, np.int64), recent, ids.estimate, ids.sd)
-        names = (f"immobilised_within_{horizon:g}_s" for horizon in HORIZONS)
-        return dict(zip(names, found[0].tolist(), strict=True))
+        found = self._warning.assess(np.zeros(1, np.int64), recent, ids.estimate, ids.sd)
+        return dict(zip(FORESEEN, found.probabilities[0].tolist(), strict=True))
 
     def _read_image(self, image: Image | None) -> None:
         if not self.scenario.course.classes:

@@ -50,6 +50,7 @@ class RoverSimulation(Vehicles):
 
     _arrays = Worlds
     _vehicle = "rover"
+    _sampled_by = "readings"
 
     def __init__(
         self,
@@ -69,19 +70,14 @@ class RoverSimulation(Vehicles):
         drawn = rover_course_numbers(scenario, model)
         courses = (drawn, float(drawn.drawn.spec.ahead) + scenario.vehicle.base)
         scratch = [new_rover_scratch() for _ in range(-(-rovers // self._chunk))]
-        self._begin((lay_rovers, step_rovers), worlds, worlds.state, courses, scratch)
         on_board = None
         if identifies:
             from soil_env.identification.online.rover_on_board import RoversOnBoard
 
             shown = Shown(variant == "identified", first_soil(axles), *self.numbers.bounds)
             on_board = RoversOnBoard(rovers, scenario, shown)
-        self._board(on_board)
-        trial = new_rover_worlds(1, scenario, self.numbers, False)
-        self._check_drivable(trial, trial.state)
-
-    def _samples(self) -> tuple[np.ndarray, ...]:
-        return self._heads, self._world.readings, self._world.observation
+        self._begin((lay_rovers, step_rovers), worlds, courses, scratch, on_board)
+        self._check_drivable(new_rover_worlds(1, scenario, self.numbers, False))
 
     def true_soil(self) -> np.ndarray:
         """Observations of the variant `true_soil` now, in its units [rovers, D] float32."""

@@ -1,6 +1,7 @@
 """Many vehicles side by side: the world and, where it is asked for, the estimator on board."""
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any
@@ -55,6 +56,7 @@ class Vehicles:
     _arrays: Any  # type of `worlds`: arrays of the world, of results, of the estimator
     _actions: np.ndarray  # a row a vehicle, a column a motor
     _vehicle = "wheel"
+    _sampled_by = "samples"  # array of the world that those on board read
 
     def __init__(self, count: int, scenario: Any, threads: int | None) -> None:
         self.scenario = scenario
@@ -65,40 +67,41 @@ class Vehicles:
             chunk = max(-(-count // (CHUNKS * self._threads)), LEAST)
         self._chunk = chunk
         self._orders = np.full(count, IDLE)
-        self._course_orders = np.full(count, IDLE)
 
     def _begin(
         self,
         functions: tuple[Any, Any],
         worlds: Any,
-        vehicles: np.ndarray,
         courses: tuple[Any, float],
         scratch: list[Any],
+        on_board: Any,
     ) -> None:
         """Take the compiled functions (lay, step) with their arrays.
 
-        `vehicles`: their records; `courses`: the numbers that courses are drawn by and the final
-        ground [m] that a vehicle needs before it; `scratch`: the work space of each thread.
+        `courses`: the numbers that courses are drawn by and the final ground [m] that a vehicle
+        needs before it; `scratch`: the work space of each thread; `on_board`: the estimators, None
+        where nothing is identified.
         """
         self._lay, self._step = functions
         self._world = worlds
-        self._heads = vehicles
+        self._heads = worlds.state
         self.course_numbers, self._ahead = courses
         self._scratch = scratch
+        self._on_board = on_board
+        #: `SETTING` of the identifier
+        self.belief = None if on_board is None else on_board.identifier
+        self._view()
 
     def _view(self) -> None:
         """Views of the arrays, which are no views any more in a copy until they are made anew."""
         heads = self._heads
         self._x = heads["x"]
         self._ready = self._world.courses["ready"]
-        self._sampled = self._samples()
+        samples = getattr(self._world, self._sampled_by)
+        self._sampled = (heads, samples, self._world.observation)
         results = {name: heads[name] for name in ("terms", "reward", "cause")}
         known = {} if self._on_board is None else self._on_board.views()
         self.worlds = self._arrays(**self._world._asdict(), **results, **known)
-
-    def _samples(self) -> tuple[np.ndarray, ...]:
-        """Arrays of the world that those on board read, and write what they know into."""
-        raise NotImplementedError
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name not in VIEWS}
@@ -107,15 +110,11 @@ class Vehicles:
         self.__dict__.update(state)
         self._view()
 
-    def _board(self, on_board: Any) -> None:
-        """Take the estimators on board, None where nothing is identified."""
-        self._on_board = on_board
-        #: `SETTING` of the identifier
-        self.belief = None if on_board is None else on_board.identifier
-        self._view()
-
-    def _check_drivable(self, trial: Any, vehicles: np.ndarray) -> None:
-        """Refuse a scenario whose soils are too weak for this vehicle, before a training begins."""
+    def _check_drivable(self, trial: Any) -> None:
+        """Refuse a scenario whose soils are too weak for this vehicle, before a training begins;
+        `trial`: the arrays of one.
+        """
+        vehicles = trial.state
         vehicles["stream"] = 1
         orders = np.array([TRY])
         for _ in range(TRIAL_COURSES):
@@ -134,19 +133,19 @@ class Vehicles:
     def restart(self, k: int) -> None:
         """New course and fresh start for vehicle k."""
         self._clear(k)
-        self._lay_one(k, RESTART)
-        self._do(k, RESTART)
+        self._one(k, RESTART, self._draw)
+        self._one(k, RESTART, self._drive)
 
     def complete(self, k: int) -> None:
         """Draw the rest of the course of vehicle k; it goes on as it would have."""
-        self._lay_one(k, COMPLETE)
+        self._one(k, COMPLETE, self._draw)
 
     def step(self, k: int, action: Any) -> None:
         """One step of vehicle k: the control periods of an action."""
         self._actions[k] = action
         if self._ready.item(k) < self._x.item(k) + self._ahead:
-            self._lay_one(k, AHEAD)
-        self._do(k, STEP)
+            self._one(k, AHEAD, self._draw)
+        self._one(k, STEP, self._drive)
 
     def step_all(self, actions: np.ndarray, orders: np.ndarray) -> None:
         """One step with `actions`, one a motor; `orders` [vehicles] int8: STEP, RESTART or IDLE."""
@@ -173,20 +172,11 @@ class Vehicles:
         """Control periods since the reset [vehicles]."""
         return self._heads["steps"]
 
-    def _lay_one(self, k: int, order: np.int8) -> None:
-        orders = self._course_orders
-        orders[k] = order
-        try:
-            check_laid(
-                self._lay(self._world, self.course_numbers, orders, self._scratch[0], k, k + 1)
-            )
-        finally:
-            orders[k] = IDLE
-
-    def _do(self, k: int, order: np.int8) -> None:
+    def _one(self, k: int, order: np.int8, follow: Callable[..., int]) -> None:
+        """Have vehicle k alone `follow` an order."""
         self._orders[k] = order
         try:
-            self._drive(self._orders, self._scratch[0], k, k + 1)
+            check_laid(follow(self._orders, self._scratch[0], k, k + 1))
         finally:
             self._orders[k] = IDLE
 
@@ -202,7 +192,7 @@ class Vehicles:
             scratch = self._scratch[number]
             failed = 0
             if laid:
-                failed = self._lay(self._world, self.course_numbers, courses, scratch, first, end)
+                failed = self._draw(courses, scratch, first, end)
             self._drive(orders, scratch, first, end)
             return failed
 
@@ -210,11 +200,19 @@ class Vehicles:
         run = map if len(chunks) == 1 else _pool(self._threads, os.getpid()).map
         check_laid(sum(run(run_chunk, chunks)))
 
-    def _drive(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:
-        """Follow the orders for vehicles `first` to `end` - 1: the world, then what is on board."""
+    def _draw(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> int:
+        """Draw the ground that the orders ask for; number of the courses that were not found."""
+        failed: int = self._lay(self._world, self.course_numbers, orders, scratch, first, end)
+        return failed
+
+    def _drive(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> int:
+        """Follow the orders for vehicles `first` to `end` - 1: the world, then what is on board; 0,
+        since it cannot fail.
+        """
         self._move(orders, scratch, first, end)
         if self._on_board is not None:
             self._on_board.update(self._sampled, orders, first, end)
+        return 0
 
     def _move(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:
         """Follow the orders in the world."""

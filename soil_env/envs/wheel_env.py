@@ -332,9 +332,7 @@ class SoilWheelEnv(CourseEnv):
             )
         ids = self.simulation.worlds.ids
         belief = self.scenario.belief
-        numbers = published(
-            ids.estimate[0].tolist(), ids.sd[0].tolist(), ids.best_pull[0].tolist(), belief.dig_gain
-        )
+        numbers = published(ids.estimate[0].tolist(), ids.sd[0].tolist(), belief.dig_gain)
         return soil_of_numbers(numbers, belief, self.scenario.gravity)
 
     def true_soil(self) -> Soil:

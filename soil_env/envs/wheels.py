@@ -64,20 +64,13 @@ class Simulation(Vehicles):
         super().__init__(wheels, scenario, threads)
         identifies = warnings or asks_for_estimates(scenario, variant)
         self.numbers: WheelNumbers = wheel_numbers(scenario, variant, model)
-        samples = (
-            (wheels, scenario.control.action_periods)
-            if identifies
-            else (-(-wheels // self._chunk), 1)
-        )
+        chunks = -(-wheels // self._chunk)
+        samples = (wheels, scenario.control.action_periods) if identifies else (chunks, 1)
         worlds = new_wheel_worlds(wheels, scenario, self.numbers, samples)
         self._options = options_of(self.numbers)
-        settings = [
-            new_setting(self.numbers, identifies, chunk)
-            for chunk in range(-(-wheels // self._chunk))
-        ]
+        settings = [new_setting(self.numbers, identifies, chunk) for chunk in range(chunks)]
         drawn = course_numbers(scenario, model)
         courses = (drawn, float(drawn.drawn.spec.ahead))
-        self._begin((lay_wheels, step_wheels), worlds, worlds.state, courses, settings)
         on_board = None
         if identifies:
             from soil_env.identification.online.on_board import WheelsOnBoard  # takes a while
@@ -85,12 +78,8 @@ class Simulation(Vehicles):
             first = len(layout("blind"))
             shown = Shown(variant == "identified", first, *self.numbers.bounds)
             on_board = WheelsOnBoard(wheels, scenario, shown, warnings)
-        self._board(on_board)
-        trial = new_wheel_worlds(1, scenario, self.numbers, (1, 1))
-        self._check_drivable(trial, trial.state)
-
-    def _samples(self) -> tuple[np.ndarray, ...]:
-        return self._heads, self._world.samples, self._world.observation
+        self._begin((lay_wheels, step_wheels), worlds, courses, settings, on_board)
+        self._check_drivable(new_wheel_worlds(1, scenario, self.numbers, (1, 1)))
 
     def _view(self) -> None:
         super()._view()

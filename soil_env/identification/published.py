@@ -4,19 +4,29 @@ nothing themselves.
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from soil_env.parameters import FLOW_LAW, Belief, Soil
 
 #: [s] of driving within which an immobilisation is foreseen (`online.immobilisation`).
 HORIZONS = (3.0, 5.0)
+FORESEEN = tuple(f"immobilised_within_{horizon:g}_s" for horizon in HORIZONS)
 
 
-def published(x: Any, sd: Any, pull: Any, dig_gain: float, of: Any = math) -> dict[str, Any]:
-    """Published numbers of an estimate x [5] with its sd [5] and of the best drawbar pull [2] with
-    its sd.
+class Traversability(NamedTuple):
+    """Drawbar margin of the ground as identified (source paper, Section 6)."""
 
-    Of arrays [5, wheels] and [2, wheels] with `of` numpy.
+    best_slip: float  # [-] of the highest steady drawbar pull
+    drawbar_margin: float  # [of load] best drawbar pull over the grade; at least -1
+    drawbar_margin_sd: float  # of the best drawbar pull
+    torque_required: float  # [N m] there
+    torque_available: float  # [N m]
+    passable: bool
+
+
+def published(x: Any, sd: Any, dig_gain: float, of: Any = math) -> dict[str, Any]:
+    """Published numbers of an estimate x [6] with its sd [6]; of arrays [6, wheels] with `of`
+    numpy.
     """
     return {
         "friction_angle_deg": of.degrees(x[0]),
@@ -29,8 +39,8 @@ def published(x: Any, sd: Any, pull: Any, dig_gain: float, of: Any = math) -> di
         "sinkage_coefficient_relative_sd": sd[2],
         "cohesion_sd": sd[3],
         "dig_gain_relative_sd": sd[4],
-        "best_pull": pull[0],
-        "best_pull_sd": pull[1],
+        "best_pull": x[5],
+        "best_pull_sd": sd[5],
     }
 
 

@@ -7,14 +7,12 @@ configs/rovers/*.yaml. `SoilState` is the plain tuple in which compiled code tak
 from soil_env._io.loading import ParameterError, config_dir, to_dict
 from soil_env.parameters.belief import Belief, refuse_idle_prior
 from soil_env.parameters.course import MOST_CLASSES, Camera, CourseSpec
-from soil_env.parameters.presets import shipped
 from soil_env.parameters.readings import SensorReading, sensor_noise
 from soil_env.parameters.rover import DEFAULT_ROVER, RoverScenario, load_rover, rover_names
 from soil_env.parameters.scenario import (
     DEFAULT_SCENARIO,
     Scenario,
     load_scenario,
-    load_scenario_as,
     scenario_names,
 )
 from soil_env.parameters.sensors import Noise
@@ -27,7 +25,6 @@ from soil_env.parameters.soil import (
     SoilSpread,
     SoilState,
     UnstatedGravity,
-    correlation_factor,
     lumped_coefficient,
     soils,
 )
@@ -74,18 +71,15 @@ __all__ = [
     "Wheel",
     "check_lugs",
     "config_dir",
-    "correlation_factor",
     "geared",
     "load_rover",
     "load_scenario",
-    "load_scenario_as",
     "lumped_coefficient",
     "mass_of_wheel",
     "refuse_idle_prior",
     "rover_names",
     "scenario_names",
     "sensor_noise",
-    "shipped",
     "soils",
     "to_dict",
     "wheels",

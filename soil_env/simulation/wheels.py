@@ -7,10 +7,9 @@ Nothing is identified here.
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import FINITE, HUGE, INLINE, record
+from soil_env._compiled.flags import HUGE, compiled_finite, inlined, record
 from soil_env._compiled.random_streams import NORMALS, between
 from soil_env.parameters import Scenario
 from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY
@@ -177,7 +176,7 @@ class Setting(NamedTuple):
     normals: Any  # `NORMALS`
 
 
-@njit(**INLINE)
+@inlined
 def start_drivable(course, owner, numbers, scratch):
     """Start a course with a seed of `owner`; the loaded mass [kg], or -1 if no soil was found."""
     mass = -1.0
@@ -222,7 +221,7 @@ def lay_wheels(worlds, numbers, orders, setting, first, end):
     return failed
 
 
-@njit(**FINITE)
+@compiled_finite
 def _sense(wheel, sample, course, setting):
     """Fill the `SAMPLE` of a wheel after a control period; return its camera's `Sight`."""
     task = setting.task
@@ -239,7 +238,7 @@ def _sense(wheel, sample, course, setting):
     return sight
 
 
-@njit(**INLINE)
+@inlined
 def _observe(wheel, sample, course, setting, sight, out):
     """Fill the observation `out` [D] of a wheel but for what is identified."""
     task = setting.task
@@ -251,7 +250,7 @@ def _observe(wheel, sample, course, setting, sight, out):
         write_seen(out[task.seen :], wheel, sample, course, sight, setting.camera, truth)
 
 
-@njit(**FINITE)
+@compiled_finite
 def _restart(wheel, sample, course, setting, out):
     """Observe a wheel at the start of its course."""
     mount_sensors(wheel, setting.normals, setting.sensors)
@@ -261,7 +260,7 @@ def _restart(wheel, sample, course, setting, out):
     _observe(wheel, sample, course, setting, sight, out)
 
 
-@njit(**FINITE)
+@compiled_finite
 def _step(wheel, action, course, setting, samples, out):
     """The control periods of an action of a wheel, until its episode ends: drive, sense, judge,
     reward; then observe.

@@ -17,10 +17,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.elementary import asin_root, exp, half_cos, half_sin, power, smoothed_sign
-from soil_env._compiled.flags import EXACT, INLINE, SUMS, record
+from soil_env._compiled.flags import compiled, compiled_sums, inlined, record
 from soil_env.parameters.wheel import MOST_DEFLECTION
 
 # Gauss-Legendre nodes of each zone of the arc; the two zones share the normal stress
@@ -160,7 +159,7 @@ class Forces(NamedTuple):
     torque: float  # T [N m], Eq. (3), the torque the soil takes from the axle
 
 
-@njit(**EXACT)
+@compiled
 def entry_angle(sinkage, r):
     """Entry angle theta1 [rad] of a wheel of radius r [m] at a sinkage [m]: z0 = r (1 - cos
     theta1).
@@ -168,7 +167,7 @@ def entry_angle(sinkage, r):
     return 2.0 * asin_root((0.5 / r) * sinkage)
 
 
-@njit(**EXACT)
+@compiled
 def smooth_arc(sinkage, r, shift):
     """`Arc` of a smooth rim: theta2 = 0 and the peak midway, Eq. (9), but for a forward `shift` [of
     theta1].
@@ -177,13 +176,13 @@ def smooth_arc(sinkage, r, shift):
     return Arc(theta1, 0.0, (0.5 + shift) * theta1, theta1, r)
 
 
-@njit(**EXACT)
+@compiled
 def on_tyre(wheel):
     """True if the wheel has a flexible tyre."""
     return wheel.tyre_deflection > 0.0 or wheel.tyre_compliance > 0.0
 
 
-@njit(**EXACT)
+@compiled
 def substitute_radius(sinkage, load, wheel):
     """Radius [m] of the rigid circle that a tyre under a load [N] touches the ground like.
 
@@ -196,7 +195,7 @@ def substitute_radius(sinkage, load, wheel):
     return wheel.radius * root * root
 
 
-@njit(**EXACT)
+@compiled
 def touching_radius(sinkage, load, wheel):
     """Radius [m] that a wheel without lugs touches the ground with."""
     if on_tyre(wheel):
@@ -204,7 +203,7 @@ def touching_radius(sinkage, load, wheel):
     return wheel.radius
 
 
-@njit(**EXACT)
+@compiled
 def gripping_share(soil, arc, load, wheel):
     """Strength of the ground that the tread can take, min(c + p tan(phi), grip p) over c + p
     tan(phi), smooth, with the mean pressure p of the contact.
@@ -218,7 +217,7 @@ def gripping_share(soil, arc, load, wheel):
     return held_below(strength, wheel.grip * pressure)[0] / strength
 
 
-@njit(**EXACT)
+@compiled
 def layer_firmness(depth, soil):
     """Sinkage coefficient at a depth [m] over that of the cover: 1 + G x^16/(1 + x^16) with x =
     depth/`layer_depth`.
@@ -231,7 +230,7 @@ def layer_firmness(depth, soil):
     return 1.0 + soil.layer_gain * (x / (1.0 + x))
 
 
-@njit(**EXACT)
+@compiled
 def layered_depth(depth, soil):
     """Depth [m] at which a soil with firm ground below carries the pressure that its cover alone
     carries at `depth` [m]: bisection in ln z.
@@ -249,7 +248,7 @@ def layered_depth(depth, soil):
     return math.exp(0.5 * (low + high))
 
 
-@njit(**EXACT)
+@compiled
 def braked_shift(braked, soil):
     """Forward shift [of theta1] of the stress peak of a wheel that slides by the share `braked` >=
     0 of its travel: `soil.braked_peak` s/(1 + s).
@@ -257,7 +256,7 @@ def braked_shift(braked, soil):
     return soil.braked_peak * braked / (1.0 + braked)
 
 
-@njit(**EXACT)
+@compiled
 def grown_modulus(modulus, soil, arc):
     """Shear deformation modulus [m] at the contact length of an `Arc`: K (r theta1/L)^p, with K =
     `modulus` [m].
@@ -268,7 +267,7 @@ def grown_modulus(modulus, soil, arc):
     return modulus * power(length / soil.shear_length, soil.shear_growth)
 
 
-@njit(**EXACT)
+@compiled
 def _over_turning(t):
     """(1 - i, its derivative) where the rim is the faster: t = V/(r w); smooth where t < 0."""
     if t >= 0.0:
@@ -277,7 +276,7 @@ def _over_turning(t):
     return t * (2.0 * t - 5.0) / (q * q), -(5.0 + t) / (q * q * q)
 
 
-@njit(**EXACT)
+@compiled
 def _over_travel(t):
     """(1 - i, its derivative) where the travel is the faster: 2 - t with t = r w/V; smooth where
     t < 0.
@@ -288,7 +287,7 @@ def _over_travel(t):
     return (2.0 - 5.0 * t) / (q * q), -(1.0 + 5.0 * t) / (q * q * q)
 
 
-@njit(**EXACT)
+@compiled
 def carried_share(rim, travel, floor):
     """(share, its derivatives by `rim` and `travel`): speed of soil carried along the rim over the
     travel speed, for a tan(phi) = 1: (1 - i)^3.
@@ -319,7 +318,7 @@ def carried_share(rim, travel, floor):
     )
 
 
-@njit(**EXACT)
+@compiled
 def _cosine_of_rise(arc):
     """(cosine, sine over 2) of the angle above which soil flows up along a locked rim."""
     angle = RISING_FROM * arc.sheared_from
@@ -327,7 +326,7 @@ def _cosine_of_rise(arc):
     return 1.0 - 2.0 * s * s, s * half_cos(angle)
 
 
-@njit(**EXACT)
+@compiled
 def most_carried(arc):
     """Bound on the carried share of the travel speed: the speed of a locked rim along itself at
     `RISING_FROM` of the entry angle.
@@ -339,7 +338,7 @@ def most_carried(arc):
     return 0.5 * (cosine + math.sqrt(cosine * cosine + LEAST_COSINE))
 
 
-@njit(**EXACT)
+@compiled
 def most_by_angle(arc):
     """Derivative of `most_carried` by the entry angle."""
     cosine, half_sine = _cosine_of_rise(arc)
@@ -347,7 +346,7 @@ def most_by_angle(arc):
     return change * most_carried(arc) / math.sqrt(cosine * cosine + LEAST_COSINE)
 
 
-@njit(**EXACT)
+@compiled
 def held_below(share, most):
     """(share below `most`, its derivatives by both): share (1 + (share/most)^4)^(-1/4), smooth.
 
@@ -360,7 +359,7 @@ def held_below(share, most):
     return share / root, by_share, ratio * fourth * by_share
 
 
-@njit(**EXACT)
+@compiled
 def motion_from_speeds(rim_speed, travel_speed, floor):
     """(rim, travel, direction) from rim speed r w and travel speed V [m/s], smooth through rest and
     reversal.
@@ -372,7 +371,7 @@ def motion_from_speeds(rim_speed, travel_speed, floor):
     return rim_speed / v, travel_speed / v, smoothed_sign(travel_speed, floor)[0]
 
 
-@njit(**EXACT)
+@compiled
 def relative_stress(theta, cos1, n, r):
     """Normal stress for S = 1 at an angle of the front zone, Eq. (7): its depth [m] below the entry
     point, to the n.
@@ -385,7 +384,7 @@ def relative_stress(theta, cos1, n, r):
     return 1.0 if n == 0.0 else 0.0
 
 
-@njit(**EXACT)
+@compiled
 def mirror_angle(theta, theta1, theta2, thetam):
     """Angle in the front zone with the same normal stress as `theta`, Eq. (8) for the rear zone,
     itself in front.
@@ -395,7 +394,7 @@ def mirror_angle(theta, theta1, theta2, thetam):
     return theta1 - (theta - theta2) / (thetam - theta2) * (theta1 - thetam)
 
 
-@njit(**EXACT)
+@compiled
 def shear_displacement(theta, theta1, sin1, rim, travel, r):
     """(j, dj/d(rim), dj/d(travel)) [m] of Eq. (10) at one angle; sin1 = sin(theta1)."""
     by_rim = r * (theta1 - theta)
@@ -403,7 +402,7 @@ def shear_displacement(theta, theta1, sin1, rim, travel, r):
     return rim * by_rim + travel * by_travel, by_rim, by_travel
 
 
-@njit(**EXACT)
+@compiled
 def mobilised(j, K, law):
     """(e, de/dj): mobilised share of the shear strength at displacement j [m], signed as j; Eq.
     (10) or a `ShearLaw`.
@@ -416,7 +415,7 @@ def mobilised(j, K, law):
         return _mobilised_by(law, j, K)
 
 
-@njit(**INLINE)  # else LLVM leaves it out of loops over nodes, which it then cannot vectorise
+@inlined  # else LLVM leaves it out of loops over nodes, which it then cannot vectorise
 def _mobilised_by(law, j, K):
     """`mobilised` by a `ShearLaw`."""
     distance = abs(j)
@@ -430,7 +429,7 @@ def _mobilised_by(law, j, K):
     return e, rate * decay * share - (1.0 - decay) * change
 
 
-@njit(**SUMS)
+@compiled_sums
 def lay_nodes(nodes, arc, n):
     """Lay the nodes of an `Arc` into the scratch `nodes`, for a sinkage exponent n; (Int p cos, Int
     p sin).
@@ -473,7 +472,7 @@ def lay_nodes(nodes, arc, n):
     return p_cos, p_sin
 
 
-@njit(**EXACT)
+@compiled
 def _mean_cos(theta, end):
     """(mean of cos over [theta, end], its derivative by theta)."""
     h = max(0.5 * (end - theta), LEAST_WAY)
@@ -482,7 +481,7 @@ def _mean_cos(theta, end):
     return mean, 0.5 * (mean - (1.0 - 2.0 * s * s)) / h
 
 
-@njit(**EXACT)
+@compiled
 def turning_angle(nodes, rim, travel):
     """Angle inside the arc of `lay_nodes` at which the shear displacement changes its sign; theta1
     if there is none.
@@ -506,7 +505,7 @@ def turning_angle(nodes, rim, travel):
     return theta if nodes.theta2 < theta < nodes.theta1 else nodes.theta1
 
 
-@njit(**SUMS)
+@compiled_sums
 def _lay_split(nodes, turn):
     """Lay the nodes of the arc of `lay_nodes` in three zones, between which the stress peaks and
     the shear turns.
@@ -544,7 +543,7 @@ def _lay_split(nodes, turn):
         split.by_travel[k] = r * (2.0 * s * c - sheared_sin)
 
 
-@njit(**SUMS)
+@compiled_sums
 def _shear_sums(nodes, count, p, motion, K, law):
     """`ArcIntegrals` of so many nodes."""
     rim = motion[0]
@@ -571,14 +570,14 @@ def _shear_sums(nodes, count, p, motion, K, law):
     return ArcIntegrals(p[0], p[1], pe_cos, pe_sin, pe, e_cos, e_sin, e_sum)
 
 
-@njit(**EXACT)
+@compiled
 def _split_integrals(nodes, p, motion, K, law):
     """`shear_integrals` of the arc split at `motion[2]`, where the shear turns."""
     _lay_split(nodes, motion[2])
     return _shear_sums(nodes.split[0], SPLIT_NODES, p, motion, K, law)
 
 
-@njit(**SUMS)
+@compiled_sums
 def _integrals_under(nodes, p, motion, K, law, split):
     """`shear_integrals` under one `law`."""
     nodes.turned = 0
@@ -590,7 +589,7 @@ def _integrals_under(nodes, p, motion, K, law, split):
     return _shear_sums(nodes, NODES, p, motion, K, law)
 
 
-@njit(**EXACT)
+@compiled
 def shear_integrals(nodes, p, motion, K, law, split):
     """`ArcIntegrals` of the nodes of `lay_nodes` at a `motion` (rim, travel); stores de/dj at each
     node.
@@ -606,7 +605,7 @@ def shear_integrals(nodes, p, motion, K, law, split):
         return _integrals_under(nodes, p, motion, K, law, split)
 
 
-@njit(**SUMS)
+@compiled_sums
 def _rate_sums(nodes, count, st, c):
     """`ShearRates` of so many nodes."""
     cos_rim = 0.0
@@ -628,7 +627,7 @@ def _rate_sums(nodes, count, st, c):
     return ShearRates(cos_rim, sin_rim, one_rim, cos_travel, sin_travel, one_travel)
 
 
-@njit(**SUMS)
+@compiled_sums
 def shear_rates(nodes, st, c):
     """`ShearRates` of the nodes at the last motion of `shear_integrals`, with st = S tan(phi)."""
     if nodes.turned > 0:
@@ -636,7 +635,7 @@ def shear_rates(nodes, st, c):
     return _rate_sums(nodes, NODES, st, c)
 
 
-@njit(**EXACT)
+@compiled
 def forces(q, S, tan_phi, c, r, b, direction):
     """`Forces` from `ArcIntegrals` q: Eqs. (1)-(3) with the exact resistance integral of Eq. (11)
     ("consistent").
@@ -653,7 +652,7 @@ def forces(q, S, tan_phi, c, r, b, direction):
     )
 
 
-@njit(**EXACT)
+@compiled
 def bearing_share(q, tan_phi, direction):
     """Load carried by the normal stress and by the friction in proportion to it, over S r b [m^n];
     Eq. (1).
@@ -661,7 +660,7 @@ def bearing_share(q, tan_phi, direction):
     return q.p_cos + direction * tan_phi * q.pe_sin
 
 
-@njit(**EXACT)
+@compiled
 def mobilised_sinkage_coefficient(q, load, tan_phi, c, r, b, direction):
     """Sinkage coefficient S [N/m^(n+2)] at which Eq. (1) carries `load` [N] on this arc; at least
     0.

@@ -1,13 +1,11 @@
 """Soils as compiled code changes them: stiffer, stronger, between two on their border."""
 
-from numba import njit
-
 from soil_env._compiled.elementary import exp, log
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.parameters import SoilState
 
 
-@njit(**EXACT)
+@compiled
 def soil_of(owner):
     """`SoilState` of a record or a tuple that has its fields."""
     return SoilState(
@@ -27,25 +25,25 @@ def soil_of(owner):
     )
 
 
-@njit(**EXACT)
+@compiled
 def stiffened(soil, factor):
     """`soil` with a sinkage coefficient that is `factor` times as large."""
     return SoilState(*soil[:3], factor * soil.sinkage_coefficient, *soil[4:])
 
 
-@njit(**EXACT)
+@compiled
 def with_strength(soil, tan_phi, cohesion, shear_modulus, rim_flow):
     """`soil` with these numbers of its shear law."""
     return SoilState(tan_phi, cohesion, shear_modulus, *soil[3:7], rim_flow, *soil[8:])
 
 
-@njit(**EXACT)
+@compiled
 def with_digging(soil, exponent, gain, recovery):
     """`soil` with these numbers of its sinkage."""
     return SoilState(*soil[:4], exponent, gain, recovery, *soil[7:])
 
 
-@njit(**EXACT)
+@compiled
 def put_soil(record, soil):
     """Write a soil into a record that has its fields."""
     record.tan_phi = soil.tan_phi
@@ -63,7 +61,7 @@ def put_soil(record, soil):
     record.layer_depth = soil.layer_depth
 
 
-@njit(**EXACT)
+@compiled
 def _gain_between(a, b, share):
     """Gain of the firm ground below between two, its stiffness geometrically."""
     if a == 0.0 and b == 0.0:
@@ -71,7 +69,7 @@ def _gain_between(a, b, share):
     return exp((1.0 - share) * log(1.0 + a) + share * log(1.0 + b)) - 1.0
 
 
-@njit(**EXACT)
+@compiled
 def blend(a, b, share):
     """Soil between two, share of the second: moduli geometrically, everything else linearly."""
     rest = 1.0 - share

@@ -1,13 +1,11 @@
 """The motor of a wheel: a DC motor with its gear, held to a torque or to a speed."""
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 
 LOOP_GAIN = 10.0  # [-] of the speed loop, over the slope of the torque-speed line: a stiff loop
 
 
-@njit(**EXACT)
+@compiled
 def full_voltage(at_rest, wheel_speed, motor):
     """Torque [N m] at full voltage, which is `at_rest` (+-T_stall) without speed: +-T_stall -
     T_stall w/w_0.
@@ -15,7 +13,7 @@ def full_voltage(at_rest, wheel_speed, motor):
     return at_rest - motor.stall_torque / motor.no_load_speed * wheel_speed
 
 
-@njit(**EXACT)
+@compiled
 def motor_torque(command, by_speed, wheel_speed, motor):
     """(torque, d torque/dw, available): motor torque [N m] for a command in [-1, 1].
 

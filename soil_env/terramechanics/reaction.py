@@ -10,10 +10,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.elementary import smoothed_sign
-from soil_env._compiled.flags import EXACT, INLINE, record, uncompiled
+from soil_env._compiled.flags import compiled, inlined, record, uncompiled
 from soil_env.slip import braked_share, signed_slip, slip_ratio
 from soil_env.terramechanics.contact import (
     LEAST_BEARING,
@@ -140,7 +139,7 @@ def acting_on(effects: Effects | None, residual: np.record | None = None) -> Act
     return Acting(packed, law, residual_law() if residual is None else residual)
 
 
-@njit(**INLINE)
+@inlined
 def lay_footing(nodes, arc, soil, load):
     """Lay an `Arc` in `soil` into the scratch `nodes`; its `Footing` under a `load` [N]."""
     p_cos, p_sin = lay_nodes(nodes, arc, soil.sinkage_exponent)
@@ -158,7 +157,7 @@ def lay_footing(nodes, arc, soil, load):
     )
 
 
-@njit(**EXACT)
+@compiled
 def carried_along(footing, speed, rim_speed):
     """(share of the travel speed at which soil is carried along the rim, its derivatives [s/m] by
     V and u).
@@ -171,7 +170,7 @@ def carried_along(footing, speed, rim_speed):
     return share, by_free * free_v, by_free * free_u
 
 
-@njit(**INLINE)
+@inlined
 def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
     """`Reaction` of the contact alone: Eqs. (1)-(3), with Eq. (1) solved for S so that the load
     stays what it is.
@@ -233,7 +232,7 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
     )
 
 
-@njit(**EXACT)
+@compiled
 def ground_under(at, soil, wheel, acting):
     """(`SoilState` as sheared, `Arc`, `ExtraForces`) of a wheel `Standing` on fresh `soil`."""
     slip = slip_ratio(at.rim_speed, at.speed, REST_SPEED)
@@ -242,14 +241,14 @@ def ground_under(at, soil, wheel, acting):
     return soil, arc, ExtraForces(lift, bulldozing, blades, pull, torque, unfelt)
 
 
-@njit(**EXACT)
+@compiled
 def _gripped(soil, arc, load, wheel):
     """Soil as the tread of a wheel shears it, which may slip on hard ground."""
     share = 1.0 if wheel.grip == 0.0 else gripping_share(soil, arc, load, wheel)
     return grousers.at_shear_radius(soil, share, soil.shear_modulus)
 
 
-@njit(**EXACT)
+@compiled
 def _ground_under(at, slip, soil, wheel, fx):
     """(`SoilState` as it is sheared, `Arc`, then the first three of `ExtraForces`)."""
     shift = 0.0
@@ -276,7 +275,7 @@ def _ground_under(at, slip, soil, wheel, fx):
         )
 
 
-@njit(**EXACT)
+@compiled
 def _residual_of(at, slip, soil, wheel, residual):
     """(sinkage [m], pull [N], torque [N m]) of a residual law; forces fade out where the wheel
     stands.
@@ -293,7 +292,7 @@ def _residual_of(at, slip, soil, wheel, residual):
         return sinkage * wheel.radius, moving * pull, moving * torque * wheel.radius
 
 
-@njit(**EXACT)
+@compiled
 def reaction(nodes, footing, speed, rim_speed, wheel, extra, acting):
     """`Reaction` at the axle at travel speed V and rim speed u [m/s], with `ExtraForces` and the
     drivetrain.
@@ -302,7 +301,7 @@ def reaction(nodes, footing, speed, rim_speed, wheel, extra, acting):
     return _at_the_axle(f, extra, speed, rim_speed, wheel, acting.effects)
 
 
-@njit(**EXACT)
+@compiled
 def _at_the_axle(f, extra, speed, rim_speed, wheel, fx):
     """`Reaction` f at the shear radius as one at the axle."""
     if fx is None:
@@ -335,7 +334,7 @@ def _at_the_axle(f, extra, speed, rim_speed, wheel, fx):
         )
 
 
-@njit(**EXACT)
+@compiled
 def moved(f, dv, du):
     """`Reaction` f to first order after a change of V and of u; its derivatives stay."""
     coefficient = (

@@ -13,10 +13,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.elementary import power
-from soil_env._compiled.flags import EXACT, record
+from soil_env._compiled.flags import compiled, record
 from soil_env._io.loading import Checked, ParameterError, quantity, unknown_key
 from soil_env.terramechanics.effects.entry import CHANNELS, Channel
 
@@ -169,7 +168,7 @@ class WorkingPoint(NamedTuple):
     sin_grade: float  # uphill positive
 
 
-@njit(**EXACT)
+@compiled
 def dimensionless_groups(at, soil, wheel, gravity):
     """The seven `GROUPS` at one `WorkingPoint`; the slip with its sign."""
     slip = min(max(at.slip, -1.0), 1.0)
@@ -186,7 +185,7 @@ def dimensionless_groups(at, soil, wheel, gravity):
     )
 
 
-@njit(**EXACT)
+@compiled
 def residual_at(law, groups):
     """Terms and table for (sinkage / r, drawbar pull / W, torque / (W r)) at `groups`."""
     sinkage, pull, torque = interpolated(law, groups, 0)
@@ -206,7 +205,7 @@ def residual_at(law, groups):
     return sinkage, pull, torque
 
 
-@njit(**EXACT)
+@compiled
 def interpolated(law, groups, first):
     """Three columns of the table from `first` on, linear between the nodes about `groups`; 0
     without a table.
@@ -239,7 +238,7 @@ def interpolated(law, groups, first):
     return sinkage, pull, torque
 
 
-@njit(**EXACT)
+@compiled
 def _raised(x, p):
     """x^p; 0 where it is not a real number."""
     if x == 0.0 or (x < 0.0 and p != math.floor(p)):

@@ -9,11 +9,10 @@ import math
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.cache import kept
 from soil_env._compiled.elementary import asin_root
-from soil_env._compiled.flags import EXACT, INLINE
+from soil_env._compiled.flags import compiled, inlined
 from soil_env.parameters import SoilState
 from soil_env.slip import motion_from_slip, sliding_speed
 from soil_env.terramechanics.contact import (
@@ -139,7 +138,7 @@ class Rows(NamedTuple):
     conditions: np.ndarray  # [N, 3] as `Conditions`
 
 
-@njit(**EXACT)
+@compiled
 def arc_of(sinkage, slip, shift, load, fx, wheel):
     """`Arc` of a wheel at a given sinkage [m], slip and load [N], with the effects that shape it
     and a forward `shift` of the stress peak [of theta1].
@@ -185,7 +184,7 @@ class _Balance(NamedTuple):
     law: ShearLaw
 
 
-@njit(**INLINE)
+@inlined
 def _carried(soil, rim, travel):
     """Share of the travel speed at which soil is carried along the rim, unbounded."""
     if soil.rim_flow == 0.0:
@@ -193,7 +192,7 @@ def _carried(soil, rim, travel):
     return soil.rim_flow * soil.tan_phi * carried_share(rim, travel, 0.0)[0]
 
 
-@njit(**EXACT)
+@compiled
 def _balance(slip, load, soil, wheel, conditions, fx):
     """`_Balance` of a wheel at a true slip under a weight [N]."""
     rim, travel = motion_from_slip(slip)
@@ -257,7 +256,7 @@ def _balance(slip, load, soil, wheel, conditions, fx):
         )
 
 
-@njit(**EXACT)
+@compiled
 def _integrals(nodes, arc, p, fx):
     """`ArcIntegrals` of an arc at the motion of a `_Balance`."""
     stress = lay_nodes(nodes, arc, p.soil.sinkage_exponent)
@@ -273,7 +272,7 @@ def _integrals(nodes, arc, p, fx):
         return shear_integrals(nodes, stress, motion, modulus, p.law, flows)
 
 
-@njit(**INLINE)
+@inlined
 def _misfit(nodes, x, p, wheel, fx):
     """(ln of the mobilised over the available sinkage coefficient at the sinkage e^x [m], `Forces`
     there).
@@ -309,7 +308,7 @@ def _misfit(nodes, x, p, wheel, fx):
     return f, forces(q, coefficient, tan_phi, c, arc.radius, b, 1.0)
 
 
-@njit(**INLINE)
+@inlined
 def _first_guess(p, wheel, guess):
     """ln of the sinkage [m] to start from: of `guess` where there is one, else of a flat plate,
     sqrt(2 r z) long.
@@ -321,7 +320,7 @@ def _first_guess(p, wheel, guess):
     return math.log(math.exp(min(x, math.log(DEEPEST * wheel.radius))) + max(p.lift, 0.0))
 
 
-@njit(**INLINE)
+@inlined
 def _solve_balance(nodes, p, wheel, fx, guess):
     """(ln of the sinkage, `Forces` there, whether the soil carries the load): bracketed secant on
     `_misfit`.
@@ -365,7 +364,7 @@ def _solve_balance(nodes, p, wheel, fx, guess):
     return x_old, w_old, supported
 
 
-@njit(**EXACT)
+@compiled
 def _as_measured(w, z, p, speed, wheel, fx):
     """(sinkage, drawbar pull, torque) that instruments read at `Forces` w and a sinkage z [m] in
     the ground.
@@ -386,7 +385,7 @@ def _as_measured(w, z, p, speed, wheel, fx):
         return sinkage + sinkage_zero(fx), pull, torque
 
 
-@njit(**EXACT)
+@compiled
 def steady_at(nodes, point, soil, wheel, conditions, fx):
     """`Steady` sinkage, drawbar pull and torque as they are measured at a `Point`.
 

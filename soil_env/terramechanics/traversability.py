@@ -9,10 +9,9 @@ excess of the grade.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.parameters import SoilState, Wheel
 from soil_env.terramechanics.contact import ARC_NODES
 from soil_env.terramechanics.effects import Effects
@@ -42,7 +41,7 @@ class Best(NamedTuple):
     sinkage: float  # [m]
 
 
-@njit(**EXACT)
+@compiled
 def best_point_at(nodes, load, soil, wheel, conditions, fx, torque_available):
     """`Best` of `steady.steady_at` over the slips of `SLIPS`: up from the middle of them, then down
     from there.

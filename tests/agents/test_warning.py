@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from soil_env.identification.online.immobilisation import FILE, shipped
+from soil_env.identification.online.immobilisation import FILE, Assessed, shipped
 from soil_env.parameters import load_scenario
 from soil_env.simulation.world.wheel import WHEEL
 from soil_env_agents.controllers import make_controller
@@ -56,8 +56,8 @@ def test_an_alarm_comes_on_and_goes_off_after_a_while_of_driving(name, monkeypat
         state=np.zeros(1, WHEEL), recent=None, ids=SimpleNamespace(estimate=None, sd=None)
     )
     for share, halted, goes_on in script:
-        found = np.array([[0.0, share * foresight.alarms.threshold]])
-        monkeypatch.setattr(foresight.warning, "probabilities", lambda *_, found=found: found)
+        found = Assessed(np.empty(0), np.array([[0.0, share * foresight.alarms.threshold]]))
+        monkeypatch.setattr(foresight.warning, "assess", lambda *_, found=found: found)
         worlds.state["halt_left"] = float(halted)
         worlds.state["best_x"] += 0.01 * goes_on
         foresight.step(worlds, np.array([True]))

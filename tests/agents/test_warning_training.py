@@ -61,9 +61,9 @@ def test_probabilities_are_those_of_the_environment(monkeypatch):
     assess = ImmobilisationWarning.assess
 
     def kept(self, rows, *known):
-        inputs, out = assess(self, rows, *known)
-        given.append(out[:, 1].copy())
-        return inputs, out
+        found = assess(self, rows, *known)
+        given.append(found.probabilities[:, 1].copy())
+        return found
 
     monkeypatch.setattr(ImmobilisationWarning, "assess", kept)
     found = warning.drives("two_lines", "soft_start", 5, 0, 3)

@@ -21,17 +21,20 @@ from soil_env.identification.online import (
     pooling,
     residuals as of_cell,
 )
-from soil_env.identification.online.identifier import new_memory, new_work, observe_all, start
+from soil_env.identification.online.identifier import observe_all, start
 from soil_env.identification.online.memory import (
     ALL,
+    BEST_PULL,
     COHESION,
     EXPONENT,
     GAIN,
     LN_K,
+    MEMORY,
     PRESSURE,
     READING,
     SOIL,
     TANGENT,
+    WORK,
 )
 from soil_env.identification.online.prior import setting_of
 from soil_env.parameters import FLOW_LAW
@@ -72,7 +75,7 @@ def react(rows, flow=(0.0, 0.0, 0.0, 0.1)):
     """
     rows = np.atleast_2d(np.asarray(rows, dtype=float))
     out = np.empty((len(rows), 3, SLOPES))
-    _react(rows, np.array(flow, dtype=float), np.zeros(0), new_work(), out)
+    _react(rows, np.array(flow, dtype=float), np.zeros(0), np.zeros(1, WORK), out)
     return out
 
 
@@ -205,11 +208,12 @@ class Identified:
     def __init__(self, scenario):
         self.scenario = scenario
         self.setting = setting_of(scenario)
-        self.memory = new_memory(1)
-        self.work = new_work()
+        self.memory = np.zeros(1, MEMORY)
+        self.work = np.zeros(1, WORK)
         self.start()
 
     def start(self):
+        self.memory[:] = np.zeros((), MEMORY)
         start(self.memory, self.setting, self.work)
 
     def observe(self, rows):
@@ -290,7 +294,7 @@ class Identified:
     def renew_best_pull(self, load, times=1):
         for _ in range(times):
             _best_pull(self.memory, float(load), self.setting, self.work)
-        return tuple(self.now.fresh_pull)
+        return self.now.fresh[BEST_PULL], self.now.fresh_sd[BEST_PULL]
 
 
 def unknowns_of(soil, setting):
@@ -339,7 +343,7 @@ def driven(soil, slips, scenario, speed=0.2, load=None, substeps=20, sunk=None):
     steps = np.array(steps)
     out = np.empty((len(steps), 3, SLOPES))
     law = np.array([soil.dig_recovery, soil.dig_gain, math.log(soil.sinkage_coefficient)])
-    _react(steps, np.array([getattr(soil, n) for n in FLOW_LAW]), law, new_work(), out)
+    _react(steps, np.array([getattr(soil, n) for n in FLOW_LAW]), law, np.zeros(1, WORK), out)
     rows = []
     for k in np.flatnonzero(steps[:, -1] == 0.0):
         sinkage, slip, *_, travel, _, _ = steps[k, 4:].tolist()

@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 from soil_env.identification.online import borders
 from soil_env.identification.online.identifier import MOVED
-from soil_env.identification.online.memory import HERE, OLD, PLACE, PUBLISHED, SOIL
+from soil_env.identification.online.memory import HERE, OLD, PLACE, QUANTITIES, SOIL
 from soil_env.parameters import Belief, load_scenario, soils
 from soil_env.parameters.readings import Image
 from tests.identification.observing import Identified, driven, shares_at
@@ -127,9 +127,9 @@ def blended(behind, sd=0.02):
     now.border = 1.0
     now.border_variance = sd**2
     now.place = 1.0 + behind
-    now.old[:] = np.arange(PUBLISHED)
+    now.old[:] = np.arange(QUANTITIES)
     now.old_sd[:] = 0.2
-    now.fresh[:] = np.arange(PUBLISHED) + 1.0
+    now.fresh[:] = np.arange(QUANTITIES) + 1.0
     now.fresh_sd[:] = 0.3
     wheel.blend()
     return wheel

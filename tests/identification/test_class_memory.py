@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from soil_env.identification.online import class_memory
-from soil_env.identification.online.identifier import new_memory, prior_pull
+from soil_env.identification.online.memory import BEST_PULL, MEMORY
 from soil_env.identification.online.prior import setting_of
 from soil_env.parameters import SoilState, load_scenario
 from soil_env.terramechanics.traversability import best_working_point
@@ -14,8 +14,7 @@ from tests.identification import observing
 from tests.identification.observing import started
 
 SCENARIO = load_scenario("two_lines")
-IDENTIFIER = setting_of(SCENARIO)
-SETTING = class_memory.class_setting(IDENTIFIER, prior_pull(IDENTIFIER))
+SETTING = class_memory.class_setting(setting_of(SCENARIO))
 PRIOR = SETTING["prior"][0]
 WIDE = SETTING["prior_precision"][0] ** -0.5
 ESTIMATE = PRIOR + 0.4 * WIDE
@@ -34,10 +33,10 @@ def remember(kept, c, patch, estimate, sd):
     """Remember an estimate [6] with sd [6] of a class and a patch; the best drawbar pull is the
     last of them.
     """
-    memory = new_memory(1)
-    memory["estimate"] = estimate[:5]
-    memory["sd"] = sd[:5]
-    memory["best_pull"] = estimate[5], sd[5] / class_memory.WIDER
+    memory = np.zeros(1, MEMORY)
+    memory["estimate"] = estimate
+    memory["sd"] = sd
+    memory["sd"][0, BEST_PULL] /= class_memory.WIDER
     observing.remember_class(kept, c, patch, memory, SETTING)
 
 
@@ -116,7 +115,6 @@ def learnt():
     kept = sim.worlds.memory
     library = sim.worlds.courses["library"]
     wheel = scenario.wheel
-    pull = class_memory.BEST_PULL
     rows = []
     for k in range(wheels):
         for c in np.flatnonzero(kept["patches"][k]):
@@ -124,14 +122,16 @@ def learnt():
             soil = SoilState(*library[k, c])
             best = best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
             known = kept[k, c]
-            rows.append((best.drawbar_pull / load, known["estimate"][pull], known["sd"][pull]))
+            rows.append(
+                (best.drawbar_pull / load, known["estimate"][BEST_PULL], known["sd"][BEST_PULL])
+            )
     return np.transpose(rows)
 
 
 def test_what_was_learnt_of_a_class_is_about_as_sure_as_stated(learnt):
     true, found, sds = learnt
     error = found - true
-    without = PRIOR[class_memory.BEST_PULL] - true
+    without = PRIOR[BEST_PULL] - true
     assert len(error) > 150 and np.std(true) > 0.08
     assert abs(error.mean()) < 0.03 and error.std() < 0.55 * np.std(true)
     assert np.sqrt(np.mean(error**2)) < 0.55 * np.sqrt(np.mean(without**2))
@@ -144,6 +144,6 @@ def test_what_was_learnt_of_a_class_is_near_its_soil(learnt):
     """A quarter of the scatter of the classes off."""
     true, found, _ = learnt
     error = found - true
-    without = PRIOR[class_memory.BEST_PULL] - true
+    without = PRIOR[BEST_PULL] - true
     assert error.std() < 0.25 * np.std(true)
     assert np.sqrt(np.mean(error**2)) < 0.5 * np.sqrt(np.mean(without**2))

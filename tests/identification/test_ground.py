@@ -12,8 +12,8 @@ from soil_env.identification.online.ground import (
     STIFFEST,
     assess_ground,
 )
-from soil_env.identification.online.interface import Traversability
 from soil_env.identification.online.prior import setting_of
+from soil_env.identification.published import Traversability
 from soil_env.parameters import SoilState, load_scenario
 from soil_env.terramechanics.traversability import best_working_point
 from tests.identification.observing import flow_of
@@ -21,14 +21,17 @@ from tests.identification.observing import flow_of
 SCENARIO = load_scenario("mixed")
 WHEEL = SCENARIO.wheel
 SETTING = setting_of(SCENARIO)
-PRIOR = SETTING["prior"][0]
+PRIOR = SETTING["prior"][0, :5]
 
 
 def assessed(estimate, pull, seen, rows=(0,)):
-    """Rows of `assess_ground` of wheels with these estimates; those not asked for are NaN."""
+    """Rows of `assess_ground` of wheels with these estimates [5] and best pulls (value, sd); those
+    not asked for are NaN.
+    """
     estimate, pull, seen = (np.atleast_2d(x).astype(float) for x in (estimate, pull, seen))
     out = np.full((len(estimate), len(Traversability._fields)), np.nan)
-    assess_ground(np.array(rows), estimate, pull, seen, SETTING, out)
+    known = np.column_stack([estimate, pull[:, 0]]), np.column_stack([0.0 * estimate, pull[:, 1]])
+    assess_ground(np.array(rows), *known, seen, SETTING, out)
     return out
 
 

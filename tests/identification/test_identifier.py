@@ -70,7 +70,7 @@ def test_exact_readings_of_varied_slip_give_the_soil(scenario):
     """
     wheel = Identified(scenario)
     wheel.observe(driven(SAND, SLIPS, scenario))
-    off = np.abs(wheel.now.estimate - truth_of(SAND, wheel)) / wheel.now.sd
+    off = np.abs(wheel.now.estimate[:5] - truth_of(SAND, wheel)) / wheel.now.sd[:5]
     assert off.max() < 2.0, dict(zip(PUBLISHED, off, strict=True))
     assert np.all((wheel.now.sd / wheel.set.prior_sd)[:3] < [0.8, 0.5, 0.5])
     assert Status(wheel.now.status) == Status.CONVERGED
@@ -95,9 +95,10 @@ def test_what_is_published_is_the_soil_at_the_bearing_sinkage():
     ln_S = u[:, PRESSURE] - u[:, EXPONENT] * depth
     ln_S += (u[:, EXPONENT] - wheel.set.exponent) * now.ln_bearing
     rows = [np.arctan(u[:, TANGENT]), u[:, LN_K], ln_S, u[:, COHESION], u[:, GAIN]]
-    np.testing.assert_allclose((now.estimate - np.mean(rows, axis=1)) / now.sd, 0.0, atol=0.05)
-    wider = now.sd / np.std(rows, axis=1)
-    capped = now.sd > 0.999 * wheel.set.prior_sd
+    sd = now.sd[:5]
+    np.testing.assert_allclose((now.estimate[:5] - np.mean(rows, axis=1)) / sd, 0.0, atol=0.05)
+    wider = sd / np.std(rows, axis=1)
+    capped = sd > 0.999 * wheel.set.prior_sd[:5]
     assert now.form_error == wheel.set.model_error and now.widening == 1.0
     np.testing.assert_allclose(wider[~capped], WIDER, rtol=0.02)
     assert np.all(wider[capped] <= 1.02 * WIDER) and capped.sum() <= 2
@@ -162,14 +163,14 @@ def test_another_soil_on_the_level_is_noticed_by_the_forces(names):
     wheel.observe(before_it)
     sunk = before_it[-1].sinkage
     assert wheel.now.borders == 0
-    before = wheel.now.estimate.copy()
+    before = wheel.now.estimate[:5].copy()
     beyond = driven(second, SLIPS, PLAIN, sunk=sunk)
     wheel.observe(beyond[:40])
     assert wheel.now.borders == 1
     wheel.observe(beyond[40:])
     truth = truth_of(second, wheel)
     assert wheel.now.borders == 1
-    off = np.abs(wheel.now.estimate - truth)[:3]
+    off = np.abs(wheel.now.estimate[:5] - truth)[:3]
     assert np.all(off < 3.0 * wheel.now.sd[:3])
     assert np.all(off[:2] < 0.5 * np.abs(before - truth)[:2])
 
@@ -211,11 +212,17 @@ def settled():
     return wheel.memory.copy(), readings[-1]
 
 
+def check_doubt(wheel):
+    """What is published of the soil is less sure, and the best pull as sure as before."""
+    doubted = np.array([DOUBT] * len(PUBLISHED) + [1.0]) * wheel.now.fresh_sd
+    np.testing.assert_allclose(wheel.now.sd, doubted, rtol=1e-12)
+
+
 def test_an_odd_point_is_doubt_and_several_are_a_border(settled):
     """The first widens what is published; like ones as before take it back."""
     outlier, wheel = outlier_after(*settled)
     doubt = wheel.memory.copy()
-    np.testing.assert_allclose(wheel.now.sd, DOUBT * wheel.now.fresh_sd, rtol=1e-12)
+    check_doubt(wheel)
     wheel.observe(settled[1:] * 60)
     assert wheel.now.borders == 0 and wheel.now.widening == 1.0
     np.testing.assert_array_equal(wheel.now.sd, wheel.now.fresh_sd)
@@ -229,7 +236,7 @@ def test_doubt_counts_once(settled):
     outlier, wheel = outlier_after(*settled)
     points = wheel.now.points
     while wheel.now.borders == 0 and wheel.now.points < points + 10:
-        np.testing.assert_allclose(wheel.now.sd, DOUBT * wheel.now.fresh_sd, rtol=1e-9)
+        check_doubt(wheel)
         wheel.observe([outlier])
 
 
@@ -317,7 +324,7 @@ def test_wild_readings_never_give_nan(scenario, readings):
         wheel.observe([reading] * 5)
         now = wheel.now
         assert 0 <= now.cells_kept <= CELLS
-        for name in ("estimate", "sd", "u", "covariance", "best_pull", "form_error", "misfit"):
+        for name in ("estimate", "sd", "u", "covariance", "form_error", "misfit"):
             assert np.all(np.isfinite(now[name])), name
         assert np.all(now.sd > 0.0)
         assert np.linalg.eigvalsh(now.covariance / scale)[0] > 0.0
@@ -327,7 +334,7 @@ def test_wild_readings_never_give_nan(scenario, readings):
 def published(wheel):
     """All that is published."""
     now = wheel.now
-    arrays = (now.estimate, now.sd, now.best_pull, now.u[:12], now.covariance, [now.status])
+    arrays = (now.estimate, now.sd, now.u[:12], now.covariance, [now.status])
     counts = [now.points, now.borders, now.refused, now.misfit, now.form_error, now.mass]
     return np.concatenate([np.ravel(x) for x in (*arrays, counts)])
 

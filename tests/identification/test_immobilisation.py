@@ -42,10 +42,11 @@ def test_the_compiled_network_is_the_one_of_matrices():
     rng = np.random.default_rng(1)
     k = np.arange(200)
     recent = np.abs(rng.normal(size=(200, im.MEMORY)))
-    estimate = 0.3 * rng.normal(size=(200, 5))
-    sd = np.abs(rng.normal(size=(200, 5)))
-    expected = by_matrices(warning.inputs(k, recent, estimate, sd), im.shipped_network())
-    np.testing.assert_allclose(warning.probabilities(k, recent, estimate, sd), expected, rtol=1e-10)
+    estimate = 0.3 * rng.normal(size=(200, 6))
+    sd = np.abs(rng.normal(size=(200, 6)))
+    found = warning.assess(k, recent, estimate, sd)
+    expected = by_matrices(found.inputs, im.shipped_network())
+    np.testing.assert_allclose(found.probabilities, expected, rtol=1e-10)
 
 
 def test_averages_answer_a_step_with_their_time_constants():
@@ -86,12 +87,12 @@ def test_a_wheel_of_another_size_reads_the_same():
 
 
 def test_inputs_have_the_estimate_without_dimension():
-    estimate = np.array([[0.5, math.log(0.015), math.log(8e5), 600.0, 0.2]])
-    sd = np.array([[0.1, 0.2, 0.3, 400.0, 0.5]])
-    inputs = im.ImmobilisationWarning(SCENARIO).inputs(
+    estimate = np.array([[0.5, math.log(0.015), math.log(8e5), 600.0, 0.2, 0.3]])
+    sd = np.array([[0.1, 0.2, 0.3, 400.0, 0.5, 0.1]])
+    found = im.ImmobilisationWarning(SCENARIO).assess(
         np.array([0]), follow([READING])[None], estimate, sd
     )
-    found = dict(zip(im.INPUTS, inputs[0], strict=True))
+    found = dict(zip(im.INPUTS, found.inputs[0], strict=True))
     wheel = SCENARIO.wheel
     n = SCENARIO.belief.sinkage_exponent
     area = wheel.radius * wheel.width
@@ -122,10 +123,11 @@ def views(steps):
     for _ in range(steps):
         beside = observed["choice"] and observed["beside_margin"] > observed["ahead_margin"]
         *_, ended, _, _ = env.step([-0.1 if beside else 0.45])
-        inputs = warning.inputs(np.array([0]), worlds.recent, worlds.ids.estimate, worlds.ids.sd)[0]
+        known = worlds.ids
+        found = warning.assess(np.array([0]), worlds.recent, known.estimate, known.sd)
         observed = dict(zip(names, worlds.observation[0].tolist(), strict=True))
         yield (
-            dict(zip(im.INPUTS, inputs.tolist(), strict=True)),
+            dict(zip(im.INPUTS, found.inputs[0].tolist(), strict=True)),
             observed,
             env.scenario.wheel.radius,
         )

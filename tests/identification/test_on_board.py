@@ -8,6 +8,7 @@ import pytest
 from soil_env._io.loading import ParameterError
 from soil_env.envs.wheel_env import SoilWheelEnv
 from soil_env.identification import Status
+from soil_env.identification.online.memory import PUBLISHED
 from soil_env.online import OnlineIdentifier
 from soil_env.parameters import SoilState, load_scenario
 from soil_env.parameters.readings import STEP, SensorReading
@@ -34,7 +35,7 @@ def test_only_readings_enter():
         for name in w.state.dtype.names:
             if w.state[name].dtype == float:
                 w.state[name] *= 1.3
-        on_board.update(sim._samples(), np.full(1, STEP), 0, 1)
+        on_board.update(sim._sampled, np.full(1, STEP), 0, 1)
         w.courses[:] = kept[0]
         w.state[:] = kept[1]
     assert other.now.points > 5
@@ -85,7 +86,7 @@ def test_knowledge_that_is_gained_is_paid():
     discount = env.scenario.reward.information_discount
 
     def knowledge():
-        return -np.log(np.clip(w.ids.sd[0] / prior, 1e-6, 1.0)).sum()
+        return -np.log(np.clip((w.ids.sd[0] / prior)[:PUBLISHED], 1e-6, 1.0)).sum()
 
     before = knowledge()
     gained = 0.0

@@ -231,7 +231,7 @@ NO_WHEEL = {
 def learnt(wheel):
     """All that a fit leaves."""
     now = wheel.now
-    arrays = (now.estimate, now.sd, now.u, now.covariance, now.best_pull, [now.status, now.points])
+    arrays = (now.estimate, now.sd, now.u, now.covariance, [now.status, now.points])
     return np.concatenate([np.ravel(array) for array in arrays])
 
 

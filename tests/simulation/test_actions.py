@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from soil_env.identification.online.memory import PUBLISHED
 from soil_env.parameters import ACTION_PERIODS, load_scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
 from tests.simulation.wheels import started
@@ -144,7 +145,8 @@ def test_information_is_discounted_once_a_step():
     prior = sim.belief["prior_sd"][0]
 
     def known():
-        return float(np.log(np.maximum(prior / sim.worlds.ids.sd[0], 1.0)).sum())
+        shares = prior / sim.worlds.ids.sd[0]
+        return float(np.log(np.maximum(shares[:PUBLISHED], 1.0)).sum())
 
     before = known()
     most = 0.0

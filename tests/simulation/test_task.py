@@ -14,6 +14,7 @@ from soil_env.envs.rover_env import SoilRoverEnv
 from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv, observation_space
 from soil_env.identification import Status
 from soil_env.identification.online.board import knowledge
+from soil_env.identification.online.memory import PUBLISHED
 from soil_env.identification.online.on_board import show_estimate
 from soil_env.parameters import Belief, SoilState, load_scenario, soils
 from soil_env.simulation.rover.task import rover_layout
@@ -122,7 +123,7 @@ def observed_again(sim, estimate=None):
     if sim.belief is not None:
         known = sim.worlds.on_board.copy()
         if estimate is not None:
-            known["identifier"]["estimate"] += estimate
+            known["identifier"]["estimate"][..., :PUBLISHED] += estimate
         _show(known, sim._world.samples, sim._on_board.setting, out)
     return out
 
@@ -170,7 +171,7 @@ def test_estimate_in_the_observation():
             seen[7:9], [x[3] / 1000.0, belief.dig_gain * math.exp(x[4])], rtol=1e-6
         )
         np.testing.assert_allclose(seen[9:11], [ids.sd[0, 3] / 1000.0, ids.sd[0, 4]], rtol=1e-6)
-        np.testing.assert_allclose(seen[11:], ids.best_pull[0], rtol=1e-6)
+        np.testing.assert_allclose(seen[11:], [x[5], ids.sd[0, 5]], rtol=1e-6)
         assert seen[6] == (ids.status[0] == Status.CONVERGED)
         rows.append(seen[6])
     assert {0.0, 1.0} == set(rows)

@@ -78,8 +78,8 @@ class Foresight:
         period = self.period
         best = worlds.state["best_x"]
         driving = alive & (worlds.state["halt_left"] == 0.0)
-        found = self.warning.probabilities(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
-        self.probability[rows] = found[:, -1]
+        found = self.warning.assess(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
+        self.probability[rows] = found.probabilities[:, -1]
         self.time[alive] += period
         come = self.alarms.step(self.probability, driving)
         self.start_time[come] = self.time[come]

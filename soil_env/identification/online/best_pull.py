@@ -9,11 +9,11 @@ of them: its variance is by their whole covariance.
 import math
 
 import numpy as np
-from numba import njit
 
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.identification.online.forces import LEAST_COEFFICIENT, reaction
 from soil_env.identification.online.memory import (
+    BEST_PULL,
     COHESION,
     EXPONENT,
     GAIN,
@@ -30,15 +30,14 @@ from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
 SLIP = np.array([0.08, 0.15, 0.23, 0.33, 0.45, 0.6, 0.78, 0.97])  # [-] at which pulls are compared
 assert len(SLIP) == SLIPS
 FLOORED = math.log(2.0 * LEAST_COEFFICIENT)  # ln of a mobilised coefficient that counts as none
-STEPS = 0  # of Newton's method before the last
-FIRST_STEPS = 12  # of Newton's method, from a first guess
+FIRST_STEPS = 12  # of Newton's method, from a first guess; one step follows what is known
 FAR = 0.7  # largest step of ln z
 SHALLOWEST = 1e-5  # [radii]
 DEEPEST = 1.5  # [radii]
 FLATTEST = -0.1  # slope of the condition by ln z, at least
 
 
-@njit(**EXACT)
+@compiled
 def _newton(x, slip, load, memory, setting, work):
     """(ln z after a step, `Reaction` at x, slope of the condition by ln z, ratio q)."""
     u = memory.soil
@@ -58,7 +57,7 @@ def _newton(x, slip, load, memory, setting, work):
     return min(max(after, low), high), f, slope, ratio
 
 
-@njit(**EXACT)
+@compiled
 def _slopes(x, f, slope, ratio, memory, setting, work):
     """Slopes of the steady pull by the soil, S keeping the condition, into `work.step`."""
     u = memory.soil
@@ -73,20 +72,18 @@ def _slopes(x, f, slope, ratio, memory, setting, work):
     by[GAIN] = through * u[EXPONENT] * (1.0 - 1.0 / ratio)
 
 
-@njit(**EXACT)
+@compiled
 def renew_best_pull(memory, load, setting, work):
-    """Renew `memory.fresh_pull` under a measured `load` [N]."""
+    """Renew the fresh best pull under a measured `load` [N]."""
     load *= 1.0 - memory.u[LOAD_GAIN]
     best = -math.inf
     variance = 1.0
     for k in range(SLIPS):
         x = memory.steady[k]
-        steps = STEPS
         if x == 0.0:
             x = math.log(setting.depth)
-            steps = FIRST_STEPS
-        for _ in range(steps):
-            x, _, _, _ = _newton(x, SLIP[k], load, memory, setting, work)
+            for _ in range(FIRST_STEPS):
+                x, _, _, _ = _newton(x, SLIP[k], load, memory, setting, work)
         after, f, slope, ratio = _newton(x, SLIP[k], load, memory, setting, work)
         memory.steady[k] = after
         pull = f.pull.value + f.pull.sinkage * math.exp(x) * (after - x)
@@ -99,10 +96,10 @@ def renew_best_pull(memory, load, setting, work):
             for j in range(SOIL):
                 variance += work.step[i] * work.step[j] * memory.spread[i, j]
     if math.isfinite(best) and math.isfinite(variance):
-        memory.fresh_pull[0] = max(best / load, -1.0)
-        memory.fresh_pull[1] = math.sqrt(max(variance, 0.0)) / load
+        memory.fresh[BEST_PULL] = max(best / load, -1.0)
+        memory.fresh_sd[BEST_PULL] = math.sqrt(max(variance, 0.0)) / load
     else:
-        memory.fresh_pull[0] = -1.0
-        memory.fresh_pull[1] = 1.0
+        memory.fresh[BEST_PULL] = -1.0
+        memory.fresh_sd[BEST_PULL] = 1.0
         for k in range(SLIPS):
             memory.steady[k] = 0.0

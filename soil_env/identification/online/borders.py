@@ -4,33 +4,58 @@ soil's; over a border one soil passes into the next.
 
 import math
 
-from numba import njit
-
-from soil_env._compiled.elementary import smooth_step
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
+from soil_env.identification.online.best_pull import renew_best_pull
 from soil_env.identification.online.linear import factorise, invert
 from soil_env.identification.online.memory import (
-    INSTRUMENTS,
-    LOAD_GAIN,
+    HERE,
     OLD,
     PLACE,
     PUBLISHED,
+    QUANTITIES,
+    SLIPS,
     SOIL,
 )
+from soil_env.identification.online.residuals import share_at
 
 PLACE_SD = 0.3  # [border lengths] of the place of a border that forces show, which is where they do
 # factor of the covariance of the old soil, which the border's first readings spoilt
 OLD_DOUBT = 3.0
 
 
-@njit(**EXACT)
-def share_at(behind, length):
-    """(share of the new soil, its slope [1/m]) at a distance behind the middle of a border [m]."""
-    share, slope = smooth_step(behind / length + 0.5)
-    return share, slope / length
+@compiled
+def begin_soil(memory, setting, work):
+    """Set what is known of the ground and of the instruments to the prior."""
+    memory.excess = 0.0
+    memory.form_error = setting.model_error
+    memory.misfit = 1.0
+    memory.law_misfit = 1.0
+    memory.widening = 1.0
+    memory.points = 0
+    memory.settled = 0
+    memory.cells_kept = 0
+    for i in range(HERE):
+        memory.u[i] = 0.0
+    for i in range(SOIL):
+        memory.u[i] = setting.soil_mean[i]
+        memory.soil[i] = setting.soil_mean[i]
+        memory.prior_mean[i] = setting.soil_mean[i]
+        memory.gradient[i] = 0.0
+        for j in range(SOIL):
+            memory.covariance[i, j] = setting.soil_covariance[i, j]
+            memory.spread[i, j] = setting.soil_covariance[i, j]
+            memory.prior_precision[i, j] = setting.soil_precision[i, j]
+            memory.information[i, j] = 0.0
+    for i in range(PUBLISHED):
+        memory.fresh[i] = setting.prior[i]
+        memory.fresh_sd[i] = setting.prior_sd[i]
+    for k in range(SLIPS):
+        memory.steady[k] = 0.0
+    load = memory.mass * setting.gravity if memory.mass > 0.0 else setting.weight
+    renew_best_pull(memory, load, setting, work)
 
 
-@njit(**EXACT)
+@compiled
 def begin_border(memory, setting, work, place, variance):
     """Begin with another soil, whose border has its middle at `place` [m]; what was known becomes
     the old soil. Instruments begin anew: carried over, they were too sure.
@@ -40,45 +65,21 @@ def begin_border(memory, setting, work, place, variance):
     memory.crossing = 1.0
     memory.behind = 1
     memory.borders += 1
-    for i in range(PUBLISHED):
+    for i in range(QUANTITIES):
         memory.old[i] = memory.estimate[i]
         memory.old_sd[i] = memory.sd[i]
-        memory.fresh[i] = setting.prior[i]
-        memory.fresh_sd[i] = setting.prior_sd[i]
-    V = memory.covariance
+    memory.u[PLACE] = place
     for i in range(SOIL):
         memory.old_mean[i] = memory.soil[i]
+        memory.u[OLD + i] = memory.soil[i]
         for j in range(SOIL):
             work.normal[i, j] = OLD_DOUBT * memory.spread[i, j]
     factorise(work.normal, SOIL, work.factor)
     invert(work.factor, SOIL, work.scratch, memory.old_precision)
-    for i in range(SOIL):
-        memory.gradient[i] = 0.0
-        memory.soil[i] = setting.soil_mean[i]
-        memory.u[OLD + i] = memory.old_mean[i]
-        memory.u[i] = setting.soil_mean[i]
-        memory.prior_mean[i] = setting.soil_mean[i]
-        for j in range(SOIL):
-            V[i, j] = setting.soil_covariance[i, j]
-            memory.prior_precision[i, j] = setting.soil_precision[i, j]
-            memory.spread[i, j] = setting.soil_covariance[i, j]
-            memory.information[i, j] = 0.0
-    for i in range(INSTRUMENTS):
-        memory.u[LOAD_GAIN + i] = 0.0
-    memory.u[PLACE] = place
-    memory.form_error = setting.model_error
-    for i in range(2):
-        memory.old_pull[i] = memory.best_pull[i]
-    memory.settled = 0
-    memory.misfit = 1.0
-    memory.law_misfit = 1.0
-    memory.cells_kept = 0
-    memory.points = 0
-    memory.excess = 0.0
-    memory.widening = 1.0
+    begin_soil(memory, setting, work)
 
 
-@njit(**EXACT)
+@compiled
 def see_border(memory, sample, camera_sd, setting, work):
     """Begin a border where a camera sees ground of another class begin; True if it did.
 
@@ -92,7 +93,7 @@ def see_border(memory, sample, camera_sd, setting, work):
     return True
 
 
-@njit(**EXACT)
+@compiled
 def feel_border(memory, setting, work):
     """Begin a border that forces show here.
 
@@ -108,7 +109,7 @@ CELL_PLACE = 2e-3
 CELL_SHARE = 0.1
 
 
-@njit(**EXACT)
+@compiled
 def put_on_border(memory, cell, setting):
     """Note how well the place of a new cell is known, if it is on the border."""
     if memory.borders == 0 or cell.place > memory.border + 0.5 * setting.border:
@@ -117,35 +118,28 @@ def put_on_border(memory, cell, setting):
     cell.place_error = CELL_PLACE + CELL_SHARE * cell.spread
 
 
-@njit(**EXACT)
+@compiled
 def blend_estimates(into, memory, setting):
     """Publish the blend of the old and the fresh estimate of a record on a border."""
     share, slope = share_at(memory.place - memory.border, setting.border)
     rest = 1.0 - share
-    for i in range(PUBLISHED):
+    for i in range(QUANTITIES):
         change = into.fresh[i] - into.old[i]
         into.estimate[i] = into.old[i] + share * change
         variance = (rest * into.old_sd[i]) ** 2 + (share * into.fresh_sd[i]) ** 2
         into.sd[i] = math.sqrt(variance + (slope * change) ** 2 * memory.border_variance)
 
 
-@njit(**EXACT)
-def blend_pull(memory, setting):
-    """Publish the blend of old and fresh best pull on a border."""
-    share, slope = share_at(memory.place - memory.border, setting.border)
-    change = memory.fresh_pull[0] - memory.old_pull[0]
-    memory.best_pull[0] = memory.old_pull[0] + share * change
-    variance = ((1.0 - share) * memory.old_pull[1]) ** 2 + (share * memory.fresh_pull[1]) ** 2
-    variance += (slope * change) ** 2 * memory.border_variance
-    memory.best_pull[1] = math.sqrt(variance)
+@compiled
+def take_fresh(known):
+    """Publish the fresh estimate of a record."""
+    for i in range(QUANTITIES):
+        known.estimate[i] = known.fresh[i]
+        known.sd[i] = known.fresh_sd[i]
 
 
-@njit(**EXACT)
+@compiled
 def end_border(memory):
     """Leave a border behind: the ground is of the new soil."""
     memory.crossing = 0.0
-    for i in range(2):
-        memory.best_pull[i] = memory.fresh_pull[i]
-    for i in range(PUBLISHED):
-        memory.estimate[i] = memory.fresh[i]
-        memory.sd[i] = memory.fresh_sd[i]
+    take_fresh(memory)

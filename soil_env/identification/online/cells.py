@@ -4,40 +4,35 @@ as excitation (regression dilution: Fuller 1987, Measurement Error Models, ch. 1
 
 import math
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.identification.online.memory import CELLS
 
 # Differences that count as one, beside noise.
 PULL_UNIT = 0.003  # [of weight]
 SLIP_UNIT = 0.025  # [-]
 SINKAGE_UNIT = 0.05  # relative
-LEAST_SINKAGE = 1e-6  # [m] that sinkages are compared with
-OTHER_GROUND = 1e12  # distance of a cell on a border from one that is not
 ON_BORDER = 1e9  # [1/m2] of two cells on a border, so that others are merged before them
 NEAREST = 1e-6  # [m2] least square of the distance of their places
-FARTHEST = 1e300
 
 
-@njit(**EXACT)
+@compiled
 def _distance(a, b):
     """Squared distance of two cells in the units above."""
     pull = PULL_UNIT**2 + a.pull_variance + b.pull_variance
     slip = SLIP_UNIT**2 + a.slip_variance + b.slip_variance
-    sinkage = 0.5 * SINKAGE_UNIT * (abs(a.sinkage) + abs(b.sinkage)) + LEAST_SINKAGE
+    sinkage = 0.5 * SINKAGE_UNIT * (a.sinkage + b.sinkage)
     depth = sinkage * sinkage + a.sinkage_variance + b.sinkage_variance
     square = (a.pull - b.pull) ** 2 / pull + (a.slip - b.slip) ** 2 / slip
     return square + (a.sinkage - b.sinkage) ** 2 / depth
 
 
-@njit(**EXACT)
+@compiled
 def _joint_variance(a, b, share):
     """Variance of (1 - share) x + share y, from theirs."""
     return (1.0 - share) ** 2 * a + share * share * b
 
 
-@njit(**EXACT)
+@compiled
 def _merge(into, cell):
     """Average a cell into another; one share for all quantities, so that they stay of one
     condition.
@@ -70,24 +65,24 @@ def _merge(into, cell):
         into.middle += share * (cell.middle - into.middle)
 
 
-@njit(**EXACT)
+@compiled
 def _apart(a, b):
     """`_distance`, far where one of the two is on a border; nearer if both are, by their places."""
     if a.place_error > 0.0 and b.place_error > 0.0:
         return ON_BORDER * ((a.place - b.place) ** 2 + NEAREST)
     if a.place_error > 0.0 or b.place_error > 0.0:
-        return OTHER_GROUND
+        return math.inf
     return _distance(a, b)
 
 
-@njit(**EXACT)
+@compiled
 def remember(memory):
     """Put the newest cell among the kept ones: into a like one, beside them, or, where there is no
     room, in the place of one of the two that are most alike.
     """
     kept = memory.cells_kept
     newest = memory.cells[kept]
-    nearest = FARTHEST
+    nearest = math.inf
     into = -1
     for k in range(kept):
         distance = _apart(memory.cells[k], newest)
@@ -100,7 +95,7 @@ def remember(memory):
     if kept < CELLS:
         memory.cells_kept = kept + 1
         return
-    least = FARTHEST
+    least = math.inf
     first = 0
     second = 1
     for b in range(1, kept + 1):

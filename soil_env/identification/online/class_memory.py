@@ -12,14 +12,11 @@ together (Birge 1932, Physical Review 40:207-227).
 """
 
 import numpy as np
-from numba import njit
 
-from soil_env._compiled.flags import EXACT, record
-from soil_env.identification.online.memory import PUBLISHED
+from soil_env._compiled.flags import compiled, record
+from soil_env.identification.online.memory import BEST_PULL, QUANTITIES
 from soil_env.parameters.course import MOST_CLASSES
 
-QUANTITIES = PUBLISHED + 1  # the published ones and, last, the best drawbar pull [of load]
-BEST_PULL = PUBLISHED
 LEAST_SD = 1e-6
 WIDER = 1.4  # [of the sd] of the pull of a patch: labels may be wrong, borders are near
 FOUND = 1.0 / 3.0  # [border lengths] behind a border until the identifier has found it out
@@ -34,17 +31,16 @@ CLASSES = record(patch=("i8",), before=_EACH, precision=_EACH, of=(CLASS, MOST_C
 CLASS_SETTING = record("border", prior=_EACH, prior_precision=_EACH)
 
 
-def class_setting(setting: np.ndarray, pull: tuple[float, float]) -> np.ndarray:
-    """Pack `CLASS_SETTING` [1] from the identifier's `SETTING` and the best pull of the prior."""
+def class_setting(setting: np.ndarray) -> np.ndarray:
+    """Pack `CLASS_SETTING` [1] from the identifier's `SETTING`."""
     numbers = np.zeros(1, CLASS_SETTING)
     numbers["border"] = setting["border"]
-    numbers["prior"] = np.append(setting["prior"], pull[0])
-    sd = np.append(setting["prior_sd"], pull[1])
-    numbers["prior_precision"] = np.maximum(sd, LEAST_SD) ** -2.0
+    numbers["prior"] = setting["prior"]
+    numbers["prior_precision"] = np.maximum(setting["prior_sd"], LEAST_SD) ** -2.0
     return numbers
 
 
-@njit(**EXACT)
+@compiled
 def forget_classes(classes, setting):
     """Set the memory of a wheel to the prior."""
     classes.patch = -1
@@ -56,7 +52,7 @@ def forget_classes(classes, setting):
             known.sd[i] = setting.prior_precision[i] ** -0.5
 
 
-@njit(**EXACT)
+@compiled
 def remember_class(classes, c, patch, memory, setting):
     """Renew class c by the estimate that a `memory` has on a `patch`; it replaces an earlier one
     from there.
@@ -71,11 +67,8 @@ def remember_class(classes, c, patch, memory, setting):
             mean[i] = known.estimate[i]
             precision[i] = known.sd[i] ** -2.0
     for i in range(QUANTITIES):
-        value = memory.best_pull[0]
-        sd = WIDER * memory.best_pull[1]
-        if i < PUBLISHED:
-            value = memory.estimate[i]
-            sd = memory.sd[i]
+        value = memory.estimate[i]
+        sd = memory.sd[i] * (WIDER if i == BEST_PULL else 1.0)
         own = max(sd, LEAST_SD) ** -2.0
         more = own - setting.prior_precision[i]
         if more > 0.0:
@@ -88,7 +81,7 @@ def remember_class(classes, c, patch, memory, setting):
             known.sd[i] = (max(apart, 1.0) / total) ** 0.5
 
 
-@njit(**EXACT)
+@compiled
 def clear_of_borders(since, left, setting):
     """True if an estimate made `since` [m] the last border and `left` [m] before the next is of one
     soil.

@@ -5,14 +5,11 @@ covariance.
 
 import math
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.identification.online.linear import factorise, invert, solve
 from soil_env.identification.online.memory import (
     ALL,
     HERE,
-    INSTRUMENTS,
     LOAD_GAIN,
     OLD,
     PLACE,
@@ -32,7 +29,6 @@ from soil_env.identification.online.residuals import LEAST_TANGENT, residuals
 
 STEPS = 2  # of Gauss-Newton for a point, at most; with one the errors of ln K grow by a tenth
 SETTLED = 0.3  # squared length of a step in standard deviations, below which it is the last
-LONGEST = 1.0  # [prior standard deviations] of a step, of any unknown
 FARTHEST = 4.0  # [prior standard deviations] of the soil from its mean
 PAYLOAD = 0.05  # [of weight] doubt of the load where no sensor measures it
 EXACTLY = 1e-5  # least standard deviation of an instrument, so that none is singular
@@ -45,7 +41,7 @@ SHRINKS = 1.1
 LARGEST_ERROR = 0.1  # [of load]
 
 
-@njit(**EXACT)
+@compiled
 def weigh_instruments(memory, setting, work):
     """Prior variances of the instruments, those of two sensors by the shares that they have had."""
     inertial = 0.0
@@ -67,28 +63,25 @@ def weigh_instruments(memory, setting, work):
         TYPICAL_PULL * gain.acceleration
     ) ** 2
     variances = work.instruments
-    first = LOAD_GAIN
-    variances[LOAD_GAIN - first] = gain.load**2 + (zero.load / weight) ** 2
+    variances[LOAD_GAIN] = gain.load**2 + (zero.load / weight) ** 2
     if memory.weighings == 0.0:
-        variances[LOAD_GAIN - first] += PAYLOAD**2
-    variances[PULL_ZERO - first] = (1.0 - inertial) ** 2 * of_force + inertial**2 * of_mass
-    variances[TORQUE_GAIN - first] = ((1.0 - motor) * gain.torque) ** 2 + (
-        motor * gain.motor_torque
-    ) ** 2
-    variances[TORQUE_ZERO - first] = (
+        variances[LOAD_GAIN] += PAYLOAD**2
+    variances[PULL_ZERO] = (1.0 - inertial) ** 2 * of_force + inertial**2 * of_mass
+    variances[TORQUE_GAIN] = ((1.0 - motor) * gain.torque) ** 2 + (motor * gain.motor_torque) ** 2
+    variances[TORQUE_ZERO] = (
         ((1.0 - motor) * zero.torque) ** 2 + (motor * zero.motor_torque) ** 2
     ) / twist**2
-    variances[SINKAGE_ZERO - first] = zero.sinkage**2
-    variances[SPEED_GAIN - first] = gain.speed**2 + gain.rim_speed**2
-    for i in range(INSTRUMENTS):
+    variances[SINKAGE_ZERO] = zero.sinkage**2
+    variances[SPEED_GAIN] = gain.speed**2 + gain.rim_speed**2
+    for i in range(SOIL, HERE):
         variances[i] += EXACTLY**2
 
 
-@njit(**EXACT)
-def _begin_with_prior(memory, setting, work, size):
+@compiled
+def _write_prior(memory, setting, work, size):
     """Normal matrix and gradient of the prior alone."""
-    A = work.normal
-    g = work.gradient
+    A = work.prior
+    g = work.prior_gradient
     u = memory.u
     for i in range(size):
         g[i] = 0.0
@@ -98,10 +91,9 @@ def _begin_with_prior(memory, setting, work, size):
         for j in range(SOIL):
             A[i, j] = memory.prior_precision[i, j]
             g[i] += A[i, j] * (memory.prior_mean[j] - u[j])
-    for i in range(INSTRUMENTS):
-        k = LOAD_GAIN + i
-        A[k, k] = 1.0 / work.instruments[i]
-        g[k] = -A[k, k] * u[k]
+    for i in range(SOIL, HERE):
+        A[i, i] = 1.0 / work.instruments[i]
+        g[i] = -A[i, i] * u[i]
     if size == ALL:
         A[PLACE, PLACE] = 1.0 / memory.border_variance
         g[PLACE] = A[PLACE, PLACE] * (memory.border - u[PLACE])
@@ -117,16 +109,16 @@ def _begin_with_prior(memory, setting, work, size):
         g[PULL_ZERO] += (memory.rest_pull - u[PULL_ZERO]) / variance
 
 
-@njit(**EXACT)
+@compiled
 def _normal_equations(memory, setting, work, size):
     """Normal matrix and gradient of all cells at the unknowns; chi-squared of each kind."""
-    _begin_with_prior(memory, setting, work, size)
-    for i in range(size):
-        work.prior_gradient[i] = work.gradient[i]
-        for j in range(size):
-            work.prior[i, j] = work.normal[i, j]
+    _write_prior(memory, setting, work, size)
     A = work.normal
     g = work.gradient
+    for i in range(size):
+        g[i] = work.prior_gradient[i]
+        for j in range(size):
+            A[i, j] = work.prior[i, j]
     J = work.slopes
     forces = 0.0
     sinkage = 0.0
@@ -147,22 +139,24 @@ def _normal_equations(memory, setting, work, size):
     return forces, sinkage
 
 
-@njit(**EXACT)
+@compiled
 def _apply_step(memory, setting, work, size):
-    """Take `work.step`, shortened where it is too long; the share of it that is taken."""
+    """Take `work.step`, shortened to a prior standard deviation of any unknown; the share of it
+    that is taken.
+    """
     u = memory.u
     share = 1.0
     for i in range(size):
-        longest = LONGEST
         if i < SOIL:
-            longest *= setting.soil_sd[i]
+            longest = setting.soil_sd[i]
         elif i < HERE:
-            longest *= math.sqrt(work.instruments[i - SOIL])
+            longest = math.sqrt(work.instruments[i])
         elif i == PLACE:
-            longest *= setting.border
+            longest = setting.border
         else:
-            longest *= setting.soil_sd[i - OLD]
-        share = min(share, longest / max(abs(work.step[i]), 1e-300))
+            longest = setting.soil_sd[i - OLD]
+        if share * abs(work.step[i]) > longest:
+            share = longest / abs(work.step[i])
     for i in range(size):
         u[i] += share * work.step[i]
     for i in range(SOIL):
@@ -174,21 +168,21 @@ def _apply_step(memory, setting, work, size):
     return share
 
 
-@njit(**EXACT)
-def _fall(work, size, share):
-    """Fall of chi-squared of the cells, without the prior, over a share of `work.step`."""
+@compiled
+def _fall(work, size, length, share):
+    """Fall of chi-squared of the cells, without the prior, over a share of `work.step`, whose
+    squared `length` is that in standard deviations.
+    """
     step = work.step
-    fall = 0.0
+    fall = share * (2.0 - share) * length
     for i in range(size):
-        fall += 2.0 * share * step[i] * (work.gradient[i] - work.prior_gradient[i])
-        for j in range(i, size):  # of the normal matrix only the upper triangle is filled
-            twice = 1.0 if i == j else 2.0
-            more = work.normal[i, j] - work.prior[i, j]
-            fall -= twice * share * share * step[i] * step[j] * more
+        fall -= 2.0 * share * step[i] * work.prior_gradient[i]
+        for j in range(size):
+            fall += share * share * step[i] * step[j] * work.prior[i, j]
     return fall
 
 
-@njit(**EXACT)
+@compiled
 def renew(memory, setting, work):
     """Renew unknowns and covariance by all cells, `misfit` and form error of the laws."""
     size = ALL if memory.behind > 0 else HERE
@@ -205,7 +199,7 @@ def renew(memory, setting, work):
             length += work.step[i] * work.gradient[i]
         share = _apply_step(memory, setting, work, size)
         before = max(forces + sinkage, EXACTLY)
-        left = max(1.0 - _fall(work, size, share) / before, 0.0)
+        left = max(1.0 - _fall(work, size, length, share) / before, 0.0)
         if share == 1.0 and length < SETTLED:
             break
     invert(memory.factor, SOIL, work.scratch, memory.covariance)

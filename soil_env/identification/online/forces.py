@@ -6,10 +6,8 @@
 import math
 from typing import NamedTuple
 
-from numba import njit
-
 from soil_env._compiled.elementary import log
-from soil_env._compiled.flags import EXACT, SUMS, record
+from soil_env._compiled.flags import compiled, compiled_sums, record
 from soil_env.terramechanics.contact import (
     ARC_NODES,
     FRONT_AHEAD,
@@ -99,7 +97,7 @@ class _Sums(NamedTuple):
     one: float
 
 
-@njit(**SUMS)
+@compiled_sums
 def _lay_slopes(work, theta1, exponent, r):
     """Derivatives of ln p at the nodes; rear partners have the p of the front, Eq. (8)."""
     nodes = work.arc[0]
@@ -116,7 +114,7 @@ def _lay_slopes(work, theta1, exponent, r):
         work.by_angle[k + NODES_PER_ZONE] = by_angle
 
 
-@njit(**EXACT)
+@compiled
 def _motion_of(ground, arc, travel):
     """`_Motion` on `Ground` at a travel speed over that of the rim."""
     free, _, free_travel = carried_share(1.0, travel, 0.0)
@@ -134,7 +132,7 @@ def _motion_of(ground, arc, travel):
     )
 
 
-@njit(**SUMS)
+@compiled_sums
 def _sum_slopes(work, theta1, motion, st, c, r):
     """`_Sums` by exponent, ln K, entry angle, travel and tan(phi) through the soil carried along
     the rim, with tau = (st p + c) e.
@@ -197,7 +195,7 @@ def _sum_slopes(work, theta1, motion, st, c, r):
     )
 
 
-@njit(**SUMS)
+@compiled_sums
 def _sum_shifted(work, arc, motion, st, c, exponent):
     """`_Sums` by the angle of the stress peak, with which the nodes of both zones move."""
     nodes = work.arc[0]
@@ -228,7 +226,7 @@ def _sum_shifted(work, arc, motion, st, c, exponent):
     return _Sums(p_c, p_s, s_c, s_s, s_1)
 
 
-@njit(**EXACT)
+@compiled
 def _at_the_load(d, S, by_S, factor):
     """Derivatives of (pull, torque, ln S) by a quantity, S keeping the load; `factor` times them.
 
@@ -240,7 +238,7 @@ def _at_the_load(d, S, by_S, factor):
     return pull, rb * by_S[4] * d.one + S_by * by_S[2], S_by / S
 
 
-@njit(**EXACT)
+@compiled
 def reaction(work, ground, sinkage, slip, load, r, b):
     """`Reaction` of a wheel of radius r and width b [m] under a `load` [N] on `Ground`.
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from soil_env._compiled.cache import kept
+from soil_env.identification.online.memory import BEST_PULL
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.contact import ARC_NODES
 from soil_env.terramechanics.steady import LEVEL, Rim
@@ -16,7 +17,7 @@ LEAST_LOAD = 0.05  # [of weight] below which a measured load counts as this
 
 
 @kept
-def _assess(rows, estimate, pull, seen, setting, nodes, out):
+def _assess(rows, estimate, sd, seen, setting, nodes, out):
     numbers = setting[0]
     wheel = Rim(numbers.radius, numbers.width, 0.0, 0.0, 0.0, 0.0, 0.0)
     for k in rows:
@@ -39,10 +40,10 @@ def _assess(rows, estimate, pull, seen, setting, nodes, out):
         load = max(seen[k, 0], LEAST_LOAD) * numbers.weight
         best = best_point_at(nodes[0], load, soil, wheel, LEVEL, None, numbers.stall_torque)
         turns = best.drawbar_pull > -math.inf  # at some slip the motor has the torque
-        margin = max(pull[k, 0] - math.tan(seen[k, 1]), -1.0) if turns else -1.0
+        margin = max(x[BEST_PULL] - math.tan(seen[k, 1]), -1.0) if turns else -1.0
         out[k, 0] = best.slip
         out[k, 1] = margin
-        out[k, 2] = pull[k, 1]
+        out[k, 2] = sd[k, BEST_PULL]
         out[k, 3] = best.torque
         out[k, 4] = numbers.stall_torque
         out[k, 5] = 1.0 if margin > 0.0 else 0.0
@@ -51,17 +52,16 @@ def _assess(rows, estimate, pull, seen, setting, nodes, out):
 def assess_ground(
     rows: np.ndarray,
     estimate: np.ndarray,
-    pull: np.ndarray,
+    sd: np.ndarray,
     seen: np.ndarray,
     setting: np.ndarray,
     out: np.ndarray,
 ) -> None:
     """Write the traversability of the ground under the wheels `rows` [n] into `out` [wheels, 6].
 
-    `estimate` [wheels, 5]; `pull` [wheels, 2], the best drawbar pull and its sd [of load]; `seen`
-    [wheels, 2], load [of weight] and pitch [rad]; `setting` is `SETTING` [1]. Columns of `out`:
-    best slip, drawbar margin and its sd [of load], torques required and available [N m], 1 if the
-    ground is passable.
+    `estimate` and `sd` [wheels, 6]; `seen` [wheels, 2], load [of weight] and pitch [rad]; `setting`
+    is `SETTING` [1]. Columns of `out`: best slip, drawbar margin and its sd [of load], torques
+    required and available [N m], 1 if the ground is passable.
     """
-    arrays = (np.ascontiguousarray(estimate), np.ascontiguousarray(pull), seen)
+    arrays = (np.ascontiguousarray(estimate), np.ascontiguousarray(sd), seen)
     _assess(rows, *arrays, setting, np.zeros(1, ARC_NODES), out)

@@ -2,22 +2,22 @@
 (docs/physics/estimation.md, whose steps are the files of this folder).
 """
 
+import functools
 import math
-import threading
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.identification.online.best_pull import renew_best_pull
 from soil_env.identification.online.borders import (
+    begin_soil,
     blend_estimates,
-    blend_pull,
     end_border,
     feel_border,
     put_on_border,
     see_border,
+    take_fresh,
 )
 from soil_env.identification.online.cells import remember
 from soil_env.identification.online.fit import CONTRADICTS, renew, weigh_instruments
@@ -26,6 +26,7 @@ from soil_env.identification.online.library import lean, mix, write_information
 from soil_env.identification.online.linear import invert, solve_half
 from soil_env.identification.online.memory import (
     ALL,
+    BEST_PULL,
     COHESION,
     EXPONENT,
     GAIN,
@@ -33,13 +34,11 @@ from soil_env.identification.online.memory import (
     INSTRUMENTS,
     LN_K,
     LOAD_GAIN,
-    MEMORY,
     PRESSURE,
     PUBLISHED,
     PULL,
+    QUANTITIES,
     SINKAGE_ZERO,
-    SLIPS,
-    SOIL,
     TANGENT,
     TORQUE,
     WORK,
@@ -47,9 +46,10 @@ from soil_env.identification.online.memory import (
 from soil_env.identification.online.points import (
     FIRST_POINTS,
     FIRST_READINGS,
+    LOCKED,
     READINGS,
+    SPINNING,
     advance,
-    clear,
     close,
     collect,
     ends_point,
@@ -59,7 +59,7 @@ from soil_env.identification.online.points import (
     slip_error,
     weigh,
 )
-from soil_env.identification.online.residuals import ground_of, residuals
+from soil_env.identification.online.residuals import DEEPER, ground_of, residuals
 from soil_env.identification.status import Status
 
 #: Outcomes of a set of readings: the estimate is as before; the wheel moved on a border, and so to
@@ -88,67 +88,9 @@ WIDER = 1.1  # of standard deviations: what a linearised fit under a Gaussian pr
 LEARNT = 0.6  # [of the prior's] standard deviation of phi and ln K at which both count as known
 LEAST_SINKAGE = 1e-3  # [radii] for the bearing sinkage that S is published at
 DEEPEST = 2.0  # [radii] of that
-DEEPER = 10.0  # of that over the sinkage, at most
 
 
-@njit(**EXACT)
-def begin_pull(memory, setting, work):
-    """Set the best pull of a soil of which nothing is known to that of the prior."""
-    for k in range(SLIPS):
-        memory.steady[k] = 0.0
-    load = memory.mass * setting.gravity if memory.mass > 0.0 else setting.weight
-    renew_best_pull(memory, load, setting, work)
-
-
-@njit(**EXACT)
-def forget(memory, setting, work):
-    """Set the memory of a wheel back to the prior."""
-    memory.mass = 0.0
-    memory.weighings = 0.0
-    memory.place = 0.0
-    memory.travel = 0.0
-    memory.slide = 0.0
-    memory.turning = 0.0
-    memory.point_sinkage = 0.0
-    memory.last_rim = 0.0
-    memory.excess = 0.0
-    memory.crossing = 0.0
-    memory.form_error = setting.model_error
-    memory.misfit = 1.0
-    memory.law_misfit = 1.0
-    memory.widening = 1.0
-    memory.rest_pull = 0.0
-    memory.rests = 0.0
-    memory.standing = 0.0
-    memory.refused = 0.0
-    memory.points = 0
-    memory.borders = 0
-    memory.status = Status.NO_DATA.value
-    memory.settled = 0
-    memory.cells_kept = 0
-    memory.behind = 0
-    clear(memory.open[0])
-    for i in range(HERE):
-        memory.u[i] = 0.0
-    for i in range(SOIL):
-        memory.u[i] = setting.soil_mean[i]
-        memory.prior_mean[i] = setting.soil_mean[i]
-        memory.soil[i] = setting.soil_mean[i]
-        memory.gradient[i] = 0.0
-        for j in range(SOIL):
-            memory.covariance[i, j] = setting.soil_covariance[i, j]
-            memory.prior_precision[i, j] = setting.soil_precision[i, j]
-            memory.spread[i, j] = setting.soil_covariance[i, j]
-            memory.information[i, j] = 0.0
-    for i in range(PUBLISHED):
-        memory.estimate[i] = setting.prior[i]
-        memory.sd[i] = setting.prior_sd[i]
-    begin_pull(memory, setting, work)
-    for i in range(2):
-        memory.best_pull[i] = memory.fresh_pull[i]
-
-
-@njit(**EXACT)
+@compiled
 def _surprise(memory, setting, work):
     """Chi-squared of the forces of the newest cell under the soil so far."""
     cell = memory.cells[memory.cells_kept]
@@ -175,7 +117,7 @@ def _surprise(memory, setting, work):
     return square / (pp * tt - pt * pt)
 
 
-@njit(**EXACT)
+@compiled
 def _find_bearing(memory, reading, setting, work):
     """Renew the bearing sinkage under the wheel, and the best pull there."""
     u = memory.soil
@@ -183,7 +125,7 @@ def _find_bearing(memory, reading, setting, work):
     load = memory.mass * setting.gravity * math.cos(reading.pitch)
     ground = ground_of(u, setting)
     z = max(reading.sinkage - memory.u[SINKAGE_ZERO], LEAST_SINKAGE * r)
-    slip = min(max(reading.slip, -0.4), 0.9)
+    slip = min(max(reading.slip, LOCKED), SPINNING)
     corrected = load * (1.0 - memory.u[LOAD_GAIN])
     f = reaction(work.slope_nodes[0], ground, z, slip, corrected, r, setting.width)
     deeper = setting.depth * math.exp((f.ln_s.value - u[PRESSURE]) / u[EXPONENT])
@@ -192,10 +134,10 @@ def _find_bearing(memory, reading, setting, work):
     often = memory.points < OFTEN or memory.crossing > 0.0
     if often or memory.points % OFTEN == 0:
         renew_best_pull(memory, load, setting, work)
-        memory.fresh_pull[1] *= PULL_WIDER * widening(memory, setting)
+        memory.fresh_sd[BEST_PULL] *= PULL_WIDER * widening(memory, setting)
 
 
-@njit(**EXACT)
+@compiled
 def widening(memory, setting):
     """Factor of the standard deviations for what the linearised fit leaves out, and for a form
     error beyond the believed one.
@@ -203,7 +145,7 @@ def widening(memory, setting):
     return WIDER * math.sqrt(memory.form_error / setting.model_error)
 
 
-@njit(**EXACT)
+@compiled
 def publish(u, V, into, memory, setting):
     """Write `fresh` and its standard deviations by `u` and `covariance` of a record: S is that at
     the bearing sinkage, for the exponent of the belief.
@@ -227,48 +169,47 @@ def publish(u, V, into, memory, setting):
         sd[i] = min(sd[i] * wider, setting.prior_sd[i]) * memory.widening
 
 
-@njit(**EXACT)
-def _judge(memory, setting):
-    """Status of the estimate."""
-    learnt = max(memory.sd[0] / setting.prior_sd[0], memory.sd[1] / setting.prior_sd[1])
-    contradicted = max(memory.misfit, memory.law_misfit) > CONTRADICTION
-    if memory.form_error > MISFIT * setting.model_error or contradicted:
-        memory.status = Status.MISFIT.value
-    elif learnt <= LEARNT:
-        memory.status = Status.CONVERGED.value
-    else:
-        memory.status = Status.NOT_EXCITED.value
+@compiled
+def status_of(known, contradicted, setting):
+    """Status of the estimate of a record; `contradicted`: its readings contradict the laws."""
+    if contradicted:
+        return Status.MISFIT.value
+    learnt = max(known.sd[0] / setting.prior_sd[0], known.sd[1] / setting.prior_sd[1])
+    return Status.CONVERGED.value if learnt <= LEARNT else Status.NOT_EXCITED.value
 
 
-@njit(**EXACT)
+@compiled
+def _contradicted(memory, setting):
+    """True if the readings contradict the laws."""
+    misfit = max(memory.misfit, memory.law_misfit)
+    return misfit > CONTRADICTION or memory.form_error > MISFIT * setting.model_error
+
+
+@compiled
 def _complete(memory, reading, alone, setting, work):
     """Close the open point and renew what is known by it."""
     cell = memory.cells[memory.cells_kept]
-    close(memory.open[0], memory, cell, setting)
+    close(memory, cell, setting)
     if setting.border > 0.0:
         put_on_border(memory, cell, setting)
     memory.points += 1
-    contradicted = memory.form_error > MISFIT * setting.model_error
-    contradicted = contradicted or max(memory.misfit, memory.law_misfit) > CONTRADICTION
     alone = alone and memory.crossing == 0.0
-    late = memory.settled > 0 and memory.points > LONG and memory.cells_kept > 1
-    if alone and contradicted and late:
-        feel_border(memory, setting, work)  # a border has been missed
-        begin_pull(memory, setting, work)
-        return
+    contradicted = _contradicted(memory, setting)
+    surprise = 0.0
     if alone and not contradicted and memory.points >= SETTLED_POINTS:
         surprise = _surprise(memory, setting, work)
         memory.excess = max(memory.excess + surprise - EXPECTED, 0.0)
-        if memory.excess > ANOTHER_SOIL:
-            feel_border(memory, setting, work)
-            begin_pull(memory, setting, work)
-            return
-        if surprise > OUTLIER:  # the next ones decide
-            for i in range(PUBLISHED):
-                memory.sd[i] *= DOUBT / memory.widening
-            memory.widening = DOUBT
-            return
-        memory.widening = 1.0
+    late = memory.settled > 0 and memory.points > LONG and memory.cells_kept > 1
+    missed = contradicted and late  # a border that no point has shown
+    if alone and (missed or memory.excess > ANOTHER_SOIL):
+        feel_border(memory, setting, work)
+        return
+    if surprise > OUTLIER:  # the next ones decide
+        for i in range(PUBLISHED):
+            memory.sd[i] *= DOUBT / memory.widening
+        memory.widening = DOUBT
+        return
+    memory.widening = 1.0
     remember(memory)
     renew(memory, setting, work)
     write_information(memory, work)
@@ -280,31 +221,28 @@ def _complete(memory, reading, alone, setting, work):
     if memory.points >= SETTLED_POINTS and memory.misfit < CONTRADICTS:
         memory.settled = 1
     if memory.crossing == 0.0:
-        for i in range(2):
-            memory.best_pull[i] = memory.fresh_pull[i]
-        for i in range(PUBLISHED):
-            memory.estimate[i] = memory.fresh[i]
-            memory.sd[i] = memory.fresh_sd[i]
-    _judge(memory, setting)
+        take_fresh(memory)
+    memory.status = status_of(memory, _contradicted(memory, setting), setting)
 
 
-@njit(**EXACT)
+@compiled
 def _is_finite(memory):
     """True if all that is published is a number."""
-    total = abs(memory.best_pull[0]) + memory.best_pull[1] + memory.form_error
-    for i in range(PUBLISHED):
+    total = memory.form_error
+    for i in range(QUANTITIES):
         total += abs(memory.estimate[i]) + memory.sd[i] + abs(memory.fresh[i]) + memory.fresh_sd[i]
     for i in range(ALL):
         total += abs(memory.u[i])
     return math.isfinite(total)
 
 
-@njit(**EXACT)
-def observe(memory, reading, alone, setting, work):
-    """Take one set of readings: `HELD`, `MOVED` or `RENEWED`.
+@compiled
+def observe(memories, k, reading, alone, setting, work):
+    """Take one set of readings into `memories` [k]: `HELD`, `MOVED` or `RENEWED`.
 
     `alone`: look for borders by it.
     """
+    memory = memories[k]
     alone = alone and setting.border > 0.0
     if setting.off > 0:
         return HELD
@@ -329,35 +267,33 @@ def observe(memory, reading, alone, setting, work):
         _complete(memory, reading, alone, setting, work)
         outcome = RENEWED
         if not _is_finite(memory):  # readings that no soil explains
-            forget(memory, setting, work)
+            memories[k] = setting.blank[0]
             return RENEWED
     if steady:
         collect(point, memory, reading, error, turned, setting)
     if memory.crossing > 0.0:
         blend_estimates(memory, memory, setting)
-        blend_pull(memory, setting)
         outcome = max(outcome, MOVED)
         if memory.place > memory.border + 0.5 * setting.border:
             end_border(memory)
     return outcome
 
 
-@njit(**EXACT)
+@compiled
 def observe_image(memory, image, camera_sd, setting, work):
     """Take an `Image`: where another class of ground begins, so does another soil.
 
     `camera_sd` [m]: of the place of a border in it.
     """
     if setting.off == 0 and see_border(memory, image, camera_sd, setting, work):
-        clear(memory.open[0])
-        begin_pull(memory, setting, work)
+        memory.open[0] = setting.blank[0].open[0]
 
 
 @kept
 def start(memory, setting, work):
-    """Set all of `memory` [wheels] back to the prior."""
-    for k in range(len(memory)):
-        forget(memory[k], setting[0], work[0])
+    """Set a `memory` [1] of zeros to the prior."""
+    begin_soil(memory[0], setting[0], work[0])
+    take_fresh(memory[0])
 
 
 @kept
@@ -366,7 +302,7 @@ def observe_all(memory, readings, setting, work, out):
     [T] int64.
     """
     for t in range(len(readings)):
-        out[t] = observe(memory[0], readings[t], True, setting[0], work[0])
+        out[t] = observe(memory, 0, readings[t], True, setting[0], work[0])
 
 
 @kept
@@ -378,40 +314,14 @@ def instruments(memory, setting, work, out):
     if one.points > 0:
         invert(one.factor, HERE, scratch.scratch, scratch.inverse)
     for i in range(INSTRUMENTS):
-        variance = scratch.instruments[i]
+        variance = scratch.instruments[LOAD_GAIN + i]
         if one.points > 0:
             variance = scratch.inverse[LOAD_GAIN + i, LOAD_GAIN + i]
         out[0, i] = one.u[LOAD_GAIN + i]
         out[1, i] = math.sqrt(variance)
 
 
-def new_memory(wheels: int) -> np.ndarray:
-    """Memory of so many wheels, to be started."""
-    return np.zeros(wheels, MEMORY)
-
-
-def new_work() -> np.ndarray:
-    """Work space of a thread."""
+@functools.cache
+def work_space(thread: int) -> np.ndarray:
+    """Work space of a thread, `WORK` [1]."""
     return np.zeros(1, WORK)
-
-
-class WorkSpaces:
-    """Work space of each thread that asks for it, made once."""
-
-    def __init__(self) -> None:
-        self._of: dict[int, np.ndarray] = {}
-
-    def mine(self) -> np.ndarray:
-        """Work space of the present thread, `WORK` [1]."""
-        thread = threading.get_ident()
-        if thread not in self._of:
-            self._of[thread] = new_work()
-        return self._of[thread]
-
-
-def prior_pull(setting: np.ndarray) -> tuple[float, float]:
-    """Best steady drawbar pull of the prior [of load] and its standard deviation."""
-    memory = new_memory(1)
-    start(memory, setting, new_work())
-    pull, sd = memory["best_pull"][0]
-    return float(pull), float(sd)

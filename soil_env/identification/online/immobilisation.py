@@ -17,10 +17,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import EXACT, record
+from soil_env._compiled.flags import compiled, record
 from soil_env.identification.online.class_memory import BEST_PULL
 from soil_env.identification.published import HORIZONS
 from soil_env.parameters import Scenario
@@ -51,48 +50,56 @@ class Channels(NamedTuple):
     acceleration: float  # of travel [of gravity]
 
 
-#: The ground here and ahead, by the camera and the memory of terrain classes; 0 of routes that are
-#: out of sight. `route` is that which the wheel is on the way to, `beside` the other one, or the
-#: same where there is one route. A margin is the best steady drawbar pull [of load] of a class over
-#: the grade; "met" counts the patches it was found on.
-_VIEW = (
-    "camera",
-    "border_behind",
-    "border_ahead",
-    "here_margin",
-    "here_met",
-    "ahead_seen",
-    "line_chosen",
-    "grade_change",
-    "line_margin",
-    "line_met",
-    "beside_margin",
-    "beside_met",
-)
-_SOIL = (
-    "strength",
-    "log_modulus",
-    "log_bearing",
-    "log_digging",
-    "phi_sd",
-    "modulus_sd",
-    "bearing_sd",
-    "digging_sd",
-)
+class View(NamedTuple):
+    """The ground here and ahead, by the camera and the memory of terrain classes; 0 of routes that
+    are out of sight.
+
+    `line` is the route that the wheel is on the way to, `beside` the other one, or the same where
+    there is one route. A margin is the best steady drawbar pull [of load] of a class over the
+    grade; "met" counts the patches it was found on.
+    """
+
+    camera: float  # 1 where there is one
+    border_behind: float  # [radii]
+    border_ahead: float  # [radii]
+    here_margin: float
+    here_met: float
+    ahead_seen: float  # 1 if the patch ahead is in sight
+    line_chosen: float  # 1 if there is no choice any more
+    grade_change: float  # of the sine
+    line_margin: float
+    line_met: float
+    beside_margin: float
+    beside_met: float
+
+
+class Estimated(NamedTuple):
+    """The soil as identified, without dimension."""
+
+    strength: float  # [of load]
+    log_modulus: float
+    log_bearing: float
+    log_digging: float
+    phi_sd: float
+    modulus_sd: float
+    bearing_sd: float
+    digging_sd: float
+
+
 #: Inputs of the network, in this order.
 INPUTS = (
     *(f"{name}_{scale:g}s" for scale in SCALES for name in Channels._fields),
     "log_since_halt",
-    *_SOIL,
-    *_VIEW,
+    *Estimated._fields,
+    *View._fields,
 )
-BLIND = len(INPUTS) - len(_VIEW)  # of them need no camera
+BLIND = len(INPUTS) - len(View._fields)  # of them need no camera
 _CHANNELS = len(Channels._fields)
 _AVERAGES = len(Channels._fields) * len(SCALES)
 _SEEN = _AVERAGES + 1
 #: Numbers kept of each wheel: moving averages, seconds of driving since the start or a halt, what
 #: is seen now.
-MEMORY = _SEEN + len(_VIEW)
+MEMORY = _SEEN + len(View._fields)
 # averages over 2 s
 _PITCH, _LOAD = (2 * _CHANNELS + Channels._fields.index(name) for name in ("pitch", "load"))
 
@@ -146,7 +153,7 @@ def warning_setting(scenario: Scenario) -> np.ndarray:
     return numbers
 
 
-@njit(**EXACT)
+@compiled
 def _channels(reading, numbers):
     """`Channels` of one set of readings."""
     load = max(reading.load, _LEAST_LOAD * numbers.weight)
@@ -168,32 +175,28 @@ def _channels(reading, numbers):
     )
 
 
-@njit(**EXACT)
+@compiled
 def begin(recent, reading, numbers):
     """Start the averages of a wheel, at rest at the start of a course, with its first readings."""
     values = _channels(reading, numbers)
-    for s in range(numbers.shares.size):
-        for c in range(_CHANNELS):
-            recent[s * _CHANNELS + c] = values[c]
+    for i in range(_AVERAGES):
+        recent[i] = values[i % _CHANNELS]
     recent[_AVERAGES] = 0.0
 
 
-@njit(**EXACT)
+@compiled
 def average(recent, reading, halted, numbers):
     """Take the readings of a control period into the averages, which stand still in halts."""
     if halted > 0.0:
         recent[_AVERAGES] = 0.0
         return
     values = _channels(reading, numbers)
-    for s in range(numbers.shares.size):
-        share = numbers.shares[s]
-        for c in range(_CHANNELS):
-            i = s * _CHANNELS + c
-            recent[i] += share * (values[c] - recent[i])
+    for i in range(_AVERAGES):
+        recent[i] += numbers.shares[i // _CHANNELS] * (values[i % _CHANNELS] - recent[i])
     recent[_AVERAGES] += numbers.period
 
 
-@njit(**EXACT)
+@compiled
 def see(recent, image, classes, sight, numbers):
     """Store the view of a control period by an image and what is known of the `CLASSES`; `sight`
     [m] of the camera.
@@ -208,47 +211,50 @@ def see(recent, image, classes, sight, numbers):
         route, beside, grade, grade_beside = beside, route, grade_beside, grade
     tangent = sine / math.sqrt(max(1.0 - sine * sine, 0.01))
     seen = image.seen
-    recent[_SEEN] = 1.0
-    recent[_SEEN + 1] = min(max(image.since / numbers.radius, 0.0), _BEHIND)
-    recent[_SEEN + 2] = max(min(image.left, sight) / numbers.radius, 0.0)
-    recent[_SEEN + 3] = here.estimate[BEST_PULL] - tangent
-    recent[_SEEN + 4] = min(float(here.patches), _OFTEN)
-    recent[_SEEN + 5] = seen
-    recent[_SEEN + 6] = seen * image.chosen
-    recent[_SEEN + 7] = seen * (math.sin(grade) - sine)
-    recent[_SEEN + 8] = seen * (route.estimate[BEST_PULL] - math.tan(grade))
-    recent[_SEEN + 9] = seen * min(float(route.patches), _OFTEN)
-    recent[_SEEN + 10] = seen * (beside.estimate[BEST_PULL] - math.tan(grade_beside))
-    recent[_SEEN + 11] = seen * min(float(beside.patches), _OFTEN)
+    view = View(
+        1.0,
+        min(max(image.since / numbers.radius, 0.0), _BEHIND),
+        max(min(image.left, sight) / numbers.radius, 0.0),
+        here.estimate[BEST_PULL] - tangent,
+        min(float(here.patches), _OFTEN),
+        seen,
+        seen * image.chosen,
+        seen * (math.sin(grade) - sine),
+        seen * (route.estimate[BEST_PULL] - math.tan(grade)),
+        seen * min(float(route.patches), _OFTEN),
+        seen * (beside.estimate[BEST_PULL] - math.tan(grade_beside)),
+        seen * min(float(beside.patches), _OFTEN),
+    )
+    for i in range(len(view)):
+        recent[_SEEN + i] = view[i]
 
 
-@njit(**EXACT)
+@compiled
 def _write_inputs(recent, x, sd, numbers, out):
-    """Write `INPUTS` of a wheel: `recent` [MEMORY], its estimate and sd [5] of (phi, ln K, ln S, c,
-    ln of the gain).
-    """
+    """Write `INPUTS` of a wheel: `recent` [MEMORY], its estimate x and sd [6]."""
     for i in range(_AVERAGES):
         out[i] = recent[i]
     out[_AVERAGES] = math.log(0.2 + recent[_AVERAGES])
     load = recent[_LOAD] * numbers.weight
-    soil = out[_AVERAGES + 1 :]
-    soil[0] = math.tan(x[0]) + x[3] * numbers.area / load
-    soil[1] = x[1] - numbers.log_radius
-    soil[2] = (
+    ground = Estimated(
+        math.tan(x[0]) + x[3] * numbers.area / load,
+        x[1] - numbers.log_radius,
         x[2]
         + math.log(numbers.area / numbers.weight)
-        + numbers.sinkage_exponent * numbers.log_radius
+        + numbers.sinkage_exponent * numbers.log_radius,
+        numbers.log_dig_gain + x[4],
+        sd[0],
+        sd[1],
+        sd[2],
+        sd[4],
     )
-    soil[3] = numbers.log_dig_gain + x[4]
-    soil[4] = sd[0]
-    soil[5] = sd[1]
-    soil[6] = sd[2]
-    soil[7] = sd[4]
+    for i in range(len(ground)):
+        out[_SEEN + i] = ground[i]
     for i in range(_SEEN, MEMORY):
-        soil[i - _SEEN + len(_SOIL)] = recent[i]
+        out[len(ground) + i] = recent[i]
 
 
-@njit(**EXACT)
+@compiled
 def _layer(x, weights, bias, squashed, out):
     """`out` = x weights + bias, or tanh of it."""
     for j in range(out.size):
@@ -301,6 +307,13 @@ def shipped_network() -> Network:
     )
 
 
+class Assessed(NamedTuple):
+    """What is foreseen of wheels, and by what."""
+
+    inputs: np.ndarray  # [n, inputs] `INPUTS`
+    probabilities: np.ndarray  # [n, 2] of immobilisation within `HORIZONS`
+
+
 class ImmobilisationWarning:
     """Probabilities of immobilisation within `HORIZONS` of wheels whose averages a simulation
     keeps.
@@ -313,21 +326,13 @@ class ImmobilisationWarning:
             self._net.mean.size + self._net.first_bias.size + self._net.second_bias.size
         )
 
-    def assess(self, rows: np.ndarray, *known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`INPUTS` [n, inputs] and probabilities [n, 2] of the wheels `rows` [n] int64.
+    def assess(self, rows: np.ndarray, *known: np.ndarray) -> Assessed:
+        """What is foreseen of the wheels `rows` [n] int64.
 
-        `known`: averages [wheels, MEMORY], estimates and their sd [wheels, 5].
+        `known`: averages [wheels, MEMORY], estimates and their sd [wheels, 6].
         """
         known = tuple(map(np.ascontiguousarray, known))  # views would be compiled anew
         inputs = np.empty((len(rows), len(INPUTS)))
         out = np.empty((len(rows), len(HORIZONS)))
         _assess(rows, *known, self.setting, self._net, inputs, self._hidden, out)
-        return inputs, out
-
-    def inputs(self, rows: np.ndarray, *known: np.ndarray) -> np.ndarray:
-        """`INPUTS` of `assess`."""
-        return self.assess(rows, *known)[0]
-
-    def probabilities(self, rows: np.ndarray, *known: np.ndarray) -> np.ndarray:
-        """Probabilities of `assess`."""
-        return self.assess(rows, *known)[1]
+        return Assessed(inputs, out)

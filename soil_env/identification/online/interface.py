@@ -21,34 +21,27 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.online.ground import assess_ground
-from soil_env.identification.online.identifier import (
-    HELD,
-    instruments,
-    new_memory,
-    new_work,
-    observe_all,
-    start,
-)
+from soil_env.identification.online.identifier import HELD, instruments, observe_all
 from soil_env.identification.online.memory import (
     LOAD_GAIN,
+    MEMORY,
     PULL_ZERO,
     READING,
     SINKAGE_ZERO,
     SPEED_GAIN,
     TORQUE_GAIN,
     TORQUE_ZERO,
+    WORK,
 )
 from soil_env.identification.online.prior import setting_of
-from soil_env.identification.published import published, soil_of_numbers
+from soil_env.identification.published import Traversability, published, soil_of_numbers
 from soil_env.identification.status import Status
 from soil_env.parameters import (
-    FLOW_LAW,
     Belief,
     Control,
     Noise,
     Scenario,
     Soil,
-    SoilState,
     Wheel,
 )
 from soil_env.parameters.readings import reading_units
@@ -176,17 +169,6 @@ class Estimate:
         return self.status == Status.CONVERGED
 
 
-class Traversability(NamedTuple):
-    """Drawbar margin of the ground as identified (source paper, Section 6)."""
-
-    best_slip: float  # [-] of the highest steady drawbar pull
-    drawbar_margin: float  # [of load] best drawbar pull over the grade; at least -1
-    drawbar_margin_sd: float  # of the best drawbar pull
-    torque_required: float  # [N m] there
-    torque_available: float  # [N m]
-    passable: bool
-
-
 class OnlineIdentifier:
     """Identifies friction angle, shear deformation modulus K and sinkage coefficient S under one
     driven wheel.
@@ -269,15 +251,15 @@ class OnlineIdentifier:
         self._units = reading_units(scenario)
         self._largest = largest_readings(wheel, scenario.gravity)
         self._sinkage = _bearing_sinkage(scenario)  # where none is measured
-        self._memory = new_memory(1)
-        self._work = new_work()
+        self._memory = np.zeros(1, MEMORY)
+        self._work = np.zeros(1, WORK)
         self._reading = np.zeros(1, READING)
         self._outcome = np.zeros(1, dtype=np.int64)
         self.reset()
 
     def reset(self) -> None:
         """Forget all readings: back to the prior."""
-        start(self._memory, self._setting, self._work)
+        self._memory[:] = self._setting["blank"][0]
         self._time = _NAN
         self._estimate = self._published(False)
 
@@ -346,7 +328,7 @@ class OnlineIdentifier:
             raise ParameterError(f"pitch = {pitch!r}: expected radians, less than pi/2")
         seen = np.array([[math.cos(pitch) if load is None else load / self._weight, pitch]])
         out = np.empty((1, len(Traversability._fields)))
-        known = self._memory["estimate"], self._memory["best_pull"]
+        known = self._memory["estimate"], self._memory["sd"]
         assess_ground(np.zeros(1, np.int64), *known, seen, self._setting, out)
         found = Traversability(*out[0].tolist())
         return found._replace(passable=found.passable > 0.0)
@@ -419,13 +401,12 @@ class OnlineIdentifier:
     def _published(self, renewed: bool) -> Estimate:
         memory = self._memory[0]
         gain = self.scenario.belief.dig_gain
-        arrays = (memory.estimate, memory.sd, memory.best_pull)
-        numbers = published(*(array.tolist() for array in arrays), gain)
+        numbers = published(memory.estimate.tolist(), memory.sd.tolist(), gain)
         found = np.zeros((2, len(Instruments._fields)))
         instruments(self._memory, self._setting, self._work, found)
         return Estimate(
             **numbers,
-            status=_STATUS[int(memory.status)],
+            status=Status(memory.status),
             renewed=renewed,
             borders=int(memory.borders),
             instruments=Instruments(*zip(*found.tolist(), strict=True)),
@@ -440,19 +421,7 @@ def _finite(given: object) -> bool:
 
 def _bearing_sinkage(scenario: Scenario) -> float:
     """Sinkage [m] of the wheel at rest under its weight on the soil of the belief."""
-    b = scenario.belief
     wheel = scenario.wheel
-    soil = SoilState(
-        math.tan(math.radians(b.friction_angle_deg)),
-        b.cohesion,
-        b.shear_modulus,
-        b.sinkage_coefficient,
-        b.sinkage_exponent,
-        0.0,
-        b.dig_recovery,
-        *(getattr(b, name) for name in FLOW_LAW),
-    )
-    return float(steady_state(0.0, scenario.weight, soil, wheel.radius, wheel.width).sinkage)
-
-
-_STATUS = {status.value: status for status in Status}
+    soil = soil_of_numbers(vars(scenario.belief), scenario.belief, scenario.gravity)
+    state = soil.state(wheel.width)
+    return float(steady_state(0.0, scenario.weight, state, wheel.radius, wheel.width).sinkage)

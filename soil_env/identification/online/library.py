@@ -7,16 +7,14 @@ With each Gaussian of the library it gives a posterior and its weight; their mix
 
 import math
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.identification.online.linear import factorise, invert, solve, solve_half
 from soil_env.identification.online.memory import SOIL
 
 UNLIKELY = 1e-6  # [of the likeliest] weight below which a soil of the library counts as excluded
 
 
-@njit(**EXACT)
+@compiled
 def write_information(memory, work):
     """Write the information of the readings of a fit, less its prior, into `information`, and the
     gradient of their log-likelihood at its soil into `gradient`.
@@ -31,7 +29,7 @@ def write_information(memory, work):
             memory.gradient[i] += prior * (memory.u[j] - memory.prior_mean[j])
 
 
-@njit(**EXACT)
+@compiled
 def _join(known, u, setting, work, k):
     """Posterior under the Gaussian k of the library: its factor into `work.factor`, its gradient at
     the soil u into `work.gradient`; ln of its weight.
@@ -54,7 +52,7 @@ def _join(known, u, setting, work, k):
     return log
 
 
-@njit(**EXACT)
+@compiled
 def mix(known, u, setting, work):
     """Write `soil` and `spread` of `known` by its `information` and `gradient` at the soil u, and
     the weights of the library into `work.weights`.
@@ -100,7 +98,7 @@ def mix(known, u, setting, work):
         work.weights[k] = weight / total if weight >= UNLIKELY else 0.0
 
 
-@njit(**EXACT)
+@compiled
 def lean(memory, setting, work):
     """Give the next fit a prior of the moments of the soils that are left, by `work.weights`, so
     that it is linearised near them.

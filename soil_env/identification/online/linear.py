@@ -6,15 +6,12 @@ the first m unknowns follows from the first m rows of U.
 
 import math
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 
 LEAST_PIVOT = 1e-12  # [of the diagonal] below which a matrix counts as singular there
-TINIEST = 1e-300  # least pivot
 
 
-@njit(**EXACT)
+@compiled
 def factorise(a, n, factor):
     """U of the upper triangle of a [n, n]."""
     for back in range(n):
@@ -22,7 +19,7 @@ def factorise(a, n, factor):
         pivot = a[j, j]
         for k in range(j + 1, n):
             pivot -= factor[j, k] * factor[j, k]
-        root = math.sqrt(max(pivot, LEAST_PIVOT * abs(a[j, j]), TINIEST))
+        root = math.sqrt(max(pivot, LEAST_PIVOT * abs(a[j, j])))
         factor[j, j] = root
         for i in range(j):
             rest = a[i, j]
@@ -31,7 +28,7 @@ def factorise(a, n, factor):
             factor[i, j] = rest / root
 
 
-@njit(**EXACT)
+@compiled
 def solve_half(factor, n, right, x):
     """x [n] with U x = right; its square is right' A^-1 right."""
     for back in range(n):
@@ -42,7 +39,7 @@ def solve_half(factor, n, right, x):
         x[i] = rest / factor[i, i]
 
 
-@njit(**EXACT)
+@compiled
 def solve(factor, n, right, x):
     """x [n] with A x = right."""
     solve_half(factor, n, right, x)
@@ -53,7 +50,7 @@ def solve(factor, n, right, x):
         x[i] = rest / factor[i, i]
 
 
-@njit(**EXACT)
+@compiled
 def invert(factor, m, scratch, inverse):
     """The first m rows and columns of A^-1, all of them; `scratch` [m, m]: U^-1."""
     for j in range(m):

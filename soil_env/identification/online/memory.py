@@ -32,6 +32,9 @@ MOST_SOILS = 32  # of a library
 #: [5] published: phi [rad], ln K, ln S, c [Pa], ln of the gain of slip-sinkage over the nominal
 #: one.
 PUBLISHED = 5
+#: Quantities of an estimate: the published ones and the best steady drawbar pull [of load].
+BEST_PULL = PUBLISHED
+QUANTITIES = BEST_PULL + 1
 SLIPS = 8  # at which the drawbar pull is compared
 
 READING = record(*SensorReading._fields)
@@ -84,6 +87,11 @@ CELL = record(
     "place_error",  # [m] of them, on a border; 0 elsewhere
 )
 
+_EACH = ("f8", QUANTITIES)
+#: Estimates with their standard deviations: what is published, of the soil behind a border, and of
+#: the soil before it.
+ESTIMATES = {name: _EACH for name in ("estimate", "sd", "fresh", "fresh_sd", "old", "old_sd")}
+
 #: Memory of the identifier of a wheel.
 MEMORY = record(
     "mass",  # [kg] on the wheel by its load
@@ -127,15 +135,7 @@ MEMORY = record(
     spread=("f8", (SOIL, SOIL)),  # covariance of that
     old_mean=("f8", SOIL),
     old_precision=("f8", (SOIL, SOIL)),
-    estimate=("f8", PUBLISHED),
-    sd=("f8", PUBLISHED),
-    fresh=("f8", PUBLISHED),  # of the soil behind the border, on it
-    fresh_sd=("f8", PUBLISHED),
-    old=("f8", PUBLISHED),  # of the soil before it
-    old_sd=("f8", PUBLISHED),
-    best_pull=("f8", 2),  # [of load] with its standard deviation
-    fresh_pull=("f8", 2),
-    old_pull=("f8", 2),
+    **ESTIMATES,
     steady=("f8", SLIPS),  # ln of the steady sinkages at `SLIPS`
     open=(OPEN, 1),
     cells=(CELL, CELLS + 1),  # and the newest
@@ -158,7 +158,6 @@ SETTING = record(
     "exponent",  # [-] to which S is referred
     "border",  # [m] over which one soil passes into the next; 0: one soil for ever
     "model_error",  # [of load] of the laws
-    "law_error",  # [-] of the law of sinkage
     load_varies=("i8",),  # 1: the load on the wheel changes from point to point
     off=("i8",),  # 1: nothing is identified
     white=(READING, 1),
@@ -173,8 +172,9 @@ SETTING = record(
     library_mean=("f8", (MOST_SOILS, SOIL)),
     library_covariance=("f8", (MOST_SOILS, SOIL, SOIL)),
     library_precision=("f8", (MOST_SOILS, SOIL, SOIL)),
-    prior=("f8", PUBLISHED),
-    prior_sd=("f8", PUBLISHED),
+    prior=_EACH,
+    prior_sd=_EACH,
+    blank=(MEMORY, 1),  # of a wheel before its first reading
 )
 
 #: Work space of a thread.
@@ -187,7 +187,7 @@ WORK = record(
     inverse=("f8", (ALL, ALL)),
     gradient=("f8", ALL),
     step=("f8", ALL),
-    instruments=("f8", INSTRUMENTS),  # prior variances, from `LOAD_GAIN` on
+    instruments=("f8", HERE),  # prior variances, from `LOAD_GAIN` on
     soil=("f8", SOIL),  # blended
     weights=("f8", MOST_SOILS),  # of the soils of the library
     slopes=("f8", (RESIDUALS, ALL)),

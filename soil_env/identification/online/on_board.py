@@ -8,24 +8,22 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import EXACT, record
+from soil_env._compiled.flags import compiled, record
 from soil_env.identification.online.board import (
     BOARD_SETTING,
     OF_SOIL,
     Known,
-    add_information,
+    OnBoard,
     board_setting,
     clip,
     knowledge,
-    sum_reward,
+    reward_information,
     write_estimate,
-    write_moments,
+    write_known,
 )
 from soil_env.identification.online.class_memory import (
-    BEST_PULL,
     CLASS_SETTING,
     CLASSES,
     class_setting,
@@ -36,11 +34,8 @@ from soil_env.identification.online.class_memory import (
 from soil_env.identification.online.identifier import (
     HELD,
     RENEWED,
-    WorkSpaces,
-    forget,
     observe,
     observe_image,
-    prior_pull,
 )
 from soil_env.identification.online.immobilisation import (
     MEMORY as AVERAGES,
@@ -70,19 +65,16 @@ WHEEL_SETTING = record(
 )
 
 
-class WheelsOnBoard:
-    """Estimators of many wheels; they follow the orders that the world has followed."""
+class WheelsOnBoard(OnBoard):
+    """Estimators of many wheels."""
 
     def __init__(self, wheels: int, scenario: Scenario, shown: Shown, warns: bool) -> None:
-        self._work = WorkSpaces()
-        self.memory = np.zeros(wheels, ON_BOARD)
-        self.setting = np.zeros(1, WHEEL_SETTING)
-        self.setting["warns"] = warns
-        self.setting["board"] = board_setting(scenario, shown)
-        self.identifier: np.ndarray = self.setting["board"]["identifier"][0, 0].copy()
-        pull = prior_pull(self.identifier)
-        self.setting["classes"] = class_setting(self.identifier, pull)
-        self.setting["warning"] = warning_setting(scenario)
+        setting = np.zeros(1, WHEEL_SETTING)
+        setting["warns"] = warns
+        setting["board"] = board_setting(scenario, shown)
+        setting["warning"] = warning_setting(scenario)
+        super().__init__(np.zeros(wheels, ON_BOARD), setting, estimate_wheels)
+        setting["classes"] = class_setting(self.identifier)
         self._warns = warns
 
     def views(self) -> dict[str, Any]:
@@ -96,24 +88,18 @@ class WheelsOnBoard:
             "memory": self.memory["classes"][:, 0]["of"],
         }
 
-    def update(self, world: tuple[Any, ...], orders: np.ndarray, first: int, end: int) -> None:
-        """Follow the `orders` [wheels] int8 of the wheels `first` to `end` - 1 in a `world` of
-        (state, samples, observation).
-        """
-        estimate_wheels(self.memory, *world, orders, self.setting, self._work.mine(), (first, end))
 
-
-@njit(**EXACT)
+@compiled
 def _see_ahead(wheel, sample, setting):
     """Store the view for the warning, where it is asked for."""
     if setting.warns > 0:
         see(wheel.recent, sample, wheel.classes[0], setting.board[0].sight, setting.warning[0])
 
 
-@njit(**EXACT)
-def _restart(wheel, sample, setting, work):
+@compiled
+def _restart(wheel, sample, setting):
     """Set an estimator to its prior, at the start of a course."""
-    forget(wheel.identifier[0], setting.board[0].identifier[0], work)
+    wheel.identifier[0] = setting.board[0].identifier[0].blank[0]
     forget_classes(wheel.classes[0], setting.classes[0])
     wheel.changed = 0
     if setting.warns > 0:
@@ -122,19 +108,17 @@ def _restart(wheel, sample, setting, work):
         _see_ahead(wheel, sample, setting)
 
 
-@njit(**EXACT)
-def _after_period(wheel, sample, vehicle, period, setting, work):
+@compiled
+def _after_period(wheel, sample, setting, work):
     """Take the record of a control period of a wheel."""
     board = setting.board[0]
     numbers = board.identifier[0]
     memory = wheel.identifier[0]
     if setting.warns > 0:
         average(wheel.recent, sample, sample.halted, setting.warning[0])
-    paid = board.information > 0.0
-    before = knowledge(memory, numbers) if paid and period == 0 else 0.0
     if board.classes > 0:
         observe_image(memory, sample, board.border_sd, numbers, work)
-    outcome = observe(memory, sample, True, numbers, work)
+    outcome = observe(wheel.identifier, 0, sample, True, numbers, work)
     if outcome != HELD:
         wheel.changed = 1
     if board.classes > 0:
@@ -142,12 +126,9 @@ def _after_period(wheel, sample, vehicle, period, setting, work):
         if outcome == RENEWED and clear_of_borders(sample.since, sample.left, classes):
             remember_class(wheel.classes[0], int(sample.here), int(sample.patch), memory, classes)
         _see_ahead(wheel, sample, setting)
-    if paid:
-        after = knowledge(memory, numbers) if period == board.action_periods - 1 else 0.0
-        add_information(vehicle, before, after, period == vehicle.periods - 1, board)
 
 
-@njit(**EXACT)
+@compiled
 def show_estimate(wheel, sample, board, out):
     """Fill what is identified into the observation of a wheel."""
     dig_gain = board.identifier[0].dig_gain
@@ -159,23 +140,13 @@ def show_estimate(wheel, sample, board, out):
             label = sample.label_0 if route == 0 else sample.label_1
             grade = sample.grade_0 if route == 0 else sample.grade_1
             if sample.seen > 0.0 and route < sample.lines:
-                _write_line(ahead, wheel.classes[0].of[int(label)], grade, dig_gain)
+                known = wheel.classes[0].of[int(label)]
+                met = 1.0 if known.patches > 0 else 0.0
+                write_known(ahead, 1, met, known, math.tan(grade), dig_gain)
             else:
                 for i in range(OF_SOIL):
                     ahead[i] = 0.0
     clip(out, board)
-
-
-@njit(**EXACT)
-def _write_line(out, known, grade, dig_gain):
-    """Fill `out` [13] with what is known of the soil of a route ahead.
-
-    The margin is the best drawbar pull over the grade that is seen.
-    """
-    out[0] = 1.0 if known.patches > 0 else 0.0
-    write_moments(out, 1, 7, known.estimate, known.sd, dig_gain)
-    out[11] = known.estimate[BEST_PULL] - math.tan(grade)
-    out[12] = known.sd[BEST_PULL]
 
 
 @kept
@@ -195,13 +166,16 @@ def estimate_wheels(memory, state, samples, observation, orders, setting, work, 
         vehicle = state[k]
         last = 0
         if order == RESTART:
-            _restart(wheel, samples[k, 0], numbers, work[0])
+            _restart(wheel, samples[k, 0], numbers)
         else:
             wheel.changed = 0
             last = vehicle.periods - 1
+            paid = board.information > 0.0 and vehicle.periods > 0
+            known = wheel.identifier[0]
+            before = knowledge(known, board.identifier[0]) if paid else 0.0
             for period in range(vehicle.periods):
-                _after_period(wheel, samples[k, period], vehicle, period, numbers, work[0])
-            if board.information > 0.0:
-                sum_reward(vehicle)
+                _after_period(wheel, samples[k, period], numbers, work[0])
+            if paid:
+                reward_information(vehicle, before, knowledge(known, board.identifier[0]), board)
         if board.shown > 0:
             show_estimate(wheel, samples[k, last], board, observation[k])

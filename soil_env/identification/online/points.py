@@ -7,9 +7,7 @@ no point, because the laws are those of steady motion.
 import math
 from typing import NamedTuple
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 
 # Readings of a point; with 4 the errors of ln K grow by 5 %.
 READINGS = 8.0
@@ -42,7 +40,7 @@ TYPICAL_TORQUE = 0.3  # [of weight x radius] at which a gain counts as an error 
 TYPICAL_PULL = 0.2  # [of weight] the same of a pull
 
 
-@njit(**EXACT)
+@compiled
 def is_sound(reading, setting):
     """True if all readings are numbers that a wheel can give."""
     force = LARGEST_FORCE * setting.weight
@@ -55,7 +53,7 @@ def is_sound(reading, setting):
     return sound and abs(reading.sinkage) < SLACK * setting.radius
 
 
-@njit(**EXACT)
+@compiled
 def slip_error(reading, setting):
     """Standard deviation of the slip: of its own sensor, or by the white noise of the speeds."""
     white = setting.white[0]
@@ -67,7 +65,7 @@ def slip_error(reading, setting):
     return rate * math.hypot(white.speed, travel * white.rim_speed) / rim
 
 
-@njit(**EXACT)
+@compiled
 def advance(memory, reading, turned, setting):
     """Advance place and clocks by a period; `turned`: change of the rim speed in it [m/s]."""
     step = setting.period / setting.length
@@ -77,7 +75,7 @@ def advance(memory, reading, turned, setting):
     memory.turning += turned * step
 
 
-@njit(**EXACT)
+@compiled
 def is_steady(reading, error, turned, setting):
     """True if the wheel drives on the ground without spinning, locking or a jump of its speed."""
     drives = reading.rim_speed > SLOWEST and LOCKED <= reading.slip <= SPINNING
@@ -90,7 +88,7 @@ def is_steady(reading, error, turned, setting):
     )
 
 
-@njit(**EXACT)
+@compiled
 def ends_point(point, reading, error, most, setting):
     """True if the open point has enough readings, or this one is unlike its first."""
     enough = point.readings >= most and (
@@ -100,7 +98,7 @@ def ends_point(point, reading, error, most, setting):
     return enough or long or abs(reading.slip - point.first_slip) > SLIP_RANGE + 3.0 * error
 
 
-@njit(**EXACT)
+@compiled
 def weigh(memory, reading, setting):
     """Renew the mass on the wheel by a reading of the load, if there is one; first it is the
     body's.
@@ -126,7 +124,7 @@ class Sensor(NamedTuple):
     gain: float  # of what its gain makes of a typical reading
 
 
-@njit(**EXACT)
+@compiled
 def _combine(one, other, unit):
     """(mean of two sensors by their precision, its white variance, share of the other), over a
     unit.
@@ -139,7 +137,7 @@ def _combine(one, other, unit):
     return mean / unit, variance / (unit * unit), share
 
 
-@njit(**EXACT)
+@compiled
 def combined_pull(memory, reading, setting):
     """`_combine` of force sensor and accelerometer, of the weight."""
     white = setting.white[0]
@@ -166,7 +164,7 @@ def combined_pull(memory, reading, setting):
     )
 
 
-@njit(**EXACT)
+@compiled
 def _combined_torque(reading, turned, setting):
     """`_combine` of torque sensor and motor torque, of weight x radius; `turned`: change of the rim
     speed [m/s] in the period, which costs the motor a torque of its own.
@@ -186,7 +184,7 @@ def _combined_torque(reading, turned, setting):
     )
 
 
-@njit(**EXACT)
+@compiled
 def collect(point, memory, reading, error, turned, setting):
     """Add a reading to the open point."""
     place = memory.place - LAG * reading.speed * setting.period
@@ -216,40 +214,23 @@ def collect(point, memory, reading, error, turned, setting):
     point.turning += memory.turning
 
 
-@njit(**EXACT)
-def clear(point):
-    """Make the open point empty."""
-    point.readings = 0.0
-    point.slip = 0.0
-    point.slip_weight = 0.0
-    point.sinkage = 0.0
-    point.pull = 0.0
-    point.pull_weight = 0.0
-    point.inertial = 0.0
-    point.torque = 0.0
-    point.torque_weight = 0.0
-    point.motor = 0.0
-    point.load = 0.0
-    point.cos_pitch = 0.0
-    point.place = 0.0
-    point.place_square = 0.0
-    point.travel = 0.0
-    point.slide = 0.0
-    point.turning = 0.0
-
-
 # [relaxation lengths] that the rim turns faster or slower between two points, above which the wheel
 # has stopped between them: soil yields under it there
 STOPPED = 0.1
 
 
-@njit(**EXACT)
-def close(point, memory, cell, setting):
+@compiled
+def close(memory, cell, setting):
     """Write the means of the open point into `cell`, with the change of sinkage since the last."""
+    point = memory.open[0]
     n = point.readings
     sinkage = point.sinkage / n
+    travel = point.travel / n
+    slide = point.slide / n
+    turning = point.turning / n
     cell.slip = point.slip / point.slip_weight
     cell.slip_variance = 1.0 / point.slip_weight
+    cell.most_likely_slip = cell.slip
     cell.sinkage = sinkage
     cell.sinkage_variance = setting.white[0].sinkage ** 2 / n
     cell.pull = point.pull / point.pull_weight
@@ -262,36 +243,27 @@ def close(point, memory, cell, setting):
     if setting.load_varies > 0:
         cell.load = max(point.load / n, LIFTED * setting.weight)
     cell.readings = n
-    cell.most_likely_slip = cell.slip
     mean = point.place / n
     cell.place = point.first_place + mean
     cell.spread = math.sqrt(max(point.place_square / n - mean * mean, 0.0))
     cell.place_error = 0.0
-    cell.changes = 0.0
-    cell.rise = 0.0
-    cell.travel = 0.0
-    cell.slide = 0.0
-    cell.middle = 0.0
-    travel = point.travel / n
-    slide = point.slide / n
-    turning = point.turning / n
-    if memory.point_sinkage > 0.0 and turning - memory.point_turning < STOPPED:
-        cell.changes = 1.0
-        cell.rise = sinkage - memory.point_sinkage
-        cell.travel = travel - memory.point_travel
-        cell.slide = slide - memory.point_slide
-        cell.middle = 0.5 * (sinkage + memory.point_sinkage)
+    rolled = memory.point_sinkage > 0.0 and turning - memory.point_turning < STOPPED
+    cell.changes = 1.0 if rolled else 0.0
+    cell.rise = sinkage - memory.point_sinkage
+    cell.travel = travel - memory.point_travel
+    cell.slide = slide - memory.point_slide
+    cell.middle = 0.5 * (sinkage + memory.point_sinkage)
     memory.point_sinkage = sinkage
     memory.point_travel = travel
     memory.point_slide = slide
     memory.point_turning = turning
-    clear(point)
+    memory.open[0] = setting.blank[0].open[0]
 
 
 STANDSTILL = 3.0  # readings after which a wheel that stands has settled
 
 
-@njit(**EXACT)
+@compiled
 def record_rest(memory, reading, setting):
     """Where the wheel stands, its pull is that of its weight on the slope: the rest is the zero."""
     standing = abs(reading.rim_speed) < SLOWEST and abs(reading.speed) < SLOWEST

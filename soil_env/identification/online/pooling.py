@@ -14,18 +14,18 @@ slip-sinkage are not pooled: a wheel behind another runs on a floor that this ha
 
 import math
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT, record
-from soil_env.identification.online.borders import begin_border, blend_estimates
-from soil_env.identification.online.identifier import LEARNT, begin_pull, publish
+from soil_env._compiled.flags import compiled, record
+from soil_env.identification.online.borders import begin_border, blend_estimates, take_fresh
+from soil_env.identification.online.identifier import publish, status_of
 from soil_env.identification.online.library import mix
 from soil_env.identification.online.linear import factorise, invert, solve, solve_half
 from soil_env.identification.online.memory import (
+    BEST_PULL,
     COHESION,
+    ESTIMATES,
     EXPONENT,
     LN_K,
-    PUBLISHED,
+    QUANTITIES,
     SOIL,
     TANGENT,
 )
@@ -34,9 +34,6 @@ from soil_env.identification.status import Status
 SOILS = 4  # that are kept of a wheel
 SHARED = 4  # unknowns of the ground that a passing wheel does not change: tan phi, c, n, ln K
 assert (TANGENT, COHESION, EXPONENT, LN_K) == tuple(range(SHARED))
-MISFIT = Status.MISFIT.value
-CONVERGED = Status.CONVERGED.value
-NOT_EXCITED = Status.NOT_EXCITED.value
 # Errors that all wheels have alike, so that no comparison shows them.
 ANGLE_ERROR = math.radians(0.6)
 MODULUS_ERROR = 0.06  # relative
@@ -57,41 +54,32 @@ POOL = record(
     soil=("f8", SOIL),
     spread=("f8", (SOIL, SOIL)),
     status=("i8",),
-    estimate=("f8", PUBLISHED),
-    sd=("f8", PUBLISHED),
-    fresh=("f8", PUBLISHED),
-    fresh_sd=("f8", PUBLISHED),
-    old=("f8", PUBLISHED),
-    old_sd=("f8", PUBLISHED),
-    best_pull=("f8", 2),
+    **ESTIMATES,
 )
 
 
-@njit(**EXACT)
+@compiled
 def forget_pool(pool, memory):
     """Set a wheel's pool to what its identifier, just reset, has."""
     for s in range(SOILS):
         pool.borders[s] = -1
-    copy_own(pool, memory)
-    for i in range(PUBLISHED):
-        pool.old[i] = memory.estimate[i]
-        pool.old_sd[i] = memory.sd[i]
-
-
-@njit(**EXACT)
-def copy_own(pool, memory):
-    """Publish what the wheel's own identifier has."""
     pool.status = memory.status
-    pool.best_pull[0] = memory.best_pull[0]
-    pool.best_pull[1] = memory.best_pull[1]
-    for i in range(PUBLISHED):
-        pool.estimate[i] = memory.estimate[i]
-        pool.sd[i] = memory.sd[i]
-        pool.fresh[i] = memory.fresh[i]
-        pool.fresh_sd[i] = memory.fresh_sd[i]
+    for i in range(QUANTITIES):
+        pool.fresh[i] = memory.estimate[i]
+        pool.fresh_sd[i] = memory.sd[i]
+    _take_fresh(pool)
 
 
-@njit(**EXACT)
+@compiled
+def _take_fresh(pool):
+    """Publish the fresh estimate; behind the next border it is the old one."""
+    take_fresh(pool)
+    for i in range(QUANTITIES):
+        pool.old[i] = pool.fresh[i]
+        pool.old_sd[i] = pool.fresh_sd[i]
+
+
+@compiled
 def keep_knowledge(pool, memory, setting, work):
     """Keep what a renewed identifier knows of its soil."""
     s = memory.borders % SOILS
@@ -104,7 +92,7 @@ def keep_knowledge(pool, memory, setting, work):
             pool.shared_covariance[s, i, j] = work.inverse[i, j]
 
 
-@njit(**EXACT)
+@compiled
 def _under_one_gaussian(memory, setting, work):
     """Mean into `work.soil` and covariance into `work.inverse` of the soil under the prior of one
     Gaussian.
@@ -123,7 +111,7 @@ def _under_one_gaussian(memory, setting, work):
         work.soil[i] += u[i]
 
 
-@njit(**EXACT)
+@compiled
 def hand_over_border(front, memory, behind, setting, work):
     """Begin with the next soil where the front wheel, `behind` [m] ahead, found its border."""
     number = memory.borders + 1
@@ -133,10 +121,9 @@ def hand_over_border(front, memory, behind, setting, work):
     place = front.border_places[s] + behind
     if memory.place > place - 0.5 * setting.border:
         begin_border(memory, setting, work, place, (PLACE_SD * setting.border) ** 2)
-        begin_pull(memory, setting, work)
 
 
-@njit(**EXACT)
+@compiled
 def _disagreement(memory, other, s, work):
     """Chi-squared over its degrees of freedom between what a wheel and another one know."""
     for i in range(SHARED):
@@ -151,7 +138,7 @@ def _disagreement(memory, other, s, work):
     return total / SHARED
 
 
-@njit(**EXACT)
+@compiled
 def _add(pool, u, covariance, mean, share, work):
     """Add a share of the precision of a Gaussian of the shared unknowns to what is pooled."""
     factorise(covariance, SHARED, work.factor)
@@ -163,12 +150,12 @@ def _add(pool, u, covariance, mean, share, work):
             pool.gradient[i] += more * (mean[j] - u[j])
 
 
-@njit(**EXACT)
+@compiled
 def pool_with(pools, axles, own, memory, setting, work):
     """Renew what all wheels of a rover know of the ground under the one on the axle `own`."""
     pool = pools[own]
-    copy_own(pool, memory)
     if memory.status == Status.NO_DATA.value:
+        forget_pool(pool, memory)
         return
     for i in range(SOIL):
         pool.gradient[i] = memory.gradient[i]
@@ -191,11 +178,7 @@ def pool_with(pools, axles, own, memory, setting, work):
     if memory.crossing > 0.0:
         blend_estimates(pool, memory, setting)
     else:
-        for i in range(PUBLISHED):
-            pool.estimate[i] = pool.fresh[i]
-            pool.sd[i] = sd[i]
-            pool.old[i] = pool.fresh[i]
-            pool.old_sd[i] = sd[i]
-    learnt = max(pool.sd[0] / setting.prior_sd[0], pool.sd[1] / setting.prior_sd[1])
-    if pool.status != MISFIT:
-        pool.status = CONVERGED if learnt <= LEARNT else NOT_EXCITED
+        _take_fresh(pool)
+    pool.estimate[BEST_PULL] = memory.estimate[BEST_PULL]  # by the readings of this wheel alone
+    pool.sd[BEST_PULL] = memory.sd[BEST_PULL]
+    pool.status = status_of(pool, memory.status == Status.MISFIT.value, setting)

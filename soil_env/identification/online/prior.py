@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from soil_env._io.loading import ParameterError
+from soil_env.identification.online.identifier import start
 from soil_env.identification.online.memory import (
     COHESION,
     EXPONENT,
@@ -17,10 +18,12 @@ from soil_env.identification.online.memory import (
     LN_K,
     MOST_SOILS,
     PRESSURE,
+    PUBLISHED,
     READING,
     SETTING,
     SOIL as SIZE,
     TANGENT,
+    WORK,
 )
 from soil_env.parameters import FLOW_LAW, Scenario
 from soil_env.parameters.readings import reading_errors, reading_units
@@ -132,11 +135,6 @@ def _gaussians(scenario: Scenario) -> list[Gaussian]:
     return of_library(scenario) if scenario.belief.soils else [plain(scenario)]
 
 
-def _published_widths(scenario: Scenario) -> np.ndarray:
-    """`widths` [5] of (phi, ln K, ln S, c, l), at least `_LEAST_WIDTH`."""
-    return np.maximum(widths(_gaussians(scenario))[_PUBLISHED], _LEAST_WIDTH)
-
-
 def prior_of_belief(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
     """Mean [SIZE] and covariance [SIZE, SIZE] of the soil before any reading."""
     return moments(_gaussians(scenario))
@@ -156,13 +154,12 @@ def published_prior(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
     x = to @ mean
     x[0] = math.atan(mean[TANGENT])
     x[2] = mean[PRESSURE] - scenario.belief.sinkage_exponent * ln_depth
-    scale = _published_widths(scenario)
+    scale = np.maximum(widths(_gaussians(scenario))[_PUBLISHED], _LEAST_WIDTH)
     return x, np.outer(scale, scale) * (to @ covariance @ to.T)
 
 
 LEAST_NOISE = 1e-6  # [of its unit] least white noise of a sensor, so that no weight is infinite
 STRANGE = 0.2  # [of the library's weight] of a soil that is like none of it
-LAW_ERROR = 0.06  # [-] of the law of sinkage in a cell; with 0.1 the errors of ln S grow by a tenth
 
 
 def setting_of(scenario: Scenario) -> np.ndarray:
@@ -187,7 +184,6 @@ def setting_of(scenario: Scenario) -> np.ndarray:
     s.exponent = belief.sinkage_exponent
     s.border = belief.border
     s.model_error = belief.model_error
-    s.law_error = LAW_ERROR
     s.off = int(belief.method == "none")
     white, zero, gain = reading_errors(scenario)
     least = LEAST_NOISE * np.array(reading_units(scenario))
@@ -212,6 +208,9 @@ def setting_of(scenario: Scenario) -> np.ndarray:
         setting["library_precision"][0, k] = np.linalg.inv(spread)
         setting["library_log"][0, k] = math.log(weight) - 0.5 * np.linalg.slogdet(spread)[1]
     prior, of_prior = published_prior(scenario)
-    setting["prior"] = prior
-    setting["prior_sd"] = np.sqrt(np.diag(of_prior))
+    setting["prior"][0, :PUBLISHED] = prior
+    setting["prior_sd"][0, :PUBLISHED] = np.sqrt(np.diag(of_prior))
+    start(setting["blank"][0], setting, np.zeros(1, WORK))
+    setting["prior"] = s.blank[0].estimate
+    setting["prior_sd"] = s.blank[0].sd
     return setting

@@ -8,10 +8,8 @@ Slip and sinkage have noise, which enters as effective variance (Orear 1982, Am.
 import math
 from typing import NamedTuple
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
-from soil_env.identification.online.borders import share_at
+from soil_env._compiled.elementary import smooth_step
+from soil_env._compiled.flags import compiled
 from soil_env.identification.online.forces import Ground, reaction
 from soil_env.identification.online.memory import (
     ALL,
@@ -38,15 +36,14 @@ from soil_env.identification.online.points import READINGS
 
 SINGULAR = 1e-9  # least determinant of a covariance, of the product of its variances
 SHALLOWEST = 0.01  # [radii] least sinkage of a cell
-LEAST_SLIP = -0.5  # [-]
-MOST_SLIP = 0.96  # [-]
+MOST_SLIP = 0.96  # [-] of a cell
 FARTHEST_SLIP = 0.08  # [-] that the most likely slip may be from its reading
 LEAST_TANGENT = 0.05  # [-] of the friction angle
 DEEPER = 10.0  # bearing sinkage over the sinkage, at most
 # Form error of a cell on a border [of load], where the blend of two soils is a model too.
 BORDER_ERROR = 2e-3
-# Error of the law of sinkage of a cell on a border, relative.
-BORDER_LAW_ERROR = 0.3
+LAW_ERROR = 0.06  # [-] of the law of sinkage in a cell; with 0.1 the errors of ln S grow by a tenth
+BORDER_LAW_ERROR = 0.3  # [-] the same of a cell on a border
 # [standard deviations] at which a residual of the law of sinkage is cut.
 FARTHEST = 3.0
 
@@ -63,7 +60,14 @@ class Residuals(NamedTuple):
     sinkage_weight: float  # 0 where the cell shows no change of sinkage
 
 
-@njit(**EXACT)
+@compiled
+def share_at(behind, length):
+    """(share of the new soil, its slope [1/m]) at a distance behind the middle of a border [m]."""
+    share, slope = smooth_step(behind / length + 0.5)
+    return share, slope / length
+
+
+@compiled
 def _blend(cell, memory, setting, work):
     """Write the soil under a cell into `work.soil`; (share of the new soil, its slope by the
     place).
@@ -82,7 +86,7 @@ def _blend(cell, memory, setting, work):
     return share, -0.5 * (ahead_by + behind_by)
 
 
-@njit(**EXACT)
+@compiled
 def _over_border(row, share, by_place, memory, work):
     """Share the slopes of a residual by the soil among new and old soil and the place of the
     border; its change over the border for a metre of that.
@@ -98,7 +102,7 @@ def _over_border(row, share, by_place, memory, work):
     return slopes[row, PLACE]
 
 
-@njit(**EXACT)
+@compiled
 def ground_of(unknowns, setting):
     """`Ground` of the unknowns of a soil and what is known of its law."""
     return Ground(
@@ -113,7 +117,7 @@ def ground_of(unknowns, setting):
     )
 
 
-@njit(**EXACT)
+@compiled
 def _put_soil(row, slopes, factor, work):
     """Slopes of a residual by tan phi, c, n and ln K."""
     work.slopes[row, TANGENT] = factor * slopes.tan_phi
@@ -122,13 +126,13 @@ def _put_soil(row, slopes, factor, work):
     work.slopes[row, LN_K] = factor * slopes.ln_K
 
 
-@njit(**EXACT)
+@compiled
 def slip_slope(slip, setting):
     """Change of the slip for a relative error of the speed; none for a slip sensor."""
     return 0.0 if setting.white[0].slip > 0.0 else 1.0 - abs(slip)
 
 
-@njit(**EXACT)
+@compiled
 def residuals(cell, memory, setting, work):
     """`Residuals` of a cell at the unknowns, with slopes in `work.slopes`; renews its most likely
     slip.
@@ -142,7 +146,7 @@ def residuals(cell, memory, setting, work):
     ground = ground_of(soil, setting)
     sinkage = max(cell.sinkage - u[SINKAGE_ZERO], SHALLOWEST * r)
     load = cell.load * (1.0 - u[LOAD_GAIN])
-    slip = min(max(cell.most_likely_slip, LEAST_SLIP), MOST_SLIP)
+    slip = min(cell.most_likely_slip, MOST_SLIP)
     f = reaction(work.slope_nodes[0], ground, sinkage, slip, load, r, setting.width)
     to_pull = 1.0 / W
     to_torque = (1.0 + u[TORQUE_GAIN]) / (W * r)
@@ -194,7 +198,7 @@ def residuals(cell, memory, setting, work):
     return Residuals(p, t, pp, pt, tt, s, weight)
 
 
-@njit(**EXACT)
+@compiled
 def _of_sinkage(cell, ln_s, sinkage, share, by_place, memory, setting, work):
     """Residual of the law of slip-sinkage, z' - z = come (B z_b - A z), over its unit, and its
     weight.
@@ -227,7 +231,7 @@ def _of_sinkage(cell, ln_s, sinkage, share, by_place, memory, setting, work):
     J[SINKAGE, GAIN] = come * gain * cell.slide * bearing
     J[SINKAGE, LOAD_GAIN] = -by * (1.0 - soil[COHESION] * ln_s.cohesion)
     J[SINKAGE, SINKAGE_ZERO] = come * (a - b * bearing / middle) - by * ln_s.sinkage
-    law = setting.law_error
+    law = LAW_ERROR
     place = 0.0
     if cell.place_error > 0.0:
         law = BORDER_LAW_ERROR

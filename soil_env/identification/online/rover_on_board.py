@@ -7,22 +7,21 @@ As `on_board`, it reads the record of a step after the world has made it.
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import EXACT, record
+from soil_env._compiled.flags import compiled, record
 from soil_env.identification.online.board import (
     BOARD_SETTING,
     OF_SOIL,
     Known,
-    add_information,
+    OnBoard,
     board_setting,
     clip,
     knowledge,
-    sum_reward,
+    reward_information,
     write_estimate,
 )
-from soil_env.identification.online.identifier import HELD, RENEWED, WorkSpaces, forget, observe
+from soil_env.identification.online.identifier import HELD, RENEWED, observe
 from soil_env.identification.online.memory import MEMORY
 from soil_env.identification.online.pooling import (
     POOL,
@@ -48,19 +47,17 @@ ROVER_SETTING = record(
 )
 
 
-class RoversOnBoard:
-    """Estimators of many rovers; they follow the orders that the world has followed."""
+class RoversOnBoard(OnBoard):
+    """Estimators of many rovers."""
 
     def __init__(self, rovers: int, scenario: RoverScenario, shown: Shown) -> None:
-        self._work = WorkSpaces()
-        self.memory = np.zeros(rovers, ON_ROVER)
-        self.setting = np.zeros(1, ROVER_SETTING)
+        setting = np.zeros(1, ROVER_SETTING)
         axles = scenario.axles
-        self.setting["axles"] = axles
-        self.setting["places"][0, :axles] = scenario.vehicle.axles
-        self.setting["board"] = board_setting(scenario, shown)
-        limit_to_wheel(self.setting["board"]["identifier"][0, 0], scenario)
-        self.identifier: np.ndarray = self.setting["board"]["identifier"][0, 0].copy()
+        setting["axles"] = axles
+        setting["places"][0, :axles] = scenario.vehicle.axles
+        setting["board"] = board_setting(scenario, shown)
+        limit_to_wheel(setting["board"]["identifier"][0, 0], scenario)
+        super().__init__(np.zeros(rovers, ON_ROVER), setting, estimate_rovers)
 
     def views(self) -> dict[str, Any]:
         """What others read: estimates [rovers x axles] of each wheel, alone and pooled."""
@@ -68,12 +65,6 @@ class RoversOnBoard:
         alone = self.memory["identifiers"][:, :axles]
         pooled = self.memory["pools"][:, :axles]
         return {"on_board": self.memory, "ids": Known.of(alone), "known": Known.of(pooled)}
-
-    def update(self, world: tuple[Any, ...], orders: np.ndarray, first: int, end: int) -> None:
-        """Follow the `orders` [rovers] int8 of the rovers `first` to `end` - 1 in a `world` of
-        (state, readings, observation).
-        """
-        estimate_rovers(self.memory, *world, orders, self.setting, self._work.mine(), (first, end))
 
 
 def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
@@ -89,16 +80,15 @@ def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
     setting["load_varies"] = 1
 
 
-@njit(**EXACT)
-def _restart(rover, setting, work):
+@compiled
+def _restart(rover, setting):
     """Set the estimators of a rover to their prior, at the start of a course."""
     for a in range(setting.axles):
-        memory = rover.identifiers[a]
-        forget(memory, setting.board[0].identifier[0], work)
-        forget_pool(rover.pools[a], memory)
+        rover.identifiers[a] = setting.board[0].identifier[0].blank[0]
+        forget_pool(rover.pools[a], rover.identifiers[a])
 
 
-@njit(**EXACT)
+@compiled
 def _knowledge(rover, setting):
     """Mean of `knowledge` over the axles of a rover."""
     known = 0.0
@@ -107,20 +97,17 @@ def _knowledge(rover, setting):
     return known / setting.axles
 
 
-@njit(**EXACT)
-def _after_period(rover, readings, period, vehicle, setting, work):
+@compiled
+def _after_period(rover, readings, period, setting, work):
     """Take the readings [axles, periods] of a control period of a rover."""
-    board = setting.board[0]
-    numbers = board.identifier[0]
+    numbers = setting.board[0].identifier[0]
     axles = setting.axles
-    paid = board.information > 0.0
-    before = _knowledge(rover, setting) if paid and period == 0 else 0.0
     furthest = HELD
     for a in range(axles):
         memory = rover.identifiers[a]
         if a > 0:
             hand_over_border(rover.pools[0], memory, setting.places[a], numbers, work)
-        outcome = observe(memory, readings[a, period], a == 0, numbers, work)
+        outcome = observe(rover.identifiers, a, readings[a, period], a == 0, numbers, work)
         if outcome == RENEWED:
             keep_knowledge(rover.pools[a], memory, numbers, work)
         furthest = max(furthest, outcome)
@@ -128,12 +115,9 @@ def _after_period(rover, readings, period, vehicle, setting, work):
         memory = rover.identifiers[a]
         if furthest == RENEWED or memory.crossing > 0.0:
             pool_with(rover.pools, axles, a, memory, numbers, work)
-    if paid:
-        after = _knowledge(rover, setting) if period == board.action_periods - 1 else 0.0
-        add_information(vehicle, before, after, period == vehicle.periods - 1, board)
 
 
-@njit(**EXACT)
+@compiled
 def _show(rover, setting, out):
     """Fill what is identified into the observation of a rover."""
     board = setting.board[0]
@@ -158,11 +142,14 @@ def estimate_rovers(memory, state, readings, observation, orders, setting, work,
         rover = memory[j]
         vehicle = state[j]
         if order == RESTART:
-            _restart(rover, numbers, work[0])
+            _restart(rover, numbers)
         else:
+            paid = numbers.board[0].information > 0.0 and vehicle.periods > 0
+            before = _knowledge(rover, numbers) if paid else 0.0
             for period in range(vehicle.periods):
-                _after_period(rover, readings[j], period, vehicle, numbers, work[0])
-            if numbers.board[0].information > 0.0:
-                sum_reward(vehicle)
+                _after_period(rover, readings[j], period, numbers, work[0])
+            if paid:
+                after = _knowledge(rover, numbers)
+                reward_information(vehicle, before, after, numbers.board[0])
         if numbers.board[0].shown > 0:
             _show(rover, numbers, observation[j])

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env.identification.table.form_error import LENGTHS, LITTLE_SLIP
+from soil_env.identification.table.form_error import LENGTHS, coordinate
 from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import MEASURED, NOISE, Table
 
@@ -22,6 +22,8 @@ FINE = 0.04  # extent of a bin that is not cut further, in correlation lengths o
 JUMP = 0.25  # share of the extent of a bin, from which a gap between its values parts them
 FEWEST = 8  # values of a bin, of which one may be an outlier
 FAR = 8.0  # [sd] from the median of a bin, beyond which a value is an outlier
+# of the coordinates in which rows are compared
+_LENGTHS = {name: LENGTHS[name] for name in LENGTHS if name != "elapsed"} | {"log_slip": 0.8}
 _APART = 10.0  # correlation lengths between rows whose channels or overrides differ
 
 
@@ -74,17 +76,20 @@ def _coordinates(table: Table, setup: Setup) -> np.ndarray:
     """[N, d] conditions in correlation lengths of a form error; what must not be mixed lies far
     apart.
     """
-    slip = np.copysign(np.log1p(np.abs(table.slip) / LITTLE_SLIP), table.slip)
-    columns = [table.slip / LENGTHS["slip"], slip / 0.8, np.log(table.load) / LENGTHS["load"]]
-    for name, value in (
-        ("speed", np.log(np.maximum(table.speed, 1e-6))),
-        ("pass", np.log(table.passes)),
-        ("grade_deg", table.grade_deg),
-        ("wheel_radius", np.log(table.radius(setup.wheel))),
-        ("wheel_width", np.log(table.width(setup.wheel))),
-        ("grouser_height", np.log(table.height(setup.wheel) + 1e-3)),
-    ):
-        columns += [np.nan_to_num(value) / LENGTHS[name], _APART * np.isnan(value)]
+    conditions = {
+        "slip": table.slip,
+        "load": table.load,
+        "speed": table.speed,
+        "pass": table.passes,
+        "grade_deg": table.grade_deg,
+        "wheel_radius": table.radius(setup.wheel),
+        "wheel_width": table.width(setup.wheel),
+        "grouser_height": table.height(setup.wheel),
+    }
+    columns = []
+    for name, length in _LENGTHS.items():
+        value = coordinate(name, conditions) / length
+        columns += [np.nan_to_num(value), _APART * np.isnan(value)]
     columns += [_APART * np.isnan(getattr(table, name)) for name in MEASURED]
     x = np.stack(columns, axis=1)
     return x[:, np.ptp(x, axis=0) > 0.0]

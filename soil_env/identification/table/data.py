@@ -199,25 +199,20 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
     )
     refuse(pressure < LEAST_PRESSURE, f"{shown}: expected newtons (if it is kN, multiply by 1000)")
     refuse(pressure > MOST_PRESSURE, f"{shown}: expected newtons")
-    for j, name, unit, over in (
-        (1, "drawbar_pull", "newtons", load),
-        (2, "torque", "newton metres", load * size),
+    small = "newton millimetres or centimetres, divide by 1000 or 100"
+    for column, name, unit, times, over, otherwise in (
+        (1, "drawbar_pull", "newtons", "the load", load, "millinewtons, divide by 1000"),
+        (2, "torque", "newton metres", "load times radius", load * size, small),
     ):
-        ratio = np.abs(y[:, j]) / over
+        ratio = np.abs(y[:, column]) / over
         ratio = ratio[np.isfinite(ratio)]
-        if ratio.size and np.median(ratio) > MOST_FORCE:
-            times = "the load" if j == 1 else "load times radius"
-            small = (
-                "millinewtons, divide by 1000"
-                if j == 1
-                else "newton millimetres or centimetres, divide by 1000 or 100"
-            )
-            refuse(
-                True,
-                f"{name} is {np.median(ratio):.3g} times {times} in the middle of the rows, where "
-                f"{times} is {np.median(over):.3g}: expected {unit} (if it is {small}; "
-                "if load is in kilograms, multiply that by 9.81)",
-            )
+        middle = float(np.median(ratio)) if ratio.size else 0.0
+        refuse(
+            middle > MOST_FORCE,
+            f"{name} is {middle:.3g} times {times} in the middle of the rows, where {times} is "
+            f"{np.median(over):.3g}: expected {unit} (if it is {otherwise}; "
+            "if load is in kilograms, multiply that by 9.81)",
+        )
     z = y[:, 0]
     if np.any(np.isfinite(z)) and np.nanmax(z) < 0.0:
         known = np.isfinite(z)

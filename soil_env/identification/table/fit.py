@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 from soil_env.identification.table.bins import binned
 from soil_env.identification.table.form_error import mixed
 from soil_env.identification.table.mistakes import Examined, examine
+from soil_env.identification.table.noise import NoiseEstimate
 from soil_env.identification.table.priors import given_laws
 from soil_env.identification.table.problem import LAW_ERRORS, SOURCES, TableProblem
 from soil_env.measurement.setup import Setup
@@ -27,24 +28,17 @@ from soil_env.measurement.table import MEASURED, UNITS, Table
 from soil_env.parameters import EARTH_GRAVITY, Soil
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
-NAMES = (
-    "friction_angle_deg",
-    "shear_modulus",
-    "sinkage_coefficient",
-    "sinkage_exponent",
-    "cohesion",
-    "tilt_deg",
-)
 PHI, LN_K, LN_S, EXPONENT, COHESION, TILT = range(6)  # in these coordinates, the angles in degrees
-LABELS = (
-    "friction angle",
-    "shear deformation modulus",
-    "stiffness S z^n",
-    "sinkage exponent",
-    "cohesion",
-    "tilt of the rig",
-)
-SYMBOLS = dict(zip(LABELS, ("phi", "K", "S z^n", "n", "c", "tilt"), strict=True))
+#: Parameters in that order.
+LABELS = {
+    "friction_angle_deg": "friction angle",
+    "shear_modulus": "shear deformation modulus",
+    "sinkage_coefficient": "stiffness S z^n",
+    "sinkage_exponent": "sinkage exponent",
+    "cohesion": "cohesion",
+    "tilt_deg": "tilt of the rig",
+}
+SYMBOLS = dict(zip(LABELS.values(), ("phi", "K", "S z^n", "n", "c", "tilt"), strict=True))
 UNDETERMINED = 0.7  # share of the prior sd above which a parameter is not determined by the data
 TIED = 0.98  # correlation above which two parameters are tied
 SMALL = 0.2  # [noise] rms below which residuals are smaller than the given noise allows
@@ -149,12 +143,14 @@ def identify_table(table: Table, setup: Setup, *, check: bool = True) -> TableEs
     """
     with threadpool_limits(1):  # the matrices are small
         table, setup, dense = binned(table, setup)
-        examined = examine(_with_whole_speeds(table), setup) if check else None
-        problem = TableProblem(table if examined is None else _as_examined(examined), setup)
+        examined = Examined(table)
+        if check:
+            examined = examine(_with_whole_speeds(table), setup)
+        problem = TableProblem(_as_examined(examined), setup)
         u, converged = _settle(problem, problem.search())
         plain = _Plain(u, _fits(problem, u))
-        missed = _missed(problem, plain, examined)
-        if missed and examined is not None:
+        missed = _missed(problem, plain, examined.noise)
+        if missed and examined.noise is not None:
             problem.take_noise(examined.noise)
             u, converged = _settle(problem, u, False)
             plain = _Plain(u, _fits(problem, u))
@@ -175,6 +171,8 @@ def _with_whole_speeds(table: Table) -> Table:
 
 def _as_examined(examined: Examined) -> Table:
     """The table without what is wrong in it."""
+    if examined.noise is None:
+        return examined.table
     used = examined.noise.used
     channels: dict[str, Any] = {
         name: np.where(used[:, j], getattr(examined.table, name), math.nan)
@@ -219,10 +217,10 @@ def _settle(problem: TableProblem, u: np.ndarray, guess: bool = True) -> tuple[n
 
 def _scaling(problem: TableProblem) -> tuple[np.ndarray, np.ndarray]:
     """(d(phi, ln K, ln S, n, c, tilt)/du [6, p], which of the six are free)."""
-    order = {name: k for k, name in enumerate(NAMES)}
-    out = np.zeros((len(NAMES), len(problem.unknowns)))
+    order = list(LABELS)
+    out = np.zeros((len(order), len(problem.unknowns)))
     for j, unknown in enumerate(problem.unknowns):
-        out[order[unknown.name], j] = unknown.sd
+        out[order.index(unknown.name), j] = unknown.sd
     return out, np.any(out > 0.0, axis=1)
 
 
@@ -232,12 +230,12 @@ def _summary(
     converged: bool,
     plain: _Plain,
     missed: dict[str, float],
-    examined: Examined | None,
+    examined: Examined,
     dense: str,
 ) -> TableEstimate:
     scaling, free = _scaling(problem)
     # (phi [rad], ln K, ln S z_ref^n, n, c, tilt) by (phi [deg], ln K, ln S, n, c, tilt).
-    published = np.eye(len(NAMES))
+    published = np.eye(len(LABELS))
     published[PHI, PHI] = math.radians(1.0)
     published[LN_S, EXPONENT] = math.log(problem.z_ref)
     by_u = (published @ scaling)[free]
@@ -255,17 +253,16 @@ def _summary(
         name: replace(fit, p_value=plain.fits[name].p_value, too_small=plain.fits[name].too_small)
         for name, fit in _fits(problem, u).items()
     }
-    labels = tuple(label for label, f in zip(LABELS, free, strict=True) if f)
+    labels = tuple(label for label, f in zip(LABELS.values(), free, strict=True) if f)
     parameters = _parameters(problem, u, whole, scaling)
-    first = [] if examined is None else [*examined.said]
-    first += _units(problem, parameters, plain.fits)
+    first = [*examined.said, *_units(problem, parameters, plain.fits)]
     law_error = math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True)))
     misfit = _misfit(problem, plain, missed, law_error)
     warnings = [
         *first,
         *filter(None, (misfit, dense)),
-        *(() if examined is None else examined.undecided),
-        *(() if examined is None else (w for w in examined.left_out if w not in first)),
+        *examined.undecided,
+        *(w for w in examined.left_out if w not in first),
         *_undetermined(parameters, labels, correlation),
         *_doubts(problem, u, plain, converged),
     ]
@@ -351,19 +348,18 @@ def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
     variances = problem.variances
     out = problem.predict(u)
     fits = {}
-    for j, name in enumerate(SOURCES):
-        k = (
-            problem.measured[:, j - 2]
-            if j >= 2
-            else np.full(len(out), name == "load" and problem.noise[1] > 0.0)
-        )
+    for name in ("sinkage", "load", "drawbar_pull", "torque"):
+        j = SOURCES.index(name)
+        if name == "load":
+            k = np.full(len(out), problem.noise[j] > 0.0)
+            columns = (problem.rows.load, problem.corrected.load)
+            relative = np.ones(len(out))
+        else:
+            k = problem.measured[:, j - 2]
+            columns = (problem.y[:, j - 2], out[:, j - 2])
+            relative = problem.relative[:, j - 2]
         if not np.any(k):
             continue
-        columns = (
-            (problem.y[:, j - 2], out[:, j - 2])
-            if j >= 2
-            else (problem.rows.load, problem.corrected.load)
-        )
         noise = float(problem.noise[j])
         p = math.nan
         low = math.nan
@@ -372,13 +368,10 @@ def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
             square = float(np.sum(errors[k, j] ** 2 / variances[k, j]))
             p = float(chdtrc(freedom, square))
             low = float(chdtr(freedom, square)) if square < SMALL**2 * freedom else 1.0
-        relative = problem.relative[:, j - 2] if j >= 2 else np.ones(len(out))
         fits[name] = ChannelFit(
             *columns, noise, relative, bool(problem.estimated[j]), p, low, UNITS[name]
         )
-    return {
-        name: fits[name] for name in ("sinkage", "load", "drawbar_pull", "torque") if name in fits
-    }
+    return fits
 
 
 def _exact(problem: TableProblem) -> tuple[str, ...]:
@@ -416,12 +409,11 @@ def _undetermined(
     parameters: dict[str, Parameter], labels: Sequence[str], correlation: np.ndarray
 ) -> list[str]:
     """Warnings of parameters that the data hardly determine, alone or in pairs."""
-    label = dict(zip(NAMES, LABELS, strict=True))
     words = [
-        f"The data do not determine the {label[name]}: its standard deviation is "
+        f"The data do not determine the {LABELS[name]}: its standard deviation is "
         f"{p.sd_over_prior:.0%} of the prior's."
         for name, p in parameters.items()
-        if name in label and p.sd_over_prior > UNDETERMINED
+        if name in LABELS and p.sd_over_prior > UNDETERMINED
     ]
     for i, j in combinations(range(len(labels)), 2):
         if abs(correlation[i, j]) > TIED:
@@ -441,12 +433,11 @@ def _doubts(
 ) -> list[str]:
     """Warnings on the solution u, and on the priors by the solution under noise alone."""
     words = []
-    label = dict(zip(NAMES, LABELS, strict=True))
     setup = problem.setup
     (low, high) = problem.bounds
     edge = 1e-6 * np.minimum(1.0, high - low)
     at_end = [
-        label[k.name]
+        LABELS[k.name]
         for k, at in zip(problem.unknowns, (u <= low + edge) | (u >= high - edge), strict=True)
         if at
     ]
@@ -455,7 +446,7 @@ def _doubts(
             f"At the end of its admissible range: {', '.join(at_end)}; its interval is not "
             "reliable."
         )
-    given = {name: getattr(setup.soil, name, None) for name in NAMES}
+    given = {name: getattr(setup.soil, name, None) for name in LABELS}
     given |= {
         "sinkage_coefficient": setup.soil.lumped(setup.wheel.width),
         "tilt_deg": setup.tilt_deg,
@@ -463,7 +454,7 @@ def _doubts(
     for unknown, d in zip(problem.unknowns, plain.u, strict=True):
         if given[unknown.name] is not None and abs(d) > 3.0:
             words.append(
-                f"Were the stress laws exact, the {label[unknown.name]} would be {abs(d):.1f} "
+                f"Were the stress laws exact, the {LABELS[unknown.name]} would be {abs(d):.1f} "
                 "standard deviations from its prior: prior, table or laws are wrong."
             )
     few = problem.freedom[problem.estimated]
@@ -480,7 +471,7 @@ def _doubts(
     return words
 
 
-def _missed(problem: TableProblem, plain: _Plain, examined: Examined | None) -> dict[str, float]:
+def _missed(problem: TableProblem, plain: _Plain, noise: NoiseEstimate | None) -> dict[str, float]:
     """Channels that the base model misses, with its misfit over their noise.
 
     A given noise is compared with the residuals. One that was estimated from them is compared with
@@ -495,10 +486,10 @@ def _missed(problem: TableProblem, plain: _Plain, examined: Examined | None) -> 
             continue
         j = MEASURED.index(name)
         follows = _follows(problem.rows.slip, problem.rows.load, fit.residual)
-        if examined is not None and examined.noise.origin[j]:
-            scatter = examined.noise.sd[j]
+        if noise is not None and noise.origin[j]:
+            scatter = noise.sd[j]
             more = (fit.noise / scatter) ** 2
-            freedom = problem.freedom[2 + j], min(examined.noise.freedom[j], 1e6)
+            freedom = problem.freedom[2 + j], min(noise.freedom[j], 1e6)
             follows = follows or fdtrc(*freedom, more) < 5e-4
             ratio = fit.noise / scatter
         if follows:
@@ -530,43 +521,46 @@ def _not_modelled(problem: TableProblem) -> list[str]:
     """Rows left out or taken otherwise than the table has them, and what of the rig the base model
     lacks.
     """
-    words = []
     table = problem.table
     used = problem.use
     names = [name.replace("_", " ") for name in MEASURED]
-    there = [bool(problem.measured[:, j].any()) for j in range(3)]
+    there = [bool(known.any()) for known in problem.measured.T]
     missing = " and ".join(name for name, known in zip(names, there, strict=True) if not known)
-    if missing:
-        rest = " and ".join(name for name, known in zip(names, there, strict=True) if known)
-        words.append(
-            f"Not measured: {missing}. The estimate rests on {rest}. The intervals would be "
-            f"narrower with {missing} where all agree; that they disagree, which would widen them, "
-            "cannot show here."
-        )
+    rest = " and ".join(name for name, known in zip(names, there, strict=True) if known)
     left_out = int(np.sum(~used))
     unseen = int(np.sum(np.isnan(table.sinkage[used])))
-    if left_out:
-        words.append(
-            f"Left out {left_out} of {len(table)} rows, with one force alone and no sinkage."
-        )
-    if unseen:
-        words.append(
-            f"No sinkage in {unseen} of {len(table)} rows: it follows from the load there."
-        )
-    if np.any(table.passes[used] > 1):
-        words.append(
+    told = (
+        (
+            missing,
+            f"Not measured: {missing}. The estimate rests on {rest}. The intervals would be "
+            f"narrower with {missing} where all agree; that they disagree, which would widen them, "
+            "cannot show here.",
+        ),
+        (
+            left_out,
+            f"Left out {left_out} of {len(table)} rows, with one force alone and no sinkage.",
+        ),
+        (unseen, f"No sinkage in {unseen} of {len(table)} rows: it follows from the load there."),
+        (
+            np.any(table.passes[used] > 1),
             "Rows with pass > 1 are taken as fresh soil: the base model has no compaction by "
-            "earlier passes."
-        )
-    if problem.setup.load == "normal" and np.any(np.abs(table.grade_deg[used]) > 0.0):
-        words.append(
-            "Rows on a grade are taken as level: the base model has no effect of grade on the soil."
-        )
-    if np.any(table.height(problem.setup.wheel)[used] > 0.0):
-        words.append("The grousers are not modelled: the rim is taken as smooth at wheel radius.")
-    if np.ptp(problem.rows.wheels[:, 1]) > 0.0 and problem.setup.soil.k_c is None:
-        words.append("Wheels of several widths share one S: give k_c and k_phi to separate them.")
-    return words
+            "earlier passes.",
+        ),
+        (
+            problem.setup.load == "normal" and np.any(np.abs(table.grade_deg[used]) > 0.0),
+            "Rows on a grade are taken as level: the base model has no effect of grade on the "
+            "soil.",
+        ),
+        (
+            np.any(table.height(problem.setup.wheel)[used] > 0.0),
+            "The grousers are not modelled: the rim is taken as smooth at wheel radius.",
+        ),
+        (
+            np.ptp(problem.rows.wheels[:, 1]) > 0.0 and problem.setup.soil.k_c is None,
+            "Wheels of several widths share one S: give k_c and k_phi to separate them.",
+        ),
+    )
+    return [words for true, words in told if true]
 
 
 def _follows(slip: np.ndarray, load: np.ndarray, residual: np.ndarray) -> bool:

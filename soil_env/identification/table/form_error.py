@@ -101,7 +101,7 @@ class Process:
         `of` None: of all.
         """
         known = [n for n in lengths if _condition(n) in conditions and (of is None or n in of)]
-        names = tuple(n for n in known if np.ptp(_coordinate(n, conditions)) > 1e-6)
+        names = tuple(n for n in known if np.ptp(coordinate(n, conditions)) > 1e-6)
         points = coordinates(conditions, names)
         empty = cls(
             names, np.array([lengths[n] for n in names]), additive, points, np.zeros((0, 0))
@@ -146,7 +146,8 @@ def _condition(name: str) -> str:
     return "slip" if name == "log_slip" else name
 
 
-def _coordinate(name: str, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
+def coordinate(name: str, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
+    """[N] of a coordinate in which processes are stationary."""
     value = conditions[_condition(name)]
     if name == "log_slip":
         return np.copysign(np.log1p(np.abs(value) / LITTLE_SLIP), value)
@@ -159,7 +160,7 @@ def coordinates(conditions: Mapping[str, np.ndarray], names: tuple[str, ...]) ->
     """[N, d] of the coordinates by name in which processes are stationary."""
     size = np.size(next(iter(conditions.values())))
     return (
-        np.stack([_coordinate(n, conditions) for n in names], axis=1)
+        np.stack([coordinate(n, conditions) for n in names], axis=1)
         if names
         else np.zeros((size, 0))
     )

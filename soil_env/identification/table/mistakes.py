@@ -11,6 +11,7 @@ table that no reading fits is not compared by its misfit.
 import dataclasses
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -78,12 +79,19 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
     out = []
     known = {name: bool(np.any(np.isfinite(getattr(table, name)))) for name in CHANNELS}
 
-    def add(name: str, words: str, remedy: str, scale=(1.0, 1.0, 1.0), **columns) -> None:
-        there = dataclasses.replace(table, **columns)
+    def add(
+        name: str,
+        words: str,
+        remedy: str,
+        scale=(1.0, 1.0, 1.0),
+        source=(0, 1, 2),
+        there: Setup = setup,
+        **columns,
+    ) -> None:
         for channel, factor in zip(CHANNELS, scale, strict=True):
-            own: dict[str, Any] = {f"{channel}_sd": factor * getattr(there, f"{channel}_sd")}
-            there = dataclasses.replace(there, **own)
-        out.append(Reading(name, words, remedy, there, setup, np.array(scale)))
+            columns[f"{channel}_sd"] = factor * getattr(table, f"{channel}_sd")
+        otherwise = dataclasses.replace(table, **columns)
+        out.append(Reading(name, words, remedy, otherwise, there, np.array(scale), source))
 
     pull = table.drawbar_pull
     torque = table.torque
@@ -121,10 +129,10 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
             "columns",
             "With the columns of drawbar_pull and torque exchanged",
             "expected drawbar_pull in newtons and torque in newton metres, each in its own column",
+            source=(0, 2, 1),
             drawbar_pull=torque,
             torque=pull,
         )
-        out[-1] = out[-1]._replace(source=(0, 2, 1))
     add(
         "load",
         f"With load as kilograms (times {GRAVITY})",
@@ -160,8 +168,8 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
                 "radius",
                 f"With wheel.radius of the setup halved to {half:g} m",
                 "expected the radius, not the diameter",
+                there=dataclasses.replace(setup, wheel=wheel),
             )
-            out[-1] = out[-1]._replace(setup=dataclasses.replace(setup, wheel=wheel))
     return out
 
 
@@ -174,7 +182,11 @@ class _Fit:
     u: np.ndarray
     cost: float  # squares of residuals and unknowns
     rms: float  # [noise]
-    evidence: float  # logarithm
+
+    @cached_property
+    def evidence(self) -> float:
+        """Logarithm of the evidence."""
+        return float(logsumexp(self.problem.evidence(self.u)[0]))
 
 
 def _plain(table: Table, setup: Setup) -> Reading:
@@ -218,12 +230,7 @@ def _fit(
         problem.correct(u)
         u, cost = problem.minimise(u, **COARSE)
     e = problem.by_noise(problem.residual(u))[problem.measured.ravel()]
-    return _Fit(reading, problem, u, cost, math.sqrt(float(np.mean(e**2))), math.nan)
-
-
-def _weighed(fit: _Fit) -> _Fit:
-    log = fit.problem.evidence(fit.u)[0]
-    return dataclasses.replace(fit, evidence=float(logsumexp(log)))
+    return _Fit(reading, problem, u, cost, math.sqrt(float(np.mean(e**2))))
 
 
 def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
@@ -255,18 +262,15 @@ def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
 
 def _rough(data: Data) -> np.ndarray:
     """[3] noise of the channels before it is known."""
-    known = [data.table.channel_sd(data.setup, name) for name in CHANNELS]
-    spread = np.array(
-        [
-            np.nanstd(y[m]) if m.any() else 1.0
-            for y, m in zip(data.y.T, data.measured.T, strict=True)
-        ]
-    )
-    return np.where(
-        [k is None for k in known],
-        np.maximum(ROUGH * spread, 1e-12),
-        [1.0 if k is None else k for k in known],
-    )
+    out = np.full(len(CHANNELS), ROUGH)
+    for j, name in enumerate(CHANNELS):
+        known = data.table.channel_sd(data.setup, name)
+        y = data.y[data.measured[:, j], j]
+        if known is not None:
+            out[j] = known
+        elif y.size:
+            out[j] = max(ROUGH * float(np.std(y)), 1e-12)
+    return out
 
 
 class Better(NamedTuple):
@@ -323,10 +327,10 @@ def _other_readings(start: _AsIs) -> list[Better]:
             there = _noise(data, fit)
             if np.sum(np.log(there.sd)) < np.sum(np.log(noise.sd)):
                 noise = there
-    base = _weighed(first if noise is start.noise else _fit(plain, noise.sd, noise.used, first.u))
-    fits = [_weighed(_fit(other, noise.sd, noise.used, at[other.name].u)) for other in others]
+    base = first if noise is start.noise else _fit(plain, noise.sd, noise.used, first.u)
+    fits = [_fit(other, noise.sd, noise.used, at[other.name].u) for other in others]
     if max(f.evidence for f in fits) - base.evidence > MAYBE:
-        searched = _weighed(_fit(plain, noise.sd, noise.used, search=True))
+        searched = _fit(plain, noise.sd, noise.used, search=True)
         base = max(base, searched, key=lambda f: f.evidence)
     found = [Better(f.reading, f.evidence - base.evidence, f.rms, base.rms) for f in fits]
     return sorted(found, key=lambda f: -f.gain)
@@ -336,10 +340,11 @@ class Examined(NamedTuple):
     """A table that was examined."""
 
     table: Table  # without wrong rows
-    said: tuple[str, ...]  # what to check first; none as a rule
-    #: Of the rows that are left: [N, 3] values that are no outliers, and the noise.
-    noise: NoiseEstimate
-    left_out: tuple[str, ...]  # rows and values that are left out, in words
+    said: tuple[str, ...] = ()  # what to check first; none as a rule
+    #: Of the rows that are left: [N, 3] values that are no outliers, and the noise; None for a
+    #: table that is taken as it is.
+    noise: NoiseEstimate | None = None
+    left_out: tuple[str, ...] = ()  # rows and values that are left out, in words
     undecided: tuple[str, ...] = ()  # readings that could be meant as well
 
 
@@ -355,7 +360,7 @@ def examine(table: Table, setup: Setup) -> Examined:
     always = [*setup.doubts(), *_grades_doubted(data)]
     dead = _channels_doubted(data)
     if dead:  # what else could be read into such a table says nothing
-        return Examined(table, (*dead, *always), _as_is(data).noise, ())
+        return Examined(table, (*dead, *always), _as_is(data).noise)
     start, rows = _without_wrong_rows(_as_is(data))
     cells, gross = _outliers(start.data, start.noise)
     readings_doubted, undecided = _readings_doubted(start)
@@ -388,7 +393,7 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
         }.get(best.reading.name)
         if check is not None and (broken := check(data, noise)):
             raise ParameterError(f"{data.table.source}: {broken}; {text[:1].lower()}{text[1:]}")
-        near = [f"{b.reading.words}" for b in better[1:] if best.gain - b.gain < -UNUSUAL / 2.0]
+        near = [b.reading.words for b in better[1:] if best.gain - b.gain < -UNUSUAL / 2.0]
         also = f" {'; '.join(near)} it fits nearly as well." if near else ""
         return [f"{text}.{also}"], ()
     undecided = tuple(
@@ -471,7 +476,7 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
     if BETTER * (rest.fit.rms**2 - 1.0) > before.rms**2 - 1.0:
         return None
     spread = np.max(np.abs(np.nan_to_num(data.y)), axis=0) * BROAD / sd
-    gain = _weighed(rest.fit).evidence - _weighed(before).evidence - math.log(len(data.table))
+    gain = rest.fit.evidence - before.evidence - math.log(len(data.table))
     gain -= float(np.sum(np.log(spread[data.measured[worst]])))
     words = _words_on(data, worst, rest.fit, sd, gain) if gain > SURE else ""
     return (rest, words) if words else None
@@ -482,12 +487,7 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float) -
     is off them by no more than laws may err.
     """
     table = data.table
-    here = Rows(*(column[:1] for column in others.problem.rows))._replace(
-        slip=table.rim_slip(data.setup)[row : row + 1],
-        load=table.load[row : row + 1],
-        wheels=data.rows.wheels[row : row + 1],
-        conditions=data.rows.conditions[row : row + 1],
-    )
+    here = Rows(*(column[row : row + 1] for column in data.rows))
     known = data.measured[row]
     y = data.y[row, known]
     relative = np.broadcast_to(data.relative_sd, data.y.shape)[row, known]

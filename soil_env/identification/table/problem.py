@@ -156,8 +156,7 @@ class TableProblem:
             np.stack([level, level + 1.0, grade], axis=1),
         )
         self.rows: Rows = Rows(*(column[use] for column in rows))
-        self.corrected: Rows = self.rows  # at the most probable slip and load
-        self._processes: list[Process] | None = None
+        self._take_conditions(self.rows)
         self.y: np.ndarray = np.stack([getattr(table, name)[use] for name in MEASURED], axis=1)
         self.measured: np.ndarray = np.isfinite(self.y)
         self.relative: np.ndarray = np.broadcast_to(
@@ -188,44 +187,44 @@ class TableProblem:
                 f"torque) for {plural(needed, 'parameter')}{unknown}: expected at least "
                 f"{needed + int(self.estimated.sum())}"
             )
-        self._by_unknowns = Last(self._differences)
-        self._by_stresses = Last(self._changed_stresses)
         #: Of the base law, beside the noise; None as long as it is not known.
         self.form_error: form_error.Compression | None = None
         self.weigh(np.zeros((count, 3, 2)))
+
+    def _take_conditions(self, corrected: Rows) -> None:
+        """Take the most probable slip and load, and nothing that was computed at others."""
+        self.corrected: Rows = corrected
+        #: [N, 3, p] of the model by the whitened unknowns.
+        self.by_unknowns = Last(self._differences)
+        self._by_stresses = Last(self._changed_stresses)
+        self._processes: list[Process] | None = None
 
     def _noise(self) -> None:
         """Set noise, its floor and whether it is estimated, from the setup or from first
         guesses.
         """
         size = float(np.median(self.rows.load))
-        r = float(self.rows.wheels[0, 0])
-        guess = {
-            "sinkage": 0.05 * self.z_ref,
-            "drawbar_pull": 0.03 * size,
-            "torque": 0.03 * size * r,
-        }
-        self.noise: np.ndarray = np.zeros(5)
-        self.estimated: np.ndarray = np.zeros(5, dtype=bool)
-        self.floor: np.ndarray = np.zeros(5)
+        pull = 0.03 * size
+        guess = np.array([0.03, pull, 0.05 * self.z_ref, pull, pull * self.rows.wheels[0, 0]])
+        noise = self.setup.noise
+        given = [noise.slip, noise.load]
+        given += [self.table.channel_sd(self.setup, name) for name in MEASURED]
+        for name, sd, least in zip(SOURCES, given, 1e-7 * guess, strict=True):
+            if sd is not None and sd < least:
+                known = "it counts as exact" if name in ("slip", "load") else "it is not known"
+                raise ParameterError(
+                    f"{self.setup.source}: noise.{name} = {sd:g}: expected at least {least:.2g}; "
+                    f"leave it out where {known}"
+                )
+        left_out = np.array([sd is None for sd in given])
+        measured = np.concatenate([[False, False], self.measured.any(axis=0)])
+        self.estimated: np.ndarray = left_out & measured
+        self.floor: np.ndarray = 1e-4 * guess
+        guess[:2] = 0.0  # slip and load count as exact
+        pairs = zip(given, guess, strict=True)
+        self.noise: np.ndarray = np.array([usual if sd is None else sd for sd, usual in pairs])
         # Degrees of freedom behind an estimated noise.
         self.freedom: np.ndarray = np.full(5, math.inf)
-        for k, name in enumerate(SOURCES):
-            given = (
-                getattr(self.setup.noise, name)
-                if k < 2
-                else self.table.channel_sd(self.setup, name)
-            )
-            least = 1e-7 * guess.get(name, 0.03 * size if name == "load" else 0.03)
-            if given is not None and given < least:
-                raise ParameterError(
-                    f"{self.setup.source}: noise.{name} = {given:g}: expected at least "
-                    f"{least:.2g}; leave it out where "
-                    + ("it counts as exact" if name in ("slip", "load") else "it is not known")
-                )
-            self.estimated[k] = given is None and k >= 2 and bool(np.any(self.measured[:, k - 2]))
-            self.noise[k] = given if given is not None else guess.get(name, 0.0)
-            self.floor[k] = 1e-4 * guess.get(name, 0.0)
 
     @property
     def processes(self) -> list[Process]:
@@ -326,10 +325,6 @@ class TableProblem:
         """[3 N, p] of the whitened model by the whitened unknowns."""
         return self.whiten(self.by_unknowns(u))
 
-    def by_unknowns(self, u: np.ndarray) -> np.ndarray:
-        """[N, 3, p] of the model by the whitened unknowns."""
-        return self._by_unknowns(u)
-
     def _differences(self, u: np.ndarray) -> np.ndarray:
         flat = differences(
             lambda x: self.predict(x).ravel(), u, self.unknowns, self.predict(u).ravel()
@@ -380,9 +375,7 @@ class TableProblem:
         """(log of evidence and prior, mean [p] and covariance [p, p] of the unknowns, by size and
         span), linearised at u; the S as in `by_size`.
         """
-        kept = self.form_error
-        self.form_error = None
-        j = self.derivatives(u)
+        j = self.by_noise(self.by_unknowns(u))
         e = self.by_noise(self.residual(u))
         blocks = [block for span in range(len(LAW_LENGTHS)) for block in self.law_errors(u, span)]
         sizes = np.zeros((len(LAW_ERRORS), len(blocks)))
@@ -391,7 +384,6 @@ class TableProblem:
         log, mean, covariance = form_error.marginals(
             form_error.NormalEquations.of(j, blocks, np.where(np.isfinite(e), e, _FAR)), sizes, u
         )
-        self.form_error = kept
         log += np.log(np.tile(form_error.size_prior(), len(LAW_LENGTHS) * len(CHANNELS_OWN)))
         return log - self._widening(), mean, covariance
 
@@ -471,13 +463,8 @@ class TableProblem:
             solved = np.einsum("kdc,kd->kc", self._whitener, half)
             slip, load = (self.noise[:2] ** 2 * np.einsum("kcj,kc->kj", self.F, solved)).T
             load = np.clip(self.rows.load + load, 0.2 * self.rows.load, 5.0 * self.rows.load)
-            # At other conditions:
-            self._by_unknowns = Last(self._differences)
-            self._by_stresses = Last(self._changed_stresses)
-            self.corrected = self.rows._replace(
-                slip=np.clip(self.rows.slip + slip, -1.0, 1.0), load=load
-            )
-            self._processes = None
+            slip = np.clip(self.rows.slip + slip, -1.0, 1.0)
+            self._take_conditions(self.rows._replace(slip=slip, load=load))
         self.weigh(self.by_conditions(u))
 
     def update_noise(self, u: np.ndarray) -> None:

@@ -9,10 +9,9 @@ load by more than `LOAD_TOLERANCE`, it is solved again with theirs.
 import math
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.elementary import asin_root, sin_cos
-from soil_env._compiled.flags import FINITE, record
+from soil_env._compiled.flags import compiled_finite, record
 from soil_env.parameters import MOST_AXLES, RoverScenario
 from soil_env.simulation.world.wheel import WHEEL
 
@@ -88,7 +87,7 @@ def suspension_of(scenario: RoverScenario) -> np.ndarray:
     return s
 
 
-@njit(**FINITE)
+@compiled_finite
 def _two_loads(together, moment, arm, other_arm, least):
     """Loads [N] at two arms [m] that carry `together` and balance a moment [N m], each at least
     `least`.
@@ -98,7 +97,7 @@ def _two_loads(together, moment, arm, other_arm, least):
     return one, together - one
 
 
-@njit(**FINITE)
+@compiled_finite
 def _moment(force, height):
     """Moment [N m], front up, of the pull and the torque of a wheel about a point so high [m] above
     its axle.
@@ -106,7 +105,7 @@ def _moment(force, height):
     return force.torque + height * force.drawbar_pull
 
 
-@njit(**FINITE)
+@compiled_finite
 def axle_loads(forces, weight, s):
     """Loads [N] of the axles, front to rear, in equilibrium with the torques and drawbar pulls of
     `forces` [axles].
@@ -133,14 +132,14 @@ def axle_loads(forces, weight, s):
     return alone, front, rear
 
 
-@njit(**FINITE)
+@compiled_finite
 def _height_of(rover, a):
     """Height [m] of the lowest point of the wheel of an axle."""
     axle = rover.axles[a]
     return axle.height - axle.floor - rover.wheels[a].sinkage
 
 
-@njit(**FINITE)
+@compiled_finite
 def set_pitch(rover, s):
     """Pitch of the body of a rover, from where its wheels stand."""
     front = _height_of(rover, 0)
@@ -161,7 +160,7 @@ def set_pitch(rover, s):
     rover.pitch = -angle if sine < 0.0 else angle
 
 
-@njit(**FINITE)
+@compiled_finite
 def weight_of(rover, gravity):
     """Weight [N] of one side of a rover, normal to its body."""
     sine = sin_cos(rover.pitch)[0]

@@ -3,10 +3,8 @@
 All wheels of a rover run over the same course, each leaving its rut to those behind it.
 """
 
-from numba import njit
-
 from soil_env._compiled.elementary import sin_cos
-from soil_env._compiled.flags import FINITE, INLINE
+from soil_env._compiled.flags import compiled_finite, inlined
 from soil_env.simulation.rover.body import set_pitch
 from soil_env.simulation.rover.newton import equation_of, foresee, reaction_of, solve_speeds
 from soil_env.simulation.rover.ruts import copy_rut_behind, floor_at
@@ -34,14 +32,14 @@ from soil_env.simulation.world.wheel import (
 from soil_env.terramechanics.ground import put_soil, soil_of
 
 
-@njit(**FINITE)
+@compiled_finite
 def _stage_of(number, h, wheel, foot, rig):
     """`Stage` of the wheel of an axle."""
     rim = rig.radius * wheel.wheel_speed
     return stage_of(number, h, wheel.speed, rim, foot.speed_before, foot.rim_before)
 
 
-@njit(**INLINE)
+@inlined
 def _keep_stand(foot, at):
     """Write a `Stand` into a `FOOT`; its load follows from the suspension."""
     put_soil(foot, at.ground.soil)
@@ -62,7 +60,7 @@ def _keep_stand(foot, at):
     foot.unfelt = at.extra.unfelt
 
 
-@njit(**INLINE)
+@inlined
 def _solve_stage(rover, course, ruts, number, h, forced, world):
     """A stage of a step; False if Newton's method fails, with the rover as before, unless it is
     `forced` on.
@@ -104,7 +102,7 @@ def _solve_stage(rover, course, ruts, number, h, forced, world):
     return True
 
 
-@njit(**INLINE)
+@inlined
 def _solve_step(rover, course, ruts, h, forced, world):
     """A step of h seconds in two stages; the time [s] that was driven, less than h if Newton's
     method fails.
@@ -119,7 +117,7 @@ def _solve_step(rover, course, ruts, h, forced, world):
     return h
 
 
-@njit(**INLINE)
+@inlined
 def _change_ahead(rover, world):
     """Foreseen change of the speeds [of the top rim speed] in a step of the usual length."""
     rig = world.rig
@@ -134,7 +132,7 @@ def _change_ahead(rover, world):
     return change / (rig.radius * rig.no_load_speed)
 
 
-@njit(**INLINE)
+@inlined
 def _drive_period(rover, course, ruts, world):
     """Drive a rover for a control period by steps that are halved while Newton's method fails."""
     rig = world.rig
@@ -155,7 +153,7 @@ def _drive_period(rover, course, ruts, world):
             failed = True
 
 
-@njit(**FINITE)
+@compiled_finite
 def control_period(rover, actions, course, ruts, world):
     """One control period of a rover under actions [axles] in [-1, 1] (`wheel.commanded`).
 
@@ -176,7 +174,7 @@ def control_period(rover, actions, course, ruts, world):
     _sum_up(rover, world)
 
 
-@njit(**INLINE)
+@inlined
 def _sum_up(rover, world):
     """The end of a control period of a rover as a whole."""
     axles = world.suspension.axles

@@ -8,10 +8,8 @@ reaction are those of `simulation.world`.
 
 from typing import Any, NamedTuple
 
-from numba import njit
-
 from soil_env._compiled.elementary import sin_cos
-from soil_env._compiled.flags import FINITE, HUGE, INLINE, record
+from soil_env._compiled.flags import HUGE, compiled_finite, inlined, record
 from soil_env.parameters import MOST_AXLES, SoilState
 from soil_env.simulation.rover.body import LOAD_TOLERANCE, axle_loads, weight_of
 from soil_env.simulation.world.newton import (
@@ -92,13 +90,13 @@ class Equation(NamedTuple):
     by_torque: float  # h r/J [1/(N s)]
 
 
-@njit(**FINITE)
+@compiled_finite
 def equation_of(speed, duration, mass, rig):
     """`Equation` of a rover of this mass [kg] whose stage begins at V* = `speed`."""
     return Equation(speed, duration / mass, duration * rig.radius / rig.inertia)
 
 
-@njit(**FINITE)
+@compiled_finite
 def keep_reaction(row, force):
     """Write a `Reaction` into a record."""
     row.load = force.load
@@ -113,7 +111,7 @@ def keep_reaction(row, force):
     row.sinkage_coefficient_u = force.sinkage_coefficient_u
 
 
-@njit(**FINITE)
+@compiled_finite
 def reaction_of(row):
     """The `Reaction` that a record holds."""
     return Reaction(
@@ -130,13 +128,13 @@ def reaction_of(row):
     )
 
 
-@njit(**FINITE)
+@compiled_finite
 def _apart(x):
     """`x` away from 0, where it is divided by."""
     return x if abs(x) > LEAST_PIVOT else LEAST_PIVOT
 
 
-@njit(**FINITE)
+@compiled_finite
 def newton_step(residual, at, world):
     """Step of Newton's method from the speeds of `found`: dV [m/s], and `change` of each axle;
     `residual` of travel.
@@ -157,7 +155,7 @@ def newton_step(residual, at, world):
     return dv
 
 
-@njit(**FINITE)
+@compiled_finite
 def foresee(rover, at, world):
     """dV [m/s] in a stage by the reactions of the last one to first order; `found` has these and
     the changes of u.
@@ -180,7 +178,7 @@ def foresee(rover, at, world):
     return newton_step(residual, at, world)
 
 
-@njit(**INLINE)
+@inlined
 def _begin(rover, at, weight, world):
     """First V to try [m/s], with the rim speeds in `trial`: the foreseen ones where they are a
     `SHORT` way off.
@@ -210,7 +208,7 @@ def _begin(rover, at, weight, world):
     return speed + dv if short else speed
 
 
-@njit(**INLINE)
+@inlined
 def _evaluate(v, at, world):
     """(residual of travel, largest residual) [m/s] at V = `v` and the rim speeds in `trial`, which
     gets the rest.
@@ -233,7 +231,7 @@ def _evaluate(v, at, world):
     return residual, max(largest, abs(residual))
 
 
-@njit(**INLINE)
+@inlined
 def _largest_change(v, at, world):
     """Largest change of a speed since the beginning of the stage [m/s]."""
     change = abs(v - at.speed)
@@ -242,7 +240,7 @@ def _largest_change(v, at, world):
     return change
 
 
-@njit(**INLINE)
+@inlined
 def _iterate(v, at, world):
     """(V, True if converged) by Newton's method at the present loads, from `v` and the rim speeds
     in `trial`.
@@ -282,7 +280,7 @@ def _iterate(v, at, world):
     return v, False
 
 
-@njit(**INLINE)
+@inlined
 def _renew_loads(weight, world):
     """True if the forces found change a load; the loads are then theirs, and the speeds found are
     tried next.
@@ -303,7 +301,7 @@ def _renew_loads(weight, world):
     return changed
 
 
-@njit(**FINITE)
+@compiled_finite
 def solve_speeds(rover, at, world):
     """(V [m/s], True if converged) at the end of a stage; `found` has the rim speeds and the
     reactions.

@@ -9,10 +9,9 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import EXACT, FINITE, HUGE, INLINE, record
+from soil_env._compiled.flags import HUGE, compiled, compiled_finite, inlined, record
 from soil_env._compiled.random_streams import NORMALS, between, normal_pair, word
 from soil_env.parameters import MOST_AXLES, RoverScenario
 from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY
@@ -165,7 +164,7 @@ def _with_front(scenario: RoverScenario) -> RoverScenario:
     return replace(scenario, course=longer)
 
 
-@njit(**EXACT)
+@compiled
 def _settle(rover, mass, course, ruts, numbers, nodes):
     """Put a rover, whose record is blank but for its stream, at rest at the start of its course.
 
@@ -231,7 +230,7 @@ class Setting(NamedTuple):
     normals: Any  # `NORMALS`
 
 
-@njit(**INLINE)
+@inlined
 def _sense_body(rover, sensors):
     """`BodyReading` of a rover; zeros and gains are those in the record of the front wheel."""
     of_speed, of_pitch = normal_pair(rover)
@@ -249,7 +248,7 @@ def _sense_body(rover, sensors):
     )
 
 
-@njit(**FINITE)
+@compiled_finite
 def _sense(rover, readings, sample, period, setting):
     """Fill `readings` [axles, periods] of a control period and its `ROVER_SAMPLE`.
 
@@ -272,7 +271,7 @@ def _sense(rover, readings, sample, period, setting):
     return of_body
 
 
-@njit(**FINITE)
+@compiled_finite
 def _restart(rover, readings, samples, setting):
     """`BodyReading` of a rover at the start of its course."""
     set_pitch(rover, setting.world.suspension)
@@ -283,7 +282,7 @@ def _restart(rover, readings, samples, setting):
     return _sense(rover, readings, samples[0], 0, setting)
 
 
-@njit(**FINITE)
+@compiled_finite
 def _step(rover, commands, course, ruts, readings, samples, setting):
     """The control periods of an action of a rover, until its episode ends; its last `BodyReading`.
 
@@ -307,7 +306,7 @@ def _step(rover, commands, course, ruts, readings, samples, setting):
     return of_body
 
 
-@njit(**INLINE)
+@inlined
 def _observe(rover, of_body, readings, course, setting, out):
     """Fill the observation `out` [D] of a rover but for what is identified."""
     task = setting.task

@@ -6,9 +6,8 @@ where the rover reverses; what wheels behind it have left it does not meet.
 """
 
 import numpy as np
-from numba import njit
 
-from soil_env._compiled.flags import FINITE
+from soil_env._compiled.flags import compiled_finite
 from soil_env.simulation.world.terrain import RUT, between_cells, clear
 
 
@@ -17,14 +16,14 @@ def new_ruts(rovers: int, axles: int, cells: int) -> np.ndarray:
     return np.zeros((rovers, axles, cells), RUT)
 
 
-@njit(**FINITE)
+@compiled_finite
 def clear_ruts(cells):
     """Undisturbed ground for a wheel."""
     for i in range(cells.size):
         clear(cells[i])
 
 
-@njit(**FINITE)
+@compiled_finite
 def floor_at(ruts, a, x):
     """Depth [m] at x [m] of the rut of the wheels ahead of axle a, linear between the middles of
     the cells.
@@ -34,7 +33,7 @@ def floor_at(ruts, a, x):
     return here + way * (ruts[a, i + 1].floor - here)
 
 
-@njit(**FINITE)
+@compiled_finite
 def copy_rut_behind(ruts, a, cell, after):
     """Copy the rut of axle a to the axles behind it, in the cells from `cell` to before `after`;
     `ruts` [axles, cells].

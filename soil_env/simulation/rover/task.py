@@ -9,9 +9,7 @@ rover gets on.
 from dataclasses import replace
 from typing import NamedTuple
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT, FINITE
+from soil_env._compiled.flags import compiled, compiled_finite
 from soil_env.simulation.task import AXLES, ObservedNumber, layout
 from soil_env.simulation.task.observation import ENTRIES_OF_SOIL, write_soil
 from soil_env.simulation.world.terrain import soil_on
@@ -60,7 +58,7 @@ class BodyReading(NamedTuple):
     acceleration: float  # [m/s2] along the course: of travel, and of gravity
 
 
-@njit(**FINITE)
+@compiled_finite
 def write_body(out, rover, reading, task):
     """Fill the first entries of `out` with the readings of a rover as a whole."""
     out[0] = reading.speed / task.top_speed
@@ -70,7 +68,7 @@ def write_body(out, rover, reading, task):
     out[4] = 1.0 if rover.halt_left > 0.0 else 0.0
 
 
-@njit(**FINITE)
+@compiled_finite
 def write_axle(out, a, wheel, reading, task):
     """Fill the entries of axle a, counted from the front, with the readings of its wheel."""
     i = ENTRIES_OF_BODY + a * ENTRIES_OF_AXLE
@@ -91,7 +89,7 @@ def first_soil(axles: int) -> int:
     return ENTRIES_OF_BODY + ENTRIES_OF_AXLE * axles
 
 
-@njit(**EXACT)
+@compiled
 def write_true_soils(out, rover, axles, course, border):
     """Fill `out` [axles x 7] with the true soil under each axle of a rover."""
     for a in range(axles):

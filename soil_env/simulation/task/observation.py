@@ -2,9 +2,7 @@
 
 import math
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT, FINITE
+from soil_env._compiled.flags import compiled, compiled_finite
 from soil_env.simulation.task.layout import VARIANTS
 from soil_env.simulation.world.camera import Sight, patch_ahead, seen_grade, write_view
 from soil_env.simulation.world.routes import choosing
@@ -17,14 +15,14 @@ ENTRIES_OF_SOIL = 7  # of a true soil
 ENTRIES_AHEAD = 8  # of the true soil of a route ahead: soil and margin
 
 
-@njit(**FINITE)
+@compiled_finite
 def clip(out, bounds):
     """Cut the observation `out` [D] to the `bounds` [2, D] of its layout."""
     for i in range(out.size):
         out[i] = min(max(out[i], bounds[0, i]), bounds[1, i])
 
 
-@njit(**FINITE)
+@compiled_finite
 def write_sensors(out, wheel, reading, task):
     """Fill the first entries of the observation `out` [D] of a wheel."""
     moment = task.weight * task.radius
@@ -44,7 +42,7 @@ def write_sensors(out, wheel, reading, task):
     out[13] = wheel.rim_command
 
 
-@njit(**EXACT)
+@compiled
 def write_soil(out, soil):
     """Fill `out` [7] with a true soil."""
     out[0] = math.atan(soil.tan_phi)
@@ -56,14 +54,14 @@ def write_soil(out, soil):
     out[6] = soil.dig_recovery
 
 
-@njit(**EXACT)
+@compiled
 def write_soil_under(out, wheel, course, border):
     """Fill `out` [7] with the true soil under a wheel."""
     patch = piece_at(course.patches, wheel.x, wheel.patch)
     write_soil(out, soil_on(course.patches, wheel.x, patch, border))
 
 
-@njit(**EXACT)
+@compiled
 def write_seen(out, wheel, image, course, sight, camera, truth):
     """Fill `out` with an `IMAGE` of the camera; with `truth`, the routes' true soils behind it."""
     i = write_view(out, image, choosing(wheel, course, camera) >= 0, camera)
@@ -71,7 +69,7 @@ def write_seen(out, wheel, image, course, sight, camera, truth):
         write_soils_ahead(out[i:], course, sight, camera)
 
 
-@njit(**EXACT)
+@compiled
 def write_truth(out, wheel, course, border, camera):
     """Fill `out` with the entries of `layout.truth` at the true place of a wheel."""
     write_soil_under(out, wheel, course, border)
@@ -81,7 +79,7 @@ def write_truth(out, wheel, course, border, camera):
     write_soils_ahead(out[ENTRIES_OF_SOIL:], course, sight, camera)
 
 
-@njit(**EXACT)
+@compiled
 def write_soils_ahead(out, course, sight, camera):
     """Fill `out` [routes x 8] with true soils of routes ahead and their margins over the grade."""
     ahead = patch_ahead(course, sight, camera)

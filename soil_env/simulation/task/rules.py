@@ -4,9 +4,8 @@ import enum
 from dataclasses import fields
 
 import numpy as np
-from numba import njit
 
-from soil_env._compiled.flags import FINITE, record
+from soil_env._compiled.flags import compiled_finite, record
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import Limits, RewardWeights, Scenario
 from soil_env.simulation.task.layout import VARIANTS, layout
@@ -75,7 +74,7 @@ def task_of(scenario: Scenario, variant: str) -> np.ndarray:
     return task
 
 
-@njit(**FINITE)
+@compiled_finite
 def judge(vehicle, task):
     """`Cause` of a vehicle after a control period; advances its clocks, which stand still in halts.
 
@@ -103,7 +102,7 @@ def judge(vehicle, task):
     return TIME_LIMIT if out_of_time else RUNNING
 
 
-@njit(**FINITE)
+@compiled_finite
 def add_reward(vehicle, cause, task, terms):
     """Add the last control period of a vehicle to the first three of `terms` [4] (see
     REWARD_TERMS).
@@ -119,7 +118,7 @@ def add_reward(vehicle, cause, task, terms):
         terms[2] -= task.immobilisation
 
 
-@njit(**FINITE)
+@compiled_finite
 def total_of(terms):
     """Sum of the reward terms [4]."""
     return terms[0] + terms[1] + terms[2] + terms[3]

@@ -8,9 +8,8 @@ new in every image.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from soil_env._compiled.flags import EXACT, record
+from soil_env._compiled.flags import compiled, record
 from soil_env._compiled.random_streams import normal_pair
 from soil_env.parameters import Scenario
 from soil_env.parameters.readings import Image
@@ -47,7 +46,7 @@ def camera_of(scenario: Scenario) -> np.ndarray:
     return camera
 
 
-@njit(**EXACT)
+@compiled
 def sight_of(wheel, course, camera):
     """`Sight` of a new image, with a number of the wheel's stream."""
     patches = course.patches
@@ -65,26 +64,26 @@ def sight_of(wheel, course, camera):
     return Sight(p, x - patches[p].start - forks[p].border_error, end - x)
 
 
-@njit(**EXACT)
+@compiled
 def label_here(course, sight):
     """The class of the ground under the wheel as the camera sees it."""
     return course.routes[sight.patch, course.forks[sight.patch].taken].label
 
 
-@njit(**EXACT)
+@compiled
 def patch_ahead(course, sight, camera):
     """The patch whose routes are in sight, or -1."""
     ahead = sight.patch + 1
     return ahead if ahead < course.drawn and sight.left <= camera.sight else -1
 
 
-@njit(**EXACT)
+@compiled
 def seen_grade(course, p, route):
     """Steepest grade [rad] of patch p as the camera sees it along a route."""
     return course.forks[p].grade + course.routes[p, route].grade_error
 
 
-@njit(**EXACT)
+@compiled
 def take_image(image, wheel, course, sight, camera):
     """Fill the `IMAGE` of a wheel, for what identifies the ground on board."""
     ahead = patch_ahead(course, sight, camera)
@@ -105,7 +104,7 @@ def take_image(image, wheel, course, sight, camera):
     image.grade_1 = seen_grade(course, p, 1)
 
 
-@njit(**EXACT)
+@compiled
 def write_view(out, image, chooses, camera):
     """Fill `out` with distance, class here, grade and class of routes ahead of an `IMAGE`; return
     the count.

@@ -12,9 +12,8 @@ Functions take a `Course`, `CourseNumbers` and the scratch `nodes` of an arc (`c
 """
 
 import numpy as np
-from numba import njit
 
-from soil_env._compiled.flags import EXACT, HUGE, INLINE
+from soil_env._compiled.flags import HUGE, compiled, inlined
 from soil_env._compiled.random_streams import word
 from soil_env.parameters import Scenario
 from soil_env.simulation.world.passability import (
@@ -95,7 +94,7 @@ def _presets(scenario: Scenario, model: WheelSoilModel | None) -> np.ndarray:
     return np.array([(share, *soil) for soil, share in zip(soils, shares, strict=True)], PRESET)
 
 
-@njit(**EXACT)
+@compiled
 def start_course(course, owner, numbers, nodes):
     """Start a course with a seed from the stream of `owner`; the mass [kg] on the wheel with
     payload, or -1.
@@ -119,14 +118,14 @@ def start_course(course, owner, numbers, nodes):
     return mass
 
 
-@njit(**EXACT)
+@compiled
 def _clear(pieces, drawn):
     for p in range(drawn):
         pieces[p].start = HUGE
         pieces[p].end = HUGE
 
 
-@njit(**EXACT)
+@compiled
 def extend_course(course, mass, x, numbers, nodes):
     """Draw patches until the ground is final up to x [m] or the course ends; `mass` in kg.
 
@@ -137,7 +136,7 @@ def extend_course(course, mass, x, numbers, nodes):
         _draw_patch(course, load, numbers, nodes)
 
 
-@njit(**EXACT)
+@compiled
 def _draw_patch(course, load, numbers, nodes):
     """Draw the next patch and the slopes over it; False if no soil was found."""
     spec = numbers.drawn.spec
@@ -154,7 +153,7 @@ def _draw_patch(course, load, numbers, nodes):
     return found
 
 
-@njit(**INLINE)
+@inlined
 def _draw_soil(course, load, numbers, nodes):
     """Draw the soil of the next patch without classes; False, and the last again, if none was
     found.
@@ -167,7 +166,7 @@ def _draw_soil(course, load, numbers, nodes):
     return found
 
 
-@njit(**INLINE)
+@inlined
 def _add_patch(course, length, spec):
     """Count the patch just written: its place, its cells, and how far the ground is final now."""
     p = course.drawn
@@ -186,7 +185,7 @@ def _add_patch(course, length, spec):
         clear(cells[i])
 
 
-@njit(**INLINE)
+@inlined
 def _draw_slopes(course, spec):
     """Draw slopes up to the end of the last patch, without looking at its soil.
 
@@ -207,7 +206,7 @@ def _draw_slopes(course, spec):
     course.sloped = s
 
 
-@njit(**INLINE)
+@inlined
 def _steepest(course):
     """Note the steepest slope on the last patch, for the camera."""
     p = course.drawn - 1

@@ -8,10 +8,8 @@ or 8 steps where others take one; one whose iteration fails goes on by steps hal
 import math
 from typing import NamedTuple
 
-from numba import njit
-
 from soil_env._compiled.elementary import sin_cos
-from soil_env._compiled.flags import FINITE, INLINE
+from soil_env._compiled.flags import compiled_finite, inlined
 from soil_env.simulation.world.newton import Stage, foreseen, solve_speeds
 from soil_env.simulation.world.routes import choosing, plan_halt, set_route
 from soil_env.simulation.world.terrain import (
@@ -66,7 +64,7 @@ class Stand(NamedTuple):
     along: float  # [N] weight along the grade
 
 
-@njit(**INLINE)
+@inlined
 def steps_for(change):
     """Steps that a wheel takes where others take one, for a `change` [of top rim speed] ahead."""
     if change <= REFINED_TWICE:
@@ -76,7 +74,7 @@ def steps_for(change):
     return 4 if change <= REFINED_EIGHT_TIMES else 8
 
 
-@njit(**INLINE)
+@inlined
 def loop_change(du, wheel, drive, rig):
     """Size of a foreseen change `du` [m/s] of the rim speed: a speed loop stops at its command."""
     if not drive.by_speed:
@@ -85,7 +83,7 @@ def loop_change(du, wheel, drive, rig):
     return min(abs(du), abs(command - rig.radius * wheel.wheel_speed))
 
 
-@njit(**FINITE)
+@compiled_finite
 def change_ahead(wheel, drive, rig):
     """Foreseen change of the speeds [of the top rim speed] in a step of the usual length."""
     along = rig.gravity * wheel.mass * sin_cos(wheel.grade)[0]
@@ -93,7 +91,7 @@ def change_ahead(wheel, drive, rig):
     return max(abs(dv), loop_change(du, wheel, drive, rig)) / (rig.radius * rig.no_load_speed)
 
 
-@njit(**INLINE)
+@inlined
 def stage_of(number, h, speed, rim, speed_before, rim_before):
     """`Stage` 0 or 1 of a step of h seconds, from speeds now and before the last stage [m/s]."""
     g = GAMMA * h
@@ -104,7 +102,7 @@ def stage_of(number, h, speed, rim, speed_before, rim_before):
     return Stage(h - g, h - 2.0 * g, g, g, ahead_v, ahead_u)
 
 
-@njit(**FINITE)
+@compiled_finite
 def ground_ahead(wheel, stage, course, cells, border, fx):
     """Ground `Ahead` of a wheel in a stage, with the `cells` of its rut; store its place."""
     x = wheel.x + 0.5 * stage.duration * wheel.speed
@@ -116,7 +114,7 @@ def ground_ahead(wheel, stage, course, cells, border, fx):
     return Ahead(in_rut(soil, passes, fx), grade, passes)
 
 
-@njit(**INLINE)
+@inlined
 def foreseen_sinkage(wheel, duration):
     """Sinkage [m] at the end of a stage if it goes on as in the stage before."""
     if wheel.sinkage < LEAST_SINKAGE:
@@ -125,7 +123,7 @@ def foreseen_sinkage(wheel, duration):
     return wheel.sinkage + min(max(duration * wheel.sinking, -most), most)
 
 
-@njit(**INLINE)
+@inlined
 def account(wheel, end, stage, drive, rig):
     """Work [J] of the motor, of the soil and of the integrator in a stage, from the present speeds
     to its `end`.
@@ -154,7 +152,7 @@ def account(wheel, end, stage, drive, rig):
     wheel.available_torque = available
 
 
-@njit(**INLINE)
+@inlined
 def move(wheel, end, stage, ground, drive, rig):
     """Take a wheel to the `end` of a stage: sinkage and place, work, speeds and forces."""
     rim = rig.radius * wheel.wheel_speed
@@ -178,7 +176,7 @@ def move(wheel, end, stage, ground, drive, rig):
         wheel.converged = 0
 
 
-@njit(**INLINE)
+@inlined
 def stand(wheel, stage, ahead, load, world):
     """`Stand` of a wheel on the ground `Ahead` in a stage; a `load` [N] deflects its tyre."""
     rig = world.rig
@@ -193,7 +191,7 @@ def stand(wheel, stage, ahead, load, world):
     return Stand(ground, footing, extra, weight * sine)
 
 
-@njit(**INLINE)
+@inlined
 def solve_stage(wheel, stage, ahead, drive, forced, world):
     """A stage on the ground `Ahead`; False if Newton's method fails, with the wheel as before,
     unless it is `forced` on.
@@ -207,7 +205,7 @@ def solve_stage(wheel, stage, ahead, drive, forced, world):
     return True
 
 
-@njit(**FINITE)
+@compiled_finite
 def drive_period(wheel, drive, course, world):
     """Drive a wheel for a control period; steps are halved while Newton's method fails."""
     rig = world.rig
@@ -242,7 +240,7 @@ def drive_period(wheel, drive, course, world):
             failed = True
 
 
-@njit(**FINITE)
+@compiled_finite
 def _at_fork(wheel, course, action, rig):
     """Set what an action chooses, and the halt to come, before a control period."""
     fork = choosing(wheel, course, rig)
@@ -251,7 +249,7 @@ def _at_fork(wheel, course, action, rig):
     plan_halt(wheel, course, rig)
 
 
-@njit(**INLINE)
+@inlined
 def control_period(wheel, action, course, world):
     """One control period of a wheel under an action in [-1, 1] (`commanded`).
 

@@ -8,9 +8,7 @@ with the analytic derivatives of the reaction; V* and u* of the two stages: docs
 
 from typing import NamedTuple
 
-from numba import njit
-
-from soil_env._compiled.flags import FINITE, HUGE, INLINE
+from soil_env._compiled.flags import HUGE, compiled_finite, inlined
 from soil_env.terramechanics.motor import motor_torque
 from soil_env.terramechanics.reaction import NO_REACTION, REST_SPEED, Reaction, moved, reaction
 
@@ -50,7 +48,7 @@ class Motion(NamedTuple):
     converged: bool
 
 
-@njit(**FINITE)
+@compiled_finite
 def newton_step(f1, f2, cv, cu, force, net_u):
     """(dV, du) of Newton's method for the residuals f1, f2; `net_u` = d(T - T_motor)/du."""
     a11 = 1.0 - cv * force.pull_v
@@ -63,7 +61,7 @@ def newton_step(f1, f2, cv, cu, force, net_u):
     return -(a22 * f1 - a12 * f2) / determinant, -(a11 * f2 - a21 * f1) / determinant
 
 
-@njit(**INLINE)
+@inlined
 def last_force(wheel):
     """`Reaction` of a wheel's last stage; what a foreseen change of speed does not need is 0."""
     return Reaction(
@@ -80,7 +78,7 @@ def last_force(wheel):
     )
 
 
-@njit(**FINITE)
+@compiled_finite
 def foreseen(wheel, drive, back_v, back_u, h, along, rig):
     """(dV, du) [m/s] of a wheel in h seconds, by the reaction of the last stage to first order.
 
@@ -96,13 +94,13 @@ def foreseen(wheel, drive, back_v, back_u, h, along, rig):
     return newton_step(f1, f2, cv, cu, force, force.torque_u - slope / rig.radius)
 
 
-@njit(**INLINE)
+@inlined
 def near_enough(residual, change):
     """True if a residual [m/s] that no shorter step reduces is let pass; `change` in m/s."""
     return residual < NEARLY and residual < TOLERANCE + OF_CHANGE * change
 
 
-@njit(**INLINE)
+@inlined
 def solve_speeds(wheel, stage, footing, along, drive, world, extra):
     """`Motion` at the end of a stage, by Newton's method; a step that does not reduce the residual
     is shortened.

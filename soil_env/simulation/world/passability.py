@@ -4,9 +4,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
-from soil_env._compiled.flags import EXACT, HUGE, record
+from soil_env._compiled.flags import HUGE, compiled, record
 from soil_env._compiled.random_streams import between, normal_pair, uniform
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects import depends_on_speed
@@ -71,13 +70,13 @@ class CourseNumbers(NamedTuple):
     acting: Acting
 
 
-@njit(**EXACT)
+@compiled
 def within(owner, bounds):
     """Next number of a stream, uniform in `bounds` [low, high)."""
     return between(owner, bounds[0], bounds[1])
 
 
-@njit(**EXACT)
+@compiled
 def draw_soil(owner, drawn):
     """One soil: a preset by weight, scattered by `SoilSpread`; from the stream of `owner`."""
     pick = uniform(owner)
@@ -87,7 +86,7 @@ def draw_soil(owner, drawn):
     return scattered(soil_of(drawn.presets[i]), 1.0, owner, drawn.spec)
 
 
-@njit(**EXACT)
+@compiled
 def scattered(mean, share, owner, spec):
     """A soil that scatters about `mean` by a share of `SoilSpread`; deviations are cut."""
     z0, z1 = normal_pair(owner)
@@ -111,19 +110,19 @@ def scattered(mean, share, owner, spec):
     return SoilState(math.tan(phi), cohesion, modulus, coefficient, n, gain, *mean[6:])
 
 
-@njit(**EXACT)
+@compiled
 def _cut(deviation):
     return min(max(deviation, -CUT), CUT)
 
 
-@njit(**EXACT)
+@compiled
 def _factor(variation, deviation):
     """Log-normal factor of mean 1 with this coefficient of variation, at a deviation [sigma]."""
     s = math.sqrt(math.log(1.0 + variation * variation))
     return math.exp(s * deviation - 0.5 * s * s)
 
 
-@njit(**EXACT)
+@compiled
 def _residual_of(best, load, soil, at, rig, residual):
     """(pull [of weight], torque [of weight x radius]) that a residual law adds."""
     if residual is None:
@@ -135,7 +134,7 @@ def _residual_of(best, load, soil, at, rig, residual):
         return pull, torque
 
 
-@njit(**EXACT)
+@compiled
 def capacity(load, soil, numbers, nodes):
     """Best steady drawbar pull over load [N] on level ground, `IMPASSABLE` for a bogged wheel.
 
@@ -162,7 +161,7 @@ def capacity(load, soil, numbers, nodes):
     return max(least, IMPASSABLE)
 
 
-@njit(**EXACT)
+@compiled
 def draw_ground(ground, owner, load, numbers, nodes):
     """Draw the soil of `ground`, which leaves this wheel the least pull; False if none was found.
 

@@ -4,15 +4,13 @@ Two routes over a patch have soils of different classes and the same slopes, whi
 looking at the soils: both routes may be passable, or one, or none.
 """
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT, INLINE
+from soil_env._compiled.flags import compiled, inlined
 from soil_env._compiled.random_streams import normal_pair, uniform
 from soil_env.simulation.world.passability import capacity, draw_ground, scattered, within
 from soil_env.terramechanics.ground import put_soil, soil_of
 
 
-@njit(**INLINE)
+@inlined
 def draw_classes(course, load, numbers, nodes):
     """Draw the soils of the classes of a course; False if one was not found."""
     for c in range(numbers.drawn.spec.classes):
@@ -21,14 +19,14 @@ def draw_classes(course, load, numbers, nodes):
     return True
 
 
-@njit(**EXACT)
+@compiled
 def _another(owner, classes, one):
     """A class other than `one`."""
     other = int(uniform(owner) * (classes - 1))
     return other + 1 if other >= one else other
 
 
-@njit(**INLINE)
+@inlined
 def _introduced(course, p, classes):
     """Class of a patch p < classes: one that no patch before it is of, by chance."""
     left = classes - p
@@ -44,7 +42,7 @@ def _introduced(course, p, classes):
     return 0
 
 
-@njit(**EXACT)
+@compiled
 def _draw_route(course, route, load, numbers, nodes):
     """Draw the soil of a `ROUTE` of a known class."""
     spec = numbers.drawn.spec
@@ -54,7 +52,7 @@ def _draw_route(course, route, load, numbers, nodes):
     route.capacity = capacity(load, soil, numbers, nodes)
 
 
-@njit(**INLINE)
+@inlined
 def draw_routes(course, load, numbers, nodes):
     """Draw the routes of the next patch of a course with terrain classes."""
     p = course.drawn
@@ -77,7 +75,7 @@ def draw_routes(course, load, numbers, nodes):
     set_route(course, p, 0)
 
 
-@njit(**INLINE)
+@inlined
 def _draw_camera_errors(course, p, spec):
     """Draw the errors of the camera in patch p, and how far before it the wheel is halted."""
     fork = course.forks[p]
@@ -99,7 +97,7 @@ def _draw_camera_errors(course, p, spec):
     fork.halt = -within(course, spec.halt_before)
 
 
-@njit(**EXACT)
+@compiled
 def set_route(course, p, route):
     """Let the course lead along a route of patch p."""
     taken = course.routes[p, route]
@@ -107,7 +105,7 @@ def set_route(course, p, route):
     put_soil(course.patches[p], taken)
 
 
-@njit(**EXACT)
+@compiled
 def next_fork(wheel, course, border):
     """The patch with two routes that a wheel comes to next and has not touched yet, or -1."""
     ahead = wheel.patch + 1
@@ -116,7 +114,7 @@ def next_fork(wheel, course, border):
     return ahead if wheel.best_x < course.patches[ahead].start - 0.5 * border else -1
 
 
-@njit(**EXACT)
+@compiled
 def plan_halt(wheel, course, rig):
     """Let a wheel halt before the next fork; a halt shortly before that one waits for it."""
     fork = next_fork(wheel, course, rig.border)
@@ -126,7 +124,7 @@ def plan_halt(wheel, course, rig):
             wheel.next_halt = place
 
 
-@njit(**EXACT)
+@compiled
 def choosing(wheel, course, view):
     """The patch whose route the action chooses now, or -1: at a halt with a fork in sight.
 
@@ -140,7 +138,7 @@ def choosing(wheel, course, view):
     return fork
 
 
-@njit(**EXACT)
+@compiled
 def settled(wheel, course, p):
     """True if a wheel has no choice over patch p: one route, or it has come to the halt."""
     fork = course.forks[p]

@@ -4,9 +4,8 @@ from math import hypot
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from soil_env._compiled.flags import FINITE, record
+from soil_env._compiled.flags import compiled_finite, record
 from soil_env._compiled.random_streams import PAIRS, draw_normals
 from soil_env.parameters import Scenario
 from soil_env.parameters.readings import SensorReading, reading_errors
@@ -61,7 +60,7 @@ def sensors_of(scenario: Scenario) -> np.ndarray:
     return sensors
 
 
-@njit(**FINITE)
+@compiled_finite
 def _scatter(out, sd, normals):
     """Fill the record `out` with normal numbers of the standard deviations of the record `sd`."""
     first = normals.first
@@ -78,7 +77,7 @@ def _scatter(out, sd, normals):
     out.acceleration = sd.acceleration * second[4]
 
 
-@njit(**FINITE)
+@compiled_finite
 def mount_sensors(wheel, normals, sensors):
     """Draw zeros and gains of the sensors of a wheel for a course."""
     draw_normals(wheel, normals, PAIRS)
@@ -87,7 +86,7 @@ def mount_sensors(wheel, normals, sensors):
     _scatter(wheel.gain[0], sensors.gain[0], normals)
 
 
-@njit(**FINITE)
+@compiled_finite
 def roll_odometer(vehicle, speed, period):
     """Odometry after a control period [s] at whose end the sensor read this `speed` [m/s].
 
@@ -97,7 +96,7 @@ def roll_odometer(vehicle, speed, period):
     vehicle.odometer += speed * period
 
 
-@njit(**FINITE)
+@compiled_finite
 def sense(wheel, reading, normals, sensors, errors, radius):
     """Fill the record `reading` (`READING`) with readings of a wheel of `radius` [m], of the slip
     with white noise only (`read_slip`).
@@ -121,7 +120,7 @@ def sense(wheel, reading, normals, sensors, errors, radius):
     reading.acceleration += (1.0 + gain.acceleration) * pull / wheel.mass + zero.acceleration
 
 
-@njit(**FINITE)
+@compiled_finite
 def read_slip(wheel, reading, sensors, errors):
     """Complete a `reading`, whose slip is white noise so far, by the slip of a sensor of its own,
     or, without one, by that of the two speeds that were read.
@@ -135,7 +134,7 @@ def read_slip(wheel, reading, sensors, errors):
     reading.slip = min(max(slip + reading.slip, -1.0), 1.0)
 
 
-@njit(**FINITE)
+@compiled_finite
 def _seen_sinkage(slip, sinkage, errors):
     """Sinkage [m] as a sensor with `SensorErrors` shows it, without noise."""
     seen = sinkage + errors.sinkage_offset_offset

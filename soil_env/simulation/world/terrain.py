@@ -4,11 +4,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.cache import kept
 from soil_env._compiled.elementary import smooth_step
-from soil_env._compiled.flags import EXACT, HUGE, record
+from soil_env._compiled.flags import HUGE, compiled, record
 from soil_env.parameters import MOST_CLASSES, Scenario, SoilState
 from soil_env.terramechanics.effects.multipass import COMPACTION, rut_growth
 from soil_env.terramechanics.ground import blend, put_soil, soil_of
@@ -106,7 +105,7 @@ def new_courses(wheels: int, scenario: Scenario) -> np.ndarray:
     return courses
 
 
-@njit(**EXACT)
+@compiled
 def piece_at(pieces, x, piece):
     """Index of the patch or slope at x [m], from a first guess; those not drawn begin at `HUGE`."""
     while piece + 1 < pieces.size and x >= pieces[piece + 1].start:
@@ -116,7 +115,7 @@ def piece_at(pieces, x, piece):
     return piece
 
 
-@njit(**EXACT)
+@compiled
 def border_near(pieces, x, piece, border):
     """(piece before the border, share of the piece behind it) at x [m] on `piece`, a patch or
     slope.
@@ -134,7 +133,7 @@ def border_near(pieces, x, piece, border):
     return first, smooth_step(t)[0]
 
 
-@njit(**EXACT)
+@compiled
 def soil_on(patches, x, patch, border):
     """`SoilState` of undisturbed ground at x [m], which is on `patch` (`piece_at`).
 
@@ -146,7 +145,7 @@ def soil_on(patches, x, patch, border):
     return blend(patches[first], patches[first + 1], share)
 
 
-@njit(**EXACT)
+@compiled
 def grade_on(slopes, x, slope, border):
     """Grade [rad] of undisturbed ground at x [m], which is on `slope`; it bends as soils pass."""
     first, share = border_near(slopes, x, slope, border)
@@ -156,19 +155,19 @@ def grade_on(slopes, x, slope, border):
     return (1.0 - share) * grade + share * slopes[first + 1].grade
 
 
-@njit(**EXACT)
+@compiled
 def cell_at(cells, x):
     """Index of the rut cell at x [m]; the first begins `BEHIND` metres before the start."""
     return min(max(int(math.floor(x / CELL)) + CELLS_BEHIND, 0), cells.size - 1)
 
 
-@njit(**EXACT)
+@compiled
 def place_in_cells(x):
     """Place x [m] in cells, from the middle of the first one."""
     return x / CELL + (CELLS_BEHIND - 0.5)
 
 
-@njit(**EXACT)
+@compiled
 def between_cells(cells, x):
     """(cell, way from its middle to that of the next [-]) at x [m], with so many `cells`."""
     place = min(max(place_in_cells(x), 0.0), cells - 1.0)
@@ -176,7 +175,7 @@ def between_cells(cells, x):
     return i, place - i
 
 
-@njit(**EXACT)
+@compiled
 def pass_at(cells, x):
     """Number of the pass over x [m], 1 on fresh soil; linear between the middles of the cells."""
     i, way = between_cells(cells.size, x)
@@ -184,7 +183,7 @@ def pass_at(cells, x):
     return 1.0 + here + way * (cells[i + 1].passes - here)
 
 
-@njit(**EXACT)
+@compiled
 def clear(cell):
     """Make a cell of the rut undisturbed ground."""
     cell.passes = 0.0
@@ -192,7 +191,7 @@ def clear(cell):
     cell.depth = 0.0
 
 
-@njit(**EXACT)
+@compiled
 def depth_to_come(cell):
     """Depth [m] below its floor to which a wheel that comes onto this cell rolls the rut; 0 where
     it is its first pass.
@@ -203,7 +202,7 @@ def depth_to_come(cell):
     return whole * rut_growth(cell.passes + 1.0, COMPACTION) - cell.floor
 
 
-@njit(**EXACT)
+@compiled
 def in_cell(cell, x):
     """True if a wheel that comes from `cell` is still in it at x [m]: the next one begins in its
     own middle.
@@ -214,7 +213,7 @@ def in_cell(cell, x):
     return cell - 1.0 < place_in_cells(x) < cell + 1.0
 
 
-@njit(**EXACT)
+@compiled
 def cell_after(cells, cell, x):
     """The cell of a wheel that comes from `cell` and is at x [m], of so many `cells`."""
     if in_cell(cell, x):
@@ -224,7 +223,7 @@ def cell_after(cells, cell, x):
     return int(min(max(after, 0.0), cells - 1.0))
 
 
-@njit(**EXACT)
+@compiled
 def leave_rut(cell, depth):
     """Mark a cell as driven over once more, with a rut of `depth` [m] below its floor."""
     cell.passes += 1.0

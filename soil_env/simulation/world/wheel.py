@@ -14,10 +14,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from soil_env._compiled.elementary import exp, power
-from soil_env._compiled.flags import EXACT, FINITE, INLINE, record, uncompiled
+from soil_env._compiled.flags import compiled, compiled_finite, inlined, record, uncompiled
 from soil_env._compiled.random_streams import between
 from soil_env.parameters import Scenario, SoilState
 from soil_env.parameters.wheel import refuse_lugs_on_tyre
@@ -224,7 +223,7 @@ def acting_in(model: WheelSoilModel | None) -> Acting:
     return acting_on(acting_effects(model.numbers), law)
 
 
-@njit(**INLINE)
+@inlined
 def commanded(wheel, action, halted, rig):
     """`Drive` of a control period: the action itself, or the rim speed that it leads to where it is
     a rim acceleration.
@@ -248,7 +247,7 @@ def commanded(wheel, action, halted, rig):
     return Drive(command, by_speed)
 
 
-@njit(**INLINE)
+@inlined
 def begin_period(wheel):
     """Set what a control period sums up to its start."""
     wheel.motor_work = 0.0
@@ -257,7 +256,7 @@ def begin_period(wheel):
     wheel.converged = 1
 
 
-@njit(**INLINE)
+@inlined
 def sink(wheel, ground, mobilised, path, rig):
     """Place and sinkage of a wheel after a stage on `Ground`, in which its load mobilised the
     coefficient `mobilised`.
@@ -290,7 +289,7 @@ def sink(wheel, ground, mobilised, path, rig):
     wheel.bearing_sinkage = bearing
 
 
-@njit(**INLINE)
+@inlined
 def relax_sinkage(sinkage, bearing, onto, path, soil, length):
     """Sinkage [m] after dz/dt = B z_w - A z + |V| (onto - z_w)/length along a `Path`
     (`effects.excavation_rate`).
@@ -312,7 +311,7 @@ def relax_sinkage(sinkage, bearing, onto, path, soil, length):
     return goal + (sinkage - goal) * exp(-a * path.duration)
 
 
-@njit(**FINITE)
+@compiled_finite
 def leave_ruts(wheel, cells):
     """Mark the cells that a wheel has passed in a stage; the next one begins in its own middle."""
     after = cell_after(cells.size, wheel.cell, wheel.x)
@@ -325,7 +324,7 @@ def leave_ruts(wheel, cells):
         wheel.rut_to_come = depth_to_come(cells[wheel.cell])
 
 
-@njit(**INLINE)
+@inlined
 def end_period(wheel, x_start, owner, rig):
     """End a control period of a wheel or a whole rover that began at `x_start` [m].
 
@@ -340,13 +339,13 @@ def end_period(wheel, x_start, owner, rig):
         wheel.next_halt = wheel.x + between(owner, rig.halt_low, rig.halt_high)
 
 
-@njit(**INLINE)
+@inlined
 def measure_slip(wheel, rig):
     """Set the slip of a wheel from its speeds."""
     wheel.slip = slip_ratio(wheel.wheel_speed * rig.radius, wheel.speed, REST_SPEED)
 
 
-@njit(**EXACT)
+@compiled
 def settle_at(wheel, x, mass, course, world):
     """Put a wheel, its record blank but for its stream, at rest at x [m], sunk in by its load."""
     rig = world.rig

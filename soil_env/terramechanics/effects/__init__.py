@@ -8,7 +8,7 @@ How to add an effect, in four files beside tests and pages:
    a space multiplies and names have no dash. Set `varies` to the condition that shows the effect.
    A constant of the source that is not fitted is a parameter `reference_speed` with scale 0.
    Another form of a listed mechanism is a `Form`, no effect.
-2. Write its law there as a function under `@njit(**EXACT)`. `fx.<name>_<parameter>` are its
+2. Write its law there as a function under `@compiled`. `fx.<name>_<parameter>` are its
    numbers; at the neutral values the law changes nothing.
 3. Add the module to `_MODULES` below, and the law to the function below that composes the laws of
    its place: `soil_in_contact` (strength and bearing under the wheel), `arc_ends` (exit angle and
@@ -40,9 +40,7 @@ from collections import namedtuple
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env._io.loading import ParameterError, number, unknown_key
 from soil_env.terramechanics.effects import (
     bulldozing,
@@ -176,7 +174,7 @@ def acting_effects(fx: Effects) -> Effects | None:
     return switched_on(fx)
 
 
-@njit(**EXACT)
+@compiled
 def soil_in_contact(soil, passage, fx):
     """`SoilState` that the wheel meets on undisturbed `soil`: one law after the other."""
     if fx is None:
@@ -189,7 +187,7 @@ def soil_in_contact(soil, passage, fx):
         return grade.weakened_on_slope(soil, passage, fx)
 
 
-@njit(**EXACT)
+@compiled
 def arc_ends(theta1, slip, fx):
     """(exit angle theta2, angle thetam of the stress peak) [rad]; the peak stays 5 % of the arc
     away from its ends.
@@ -203,7 +201,7 @@ def arc_ends(theta1, slip, fx):
         return theta2, min(max(peak, theta2 + 0.05 * span), theta1 - 0.05 * span)
 
 
-@njit(**EXACT)
+@compiled
 def soil_resistance(sinkage, soil, wheel, fx):
     """Force [N] of the soil against the travel, beside that in the contact."""
     if fx is None:
@@ -212,7 +210,7 @@ def soil_resistance(sinkage, soil, wheel, fx):
         return bulldozing.bulldozing_resistance(sinkage, soil, wheel, fx)
 
 
-@njit(**EXACT)
+@compiled
 def drive_friction(torque, wheel_speed, floor, fx):
     """`Friction` between motor and axle; it fades out below the wheel speed `floor` [rad/s]."""
     if fx is None:
@@ -221,13 +219,13 @@ def drive_friction(torque, wheel_speed, floor, fx):
         return friction_at(torque, wheel_speed, floor, fx)
 
 
-@njit(**EXACT)
+@compiled
 def drive_torque(torque, wheel_speed, floor, fx):
     """Torque [N m] at the motor for a torque at the axle, with `drive_friction`."""
     return torque + drive_friction(torque, wheel_speed, floor, fx).torque
 
 
-@njit(**EXACT)
+@compiled
 def depends_on_speed(fx):
     """True if the strength of the soil goes with the speed."""
     if fx is None:

@@ -2,13 +2,11 @@
 
 import math
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.entry import PULL, Effect, EffectParameter as P, Form
 
 
-@njit(**EXACT)
+@compiled
 def passive_coefficient(tan_phi):
     """Rankine's coefficient of passive earth pressure, tan^2(45 deg + phi/2) = (1 + sin phi)/(1 -
     sin phi).
@@ -17,7 +15,7 @@ def passive_coefficient(tan_phi):
     return (secant + tan_phi) / (secant - tan_phi)
 
 
-@njit(**EXACT)
+@compiled
 def bulldozing_resistance(sinkage, soil, wheel, fx):
     """Resistance [N] of the soil pushed ahead of the wheel to the depth of its sinkage.
 

@@ -2,10 +2,8 @@
 
 from typing import NamedTuple
 
-from numba import njit
-
 from soil_env._compiled.elementary import smoothed_sign
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.entry import (
     TORQUE,
     Bench,
@@ -23,7 +21,7 @@ class Friction(NamedTuple):
     by_wheel_speed: float
 
 
-@njit(**EXACT)
+@compiled
 def friction_at(torque, wheel_speed, floor, fx):
     """`Friction`: Coulomb, viscous and a share of the torque; the sign is smoothed below `floor`
     [rad/s].

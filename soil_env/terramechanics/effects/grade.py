@@ -2,10 +2,8 @@
 
 import math
 
-from numba import njit
-
 from soil_env._compiled.elementary import asin_root, power
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.entry import (
     PULL,
     SINKAGE,
@@ -17,14 +15,14 @@ from soil_env.terramechanics.effects.entry import (
 from soil_env.terramechanics.ground import stiffened
 
 
-@njit(**EXACT)
+@compiled
 def weight_on_slope(load, sin_grade, fx):
     """(load normal to the ground, pull along the slope) [N] of a weight `load` [N]."""
     normal = load * (1.0 - fx.grade_share * (1.0 - math.sqrt(1.0 - sin_grade * sin_grade)))
     return normal, fx.grade_share * load * sin_grade
 
 
-@njit(**EXACT)
+@compiled
 def slope_factor(soil, sin_grade, fx):
     """Bearing on a slope over that on the level: Meyerhof's (1 - |b|/phi)^2 for a load
     at the angle b, to the power w.
@@ -36,7 +34,7 @@ def slope_factor(soil, sin_grade, fx):
     return power(max(left, 0.02), 2.0 * fx.grade_weakening)
 
 
-@njit(**EXACT)
+@compiled
 def weakened_on_slope(soil, passage, fx):
     """Soil with S by the `slope_factor`."""
     return stiffened(soil, slope_factor(passage.undisturbed, passage.sin_grade, fx))

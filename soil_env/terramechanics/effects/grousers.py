@@ -2,9 +2,7 @@
 
 import math
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.bulldozing import passive_coefficient
 from soil_env.terramechanics.effects.entry import (
     PULL,
@@ -20,7 +18,7 @@ from soil_env.terramechanics.ground import with_strength
 BLADE_SLIP = 0.015  # slip over which the thrust of the lugs comes in
 
 
-@njit(**EXACT)
+@compiled
 def contact_radius(wheel, fx):
     """Radius [m] that carries the normal stress: of the rim, or part of the way to the tips of the
     lugs.
@@ -31,7 +29,7 @@ def contact_radius(wheel, fx):
         return wheel.radius + fx.grousers_radius_share * wheel.grouser_height
 
 
-@njit(**EXACT)
+@compiled
 def shear_radius_ratio(wheel, fx):
     """Radius at which the soil between the lugs is sheared, over the `contact_radius`."""
     if fx is None:
@@ -41,7 +39,7 @@ def shear_radius_ratio(wheel, fx):
         return 1.0 + fx.grousers_shear_share * wheel.grouser_height / r
 
 
-@njit(**EXACT)
+@compiled
 def at_shear_radius(soil, q, shear_modulus):
     """The soil whose forces at the rim are those of `soil` at q times its radius: strength times q;
     K as given [m].
@@ -53,7 +51,7 @@ def at_shear_radius(soil, q, shear_modulus):
     )
 
 
-@njit(**EXACT)
+@compiled
 def blade_thrust(theta1, sinkage, soil, wheel, fx):
     """Thrust [N] of the lugs in the ground along the rim of a slipping wheel: lugs a radian x
     theta1 x thrust of one.
@@ -70,7 +68,7 @@ def blade_thrust(theta1, sinkage, soil, wheel, fx):
     return fx.grousers_blades * theta1 * one
 
 
-@njit(**EXACT)
+@compiled
 def blades_at(thrust, slip):
     """(what acts of the `blade_thrust` [N] at this slip, its derivative): none where the wheel
     rolls freely.

@@ -2,10 +2,8 @@
 
 import math
 
-from numba import njit
-
 from soil_env._compiled.elementary import exp, power
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.entry import (
     PULL,
     SINKAGE,
@@ -22,20 +20,20 @@ COMPACTION = 0.6
 LEAST_PART = 1e-6  # [-] of the first pass that a later one still sinks, at least
 
 
-@njit(**EXACT)
+@compiled
 def _part_of_pass(number, compaction):
     """Sinkage of a pass into the floor of the rut over that of the first one."""
     grown = power(number, 1.0 - compaction) - power(number - 1.0, 1.0 - compaction)
     return max(grown, LEAST_PART)
 
 
-@njit(**EXACT)
+@compiled
 def rut_growth(passes, compaction):
     """Depth of the rut after so many passes, at least 2, over that before the last one."""
     return power(passes / (passes - 1.0), 1.0 - compaction)
 
 
-@njit(**EXACT)
+@compiled
 def rut_stiffness(passes, exponent, compaction):
     """Sinkage coefficient of the floor of a rut over that of fresh soil, for pass N; at least 1.
 
@@ -54,7 +52,7 @@ def rut_stiffness(passes, exponent, compaction):
     return low + (passes - whole) * (high - low)
 
 
-@njit(**EXACT)
+@compiled
 def bearing_goes_with_passes(fx):
     """True if the effect says how earlier passes change the sinkage coefficient."""
     if fx is None:
@@ -65,7 +63,7 @@ def bearing_goes_with_passes(fx):
         return power_or_rut or gain or fx.multipass_slip_gain != 0.0
 
 
-@njit(**EXACT)
+@compiled
 def in_rut(soil, passes, fx):
     """Soil that a wheel of the simulated world meets on so many passes, this one counted: that of
     the effect where it is on.
@@ -76,7 +74,7 @@ def in_rut(soil, passes, fx):
     return stiffened(soil, factor)
 
 
-@njit(**EXACT)
+@compiled
 def depends_on_passes(fx):
     """True if earlier passes change the soil."""
     if fx is None:
@@ -90,7 +88,7 @@ def depends_on_passes(fx):
         return strength or bearing_goes_with_passes(fx)
 
 
-@njit(**EXACT)
+@compiled
 def pass_factor(passes, slip, exponent, fx):
     """Sinkage coefficient in the track of earlier passes over that of fresh soil, earlier passes at
     the same slip.
@@ -107,7 +105,7 @@ def pass_factor(passes, slip, exponent, fx):
     return rut * power(passes, fx.multipass_hardening) * max(1.0 + gain, 0.05)
 
 
-@njit(**EXACT)
+@compiled
 def passed_over(soil, passage, fx):
     """Soil in the track: bearing by `pass_factor`, strength and K by powers of the pass number."""
     if not depends_on_passes(fx):

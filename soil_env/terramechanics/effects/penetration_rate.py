@@ -1,9 +1,7 @@
 """Rate of penetration: bearing that goes with the travel speed."""
 
-from numba import njit
-
 from soil_env._compiled.elementary import exp, log
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.entry import (
     PULL,
     SINKAGE,
@@ -16,7 +14,7 @@ from soil_env.terramechanics.effects.entry import (
 from soil_env.terramechanics.ground import stiffened
 
 
-@njit(**EXACT)
+@compiled
 def rate_factor(speed, reference, exponent, slope):
     """Strength at `speed` over strength at `reference` [m/s]: (v/v0)^m, or 1 + a ln(v/v0) where the
     power m is 0.
@@ -29,13 +27,13 @@ def rate_factor(speed, reference, exponent, slope):
     return max(exp(exponent * x) + slope * x, 0.1)
 
 
-@njit(**EXACT)
+@compiled
 def bearing_goes_with_speed(fx):
     """True if the law is on."""
     return fx.penetration_rate_exponent != 0.0 or fx.penetration_rate_slope != 0.0
 
 
-@njit(**EXACT)
+@compiled
 def loaded_fast(soil, passage, fx):
     """Soil with S by the `rate_factor` of the travel speed."""
     factor = rate_factor(

@@ -1,8 +1,6 @@
 """Contact behind the lowest point of the rim."""
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.entry import (
     PULL,
     SINKAGE,
@@ -13,7 +11,7 @@ from soil_env.terramechanics.effects.entry import (
 )
 
 
-@njit(**EXACT)
+@compiled
 def exit_and_peak(theta1, fx):
     """Exit angle -l theta1, with the stress peak midway between entry and exit or, if it is kept,
     at theta1/2.

@@ -1,9 +1,7 @@
 """Rate of shear: strength that goes with the sliding speed."""
 
-from numba import njit
-
 from soil_env._compiled.elementary import log
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.entry import (
     PULL,
     SINKAGE,
@@ -17,7 +15,7 @@ from soil_env.terramechanics.effects.penetration_rate import rate_factor
 from soil_env.terramechanics.ground import with_strength
 
 
-@njit(**EXACT)
+@compiled
 def strength_goes_with_speed(fx):
     """True if the law is on."""
     return (
@@ -25,7 +23,7 @@ def strength_goes_with_speed(fx):
     )
 
 
-@njit(**EXACT)
+@compiled
 def sheared_fast(soil, passage, fx):
     """Soil with friction and cohesion by the `rate_factor` of the sliding speed, or cohesion by its
     own law.

@@ -1,8 +1,6 @@
 """Shear softening: strength with a peak and a residual."""
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.contact import ShearLaw
 from soil_env.terramechanics.effects.entry import (
     PULL,
@@ -18,7 +16,7 @@ from soil_env.terramechanics.effects.entry import (
 JANOSI = ShearLaw(1.0, 0.0, 0.0, 1.0, 0.0)
 
 
-@njit(**EXACT)
+@compiled
 def mobilisation(fx):
     """`ShearLaw` with a peak and a residual strength, or that of Eq. (10) where neither is on.
 
@@ -44,7 +42,7 @@ def mobilisation(fx):
         )
 
 
-@njit(**EXACT)
+@compiled
 def shear_length_ratio(fx):
     """Length of the shear law over K: 4 s/(1 + s) where K is that of the first slope, else 1."""
     s = fx.shear_softening_sharpness

@@ -1,12 +1,10 @@
 """Offset of the measured sinkage."""
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.entry import SINKAGE, Bench, Effect, EffectParameter as P, Form
 
 
-@njit(**EXACT)
+@compiled
 def sinkage_zero(fx):
     """What a sinkage sensor reads too much [m]."""
     if fx is None:

@@ -1,8 +1,6 @@
 """Bias of the measured slip."""
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.slip import slip_of_radius
 from soil_env.terramechanics.effects.entry import (
     PULL,
@@ -14,7 +12,7 @@ from soil_env.terramechanics.effects.entry import (
 )
 
 
-@njit(**EXACT)
+@compiled
 def true_slip(measured, fx):
     """Slip of the wheel where the measured one has an offset d, or comes from a rolling radius r (1
     - e).
@@ -28,7 +26,7 @@ def true_slip(measured, fx):
         return min(max(slip, -1.0), 1.0)
 
 
-@njit(**EXACT)
+@compiled
 def measured_slip(slip, fx):
     """Inverse of `true_slip`."""
     if fx is None:

@@ -1,8 +1,6 @@
 """Slip-sinkage: a slipping wheel digs."""
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.entry import (
     PULL,
     SINKAGE,
@@ -15,7 +13,7 @@ from soil_env.terramechanics.effects.entry import (
 from soil_env.terramechanics.ground import with_digging
 
 
-@njit(**EXACT)
+@compiled
 def slip_sinkage_ratio(slip, gain, recovery):
     """Steady sinkage over the sinkage of the same load on undisturbed soil: 1 + gain |i| / (1 - |i|
     + recovery |i|).
@@ -30,7 +28,7 @@ def slip_sinkage_ratio(slip, gain, recovery):
     return digging_ratio(abs(slip), 1.0 if slip < 0.0 else 1.0 - slip, gain, recovery)
 
 
-@njit(**EXACT)
+@compiled
 def digging_ratio(slid, way, gain, recovery):
     """Steady sinkage over that without slip, at least 1, where the rim slides by `slid` on a `way`
     of the same unit.
@@ -38,7 +36,7 @@ def digging_ratio(slid, way, gain, recovery):
     return 1.0 + gain * slid / max(way + recovery * slid, 1e-6)
 
 
-@njit(**EXACT)
+@compiled
 def onto_fresh(x, low, high):
     """Distance [m] by which a wheel at x has left the section from `low` to `high` that it had
     touched before.
@@ -46,7 +44,7 @@ def onto_fresh(x, low, high):
     return max(x - high, 0.0) + max(low - x, 0.0)
 
 
-@njit(**EXACT)
+@compiled
 def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
     """Coefficients (A, B) [1/s] of the sinkage law dz/dt = B z_w - A z, with z_w [m] that
     undisturbed soil has:
@@ -58,7 +56,7 @@ def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
     return a, b
 
 
-@njit(**EXACT)
+@compiled
 def digging(soil, fx):
     """(gain, recovery) of `slip_sinkage_ratio`: the effect's where it is on, else those of the
     soil.
@@ -71,7 +69,7 @@ def digging(soil, fx):
         return soil.dig_gain, soil.dig_recovery
 
 
-@njit(**EXACT)
+@compiled
 def excavated_depth(slip, fx):
     """Depth [m] that a slipping wheel excavates whatever its load: l |i| / (1 - |i|), Reece's law
     with its length l.
@@ -83,7 +81,7 @@ def excavated_depth(slip, fx):
         return fx.slip_sinkage_length * i / (1.0 - i)
 
 
-@njit(**EXACT)
+@compiled
 def dug(soil, passage, fx):
     """Soil with the exponent n + n1 |i| and the digging of the effect."""
     n = max(soil.sinkage_exponent + fx.slip_sinkage_exponent_slope * abs(passage.slip), 0.0)

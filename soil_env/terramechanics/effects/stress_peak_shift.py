@@ -1,8 +1,6 @@
 """Stress peak that moves with slip."""
 
-from numba import njit
-
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.entry import (
     PULL,
     SINKAGE,
@@ -14,7 +12,7 @@ from soil_env.terramechanics.effects.entry import (
 )
 
 
-@njit(**EXACT)
+@compiled
 def peak_shift(theta1, slip, fx):
     """Shift [rad] of the stress peak: (a + c |i|) theta1."""
     share = fx.stress_peak_shift_offset + fx.stress_peak_shift_slope * abs(slip)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.drives import SHARED, UNITS, SwingingSlip, rover_scenario
+from soil_env.identification.online.memory import PUBLISHED
 from soil_env.identification.online.prior import published_prior, setting_of
 from soil_env.identification.online.rover_on_board import limit_to_wheel
 from soil_env.parameters import load_rover
@@ -48,9 +49,9 @@ def recorded():
             {
                 "soil": ground(w.courses, places, scenario.course.border),
                 "driven": np.repeat(driven[:, None], scenario.axles, 1),
-                "alone": w.ids.estimate.copy(),
+                "alone": w.ids.estimate[..., :PUBLISHED].copy(),
                 "alone_sd": w.ids.sd.copy(),
-                "pooled": w.known.estimate.copy(),
+                "pooled": w.known.estimate[..., :PUBLISHED].copy(),
                 "pooled_sd": w.known.sd.copy(),
             }
         )
