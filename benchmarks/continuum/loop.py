@@ -74,7 +74,7 @@ def learn(table: Path) -> tuple[Report, dict[str, list[float]]]:
 
 def settings(shape: Shape, grade: float) -> dict[str, Any]:
     """The drive up a grade [deg], with exact sensors: changes of the scenario `mixed`."""
-    even = (LONG.length * 100.0,) * 2
+    even = (LONG.length * 10.0,) * 2
     return {
         "wheel": {"radius": shape.radius, "width": shape.width} | DRIVE,
         "noise": {field.name: 0.0 for field in fields(Noise)},
