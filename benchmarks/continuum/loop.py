@@ -30,7 +30,7 @@ from soil_env_agents.controllers import make_controller
 LEARNT = (40.0, 80.0, 120.0)  # [N] loads that the models are fitted to
 LOAD = 180.0  # [N] of the drive: the load of the rows that are left out
 SLIP = 0.3  # [-] not to exceed: more of it costs energy and digs
-GRADES = tuple(np.arange(-8.0, 16.01, 0.5).tolist())  # [deg] that the rule is tuned over
+GRADES = tuple(np.arange(-8.0, 25.01, 0.5).tolist())  # [deg] that the rule is tuned over
 SPEED = 0.2  # [m/s] of the rim
 ACCELERATION = 0.2  # [m/s2] of the rim from rest
 SECONDS = 6.0  # of a drive
