@@ -108,21 +108,36 @@ def test_the_python_of_a_page_runs(page, tmp_path):
         assert printed in done.stdout, done.stdout
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("page", [ROOT / "README.md", DOCS / "guide" / "discovery.md"], ids=name_of)
-def test_the_discovery_of_a_page(page):
-    """What the command prints, of which the notebook of the same table prints all."""
-    notebooks = pytest.importorskip("mkdocs_notebooks", reason="jupytext is in the extra docs")
-    notebook = notebooks.executed("discover_and_predict")["discover_and_predict"]
-    first = next(cell for cell in notebook.cells if cell.cell_type == "code")
-    said = "".join(output.text for output in first.outputs if output.name == "stdout")
+def compare_discovery(page: Path, table: str, said: str) -> None:
+    """Whether parts of what a command prints of a table stand below it on the page."""
     command = next(b for b in blocks(page, "sh") if b["code"].startswith("soil-env discover"))
-    assert "examples/data/rig.csv" in command["code"]
+    assert f"examples/data/{table}" in command["code"]
     (printed,) = printed_below(page, [command], anywhere=True)
     words = " ".join(said.translate(FRAME).split())
     for part in printed.translate(FRAME).split("[...]"):
         for paragraph in part.split("\n\n"):
             assert " ".join(paragraph.split()) in words, paragraph
+
+
+@pytest.mark.slow
+def test_the_discovery_of_the_page():
+    """What the command prints, of which the notebook of the same table prints all."""
+    notebooks = pytest.importorskip("mkdocs_notebooks", reason="jupytext is in the extra docs")
+    notebook = notebooks.executed("discover_and_predict")["discover_and_predict"]
+    first = next(cell for cell in notebook.cells if cell.cell_type == "code")
+    said = "".join(output.text for output in first.outputs if output.name == "stdout")
+    compare_discovery(DOCS / "guide" / "discovery.md", "rig.csv", said)
+
+
+@pytest.mark.slow
+def test_the_discovery_of_the_readme(tmp_path, monkeypatch, unrendered):
+    readme = ROOT / "README.md"
+    command = next(b for b in blocks(readme, "sh") if b["code"].startswith("soil-env discover"))
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(ROOT / "examples" / "data", tmp_path / "examples" / "data")
+    done = CliRunner().invoke(soil_env, shlex.split(command["code"])[1:])
+    assert done.exit_code == 0, done.output
+    compare_discovery(readme, "continuum.csv", done.output)
 
 
 def test_the_identification_of_the_page(tmp_path, monkeypatch, unrendered):
