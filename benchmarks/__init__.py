@@ -2,5 +2,7 @@
 docs/results.
 
 `identification`: calibration by drive. `discovery`: blind naming of hidden mechanisms.
-`rigs`: the model beside measured wheels. `throughput`: speed.
+`prediction`: rows that were left out. `continuum`: a wheel on a computed continuum, from its table
+to a drive on it. `rigs`: the model beside measured wheels. `robustness`: wrong and dead sensors.
+`throughput`: speed.
 """

@@ -1,13 +1,17 @@
 """The wheel on a continuum: the laws that its soil and its contact have to keep."""
 
+import json
 import math
 
 import numpy as np
 import pytest
 
-from benchmarks.continuum import __main__ as continuum, rig as rows_of
+from benchmarks.common import RESULTS
+from benchmarks.continuum import __main__ as continuum, loop, rig as rows_of
 from benchmarks.continuum.soil import EDGE, GRAVITY, Bed, Material
 from benchmarks.continuum.wheel import HELD, START, Rig, Shape, outline
+from soil_env.parameters import soils
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 SAND = Material(friction=math.tan(math.radians(30.0)))
 LOAM = Material(friction=math.tan(math.radians(24.0)), cohesion=800.0)
@@ -144,6 +148,35 @@ def test_tables_go_on_with_what_is_missing(tmp_path, monkeypatch, capsys):
     file.write_text("\n".join(lines[:2]) + "\n")
     assert continuum.main(wanted) == 0
     assert len(asked) == 3 and file.read_text().splitlines() == lines
+
+
+def test_the_rule_is_tuned_to_the_steepest_grade_of_its_slip():
+    model = WheelSoilModel(ModelWheel(SMOOTH.radius, SMOOTH.width), soils()["lete_sand"])
+    grade, drive = loop.tuned(SMOOTH, model)
+    assert 0.0 < grade < loop.GRADES[-1] and drive.slip <= loop.SLIP
+    steeper = loop.simulated(SMOOTH, grade + 0.5, model)
+    assert steeper.slip > loop.SLIP and steeper.distance < drive.distance
+
+
+def test_a_drive_on_the_continuum_slips_more_uphill(monkeypatch):
+    monkeypatch.setattr(loop, "SECONDS", 2.0)
+    bed = Bed(length=0.8, depth=0.12, spacing=0.02)
+    drives = []
+    for grade in (0.0, 6.0):
+        load = loop.LOAD * math.cos(math.radians(grade))
+        rng = np.random.default_rng(0)
+        wheel = Rig(bed, SAND, SMOOTH, load, rng, math.radians(grade))
+        drives.append(loop.on_continuum(wheel, loop.scenario_of(SMOOTH, grade), grade))
+    level, uphill = drives
+    assert level.slip < uphill.slip < 1.0 and 0.0 < uphill.distance < level.distance
+    assert uphill.sinkage > 0.0
+
+
+def test_the_page_shows_the_kept_figures():
+    kept = json.loads((RESULTS / "continuum.json").read_text(encoding="utf-8"))
+    page = (RESULTS / "continuum.md").read_text(encoding="utf-8")
+    for heading, table in continuum.pages(kept).items():
+        assert f"## {heading}\n\n{table.markdown()}" in page
 
 
 def test_the_shipped_tables_are_whole():
