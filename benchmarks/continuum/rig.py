@@ -2,8 +2,11 @@
 
 The rim moves at `RIM_SPEED` and the axle at the speed that gives the slip; the wheel is free up and
 down. Values are means over the second half of the travel, their standard deviations those of the
-means of its fifths. The grid decides a little: pull and torque fall by a tenth where it is half as
-wide. It is a fixed virtual soil, not a sand.
+means of its fifths.
+
+It is a fixed virtual soil, of which the grid is a part. At 80 N and a slip of 0.3 on smooth sand a
+grid of 5 mm instead of 10 leaves the sinkage as it is (13.8 mm for 13.6), the pull falls from 17.5
+to 11.5 N and the torque from 5.2 to 4.6 N m.
 """
 
 import csv
