@@ -207,6 +207,15 @@ def residual_at(law, groups):
 
 
 @njit(**EXACT)
+def residual_under(law, at, soil, wheel):
+    """`residual_at` a `WorkingPoint` of a simulated wheel; 0 without a law."""
+    if law is None:
+        return 0.0, 0.0, 0.0
+    else:
+        return residual_at(law, dimensionless_groups(at, soil, wheel, wheel.gravity))
+
+
+@njit(**EXACT)
 def interpolated(law, groups, first):
     """Three columns of the table from `first` on, linear between the nodes about `groups`; 0
     without a table.
