@@ -17,8 +17,8 @@ import threading
 from collections.abc import Callable
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, update_wrapper
-from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryFile
 from types import ModuleType
 from typing import Any
 
@@ -62,8 +62,7 @@ def folder() -> Path | None:
         with suppress(OSError):
             found = place / FOLDER / _hash_of_sources()
             found.mkdir(parents=True, exist_ok=True)
-            (found / f"writable-{os.getpid()}").touch()
-            (found / f"writable-{os.getpid()}").unlink()
+            TemporaryFile(dir=found).close()  # an error if nothing can be written there
             return found
     return None
 
@@ -104,8 +103,8 @@ class Kept:
                 self._note()
         return result
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _named, (self.__module__, self.__qualname__)
+    def __reduce__(self) -> str:
+        return self.__qualname__  # pickled by name
 
     def _first_call(self, arguments: tuple[Any, ...]) -> Any:
         with self._threads:
@@ -210,7 +209,9 @@ _decorating = threading.Lock()  # while numba's setting of the cache folder is a
 def _compiled(function: Callable[..., Any], place: Path | None) -> Any:
     """Numba's dispatcher of a function, with its cache in the folder `place`."""
     if not COMPILED:
-        return _Interpreted(function)
+        interpreted: Any = np.errstate(all="ignore")(function)  # divides without a warning, too
+        interpreted.overloads = ()
+        return interpreted
     options = {"nogil": True, "error_model": "numpy"}
     if place is None:
         return njit(**options)(function)
@@ -223,25 +224,8 @@ def _compiled(function: Callable[..., Any], place: Path | None) -> Any:
             config.CACHE_DIR = before
 
 
-class _Interpreted:
-    """A function that is not compiled; it divides by zero without a warning, as compiled ones."""
-
-    overloads: tuple[Any, ...] = ()
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = np.errstate(all="ignore")(function)
-
-    def __call__(self, *arguments: Any) -> Any:
-        return self._function(*arguments)
-
-
-def kept(function: Callable[..., Any]) -> Kept:
-    """Decorate a function that Python calls."""
-    return Kept(function)
-
-
-def _named(module: str, name: str) -> Any:
-    return getattr(import_module(module), name)
+#: Decorator of a function that Python calls.
+kept = Kept
 
 
 _told: set[str] = set()  # lines that this process has said

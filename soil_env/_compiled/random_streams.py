@@ -66,11 +66,11 @@ def normal_pair(owner):
 
 
 @compiled
-def draw_normals(owner, normals, pairs):
-    """Fill the first `pairs` (at most 8) of `normals` with standard normal numbers."""
+def draw_normals(owner, normals):
+    """Fill the first `PAIRS` of `normals` with standard normal numbers."""
     for i in range(8):
-        normals.first[i] = uniform(owner) if i < pairs else 0.0
-        normals.second[i] = uniform(owner) if i < pairs else 0.0
+        normals.first[i] = uniform(owner) if i < PAIRS else 0.0
+        normals.second[i] = uniform(owner) if i < PAIRS else 0.0
     _to_normal(normals)
 
 

@@ -54,12 +54,12 @@ def _entry(
         "W_true": "true load",
         "z": "sinkage",
     }
-    return Effect(name, title, moves, (p,), (form,), symbols=symbols, priors=priors)
+    return Effect(name, title, (p,), (form,), moves, symbols=symbols, priors=priors)
 
 
 def _p(name: str, symbol: str, unit: str, most: float, sd: float, doc: str) -> EffectParameter:
     """A parameter within `most` of 0."""
-    return EffectParameter(name, symbol, unit, 0.0, -most, most, sd, doc)
+    return EffectParameter(name, symbol, -most, most, sd, doc, unit)
 
 
 def _within(

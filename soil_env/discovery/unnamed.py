@@ -39,7 +39,7 @@ from soil_env.terramechanics.model import Rows
 def _p(
     name: str, sd: float, low: float, high: float, centre: float | None = None
 ) -> EffectParameter:
-    return EffectParameter(name, "", "", centre or 0.0, low, high, sd, "", centre=centre)
+    return EffectParameter(name, "", low, high, sd, "", "", centre or 0.0, centre)
 
 
 def _law(
@@ -50,7 +50,7 @@ def _law(
     varies: str | None = None,
 ) -> Effect:
     form = Form(name, tuple(k.name for k in p), "", "own assumption")
-    return Effect(name, title, moves, p, (form,), varies=varies)
+    return Effect(name, title, p, (form,), moves, varies=varies)
 
 
 _BOTH: tuple[Channel, ...] = (PULL, TORQUE)

@@ -33,7 +33,7 @@ from soil_env.logs.replay import DIFFERS, Replay
 from soil_env.measurement.table import MEASURED
 from soil_env.online import Estimate
 from soil_env.parameters import FLOW_LAW
-from soil_env.terramechanics.effects import excavation_rate
+from soil_env.terramechanics.effects.slip_sinkage import excavation_rate
 
 FILES = re.compile(r"(steady|setup|ground\d+)\.(csv|yaml)")  # those that `files` may write
 _COLUMNS = ("slip", "load", "speed", "grade_deg", "run", "time", *MEASURED)

@@ -54,25 +54,27 @@ def shown_wheels(simulation: Any, j: int) -> list[dict[str, Any]]:
     nothing is identified.
     """
     worlds = simulation.worlds
+    state = worlds.state[j]
     if isinstance(simulation.scenario, RoverScenario):
         known = worlds.known
         names = axle_names(simulation.scenario.axles)
-        rows: list[Any] = [(j, a) for a in range(len(names))]
-        rover = worlds.state[j]
-        wheels = [
-            by_name(wheel) | {"rut": float(axle.floor)}
-            for wheel, axle in zip(rover.wheels, rover.axles, strict=True)
-        ][: len(names)]
+        places: list[Any] = [(j, a) for a in range(len(names))]
+        records = state["wheels"]
+        ruts = state.axles["floor"].tolist()
     else:
         known = worlds.ids
         names = ("wheel",)
-        rows = [j]
-        wheels = [simulation.wheel(j) | {"rut": 0.0}]
+        places = [j]
+        records = [state]
+        ruts = [0.0]
     border = float(simulation.numbers.rig["border"][0])
-    for w, k, name in zip(wheels, rows, names, strict=True):
-        w |= {"name": name, "soil": soil_at(worlds.courses, j, w["x"], border)}
+    wheels = []
+    for name, place, record, rut in zip(names, places, records, ruts, strict=False):
+        w = by_name(record) | {"name": name, "rut": rut}
+        w["soil"] = soil_at(worlds.courses, j, w["x"], border)
         for key in ("estimate", "sd", "status"):
-            w[key] = None if known is None else getattr(known, key)[k]
+            w[key] = None if known is None else getattr(known, key)[place]
+        wheels.append(w)
     return wheels
 
 
@@ -113,14 +115,17 @@ class Posture(NamedTuple):
 
     hubs: np.ndarray  # [axles, 2]
     pitch: float  # [rad] of the body, front up positive
-    pivot: np.ndarray  # of the bogie; the middle of the axles without
-    origin: np.ndarray  # of the body: the front axle's place on it
+    pivot: np.ndarray  # of the bogie; the centre of mass, on the axles, without
+    behind: float  # [m] of the pivot on the body behind the front axle
+    above: float  # [m] of it above the axles
 
     def on_body(self, behind: float, above: float) -> np.ndarray:
         """Place [m] of a point of the body so far behind the front axle and above the axles."""
         cos = math.cos(self.pitch)
         sin = math.sin(self.pitch)
-        return self.origin + np.array([-behind * cos - above * sin, -behind * sin + above * cos])
+        ahead = self.behind - behind
+        up = above - self.above
+        return self.pivot + np.array([ahead * cos - up * sin, ahead * sin + up * cos])
 
 
 def posture_of(v: Vehicle, hubs: np.ndarray, pitch: float) -> Posture:
@@ -132,8 +137,7 @@ def posture_of(v: Vehicle, hubs: np.ndarray, pitch: float) -> Posture:
     along = hubs[front] - hubs[rear]
     upward = np.array([-along[1], along[0]]) / math.hypot(*along)
     pivot = hubs[front] - share * along + above * upward
-    at_front = Posture(hubs, pitch, pivot, np.zeros(2))
-    return at_front._replace(origin=pivot - at_front.on_body(behind, above))
+    return Posture(hubs, pitch, pivot, behind, above)
 
 
 def width_of(simulation: Any) -> float:

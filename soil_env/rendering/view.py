@@ -15,18 +15,15 @@ from soil_env.rendering.side_view import COLOURS, draw_side_view, sample_of, sho
 if TYPE_CHECKING:
     import pygame
 
-MODES = ("rgb_array", "human")
 _POINTS = 600  # of the history, at most
 
 
 class CourseView:
-    """Draws one course of a simulation of wheels or rovers: `record` after each reset and step,
-    `draw` a frame.
+    """Draws one course of a simulation of wheels or rovers: `clear` at a reset, `record` after it
+    and after each step, `draw` a frame.
     """
 
     def __init__(self, scenario: Scenario, mode: str) -> None:
-        if mode not in MODES:
-            raise ValueError(f"render mode {mode!r}: expected one of {', '.join(MODES)}")
         self.scenario: Scenario = scenario
         self.mode: str = mode
         self._canvas: Canvas | None = None
@@ -44,13 +41,9 @@ class CourseView:
         self._angles = 0.0
 
     def record(self, simulation: Any, k: int) -> None:
-        """Add the present state of number k to the history; at its reset the history starts
-        anew.
-        """
+        """Add the present state of number k to the history."""
         steps = int(simulation.steps[k])
         wheels = shown_wheels(simulation, k)
-        if steps == 0:
-            self.clear()
         self._angles = self._angles + np.array([w["wheel_speed"] for w in wheels]) * self._step
         if steps % (self._every * self.scenario.control.action_periods) == 0:
             sample = [steps * self.scenario.control.period]

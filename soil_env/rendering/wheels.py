@@ -47,7 +47,6 @@ class _Wheel(NamedTuple):
     """A rigid wheel of the base model as it moves under its load."""
 
     radius: float  # [m]
-    contact_radius: float  # [m]
     width: float  # [m]
     sinkage: float  # [m]
     load: float  # [N]
@@ -60,7 +59,7 @@ class _Wheel(NamedTuple):
 @kept
 def _stresses(nodes, wheel, soil, angle, normal, shear):
     """Fill `angle`, `normal` and `shear` [points] of `Stresses`; `nodes`: the scratch of an arc."""
-    r = wheel.contact_radius
+    r = wheel.radius
     braked = braked_share(wheel.rim_speed, wheel.speed, REST_SPEED)
     arc = contact.smooth_arc(wheel.sinkage, r, contact.braked_shift(braked, soil))
     footing = lay_footing(nodes[0], arc, soil, wheel.load)
@@ -86,7 +85,7 @@ def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
     They are those at the sinkage coefficient that the load mobilises. The soil's own one does not
     matter: so the same holds in a rut.
     """
-    wheel = _Wheel(r, r, b, w["sinkage"], w["load"], w["speed"], w["wheel_speed"] * r)
+    wheel = _Wheel(r, b, w["sinkage"], w["load"], w["speed"], w["wheel_speed"] * r)
     stresses = Stresses(np.empty(ARC_POINTS), np.empty(ARC_POINTS), np.empty(ARC_POINTS))
     _stresses(np.zeros(1, contact.ARC_NODES), wheel, w["soil"], *stresses)
     return stresses

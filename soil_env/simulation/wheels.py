@@ -13,7 +13,7 @@ from soil_env._compiled.flags import HUGE, compiled_finite, inlined, record
 from soil_env._compiled.random_streams import NORMALS, between
 from soil_env.parameters import Scenario
 from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY
-from soil_env.simulation.task.layout import layout
+from soil_env.simulation.task.layout import bounds_of, layout
 from soil_env.simulation.task.observation import (
     SENSORS,
     TRUE_SOIL,
@@ -29,7 +29,6 @@ from soil_env.simulation.task.rules import (
     add_reward,
     judge,
     task_of,
-    total_of,
 )
 from soil_env.simulation.world.camera import CAMERA, IMAGE, Sight, camera_of, sight_of, take_image
 from soil_env.simulation.world.courses import (
@@ -97,7 +96,7 @@ def wheel_numbers(
         rig_of(scenario, model),
         acting_in(model),
         task_of(scenario, variant),
-        np.array([[e.low for e in entries], [e.high for e in entries]], dtype=np.float32),
+        bounds_of(entries),
         sensors_of(scenario),
         sensor_errors(model),
         camera_of(scenario),
@@ -134,12 +133,10 @@ def options_of(numbers: WheelNumbers) -> Options:
 def new_setting(numbers: WheelNumbers, recorded: bool, chunk: int) -> np.ndarray:
     """Constants and work space of the thread of a chunk of the wheels, `SETTING` [1]."""
     setting = np.zeros(1, SETTING)
-    setting["rig"] = numbers.rig
-    setting["task"] = numbers.task
-    setting["sensors"] = numbers.sensors
+    for name in ("rig", "task", "sensors", "camera"):
+        setting[name] = getattr(numbers, name)
     setting["recorded"] = recorded
     setting["chunk"] = chunk
-    setting["camera"] = numbers.camera
     entries = numbers.bounds.shape[1]
     if entries > MOST_ENTRIES:
         raise ValueError(f"observation of {entries} entries: expected at most {MOST_ENTRIES}")
@@ -166,13 +163,11 @@ class Setting(NamedTuple):
     small functions.
     """
 
-    rig: Any  # `RIG`
-    acting: Acting
+    world: World
     task: Any  # `TASK`
     sensors: Any  # `SENSOR_NOISE`
     errors: SensorErrors
     camera: Any  # `CAMERA`
-    nodes: Any  # `ARC_NODES`
     normals: Any  # `NORMALS`
 
 
@@ -245,7 +240,7 @@ def _observe(wheel, sample, course, setting, sight, out):
     write_sensors(out, wheel, sample, task)
     truth = task.variant == TRUE_SOIL
     if truth:
-        write_soil_under(out[SENSORS:], wheel, course, setting.rig.border)
+        write_soil_under(out[SENSORS:], wheel, course, setting.world.rig.border)
     if setting.camera.lines > 0:
         write_seen(out[task.seen :], wheel, sample, course, sight, setting.camera, truth)
 
@@ -268,7 +263,6 @@ def _step(wheel, action, course, setting, samples, out):
     `samples` [periods], or [1] to overwrite.
     """
     task = setting.task
-    world = World(setting.rig, setting.acting, setting.nodes)
     terms = wheel.terms
     for i in range(4):
         terms[i] = 0.0
@@ -277,13 +271,13 @@ def _step(wheel, action, course, setting, samples, out):
     wheel.periods = 0
     wheel.cause = RUNNING
     while wheel.periods < task.action_periods and wheel.cause == RUNNING:
-        control_period(wheel, action, course, world)
+        control_period(wheel, action, course, setting.world)
         sample = samples[min(wheel.periods, samples.size - 1)]
         sight = _sense(wheel, sample, course, setting)
         wheel.cause = judge(wheel, task)
         add_reward(wheel, wheel.cause, task, terms)
         wheel.periods += 1
-    wheel.reward = total_of(terms)
+    wheel.reward = terms.sum()
     _observe(wheel, sample, course, setting, sight, out)
 
 
@@ -295,16 +289,9 @@ def step_wheels(state, courses, samples, observation, setting, options, span):
     laid (`lay_wheels`).
     """
     own = setting[0]
-    rig = own.rig[0]
+    world = World(own.rig[0], options.acting, own.nodes[0])
     records = Setting(
-        rig,
-        options.acting,
-        own.task[0],
-        own.sensors[0],
-        options.errors,
-        own.camera[0],
-        own.nodes[0],
-        own.normals[0],
+        world, own.task[0], own.sensors[0], options.errors, own.camera[0], own.normals[0]
     )
     for k in range(span[0], span[1]):
         wheel = state[k]

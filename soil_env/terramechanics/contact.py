@@ -64,18 +64,17 @@ TURNS = 8  # steps of Newton's method for the angle where the shear turns, at mo
 TURN_STEP = 1e-5  # [rad] last of these steps, which leaves an error of about its square
 LEAST_WAY = 1e-7  # [rad] from the entry that a mean over the arc is formed of
 
-_PER_SPLIT = ("f8", SPLIT_NODES)
-#: As `ARC_NODES`, of an arc that is split where the shear turns.
-SPLIT_ARC = record(
-    weight=_PER_SPLIT,
-    stress=_PER_SPLIT,
-    sin=_PER_SPLIT,
-    cos=_PER_SPLIT,
-    by_rim=_PER_SPLIT,
-    by_travel=_PER_SPLIT,
-    rate=_PER_SPLIT,
+_OF_NODE = (
+    "stress",  # [m^n rad] normal stress for S = 1, times the weight of the node
+    "weight",  # [rad] of the node
+    "sin",
+    "cos",
+    "by_rim",  # [m] dj/d(rim)
+    "by_travel",  # [m] dj/d(travel)
+    "rate",  # [1/m] de/dj
 )
-_PER_NODE = ("f8", NODES)
+#: As `ARC_NODES`, of an arc that is split where the shear turns.
+SPLIT_ARC = record(**dict.fromkeys(_OF_NODE, ("f8", SPLIT_NODES)))
 #: Scratch of a thread for one arc: what its nodes have at any motion, then at the last one.
 ARC_NODES = record(
     "theta1",  # to `radius` as in `Arc`
@@ -84,14 +83,8 @@ ARC_NODES = record(
     "sheared_from",
     "radius",
     "exponent",  # n [-]
-    stress=_PER_NODE,  # [m^n rad] normal stress for S = 1, times the weight of the node
-    weight=_PER_NODE,  # [rad] of the node
-    rise=_PER_NODE,  # [-] (1 - cos(theta))/2
-    sin=_PER_NODE,
-    cos=_PER_NODE,
-    by_rim=_PER_NODE,  # [m] dj/d(rim)
-    by_travel=_PER_NODE,  # [m] dj/d(travel)
-    rate=_PER_NODE,  # [1/m] de/dj
+    rise=("f8", NODES),  # [-] (1 - cos(theta))/2
+    **dict.fromkeys(_OF_NODE, ("f8", NODES)),
     turned=("i8",),  # 1: at the last motion the arc was split, and its nodes are those of `split`
     split=(SPLIT_ARC, 1),
 )
@@ -193,14 +186,6 @@ def substitute_radius(sinkage, load, wheel):
     share = min(deflection, MOST_DEFLECTION * wheel.radius) / sinkage
     root = math.sqrt(1.0 + share) + math.sqrt(share)
     return wheel.radius * root * root
-
-
-@compiled
-def touching_radius(sinkage, load, wheel):
-    """Radius [m] that a wheel without lugs touches the ground with."""
-    if on_tyre(wheel):
-        return substitute_radius(sinkage, load, wheel)
-    return wheel.radius
 
 
 @compiled

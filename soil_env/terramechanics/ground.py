@@ -1,8 +1,11 @@
 """Soils as compiled code changes them: stiffer, stronger, between two on their border."""
 
 from soil_env._compiled.elementary import exp, log
-from soil_env._compiled.flags import compiled
+from soil_env._compiled.flags import compiled, record
 from soil_env.parameters import SoilState
+
+#: A soil: the fields of `SoilState`.
+SOIL = record(*SoilState._fields)
 
 
 @compiled
@@ -62,22 +65,21 @@ def put_soil(record, soil):
 
 
 @compiled
-def _gain_between(a, b, share):
-    """Gain of the firm ground below between two, its stiffness geometrically."""
-    if a == 0.0 and b == 0.0:
-        return 0.0
-    return exp((1.0 - share) * log(1.0 + a) + share * log(1.0 + b)) - 1.0
+def _geometric(a, b, share):
+    """Geometric mean of two numbers, with a `share` of the second."""
+    return exp((1.0 - share) * log(a) + share * log(b))
 
 
 @compiled
 def blend(a, b, share):
-    """Soil between two, share of the second: moduli geometrically, everything else linearly."""
+    """Soil between two, share of the second: moduli and the stiffness of firm ground below
+    geometrically, everything else linearly."""
     rest = 1.0 - share
     return SoilState(
         rest * a.tan_phi + share * b.tan_phi,
         rest * a.cohesion + share * b.cohesion,
-        exp(rest * log(a.shear_modulus) + share * log(b.shear_modulus)),
-        exp(rest * log(a.sinkage_coefficient) + share * log(b.sinkage_coefficient)),
+        _geometric(a.shear_modulus, b.shear_modulus, share),
+        _geometric(a.sinkage_coefficient, b.sinkage_coefficient, share),
         rest * a.sinkage_exponent + share * b.sinkage_exponent,
         rest * a.dig_gain + share * b.dig_gain,
         rest * a.dig_recovery + share * b.dig_recovery,
@@ -85,6 +87,6 @@ def blend(a, b, share):
         rest * a.braked_peak + share * b.braked_peak,
         rest * a.shear_growth + share * b.shear_growth,
         rest * a.shear_length + share * b.shear_length,
-        _gain_between(a.layer_gain, b.layer_gain, share),
+        _geometric(1.0 + a.layer_gain, 1.0 + b.layer_gain, share) - 1.0,
         rest * a.layer_depth + share * b.layer_depth,
     )

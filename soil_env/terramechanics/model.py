@@ -34,8 +34,8 @@ from soil_env.parameters import (
     check_lugs,
 )
 from soil_env.parameters.wheel import OnTyre, refuse_lugs_on_tyre
-from soil_env.slip import slips_of_radius
 from soil_env.terramechanics.effects import CATALOGUE, Effects, pack_effects
+from soil_env.terramechanics.effects.slip_bias import true_slip
 from soil_env.terramechanics.residual import (
     ResidualTable,
     ResidualTerm,
@@ -82,11 +82,12 @@ class ModelWheel(Checked, OnTyre):
         return cls(wheel.radius, wheel.width, lugs, tyre, getattr(wheel, "grip", 0.0))
 
 
-_EXPECTED = {
-    "wheel": "a ModelWheel",
-    "soil": "a Soil or None",
-    "residual": "a sequence of ResidualTerm",
-    "remainder": "a ResidualTable or None",
+#: Type of a field of a model, in code and in words.
+_KINDS: dict[str, tuple[Any, str]] = {
+    "wheel": (ModelWheel, "a ModelWheel"),
+    "soil": (Soil | None, "a Soil or None"),
+    "residual": (tuple | list, "a sequence of ResidualTerm"),
+    "remainder": (ResidualTable | None, "a ResidualTable or None"),
 }
 
 
@@ -131,16 +132,10 @@ class WheelSoilModel(Checked):
     def __post_init__(self) -> None:
         if not isinstance(self.wheel, ModelWheel) and hasattr(self.wheel, "width"):
             object.__setattr__(self, "wheel", ModelWheel.of(self.wheel))
-        for name, kind in (
-            ("wheel", ModelWheel),
-            ("soil", (Soil, type(None))),
-            ("residual", (tuple, list)),
-            ("remainder", (ResidualTable, type(None))),
-        ):
-            if not isinstance(getattr(self, name), kind):
-                raise FieldError(
-                    self, name, f" = {getattr(self, name)!r}: expected {_EXPECTED[name]}"
-                )
+        for name, (kind, expected) in _KINDS.items():
+            given = getattr(self, name)
+            if not isinstance(given, kind):
+                raise FieldError(self, name, f" = {given!r}: expected {expected}")
         super().__post_init__()
         pack_effects(self.effects)  # refuses what is unknown or out of range
         residual_law(self.residual)  # refuses too many terms
@@ -215,16 +210,11 @@ class WheelSoilModel(Checked):
             guess = np.zeros(len(values))
             carried += predict_rows(rows, soil, weight, fx, guess, values)
             if self.residual or self.remainder is not None:
-                slip = slips_of_radius(
-                    rows.slip, np.full_like(guess, 1.0 - fx.slip_bias_radius_error)
-                )
-                rows = rows._replace(slip=slip + fx.slip_bias_offset)
-                added = np.empty_like(values)
                 deviations = np.empty_like(values)
-                state = floats(soil)
-                _residual_of(law, rows, guess, state, float(self.gravity), added, deviations)
-                values += added
-                sd[here] = deviations if self.remainder is not None else math.nan
+                gravity = float(self.gravity)
+                _add_residual(law, rows, guess, floats(soil), gravity, fx, values, deviations)
+                if self.remainder is not None:
+                    sd[here] = deviations
             out[here] = values
         return Prediction(out[:, 0], out[:, 1], out[:, 2], carried == c.slip.size, sd)
 
@@ -364,13 +354,10 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
         "wheel_width": wheel.width,
         "grouser_height": wheel.grouser_height,
     }
-    names = ("slip", "load", *usual)
-    arrays = np.broadcast_arrays(
-        *(np.atleast_1d(np.asarray(given.get(n, usual.get(n)), dtype=float)) for n in names)
-    )
+    arrays = np.broadcast_arrays(*(given.get(n, usual.get(n)) for n in known))
     column = {
         n: np.where(np.isnan(a), usual.get(n, math.nan), a)
-        for n, a in zip(names, arrays, strict=True)
+        for n, a in zip(known, arrays, strict=True)
     }
     if np.any(np.abs(column["slip"]) > 1.0) or np.any(column["load"] <= 0.0):
         raise ParameterError("conditions: expected slip in [-1, 1] and load > 0 N")
@@ -386,31 +373,31 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
     if wheel.tyre is not None or wheel.grip > 0.0:
         of_tyre = wheel.tyre_deflection, wheel.tyre_compliance, wheel.grip
         of_wheel += [np.full_like(column["load"], x) for x in of_tyre]
+    sine = np.sin(np.radians(column["grade_deg"]))
     return Rows(
-        column["slip"].copy(),
-        column["load"].copy(),
-        np.stack(of_wheel, axis=1),
-        np.stack(
-            [column["speed"], column["pass"], np.sin(np.radians(column["grade_deg"]))], axis=1
-        ),
+        column["slip"],
+        column["load"],
+        np.column_stack(of_wheel),
+        np.column_stack([column["speed"], column["pass"], sine]),
     )
 
 
 @kept
-def _residual_of(law, rows, felt, soil, gravity, out, sd):
-    """Fill what a `RESIDUAL` adds to rows of true slips at the sinkages `felt` [N], and its
-    standard deviations [N, 3].
+def _add_residual(law, rows, felt, soil, gravity, fx, out, sd):
+    """Add to `out` [N, 3] what a `RESIDUAL` adds to rows at the sinkages `felt` [N], and fill its
+    standard deviations `sd` [N, 3].
     """
     for k in range(rows.slip.size):
         w = rows.wheels[k]
         c = rows.conditions[k]
         load = rows.load[k]
-        at = WorkingPoint(rows.slip[k], felt[k], load, c[0], c[1], c[2])
+        slip = true_slip(rows.slip[k], fx)
+        at = WorkingPoint(slip, felt[k], load, c[0], c[1], c[2])
         rim = Rim(w[0], w[1], w[2], 0.0, 0.0, 0.0, 0.0)
         groups = dimensionless_groups(at, soil, rim, gravity)
         scale = (w[0], load, load * w[0])
         added = residual_at(law, groups)
         deviation = interpolated(law, groups, 3)
         for j in range(3):
-            out[k, j] = added[j] * scale[j]
+            out[k, j] += added[j] * scale[j]
             sd[k, j] = deviation[j] * scale[j]

@@ -6,27 +6,21 @@ LOOP_GAIN = 10.0  # [-] of the speed loop, over the slope of the torque-speed li
 
 
 @compiled
-def full_voltage(at_rest, wheel_speed, motor):
-    """Torque [N m] at full voltage, which is `at_rest` (+-T_stall) without speed: +-T_stall -
-    T_stall w/w_0.
-    """
-    return at_rest - motor.stall_torque / motor.no_load_speed * wheel_speed
-
-
-@compiled
 def motor_torque(command, by_speed, wheel_speed, motor):
     """(torque, d torque/dw, available): motor torque [N m] for a command in [-1, 1].
 
     The command is a share of the stall torque or, with `by_speed`, of the no-load speed, which a
-    stiff speed loop then follows. Either way the torque stays between the lines of `full_voltage`
-    forward and backward, and within +-T_stall: faster than the no-load speed the motor brakes.
+    stiff speed loop then follows. Either way the torque stays between the lines of full voltage
+    forward and backward, +-T_stall - T_stall w/w_0, and within +-T_stall: faster than the no-load
+    speed the motor brakes.
     `available` is the line on the side of the torque that is asked for. `motor` has `stall_torque`
     [N m] and `no_load_speed` [rad/s].
     """
     stall = motor.stall_torque
     line = stall / motor.no_load_speed
-    high = min(max(full_voltage(stall, wheel_speed, motor), -stall), stall)
-    low = min(max(full_voltage(-stall, wheel_speed, motor), -stall), stall)
+    drop = line * wheel_speed
+    high = min(max(stall - drop, -stall), stall)
+    low = min(max(-stall - drop, -stall), stall)
     if by_speed:
         torque = LOOP_GAIN * line * (command * motor.no_load_speed - wheel_speed)
         slope = -LOOP_GAIN * line

@@ -34,19 +34,18 @@ from soil_env.terramechanics.contact import (
 from soil_env.terramechanics.effects import (
     NO_EFFECTS,
     Effects,
-    Passage,
     drive_friction,
     grousers,
     soil_in_contact,
     soil_resistance,
 )
+from soil_env.terramechanics.effects.entry import Passage
 from soil_env.terramechanics.effects.shear_softening import mobilisation, shear_length_ratio
 from soil_env.terramechanics.effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
 from soil_env.terramechanics.residual import (
     WorkingPoint,
-    dimensionless_groups,
-    residual_at,
     residual_law,
+    residual_under,
 )
 from soil_env.terramechanics.steady import LEAST_DIGGING, arc_of
 
@@ -126,7 +125,7 @@ class Reaction(NamedTuple):
     sinkage_coefficient_u: float
 
 
-NO_REACTION = Reaction(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_REACTION = Reaction(*[0.0] * len(Reaction._fields))
 
 
 def acting_on(effects: Effects | None, residual: np.record | None = None) -> Acting:
@@ -175,11 +174,8 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
     """`Reaction` of the contact alone: Eqs. (1)-(3), with Eq. (1) solved for S so that the load
     stays what it is.
     """
-    r = wheel.contact_radius
-    lever = r
-    if on_tyre(wheel):
-        r = nodes.radius
-        lever = wheel.radius
+    r = nodes.radius
+    lever = wheel.radius if on_tyre(wheel) else r
     b = wheel.width
     rb = r * b
     c = footing.cohesion
@@ -234,11 +230,18 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
 
 @compiled
 def ground_under(at, soil, wheel, acting):
-    """(`SoilState` as sheared, `Arc`, `ExtraForces`) of a wheel `Standing` on fresh `soil`."""
+    """(`SoilState` as sheared, `Arc`, `ExtraForces`) of a wheel `Standing` on fresh `soil`.
+
+    The forces of a residual law fade out where the wheel stands.
+    """
     slip = slip_ratio(at.rim_speed, at.speed, REST_SPEED)
-    unfelt, pull, torque = _residual_of(at, slip, soil, wheel, acting.residual)
+    point = WorkingPoint(slip, at.sinkage, at.weight, abs(at.speed), at.passes, at.sin_grade)
+    unfelt, pull, torque = residual_under(acting.residual, point, soil, wheel)
+    moving = smoothed_sign(at.speed, REST_SPEED)[0] * at.weight
+    pull *= moving
+    torque *= moving * wheel.radius
     soil, arc, lift, bulldozing, blades = _ground_under(at, slip, soil, wheel, acting.effects)
-    return soil, arc, ExtraForces(lift, bulldozing, blades, pull, torque, unfelt)
+    return soil, arc, ExtraForces(lift, bulldozing, blades, pull, torque, unfelt * wheel.radius)
 
 
 @compiled
@@ -273,23 +276,6 @@ def _ground_under(at, slip, soil, wheel, fx):
             soil_resistance(at.sinkage, ground, wheel, fx),
             grousers.blade_thrust(arc.theta1, at.sinkage, ground, wheel, fx),
         )
-
-
-@compiled
-def _residual_of(at, slip, soil, wheel, residual):
-    """(sinkage [m], pull [N], torque [N m]) of a residual law; forces fade out where the wheel
-    stands.
-    """
-    if residual is None:
-        return 0.0, 0.0, 0.0
-    elif residual.terms + residual.axes == 0:
-        return 0.0, 0.0, 0.0
-    else:
-        point = WorkingPoint(slip, at.sinkage, at.weight, abs(at.speed), at.passes, at.sin_grade)
-        groups = dimensionless_groups(point, soil, wheel, wheel.gravity)
-        moving = smoothed_sign(at.speed, REST_SPEED)[0] * at.weight
-        sinkage, pull, torque = residual_at(residual, groups)
-        return sinkage * wheel.radius, moving * pull, moving * torque * wheel.radius
 
 
 @compiled

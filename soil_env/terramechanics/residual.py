@@ -206,6 +206,15 @@ def residual_at(law, groups):
 
 
 @compiled
+def residual_under(law, at, soil, wheel):
+    """`residual_at` a `WorkingPoint` of a simulated wheel; 0 without a law."""
+    if law is None:
+        return 0.0, 0.0, 0.0
+    else:
+        return residual_at(law, dimensionless_groups(at, soil, wheel, wheel.gravity))
+
+
+@compiled
 def interpolated(law, groups, first):
     """Three columns of the table from `first` on, linear between the nodes about `groups`; 0
     without a table.

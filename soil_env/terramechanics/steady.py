@@ -38,17 +38,16 @@ from soil_env.terramechanics.contact import (
     shear_integrals,
     smooth_arc,
     substitute_radius,
-    touching_radius,
 )
 from soil_env.terramechanics.effects import (
     Effects,
-    Passage,
     arc_ends,
     drive_torque,
     soil_in_contact,
     soil_resistance,
     switched_on,
 )
+from soil_env.terramechanics.effects.entry import Passage
 from soil_env.terramechanics.effects.grade import weight_on_slope
 from soil_env.terramechanics.effects.grousers import (
     at_shear_radius,
@@ -146,12 +145,12 @@ def arc_of(sinkage, slip, shift, load, fx, wheel):
     The tips of the lugs enter the soil, and begin to shear it, at cos = cos(theta1)/q (Ding et al.
     2011).
     """
+    r = contact_radius(wheel, fx)
+    if on_tyre(wheel):
+        r = substitute_radius(sinkage, load, wheel)
     if fx is None:
-        return smooth_arc(sinkage, touching_radius(sinkage, load, wheel), shift)
+        return smooth_arc(sinkage, r, shift)
     else:
-        r = contact_radius(wheel, fx)
-        if on_tyre(wheel):
-            r = substitute_radius(sinkage, load, wheel)
         q = shear_radius_ratio(wheel, fx)
         theta1 = entry_angle(sinkage, r)
         theta2, thetam = arc_ends(theta1, slip, fx)
@@ -442,9 +441,8 @@ def _predict_rows(nodes, rows, soil, factors, unit_weight, fx, guess, out):
         w = rows.wheels[k]
         c = rows.conditions[k]
         point = Point(rows.slip[k], rows.load[k], guess[k])
-        wheel = Rim(w[0], w[1], w[2], unit_weight, 0.0, 0.0, 0.0)
-        if w.size > 3:
-            wheel = Rim(w[0], w[1], w[2], unit_weight, w[3], w[4], w[5])
+        tyre = (w[3], w[4], w[5]) if w.size > 3 else (0.0, 0.0, 0.0)
+        wheel = Rim(w[0], w[1], w[2], unit_weight, *tyre)
         f = factors[k]
         strength = f[0] * soil.tan_phi, f[1] * soil.cohesion, f[2] * soil.shear_modulus
         ground = with_strength(stiffened(soil, f[3]), *strength, soil.rim_flow)

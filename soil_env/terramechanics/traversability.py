@@ -16,6 +16,7 @@ from soil_env.parameters import SoilState, Wheel
 from soil_env.terramechanics.contact import ARC_NODES
 from soil_env.terramechanics.effects import Effects
 from soil_env.terramechanics.effects.slip_sinkage import digging, slip_sinkage_ratio
+from soil_env.terramechanics.ground import SOIL, soil_of
 from soil_env.terramechanics.steady import (
     DEEPEST,
     LEVEL,
@@ -117,9 +118,7 @@ def best_working_point(
 @kept
 def _best_points(nodes, soils, load, wheel, torque_available, slip, pull):
     for k in range(load.size):
-        x = soils[k]
-        strength = x[0], x[1], x[2], x[3], x[4], x[5], x[6]
-        soil = SoilState(*strength, x[7], x[8], x[9], x[10], x[11], x[12])
+        soil = soil_of(soils[k])
         best = best_point_at(nodes[0], load[k], soil, wheel, LEVEL, None, torque_available)
         slip[k] = best.slip
         pull[k] = best.drawbar_pull
@@ -136,6 +135,6 @@ def best_points(soils: np.ndarray, load: np.ndarray, wheel: Wheel) -> tuple[np.n
     pull = np.empty(count)
     rim = Rim.of(wheel)
     nodes = np.zeros(1, ARC_NODES)
-    rows = np.ascontiguousarray(soils).reshape(count, len(SoilState._fields))
-    _best_points(nodes, rows, load, rim, wheel.stall_torque, slip, pull)
+    rows = np.ascontiguousarray(soils, dtype=float).view(SOIL)
+    _best_points(nodes, rows[:, 0], load, rim, wheel.stall_torque, slip, pull)
     return slip, pull

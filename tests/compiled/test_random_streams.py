@@ -47,7 +47,7 @@ def draw(owner, words, uniforms, pairs):
 def draw_many(owner, normals, pairs):
     """Fill `pairs` [n, 5, 2] by `draw_normals`."""
     for i in range(len(pairs)):
-        streams.draw_normals(owner[0], normals[0], streams.PAIRS)
+        streams.draw_normals(owner[0], normals[0])
         for j in range(streams.PAIRS):
             pairs[i, j, 0] = normals[0].first[j]
             pairs[i, j, 1] = normals[0].second[j]

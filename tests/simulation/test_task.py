@@ -23,6 +23,7 @@ from soil_env.simulation.task.scaling import Scaling
 from soil_env.simulation.wheels import SAMPLE, Setting, _observe, _sense
 from soil_env.simulation.world.camera import Sight
 from soil_env.simulation.world.sensors import NO_ERRORS, READING
+from soil_env.simulation.world.wheel import World
 from soil_env.terramechanics.reaction import BASE
 from tests.simulation.wheels import set_soil, started
 
@@ -83,16 +84,8 @@ def test_all_variants_share_the_first_entries(variant):
 @kept
 def _write(worlds, sample, setting, rows, sensed):
     own = setting[0]
-    records = Setting(
-        own.rig[0],
-        BASE,
-        own.task[0],
-        own.sensors[0],
-        NO_ERRORS,
-        own.camera[0],
-        own.nodes[0],
-        own.normals[0],
-    )
+    world = World(own.rig[0], BASE, own.nodes[0])
+    records = Setting(world, own.task[0], own.sensors[0], NO_ERRORS, own.camera[0], own.normals[0])
     for i in range(len(rows)):
         if sensed:
             _sense(worlds.state[0], sample[0], worlds.courses[0], records)

@@ -17,6 +17,8 @@ from soil_env.terramechanics.effects import (
     multipass,
     pack_effects,
     shear_softening,
+    slip_bias,
+    slip_sinkage,
 )
 from soil_env.terramechanics.effects.entry import CHANNELS, PULL, SINKAGE, TORQUE
 from soil_env.terramechanics.steady import Conditions, Rim, steady_with
@@ -115,8 +117,8 @@ LENGTH = 0.3
 @pytest.mark.parametrize(("gain", "recovery"), [(1.5, 0.5), (3.0, 0.2), (0.0, 1.0)])
 def test_steady_state_of_the_digging_rate_is_the_ratio(slip, gain, recovery):
     rim, travel = (0.0, 1.0) if slip == -1.0 else motion_from_slip(slip)
-    a, b = effects.excavation_rate(travel, abs(rim - travel), gain, recovery, LENGTH)
-    assert b / a == pytest.approx(effects.slip_sinkage_ratio(slip, gain, recovery), rel=1e-9)
+    a, b = slip_sinkage.excavation_rate(travel, abs(rim - travel), gain, recovery, LENGTH)
+    assert b / a == pytest.approx(slip_sinkage.slip_sinkage_ratio(slip, gain, recovery), rel=1e-9)
     assert slip != 0.0 or a == b  # no digging without slip
 
 
@@ -132,7 +134,9 @@ def test_bearing_on_a_slope_is_even_and_stays_above_0():
 @given(slip=st.floats(-0.3, 0.6), offset=st.floats(-0.1, 0.1), error=st.floats(-0.2, 0.2))
 def test_measured_slip_inverts_true_slip(slip, offset, error):
     fx = on("slip_bias", offset=offset, radius_error=error)
-    assert effects.measured_slip(effects.true_slip(slip, fx), fx) == pytest.approx(slip, abs=1e-12)
+    assert slip_bias.measured_slip(slip_bias.true_slip(slip, fx), fx) == pytest.approx(
+        slip, abs=1e-12
+    )
 
 
 @settings(deadline=None)

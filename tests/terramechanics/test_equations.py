@@ -14,6 +14,8 @@ from soil_env.terramechanics.effects import (
     grousers,
     pack_effects,
     shear_softening,
+    slip_bias,
+    slip_sinkage,
     text,
 )
 from soil_env.terramechanics.steady import Rim
@@ -85,16 +87,16 @@ def model(name, form, values):
     """{left side: value} by the compiled laws."""
     fx = pack_effects({name: values})
     at = AT
-    passage = effects.Passage(SOIL, at["i"], at["V"], at["v"], at["N"], 0.0)
+    passage = effects.entry.Passage(SOIL, at["i"], at["V"], at["v"], at["N"], 0.0)
     ground = effects.soil_in_contact(SOIL, passage, fx)
     if name == "slip_sinkage":
-        ratio = effects.slip_sinkage_ratio(at["i"], *effects.digging(SOIL, fx))
+        ratio = slip_sinkage.slip_sinkage_ratio(at["i"], *slip_sinkage.digging(SOIL, fx))
         if form == "apparent":
             return {"z_measured": ratio * at["z"]}
         return {
             "exponent": {"n(i)": ground.sinkage_exponent},
             "ratio": {"z": ratio * at["z_w"]},
-            "excavation": {"z": at["z_w"] + effects.excavated_depth(at["i"], fx)},
+            "excavation": {"z": at["z_w"] + slip_sinkage.excavated_depth(at["i"], fx)},
         }[form]
     if name in ("rear_contact", "stress_peak_shift"):
         ends = dict(
@@ -135,7 +137,7 @@ def model(name, form, values):
     if name == "drivetrain_friction":
         return {"T_measured": effects.drive_torque(at["T"], at["w"], 1e-15, fx)}
     if name == "slip_bias":
-        return {"i": effects.true_slip(at["i_measured"], fx)}
+        return {"i": slip_bias.true_slip(at["i_measured"], fx)}
     return {"z_measured": at["z"] + fx.sinkage_offset_offset}
 
 

@@ -33,7 +33,6 @@ RIG = record(
     "grouser_height",
     "unit_weight",
     "gravity",
-    "contact_radius",
     "shear_ratio",
     "rim_ratio",
     "tyre_deflection",
@@ -77,9 +76,10 @@ def wheel_with(case):
         rig["grip"] = 0.7
     rig["unit_weight"] = 1500.0 * GRAVITY
     rig["gravity"] = GRAVITY
-    rig["contact_radius"] = uncompiled(grousers.contact_radius)(rig[0], acting.effects)
     rig["shear_ratio"] = uncompiled(grousers.shear_radius_ratio)(rig[0], acting.effects)
-    rig["rim_ratio"] = rig["shear_ratio"] * rig["contact_radius"] / R
+    rig["rim_ratio"] = (
+        rig["shear_ratio"] * uncompiled(grousers.contact_radius)(rig[0], acting.effects) / R
+    )
     return rig, acting
 
 

@@ -10,7 +10,7 @@ from soil_env.parameters import SoilState, soils
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics import steady
 from soil_env.terramechanics.contact import entry_angle, forces
-from soil_env.terramechanics.effects import slip_sinkage_ratio
+from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
 from tests.terramechanics.arcs import arc_integrals
 from tests.terramechanics.cases import EQUATION_10, any_soil
 

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from soil_env.parameters import SoilState
-from soil_env.terramechanics.effects import CATALOGUE, pack_effects, true_slip
+from soil_env.terramechanics.effects import CATALOGUE, pack_effects
+from soil_env.terramechanics.effects.slip_bias import true_slip
 from soil_env.terramechanics.steady import DEEPEST, Conditions, Rim, Rows, predict_rows, steady_with
 from tests.terramechanics import reference
 from tests.terramechanics.cases import of_every_form, values

@@ -22,17 +22,17 @@ from soil_env.simulation.rover.ruts import clear_ruts, new_ruts
 from soil_env.simulation.rover.task import (
     ENTRIES_OF_AXLE,
     ENTRIES_OF_BODY,
-    BodyReading,
     rover_layout,
     write_axle,
     write_body,
     write_true_soils,
 )
+from soil_env.simulation.task.layout import bounds_of
 from soil_env.simulation.task.observation import TRUE_SOIL, clip
-from soil_env.simulation.task.rules import RUNNING, add_reward, judge, task_of, total_of
+from soil_env.simulation.task.rules import RUNNING, add_reward, judge, task_of
 from soil_env.simulation.wheels import start_drivable
-from soil_env.simulation.world.courses import course_distribution, extend_course, start_course
-from soil_env.simulation.world.passability import CourseDistribution, CourseNumbers
+from soil_env.simulation.world.courses import course_numbers, extend_course, start_course
+from soil_env.simulation.world.passability import CourseDistribution
 from soil_env.simulation.world.sensors import (
     READING,
     SensorErrors,
@@ -112,14 +112,14 @@ def rover_numbers(
         acting_in(model),
         suspension_of(scenario),
         task_of(scenario, variant),
-        np.array([[e.low for e in entries], [e.high for e in entries]], dtype=np.float32),
+        bounds_of(entries),
         sensors_of(scenario),
         sensor_errors(model),
     )
 
 
 class RoverCourseNumbers(NamedTuple):
-    """Distribution of the courses, and the rover that has to pass them."""
+    """`CourseNumbers`, and the rover that has to pass the courses."""
 
     drawn: CourseDistribution
     rig: Any  # `RIG`
@@ -131,12 +131,10 @@ def rover_course_numbers(
     scenario: RoverScenario, model: WheelSoilModel | None = None
 ) -> RoverCourseNumbers:
     """Pack the numbers of `lay_rovers`; `model` gives the effects that are on in this world."""
-    drawn = course_distribution(_with_front(scenario), model)
+    numbers = course_numbers(_with_front(scenario), model)
     # the deepest wheel of a rover carries more than the mean and runs in a rut
-    drawn.spec.bogged_sinkage *= DEEPEST_ALONE
-    return RoverCourseNumbers(
-        drawn, rig_of(scenario, model)[0], acting_in(model), suspension_of(scenario)[0]
-    )
+    numbers.drawn.spec.bogged_sinkage *= DEEPEST_ALONE
+    return RoverCourseNumbers(*numbers, suspension_of(scenario)[0])
 
 
 def new_rover_worlds(
@@ -195,7 +193,6 @@ def lay_rovers(worlds, numbers, orders, scratch, first, end):
     `numbers`: `RoverCourseNumbers`.
     """
     nodes = scratch.stage[0].nodes[0]
-    course_numbers = CourseNumbers(numbers.drawn, numbers.rig, numbers.acting)
     s = numbers.suspension
     ahead = s.wheelbase + numbers.drawn.spec.ahead  # [m] before the rear axle
     failed = 0
@@ -206,17 +203,17 @@ def lay_rovers(worlds, numbers, orders, scratch, first, end):
         rover = worlds.state[j]
         course = worlds.courses[j]
         if order == RESTART:
-            mass = start_drivable(course, rover, course_numbers, nodes)
+            mass = start_drivable(course, rover, numbers, nodes)
             if mass < 0.0:
                 failed += 1
             else:
-                extend_course(course, mass, ahead, course_numbers, nodes)
+                extend_course(course, mass, ahead, numbers, nodes)
                 _settle(rover, mass, course, worlds.ruts[j], numbers, nodes)
         elif order == TRY:
-            rover.reward = start_course(course, rover, course_numbers, nodes)
+            rover.reward = start_course(course, rover, numbers, nodes)
         else:
             x = HUGE if order == COMPLETE else rover.x + ahead
-            extend_course(course, rover.mass / s.axles, x, course_numbers, nodes)
+            extend_course(course, rover.mass / s.axles, x, numbers, nodes)
     return failed
 
 
@@ -232,14 +229,16 @@ class Setting(NamedTuple):
 
 @inlined
 def _sense_body(rover, sensors):
-    """`BodyReading` of a rover; zeros and gains are those in the record of the front wheel."""
+    """Readings of speed, pitch and acceleration of a rover's body; zeros and gains are those in the
+    record of the front wheel.
+    """
     of_speed, of_pitch = normal_pair(rover)
     of_acceleration, _ = normal_pair(rover)
     sd = sensors.white[0]
     zero = rover.wheels[0].zero[0]
     gain = rover.wheels[0].gain[0]
     specific = rover.drawbar_pull / rover.mass
-    return BodyReading(
+    return (
         (1.0 + gain.speed) * rover.speed + zero.speed + sd.speed * of_speed,
         (1.0 + gain.pitch) * rover.pitch + zero.pitch + sd.pitch * of_pitch,
         (1.0 + gain.acceleration) * specific
@@ -252,39 +251,38 @@ def _sense_body(rover, sensors):
 def _sense(rover, readings, sample, period, setting):
     """Fill `readings` [axles, periods] of a control period and its `ROVER_SAMPLE`.
 
-    Of speed, pitch and acceleration the body has one sensor each; their `BodyReading`.
+    Of speed, pitch and acceleration the body has one sensor each.
     """
     task = setting.task
-    of_body = _sense_body(rover, setting.sensors)
+    speed, pitch, acceleration = _sense_body(rover, setting.sensors)
     if rover.steps > 0:  # not at the start of a course
-        roll_odometer(rover, of_body.speed, task.period)
+        roll_odometer(rover, speed, task.period)
     for a in range(setting.world.suspension.axles):
         wheel = rover.wheels[a]
         reading = readings[a, period]
         sense(wheel, reading, setting.normals, setting.sensors, setting.errors, task.radius)
-        reading.speed = of_body.speed
-        reading.pitch = of_body.pitch
-        reading.acceleration = of_body.acceleration
+        reading.speed = speed
+        reading.pitch = pitch
+        reading.acceleration = acceleration
         read_slip(wheel, reading, setting.sensors, setting.errors)
     sample.halted = 1.0 if rover.halt_left > 0.0 else 0.0
     sample.place = rover.odometer
-    return of_body
 
 
 @compiled_finite
 def _restart(rover, readings, samples, setting):
-    """`BodyReading` of a rover at the start of its course."""
+    """Readings of a rover at the start of its course."""
     set_pitch(rover, setting.world.suspension)
     for a in range(setting.world.suspension.axles):
         mount_sensors(rover.wheels[a], setting.normals, setting.sensors)
     rover.cause = RUNNING
     rover.periods = 1
-    return _sense(rover, readings, samples[0], 0, setting)
+    _sense(rover, readings, samples[0], 0, setting)
 
 
 @compiled_finite
 def _step(rover, commands, course, ruts, readings, samples, setting):
-    """The control periods of an action of a rover, until its episode ends; its last `BodyReading`.
+    """The control periods of an action of a rover, until its episode ends.
 
     `readings` [axles, periods], `samples` [periods], or one of each to overwrite.
     """
@@ -292,27 +290,25 @@ def _step(rover, commands, course, ruts, readings, samples, setting):
     terms = rover.terms
     for i in range(4):
         terms[i] = 0.0
-    of_body = BodyReading(0.0, 0.0, 0.0)
     rover.periods = 0
     rover.cause = RUNNING
     while rover.periods < task.action_periods and rover.cause == RUNNING:
         control_period(rover, commands, course, ruts, setting.world)
         period = min(rover.periods, samples.size - 1)
-        of_body = _sense(rover, readings, samples[period], period, setting)
+        _sense(rover, readings, samples[period], period, setting)
         rover.cause = judge(rover, task)
         add_reward(rover, rover.cause, task, terms)
         rover.periods += 1
-    rover.reward = total_of(terms)
-    return of_body
+    rover.reward = terms.sum()
 
 
 @inlined
-def _observe(rover, of_body, readings, course, setting, out):
+def _observe(rover, readings, course, setting, out):
     """Fill the observation `out` [D] of a rover but for what is identified."""
     task = setting.task
     axles = setting.world.suspension.axles
     last = min(rover.periods, readings.shape[1]) - 1
-    write_body(out, rover, of_body, task)
+    write_body(out, rover, readings[0, last], task)
     for a in range(axles):
         write_axle(out, a, rover.wheels[a], readings[a, last], task)
     if task.variant == TRUE_SOIL:
@@ -341,11 +337,11 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
         readings = worlds.readings[j] if recorded else scratch.readings
         samples = worlds.samples[j] if recorded else scratch.sample
         if order == STEP:
-            of_body = _step(rover, actions[j], course, worlds.ruts[j], readings, samples, setting)
+            _step(rover, actions[j], course, worlds.ruts[j], readings, samples, setting)
         else:
-            of_body = _restart(rover, readings, samples, setting)
+            _restart(rover, readings, samples, setting)
         out = worlds.observation[j]
-        _observe(rover, of_body, readings, course, setting, out)
+        _observe(rover, readings, course, setting, out)
         clip(out, numbers.bounds)
 
 

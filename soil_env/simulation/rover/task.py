@@ -7,11 +7,10 @@ rover gets on.
 """
 
 from dataclasses import replace
-from typing import NamedTuple
 
 from soil_env._compiled.flags import compiled, compiled_finite
 from soil_env.simulation.task import AXLES, ObservedNumber, layout
-from soil_env.simulation.task.observation import ENTRIES_OF_SOIL, write_soil
+from soil_env.simulation.task.observation import ENTRIES_OF_SOIL, relative, write_soil
 from soil_env.simulation.world.terrain import soil_on
 
 _OF_BODY = ("speed", "pitch", "acceleration", "odometry", "halted")
@@ -40,8 +39,8 @@ def rover_layout(variant: str, axles: int) -> tuple[ObservedNumber, ...]:
     """The observation of a variant, number by number; the first entries are those of `blind` in
     every variant.
     """
-    wheel = {e.name: e for e in layout(variant)}
-    known = [e for e in layout(variant) if e.name not in {b.name for b in layout("blind")}]
+    wheel = {e.name: e for e in layout("blind")}
+    known = layout(variant)[len(wheel) :]
     entries = [wheel[name] for name in _OF_BODY]
     for of_axle in ([wheel[name] for name in _OF_AXLE], known):
         entries += [
@@ -50,20 +49,15 @@ def rover_layout(variant: str, axles: int) -> tuple[ObservedNumber, ...]:
     return tuple(entries)
 
 
-class BodyReading(NamedTuple):
-    """Readings of a rover's body."""
-
-    speed: float  # [m/s]
-    pitch: float  # [rad], front up positive
-    acceleration: float  # [m/s2] along the course: of travel, and of gravity
-
-
 @compiled_finite
 def write_body(out, rover, reading, task):
-    """Fill the first entries of `out` with the readings of a rover as a whole."""
-    out[0] = reading.speed / task.top_speed
-    out[1] = reading.pitch
-    out[2] = reading.acceleration / task.gravity
+    """Fill the first entries of `out` with readings of a rover as a whole, which those of any of
+    its wheels have.
+    """
+    seen = relative(reading, task)
+    out[0] = seen.speed
+    out[1] = seen.pitch
+    out[2] = seen.acceleration
     out[3] = rover.odometer / task.length
     out[4] = 1.0 if rover.halt_left > 0.0 else 0.0
 
@@ -72,14 +66,14 @@ def write_body(out, rover, reading, task):
 def write_axle(out, a, wheel, reading, task):
     """Fill the entries of axle a, counted from the front, with the readings of its wheel."""
     i = ENTRIES_OF_BODY + a * ENTRIES_OF_AXLE
-    moment = task.weight * task.radius
-    out[i] = reading.slip
-    out[i + 1] = reading.sinkage / task.radius
-    out[i + 2] = reading.drawbar_pull / task.weight
-    out[i + 3] = reading.load / task.weight
-    out[i + 4] = reading.torque / moment
-    out[i + 5] = reading.rim_speed / task.top_speed
-    out[i + 6] = reading.motor_torque / moment
+    seen = relative(reading, task)
+    out[i] = seen.slip
+    out[i + 1] = seen.sinkage
+    out[i + 2] = seen.drawbar_pull
+    out[i + 3] = seen.load
+    out[i + 4] = seen.torque
+    out[i + 5] = seen.rim_speed
+    out[i + 6] = seen.motor_torque
     out[i + 7] = wheel.last_action
     out[i + 8] = wheel.rim_command
 

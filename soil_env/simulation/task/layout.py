@@ -5,7 +5,10 @@ weight, top rim speed and radius, so that they are of order one for any wheel. C
 were read off the scenarios two_lines, sticky and field_vehicle.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from soil_env._io.loading import ParameterError, unknown_value
 from soil_env.parameters import CourseSpec
@@ -29,6 +32,10 @@ class ObservedNumber:
     scale: float = 1.0
 
 
+def _flag(name: str) -> ObservedNumber:
+    return ObservedNumber(name, "0 or 1", 0.0, 1.0)
+
+
 _BLIND = (
     ObservedNumber("slip", "-", -1.0, 1.0, 0.2, 0.3),
     ObservedNumber("sinkage", "of radius", -1.0, 3.0, 0.25, 0.15),
@@ -40,33 +47,37 @@ _BLIND = (
     ObservedNumber("pitch", "rad, uphill positive", -1.6, 1.6, 0.0, 0.15),
     ObservedNumber("last_action", "-", -1.0, 1.0),
     ObservedNumber("odometry", "of course length", -5.0, 5.0, 0.5, 0.3),
-    ObservedNumber("halted", "0 or 1", 0.0, 1.0),
+    _flag("halted"),
     ObservedNumber("motor_torque", "of weight x radius", -10.0, 10.0, 0.4, 0.2),
     ObservedNumber("acceleration", "of gravity", -10.0, 10.0, 0.0, 0.15),
     ObservedNumber("rim_command", "of top rim speed", -1.0, 1.0, 0.2, 0.2),
 )
-_IDENTIFIED = (
+_SOIL = (
     ObservedNumber("friction_angle", "rad", 0.0, 1.6, 0.5, 0.1),
     ObservedNumber("log10_shear_modulus", "log10 m", -5.0, 1.0, -2.0, 0.3),
     ObservedNumber("log10_sinkage_coefficient", "log10 N/m^(n+2)", 0.0, 15.0, 6.0, 0.3),
+)
+_COHESION = ObservedNumber("cohesion", "kPa", 0.0, 1000.0, 1.0, 1.0)
+_DIG_GAIN = ObservedNumber("dig_gain", "-", 0.0, 100.0, 2.0, 1.0)
+_MARGIN = ObservedNumber("margin", "of load", -2.0, 2.0, 0.0, 0.1)
+_IDENTIFIED = (
+    *_SOIL,
     ObservedNumber("friction_angle_sd", "rad", 0.0, 2.0, 0.05, 0.03),
     ObservedNumber("shear_modulus_sd", "relative", 0.0, 20.0, 0.3, 0.2),
     ObservedNumber("sinkage_coefficient_sd", "relative", 0.0, 20.0, 0.3, 0.2),
-    ObservedNumber("estimate_valid", "0 or 1", 0.0, 1.0),
-    ObservedNumber("cohesion", "kPa", 0.0, 1000.0, 1.0, 1.0),
-    ObservedNumber("dig_gain", "-", 0.0, 100.0, 2.0, 1.0),
+    _flag("estimate_valid"),
+    _COHESION,
+    _DIG_GAIN,
     ObservedNumber("cohesion_sd", "kPa", 0.0, 1000.0, 0.5, 0.3),
     ObservedNumber("dig_gain_sd", "relative", 0.0, 20.0, 0.5, 0.2),
     ObservedNumber("best_pull", "of load", -1.0, 2.0, 0.1, 0.15),
     ObservedNumber("best_pull_sd", "of load", 0.0, 2.0, 0.05, 0.05),
 )
 _TRUE = (
-    ObservedNumber("friction_angle", "rad", 0.0, 1.6, 0.5, 0.1),
-    ObservedNumber("log10_shear_modulus", "log10 m", -5.0, 1.0, -2.0, 0.3),
-    ObservedNumber("log10_sinkage_coefficient", "log10 N/m^(n+2)", 0.0, 15.0, 6.0, 0.3),
-    ObservedNumber("cohesion", "kPa", 0.0, 1000.0, 1.0, 1.0),
+    *_SOIL,
+    _COHESION,
     ObservedNumber("sinkage_exponent", "-", 0.0, 4.0, 1.0, 0.2),
-    ObservedNumber("dig_gain", "-", 0.0, 100.0, 2.0, 1.0),
+    _DIG_GAIN,
     ObservedNumber("dig_recovery", "-", 0.0, 10.0, 0.5, 0.5),
 )
 
@@ -74,12 +85,12 @@ _TRUE = (
 _AHEAD = {  # of the soil of a route ahead
     "blind": (),
     "identified": (
-        ObservedNumber("met", "0 or 1", 0.0, 1.0),
+        _flag("met"),
         *(e for e in _IDENTIFIED if e.name not in ("estimate_valid", "best_pull", "best_pull_sd")),
-        ObservedNumber("margin", "of load", -2.0, 2.0, 0.0, 0.1),
+        _MARGIN,
         ObservedNumber("margin_sd", "of load", 0.0, 2.0, 0.05, 0.05),
     ),
-    "true_soil": (*_TRUE, ObservedNumber("margin", "of load", -2.0, 2.0, 0.0, 0.1)),
+    "true_soil": (*_TRUE, _MARGIN),
 }
 ROUTES = ("ahead", "beside")
 AXLES = ("front", "middle", "rear")  # of a rover, which has its own entries for each (`rover.task`)
@@ -88,15 +99,13 @@ AXLES = ("front", "middle", "rear")  # of a rover, which has its own entries for
 def _seen(classes: int, routes: int) -> list[ObservedNumber]:
     """Entries of the camera for so many terrain classes and routes."""
     entries = [ObservedNumber("border_distance", "m", 0.0, 100.0, 1.0, 0.5)]
-    entries += [ObservedNumber(f"here_class_{c + 1}", "0 or 1", 0.0, 1.0) for c in range(classes)]
+    entries += [_flag(f"here_class_{c + 1}") for c in range(classes)]
     for route in ROUTES[:routes]:
         entries.append(
             ObservedNumber(f"{route}_grade", "rad, uphill positive", -1.6, 1.6, 0.0, 0.15)
         )
-        entries += [
-            ObservedNumber(f"{route}_class_{c + 1}", "0 or 1", 0.0, 1.0) for c in range(classes)
-        ]
-    return entries + [ObservedNumber("choice", "0 or 1", 0.0, 1.0)] * (routes > 1)
+        entries += [_flag(f"{route}_class_{c + 1}") for c in range(classes)]
+    return entries + [_flag("choice")] * (routes > 1)
 
 
 def check_version(found: object, where: object) -> None:
@@ -127,6 +136,11 @@ def layout(variant: str, course: CourseSpec | None = None) -> tuple[ObservedNumb
         for e in _AHEAD[variant]
     ]
     return (*entries, *_seen(course.classes, course.lines), *ahead)
+
+
+def bounds_of(entries: Iterable[ObservedNumber]) -> np.ndarray:
+    """Lowest and highest values of an observation, [2, D] float32."""
+    return np.array([(e.low, e.high) for e in entries], dtype=np.float32).T.copy()
 
 
 def truth(course: CourseSpec) -> tuple[ObservedNumber, ...]:

@@ -3,6 +3,7 @@
 import math
 
 from soil_env._compiled.flags import compiled, compiled_finite
+from soil_env.parameters.readings import SensorReading
 from soil_env.simulation.task.layout import VARIANTS
 from soil_env.simulation.world.camera import Sight, patch_ahead, seen_grade, write_view
 from soil_env.simulation.world.routes import choosing
@@ -10,6 +11,7 @@ from soil_env.simulation.world.terrain import piece_at, soil_on
 from soil_env.terramechanics.ground import soil_of
 
 SENSORS = 14  # entries that every variant has
+LAST_ACTION = 8  # index of that entry; those before are the first readings
 TRUE_SOIL = VARIANTS.index("true_soil")
 ENTRIES_OF_SOIL = 7  # of a true soil
 ENTRIES_AHEAD = 8  # of the true soil of a route ahead: soil and margin
@@ -23,22 +25,34 @@ def clip(out, bounds):
 
 
 @compiled_finite
+def relative(reading, task):
+    """`SensorReading` of a `READING` in the units of the observation."""
+    moment = task.weight * task.radius
+    return SensorReading(
+        reading.slip,
+        reading.sinkage / task.radius,
+        reading.drawbar_pull / task.weight,
+        reading.load / task.weight,
+        reading.torque / moment,
+        reading.speed / task.top_speed,
+        reading.rim_speed / task.top_speed,
+        reading.pitch,
+        reading.motor_torque / moment,
+        reading.acceleration / task.gravity,
+    )
+
+
+@compiled_finite
 def write_sensors(out, wheel, reading, task):
     """Fill the first entries of the observation `out` [D] of a wheel."""
-    moment = task.weight * task.radius
-    out[0] = reading.slip
-    out[1] = reading.sinkage / task.radius
-    out[2] = reading.drawbar_pull / task.weight
-    out[3] = reading.load / task.weight
-    out[4] = reading.torque / moment
-    out[5] = reading.speed / task.top_speed
-    out[6] = reading.rim_speed / task.top_speed
-    out[7] = reading.pitch
-    out[8] = wheel.last_action
+    seen = relative(reading, task)
+    for i in range(LAST_ACTION):
+        out[i] = seen[i]
+    out[LAST_ACTION] = wheel.last_action
     out[9] = wheel.odometer / task.length
     out[10] = 1.0 if wheel.halt_left > 0.0 else 0.0
-    out[11] = reading.motor_torque / moment
-    out[12] = reading.acceleration / task.gravity
+    out[11] = seen.motor_torque
+    out[12] = seen.acceleration
     out[13] = wheel.rim_command
 
 

@@ -116,9 +116,3 @@ def add_reward(vehicle, cause, task, terms):
     terms[1] -= task.energy * work / (vehicle.mass * task.gravity * task.length)
     if cause != RUNNING and cause != FINISHED:
         terms[2] -= task.immobilisation
-
-
-@compiled_finite
-def total_of(terms):
-    """Sum of the reward terms [4]."""
-    return terms[0] + terms[1] + terms[2] + terms[3]

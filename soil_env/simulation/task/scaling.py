@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soil_env._io.loading import ParameterError
-from soil_env.simulation.task import ROUTES, ObservedNumber
+from soil_env.simulation.task.layout import ROUTES, ObservedNumber, bounds_of
 
 _OF_ROUTES = tuple(f"{route}_" for route in ROUTES)
 _ALWAYS = "log10_sinkage_coefficient"
@@ -40,7 +40,6 @@ class Scaling:
         # for each entry one that is 0 if its route is out of sight, and 1 if it is kept then
         self._mark = np.arange(len(names))
         self._kept = np.ones(len(names), dtype=np.float32)
-        self._wide: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
         self._routes = []  # the entries of each route that are not 0 in sight
         for route in _OF_ROUTES:
             if route + _ALWAYS in names:
@@ -54,44 +53,19 @@ class Scaling:
     @property
     def space(self) -> gymnasium.spaces.Box:
         """Box of the observations."""
-        low, high = (
-            np.array([getattr(e, side) for e in self.entries], np.float32)
-            for side in ("low", "high")
-        )
+        bounds = bounds_of(self.entries)
         if self.scaled:
-            low, high = ((side - self.centre) / self.scale for side in (low, high))
-        return gymnasium.spaces.Box(low, high, dtype=np.float32)
+            bounds = (bounds - self.centre) / self.scale
+        return gymnasium.spaces.Box(*bounds, dtype=np.float32)
 
     def __call__(self, values: Any) -> Any:
         """Observations, a new array, from values [..., D] in their units, float32."""
         if not self.scaled:
             return +values
-        if not isinstance(values, np.ndarray):  # recorded for an export
-            out = (values - self.centre) / self.scale
-            return (
-                out
-                if not self._routes
-                else np.where(values[..., self._mark] == 0.0, out * self._kept + 0.0, out)
-            )
-        centre, scale = self._rows(values)
-        out = values - centre
-        out /= scale
-        rows = out.reshape(-1, len(self.entries))
-        for columns in self._routes:
-            dark = np.flatnonzero(values.reshape(rows.shape)[:, self._mark[columns[0]]] == 0.0)
-            rows[dark[:, None], columns] = 0.0
-        return out
-
-    def _rows(self, values: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Centre and scale in the shape of `values`, kept: a broadcast takes twice as long."""
-        if self._wide is None or self._wide[0].shape != values.shape:
-            self._wide = (
-                np.tile(self.centre, (*values.shape[:-1], 1)),
-                np.tile(self.scale, (*values.shape[:-1], 1)),
-            )
-            if values.ndim == 1:
-                self._wide = self.centre, self.scale
-        return self._wide
+        out = (values - self.centre) / self.scale
+        if not self._routes:
+            return out
+        return np.where(values[..., self._mark] == 0.0, out * self._kept + 0.0, out)
 
     def physical(self, observation: Any) -> NDArray[np.float32]:
         """Values in their units, a new array, from observations [..., D]."""

@@ -65,12 +65,6 @@ def sight_of(wheel, course, camera):
 
 
 @compiled
-def label_here(course, sight):
-    """The class of the ground under the wheel as the camera sees it."""
-    return course.routes[sight.patch, course.forks[sight.patch].taken].label
-
-
-@compiled
 def patch_ahead(course, sight, camera):
     """The patch whose routes are in sight, or -1."""
     ahead = sight.patch + 1
@@ -93,7 +87,7 @@ def take_image(image, wheel, course, sight, camera):
     image.patch = sight.patch
     image.since = sight.since
     image.left = sight.left
-    image.here = label_here(course, sight)
+    image.here = course.routes[sight.patch, course.forks[sight.patch].taken].label
     image.seen = 1.0 if ahead >= 0 else 0.0
     image.chosen = 1.0 if settled(wheel, course, p) else 0.0
     image.lines = course.forks[p].routes

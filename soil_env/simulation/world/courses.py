@@ -27,7 +27,7 @@ from soil_env.simulation.world.passability import (
 from soil_env.simulation.world.routes import draw_classes, draw_routes
 from soil_env.simulation.world.terrain import cell_at, clear
 from soil_env.simulation.world.wheel import acting_in, rig_of
-from soil_env.terramechanics.ground import put_soil, soil_of
+from soil_env.terramechanics.ground import put_soil
 from soil_env.terramechanics.model import WheelSoilModel
 
 # actions of travel at top rim speed before a wheel within which ground is drawn
@@ -55,17 +55,18 @@ def course_distribution(
     if course.classes:  # the patch after one in sight is drawn, so that what is seen is final
         ahead += camera.range + course.patch_length[1] + course.border
     spec = np.zeros(1, DISTRIBUTION)[0]
-    for name in ("length", "border", "class_scatter", "least_pull", "classes", "lines"):
-        spec[name] = getattr(course, name)
-    for name in ("patch_length", "slope_length", "payload", "halt_before"):
-        spec[name] = getattr(course, name)
-    for name in ("label_error", "grade_noise", "border_noise"):
-        spec[name] = getattr(camera, name)
+    of_course = ("length", "border", "class_scatter", "least_pull", "classes", "lines")
+    ranges = ("patch_length", "slope_length", "payload", "halt_before")
+    for part, names in (
+        (course, of_course + ranges),
+        (camera, ("label_error", "grade_noise", "border_noise")),
+        (wheel, ("body_mass", "stall_torque")),
+    ):
+        for name in names:
+            spec[name] = getattr(part, name)
     spec.ahead = ahead
     spec.grade = np.radians(course.grade_deg)
     spec.first_grade = np.radians(course.first_grade_deg)
-    spec.body_mass = wheel.body_mass
-    spec.stall_torque = wheel.stall_torque
     spec.bogged_sinkage = scenario.limits.bogged_sinkage * wheel.radius
     spec.reference_sinkage = spread.reference_sinkage
     spec.speed = 0.5 * wheel.no_load_speed * wheel.radius
@@ -110,9 +111,8 @@ def start_course(course, owner, numbers, nodes):
     spec = numbers.drawn.spec
     mass = spec.body_mass + within(course, spec.payload)
     load = mass * numbers.rig.gravity
-    if not draw_classes(course, load, numbers, nodes):
-        return -1.0
-    if not _draw_patch(course, load, numbers, nodes):
+    found = draw_classes(course, load, numbers, nodes)
+    if not (found and _draw_patch(course, load, numbers, nodes)):
         return -1.0
     extend_course(course, mass, spec.ahead, numbers, nodes)
     return mass
@@ -162,7 +162,7 @@ def _draw_soil(course, load, numbers, nodes):
     patch = course.patches[p]
     found = draw_ground(patch, course, load, numbers, nodes)
     if not found and p > 0:
-        put_soil(patch, soil_of(course.patches[p - 1]))
+        put_soil(patch, course.patches[p - 1])
     return found
 
 

@@ -256,12 +256,8 @@ def control_period(wheel, action, course, world):
     In a halt the drive ignores the action; its speed loop brakes the wheel and holds it.
     """
     x_start = wheel.x
-    drive_period(
-        wheel,
-        commanded(wheel, action, wheel.halt_left > 0.0, world.rig),
-        course,
-        world,
-    )
-    _at_fork(wheel, course, action, world.rig)
-    measure_slip(wheel, world.rig)
-    end_period(wheel, x_start, wheel, world.rig)
+    rig = world.rig
+    drive_period(wheel, commanded(wheel, action, wheel.halt_left > 0.0, rig), course, world)
+    _at_fork(wheel, course, action, rig)
+    measure_slip(wheel, rig)
+    end_period(wheel, x_start, wheel, rig)

@@ -11,7 +11,7 @@ from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects import depends_on_speed
 from soil_env.terramechanics.ground import put_soil, soil_of
 from soil_env.terramechanics.reaction import Acting
-from soil_env.terramechanics.residual import WorkingPoint, dimensionless_groups, residual_at
+from soil_env.terramechanics.residual import WorkingPoint, residual_under
 from soil_env.terramechanics.steady import Conditions, Point, steady_at
 from soil_env.terramechanics.traversability import best_point_at
 
@@ -89,21 +89,14 @@ def draw_soil(owner, drawn):
 @compiled
 def scattered(mean, share, owner, spec):
     """A soil that scatters about `mean` by a share of `SoilSpread`; deviations are cut."""
-    z0, z1 = normal_pair(owner)
-    z2, z3 = normal_pair(owner)
-    z4, z5 = normal_pair(owner)
-    f = spec.factor
-    friction = share * spec.variation[0] * _cut(f[0, 0] * z0)
+    z = normal_pair(owner) + normal_pair(owner) + normal_pair(owner)
+    friction = share * spec.variation[0] * _deviation(0, z, spec)
     phi = min(math.atan(mean.tan_phi) * (1.0 + friction), STEEPEST_FRICTION)
-    deviation = _cut(f[1, 0] * z0 + f[1, 1] * z1)
-    cohesion = mean.cohesion * _factor(share * spec.variation[1], deviation)
-    deviation = _cut(f[2, 0] * z0 + f[2, 1] * z1 + f[2, 2] * z2)
-    modulus = mean.shear_modulus * _factor(share * spec.variation[2], deviation)
-    deviation = _cut(f[3, 0] * z0 + f[3, 1] * z1 + f[3, 2] * z2 + f[3, 3] * z3)
-    stiffer = _factor(share * spec.variation[3], deviation)
-    deviation = _cut(f[4, 0] * z0 + f[4, 1] * z1 + f[4, 2] * z2 + f[4, 3] * z3 + f[4, 4] * z4)
-    gain = mean.dig_gain * _factor(share * spec.variation[4], deviation)
-    n = mean.sinkage_exponent * (1.0 + share * spec.variation[5] * _cut(z5))
+    cohesion = mean.cohesion * _factor(1, z, share, spec)
+    modulus = mean.shear_modulus * _factor(2, z, share, spec)
+    stiffer = _factor(3, z, share, spec)
+    gain = mean.dig_gain * _factor(4, z, share, spec)
+    n = mean.sinkage_exponent * (1.0 + share * spec.variation[5] * _cut(z[5]))
     depth = spec.reference_sinkage
     pressure = mean.sinkage_coefficient * depth**mean.sinkage_exponent * stiffer  # [Pa] at `depth`
     coefficient = pressure / depth**n
@@ -116,22 +109,20 @@ def _cut(deviation):
 
 
 @compiled
-def _factor(variation, deviation):
-    """Log-normal factor of mean 1 with this coefficient of variation, at a deviation [sigma]."""
-    s = math.sqrt(math.log(1.0 + variation * variation))
-    return math.exp(s * deviation - 0.5 * s * s)
+def _deviation(i, z, spec):
+    """Deviation [sigma] of the property i of `variation`, correlated, from independent ones z."""
+    total = 0.0
+    for k in range(i + 1):
+        total += spec.factor[i, k] * z[k]
+    return _cut(total)
 
 
 @compiled
-def _residual_of(best, load, soil, at, rig, residual):
-    """(pull [of weight], torque [of weight x radius]) that a residual law adds."""
-    if residual is None:
-        return 0.0, 0.0
-    else:
-        point = WorkingPoint(best.slip, best.sinkage, load, at.speed, at.passes, at.sin_grade)
-        groups = dimensionless_groups(point, soil, rig, rig.gravity)
-        _, pull, torque = residual_at(residual, groups)
-        return pull, torque
+def _factor(i, z, share, spec):
+    """Log-normal factor of mean 1 of the property i, with a share of its `variation`."""
+    variation = share * spec.variation[i]
+    s = math.sqrt(math.log(1.0 + variation * variation))
+    return math.exp(s * _deviation(i, z, spec) - 0.5 * s * s)
 
 
 @compiled
@@ -152,7 +143,8 @@ def capacity(load, soil, numbers, nodes):
     for speed in (spec.speed, 0.0):
         at = Conditions(speed, 1.0, 0.0)
         best = best_point_at(nodes, load, soil, rig, at, effects, spec.stall_torque)
-        pull, torque = _residual_of(best, load, soil, at, rig, numbers.acting.residual)
+        point = WorkingPoint(best.slip, best.sinkage, load, at.speed, at.passes, at.sin_grade)
+        _, pull, torque = residual_under(numbers.acting.residual, point, soil, rig)
         if best.sinkage > deepest or best.torque + torque * load * rig.radius > spec.stall_torque:
             return IMPASSABLE
         least = min(least, best.drawbar_pull / load + pull)

@@ -69,9 +69,9 @@ def draw_routes(course, load, numbers, nodes):
     if two:
         beside.terrain = _another(course, spec.classes, straight.terrain)
         _draw_route(course, beside, load, numbers, nodes)
-    else:
-        course.routes[p, 1] = straight
     _draw_camera_errors(course, p, spec)
+    if not two:
+        course.routes[p, 1] = straight
     set_route(course, p, 0)
 
 
@@ -79,21 +79,16 @@ def draw_routes(course, load, numbers, nodes):
 def _draw_camera_errors(course, p, spec):
     """Draw the errors of the camera in patch p, and how far before it the wheel is halted."""
     fork = course.forks[p]
-    straight = course.routes[p, 0]
-    beside = course.routes[p, 1]
     for i in range(2):
         route = course.routes[p, i]
         route.label = route.terrain
         if uniform(course) < spec.label_error and spec.classes > 1:
             route.label = _another(course, spec.classes, route.terrain)
     a, b = normal_pair(course)
-    straight.grade_error = spec.grade_noise * a
-    beside.grade_error = spec.grade_noise * b
+    course.routes[p, 0].grade_error = spec.grade_noise * a
+    course.routes[p, 1].grade_error = spec.grade_noise * b
     a, b = normal_pair(course)
     fork.border_error = spec.border_noise * a
-    if fork.routes == 1:
-        beside.label = straight.label
-        beside.grade_error = straight.grade_error
     fork.halt = -within(course, spec.halt_before)
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._compiled.flags import compiled_finite, record
-from soil_env._compiled.random_streams import PAIRS, draw_normals
+from soil_env._compiled.random_streams import draw_normals
 from soil_env.parameters import Scenario
 from soil_env.parameters.readings import SensorReading, reading_errors
 from soil_env.slip import SLOWEST, signed_slip
@@ -34,20 +34,19 @@ class SensorErrors(NamedTuple):
     sinkage_offset_offset: float
     slip_sinkage_gain: float  # of a sinkage that is seen, not felt
     slip_sinkage_recovery: float
-    slip_sinkage_apparent: float
 
 
-NO_ERRORS = SensorErrors(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_ERRORS = SensorErrors(*[0.0] * len(SensorErrors._fields))
 
 
 def sensor_errors(model: WheelSoilModel | None) -> SensorErrors:
     """Pack the errors of the sensors in the world of a `model`."""
     if model is None:
         return NO_ERRORS
-    errors = SensorErrors(*(getattr(model.numbers, name) for name in SensorErrors._fields))
-    # Of a sinkage that is felt the sensors have no error.
-    own = errors if errors.slip_sinkage_apparent > 0.0 else errors[:3]
-    return errors if any(own) else NO_ERRORS
+    fx = model.numbers
+    if fx.slip_sinkage_apparent == 0.0:  # of a sinkage that is felt the sensors have no error
+        fx = fx._replace(slip_sinkage_gain=0.0)
+    return SensorErrors(*(getattr(fx, name) for name in SensorErrors._fields))
 
 
 def sensors_of(scenario: Scenario) -> np.ndarray:
@@ -80,9 +79,9 @@ def _scatter(out, sd, normals):
 @compiled_finite
 def mount_sensors(wheel, normals, sensors):
     """Draw zeros and gains of the sensors of a wheel for a course."""
-    draw_normals(wheel, normals, PAIRS)
+    draw_normals(wheel, normals)
     _scatter(wheel.zero[0], sensors.zero[0], normals)
-    draw_normals(wheel, normals, PAIRS)
+    draw_normals(wheel, normals)
     _scatter(wheel.gain[0], sensors.gain[0], normals)
 
 
@@ -107,7 +106,7 @@ def sense(wheel, reading, normals, sensors, errors, radius):
     pull = wheel.drawbar_pull
     motor = wheel.motor_torque
     rim = wheel.wheel_speed * radius
-    draw_normals(wheel, normals, PAIRS)
+    draw_normals(wheel, normals)
     _scatter(reading, sensors.white[0], normals)
     reading.sinkage += (1.0 + gain.sinkage) * sinkage + zero.sinkage
     reading.drawbar_pull += (1.0 + gain.drawbar_pull) * pull + zero.drawbar_pull
@@ -137,9 +136,5 @@ def read_slip(wheel, reading, sensors, errors):
 @compiled_finite
 def _seen_sinkage(slip, sinkage, errors):
     """Sinkage [m] as a sensor with `SensorErrors` shows it, without noise."""
-    seen = sinkage + errors.sinkage_offset_offset
-    if errors.slip_sinkage_apparent > 0.0:
-        gain = errors.slip_sinkage_gain
-        ratio = slip_sinkage_ratio(slip, gain, errors.slip_sinkage_recovery)
-        seen += sinkage * (ratio - 1.0)
-    return seen
+    ratio = slip_sinkage_ratio(slip, errors.slip_sinkage_gain, errors.slip_sinkage_recovery)
+    return sinkage * ratio + errors.sinkage_offset_offset

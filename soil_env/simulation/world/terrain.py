@@ -10,14 +10,12 @@ from soil_env._compiled.elementary import smooth_step
 from soil_env._compiled.flags import HUGE, compiled, record
 from soil_env.parameters import MOST_CLASSES, Scenario, SoilState
 from soil_env.terramechanics.effects.multipass import COMPACTION, rut_growth
-from soil_env.terramechanics.ground import blend, put_soil, soil_of
+from soil_env.terramechanics.ground import SOIL, blend, put_soil, soil_of
 
 CELL = 0.05  # [m] length of one cell of the rut
 CELLS_BEHIND = 10  # cells behind the start of a course
 BEHIND = CELLS_BEHIND * CELL  # [m] ground behind the start that has cells of its own
 
-#: A soil: the fields of `SoilState`.
-SOIL = record(*SoilState._fields)
 #: A patch of a course, with the soil of the route that is taken over it.
 PATCH = record(
     "start",  # [m] along the course; `HUGE` of patches that are not drawn yet

@@ -109,8 +109,7 @@ RIG = record(
     "radius",  # [m] of the rim
     "width",  # [m]
     "grouser_height",  # [m]
-    "contact_radius",  # [m] that carries the normal stress
-    "shear_ratio",  # [-] radius at which soil is sheared, over `contact_radius`
+    "shear_ratio",  # [-] radius at which soil is sheared, over that of the contact
     "rim_ratio",  # [-] that radius over the rim's
     "tyre_deflection",  # [m] at any load
     "tyre_compliance",  # [m/N]
@@ -182,11 +181,18 @@ def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarra
     w = scenario.wheel
     c = scenario.control
     rig = np.zeros(1, RIG)
-    rig["radius"] = w.radius
-    rig["width"] = w.width
-    rig["gravity"] = scenario.gravity
-    for name in ("tyre_deflection", "tyre_compliance", "grip"):
+    for name in (
+        "radius",
+        "width",
+        "tyre_deflection",
+        "tyre_compliance",
+        "grip",
+        "inertia",
+        "stall_torque",
+        "no_load_speed",
+    ):
         rig[name] = getattr(w, name)
+    rig["gravity"] = scenario.gravity
     if model is not None:
         refuse_lugs_on_tyre(model.wheel.grouser_height, w.tyre)
         rig["grouser_height"] = model.wheel.grouser_height
@@ -194,12 +200,8 @@ def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarra
     effects = acting_in(model).effects
     r = uncompiled(contact_radius)(rig[0], effects)
     ratio = uncompiled(shear_radius_ratio)(rig[0], effects)
-    rig["contact_radius"] = r
     rig["shear_ratio"] = ratio
     rig["rim_ratio"] = ratio * r / w.radius
-    rig["inertia"] = w.inertia
-    rig["stall_torque"] = w.stall_torque
-    rig["no_load_speed"] = w.no_load_speed
     rig["relaxation"] = scenario.relaxation * w.radius
     rig["border"] = scenario.course.border
     rig["halt_low"], rig["halt_high"] = scenario.course.halt_interval

@@ -3,9 +3,10 @@ composition.
 
 How to add an effect, in four files beside tests and pages:
 
-1. Write `effects/<name>.py` with `EFFECT = Effect(...)`: title, channels it moves,
-   `EffectParameter`s, and for each published form its equation as text and its source. In the text
-   a space multiplies and names have no dash. Set `varies` to the condition that shows the effect.
+1. Write `effects/<name>.py` with `EFFECT = Effect(...)`: title, `EffectParameter`s, and for each
+   published form its equation as text and its source. In the text a space multiplies and names
+   have no dash. Set `moves` where it leaves a channel as it is, and `varies` to the condition that
+   shows the effect.
    A constant of the source that is not fitted is a parameter `reference_speed` with scale 0.
    Another form of a listed mechanism is a `Form`, no effect.
 2. Write its law there as a function under `@compiled`. `fx.<name>_<parameter>` are its
@@ -58,42 +59,7 @@ from soil_env.terramechanics.effects import (
     stress_peak_shift,
 )
 from soil_env.terramechanics.effects.drivetrain_friction import Friction, friction_at
-from soil_env.terramechanics.effects.entry import Effect, Passage
-from soil_env.terramechanics.effects.slip_bias import measured_slip, true_slip
-from soil_env.terramechanics.effects.slip_sinkage import (
-    digging,
-    digging_ratio,
-    excavated_depth,
-    excavation_rate,
-    onto_fresh,
-    slip_sinkage_ratio,
-)
-
-__all__ = [
-    "CATALOGUE",
-    "NO_EFFECTS",
-    "Effect",
-    "Effects",
-    "Friction",
-    "Passage",
-    "acting_effects",
-    "arc_ends",
-    "depends_on_speed",
-    "digging",
-    "digging_ratio",
-    "drive_friction",
-    "drive_torque",
-    "excavated_depth",
-    "excavation_rate",
-    "measured_slip",
-    "onto_fresh",
-    "pack_effects",
-    "slip_sinkage_ratio",
-    "soil_in_contact",
-    "soil_resistance",
-    "switched_on",
-    "true_slip",
-]
+from soil_env.terramechanics.effects.entry import Effect
 
 #: Modules of this folder, one an effect, in the order of every list of effects.
 _MODULES = (
@@ -231,5 +197,6 @@ def depends_on_speed(fx):
     if fx is None:
         return False
     else:
-        bearing = penetration_rate.bearing_goes_with_speed(fx)
-        return bearing or shear_rate.strength_goes_with_speed(fx)
+        bearing = fx.penetration_rate_exponent != 0.0 or fx.penetration_rate_slope != 0.0
+        shear = fx.shear_rate_exponent != 0.0 or fx.shear_rate_slope != 0.0
+        return bearing or shear or fx.shear_rate_cohesion != 0.0

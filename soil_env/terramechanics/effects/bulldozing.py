@@ -22,8 +22,6 @@ def bulldozing_resistance(sinkage, soil, wheel, fx):
     By Rankine, or by Hegedus (1960), which Ishigami et al. (2007) take for the side of a wheel:
     `Form`s below.
     """
-    if fx.bulldozing_rankine == 0.0 and fx.bulldozing_hegedus == 0.0:
-        return 0.0
     kp = passive_coefficient(soil.tan_phi)
     cot = math.sqrt(kp)  # cot X = tan(X + phi) = tan(45 deg + phi/2)
     z = max(sinkage, 0.0)
@@ -36,10 +34,9 @@ def bulldozing_resistance(sinkage, soil, wheel, fx):
 EFFECT = Effect(
     "bulldozing",
     "bulldozing",
-    (PULL,),
     (
-        P("rankine", "f", "", 0.0, 0.0, 6.0, 1.0, "factor on Rankine's passive pressure"),
-        P("hegedus", "f", "", 0.0, 0.0, 6.0, 1.0, "factor on the resistance of Hegedus"),
+        P("rankine", "f", 0.0, 6.0, 1.0, "factor on Rankine's passive pressure"),
+        P("hegedus", "f", 0.0, 6.0, 1.0, "factor on the resistance of Hegedus"),
     ),
     (
         Form(
@@ -56,5 +53,6 @@ EFFECT = Effect(
             "Hegedus (1960); beside a wheel: Ishigami et al. (2007), J. Field Robotics 24:233-250",
         ),
     ),
+    moves=(PULL,),
     symbols={"X": "45 deg - phi/2"},
 )

@@ -50,11 +50,10 @@ _ARMSTRONG = "Armstrong-Helouvry et al. (1994), Automatica 30:1083-1138"
 EFFECT = Effect(
     "drivetrain_friction",
     "friction of the drivetrain",
-    (TORQUE,),
     (
-        P("constant", "T0", "N m", 0.0, 0.0, 1e6, 0.0, "Coulomb friction"),
-        P("share", "e", "", 0.0, 0.0, 1.0, 0.1, "share of the torque"),
-        P("viscous", "v", "N m s", 0.0, 0.0, 1e6, 0.0, "viscous friction"),
+        P("constant", "T0", 0.0, 1e6, 0.0, "Coulomb friction", unit="N m"),
+        P("share", "e", 0.0, 1.0, 0.1, "share of the torque"),
+        P("viscous", "v", 0.0, 1e6, 0.0, "viscous friction", unit="N m s"),
     ),
     (
         Form("coulomb", ("constant",), "T_measured = T + {constant}", _ARMSTRONG),
@@ -72,6 +71,7 @@ EFFECT = Effect(
             needs_speed=True,
         ),
     ),
+    moves=(TORQUE,),
     beside="speed",  # lubricated friction falls and rises again with the speed (Stribeck)
     symbols={"T_measured": "measured torque", "w": "wheel speed, rad/s"},
     priors=_priors,

@@ -20,13 +20,13 @@ class EffectParameter:
 
     name: str
     symbol: str  # in the equations
-    unit: str
-    neutral: float  # value that switches the law off, or an idle one where another parameter does
     low: float
     high: float
     #: Prior standard deviation, relative where `centre` is given; 0 where the table gives it.
     scale: float
     doc: str
+    unit: str = ""
+    neutral: float = 0.0  # switches the law off, or is an idle value where another parameter does
     centre: float | None = None  # prior mean of a nuisance parameter of the law
 
 
@@ -67,9 +67,9 @@ class Effect:
 
     name: str
     title: str
-    moves: tuple[Channel, ...]  # channels that it changes directly
     parameters: tuple[EffectParameter, ...]
     forms: tuple[Form, ...]
+    moves: tuple[Channel, ...] = CHANNELS  # that it changes directly
     varies: str | None = None  # column that must vary in a table for the effect to show
     shows_without: bool = False  # shows, if faintly, where that column does not vary
     #: Column, or the time elapsed, that it may depend on in a way that no form has.

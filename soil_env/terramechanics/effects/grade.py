@@ -5,9 +5,6 @@ import math
 from soil_env._compiled.elementary import asin_root, power
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.entry import (
-    PULL,
-    SINKAGE,
-    TORQUE,
     Effect,
     EffectParameter as P,
     Form,
@@ -27,8 +24,6 @@ def slope_factor(soil, sin_grade, fx):
     """Bearing on a slope over that on the level: Meyerhof's (1 - |b|/phi)^2 for a load
     at the angle b, to the power w.
     """
-    if fx.grade_weakening == 0.0:
-        return 1.0
     phi = asin_root(soil.tan_phi * soil.tan_phi / (1.0 + soil.tan_phi * soil.tan_phi))
     left = 1.0 - asin_root(sin_grade * sin_grade) / max(phi, 1e-3)
     return power(max(left, 0.02), 2.0 * fx.grade_weakening)
@@ -44,19 +39,9 @@ _WEIGHT = "W_n = W [1 - {share} (1 - cos(b))]; DP = DP_0 - {share} W sin(b)"
 EFFECT = Effect(
     "grade",
     "grade",
-    (SINKAGE, PULL, TORQUE),
     (
-        P("share", "f", "", 0.0, -0.5, 2.0, 1.0, "share of the weight that acts along the slope"),
-        P(
-            "weakening",
-            "w",
-            "",
-            0.0,
-            -1.0,
-            3.0,
-            0.7,
-            "loss of bearing on slopes, 1 as Meyerhof has it",
-        ),
+        P("share", "f", -0.5, 2.0, 1.0, "share of the weight that acts along the slope"),
+        P("weakening", "w", -1.0, 3.0, 0.7, "loss of bearing on slopes, 1 as Meyerhof has it"),
     ),
     (
         Form(

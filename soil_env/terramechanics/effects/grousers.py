@@ -5,9 +5,6 @@ import math
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.bulldozing import passive_coefficient
 from soil_env.terramechanics.effects.entry import (
-    PULL,
-    SINKAGE,
-    TORQUE,
     Bench,
     Effect,
     EffectParameter as P,
@@ -60,8 +57,6 @@ def blade_thrust(theta1, sinkage, soil, wheel, fx):
     Kp) (Bekker 1969). q = gamma z/2 is the soil above it on average.
     """
     height = wheel.grouser_height
-    if fx.grousers_blades == 0.0 or height <= 0.0:
-        return 0.0
     kp = passive_coefficient(soil.tan_phi)
     weight = 0.5 * wheel.unit_weight * height * (height + max(sinkage, 0.0)) * kp
     one = wheel.width * (weight + 2.0 * soil.cohesion * height * math.sqrt(kp))
@@ -73,8 +68,6 @@ def blades_at(thrust, slip):
     """(what acts of the `blade_thrust` [N] at this slip, its derivative): none where the wheel
     rolls freely.
     """
-    if thrust == 0.0:
-        return 0.0, 0.0
     share = math.tanh(slip / BLADE_SLIP)
     return thrust * share, thrust * (1.0 - share * share) / BLADE_SLIP
 
@@ -93,33 +86,12 @@ _AT_RIM = (("slip_at_rim", 1.0),)
 EFFECT = Effect(
     "grousers",
     "grousers",
-    (SINKAGE, PULL, TORQUE),
     (
-        P(
-            "shear_share",
-            "l",
-            "",
-            0.0,
-            0.0,
-            2.0,
-            0.6,
-            "share of the height added to the shear radius",
-        ),
-        P(
-            "radius_share",
-            "l",
-            "",
-            0.0,
-            0.0,
-            2.0,
-            0.6,
-            "share of the height added to the wheel radius",
-        ),
+        P("shear_share", "l", 0.0, 2.0, 0.6, "share of the height added to the shear radius"),
+        P("radius_share", "l", 0.0, 2.0, 0.6, "share of the height added to the wheel radius"),
         P(
             "slip_at_rim",
             "",
-            "",
-            0.0,
             0.0,
             1.0,
             1.0,
@@ -128,12 +100,11 @@ EFFECT = Effect(
         P(
             "blades",
             "m",
-            "1/rad",
-            0.0,
             0.0,
             20.0,
             4.0,
             "lugs in the ground for each radian of contact",
+            unit="1/rad",
         ),
     ),
     (

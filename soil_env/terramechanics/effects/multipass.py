@@ -5,9 +5,6 @@ import math
 from soil_env._compiled.elementary import exp, power
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.entry import (
-    PULL,
-    SINKAGE,
-    TORQUE,
     Effect,
     EffectParameter as P,
     Form,
@@ -75,28 +72,12 @@ def in_rut(soil, passes, fx):
 
 
 @compiled
-def depends_on_passes(fx):
-    """True if earlier passes change the soil."""
-    if fx is None:
-        return False
-    else:
-        strength = (
-            fx.multipass_stiffening != 0.0
-            or fx.multipass_strength != 0.0
-            or fx.multipass_cohesion != 0.0
-        )
-        return strength or bearing_goes_with_passes(fx)
-
-
-@compiled
 def pass_factor(passes, slip, exponent, fx):
     """Sinkage coefficient in the track of earlier passes over that of fresh soil, earlier passes at
     the same slip.
 
     N^a [1 + g (1 - exp(-(N - 1)/d)) + s (1 - exp(-|i|/k1)) + p (N - 1)], times `rut_stiffness`.
     """
-    if passes <= 1.0:
-        return 1.0
     more = passes - 1.0
     gain = fx.multipass_gain * (1.0 - exp(-more / fx.multipass_passes))
     gain += fx.multipass_per_pass * more
@@ -108,9 +89,9 @@ def pass_factor(passes, slip, exponent, fx):
 @compiled
 def passed_over(soil, passage, fx):
     """Soil in the track: bearing by `pass_factor`, strength and K by powers of the pass number."""
-    if not depends_on_passes(fx):
+    passes = passage.passes
+    if passes <= 1.0:
         return soil
-    passes = max(passage.passes, 1.0)
     stronger = with_strength(
         soil,
         soil.tan_phi * power(passes, fx.multipass_strength),
@@ -128,28 +109,26 @@ _MORE_COHESIVE = "c_N = c N^{cohesion}"
 EFFECT = Effect(
     "multipass",
     "multipass",
-    (SINKAGE, PULL, TORQUE),
     (
-        P("hardening", "a", "", 0.0, -1.0, 3.0, 0.4, "power of the pass number"),
-        P("gain", "g", "", 0.0, -0.8, 8.0, 0.8, "saturating gain"),
-        P("passes", "d", "", 1.0, 0.3, 10.0, 0.5, "passes to saturation", centre=1.0),
-        P("slip_gain", "s", "", 0.0, -0.8, 8.0, 0.5, "gain after passes at much slip"),
+        P("hardening", "a", -1.0, 3.0, 0.4, "power of the pass number"),
+        P("gain", "g", -0.8, 8.0, 0.8, "saturating gain"),
+        P("passes", "d", 0.3, 10.0, 0.5, "passes to saturation", neutral=1.0, centre=1.0),
+        P("slip_gain", "s", -0.8, 8.0, 0.5, "gain after passes at much slip"),
         P(
             "slip_scale",
             "k1",
-            "",
-            0.2,
             0.02,
             2.0,
             0.5,
             "slip of those passes that brings most of it",
+            neutral=0.2,
             centre=0.2,
         ),
-        P("per_pass", "p", "", 0.0, -0.4, 2.0, 0.2, "gain with each pass"),
-        P("stiffening", "k", "", 0.0, -1.0, 1.5, 0.15, "on the shear deformation modulus"),
-        P("strength", "f", "", 0.0, -0.5, 0.5, 0.05, "on the friction"),
-        P("cohesion", "h", "", 0.0, -1.0, 2.0, 0.2, "on the cohesion"),
-        P("compaction", "q", "", 0.0, 0.0, 0.8, 0.3, "1 - 1/a of ruts as deep as z_1 N^(1/a)"),
+        P("per_pass", "p", -0.4, 2.0, 0.2, "gain with each pass"),
+        P("stiffening", "k", -1.0, 1.5, 0.15, "on the shear deformation modulus"),
+        P("strength", "f", -0.5, 0.5, 0.05, "on the friction"),
+        P("cohesion", "h", -1.0, 2.0, 0.2, "on the cohesion"),
+        P("compaction", "q", 0.0, 0.8, 0.3, "1 - 1/a of ruts as deep as z_1 N^(1/a)"),
     ),
     (
         Form(

@@ -3,9 +3,6 @@
 from soil_env._compiled.elementary import exp, log
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.entry import (
-    PULL,
-    SINKAGE,
-    TORQUE,
     Bench,
     Effect,
     EffectParameter as P,
@@ -21,16 +18,8 @@ def rate_factor(speed, reference, exponent, slope):
 
     Below v0/50 soil counts as loaded at rest. Never less than 0.1.
     """
-    if exponent == 0.0 and slope == 0.0:
-        return 1.0
     x = log(max(speed / reference, 0.02))
     return max(exp(exponent * x) + slope * x, 0.1)
-
-
-@compiled
-def bearing_goes_with_speed(fx):
-    """True if the law is on."""
-    return fx.penetration_rate_exponent != 0.0 or fx.penetration_rate_slope != 0.0
 
 
 @compiled
@@ -52,11 +41,10 @@ def _neutral(bench: Bench) -> dict[str, float]:
 EFFECT = Effect(
     "penetration_rate",
     "rate of penetration",
-    (SINKAGE, PULL, TORQUE),
     (
-        P("exponent", "m", "", 0.0, -0.5, 1.0, 0.12, "power of the speed"),
-        P("slope", "a", "", 0.0, -0.3, 1.0, 0.12, "change by a factor e of the speed"),
-        P("reference_speed", "V0", "m/s", 0.05, 1e-4, 10.0, 0.0, "reference speed"),
+        P("exponent", "m", -0.5, 1.0, 0.12, "power of the speed"),
+        P("slope", "a", -0.3, 1.0, 0.12, "change by a factor e of the speed"),
+        P("reference_speed", "V0", 1e-4, 10.0, 0.0, "reference speed", unit="m/s", neutral=0.05),
     ),
     (
         Form(

@@ -2,9 +2,6 @@
 
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.entry import (
-    PULL,
-    SINKAGE,
-    TORQUE,
     Effect,
     EffectParameter as P,
     Form,
@@ -23,18 +20,16 @@ def exit_and_peak(theta1, fx):
 EFFECT = Effect(
     "rear_contact",
     "contact behind the lowest point",
-    (SINKAGE, PULL, TORQUE),
     (
-        P("ratio", "l", "", 0.0, 0.0, 0.95, 0.35, "exit angle over entry angle"),
+        P("ratio", "l", 0.0, 0.95, 0.35, "exit angle over entry angle"),
         P(
             "peak_follows",
             "",
-            "",
-            1.0,
             0.0,
             1.0,
             1.0,
             "1: the stress peak stays midway; 0: it stays at theta1/2",
+            neutral=1.0,
         ),
     ),
     (

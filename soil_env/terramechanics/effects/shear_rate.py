@@ -3,9 +3,6 @@
 from soil_env._compiled.elementary import log
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.entry import (
-    PULL,
-    SINKAGE,
-    TORQUE,
     Bench,
     Effect,
     EffectParameter as P,
@@ -13,14 +10,6 @@ from soil_env.terramechanics.effects.entry import (
 )
 from soil_env.terramechanics.effects.penetration_rate import rate_factor
 from soil_env.terramechanics.ground import with_strength
-
-
-@compiled
-def strength_goes_with_speed(fx):
-    """True if the law is on."""
-    return (
-        fx.shear_rate_exponent != 0.0 or fx.shear_rate_slope != 0.0 or fx.shear_rate_cohesion != 0.0
-    )
 
 
 @compiled
@@ -60,23 +49,22 @@ def _hidden(bench: Bench) -> str:
 EFFECT = Effect(
     "shear_rate",
     "rate of shear",
-    (SINKAGE, PULL, TORQUE),
     (
-        P("exponent", "m", "", 0.0, -0.3, 0.6, 0.07, "power of the sliding speed"),
-        P("slope", "a", "", 0.0, -0.3, 0.6, 0.07, "change by a factor e of the sliding speed"),
-        P("cohesion", "d", "", 0.0, -0.2, 1.5, 0.2, "of the cohesion alone"),
+        P("exponent", "m", -0.3, 0.6, 0.07, "power of the sliding speed"),
+        P("slope", "a", -0.3, 0.6, 0.07, "change by a factor e of the sliding speed"),
+        P("cohesion", "d", -0.2, 1.5, 0.2, "of the cohesion alone"),
         P(
             "onset_speed",
             "v1",
-            "m/s",
-            0.02,
             1e-5,
             10.0,
             1.5,
             "below which cohesion does not change",
+            unit="m/s",
+            neutral=0.02,
             centre=0.02,
         ),
-        P("reference_speed", "v0", "m/s", 0.02, 1e-5, 10.0, 0.0, "reference speed"),
+        P("reference_speed", "v0", 1e-5, 10.0, 0.0, "reference speed", unit="m/s", neutral=0.02),
     ),
     (
         Form(

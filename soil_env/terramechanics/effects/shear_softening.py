@@ -3,9 +3,6 @@
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.contact import ShearLaw
 from soil_env.terramechanics.effects.entry import (
-    PULL,
-    SINKAGE,
-    TORQUE,
     Bench,
     Effect,
     EffectParameter as P,
@@ -63,41 +60,29 @@ _HUMP = "tau = tau_max 4 {sharpness} (1 - x) (1 + {sharpness} x)/(1 + {sharpness
 EFFECT = Effect(
     "shear_softening",
     "peak and residual strength",
-    (SINKAGE, PULL, TORQUE),
     (
-        P(
-            "sharpness",
-            "s",
-            "",
-            0.0,
-            0.0,
-            30.0,
-            4.0,
-            "off below 1; the residual share is 4 s/(1 + s)^2",
-        ),
+        P("sharpness", "s", 0.0, 30.0, 4.0, "off below 1; the residual share is 4 s/(1 + s)^2"),
         P(
             "slope_kept",
             "",
-            "",
-            0.0,
             0.0,
             1.0,
             1.0,
             "1: K is that of the first slope, k = 4 s/(1 + s); 0: k = 1",
         ),
-        P("drop", "d", "", 0.0, 0.0, 0.9, 0.3, "share of the strength that is lost"),
+        P("drop", "d", 0.0, 0.9, 0.3, "share of the strength that is lost"),
         P(
             "length",
             "L",
-            "m",
-            0.05,
             2e-3,
             1.0,
             0.7,
             "displacement over which it is lost",
+            unit="m",
+            neutral=0.05,
             centre=0.05,
         ),
-        P("onset", "j0", "m", 0.0, 0.0, 0.5, 0.0, "displacement from which it is lost"),
+        P("onset", "j0", 0.0, 0.5, 0.0, "displacement from which it is lost", unit="m"),
     ),
     (
         Form("hump", ("sharpness",), _HUMP + "x = exp(-j/K)", _WONG),

@@ -20,9 +20,9 @@ def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
 EFFECT = Effect(
     "sinkage_offset",
     "offset of the measured sinkage",
-    (SINKAGE,),
-    (P("offset", "d", "m", 0.0, -0.3, 0.3, 0.0, "offset of the sensor"),),
+    (P("offset", "d", -0.3, 0.3, 0.0, "offset of the sensor", unit="m"),),
     (Form("offset", ("offset",), "z_measured = z + {offset}", "zero of the sinkage sensor"),),
+    moves=(SINKAGE,),
     beside="elapsed",  # zeros of sensors drift
     symbols={"z_measured": "measured sinkage"},
     sensed=("offset",),

@@ -3,9 +3,6 @@
 from soil_env._compiled.flags import compiled
 from soil_env.slip import slip_of_radius
 from soil_env.terramechanics.effects.entry import (
-    PULL,
-    SINKAGE,
-    TORQUE,
     Effect,
     EffectParameter as P,
     Form,
@@ -39,10 +36,9 @@ _WONG = "Wong (2010), Terramechanics and Off-Road Vehicle Engineering"
 EFFECT = Effect(
     "slip_bias",
     "bias of the measured slip",
-    (SINKAGE, PULL, TORQUE),
     (
-        P("offset", "d", "", 0.0, -0.3, 0.3, 0.03, "offset of the slip"),
-        P("radius_error", "e", "", 0.0, -0.3, 0.3, 0.03, "relative error of the rolling radius"),
+        P("offset", "d", -0.3, 0.3, 0.03, "offset of the slip"),
+        P("radius_error", "e", -0.3, 0.3, 0.03, "relative error of the rolling radius"),
     ),
     (
         Form("offset", ("offset",), "i = i_measured + {offset}", _WONG),

@@ -2,9 +2,6 @@
 
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.entry import (
-    PULL,
-    SINKAGE,
-    TORQUE,
     Bench,
     Effect,
     EffectParameter as P,
@@ -100,17 +97,14 @@ _RATIO = "[1 + {gain} i/(1 - i + {recovery} i)]"
 EFFECT = Effect(
     "slip_sinkage",
     "slip-sinkage",
-    (SINKAGE, PULL, TORQUE),
     (
-        P("gain", "g", "", 0.0, 0.0, 10.0, 1.5, "digging"),
-        P("recovery", "h", "", 0.5, 0.0, 3.0, 0.5, "recovery", centre=0.5),
-        P("exponent_slope", "n1", "", 0.0, -1.0, 2.0, 0.5, "exponent per slip"),
-        P("length", "l", "m", 0.0, 0.0, 0.3, 0.02, "excavation length"),
+        P("gain", "g", 0.0, 10.0, 1.5, "digging"),
+        P("recovery", "h", 0.0, 3.0, 0.5, "recovery", neutral=0.5, centre=0.5),
+        P("exponent_slope", "n1", -1.0, 2.0, 0.5, "exponent per slip"),
+        P("length", "l", 0.0, 0.3, 0.02, "excavation length", unit="m"),
         P(
             "apparent",
             "",
-            "",
-            0.0,
             0.0,
             1.0,
             1.0,

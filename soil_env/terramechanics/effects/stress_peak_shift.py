@@ -2,9 +2,6 @@
 
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.entry import (
-    PULL,
-    SINKAGE,
-    TORQUE,
     Bench,
     Effect,
     EffectParameter as P,
@@ -27,10 +24,9 @@ def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
 EFFECT = Effect(
     "stress_peak_shift",
     "moving stress peak",
-    (SINKAGE, PULL, TORQUE),
     (
-        P("offset", "a", "", 0.0, -0.4, 0.4, 0.1, "shift without slip"),
-        P("slope", "c", "", 0.0, -0.6, 0.9, 0.3, "shift per slip"),
+        P("offset", "a", -0.4, 0.4, 0.1, "shift without slip"),
+        P("slope", "c", -0.6, 0.9, 0.3, "shift per slip"),
     ),
     (
         Form(
