@@ -58,7 +58,7 @@ class Layout:
         if not inside.all():
             *row, k = np.argwhere(~inside)[0].tolist()
             e = self.entries[k]
-            unit = "" if e.unit == "-" else f" {e.unit}"
+            unit = "" if e.unit == "-" else f" ({e.unit})"
             raise ParameterError(
                 f"observation{row or ''}: {e.name} = {seen[*row, k]:g}: expected {e.low:g} to "
                 f"{e.high:g}{unit}: {_UNITS}"

@@ -8,7 +8,7 @@ import numpy as np
 
 from soil_env._compiled.cache import Kept
 from soil_env._compiled.flags import compiled, record
-from soil_env.identification.online.identifier import work_space
+from soil_env.identification.online.identifier import new_work
 from soil_env.identification.online.memory import BEST_PULL, PUBLISHED, SETTING
 from soil_env.identification.online.prior import setting_of
 from soil_env.identification.status import Status
@@ -145,10 +145,14 @@ class OnBoard:
         #: `SETTING` [1] of the identifier
         self.identifier: np.ndarray = setting["board"]["identifier"][0, 0].copy()
         self._estimate = estimate
+        self._work: dict[int, np.ndarray] = {}  # work space of each thread
 
     def update(self, world: tuple[Any, ...], orders: np.ndarray, first: int, end: int) -> None:
         """Follow the `orders` [vehicles] int8 of the vehicles `first` to `end` - 1 in a `world` of
         (state, samples, observation).
         """
-        work = work_space(threading.get_ident())
-        self._estimate(self.memory, *world, orders, self.setting, work, (first, end))
+        thread = threading.get_ident()
+        if thread not in self._work:
+            self._work[thread] = new_work()
+        span = (first, end)
+        self._estimate(self.memory, *world, orders, self.setting, self._work[thread], span)

@@ -2,7 +2,6 @@
 (docs/physics/estimation.md, whose steps are the files of this folder).
 """
 
-import functools
 import math
 
 import numpy as np
@@ -321,7 +320,6 @@ def instruments(memory, setting, work, out):
         out[1, i] = math.sqrt(variance)
 
 
-@functools.cache
-def work_space(thread: int) -> np.ndarray:
-    """Work space of a thread, `WORK` [1]."""
+def new_work() -> np.ndarray:
+    """Work space of a thread, `WORK` [1]; what no equation fills stays 0."""
     return np.zeros(1, WORK)

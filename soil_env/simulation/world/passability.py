@@ -157,13 +157,14 @@ def capacity(load, soil, numbers, nodes):
 def draw_ground(ground, owner, load, numbers, nodes):
     """Draw the soil of `ground`, which leaves this wheel the least pull; False if none was found.
 
-    Of slopes nothing is asked: they are drawn without looking at soils. A least pull of minus the
-    weight asks nothing of the soil either, not even that the wheel is not bogged at its best pull.
+    Of slopes nothing is asked: they are drawn without looking at soils. With a least pull of minus
+    the weight the last soil stays, even if a wheel would be bogged at its best pull.
     """
     least = numbers.drawn.spec.least_pull
-    for _ in range(REDRAWS):
+    for k in range(REDRAWS):
         soil = draw_soil(owner, numbers.drawn)
-        if least <= -1.0 or capacity(load, soil, numbers, nodes) >= least:
+        last = k == REDRAWS - 1 and least <= -1.0
+        if last or capacity(load, soil, numbers, nodes) >= least:
             put_soil(ground, soil)
             return True
     return False
