@@ -42,6 +42,23 @@ def test_only_readings_enter():
     assert on_board.memory["identifier"][:, 0].tobytes() == other.memory.tobytes()
 
 
+def test_estimators_share_no_work_space():
+    """What others left there, of whatever size, enters no estimate."""
+
+    def driven():
+        sim = started(SCENARIO, 1)
+        for k in range(60):
+            sim.step(0, 0.4 + 0.2 * math.sin(0.2 * k))
+        return sim.worlds.ids.estimate.copy()
+
+    alone = driven()
+    other = started(SCENARIO, 2)
+    other.step(0, 0.4)
+    for work in other._on_board._work.values():
+        work["slopes"] = 1e6
+    np.testing.assert_array_equal(driven(), alone)
+
+
 def test_without_identification_a_wheel_drives_as_with_it():
     """Equal to the bit; the estimate stays at the prior, and there is no such online identifier."""
     runs = []
