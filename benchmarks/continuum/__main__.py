@@ -2,7 +2,7 @@
 them.
 
     python -m benchmarks.continuum rig      half an hour; tables in benchmarks/continuum/tables
-    python -m benchmarks.continuum loop     an hour; docs/results/continuum.*
+    python -m benchmarks.continuum loop     half an hour; docs/results/continuum.*
 
 The same command goes on with what is missing.
 """

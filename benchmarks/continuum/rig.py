@@ -22,6 +22,7 @@ from benchmarks.continuum.wheel import Rig, Shape
 from soil_env._io.files import replace_files
 
 TABLES = Path(__file__).resolve().parent / "tables"
+#: Own choices, of the strengths of a dry sand and of a loose loam.
 SOILS = {
     "sand": Material(friction=math.tan(math.radians(30.0))),
     "loam": Material(friction=math.tan(math.radians(24.0)), cohesion=800.0),
@@ -30,7 +31,7 @@ SOILS = {
 SHEAR_TESTS = {name: math.degrees(math.atan(soil.friction)) for name, soil in SOILS.items()}
 SHEAR_TEST_SD = 1.0  # [deg] of a shear test
 COHESION_SD = 100.0  # [Pa]
-EXACT = (  # a rig that is computed
+CALIBRATED = (  # errors that a computed rig has not
     "tilt_deg",
     "force_gain",
     "force_offset",
@@ -109,7 +110,7 @@ def write_table(folder: Path, table: str, rows: dict[tuple[float, float], list[s
             "cohesion": {"value": SOILS[soil].cohesion, "sd": COHESION_SD},
             "density": SOILS[soil].density,
         },
-        "calibration": dict.fromkeys(EXACT, 0),
+        "calibration": dict.fromkeys(CALIBRATED, 0),
     }
     replace_files(
         folder,

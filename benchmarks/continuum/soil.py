@@ -18,6 +18,7 @@ GRAVITY = 9.81  # [m/s2]
 #: Options of compiled functions: sums in any order, products fused with sums. They are not kept on
 #: disk, where numba would not notice an edit of a function that another file calls.
 FAST = {"error_model": "numpy", "fastmath": {"contract", "nsz", "reassoc"}}
+# Own choices, all of them.
 EDGE = 4  # [spacings] of empty grid around the bed
 SHARE = 0.35  # of the time in which sound crosses a cell, for a time step
 MOST_GAP = 0.05  # [-] largest volume strain by which loosened soil has to be compressed again

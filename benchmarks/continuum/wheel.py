@@ -25,9 +25,10 @@ from benchmarks.continuum.soil import (
 )
 from soil_env.terramechanics.motor import motor_torque
 
+# Own choices, all of them: this is one virtual rig.
 STIFFNESS = 0.12  # [m/dt2] of the contact: its period is about 18 steps
 DAMPING = 0.1  # [sqrt(k m)] of the contact
-GRIP = 0.9  # [-] friction of the soil on the rim
+GRIP = 0.9  # [-] friction of the soil on the rim, more than any soil's own
 SETTLING = 0.15  # [s] of the bed before the wheel comes
 CLEARANCE = 5e-4  # [m] between wheel and soil at first
 START = 0.22  # [m] from the end of the bed to the axle at first
@@ -55,10 +56,20 @@ class Body(NamedTuple):
 
 
 class Motor(NamedTuple):
-    """A motor, per metre of width."""
+    """A motor, per metre of width, and what it is told (`motor_torque`)."""
 
     stall_torque: float  # [N m/m]
     no_load_speed: float  # [rad/s]
+    command: float = 0.0  # in [-1, 1]
+    by_speed: bool = False
+
+
+class Vehicle(NamedTuple):
+    """A wheel with what it carries and drives it."""
+
+    shape: Shape
+    body: Body
+    motor: Motor
 
 
 #: A wheel: place of the axle [m], its velocity [m/s], angle [rad] and angular speed [rad/s].
@@ -131,8 +142,10 @@ def push(particles, q, wheel, shape, step, stiffness):
 
 
 @njit(**FAST)
-def advance(count, particles, grid, wheel, forces, step, shape, body, motor, command, by_speed):
+def advance(count, particles, grid, wheel, forces, step, vehicle):
     """Make `count` steps; `forces` become means. Without a load there is no wheel."""
+    body = vehicle.body
+    motor = vehicle.motor
     stiffness = STIFFNESS * step.mass / step.time**2
     forces.along = 0.0
     forces.up = 0.0
@@ -148,7 +161,7 @@ def advance(count, particles, grid, wheel, forces, step, shape, body, motor, com
             push_along = 0.0
             push_up = 0.0
             if body.load > 0.0:
-                push_along, push_up = push(particles, q, wheel, shape, step, stiffness)
+                push_along, push_up = push(particles, q, wheel, vehicle.shape, step, stiffness)
                 along -= push_along
                 up -= push_up
                 x = particles.position[q, 0] - wheel.x
@@ -160,7 +173,7 @@ def advance(count, particles, grid, wheel, forces, step, shape, body, motor, com
             gather(grid, particles, q, step)
             strain(particles, q, step)
         if body.load > 0.0:
-            driven, _, _ = motor_torque(command, by_speed, wheel.speed, motor)
+            driven, _, _ = motor_torque(motor.command, motor.by_speed, wheel.speed, motor)
             wheel.up += step.time * (up - body.load) / body.mass_up
             wheel.along += step.time * (along - body.drag) / body.mass_along
             wheel.speed += step.time * (driven - moment) / body.inertia
@@ -190,8 +203,8 @@ class Rig:
         self.particles = filled(bed, material, rng)
         self.grid = empty_grid(bed)
         self.step = step_of(bed, material, slope)
-        self.wheel = np.recarray(1, WHEEL)[0]
-        self.forces = np.recarray(1, FORCES)[0]
+        self.wheel = np.zeros(1, WHEEL).view(np.recarray)[0]
+        self.forces = np.zeros(1, FORCES).view(np.recarray)[0]
         self.motor = Motor(1.0, 1.0)
         held = Body(0.0, HELD, HELD, HELD, 0.0)
         self.body = held
@@ -202,25 +215,13 @@ class Rig:
         self.body = held._replace(load=carried, mass_up=carried / GRAVITY)
         self.wheel.x = START
         self.wheel.z = self.surface + shape.radius + shape.lug_height + CLEARANCE
-        for name in ("along", "up", "angle", "speed"):
-            self.wheel[name] = 0.0
 
     def forward(self, seconds: float, command: float = 0.0, by_speed: bool = False) -> None:
         """Go on for about so long; `forces` are then the means of that time."""
         count = max(1, round(seconds / self.step.time))
-        advance(
-            count,
-            self.particles,
-            self.grid,
-            self.wheel,
-            self.forces,
-            self.step,
-            self.shape,
-            self.body,
-            self.motor,
-            command,
-            by_speed,
-        )
+        motor = self.motor._replace(command=command, by_speed=by_speed)
+        vehicle = Vehicle(self.shape, self.body, motor)
+        advance(count, self.particles, self.grid, self.wheel, self.forces, self.step, vehicle)
         if not math.isfinite(self.wheel.z + self.forces.along):
             raise FloatingPointError(f"the continuum became unstable at {self.wheel.x:.3f} m")
 

@@ -255,11 +255,17 @@ def table_4(backtracking: bool) -> list[Row]:
 
 
 class Box(NamedTuple):
-    """Guesses in the printed ranges of Table 4, and which of them reach the root."""
+    """Guesses in the printed ranges of Table 4, and which of them reach the root by each of
+    `MODELS`: plain Newton-Raphson, and with backtracking.
+    """
 
     guesses: np.ndarray  # [G, 3]
-    #: [G] each: plain and with backtracking as printed, then both with Wong & Reece's peak.
-    found: list[np.ndarray]
+    plain: list[np.ndarray]  # [G] each
+    backtracking: list[np.ndarray]
+
+    def columns(self) -> list[np.ndarray]:
+        """Plain and with backtracking as printed, then both with Wong & Reece's peak."""
+        return [found[k] for k in range(2) for found in (self.plain, self.backtracking)]
 
 
 def box(*counts: int) -> Box:
@@ -273,7 +279,10 @@ def box(*counts: int) -> Box:
         np.geomspace(S[0], S[1], counts[2]),
     )
     guesses = np.array(list(product(*sides)))
-    return Box(guesses, [reaches(e, guesses, b) for e in FIXED_COHESION for b in (False, True)])
+    plain, backtracking = (
+        [reaches(e, guesses, own) for e in FIXED_COHESION] for own in (False, True)
+    )
+    return Box(guesses, plain, backtracking)
 
 
 class Noisy(NamedTuple):

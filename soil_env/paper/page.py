@@ -80,7 +80,7 @@ def markdown(results: Results, command: str) -> str:
         "miss": misses.max(axis=0),
         "rms": pull_misfits(),
         "misprint": rows["fig3"][-1].ours[1] - POINT.if_measured_drawbar_pull,
-        "reach": [100.0 * found.mean() for found in results.box.found],
+        "reach": [100.0 * found.mean() for found in results.box.columns()],
     }
     return render("soil_env.paper:paper.md", **values, **tables)
 
@@ -122,9 +122,9 @@ def _corners(r: Results) -> Table:
     """What becomes of the corners of Table 4."""
     rows = [
         (f"{phi:.0f}", f"{K:.3f}", f"{S:.2g}", *("converges" if ok else "lost" for ok in found))
-        for (phi, K, S), *found in zip(r.corners.guesses, *r.corners.found, strict=True)
+        for (phi, K, S), *found in zip(r.corners.guesses, *r.corners.columns(), strict=True)
     ]
-    total = (f"{found.sum()} of {found.size}" for found in r.corners.found)
+    total = (f"{found.sum()} of {found.size}" for found in r.corners.columns())
     return Table(("phi [deg]", "K [m]", "S", *METHODS), [*rows, ("all", "", "", *total)])
 
 

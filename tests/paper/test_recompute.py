@@ -188,10 +188,10 @@ def test_corners_of_table_4(results):
     """
     corners = results.corners
     assert len(corners.guesses) == 8
-    for plain, other in zip(corners.found[::2], corners.found[1::2], strict=True):
+    for plain, other in zip(corners.plain, corners.backtracking, strict=True):
         np.testing.assert_array_equal(plain, corners.guesses[:, 0] > 5.0)
         assert other.all()
-    for plain, other in zip(results.box.found[::2], results.box.found[1::2], strict=True):
+    for plain, other in zip(results.box.plain, results.box.backtracking, strict=True):
         assert plain.mean() < 0.75 and other.mean() > 0.99
     text = page.markdown(results, "")
     assert text.count("| lost | converges | lost | converges |") == 4
