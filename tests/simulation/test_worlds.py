@@ -8,7 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from soil_env.envs.wheel_env import SoilWheelVectorEnv
+from soil_env._io.loading import ParameterError
+from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
 from soil_env.parameters import Noise, Soil, SoilState, load_scenario, soils
 from soil_env.terramechanics.effects import acting_effects, pack_effects
 from soil_env.terramechanics.model import WheelSoilModel
@@ -269,6 +270,14 @@ def test_a_residual_law_counts_on_the_soils():
         pulls += [margin(patch, 0.0, drawn.mass, scenario) for patch in drawn.patches]
     assert min(pulls) == pytest.approx(scenario.course.least_pull + 0.05, abs=0.02)
     assert min(pulls) >= scenario.course.least_pull + 0.05 - 1e-6
+
+
+def test_a_least_pull_of_minus_the_weight_takes_soil_that_bogs_the_wheel():
+    changes = {"soils": {"dry_sand": 1}, "limits": {"bogged_sinkage": 0.06}}
+    with pytest.raises(ParameterError, match="no soil leaves this wheel"):
+        SoilWheelEnv(load_scenario("mixed", changes | {"course": {"least_pull": -0.99}}))
+    env = SoilWheelEnv(load_scenario("mixed", changes | {"course": {"least_pull": -1.0}}))
+    assert np.all(np.isfinite(env.reset(seed=0)[0]))
 
 
 def test_patches_are_drawn_from_the_soil_of_the_model():
