@@ -90,7 +90,7 @@ results: $(TEST_READY)  ## make the tables of docs/results anew, in hours; QUICK
 	$(PY) -m benchmarks.rigs --out $(RESULTS)
 	$(PY) -m benchmarks.prediction --out $(RESULTS)
 	$(if $(QUICK),,$(PY) -m benchmarks.continuum loop --out runs/continuum && cp runs/continuum/continuum.* $(RESULTS))
-	$(PY) -m benchmarks.identification --out $(RESULTS) --courses $(if $(QUICK),6,60)
+	$(PY) -m benchmarks.identification --out $(RESULTS) --courses $(if $(QUICK),30,60)
 	$(PY) -m benchmarks.robustness --out $(RESULTS) $(if $(QUICK),--courses 20)
 	$(PY) -m benchmarks.discovery run --held-out --entrant workflow --seed 2103 --limit $(if $(QUICK),12,240) --out runs/$(if $(QUICK),quick_)discovery --publish $(RESULTS)
 	$(PY) -m benchmarks.throughput --out $(RESULTS) $(if $(QUICK),--smoke)
