@@ -1,8 +1,9 @@
 """A wheel on a granular continuum: measurement tables of a rig, and drives with what is learnt from
 them.
 
-    python -m benchmarks.continuum rig      half an hour; tables in benchmarks/continuum/tables
-    python -m benchmarks.continuum loop     half an hour; docs/results/continuum.*
+    python -m benchmarks.continuum rig      an hour; tables in benchmarks/continuum/tables
+    python -m benchmarks.continuum pile     minutes; travel in which a braked wheel piles up soil
+    python -m benchmarks.continuum loop     an hour; docs/results/continuum.*
 
 The same command goes on with what is missing.
 """
@@ -29,6 +30,7 @@ from soil_env.cli.running import PATH, WholeNumber, leave, run
 from soil_env_agents.cells import processes
 
 NAME = "benchmarks.continuum"
+PILE_LOADS = (80.0, 180.0)  # [N]
 BEDS = 3  # of each drive, alike but for the disorder of the particles
 TEXT = (
     "A wheel on a continuum that shares no equation with soil_env is measured under 40, 80 and 120 "
@@ -65,6 +67,16 @@ def rig_command(out: Path, only: str | None, workers: int) -> None:
         tables[table][load, slip] = [f"{x:.5g}" for x in (slip, load, speed, *values)]
         rig.write_table(out, table, tables[table])
         print(f"{done} of {len(left)}: {table}, {load:g} N, slip {slip:g}", flush=True)
+
+
+@command.command("pile")
+@click.option("--workers", type=WholeNumber(1), default=2, show_default=True, help="Processes.")
+def pile_command(workers: int) -> None:
+    """Travel in which soil piles up ahead of a wheel that is suddenly braked."""
+    cells = product(SOILS, PILE_LOADS)
+    for (soil, load), length in processes(rig.piling, cells, workers=workers):
+        radii = length / SHAPES["smooth"].radius
+        print(f"{soil}, {load:g} N: {length:.3f} m, {radii:.2f} radii", flush=True)
 
 
 @command.command("loop")

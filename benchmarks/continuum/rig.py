@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from scipy.optimize import curve_fit
 
 from benchmarks.continuum.soil import Bed, Material
 from benchmarks.continuum.wheel import Rig, Shape
@@ -48,7 +49,7 @@ SHAPES = {
     "lugged": Shape(radius=0.15, width=0.1, lugs=12, lug_height=0.012, lug_thickness=0.012),
 }
 #: Soil and shape of each table.
-WHEELS = {"sand_smooth": ("sand", "smooth"), "loam_lugged": ("loam", "lugged")}
+WHEELS = {f"{soil}_{shape}": (soil, shape) for soil in SOILS for shape in SHAPES}
 LOADS = (40.0, 80.0, 120.0, 180.0)  # [N]
 SLIPS = (0.05, 0.15, 0.3, 0.5, 0.7)
 RIM_SPEED = 0.2  # [m/s] of the rim without lugs
@@ -56,6 +57,13 @@ TRAVEL = 0.3  # [m] of the axle
 AVERAGED = 0.5  # [of the travel] at its end, over which is averaged
 WINDOWS = 5  # of that part, for the standard deviation of its mean
 SAMPLES = 40  # of the whole travel
+# A wheel that rolls and is then braked, for the travel in which soil piles up ahead of it.
+BRAKED_SLIP = -0.5
+TRACK = Bed(length=1.2)
+ROLLED = 0.25  # [m] before
+DRAGGED = 0.45  # [m] after
+TURNED = 0.03  # [m] in which the shear under the wheel turns round, left out
+INTERVAL = 0.01  # [m] of travel that a torque is the mean of
 COLUMNS = ("sinkage", "drawbar_pull", "torque")
 HEAD = ("slip", "load", "speed", *COLUMNS, *(f"{name}_sd" for name in COLUMNS))
 
@@ -83,6 +91,32 @@ def row(cell: tuple[str, float, float]) -> list[float]:
     table, load, slip = cell
     soil, shape = WHEELS[table]
     return measured(SHAPES[shape], SOILS[soil], load, slip, Bed())
+
+
+def piling(cell: tuple[str, float], bed: Bed = TRACK) -> float:
+    """Travel [m] in which the torque of a smooth wheel in a soil under a load settles once it is
+    braked: the length of an exponential.
+    """
+    soil, load = cell
+    shape = SHAPES["smooth"]
+    rig = Rig(bed, SOILS[soil], shape, load, np.random.default_rng(1))
+    rig.wheel.along = RIM_SPEED
+    rig.wheel.speed = RIM_SPEED / shape.radius
+    rig.forward(ROLLED / RIM_SPEED)
+    rig.wheel.speed *= 1.0 + BRAKED_SLIP
+    torques = []
+    for _ in range(round(DRAGGED / INTERVAL)):
+        rig.forward(INTERVAL / RIM_SPEED)
+        torques.append(shape.width * float(rig.forces.torque))
+    travel = INTERVAL * np.arange(1, len(torques) + 1)
+    later = travel > TURNED
+    start = (torques[-1], torques[0] - torques[-1], DRAGGED / 4.0)
+    (_, _, length), _ = curve_fit(_settling, travel[later], np.array(torques)[later], p0=start)
+    return float(length)
+
+
+def _settling(travel: np.ndarray, end: float, change: float, length: float) -> np.ndarray:
+    return end + change * np.exp(-travel / length)
 
 
 def read(file: Path) -> dict[tuple[float, float], list[str]]:

@@ -23,7 +23,6 @@ from soil_env.rendering.canvas import (
     Colour,
 )
 from soil_env.simulation.task import Cause
-from soil_env.slip import braked_share
 from soil_env.terramechanics import contact
 from soil_env.terramechanics.reaction import (
     REST_SPEED,
@@ -52,6 +51,7 @@ class _Wheel(NamedTuple):
     load: float  # [N]
     speed: float  # V [m/s]
     rim_speed: float  # r w [m/s]
+    braked: float  # [of its travel] that soil piled ahead answers to
     tyre_deflection: float = 0.0  # [m]
     tyre_compliance: float = 0.0  # [m/N]
 
@@ -60,8 +60,7 @@ class _Wheel(NamedTuple):
 def _stresses(nodes, wheel, soil, angle, normal, shear):
     """Fill `angle`, `normal` and `shear` [points] of `Stresses`; `nodes`: the scratch of an arc."""
     r = wheel.radius
-    braked = braked_share(wheel.rim_speed, wheel.speed, REST_SPEED)
-    arc = contact.smooth_arc(wheel.sinkage, r, contact.braked_shift(braked, soil))
+    arc = contact.smooth_arc(wheel.sinkage, r, contact.braked_shift(wheel.braked, soil))
     footing = lay_footing(nodes[0], arc, soil, wheel.load)
     force = soil_reaction(nodes[0], footing, wheel.speed, wheel.rim_speed, wheel, None)
     rim, travel, _ = contact.motion_from_speeds(wheel.rim_speed, wheel.speed, REST_SPEED)
@@ -85,7 +84,8 @@ def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
     They are those at the sinkage coefficient that the load mobilises. The soil's own one does not
     matter: so the same holds in a rut.
     """
-    wheel = _Wheel(r, b, w["sinkage"], w["load"], w["speed"], w["wheel_speed"] * r)
+    braked = max(math.copysign(1.0, w["speed"]) * w["braked"], 0.0)
+    wheel = _Wheel(r, b, w["sinkage"], w["load"], w["speed"], w["wheel_speed"] * r, braked)
     stresses = Stresses(np.empty(ARC_POINTS), np.empty(ARC_POINTS), np.empty(ARC_POINTS))
     _stresses(np.zeros(1, contact.ARC_NODES), wheel, w["soil"], *stresses)
     return stresses

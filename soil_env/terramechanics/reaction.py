@@ -13,7 +13,7 @@ import numpy as np
 
 from soil_env._compiled.elementary import smoothed_sign
 from soil_env._compiled.flags import compiled, inlined, record, uncompiled
-from soil_env.slip import braked_share, signed_slip, slip_ratio
+from soil_env.slip import signed_slip, slip_ratio
 from soil_env.terramechanics.contact import (
     LEAST_BEARING,
     ShearLaw,
@@ -80,6 +80,7 @@ class Standing(NamedTuple):
     weight: float  # [N] with the share of the body, along the vertical
     sin_grade: float  # uphill positive
     passes: float  # 1 = fresh soil
+    braked: float  # [of its travel] that soil piled ahead of a braked wheel answers to
     load: float  # [N] normal to the ground, for tyre and grip
 
 
@@ -254,9 +255,7 @@ def _gripped(soil, arc, load, wheel):
 @compiled
 def _ground_under(at, slip, soil, wheel, fx):
     """(`SoilState` as it is sheared, `Arc`, then the first three of `ExtraForces`)."""
-    shift = 0.0
-    if soil.braked_peak > 0.0:
-        shift = braked_shift(braked_share(at.rim_speed, at.speed, REST_SPEED), soil)
+    shift = braked_shift(at.braked, soil)
     if fx is None:
         arc = arc_of(at.sinkage, slip, shift, at.load, None, wheel)
         return _gripped(soil, arc, at.load, wheel), arc, 0.0, 0.0, 0.0

@@ -150,6 +150,11 @@ def test_tables_go_on_with_what_is_missing(tmp_path, monkeypatch, capsys):
     assert len(asked) == 3 and file.read_text().splitlines() == lines
 
 
+def test_soil_piles_up_within_some_radii_of_travel():
+    bed = Bed(length=1.2, depth=0.12, spacing=0.02)
+    assert 0.02 < rows_of.piling(("sand", 80.0), bed) < 0.4
+
+
 def test_the_rule_is_tuned_to_the_steepest_grade_of_its_slip():
     model = WheelSoilModel(ModelWheel(SMOOTH.radius, SMOOTH.width), soils()["lete_sand"])
     grade, drive = loop.tuned(SMOOTH, model)

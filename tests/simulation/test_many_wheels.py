@@ -9,6 +9,7 @@ from scipy.optimize import root
 
 from soil_env._compiled.flags import HUGE
 from soil_env.parameters import soils
+from soil_env.simulation.world.wheel import PILING
 from soil_env.terramechanics.reaction import REST_SPEED
 from tests.simulation.wheels import on_random_courses, set_soil
 
@@ -120,6 +121,7 @@ def one_step(before, command, soil, rig, guess):
     z = before.sinkage
     rut = before.rut_depth
     place = before.x
+    piled = before.braked
     sinking = 0.0
     motor_work = 0.0
     soil_work = 0.0
@@ -130,8 +132,8 @@ def one_step(before, command, soil, rig, guess):
     ):
         begin = (v + lead * (v - v0), u + lead * (u - u0))
         felt = z + min(max(sinking * duration, -0.1 * z), 0.1 * z)
-        braked = max(1.0 - u / v, 0.0)
-        peak = 0.5 + soil.braked_peak * braked / (1.0 + braked)
+        ahead = max(math.copysign(piled, piled * v), 0.0)
+        peak = 0.5 + soil.braked_peak * ahead / (1.0 + ahead)
 
         def forces(v, u, felt=felt, peak=peak):
             return reaction(v, u, felt, peak, weight * math.cos(before.grade), soil, r, b)
@@ -153,6 +155,8 @@ def one_step(before, command, soil, rig, guess):
             soil_work = soil_work + first * at[1]
         moved = first * v1 + g * h * v
         slid = first * abs(u1 - v1) + g * h * abs(u - v)
+        braked = math.copysign(max(1.0 - u / v, 0.0), moved)
+        piled = braked + (piled - braked) * math.exp(-abs(moved) / (PILING * r))
         at = now
         bearing = felt * min((S / soil.sinkage_coefficient) ** (1.0 / soil.sinkage_exponent), 10.0)
         low = min(before.x, place)
@@ -181,6 +185,7 @@ def one_step(before, command, soil, rig, guess):
         "bearing_sinkage": bearing,
         "sinkage": z,
         "rut_depth": rut,
+        "braked": piled,
     }
 
 
@@ -203,6 +208,7 @@ def test_one_step_as_scipy_solves_it():
     state["wheel_speed"] = state["speed"] / 0.15 * rng.uniform(0.7, 3.0, 40)
     state["sinkage"] = rng.uniform(0.01, 0.06, 40)
     state["grade"] = grade
+    state["braked"] = np.random.default_rng(4).uniform(-1.0, 1.0, 40)
     state["next_halt"] = HUGE
     commands = rng.uniform(-0.3, 0.8, 40)
     starts = [wheels.now(k) for k in range(40)]
@@ -223,6 +229,7 @@ def test_one_step_as_scipy_solves_it():
             "wheel_speed": 1.0,
             "speed": 0.15,
             "x": 0.01,
+            "braked": 1.0,
         }
         for name, value in stated.items():
             size = scale.get(name, before.sinkage)

@@ -9,6 +9,7 @@ from numba import njit
 
 from soil_env._compiled.flags import record, uncompiled
 from soil_env.parameters import soils
+from soil_env.slip import braked_share
 from soil_env.terramechanics import contact, reaction
 from soil_env.terramechanics.effects import NO_EFFECTS, acting_effects, grousers, pack_effects
 from soil_env.terramechanics.residual import residual_law
@@ -85,7 +86,9 @@ def wheel_with(case):
 
 def ground_under(sinkage, v, u, soil, wheel, sin_grade=0.0, passes=1.0, weight=160.0):
     """(soil as sheared, `Arc`, `ExtraForces`) under a wheel of `wheel_with`."""
-    at = reaction.Standing(*map(float, (sinkage, v, u, weight, sin_grade, passes, weight)))
+    braked = braked_share(u, v, reaction.REST_SPEED)
+    numbers = (sinkage, v, u, weight, sin_grade, passes, braked, weight)
+    at = reaction.Standing(*map(float, numbers))
     return _ground(at, soil, *wheel)
 
 

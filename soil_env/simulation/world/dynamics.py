@@ -8,7 +8,7 @@ or 8 steps where others take one; one whose iteration fails goes on by steps hal
 import math
 from typing import NamedTuple
 
-from soil_env._compiled.elementary import sin_cos
+from soil_env._compiled.elementary import sin_cos, smoothed_sign
 from soil_env._compiled.flags import compiled_finite, inlined
 from soil_env.simulation.world.newton import Stage, foreseen, solve_speeds
 from soil_env.simulation.world.routes import choosing, plan_halt, set_route
@@ -28,11 +28,14 @@ from soil_env.simulation.world.wheel import (
     end_period,
     leave_ruts,
     measure_slip,
+    pile_up,
     sink,
 )
+from soil_env.slip import braked_share
 from soil_env.terramechanics.effects.multipass import in_rut
 from soil_env.terramechanics.motor import motor_torque
 from soil_env.terramechanics.reaction import (
+    REST_SPEED,
     ExtraForces,
     Footing,
     Standing,
@@ -160,6 +163,7 @@ def move(wheel, end, stage, ground, drive, rig):
     slid = stage.first * abs(rim - wheel.speed) + stage.last * abs(end.rim - end.speed)
     force = end.force
     sink(wheel, ground, force.sinkage_coefficient, Path(moved, slid, stage.duration), rig)
+    pile_up(wheel, braked_share(end.rim, end.speed, REST_SPEED), moved, rig)
     account(wheel, end, stage, drive, rig)
     wheel.speed = end.speed
     wheel.wheel_speed = end.rim / rig.radius
@@ -184,7 +188,8 @@ def stand(wheel, stage, ahead, load, world):
     weight = rig.gravity * wheel.mass
     sinkage = foreseen_sinkage(wheel, stage.duration)
     rim = rig.radius * wheel.wheel_speed
-    standing = Standing(sinkage, wheel.speed, rim, weight, sine, ahead.passes, load)
+    piled = max(wheel.braked * smoothed_sign(wheel.speed, REST_SPEED)[0], 0.0)
+    standing = Standing(sinkage, wheel.speed, rim, weight, sine, ahead.passes, piled, load)
     soil, arc, extra = ground_under(standing, ahead.soil, rig, world.acting)
     footing = lay_footing(world.nodes, arc, soil, weight * cosine)
     ground = Ground(soil, sinkage, extra.lift, extra.unfelt, ahead.grade)

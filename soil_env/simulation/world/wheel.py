@@ -3,6 +3,7 @@
     m dV/dt = DP - m g sin(grade)    travel; m = wheel with its share of the body, and payload
     J dw/dt = T_motor - T            rotation
     dz/dt   = B z_w - A z            sinkage on fresh ground, `slip_sinkage.excavation_rate`
+    ds/dt   = |V| (s_i - s)/L_s      soil piled ahead of a braked wheel, `pile_up`
     W       = m g cos(grade)         Eq. (1), met at every instant
 
 z_w is the depth at which undisturbed soil carries the same pressure as the wheel now has under it
@@ -45,6 +46,9 @@ REVERSE = 0.1
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
 MOST_BEARING = 10.0  # [-] most that z_w may exceed the present sinkage by, as a factor
 LEAST_EXPONENT = 0.05  # [-] sinkage exponent below which z_w is not sought
+# [radii] of travel in which soil piles up ahead of a braked wheel: 0.4 to 1.0 on a continuum
+# (`python -m benchmarks.continuum pile`)
+PILING = 0.7
 STANDING = 1e-12  # [-] relaxation in a stage, or [m] of travel, below which nothing changes
 
 #: A wheel; all fields have eight bytes. Numbers that follow from others in the same step are kept
@@ -63,6 +67,8 @@ WHEEL = record(
     "best_x",  # [m] furthest x so far: ground beyond it is fresh
     "lowest_x",  # [m] least x so far: ground before it is fresh
     "sinking",  # dz/dt [m/s] in the last stage
+    # [of the travel] slid by a braked wheel, as soil piled ahead answers to it; negative: behind
+    "braked",
     "rut_depth",  # [m] of the ground under the wheel where it has been before
     "rut_to_come",  # [m] depth to which this pass rolls the rut of earlier ones, `depth_to_come`
     "mass",  # [kg]
@@ -289,6 +295,18 @@ def sink(wheel, ground, mobilised, path, rig):
     wheel.lowest_x = min(x, wheel.lowest_x)
     wheel.sinkage = depth
     wheel.bearing_sinkage = bearing
+
+
+@inlined
+def pile_up(wheel, braked, moved, rig):
+    """Soil piled up by a wheel that slides by the share `braked` of its travel, after a stage in
+    which it `moved` [m].
+    """
+    if moved < 0.0:
+        braked = -braked
+    if wheel.braked != 0.0 or braked != 0.0:
+        left = exp(-abs(moved) / (PILING * rig.radius))
+        wheel.braked = braked + (wheel.braked - braked) * left
 
 
 @inlined
