@@ -1,6 +1,6 @@
 """PPO in one file, in the manner of CleanRL (Huang et al. 2022): torch and the vector environment.
 
-    python cleanrl_ppo.py [STEPS COURSES]
+    python cleanrl_ppo.py [STEPS [COURSES]]
 
 With 400,000 steps, seed 0, in a minute or two on two cores:
 
@@ -10,7 +10,7 @@ The environment resets a wheel within the step that ends its course (SAME_STEP):
 the first observation of the next course. Needs torch.
 """
 
-import sys
+import argparse
 
 import gymnasium
 import numpy as np
@@ -126,7 +126,12 @@ def judge(agent: Agent, courses: int) -> tuple[float, float]:
 
 def main() -> None:
     """Train, then drive other courses."""
-    steps, courses = map(int, sys.argv[1:3] or (400_000, 200))
+    parser = argparse.ArgumentParser()
+    parser.add_argument("steps", type=int, nargs="?", default=400_000)
+    parser.add_argument("courses", type=int, nargs="?", default=200)
+    asked = parser.parse_args()
+    steps = asked.steps
+    courses = asked.courses
     torch.manual_seed(0)
     envs = make(WHEELS)
     agent = Agent(envs.single_observation_space.shape[0])

@@ -1,6 +1,6 @@
 """Stock PPO of Stable-Baselines3 on the default scenario, two_lines; needs the extra train.
 
-    python sb3_ppo.py [STEPS COURSES]
+    python sb3_ppo.py [STEPS [COURSES]]
 
 With 400,000 steps, seed 0, in a minute or two on two cores:
 
@@ -9,7 +9,7 @@ With 400,000 steps, seed 0, in a minute or two on two cores:
 A soft start finishes about six of ten of such courses. Time is better spent on `soil-env train`.
 """
 
-import sys
+import argparse
 
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
@@ -19,7 +19,12 @@ from soil_env_agents.sb3 import SoilWheelVecEnv
 
 def main() -> None:
     """Train, then drive other courses."""
-    steps, courses = map(int, sys.argv[1:3] or (400_000, 200))
+    parser = argparse.ArgumentParser()
+    parser.add_argument("steps", type=int, nargs="?", default=400_000)
+    parser.add_argument("courses", type=int, nargs="?", default=200)
+    asked = parser.parse_args()
+    steps = asked.steps
+    courses = asked.courses
     envs = SoilWheelVecEnv(64)
     model = PPO("MlpPolicy", envs, n_steps=128, batch_size=1024, n_epochs=4, seed=0, device="cpu")
     model.learn(steps)

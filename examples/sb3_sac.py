@@ -1,6 +1,6 @@
 """SAC of Stable-Baselines3 on the default scenario, two_lines; needs the extra train.
 
-    python sb3_sac.py [STEPS COURSES]
+    python sb3_sac.py [STEPS [COURSES]]
 
 With 60,000 steps, seed 0, in half an hour on a busy core:
 
@@ -11,7 +11,7 @@ The wrapper `LineAction` gives the choice of a route a number of its own, and `n
 critic see its outcome: docs/guide/training.md. The other settings save time.
 """
 
-import sys
+import argparse
 
 from stable_baselines3 import SAC
 from stable_baselines3.common.env_util import make_vec_env
@@ -23,7 +23,12 @@ from soil_env.wrappers import LineAction
 
 def main() -> None:
     """Train, then drive other courses."""
-    steps, courses = map(int, sys.argv[1:3] or (60_000, 100))
+    parser = argparse.ArgumentParser()
+    parser.add_argument("steps", type=int, nargs="?", default=60_000)
+    parser.add_argument("courses", type=int, nargs="?", default=100)
+    asked = parser.parse_args()
+    steps = asked.steps
+    courses = asked.courses
     task = {"env_kwargs": {"info": "short"}, "wrapper_class": LineAction}
     model = SAC(
         "MlpPolicy",

@@ -1,6 +1,6 @@
 """TD3 of Stable-Baselines3 on the default scenario, two_lines; needs the extra train.
 
-    python sb3_td3.py [STEPS COURSES]
+    python sb3_td3.py [STEPS [COURSES]]
 
 With 60,000 steps, seed 0, in ten minutes on one core:
 
@@ -11,7 +11,7 @@ of its own, and `n_steps` lets the critic see its outcome: docs/guide/training.m
 weight decay, and noise on the route as wide as its range keep the actor from saturating.
 """
 
-import sys
+import argparse
 
 import numpy as np
 from stable_baselines3 import TD3
@@ -25,7 +25,12 @@ from soil_env.wrappers import LineAction
 
 def main() -> None:
     """Train, then drive other courses."""
-    steps, courses = map(int, sys.argv[1:3] or (60_000, 100))
+    parser = argparse.ArgumentParser()
+    parser.add_argument("steps", type=int, nargs="?", default=60_000)
+    parser.add_argument("courses", type=int, nargs="?", default=100)
+    asked = parser.parse_args()
+    steps = asked.steps
+    courses = asked.courses
     task = {"env_kwargs": {"info": "short"}, "wrapper_class": LineAction}
     model = TD3(
         "MlpPolicy",
