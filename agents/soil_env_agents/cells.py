@@ -211,10 +211,12 @@ def _digest(needed: object) -> str:
 
 
 def _made_from(path: Path) -> str | None:
-    """Digest that a finished cell was written with, None of a damaged one: reading it says so."""
+    """Digest of what the file of a finished cell was made from; None if it is damaged or has
+    none.
+    """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        return str(content.get(MADE_FROM))
+        return content.get(MADE_FROM)
     except (ValueError, AttributeError):
         return None
 

@@ -44,7 +44,7 @@ from .config import PPOConfig
 from .environment import HIDDEN, CommonVecEnv, hidden_worlds, side_by_side
 from .evaluate.driving import run_courses
 from .progress import Bar, show
-from .teachers import Teacher, settings_of
+from .teachers import Teacher, teacher_settings
 
 CONFIG = "default_policy.yaml"
 # Settings that `chosen` tries.
@@ -154,7 +154,7 @@ def chosen(
     The better ones of each round drive more courses in the next (successive halving: Jamieson &
     Talwalkar 2016, AISTATS). All settings drive the same courses.
     """
-    own = settings_of(scenario)
+    own = teacher_settings(scenario)
     first = 0
     scaled = product(ACCELERATIONS, SHARES)
     tried = [

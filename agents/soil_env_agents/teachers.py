@@ -45,7 +45,7 @@ class Teacher(BestSlipTrue):
     """`best_slip_true` whose ramp goes on from the speed that the student commands now."""
 
     def __init__(self, scenario: Scenario, **settings: float):
-        own = settings_of(scenario) | settings
+        own = teacher_settings(scenario) | settings
         top = scenario.wheel.radius * scenario.wheel.no_load_speed
         rims = {name: own[name] * top for name in ("start", "speed")}
         super().__init__(scenario, acceleration=own["acceleration"], **rims)
@@ -96,7 +96,7 @@ def teacher_of(part: VecEnv) -> Teacher | RoverTeacher:
     return Teacher(part.scenario, **getattr(part, "teacher", {}))
 
 
-def settings_of(scenario: Scenario) -> dict[str, float]:
+def teacher_settings(scenario: Scenario) -> dict[str, float]:
     """Settings of the teacher of a scenario in a world without hidden effects."""
     return SETTINGS | OF_SCENARIOS.get(scenario.name, {})
 

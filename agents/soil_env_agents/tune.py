@@ -16,7 +16,7 @@ from .cells import code_version
 from .cli import continued_by, controllers_as
 from .evaluate.contestants import parse
 from .evaluate.driving import TUNING_SET
-from .evaluate.own import settings_of
+from .evaluate.own import bounds_of_settings
 from .evaluate.tuning import trials_of, tuned_settings
 from .progress import show
 
@@ -74,7 +74,7 @@ def command(
     if controllers is not None:
         with controllers_as("--controllers"):
             names = [c.source for c in parse(controllers).values() if c.kind != "model"]
-            if not any(settings_of(source, asked) for source in names):
+            if not any(bounds_of_settings(source, asked) for source in names):
                 raise ParameterError(
                     f"controllers: {controllers}: nothing to tune: expected a controller with "
                     "settings, or a class with `bounds`"

@@ -22,6 +22,8 @@ FAST = {"error_model": "numpy", "fastmath": {"contract", "nsz", "reassoc"}}
 EDGE = 4  # [spacings] of empty grid around the bed
 SHARE = 0.35  # of the time in which sound crosses a cell, for a time step
 MOST_GAP = 0.05  # [-] largest volume strain by which loosened soil has to be compressed again
+# [of its first volume] of a particle: one that flies would swell for ever, and burst on landing
+MOST_SWELLING = 2.0
 DISORDER = 0.15  # [of the spacing of particles] that these are off a regular grid at first
 
 
@@ -98,6 +100,7 @@ class Step(NamedTuple):
     spacing: float
     mass: float  # [kg/m] of a particle
     reach: float  # [m] of a particle around its middle
+    swollen: float  # [m2] largest volume of a particle per metre of width
     gravity_along: float  # [m/s2]
     gravity_up: float
     length: float  # [m] of the bed
@@ -143,6 +146,7 @@ def step_of(bed: Bed, material: Material, slope: float) -> Step:
         bed.spacing,
         material.density * bed.between**2,
         0.5 * bed.between,
+        MOST_SWELLING * bed.between**2,
         -GRAVITY * math.sin(slope),
         -GRAVITY * math.cos(slope),
         bed.length,
@@ -273,7 +277,7 @@ def strain(particles, q, step):
     volume = step.time * (gradient[0, 0] + gradient[1, 1])
     shear = 0.5 * step.time * (gradient[0, 1] + gradient[1, 0])
     turn = 0.5 * step.time * (gradient[0, 1] - gradient[1, 0])
-    particles.volume[q] *= 1.0 + volume
+    particles.volume[q] = min(particles.volume[q] * (1.0 + volume), step.swollen)
     bearing = volume
     if particles.gap[q] > 0.0 and volume < 0.0:
         closed = min(particles.gap[q], -volume)

@@ -28,6 +28,7 @@ from soil_env.terramechanics.motor import motor_torque
 # Own choices, all of them: this is one virtual rig.
 STIFFNESS = 0.12  # [m/dt2] of the contact: its period is about 18 steps
 DAMPING = 0.1  # [sqrt(k m)] of the contact
+FASTEST_OUT = 1.0  # [m/s] at which the wheel drives a grain out that a lug has overrun
 GRIP = 0.9  # [-] friction of the soil on the rim, more than any soil's own
 SETTLING = 0.15  # [s] of the bed before the wheel comes
 CLEARANCE = 5e-4  # [m] between wheel and soil at first
@@ -132,7 +133,9 @@ def push(particles, q, wheel, shape, step, stiffness):
     relative_up = particles.velocity[q, 1] - (wheel.up - wheel.speed * x)
     parting = relative_along * along + relative_up * up
     sliding = relative_up * along - relative_along * up
-    normal = max(stiffness * depth - DAMPING * math.sqrt(stiffness * step.mass) * parting, 0.0)
+    normal = 0.0
+    if parting < FASTEST_OUT:
+        normal = max(stiffness * depth - DAMPING * math.sqrt(stiffness * step.mass) * parting, 0.0)
     stretch = particles.stretch[q] + sliding * step.time
     most = GRIP * normal / stiffness
     stretch = min(max(stretch, -most), most)

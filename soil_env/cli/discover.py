@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import click
 
@@ -26,16 +27,31 @@ from soil_env.discovery.workflow import run
     show_default=True,
     help="Runs to propose: conditions, predictions of each candidate, and how sure one will be.",
 )
+@click.option(
+    "--goal",
+    type=click.Choice(["name", "predict"]),
+    default="name",
+    show_default=True,
+    help="What these runs are to tell best: what is missing, or what other runs would give.",
+)
 @click.option("--quiet", is_flag=True, help="Print only the conclusion, in one line.")
 @table_arguments
-def command(data: Path, setup: Path, out: Path, seed: int, runs: int, quiet: bool) -> None:
+def command(
+    data: Path,
+    setup: Path,
+    out: Path,
+    seed: int,
+    runs: int,
+    goal: Literal["name", "predict"],
+    quiet: bool,
+) -> None:
     """Locate where model and measurement disagree, name the missing effect, show the gap shrink.
 
     Calibrates the base model to the table, refits every effect of the catalogue with the soil, and
     judges it on held-out conditions. The verdict is named, partly, ambiguous, unlisted,
     none or undetermined.
     """
-    report = run(data, setup, out, seed=seed, next_runs=runs, progress=_stages(quiet))
+    report = run(data, setup, out, seed=seed, next_runs=runs, goal=goal, progress=_stages(quiet))
     if quiet:
         first = f"CHECK FIRST: {' '.join(report.doubts)} " if report.doubts else ""
         print(f"{report.verdict}: {first}{summary(report)}")

@@ -238,7 +238,7 @@ def proposed(
     while len(out) < most:
         overlap = overlaps(*of.joint(chosen))
         gain = information(of.share, overlap) - before
-        cost = _costs(problem, grid, chosen)
+        cost = costs(problem, grid, chosen)
         forced = repeat and not chosen
         g = last if forced else int(np.argmax(np.where(able, gain / cost, -math.inf)))
         if not forced and not (able[g] and gain[g] > LEAST):
@@ -310,7 +310,7 @@ def decided(names: Sequence[tuple[str, ...]], check: Check) -> np.ndarray:
     return np.array([[float(a == b) for b in of] for a in of])
 
 
-def _costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
+def costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
     """[G] cost of each run after the last chosen one, or the last of the table, by the setup's
     rig.
     """

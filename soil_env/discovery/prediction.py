@@ -169,16 +169,16 @@ class _Remainder:
         x = self.table[:, self.names.index(name)]
         return (x[:, None] - x) ** 2
 
-    def correlation(self, points: np.ndarray, learnt: Learnt) -> np.ndarray:
-        """[N, P] of points [N, D] with the rows of the table."""
+    def correlation(self, points: np.ndarray, others: np.ndarray, learnt: Learnt) -> np.ndarray:
+        """[N, P] of points [N, D] with others [P, D]."""
         lengths = LENGTHS | learnt.lengths
-        off = (points[:, None, :] - self.table) / np.array([lengths[n] for n in self.names])
+        off = (points[:, None, :] - others) / np.array([lengths[n] for n in self.names])
         found: np.ndarray = np.exp(-0.5 * np.sum(off**2, axis=2))
         return found
 
     def covariance(self, scale: np.ndarray, learnt: Learnt) -> _Covariance:
         """Of remainder and noise over the noise, of the values in use."""
-        correlation = self.correlation(self.table, learnt)
+        correlation = self.correlation(self.table, self.table, learnt)
         used = self.problem.used
         channel = np.nonzero(used)[1]
         found = []
@@ -258,19 +258,43 @@ class Prediction:
         """
         there = at_conditions(self.problem, conditions)
         mean, law, across = self._means(there, without)
-        top = Law(there, self.law.choices, np.maximum(law[:, 0], 0.0)).derivatives(self.u)
+        top, known, shared = self._known(there, law, across)
         own = (self.learnt.size * _scales(there, law)) ** 2
-        noise = 1.0 + self.learnt.beyond**2
+        variance = np.sum(top**2, axis=0) - np.sum(known**2, axis=0) + np.sum(shared**2, axis=0)
+        sd = np.sqrt(np.maximum(variance.reshape(law.shape) + own, 0.0) + self.variance_of_run)
+        return Predicted(mean, WIDER * sd * self.problem.noise)
+
+    @property
+    def variance_of_run(self) -> np.ndarray:
+        """[3] of the values of a run, over that of the noise."""
+        found: np.ndarray = 1.0 + self.learnt.beyond**2
+        return found
+
+    def joint_at(self, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
+        """[N, 3, N, 3] covariance of the values at conditions, without noise, over the noise."""
+        there = at_conditions(self.problem, conditions)
+        _, law, across = self._means(there)
+        top, known, shared = self._known(there, law, across)
+        points = self.remainder.points(there)
+        alike = self.remainder.correlation(points, points, self.learnt)
+        scale = self.learnt.size * _scales(there, law)
+        own = np.einsum("nm,nc,mc,cd->ncmd", alike, scale, scale, np.eye(3))
+        found: np.ndarray = top.T @ top - known.T @ known + shared.T @ shared
+        return found.reshape(own.shape) + own
+
+    def _known(
+        self, there: Problem, law: np.ndarray, across: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """T [p, 3 N], A [M, 3 N], B [p, 3 N] with T'T - A'A + B'B the covariance of values through
+        the unknowns, beside that of the remainder.
+        """
+        top = Law(there, self.law.choices, np.maximum(law[:, 0], 0.0)).derivatives(self.u)
         # The values are known through the unknowns and through the remainder: with J whitened,
         # (C + J J')^-1 = C^-1 - C^-1 J (I + J'J)^-1 J' C^-1.
         j = self.covariance.whiten(self.jacobian)
         known = j @ top.T + across
         root = cholesky(np.eye(self.u.size) + j.T @ j, lower=True)
-        gained = np.sum(known**2, axis=0)
-        gained -= np.sum(solve_triangular(root, j.T @ known, lower=True) ** 2, axis=0)
-        variance = np.sum(top**2, axis=1) - gained
-        sd = np.sqrt(np.maximum(variance.reshape(law.shape) + own, 0.0) + noise)
-        return Predicted(mean, WIDER * sd * self.problem.noise)
+        return top.T, known, solve_triangular(root, j.T @ known, lower=True)
 
     def mean_at(self, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
         """[N, 3] predicted values alone."""
@@ -290,7 +314,7 @@ class Prediction:
         law = np.nan_to_num(there.predict(values, choices, guess))
         rows, channel = np.nonzero(self.problem.used)
         points = self.remainder.points(there)
-        alike = self.remainder.correlation(points, self.learnt)[:, None, rows]
+        alike = self.remainder.correlation(points, self.remainder.table, self.learnt)[:, None, rows]
         ours = _scales(self.problem, self.output)[self.problem.used]
         ours = ours / self.remainder.relative[self.problem.used]
         theirs = self.learnt.size**2 * _scales(there, law)

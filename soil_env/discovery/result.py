@@ -10,6 +10,7 @@ from soil_env.discovery.calibrate import Fit, Problem
 from soil_env.discovery.corrected import Guess, model_of
 from soil_env.discovery.judgement import Gap, Interval
 from soil_env.discovery.locate import Disagreement
+from soil_env.discovery.next_for_prediction import SurerRun
 from soil_env.discovery.next_tests import Check, NextTest
 from soil_env.discovery.prediction import Outlook
 from soil_env.discovery.search import Finding
@@ -60,7 +61,8 @@ class Report:
     outlook: Outlook  # what can be predicted, whatever is missing
     guess: Guess | None  # where the prediction is least sure
     next_checks: tuple[Check, ...]  # of the instrument, before the next runs
-    next_tests: tuple[NextTest, ...]
+    next_tests: tuple[NextTest, ...]  # that tell what is missing
+    surer_runs: tuple[SurerRun, ...]  # that serve the prediction, where this is the goal
     fit: Fit  # of the named effects, under the noise alone
     base: Fit  # of none
     model: WheelSoilModel  # corrected by all effects and a remainder, whatever is named

@@ -7,6 +7,7 @@ import math
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -19,6 +20,7 @@ from soil_env.discovery.evidence import Evidence, settle
 from soil_env.discovery.instrument import LISTED, exact
 from soil_env.discovery.judgement import Interval, held_out_predictions
 from soil_env.discovery.locate import locate, structure
+from soil_env.discovery.next_for_prediction import surer_runs
 from soil_env.discovery.next_tests import MOST, next_checks, next_tests
 from soil_env.discovery.prediction import outlook
 from soil_env.discovery.report import check_folder, write
@@ -38,6 +40,7 @@ def run(
     *,
     seed: int = 0,
     next_runs: int = MOST,
+    goal: Literal["name", "predict"] = "name",
     progress: Callable[[str], None] | None = None,
 ) -> Report:
     """Find where table and model disagree, name the missing effect, add it, and report how far the
@@ -45,7 +48,8 @@ def run(
 
     Parameters: `table` and `setup`, read or as files; `out`, a folder for report.json, report.html
     and model.yaml, written at the end, all of them or none; `seed` of the simulated null
-    distributions; `next_runs`, how many are proposed; `progress` is called with what is being done,
+    distributions; `next_runs`, how many are proposed, to
+    `name` what is missing or to `predict`; `progress` is called with what is being done,
     "stage: step".
 
     Raises `ParameterError` with one line for bad input, and where `out` cannot be written.
@@ -69,7 +73,7 @@ def run(
     )
     # The matrices are small: threads of the BLAS cost more than they give.
     with threadpool_limits(1):
-        report = _conclude(rows, read, settings, say, next_runs)
+        report = _conclude(rows, read, settings, say, next_runs, goal)
     if out is not None:
         say("writing")
         write(report, Path(out))
@@ -84,7 +88,12 @@ def _digest(given: Table | Setup | str | Path) -> str | None:
 
 
 def _conclude(
-    table: Table, setup: Setup, settings: Settings, say: Callable[[str], None], next_runs: int
+    table: Table,
+    setup: Setup,
+    settings: Settings,
+    say: Callable[[str], None],
+    next_runs: int,
+    goal: str,
 ) -> Report:
     say("looking for mistakes")
     table, setup, dense = binned(table, setup)
@@ -110,7 +119,8 @@ def _conclude(
     say("predicting with all effects")
     foreseen = outlook(problem)
     say("choosing the next runs")
-    runs = next_tests(problem, finding, next_runs)
+    runs = next_tests(problem, finding, next_runs) if goal == "name" else ()
+    surer = surer_runs(foreseen.model, own, next_runs) if goal == "predict" else ()
     intervals = judgement.intervals(finding, own)
     interval = None if closed is None else judgement.closed_interval(problem, before, after, rng)
     return Report(
@@ -127,6 +137,7 @@ def _conclude(
         guess=least_sure(foreseen.model),
         next_checks=next_checks(finding, runs),
         next_tests=runs,
+        surer_runs=surer,
         fit=final,
         base=fits[()],
         model=corrected(foreseen.model, finding.names),

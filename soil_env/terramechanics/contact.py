@@ -254,7 +254,10 @@ def grown_modulus(modulus, soil, arc):
 
 @compiled
 def _over_turning(t):
-    """(1 - i, its derivative) where the rim is the faster: t = V/(r w); smooth where t < 0."""
+    """(1 - i, its derivative) where the rim is the faster: t = V/(r w).
+
+    Where t < 0 it is `_over_travel` of 1/t, and so 0 at rest.
+    """
     if t >= 0.0:
         return t, 1.0
     q = 1.0 - t
@@ -263,8 +266,10 @@ def _over_turning(t):
 
 @compiled
 def _over_travel(t):
-    """(1 - i, its derivative) where the travel is the faster: 2 - t with t = r w/V; smooth where
-    t < 0.
+    """(1 - i, its derivative) where the travel is the faster: 2 - t with t = r w/V.
+
+    Where t < 0 it is (2 - 5 t)/(1 - t)^2, which has the value and the slope of 2 - t at t = 0,
+    rises to 2.1, and falls to 0 as the rim becomes much the faster.
     """
     if t >= 0.0:
         return 2.0 - t, -1.0
@@ -577,7 +582,7 @@ def _integrals_under(nodes, p, motion, K, law, split):
 @compiled
 def shear_integrals(nodes, p, motion, K, law, split):
     """`ArcIntegrals` of the nodes of `lay_nodes` at a `motion` (rim, travel); stores de/dj at each
-    node.
+    node, which `shear_rates` reads.
 
     `p`: (Int p cos, Int p sin). With `split` an arc in which the shear turns has nodes of its own,
     since de/dj has a kink there. `law`: a `ShearLaw`, or None for Eq. (10).
@@ -646,14 +651,25 @@ def bearing_share(q, tan_phi, direction):
 
 
 @compiled
+def bounded_bearing(q, tan_phi, direction):
+    """(`bearing_share`, at least `LEAST_BEARING` of what the normal stress carries by itself, True
+    if it is no more).
+    """
+    share = bearing_share(q, tan_phi, direction)
+    least = LEAST_BEARING * q.p_cos
+    return max(share, least), share <= least
+
+
+@compiled
 def mobilised_sinkage_coefficient(q, load, tan_phi, c, r, b, direction):
     """Sinkage coefficient S [N/m^(n+2)] at which Eq. (1) carries `load` [N] on this arc; at least
     0.
 
     Eq. (1) is linear in S, so at a given sinkage the coefficient that the load mobilises has a
-    closed form. At `LEAST_BEARING` S is bounded, and carries less than the load.
+    closed form. Where `bounded_bearing` is at its bound S is bounded, too, and carries less than
+    the load.
     """
-    bearing = max(bearing_share(q, tan_phi, direction), LEAST_BEARING * q.p_cos)
+    bearing, _ = bounded_bearing(q, tan_phi, direction)
     rest = load / (r * b) - direction * c * q.e_sin
     if rest <= 0.0 or bearing <= 0.0:
         return 0.0

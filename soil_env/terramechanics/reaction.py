@@ -15,9 +15,8 @@ from soil_env._compiled.elementary import smoothed_sign
 from soil_env._compiled.flags import compiled, inlined, record, uncompiled
 from soil_env.slip import signed_slip, slip_ratio
 from soil_env.terramechanics.contact import (
-    LEAST_BEARING,
     ShearLaw,
-    bearing_share,
+    bounded_bearing,
     braked_shift,
     carried_share,
     forces,
@@ -85,7 +84,7 @@ class Standing(NamedTuple):
 
 
 class ExtraForces(NamedTuple):
-    """Forces beside the contact, at the slip and the speeds that a step begins with."""
+    """Forces and depths beside the contact, at the slip and the speeds that a step begins with."""
 
     lift: float  # [m] sinkage beyond that which carries, as digging has it
     bulldozing: float  # [N] resistance of the soil ahead
@@ -191,7 +190,7 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
     rim += share * travel
     rim_v = share_v * travel + share * travel_v
     rim_u += share_u * travel + share * travel_u
-    direction, turn = smoothed_sign(speed, REST_SPEED)
+    direction, direction_v = smoothed_sign(speed, REST_SPEED)
     p = footing.p_cos, footing.p_sin
     flows = footing.carry > 0.0
     q = shear_integrals(nodes, p, (rim, travel), footing.shear_modulus, law, flows)
@@ -208,10 +207,10 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
     one_u = rates.one_rim * rim_u + rates.one_travel * travel_u
     # through S, which keeps the load what it is
     shear_sin = S * tan_phi * q.pe_sin + c * q.e_sin
-    bearing = bearing_share(q, tan_phi, direction)
+    bearing, bounded = bounded_bearing(q, tan_phi, direction)
     # where S is bounded it hardly changes
-    by_load = -1.0 / bearing if S > 0.0 and bearing > LEAST_BEARING * q.p_cos else 0.0
-    S_v = by_load * (direction * sin_v + turn * shear_sin)
+    by_load = 0.0 if bounded or S <= 0.0 else -1.0 / bearing
+    S_v = by_load * (direction * sin_v + direction_v * shear_sin)
     S_u = by_load * (direction * sin_u)
     pull_by_S = rb * (tan_phi * q.pe_cos - direction * q.p_sin)
     torque_by_S = lever * rb * (tan_phi * q.pe)
@@ -220,7 +219,7 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
         f.drawbar_pull,
         f.torque if r == lever else lever / r * f.torque,
         S,
-        S_v * pull_by_S + rb * (cos_v - turn * S * q.p_sin),
+        S_v * pull_by_S + rb * (cos_v - direction_v * S * q.p_sin),
         S_u * pull_by_S + rb * cos_u,
         S_v * torque_by_S + lever * rb * one_v,
         S_u * torque_by_S + lever * rb * one_u,
@@ -265,13 +264,13 @@ def _ground_under(at, slip, soil, wheel, fx):
         ground = soil_in_contact(soil, passage, fx)
         arc = arc_of(at.sinkage, slip, shift, at.load, fx, wheel)
         dug = max(slip_sinkage_ratio(slip, ground.dig_gain, ground.dig_recovery), LEAST_DIGGING)
-        q = wheel.shear_ratio
-        modulus = ground.shear_modulus * shear_length_ratio(fx) / q
-        sheared = grousers.at_shear_radius(ground, q, modulus)
+        shear_ratio = wheel.shear_ratio
+        modulus = ground.shear_modulus * shear_length_ratio(fx) / shear_ratio
+        sheared = grousers.at_shear_radius(ground, shear_ratio, modulus)
         return (
             _gripped(sheared, arc, at.load, wheel),
             arc,
-            excavated_depth(slip, fx) / dug,
+            excavated_depth(slip, fx) / dug,  # z = dug z_w + depth, so the depth lies in z_w too
             soil_resistance(at.sinkage, ground, wheel, fx),
             grousers.blade_thrust(arc.theta1, at.sinkage, ground, wheel, fx),
         )
@@ -292,17 +291,17 @@ def _at_the_axle(f, extra, speed, rim_speed, wheel, fx):
     if fx is None:
         return f
     else:
-        p = wheel.rim_ratio
-        q = wheel.shear_ratio
+        rim_ratio = wheel.rim_ratio
+        shear_ratio = wheel.shear_ratio
         lever = wheel.radius + 0.5 * wheel.grouser_height
-        direction, turn = smoothed_sign(speed, REST_SPEED)
+        direction, direction_v = smoothed_sign(speed, REST_SPEED)
         slip, slip_u, slip_v = signed_slip(rim_speed, speed, REST_SPEED)
         thrust, slope = grousers.blades_at(extra.blades, slip)
         thrust_v = slope * slip_v
         thrust_u = slope * slip_u
-        torque = q * f.torque + lever * thrust + extra.torque
-        torque_v = q * f.torque_v + lever * thrust_v
-        torque_u = q * p * f.torque_u + lever * thrust_u
+        torque = shear_ratio * f.torque + lever * thrust + extra.torque
+        torque_v = shear_ratio * f.torque_v + lever * thrust_v
+        torque_u = shear_ratio * rim_ratio * f.torque_u + lever * thrust_u
         friction = drive_friction(torque, rim_speed / wheel.radius, REST_SPEED / wheel.radius, fx)
         by_torque = 1.0 + friction.by_torque
         return Reaction(
@@ -310,12 +309,12 @@ def _at_the_axle(f, extra, speed, rim_speed, wheel, fx):
             f.drawbar_pull + thrust - direction * extra.bulldozing + extra.pull,
             torque + friction.torque,
             f.sinkage_coefficient,
-            f.pull_v + thrust_v - turn * extra.bulldozing,
-            p * f.pull_u + thrust_u,
+            f.pull_v + thrust_v - direction_v * extra.bulldozing,
+            rim_ratio * f.pull_u + thrust_u,
             by_torque * torque_v,
             by_torque * torque_u + friction.by_wheel_speed / wheel.radius,
             f.sinkage_coefficient_v,
-            p * f.sinkage_coefficient_u,
+            rim_ratio * f.sinkage_coefficient_u,
         )
 
 

@@ -18,11 +18,10 @@ from soil_env.slip import motion_from_slip, sliding_speed
 from soil_env.terramechanics.contact import (
     ARC_NODES,
     FOREMOST_PEAK,
-    LEAST_BEARING,
     Arc,
     Forces,
     ShearLaw,
-    bearing_share,
+    bounded_bearing,
     braked_shift,
     carried_share,
     entry_angle,
@@ -295,10 +294,8 @@ def _misfit(nodes, x, p, wheel, fx):
     if soil.layer_gain > 0.0:
         available += math.log(layer_firmness((z - p.lift) / p.dug, soil))
     f = min(max(math.log(max(s, 1e-300)) - available, -2.0), 50.0)
-    if (
-        bearing_share(q, tan_phi, 1.0) <= LEAST_BEARING * q.p_cos
-        and p.load / (arc.radius * b) > c * q.e_sin
-    ):
+    _, bounded = bounded_bearing(q, tan_phi, 1.0)
+    if bounded and p.load / (arc.radius * b) > c * q.e_sin:
         f = 2.0  # friction takes more than the normal stress gives: no S carries the load here
     coefficient = math.exp(available)
     if on_tyre(wheel):

@@ -21,7 +21,7 @@ from soil_env_agents.evaluate.driving import run_courses
 from soil_env_agents.evaluate.loading import check, load
 from soil_env_agents.exported import ExportedAgent
 from soil_env_agents.history import BAND_SHARE, History
-from soil_env_agents.teachers import Teacher, Teachers, settings_of
+from soil_env_agents.teachers import Teacher, Teachers, teacher_settings
 from tests.test_observer import Rig
 
 GROUNDS = ("mixed", "two_lines", "loose_slopes", "sticky", "field_vehicle", "unseen")
@@ -216,7 +216,7 @@ def test_the_teacher_of_a_softening_world_starts_gently():
     scenario = load_scenario("sticky")
     world = WheelSoilModel(ModelWheel(0.15, 0.15), effects={"shear_softening": {"sharpness": 3.5}})
     settings = generalist.chosen(scenario, [world], ((30, 1),))
-    assert settings["acceleration"] < 0.5 * settings_of(scenario)["acceleration"]
+    assert settings["acceleration"] < 0.5 * teacher_settings(scenario)["acceleration"]
     drivers = Teacher(scenario), Teacher(scenario, **settings)
     own, better = (run_courses(d, scenario, 77, 60, model=world).returns.mean() for d in drivers)
     assert better > own + 1.0

@@ -32,7 +32,7 @@ from ..progress import show
 from . import contestants, evaluation, report
 from .driving import HELD_OUT_SET, TUNING_SET
 from .evaluation import Evaluation
-from .own import code_digest, settings_of
+from .own import bounds_of_settings, code_digest
 from .tuning import tuned_settings
 
 _TUNING_COURSES = 200  # as train.py
@@ -240,4 +240,4 @@ def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
 
 def _is_own(contestant: contestants.Contestant, scenario: Scenario) -> bool:
     """True for a `module:Class` with settings."""
-    return contestant.kind == "class" and bool(settings_of(contestant.source, scenario))
+    return contestant.kind == "class" and bool(bounds_of_settings(contestant.source, scenario))

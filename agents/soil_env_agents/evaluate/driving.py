@@ -310,8 +310,8 @@ class _Totals:
         self.steps += alive
         return driving
 
-    def more(self) -> dict[str, np.ndarray]:
-        """Further metrics, at the end."""
+    def further_metrics(self) -> dict[str, np.ndarray]:
+        """Metrics beyond those of every vehicle, at the end."""
         return {}
 
     def runs(self) -> Runs:
@@ -324,7 +324,7 @@ class _Totals:
             slip=self.slip / np.maximum(self.driving, 1.0),
             sinkage=self.sinkage / self.steps,
             returns=self.returns,
-            more=self.more(),
+            more=self.further_metrics(),
         )
 
 
@@ -350,7 +350,10 @@ class _OfRovers(_Totals):
         self.force += np.where(driving, force * self.axles / weight, 0.0)
         return driving
 
-    def more(self) -> dict[str, np.ndarray]:
+    def further_metrics(self) -> dict[str, np.ndarray]:
+        """[%] means while driving: the share of the weight that wheels pull against each other, and
+        the largest force of a wheel over its share of the weight.
+        """
         driving = np.maximum(self.driving, 1.0)
         return {
             "fighting": 100.0 * self.fighting / driving,
@@ -364,7 +367,9 @@ class _Detailed(_Totals):
     def __init__(self, sim, scenario: Scenario, count: int):
         super().__init__(sim, scenario, count)
         self.foresight = Foresight(scenario, count)
+        # [J] where a wheel pulls
         self.drawbar_work, self.drive_work = np.zeros((2, count))
+        # [courses] of each control period: slip, sinkage [mm], True while driving
         self.slips: list[np.ndarray] = []
         self.depths: list[np.ndarray] = []
         self.drove: list[np.ndarray] = []
@@ -383,7 +388,8 @@ class _Detailed(_Totals):
         self.foresight.step(self.worlds, alive)
         return on
 
-    def more(self) -> dict[str, np.ndarray]:
+    def further_metrics(self) -> dict[str, np.ndarray]:
+        """The metrics `DETAILED`."""
         stuck = np.isin(self.worlds.cause, _STUCK)
         bogged = self.worlds.cause == Cause.BOGGED.value
         alarm = self.foresight

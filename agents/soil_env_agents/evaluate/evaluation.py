@@ -22,7 +22,7 @@ from . import loading
 from .comparing import ORACLE, ORACLE_BLOCK, comparison
 from .contestants import Contestant, digest, model_bytes
 from .driving import HELD_OUT_SET, Runs, run_courses
-from .own import code_digest, settings_of
+from .own import bounds_of_settings, code_digest
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,8 @@ def result(asked: Evaluation, runs: dict[str, list[Runs]]) -> dict:
     settings = {
         c.name: loading.load(c, asked.scenario).settings
         for c in contestants.values()
-        if c.kind == "classical" or (c.kind == "class" and settings_of(c.source, asked.scenario))
+        if c.kind == "classical"
+        or (c.kind == "class" and bounds_of_settings(c.source, asked.scenario))
     }
     chosen = {
         c.name: "given" if c.settings else "tuned" if c.name in asked.tuned else "untuned"

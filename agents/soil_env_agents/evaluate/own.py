@@ -57,9 +57,11 @@ def code_digest(source: str) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def settings_of(source: str, scenario: Scenario) -> Mapping[str, Setting]:
-    """Settings by name: `bounds` of the class, of a rover those of its wheels' controller; {}
-    without.
+def bounds_of_settings(source: str, scenario: Scenario) -> Mapping[str, Setting]:
+    """Tunable settings of a controller by name, with their bounds; {} without.
+
+    Of a shipped one or of the user's class (its `bounds`); of a rover those of the controller of
+    its wheels.
     """
     if ":" not in source:
         of = ROVER_CONTROLLERS[source].of_wheel if isinstance(scenario, RoverScenario) else source
@@ -86,7 +88,7 @@ def made(source: str, scenario: Scenario, settings: dict, where: str) -> Any:
     `settings`, any other with the scenario where it takes one argument.
     """
     thing = imported(source)
-    known = settings_of(source, scenario)
+    known = bounds_of_settings(source, scenario)
     values = within_bounds(source, known, scenario, settings, where)
     if inspect.isclass(thing) or (callable(thing) and not hasattr(thing, "predict")):
         try:

@@ -25,7 +25,7 @@ from ..controllers import checked_settings
 from ..controllers.rover import controllers_of
 from ..progress import Bar
 from .driving import TUNING_SET, run_courses
-from .own import code_digest, maker, settings_of
+from .own import bounds_of_settings, code_digest, maker
 
 TUNED = "tuned"  # folder of configs/
 TRIALS = 40  # settings tried of each controller
@@ -82,7 +82,9 @@ def tuned_settings(
         return {}
     shipped = {} if anew else shipped_settings(scenario, courses, model)
     known, _ = controllers_of(scenario)
-    every = {name: settings_of(name, scenario) for name in (known if names is None else names)}
+    every = {
+        name: bounds_of_settings(name, scenario) for name in (known if names is None else names)
+    }
     spaces = {name: space for name, space in every.items() if space}
     names = list(spaces)
     chosen = {name: shipped[name] for name in names if name in shipped}

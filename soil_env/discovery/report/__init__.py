@@ -158,6 +158,7 @@ def content(report: Report) -> dict[str, Any]:
             "next_tests": [
                 vars(t) | {"words": sentences.next_test(report, t)} for t in report.next_tests
             ],
+            "surer_runs": [run._asdict() for run in report.surer_runs],
             "probability": {
                 "none": report.finding.none,
                 "unlisted": report.finding.unlisted,

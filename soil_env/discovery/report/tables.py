@@ -1,10 +1,13 @@
 """Tables of a report."""
 
 import math
+from collections.abc import Sequence
 
 from soil_env._io.document import Table
 from soil_env.discovery.instrument import LISTED
 from soil_env.discovery.judgement import Interval
+from soil_env.discovery.next_for_prediction import SurerRun
+from soil_env.discovery.next_tests import NextTest
 from soil_env.discovery.report.sentences import (
     CONDITIONS,
     SOIL,
@@ -91,16 +94,27 @@ def ranking(report: Report, most: int | None = None) -> Table:
 
 def next_runs(report: Report) -> Table:
     """The runs to make next, in their order."""
-    names = list(report.next_tests[0].conditions)
+    said = [percent(t.sure) for t in report.next_tests]
+    return _runs(report.next_tests, "right one then", said)
+
+
+def surer_runs(report: Report) -> Table:
+    """The runs to make next for the prediction, in their order."""
+    said = [percent(run.left) for run in report.surer_runs]
+    return _runs(report.surer_runs, "mean sd left", said)
+
+
+def _runs(runs: Sequence[NextTest | SurerRun], last: str, said: Sequence[str]) -> Table:
+    names = list(runs[0].conditions)
     head = [
         f"{label} [{unit.strip()}]" if unit else label
         for label, unit in (CONDITIONS[n] for n in names)
     ]
     rows = [
-        (k, *(f"{t.conditions[n]:.4g}" for n in names), figures(t.cost, 2), percent(t.sure))
-        for k, t in enumerate(report.next_tests, start=1)
+        (k, *(f"{run.conditions[n]:.4g}" for n in names), figures(run.cost, 2), text)
+        for k, (run, text) in enumerate(zip(runs, said, strict=True), start=1)
     ]
-    return Table(("run", *head, "cost", "right one then"), rows)
+    return Table(("run", *head, "cost", last), rows)
 
 
 def next_predictions(report: Report, most: int | None = None) -> Table:

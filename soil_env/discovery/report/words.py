@@ -95,7 +95,7 @@ def next_step(report: Report) -> str:
         checks=checks,
         done=", ".join(done),
         load_sensors=of_sensor and not {"force_gain", "torque_gain"} <= {*done},
-        runs=runs_help(report) and report.verdict != "none",
+        runs=report.surer_runs or (runs_help(report) and report.verdict != "none"),
         of_rig=named & {*INSTRUMENT},
         missed=missed(report),
     )

@@ -148,7 +148,7 @@ def _drive_period(rover, course, ruts, world):
         if driven == h:
             h = longest
         else:
-            # after the first failure the rest is tried once more
+            # a first failure may have driven a stage: what is left is tried as one step again
             h = 0.5 * h if failed else longest
             failed = True
 

@@ -240,7 +240,7 @@ def drive_period(wheel, drive, course, world):
         if done:
             h = longest
         else:
-            # after the first failure the rest is tried once more
+            # a first failure may have driven a stage: what is left is tried as one step again
             h = 0.5 * h if failed else longest
             failed = True
 

@@ -115,10 +115,10 @@ def piece_at(pieces, x, piece):
 
 @compiled
 def border_near(pieces, x, piece, border):
-    """(piece before the border, share of the piece behind it) at x [m] on `piece`, a patch or
-    slope.
+    """(patch or slope, share of the next one) at x [m] on `piece`, which is the first of them or
+    the next.
 
-    The share is 0 or less than 1 within `border` [m] around the border, -1 away from it.
+    The share lies between 0 and 1 within `border` [m] around a border. It is 0 elsewhere.
     """
     here = pieces[piece]
     at_end = x - here.start > here.end - x
@@ -127,7 +127,7 @@ def border_near(pieces, x, piece, border):
     t = (x - place) / border + 0.5
     drawn = first >= 0 and first + 1 < pieces.size and pieces[first + 1].start < HUGE
     if not drawn or t <= 0.0 or t >= 1.0:
-        return piece, -1.0
+        return piece, 0.0
     return first, smooth_step(t)[0]
 
 
@@ -138,7 +138,7 @@ def soil_on(patches, x, patch, border):
     Within `border` [m] around a border the soil of one patch passes smoothly into that of the next.
     """
     first, share = border_near(patches, x, patch, border)
-    if share < 0.0:
+    if share == 0.0:
         return soil_of(patches[first])
     return blend(patches[first], patches[first + 1], share)
 
@@ -148,7 +148,7 @@ def grade_on(slopes, x, slope, border):
     """Grade [rad] of undisturbed ground at x [m], which is on `slope`; it bends as soils pass."""
     first, share = border_near(slopes, x, slope, border)
     grade = slopes[first].grade
-    if share < 0.0:
+    if share == 0.0:
         return grade
     return (1.0 - share) * grade + share * slopes[first + 1].grade
 

@@ -54,6 +54,7 @@ STANDING = 1e-12  # [-] relaxation in a stage, or [m] of travel, below which not
 #: A wheel; all fields have eight bytes. Numbers that follow from others in the same step are kept
 #: for sensors and info.
 WHEEL = record(
+    # motion and forces
     "x",  # [m] distance along the course
     "speed",  # V [m/s]
     "wheel_speed",  # w [rad/s]
@@ -64,6 +65,7 @@ WHEEL = record(
     "torque",  # T [N m], soil on wheel
     "motor_torque",  # [N m]
     "grade",  # [rad] at the wheel
+    # sinkage, rut and pile
     "best_x",  # [m] furthest x so far: ground beyond it is fresh
     "lowest_x",  # [m] least x so far: ground before it is fresh
     "sinking",  # dz/dt [m/s] in the last stage
@@ -71,6 +73,7 @@ WHEEL = record(
     "braked",
     "rut_depth",  # [m] of the ground under the wheel where it has been before
     "rut_to_come",  # [m] depth to which this pass rolls the rut of earlier ones, `depth_to_come`
+    # of the last stage
     "mass",  # [kg]
     "available_torque",  # [N m] of the motor at this wheel speed, in the direction asked for
     "pull_by_speed",  # dDP/dV [N s/m] at the end of the last stage
@@ -79,6 +82,7 @@ WHEEL = record(
     "torque_by_rim",  # dT/d(r w)
     "bearing_sinkage",  # z_w [m]
     "unfelt",  # [m] sinkage of a residual law, which is read beyond z
+    # of the last control period
     "motor_work",  # [J] in the last control period
     "soil_work",  # [J] that soil and drivetrain took, T w - DP V, in the last control period
     "numerical_work",  # [J] that the integrator took, in the last control period
@@ -86,6 +90,7 @@ WHEEL = record(
     "last_action",  # [-1, 1]
     "rim_command",  # [of the top rim speed] that the drive follows; 0 if the action is a torque
     "halt_command",  # [of the top rim speed] that a halt brakes from, and then follows
+    # of the task
     "mark_x",  # [m] `best_x` when it last was a further `no_progress_distance` on
     "idle_time",  # [s] since `mark_x` was set, halts left out
     "stalled_time",  # [s] of `idle_time` in which the wheel did not turn
@@ -269,10 +274,11 @@ def sink(wheel, ground, mobilised, path, rig):
     """Place and sinkage of a wheel after a stage on `Ground`, in which its load mobilised the
     coefficient `mobilised`.
 
-    z_w is the depth at which undisturbed soil carries the pressure `mobilised` z^n at the depth z =
-    `ground.sinkage`. Ground beyond the furthest places of a wheel is fresh; where it has been,
-    travel leads to the depth of the rut instead of z_w, which each later pass deepens. The rut
-    grows where the wheel digs and not where it climbs out of its hole.
+    z_w (`bearing`) is the depth at which undisturbed soil carries the pressure `mobilised` z^n at
+    the depth z = `ground.sinkage`, and `ground.lift` more where effects dig. Travel leads `onto`
+    z_w or a rut. Ground beyond the furthest places of a wheel is fresh; where it has been, travel
+    leads to the depth of the rut, which each later pass deepens. The rut grows where the wheel digs
+    and not where it climbs out of its hole.
     """
     soil = ground.soil
     exponent = max(soil.sinkage_exponent, LEAST_EXPONENT)

@@ -1,0 +1,137 @@
+"""Runs chosen for prediction against random ones, on the tables of `benchmarks.prediction`.
+
+    python -m benchmarks.next_runs              an hour; writes docs/results/next_runs.json and .md
+    python -m benchmarks.next_runs --data DIR   folder of the measurements, else $SOIL_ENV_DATA
+    python -m benchmarks.next_runs --smoke --out X   every part in a minute, numbers without meaning
+
+Half of the rows of a table, drawn at random, are held out. Of the others three are measured, and
+then one after the other: those that `discovery.next_for_prediction` chooses, or random ones. After
+each, all effects are fitted anew and predict the held-out rows. The same command goes on where it
+was interrupted.
+"""
+
+import dataclasses
+from pathlib import Path
+
+import click
+import numpy as np
+
+from benchmarks.common import ready, short, study_options, write
+from benchmarks.prediction import Case, cases
+from benchmarks.rigs import DATA
+from soil_env._io.document import Table as Page
+from soil_env._io.files import write_json
+from soil_env._io.loading import read_json
+from soil_env.cli.running import PATH, leave, run
+from soil_env.discovery.calibrate import Problem, calibrate
+from soil_env.discovery.next_for_prediction import Uncertainty
+from soil_env.discovery.prediction import Prediction, fit_prediction
+from soil_env.identification.table.data import prepare
+from soil_env.measurement.setup import NoiseLevels
+
+NAME = "next_runs"
+FIRST = 3  # runs that are measured at first
+MOST = 12  # runs that are added at most
+DRAWS = 8  # of held-out and first rows
+SEED = 4001
+WAYS = ("chosen", "random")
+TEXT = (
+    "Root mean square error over the noise of held-out rows, geometric mean over {draws} draws of "
+    "the held-out and the first rows (seed {seed}), after a share of the further runs. Share "
+    "needed: of the runs of a random choice, until chosen ones err no more than it does at its end."
+)
+
+
+def tables(folder: Path) -> dict[str, Case]:
+    """Each table once, by a name."""
+    found: dict[str, Case] = {}
+    for case in cases(folder):
+        found.setdefault(case.name.rpartition(", ")[0], case)
+    return found
+
+
+def errors(case: Case, way: str, draw: int, most: int = MOST) -> list[float]:
+    """Errors of the held-out rows over the noise, after the first runs and after each further."""
+    rng = np.random.default_rng([SEED, draw])
+    order = rng.permutation(case.table.slip.size)
+    held, left = np.split(order, [order.size // 2])
+    whole, noise = calibrate(prepare(case.table, case.setup))
+    known = NoiseLevels(*(x if np.isfinite(x) else None for x in noise.sd.tolist()))
+    setup = dataclasses.replace(case.setup, noise=known)
+    made = list(left[:FIRST])
+    left = list(left[FIRST:])
+    out = []
+    while True:
+        rows = np.zeros(order.size, dtype=bool)
+        rows[made] = True
+        problem, _ = calibrate(prepare(case.table.only(rows), setup))
+        model = fit_prediction(problem)
+        off = model.mean_at(_at(whole, held)) - whole.data.y[held]
+        used = whole.used[held]
+        out.append(float(np.sqrt(np.mean((off / whole.noise)[used] ** 2))))
+        if not left or len(out) > most:
+            return out
+        k = _surest(model, whole, left) if way == "chosen" else 0
+        made.append(left.pop(k))
+
+
+def _at(problem: Problem, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Conditions of rows of a table."""
+    return {name: x[rows] for name, x in problem.data.conditions.items()}
+
+
+def _surest(model: Prediction, whole: Problem, left: list[int]) -> int:
+    """Which of the rows `left` lowers the mean standard deviation of all of them most."""
+    seen = whole.used.any(axis=0)
+    joint = model.joint_at(_at(whole, np.array(left)))[:, seen][:, :, :, seen]
+    uncertain = Uncertainty(joint, model.variance_of_run[seen])
+    return int(np.argmin([uncertain.after(g) for g in range(len(left))]))
+
+
+def needed(chosen: np.ndarray, random: np.ndarray) -> float:
+    """Share of the runs of a random choice [runs + 1] that chosen ones need to err no more."""
+    least = np.minimum.accumulate(chosen)
+    return float(np.argmax(least <= random[-1]) / (random.size - 1))
+
+
+def tables_of(found: dict[str, dict[str, list[list[float]]]]) -> dict[str, Page]:
+    """The table of the page."""
+    lines = []
+    for name, of in found.items():
+        mean = {way: np.exp(np.mean(np.log(of[way]), axis=0)) for way in WAYS}
+        steps = mean["random"].size - 1
+        shown = [0, steps // 4, steps // 2, steps]
+        for way in WAYS:
+            lines.append([name, way, *(f"{mean[way][k]:.3g}" for k in shown), ""])
+        lines[-2][-1] = f"{needed(mean['chosen'], mean['random']):.2f}"
+    head = ["table", "runs", "0", "a quarter", "half", "all", "share needed"]
+    return {"Error over the noise": Page(head, lines)}
+
+
+@click.command(NAME)
+@study_options(NAME)
+@click.option("--data", type=PATH, default=DATA, metavar="DIR", help="Folder of the measurements.")
+def command(smoke: bool, out: Path, data: Path) -> None:
+    """Runs chosen for prediction against runs drawn at random."""
+    file = ready(out, NAME)
+    found = read_json(file) if file.exists() else {}
+    draws = 1 if smoke else DRAWS
+    for name, case in tables(data).items():
+        own = found.setdefault(name, {way: [] for way in WAYS})
+        for way in WAYS:
+            while len(own[way]) < draws:
+                own[way].append(short(errors(case, way, len(own[way]), 1 if smoke else MOST)))
+                write_json(file, found)
+        print(f"{name}: done", flush=True)
+        if smoke:
+            break
+    write(out, NAME, "Next runs", TEXT.format(draws=draws, seed=SEED), tables_of(found))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; return the exit status."""
+    return run(command, arguments, NAME)
+
+
+if __name__ == "__main__":
+    leave(main())

@@ -1,0 +1,94 @@
+"""Design of the next runs for prediction: those that leave least uncertainty over all that the rig
+can do.
+
+What `prediction` says of all runs is jointly normal, with a covariance that does not depend on what
+will be measured. So runs can be chosen before any is made: each is the one that lowers the mean
+standard deviation most for its cost (Cohn 1996, Neural Networks 9:1071-1083).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from soil_env.discovery.evidence import Evidence
+from soil_env.discovery.next_tests import MOST, conditions, costs
+from soil_env.discovery.prediction import Prediction
+from soil_env.terramechanics.steady import DEEPEST
+
+LARGEST = 300  # runs to choose from
+
+
+class SurerRun(NamedTuple):
+    """One run to make."""
+
+    conditions: dict[str, float]  # slip, load [N] and what else matters, as the columns of a table
+    left: float  # of the mean standard deviation, once this run and those before it are made
+    cost: float
+
+
+class Uncertainty:
+    """Covariance of the values of all runs of a rig, as runs are made.
+
+    Parameters: `covariance` [G, C, G, C] of the values of C channels without noise; `noise` [C]
+    variance that each value of a run has by itself.
+    """
+
+    def __init__(self, covariance: np.ndarray, noise: np.ndarray) -> None:
+        self.covariance = covariance
+        self.noise = np.diag(noise)
+
+    def mean_sd(self, gained: np.ndarray | None = None) -> float:
+        """Mean standard deviation of all values, after a run whose `_gained` is given."""
+        variance = np.einsum("gcgc->gc", self.covariance).ravel()
+        if gained is not None:
+            variance = variance - np.sum(gained**2, axis=0)
+        return float(np.mean(np.sqrt(np.maximum(variance, 0.0))))
+
+    def after(self, g: int) -> float:
+        """`mean_sd` if run g was made."""
+        return self.mean_sd(self._gained(g))
+
+    def make(self, g: int) -> None:
+        """Make run g."""
+        gained = self._gained(g)
+        self.covariance = self.covariance - (gained.T @ gained).reshape(self.covariance.shape)
+
+    def _gained(self, g: int) -> np.ndarray:
+        """[C, G C] whose square is what the covariance loses by run g."""
+        root = cholesky(self.covariance[g, :, g] + self.noise, lower=True)
+        across = self.covariance[g].reshape(self.noise.shape[0], -1)
+        found: np.ndarray = solve_triangular(root, across, lower=True)
+        return found
+
+
+def surer_runs(
+    model: Prediction, evidence: Evidence, most: int = MOST, seed: int = 0
+) -> tuple[SurerRun, ...]:
+    """At most `most` runs, in the order to make them; `evidence` knows which conditions matter.
+
+    Runs in which the wheel would be buried are not made. Of a large grid, `LARGEST` are drawn.
+    """
+    problem = model.problem
+    grid = conditions(problem, (evidence,))
+    sinkage = model.mean_at(grid.value)[:, 0]
+    able = np.flatnonzero(sinkage < DEEPEST * problem.data.wheel.radius)
+    able = np.sort(np.random.default_rng(seed).permutation(able)[:LARGEST])
+    grid = grid._replace(value={name: x[able] for name, x in grid.value.items()})
+    seen = problem.used.any(axis=0)
+    joint = model.joint_at(grid.value)[:, seen][:, :, :, seen]
+    uncertain = Uncertainty(joint, model.variance_of_run[seen])
+    before = uncertain.mean_sd()
+    left = list(range(able.size))
+    chosen: list[int] = []
+    out: list[SurerRun] = []
+    while left and len(out) < most:
+        now = uncertain.mean_sd()
+        price = costs(problem, grid, chosen)
+        g = max(left, key=lambda k: (now - uncertain.after(k)) / price[k])
+        uncertain.make(g)
+        left.remove(g)
+        chosen.append(g)
+        point = {name: float(grid.value[name][g]) for name in grid.asked}
+        out.append(SurerRun(point, uncertain.mean_sd() / before, float(price[g])))
+    return tuple(out)
