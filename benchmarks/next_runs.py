@@ -11,6 +11,7 @@ was interrupted.
 """
 
 import dataclasses
+import math
 from pathlib import Path
 
 import click
@@ -89,9 +90,11 @@ def _surest(model: Prediction, whole: Problem, left: list[int]) -> int:
 
 
 def needed(chosen: np.ndarray, random: np.ndarray) -> float:
-    """Share of the runs of a random choice [runs + 1] that chosen ones need to err no more."""
-    least = np.minimum.accumulate(chosen)
-    return float(np.argmax(least <= random[-1]) / (random.size - 1))
+    """Share of the runs of a random choice [runs + 1] that chosen ones need to err no more;
+    infinite where they do not reach that.
+    """
+    reached = np.flatnonzero(chosen <= random[-1])
+    return float(reached[0] / (random.size - 1)) if reached.size else math.inf
 
 
 def tables_of(found: dict[str, dict[str, list[list[float]]]]) -> dict[str, Page]:

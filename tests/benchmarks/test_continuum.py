@@ -8,8 +8,8 @@ import pytest
 
 from benchmarks.common import RESULTS
 from benchmarks.continuum import __main__ as continuum, loop, rig as rows_of
-from benchmarks.continuum.soil import EDGE, GRAVITY, Bed, Material
-from benchmarks.continuum.wheel import HELD, START, Rig, Shape, outline
+from benchmarks.continuum.soil import EDGE, GRAVITY, Bed, Material, strain
+from benchmarks.continuum.wheel import FASTEST_OUT, HELD, START, Rig, Shape, outline
 from soil_env.parameters import soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
@@ -52,6 +52,29 @@ def test_soil_that_touches_nothing_falls_freely():
     velocity = falling.particles.velocity
     assert velocity[:, 0] == pytest.approx(0.0, abs=1e-9)
     assert velocity[:, 1] == pytest.approx(-GRAVITY * steps * falling.step.time, rel=1e-9)
+
+
+def test_a_grain_that_swells_has_a_largest_volume():
+    bed = rig()
+    bed.particles.gradient[0] = np.eye(2) * 0.01 / bed.step.time
+    for _ in range(200):
+        strain(bed.particles, 0, bed.step)
+    assert bed.particles.volume[0] == pytest.approx(bed.step.swollen)
+
+
+def test_a_lug_that_overruns_a_grain_does_not_throw_it():
+    wheel = rig(shape=LUGGED)
+    held = wheel.wheel.copy()
+    deep = np.array([[held["x"] + 1e-4, held["z"] - LUGGED.radius - 0.006]])
+    assert outline(*(deep[0] - (held["x"], held["z"])), held["angle"], LUGGED)[0] < -0.004
+    wheel.particles.position[:1] = deep
+    wheel.particles.velocity[:] = 0.0
+    wheel.wheel.along = wheel.wheel.speed = 0.0
+    fastest = 0.0
+    for _ in range(40):
+        wheel.forward(wheel.step.time)
+        fastest = max(fastest, float(np.abs(wheel.particles.velocity[0]).max()))
+    assert 0.1 < fastest < 3.0 * FASTEST_OUT
 
 
 def test_grains_that_are_thrown_stay_on_the_grid():

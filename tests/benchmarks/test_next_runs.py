@@ -1,0 +1,25 @@
+"""Chosen runs against random ones: what is counted."""
+
+import numpy as np
+import pytest
+
+from benchmarks import next_runs
+from benchmarks.prediction import Case
+from tests.discovery.files import PLANTED, data_of, table_text
+
+
+def test_the_share_of_runs_that_chosen_ones_need():
+    random = np.array([8.0, 7.0, 6.0, 5.0, 4.0])
+    assert next_runs.needed(np.array([8.0, 5.0, 4.0, 4.5, 3.0]), random) == pytest.approx(0.5)
+    assert next_runs.needed(random, random) == 1.0
+    assert next_runs.needed(random + 1.0, random) > 1.0
+
+
+def test_runs_are_added_to_the_same_first_ones(tmp_path):
+    data = data_of(tmp_path, table_text(PLANTED, loads=(80.0, 120.0, 180.0)))
+    case = Case("own", data.table, data.setup, ())
+    chosen, random = (next_runs.errors(case, way, 0, 2) for way in next_runs.WAYS)
+    assert len(chosen) == len(random) == 3
+    assert chosen[0] == random[0] and min(chosen + random) > 0.0
+    page = next_runs.tables_of({"own": {"chosen": [chosen], "random": [random]}})
+    assert "| own | chosen |" in next(iter(page.values())).markdown()
