@@ -26,7 +26,7 @@ from soil_env.paper.model import (
     forces,
     newton_raphson,
 )
-from soil_env.parameters import lumped_coefficient, soils
+from soil_env.parameters import lumped_coefficient
 
 SAND = P.table2
 POINT = P.working_point
@@ -51,13 +51,6 @@ GUESS = tuple(ACTUAL_SET)
 WONG_REECE_LOAD = 8923.0  # [N] of the wheel of Wong & Reece (1967), 2006 lb
 WIDE_SLIP = (0.05, 0.6)  # our reading of "a wide range of slip"
 RULES = (1, 2, 5, 10)  # m of Simpson's rule in Fig. 2
-#: Soils of Fig. 9: the name there and the row of Wong's table that stands for it.
-FIELD = {
-    "sandy_loam": "sandy_loam_15",
-    "dry_sand": "dry_sand",
-    "snow": "snow",
-    "clayey_soil": "clayey_soil_38",
-}
 SLIPS = np.linspace(0.01, 0.95, 48)
 
 
@@ -84,15 +77,11 @@ def field(soil: Any, e: Equations = AS_PRINTED) -> tuple[tuple[float, float, flo
     return (soil.friction_angle_deg, soil.shear_modulus, S), e
 
 
-def at_37_deg(soil: Any, slip: ArrayLike, e: Equations = AS_PRINTED) -> np.ndarray:
-    """`forces` by slip on a soil of `field`, the wheel held at the sinkage of the working point."""
-    own, e = field(soil, e)
-    return forces(own, slip, e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg))), e)
-
-
 def pulls(e: Equations, sand: Sand, slip: ArrayLike) -> np.ndarray:
     """DP [N] by slip, at the entry angle of the working point."""
-    return at_37_deg(sand, slip, e)[:, 0]
+    own, e = field(sand, e)
+    sinkage = e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg)))
+    return forces(own, slip, sinkage, e)[:, 0]
 
 
 def pull(e: Equations, sand: Sand = SAND) -> float:
@@ -366,7 +355,6 @@ class Results:
     corners: Box  # of Table 4
     box: Box  # the whole of it
     noise: list[Noisy]
-    torques: dict[str, tuple[np.ndarray, np.ndarray]]  # by the load balance, and at a held sinkage
 
 
 def compute(seed: int = 0, draws: int = 1000) -> Results:
@@ -380,9 +368,5 @@ def compute(seed: int = 0, draws: int = 1000) -> Results:
         "fig3": [row for *_, row in on_the_curve("cohesion")],
         "fig4": [row for name in NAMES[:2] for *_, row in on_the_curve(name)],
     }
-    fields = {name: soils()[row] for name, row in FIELD.items()}
-    torques = {
-        name: (torque(*field(soil)), at_37_deg(soil, SLIPS)[:, 2]) for name, soil in fields.items()
-    }
     noise = [table_5(e, seed, draws) for e in FIXED_COHESION]
-    return Results(seed, draws, rows, box(2, 2, 2), box(7, 7, 5), noise, torques)
+    return Results(seed, draws, rows, box(2, 2, 2), box(7, 7, 5), noise)

@@ -61,7 +61,6 @@ def markdown(results: Results, command: str) -> str:
         "criterion": _criterion_table(),
         "rules": _rules(),
         "noise": _noise(results),
-        "torques": _torque_table(results),
     }
     own, printed, _ = sets(1).values()
     low = 100.0 * (1.0 - prediction(*printed)[:, 1] / prediction(*own)[:, 1])
@@ -169,24 +168,6 @@ def _noise(r: Results) -> Table:
     return Table(("error with noise [%]", "printed", *columns), rows)
 
 
-def _torque_table(r: Results) -> Table:
-    rows = []
-    for name, found in r.torques.items():
-        below = P.fig9_below.get(name)
-        about = P.fig9_about.get(name)
-        row = [name.replace("_", " "), f"about {about:.0f}" if below is None else f"< {below:.0f}"]
-        for T in found:
-            if np.isfinite(T).any():
-                row.append(f"{np.nanmin(T):.0f} to {np.nanmax(T):.0f}")
-                row.append(f"{np.nanmax(T) - (about or below):+.0f}")
-            else:
-                row += ["buried at every slip", "-"]
-        rows.append(row)
-    more = "highest less printed"
-    header = ("soil", "printed T [N m]", "ours, balanced", more, "ours, at 37 deg", more)
-    return Table(header, rows)
-
-
 def _axes(figure: Figure, x: str, y: str, position: int = 111) -> Axes:
     axes = figure.add_subplot(position)
     axes.set(xlabel=x, ylabel=y)
@@ -275,19 +256,6 @@ def _predictions(figure: Figure, r: Results) -> None:
     pull.legend(fontsize=7)
 
 
-def _torques(figure: Figure, r: Results) -> None:
-    """Fig. 9: torque required."""
-    axes = _axes(figure, "slip [-]", "torque required (3) [N m]")
-    for k, (name, (T, _)) in enumerate(r.torques.items()):
-        label = name.replace("_", " ") + ("" if np.isfinite(T).any() else ": buried")
-        axes.plot(SLIPS, T, color=f"C{k}", label=label)
-    axes.axhline(P.available_torque, color="k", linestyle=":", label="available")
-    clay = P.fig9_about["clayey_soil"]
-    axes.axhline(clay, color=f"C{len(r.torques) - 1}", linestyle="--", label="printed, clayey")
-    axes.set_ylim(0.0)
-    axes.legend()
-
-
 #: Width [in] of each figure, and the function that draws it.
 FIGURES = {
     "fig2": (11.0, _by_slip),
@@ -295,5 +263,4 @@ FIGURES = {
     "fig4": (11.0, _by_phi_and_K),
     "fig6_7": (11.0, _predictions),
     "fig8": (6.4, _criterion),
-    "fig9": (6.4, _torques),
 }
