@@ -52,7 +52,9 @@ def tables(folder: Path) -> dict[str, Case]:
 
 
 def errors(case: Case, way: str, draw: int, most: int = MOST) -> list[float]:
-    """Errors of the held-out rows over the noise, after the first runs and after each further."""
+    """Errors of the held-out rows over the noise, after the first runs and each further one, while
+    there is a choice.
+    """
     rng = np.random.default_rng([SEED, draw])
     order = rng.permutation(case.table.slip.size)
     held, left = np.split(order, [order.size // 2])
@@ -70,7 +72,7 @@ def errors(case: Case, way: str, draw: int, most: int = MOST) -> list[float]:
         off = model.mean_at(_at(whole, held)) - whole.data.y[held]
         used = whole.used[held]
         out.append(float(np.sqrt(np.mean((off / whole.noise)[used] ** 2))))
-        if not left or len(out) > most:
+        if len(left) < 2 or len(out) > most:
             return out
         k = _surest(model, whole, left) if way == "chosen" else 0
         made.append(left.pop(k))
@@ -90,11 +92,17 @@ def _surest(model: Prediction, whole: Problem, left: list[int]) -> int:
 
 
 def needed(chosen: np.ndarray, random: np.ndarray) -> float:
-    """Share of the runs of a random choice [runs + 1] that chosen ones need to err no more;
-    infinite where they do not reach that.
+    """Share of the runs of a random choice [runs + 1] that chosen ones need to err no more, between
+    runs in proportion to ln(error); infinite where they do not reach that.
     """
     reached = np.flatnonzero(chosen <= random[-1])
-    return float(reached[0] / (random.size - 1)) if reached.size else math.inf
+    if not reached.size:
+        return math.inf
+    last = reached[0]
+    if last == 0:
+        return 0.0
+    before, after = np.log(chosen[last - 1 : last + 1] / random[-1])
+    return float((last - after / (after - before)) / (random.size - 1))
 
 
 def tables_of(found: dict[str, dict[str, list[list[float]]]]) -> dict[str, Page]:
