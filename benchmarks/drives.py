@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 
 from soil_env.envs.rovers import RoverSimulation
-from soil_env.identification.online.board import Known
 from soil_env.identification.online.interface import UNMEASURED
-from soil_env.identification.online.on_board import WheelsOnBoard
+from soil_env.identification.online.on_board import Known, OnBoard
 from soil_env.identification.online.prior import setting_of
-from soil_env.identification.online.rover_on_board import RoversOnBoard
 from soil_env.parameters import RoverScenario, Scenario, SoilState, load_rover
 from soil_env.parameters.readings import IDLE, RESTART, STEP, Shown, reading_units
 from soil_env.simulation.task import Cause
@@ -111,11 +109,8 @@ class Shadow:
         believed = with_errors(scenario)
         self.scenario = believed
         bounds = np.zeros((2, 1), dtype=np.float32)
-        if isinstance(scenario, RoverScenario):
-            self.board: Any = RoversOnBoard(courses, believed, Shown(False, 0, *bounds))
-        else:
-            self.board = WheelsOnBoard(courses, believed, Shown(False, 0, *bounds), False)
-        white = self.board.setting["board"]["identifier"][0, 0]["white"]
+        self.board = OnBoard(courses, believed, Shown(False, 0, *bounds))
+        white = self.board.setting["identifier"][0]["white"]
         units = reading_units(believed)
         for name in missing:
             white[name] = UNMEASURED * getattr(units, name)
@@ -201,7 +196,7 @@ def record(
         log["truth"].append(truth(soil, np.array(w.state["bearing_sinkage"]), load, scenario))
         log["driven"].append(alive & (w.state["halt_left"] == 0.0))
         log["alive"].append(alive.copy())
-        log["readings"].append(sim._sampled[1][:, 0].copy())
+        log["readings"].append(sim._sampled[1][:, 0, 0].copy())
         known = {OWN: published(w.ids)}
         for name, shadow in shadows.items():
             shadow.update(sim, alive, t / scenario.periods)

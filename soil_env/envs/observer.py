@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 from soil_env._compiled.cache import kept
 from soil_env._io.loading import ParameterError
 from soil_env.envs.course_env import actions_of
-from soil_env.identification.online.immobilisation import SCALES, ImmobilisationWarning
+from soil_env.identification.online.immobilisation import ImmobilisationWarning, shares_of
 from soil_env.identification.online.interface import OnlineIdentifier, Readings, refusal_of
-from soil_env.identification.online.on_board import WheelsOnBoard
+from soil_env.identification.online.on_board import OnBoard
 from soil_env.identification.published import FORESEEN
 from soil_env.parameters import RoverScenario, Scenario
 from soil_env.parameters.readings import RESTART, STEP, Image, SensorReading, Shown
@@ -112,7 +112,7 @@ class Observer:
         self._setting["sensors"]["white"]["slip"] = 0.0  # a slip that is not read is that of speeds
         self._worlds = new_wheel_worlds(1, scenario, numbers, (1, 1))
         shown = Shown(variant == "identified", len(layout("blind")), *numbers.bounds)
-        self._board = WheelsOnBoard(1, scenario, shown, True)
+        self._board = OnBoard(1, scenario, shown, True)
         self._views = self._board.views()
         self._warning = ImmobilisationWarning(scenario)
         self._change = float(self._setting["rig"]["rim_step"][0, 0]) / scenario.control.period
@@ -221,12 +221,12 @@ class Observer:
         for name, value in zip(SensorReading._fields, values, strict=True):
             sample[name] = value
         if known:
-            self._board.setting["board"]["identifier"]["white"][0, 0, 0, 0] = self._reader.white
+            self._board.setting["identifier"]["white"][0, 0, 0] = self._reader.white
         return bool(known)
 
     def _identify(self) -> None:
         """Take the readings on board; the first of a drive set all to the prior."""
-        world = (self._worlds.state, self._worlds.samples, self._worlds.observation)
+        world = (self._worlds.state, self._worlds.samples[:, None], self._worlds.observation)
         self._worlds.state["periods"] = 1
         order = STEP if self._begun else RESTART
         self._board.update(world, np.array([order]), 0, 1)
@@ -234,10 +234,9 @@ class Observer:
     def _set_period(self, period: float) -> None:
         """Let everything count with a `period` [s] since the last readings."""
         board = self._board.setting
-        if board["warning"]["period"][0, 0] == period:
+        if board["identifier"]["period"][0, 0] == period:
             return
-        board["warning"]["period"] = period
-        board["warning"]["shares"] = [-math.expm1(-period / scale) for scale in SCALES]
-        board["board"]["identifier"]["period"] = period
+        board["identifier"]["period"] = period
+        board["warning"]["shares"] = shares_of(period)
         self._setting["task"]["period"] = period
         self._setting["rig"]["rim_step"] = self._change * period

@@ -25,7 +25,7 @@ class Worlds(NamedTuple):
     """Arrays of many rovers, one row a rover.
 
     Those of `RoverWorlds`, results of the last step, and those of the estimator
-    (`identification.online.rover_on_board.RoversOnBoard.views`), None without one.
+    (`identification.online.on_board.OnBoard.views`), None without one.
     """
 
     state: np.ndarray
@@ -72,10 +72,10 @@ class RoverSimulation(Vehicles):
         scratch = [new_rover_scratch() for _ in range(-(-rovers // self._chunk))]
         on_board = None
         if identifies:
-            from soil_env.identification.online.rover_on_board import RoversOnBoard
+            from soil_env.identification.online.on_board import OnBoard
 
             shown = Shown(variant == "identified", first_soil(axles), *self.numbers.bounds)
-            on_board = RoversOnBoard(rovers, scenario, shown)
+            on_board = OnBoard(rovers, scenario, shown)
         self._begin((lay_rovers, step_rovers), worlds, courses, scratch, on_board)
         self._check_drivable(new_rover_worlds(1, scenario, self.numbers, False))
 

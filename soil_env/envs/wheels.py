@@ -26,7 +26,7 @@ class Worlds(NamedTuple):
     """Arrays of many wheels, one row a wheel.
 
     Those of `WheelWorlds`, results of the last step, and those of the estimator
-    (`identification.online.on_board.WheelsOnBoard.views`), None without one.
+    (`identification.online.on_board.OnBoard.views`), None without one.
     """
 
     state: np.ndarray
@@ -73,16 +73,18 @@ class Simulation(Vehicles):
         courses = (drawn, float(drawn.drawn.spec.ahead))
         on_board = None
         if identifies:
-            from soil_env.identification.online.on_board import WheelsOnBoard  # takes a while
+            from soil_env.identification.online.on_board import OnBoard  # takes a while
 
             first = len(layout("blind"))
             shown = Shown(variant == "identified", first, *self.numbers.bounds)
-            on_board = WheelsOnBoard(wheels, scenario, shown, warnings)
+            on_board = OnBoard(wheels, scenario, shown, warnings)
         self._begin((lay_wheels, step_wheels), worlds, courses, settings, on_board)
         self._check_drivable(new_wheel_worlds(1, scenario, self.numbers, (1, 1)))
 
     def _view(self) -> None:
         super()._view()
+        state, samples, observation = self._sampled
+        self._sampled = (state, samples[:, None], observation)
         self._actions = self._heads["action"]
         self._order = self._heads["order"]
 

@@ -42,7 +42,7 @@ from soil_env.parameters.readings import Image, SensorReading
 from tests.simulation import wheels
 
 #: Columns of `react`: value and derivatives by tan phi, c, n, ln K, sinkage and slip.
-SLOPES = len(forces.Slopes._fields)
+SLOPES = 1 + forces.CONTACT["by"].shape[1]
 
 
 @kept
@@ -56,15 +56,14 @@ def _react(rows, flow, sinking, work, out):
         if sinking.size == 0:
             sinkage = row[4]
         ground = forces.Ground(row[0], row[1], row[2], row[3], flow[0], flow[1], flow[2], flow[3])
-        f = forces.reaction(work[0].slope_nodes[0], ground, sinkage, row[5], row[6], row[7], row[8])
-        for i in range(7):
-            out[k, 0, i] = f.pull[i]
-            out[k, 1, i] = f.torque[i]
-            out[k, 2, i] = f.ln_s[i]
+        f = work[0].contact[0]
+        forces.reaction(f, ground, sinkage, row[5], row[6], row[7], row[8])
+        out[k, :, 0] = f.value
+        out[k, :, 1:] = f.by
         if sinking.size > 0:
             row[4] = sinkage
             travel, slide, step = row[9], row[10], row[11]
-            bearing = sinkage * math.exp((f.ln_s[0] - sinking[2]) / ground.exponent)
+            bearing = sinkage * math.exp((f.value[forces.LN_S] - sinking[2]) / ground.exponent)
             a = travel + sinking[0] * slide
             sinkage += step * ((a + sinking[1] * slide) * bearing - a * sinkage)
 
@@ -190,11 +189,11 @@ def hand_over_border(pools, a, memory, behind, setting, work):
 
 
 @kept
-def follow_averages(recent, readings, halted, setting):
+def follow_averages(recent, readings, halted, setting, warning):
     """Averages [MEMORY] of `readings` [T], the first of them at the start of a course."""
-    immobilisation.begin(recent, readings[0], setting[0])
+    immobilisation.begin(recent, readings[0], setting[0], warning[0])
     for k in range(1, len(readings)):
-        immobilisation.average(recent, readings[k], halted[k], setting[0])
+        immobilisation.average(recent, readings[k], halted[k], setting[0], warning[0])
 
 
 def readings_of(rows):

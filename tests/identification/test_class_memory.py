@@ -14,9 +14,9 @@ from tests.identification import observing
 from tests.identification.observing import started
 
 SCENARIO = load_scenario("two_lines")
-SETTING = class_memory.class_setting(setting_of(SCENARIO))
+SETTING = setting_of(SCENARIO)
 PRIOR = SETTING["prior"][0]
-WIDE = SETTING["prior_precision"][0] ** -0.5
+WIDE = SETTING["prior_sd"][0]
 ESTIMATE = PRIOR + 0.4 * WIDE
 SD = WIDE * np.array([0.3, 0.4, 0.3, 0.7, 0.5, 0.2])
 

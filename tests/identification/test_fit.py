@@ -125,7 +125,7 @@ def test_the_covariance_is_that_of_the_normal_equations(count):
     np.testing.assert_allclose(wheel.now.u[:SOIL], u[:SOIL], rtol=1e-4, atol=1e-3)
     A = np.zeros((HERE, HERE))
     A[:SOIL, :SOIL] = wheel.set.soil_precision
-    A[SOIL:, SOIL:] = np.diag(1.0 / wheel.work["instruments"][0, SOIL:])
+    A[SOIL:, SOIL:] = np.diag(wheel.work["sd"][0, SOIL:HERE] ** -2.0)
     for k in range(count):
         e, slopes = wheel.residuals(k)
         weights = [[e.pull_weight, e.joint_weight, 0.0], [e.joint_weight, e.torque_weight, 0.0]]
@@ -177,7 +177,7 @@ def drawn(rng, wheel):
     L = np.linalg.cholesky(wheel.set.soil_covariance)
     put(wheel, steady_cells(begin()[1], wheel.set))
     wheel.renew()
-    sd = np.sqrt(wheel.work["instruments"][0, SOIL:])
+    sd = wheel.work["sd"][0, SOIL:HERE]
     while True:
         u = np.zeros(HERE)
         u[:SOIL] = wheel.set.soil_mean + L @ rng.normal(size=SOIL)

@@ -7,6 +7,7 @@ import pytest
 
 from soil_env.envs.wheel_env import SoilWheelEnv
 from soil_env.identification.online import immobilisation as im
+from soil_env.identification.online.prior import setting_of
 from soil_env.parameters import load_scenario
 from soil_env.parameters.readings import SensorReading
 from soil_env.simulation.task import layout
@@ -22,7 +23,8 @@ def follow(readings, halted=None, scenario=SCENARIO):
     """
     recent = np.zeros(im.MEMORY)
     stands = np.zeros(len(readings)) if halted is None else np.array([0.0, *map(float, halted)])
-    follow_averages(recent, readings_of(readings), stands, im.warning_setting(scenario))
+    settings = setting_of(scenario), im.warning_setting(scenario)
+    follow_averages(recent, readings_of(readings), stands, *settings)
     return recent
 
 

@@ -13,9 +13,8 @@ from soil_env._compiled.cache import kept
 from soil_env.envs.rover_env import SoilRoverEnv
 from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv, observation_space
 from soil_env.identification import Status
-from soil_env.identification.online.board import knowledge
 from soil_env.identification.online.memory import PUBLISHED
-from soil_env.identification.online.on_board import show_estimate
+from soil_env.identification.online.on_board import knowledge, show_estimate
 from soil_env.parameters import Belief, SoilState, load_scenario, soils
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause, layout
@@ -95,7 +94,7 @@ def _write(worlds, sample, setting, rows, sensed):
 
 @kept
 def _show(known, samples, setting, out):
-    show_estimate(known[0], samples[0, 0], setting[0].board[0], out)
+    show_estimate(known[0], samples[0, 0], setting[0], out)
 
 
 def written(sim, count=1, sample=None):

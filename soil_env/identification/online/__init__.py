@@ -5,7 +5,6 @@ condition; `forces` and `residuals` compare a cell with a soil and its instrumen
 most probable ones, `library` weighs the soils that may come; `borders` passes to another soil;
 `best_pull` and `identifier` publish. `memory` has the records, `linear` the algebra, `prior` what
 is believed before. Above stand `class_memory`, `pooling` over the wheels of a rover,
-`immobilisation` and `ground`, which says whether the wheel can pass; `on_board` and
-`rover_on_board` run all on simulated vehicles with what `board` adds to a step, `interface` on
-readings of a real one.
+`immobilisation` and `ground`, which says whether the wheel can pass; `on_board` runs
+all on simulated wheels and rovers, `interface` on readings of a real wheel.
 """

@@ -11,18 +11,23 @@ import math
 import numpy as np
 
 from soil_env._compiled.flags import compiled
-from soil_env.identification.online.forces import LEAST_COEFFICIENT, reaction
+from soil_env.identification.online.forces import (
+    BY_SINKAGE,
+    LEAST_COEFFICIENT,
+    LN_S,
+    OF_GROUND,
+    PULL,
+    TORQUE,
+    reaction,
+)
 from soil_env.identification.online.memory import (
     BEST_PULL,
-    COHESION,
     EXPONENT,
     GAIN,
-    LN_K,
     LOAD_GAIN,
     PRESSURE,
     SLIPS,
     SOIL,
-    TANGENT,
 )
 from soil_env.identification.online.residuals import ground_of
 from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
@@ -39,43 +44,45 @@ FLATTEST = -0.1  # slope of the condition by ln z, at least
 
 @compiled
 def _newton(x, slip, load, memory, setting, work):
-    """(ln z after a step, `Reaction` at x, slope of the condition by ln z, ratio q)."""
+    """(ln z after a step, slope of the condition by ln z, ratio q); `work.contact` at x."""
     u = memory.soil
+    contact = work.contact[0]
     ground = ground_of(u, setting)
     z = math.exp(x)
-    f = reaction(work.slope_nodes[0], ground, z, slip, load, setting.radius, setting.width)
+    reaction(contact, ground, z, slip, load, setting.radius, setting.width)
+    ln_s = contact.value[LN_S]
     gain = setting.dig_gain * math.exp(u[GAIN])
     ratio = slip_sinkage_ratio(slip, gain, setting.dig_recovery)
     ln_S = u[PRESSURE] - u[EXPONENT] * math.log(setting.depth)
-    slope = min(f.ln_s.sinkage * z, FLATTEST)
-    step = -(f.ln_s.value + u[EXPONENT] * math.log(ratio) - ln_S) / slope
-    if f.ln_s.value <= FLOORED:  # cohesion alone carries the load
+    slope = min(contact.by[LN_S, BY_SINKAGE] * z, FLATTEST)
+    step = -(ln_s + u[EXPONENT] * math.log(ratio) - ln_S) / slope
+    if ln_s <= FLOORED:  # cohesion alone carries the load
         step = -FAR
     after = x + min(max(step, -FAR), FAR)
     low = math.log(SHALLOWEST * setting.radius)
     high = math.log(DEEPEST * setting.radius)
-    return min(max(after, low), high), f, slope, ratio
+    return min(max(after, low), high), slope, ratio
 
 
 @compiled
-def _slopes(x, f, slope, ratio, memory, setting, work):
-    """Slopes of the steady pull by the soil, S keeping the condition, into `work.step`."""
-    u = memory.soil
-    through = -f.pull.sinkage * math.exp(x) / slope
-    deeper = math.log(ratio) + math.log(setting.depth)
-    by = work.step
-    by[TANGENT] = f.pull.tan_phi + through * f.ln_s.tan_phi
-    by[COHESION] = f.pull.cohesion + through * f.ln_s.cohesion
-    by[EXPONENT] = f.pull.exponent + through * (f.ln_s.exponent + deeper)
-    by[LN_K] = f.pull.ln_K + through * f.ln_s.ln_K
-    by[PRESSURE] = -through
-    by[GAIN] = through * u[EXPONENT] * (1.0 - 1.0 / ratio)
+def _slopes(deeper, slope, ratio, memory, setting, work):
+    """Slopes of the steady pull by the soil, S keeping the condition, into `work.step`; `deeper`:
+    that at a given soil by ln z.
+    """
+    by = work.contact[0].by
+    through = -deeper / slope
+    for i in range(OF_GROUND):
+        work.step[i] = by[PULL, i] + through * by[LN_S, i]
+    work.step[EXPONENT] += through * (math.log(ratio) + math.log(setting.depth))
+    work.step[PRESSURE] = -through
+    work.step[GAIN] = through * memory.soil[EXPONENT] * (1.0 - 1.0 / ratio)
 
 
 @compiled
 def renew_best_pull(memory, load, setting, work):
     """Renew the fresh best pull under a measured `load` [N]."""
     load *= 1.0 - memory.u[LOAD_GAIN]
+    contact = work.contact[0]
     best = -math.inf
     variance = 1.0
     for k in range(SLIPS):
@@ -83,14 +90,15 @@ def renew_best_pull(memory, load, setting, work):
         if x == 0.0:
             x = math.log(setting.depth)
             for _ in range(FIRST_STEPS):
-                x, _, _, _ = _newton(x, SLIP[k], load, memory, setting, work)
-        after, f, slope, ratio = _newton(x, SLIP[k], load, memory, setting, work)
+                x, _, _ = _newton(x, SLIP[k], load, memory, setting, work)
+        after, slope, ratio = _newton(x, SLIP[k], load, memory, setting, work)
         memory.steady[k] = after
-        pull = f.pull.value + f.pull.sinkage * math.exp(x) * (after - x)
-        if f.torque.value > setting.stall_torque or pull <= best:
+        deeper = contact.by[PULL, BY_SINKAGE] * math.exp(x)
+        pull = contact.value[PULL] + deeper * (after - x)
+        if contact.value[TORQUE] > setting.stall_torque or pull <= best:
             continue
         best = pull
-        _slopes(x, f, slope, ratio, memory, setting, work)
+        _slopes(deeper, slope, ratio, memory, setting, work)
         variance = 0.0
         for i in range(SOIL):
             for j in range(SOIL):

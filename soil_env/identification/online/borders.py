@@ -6,14 +6,13 @@ import math
 
 from soil_env._compiled.flags import compiled
 from soil_env.identification.online.best_pull import renew_best_pull
-from soil_env.identification.online.linear import factorise, invert
+from soil_env.identification.online.linear import invert_whole
 from soil_env.identification.online.memory import (
     HERE,
     OLD,
     PLACE,
     PUBLISHED,
     QUANTITIES,
-    SLIPS,
     SOIL,
 )
 from soil_env.identification.online.residuals import share_at
@@ -34,23 +33,18 @@ def begin_soil(memory, setting, work):
     memory.points = 0
     memory.settled = 0
     memory.cells_kept = 0
-    for i in range(HERE):
-        memory.u[i] = 0.0
-    for i in range(SOIL):
-        memory.u[i] = setting.soil_mean[i]
-        memory.soil[i] = setting.soil_mean[i]
-        memory.prior_mean[i] = setting.soil_mean[i]
-        memory.gradient[i] = 0.0
-        for j in range(SOIL):
-            memory.covariance[i, j] = setting.soil_covariance[i, j]
-            memory.spread[i, j] = setting.soil_covariance[i, j]
-            memory.prior_precision[i, j] = setting.soil_precision[i, j]
-            memory.information[i, j] = 0.0
-    for i in range(PUBLISHED):
-        memory.fresh[i] = setting.prior[i]
-        memory.fresh_sd[i] = setting.prior_sd[i]
-    for k in range(SLIPS):
-        memory.steady[k] = 0.0
+    memory.u[:HERE] = 0.0
+    memory.u[:SOIL] = setting.soil_mean
+    memory.soil[:] = setting.soil_mean
+    memory.prior_mean[:] = setting.soil_mean
+    memory.gradient[:] = 0.0
+    memory.covariance[:] = setting.soil_covariance
+    memory.spread[:] = setting.soil_covariance
+    memory.prior_precision[:] = setting.soil_precision
+    memory.information[:] = 0.0
+    memory.fresh[:PUBLISHED] = setting.prior[:PUBLISHED]
+    memory.fresh_sd[:PUBLISHED] = setting.prior_sd[:PUBLISHED]
+    memory.steady[:] = 0.0
     load = memory.mass * setting.gravity if memory.mass > 0.0 else setting.weight
     renew_best_pull(memory, load, setting, work)
 
@@ -65,23 +59,20 @@ def begin_border(memory, setting, work, place, variance):
     memory.crossing = 1.0
     memory.behind = 1
     memory.borders += 1
-    for i in range(QUANTITIES):
-        memory.old[i] = memory.estimate[i]
-        memory.old_sd[i] = memory.sd[i]
+    memory.old[:] = memory.estimate
+    memory.old_sd[:] = memory.sd
     memory.u[PLACE] = place
-    for i in range(SOIL):
-        memory.old_mean[i] = memory.soil[i]
-        memory.u[OLD + i] = memory.soil[i]
-        for j in range(SOIL):
-            work.normal[i, j] = OLD_DOUBT * memory.spread[i, j]
-    factorise(work.normal, SOIL, work.factor)
-    invert(work.factor, SOIL, work.scratch, memory.old_precision)
+    memory.u[OLD:] = memory.soil
+    memory.old_mean[:] = memory.soil
+    work.normal[:SOIL, :SOIL] = OLD_DOUBT * memory.spread
+    invert_whole(work.normal, SOIL, work, memory.old_precision)
     begin_soil(memory, setting, work)
 
 
 @compiled
 def see_border(memory, sample, camera_sd, setting, work):
-    """Begin a border where a camera sees ground of another class begin; True if it did.
+    """Begin a border where a camera sees ground of another class begin, and another point; True if
+    it did.
 
     `sample`: an `Image`; `camera_sd` [m]: of the place of a border in it.
     """
@@ -90,6 +81,7 @@ def see_border(memory, sample, camera_sd, setting, work):
     if memory.crossing > 0.0 or memory.points == 0 or not in_sight or following == sample.here:
         return False
     begin_border(memory, setting, work, memory.place + sample.left, camera_sd**2)
+    memory.open[0] = setting.blank[0].open[0]
     return True
 
 
@@ -133,13 +125,5 @@ def blend_estimates(into, memory, setting):
 @compiled
 def take_fresh(known):
     """Publish the fresh estimate of a record."""
-    for i in range(QUANTITIES):
-        known.estimate[i] = known.fresh[i]
-        known.sd[i] = known.fresh_sd[i]
-
-
-@compiled
-def end_border(memory):
-    """Leave a border behind: the ground is of the new soil."""
-    memory.crossing = 0.0
-    take_fresh(memory)
+    known.estimate[:] = known.fresh
+    known.sd[:] = known.fresh_sd

@@ -27,29 +27,17 @@ CLASS = record(patches=("i8",), estimate=_EACH, sd=_EACH)
 #: Memory of a wheel: the patch that the last estimate was made on, or -1; mean and precision of its
 #: class from the patches before; the classes.
 CLASSES = record(patch=("i8",), before=_EACH, precision=_EACH, of=(CLASS, MOST_CLASSES))
-#: Prior of each quantity, and the length of a border [m].
-CLASS_SETTING = record("border", prior=_EACH, prior_precision=_EACH)
-
-
-def class_setting(setting: np.ndarray) -> np.ndarray:
-    """Pack `CLASS_SETTING` [1] from the identifier's `SETTING`."""
-    numbers = np.zeros(1, CLASS_SETTING)
-    numbers["border"] = setting["border"]
-    numbers["prior"] = setting["prior"]
-    numbers["prior_precision"] = np.maximum(setting["prior_sd"], LEAST_SD) ** -2.0
-    return numbers
 
 
 @compiled
 def forget_classes(classes, setting):
-    """Set the memory of a wheel to the prior."""
+    """Set the memory of a wheel to the prior of the identifier's `SETTING`."""
     classes.patch = -1
     for c in range(MOST_CLASSES):
         known = classes.of[c]
         known.patches = 0
-        for i in range(QUANTITIES):
-            known.estimate[i] = setting.prior[i]
-            known.sd[i] = setting.prior_precision[i] ** -0.5
+        known.estimate[:] = setting.prior
+        known.sd[:] = np.maximum(setting.prior_sd, LEAST_SD)
 
 
 @compiled
@@ -70,10 +58,11 @@ def remember_class(classes, c, patch, memory, setting):
         value = memory.estimate[i]
         sd = memory.sd[i] * (WIDER if i == BEST_PULL else 1.0)
         own = max(sd, LEAST_SD) ** -2.0
-        more = own - setting.prior_precision[i]
+        prior = max(setting.prior_sd[i], LEAST_SD) ** -2.0
+        more = own - prior
         if more > 0.0:
             total = precision[i] + more
-            news = own * value - setting.prior_precision[i] * setting.prior[i]
+            news = own * value - prior * setting.prior[i]
             known.estimate[i] = (precision[i] * mean[i] + news) / total
             apart = 0.0
             if known.patches > 1:

@@ -6,7 +6,7 @@ covariance.
 import math
 
 from soil_env._compiled.flags import compiled
-from soil_env.identification.online.linear import factorise, invert, solve
+from soil_env.identification.online.linear import add_gaussian, factorise, invert, solve
 from soil_env.identification.online.memory import (
     ALL,
     HERE,
@@ -42,8 +42,10 @@ LARGEST_ERROR = 0.1  # [of load]
 
 
 @compiled
-def weigh_instruments(memory, setting, work):
-    """Prior variances of the instruments, those of two sensors by the shares that they have had."""
+def _instruments(memory, setting, sd):
+    """Prior standard deviations of the instruments, those of two sensors by the shares that they
+    have had.
+    """
     inertial = 0.0
     motor = 0.0
     readings = 0.0
@@ -58,23 +60,28 @@ def weigh_instruments(memory, setting, work):
     gain = setting.gain[0]
     weight = setting.weight
     twist = weight * setting.radius
-    of_force = (zero.drawbar_pull / weight) ** 2 + (TYPICAL_PULL * gain.drawbar_pull) ** 2
-    of_mass = (memory.mass * zero.acceleration / weight) ** 2 + (
-        TYPICAL_PULL * gain.acceleration
-    ) ** 2
-    variances = work.instruments
-    variances[LOAD_GAIN] = gain.load**2 + (zero.load / weight) ** 2
-    if memory.weighings == 0.0:
-        variances[LOAD_GAIN] += PAYLOAD**2
-    variances[PULL_ZERO] = (1.0 - inertial) ** 2 * of_force + inertial**2 * of_mass
-    variances[TORQUE_GAIN] = ((1.0 - motor) * gain.torque) ** 2 + (motor * gain.motor_torque) ** 2
-    variances[TORQUE_ZERO] = (
-        ((1.0 - motor) * zero.torque) ** 2 + (motor * zero.motor_torque) ** 2
-    ) / twist**2
-    variances[SINKAGE_ZERO] = zero.sinkage**2
-    variances[SPEED_GAIN] = gain.speed**2 + gain.rim_speed**2
+    payload = PAYLOAD if memory.weighings == 0.0 else 0.0
+    of_force = math.hypot(zero.drawbar_pull / weight, TYPICAL_PULL * gain.drawbar_pull)
+    of_mass = math.hypot(memory.mass * zero.acceleration / weight, TYPICAL_PULL * gain.acceleration)
+    rest = 1.0 - motor
+    sd[LOAD_GAIN] = math.hypot(gain.load, math.hypot(zero.load / weight, payload))
+    sd[PULL_ZERO] = math.hypot((1.0 - inertial) * of_force, inertial * of_mass)
+    sd[TORQUE_GAIN] = math.hypot(rest * gain.torque, motor * gain.motor_torque)
+    sd[TORQUE_ZERO] = math.hypot(rest * zero.torque, motor * zero.motor_torque) / twist
+    sd[SINKAGE_ZERO] = zero.sinkage
+    sd[SPEED_GAIN] = math.hypot(gain.speed, gain.rim_speed)
     for i in range(SOIL, HERE):
-        variances[i] += EXACTLY**2
+        sd[i] = math.hypot(sd[i], EXACTLY)
+
+
+@compiled
+def weigh_unknowns(memory, setting, work):
+    """Prior standard deviations of all unknowns into `work.sd`."""
+    sd = work.sd
+    sd[:SOIL] = setting.soil_sd
+    _instruments(memory, setting, sd)
+    sd[PLACE] = setting.border
+    sd[OLD:] = setting.soil_sd
 
 
 @compiled
@@ -83,24 +90,17 @@ def _write_prior(memory, setting, work, size):
     A = work.prior
     g = work.prior_gradient
     u = memory.u
-    for i in range(size):
-        g[i] = 0.0
-        for j in range(size):
-            A[i, j] = 0.0
-    for i in range(SOIL):
-        for j in range(SOIL):
-            A[i, j] = memory.prior_precision[i, j]
-            g[i] += A[i, j] * (memory.prior_mean[j] - u[j])
+    g[:size] = 0.0
+    A[:size, :size] = 0.0
+    add_gaussian(memory.prior_precision, memory.prior_mean, u, 1.0, SOIL, A, g)
     for i in range(SOIL, HERE):
-        A[i, i] = 1.0 / work.instruments[i]
+        A[i, i] = 1.0 / work.sd[i] ** 2
         g[i] = -A[i, i] * u[i]
     if size == ALL:
         A[PLACE, PLACE] = 1.0 / memory.border_variance
         g[PLACE] = A[PLACE, PLACE] * (memory.border - u[PLACE])
-        for i in range(SOIL):
-            for j in range(SOIL):
-                A[OLD + i, OLD + j] = memory.old_precision[i, j]
-                g[OLD + i] += A[OLD + i, OLD + j] * (memory.old_mean[j] - u[OLD + j])
+        old = memory.old_precision
+        add_gaussian(old, memory.old_mean, u[OLD:], 1.0, SOIL, A[OLD:, OLD:], g[OLD:])
     if memory.rests > 0.0:
         # the slope is known as well as the zero of the pitch
         variance = setting.zero[0].pitch ** 2 + setting.white[0].pitch ** 2 / memory.rests
@@ -115,10 +115,8 @@ def _normal_equations(memory, setting, work, size):
     _write_prior(memory, setting, work, size)
     A = work.normal
     g = work.gradient
-    for i in range(size):
-        g[i] = work.prior_gradient[i]
-        for j in range(size):
-            A[i, j] = work.prior[i, j]
+    g[:size] = work.prior_gradient[:size]
+    A[:size, :size] = work.prior[:size, :size]
     J = work.slopes
     forces = 0.0
     sinkage = 0.0
@@ -147,16 +145,7 @@ def _apply_step(memory, setting, work, size):
     u = memory.u
     share = 1.0
     for i in range(size):
-        if i < SOIL:
-            longest = setting.soil_sd[i]
-        elif i < HERE:
-            longest = math.sqrt(work.instruments[i])
-        elif i == PLACE:
-            longest = setting.border
-        else:
-            longest = setting.soil_sd[i - OLD]
-        if share * abs(work.step[i]) > longest:
-            share = longest / abs(work.step[i])
+        share = min(share, work.sd[i] / abs(work.step[i]))
     for i in range(size):
         u[i] += share * work.step[i]
     for i in range(SOIL):
@@ -186,7 +175,7 @@ def _fall(work, size, length, share):
 def renew(memory, setting, work):
     """Renew unknowns and covariance by all cells, `misfit` and form error of the laws."""
     size = ALL if memory.behind > 0 else HERE
-    weigh_instruments(memory, setting, work)
+    weigh_unknowns(memory, setting, work)
     left = 1.0  # of chi-squared after the step
     forces = 0.0
     sinkage = 0.0

@@ -6,7 +6,9 @@
 import math
 from typing import NamedTuple
 
-from soil_env._compiled.elementary import log
+import numpy as np
+
+from soil_env._compiled.elementary import half_cos, half_sin, log
 from soil_env._compiled.flags import compiled, compiled_sums, record
 from soil_env.terramechanics.contact import (
     ARC_NODES,
@@ -14,7 +16,9 @@ from soil_env.terramechanics.contact import (
     NODES,
     NODES_PER_ZONE,
     REAR_AHEAD,
-    bearing_share,
+    Arc,
+    Forces,
+    ShearRates,
     braked_shift,
     carried_share,
     forces,
@@ -25,6 +29,7 @@ from soil_env.terramechanics.contact import (
     most_by_angle,
     most_carried,
     shear_integrals,
+    shear_rates,
     smooth_arc,
 )
 
@@ -33,12 +38,25 @@ LEAST_SINE = 1e-3  # [-] of the entry angle that a derivative is divided by
 SHALLOWEST = 1e-9  # [radii] depth of a node below the entry point whose logarithm is taken
 FORWARD = 1.0  # sign of the travel speed
 
-_PER_NODE = ("f8", NODES)
-#: Scratch: the nodes of an arc, and the derivatives of ln p at each.
-SLOPE_NODES = record(
+#: Results of `reaction`: pull [N], torque [N m], ln of the mobilised sinkage coefficient.
+PULL, TORQUE, LN_S = range(3)
+#: Their derivatives: by the first fields of `Ground`, then by sinkage and slip.
+TANGENT, COHESION, EXPONENT, LN_K, BY_SINKAGE, BY_SLIP = range(6)
+OF_GROUND = BY_SINKAGE
+
+# [-] length of the front zone between the entry and the node in front with the same stress
+PEER_AHEAD = np.tile(FRONT_AHEAD[:NODES_PER_ZONE], 2)
+
+#: Scratch: the nodes of an arc, and results and derivatives of the last `reaction`.
+CONTACT = record(
+    "sin1",  # of the entry angle
+    "cos1",
     arc=(ARC_NODES, 1),
-    by_exponent=_PER_NODE,
-    by_angle=_PER_NODE,  # [1/rad] by the entry angle, each node at its share of it
+    peer_sin=("f8", NODES),  # of the node in front with the same stress, Eq. (8)
+    per_depth=("f8", NODES),  # n over its depth below the entry point [1/radii]
+    ln_depth=("f8", NODES),  # of m
+    value=("f8", 3),
+    by=("f8", (3, BY_SLIP + 1)),
 )
 
 
@@ -55,40 +73,23 @@ class Ground(NamedTuple):
     shear_length: float  # [m]
 
 
-class Slopes(NamedTuple):
-    """A quantity with its derivatives."""
-
-    value: float
-    tan_phi: float
-    cohesion: float
-    exponent: float
-    ln_K: float
-    sinkage: float
-    slip: float
-
-
-class Reaction(NamedTuple):
-    """What the ground does to the wheel."""
-
-    pull: Slopes  # [N]
-    torque: Slopes  # [N m]
-    ln_s: Slopes  # ln of the mobilised sinkage coefficient
-
-
-class _Motion(NamedTuple):
-    """Motion of the sheared soil, and what the share of soil carried along the rim adds."""
-
-    rim: float
-    travel: float
-    rim_tan_phi: float  # d rim/d tan(phi)
-    rim_angle: float  # [1/rad] d rim/d theta1
-    rim_travel: float  # d rim/d travel
-    modulus: float  # [m] K at this length of contact
-    growth: float  # d ln K/d ln theta1
+@compiled_sums
+def _lay_depths(contact, theta1, exponent, r):
+    """Lay the depths of the nodes below the entry point."""
+    nodes = contact.arc[0]
+    sine = half_sin(theta1)
+    contact.sin1 = 2.0 * sine * half_cos(theta1)
+    contact.cos1 = 1.0 - 2.0 * sine * sine
+    for k in range(NODES):
+        peer = k % NODES_PER_ZONE
+        depth = max(2.0 * (sine * sine - nodes.rise[peer]), SHALLOWEST)
+        contact.peer_sin[k] = nodes.sin[peer]
+        contact.per_depth[k] = exponent / depth
+        contact.ln_depth[k] = log(r * depth)
 
 
 class _Sums(NamedTuple):
-    """Derivatives by one quantity at a given S: of the integrals of p and of tau."""
+    """Derivatives by one quantity at a given S: of the integrals of p for S = 1 and of tau."""
 
     p_cos: float
     p_sin: float
@@ -97,192 +98,118 @@ class _Sums(NamedTuple):
     one: float
 
 
-@compiled_sums
-def _lay_slopes(work, theta1, exponent, r):
-    """Derivatives of ln p at the nodes; rear partners have the p of the front, Eq. (8)."""
-    nodes = work.arc[0]
-    rise1 = 0.5 * (1.0 - math.cos(theta1))
-    sin1 = math.sin(theta1)
-    for k in range(NODES_PER_ZONE):
-        below = max(2.0 * (rise1 - nodes.rise[k]), SHALLOWEST)
-        share = 1.0 - nodes.by_rim[k] / (r * theta1)
-        by_exponent = log(r * below)
-        by_angle = exponent * (sin1 - share * nodes.sin[k]) / below
-        work.by_exponent[k] = by_exponent
-        work.by_exponent[k + NODES_PER_ZONE] = by_exponent
-        work.by_angle[k] = by_angle
-        work.by_angle[k + NODES_PER_ZONE] = by_angle
+class _State(NamedTuple):
+    """What the derivatives by all quantities have in common."""
 
-
-@compiled
-def _motion_of(ground, arc, travel):
-    """`_Motion` on `Ground` at a travel speed over that of the rim."""
-    free, _, free_travel = carried_share(1.0, travel, 0.0)
-    carry = ground.rim_flow * ground.tan_phi
-    most = most_carried(arc)
-    share, by_share, by_most = held_below(carry * free, most)
-    return _Motion(
-        1.0 + share * travel,
-        travel,
-        travel * by_share * ground.rim_flow * free,
-        travel * by_most * most_by_angle(arc),
-        share + travel * by_share * carry * free_travel,
-        grown_modulus(math.exp(ground.ln_K), ground, arc),
-        ground.shear_growth,
-    )
+    S: float
+    b: float  # [m]
+    arc: Arc
+    rim: float  # motion of the sheared soil, as in `contact`
+    travel: float
+    modulus: float  # [m] K at this length of contact
+    by_S: Forces
+    rates: ShearRates
 
 
 @compiled_sums
-def _sum_slopes(work, theta1, motion, st, c, r):
-    """`_Sums` by exponent, ln K, entry angle, travel and tan(phi) through the soil carried along
-    the rim, with tau = (st p + c) e.
+def _move(contact, ground, state, theta1, thetam, exponent):
+    """`_Sums` by a quantity that changes entry angle, angle of the stress peak and exponent by so
+    much.
     """
-    nodes = work.arc[0]
-    K = motion.modulus
-    travel = motion.travel
-    cos1 = math.cos(theta1)
-    per_angle = 1.0 / theta1
-    n_pc = n_ps = n_c = n_s = n_1 = 0.0
-    k_c = k_s = k_1 = 0.0
-    a_pc = a_ps = a_c = a_s = a_1 = 0.0
-    t_c = t_s = t_1 = 0.0
-    f_c = f_s = f_1 = 0.0
-    for k in range(NODES):
-        cos = nodes.cos[k]
-        sin = nodes.sin[k]
-        p = nodes.stress[k]
-        j = motion.rim * nodes.by_rim[k] + travel * nodes.by_travel[k]
-        e = math.copysign(1.0 - K * nodes.rate[k], j)
-        strength = st * p + c * nodes.weight[k]
-        change = strength * nodes.rate[k]
-        pn = p * work.by_exponent[k]
-        tn = st * pn * e
-        n_pc += pn * cos
-        n_ps += pn * sin
-        n_c += tn * cos
-        n_s += tn * sin
-        n_1 += tn
-        tk = -change * j
-        k_c += tk * cos
-        k_s += tk * sin
-        k_1 += tk
-        share = 1.0 - nodes.by_rim[k] * per_angle / r
-        pa = p * (work.by_angle[k] + per_angle)
-        moved = (motion.rim * per_angle + motion.rim_angle) * nodes.by_rim[k]
-        moved += travel * r * (share * cos - cos1)
-        ta = (st * pa + c * nodes.weight[k] * per_angle) * e + change * moved
-        ta += tk * motion.growth * per_angle
-        a_pc += pa * cos - p * share * sin
-        a_ps += pa * sin + p * share * cos
-        a_c += ta * cos - strength * e * share * sin
-        a_s += ta * sin + strength * e * share * cos
-        a_1 += ta
-        tf = change * nodes.by_rim[k]
-        tt = change * nodes.by_travel[k] + motion.rim_travel * tf
-        t_c += tt * cos
-        t_s += tt * sin
-        t_1 += tt
-        tf *= motion.rim_tan_phi
-        f_c += tf * cos
-        f_s += tf * sin
-        f_1 += tf
-    return (
-        _Sums(n_pc, n_ps, n_c, n_s, n_1),
-        _Sums(0.0, 0.0, k_c, k_s, k_1),
-        _Sums(a_pc, a_ps, a_c, a_s, a_1),
-        _Sums(0.0, 0.0, t_c, t_s, t_1),
-        _Sums(0.0, 0.0, f_c, f_s, f_1),
-    )
-
-
-@compiled_sums
-def _sum_shifted(work, arc, motion, st, c, exponent):
-    """`_Sums` by the angle of the stress peak, with which the nodes of both zones move."""
-    nodes = work.arc[0]
+    nodes = contact.arc[0]
+    arc = state.arc
     r = arc.radius
-    cos1 = math.cos(arc.theta1)
-    in_front = -1.0 / (arc.theta1 - arc.thetam)
-    behind = 1.0 / (arc.thetam - arc.theta2)
-    p_c = p_s = s_c = s_s = s_1 = 0.0
+    st = state.S * ground.tan_phi
+    c = ground.cohesion
+    front = theta1 - thetam  # of the lengths of both zones
+    wider_front = front / (arc.theta1 - arc.thetam)
+    wider_rear = thetam / arc.thetam
+    sin1 = contact.sin1 * theta1
+    cos1 = contact.cos1 * theta1
+    p_cos = p_sin = tau_cos = tau_sin = tau = 0.0
     for k in range(NODES):
         cos = nodes.cos[k]
         sin = nodes.sin[k]
         p = nodes.stress[k]
-        j = motion.rim * nodes.by_rim[k] + motion.travel * nodes.by_travel[k]
-        e = math.copysign(1.0 - motion.modulus * nodes.rate[k], j)
-        partner = k % NODES_PER_ZONE  # in front, with the same normal stress
-        moves = FRONT_AHEAD[k] - REAR_AHEAD[k]
-        wider = in_front if k < NODES_PER_ZONE else behind
-        below = max(nodes.cos[partner] - cos1, SHALLOWEST)
-        pm = p * (wider - exponent * nodes.sin[partner] * FRONT_AHEAD[partner] / below)
-        strength = st * p + c * nodes.weight[k]
-        tm = (st * pm + c * nodes.weight[k] * wider) * e
-        tm += strength * nodes.rate[k] * moves * r * (motion.travel * cos - motion.rim)
-        p_c += pm * cos - p * sin * moves
-        p_s += pm * sin + p * cos * moves
-        s_c += tm * cos - strength * e * sin * moves
-        s_s += tm * sin + strength * e * cos * moves
-        s_1 += tm
-    return _Sums(p_c, p_s, s_c, s_s, s_1)
+        weight = nodes.weight[k]
+        wider = wider_front if k < NODES_PER_ZONE else wider_rear
+        moved = theta1 - front * FRONT_AHEAD[k] - thetam * REAR_AHEAD[k]
+        sunk = sin1 - contact.peer_sin[k] * (theta1 - front * PEER_AHEAD[k])
+        stress = p * (wider + sunk * contact.per_depth[k] + exponent * contact.ln_depth[k])
+        j = state.rim * nodes.by_rim[k] + state.travel * nodes.by_travel[k]
+        e = math.copysign(1.0 - state.modulus * nodes.rate[k], j)
+        strength = st * p + c * weight
+        slid = r * (state.rim * (theta1 - moved) - state.travel * (cos1 - cos * moved))
+        shear = (st * stress + c * weight * wider) * e + strength * nodes.rate[k] * slid
+        p_cos += stress * cos - p * sin * moved
+        p_sin += stress * sin + p * cos * moved
+        tau_cos += shear * cos - strength * e * sin * moved
+        tau_sin += shear * sin + strength * e * cos * moved
+        tau += shear
+    return _Sums(p_cos, p_sin, tau_cos, tau_sin, tau)
 
 
 @compiled
-def _at_the_load(d, S, by_S, factor):
-    """Derivatives of (pull, torque, ln S) by a quantity, S keeping the load; `factor` times them.
-
-    d: `_Sums` for r b = 1; by_S: derivatives of (load, pull, torque) by S.
+def _derive(contact, i, sums, rim, travel, state):
+    """Write the derivatives by quantity i, S keeping the load, by its `_Sums` and its change of the
+    motion.
     """
-    rb = factor * by_S[3]
-    S_by = -rb * (S * d.p_cos + d.sin) / by_S[0]
-    pull = rb * (d.cos - S * d.p_sin) + S_by * by_S[1]
-    return pull, rb * by_S[4] * d.one + S_by * by_S[2], S_by / S
+    S = state.S
+    rates = state.rates
+    by_S = state.by_S
+    rb = state.arc.radius * state.b
+    tau_cos = sums.cos + rim * rates.cos_rim + travel * rates.cos_travel
+    tau_sin = sums.sin + rim * rates.sin_rim + travel * rates.sin_travel
+    tau = sums.one + rim * rates.one_rim + travel * rates.one_travel
+    stiffer = -rb * (S * sums.p_cos + tau_sin) / by_S.load
+    contact.by[PULL, i] = rb * (tau_cos - S * sums.p_sin) + stiffer * by_S.drawbar_pull
+    contact.by[TORQUE, i] = state.arc.radius * rb * tau + stiffer * by_S.torque
+    contact.by[LN_S, i] = stiffer / S
 
 
 @compiled
-def reaction(work, ground, sinkage, slip, load, r, b):
-    """`Reaction` of a wheel of radius r and width b [m] under a `load` [N] on `Ground`.
-
-    `work`: `SLOPE_NODES`; `sinkage` [m]; `slip` [-] above -1.
+def reaction(contact, ground, sinkage, slip, load, r, b):
+    """Write `value` and `by` of a `CONTACT`: of a wheel of radius r and width b [m] under a `load`
+    [N] on `Ground`, at a `sinkage` [m] and a `slip` [-] above -1.
     """
-    nodes = work.arc[0]
+    nodes = contact.arc[0]
     t = ground.tan_phi
-    c = ground.cohesion
     travel = 1.0 - slip if slip >= 0.0 else 1.0 / (1.0 + slip)
     braked = max(-slip, 0.0)
-    arc = smooth_arc(sinkage, r, braked_shift(braked, ground))
-    motion = _motion_of(ground, arc, travel)
+    shift = braked_shift(braked, ground)
+    arc = smooth_arc(sinkage, r, shift)
+    free, _, free_by_travel = carried_share(1.0, travel, 0.0)
+    carry = ground.rim_flow * t
+    share, by_share, by_most = held_below(carry * free, most_carried(arc))
+    rim = 1.0 + share * travel
+    K = grown_modulus(math.exp(ground.ln_K), ground, arc)
     p = lay_nodes(nodes, arc, ground.exponent)
-    q = shear_integrals(nodes, p, (motion.rim, travel), motion.modulus, None, False)
-    S = max(mobilised_sinkage_coefficient(q, load, t, c, r, b, FORWARD), LEAST_COEFFICIENT)
-    f = forces(q, S, t, c, r, b, FORWARD)
-    rb = r * b
-    by_S = (
-        rb * bearing_share(q, t, FORWARD),
-        rb * (t * q.pe_cos - q.p_sin),
-        r * rb * t * q.pe,
-        rb,
-        r,
-    )
-    _lay_slopes(work, arc.theta1, ground.exponent, r)
-    n, k, a, v, f_t = _sum_slopes(work, arc.theta1, motion, S * t, c, r)
-    per_sinkage = 1.0 / (r * max(math.sin(arc.theta1), LEAST_SINE))
-    per_slip = -1.0 if slip >= 0.0 else -travel * travel
-    t_cos = S * q.pe_cos + f_t.cos
-    by_t = _at_the_load(
-        _Sums(0.0, 0.0, t_cos, S * q.pe_sin + f_t.sin, S * q.pe + f_t.one), S, by_S, 1.0
-    )
-    by_c = _at_the_load(_Sums(0.0, 0.0, q.e_cos, q.e_sin, q.e), S, by_S, 1.0)
-    by_n = _at_the_load(n, S, by_S, 1.0)
-    by_k = _at_the_load(k, S, by_S, 1.0)
-    by_z = _at_the_load(a, S, by_S, per_sinkage)
-    by_i = _at_the_load(v, S, by_S, per_slip)
+    q = shear_integrals(nodes, p, (rim, travel), K, None, False)
+    S = mobilised_sinkage_coefficient(q, load, t, ground.cohesion, r, b, FORWARD)
+    S = max(S, LEAST_COEFFICIENT)
+    f = forces(q, S, t, ground.cohesion, r, b, FORWARD)
+    contact.value[PULL] = f.drawbar_pull
+    contact.value[TORQUE] = f.torque
+    contact.value[LN_S] = math.log(S)
+    _lay_depths(contact, arc.theta1, ground.exponent, r)
+    by_S = forces(q, 1.0, t, 0.0, r, b, FORWARD)  # which are linear in S
+    rates = shear_rates(nodes, S * t, ground.cohesion)
+    state = _State(S, b, arc, rim, travel, K, by_S, rates)
+    none = _Sums(0.0, 0.0, 0.0, 0.0, 0.0)
+    by_t = _Sums(0.0, 0.0, S * q.pe_cos, S * q.pe_sin, S * q.pe)
+    _derive(contact, TANGENT, by_t, travel * by_share * ground.rim_flow * free, 0.0, state)
+    _derive(contact, COHESION, _Sums(0.0, 0.0, q.e_cos, q.e_sin, q.e), 0.0, 0.0, state)
+    _derive(contact, EXPONENT, _move(contact, ground, state, 0.0, 0.0, 1.0), 0.0, 0.0, state)
+    _derive(contact, LN_K, none, -rim, -travel, state)
+    theta1 = 1.0 / (r * max(contact.sin1, LEAST_SINE))
+    by_z = _move(contact, ground, state, theta1, (0.5 + shift) * theta1, 0.0)
+    growth = ground.shear_growth / arc.theta1 * theta1
+    rim_by_z = travel * by_most * most_by_angle(arc) * theta1
+    _derive(contact, BY_SINKAGE, by_z, rim_by_z - growth * rim, -growth * travel, state)
+    slower = -1.0 if slip >= 0.0 else -travel * travel
+    by_i = none
     if braked > 0.0 and ground.braked_peak > 0.0:
-        shifted = _sum_shifted(work, arc, motion, S * t, c, ground.exponent)
-        per_shift = -ground.braked_peak / (1.0 + braked) ** 2 * arc.theta1
-        by_m = _at_the_load(shifted, S, by_S, per_shift)
-        by_i = by_i[0] + by_m[0], by_i[1] + by_m[1], by_i[2] + by_m[2]
-    return Reaction(
-        Slopes(f.drawbar_pull, by_t[0], by_c[0], by_n[0], by_k[0], by_z[0], by_i[0]),
-        Slopes(f.torque, by_t[1], by_c[1], by_n[1], by_k[1], by_z[1], by_i[1]),
-        Slopes(math.log(S), by_t[2], by_c[2], by_n[2], by_k[2], by_z[2], by_i[2]),
-    )
+        peak = -ground.braked_peak / (1.0 + braked) ** 2 * arc.theta1
+        by_i = _move(contact, ground, state, 0.0, peak, 0.0)
+    rim_by_i = (share + travel * by_share * carry * free_by_travel) * slower
+    _derive(contact, BY_SLIP, by_i, rim_by_i, slower, state)

@@ -4,23 +4,19 @@
 
 import math
 
-import numpy as np
-
 from soil_env._compiled.cache import kept
 from soil_env._compiled.flags import compiled
 from soil_env.identification.online.best_pull import renew_best_pull
 from soil_env.identification.online.borders import (
     begin_soil,
     blend_estimates,
-    end_border,
     feel_border,
     put_on_border,
-    see_border,
     take_fresh,
 )
 from soil_env.identification.online.cells import remember
-from soil_env.identification.online.fit import CONTRADICTS, renew, weigh_instruments
-from soil_env.identification.online.forces import reaction
+from soil_env.identification.online.fit import CONTRADICTS, renew, weigh_unknowns
+from soil_env.identification.online.forces import LN_S, reaction
 from soil_env.identification.online.library import lean, mix, write_information
 from soil_env.identification.online.linear import invert, solve_half
 from soil_env.identification.online.memory import (
@@ -30,17 +26,15 @@ from soil_env.identification.online.memory import (
     EXPONENT,
     GAIN,
     HERE,
-    INSTRUMENTS,
     LN_K,
     LOAD_GAIN,
     PRESSURE,
     PUBLISHED,
     PULL,
-    QUANTITIES,
     SINKAGE_ZERO,
+    SOIL,
     TANGENT,
     TORQUE,
-    WORK,
 )
 from soil_env.identification.online.points import (
     FIRST_POINTS,
@@ -103,9 +97,7 @@ def _surprise(memory, setting, work):
     size = ALL if memory.behind > 0 else HERE
     of_pull = work.gradient
     of_torque = work.step
-    for j in range(HERE, size):
-        J[PULL, j] = 0.0
-        J[TORQUE, j] = 0.0
+    J[:, HERE:size] = 0.0
     solve_half(memory.factor, size, J[PULL], of_pull)
     solve_half(memory.factor, size, J[TORQUE], of_torque)
     for i in range(size):
@@ -126,8 +118,9 @@ def _find_bearing(memory, reading, setting, work):
     z = max(reading.sinkage - memory.u[SINKAGE_ZERO], LEAST_SINKAGE * r)
     slip = min(max(reading.slip, LOCKED), SPINNING)
     corrected = load * (1.0 - memory.u[LOAD_GAIN])
-    f = reaction(work.slope_nodes[0], ground, z, slip, corrected, r, setting.width)
-    deeper = setting.depth * math.exp((f.ln_s.value - u[PRESSURE]) / u[EXPONENT])
+    contact = work.contact[0]
+    reaction(contact, ground, z, slip, corrected, r, setting.width)
+    deeper = setting.depth * math.exp((contact.value[LN_S] - u[PRESSURE]) / u[EXPONENT])
     bearing = min(max(z * min(deeper, DEEPER), LEAST_SINKAGE * r), DEEPEST * r)
     memory.ln_bearing = math.log(bearing)
     often = memory.points < OFTEN or memory.crossing > 0.0
@@ -153,16 +146,13 @@ def publish(u, V, into, memory, setting):
     out = into.fresh
     sd = into.fresh_sd
     out[0] = math.atan(u[TANGENT])
-    out[1] = u[LN_K]
-    out[2] = u[PRESSURE] + u[EXPONENT] * below - setting.exponent * memory.ln_bearing
-    out[3] = u[COHESION]
-    out[4] = u[GAIN]
     sd[0] = math.sqrt(V[TANGENT, TANGENT]) / (1.0 + u[TANGENT] ** 2)
-    sd[1] = math.sqrt(V[LN_K, LN_K])
+    for i, j in ((1, LN_K), (2, PRESSURE), (3, COHESION), (PUBLISHED - 1, GAIN)):
+        out[i] = u[j]
+        sd[i] = math.sqrt(V[j, j])
+    out[2] += u[EXPONENT] * below - setting.exponent * memory.ln_bearing
     variance = V[PRESSURE, PRESSURE] + below * below * V[EXPONENT, EXPONENT]
     sd[2] = math.sqrt(max(variance + 2.0 * below * V[PRESSURE, EXPONENT], 0.0))
-    sd[3] = math.sqrt(V[COHESION, COHESION])
-    sd[4] = math.sqrt(V[GAIN, GAIN])
     wider = widening(memory, setting)
     for i in range(PUBLISHED):
         sd[i] = min(sd[i] * wider, setting.prior_sd[i]) * memory.widening
@@ -227,12 +217,8 @@ def _complete(memory, reading, alone, setting, work):
 @compiled
 def _is_finite(memory):
     """True if all that is published is a number."""
-    total = memory.form_error
-    for i in range(QUANTITIES):
-        total += abs(memory.estimate[i]) + memory.sd[i] + abs(memory.fresh[i]) + memory.fresh_sd[i]
-    for i in range(ALL):
-        total += abs(memory.u[i])
-    return math.isfinite(total)
+    known = memory.estimate.sum() + memory.sd.sum() + memory.fresh.sum() + memory.fresh_sd.sum()
+    return math.isfinite(memory.form_error + known + memory.u.sum())
 
 
 @compiled
@@ -274,18 +260,9 @@ def observe(memories, k, reading, alone, setting, work):
         blend_estimates(memory, memory, setting)
         outcome = max(outcome, MOVED)
         if memory.place > memory.border + 0.5 * setting.border:
-            end_border(memory)
+            memory.crossing = 0.0
+            take_fresh(memory)
     return outcome
-
-
-@compiled
-def observe_image(memory, image, camera_sd, setting, work):
-    """Take an `Image`: where another class of ground begins, so does another soil.
-
-    `camera_sd` [m]: of the place of a border in it.
-    """
-    if setting.off == 0 and see_border(memory, image, camera_sd, setting, work):
-        memory.open[0] = setting.blank[0].open[0]
 
 
 @kept
@@ -309,17 +286,12 @@ def instruments(memory, setting, work, out):
     """Write means and standard deviations of the instruments of `memory` [1] into `out` [2, 6]."""
     one = memory[0]
     scratch = work[0]
-    weigh_instruments(one, setting[0], scratch)
+    weigh_unknowns(one, setting[0], scratch)
     if one.points > 0:
         invert(one.factor, HERE, scratch.scratch, scratch.inverse)
-    for i in range(INSTRUMENTS):
-        variance = scratch.instruments[LOAD_GAIN + i]
+    for i in range(SOIL, HERE):
+        sd = scratch.sd[i]
         if one.points > 0:
-            variance = scratch.inverse[LOAD_GAIN + i, LOAD_GAIN + i]
-        out[0, i] = one.u[LOAD_GAIN + i]
-        out[1, i] = math.sqrt(variance)
-
-
-def new_work() -> np.ndarray:
-    """Work space of a thread, `WORK` [1]; what no equation fills stays 0."""
-    return np.zeros(1, WORK)
+            sd = math.sqrt(scratch.inverse[i, i])
+        out[0, i - SOIL] = one.u[i]
+        out[1, i - SOIL] = sd

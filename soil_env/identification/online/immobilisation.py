@@ -21,6 +21,7 @@ import numpy as np
 from soil_env._compiled.cache import kept
 from soil_env._compiled.flags import compiled, record
 from soil_env.identification.online.class_memory import BEST_PULL
+from soil_env.identification.online.prior import setting_of
 from soil_env.identification.published import HORIZONS
 from soil_env.parameters import Scenario
 
@@ -31,6 +32,7 @@ _LEAST_LOAD = 0.05  # [of weight] least load that forces are divided by
 _LEAST_TORQUE = 0.05  # [of stall torque] least available torque that the motor torque is divided by
 # [s/radius]: speeds enter as asinh of it times radii a second, so that a slow wheel is resolved
 _SPEED = 3.0
+_LEAST_GAIN = 1e-3  # [-] of slip-sinkage, whose logarithm is taken
 _BEHIND = 7.0  # [radii] since the last border, beyond which the distance does not matter
 _OFTEN = 2.0  # patches of a class, beyond which more do not matter
 
@@ -95,7 +97,7 @@ INPUTS = (
 )
 BLIND = len(INPUTS) - len(View._fields)  # of them need no camera
 _CHANNELS = len(Channels._fields)
-_AVERAGES = len(Channels._fields) * len(SCALES)
+_AVERAGES = _CHANNELS * len(SCALES)
 _SEEN = _AVERAGES + 1
 #: Numbers kept of each wheel: moving averages, seconds of driving since the start or a halt, what
 #: is seen now.
@@ -104,20 +106,8 @@ MEMORY = _SEEN + len(View._fields)
 _PITCH, _LOAD = (2 * _CHANNELS + Channels._fields.index(name) for name in ("pitch", "load"))
 
 
-#: Constants of a scenario that the inputs need.
-WARNING_SETTING = record(
-    "radius",
-    "weight",
-    "gravity",
-    "stall_torque",
-    "no_load_speed",
-    "period",
-    "area",  # radius x width [m2]
-    "log_radius",
-    "sinkage_exponent",
-    "log_dig_gain",
-    shares=("f8", len(SCALES)),  # of a new reading in each moving average
-)
+#: Constants of the averages of a scenario.
+WARNING_SETTING = record("no_load_speed", shares=("f8", len(SCALES)))  # of a new reading in each
 
 
 class Network(NamedTuple):
@@ -135,32 +125,24 @@ class Network(NamedTuple):
 
 def warning_setting(scenario: Scenario) -> np.ndarray:
     """Pack `WARNING_SETTING` [1] of a scenario."""
-    wheel = scenario.wheel
-    belief = scenario.belief
-    period = scenario.control.period
     numbers = np.zeros(1, WARNING_SETTING)
-    numbers["radius"] = wheel.radius
-    numbers["weight"] = scenario.weight
-    numbers["gravity"] = scenario.gravity
-    numbers["stall_torque"] = wheel.stall_torque
-    numbers["no_load_speed"] = wheel.no_load_speed
-    numbers["period"] = period
-    numbers["area"] = wheel.radius * wheel.width
-    numbers["log_radius"] = math.log(wheel.radius)
-    numbers["sinkage_exponent"] = belief.sinkage_exponent
-    numbers["log_dig_gain"] = math.log(max(belief.dig_gain, 1e-3))
-    numbers["shares"] = [-math.expm1(-period / scale) for scale in SCALES]
+    numbers["no_load_speed"] = scenario.wheel.no_load_speed
+    numbers["shares"] = shares_of(scenario.control.period)
     return numbers
 
 
+def shares_of(period: float) -> list[float]:
+    """Shares of a new reading in each moving average, a `period` [s] after the last."""
+    return [-math.expm1(-period / scale) for scale in SCALES]
+
+
 @compiled
-def _channels(reading, numbers):
+def _channels(reading, numbers, warning):
     """`Channels` of one set of readings."""
     load = max(reading.load, _LEAST_LOAD * numbers.weight)
     rim = reading.rim_speed / numbers.radius
     pitch = math.sin(reading.pitch)
-    stall = numbers.stall_torque
-    available = max(stall - stall / numbers.no_load_speed * rim, _LEAST_TORQUE * stall)
+    available = max(1.0 - rim / warning.no_load_speed, _LEAST_TORQUE) * numbers.stall_torque
     return Channels(
         reading.slip,
         reading.sinkage / numbers.radius,
@@ -176,24 +158,32 @@ def _channels(reading, numbers):
 
 
 @compiled
-def begin(recent, reading, numbers):
+def begin(recent, reading, numbers, warning):
     """Start the averages of a wheel, at rest at the start of a course, with its first readings."""
-    values = _channels(reading, numbers)
+    values = _channels(reading, numbers, warning)
     for i in range(_AVERAGES):
         recent[i] = values[i % _CHANNELS]
     recent[_AVERAGES] = 0.0
 
 
 @compiled
-def average(recent, reading, halted, numbers):
-    """Take the readings of a control period into the averages, which stand still in halts."""
+def average(recent, reading, halted, numbers, warning):
+    """Take the readings of a control period into the averages, which stand still in halts;
+    `numbers`: `SETTING` of the identifier.
+    """
     if halted > 0.0:
         recent[_AVERAGES] = 0.0
         return
-    values = _channels(reading, numbers)
+    values = _channels(reading, numbers, warning)
     for i in range(_AVERAGES):
-        recent[i] += numbers.shares[i // _CHANNELS] * (values[i % _CHANNELS] - recent[i])
+        recent[i] += warning.shares[i // _CHANNELS] * (values[i % _CHANNELS] - recent[i])
     recent[_AVERAGES] += numbers.period
+
+
+@compiled
+def _margin(known, tangent, seen):
+    """(margin over the `tangent` of a grade, "met") of a class."""
+    return seen * (known.estimate[BEST_PULL] - tangent), seen * min(float(known.patches), _OFTEN)
 
 
 @compiled
@@ -202,7 +192,6 @@ def see(recent, image, classes, sight, numbers):
     [m] of the camera.
     """
     sine = recent[_PITCH]
-    here = classes.of[int(image.here)]
     route = classes.of[int(image.label_0)]
     beside = classes.of[int(image.label_1)]
     grade = image.grade_0
@@ -215,15 +204,12 @@ def see(recent, image, classes, sight, numbers):
         1.0,
         min(max(image.since / numbers.radius, 0.0), _BEHIND),
         max(min(image.left, sight) / numbers.radius, 0.0),
-        here.estimate[BEST_PULL] - tangent,
-        min(float(here.patches), _OFTEN),
+        *_margin(classes.of[int(image.here)], tangent, 1.0),
         seen,
         seen * image.chosen,
         seen * (math.sin(grade) - sine),
-        seen * (route.estimate[BEST_PULL] - math.tan(grade)),
-        seen * min(float(route.patches), _OFTEN),
-        seen * (beside.estimate[BEST_PULL] - math.tan(grade_beside)),
-        seen * min(float(beside.patches), _OFTEN),
+        *_margin(route, math.tan(grade), seen),
+        *_margin(beside, math.tan(grade_beside), seen),
     )
     for i in range(len(view)):
         recent[_SEEN + i] = view[i]
@@ -236,13 +222,13 @@ def _write_inputs(recent, x, sd, numbers, out):
         out[i] = recent[i]
     out[_AVERAGES] = math.log(0.2 + recent[_AVERAGES])
     load = recent[_LOAD] * numbers.weight
+    area = numbers.radius * numbers.width
+    ln_r = math.log(numbers.radius)
     ground = Estimated(
-        math.tan(x[0]) + x[3] * numbers.area / load,
-        x[1] - numbers.log_radius,
-        x[2]
-        + math.log(numbers.area / numbers.weight)
-        + numbers.sinkage_exponent * numbers.log_radius,
-        numbers.log_dig_gain + x[4],
+        math.tan(x[0]) + x[3] * area / load,
+        x[1] - ln_r,
+        x[2] + math.log(area / numbers.weight) + numbers.exponent * ln_r,
+        math.log(max(numbers.dig_gain, _LEAST_GAIN)) + x[4],
         sd[0],
         sd[1],
         sd[2],
@@ -254,41 +240,18 @@ def _write_inputs(recent, x, sd, numbers, out):
         out[len(ground) + i] = recent[i]
 
 
-@compiled
-def _layer(x, weights, bias, squashed, out):
-    """`out` = x weights + bias, or tanh of it."""
-    for j in range(out.size):
-        out[j] = bias[j]
-    for i in range(x.size):
-        for j in range(out.size):
-            out[j] += x[i] * weights[i, j]
-    if squashed:
-        for j in range(out.size):
-            out[j] = math.tanh(out[j])
-
-
 @kept
-def _assess(rows, recent, estimate, sd, setting, net, inputs, hidden, out):
-    """`INPUTS` [n, inputs] and probabilities [n, 2] of the wheels `rows` [n]; `hidden` [inputs +
-    both layers].
-    """
-    a = net.mean.size
-    b = net.mean.size + net.first_bias.size
-    x = hidden[:a]
-    first = hidden[a:b]
-    second = hidden[b:]
+def _assess(rows, recent, estimate, sd, setting, net, inputs, out):
+    """`INPUTS` [n, inputs] and probabilities [n, 2] of the wheels `rows` [n]."""
     for n in range(rows.size):
         k = rows[n]
         _write_inputs(recent[k], estimate[k], sd[k], setting[0], inputs[n])
-        for i in range(x.size):
-            x[i] = min(max((inputs[n, i] - net.mean[i]) * net.scale[i], -LARGEST), LARGEST)
-        _layer(x, net.first, net.first_bias, True, first)
-        _layer(first, net.second, net.second_bias, True, second)
-        _layer(second, net.last, net.last_bias, False, out[n])
-        early = 1.0 / (1.0 + math.exp(-out[n, 0]))
-        late = 1.0 / (1.0 + math.exp(-out[n, 1]))
-        out[n, 0] = early
-        out[n, 1] = early + (1.0 - early) * late
+        x = np.clip((inputs[n] - net.mean) * net.scale, -LARGEST, LARGEST)
+        x = np.tanh(x @ net.first + net.first_bias)
+        x = np.tanh(x @ net.second + net.second_bias)
+        hazards = 1.0 / (1.0 + np.exp(-(x @ net.last + net.last_bias)))
+        out[n, 0] = hazards[0]
+        out[n, 1] = hazards[0] + (1.0 - hazards[0]) * hazards[1]
 
 
 @functools.cache
@@ -320,11 +283,8 @@ class ImmobilisationWarning:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self.setting: np.ndarray = warning_setting(scenario)
+        self.setting: np.ndarray = setting_of(scenario)
         self._net = shipped_network()
-        self._hidden = np.zeros(
-            self._net.mean.size + self._net.first_bias.size + self._net.second_bias.size
-        )
 
     def assess(self, rows: np.ndarray, *known: np.ndarray) -> Assessed:
         """What is foreseen of the wheels `rows` [n] int64.
@@ -334,5 +294,5 @@ class ImmobilisationWarning:
         known = tuple(map(np.ascontiguousarray, known))  # views would be compiled anew
         inputs = np.empty((len(rows), len(INPUTS)))
         out = np.empty((len(rows), len(HORIZONS)))
-        _assess(rows, *known, self.setting, self._net, inputs, self._hidden, out)
+        _assess(rows, *known, self.setting, self._net, inputs, out)
         return Assessed(inputs, out)

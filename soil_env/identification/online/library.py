@@ -8,7 +8,14 @@ With each Gaussian of the library it gives a posterior and its weight; their mix
 import math
 
 from soil_env._compiled.flags import compiled
-from soil_env.identification.online.linear import factorise, invert, solve, solve_half
+from soil_env.identification.online.linear import (
+    add_gaussian,
+    factorise,
+    invert,
+    invert_whole,
+    solve,
+    solve_half,
+)
 from soil_env.identification.online.memory import SOIL
 
 UNLIKELY = 1e-6  # [of the likeliest] weight below which a soil of the library counts as excluded
@@ -19,35 +26,33 @@ def write_information(memory, work):
     """Write the information of the readings of a fit, less its prior, into `information`, and the
     gradient of their log-likelihood at its soil into `gradient`.
     """
-    factorise(memory.covariance, SOIL, work.factor)
-    invert(work.factor, SOIL, work.scratch, work.inverse)
-    for i in range(SOIL):
-        memory.gradient[i] = 0.0
-        for j in range(SOIL):
-            prior = memory.prior_precision[i, j]
-            memory.information[i, j] = work.inverse[i, j] - prior
-            memory.gradient[i] += prior * (memory.u[j] - memory.prior_mean[j])
+    invert_whole(memory.covariance, SOIL, work, memory.information)
+    memory.gradient[:] = 0.0
+    mean = memory.prior_mean
+    precision = memory.prior_precision
+    add_gaussian(precision, mean, memory.u, -1.0, SOIL, memory.information, memory.gradient)
 
 
 @compiled
-def _join(known, u, setting, work, k):
-    """Posterior under the Gaussian k of the library: its factor into `work.factor`, its gradient at
-    the soil u into `work.gradient`; ln of its weight.
+def join(known, u, mean, precision, work):
+    """Join what the readings say at the soil u with a Gaussian: the factor of the posterior into
+    `work.factor`, the gradient into `work.gradient`.
     """
-    precision = setting.library_precision[k]
-    gradient = work.gradient
-    apart = 0.0
-    for i in range(SOIL):
-        gradient[i] = known.gradient[i]
-        for j in range(SOIL):
-            force = precision[i, j] * (setting.library_mean[k, j] - u[j])
-            gradient[i] += force
-            apart += (setting.library_mean[k, i] - u[i]) * force
-            work.normal[i, j] = known.information[i, j] + precision[i, j]
+    work.normal[:SOIL, :SOIL] = known.information
+    work.gradient[:SOIL] = known.gradient
+    add_gaussian(precision, mean, u, 1.0, SOIL, work.normal, work.gradient)
     factorise(work.normal, SOIL, work.factor)
-    solve_half(work.factor, SOIL, gradient, work.step)
-    log = setting.library_log[k] - 0.5 * apart
+
+
+@compiled
+def _log_weight(known, u, setting, work, k):
+    """Join with the Gaussian k of the library; ln of its weight."""
+    mean = setting.library_mean[k]
+    join(known, u, mean, setting.library_precision[k], work)
+    solve_half(work.factor, SOIL, work.gradient, work.step)
+    log = setting.library_log[k]
     for i in range(SOIL):
+        log -= 0.5 * (mean[i] - u[i]) * (work.gradient[i] - known.gradient[i])
         log += 0.5 * work.step[i] ** 2 - math.log(work.factor[i, i])
     return log
 
@@ -60,22 +65,18 @@ def mix(known, u, setting, work):
     mean = known.soil
     spread = known.spread
     total = 0.0
-    for i in range(SOIL):
-        mean[i] = 0.0
-        for j in range(SOIL):
-            spread[i, j] = 0.0
+    mean[:] = 0.0
+    spread[:] = 0.0
     best = -math.inf
     for k in range(setting.library):
-        log = _join(known, u, setting, work, k)
+        log = _log_weight(known, u, setting, work, k)
         work.weights[k] = log
         if log > best:  # what is summed so far counts less
             less = math.exp(best - log)
             best = log
             total *= less
-            for i in range(SOIL):
-                mean[i] *= less
-                for j in range(SOIL):
-                    spread[i, j] *= less
+            mean *= less
+            spread *= less
         weight = math.exp(log - best)
         if weight < UNLIKELY:
             continue
@@ -86,13 +87,11 @@ def mix(known, u, setting, work):
             mean[i] += weight * work.step[i]
             for j in range(SOIL):
                 spread[i, j] += weight * (work.inverse[i, j] + work.step[i] * work.step[j])
-    for i in range(SOIL):
-        mean[i] /= total
+    mean /= total
     for i in range(SOIL):
         for j in range(SOIL):
             spread[i, j] = spread[i, j] / total - mean[i] * mean[j]
-    for i in range(SOIL):
-        mean[i] += u[i]
+    mean += u[:SOIL]
     for k in range(setting.library):
         weight = math.exp(work.weights[k] - best)
         work.weights[k] = weight / total if weight >= UNLIKELY else 0.0
@@ -104,8 +103,8 @@ def lean(memory, setting, work):
     that it is linearised near them.
     """
     mean = memory.prior_mean
+    mean[:] = 0.0
     for i in range(SOIL):
-        mean[i] = 0.0
         for k in range(setting.library):
             mean[i] += work.weights[k] * setting.library_mean[k, i]
     for i in range(SOIL):
@@ -116,5 +115,4 @@ def lean(memory, setting, work):
                 moment = off * (setting.library_mean[k, j] - mean[j])
                 moment += setting.library_covariance[k, i, j]
                 work.normal[i, j] += work.weights[k] * moment
-    factorise(work.normal, SOIL, work.factor)
-    invert(work.factor, SOIL, work.scratch, memory.prior_precision)
+    invert_whole(work.normal, SOIL, work, memory.prior_precision)

@@ -68,3 +68,20 @@ def invert(factor, m, scratch, inverse):
                 product += scratch[k, i] * scratch[k, j]
             inverse[i, j] = product
             inverse[j, i] = product
+
+
+@compiled
+def invert_whole(a, n, work, inverse):
+    """A^-1 of a [n, n], by the factor and the scratch of a work space."""
+    factorise(a, n, work.factor)
+    invert(work.factor, n, work.scratch, inverse)
+
+
+@compiled
+def add_gaussian(precision, mean, u, share, n, normal, gradient):
+    """Add a share of a Gaussian's log-density at u [n] to a normal matrix and to its gradient."""
+    for i in range(n):
+        for j in range(n):
+            more = share * precision[i, j]
+            normal[i, j] += more
+            gradient[i] += more * (mean[j] - u[j])

@@ -3,14 +3,22 @@ covariance, a border; and the constants and the work space of its functions.
 """
 
 from soil_env._compiled.flags import record
-from soil_env.identification.online.forces import SLOPE_NODES
+from soil_env.identification.online.forces import (
+    COHESION,
+    CONTACT,
+    EXPONENT,
+    LN_K,
+    OF_GROUND,
+    TANGENT,
+)
 from soil_env.parameters import FLOW_LAW
 from soil_env.parameters.readings import SensorReading
 
 #: Unknowns of the soil: tan phi, c [Pa], n, ln of K [m], ln of the pressure S d^n [Pa] at the depth
 #: d, ln of the gain of slip-sinkage over the nominal one.
-TANGENT, COHESION, EXPONENT, LN_K, PRESSURE, GAIN = range(6)
-SOIL = 6
+assert (TANGENT, COHESION, EXPONENT, LN_K) == tuple(range(OF_GROUND))
+PRESSURE, GAIN = range(OF_GROUND, OF_GROUND + 2)
+SOIL = GAIN + 1
 #: Unknowns of the instruments: relative gain of load, torque and speed, zero of pull [of weight],
 #: torque [of weight x radius] and sinkage [m].
 INSTRUMENTS = 6
@@ -187,9 +195,9 @@ WORK = record(
     inverse=("f8", (ALL, ALL)),
     gradient=("f8", ALL),
     step=("f8", ALL),
-    instruments=("f8", HERE),  # prior variances, from `LOAD_GAIN` on
+    sd=("f8", ALL),  # of the prior
     soil=("f8", SOIL),  # blended
     weights=("f8", MOST_SOILS),  # of the soils of the library
     slopes=("f8", (RESIDUALS, ALL)),
-    slope_nodes=(SLOPE_NODES, 1),
+    contact=(CONTACT, 1),
 )

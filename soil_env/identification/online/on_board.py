@@ -1,32 +1,21 @@
-"""Estimator on board of wheels: identifier, memory of terrain classes, averages for the warning.
+"""Estimators on board of simulated wheels and rovers: an identifier a wheel, the memory of terrain
+classes, averages for the warning, and what all wheels of a rover know together.
 
-It reads the sensor record of a step after the world has made it, and writes what it knows into the
+They read the records of a step after the world has made it, and write what they know into the
 observation and the reward. The world never reads an estimate.
 """
 
 import math
-from typing import Any
+import threading
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from soil_env._compiled.cache import kept
 from soil_env._compiled.flags import compiled, record
-from soil_env.identification.online.board import (
-    BOARD_SETTING,
-    OF_SOIL,
-    Known,
-    OnBoard,
-    board_setting,
-    clip,
-    knowledge,
-    reward_information,
-    write_estimate,
-    write_known,
-)
+from soil_env.identification.online.borders import see_border
 from soil_env.identification.online.class_memory import (
-    CLASS_SETTING,
     CLASSES,
-    class_setting,
     clear_of_borders,
     forget_classes,
     remember_class,
@@ -35,7 +24,6 @@ from soil_env.identification.online.identifier import (
     HELD,
     RENEWED,
     observe,
-    observe_image,
 )
 from soil_env.identification.online.immobilisation import (
     MEMORY as AVERAGES,
@@ -45,137 +33,350 @@ from soil_env.identification.online.immobilisation import (
     see,
     warning_setting,
 )
-from soil_env.identification.online.memory import MEMORY
-from soil_env.parameters import Scenario
-from soil_env.parameters.readings import RESTART, STEP, Shown
-
-#: Memory of the estimator of a wheel.
-ON_BOARD = record(
-    changed=("i8",),  # 1 if the last step changed the estimate
-    recent=("f8", AVERAGES),  # for warnings: averages and view
-    identifier=(MEMORY, 1),
-    classes=(CLASSES, 1),
+from soil_env.identification.online.memory import (
+    BEST_PULL,
+    MEMORY,
+    PUBLISHED,
+    QUANTITIES,
+    SETTING,
+    WORK,
 )
-#: Constants of the estimator.
-WHEEL_SETTING = record(
+from soil_env.identification.online.pooling import (
+    POOL,
+    forget_pool,
+    hand_over_border,
+    keep_knowledge,
+    pool_with,
+)
+from soil_env.identification.online.prior import setting_of
+from soil_env.identification.status import Status
+from soil_env.parameters import RoverScenario, Scenario
+from soil_env.parameters.readings import RESTART, RUNNING, STEP, Shown
+from soil_env.parameters.vehicle import MOST_AXLES
+
+CONVERGED = Status.CONVERGED.value
+OF_SOIL = 2 * QUANTITIES + 1  # entries of the observation on a soil
+MOST_ENTRIES = 256  # of an observation
+LEAST_LEFT = 1e-6  # share of a prior standard deviation that is left at least
+INFORMATION = 3  # index of the reward term
+LN_10 = math.log(10.0)  # [-] over which ln K and ln S are observed, as decimal logarithms
+KILOPASCAL = 1e3  # [Pa] in which cohesion is observed
+#: White noise, in the units of `Noise`, of what a sensor of the body does not measure of a wheel.
+OF_BODY = 1e6
+
+#: Memory of the estimators of a wheel, and of a rover from its front wheel on.
+ON_WHEEL, ON_ROVER = (
+    record(
+        changed=("i8",),  # 1 if the last step changed the estimate
+        recent=("f8", AVERAGES),  # for warnings: averages and view
+        identifier=(MEMORY, axles),
+        pools=(POOL, axles),
+        classes=(CLASSES, 1),
+    )
+    for axles in (1, MOST_AXLES)
+)
+#: Constants of a scenario that a step on board needs.
+BOARD_SETTING = record(
+    "information",  # weight of knowledge in the reward
+    "discount",  # of the knowledge after a step
+    "sight",  # [m] of the camera
+    "border_sd",  # [m] of the place of a border in an image
+    axles=("i8",),
+    pooled=("i8",),  # 1: the axles are those of a rover
     warns=("i8",),  # 1: averages are kept
-    board=(BOARD_SETTING, 1),
-    classes=(CLASS_SETTING, 1),
+    shown=("i8",),  # 1: the observation has the estimate of the soil
+    first=("i8",),  # index of its first entry
+    camera=("i8",),  # 0: none
+    lines=("i8",),  # over the patch ahead
+    places=("f8", MOST_AXLES),  # [m] behind the front axle
+    bounds=("f4", (2, MOST_ENTRIES)),
+    identifier=(SETTING, 1),
     warning=(WARNING_SETTING, 1),
 )
 
 
-class WheelsOnBoard(OnBoard):
-    """Estimators of many wheels."""
+class Known(NamedTuple):
+    """What is published of the identifiers of many wheels, one row a wheel."""
 
-    def __init__(self, wheels: int, scenario: Scenario, shown: Shown, warns: bool) -> None:
-        setting = np.zeros(1, WHEEL_SETTING)
-        setting["warns"] = warns
-        setting["board"] = board_setting(scenario, shown)
-        setting["warning"] = warning_setting(scenario)
-        super().__init__(np.zeros(wheels, ON_BOARD), setting, estimate_wheels)
-        setting["classes"] = class_setting(self.identifier)
-        self._warns = warns
+    #: [wheels, 6] (phi, ln K, ln S, c, ln of the gain of slip-sinkage, best pull [of load])
+    estimate: np.ndarray
+    sd: np.ndarray  # [wheels, 6]
+    status: np.ndarray  # [wheels] `Status`
+
+    @classmethod
+    def of(cls, memory: np.ndarray) -> "Known":
+        """Views of records that have these fields."""
+        return cls(*(memory[name] for name in cls._fields))
+
+
+def board_setting(scenario: Scenario, shown: Shown, warns: bool) -> np.ndarray:
+    """Pack `BOARD_SETTING` [1] of a wheel or a rover."""
+    setting = np.zeros(1, BOARD_SETTING)
+    setting["information"] = scenario.reward.information
+    setting["discount"] = scenario.reward.information_discount
+    setting["sight"] = scenario.camera.range
+    setting["border_sd"] = math.sqrt(2.0) * scenario.camera.border_noise
+    setting["axles"] = 1
+    setting["warns"] = warns
+    setting["shown"] = shown.on
+    setting["first"] = shown.first
+    setting["camera"] = scenario.course.classes
+    setting["lines"] = scenario.course.lines
+    entries = len(shown.low)
+    if entries > MOST_ENTRIES:
+        raise ValueError(f"observation of {entries} entries: expected at most {MOST_ENTRIES}")
+    setting["bounds"][0, :, :entries] = shown.low, shown.high
+    setting["identifier"] = setting_of(scenario)
+    if isinstance(scenario, RoverScenario):
+        setting["pooled"] = 1
+        setting["axles"] = scenario.axles
+        setting["places"][0, : scenario.axles] = scenario.vehicle.axles
+        limit_to_wheel(setting["identifier"][0, 0], scenario)
+    setting["warning"] = warning_setting(scenario)
+    return setting
+
+
+def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
+    """Leave out what the sensors of the body do not measure of one wheel.
+
+    The accelerometer says nothing of it, and the load on a wheel changes with the pull. Nor does
+    the torque of a motor whose speed loop turns the wheel faster or slower: that at the end of a
+    period is not the mean over it.
+    """
+    setting["white"]["acceleration"] = OF_BODY * scenario.gravity
+    if scenario.control.action != "torque":
+        setting["white"]["motor_torque"] = OF_BODY * scenario.weight * scenario.wheel.radius
+    setting["load_varies"] = 1
+
+
+class OnBoard:
+    """Estimators of many wheels or rovers; they follow the orders that the world has followed."""
+
+    def __init__(
+        self, vehicles: int, scenario: Scenario, shown: Shown, warns: bool = False
+    ) -> None:
+        self.setting = board_setting(scenario, shown, warns)
+        pooled = self.setting["pooled"][0] > 0
+        self.memory = np.zeros(vehicles, ON_ROVER if pooled else ON_WHEEL)
+        #: `SETTING` [1] of the identifier
+        self.identifier: np.ndarray = self.setting["identifier"][0].copy()
+        self._work: dict[int, np.ndarray] = {}  # work space of each thread
 
     def views(self) -> dict[str, Any]:
-        """What others read: all, published estimates, averages for warnings, what has changed."""
-        wheels = len(self.memory) if self._warns else 0
+        """What others read: all; of wheels published estimates, averages for warnings, what has
+        changed, classes; of rovers estimates [rovers x axles] of each wheel, alone and pooled.
+        """
+        own = self.setting[0]
+        memory = self.memory
+        if own.pooled:
+            alone, pooled = (Known.of(memory[n][:, : own.axles]) for n in ("identifier", "pools"))
+            return {"on_board": memory, "ids": alone, "known": pooled}
         return {
-            "on_board": self.memory,
-            "ids": Known.of(self.memory["identifier"][:, 0]),
-            "changed": self.memory["changed"],
-            "recent": self.memory["recent"][:wheels],
-            "memory": self.memory["classes"][:, 0]["of"],
+            "on_board": memory,
+            "ids": Known.of(memory["identifier"][:, 0]),
+            "changed": memory["changed"],
+            "recent": memory["recent"][: len(memory) if own.warns else 0],
+            "memory": memory["classes"][:, 0]["of"],
         }
 
-
-@compiled
-def _see_ahead(wheel, sample, setting):
-    """Store the view for the warning, where it is asked for."""
-    if setting.warns > 0:
-        see(wheel.recent, sample, wheel.classes[0], setting.board[0].sight, setting.warning[0])
-
-
-@compiled
-def _restart(wheel, sample, setting):
-    """Set an estimator to its prior, at the start of a course."""
-    wheel.identifier[0] = setting.board[0].identifier[0].blank[0]
-    forget_classes(wheel.classes[0], setting.classes[0])
-    wheel.changed = 0
-    if setting.warns > 0:
-        begin(wheel.recent, sample, setting.warning[0])
-    if setting.board[0].classes > 0:
-        _see_ahead(wheel, sample, setting)
+    def update(self, world: tuple[Any, ...], orders: np.ndarray, first: int, end: int) -> None:
+        """Follow the `orders` [vehicles] int8 of the vehicles `first` to `end` - 1 in a `world` of
+        (state, samples [vehicles, axles, periods], observation).
+        """
+        thread = threading.get_ident()
+        if thread not in self._work:
+            self._work[thread] = np.zeros(1, WORK)
+        estimate(self.memory, *world, orders, self.setting, self._work[thread], (first, end))
 
 
 @compiled
-def _after_period(wheel, sample, setting, work):
-    """Take the record of a control period of a wheel."""
-    board = setting.board[0]
+def knowledge(known, setting):
+    """Knowledge in an estimate beyond the prior of a `SETTING` [nat].
+
+    Fall of entropy, summed over the unknowns, each taken as Gaussian by itself. None counts less
+    than nothing, or more than with a millionth of its prior standard deviation.
+    """
+    left = 1.0
+    for i in range(PUBLISHED):
+        left *= min(max(known.sd[i] / setting.prior_sd[i], LEAST_LEFT), 1.0)
+    return -math.log(left)
+
+
+@compiled
+def _mean_knowledge(vehicle, board):
+    """Mean of `knowledge` over the axles of a vehicle."""
+    total = 0.0
+    for a in range(board.axles):
+        if board.pooled > 0:
+            total += knowledge(vehicle.pools[a], board.identifier[0])
+        else:
+            total += knowledge(vehicle.identifier[a], board.identifier[0])
+    return total / board.axles
+
+
+@compiled
+def reward_information(vehicle, before, after, board):
+    """Reward the knowledge [nat] of a step: weight x (discount x `after` - `before`), and sum the
+    reward.
+
+    Nothing counts as known after the end of an episode. This is shaping by a potential, which
+    leaves the best policy as it is (Ng, Harada & Russell 1999, ICML; its end: Grzes 2017, AAMAS).
+    """
+    left = board.discount * after if vehicle.cause == RUNNING else 0.0
+    terms = vehicle.terms
+    terms[INFORMATION] += board.information * (left - before)
+    vehicle.reward = terms[0] + terms[1] + terms[2] + terms[INFORMATION]
+
+
+@compiled
+def write_known(out, first, flag, known, tangent, dig_gain):
+    """Fill `out` [13] with an estimate of (phi, ln K, ln S, c, ln gain), the margin of its best
+    drawbar pull over the `tangent` of a grade, and their standard deviations.
+
+    Those of the first three are written from `first` on; the `flag` comes behind them, or before
+    them where `first` is 1.
+    """
+    mean = known.estimate
+    sd = known.sd
+    shear = (mean[0], mean[1] / LN_10, mean[2] / LN_10, sd[0], sd[1], sd[2])
+    others = (
+        mean[3] / KILOPASCAL,
+        dig_gain * math.exp(mean[4]),
+        sd[3] / KILOPASCAL,
+        sd[4],
+        mean[BEST_PULL] - tangent,
+        sd[BEST_PULL],
+    )
+    out[0] = flag
+    out[QUANTITIES] = flag
+    for i in range(QUANTITIES):
+        out[first + i] = shear[i]
+        out[QUANTITIES + 1 + i] = others[i]
+
+
+@compiled
+def write_estimate(out, known, dig_gain):
+    """Fill `out` [13] with what is identified of the soil under a wheel."""
+    write_known(out, 0, 1.0 if known.status == CONVERGED else 0.0, known, 0.0, dig_gain)
+
+
+@compiled
+def _show_ahead(vehicle, sample, board, out):
+    """Fill what is known of the classes on the routes ahead into the last entries."""
+    for route in range(board.lines):
+        ahead = out[out.size - (board.lines - route) * OF_SOIL :]
+        label = sample.label_0 if route == 0 else sample.label_1
+        grade = sample.grade_0 if route == 0 else sample.grade_1
+        if sample.seen > 0.0 and route < sample.lines:
+            known = vehicle.classes[0].of[int(label)]
+            met = 1.0 if known.patches > 0 else 0.0
+            write_known(ahead, 1, met, known, math.tan(grade), board.identifier[0].dig_gain)
+        else:
+            ahead[:OF_SOIL] = 0.0
+
+
+@compiled
+def show_estimate(vehicle, sample, board, out):
+    """Fill what is identified into the observation of a vehicle, each entry cut to its bounds."""
+    gain = board.identifier[0].dig_gain
+    for a in range(board.axles):
+        own = out[board.first + OF_SOIL * a :]
+        if board.pooled > 0:
+            write_estimate(own, vehicle.pools[a], gain)
+        else:
+            write_estimate(own, vehicle.identifier[a], gain)
+    if board.camera > 0:
+        _show_ahead(vehicle, sample, board, out)
+    for i in range(out.size):
+        out[i] = min(max(out[i], board.bounds[0, i]), board.bounds[1, i])
+
+
+@compiled
+def _see_ahead(vehicle, sample, board):
+    """Store the view for the warning, where both are asked for."""
+    if board.camera > 0 and board.warns > 0:
+        see(vehicle.recent, sample, vehicle.classes[0], board.sight, board.identifier[0])
+
+
+@compiled
+def _restart(vehicle, sample, board):
+    """Set the estimators of a vehicle to their prior, at the start of a course."""
     numbers = board.identifier[0]
-    memory = wheel.identifier[0]
-    if setting.warns > 0:
-        average(wheel.recent, sample, sample.halted, setting.warning[0])
-    if board.classes > 0:
-        observe_image(memory, sample, board.border_sd, numbers, work)
-    outcome = observe(wheel.identifier, 0, sample, True, numbers, work)
-    if outcome != HELD:
-        wheel.changed = 1
-    if board.classes > 0:
-        classes = setting.classes[0]
-        if outcome == RENEWED and clear_of_borders(sample.since, sample.left, classes):
-            remember_class(wheel.classes[0], int(sample.here), int(sample.patch), memory, classes)
-        _see_ahead(wheel, sample, setting)
+    for a in range(board.axles):
+        vehicle.identifier[a] = numbers.blank[0]
+        forget_pool(vehicle.pools[a], vehicle.identifier[a])
+    forget_classes(vehicle.classes[0], numbers)
+    vehicle.changed = 0
+    if board.warns > 0:
+        begin(vehicle.recent, sample, numbers, board.warning[0])
+    _see_ahead(vehicle, sample, board)
 
 
 @compiled
-def show_estimate(wheel, sample, board, out):
-    """Fill what is identified into the observation of a wheel."""
-    dig_gain = board.identifier[0].dig_gain
-    write_estimate(out[board.first :], wheel.identifier[0], dig_gain)
-    if board.classes > 0:
-        first = out.size - board.lines * OF_SOIL
-        for route in range(board.lines):
-            ahead = out[first + route * OF_SOIL :]
-            label = sample.label_0 if route == 0 else sample.label_1
-            grade = sample.grade_0 if route == 0 else sample.grade_1
-            if sample.seen > 0.0 and route < sample.lines:
-                known = wheel.classes[0].of[int(label)]
-                met = 1.0 if known.patches > 0 else 0.0
-                write_known(ahead, 1, met, known, math.tan(grade), dig_gain)
-            else:
-                for i in range(OF_SOIL):
-                    ahead[i] = 0.0
-    clip(out, board)
+def _pool(vehicle, renewed, board, work):
+    """Renew what the wheels of a rover know together: of all if one was `renewed`, and on a
+    border.
+    """
+    for a in range(board.axles):
+        memory = vehicle.identifier[a]
+        if renewed or memory.crossing > 0.0:
+            pool_with(vehicle.pools, board.axles, a, memory, board.identifier[0], work)
+
+
+@compiled
+def _take(vehicle, samples, period, board, work):
+    """Take the records [axles, periods] of a control period of a vehicle."""
+    numbers = board.identifier[0]
+    memory = vehicle.identifier[0]
+    front = samples[0, period]
+    if board.warns > 0:
+        average(vehicle.recent, front, front.halted, numbers, board.warning[0])
+    if board.camera > 0:
+        see_border(memory, front, board.border_sd, numbers, work)
+    furthest = HELD
+    for a in range(board.axles):
+        if a > 0:
+            wheel = vehicle.identifier[a]
+            hand_over_border(vehicle.pools[0], wheel, board.places[a], numbers, work)
+        outcome = observe(vehicle.identifier, a, samples[a, period], a == 0, numbers, work)
+        if board.pooled > 0 and outcome == RENEWED:
+            keep_knowledge(vehicle.pools[a], vehicle.identifier[a], numbers, work)
+        furthest = max(furthest, outcome)
+    if furthest != HELD:
+        vehicle.changed = 1
+    if board.camera > 0:
+        if furthest == RENEWED and clear_of_borders(front.since, front.left, numbers):
+            known = vehicle.classes[0]
+            remember_class(known, int(front.here), int(front.patch), memory, numbers)
+        _see_ahead(vehicle, front, board)
+    if board.pooled > 0:
+        _pool(vehicle, furthest == RENEWED, board, work)
 
 
 @kept
-def estimate_wheels(memory, state, samples, observation, orders, setting, work, span):
-    """Follow the `orders` of the wheels of a `span` (first, end): STEP or RESTART.
+def estimate(memory, state, samples, observation, orders, setting, work, span):
+    """Follow the `orders` of the vehicles of a `span` (first, end): STEP or RESTART.
 
-    `memory` [wheels] `ON_BOARD`; `state`, `samples` and `observation` as the world's step has left
-    them.
+    `memory` [vehicles] `ON_WHEEL` or `ON_ROVER`; `state`, `samples` [vehicles, axles, periods] and
+    `observation` as the world's step has left them.
     """
-    numbers = setting[0]
-    board = numbers.board[0]
+    board = setting[0]
     for k in range(span[0], span[1]):
-        order = orders[k]
-        if order != STEP and order != RESTART:
+        if orders[k] != STEP and orders[k] != RESTART:
             continue
-        wheel = memory[k]
+        own = memory[k]
         vehicle = state[k]
         last = 0
-        if order == RESTART:
-            _restart(wheel, samples[k, 0], numbers)
+        if orders[k] == RESTART:
+            _restart(own, samples[k, 0, 0], board)
         else:
-            wheel.changed = 0
+            own.changed = 0
             last = vehicle.periods - 1
             paid = board.information > 0.0 and vehicle.periods > 0
-            known = wheel.identifier[0]
-            before = knowledge(known, board.identifier[0]) if paid else 0.0
+            before = _mean_knowledge(own, board) if paid else 0.0
             for period in range(vehicle.periods):
-                _after_period(wheel, samples[k, period], numbers, work[0])
+                _take(own, samples[k], period, board, work[0])
             if paid:
-                reward_information(vehicle, before, knowledge(known, board.identifier[0]), board)
+                reward_information(vehicle, before, _mean_knowledge(own, board), board)
         if board.shown > 0:
-            show_estimate(wheel, samples[k, last], board, observation[k])
+            show_estimate(own, samples[k, 0, last], board, observation[k])

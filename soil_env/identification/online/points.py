@@ -44,13 +44,19 @@ TYPICAL_PULL = 0.2  # [of weight] the same of a pull
 def is_sound(reading, setting):
     """True if all readings are numbers that a wheel can give."""
     force = LARGEST_FORCE * setting.weight
-    twist = abs(reading.torque) + abs(reading.motor_torque)
-    sound = abs(reading.drawbar_pull) + abs(reading.load) <= force
-    sound = sound and twist <= force * setting.radius and abs(reading.slip) <= 1.0
-    sound = sound and abs(reading.speed) + abs(reading.rim_speed) <= FASTEST
-    sound = sound and abs(reading.acceleration) <= LARGEST_FORCE * setting.gravity
-    sound = sound and abs(reading.pitch) <= STEEPEST
-    return sound and abs(reading.sinkage) < SLACK * setting.radius
+    r = setting.radius
+    sizes = (
+        (abs(reading.slip), 1.0),
+        (abs(reading.drawbar_pull) + abs(reading.load), force),
+        (abs(reading.torque) + abs(reading.motor_torque), force * r),
+        (abs(reading.speed) + abs(reading.rim_speed), FASTEST),
+        (abs(reading.acceleration), LARGEST_FORCE * setting.gravity),
+        (abs(reading.pitch), STEEPEST),
+    )
+    for size, most in sizes:
+        if not size <= most:
+            return False
+    return abs(reading.sinkage) < SLACK * r
 
 
 @compiled

@@ -17,23 +17,25 @@ import math
 from soil_env._compiled.flags import compiled, record
 from soil_env.identification.online.borders import begin_border, blend_estimates, take_fresh
 from soil_env.identification.online.identifier import publish, status_of
-from soil_env.identification.online.library import mix
-from soil_env.identification.online.linear import factorise, invert, solve, solve_half
+from soil_env.identification.online.library import join, mix
+from soil_env.identification.online.linear import (
+    add_gaussian,
+    factorise,
+    invert,
+    invert_whole,
+    solve,
+    solve_half,
+)
 from soil_env.identification.online.memory import (
     BEST_PULL,
-    COHESION,
     ESTIMATES,
-    EXPONENT,
-    LN_K,
-    QUANTITIES,
+    OF_GROUND,
     SOIL,
-    TANGENT,
 )
 from soil_env.identification.status import Status
 
 SOILS = 4  # that are kept of a wheel
-SHARED = 4  # unknowns of the ground that a passing wheel does not change: tan phi, c, n, ln K
-assert (TANGENT, COHESION, EXPONENT, LN_K) == tuple(range(SHARED))
+SHARED = OF_GROUND  # unknowns that a passing wheel does not change: tan phi, c, n, ln K
 # Errors that all wheels have alike, so that no comparison shows them.
 ANGLE_ERROR = math.radians(0.6)
 MODULUS_ERROR = 0.06  # relative
@@ -61,12 +63,10 @@ POOL = record(
 @compiled
 def forget_pool(pool, memory):
     """Set a wheel's pool to what its identifier, just reset, has."""
-    for s in range(SOILS):
-        pool.borders[s] = -1
+    pool.borders[:] = -1
     pool.status = memory.status
-    for i in range(QUANTITIES):
-        pool.fresh[i] = memory.estimate[i]
-        pool.fresh_sd[i] = memory.sd[i]
+    pool.fresh[:] = memory.estimate
+    pool.fresh_sd[:] = memory.sd
     _take_fresh(pool)
 
 
@@ -74,41 +74,21 @@ def forget_pool(pool, memory):
 def _take_fresh(pool):
     """Publish the fresh estimate; behind the next border it is the old one."""
     take_fresh(pool)
-    for i in range(QUANTITIES):
-        pool.old[i] = pool.fresh[i]
-        pool.old_sd[i] = pool.fresh_sd[i]
+    pool.old[:] = pool.fresh
+    pool.old_sd[:] = pool.fresh_sd
 
 
 @compiled
 def keep_knowledge(pool, memory, setting, work):
-    """Keep what a renewed identifier knows of its soil."""
+    """Keep what a renewed identifier knows of its soil, under the prior of one Gaussian."""
     s = memory.borders % SOILS
     pool.borders[s] = memory.borders
     pool.border_places[s] = memory.border
-    _under_one_gaussian(memory, setting, work)
-    for i in range(SHARED):
-        pool.shared[s, i] = work.soil[i]
-        for j in range(SHARED):
-            pool.shared_covariance[s, i, j] = work.inverse[i, j]
-
-
-@compiled
-def _under_one_gaussian(memory, setting, work):
-    """Mean into `work.soil` and covariance into `work.inverse` of the soil under the prior of one
-    Gaussian.
-    """
-    u = memory.u
-    for i in range(SOIL):
-        work.gradient[i] = memory.gradient[i]
-        for j in range(SOIL):
-            prior = setting.soil_precision[i, j]
-            work.normal[i, j] = memory.information[i, j] + prior
-            work.gradient[i] += prior * (setting.soil_mean[j] - u[j])
-    factorise(work.normal, SOIL, work.factor)
-    solve(work.factor, SOIL, work.gradient, work.soil)
+    join(memory, memory.u, setting.soil_mean, setting.soil_precision, work)
+    solve(work.factor, SOIL, work.gradient, work.step)
     invert(work.factor, SOIL, work.scratch, work.inverse)
-    for i in range(SOIL):
-        work.soil[i] += u[i]
+    pool.shared[s, :] = memory.u[:SHARED] + work.step[:SHARED]
+    pool.shared_covariance[s, :, :] = work.inverse[:SHARED, :SHARED]
 
 
 @compiled
@@ -141,13 +121,8 @@ def _disagreement(memory, other, s, work):
 @compiled
 def _add(pool, u, covariance, mean, share, work):
     """Add a share of the precision of a Gaussian of the shared unknowns to what is pooled."""
-    factorise(covariance, SHARED, work.factor)
-    invert(work.factor, SHARED, work.scratch, work.inverse)
-    for i in range(SHARED):
-        for j in range(SHARED):
-            more = share * work.inverse[i, j]
-            pool.information[i, j] += more
-            pool.gradient[i] += more * (mean[j] - u[j])
+    invert_whole(covariance, SHARED, work, work.inverse)
+    add_gaussian(work.inverse, mean, u, share, SHARED, pool.information, pool.gradient)
 
 
 @compiled
@@ -157,10 +132,8 @@ def pool_with(pools, axles, own, memory, setting, work):
     if memory.status == Status.NO_DATA.value:
         forget_pool(pool, memory)
         return
-    for i in range(SOIL):
-        pool.gradient[i] = memory.gradient[i]
-        for j in range(SOIL):
-            pool.information[i, j] = memory.information[i, j]
+    pool.information[:] = memory.information
+    pool.gradient[:] = memory.gradient
     s = memory.borders % SOILS
     u = memory.u
     for a in range(axles):

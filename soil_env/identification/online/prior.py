@@ -7,6 +7,7 @@ Soils are compared by the pressure S d^n at a depth d, since the unit of S depen
 import math
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from soil_env._io.loading import ParameterError
@@ -30,6 +31,7 @@ from soil_env.parameters.readings import reading_errors, reading_units
 
 KNOWN = 1e-4  # standard deviation, relative, of what the belief holds for known
 _LEAST_WIDTH = 0.95  # of `widths` that counts
+_WIDEST = 4.0  # of them
 _PUBLISHED = [TANGENT, LN_K, PRESSURE, COHESION, GAIN]
 _ONE_SIGMA = math.erf(math.sqrt(0.5))
 _DEPTH = 0.2  # [wheel radii] at which pressures are compared
@@ -65,12 +67,12 @@ def plain(scenario: Scenario) -> Gaussian:
     least[COHESION] *= scenario.weight / (w.radius * w.width)
     sd = np.maximum(sd, least)
     r = np.eye(SIZE)
-    r[TANGENT, COHESION] = b.friction_cohesion
-    r[COHESION, TANGENT] = b.friction_cohesion
-    r[TANGENT, PRESSURE] = b.friction_stiffness
-    r[PRESSURE, TANGENT] = b.friction_stiffness
-    r[LN_K, PRESSURE] = b.stiffness_shear_modulus
-    r[PRESSURE, LN_K] = b.stiffness_shear_modulus
+    for i, j, correlation in (
+        (TANGENT, COHESION, b.friction_cohesion),
+        (TANGENT, PRESSURE, b.friction_stiffness),
+        (LN_K, PRESSURE, b.stiffness_shear_modulus),
+    ):
+        r[[i, j], [j, i]] = correlation
     return 1.0, mean, r * np.outer(sd, sd)
 
 
@@ -103,32 +105,27 @@ def of_library(scenario: Scenario) -> list[Gaussian]:
 
 def moments(gaussians: list[Gaussian]) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of a mixture."""
-    weights = np.array([g[0] for g in gaussians]) / sum(g[0] for g in gaussians)
-    means = np.array([g[1] for g in gaussians])
-    mean = weights @ means
-    away = means - mean
-    return mean, np.einsum("k,kij->ij", weights, np.array([g[2] for g in gaussians])) + (
-        away.T * weights
-    ) @ away
+    weights, means, covariances = (np.array(part) for part in zip(*gaussians, strict=True))
+    apart = np.cov(means.T, aweights=weights, ddof=0)
+    mean = np.average(means, axis=0, weights=weights)
+    return mean, np.average(covariances, axis=0, weights=weights) + apart
 
 
 def widths(gaussians: list[Gaussian]) -> np.ndarray:
     """Half widths [SIZE] of the intervals that hold 68 % of a mixture, in its standard deviations;
     1 for a Gaussian.
     """
-    weights = np.array([g[0] for g in gaussians])
-    (mean, covariance) = moments(gaussians)
+    weights, means, covariances = (np.array(part) for part in zip(*gaussians, strict=True))
+    mean, covariance = moments(gaussians)
     sd = np.sqrt(np.diag(covariance))
-    off = (np.array([g[1] for g in gaussians]) - mean) / sd
-    own = np.sqrt([np.diag(g[2]) for g in gaussians]) / sd
-    low = np.zeros(SIZE)
-    high = np.full(SIZE, 4.0)
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        held = weights @ (ndtr((middle - off) / own) - ndtr((-middle - off) / own)) / weights.sum()
-        low = np.where(held < _ONE_SIGMA, middle, low)
-        high = np.where(held < _ONE_SIGMA, high, middle)
-    return 0.5 * (low + high)
+    off = (means - mean) / sd
+    own = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)) / sd
+
+    def beyond(width: float, i: int) -> float:
+        held = ndtr((width - off[:, i]) / own[:, i]) - ndtr((-width - off[:, i]) / own[:, i])
+        return float(np.average(held, weights=weights)) - _ONE_SIGMA
+
+    return np.array([brentq(beyond, 0.0, _WIDEST, args=(i,)) for i in range(SIZE)])
 
 
 def _gaussians(scenario: Scenario) -> list[Gaussian]:
@@ -141,21 +138,19 @@ def prior_of_belief(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
 
 
 def published_prior(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
-    """Mean [5] and covariance [5, 5] of (phi, ln K, ln S, c, l) before any reading, S at the
+    """Mean [5] and standard deviations [5] of (phi, ln K, ln S, c, l) before any reading, S at the
     exponent of the belief.
 
     As wide as the 68 % intervals of the belief's library are.
     """
-    mean, covariance = prior_of_belief(scenario)
-    ln_depth = math.log(depth_of(scenario))
-    to = np.zeros((5, SIZE))
-    to[0, TANGENT] = 1.0 / (1.0 + mean[TANGENT] ** 2)
-    to[[1, 2, 3, 4], [LN_K, PRESSURE, COHESION, GAIN]] = 1.0
-    x = to @ mean
-    x[0] = math.atan(mean[TANGENT])
-    x[2] = mean[PRESSURE] - scenario.belief.sinkage_exponent * ln_depth
-    scale = np.maximum(widths(_gaussians(scenario))[_PUBLISHED], _LEAST_WIDTH)
-    return x, np.outer(scale, scale) * (to @ covariance @ to.T)
+    u, covariance = prior_of_belief(scenario)
+    scale = np.maximum(widths(_gaussians(scenario)), _LEAST_WIDTH)
+    sd = (scale * np.sqrt(np.diag(covariance)))[_PUBLISHED]
+    sd[0] /= 1.0 + u[TANGENT] ** 2
+    mean = u[_PUBLISHED]
+    mean[0] = math.atan(u[TANGENT])
+    mean[2] -= scenario.belief.sinkage_exponent * math.log(depth_of(scenario))
+    return mean, sd
 
 
 LEAST_NOISE = 1e-6  # [of its unit] least white noise of a sensor, so that no weight is infinite
@@ -168,22 +163,16 @@ def setting_of(scenario: Scenario) -> np.ndarray:
     s = setting[0]
     wheel = scenario.wheel
     belief = scenario.belief
-    s.radius = wheel.radius
-    s.width = wheel.width
-    s.inertia = wheel.inertia
+    for name in ("radius", "width", "inertia", "stall_torque"):
+        s[name] = getattr(wheel, name)
+    for name in ("dig_gain", "dig_recovery", "border", "model_error", *FLOW_LAW):
+        s[name] = getattr(belief, name)
     s.gravity = scenario.gravity
     s.weight = scenario.weight
-    s.stall_torque = wheel.stall_torque
     s.period = scenario.control.period
     s.length = scenario.relaxation * wheel.radius
-    s.dig_gain = belief.dig_gain
-    s.dig_recovery = belief.dig_recovery
-    for name in FLOW_LAW:
-        s[name] = getattr(belief, name)
     s.depth = depth_of(scenario)
     s.exponent = belief.sinkage_exponent
-    s.border = belief.border
-    s.model_error = belief.model_error
     s.off = int(belief.method == "none")
     white, zero, gain = reading_errors(scenario)
     least = LEAST_NOISE * np.array(reading_units(scenario))
@@ -207,9 +196,9 @@ def setting_of(scenario: Scenario) -> np.ndarray:
         setting["library_covariance"][0, k] = spread
         setting["library_precision"][0, k] = np.linalg.inv(spread)
         setting["library_log"][0, k] = math.log(weight) - 0.5 * np.linalg.slogdet(spread)[1]
-    prior, of_prior = published_prior(scenario)
+    prior, sd = published_prior(scenario)
     setting["prior"][0, :PUBLISHED] = prior
-    setting["prior_sd"][0, :PUBLISHED] = np.sqrt(np.diag(of_prior))
+    setting["prior_sd"][0, :PUBLISHED] = sd
     start(setting["blank"][0], setting, np.zeros(1, WORK))
     setting["prior"] = s.blank[0].estimate
     setting["prior_sd"] = s.blank[0].sd

@@ -10,9 +10,15 @@ from typing import NamedTuple
 
 from soil_env._compiled.elementary import smooth_step
 from soil_env._compiled.flags import compiled
-from soil_env.identification.online.forces import Ground, reaction
+from soil_env.identification.online.forces import (
+    BY_SINKAGE,
+    BY_SLIP,
+    LN_S,
+    OF_GROUND,
+    Ground,
+    reaction,
+)
 from soil_env.identification.online.memory import (
-    ALL,
     COHESION,
     EXPONENT,
     GAIN,
@@ -118,15 +124,6 @@ def ground_of(unknowns, setting):
 
 
 @compiled
-def _put_soil(row, slopes, factor, work):
-    """Slopes of a residual by tan phi, c, n and ln K."""
-    work.slopes[row, TANGENT] = factor * slopes.tan_phi
-    work.slopes[row, COHESION] = factor * slopes.cohesion
-    work.slopes[row, EXPONENT] = factor * slopes.exponent
-    work.slopes[row, LN_K] = factor * slopes.ln_K
-
-
-@compiled
 def slip_slope(slip, setting):
     """Change of the slip for a relative error of the speed; none for a slip sensor."""
     return 0.0 if setting.white[0].slip > 0.0 else 1.0 - abs(slip)
@@ -147,59 +144,64 @@ def residuals(cell, memory, setting, work):
     sinkage = max(cell.sinkage - u[SINKAGE_ZERO], SHALLOWEST * r)
     load = cell.load * (1.0 - u[LOAD_GAIN])
     slip = min(cell.most_likely_slip, MOST_SLIP)
-    f = reaction(work.slope_nodes[0], ground, sinkage, slip, load, r, setting.width)
+    contact = work.contact[0]
+    reaction(contact, ground, sinkage, slip, load, r, setting.width)
+    by = contact.by
     to_pull = 1.0 / W
     to_torque = (1.0 + u[TORQUE_GAIN]) / (W * r)
-    pull = f.pull.value * to_pull
-    torque = f.torque.value / (W * r)
-    read_slip = cell.slip + u[SPEED_GAIN] * slip_slope(slip, setting)
-    p_slip = f.pull.slip * to_pull
-    t_slip = f.torque.slip * to_torque
-    p_depth = f.pull.sinkage * to_pull
-    t_depth = f.torque.sinkage * to_torque
-
-    p = cell.pull - pull * (1.0 + cell.inertial * u[LOAD_GAIN]) - u[PULL_ZERO]
-    p -= p_slip * (read_slip - slip)
-    t = cell.torque - torque * (1.0 + u[TORQUE_GAIN]) - u[TORQUE_ZERO]
-    t -= t_slip * (read_slip - slip)
-    _put_soil(PULL, f.pull, to_pull, work)
-    _put_soil(TORQUE, f.torque, to_torque, work)
-    J[PULL, LOAD_GAIN] = (cell.inertial - 1.0) * pull + soil[COHESION] * f.pull.cohesion * to_pull
-    J[TORQUE, LOAD_GAIN] = to_torque * (soil[COHESION] * f.torque.cohesion - f.torque.value)
+    pull = contact.value[PULL] * to_pull
+    torque = contact.value[TORQUE] / (W * r)
+    faster = slip_slope(slip, setting)
+    off = cell.slip + u[SPEED_GAIN] * faster - slip
+    p_slip = by[PULL, BY_SLIP] * to_pull
+    t_slip = by[TORQUE, BY_SLIP] * to_torque
+    p_depth = by[PULL, BY_SINKAGE] * to_pull
+    t_depth = by[TORQUE, BY_SINKAGE] * to_torque
+    p = cell.pull - pull * (1.0 + cell.inertial * u[LOAD_GAIN]) - u[PULL_ZERO] - p_slip * off
+    t = cell.torque - torque * (1.0 + u[TORQUE_GAIN]) - u[TORQUE_ZERO] - t_slip * off
+    for j in range(OF_GROUND):
+        J[PULL, j] = to_pull * by[PULL, j]
+        J[TORQUE, j] = to_torque * by[TORQUE, j]
+    J[PULL, LOAD_GAIN] = (cell.inertial - 1.0) * pull + soil[COHESION] * J[PULL, COHESION]
+    J[TORQUE, LOAD_GAIN] = soil[COHESION] * J[TORQUE, COHESION] - (1.0 + u[TORQUE_GAIN]) * torque
     J[PULL, PULL_ZERO] = 1.0
     J[TORQUE, TORQUE_GAIN] = torque
     J[TORQUE, TORQUE_ZERO] = 1.0
     J[PULL, SINKAGE_ZERO] = -p_depth
     J[TORQUE, SINKAGE_ZERO] = -t_depth
-    J[PULL, SPEED_GAIN] = p_slip * slip_slope(slip, setting)
-    J[TORQUE, SPEED_GAIN] = t_slip * slip_slope(slip, setting)
+    J[PULL, SPEED_GAIN] = p_slip * faster
+    J[TORQUE, SPEED_GAIN] = t_slip * faster
 
     form = memory.form_error**2
-    place = 0.0
     p_place = 0.0
     t_place = 0.0
     if cell.place_error > 0.0:
         form += BORDER_ERROR**2
-        place = cell.place_error**2
         p_place = _over_border(PULL, share, by_place, memory, work)
         t_place = _over_border(TORQUE, share, by_place, memory, work)
-    v_slip = cell.slip_variance
-    v_depth = cell.sinkage_variance
     pp = cell.pull_variance + form
-    pp += p_slip * p_slip * v_slip + p_depth * p_depth * v_depth + p_place * p_place * place
-    pt = p_slip * t_slip * v_slip + p_depth * t_depth * v_depth + p_place * t_place * place
+    pt = 0.0
     tt = cell.torque_variance + form
-    tt += t_slip * t_slip * v_slip + t_depth * t_depth * v_depth + t_place * t_place * place
+    for p_by, t_by, variance in (
+        (p_slip, t_slip, cell.slip_variance),
+        (p_depth, t_depth, cell.sinkage_variance),
+        (p_place, t_place, cell.place_error**2),
+    ):
+        pp += p_by * p_by * variance
+        pt += p_by * t_by * variance
+        tt += t_by * t_by * variance
     det = max(pp * tt - pt * pt, SINGULAR * pp * tt)
     pp, pt, tt = tt / det, -pt / det, pp / det
-    likely = read_slip + v_slip * (p_slip * (pp * p + pt * t) + t_slip * (pt * p + tt * t))
+    likely = (
+        slip + off + cell.slip_variance * (p_slip * (pp * p + pt * t) + t_slip * (pt * p + tt * t))
+    )
     cell.most_likely_slip = min(max(likely, cell.slip - FARTHEST_SLIP), cell.slip + FARTHEST_SLIP)
-    s, weight = _of_sinkage(cell, f.ln_s, sinkage, share, by_place, memory, setting, work)
+    s, weight = _of_sinkage(cell, sinkage, share, by_place, memory, setting, work)
     return Residuals(p, t, pp, pt, tt, s, weight)
 
 
 @compiled
-def _of_sinkage(cell, ln_s, sinkage, share, by_place, memory, setting, work):
+def _of_sinkage(cell, sinkage, share, by_place, memory, setting, work):
     """Residual of the law of slip-sinkage, z' - z = come (B z_b - A z), over its unit, and its
     weight.
 
@@ -208,13 +210,14 @@ def _of_sinkage(cell, ln_s, sinkage, share, by_place, memory, setting, work):
     u = memory.u
     J = work.slopes
     if cell.changes == 0.0:
-        for j in range(ALL):
-            J[SINKAGE, j] = 0.0
+        J[SINKAGE, :] = 0.0
         return 0.0, 0.0
     soil = work.soil
     n = soil[EXPONENT]
     middle = max(cell.middle - u[SINKAGE_ZERO], SHALLOWEST * setting.radius)
-    at_middle = ln_s.value + ln_s.sinkage * (middle - sinkage)
+    contact = work.contact[0]
+    by = contact.by
+    at_middle = contact.value[LN_S] + by[LN_S, BY_SINKAGE] * (middle - sinkage)
     stronger = at_middle - soil[PRESSURE]
     bearing = middle * min(setting.depth * math.exp(stronger / n), DEEPER)
     gain = setting.dig_gain * math.exp(soil[GAIN])
@@ -222,15 +225,14 @@ def _of_sinkage(cell, ln_s, sinkage, share, by_place, memory, setting, work):
     b = a + gain * cell.slide
     come = -math.expm1(-a) / a if a > 0.0 else 1.0
     residual = cell.rise - come * (b * bearing - a * (middle - 0.5 * cell.rise))
-    by = come * b * bearing / n
-    J[SINKAGE, TANGENT] = by * ln_s.tan_phi
-    J[SINKAGE, COHESION] = by * ln_s.cohesion
-    J[SINKAGE, EXPONENT] = by * (ln_s.exponent - stronger / n)
-    J[SINKAGE, LN_K] = by * ln_s.ln_K
-    J[SINKAGE, PRESSURE] = -by
+    less = come * b * bearing / n
+    for j in range(OF_GROUND):
+        J[SINKAGE, j] = less * by[LN_S, j]
+    J[SINKAGE, EXPONENT] -= less * stronger / n
+    J[SINKAGE, PRESSURE] = -less
     J[SINKAGE, GAIN] = come * gain * cell.slide * bearing
-    J[SINKAGE, LOAD_GAIN] = -by * (1.0 - soil[COHESION] * ln_s.cohesion)
-    J[SINKAGE, SINKAGE_ZERO] = come * (a - b * bearing / middle) - by * ln_s.sinkage
+    J[SINKAGE, LOAD_GAIN] = soil[COHESION] * J[SINKAGE, COHESION] - less
+    J[SINKAGE, SINKAGE_ZERO] = come * (a - b * bearing / middle) - less * by[LN_S, BY_SINKAGE]
     law = LAW_ERROR
     place = 0.0
     if cell.place_error > 0.0:

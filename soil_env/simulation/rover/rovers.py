@@ -30,11 +30,10 @@ from soil_env.simulation.rover.task import (
 from soil_env.simulation.task.layout import bounds_of
 from soil_env.simulation.task.observation import TRUE_SOIL, clip
 from soil_env.simulation.task.rules import RUNNING, add_reward, judge, task_of
-from soil_env.simulation.wheels import start_drivable
+from soil_env.simulation.wheels import SAMPLE, start_drivable
 from soil_env.simulation.world.courses import course_numbers, extend_course, start_course
 from soil_env.simulation.world.passability import CourseDistribution
 from soil_env.simulation.world.sensors import (
-    READING,
     SensorErrors,
     mount_sensors,
     read_slip,
@@ -63,7 +62,7 @@ class RoverScratch(NamedTuple):
 
     stage: np.ndarray  # [1] `STAGE`
     normals: np.ndarray  # [1] `NORMALS`
-    readings: np.ndarray  # [axles, 1] `READING`
+    readings: np.ndarray  # [axles, 1] `SAMPLE`
     sample: np.ndarray  # [1] `ROVER_SAMPLE`
 
 
@@ -72,7 +71,7 @@ def new_rover_scratch() -> RoverScratch:
     return RoverScratch(
         np.zeros(1, STAGE),
         np.zeros(1, NORMALS),
-        np.zeros((MOST_AXLES, 1), READING),
+        np.zeros((MOST_AXLES, 1), SAMPLE),
         np.zeros(1, ROVER_SAMPLE),
     )
 
@@ -83,7 +82,7 @@ class RoverWorlds(NamedTuple):
     state: np.ndarray  # [rovers] `ROVER`
     ruts: np.ndarray  # [rovers, axles, cells] `RUT`
     courses: np.ndarray  # [rovers] `course_dtype`; what is left in its cells is in `ruts`
-    readings: np.ndarray  # [rovers, axles, periods] `READING` of the last step
+    readings: np.ndarray  # [rovers, axles, periods] `SAMPLE` of the last step
     samples: (
         np.ndarray
     )  # [rovers, periods] `ROVER_SAMPLE` of it; both without rows if nothing is recorded
@@ -149,7 +148,7 @@ def new_rover_worlds(
         np.zeros(rovers, ROVER),
         new_ruts(rovers, axles, courses["cells"].shape[1]),
         courses,
-        np.zeros((kept_rovers, axles, periods), READING),
+        np.zeros((kept_rovers, axles, periods), SAMPLE),
         np.zeros((kept_rovers, periods), ROVER_SAMPLE),
         np.zeros((rovers, numbers.bounds.shape[1]), dtype=np.float32),
     )

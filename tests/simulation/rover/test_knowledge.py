@@ -5,8 +5,8 @@ import pytest
 
 from benchmarks.drives import SHARED, UNITS, SwingingSlip, rover_scenario
 from soil_env.identification.online.memory import PUBLISHED
+from soil_env.identification.online.on_board import limit_to_wheel
 from soil_env.identification.online.prior import published_prior, setting_of
-from soil_env.identification.online.rover_on_board import limit_to_wheel
 from soil_env.parameters import load_rover
 from soil_env.parameters.readings import IDLE, STEP
 from soil_env.simulation.task import Cause
