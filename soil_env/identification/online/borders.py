@@ -103,11 +103,10 @@ CELL_SHARE = 0.1
 
 @compiled
 def put_on_border(memory, cell, setting):
-    """Note how well the place of a new cell is known, if it is on the border."""
-    if memory.borders == 0 or cell.place > memory.border + 0.5 * setting.border:
-        if memory.crossing == 0.0:
-            return
-    cell.place_error = CELL_PLACE + CELL_SHARE * cell.spread
+    """Set the error of the place of a new cell on a border, from which its soil follows."""
+    before_its_end = memory.borders > 0 and cell.place <= memory.border + 0.5 * setting.border
+    if before_its_end or memory.crossing > 0.0:
+        cell.place_error = CELL_PLACE + CELL_SHARE * cell.spread
 
 
 @compiled

@@ -18,6 +18,7 @@ LEAST_LOAD = 0.05  # [of weight] below which a measured load counts as this
 
 @kept
 def _assess(rows, estimate, sd, seen, setting, nodes, out):
+    """`assess_ground`, with an arc's scratch `nodes`."""
     numbers = setting[0]
     wheel = Rim(numbers.radius, numbers.width, 0.0, 0.0, 0.0, 0.0, 0.0)
     for k in rows:
