@@ -50,6 +50,10 @@ def test_each_of_two_effects_is_resembled_by_itself(planted):
         assert odds == pytest.approx(gain + len(h.like) * math.log(ALIKE), abs=1e-6)
 
 
+def test_forms_of_one_pair_leave_place_for_other_pairs(planted):
+    assert len({h.names for h in planted.finding.hypotheses if len(h.names) == 2}) >= 10
+
+
 @pytest.fixture()
 def searched(planted, monkeypatch):
     """The search of the planted table, which was made once: what follows it is made anew."""
