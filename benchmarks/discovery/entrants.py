@@ -29,8 +29,8 @@ class Answer:
 
     `verdict`: one of `VERDICTS`. `named`: the mechanisms that are there, the surest first; empty
     where the verdict is unlisted, none or undetermined. `alternatives`: those that look like the
-    named ones. `probabilities`: of each mechanism to be in the table; those left out count as 0.
-    Names are those of the catalogue.
+    named ones. `beside`: those that may be there as well. `probabilities`: of each mechanism to
+    be in the table; those left out count as 0. Names are those of the catalogue.
     """
 
     verdict: str
@@ -38,11 +38,12 @@ class Answer:
     alternatives: tuple[str, ...] = ()
     probabilities: Mapping[str, float] = field(default_factory=dict)
     note: str = ""
+    beside: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:
             raise ParameterError(f"verdict {self.verdict!r}: expected one of {', '.join(VERDICTS)}")
-        for name in (*self.named, *self.alternatives, *self.probabilities):
+        for name in (*self.named, *self.alternatives, *self.beside, *self.probabilities):
             if name not in NAMES:
                 raise ParameterError(f"mechanism {name!r}: expected one of {', '.join(NAMES)}")
         for name, p in self.probabilities.items():
@@ -59,7 +60,8 @@ class Answer:
             raise ParameterError(
                 f"answer {content!r}: expected a mapping of {', '.join(cls.__dataclass_fields__)}"
             )
-        lists = {key: tuple(content[key]) for key in ("named", "alternatives") if key in content}
+        of_names = {"named", "alternatives", "beside"} & {*content}
+        lists = {key: tuple(content[key]) for key in of_names}
         return cls(**{**content, **lists})
 
 
@@ -90,14 +92,16 @@ def workflow(data: Path, setup: Path) -> Answer:
     """
     report = content(run(data, setup))
     named = tuple(e["name"] for e in report["effects"])
-    others = dict.fromkeys(
-        [*(a for e in report["effects"] for a in e["alternatives"]), *report["candidates"]]
-    )
+    others = dict.fromkeys(a for e in report["effects"] for a in e["alternatives"])
+    if not named:
+        others |= dict.fromkeys(report["candidates"])
     chance = {rank["name"]: min(rank["probability"], 1.0) for rank in report["ranking"]}
     rest = max(report["probability"]["none"], report["probability"]["unlisted"])
     if report["verdict"] == "ambiguous":
         named = tuple(n for n in report["candidates"][:1] if chance.get(n, 0.0) > rest)
-    return Answer(report["verdict"], named, tuple(others), chance)
+    return Answer(
+        report["verdict"], named, tuple(others), chance, beside=tuple(report["candidates"])
+    )
 
 
 ENTRANTS: dict[str, Entrant] = {"workflow": workflow}

@@ -76,6 +76,13 @@ def included(r: Record) -> bool:
     return r.there[0] in (*r.answer.named, *r.answer.alternatives)
 
 
+def covered(r: Record) -> bool:
+    """True if every hidden mechanism is among what may be missing: the names, their alternatives
+    and what may be there beside them.
+    """
+    return {*r.there} <= {*r.answer.named, *r.answer.alternatives, *r.answer.beside}
+
+
 def wrong(r: Record) -> bool:
     """True if the answer is sure of a name that is not there."""
     return bool(r.sure - set(r.there))
@@ -110,6 +117,14 @@ TARGETS = (
         "two",
         lambda r: set(r.answer.named) == set(r.there),
         0.65,
+        True,
+    ),
+    Target(
+        "covered",
+        "two effects: both among the names and alternatives",
+        "two",
+        covered,
+        0.92,
         True,
     ),
     Target(

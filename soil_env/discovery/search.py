@@ -175,6 +175,13 @@ class Finding:
         """
         return sum(h.probability for h in self.hypotheses if h.free)
 
+    @property
+    def more(self) -> float:
+        """Probability that the stated effects are missing and more: a further effect, or what no
+        listed effect explains.
+        """
+        return self.share(*self.names) - self.best(*self.names).probability
+
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Effects that are stated: the most that are missing together with a probability of
@@ -188,18 +195,15 @@ class Finding:
 
     @cached_property
     def candidates(self) -> tuple[str, ...]:
-        """Effects with at least `REPORTED` that are missing, or resembled by what is missing; none
-        beside a stated one.
+        """Effects with at least `REPORTED` that are missing, or resembled by what is missing,
+        beside the stated ones or in their place.
         """
         near = {
             n: max(self.share(n), sum(h.probability for h in self.hypotheses if n in h.like))
             for n in self.tried
+            if n not in self.names
         }
-        return (
-            ()
-            if self.names
-            else tuple(sorted((n for n in near if near[n] >= REPORTED), key=lambda n: -near[n]))
-        )
+        return _reported(near)
 
     @cached_property
     def tried(self) -> tuple[str, ...]:
@@ -210,10 +214,15 @@ class Finding:
     def ranking(self) -> tuple[Rank, ...]:
         """Every effect that was tried, the stated ones first, then the most probable."""
         without = max(h.score for h in self.hypotheses if not h.names)
-        score = {
-            n: max(h.score for h in self.hypotheses if n in h.names) - without for n in self.tried
-        }
-        out = [Rank(n, float(x), self.share(n), self.if_laws_err(n)) for n, x in score.items()]
+        out = [
+            Rank(
+                n,
+                float(max(h.score for h in self.hypotheses if n in h.names) - without),
+                self.share(n),
+                self.if_laws_err(n),
+            )
+            for n in self.tried
+        ]
         return tuple(
             sorted(out, key=lambda r: (r.name not in self.names, -r.probability, -r.score))
         )
@@ -222,7 +231,7 @@ class Finding:
     def verdict(self) -> str:
         """named, partly, ambiguous, unlisted, none or undetermined."""
         if self.names:
-            return "partly" if self.remainder >= NAMED else "named"
+            return "partly" if max(self.remainder, self.more) >= NAMED else "named"
         if self.unlisted >= NAMED:
             return "unlisted"
         return "ambiguous" if self.none < NAMED else "undetermined" if self.blind else "none"
@@ -232,17 +241,14 @@ class Finding:
         """True if a listed effect, had one been missing, would more probably have been overlooked
         than seen.
         """
-        return not self.detectable or sum(d.power for d in self.detectable.values()) < NAMED * len(
-            self.detectable
-        )
+        return sum(d.power for d in self.detectable.values()) <= NAMED * len(self.detectable)
 
     def alternatives(self, name: str) -> tuple[str, ...]:
         """Effects that stand in the place of a stated one with a probability of `REPORTED` or more,
         best first.
         """
-        share = {n: self.share(n, without=(name,)) for n in self.tried if n not in self.names}
-        return tuple(
-            sorted((n for n, p in share.items() if p >= REPORTED), key=lambda n: -share[n])
+        return _reported(
+            {n: self.share(n, without=(name,)) for n in self.tried if n not in self.names}
         )
 
     @property
@@ -264,6 +270,11 @@ class Finding:
         return next(
             h for h in self.hypotheses if {*h.names} == {*names} and h.free == free and not h.like
         )
+
+
+def _reported(share: dict[str, float]) -> tuple[str, ...]:
+    """Names with `REPORTED` or more, best first."""
+    return tuple(sorted((n for n in share if share[n] >= REPORTED), key=lambda n: -share[n]))
 
 
 def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
@@ -413,8 +424,8 @@ def log_prior(
 
 
 def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Callable[[str], None]) -> None:
-    """Pairs: all beside the best single effects screened to first order, the most promising
-    refitted in their forms.
+    """Pairs: all beside the best single effects screened to first order, the most promising forms
+    and pairs refitted, the best pairs in all their forms.
     """
     say("screening pairs")
     promise: dict[tuple[Choice, ...], float] = {}
@@ -424,13 +435,17 @@ def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Callable[[str],
         for choice, log in zip(others, promised(problem, first, others), strict=True):
             pair = tuple(sorted((*first.fit.choices, choice)))
             promise[pair] = max(log, promise.get(pair, -math.inf))
-    order = sorted(promise, key=lambda p: -promise[p])[:_PAIRS]
+    order = sorted(promise, key=lambda p: -promise[p])
+    in_form: dict[tuple[str, ...], tuple[Choice, ...]] = {}
     for pair in order:
+        in_form.setdefault(tuple(c.effect for c in pair), pair)
+    tried = list(in_form)[:_PAIRS]
+    # Forms of one pair leave place for other pairs, and the first order does not choose a form.
+    for pair in (*order[:_PAIRS], *(in_form[s] for s in tried)):
         say(f"with {' and '.join(LISTED[c.effect].title for c in pair)}")
         sets.add(pair, max((sets.best((c.effect,)) for c in pair), key=lambda e: e.log))
-    tried = sorted({tuple(c.effect for c in p) for p in order}, key=lambda s: -sets.best(s).log)
-    for names_of_pair in tried[:_FORMS]:
-        best = sets.best(names_of_pair)
+    for both in sorted(tried, key=lambda s: -sets.best(s).log)[:_FORMS]:
+        best = sets.best(both)
         for at, other in ((0, 1), (1, 0)):
-            for choice in forms(problem, names_of_pair[at]):
+            for choice in forms(problem, both[at]):
                 sets.add((choice, best.fit.choices[other]), best)

@@ -229,7 +229,24 @@ def test_case_follows_from_its_seed_and_name_and_has_its_law_error():
             Answer("named", ("grade", "tilt"), (), {"grade": 0.9, "tilt": 0.6}),
             {"first": 1, "second": 1, "wrong": 1},
         ),
-        ("two", ["grade", "grousers"], Answer("named", ("grousers", "grade")), {"both": 1}),
+        (
+            "two",
+            ["grade", "grousers"],
+            Answer("named", ("grousers", "grade")),
+            {"both": 1, "covered": 1},
+        ),
+        (
+            "two",
+            ["grade", "grousers"],
+            Answer("partly", ("grade",), ("tilt",), beside=("grousers", "tilt")),
+            {"both": 0, "covered": 1},
+        ),
+        (
+            "two",
+            ["grade", "grousers"],
+            Answer("partly", ("grade",), ("tilt",), beside=("tilt",)),
+            {"both": 0, "covered": 0},
+        ),
         (
             "two",
             ["grade", "grousers"],

@@ -94,6 +94,24 @@ def test_the_summary_says_what_the_model_simulates_of_a_name(planted, form, simu
     assert ('"ratio" and "exponent"' in second) == (form == "excavation")
 
 
+def test_a_second_effect_that_the_table_does_not_decide_is_said_first(planted):
+    known = planted.finding.hypotheses
+    pairs = [h for h in known if len(h.names) == 2 and "slip_sinkage" in h.names and not h.free]
+    share = {pairs[0]: 0.4, pairs[1]: 0.3, planted.finding.best("slip_sinkage"): 0.3}
+    finding = dataclasses.replace(
+        planted.finding,
+        hypotheses=tuple(dataclasses.replace(h, probability=share.get(h, 0.0)) for h in known),
+    )
+    report = dataclasses.replace(planted, finding=finding)
+    assert report.verdict == "partly" and finding.names == ("slip_sinkage",)
+    others = [n for h in pairs[:2] for n in h.names if n != "slip_sinkage"]
+    assert list(finding.candidates) == others
+    first, second = map(sentences.title, others)
+    assert f"most probable {first} or {second}." in words.conclusion(report)
+    said = sentences.summary(report)
+    assert "(40 %); " in said and "a further effect" in said
+
+
 def test_an_error_of_the_rig_is_in_no_model(planted):
     effect = dataclasses.replace(planted.effects[0], name="tilt", form="constant", parameters={})
     said = sentences.simulated(dataclasses.replace(planted, effects=(effect,)))

@@ -147,11 +147,30 @@ def test_refuted_effects_leave_their_probability_to_the_others():
             "named",
             ("a",),
         ),
+        # a second one is missing, and the table does not decide which
+        (
+            [
+                (("a", "b"), False, 0.4),
+                (("a", "c"), False, 0.35),
+                (("a",), False, 0.22),
+                ((), False, 0.03),
+            ],
+            "partly",
+            ("a",),
+        ),
     ],
 )
 def test_the_verdict_is_that_of_the_probabilities(hypotheses, verdict, names):
     finding = stated(*hypotheses)
     assert (finding.verdict, finding.names) == (verdict, names)
+
+
+def test_candidates_are_those_beside_the_names_too():
+    finding = stated(
+        (("a", "b"), False, 0.3), (("a", "c"), False, 0.1), (("a",), False, 0.5), ((), True, 0.1)
+    )
+    assert finding.names == ("a",) and finding.candidates == ("b", "c")
+    assert finding.more == pytest.approx(0.4) and finding.alternatives("a") == ()
 
 
 def test_none_that_would_have_been_overlooked_is_undetermined():

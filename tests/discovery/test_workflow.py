@@ -2,6 +2,7 @@
 example.
 """
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -47,6 +48,10 @@ def test_each_of_two_effects_is_resembled_by_itself(planted):
         odds = math.log(h.probability / listed.probability)
         gain = (h.score - listed.score) / TEMPERATURE
         assert odds == pytest.approx(gain + len(h.like) * math.log(ALIKE), abs=1e-6)
+
+
+def test_forms_of_one_pair_leave_place_for_other_pairs(planted):
+    assert len({h.names for h in planted.finding.hypotheses if len(h.names) == 2}) >= 10
 
 
 @pytest.fixture()
@@ -95,6 +100,42 @@ def test_a_name_is_refuted_only_in_all_its_probable_forms(planted, tmp_path, mon
     within = [i for p, i in report.effects[0].parameters.items() if p in other.free]
     assert within and all(i.low < i.value < i.high for i in within)
     assert content(report)["effects"][0]["form"] == other.name
+
+
+@pytest.mark.parametrize("factors, refuted", [((0.8, 1.3), False), ((1.3, 1.3), True)])
+def test_a_second_effect_is_refuted_by_an_interval(
+    planted, tmp_path, monkeypatch, factors, refuted
+):
+    """Beside a first effect that errs by twice the noise a second one makes the errors a third
+    larger, in the mean of all slips or at every slip.
+    """
+    pair = next(h for h in planted.finding.hypotheses if len(h.names) == 2 and not h.free)
+    assert "slip_sinkage" in pair.names
+    rest = 1.0 - pair.probability
+    finding = dataclasses.replace(
+        planted.finding,
+        hypotheses=(
+            dataclasses.replace(pair, probability=0.9),
+            *(
+                dataclasses.replace(h, probability=0.1 * h.probability / rest)
+                for h in planted.finding.hypotheses
+                if h is not pair
+            ),
+        ),
+    )
+    slip = planted.problem.data.varied["slip"].level
+
+    def predicted(problem, fit):
+        factor = np.array(factors)[slip % 2] if len(fit.choices) == 2 else 1.0 + 0.0 * slip
+        size = 2.0 if fit.choices else 4.0
+        return problem.data.y + size * factor[:, None] * problem.noise
+
+    monkeypatch.setattr(workflow, "search", lambda problem, say: finding)
+    monkeypatch.setattr(workflow, "held_out_predictions", predicted)
+    monkeypatch.setattr(workflow, "REPORTED", 1.0)
+    report = run(*write_files(tmp_path, table_text(PLANTED)), seed=1)
+    assert ({*pair.names} in map(set, report.finding.refuted)) == refuted
+    assert ({*report.finding.names} == {*pair.names}) == (not refuted)
 
 
 @pytest.mark.usefixtures("searched")

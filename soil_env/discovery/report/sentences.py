@@ -228,7 +228,6 @@ def summary(report: Report) -> str:
         ],
         sets=shares[:4],
         worst=max((g.over_noise[0] for g in gap.values()), default=0.0),
-        nearest=next((r for r in finding.ranking if r.probability >= REPORTED), None),
         weak=sum(d.power < NAMED for d in finding.detectable.values()),
         most=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
         law=UNNAMED[law].title if (law := finding.hypotheses[0].law) else "",

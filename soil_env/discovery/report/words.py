@@ -72,6 +72,7 @@ def conclusion(report: Report) -> str:
         report,
         effects=[title(e.name) for e in report.effects],
         near=[title(n) for n in finding.candidates[:3]],
+        beside=[title(n) for n in finding.candidates if finding.share(*finding.names, n) >= LIKELY],
         rivals=[name for p, name in sorted(rivals, reverse=True) if p >= LIKELY],
         missed=missed(report),
     )
@@ -81,7 +82,7 @@ def next_step(report: Report) -> str:
     """Return the next step, in words."""
     named = {e.name for e in report.effects}
     possible = {n for n in report.finding.candidates if report.finding.share(n) >= LIKELY}
-    suspected = named | {a for e in report.effects for a in e.alternatives} | possible
+    suspected = named | possible
     found = {c: sum(map(report.finding.share, c.decides)) for c in report.next_checks}
     checks = [
         c for c in CHECKS if found.get(c, 0.0) >= LIKELY or suspected & {*INSTRUMENT} & {*c.decides}
