@@ -89,6 +89,7 @@ results: $(TEST_READY)  ## make the tables of docs/results anew, in hours; QUICK
 	$(PY) -m benchmarks.gravity --out $(RESULTS)
 	$(PY) -m benchmarks.rigs --out $(RESULTS)
 	$(PY) -m benchmarks.prediction --out $(RESULTS)
+	$(if $(QUICK),,$(PY) -m benchmarks.next_runs --out runs/next_runs && cp runs/next_runs/next_runs.* $(RESULTS))
 	$(if $(QUICK),,$(PY) -m benchmarks.continuum loop --out runs/continuum && cp runs/continuum/continuum.* $(RESULTS))
 	$(PY) -m benchmarks.identification --out $(RESULTS) --courses $(if $(QUICK),30,60)
 	$(PY) -m benchmarks.robustness --out $(RESULTS) $(if $(QUICK),--courses 20)

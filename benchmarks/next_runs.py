@@ -32,6 +32,7 @@ from soil_env.measurement.setup import NoiseLevels
 
 NAME = "next_runs"
 FIRST = 3  # runs that are measured at first
+LEAST_ROWS = 16  # of a table that leaves a choice
 MOST = 12  # runs that are added at most
 DRAWS = 8  # of held-out and first rows
 SEED = 4001
@@ -44,10 +45,11 @@ TEXT = (
 
 
 def tables(folder: Path) -> dict[str, Case]:
-    """Each table once, by a name."""
+    """Each table once, by a name, that is not too short."""
     found: dict[str, Case] = {}
     for case in cases(folder):
-        found.setdefault(case.name.rpartition(", ")[0], case)
+        if case.table.slip.size >= LEAST_ROWS:
+            found.setdefault(case.name.rpartition(", ")[0], case)
     return found
 
 
