@@ -2,7 +2,7 @@
 templates/paper.md.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +15,6 @@ from soil_env._io.files import picture_of, write_own
 from soil_env.paper import compare
 from soil_env.paper.compare import (
     LABELS,
-    MEASURED,
     MODELS,
     NAMES,
     POINT,
@@ -28,7 +27,6 @@ from soil_env.paper.compare import (
     Results,
     Row,
     as_shown,
-    forces,
     on_the_curve,
     prediction,
     pull_misfits,
@@ -227,33 +225,16 @@ def _by_phi_and_K(figure: Figure, r: Results) -> None:
     axes.legend(fontsize=8)
 
 
-def _by_set(axes: Axes, slip: np.ndarray, values: Callable[..., np.ndarray]) -> None:
-    """`values` of a set and its equations, with each set of the paper's sand by both readings."""
-    for k, style in enumerate(("--", "-")):
-        for colour, (name, (soil, e)) in enumerate(sets(k).items()):
-            label = f"{name}, {READINGS[k]}"
-            axes.plot(slip, values(soil, e), style, color=f"C{colour}", label=label)
-
-
 def _criterion(figure: Figure, r: Results) -> None:
     """Fig. 8: torque required and available."""
     axes = _axes(figure, "slip [-]", "torque required (3) [N m]")
-    _by_set(axes, SLIPS, compare.torque)
+    for k, style in enumerate(("--", "-")):
+        for colour, (name, (soil, e)) in enumerate(sets(k).items()):
+            label = f"{name}, {READINGS[k]}"
+            axes.plot(SLIPS, compare.torque(soil, e), style, color=f"C{colour}", label=label)
     axes.axhline(P.available_torque, color="k", linestyle=":", label="available, printed")
     axes.set_ylim(0.0)
     axes.legend(fontsize=8)
-
-
-def _predictions(figure: Figure, r: Results) -> None:
-    """Figs. 6 and 7: by slip, at sinkages interpolated between the measured ones."""
-    slip = np.linspace(MEASURED.slip[0], MEASURED.slip[-1], 60)
-    sinkage = np.interp(slip, MEASURED.slip, MEASURED.sinkage)
-    pull = _axes(figure, "slip [-]", "drawbar pull (12) [N]", 121)
-    torque = _axes(figure, "slip [-]", "torque (3) [N m]", 122)
-    _by_set(pull, slip, lambda soil, e: forces(soil, slip, sinkage, e)[:, 0])
-    _by_set(torque, slip, lambda soil, e: forces(soil, slip, sinkage, e)[:, 2])
-    pull.plot(MEASURED.slip, MEASURED.pull, "ko", label="measured")
-    pull.legend(fontsize=7)
 
 
 #: Width [in] of each figure, and the function that draws it.
@@ -261,6 +242,5 @@ FIGURES = {
     "fig2": (11.0, _by_slip),
     "fig3": (6.4, _by_cohesion),
     "fig4": (11.0, _by_phi_and_K),
-    "fig6_7": (11.0, _predictions),
     "fig8": (6.4, _criterion),
 }

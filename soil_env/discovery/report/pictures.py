@@ -29,16 +29,11 @@ CAPTIONS = {
         "from where the base model does best (top) to where it does worst. A red cross was left "
         "out as an outlier."
     ),
-    "next": (
-        "Predictions of the most probable candidates at the next runs, with two standard "
-        "deviations. A run decides between candidates whose bars do not overlap."
-    ),
     "ranking": (
         "Probability of each effect, and that nothing listed is missing. Dark: stated; light: "
         "alternatives."
     ),
 }
-COLOURS = (AFTER, BEFORE, "#6b4c9a", "#7a7a7a")  # of candidates
 _STYLE = {
     "font.size": 9,
     "axes.titlesize": 10,
@@ -51,10 +46,9 @@ _STYLE = {
 
 
 def pictures(report: Report) -> dict[str, bytes]:
-    """{name: SVG} of "predicted", "slip", "ranking" and, where runs are proposed, "next"."""
+    """{name: SVG} of "predicted", "slip" and "ranking"."""
     with matplotlib.rc_context(_STYLE):
         drawn = {"predicted": _predicted, "slip": _slip, "ranking": _ranking}
-        drawn |= {"next": _next} if report.next_tests else {}
         return {name: _saved(draw(report)) for name, draw in drawn.items()}
 
 
@@ -202,30 +196,6 @@ def _slip(report: Report) -> Figure:
                 fontsize=8,
             )
     return _with_legend(figure, axes, 3)
-
-
-def _next(report: Report) -> Figure:
-    """Predictions of the most probable candidates at the next runs."""
-    names = [p.name for p in report.next_tests[0].predicted][:CURVES]
-    figure, axes = _columns(report, 3.4)
-    for name, ax in zip(report.channels, axes[0], strict=True):
-        j = CHANNELS.index(name)
-        unit, scale = UNITS[name]
-        for k, said in enumerate(names):
-            of = [t.predicted[k] for t in report.next_tests]
-            at = np.arange(1, len(of) + 1) + 0.12 * (k - 0.5 * (len(names) - 1))
-            mean = scale * np.array([p.mean[j] for p in of])
-            sd = scale * np.array([p.sd[j] for p in of])
-            ax.errorbar(
-                at, mean, 2.0 * sd, fmt="o", ms=4, lw=1.2, color=COLOURS[k], label=title(said)
-            )
-        ax.set(
-            title=TITLES[name],
-            xlabel="next run",
-            ylabel=f"predicted [{unit}]",
-            xticks=range(1, len(of) + 1),
-        )
-    return _with_legend(figure, axes, 4)
 
 
 def _ranking(report: Report) -> Figure:
