@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.discovery.cases import Task, draw_case, write_case
+from benchmarks.sound_tables import sound_tables
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main
 from soil_env.identification.table import identify_table, mistakes
@@ -226,6 +227,24 @@ def test_a_row_with_a_wrong_condition_is_named_and_left_out(tmp_path, effects, n
     assert len(found.table) == 17 and 9 not in found.table.row
     assert re.match("Row 9 .* contradicts all others", found.said[0])
     assert effects or re.search(words, found.said[0])
+
+
+@pytest.mark.parametrize("name", ["load", "sinkage"])
+@pytest.mark.parametrize("noise", [True, False])
+def test_a_wrong_row_of_a_short_table_is_named(tmp_path, name, noise):
+    """Six rows: the other five show it, also where the noise is taken from all six."""
+    text = with_cell(table_text({}, loads=(100,)), 4, name, 10.0)
+    setup = SETUP if noise else re.sub("noise:.*", "", SETUP)
+    data = data_of(tmp_path, text, setup)
+    found = examine(data.table, data.setup)
+    assert 4 not in found.table.row and re.match(f"Row 4 .*check {name}", found.said[0])
+
+
+def test_a_row_to_which_its_neighbours_lead_is_no_mistake():
+    """Sinkage grows ever faster with slip, which the base model misses most at the largest."""
+    (*_, sound) = sound_tables(23, 1000)
+    assert np.all(np.diff(sound.columns["sinkage"]) > 0.0)
+    assert examine(sound.table(), sound.setup).said == ()
 
 
 def test_a_wrong_value_is_named_and_left_out_of_the_estimate(tmp_path):

@@ -21,7 +21,6 @@ from threadpoolctl import threadpool_limits
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table.data import CHANNELS, Data, prepare
 from soil_env.identification.table.noise import (
-    COMMON,
     NoiseEstimate,
     find_noise,
     given_noise,
@@ -40,7 +39,8 @@ MAYBE = 4.5  # the same, from which it is mentioned as one that could be meant
 #: Times smaller that the mean square above the noise gets under a reading that is told.
 BETTER = 1.5
 CORRECTIONS = 4  # of slip and load that have noise, and fits in turn
-FEWEST_ROWS = 6  # that have to agree against a wrong one
+FEWEST_ROWS = 4  # that have to agree against a wrong one
+SHARED = 0.5  # of its deviation, from which what rows next to it share is no mistake of one row
 MOST_WRONG = 0.04  # share of the rows that may be wrong, but one may always be
 LONE = 1.0  # ranges of the others, by which a value that is told first leaves them
 CLEAR = 3.0  # [noise and law error] within which a row fits with another load or slip
@@ -77,7 +77,9 @@ class Reading(NamedTuple):
 def readings(table: Table, setup: Setup) -> list[Reading]:
     """Every reading of the table that is tried."""
     out = []
-    known = {name: bool(np.any(np.isfinite(getattr(table, name)))) for name in CHANNELS}
+    known: dict[str, bool] = {
+        name: bool(np.any(np.isfinite(getattr(table, name)))) for name in CHANNELS
+    }
 
     def add(
         name: str,
@@ -93,36 +95,12 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
         otherwise = dataclasses.replace(table, **columns)
         out.append(Reading(name, words, remedy, otherwise, there, np.array(scale), source))
 
-    pull = table.drawbar_pull
-    torque = table.torque
     if known["drawbar_pull"]:
         add(
             "pull",
             "With the sign of drawbar_pull turned",
             "expected drawbar_pull positive where the wheel pulls",
-            drawbar_pull=-pull,
-        )
-        add(
-            "pull_kg",
-            f"With drawbar_pull as kilograms (times {GRAVITY})",
-            "expected drawbar_pull in newtons",
-            (1.0, GRAVITY, 1.0),
-            drawbar_pull=GRAVITY * pull,
-        )
-    if known["torque"]:
-        add(
-            "torque_kg",
-            f"With torque as kilogram metres (times {GRAVITY})",
-            "expected torque in newton metres",
-            (1.0, 1.0, GRAVITY),
-            torque=GRAVITY * torque,
-        )
-        add(
-            "torque_kg_cm",
-            f"With torque as kilogram centimetres (times {0.01 * GRAVITY:g})",
-            "expected torque in newton metres",
-            (1.0, 1.0, 0.01 * GRAVITY),
-            torque=0.01 * GRAVITY * torque,
+            drawbar_pull=-table.drawbar_pull,
         )
     if known["drawbar_pull"] and known["torque"]:
         add(
@@ -130,15 +108,23 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
             "With the columns of drawbar_pull and torque exchanged",
             "expected drawbar_pull in newtons and torque in newton metres, each in its own column",
             source=(0, 2, 1),
-            drawbar_pull=torque,
-            torque=pull,
+            drawbar_pull=table.torque,
+            torque=table.drawbar_pull,
         )
-    add(
-        "load",
-        f"With load as kilograms (times {GRAVITY})",
-        "expected load in newtons",
-        load=GRAVITY * table.load,
-    )
+    for name, column, unit, factor, expected in (
+        ("pull_kg", "drawbar_pull", "kilograms", GRAVITY, "newtons"),
+        ("torque_kg", "torque", "kilogram metres", GRAVITY, "newton metres"),
+        ("torque_kg_cm", "torque", "kilogram centimetres", 0.01 * GRAVITY, "newton metres"),
+        ("load", "load", "kilograms", GRAVITY, "newtons"),
+    ):
+        if column == "load" or known[column]:
+            add(
+                name,
+                f"With {column} as {unit} (times {factor:g})",
+                f"expected {column} in {expected}",
+                [factor if channel == column else 1.0 for channel in CHANNELS],
+                **{column: factor * getattr(table, column)},
+            )
     if known["drawbar_pull"] or known["torque"]:  # sinkage alone may rise or fall with slip
         add(
             "slip",
@@ -146,12 +132,11 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
             "expected slip positive where the wheel drives",
             slip=-table.slip,
         )
-        driving = np.maximum(table.slip, 0.0)
         add(
             "slip_travel",
             "With slip as (r w - V)/V (divided by 1 + itself)",
             "expected slip as (r w - V)/(r w) where the wheel drives",
-            slip=np.where(table.slip > 0.0, driving / (1.0 + driving), table.slip),
+            slip=table.slip / (1.0 + np.maximum(table.slip, 0.0)),
         )
         if np.all(table.slip >= 0.0):
             add(
@@ -436,7 +421,8 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
     agree.
     """
     data, noise, fit = start
-    if len(data.table) <= FEWEST_ROWS or not start.suspect:
+    hidden = "scatter" in noise.origin  # a wrong row is in the noise too
+    if len(data.table) <= FEWEST_ROWS or not (start.suspect or hidden):
         return None
     problem = fit.problem
     robust = problem.minimise(fit.u, loss="cauchy", f_scale=CLEAR, **COARSE)[0]
@@ -463,36 +449,55 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
     level = data.varied["slip"].level
     channel = int(np.argmax(np.abs(e[worst])))
     beside = e[kept & (level == level[worst]) & data.measured[:, channel], channel]
-    beside = beside * np.sign(e[worst, channel])
-    if beside.size > 1 and np.median(beside) > COMMON / math.sqrt(beside.size):
+    if beside.size > 1 and np.median(beside) / e[worst, channel] > SHARED:
         return None
     try:
         rest = _as_is(prepare(data.table.only(kept), data.setup))
     except ParameterError:  # too little is left
         return None
+    if _goes_on(data, worst, rest):
+        return None
     sd = rest.noise.sd
     used = np.insert(rest.noise.used, worst, data.measured[worst], axis=0)
     before = _fit(fit.reading, sd, used)
-    if BETTER * (rest.fit.rms**2 - 1.0) > before.rms**2 - 1.0:
-        return None
-    spread = np.max(np.abs(np.nan_to_num(data.y)), axis=0) * BROAD / sd
     gain = rest.fit.evidence - before.evidence - math.log(len(data.table))
-    gain -= float(np.sum(np.log(spread[data.measured[worst]])))
-    words = _words_on(data, worst, rest.fit, sd, gain) if gain > SURE else ""
+    words = _words_on(data, worst, rest.fit, sd, gain)
     return (rest, words) if words else None
+
+
+def _goes_on(data: Data, row: int, rest: _AsIs) -> bool:
+    """True if the line through the two rows next to it in slip leads to a row that is off the fit
+    to the others: the model misses what grows with slip.
+    """
+    (group,) = (rows for rows in data.groups if row in rows)
+    model = rest.fit.problem.steady(rest.fit.u, data.rows)[row]
+    off = (data.y[row] - model) / rest.noise.sd
+    if not np.any(np.isfinite(off)):
+        return False
+    channel = int(np.nanargmax(np.abs(off)))
+    others = group[(group != row) & data.measured[group, channel]]
+    slip = data.rows.slip
+    near = others[np.argsort(np.abs(slip[others] - slip[row]))[:2]]
+    if near.size < 2 or np.ptp(slip[near]) == 0.0:
+        return False
+    values = data.y[:, channel]
+    line = np.polyval(np.polyfit(slip[near], values[near], 1), slip[row])
+    return bool(abs(values[row] - line) < SHARED * abs(values[row] - model[channel]))
 
 
 def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float) -> str:
     """Words on a wrong row: which of its cells is wrong by the fit to the other rows; "" where it
-    is off them by no more than laws may err.
+    is off them by no more than laws may err, or the `gain` of the others' evidence without it does
+    not pay for what is wrong: a value that may be anywhere, or all of them.
     """
     table = data.table
     here = Rows(*(column[row : row + 1] for column in data.rows))
     known = data.measured[row]
     y = data.y[row, known]
-    relative = np.broadcast_to(data.relative_sd, data.y.shape)[row, known]
+    noise = (sd * np.broadcast_to(data.relative_sd, data.y.shape)[row])[known]
     size = np.sqrt(np.nansum(data.y**2, axis=0) / len(table))[known]  # a pull may be 0
-    allowed = np.sqrt((sd[known] * relative) ** 2 + LAW_ERROR**2 * np.maximum(y**2, size**2))
+    allowed = np.sqrt(noise**2 + LAW_ERROR**2 * np.maximum(y**2, size**2))
+    spread = BROAD * np.max(np.abs(np.nan_to_num(data.y)), axis=0)[known]
 
     def residuals(name: str, values: np.ndarray) -> np.ndarray:
         """[G, M] of the row at other values of slip or load."""
@@ -503,29 +508,37 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float) -
     off = np.abs(residuals("load", here.load)[0])
     if np.max(off) < WRONG:
         return ""
-    where = (
-        f"Row {table.row[row]} (slip {table.slip[row]:g}, load {table.load[row]:g} N) contradicts "
-        f"all others ({_sure(gain)}) and is left out"
-    )
-    names = [name for name, there in zip(CHANNELS, known, strict=True) if there]
-    if len(names) > 2 and np.sum(off > CLEAR) == 1:
-        name = names[int(np.argmax(off))]
-        return f"{where}: check {name} = {getattr(table, name)[row]:g} there."
     grids = {
         "load": here.load[0] * np.geomspace(0.01, 100.0, 401),
         "slip": np.linspace(-0.95, 0.95, 191),
     }
-    fits = {
-        name: np.sqrt(np.mean(residuals(name, grid) ** 2, axis=1)) for name, grid in grids.items()
-    }
+    fits = {name: np.sqrt(np.mean(residuals(name, x) ** 2, axis=1)) for name, x in grids.items()}
     best = min(fits, key=lambda name: float(np.min(fits[name])))
-    if len(names) < 2 or np.min(fits[best]) > CLEAR:
-        return f"{where}: check slip, load and values there."
-    value = float(f"{grids[best][int(np.argmin(fits[best]))]:.2g}")
-    unit = " N" if best == "load" else ""
+    names = np.array(CHANNELS)[known]
+    free = np.ones(len(names), dtype=bool)  # of the values, by what is wrong
+    if len(names) > 2 and np.sum(off > CLEAR) == 1:
+        name = names[int(np.argmax(off))]
+        check = f"check {name} = {getattr(table, name)[row]:g} there."
+        free = off > CLEAR
+    elif len(names) < 2 or np.min(fits[best]) > CLEAR:
+        check = "check slip, load and values there."
+    else:
+        value = float(f"{grids[best][int(np.argmin(fits[best]))]:.2g}")
+        unit = " N" if best == "load" else ""
+        check = (
+            f"its values are those of a {best} of {value:g}{unit}, check {best} = "
+            f"{getattr(table, best)[row]:g}{unit} there."
+        )
+        free = np.arange(len(names)) == np.argmax(spread / allowed)
+        off = residuals(best, np.array([value]))[0]
+    gain -= float(
+        np.sum(np.where(free, np.log(spread / noise), np.log(allowed / noise) + 0.5 * off**2))
+    )
+    if gain < SURE:
+        return ""
     return (
-        f"{where}: its values are those of a {best} of {value:g}{unit}, check {best} = "
-        f"{getattr(table, best)[row]:g}{unit} there."
+        f"Row {table.row[row]} (slip {table.slip[row]:g}, load {table.load[row]:g} N) contradicts "
+        f"all others ({_sure(gain)}) and is left out: {check}"
     )
 
 
