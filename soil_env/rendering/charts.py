@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.ticker import LogLocator, MaxNLocator
 
 from soil_env.rendering.canvas import GREY, GRID, LIGHT_BLUE, WHITE, Canvas, Colour
 
@@ -79,14 +80,12 @@ def _draw_chart(
     is_last = place == len(CHARTS) - 1
     c.box(CHARTS[place], WHITE)
     c.text(left, top - 11, name, 16)
-    for t in ticks(end - SPAN, end, 5.0):
+    for t in ticks(end - SPAN, end, 6):
         line = at(np.array([t, t]), limits)
         c.lines(line, GRID, 1)
         if is_last:
             c.text(line[0, 0], top + height + 10, f"{t:g}", 14, GREY, 0.5)
-    for v in (
-        _log_ticks(*limits) if log else ticks(limits[0], limits[1], nice(np.ptp(limits) / 2.4))
-    ):
+    for v in _log_ticks(*limits) if log else ticks(limits[0], limits[1], 3):
         ends = at(np.array([end - SPAN, end]), [v, v])
         c.lines(ends, GRID, 1)
         c.text(left - 6, ends[0, 1], f"{v:g}", 14, GREY, 1.0)
@@ -110,34 +109,23 @@ def _in_shown_units(values: np.ndarray, i: int) -> np.ndarray:
     return (1e3 if i == 1 else 1e-6) * np.exp(np.clip(values, -50.0, 50.0))
 
 
-def nice(value: float) -> float:
-    """The largest of 1, 2, 5, 10, ... not above `value`."""
-    decade = 10.0 ** math.floor(math.log10(value))
-    return decade * max(m for m in (1.0, 2.0, 5.0) if m * decade <= value * (1.0 + 1e-9))
-
-
-def ticks(low: float, high: float, step: float) -> list[float]:
-    """Multiples of `step` in [low, high]."""
-    first = math.ceil(low / step - 1e-9)
-    last = math.floor(high / step + 1e-9)
-    return [i * step for i in range(first, last + 1)]
+def ticks(low: float, high: float, most: int) -> list[float]:
+    """Round values in [low, high], at most about so many."""
+    values = MaxNLocator(most, steps=(1, 2, 5, 10)).tick_values(low, high)
+    return [float(v) for v in values if low - 1e-9 <= v <= high + 1e-9]
 
 
 def _log_ticks(low: float, high: float) -> list[float]:
     """Decades in [low, high], with 2 and 5 between them where there are at most two decades."""
-    parts = (1.0, 2.0, 5.0) if high <= 101.0 * low else (1.0,)
-    decades = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
-    values = [m * 10.0**d for d in decades for m in parts]
-    return [v for v in values if 0.999 * low <= v <= 1.001 * high]
+    values = LogLocator(subs=(1.0, 2.0, 5.0) if high <= 101.0 * low else (1.0,))
+    return [v for v in values.tick_values(low, high) if 0.999 * low <= v <= 1.001 * high]
 
 
 def _limits(values: np.ndarray, log: bool) -> tuple[float, float]:
-    """Limits of a value axis: 1, 2, 5, 10, ... and a decade at least when log, else multiples of 5
-    and at least 10.
-    """
+    """Limits of a value axis: decades when log, else multiples of 5 and at least 10."""
     low, high = (values.min(), values.max()) if values.size else (1.0, 1.0)
     if log:
-        low = nice(low)
-        return low, 1.0 / nice(1.0 / max(high, 10.0 * low))
+        low = 10.0 ** math.floor(math.log10(low))
+        return low, 10.0 ** math.ceil(math.log10(max(high, 10.0 * low)))
     low = 5.0 * math.floor(low / 5.0)
     return low, max(5.0 * math.ceil(high / 5.0), low + 10.0)

@@ -10,7 +10,7 @@ import numpy as np
 
 from soil_env.parameters import Scenario
 from soil_env.rendering.canvas import GRAINS, GREY, INK, RIM, WHITE, Box, Canvas, soil_colour
-from soil_env.rendering.charts import nice, ticks
+from soil_env.rendering.charts import ticks
 from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND, places_on
 
 #: Box of the strip of the whole course: left, top, width, height
@@ -114,7 +114,7 @@ def draw_flag(c: Canvas, scene: Scene, foot: np.ndarray) -> None:
 
 def draw_scale_bar(c: Canvas, scene: Scene) -> None:
     """A bar of a round length, about a quarter of the scene's width, in its upper right corner."""
-    bar = nice(0.25 * scene.box[2] / scene.scale)
+    bar = ticks(0.0, 0.25 * scene.box[2] / scene.scale, 2)[-1]
     right = scene.box[0] + scene.box[2] - 14
     y = scene.box[1] + 22
     left = right - bar * scene.scale
@@ -138,7 +138,7 @@ def draw_course(
     for place in places:
         wheel = min(max(float(place), 0.0), length)
         c.circle((left + width * wheel / length, float(np.interp(wheel, x, y)) - 5), 5, RIM)
-    for tick in ticks(0.0, length, nice(length / 5.0)):
+    for tick in ticks(0.0, length, 5):
         c.text(left + width * tick / length, top + height + 10, f"{tick:g} m", 14, GREY, 0.5)
     c.text(14, 434, "course", 15, GREY)
     c.text(424, 434, f"φ  {bounds[0]:.0f}°", 14, GREY, 1.0)

@@ -12,14 +12,13 @@ from matplotlib.figure import Figure
 from soil_env._io.document import plot_text
 from soil_env.discovery.calibrate import Law
 from soil_env.discovery.prediction import at_conditions
-from soil_env.discovery.report.sentences import CONDITIONS, TITLES, UNITS, fixed, title
+from soil_env.discovery.report.sentences import CONDITIONS, TITLES, UNITS
 from soil_env.discovery.result import Report
 from soil_env.identification.table.data import CHANNELS
 
 BEFORE = "#c2571a"
 AFTER = "#1f6f8b"
 MEASURED = "#222222"
-LIGHT = "#7fb2c2"
 MANY = 1200  # points of a plot above which they are drawn as an image
 CURVES = 4  # groups of rows whose curves over slip are drawn
 CAPTIONS = {
@@ -28,10 +27,6 @@ CAPTIONS = {
         "Measured values and models over slip, in a few groups of rows that differ in slip alone, "
         "from where the base model does best (top) to where it does worst. A red cross was left "
         "out as an outlier."
-    ),
-    "ranking": (
-        "Probability of each effect, and that nothing listed is missing. Dark: stated; light: "
-        "alternatives."
     ),
 }
 _STYLE = {
@@ -46,10 +41,9 @@ _STYLE = {
 
 
 def pictures(report: Report) -> dict[str, bytes]:
-    """{name: SVG} of "predicted", "slip" and "ranking"."""
+    """{name: SVG} of "predicted" and "slip"."""
     with matplotlib.rc_context(_STYLE):
-        drawn = {"predicted": _predicted, "slip": _slip, "ranking": _ranking}
-        return {name: _saved(draw(report)) for name, draw in drawn.items()}
+        return {"predicted": _saved(_predicted(report)), "slip": _saved(_slip(report))}
 
 
 def _figure(width: float, height: float) -> Figure:
@@ -196,31 +190,3 @@ def _slip(report: Report) -> Figure:
                 fontsize=8,
             )
     return _with_legend(figure, axes, 3)
-
-
-def _ranking(report: Report) -> Figure:
-    """Probability of each effect, and of nothing and something unlisted."""
-    finding = report.finding
-    named = {e.name for e in report.effects}
-    near = {a for e in report.effects for a in e.alternatives}
-    bars = [
-        (
-            title(r.name),
-            r.probability,
-            AFTER if r.name in named else LIGHT if r.name in near else "0.75",
-        )
-        for r in finding.ranking
-    ]
-    bars += [
-        ("something unlisted as well", finding.remainder - finding.unlisted, "0.75"),
-        ("something unlisted alone", finding.unlisted, BEFORE),
-        ("nothing", finding.none, "0.5"),
-    ]
-    figure = _figure(7.0, 0.9 + 0.24 * len(bars))
-    ax = figure.subplots()
-    labels, shares, colors = zip(*bars[::-1], strict=True)
-    ax.barh(labels, shares, color=colors, height=0.7)
-    for k, share in enumerate(shares):
-        ax.text(share, k, f" {fixed(share, 3)}", va="center", fontsize=8)
-    ax.set(xlabel="probability", xlim=(0.0, 1.12))
-    return figure
