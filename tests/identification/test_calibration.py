@@ -11,7 +11,7 @@ from soil_env.parameters.sensors import calibrated
 from soil_env_agents.controllers import make_controller
 
 SEED = 5
-COURSES = 40
+COURSES = 160
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def errors():
 
 @pytest.mark.parametrize("quantity", QUANTITIES)
 def test_intervals_hold_on_the_default_task(errors, quantity):
-    """On 40 courses that no threshold was set on 68 % intervals hold about so often, better than
+    """On courses that no threshold was set on 68 % intervals hold about so often, better than
     the prior.
     """
     error, sd, without = (values[:, QUANTITIES.index(quantity)] for values in errors)
