@@ -40,7 +40,8 @@ RIM = (60, 64, 72)
 WHEEL = (238, 239, 242)
 SPOKE = (150, 154, 162)
 _RAMP = np.array([(247, 230, 186), (218, 182, 126), (171, 128, 82), (116, 82, 56)], dtype=float)
-GRAINS = np.random.default_rng(5).random((512, 3))  # place in the cell, depth, shade
+GRAIN = (150, 118, 82)
+GRAINS = np.random.default_rng(5).random((512, 2))  # place in the cell, depth
 
 
 class Canvas:
@@ -110,10 +111,8 @@ class Canvas:
 
     def soil(
         self, points: np.ndarray, bottom: float, friction: np.ndarray, bounds: tuple[float, float]
-    ) -> np.ndarray:
-        """Ground below a surface [n, 2], coloured by friction angle [n - 1]; returns the
-        colours.
-        """
+    ) -> None:
+        """Ground below a surface [n, 2], coloured by friction angle [n - 1]."""
         colours = soil_colour(friction, bounds)
         x, y = np.transpose(points)
         # One polygon for each run of one colour.
@@ -123,7 +122,6 @@ class Canvas:
             below = [(right, y[end]), (right, bottom), (x[start], bottom)]
             self.polygon([*points[start : end + 1], *below], colours[start])
         self.lines(points, SURFACE)
-        return colours
 
     def text(
         self, x: float, y: float, words: str, size: int, colour: Colour = INK, align: float = 0.0

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soil_env.parameters import Scenario
-from soil_env.rendering.canvas import GRAINS, GREY, INK, RIM, WHITE, Box, Canvas, soil_colour
+from soil_env.rendering.canvas import GRAIN, GRAINS, GREY, INK, RIM, Box, Canvas, soil_colour
 from soil_env.rendering.charts import ticks
 from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND, places_on
 
@@ -86,30 +86,25 @@ def draw_ground(
     for hub in hubs:
         under = np.abs(across - hub[0]) < r
         now[under] = np.minimum(now[under], hub[1] - np.sqrt(r * r - (across[under] - hub[0]) ** 2))
-    middle = 0.5 * (across[1:] + across[:-1])
     friction = np.interp(0.5 * (x[1:] + x[:-1]), profile.x, profile.friction)
-    colours = c.soil(scene.at(across, now), scene.box[1] + scene.box[3], friction, bounds)
+    c.soil(scene.at(across, now), scene.box[1] + scene.box[3], friction, bounds)
     step = (across[-1] - across[0]) / 40.0
     cells = np.arange(4 * math.floor(across[0] / step), 4 * math.ceil(across[-1] / step))
-    place, depth, shade = GRAINS[cells % len(GRAINS)].T
+    place, depth = GRAINS[cells % len(GRAINS)].T
     gx = (cells // 4 + place) * step
-    spots = scene.at(gx, np.interp(gx, across, now) - (0.3 + 12.0 * depth) * step)
-    own = colours[np.searchsorted(middle, gx).clip(0, middle.size - 1)]
-    tints = (own * np.where(shade < 0.5, 0.82, 1.1)[:, None]).clip(0, 255).astype(int).tolist()
-    for spot, size, tint in zip(spots, 1.0 + 1.2 * shade, tints, strict=True):
-        c.circle(spot, size, tint)
+    for spot in scene.at(gx, np.interp(gx, across, now) - (0.3 + 12.0 * depth) * step):
+        c.circle(spot, 1.5, GRAIN)
     untouched = scene.at(across, before)[before - now > 0.03 * r]
     for i in range(0, len(untouched) - 2, 4):
         c.lines(untouched[i : i + 3], GREY, 1.2)
 
 
 def draw_flag(c: Canvas, scene: Scene, foot: np.ndarray) -> None:
-    """A chequered flag at the end of the course."""
+    """A flag at the end of the course."""
     # Above the wheel, in view on a slope.
     top = np.array([foot[0], max(foot[1] - 156, scene.box[1] + 40)])
     c.lines([foot + (0, 12), top], INK, 2.5)
-    for i in range(12):
-        c.box((*(top + (1 + 10 * (i % 4), 10 * (i // 4))), 10, 10), (INK, WHITE)[(i + i // 4) % 2])
+    c.polygon([top, top + (40, 13), top + (0, 26)], INK)
 
 
 def draw_scale_bar(c: Canvas, scene: Scene) -> None:
