@@ -62,9 +62,7 @@ class Uncertainty:
         return found
 
 
-def surer_runs(
-    model: Prediction, evidence: Evidence, most: int = MOST, seed: int = 0
-) -> tuple[SurerRun, ...]:
+def surer_runs(model: Prediction, evidence: Evidence, most: int = MOST) -> tuple[SurerRun, ...]:
     """At most `most` runs, in the order to make them; `evidence` knows which conditions matter.
 
     Runs in which the wheel would be buried are not made. Of a large grid, `LARGEST` are drawn.
@@ -73,7 +71,7 @@ def surer_runs(
     grid = conditions(problem, (evidence,))
     sinkage = model.mean_at(grid.value)[:, 0]
     able = np.flatnonzero(sinkage < DEEPEST * problem.data.wheel.radius)
-    able = np.sort(np.random.default_rng(seed).permutation(able)[:LARGEST])
+    able = np.sort(np.random.default_rng(0).permutation(able)[:LARGEST])
     grid = grid._replace(value={name: x[able] for name, x in grid.value.items()})
     seen = problem.used.any(axis=0)
     joint = model.joint_at(grid.value)[:, seen][:, :, :, seen]

@@ -76,7 +76,6 @@ def markdown(results: Results, command: str) -> str:
         "miss": misses.max(axis=0),
         "rms": pull_misfits(),
         "misprint": rows["fig3"][-1].ours[1] - POINT.if_measured_drawbar_pull,
-        "passable": _passable_slips(),
         "reach": [100.0 * found.mean() for found in results.box.columns()],
     }
     return render("soil_env.paper:paper.md", **values, **tables)
@@ -123,15 +122,6 @@ def _corners(r: Results) -> Table:
     ]
     total = (f"{found.sum()} of {found.size}" for found in r.corners.columns())
     return Table(("phi [deg]", "K [m]", "S", *METHODS), [*rows, ("all", "", "", *total)])
-
-
-def _passable_slips() -> tuple[float, float]:
-    """Least and largest slip from which a set of the paper's sand asks for more torque than there
-    is.
-    """
-    torques = [compare.torque(soil, e) for k in range(2) for soil, e in sets(k).values()]
-    first = [SLIPS[P.available_torque < T].min(initial=1.0) for T in torques]
-    return min(first), max(first)
 
 
 def _rules() -> Table:

@@ -39,10 +39,7 @@ def test_a_run_writes_three_files_and_says_so(tmp_path, capsys):
         assert point["slip"] in (0.2, 0.6) and point["load"] in (150, 300)
         assert re.search(rf"^ +{k} +{point['slip']} +{point['load']:g} ", shown.out, re.M)
         assert {"name", "probability", "mean", "sd"} == {*said["predicted"][0]}
-    assert (
-        "Predictions of the most probable candidates"
-        in (tmp_path / "out" / "report.html").read_text()
-    )
+    assert "Runs to make next" in (tmp_path / "out" / "report.html").read_text()
     assert names(tmp_path / "out") == NAMES and names(tmp_path) == ["data.csv", "out", "setup.yaml"]
     for name in NAMES:
         assert f"written: {tmp_path / 'out' / name}" in shown.out

@@ -244,6 +244,13 @@ def test_torque_of_the_load_balance_against_the_independent_judge():
         assert compare.torque(SAND, AS_PRINTED)[i] == pytest.approx(judge.torque, rel=1e-5)
 
 
+def test_the_sand_of_fig_8_is_passable_at_small_slips():
+    """Until the slips that the page states."""
+    torques = [compare.torque(soil, e) for k in (0, 1) for soil, e in compare.sets(k).values()]
+    ends = [compare.SLIPS[P.available_torque < T][0] for T in torques]
+    assert (min(ends), max(ends)) == (pytest.approx(0.35), pytest.approx(0.69))
+
+
 def test_noise_of_table_5():
     """The printed errors lie in the middle half of ours; without noise there is nothing but
     Table 3.

@@ -67,13 +67,7 @@ def page(report: Report, values: dict[str, Any]) -> str:
         for name, svg in pictures(report).items()
     }
     names = ", ".join(sentences.title(e.name) for e in report.effects)
-    mathematics = {
-        "equation": lambda text: Markup(equations.mathematics(text)),
-        "meaning": lambda text: Markup(equations.leading_mathematics(text)),
-    }
-    body = render(
-        f"{__name__}:report.html", images=images, values=values, **mathematics, **_common(report)
-    )
+    body = render(f"{__name__}:report.html", images=images, values=values, **_common(report))
     style = render(f"{__name__}:report.css")
     return html_page(f"{report.verdict}: {names}" if names else report.verdict, body, style)
 

@@ -2,8 +2,6 @@
 report.json.
 """
 
-import re
-from html import escape
 from typing import Any, NamedTuple
 
 from soil_env.discovery.instrument import LISTED
@@ -18,8 +16,6 @@ _SYMBOLS = {
     "sinkage_coefficient": "S",
     "sinkage_exponent": "n",
 }
-_GREEK = {"theta": "θ", "phi": "φ", "gamma": "γ", "tau": "τ", "sigma": "σ"}
-_FUNCTIONS = ("exp", "ln", "sqrt", "tan", "sin", "cos", "tanh", "cot")
 
 
 class Block(NamedTuple):
@@ -90,34 +86,3 @@ def _of_effect(report: Report, e: EffectFound) -> Block:
 
 def _number(x: float, unit: str = "", digits: int = 4) -> str:
     return f"{plain(x, digits)} {unit}".rstrip()
-
-
-def mathematics(text: str) -> str:
-    """An equation in plain text as HTML: italic letters, subscripts, superscripts, Greek."""
-    text = escape(text, quote=False)
-    # A number with its unit stays as it is.
-    text = re.sub(r"(\(-?[\d.e+-]+ [A-Za-z][^()]*\))|(?<![&\w])[A-Za-z]\w*", _symbol, text)
-    text = re.sub(r"\^\(([^()]*)\)", r"<sup>\1</sup>", text)
-    text = re.sub(r"\^(-?[\w.]+|<i>.*?</i>)", r"<sup>\1</sup>", text)
-    return re.sub(r"(?<=[\s(\[=>])-(?=[\s\d(<\w])", "−", f" {text}").strip()
-
-
-def _symbol(match: re.Match) -> str:
-    name, _, below = match[0].partition("_")
-    if match[1] or name in _FUNCTIONS:
-        return match[0]
-    digits = re.fullmatch(r"([A-Za-z]+?)(\d+|m|p)", name)
-    if digits and (digits[1] in _GREEK or len(digits[1]) == 1) and not below:
-        name = digits[1]
-        below = digits[2]
-    if name not in _GREEK and len(name) > 2:
-        return match[0]  # a word of text
-    return f"<i>{_GREEK.get(name, name)}</i>" + (f"<sub>{below}</sub>" if below else "")
-
-
-def leading_mathematics(meaning: str) -> str:
-    """A meaning that may begin with a formula up to its first comma, as HTML."""
-    first, mark, rest = meaning.partition(", ")
-    return (mathematics(first) if re.search(r"[(/^|]", first) else escape(first)) + escape(
-        mark + rest
-    )
