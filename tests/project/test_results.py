@@ -128,6 +128,7 @@ TARGETS = {
     "one effect: first or among the alternatives": "included",
     "one effect: more than half sure of a wrong one": "wrong",
     "two effects: both named and no other": "both",
+    "two effects: both among the names and alternatives": "covered",
     "no effect: no name": "none",
     "effect in no catalogue: verdict unlisted": "unlisted",
     "effect in no catalogue: more than half sure of a listed one": "misled",
