@@ -11,7 +11,7 @@ from soil_env._compiled.elementary import smoothed_sign
 from soil_env._compiled.flags import compiled
 
 SLOWEST = 1e-3  # [m/s] speed that a slip is relative to, at least: at rest there is none
-MOST_SLIDING = 0.02  # [-] least V / (r w) from which the speed of a rim that spins is known
+LEAST_TRAVEL_RATIO = 0.02  # [-] least V / (r w) from which the speed of a rim that spins is known
 LEAST_ROLLING = 1e-9  # [-] least r w / V of a braked wheel that anything is divided by
 
 
@@ -94,14 +94,14 @@ def slips(rim_speed: np.ndarray, speed: np.ndarray, slow: float = SLOWEST) -> np
 def sliding_speeds(travel_speed: np.ndarray, slip: np.ndarray) -> np.ndarray:
     """|r w - V| [m/s], [N], at travel speeds V [m/s] and slips in [-1, 1], as `sliding_speed`."""
     slide = travel_speed * np.abs(slip)
-    return np.where(slip < 0.0, slide, slide / np.maximum(1.0 - slip, MOST_SLIDING))
+    return np.where(slip < 0.0, slide, slide / np.maximum(1.0 - slip, LEAST_TRAVEL_RATIO))
 
 
 @compiled
 def sliding_speed(slip, travel_speed):
-    """|r w - V| [m/s] of a wheel that travels at V with the given slip."""
+    """|r w - V| [m/s] of a wheel that travels at V >= 0 with a slip, bounded near a slip of 1."""
     slide = travel_speed * abs(slip)
-    return slide if slip < 0.0 else slide / max(1.0 - slip, MOST_SLIDING)
+    return slide if slip < 0.0 else slide / max(1.0 - slip, LEAST_TRAVEL_RATIO)
 
 
 @compiled

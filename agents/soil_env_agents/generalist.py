@@ -176,8 +176,8 @@ def chosen(
     return tried[0]
 
 
-def arrays(model: PPO, history: int, made: dict) -> dict[str, np.ndarray]:
-    """The content of the weights' file of a trained model."""
+def weights_of(model: PPO, history: int, made: dict) -> dict[str, np.ndarray]:
+    """The content of the weights' file of a trained model; `made` says how it was trained."""
     env = model.get_vec_normalize_env()
     policy = model.policy
     modules = [
@@ -216,7 +216,7 @@ def command(config: Path | None, out: Path, workers: int | None) -> None:
             model.learn(asked.improved, callback=[ppo.Schedules(asked.ppo), chooser, watch])
     stream = io.BytesIO()
     made = {"soil_env": soil_env.__version__, "config": to_dict(asked)}
-    stored: dict[str, Any] = {**arrays(model, asked.ppo.history, made)}
+    stored: dict[str, Any] = {**weights_of(model, asked.ppo.history, made)}
     np.savez_compressed(stream, **stored)
     replace_file(out, stream.getvalue())
     show(f"Written: {out} ({len(stream.getvalue()) / 1024:.0f} KiB)")

@@ -68,7 +68,7 @@ class History:
     @property
     def kept(self) -> int:
         """Numbers that are kept from one step to the next for each wheel: present and past
-        readings, averages.
+        readings, averages with their weights.
         """
         return (
             len(self.columns) + self.past + sum(len(columns) + 1 for _, columns, _ in self.averages)

@@ -51,9 +51,9 @@ class Teacher(BestSlipTrue):
         super().__init__(scenario, acceleration=own["acceleration"], **rims)
         self.share = own["share"]
 
-    def begin(self, batch, state, fresh):
+    def state_for(self, batch, state, fresh):
         """The state of `BestSlipTrue`, with the ramp where the rim is commanded to be."""
-        state = super().begin(batch, state, fresh)
+        state = super().state_for(batch, state, fresh)
         name = "rim_command" if self.action == "rim_acceleration" else "rim_speed"
         droop = batch[:, self.column["torque"]] * self.weight_torque / (10.0 * self.stall)
         state["ramp"] = np.maximum(batch[:, self.column[name]] - droop, 0.0) * self.top_speed

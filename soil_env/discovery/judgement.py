@@ -83,8 +83,8 @@ def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
     """[N, 3] what the model predicts of each value, its unknowns fitted to the groups without it;
     NaN where not in use.
 
-    The fit gives the covariance its form errors; the prediction is that of the laws, as model.yaml
-    has them. Refits are linearised about the fit to all. Mean over the ways to cut the table.
+    Form errors weigh the values and do not enter the prediction, which is that of the laws. Refits
+    are linearised about the fit to all. Mean over the ways to cut the table.
     """
     a, e = fit.linearised()
     ways = folds(problem.data)

@@ -65,8 +65,8 @@ class Learnt(NamedTuple):
     beyond: np.ndarray  # [3] noise beyond the stated, over it
 
     @classmethod
-    def of(cls, logarithms: np.ndarray) -> Learnt:
-        """Of the logarithms [8] of all, in this order."""
+    def from_logarithms(cls, logarithms: np.ndarray) -> Learnt:
+        """From natural logarithms [8], in the order of the fields."""
         size, lengths, beyond = np.split(np.exp(logarithms), (3, 5))
         return cls(size, dict(zip(USUAL.lengths, lengths.tolist(), strict=True)), beyond)
 
@@ -381,7 +381,7 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
         """
         if np.any(np.abs(x) > FAR):
             return IMPOSSIBLE, np.zeros(x.size)
-        learnt = Learnt.of(x)
+        learnt = Learnt.from_logarithms(x)
         try:
             c = remainder.covariance(scale, learnt)
         except np.linalg.LinAlgError:
@@ -409,7 +409,7 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
 
     # What the table does not show has no slope and stays usual.
     found = minimize(cost, start.logarithms, jac=True, method="L-BFGS-B", options={"maxiter": 25})
-    return Learnt.of(found.x)
+    return Learnt.from_logarithms(found.x)
 
 
 def drawn(problem: Problem, conditions: Mapping[str, np.ndarray]) -> np.ndarray | None:

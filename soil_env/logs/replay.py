@@ -248,8 +248,8 @@ def _grounds(
 def _last_known(
     values: dict[str, np.ndarray], status: np.ndarray, first: int, last: int, prior: Estimate
 ):
-    """(Value, variance) [2, 3] of `_COMPARED` over the prior's sd, as last known in the steps
-    `first` to `last`.
+    """[2, 4] of `_COMPARED` at the last known step of `first` to `last`, over the prior's sd:
+    deviation from the prior, and variance; (0, 1) if there is none.
     """
     known = (status != Status.NO_DATA) & np.isfinite(values["cohesion"])
     steps = np.flatnonzero(known[first : last + 1])

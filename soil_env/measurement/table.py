@@ -367,7 +367,7 @@ def _check_rows(
     refuse("pass", wrong, f"a whole number from 1 (fresh soil) to {MOST_PASSES:g}")
     grade = np.abs(table.grade_deg)
     refuse("grade_deg", grade > STEEPEST, f"degrees in [-{STEEPEST:g}, {STEEPEST:g}]")
-    looks = in_radians(_texts("grade_deg", header, rows))
+    looks = look_like_radians(_texts("grade_deg", header, rows))
     if looks and np.unique(grade[grade > 0.0]).size > 1:
         refuse("grade_deg", grade > 0.0, "degrees (these look like radians: multiply by 57.3)")
     for name in ("wheel_radius", "wheel_width"):
@@ -436,7 +436,7 @@ def _canonical(cell: str) -> float | str:
         return cell
 
 
-def in_radians(cells: list[str]) -> bool:
+def look_like_radians(cells: list[str]) -> bool:
     """True if grades look like radians: read so, none exceeds 40 deg and all are whole degrees to
     three digits or more.
 

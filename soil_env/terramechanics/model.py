@@ -222,7 +222,7 @@ class WheelSoilModel(Checked):
         """The mapping of model.yaml."""
         content = {
             "format": FORMAT,
-            "wheel": _given(self.wheel),
+            "wheel": _without_off(self.wheel),
             "effects": {
                 name: {k: float(v) for k, v in values.items()}
                 for name, values in self.effects.items()
@@ -285,8 +285,8 @@ def load_model(
     return WheelSoilModel.load(model)
 
 
-def _given(wheel: ModelWheel) -> dict[str, Any]:
-    """The mapping of a wheel without what it does not have."""
+def _without_off(wheel: ModelWheel) -> dict[str, Any]:
+    """The mapping of a wheel without tyre and grip where it has none."""
     keys = to_dict(wheel)
     off = {"tyre": None, "grip": 0.0}
     return {name: value for name, value in keys.items() if name not in off or value != off[name]}

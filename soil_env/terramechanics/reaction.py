@@ -230,9 +230,10 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
 
 @compiled
 def ground_under(at, soil, wheel, acting):
-    """(`SoilState` as sheared, `Arc`, `ExtraForces`) of a wheel `Standing` on fresh `soil`.
+    """(`SoilState` as sheared, `Arc`, `ExtraForces`) of a wheel in the state `at`, on `soil` as a
+    rut leaves it; effects are applied here.
 
-    The forces of a residual law fade out where the wheel stands.
+    The forces of a residual law fade out towards rest.
     """
     slip = slip_ratio(at.rim_speed, at.speed, REST_SPEED)
     point = WorkingPoint(slip, at.sinkage, at.weight, abs(at.speed), at.passes, at.sin_grade)
@@ -240,7 +241,7 @@ def ground_under(at, soil, wheel, acting):
     moving = smoothed_sign(at.speed, REST_SPEED)[0] * at.weight
     pull *= moving
     torque *= moving * wheel.radius
-    soil, arc, lift, bulldozing, blades = _ground_under(at, slip, soil, wheel, acting.effects)
+    soil, arc, lift, bulldozing, blades = _soil_and_arc(at, slip, soil, wheel, acting.effects)
     return soil, arc, ExtraForces(lift, bulldozing, blades, pull, torque, unfelt * wheel.radius)
 
 
@@ -252,7 +253,7 @@ def _gripped(soil, arc, load, wheel):
 
 
 @compiled
-def _ground_under(at, slip, soil, wheel, fx):
+def _soil_and_arc(at, slip, soil, wheel, fx):
     """(`SoilState` as it is sheared, `Arc`, then the first three of `ExtraForces`)."""
     shift = braked_shift(at.braked, soil)
     if fx is None:

@@ -253,7 +253,7 @@ def test_extremum_seeking_finds_the_slip_of_the_highest_pull(best):
         found = slip + 0.01 * rng.standard_normal()
         pull = 0.3 - 1.5 * (slip - best) ** 2 + 0.01 * rng.standard_normal()
         batch = blind(slip=found, drawbar_pull=pull, rim_speed=0.2 / controller.top_speed)
-        state = controller.begin(batch, state, np.array([step == 0]))
+        state = controller.state_for(batch, state, np.array([step == 0]))
         slip = float(controller.target_slip(batch, state)[0])
     assert state["best"][0] == pytest.approx(best, abs=0.06)
 

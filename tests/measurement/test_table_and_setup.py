@@ -9,7 +9,7 @@ import pytest
 
 from soil_env._io.loading import ParameterError
 from soil_env.measurement.setup import Prior, Setup, SetupWheel, read_setup
-from soil_env.measurement.table import in_radians, read_table
+from soil_env.measurement.table import look_like_radians, read_table
 from tests.refusals import refused
 
 HEADER = "slip,load,sinkage,drawbar_pull"
@@ -173,7 +173,7 @@ def test_grades_that_are_degrees_stay_degrees(tmp_path):
 
 def test_grades_without_a_number_are_no_radians():
     """As of a table that identification has thinned: NaN in its text."""
-    assert in_radians(["0.0873", "-0.1745"]) and not in_radians(["0.0873", "nan"])
+    assert look_like_radians(["0.0873", "-0.1745"]) and not look_like_radians(["0.0873", "nan"])
 
 
 def test_reads_a_setup(tmp_path):

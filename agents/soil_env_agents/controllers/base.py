@@ -93,7 +93,7 @@ class Controller(Observing):
         """
         batch = np.atleast_2d(self.layout.observed(observation)).astype(np.float64)
         fresh = starts(episode_start, len(batch), state is None)
-        state = self.begin(batch, state, fresh)
+        state = self.state_for(batch, state, fresh)
         action = self.chosen(
             batch,
             self.command(batch, self.rim_speed(batch, state), state),
@@ -133,9 +133,9 @@ class Controller(Observing):
                 action = (action - batch[:, self.column["rim_command"]]) / self.change
         return np.clip(action, -1.0, 1.0).astype(np.float32)[:, None]
 
-    def begin(self, batch: np.ndarray, state: dict | None, fresh: np.ndarray) -> dict:
+    def state_for(self, batch: np.ndarray, state: dict | None, fresh: np.ndarray) -> dict:
         """Copy of `state` for a call with observations [n, D]; rows that are `fresh` [n] begin a
-        course.
+        course, with the integral at the torque that is fed forward.
         """
         if state is None or len(state["integral"]) != len(batch):
             state = {

@@ -139,7 +139,7 @@ class Oracle:
             if episode_start is None
             else np.asarray(episode_start, dtype=bool)
         )
-        memory = self.driver.begin(batch, memory, fresh)
+        memory = self.driver.state_for(batch, memory, fresh)
         if since % self.every == 0:
             w = self.simulation.worlds
             due = (w.cause == _RUNNING) & (w.state["halt_left"] <= self.every * self.driver.period)
@@ -225,7 +225,7 @@ class Oracle:
         for step in range(self.steps):
             if step:
                 batch = w.observation[:n].astype(np.float64)
-                state = self.dreamer.begin(batch, state, np.zeros(n, dtype=bool))
+                state = self.dreamer.state_for(batch, state, np.zeros(n, dtype=bool))
             commands[:n] = self.dreamer.act(batch, state)[:, 0]
             self.clones.step_all(commands, what)
             ended = (what[:n] == STEP) & (w.cause[:n] != _RUNNING)

@@ -66,7 +66,7 @@ class RoverController:
         batch = np.atleast_2d(self.layout.observed(observation)).astype(np.float64)
         fresh = starts(episode_start, len(batch), state is None)
         wheels = batch[:, self._columns].reshape(len(batch) * self.axles, -1)
-        state = {**self.own.begin(wheels, state, np.repeat(fresh, self.axles)), "begun": fresh}
+        state = {**self.own.state_for(wheels, state, np.repeat(fresh, self.axles)), "begun": fresh}
         action = self.command(batch, wheels, state).reshape(len(batch), self.axles)
         return (action[0] if np.ndim(observation) == 1 else action), state
 

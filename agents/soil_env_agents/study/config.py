@@ -156,7 +156,7 @@ class Study(Checked):
 
     def cells(self) -> list[Cell]:
         """All cells: the arms without a training, then seed by seed every agent on every
-        scenario.
+        scenario without `trained_on`.
         """
         sources = [name for name, target in self.targets.items() if not target.trained_on]
         once = [Cell(s, a, 0) for s in sources for a, arm in self.arms.items() if arm.controller]

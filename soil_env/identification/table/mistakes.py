@@ -29,7 +29,7 @@ from soil_env.identification.table.noise import (
 from soil_env.identification.table.problem import COARSE, TableProblem
 from soil_env.measurement.doubts import contact_area, load_doubt
 from soil_env.measurement.setup import Setup
-from soil_env.measurement.table import Table, in_radians
+from soil_env.measurement.table import Table, look_like_radians
 from soil_env.terramechanics.model import Rows
 
 GRAVITY = 9.81  # [m/s2]
@@ -564,7 +564,7 @@ def _outliers(data: Data, noise: NoiseEstimate) -> tuple[list[str], list[str]]:
 def _grades_doubted(data: Data) -> list[str]:
     """A doubt where the only grade of the table is that of whole degrees in radians."""
     grades = data.table.grade_deg[data.table.grade_deg != 0.0]
-    if not in_radians([repr(float(g)) for g in grades]):
+    if not look_like_radians([repr(float(g)) for g in grades]):
         return []
     angle = math.degrees(abs(float(grades[0])))
     return [f"grade_deg = {abs(grades[0]):g} is {angle:.0f} degrees in radians: expected degrees."]

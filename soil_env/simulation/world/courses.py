@@ -35,7 +35,7 @@ ACTIONS_AHEAD = 3.0
 
 
 def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> CourseNumbers:
-    """Pack the numbers of `start_course`; `model` gives the effects that are on in this world."""
+    """Pack what `start_course` and `extend_course` draw from; a `model` gives effects."""
     return CourseNumbers(
         course_distribution(scenario, model),
         rig_of(scenario, model)[0],
