@@ -46,7 +46,7 @@ REVERSE = 0.1
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
 MOST_BEARING = 10.0  # [-] most that z_w may exceed the present sinkage by, as a factor
 LEAST_EXPONENT = 0.05  # [-] sinkage exponent below which z_w is not sought
-# [radii] of travel in which soil piles up ahead of a braked wheel: 0.4 to 1.0 on a continuum
+# [radii] of travel in which soil piles up ahead of a braked wheel: 0.4 to 0.8 on a continuum
 # (`python -m benchmarks.continuum pile`)
 PILING = 0.7
 STANDING = 1e-12  # [-] relaxation in a stage, or [m] of travel, below which nothing changes
