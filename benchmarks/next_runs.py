@@ -5,8 +5,9 @@
     python -m benchmarks.next_runs --smoke --out X   every part in a minute, numbers without meaning
 
 Half of the rows of a table, drawn at random, are held out. Of the others three are measured, and
-then one after the other: those that `discovery.next_for_prediction` chooses, or random ones. After
-each, all effects are fitted anew and predict the held-out rows. The same command goes on where it
+then one after the other: those that `discovery.next_for_prediction` chooses, random ones, or those
+furthest from what was measured (a design that fills the space). After each, all effects are fitted
+anew and predict the held-out rows. The same command goes on where it
 was interrupted.
 """
 
@@ -36,11 +37,12 @@ LEAST_ROWS = 16  # of a table that leaves a choice
 MOST = 12  # runs that are added at most
 DRAWS = 8  # of held-out and first rows
 SEED = 4001
-WAYS = ("chosen", "random")
+WAYS = ("chosen", "spread", "random")
 TEXT = (
     "Root mean square error over the noise of held-out rows, geometric mean over {draws} draws of "
     "the held-out and the first rows (seed {seed}), after a share of the further runs. Share "
-    "needed: of the runs of a random choice, until chosen ones err no more than it does at its end."
+    "needed: of the runs of a random choice, until these err no more than it does at its end. "
+    "Spread: each run is the furthest from those made, in slip and ln(load) over their ranges."
 )
 
 
@@ -76,7 +78,11 @@ def errors(case: Case, way: str, draw: int, most: int = MOST) -> list[float]:
         out.append(float(np.sqrt(np.mean((off / whole.noise)[used] ** 2))))
         if len(left) < 2 or len(out) > most:
             return out
-        k = _surest(model, whole, left) if way == "chosen" else 0
+        k = 0
+        if way == "chosen":
+            k = _surest(model, whole, left)
+        elif way == "spread":
+            k = _furthest(whole, made, left)
         made.append(left.pop(k))
 
 
@@ -91,6 +97,15 @@ def _surest(model: Prediction, whole: Problem, left: list[int]) -> int:
     joint = model.joint_at(_at(whole, np.array(left)))[:, seen][:, :, :, seen]
     uncertain = Uncertainty(joint, model.variance_of_run[seen])
     return int(np.argmin([uncertain.after(g) for g in range(len(left))]))
+
+
+def _furthest(whole: Problem, made: list[int], left: list[int]) -> int:
+    """Which of the rows `left` is furthest from the nearest of those `made`."""
+    rows = whole.data.rows
+    places = np.stack([rows.slip, np.log(rows.load)], axis=1)
+    places = places / np.maximum(np.ptp(places, axis=0), 1e-6)
+    away = np.linalg.norm(places[left][:, None] - places[made], axis=2)
+    return int(np.argmax(away.min(axis=1)))
 
 
 def needed(chosen: np.ndarray, random: np.ndarray) -> float:
@@ -116,7 +131,8 @@ def tables_of(found: dict[str, dict[str, list[list[float]]]]) -> dict[str, Page]
         shown = [0, steps // 4, steps // 2, steps]
         for way in WAYS:
             lines.append([name, way, *(f"{mean[way][k]:.3g}" for k in shown), ""])
-        lines[-2][-1] = f"{needed(mean['chosen'], mean['random']):.2f}"
+        for line, way in zip(lines[-3:-1], WAYS, strict=False):
+            line[-1] = f"{needed(mean[way], mean['random']):.2f}"
     head = ["table", "runs", "0", "a quarter", "half", "all", "share needed"]
     return {"Error over the noise": Page(head, lines)}
 
@@ -130,8 +146,9 @@ def command(smoke: bool, out: Path, data: Path) -> None:
     found = read_json(file) if file.exists() else {}
     draws = 1 if smoke else DRAWS
     for name, case in tables(data).items():
-        own = found.setdefault(name, {way: [] for way in WAYS})
+        own = found.setdefault(name, {})
         for way in WAYS:
+            own.setdefault(way, [])
             while len(own[way]) < draws:
                 own[way].append(short(errors(case, way, len(own[way]), 1 if smoke else MOST)))
                 write_json(file, found)
