@@ -1,6 +1,6 @@
 """Runs chosen for prediction against random ones, on the tables of `benchmarks.prediction`.
 
-    python -m benchmarks.next_runs              an hour; writes docs/results/next_runs.json and .md
+    python -m benchmarks.next_runs              minutes; writes docs/results/next_runs.json and .md
     python -m benchmarks.next_runs --data DIR   folder of the measurements, else $SOIL_ENV_DATA
     python -m benchmarks.next_runs --smoke --out X   every part in a minute, numbers without meaning
 
@@ -33,7 +33,7 @@ from soil_env.measurement.setup import NoiseLevels
 
 NAME = "next_runs"
 FIRST = 3  # runs that are measured at first
-LEAST_ROWS = 16  # of a table that leaves a choice
+LEAST_ROWS = 15  # of a table that leaves a choice
 MOST = 12  # runs that are added at most
 DRAWS = 8  # of held-out and first rows
 SEED = 4001
