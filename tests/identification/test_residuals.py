@@ -28,8 +28,10 @@ from soil_env.identification.online.memory import (
     TORQUE_GAIN,
     TORQUE_ZERO,
 )
+from soil_env.identification.online.on_board import compactions
 from soil_env.identification.online.residuals import BORDER_ERROR, FARTHEST
 from soil_env.parameters import FLOW_LAW, load_scenario
+from soil_env.terramechanics.effects.multipass import COMPACTION, rut_stiffness
 from tests.identification.observing import Identified, react
 
 SCENARIO = load_scenario("mixed")
@@ -64,8 +66,8 @@ def wheel_at(rng, gains=0.0):
     return wheel
 
 
-def put_cell(wheel, rng, *, border=False):
-    """Put a random cell first."""
+def put_cell(wheel, rng, *, border=False, compaction=0.0):
+    """Put a random cell first, on the floor of a rut of this compaction."""
     cell = wheel.memory["cells"][0, :1]
     cell[:] = np.zeros(1, CELL)
     slip = rng.uniform(-0.3, 0.7)
@@ -89,6 +91,7 @@ def put_cell(wheel, rng, *, border=False):
         "place": 0.35,
         "spread": 0.02,
         "place_error": 3e-3 if border else 0.0,
+        "compaction": compaction,
     }
     for name, value in values.items():
         cell[name] = value
@@ -110,6 +113,7 @@ def lay_on_ground(wheel, rng):
         (ln_s,) = mobilised(soil, cell[0])
         deeper = rng.uniform(-0.7, 0.7)
         soil[PRESSURE] = ln_s + soil[EXPONENT] * (np.log(wheel.set.depth) - deeper)
+        soil[PRESSURE] -= cell["compaction"][0] * (soil[EXPONENT] + 0.5)
     for _ in range(400):
         cell["most_likely_slip"] = slip
         cell["rise"] -= wheel.residuals()[0].sinkage
@@ -157,7 +161,7 @@ def test_slopes_are_those_of_finite_differences(seed):
     """By soil and instruments, at instruments without an error."""
     rng = np.random.default_rng(seed)
     wheel = wheel_at(rng)
-    put_cell(wheel, rng)
+    put_cell(wheel, rng, compaction=rng.uniform(0.0, 1.5))
     slopes = vector(wheel)[1][:, :HERE] * SCALES[:HERE]
     found = differences(wheel, range(HERE))
     np.testing.assert_allclose(slopes / UNITS, found / UNITS, rtol=1e-4, atol=1e-5)
@@ -288,17 +292,21 @@ def test_the_most_likely_slip_is_the_one_of_least_chi_squared():
     assert cell["most_likely_slip"][0] == pytest.approx(best, abs=2e-3)
 
 
-def test_the_law_of_sinkage_is_the_solution_of_its_equation():
-    """z' - z over a way on which the bearing sinkage is a constant: dz = (B z_b - A z) ds."""
+@pytest.mark.parametrize("passes", [1, 2, 3])
+def test_the_law_of_sinkage_is_the_solution_of_its_equation(passes):
+    """z' - z over a way on which the bearing sinkage is a constant: dz = (B z_b - A z) ds; on the
+    floor of a rut it is that of its stiffness.
+    """
     rng = np.random.default_rng(4)
     wheel = wheel_at(rng)
-    cell = put_cell(wheel, rng)
+    cell = put_cell(wheel, rng, compaction=compactions()[passes - 1])
     u = wheel.now.u
     setting = wheel.set
     cell["sinkage"] = cell["middle"]
     row = [u[TANGENT], u[COHESION], u[EXPONENT], u[LN_K], cell["sinkage"][0], cell["slip"][0]]
     ln_s = react([*row, cell["load"][0], R, B], FLOW)[0, 2, 0]
     ln_S = u[PRESSURE] - u[EXPONENT] * np.log(setting.depth)
+    ln_S += np.log(rut_stiffness(float(passes), u[EXPONENT], COMPACTION))
     bearing = cell["middle"][0] * np.exp((ln_s - ln_S) / u[EXPONENT])
     a = cell["travel"][0] + setting.dig_recovery * cell["slide"][0]
     b = a + setting.dig_gain * np.exp(u[GAIN]) * cell["slide"][0]

@@ -53,7 +53,8 @@ def _newton(x, slip, load, memory, setting, work):
     ln_s = contact.value[LN_S]
     gain = setting.dig_gain * math.exp(u[GAIN])
     ratio = slip_sinkage_ratio(slip, gain, setting.dig_recovery)
-    ln_S = u[PRESSURE] - u[EXPONENT] * math.log(setting.depth)
+    n = u[EXPONENT]
+    ln_S = u[PRESSURE] + memory.compaction * (n + 0.5) - n * math.log(setting.depth)
     slope = min(contact.by[LN_S, BY_SINKAGE] * z, FLATTEST)
     step = -(ln_s + u[EXPONENT] * math.log(ratio) - ln_S) / slope
     if ln_s <= FLOORED:  # cohesion alone carries the load
@@ -73,7 +74,8 @@ def _slopes(deeper, slope, ratio, memory, setting, work):
     through = -deeper / slope
     for i in range(OF_GROUND):
         work.step[i] = by[PULL, i] + through * by[LN_S, i]
-    work.step[EXPONENT] += through * (math.log(ratio) + math.log(setting.depth))
+    of_exponent = math.log(ratio) + math.log(setting.depth) - memory.compaction
+    work.step[EXPONENT] += through * of_exponent
     work.step[PRESSURE] = -through
     work.step[GAIN] = through * memory.soil[EXPONENT] * (1.0 - 1.0 / ratio)
 

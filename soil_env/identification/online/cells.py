@@ -63,6 +63,7 @@ def _merge(into, cell):
         into.travel += share * (cell.travel - into.travel)
         into.slide += share * (cell.slide - into.slide)
         into.middle += share * (cell.middle - into.middle)
+        into.compaction += share * (cell.compaction - into.compaction)
 
 
 @compiled

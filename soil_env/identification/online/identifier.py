@@ -120,7 +120,9 @@ def _find_bearing(memory, reading, setting, work):
     corrected = load * (1.0 - memory.u[LOAD_GAIN])
     contact = work.contact[0]
     reaction(contact, ground, z, slip, corrected, r, setting.width)
-    deeper = setting.depth * math.exp((contact.value[LN_S] - u[PRESSURE]) / u[EXPONENT])
+    n = u[EXPONENT]
+    stronger = contact.value[LN_S] - u[PRESSURE] - memory.compaction * (n + 0.5)
+    deeper = setting.depth * math.exp(stronger / n)
     bearing = min(max(z * min(deeper, DEEPER), LEAST_SINKAGE * r), DEEPEST * r)
     memory.ln_bearing = math.log(bearing)
     often = memory.points < OFTEN or memory.crossing > 0.0
@@ -142,7 +144,7 @@ def publish(u, V, into, memory, setting):
     """Write `fresh` and its standard deviations by `u` and `covariance` of a record: S is that at
     the bearing sinkage, for the exponent of the belief.
     """
-    below = memory.ln_bearing - math.log(setting.depth)
+    below = memory.ln_bearing - math.log(setting.depth) + memory.compaction
     out = into.fresh
     sd = into.fresh_sd
     out[0] = math.atan(u[TANGENT])
@@ -150,7 +152,8 @@ def publish(u, V, into, memory, setting):
     for i, j in ((1, LN_K), (2, PRESSURE), (3, COHESION), (PUBLISHED - 1, GAIN)):
         out[i] = u[j]
         sd[i] = math.sqrt(V[j, j])
-    out[2] += u[EXPONENT] * below - setting.exponent * memory.ln_bearing
+    out[2] += 0.5 * memory.compaction + u[EXPONENT] * below
+    out[2] -= setting.exponent * memory.ln_bearing
     variance = V[PRESSURE, PRESSURE] + below * below * V[EXPONENT, EXPONENT]
     sd[2] = math.sqrt(max(variance + 2.0 * below * V[PRESSURE, EXPONENT], 0.0))
     wider = widening(memory, setting)

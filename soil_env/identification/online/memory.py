@@ -84,11 +84,12 @@ CELL = record(
     "inertial",  # share of the accelerometer in the pull
     "motor",  # share of the motor in the torque
     "readings",
-    "changes",  # of sinkage from point to point, of which the next four are means
+    "changes",  # of sinkage from point to point, of which the next five are means
     "rise",  # [m] of sinkage
     "travel",  # [relaxation lengths]
     "slide",  # [relaxation lengths]
     "middle",  # [m] sinkage in the middle
+    "compaction",  # of the floor of the rut
     "most_likely_slip",  # at which the forces are linearised
     "place",  # [m]
     "spread",  # [m] sd of the places of its readings
@@ -119,6 +120,7 @@ MEMORY = record(
     "border_variance",
     "form_error",  # [of load] of the laws
     "misfit",  # chi-squared of the forces over its expectation
+    "compaction",  # of the floor of the rut under the wheel: ln S_N/S over n + 1/2
     "law_misfit",  # the same of the law of sinkage
     "widening",  # of standard deviations, while points in a row are outliers
     "rest_pull",  # [of weight] mean pull beyond that of the slope, standing

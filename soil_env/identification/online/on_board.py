@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import compiled, record
+from soil_env._compiled.flags import compiled, record, uncompiled
 from soil_env.identification.online.borders import see_border
 from soil_env.identification.online.class_memory import (
     CLASSES,
@@ -53,6 +53,7 @@ from soil_env.identification.status import Status
 from soil_env.parameters import RoverScenario, Scenario
 from soil_env.parameters.readings import RESTART, RUNNING, STEP, Shown
 from soil_env.parameters.vehicle import MOST_AXLES
+from soil_env.terramechanics.effects.multipass import COMPACTION, rut_stiffness
 
 CONVERGED = Status.CONVERGED.value
 OF_SOIL = 2 * QUANTITIES + 1  # entries of the observation on a soil
@@ -89,6 +90,7 @@ BOARD_SETTING = record(
     camera=("i8",),  # 0: none
     lines=("i8",),  # over the patch ahead
     places=("f8", MOST_AXLES),  # [m] behind the front axle
+    compaction=("f8", MOST_AXLES),  # of ruts, by the number of passes before
     bounds=("f4", (2, MOST_ENTRIES)),
     identifier=(SETTING, 1),
     warning=(WARNING_SETTING, 1),
@@ -131,6 +133,7 @@ def board_setting(scenario: Scenario, shown: Shown, warns: bool) -> np.ndarray:
         setting["pooled"] = 1
         setting["axles"] = scenario.axles
         setting["places"][0, : scenario.axles] = scenario.vehicle.axles
+        setting["compaction"] = compactions()
         limit_to_wheel(setting["identifier"][0, 0], scenario)
     setting["warning"] = warning_setting(scenario)
     return setting
@@ -147,6 +150,13 @@ def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
     if scenario.control.action != "torque":
         setting["white"]["motor_torque"] = OF_BODY * scenario.weight * scenario.wheel.radius
     setting["load_varies"] = 1
+
+
+def compactions() -> list[float]:
+    """ln S_N/S over n + 1/2 of the floor of a rut, `rut_stiffness`, by the wheels ahead."""
+    exponent = 0.5
+    stiffness = uncompiled(rut_stiffness)
+    return [math.log(stiffness(1.0 + n, exponent, COMPACTION)) for n in range(MOST_AXLES)]
 
 
 class OnBoard:
@@ -324,6 +334,16 @@ def _pool(vehicle, renewed, board, work):
 
 
 @compiled
+def _compaction(memory, a, board):
+    """Compaction of the floor under the wheel of an axle; a course begins on fresh ground."""
+    before = 0
+    for b in range(a):
+        if memory.place >= board.places[a] - board.places[b]:
+            before += 1
+    return board.compaction[before]
+
+
+@compiled
 def _take(vehicle, samples, period, board, work):
     """Take the records [axles, periods] of a control period of a vehicle."""
     numbers = board.identifier[0]
@@ -338,6 +358,7 @@ def _take(vehicle, samples, period, board, work):
         if a > 0:
             wheel = vehicle.identifier[a]
             hand_over_border(vehicle.pools[0], wheel, board.places[a], numbers, work)
+            wheel.compaction = _compaction(wheel, a, board)
         outcome = observe(vehicle.identifier, a, samples[a, period], a == 0, numbers, work)
         if board.pooled > 0 and outcome == RENEWED:
             keep_knowledge(vehicle.pools[a], vehicle.identifier[a], numbers, work)

@@ -259,6 +259,7 @@ def close(memory, cell, setting):
     cell.travel = travel - memory.point_travel
     cell.slide = slide - memory.point_slide
     cell.middle = 0.5 * (sinkage + memory.point_sinkage)
+    cell.compaction = memory.compaction
     memory.point_sinkage = sinkage
     memory.point_travel = travel
     memory.point_slide = slide

@@ -218,7 +218,7 @@ def _of_sinkage(cell, sinkage, share, by_place, memory, setting, work):
     contact = work.contact[0]
     by = contact.by
     at_middle = contact.value[LN_S] + by[LN_S, BY_SINKAGE] * (middle - sinkage)
-    stronger = at_middle - soil[PRESSURE]
+    stronger = at_middle - soil[PRESSURE] - cell.compaction * (n + 0.5)
     bearing = middle * min(setting.depth * math.exp(stronger / n), DEEPER)
     gain = setting.dig_gain * math.exp(soil[GAIN])
     a = cell.travel + setting.dig_recovery * cell.slide
@@ -228,7 +228,7 @@ def _of_sinkage(cell, sinkage, share, by_place, memory, setting, work):
     less = come * b * bearing / n
     for j in range(OF_GROUND):
         J[SINKAGE, j] = less * by[LN_S, j]
-    J[SINKAGE, EXPONENT] -= less * stronger / n
+    J[SINKAGE, EXPONENT] -= less * (stronger / n + cell.compaction)
     J[SINKAGE, PRESSURE] = -less
     J[SINKAGE, GAIN] = come * gain * cell.slide * bearing
     J[SINKAGE, LOAD_GAIN] = soil[COHESION] * J[SINKAGE, COHESION] - less
