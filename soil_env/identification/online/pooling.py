@@ -39,7 +39,7 @@ SHARED = OF_GROUND  # unknowns that a passing wheel does not change: tan phi, c,
 # Errors that all wheels have alike, so that no comparison shows them.
 ANGLE_ERROR = math.radians(0.6)
 MODULUS_ERROR = 0.06  # relative
-COHESION_ERROR = 100.0  # [Pa]
+COHESION_ERROR = 50.0  # [Pa]
 # Share of another wheel's information that counts: borders are found late, and all wheels err alike
 # where the laws do.
 TRUST = 0.5
