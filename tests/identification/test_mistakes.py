@@ -88,7 +88,7 @@ def test_a_load_in_kilograms_is_refused_where_the_soil_could_not_bear_the_thrust
     (said,) = examined(
         tmp_path, text, SETUP.replace("{value: 3700, sd: 700}", "{value: 3500, sd: 100}")
     )
-    assert re.search(r"torque/radius is [\d.]+ times the strength .* with load as kilograms", said)
+    assert re.search(r"torque/radius is [\d.]+ times the load .* with load as kilograms", said)
 
 
 @pytest.mark.parametrize(
@@ -151,7 +151,7 @@ def test_a_pull_that_falls_at_much_slip_alone_is_no_mistake(tmp_path):
     """Only tables that begin at low slip and end below zero say anything about the sign."""
     data = data_of(tmp_path, table_text({}))
     noise = mistakes._as_is(data).noise
-    assert mistakes._pull_falls(data, noise) == "" and mistakes._beyond_strength(data, noise) == ""
+    assert mistakes._pull_falls(data, noise) == "" and load_doubt(data.table, data.setup) == ""
     pull = data.y[:, 1]
     slip = data.rows.slip
     pull[:] = 40.0 - 200.0 * (slip - 0.2) ** 2  # rises, then falls, above 0
