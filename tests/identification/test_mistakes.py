@@ -3,6 +3,7 @@ before anything else, and so by both commands.
 """
 
 import itertools
+import math
 import re
 from dataclasses import replace
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.discovery.cases import Task, draw_case, write_case
-from benchmarks.sound_tables import sound_tables
+from benchmarks.sound_tables import MISTAKES, sound_tables
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main
 from soil_env.identification.table import identify_table, mistakes
@@ -71,6 +72,33 @@ def test_a_reading_that_is_a_little_better_is_a_caution(tmp_path, monkeypatch, g
     assert "the table could be meant so" in found.undecided[0]
     estimate = identify_table(data.table, data.setup)
     assert found.undecided[0] in estimate.warnings and not estimate.check_first
+
+
+@pytest.mark.parametrize(
+    ("count", "mistake", "column"),
+    [(4, "pull in kilograms", "drawbar_pull"), (1, "torque in kilogram metres", "torque")],
+)
+def test_a_force_in_kilograms_is_told_where_a_missing_effect_hides_it(count, mistake, column):
+    """Soil piles up ahead and holds the wheel back by more than laws may err; the table as it is
+    counts as sound.
+    """
+    (*_, sound) = sound_tables(count, 71)
+    wrong = MISTAKES[mistake](sound)
+    (said,) = examine(wrong.table(), wrong.setup).said
+    assert said.startswith(f"With {column} as kilogram")
+    assert examine(sound.table(), sound.setup).said == ()
+
+
+@pytest.mark.parametrize("column", [1, 2])
+def test_a_force_that_does_not_change_says_nothing_of_its_unit(tmp_path, column):
+    data = data_of(tmp_path, table_text({}))
+    noise = mistakes._as_is(data).noise
+    before = mistakes._rises(data, noise)
+    data.y[:, column] = 0.0
+    rises = mistakes._rises(data, noise)
+    assert np.all(before > 0.0) and np.array_equal(np.isnan(rises), [column == 1, column == 2])
+    for other in mistakes.readings(data.table, data.setup):
+        assert not math.isnan(mistakes._by_rises(rises, data, other))
 
 
 def test_exchanged_columns_are_doubted(tmp_path):

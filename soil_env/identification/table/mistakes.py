@@ -347,13 +347,14 @@ def _other_readings(start: _AsIs) -> list[Better]:
 
 def _rises(data: Data, noise: NoiseEstimate) -> np.ndarray:
     """[2] change with slip of pull and torque/radius over the load, in the middle of the groups;
-    nan where not known.
+    negative where they fall, nan where not known.
     """
     forces = data.y[:, 1:] / data.rows.load[:, None]
     forces[:, 1] /= data.rows.wheels[:, 0]
     whole = np.all(noise.used[:, 1:] | ~data.measured[:, 1:], axis=1)
     groups = [forces[rows] for rows in _from_low_slip(data, whole)] or [np.full((1, 2), math.nan)]
     size = np.median([np.ptp(y, axis=0) for y in groups], axis=0)
+    size[size == 0.0] = math.nan  # of a wheel that climbs freely
     return np.copysign(size, np.median([y[-1] - y[0] for y in groups], axis=0))
 
 
