@@ -13,12 +13,6 @@ FEWEST = 3  # rows in another unit than the rest
 LIGHTER = 0.2  # load of such rows over that of the rest
 
 
-def contact_area(sinkage: np.ndarray, radius: np.ndarray, width: np.ndarray) -> np.ndarray:
-    """Arc of contact up to the lowest point, times the width [m2]; all [N], in metres."""
-    area: np.ndarray = width * radius * np.arccos(1.0 - sinkage / radius)
-    return area
-
-
 def load_doubt(table: Table, setup: Setup) -> str:
     """A doubt in a sentence where the wheel pulls or turns with more than its load lets soil give
     it; "" as a rule.
@@ -31,7 +25,8 @@ def load_doubt(table: Table, setup: Setup) -> str:
     driven = table.rim_slip(setup) > DRIVEN
     usual = np.where(np.isnan(table.sinkage), USUAL_SINKAGE * radius, table.sinkage)
     depth = np.clip(usual, 0.0, radius)
-    area = contact_area(depth, radius, table.width(setup.wheel))
+    # Arc of contact up to the lowest point, times the width [m2].
+    area = table.width(setup.wheel) * radius * np.arccos(1.0 - depth / radius)
     prior = setup.soil.cohesion
     cohesion = 0.0 if prior is None else max(prior.value - 2.0 * prior.sd, 0.0)
     most = np.maximum(MOST_GRIP, cohesion * area / table.load + FRICTION)

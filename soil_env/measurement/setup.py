@@ -37,7 +37,7 @@ LEAST_SD = 1e-6  # of a prior, as a share of its value; a smaller one is the val
 # Below these soil parameters look like another unit: parameter, limit, its unit, what it looks
 # like, factor
 _OTHER_UNITS = (
-    ("friction_angle_deg", 2.0, "deg", "radians", 57.3),
+    ("friction_angle_deg", 1.0, "deg", "radians", 57.3),
     ("cohesion", 50.0, "Pa", "kPa", 1e3),
     ("sinkage_coefficient", 1e4, "N/m^(n+2)", "kN/m^(n+2)", 1e3),
     ("k_phi", 1e4, "N/m^(n+2)", "kN/m^(n+2)", 1e3),

@@ -213,6 +213,8 @@ def test_reads_a_setup(tmp_path):
         words, ("0.52 deg looks like radians", "1.5 Pa looks like kPa", "kN/m^(n+2)"), strict=True
     ):
         assert part in word
+    weak = "soil: {friction_angle_deg: {value: 1.2, sd: 3}}"  # 69 deg if these were radians
+    assert not read_setup(written(tmp_path, SETUP + weak)).doubts()
     usual = "soil: {friction_angle_deg: 6, cohesion: 0, k_c: 770, k_phi: 43120}"
     assert read_setup(written(tmp_path, SETUP + usual)).doubts() == []
     s = read_setup(written(tmp_path, SETUP + "soil:\nnoise:\ntilt_deg: -1.5\n"))
