@@ -144,7 +144,7 @@ def publish(u, V, into, memory, setting):
     """Write `fresh` and its standard deviations by `u` and `covariance` of a record: S is that at
     the bearing sinkage, for the exponent of the belief.
     """
-    below = memory.ln_bearing - math.log(setting.depth) + memory.compaction
+    below = memory.ln_bearing - math.log(setting.depth)
     out = into.fresh
     sd = into.fresh_sd
     out[0] = math.atan(u[TANGENT])
@@ -152,8 +152,7 @@ def publish(u, V, into, memory, setting):
     for i, j in ((1, LN_K), (2, PRESSURE), (3, COHESION), (PUBLISHED - 1, GAIN)):
         out[i] = u[j]
         sd[i] = math.sqrt(V[j, j])
-    out[2] += 0.5 * memory.compaction + u[EXPONENT] * below
-    out[2] -= setting.exponent * memory.ln_bearing
+    out[2] += u[EXPONENT] * below - setting.exponent * memory.ln_bearing
     variance = V[PRESSURE, PRESSURE] + below * below * V[EXPONENT, EXPONENT]
     sd[2] = math.sqrt(max(variance + 2.0 * below * V[PRESSURE, EXPONENT], 0.0))
     wider = widening(memory, setting)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.drives import SHARED, UNITS, SwingingSlip, rover_scenario
+from benchmarks.drives import UNITS, SwingingSlip, rover_scenario
 from soil_env.identification.online.memory import PUBLISHED
 from soil_env.identification.online.on_board import limit_to_wheel
 from soil_env.identification.online.prior import published_prior, setting_of
@@ -15,6 +15,7 @@ from tests.simulation.wheels import started
 
 FRICTION_AND_COHESION = [0, 3]
 COURSES = 12
+SHARED = np.array([0, 1, 3])  # by the wheels: phi, ln K, c
 
 
 def ground(courses, x, border):
