@@ -154,7 +154,9 @@ def publish(u, V, into, memory, setting):
         sd[i] = math.sqrt(V[j, j])
     out[2] += u[EXPONENT] * below - setting.exponent * memory.ln_bearing
     variance = V[PRESSURE, PRESSURE] + below * below * V[EXPONENT, EXPONENT]
-    sd[2] = math.sqrt(max(variance + 2.0 * below * V[PRESSURE, EXPONENT], 0.0))
+    # the pressure is known, the depth errs: by ln p over n, and S by that times its exponent
+    of_depth = setting.exponent / u[EXPONENT]
+    sd[2] = of_depth * math.sqrt(max(variance + 2.0 * below * V[PRESSURE, EXPONENT], 0.0))
     wider = widening(memory, setting)
     for i in range(PUBLISHED):
         sd[i] = min(sd[i] * wider, setting.prior_sd[i]) * memory.widening
