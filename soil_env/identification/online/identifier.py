@@ -239,7 +239,6 @@ def observe(memories, k, reading, alone, setting, work):
         memory.refused += 1.0
         return HELD
     turned = abs(reading.rim_speed - memory.last_rim)
-    memory.last_rim = reading.rim_speed
     advance(memory, reading, turned, setting)
     weigh(memory, reading, setting)
     record_rest(memory, reading, setting)
