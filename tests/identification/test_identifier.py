@@ -403,7 +403,7 @@ def simulate(changes=None, wheels=1, spread=EVEN, grade=(-1.0, 0.0), belief=None
 
 def excited(step):
     """A command that lets the slip go up and down within a few seconds."""
-    return 0.4 + 0.25 * math.sin(0.25 * step)
+    return 0.4 + 0.16 * math.sin(0.25 * step)
 
 
 @pytest.mark.parametrize(
