@@ -29,7 +29,7 @@ from soil_env_agents.evaluate.tuning import shipped_settings
 QUANTITIES = ("phi [deg]", "ln K", "ln S", "c [kPa]", "ln gain", "best pull [of load]")
 #: From the units of `Known.estimate` to these.
 UNITS = np.array([math.degrees(1.0), 1.0, 1.0, 1e-3, 1.0, 1.0])
-SHARED = np.array([0, 1, 3])  # of these the wheels of a rover share: phi, ln K, c
+OF_SOIL = 5  # of these, all but the best pull
 SWING_PERIOD = 4.0  # [s]
 ERROR_SEED = 5  # of zeros and gains
 
@@ -219,21 +219,18 @@ def truth(
     """`QUANTITIES` [T, 6] of soils [T, 11], in SI units and rad, at true bearing sinkages [m] and
     loads [N].
     """
-    belief = scenario.belief
     _, pull = best_points(soil, load, scenario.wheel)
+    return np.column_stack([true_soil(soil, bearing, scenario), np.maximum(pull / load, -1.0)])
+
+
+def true_soil(soil: np.ndarray, bearing: np.ndarray, scenario: Scenario) -> np.ndarray:
+    """`QUANTITIES` [..., OF_SOIL] of soils [..., 11], as `truth`."""
+    belief = scenario.belief
+    tan_phi, cohesion, shear_modulus, coefficient, exponent, gain = np.moveaxis(soil, -1, 0)[:6]
     depth = np.log(np.maximum(bearing, 1e-4))
-    ln_s = np.log(soil[:, 3]) + (soil[:, 4] - belief.sinkage_exponent) * depth
-    gain = np.log(soil[:, 5] / belief.dig_gain)
-    return np.column_stack(
-        [
-            np.arctan(soil[:, 0]),
-            np.log(soil[:, 2]),
-            ln_s,
-            soil[:, 1],
-            gain,
-            np.maximum(pull / load, -1.0),
-        ]
-    )
+    ln_s = np.log(coefficient) + (exponent - belief.sinkage_exponent) * depth
+    ln_gain = np.log(gain / belief.dig_gain)
+    return np.stack([np.arctan(tan_phi), np.log(shear_modulus), ln_s, cohesion, ln_gain], axis=-1)
 
 
 def rover_scenario(rover: str) -> RoverScenario:
@@ -279,8 +276,8 @@ def constant_speeds(scenario: RoverScenario) -> Callable[[np.ndarray], np.ndarra
 def record_rover(
     scenario: RoverScenario, courses: int, seed: int, control: Any, shadows: dict[str, Shadow]
 ) -> dict[str, np.ndarray]:
-    """Drive courses of a seed as `record`; arrays [T, courses, axles, ...], "truth" of phi, ln K
-    and c.
+    """Drive courses of a seed as `record`; arrays [T, courses, axles, ...], "truth"
+    [OF_SOIL].
     """
     simulation = RoverSimulation(courses, scenario, "blind", 2, estimates=True)
     for j in range(courses):
@@ -293,10 +290,9 @@ def record_rover(
     while going.any():
         simulation.step_all(control(w.observation[:, 0].astype(float)), np.where(going, STEP, IDLE))
         places = w.state["wheels"]["x"][:, : scenario.axles]
-        soil = _grounds(w.courses, places, scenario.course.border)[..., [0, 2, 1]]
-        soil[..., 0] = np.arctan(soil[..., 0])
-        soil[..., 1] = np.log(soil[..., 1])
-        log["truth"].append(soil)
+        soil = _grounds(w.courses, places, scenario.course.border)
+        bearing = w.state["wheels"]["bearing_sinkage"][:, : scenario.axles]
+        log["truth"].append(true_soil(soil, bearing, scenario))
         driven = going & (w.state["halt_left"] == 0.0)
         log["driven"].append(np.repeat(driven[:, None], scenario.axles, 1))
         known = {OWN: published(w.known)}
@@ -304,9 +300,8 @@ def record_rover(
             shadow.update(simulation, going, t / scenario.periods)
             known[name] = shadow.known()
         for name, (estimate, sd, status) in known.items():
-            for what, values in zip(
-                KNOWN, (estimate[..., SHARED], sd[..., SHARED], status), strict=True
-            ):
+            of_soil = estimate[..., :OF_SOIL], sd[..., :OF_SOIL], status
+            for what, values in zip(KNOWN, of_soil, strict=True):
                 log[f"{name} {what}"].append(values)
         going = going & (w.cause == Cause.RUNNING.value)
         t += 1

@@ -87,19 +87,17 @@ def cases() -> dict[str, Case]:
 
 
 def measure(case: Case, courses: int, seed: int) -> dict[str, Any]:
-    """Drive and judge a row: of a wheel `QUANTITIES`, of a rover phi, ln K and c of all wheels,
-    pooled.
-    """
+    """Drive and judge a row by `QUANTITIES`, of a rover those of the soil by all wheels."""
     units = drives.UNITS
     if case.scenario in ROVERS:
         rover = drives.rover_scenario(case.scenario)
-        units = units[drives.SHARED]
+        units = units[: drives.OF_SOIL]
         shadows = {name: drives.Shadow(rover, courses, **kind) for name, kind in SENSORS.items()}
         logs = [
             drives.record_rover(driven, courses, seed, ROVER_DRIVES[case.drive](driven), beside)
             for driven, beside in ((rover, {}), (_calibrated(rover), shadows))
         ]
-        prior = drives.prior_of(rover)[drives.SHARED]
+        prior = drives.prior_of(rover)[: drives.OF_SOIL]
     else:
         changes = dict(ONE) if case.scenario == ONE_SOIL else {}
         if case.action:
@@ -191,7 +189,7 @@ def tables(result: dict[str, Any]) -> dict[str, Table]:
             )
         heads = ("scenario", "drives", "prior RMS", "RMS", "68 % hold", "in any drive")
         heads += ("beyond 3 sd [%]", "MISFIT [% of steps]", "[% of courses]")
-        title = f"{kind}: friction angle [deg] / ln K / ln S (rovers: / c [kPa]), medians of drives"
+        title = f"{kind}: friction angle [deg] / ln K / ln S, medians of drives"
         out[title] = Table(heads, rows)
     with_subsets = [row for row in result["rows"].values() if "no torque" in row]
     if with_subsets:
@@ -247,8 +245,8 @@ def command(smoke: bool, out: Path, courses: int, seed: int, only: tuple[str, ..
         print(f"{number} of {len(wanted)}: {name}", file=sys.stderr, flush=True)
     text = (
         f"Errors of the online identifier, {settings['courses']} courses a drive of seed {seed}, "
-        f"by `python -m benchmarks.{NAME}` on {machine_text(result['machine'])}. Rovers: friction "
-        "angle, ln K and cohesion, pooled."
+        f"by `python -m benchmarks.{NAME}` on {machine_text(result['machine'])}. Of a rover "
+        "what its wheels know together."
     )
     write(out, NAME, "Identification, measured", text, tables(result))
 

@@ -24,10 +24,9 @@ WHEEL = wheels()["planetary_rover"]
 BELIEF = Belief()
 
 
-@pytest.fixture(scope="module")
-def drive():
-    """(scenario, readings, infos) of 520 periods, the readings out of the observation (float32);
-    the first 100 are in one soil.
+def driven(seed, periods):
+    """(scenario, readings, infos) of so many periods, the readings out of the observation
+    (float32); the first 100 are in one soil.
     """
     env = gymnasium.make(
         "SoilWheel-v0",
@@ -36,13 +35,13 @@ def drive():
         scaled=False,
         course={"patch_length": [4.0, 5.0]},
     ).unwrapped
-    env.reset(seed=0)
+    env.reset(seed=seed)
     scenario = env.scenario
     readings = []
     infos = []
     weight = scenario.weight
     r = scenario.wheel.radius
-    for step in range(1, 521):
+    for step in range(1, periods + 1):
         observation, _, over, late, info = env.step([0.35 + 0.2 * math.sin((step - 1) / 7)])
         o = dict(zip(env.observation_names, observation.tolist(), strict=True))
         top = scenario.wheel.no_load_speed
@@ -68,6 +67,18 @@ def drive():
         if over or late:
             break
     return scenario, readings, infos
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """`driven` for 520 periods."""
+    return driven(0, 520)
+
+
+@pytest.fixture(scope="module")
+def short_drives():
+    """`driven` in one soil each."""
+    return [driven(seed, 100) for seed in range(8)]
 
 
 def left_by_sinkage(scenario):
@@ -128,10 +139,10 @@ def test_it_is_the_identifier_of_the_environment(drive):
 
 
 @pytest.mark.parametrize("name", ["torque", "drawbar_pull", "load"])
-def test_without_one_channel_it_is_no_surer(drive, name):
-    """Of another estimate, and so not less to the last digit."""
-    whole = known(drive)[0]
-    part = known(drive, **{name: math.nan})[0]
+def test_without_one_channel_it_is_no_surer(short_drives, name):
+    """In the mean of courses; of another estimate, and so not less to the last digit."""
+    whole = np.mean([known(drive)[0] for drive in short_drives], axis=0)
+    part = np.mean([known(drive, **{name: math.nan})[0] for drive in short_drives], axis=0)
     assert 0.9 * whole[1] < part[1] < 0.6
 
 

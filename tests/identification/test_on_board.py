@@ -26,7 +26,7 @@ def test_only_readings_enter():
     on_board = sim._on_board
     sim._on_board = None  # the world alone
     for k in range(80):
-        sim.step(0, 0.4 + 0.35 * math.sin(0.7 * k))
+        sim.step(0, 0.4 + 0.1 * math.sin(0.2 * k))
         samples = w.samples[0, : w.state["periods"][0]]
         other.observe([tuple(sample[name] for name in SensorReading._fields) for sample in samples])
         kept = w.courses.copy(), w.state.copy()

@@ -307,7 +307,9 @@ def test_place_and_spread_of_a_point_are_those_of_its_readings(wheel):
     speeds = [0.28, 0.31, 0.33]
     readings = [STEADY._replace(speed=v) for v in speeds]
     cell = first_point(wheel, readings)
-    ends = speeds[0] * PERIOD + np.cumsum(speeds) * PERIOD
+    before = [speeds[0], *speeds[:-1]]  # a first reading turns the wheel, from rest
+    means = 0.5 * (np.array(before) + speeds)
+    ends = 0.5 * speeds[0] * PERIOD + np.cumsum(means) * PERIOD
     places = ends - LAG * np.array(speeds) * PERIOD
     assert cell["place"] == pytest.approx(places.mean())
     assert cell["spread"] == pytest.approx(places.std())
@@ -321,9 +323,9 @@ def test_the_way_between_points_is_what_travelled_and_slid(wheel):
     first, second = wheel.cells
     length = SCENARIO.relaxation * R
     assert first["changes"] == 0.0 and second["changes"] == 1.0
-    # two readings on from the middle of a point to its end, of three
-    travel = (STEADY.speed + 2.0 * deeper.speed) * PERIOD / length
-    slide = (0.1 + 2.0 * 0.2) * PERIOD / length
+    # a period on from the middle of three readings, one between the points, one to the middle
+    travel = 1.5 * (STEADY.speed + deeper.speed) * PERIOD / length
+    slide = 1.5 * (0.1 + 0.2) * PERIOD / length
     assert second["travel"] == pytest.approx(travel)
     assert second["slide"] == pytest.approx(slide)
     assert second["rise"] == pytest.approx(0.004)

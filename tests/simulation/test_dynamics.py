@@ -257,17 +257,17 @@ def test_rocking_on_the_spot_heals_nothing(amplitude):
     """
     soil = soils()["dry_sand"].state(0.15)._replace(**EQUATION_10)
     wheels = on_uniform_ground(soil, 0.0, "wheel_speed")
-    wheels.drive([0.3] * 30)
+    wheels.drive([0.3] * 30 + [0.0] * 10)
     wheels.state["sinkage"] = 0.1
     wheels.state["rut_depth"] = 0.1
     here = wheels.now().x
     way = 0.0
     forward = True
-    for _ in range(200):
+    for _ in range(600):
         if abs(wheels.now().x - here) > amplitude:
             forward = wheels.now().x < here
         before = wheels.now().x
-        wheels.step(0.15 if forward else -0.15)
+        wheels.step(0.05 if forward else -0.05)
         way += abs(wheels.now().x - before)
     assert way > 0.3 and abs(wheels.now().x - here) < 0.1
     assert wheels.now().sinkage > 0.097
@@ -350,3 +350,23 @@ def test_edges_of_the_world(bare, soil, grade_deg, depth, speeds, commands):
         assert abs(now.speed) < fastest + MOTOR.gravity * MOTOR.period * period
         assert abs(now.drawbar_pull) < 100.0 * weight + 100.0 * soil.cohesion * radius**2
         assert now.soil_work > -1e-3 * weight * radius
+
+
+@pytest.mark.parametrize("action", ["rim_acceleration", "wheel_speed"])
+def test_forces_at_the_end_of_a_period_are_those_of_its_motion(action):
+    """A commanded speed is reached evenly within it, as the drive of a rover does."""
+    soil = soils()["dry_sand"].state(0.15)
+    wheels = on_uniform_ground(soil, 0.0, action)
+    inertia = wheels.simulation.scenario.wheel.inertia
+    off = []
+    size = []
+    for k in range(24):
+        before = wheels.now()
+        wheels.step(0.3 if action == "rim_acceleration" else 0.01 * (k + 1))
+        now = wheels.now()
+        turning = inertia * (now.wheel_speed - before.wheel_speed) / wheels.simulation.scenario.control.period
+        travelling = now.mass * (now.speed - before.speed) / wheels.simulation.scenario.control.period
+        off.append((now.motor_torque - now.torque - turning, now.drawbar_pull - travelling))
+        size.append((turning, travelling))
+    off, size = (np.abs(values[8:]).mean(0) for values in (np.array(off), np.array(size)))
+    assert np.all(off < 0.1 * size)

@@ -144,7 +144,7 @@ def publish(u, V, into, memory, setting):
     """Write `fresh` and its standard deviations by `u` and `covariance` of a record: S is that at
     the bearing sinkage, for the exponent of the belief.
     """
-    below = memory.ln_bearing - math.log(setting.depth) + memory.compaction
+    below = memory.ln_bearing - math.log(setting.depth)
     out = into.fresh
     sd = into.fresh_sd
     out[0] = math.atan(u[TANGENT])
@@ -152,10 +152,11 @@ def publish(u, V, into, memory, setting):
     for i, j in ((1, LN_K), (2, PRESSURE), (3, COHESION), (PUBLISHED - 1, GAIN)):
         out[i] = u[j]
         sd[i] = math.sqrt(V[j, j])
-    out[2] += 0.5 * memory.compaction + u[EXPONENT] * below
-    out[2] -= setting.exponent * memory.ln_bearing
+    out[2] += u[EXPONENT] * below - setting.exponent * memory.ln_bearing
     variance = V[PRESSURE, PRESSURE] + below * below * V[EXPONENT, EXPONENT]
-    sd[2] = math.sqrt(max(variance + 2.0 * below * V[PRESSURE, EXPONENT], 0.0))
+    # the pressure is known, the depth errs: by ln p over n, and S by that times its exponent
+    of_depth = setting.exponent / u[EXPONENT]
+    sd[2] = of_depth * math.sqrt(max(variance + 2.0 * below * V[PRESSURE, EXPONENT], 0.0))
     wider = widening(memory, setting)
     for i in range(PUBLISHED):
         sd[i] = min(sd[i] * wider, setting.prior_sd[i]) * memory.widening
@@ -238,7 +239,6 @@ def observe(memories, k, reading, alone, setting, work):
         memory.refused += 1.0
         return HELD
     turned = abs(reading.rim_speed - memory.last_rim)
-    memory.last_rim = reading.rim_speed
     advance(memory, reading, turned, setting)
     weigh(memory, reading, setting)
     record_rest(memory, reading, setting)

@@ -113,6 +113,7 @@ MEMORY = record(
     "point_slide",
     "point_turning",
     "point_sinkage",  # [m] of the last point; 0 before the first
+    "last_speed",  # [m/s] of the last reading
     "last_rim",  # [m/s]
     "excess",  # sum of what is beyond the expected of chi-squared of points
     "crossing",  # 1 on a border

@@ -28,8 +28,6 @@ LOCKED = -0.4  # [-] slip below which it is as good as locked
 THROWN = 0.115  # [of gravity] acceleration of the rim above which the laws do not hold
 SPIN_ERROR = 8.0  # [-] error of a motor torque over the one that turns the wheel faster
 LIFTED = 0.05  # [of weight] load below which a wheel is in the air
-# Share of a change of the rim speed that the rim slides before the sensors sample.
-SLIDE_BEFORE = 0.08
 LAG = 0.3  # [periods] between the ground that a reading shows and the place at its end
 RESTS_KEPT = 60.0  # readings that the mean pull of a standing wheel remembers
 SLACK = 2.0  # [radii] sinkage beyond which a reading is of no wheel
@@ -73,12 +71,18 @@ def slip_error(reading, setting):
 
 @compiled
 def advance(memory, reading, turned, setting):
-    """Advance place and clocks by a period; `turned`: change of the rim speed in it [m/s]."""
+    """Advance place and clocks by a period, with the means of the speeds at its beginning and end;
+    `turned`: change of the rim speed in it [m/s].
+    """
     step = setting.period / setting.length
-    memory.place += reading.speed * setting.period
-    memory.travel += abs(reading.speed) * step
-    memory.slide += (abs(reading.rim_speed - reading.speed) + SLIDE_BEFORE * turned) * step
+    speed = 0.5 * (memory.last_speed + reading.speed)
+    rim = 0.5 * (memory.last_rim + reading.rim_speed)
+    memory.place += speed * setting.period
+    memory.travel += abs(speed) * step
+    memory.slide += abs(rim - speed) * step
     memory.turning += turned * step
+    memory.last_speed = reading.speed
+    memory.last_rim = reading.rim_speed
 
 
 @compiled

@@ -9,7 +9,7 @@ pooled, so nothing is counted twice.
 
 `TRUST` of it counts, and less where two differ by more than they allow, by chi-squared over its
 degrees of freedom (Birge 1932, Physical Review 40:207-227). Sinkage coefficient and gain of
-slip-sinkage are not pooled: a wheel behind another runs on a floor that this has changed.
+slip-sinkage are not pooled: a wheel behind another bears on a floor whose stiffness has a scatter.
 """
 
 import math

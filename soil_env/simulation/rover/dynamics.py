@@ -103,15 +103,25 @@ def _solve_stage(rover, course, ruts, number, h, forced, world):
 
 
 @inlined
-def _solve_step(rover, course, ruts, h, forced, world):
-    """A step of h seconds in two stages; the time [s] that was driven, less than h if Newton's
-    method fails.
+def _command_at(left, world):
+    """Set the commands of all axles where so many seconds of the period are left."""
+    share = 1.0 - left / world.rig.period
+    for a in range(world.suspension.axles):
+        foot = world.stage.feet[a]
+        foot.command = foot.before + share * (foot.asked - foot.before)
+
+
+@inlined
+def _solve_step(rover, course, ruts, h, left, forced, world):
+    """A step of h seconds in two stages, `left` [s] before the end of the period; the time [s] that
+    was driven, less than h if Newton's method fails.
     """
     for a in range(world.suspension.axles):
         foot = world.stage.feet[a]
         foot.speed_before = rover.wheels[a].speed
         foot.rim_before = world.rig.radius * rover.wheels[a].wheel_speed
     for number in range(2):
+        _command_at(left - (GAMMA * h if number == 0 else h), world)
         if not _solve_stage(rover, course, ruts, number, h, forced, world):
             return number * (GAMMA * h)
     return h
@@ -143,7 +153,7 @@ def _drive_period(rover, course, ruts, world):
     failed = False
     while left > OVER * longest:
         h = min(h, left)
-        driven = _solve_step(rover, course, ruts, h, h <= longest / FINEST, world)
+        driven = _solve_step(rover, course, ruts, h, left, h <= longest / FINEST, world)
         left -= driven
         if driven == h:
             h = longest
@@ -167,6 +177,8 @@ def control_period(rover, actions, course, ruts, world):
         foot = world.stage.feet[a]
         drive = commanded(wheel, actions[a], halted, world.rig)
         foot.command = drive.command
+        foot.asked = drive.command
+        foot.before = drive.before
         foot.by_speed = drive.by_speed
         foot.start = wheel.x
         begin_period(wheel)

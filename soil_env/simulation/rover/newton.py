@@ -44,7 +44,9 @@ FOOT = record(
     "speed_before",  # [m/s] V at the beginning of the step
     "rim_before",  # [m/s] r w there
     "rim_start",  # u* [m/s] of the stage
-    "command",
+    "command",  # at the end of the stage
+    "asked",  # at the end of the control period
+    "before",  # at its beginning
     "sinkage",  # [m] that the arc is laid at
     "grade",  # [rad]
     "along",  # [N] weight along the grade

@@ -23,6 +23,7 @@ from soil_env.simulation.world.wheel import (
     Ahead,
     Ground,
     Path,
+    at_time,
     begin_period,
     commanded,
     end_period,
@@ -231,7 +232,8 @@ def drive_period(wheel, drive, course, world):
             stage = stage_of(number, h, wheel.speed, rim, speed_before, rim_before)
             fx = world.acting.effects
             ahead = ground_ahead(wheel, stage, course, course.cells, rig.border, fx)
-            done = solve_stage(wheel, stage, ahead, drive, forced, world)
+            now = at_time(drive, 1.0 - (left - stage.duration) / rig.period)
+            done = solve_stage(wheel, stage, ahead, now, forced, world)
             if not done:
                 break
             left -= stage.duration

@@ -155,10 +155,11 @@ class World(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """What the motor is to do in a control period."""
+    """What the motor is to do in a control period, or at a time in it."""
 
     command: float  # [-1, 1] of the stall torque, or of the top rim speed
     by_speed: bool
+    before: float  # command from which that of a speed rises evenly
 
 
 class Ground(NamedTuple):
@@ -239,17 +240,18 @@ def acting_in(model: WheelSoilModel | None) -> Acting:
 @inlined
 def commanded(wheel, action, halted, rig):
     """`Drive` of a control period: the action itself, or the rim speed that it leads to where it is
-    a rim acceleration.
+    a rim acceleration. A commanded speed is reached evenly, at the end of the period (`at_time`).
 
     A halt brakes the rim evenly to rest and holds it there; the action that counts as the last one
     is 0.
     """
+    before = wheel.halt_command
     if halted:
         slower = max(abs(wheel.halt_command) - rig.halt_step, 0.0)
         wheel.halt_command = math.copysign(slower, wheel.halt_command)
         wheel.last_action = 0.0
         wheel.rim_command = 0.0
-        return Drive(wheel.halt_command, True)
+        return Drive(wheel.halt_command, True, before)
     by_speed = rig.speed_command > 0
     command = action
     if rig.rim_step > 0.0:
@@ -257,7 +259,15 @@ def commanded(wheel, action, halted, rig):
     wheel.last_action = action
     wheel.rim_command = command if by_speed else 0.0
     wheel.halt_command = command if by_speed else wheel.wheel_speed / rig.no_load_speed
-    return Drive(command, by_speed)
+    return Drive(command, by_speed, before if by_speed else command)
+
+
+@inlined
+def at_time(drive, share):
+    """`Drive` after a share of the control period."""
+    return Drive(
+        drive.before + share * (drive.command - drive.before), drive.by_speed, drive.before
+    )
 
 
 @inlined
