@@ -76,12 +76,12 @@ class SoilRoverEnv(CourseEnv):
     for the name without its axle; `env.unwrapped.physical(observation)` gives the values back, and
     `scaled=False` observes the values. `env.unwrapped.observation_names` lists the names.
 
-    First the readings of the body (`Sensor.of_body` in `soil_env.parameters.sensors.SENSORS`):
-    speed, pitch of the body (front up positive) and acceleration; then odometry and halted. Then,
-    of each axle from the front one on, the readings of one wheel: slip, sinkage (below the floor of
-    the rut that the wheel runs in), drawbar_pull, load, torque, rim_speed and motor_torque; then
-    last_action and rim_command. The names of an axle begin with `front_`, `middle_` or `rear_`; the
-    tables of docs/guide/rover.md have all of them. "Weight" is the mean share of a wheel in the
+    First come the noisy readings of the body, from `speed` on, then odometry and halted. Then come
+    those of each axle from the front one on, from `front_slip`, with last_action and rim_command of
+    the axle behind them. Names of the other axles begin with `middle_` and `rear_`. The tables of
+    docs/guide/rover.md have all of them in their order; `soil_env.parameters.sensors.SENSORS` says
+    which sensors the body has. `pitch` is that of the body, front up positive; `sinkage` is below
+    the floor of the rut that the wheel runs in. "Weight" is the mean share of a wheel in the
     rover's, without payload; "top rim speed" is radius times no-load speed.
 
     `observation="blind"` ends here. `"identified"` (default) adds what is identified from those

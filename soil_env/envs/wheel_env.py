@@ -125,12 +125,12 @@ class SoilWheelEnv(CourseEnv):
     | 2 | 1 | dig_gain |
     | 6 | 0.3 | log10_sinkage_coefficient |
 
-    First the noisy readings of the sensors, declared with size, bounds, centre and scale in
-    `soil_env.parameters.sensors.SENSORS` and listed in docs/guide/environment.md: slip,
-    sinkage, drawbar_pull, load, torque of the soil on the wheel, speed, rim_speed, pitch (uphill
-    positive), motor_torque and acceleration (of travel, and sin(grade)). "Weight" is that of the
-    wheel with its share of the body, without payload; "top rim speed" is radius times no-load
-    speed. Among them stand
+    First come the noisy readings of the sensors, from `slip` on. The table of `Sensors` in
+    docs/guide/environment.md has all of them in their order; their size, bounds, centre and scale
+    are declared in `soil_env.parameters.sensors.SENSORS`. `torque` is that of the soil on the
+    wheel, `pitch` is positive uphill, and `acceleration` is of travel, and sin(grade). "Weight" is
+    that of the wheel with its share of the body, without payload; "top rim speed" is radius times
+    no-load speed. Among them stand
 
     | name | unit | min | max |
     |------|------|-----|-----|
