@@ -73,11 +73,14 @@ def test_a_reading_that_the_common_layout_lacks_is_left_out(monkeypatch):
     own = common_layout.layout("identified", scenario.course)
     values = np.random.default_rng(0).uniform(0.1, 0.9, (3, len(own))).astype(np.float32)
     expected = CommonScaling(scenario)(values)
+    action = DefaultPolicy(scenario).predict(values)[0]
     more = (*own[:13], replace(own[0], name="another"), *own[13:])
     monkeypatch.setattr(common_layout, "layout", lambda *_: more)
+    monkeypatch.setattr(default_policy, "layout", lambda *_: more)
     monkeypatch.setattr(common_layout, "UNREAD", frozenset(["another"]))
-    found = CommonScaling(scenario)(np.insert(values, 13, 0.5, axis=1))
-    np.testing.assert_array_equal(found, expected)
+    values = np.insert(values, 13, 0.5, axis=1)
+    np.testing.assert_array_equal(DefaultPolicy(scenario).predict(values)[0], action)
+    np.testing.assert_array_equal(CommonScaling(scenario)(values), expected)
 
 
 def test_common_layout_is_that_of_two_lines_with_a_flag_the_drive_and_the_misfit():
