@@ -24,7 +24,8 @@ from soil_env._io.files import write_json
 from soil_env.cli.running import WholeNumber, leave, run
 from soil_env.online import Observer, Readings
 from soil_env.parameters import Scenario, config_dir, load_scenario
-from soil_env.parameters.readings import IDLE, STEP, Image, SensorReading, reading_errors
+from soil_env.parameters.readings import IDLE, STEP, Image, reading_errors
+from soil_env.parameters.sensors import SensorReading
 from soil_env.simulation.task import Cause
 from soil_env.simulation.task.layout import layout
 from soil_env.terramechanics.model import load_model

@@ -1,7 +1,7 @@
-"""Readings of a wheel: the public path of `parameters.readings`."""
+"""Readings of a wheel: the public path of `parameters.readings` and `parameters.sensors`."""
 
 from soil_env.parameters.readings import (
     Image as Image,
-    SensorReading as SensorReading,
     sensor_noise as sensor_noise,
 )
+from soil_env.parameters.sensors import SensorReading as SensorReading

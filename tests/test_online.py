@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import soil_env  # noqa: F401  (registers SoilWheel-v0)
-from soil_env.identification.online.fit import PAYLOAD
 from soil_env.identification.online.memory import EXPONENT, GAIN, LN_K, PRESSURE, TANGENT
 from soil_env.identification.online.prior import prior_of_belief
+from soil_env.identification.online.residuals import PAYLOAD
 from soil_env.online import OnlineIdentifier, Readings, Status, largest_readings, slips
 from soil_env.parameters import Belief, Noise, SoilState, wheels
 from soil_env.parameters.sensors import calibrated

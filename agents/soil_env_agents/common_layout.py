@@ -11,13 +11,29 @@ import numpy as np
 from gymnasium import spaces
 
 from soil_env._io.loading import ParameterError
-from soil_env.parameters import CourseSpec, RoverScenario, Scenario
+from soil_env.parameters import CourseSpec, RoverScenario, Scenario, SensorReading
 from soil_env.simulation.task import layout
 from soil_env.simulation.task.scaling import Scaling
 
 ACTION = "rim_acceleration"  # action of the scenarios that this policy drives
 PERIOD = 0.5  # [s] between two actions
-COMMON = layout("identified", CourseSpec(classes=3, lines=2))
+#: Readings that it has; others are left out, so that a policy drives on where a sensor is added.
+READ = (
+    "slip",
+    "sinkage",
+    "drawbar_pull",
+    "load",
+    "torque",
+    "speed",
+    "rim_speed",
+    "pitch",
+    "motor_torque",
+    "acceleration",
+)
+UNREAD = frozenset(SensorReading._fields) - frozenset(READ)
+COMMON = tuple(
+    e for e in layout("identified", CourseSpec(classes=3, lines=2)) if e.name not in UNREAD
+)
 #: Entries after those: change of the rim command by an action of 1, stall torque [of weight x
 #: radius], radius [m].
 ADDED = ("camera", "command_change", "stall_torque", "radius")
@@ -46,7 +62,9 @@ class CommonScaling(Scaling):
                 f"scenario {scenario.name!r}: action {control.action!r} of {control.duration:g} s: "
                 f"expected {ACTION!r} of {PERIOD:g} s"
             )
-        own = layout("identified", scenario.course)
+        entries = layout("identified", scenario.course)
+        self.read = [k for k, e in enumerate(entries) if e.name not in UNREAD]
+        own = tuple(entries[k] for k in self.read)
         if own != COMMON[: len(own)] or scenario.course.classes not in (0, 3):
             raise ParameterError(
                 f"scenario {scenario.name!r}: {scenario.course.classes} terrain classes, "
@@ -77,6 +95,8 @@ class CommonScaling(Scaling):
         """Observations [n, D] from values [n, d] in their units; arrays, or values of an ONNX
         graph.
         """
+        if UNREAD:
+            values = values[:, self.read]
         seen = super().__call__(values)
         slip, pull, load, best = (0.0 * seen[:, [0]] + values[:, column] for column in self.columns)
         begun = [np.clip((slip - edge) / WIDTH, 0.0, 1.0) for edge in EDGES]

@@ -11,7 +11,7 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError, check_unpacked
 from soil_env.parameters import RoverScenario, Scenario, load_scenario
-from soil_env.simulation.task import check_version
+from soil_env.simulation.task import check_version, layout
 
 from . import common_layout, inputs
 from .history import History, columns_of_routes
@@ -85,7 +85,7 @@ class DefaultPolicy(inputs.Observing):
             ) from None
         self.clip = CLIP
         self.scenario = scenario
-        self._layout = inputs.Layout(self.scaling.entries, self.variant)
+        self._layout = inputs.Layout(layout(self.variant, scenario.course), self.variant)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions [n, 1] for observations [n, D], or [1] for [D], and the memory; as

@@ -23,8 +23,6 @@ SHIFT_LAST = np.uint64(31)
 SHIFT_TO_UNIT = np.uint64(11)  # leaves the 53 bits of a float64
 TO_UNIT = 2.0**-53
 
-#: Pairs of normal numbers that `draw_normals` draws at once: those of all sensors of a wheel.
-PAIRS = 5
 #: Scratch of `draw_normals`: the numbers of pair i are `first[i]` and `second[i]`; eight for the
 #: width of a register.
 NORMALS = record(first=("f8", 8), second=("f8", 8))
@@ -66,11 +64,11 @@ def normal_pair(owner):
 
 
 @compiled
-def draw_normals(owner, normals):
-    """Fill the first `PAIRS` of `normals` with standard normal numbers."""
+def draw_normals(owner, normals, pairs):
+    """Fill the first `pairs` of `normals` with standard normal numbers."""
     for i in range(8):
-        normals.first[i] = uniform(owner) if i < PAIRS else 0.0
-        normals.second[i] = uniform(owner) if i < PAIRS else 0.0
+        normals.first[i] = uniform(owner) if i < pairs else 0.0
+        normals.second[i] = uniform(owner) if i < pairs else 0.0
     _to_normal(normals)
 
 

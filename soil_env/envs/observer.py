@@ -17,11 +17,12 @@ from soil_env._compiled.cache import kept
 from soil_env._io.loading import ParameterError
 from soil_env.envs.course_env import actions_of
 from soil_env.identification.online.immobilisation import ImmobilisationWarning, shares_of
-from soil_env.identification.online.interface import OnlineIdentifier, Readings, refusal_of
+from soil_env.identification.online.interface import OnlineIdentifier, Readings
 from soil_env.identification.online.on_board import OnBoard
 from soil_env.identification.published import FORESEEN
 from soil_env.parameters import RoverScenario, Scenario
-from soil_env.parameters.readings import RESTART, STEP, Image, SensorReading, Shown
+from soil_env.parameters.readings import RESTART, STEP, Image, Shown
+from soil_env.parameters.sensors import SensorReading
 from soil_env.simulation.task import layout
 from soil_env.simulation.task.observation import clip, write_sensors
 from soil_env.simulation.wheels import (
@@ -66,12 +67,7 @@ class _Reader(OnlineIdentifier):
 
     def check(self, readings: Readings) -> float:
         """Time [s] since the last readings; TypeError or ValueError for what cannot be."""
-        if not isinstance(readings, Readings):
-            raise TypeError(f"{readings!r:.80}: expected Readings(...)")
-        if refusal := refusal_of(readings, self._largest):
-            raise refusal
-        self._speeds(readings)
-        return self._period(readings.time)
+        return self._checked(readings)[0]
 
     def read(self, r: Readings, period: float, last: SensorReading) -> tuple[bool, np.ndarray]:
         """(both speeds are known, `READING` with what stands for missing readings)."""
@@ -197,7 +193,7 @@ class Observer:
                 "of a camera"
             )
         sample = self._worlds.samples[0, 0]
-        for name, value in zip(Image._fields, self._image, strict=True):
+        for name, value in self._image._asdict().items():
             sample[name] = value
 
     def _read_sensors(self, readings: Readings, period: float) -> bool:
@@ -206,19 +202,18 @@ class Observer:
         """
         known, reading = self._reader.read(readings, period, self._last)
         values = SensorReading(*reading.tolist())
-        for name, given in zip(Readings._fields, readings, strict=True):
+        measured = {name for name, given in readings._asdict().items() if given == given}
+        for name in Readings._fields:
             own = "rim_speed" if name == "wheel_speed" else name
-            if given == given or own in ("slip", "time") or (own.endswith("speed") and known):
+            if name in measured or own in ("slip", "time") or (own.endswith("speed") and known):
                 continue
             if name in self._read:
                 values = values._replace(**{own: getattr(self._last, own)})
                 self.held[own] = self.held.get(own, 0) + 1
-        self._read |= {
-            n for n, given in zip(Readings._fields, readings, strict=True) if given == given
-        }
+        self._read |= measured
         self._last = values
         sample = self._worlds.samples[0, 0]
-        for name, value in zip(SensorReading._fields, values, strict=True):
+        for name, value in values._asdict().items():
             sample[name] = value
         if known:
             self._board.setting["identifier"]["white"][0, 0, 0] = self._reader.white

@@ -14,6 +14,8 @@ import numpy as np
 from soil_env.logs.align import Aligned
 from soil_env.logs.mapping import GEARED, TIMES, UNITS, LogMap, si_factor
 from soil_env.online import slips
+from soil_env.parameters.readings import sizes_of
+from soil_env.parameters.sensors import SENSORS
 
 _STANDS = 0.13  # [rad/s] wheel speed, or travel speed over radius, below which a wheel stands
 _LEAST = 10  # steps that drive, below which nothing is compared
@@ -32,12 +34,23 @@ _HELD = 0.7  # of the travel speed: the rim of a wheel that holds back downhill
 #: Rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long.
 _RIM = (0.65, 6.0)
 _FREEST = (0.4, 3.2)  # the same in the tenth of the steps with the least slip
-_LOAD = (0.2, 5.0)  # [of weight]
-_PULL = (1e-3, 2.0)  # [of weight]
-_TORQUE = (5e-3, 3.0)  # [of weight times radius]
-_PITCH = (0.0, 0.8)  # [rad]
-_FELT = (0.0, 0.7)  # [of gravity]; more with an axis that points down
-_SINKAGE = (1e-3, math.inf)  # [radii] largest of a log
+#: Of each reading the quantile that is compared, and least and most over the size that it is
+#: observed over. A force may be small for a while, as the torque of a wheel that rolls.
+_USUAL_SIZES = {
+    "acceleration": (0.5, 0.0, 0.7),  # more with an axis that points down
+    "pitch": (0.5, 0.0, 0.8),
+    "sinkage": (1.0, 1e-3, math.inf),  # largest of a log
+    "load": (0.5, 0.2, 5.0),
+    "drawbar_pull": (0.75, 1e-3, 2.0),
+    "torque": (0.75, 5e-3, 3.0),
+    "motor_torque": (0.75, 5e-3, 3.0),
+}
+_WORDS = {
+    "of gravity": "gravity",
+    "of radius": "the radius",
+    "of weight": "the weight on the wheel",
+    "of weight x radius": "weight times radius",
+}
 
 
 def time_doubts(interval: float, length: float, log_map: LogMap) -> list[str]:
@@ -174,23 +187,12 @@ class _Doubts:
 
         Forces wait for a doubtful load.
         """
-        weight = self.map.weight
-        radius = self.map.wheel.radius
         gravity = self.map.gravity
-        of_weight = (weight, "N", "the weight on the wheel")
-        of_twist = (weight * radius, "N m", "weight times radius")
-        sizes = {  # its size, with unit and words, the quantile that is compared, plausible ratios
-            "acceleration": ((gravity, "m/s2", "gravity"), 0.5, _FELT),
-            "pitch": ((1.0, "rad", "a radian"), 0.5, _PITCH),
-            "sinkage": ((radius, "m", "the radius"), 1.0, _SINKAGE),
-            "load": (of_weight, 0.5, _LOAD),
-            # May be small for a while, as the torque of a wheel that rolls.
-            "drawbar_pull": (of_weight, 0.75, _PULL),
-            "torque": (of_twist, 0.75, _TORQUE),
-            "motor_torque": (of_twist, 0.75, _TORQUE),
-        }
+        sizes = sizes_of(self.map.wheel, gravity)
+        of = {sensor.name: sensor.observed[0] for sensor in SENSORS}
         before = len(self.lines)
-        for name, ((scale, unit, words), quantile, (low, high)) in sizes.items():
+        for name, (quantile, low, high) in _USUAL_SIZES.items():
+            scale = sizes.get(of[name], 1.0)
             values = self._driven(np.abs(self.log.get(name)))
             if values.size < _LEAST:
                 continue
@@ -203,7 +205,8 @@ class _Doubts:
                 reason += f", or wheel.body_mass {size / gravity:.3g} kg"
             if name == "acceleration":
                 reason += ", or an axis that points down"
-            said = f"{ratio:.3g} times {words} ({scale:.3g} {unit})"
+            unit = next(iter(UNITS[name]))
+            said = f"{ratio:.3g} times {_WORDS.get(of[name], 'a radian')} ({scale:.3g} {unit})"
             self._doubt(name, said, f"{low:g} to {high:g}", reason)
             if name == "load":
                 break

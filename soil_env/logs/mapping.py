@@ -21,26 +21,25 @@ from soil_env._io.loading import (
 )
 from soil_env.measurement.setup import setup_of
 from soil_env.parameters import Belief, Noise, Wheel, refuse_idle_prior, with_preset
+from soil_env.parameters.readings import sizes_of
+from soil_env.parameters.sensors import SENSORS
 
-_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-_SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6}
-_TURNING = {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0, "rev/s": 2.0 * math.pi}
-_FORCE = {"N": 1.0, "kN": 1e3, "kgf": 9.80665, "lbf": 4.4482216152605}
-_TORQUE = {"N m": 1.0, "mN m": 1e-3, "kN m": 1e3, "lbf ft": 1.3558179483314004}
-#: Units of each reading, the first being the one that readings are turned into. An ampere is one of
-#: a motor's current, a quaternion the orientation of the body, x forward and z up as in ROS (REP
-#: 103), of which the uphill pitch is taken.
+#: Other units of a reading by its SI unit, in that. An ampere is one of a motor's current, a
+#: quaternion the orientation of the body, x forward and z up as in ROS (REP 103), of which the
+#: uphill pitch is taken.
+_OTHERS = {
+    "m": {"cm": 1e-2, "mm": 1e-3},
+    "m/s": {"cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6},
+    "rad/s": {"deg/s": math.pi / 180.0, "rpm": math.pi / 30.0, "rev/s": 2.0 * math.pi},
+    "N": {"kN": 1e3, "kgf": 9.80665, "lbf": 4.4482216152605},
+    "N m": {"mN m": 1e-3, "kN m": 1e3, "lbf ft": 1.3558179483314004, "A": 1.0},
+    "": {"%": 1e-2},
+    "rad": {"deg": math.pi / 180.0, "quaternion": 1.0},
+    "m/s2": {"g": 9.80665},
+}
+#: Units of each reading, the first being the one that readings are turned into.
 UNITS: dict[str, dict[str, float]] = {
-    "wheel_speed": _TURNING,
-    "speed": _SPEED,
-    "sinkage": _LENGTH,
-    "drawbar_pull": _FORCE,
-    "load": _FORCE,
-    "torque": _TORQUE | {"A": 1.0},
-    "slip": {"": 1.0, "%": 1e-2},
-    "pitch": {"rad": 1.0, "deg": math.pi / 180.0, "quaternion": 1.0},
-    "motor_torque": _TORQUE | {"A": 1.0},
-    "acceleration": {"m/s2": 1.0, "g": 9.80665},
+    s.name: {s.unit: 1.0} | _OTHERS.get(s.unit, {}) for s in SENSORS
 }
 #: Seconds of each unit of a time column. "iso" is text as 2026-05-04T09:30:00.25 or 09:30:00.25,
 #: "excel" is days from 1899-12-30.
@@ -198,17 +197,15 @@ class LogMap(Checked):
 
     def noise(self) -> Noise:
         """The sensors: `sd` of the channels where given, else the defaults of `Noise`."""
-        force = self.weight
-        twist = self.weight * self.wheel.radius
-        scale = {"drawbar_pull": force, "load": force, "torque": twist, "motor_torque": twist}
-        most = {f.name: f.metadata["high"] for f in fields(Noise)}
+        sizes = sizes_of(self.wheel, self.gravity)
+        of = {f.name: f.metadata for f in fields(Noise)}
         sd = {}
         for name, source in self.channels.items():
             if source.sd is not None:
-                unit = scale.get(name, 1.0) / abs(factor(name, source))
+                unit = sizes.get(of[name]["unit"], 1.0) / abs(factor(name, source))
                 sd[name] = source.sd / unit
-                if sd[name] > most[name]:
-                    expected = f"expected at most {most[name] * unit:g}, in its unit"
+                if sd[name] > of[name]["high"]:
+                    expected = f"expected at most {of[name]['high'] * unit:g}, in its unit"
                     raise FieldError(self, f"channels.{name}.sd", f" = {source.sd:g}: {expected}")
         return Noise(**sd)
 

@@ -7,7 +7,7 @@ configs/rovers/*.yaml. `SoilState` is the plain tuple in which compiled code tak
 from soil_env._io.loading import ParameterError, config_dir, to_dict
 from soil_env.parameters.belief import Belief, refuse_idle_prior
 from soil_env.parameters.course import MOST_CLASSES, Camera, CourseSpec
-from soil_env.parameters.readings import SensorReading, sensor_noise
+from soil_env.parameters.readings import sensor_noise
 from soil_env.parameters.rover import DEFAULT_ROVER, RoverScenario, load_rover, rover_names
 from soil_env.parameters.scenario import (
     DEFAULT_SCENARIO,
@@ -15,7 +15,7 @@ from soil_env.parameters.scenario import (
     load_scenario,
     scenario_names,
 )
-from soil_env.parameters.sensors import Noise
+from soil_env.parameters.sensors import Noise, SensorReading
 from soil_env.parameters.soil import (
     EARTH_GRAVITY,
     FLOW_LAW,

@@ -1,10 +1,13 @@
-"""Sensor readings of a driven wheel in a control period, and their noise."""
+"""Orders to a vehicle, the image of its camera, and errors and units of its readings."""
 
+from dataclasses import fields
 from typing import NamedTuple
 
 import numpy as np
 
 from soil_env.parameters.scenario import Scenario
+from soil_env.parameters.sensors import SENSORS, Noise, SensorReading
+from soil_env.parameters.wheel import Wheel
 
 STEP = np.int8(0)  # order to a vehicle: the control periods of an action
 RESTART = np.int8(1)  # order: a new course, at rest at its start
@@ -13,21 +16,6 @@ TRY = np.int8(3)  # order: draw a course as a trial, of a wheel a whole one
 COMPLETE = np.int8(4)  # order: draw the rest of the course
 AHEAD = np.int8(5)  # order: draw the ground ahead of the vehicle
 RUNNING = 0  # `task.Cause` while an episode goes on
-
-
-class SensorReading(NamedTuple):
-    """One set of sensor readings."""
-
-    slip: float
-    sinkage: float  # [m]
-    drawbar_pull: float  # [N]
-    load: float  # [N]
-    torque: float  # [N m]
-    speed: float  # [m/s]
-    rim_speed: float  # [m/s]
-    pitch: float  # [rad], uphill positive
-    motor_torque: float  # [N m]
-    acceleration: float  # [m/s2] of an accelerometer along the course: of travel, and g sin(grade)
 
 
 class Image(NamedTuple):
@@ -61,35 +49,40 @@ class Shown(NamedTuple):
     high: np.ndarray
 
 
-def reading_errors(scenario: Scenario) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Standard deviations of white noise, zeros and gains of a `SensorReading` [10] each."""
-    units = reading_units(scenario)
-    of = vars(scenario.noise)
-    names = ["wheel_speed" if name == "rim_speed" else name for name in units._fields]
-    white = np.array([of[name] for name in names])
-    zero = np.array([of.get(f"{name}_zero", 0.0) for name in names])
-    gain = np.array([of.get(f"{name}_gain", 0.0) for name in names])
-    return white * units, zero * units, gain
+def sizes_of(wheel: Wheel, gravity: float) -> dict[str, float]:
+    """Sizes [SI] that errors, limits and entries of the observation are relative to."""
+    weight = wheel.body_mass * gravity
+    return {
+        "of weight": weight,
+        "of weight x radius": weight * wheel.radius,
+        "of radius": wheel.radius,
+        "of top rim speed": wheel.radius * wheel.no_load_speed,
+        "of gravity": gravity,
+    }
+
+
+def observed_units(scenario: Scenario) -> SensorReading:
+    """Units of the entries of the observation in those of a `SensorReading`."""
+    sizes = sizes_of(scenario.wheel, scenario.gravity)
+    return SensorReading(*(sizes.get(sensor.observed[0], 1.0) for sensor in SENSORS))
 
 
 def reading_units(scenario: Scenario) -> SensorReading:
     """Units of `Noise` in those of a `SensorReading`."""
-    weight = scenario.weight
-    twist = weight * scenario.wheel.radius
-    return SensorReading(
-        slip=1.0,
-        sinkage=1.0,
-        drawbar_pull=weight,
-        load=weight,
-        torque=twist,
-        speed=1.0,
-        rim_speed=scenario.wheel.radius,
-        pitch=1.0,
-        motor_torque=twist,
-        acceleration=1.0,
-    )
+    sizes = sizes_of(scenario.wheel, scenario.gravity)
+    of = {f.name: sizes.get(f.metadata["unit"], 1.0) for f in fields(Noise)}
+    of["wheel_speed"] = scenario.wheel.radius  # its reading is the rim speed
+    return SensorReading(*(of[sensor.name] for sensor in SENSORS))
+
+
+def reading_errors(scenario: Scenario) -> np.ndarray:
+    """Standard deviations of white noise, zeros and gains of a `SensorReading`, [3, sensors]."""
+    of = vars(scenario.noise)
+    found = [[of.get(s.name + kind, 0.0) for s in SENSORS] for kind in ("", "_zero", "_gain")]
+    units = reading_units(scenario)
+    return np.array(found) * [units, units, np.ones(len(units))]
 
 
 def sensor_noise(scenario: Scenario) -> np.ndarray:
-    """Standard deviations of the white noise of a `SensorReading` [10], in its units."""
-    return reading_errors(scenario)[0]
+    """Standard deviations of the white noise of a `SensorReading`, in its units."""
+    return np.array(reading_errors(scenario)[0])

@@ -1,8 +1,24 @@
-"""Errors of the sensors of a wheel: white noise, zeros and gains."""
+"""The sensors of a wheel: what each reads (`SENSORS`), its errors, and the records of readings."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 from soil_env._io.loading import Checked, quantity
+
+_WEIGHT = "of weight"
+_TWIST = "of weight x radius"
+_TOP_SPEED = "of top rim speed"
+
+
+def _error(unit: str, default: float, high: float = 1.0, doc: str = "") -> Any:
+    """Field of the standard deviation of white noise or of a zero."""
+    return quantity(unit, 0.0, high, default=default, doc=doc)
+
+
+def _gain(default: float) -> Any:
+    """Field of the standard deviation of a relative gain."""
+    return quantity("", 0.0, 0.3, default=default)
 
 
 @dataclass(frozen=True)
@@ -30,41 +46,110 @@ class Noise(Checked):
     - The others are our choice.
     """
 
-    slip: float = quantity("", 0.0, 1.0, default=0.0, doc="of a slip sensor; 0: there is none")
-    sinkage: float = quantity("m", 0.0, 1.0, default=0.001)
-    sinkage_zero: float = quantity("m", 0.0, 1.0, default=0.002)
-    sinkage_gain: float = quantity("", 0.0, 0.3, default=0.0)
-    drawbar_pull: float = quantity("of weight", 0.0, 1.0, default=0.01)
-    drawbar_pull_zero: float = quantity("of weight", 0.0, 1.0, default=0.01)
-    drawbar_pull_gain: float = quantity("", 0.0, 0.3, default=0.01)
-    torque: float = quantity("of weight x radius", 0.0, 1.0, default=0.01)
-    torque_zero: float = quantity("of weight x radius", 0.0, 1.0, default=0.005)
-    torque_gain: float = quantity("", 0.0, 0.3, default=0.02)
-    load: float = quantity("of weight", 0.0, 1.0, default=0.01)
-    load_zero: float = quantity("of weight", 0.0, 1.0, default=0.0)
-    load_gain: float = quantity("", 0.0, 0.3, default=0.01)
-    speed: float = quantity("m/s", 0.0, 10.0, default=0.005)
-    speed_zero: float = quantity("m/s", 0.0, 10.0, default=0.0)
-    speed_gain: float = quantity("", 0.0, 0.3, default=0.01)
-    wheel_speed: float = quantity("rad/s", 0.0, 10.0, default=0.01)
-    wheel_speed_zero: float = quantity("rad/s", 0.0, 10.0, default=0.0)
-    wheel_speed_gain: float = quantity("", 0.0, 0.3, default=0.0)
-    pitch: float = quantity("rad", 0.0, 1.0, default=0.003)
-    pitch_zero: float = quantity("rad", 0.0, 1.0, default=0.005)
-    pitch_gain: float = quantity("", 0.0, 0.3, default=0.0)
-    motor_torque: float = quantity(
-        "of weight x radius", 0.0, 1.0, default=0.01, doc="from the motor's current"
-    )
-    motor_torque_zero: float = quantity("of weight x radius", 0.0, 1.0, default=0.005)
-    motor_torque_gain: float = quantity("", 0.0, 0.3, default=0.05)
-    acceleration: float = quantity(
-        "m/s2", 0.0, 10.0, default=0.03, doc="accelerometer along the course"
-    )
-    acceleration_zero: float = quantity("m/s2", 0.0, 10.0, default=0.05)
-    acceleration_gain: float = quantity("", 0.0, 0.3, default=0.005)
+    slip: float = _error("", 0.0, doc="of a slip sensor; 0: there is none")
+    sinkage: float = _error("m", 0.001)
+    sinkage_zero: float = _error("m", 0.002)
+    sinkage_gain: float = _gain(0.0)
+    drawbar_pull: float = _error(_WEIGHT, 0.01)
+    drawbar_pull_zero: float = _error(_WEIGHT, 0.01)
+    drawbar_pull_gain: float = _gain(0.01)
+    torque: float = _error(_TWIST, 0.01)
+    torque_zero: float = _error(_TWIST, 0.005)
+    torque_gain: float = _gain(0.02)
+    load: float = _error(_WEIGHT, 0.01)
+    load_zero: float = _error(_WEIGHT, 0.0)
+    load_gain: float = _gain(0.01)
+    speed: float = _error("m/s", 0.005, 10.0)
+    speed_zero: float = _error("m/s", 0.0, 10.0)
+    speed_gain: float = _gain(0.01)
+    wheel_speed: float = _error("rad/s", 0.01, 10.0)
+    wheel_speed_zero: float = _error("rad/s", 0.0, 10.0)
+    wheel_speed_gain: float = _gain(0.0)
+    pitch: float = _error("rad", 0.003)
+    pitch_zero: float = _error("rad", 0.005)
+    pitch_gain: float = _gain(0.0)
+    motor_torque: float = _error(_TWIST, 0.01, doc="from the motor's current")
+    motor_torque_zero: float = _error(_TWIST, 0.005)
+    motor_torque_gain: float = _gain(0.05)
+    acceleration: float = _error("m/s2", 0.03, 10.0, doc="accelerometer along the course")
+    acceleration_zero: float = _error("m/s2", 0.05, 10.0)
+    acceleration_gain: float = _gain(0.005)
 
 
 def calibrated(noise: Noise) -> Noise:
     """Return the same sensors without zeros and gains."""
     constant = {name: 0.0 for name in vars(noise) if name.endswith(("_zero", "_gain"))}
-    return Noise(**{**vars(noise), **constant})
+    return replace(noise, **constant)
+
+
+class SensorReading(NamedTuple):
+    """One set of sensor readings."""
+
+    slip: float
+    sinkage: float  # [m]
+    drawbar_pull: float  # [N]
+    load: float  # [N]
+    torque: float  # [N m]
+    speed: float  # [m/s]
+    rim_speed: float  # [m/s]
+    pitch: float  # [rad], uphill positive
+    motor_torque: float  # [N m]
+    acceleration: float  # [m/s2] of an accelerometer along the course: of travel, and g sin(grade)
+
+
+_NAN = math.nan
+
+
+class Readings(NamedTuple):
+    """Sensor readings of one wheel at one time, in SI units; NaN where nothing was measured.
+
+    Forward speeds, a pull in the direction of travel and an uphill pitch are positive.
+    """
+
+    wheel_speed: float = _NAN  # [rad/s]
+    speed: float = _NAN  # [m/s] travel
+    sinkage: float = _NAN  # [m] of the lowest point of the rim
+    drawbar_pull: float = _NAN  # [N] that the wheel exerts on the vehicle
+    load: float = _NAN  # [N] normal to the ground
+    torque: float = _NAN  # [N m] soil on wheel
+    slip: float = _NAN  # [-] where a sensor gives it; else it follows from the two speeds
+    pitch: float = _NAN  # [rad]
+    motor_torque: float = _NAN  # [N m] at the wheel, behind the gear
+    # [m/s2] of an accelerometer along the course: that of travel, and g sin(pitch)
+    acceleration: float = _NAN
+    time: float = _NAN  # [s] of any epoch; left out, one `period` after the last
+
+
+class Sensor(NamedTuple):
+    """What a sensor reads, the largest sound reading, and its entry of the observation.
+
+    A size is one of `readings.sizes_of`; any other text is that of a unit.
+    """
+
+    name: str  # in `Readings` and `Noise`
+    unit: str  # in `Readings`
+    #: Largest plausible reading, as a multiple of a size or of the unit; a larger one is a fault or
+    #: in another unit.
+    largest: tuple[float, str]
+    #: Size that it is observed over or its unit, least and greatest value, centre and scale.
+    observed: tuple[str, float, float, float, float]
+    of_body: bool = False  # a rover has one, and not one for each axle
+
+
+#: One for each field of `SensorReading`, in its order. Centres and scales were read off the
+#: scenarios two_lines, sticky and field_vehicle. A wheel whose sinkage is the radius has its hub at
+#: the ground.
+SENSORS = (
+    Sensor("slip", "", (1.5, ""), ("-", -1.0, 1.0, 0.2, 0.3)),
+    Sensor("sinkage", "m", (1.0, "of radius"), ("of radius", -1.0, 3.0, 0.25, 0.15)),
+    Sensor("drawbar_pull", "N", (100.0, _WEIGHT), (_WEIGHT, -10.0, 10.0, 0.1, 0.2)),
+    Sensor("load", "N", (100.0, _WEIGHT), (_WEIGHT, -10.0, 10.0, 1.1, 0.1)),
+    Sensor("torque", "N m", (100.0, _TWIST), (_TWIST, -10.0, 10.0, 0.4, 0.2)),
+    Sensor("speed", "m/s", (40.0, ""), (_TOP_SPEED, -5.0, 5.0, 0.2, 0.2), of_body=True),
+    Sensor("wheel_speed", "rad/s", (1e3, ""), (_TOP_SPEED, -5.0, 5.0, 0.2, 0.2)),
+    Sensor("pitch", "rad", (1.5, ""), ("rad, uphill positive", -1.6, 1.6, 0.0, 0.15), of_body=True),
+    Sensor("motor_torque", "N m", (100.0, _TWIST), (_TWIST, -10.0, 10.0, 0.4, 0.2)),
+    Sensor(
+        "acceleration", "m/s2", (500.0, ""), ("of gravity", -10.0, 10.0, 0.0, 0.15), of_body=True
+    ),
+)

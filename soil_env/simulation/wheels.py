@@ -15,7 +15,7 @@ from soil_env.parameters import Scenario
 from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY
 from soil_env.simulation.task.layout import bounds_of, layout
 from soil_env.simulation.task.observation import (
-    SENSORS,
+    ENTRIES_OF_WHEEL,
     TRUE_SOIL,
     clip,
     write_seen,
@@ -240,7 +240,7 @@ def _observe(wheel, sample, course, setting, sight, out):
     write_sensors(out, wheel, sample, task)
     truth = task.variant == TRUE_SOIL
     if truth:
-        write_soil_under(out[SENSORS:], wheel, course, setting.world.rig.border)
+        write_soil_under(out[ENTRIES_OF_WHEEL:], wheel, course, setting.world.rig.border)
     if setting.camera.lines > 0:
         write_seen(out[task.seen :], wheel, sample, course, sight, setting.camera, truth)
 

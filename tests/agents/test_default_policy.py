@@ -3,6 +3,7 @@ every ground.
 """
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from soil_env.cli import main as soil_env
 from soil_env.envs.wheel_env import SoilWheelEnv
 from soil_env.parameters import load_rover, load_scenario
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
-from soil_env_agents import default_policy, generalist, student
+from soil_env_agents import common_layout, default_policy, generalist, student
 from soil_env_agents.common_layout import ADDED, COMMON, NAMES, CommonScaling
 from soil_env_agents.controllers import make_controller
 from soil_env_agents.default_policy import LAYERS, WEIGHTS, DefaultPolicy
@@ -65,6 +66,21 @@ def test_it_loses_at_most_one_course_in_twelve_to_a_soft_start(name):
         for driver in (DefaultPolicy(scenario), make_controller("soft_start", scenario))
     )
     assert agent >= rule - 1
+
+
+def test_a_reading_that_the_common_layout_lacks_is_left_out(monkeypatch):
+    scenario = load_scenario("two_lines")
+    own = common_layout.layout("identified", scenario.course)
+    values = np.random.default_rng(0).uniform(0.1, 0.9, (3, len(own))).astype(np.float32)
+    expected = CommonScaling(scenario)(values)
+    action = DefaultPolicy(scenario).predict(values)[0]
+    more = (*own[:13], replace(own[0], name="another"), *own[13:])
+    monkeypatch.setattr(common_layout, "layout", lambda *_: more)
+    monkeypatch.setattr(default_policy, "layout", lambda *_: more)
+    monkeypatch.setattr(common_layout, "UNREAD", frozenset(["another"]))
+    values = np.insert(values, 13, 0.5, axis=1)
+    np.testing.assert_array_equal(DefaultPolicy(scenario).predict(values)[0], action)
+    np.testing.assert_array_equal(CommonScaling(scenario)(values), expected)
 
 
 def test_common_layout_is_that_of_two_lines_with_a_flag_the_drive_and_the_misfit():

@@ -8,7 +8,7 @@ import pytest
 from benchmarks import robustness
 from benchmarks.robustness import Case, misread
 from soil_env.parameters import load_scenario
-from soil_env.parameters.readings import SensorReading
+from soil_env.parameters.sensors import SensorReading
 from soil_env_agents.controllers import make_controller
 from soil_env_agents.evaluate.driving import run_courses
 

@@ -10,6 +10,8 @@ from scipy import stats
 from soil_env._compiled import random_streams as streams
 from soil_env._compiled.flags import record
 
+PAIRS = 5  # at once
+
 OWNER = record(stream=("u8",))
 WORD = 2**64 - 1
 
@@ -47,8 +49,8 @@ def draw(owner, words, uniforms, pairs):
 def draw_many(owner, normals, pairs):
     """Fill `pairs` [n, 5, 2] by `draw_normals`."""
     for i in range(len(pairs)):
-        streams.draw_normals(owner[0], normals[0])
-        for j in range(streams.PAIRS):
+        streams.draw_normals(owner[0], normals[0], PAIRS)
+        for j in range(PAIRS):
             pairs[i, j, 0] = normals[0].first[j]
             pairs[i, j, 1] = normals[0].second[j]
 
@@ -69,8 +71,8 @@ def test_words_and_uniform_numbers_are_those_of_split_mix(seed):
 def test_normal_numbers_are_those_of_box_and_muller():
     """One pair at a time and all pairs of a wheel at once, from the same uniform numbers."""
     count = 40
-    one = np.zeros((count * streams.PAIRS, 2))
-    many = np.zeros((count, streams.PAIRS, 2))
+    one = np.zeros((count * PAIRS, 2))
+    many = np.zeros((count, PAIRS, 2))
     with np.errstate(over="ignore"):
         draw(owner_of(7), np.zeros(0, np.uint64), np.zeros(0), one)
         draw_many(owner_of(7), np.zeros(1, streams.NORMALS), many)
@@ -84,7 +86,7 @@ def test_normal_numbers_are_those_of_box_and_muller():
 
 def test_normal_numbers_are_normal_and_streams_independent():
     seeds = [streams.seed_stream(np.random.default_rng(k)) for k in range(2)]
-    drawn = np.zeros((2, 4000, streams.PAIRS, 2))
+    drawn = np.zeros((2, 4000, PAIRS, 2))
     with np.errstate(over="ignore"):
         for seed, out in zip(seeds, drawn, strict=True):
             draw_many(owner_of(seed), np.zeros(1, streams.NORMALS), out)

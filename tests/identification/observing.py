@@ -38,7 +38,8 @@ from soil_env.identification.online.memory import (
 )
 from soil_env.identification.online.prior import setting_of
 from soil_env.parameters import FLOW_LAW
-from soil_env.parameters.readings import Image, SensorReading
+from soil_env.parameters.readings import Image
+from soil_env.parameters.sensors import SensorReading
 from tests.simulation import wheels
 
 #: Columns of `react`: value and derivatives by tan phi, c, n, ln K, sinkage and slip.
@@ -90,7 +91,7 @@ def solve_system(a, n, m, right, factor, half, x, scratch, inverse):
 @kept
 def _residuals(memory, setting, work, k, out):
     e = of_cell.residuals(memory[0].cells[k], memory[0], setting[0], work[0])
-    for i in range(7):
+    for i in range(out.size):
         out[i] = e[i]
 
 
@@ -259,7 +260,7 @@ class Identified:
 
     def residuals(self, k=0):
         """(`Residuals` of cell k at the unknowns, slopes [RESIDUALS, ALL])."""
-        out = np.empty(7)
+        out = np.empty(len(of_cell.Residuals._fields))
         _residuals(self.memory, self.setting, self.work, k, out)
         return of_cell.Residuals(*out), self.work["slopes"][0].copy()
 

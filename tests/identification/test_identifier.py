@@ -30,7 +30,7 @@ from soil_env.identification.online.memory import (
 )
 from soil_env.identification.online.points import FIRST_READINGS
 from soil_env.parameters import Belief, SoilState, load_scenario, soils
-from soil_env.parameters.readings import SensorReading
+from soil_env.parameters.sensors import SensorReading
 from tests.identification.observing import Identified, driven, reactions, started, unknowns_of
 from tests.simulation import wheels as bench
 from tests.simulation.courses import EVEN

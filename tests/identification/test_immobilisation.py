@@ -9,7 +9,7 @@ from soil_env.envs.wheel_env import SoilWheelEnv
 from soil_env.identification.online import immobilisation as im
 from soil_env.identification.online.prior import setting_of
 from soil_env.parameters import load_scenario
-from soil_env.parameters.readings import SensorReading
+from soil_env.parameters.sensors import SensorReading
 from soil_env.simulation.task import layout
 from tests.identification.observing import follow_averages, readings_of
 

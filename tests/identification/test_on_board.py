@@ -11,7 +11,8 @@ from soil_env.identification import Status
 from soil_env.identification.online.memory import PUBLISHED
 from soil_env.online import OnlineIdentifier
 from soil_env.parameters import SoilState, load_scenario
-from soil_env.parameters.readings import STEP, SensorReading
+from soil_env.parameters.readings import STEP
+from soil_env.parameters.sensors import SensorReading
 from tests.identification.observing import Identified, started
 from tests.simulation import wheels as bench
 

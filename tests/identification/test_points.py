@@ -31,7 +31,7 @@ from soil_env.identification.online.points import (
 )
 from soil_env.online import slips
 from soil_env.parameters import load_scenario, soils
-from soil_env.parameters.readings import SensorReading
+from soil_env.parameters.sensors import SensorReading
 from tests.identification.observing import Identified, driven
 
 SCENARIO = load_scenario("mixed")

@@ -12,8 +12,8 @@ from scipy.stats import chi2, kstest
 from soil_env.envs.rover_env import SoilRoverEnv, SoilRoverVectorEnv
 from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
 from soil_env.parameters import Noise, load_rover, load_scenario
-from soil_env.parameters.readings import IDLE, RESTART, STEP, SensorReading
-from soil_env.parameters.sensors import calibrated
+from soil_env.parameters.readings import IDLE, RESTART, STEP
+from soil_env.parameters.sensors import SENSORS, Readings, SensorReading, calibrated
 from tests.simulation.wheels import started
 
 COURSES = 2000
@@ -33,6 +33,25 @@ BOTH = pytest.mark.parametrize("load", [load_scenario, load_rover], ids=["wheel"
 def named(name):
     """Name in `Noise` of a reading."""
     return "wheel_speed" if name == "rim_speed" else name
+
+
+DECLARED = "soil_env/parameters/sensors.py: "
+
+
+def test_what_is_declared_of_a_sensor_has_its_fields():
+    """The names of sensors stand in four places of one file."""
+    names = [sensor.name for sensor in SENSORS]
+    assert [named(name) for name in SensorReading._fields] == names, (
+        f"{DECLARED}SENSORS and SensorReading: expected one row and one field for each sensor, in "
+        "the same order"
+    )
+    assert {*names, "time"} == set(Readings._fields), (
+        f"{DECLARED}Readings: expected a field for each of SENSORS, and the time"
+    )
+    white = {f.name for f in fields(Noise) if not f.name.endswith(("_zero", "_gain"))}
+    assert white == set(names), f"{DECLARED}Noise: expected the white noise of each of SENSORS"
+    for name in {f.name.removesuffix("_zero").removesuffix("_gain") for f in fields(Noise)}:
+        assert name in names, f"{DECLARED}Noise: {name!r} is none of SENSORS"
 
 
 def scenario_of(load, noise):

@@ -4,8 +4,10 @@ as excitation (regression dilution: Fuller 1987, Measurement Error Models, ch. 1
 
 import math
 
+from numba import literal_unroll
+
 from soil_env._compiled.flags import compiled
-from soil_env.identification.online.memory import CELLS
+from soil_env.identification.online.memory import CELLS, MEANS, OF_CHANGES, VARIANCES
 
 # Differences that count as one, beside noise.
 PULL_UNIT = 0.003  # [of weight]
@@ -38,17 +40,10 @@ def _merge(into, cell):
     condition.
     """
     share = into.slip_variance / (into.slip_variance + cell.slip_variance)
-    into.slip += share * (cell.slip - into.slip)
-    into.sinkage += share * (cell.sinkage - into.sinkage)
-    into.pull += share * (cell.pull - into.pull)
-    into.torque += share * (cell.torque - into.torque)
-    into.load += share * (cell.load - into.load)
-    into.inertial += share * (cell.inertial - into.inertial)
-    into.motor += share * (cell.motor - into.motor)
-    into.slip_variance = _joint_variance(into.slip_variance, cell.slip_variance, share)
-    into.sinkage_variance = _joint_variance(into.sinkage_variance, cell.sinkage_variance, share)
-    into.pull_variance = _joint_variance(into.pull_variance, cell.pull_variance, share)
-    into.torque_variance = _joint_variance(into.torque_variance, cell.torque_variance, share)
+    for name in literal_unroll(MEANS):
+        into[name] += share * (cell[name] - into[name])
+    for name in literal_unroll(VARIANCES):
+        into[name] = _joint_variance(into[name], cell[name], share)
     by_readings = cell.readings / (into.readings + cell.readings)
     off = cell.place - into.place
     square = (1.0 - by_readings) * into.spread**2 + by_readings * cell.spread**2
@@ -59,11 +54,8 @@ def _merge(into, cell):
     into.changes += cell.changes
     if into.changes > 0.0:
         share = cell.changes / into.changes
-        into.rise += share * (cell.rise - into.rise)
-        into.travel += share * (cell.travel - into.travel)
-        into.slide += share * (cell.slide - into.slide)
-        into.middle += share * (cell.middle - into.middle)
-        into.compaction += share * (cell.compaction - into.compaction)
+        for name in literal_unroll(OF_CHANGES):
+            into[name] += share * (cell[name] - into[name])
 
 
 @compiled

@@ -10,28 +10,27 @@ from soil_env.identification.online.linear import add_gaussian, factorise, inver
 from soil_env.identification.online.memory import (
     ALL,
     HERE,
-    LOAD_GAIN,
     OLD,
     PLACE,
     PULL,
     PULL_ZERO,
+    RESIDUALS,
     SINKAGE,
-    SINKAGE_ZERO,
     SOIL,
-    SPEED_GAIN,
     TANGENT,
     TORQUE,
-    TORQUE_GAIN,
-    TORQUE_ZERO,
 )
-from soil_env.identification.online.points import TYPICAL_PULL
-from soil_env.identification.online.residuals import LEAST_TANGENT, residuals
+from soil_env.identification.online.residuals import (
+    EXACTLY,
+    LEAST_TANGENT,
+    WEIGHT,
+    residuals,
+    weigh_unknowns,
+)
 
 STEPS = 2  # of Gauss-Newton for a point, at most; with one the errors of ln K grow by a tenth
 SETTLED = 0.3  # squared length of a step in standard deviations, below which it is the last
 FARTHEST = 4.0  # [prior standard deviations] of the soil from its mean
-PAYLOAD = 0.05  # [of weight] doubt of the load where no sensor measures it
-EXACTLY = 1e-5  # least standard deviation of an instrument, so that none is singular
 # Form error: where chi-squared is `CONTRADICTS` times its expectation the laws err, by as much as
 # leaves no contradiction.
 CONTRADICTS = 1.3
@@ -39,49 +38,6 @@ GROWS = 1.4
 FASTEST = 10.0
 SHRINKS = 1.1
 LARGEST_ERROR = 0.1  # [of load]
-
-
-@compiled
-def _instruments(memory, setting, sd):
-    """Prior standard deviations of the instruments, those of two sensors by the shares that they
-    have had.
-    """
-    inertial = 0.0
-    motor = 0.0
-    readings = 0.0
-    for k in range(memory.cells_kept):
-        cell = memory.cells[k]
-        readings += cell.readings
-        inertial += cell.readings * cell.inertial
-        motor += cell.readings * cell.motor
-    inertial /= max(readings, 1.0)
-    motor /= max(readings, 1.0)
-    zero = setting.zero[0]
-    gain = setting.gain[0]
-    weight = setting.weight
-    twist = weight * setting.radius
-    payload = PAYLOAD if memory.weighings == 0.0 else 0.0
-    of_force = math.hypot(zero.drawbar_pull / weight, TYPICAL_PULL * gain.drawbar_pull)
-    of_mass = math.hypot(memory.mass * zero.acceleration / weight, TYPICAL_PULL * gain.acceleration)
-    rest = 1.0 - motor
-    sd[LOAD_GAIN] = math.hypot(gain.load, math.hypot(zero.load / weight, payload))
-    sd[PULL_ZERO] = math.hypot((1.0 - inertial) * of_force, inertial * of_mass)
-    sd[TORQUE_GAIN] = math.hypot(rest * gain.torque, motor * gain.motor_torque)
-    sd[TORQUE_ZERO] = math.hypot(rest * zero.torque, motor * zero.motor_torque) / twist
-    sd[SINKAGE_ZERO] = zero.sinkage
-    sd[SPEED_GAIN] = math.hypot(gain.speed, gain.rim_speed)
-    for i in range(SOIL, HERE):
-        sd[i] = math.hypot(sd[i], EXACTLY)
-
-
-@compiled
-def weigh_unknowns(memory, setting, work):
-    """Prior standard deviations of all unknowns into `work.sd`."""
-    sd = work.sd
-    sd[:SOIL] = setting.soil_sd
-    _instruments(memory, setting, sd)
-    sd[PLACE] = setting.border
-    sd[OLD:] = setting.soil_sd
 
 
 @compiled
@@ -111,7 +67,9 @@ def _write_prior(memory, setting, work, size):
 
 @compiled
 def _normal_equations(memory, setting, work, size):
-    """Normal matrix and gradient of all cells at the unknowns; chi-squared of each kind."""
+    """Normal matrix and gradient of all cells at the unknowns; chi-squared of the forces, of the
+    law of sinkage, and of the other residuals.
+    """
     _write_prior(memory, setting, work, size)
     A = work.normal
     g = work.gradient
@@ -120,21 +78,29 @@ def _normal_equations(memory, setting, work, size):
     J = work.slopes
     forces = 0.0
     sinkage = 0.0
+    others = 0.0
     for k in range(memory.cells_kept):
         cell = memory.cells[k]
         e = residuals(cell, memory, setting, work)
         forces += e.pull_weight * e.pull**2 + 2.0 * e.joint_weight * e.pull * e.torque
         forces += e.torque_weight * e.torque**2
         sinkage += e.sinkage_weight * e.sinkage**2
+        for row in range(SINKAGE + 1, RESIDUALS):
+            others += e[WEIGHT + row] * e[row] ** 2
         own = size if cell.place_error > 0.0 else HERE
         for i in range(own):
             p = e.pull_weight * J[PULL, i] + e.joint_weight * J[TORQUE, i]
             t = e.joint_weight * J[PULL, i] + e.torque_weight * J[TORQUE, i]
-            s = e.sinkage_weight * J[SINKAGE, i]
-            g[i] += p * e.pull + t * e.torque + s * e.sinkage
+            down = p * e.pull + t * e.torque
+            for row in range(SINKAGE, RESIDUALS):
+                down += e[WEIGHT + row] * J[row, i] * e[row]
+            g[i] += down
             for j in range(i, own):
-                A[i, j] += p * J[PULL, j] + t * J[TORQUE, j] + s * J[SINKAGE, j]
-    return forces, sinkage
+                curved = p * J[PULL, j] + t * J[TORQUE, j]
+                for row in range(SINKAGE, RESIDUALS):
+                    curved += e[WEIGHT + row] * J[row, i] * J[row, j]
+                A[i, j] += curved
+    return forces, sinkage, others
 
 
 @compiled
@@ -180,14 +146,14 @@ def renew(memory, setting, work):
     forces = 0.0
     sinkage = 0.0
     for _ in range(STEPS):
-        forces, sinkage = _normal_equations(memory, setting, work, size)
+        forces, sinkage, others = _normal_equations(memory, setting, work, size)
         factorise(work.normal, size, memory.factor)
         solve(memory.factor, size, work.gradient, work.step)
         length = 0.0
         for i in range(size):
             length += work.step[i] * work.gradient[i]
         share = _apply_step(memory, setting, work, size)
-        before = max(forces + sinkage, EXACTLY)
+        before = max(forces + sinkage + others, EXACTLY)
         left = max(1.0 - _fall(work, size, length, share) / before, 0.0)
         if share == 1.0 and length < SETTLED:
             break

@@ -15,7 +15,7 @@ from soil_env.identification.online.borders import (
     take_fresh,
 )
 from soil_env.identification.online.cells import remember
-from soil_env.identification.online.fit import CONTRADICTS, renew, weigh_unknowns
+from soil_env.identification.online.fit import CONTRADICTS, renew
 from soil_env.identification.online.forces import LN_S, reaction
 from soil_env.identification.online.library import lean, mix, write_information
 from soil_env.identification.online.linear import invert, solve_half
@@ -52,7 +52,7 @@ from soil_env.identification.online.points import (
     slip_error,
     weigh,
 )
-from soil_env.identification.online.residuals import DEEPER, ground_of, residuals
+from soil_env.identification.online.residuals import DEEPER, ground_of, residuals, weigh_unknowns
 from soil_env.identification.status import Status
 
 #: Outcomes of a set of readings: the estimate is as before; the wheel moved on a border, and so to

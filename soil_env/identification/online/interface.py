@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from numbers import Real
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 
@@ -23,15 +23,10 @@ from soil_env._io.loading import ParameterError
 from soil_env.identification.online.ground import assess_ground
 from soil_env.identification.online.identifier import HELD, instruments, observe_all
 from soil_env.identification.online.memory import (
-    LOAD_GAIN,
     MEMORY,
-    PULL_ZERO,
     READING,
-    SINKAGE_ZERO,
-    SPEED_GAIN,
-    TORQUE_GAIN,
-    TORQUE_ZERO,
     WORK,
+    Instruments,
 )
 from soil_env.identification.online.prior import setting_of
 from soil_env.identification.published import Traversability, published, soil_of_numbers
@@ -44,7 +39,8 @@ from soil_env.parameters import (
     Soil,
     Wheel,
 )
-from soil_env.parameters.readings import reading_units
+from soil_env.parameters.readings import reading_units, sizes_of
+from soil_env.parameters.sensors import SENSORS, Readings
 from soil_env.slip import rim_speeds, slips, travel_speeds
 from soil_env.terramechanics.steady import steady_state
 
@@ -61,7 +57,6 @@ __all__ = [
     "slips",
 ]
 
-_NAN = math.nan
 #: [s] between two sets of readings, for which the identifier is made; a warning outside.
 SHORTEST_STEP = 1e-3
 LONGEST_STEP = 10.0
@@ -69,74 +64,15 @@ LONGEST_STEP = 10.0
 UNMEASURED = 1e2
 
 
-class Readings(NamedTuple):
-    """Sensor readings of one wheel at one time, in SI units; NaN where nothing was measured.
-
-    Forward speeds, a pull in the direction of travel and an uphill pitch are positive.
-    """
-
-    wheel_speed: float = _NAN  # [rad/s]
-    speed: float = _NAN  # [m/s] travel
-    sinkage: float = _NAN  # [m] of the lowest point of the rim
-    drawbar_pull: float = _NAN  # [N] that the wheel exerts on the vehicle
-    load: float = _NAN  # [N] normal to the ground
-    torque: float = _NAN  # [N m] soil on wheel
-    slip: float = _NAN  # [-] where a sensor gives it; else it follows from the two speeds
-    pitch: float = _NAN  # [rad]
-    motor_torque: float = _NAN  # [N m] at the wheel, behind the gear
-    # [m/s2] of an accelerometer along the course: that of travel, and g sin(pitch)
-    acceleration: float = _NAN
-    time: float = _NAN  # [s] of any epoch; left out, one `period` after the last
-
-
-_UNITS = Readings("rad/s", "m/s", "m", "N", "N", "N m", "", "rad", "N m", "m/s2", "s")
+_UNITS = {sensor.name: sensor.unit for sensor in SENSORS} | {"time": "s"}
+#: Readings that are not needed to know the motion.
+_FORCES = [s.name for s in SENSORS if s.name not in ("slip", "speed", "wheel_speed", "pitch")]
 
 
 def largest_readings(wheel: Wheel, gravity: float = 9.81) -> Readings:
-    """Largest plausible readings; larger ones are faults or in another unit.
-
-    Sinkage is at most the radius, where the hub is at the ground; a force is at most 100 times the
-    weight.
-    """
-    force = 100.0 * wheel.body_mass * gravity
-    twist = force * wheel.radius
-    return Readings(1e3, 40.0, wheel.radius, force, force, twist, 1.5, 1.5, twist, 500.0)
-
-
-def refusal_of(r: Readings, largest: Readings) -> TypeError | ValueError | None:
-    """Error for the first reading that is no number, or larger than its limit; None if all are
-    fine.
-    """
-    for name, value, limit, unit in zip(Readings._fields, r, largest, _UNITS, strict=True):
-        if not isinstance(value, Real):
-            expected = f"a number [{unit or '-'}], NaN where nothing was measured"
-            return TypeError(f"{name} = {value!r}: expected {expected}")
-        if value == value and limit == limit and not abs(value) <= limit:
-            return ValueError(
-                f"{name} = {value:g} {unit}".rstrip()
-                + f": expected at most {limit:g} {unit}".rstrip()
-            )
-    return None
-
-
-class Instruments(NamedTuple):
-    """Zeros and gains of the instruments as identified with the soil, each a (mean, standard
-    deviation).
-
-    Of two sensors of one quantity it is that of their mean by precision.
-    """
-
-    load_gain: tuple[float, float]  # relative
-    pull_zero: tuple[float, float]  # [of weight]
-    torque_gain: tuple[float, float]  # relative
-    torque_zero: tuple[float, float]  # [of weight x radius]
-    sinkage_zero: tuple[float, float]  # [m]
-    speed_gain: tuple[float, float]  # relative
-
-
-assert (LOAD_GAIN, PULL_ZERO, TORQUE_GAIN, TORQUE_ZERO, SINKAGE_ZERO, SPEED_GAIN) == tuple(
-    range(LOAD_GAIN, LOAD_GAIN + len(Instruments._fields))
-)
+    """Largest plausible readings (`Sensor.largest`); larger ones are faults or in another unit."""
+    sizes = sizes_of(wheel, gravity)
+    return Readings(**{s.name: s.largest[0] * sizes.get(s.largest[1], 1.0) for s in SENSORS})
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +196,7 @@ class OnlineIdentifier:
     def reset(self) -> None:
         """Forget all readings: back to the prior."""
         self._memory[:] = self._setting["blank"][0]
-        self._time = _NAN
+        self._time = math.nan
         self._estimate = self._published(False)
 
     @property
@@ -278,14 +214,7 @@ class OnlineIdentifier:
         identifier anew. Warns of a time less than `SHORTEST_STEP` or more than `LONGEST_STEP` after
         the last.
         """
-        if not isinstance(readings, Readings):
-            raise TypeError(
-                f"{readings!r}: expected Readings(...), of a mapping Readings(**mapping)"
-            )
-        if refusal := refusal_of(readings, self._largest):
-            raise refusal
-        period = self._period(readings.time)
-        rim, speed = self._speeds(readings)
+        period, rim, speed = self._checked(readings)
         outcome = HELD
         if rim == rim and speed == speed:
             self._put(readings, rim, speed)
@@ -333,6 +262,26 @@ class OnlineIdentifier:
         found = Traversability(*out[0].tolist())
         return found._replace(passable=found.passable > 0.0)
 
+    def _checked(self, readings: Readings) -> tuple[float, float, float]:
+        """Time [s] since the last readings, rim and travel speed [m/s]; TypeError or ValueError for
+        what cannot be.
+        """
+        if not isinstance(readings, Readings):
+            raise TypeError(
+                f"{readings!r}: expected Readings(...), of a mapping Readings(**mapping)"
+            )
+        for name, value, limit in zip(Readings._fields, readings, self._largest, strict=True):
+            unit = _UNITS[name]
+            if not isinstance(value, Real):
+                expected = f"a number [{unit or '-'}], NaN where nothing was measured"
+                raise TypeError(f"{name} = {value!r}: expected {expected}")
+            if value == value and limit == limit and not abs(value) <= limit:
+                raise ValueError(
+                    f"{name} = {value:g} {unit}".rstrip()
+                    + f": expected at most {limit:g} {unit}".rstrip()
+                )
+        return self._period(readings.time), *self._speeds(readings)
+
     def _period(self, time: float) -> float:
         """Time [s] since the last update."""
         if abs(time) == math.inf:
@@ -346,7 +295,7 @@ class OnlineIdentifier:
                     f"time = {time!r} s: {passed:.3g} s after the last readings: expected "
                     f"{SHORTEST_STEP:g} to {LONGEST_STEP:g} s; average faster "
                     "readings, call reset() after a longer gap",
-                    stacklevel=3,
+                    stacklevel=4,
                 )
             return passed
         if passed != passed:
@@ -382,19 +331,12 @@ class OnlineIdentifier:
         reading.speed = speed
         reading.rim_speed = rim
         reading.pitch = pitch
-        instead = {
-            "sinkage": self._sinkage,
-            "drawbar_pull": 0.0,
-            "load": self._weight * math.cos(pitch),
-            "torque": 0.0,
-            "motor_torque": 0.0,
-            "acceleration": 0.0,
-        }
+        instead = {"sinkage": self._sinkage, "load": self._weight * math.cos(pitch)}
         white = self._setting["white"][0, 0]
-        for name, value in instead.items():
+        for name in _FORCES:
             measured = getattr(r, name)
             missing = measured != measured
-            reading[name] = value if missing else measured
+            reading[name] = instead.get(name, 0.0) if missing else measured
             unknown = UNMEASURED * getattr(self._units, name)
             white[name] = unknown if missing else self._white[name]
 

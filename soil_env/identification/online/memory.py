@@ -2,6 +2,8 @@
 covariance, a border; and the constants and the work space of its functions.
 """
 
+from typing import NamedTuple
+
 from soil_env._compiled.flags import record
 from soil_env.identification.online.forces import (
     COHESION,
@@ -12,26 +14,41 @@ from soil_env.identification.online.forces import (
     TANGENT,
 )
 from soil_env.parameters import FLOW_LAW
-from soil_env.parameters.readings import SensorReading
+from soil_env.parameters.sensors import SensorReading
 
 #: Unknowns of the soil: tan phi, c [Pa], n, ln of K [m], ln of the pressure S d^n [Pa] at the depth
 #: d, ln of the gain of slip-sinkage over the nominal one.
 assert (TANGENT, COHESION, EXPONENT, LN_K) == tuple(range(OF_GROUND))
 PRESSURE, GAIN = range(OF_GROUND, OF_GROUND + 2)
 SOIL = GAIN + 1
-#: Unknowns of the instruments: relative gain of load, torque and speed, zero of pull [of weight],
-#: torque [of weight x radius] and sinkage [m].
-INSTRUMENTS = 6
-HERE = SOIL + INSTRUMENTS  # unknowns of one soil with the instruments
+
+
+class Instruments(NamedTuple):
+    """Zeros and gains of the instruments as identified with the soil, each a (mean, standard
+    deviation).
+
+    Of two sensors of one quantity it is that of their mean by precision.
+    """
+
+    load_gain: tuple[float, float]  # relative
+    pull_zero: tuple[float, float]  # [of weight]
+    torque_gain: tuple[float, float]  # relative
+    torque_zero: tuple[float, float]  # [of weight x radius]
+    sinkage_zero: tuple[float, float]  # [m]
+    speed_gain: tuple[float, float]  # relative
+
+
+HERE = SOIL + len(Instruments._fields)  # unknowns of one soil with the instruments
+#: Those of the instruments, in the order and the units of `Instruments`.
 LOAD_GAIN, PULL_ZERO, TORQUE_GAIN, TORQUE_ZERO, SINKAGE_ZERO, SPEED_GAIN = range(SOIL, HERE)
 #: Behind a border: the place of its middle [m], and the six of the old soil.
 PLACE = HERE
 OLD = PLACE + 1
 ALL = OLD + SOIL
 
-#: Residuals of a cell.
+#: Residuals of a cell; those from `SINKAGE` on are independent of each other and of the first two.
 PULL, TORQUE, SINKAGE = range(3)
-RESIDUALS = 3
+RESIDUALS = SINKAGE + 1
 
 #: Cells kept; with five the errors grow by 1 to 3 %, with 24 they stay.
 CELLS = 8
@@ -70,26 +87,31 @@ OPEN = record(
     "turning",
 )
 
-#: Readings of like pull, slip and sinkage, averaged. Variances are those of white noise.
-CELL = record(
+#: Readings of like pull, slip and sinkage, averaged: what is averaged by the precision of the slip,
+#: variances of white noise, and means of the changes of sinkage from point to point.
+MEANS = (
     "slip",
-    "slip_variance",
     "sinkage",  # [m]
-    "sinkage_variance",
     "pull",  # [of weight]
-    "pull_variance",
     "torque",  # [of weight x radius]
-    "torque_variance",
     "load",  # [N]
     "inertial",  # share of the accelerometer in the pull
     "motor",  # share of the motor in the torque
-    "readings",
-    "changes",  # of sinkage from point to point, of which the next five are means
+)
+VARIANCES = ("slip_variance", "sinkage_variance", "pull_variance", "torque_variance")
+OF_CHANGES = (
     "rise",  # [m] of sinkage
     "travel",  # [relaxation lengths]
     "slide",  # [relaxation lengths]
     "middle",  # [m] sinkage in the middle
     "compaction",  # of the floor of the rut
+)
+CELL = record(
+    *MEANS,
+    *VARIANCES,
+    *OF_CHANGES,
+    "readings",
+    "changes",
     "most_likely_slip",  # at which the forces are linearised
     "place",  # [m]
     "spread",  # [m] sd of the places of its readings

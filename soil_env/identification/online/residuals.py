@@ -22,6 +22,7 @@ from soil_env.identification.online.memory import (
     COHESION,
     EXPONENT,
     GAIN,
+    HERE,
     LN_K,
     LOAD_GAIN,
     OLD,
@@ -29,6 +30,7 @@ from soil_env.identification.online.memory import (
     PRESSURE,
     PULL,
     PULL_ZERO,
+    RESIDUALS,
     SINKAGE,
     SINKAGE_ZERO,
     SOIL,
@@ -38,7 +40,7 @@ from soil_env.identification.online.memory import (
     TORQUE_GAIN,
     TORQUE_ZERO,
 )
-from soil_env.identification.online.points import READINGS
+from soil_env.identification.online.points import READINGS, TYPICAL_PULL
 
 SINGULAR = 1e-9  # least determinant of a covariance, of the product of its variances
 SHALLOWEST = 0.01  # [radii] least sinkage of a cell
@@ -55,15 +57,21 @@ FARTHEST = 3.0
 
 
 class Residuals(NamedTuple):
-    """Residuals of a cell over their units, with the inverse of their covariance."""
+    """Residuals of a cell over their units, by their rows; then the inverse of their covariance, of
+    pull and torque with a joint one.
+    """
 
     pull: float
     torque: float
+    sinkage: float
     pull_weight: float
     joint_weight: float
     torque_weight: float
-    sinkage: float
     sinkage_weight: float  # 0 where the cell shows no change of sinkage
+
+
+# Index in `Residuals` of the weight of a row from `SINKAGE` on, less the row.
+WEIGHT = RESIDUALS + 1
 
 
 @compiled
@@ -197,7 +205,7 @@ def residuals(cell, memory, setting, work):
     )
     cell.most_likely_slip = min(max(likely, cell.slip - FARTHEST_SLIP), cell.slip + FARTHEST_SLIP)
     s, weight = _of_sinkage(cell, sinkage, share, by_place, memory, setting, work)
-    return Residuals(p, t, pp, pt, tt, s, weight)
+    return Residuals(p, t, s, pp, pt, tt, weight)
 
 
 @compiled
@@ -244,3 +252,44 @@ def _of_sinkage(cell, sinkage, share, by_place, memory, setting, work):
     variance += (law * come * a * bearing) ** 2 + place * place
     sd = math.sqrt(variance)
     return min(max(residual, -FARTHEST * sd), FARTHEST * sd), 1.0 / variance
+
+
+PAYLOAD = 0.05  # [of weight] doubt of the load where no sensor measures it
+EXACTLY = 1e-5  # least standard deviation of an instrument, so that none is singular
+
+
+@compiled
+def weigh_unknowns(memory, setting, work):
+    """Prior standard deviations of all unknowns into `work.sd`, those of two sensors by the shares
+    that they have had.
+    """
+    sd = work.sd
+    sd[:SOIL] = setting.soil_sd
+    sd[PLACE] = setting.border
+    sd[OLD:] = setting.soil_sd
+    inertial = 0.0
+    motor = 0.0
+    readings = 0.0
+    for k in range(memory.cells_kept):
+        cell = memory.cells[k]
+        readings += cell.readings
+        inertial += cell.readings * cell.inertial
+        motor += cell.readings * cell.motor
+    inertial /= max(readings, 1.0)
+    motor /= max(readings, 1.0)
+    zero = setting.zero[0]
+    gain = setting.gain[0]
+    weight = setting.weight
+    twist = weight * setting.radius
+    payload = PAYLOAD if memory.weighings == 0.0 else 0.0
+    of_force = math.hypot(zero.drawbar_pull / weight, TYPICAL_PULL * gain.drawbar_pull)
+    of_mass = math.hypot(memory.mass * zero.acceleration / weight, TYPICAL_PULL * gain.acceleration)
+    rest = 1.0 - motor
+    sd[LOAD_GAIN] = math.hypot(gain.load, math.hypot(zero.load / weight, payload))
+    sd[PULL_ZERO] = math.hypot((1.0 - inertial) * of_force, inertial * of_mass)
+    sd[TORQUE_GAIN] = math.hypot(rest * gain.torque, motor * gain.motor_torque)
+    sd[TORQUE_ZERO] = math.hypot(rest * zero.torque, motor * zero.motor_torque) / twist
+    sd[SINKAGE_ZERO] = zero.sinkage
+    sd[SPEED_GAIN] = math.hypot(gain.speed, gain.rim_speed)
+    for i in range(SOIL, HERE):
+        sd[i] = math.hypot(sd[i], EXACTLY)

@@ -9,10 +9,11 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import literal_unroll
 
 from soil_env._compiled.cache import kept
 from soil_env._compiled.flags import HUGE, compiled, compiled_finite, inlined, record
-from soil_env._compiled.random_streams import NORMALS, between, normal_pair, word
+from soil_env._compiled.random_streams import NORMALS, between, word
 from soil_env.parameters import MOST_AXLES, RoverScenario
 from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY
 from soil_env.simulation.rover.body import ROVER, set_pitch, suspension_of
@@ -20,6 +21,7 @@ from soil_env.simulation.rover.dynamics import control_period
 from soil_env.simulation.rover.newton import STAGE, RoverWorld
 from soil_env.simulation.rover.ruts import clear_ruts, new_ruts
 from soil_env.simulation.rover.task import (
+    BODY,
     ENTRIES_OF_AXLE,
     ENTRIES_OF_BODY,
     rover_layout,
@@ -39,6 +41,7 @@ from soil_env.simulation.world.sensors import (
     read_slip,
     roll_odometer,
     sense,
+    sense_body,
     sensor_errors,
     sensors_of,
 )
@@ -54,6 +57,7 @@ DEEPEST_ALONE = 0.5  # [of the limit] sinkage of a wheel by itself on the ground
 ROVER_SAMPLE = record(
     "place",  # [m] by odometry
     "halted",  # 1 in a commanded halt, else 0
+    *BODY,  # readings of the sensors of the body
 )
 
 
@@ -226,43 +230,22 @@ class Setting(NamedTuple):
     normals: Any  # `NORMALS`
 
 
-@inlined
-def _sense_body(rover, sensors):
-    """Readings of speed, pitch and acceleration of a rover's body; zeros and gains are those in the
-    record of the front wheel.
-    """
-    of_speed, of_pitch = normal_pair(rover)
-    of_acceleration, _ = normal_pair(rover)
-    sd = sensors.white[0]
-    zero = rover.wheels[0].zero[0]
-    gain = rover.wheels[0].gain[0]
-    specific = rover.drawbar_pull / rover.mass
-    return (
-        (1.0 + gain.speed) * rover.speed + zero.speed + sd.speed * of_speed,
-        (1.0 + gain.pitch) * rover.pitch + zero.pitch + sd.pitch * of_pitch,
-        (1.0 + gain.acceleration) * specific
-        + zero.acceleration
-        + sd.acceleration * of_acceleration,
-    )
-
-
 @compiled_finite
 def _sense(rover, readings, sample, period, setting):
     """Fill `readings` [axles, periods] of a control period and its `ROVER_SAMPLE`.
 
-    Of speed, pitch and acceleration the body has one sensor each.
+    What the body has a sensor of is the same in all.
     """
     task = setting.task
-    speed, pitch, acceleration = _sense_body(rover, setting.sensors)
+    sense_body(rover, sample, setting.sensors)
     if rover.steps > 0:  # not at the start of a course
-        roll_odometer(rover, speed, task.period)
+        roll_odometer(rover, sample.speed, task.period)
     for a in range(setting.world.suspension.axles):
         wheel = rover.wheels[a]
         reading = readings[a, period]
         sense(wheel, reading, setting.normals, setting.sensors, setting.errors, task.radius)
-        reading.speed = speed
-        reading.pitch = pitch
-        reading.acceleration = acceleration
+        for name in literal_unroll(BODY):
+            reading[name] = sample[name]
         read_slip(wheel, reading, setting.sensors, setting.errors)
     sample.halted = 1.0 if rover.halt_left > 0.0 else 0.0
     sample.place = rover.odometer

@@ -8,23 +8,20 @@ rover gets on.
 
 from dataclasses import replace
 
+from numba import literal_unroll
+
 from soil_env._compiled.flags import compiled, compiled_finite
+from soil_env.parameters.sensors import SENSORS
 from soil_env.simulation.task import AXLES, ObservedNumber, layout
-from soil_env.simulation.task.observation import ENTRIES_OF_SOIL, relative, write_soil
+from soil_env.simulation.task.observation import ENTRIES_OF_SOIL, write_soil
+from soil_env.simulation.world.sensors import NAMES
 from soil_env.simulation.world.terrain import soil_on
 
-_OF_BODY = ("speed", "pitch", "acceleration", "odometry", "halted")
-_OF_AXLE = (
-    "slip",
-    "sinkage",
-    "drawbar_pull",
-    "load",
-    "torque",
-    "rim_speed",
-    "motor_torque",
-    "last_action",
-    "rim_command",
-)
+# Readings of the body and of an axle.
+BODY = tuple(sensor.name for sensor in SENSORS if sensor.of_body)
+AXLE = tuple(name for name in NAMES if name not in BODY)
+_OF_BODY = (*BODY, "odometry", "halted")
+_OF_AXLE = (*AXLE, "last_action", "rim_command")
 
 ENTRIES_OF_BODY = len(_OF_BODY)  # of the observation
 ENTRIES_OF_AXLE = len(_OF_AXLE)
@@ -54,28 +51,23 @@ def write_body(out, rover, reading, task):
     """Fill the first entries of `out` with readings of a rover as a whole, which those of any of
     its wheels have.
     """
-    seen = relative(reading, task)
-    out[0] = seen.speed
-    out[1] = seen.pitch
-    out[2] = seen.acceleration
-    out[3] = rover.odometer / task.length
-    out[4] = 1.0 if rover.halt_left > 0.0 else 0.0
+    i = 0
+    for name in literal_unroll(BODY):
+        out[i] = reading[name] / task.units[0][name]
+        i += 1
+    out[i] = rover.odometer / task.length
+    out[i + 1] = 1.0 if rover.halt_left > 0.0 else 0.0
 
 
 @compiled_finite
 def write_axle(out, a, wheel, reading, task):
     """Fill the entries of axle a, counted from the front, with the readings of its wheel."""
     i = ENTRIES_OF_BODY + a * ENTRIES_OF_AXLE
-    seen = relative(reading, task)
-    out[i] = seen.slip
-    out[i + 1] = seen.sinkage
-    out[i + 2] = seen.drawbar_pull
-    out[i + 3] = seen.load
-    out[i + 4] = seen.torque
-    out[i + 5] = seen.rim_speed
-    out[i + 6] = seen.motor_torque
-    out[i + 7] = wheel.last_action
-    out[i + 8] = wheel.rim_command
+    for name in literal_unroll(AXLE):
+        out[i] = reading[name] / task.units[0][name]
+        i += 1
+    out[i] = wheel.last_action
+    out[i + 1] = wheel.rim_command
 
 
 def first_soil(axles: int) -> int:

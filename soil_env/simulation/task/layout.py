@@ -1,8 +1,8 @@
 """Layout of the observation, number by number.
 
 All variants begin with the same entries. Forces, speeds and sinkage are relative to the wheel's
-weight, top rim speed and radius, so that they are of order one for any wheel. Centres and scales
-were read off the scenarios two_lines, sticky and field_vehicle.
+weight, top rim speed and radius, so that they are of order one for any wheel. Those of the sensors
+are declared with them (`parameters.sensors`).
 """
 
 from collections.abc import Iterable
@@ -12,6 +12,7 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError, unknown_value
 from soil_env.parameters import CourseSpec
+from soil_env.parameters.sensors import SENSORS, SensorReading
 
 #: Version of the layout. A policy of another one is refused, even if its numbers have these names.
 #: 2: slip follows from two speeds, sensors have zeros and gains, grades say nothing about the soil.
@@ -36,20 +37,16 @@ def _flag(name: str) -> ObservedNumber:
     return ObservedNumber(name, "0 or 1", 0.0, 1.0)
 
 
+_SENSED = [
+    ObservedNumber(name, *sensor.observed)
+    for name, sensor in zip(SensorReading._fields, SENSORS, strict=True)
+]
 _BLIND = (
-    ObservedNumber("slip", "-", -1.0, 1.0, 0.2, 0.3),
-    ObservedNumber("sinkage", "of radius", -1.0, 3.0, 0.25, 0.15),
-    ObservedNumber("drawbar_pull", "of weight", -10.0, 10.0, 0.1, 0.2),
-    ObservedNumber("load", "of weight", -10.0, 10.0, 1.1, 0.1),
-    ObservedNumber("torque", "of weight x radius", -10.0, 10.0, 0.4, 0.2),
-    ObservedNumber("speed", "of top rim speed", -5.0, 5.0, 0.2, 0.2),
-    ObservedNumber("rim_speed", "of top rim speed", -5.0, 5.0, 0.2, 0.2),
-    ObservedNumber("pitch", "rad, uphill positive", -1.6, 1.6, 0.0, 0.15),
+    *_SENSED[:8],
     ObservedNumber("last_action", "-", -1.0, 1.0),
     ObservedNumber("odometry", "of course length", -5.0, 5.0, 0.5, 0.3),
     _flag("halted"),
-    ObservedNumber("motor_torque", "of weight x radius", -10.0, 10.0, 0.4, 0.2),
-    ObservedNumber("acceleration", "of gravity", -10.0, 10.0, 0.0, 0.15),
+    *_SENSED[8:],
     ObservedNumber("rim_command", "of top rim speed", -1.0, 1.0, 0.2, 0.2),
 )
 _SOIL = (

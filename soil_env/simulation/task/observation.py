@@ -2,16 +2,23 @@
 
 import math
 
+from numba import literal_unroll
+
 from soil_env._compiled.flags import compiled, compiled_finite
-from soil_env.parameters.readings import SensorReading
-from soil_env.simulation.task.layout import VARIANTS
+from soil_env.simulation.task.layout import VARIANTS, layout
 from soil_env.simulation.world.camera import Sight, patch_ahead, seen_grade, write_view
 from soil_env.simulation.world.routes import choosing
+from soil_env.simulation.world.sensors import NAMES
 from soil_env.simulation.world.terrain import piece_at, soil_on
 from soil_env.terramechanics.ground import soil_of
 
-SENSORS = 14  # entries that every variant has
-LAST_ACTION = 8  # index of that entry; those before are the first readings
+_ENTRIES = [entry.name for entry in layout("blind")]
+ENTRIES_OF_WHEEL = len(_ENTRIES)  # that every variant has
+# Indices of entries: those of the readings in the order of `SensorReading`, and the others.
+PLACES = tuple(_ENTRIES.index(name) for name in NAMES)
+LAST_ACTION, ODOMETRY, HALTED, RIM_COMMAND = map(
+    _ENTRIES.index, ("last_action", "odometry", "halted", "rim_command")
+)
 TRUE_SOIL = VARIANTS.index("true_soil")
 ENTRIES_OF_SOIL = 7  # of a true soil
 ENTRIES_AHEAD = 8  # of the true soil of a route ahead: soil and margin
@@ -25,35 +32,16 @@ def clip(out, bounds):
 
 
 @compiled_finite
-def relative(reading, task):
-    """`SensorReading` of a `READING` in the units of the observation."""
-    moment = task.weight * task.radius
-    return SensorReading(
-        reading.slip,
-        reading.sinkage / task.radius,
-        reading.drawbar_pull / task.weight,
-        reading.load / task.weight,
-        reading.torque / moment,
-        reading.speed / task.top_speed,
-        reading.rim_speed / task.top_speed,
-        reading.pitch,
-        reading.motor_torque / moment,
-        reading.acceleration / task.gravity,
-    )
-
-
-@compiled_finite
 def write_sensors(out, wheel, reading, task):
     """Fill the first entries of the observation `out` [D] of a wheel."""
-    seen = relative(reading, task)
-    for i in range(LAST_ACTION):
-        out[i] = seen[i]
+    i = 0
+    for name in literal_unroll(NAMES):
+        out[PLACES[i]] = reading[name] / task.units[0][name]
+        i += 1
     out[LAST_ACTION] = wheel.last_action
-    out[9] = wheel.odometer / task.length
-    out[10] = 1.0 if wheel.halt_left > 0.0 else 0.0
-    out[11] = seen.motor_torque
-    out[12] = seen.acceleration
-    out[13] = wheel.rim_command
+    out[ODOMETRY] = wheel.odometer / task.length
+    out[HALTED] = 1.0 if wheel.halt_left > 0.0 else 0.0
+    out[RIM_COMMAND] = wheel.rim_command
 
 
 @compiled

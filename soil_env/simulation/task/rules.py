@@ -8,7 +8,9 @@ import numpy as np
 from soil_env._compiled.flags import compiled_finite, record
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import Limits, RewardWeights, Scenario
+from soil_env.parameters.readings import observed_units
 from soil_env.simulation.task.layout import VARIANTS, layout
+from soil_env.simulation.world.sensors import READING
 from soil_env.simulation.world.terrain import BEHIND
 
 REWARD_TERMS = ("progress", "energy", "immobilisation", "information")
@@ -38,11 +40,11 @@ TASK = record(
     "weight",  # [N] without payload
     "gravity",  # [m/s2]
     "radius",  # [m]
-    "top_speed",  # [m/s] of the rim without load
     "length",  # [m] of the course
     "period",  # [s] of the control
     *(f.name for f in fields(Limits)),
     *(f.name for f in fields(RewardWeights)),
+    units=(READING, 1),  # of the observed readings
     variant=("i8",),  # index in `VARIANTS`
     periods=("i8",),  # control periods until the time limit
     action_periods=("i8",),  # control periods that an action lasts
@@ -61,7 +63,7 @@ def task_of(scenario: Scenario, variant: str) -> np.ndarray:
     task["weight"] = scenario.weight
     task["gravity"] = scenario.gravity
     task["radius"] = w.radius
-    task["top_speed"] = w.radius * w.no_load_speed
+    task["units"] = observed_units(scenario)
     task["length"] = scenario.course.length
     task["period"] = scenario.control.period
     for part in (scenario.limits, scenario.reward):

@@ -4,18 +4,21 @@ from math import hypot
 from typing import NamedTuple
 
 import numpy as np
+from numba import literal_unroll
 
-from soil_env._compiled.flags import compiled_finite, record
-from soil_env._compiled.random_streams import draw_normals
+from soil_env._compiled.flags import compiled_finite, inlined, record
+from soil_env._compiled.random_streams import draw_normals, normal_pair
 from soil_env.parameters import Scenario
-from soil_env.parameters.readings import SensorReading, reading_errors
+from soil_env.parameters.readings import reading_errors
+from soil_env.parameters.sensors import SensorReading
 from soil_env.slip import SLOWEST, signed_slip
 from soil_env.terramechanics.effects.slip_bias import measured_slip
 from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
 from soil_env.terramechanics.model import WheelSoilModel
 
+NAMES = SensorReading._fields
 #: A `SensorReading` as a record, or the standard deviations of one.
-READING = record(*SensorReading._fields)
+READING = record(*NAMES)
 #: Errors of the sensors: standard deviations of white noise, zeros and gains.
 SENSOR_NOISE = record(
     "slow",  # [m/s] that slip of the two speeds is relative to at least
@@ -23,6 +26,9 @@ SENSOR_NOISE = record(
     zero=(READING, 1),
     gain=(READING, 1),
 )
+#: Pairs of normal numbers of all sensors of a wheel, at most eight (`NORMALS`); a pair is that of
+#: two readings, one after the other.
+PAIRS = (len(NAMES) + 1) // 2
 SLOW = 3.0  # [-] the same, over the white noise of both speeds: a wheel at rest has little slip
 
 
@@ -60,29 +66,21 @@ def sensors_of(scenario: Scenario) -> np.ndarray:
 
 
 @compiled_finite
-def _scatter(out, sd, normals):
+def _scatter(out, sd, wheel, normals):
     """Fill the record `out` with normal numbers of the standard deviations of the record `sd`."""
-    first = normals.first
-    second = normals.second
-    out.slip = sd.slip * first[0]
-    out.sinkage = sd.sinkage * second[0]
-    out.drawbar_pull = sd.drawbar_pull * first[1]
-    out.load = sd.load * second[1]
-    out.torque = sd.torque * first[2]
-    out.speed = sd.speed * second[2]
-    out.rim_speed = sd.rim_speed * first[3]
-    out.pitch = sd.pitch * second[3]
-    out.motor_torque = sd.motor_torque * first[4]
-    out.acceleration = sd.acceleration * second[4]
+    draw_normals(wheel, normals, PAIRS)
+    i = 0
+    for name in literal_unroll(NAMES):
+        k = i // 2
+        out[name] = sd[name] * (normals.first[k] if i % 2 == 0 else normals.second[k])
+        i += 1
 
 
 @compiled_finite
 def mount_sensors(wheel, normals, sensors):
     """Draw zeros and gains of the sensors of a wheel for a course."""
-    draw_normals(wheel, normals)
-    _scatter(wheel.zero[0], sensors.zero[0], normals)
-    draw_normals(wheel, normals)
-    _scatter(wheel.gain[0], sensors.gain[0], normals)
+    _scatter(wheel.zero[0], sensors.zero[0], wheel, normals)
+    _scatter(wheel.gain[0], sensors.gain[0], wheel, normals)
 
 
 @compiled_finite
@@ -104,10 +102,8 @@ def sense(wheel, reading, normals, sensors, errors, radius):
     gain = wheel.gain[0]
     sinkage = _seen_sinkage(wheel.slip, wheel.sinkage, errors) + wheel.unfelt
     pull = wheel.drawbar_pull
-    motor = wheel.motor_torque
     rim = wheel.wheel_speed * radius
-    draw_normals(wheel, normals)
-    _scatter(reading, sensors.white[0], normals)
+    _scatter(reading, sensors.white[0], wheel, normals)
     reading.sinkage += (1.0 + gain.sinkage) * sinkage + zero.sinkage
     reading.drawbar_pull += (1.0 + gain.drawbar_pull) * pull + zero.drawbar_pull
     reading.load += (1.0 + gain.load) * wheel.load + zero.load
@@ -115,7 +111,7 @@ def sense(wheel, reading, normals, sensors, errors, radius):
     reading.speed += (1.0 + gain.speed) * wheel.speed + zero.speed
     reading.rim_speed += (1.0 + gain.rim_speed) * rim + zero.rim_speed
     reading.pitch += (1.0 + gain.pitch) * wheel.grade + zero.pitch
-    reading.motor_torque += (1.0 + gain.motor_torque) * motor + zero.motor_torque
+    reading.motor_torque += (1.0 + gain.motor_torque) * wheel.motor_torque + zero.motor_torque
     reading.acceleration += (1.0 + gain.acceleration) * pull / wheel.mass + zero.acceleration
 
 
@@ -138,3 +134,20 @@ def _seen_sinkage(slip, sinkage, errors):
     """Sinkage [m] as a sensor with `SensorErrors` shows it, without noise."""
     ratio = slip_sinkage_ratio(slip, errors.slip_sinkage_gain, errors.slip_sinkage_recovery)
     return sinkage * ratio + errors.sinkage_offset_offset
+
+
+@inlined
+def sense_body(rover, reading, sensors):
+    """Fill a record with readings of the sensors that the body of a rover has; zeros and gains are
+    those in the record of the front wheel.
+    """
+    of_speed, of_pitch = normal_pair(rover)
+    of_acceleration, _ = normal_pair(rover)
+    sd = sensors.white[0]
+    zero = rover.wheels[0].zero[0]
+    gain = rover.wheels[0].gain[0]
+    felt = rover.drawbar_pull / rover.mass
+    reading.speed = (1.0 + gain.speed) * rover.speed + zero.speed + sd.speed * of_speed
+    reading.pitch = (1.0 + gain.pitch) * rover.pitch + zero.pitch + sd.pitch * of_pitch
+    noise = sd.acceleration * of_acceleration
+    reading.acceleration = (1.0 + gain.acceleration) * felt + zero.acceleration + noise
