@@ -76,20 +76,44 @@ class SoilRoverEnv(CourseEnv):
     for the name without its axle; `env.unwrapped.physical(observation)` gives the values back, and
     `scaled=False` observes the values. `env.unwrapped.observation_names` lists the names.
 
-    First come the noisy readings of the body, from `speed` on, then odometry and halted. Then come
-    those of each axle from the front one on, from `front_slip`, with last_action and rim_command of
-    the axle behind them. Names of the other axles begin with `middle_` and `rear_`. The tables of
-    docs/guide/rover.md have all of them in their order; `soil_env.parameters.sensors.SENSORS` says
-    which sensors the body has. `pitch` is that of the body, front up positive; `sinkage` is below
-    the floor of the rut that the wheel runs in. "Weight" is the mean share of a wheel in the
-    rover's, without payload; "top rim speed" is radius times no-load speed.
+    The tables give the values, with their least and greatest. "Weight" is the mean share of a wheel
+    in the rover's, without payload; "top rim speed" is radius times no-load speed. First the rover
+    as a whole. All entries are noisy sensor readings (`Noise`), but for 4 and, of each axle,
+    `last_action` and `rim_command`:
 
-    `observation="blind"` ends here. `"identified"` (default) adds what is identified from those
-    readings of the soil under each axle: the 13 entries of SoilWheel-v0 for each axle, from
-    `front_friction_angle` on. `front_best_pull` is by the readings of this axle alone.
+    | # | name | unit | min | max |
+    |---|------|------|-----|-----|
+    | 0 | speed | of top rim speed | -5 | 5 |
+    | 1 | pitch | rad, of the body, front up positive | -1.6 | 1.6 |
+    | 2 | acceleration | of gravity, accelerometer: of travel, and of gravity | -10 | 10 |
+    | 3 | odometry | of course length | -5 | 5 |
+    | 4 | halted | 0 or 1 | 0 | 1 |
 
-    `"true_soil"`, for reference only, adds the undisturbed soil under each axle instead: the 7
-    entries of SoilWheel-v0 in this observation for each axle.
+    then nine readings of each axle, first those of the front one:
+
+    | # | name | unit | min | max |
+    |---|------|------|-----|-----|
+    | 5 | front_slip | -: (rw - V)/rw driving, (rw - V)/V braking | -1 | 1 |
+    | 6 | front_sinkage | of radius, below the floor of the rut that the wheel runs in | -1 | 3 |
+    | 7 | front_drawbar_pull | of weight, a wheel | -10 | 10 |
+    | 8 | front_load | of weight, on a wheel | -10 | 10 |
+    | 9 | front_torque | of weight x radius, soil on wheel | -10 | 10 |
+    | 10 | front_rim_speed | of top rim speed | -5 | 5 |
+    | 11 | front_motor_torque | of weight x radius | -10 | 10 |
+    | 12 | front_last_action | - | -1 | 1 |
+    | 13 | front_rim_command | of top rim speed, which the drive follows; 0 with "torque" | -1 | 1 |
+
+    With two axles the same of the rear one follow as 14 to 22, `rear_slip` to `rear_rim_command`.
+    With three they are those of the middle one, `middle_slip` to `middle_rim_command`, and those of
+    the rear one are 23 to 31.
+
+    `observation="blind"` ends here, after 23 entries with two axles and 32 with three.
+    `"identified"` (default) adds what is identified from those readings of the soil under each
+    axle: entries 14 to 26 of SoilWheel-v0, 13 for each axle, from `front_friction_angle` (23, with
+    three axles 32) on. `front_best_pull` is by the readings of this axle alone.
+
+    `"true_soil"`, for reference only, adds the undisturbed soil under each axle instead: entries 14
+    to 20 of SoilWheel-v0 in this observation, 7 for each axle.
 
     ## Rewards
     The terms of SoilWheel-v0 with the rover in place of the wheel: energy is the work of all

@@ -102,19 +102,22 @@ class SoilWheelEnv(CourseEnv):
     ## Observation space
     `Box(float32)`. Each entry is (value - centre)/scale, so that it is of order one, as learners
     with nothing set expect. `env.unwrapped.physical(observation)` gives the values back, and
-    `scaled=False` observes the values. `env.unwrapped.observation_names` lists the names. The
-    tables give the values, with their least and greatest; centre and scale are 0 and 1 but for
+    `scaled=False` observes the values. Centre and scale are 0 and 1 but for
 
     | centre | scale | entries, also `ahead_` and `beside_` |
     |--------|-------|---------|
     | -2 | 0.3 | log10_shear_modulus |
     | 0 | 0.1 | margin |
-    | 0 | 0.15 | grade |
+    | 0 | 0.15 | pitch, acceleration, grade |
     | 0.05 | 0.03 | friction_angle_sd |
     | 0.05 | 0.05 | best_pull_sd, margin_sd |
     | 0.1 | 0.15 | best_pull |
-    | 0.2 | 0.2 | rim_command |
+    | 0.1 | 0.2 | drawbar_pull |
+    | 0.2 | 0.2 | speed, rim_speed, rim_command |
+    | 0.2 | 0.3 | slip |
+    | 0.25 | 0.15 | sinkage |
     | 0.3 | 0.2 | shear_modulus_sd, sinkage_coefficient_sd |
+    | 0.4 | 0.2 | torque, motor_torque |
     | 0.5 | 0.1 | friction_angle |
     | 0.5 | 0.2 | dig_gain_sd |
     | 0.5 | 0.3 | odometry, cohesion_sd |
@@ -122,58 +125,67 @@ class SoilWheelEnv(CourseEnv):
     | 1 | 0.2 | sinkage_exponent |
     | 1 | 0.5 | border_distance |
     | 1 | 1 | cohesion |
+    | 1.1 | 0.1 | load |
     | 2 | 1 | dig_gain |
     | 6 | 0.3 | log10_sinkage_coefficient |
 
-    First come the noisy readings of the sensors, from `slip` on. The table of `Sensors` in
-    docs/guide/environment.md has all of them in their order; their size, bounds, centre and scale
-    are declared in `soil_env.parameters.sensors.SENSORS`. `torque` is that of the soil on the
-    wheel, `pitch` is positive uphill, and `acceleration` is of travel, and sin(grade). "Weight" is
-    that of the wheel with its share of the body, without payload; "top rim speed" is radius times
-    no-load speed. Among them stand
-
-    | name | unit | min | max |
-    |------|------|-----|-----|
-    | last_action | - | -1 | 1 |
-    | odometry | of course length | -5 | 5 |
-    | halted | 0 or 1 | 0 | 1 |
-    | rim_command | of top rim speed, which the drive follows; 0 with "torque" | -1 | 1 |
-
-    Each sensor has white noise, and a zero and a gain drawn once an episode (`noise`). Slip follows
-    from the rim speed rw and the speed V that were read: (rw - V)/rw driving, (rw - V)/V braking.
-    Odometry integrates the readings of the speed sensor, noise, gain and all: its difference over
-    an action is the mean of the readings in it, of which `speed` is the last.
-
-    `observation="blind"` ends here, after s entries. `"identified"` (default) adds the identifier's
-    estimate from those readings:
+    The tables below give the values, with their least and greatest. All entries but 8, 10 and 13
+    are noisy sensor readings (`Noise`). "Weight" is that of the wheel with its share of the body,
+    without payload; "top rim speed" is radius times no-load speed.
+    `env.unwrapped.observation_names` lists the names.
 
     | # | name | unit | min | max |
     |---|------|------|-----|-----|
-    | s+0 | friction_angle | rad, phi | 0 | 1.6 |
-    | s+1 | log10_shear_modulus | log10 m, K | -5 | 1 |
-    | s+2 | log10_sinkage_coefficient | log10 N/m^(n+2), S at the exponent of the prior | 0 | 15 |
-    | s+3 | friction_angle_sd | rad | 0 | 2 |
-    | s+4 | shear_modulus_sd | relative | 0 | 20 |
-    | s+5 | sinkage_coefficient_sd | relative | 0 | 20 |
-    | s+6 | estimate_valid | 1: phi and K known to 0.6 of the prior's sd, readings agree | 0 | 1 |
-    | s+7 | cohesion | kPa | 0 | 1000 |
-    | s+8 | dig_gain | -, of slip-sinkage | 0 | 100 |
-    | s+9 | cohesion_sd | kPa | 0 | 1000 |
-    | s+10 | dig_gain_sd | relative | 0 | 20 |
-    | s+11 | best_pull | of load, highest steady drawbar pull of this soil | -1 | 2 |
-    | s+12 | best_pull_sd | of load | 0 | 2 |
+    | 0 | slip | -: (rw - V)/rw driving, (rw - V)/V braking | -1 | 1 |
+    | 1 | sinkage | of radius | -1 | 3 |
+    | 2 | drawbar_pull | of weight | -10 | 10 |
+    | 3 | load | of weight | -10 | 10 |
+    | 4 | torque | of weight x radius, soil on wheel | -10 | 10 |
+    | 5 | speed | of top rim speed | -5 | 5 |
+    | 6 | rim_speed | of top rim speed | -5 | 5 |
+    | 7 | pitch | rad, uphill positive | -1.6 | 1.6 |
+    | 8 | last_action | - | -1 | 1 |
+    | 9 | odometry | of course length | -5 | 5 |
+    | 10 | halted | 0 or 1 | 0 | 1 |
+    | 11 | motor_torque | of weight x radius | -10 | 10 |
+    | 12 | acceleration | of gravity, accelerometer: of travel, and sin(grade) | -10 | 10 |
+    | 13 | rim_command | of top rim speed, which the drive follows; 0 with "torque" | -1 | 1 |
+
+    Each sensor has white noise, and a zero and a gain drawn once an episode (`noise`). Slip follows
+    from the two speeds that were read. Odometry integrates the readings of the speed sensor, noise,
+    gain and all: its difference over an action is the mean of the readings in it, of which `speed`
+    is the last.
+
+    `observation="blind"` ends here. `"identified"` (default) adds the identifier's estimate from
+    those readings:
+
+    | # | name | unit | min | max |
+    |---|------|------|-----|-----|
+    | 14 | friction_angle | rad, phi | 0 | 1.6 |
+    | 15 | log10_shear_modulus | log10 m, K | -5 | 1 |
+    | 16 | log10_sinkage_coefficient | log10 N/m^(n+2), S at the exponent of the prior | 0 | 15 |
+    | 17 | friction_angle_sd | rad | 0 | 2 |
+    | 18 | shear_modulus_sd | relative | 0 | 20 |
+    | 19 | sinkage_coefficient_sd | relative | 0 | 20 |
+    | 20 | estimate_valid | 1: phi and K known to 0.6 of the prior's sd, readings agree | 0 | 1 |
+    | 21 | cohesion | kPa | 0 | 1000 |
+    | 22 | dig_gain | -, of slip-sinkage | 0 | 100 |
+    | 23 | cohesion_sd | kPa | 0 | 1000 |
+    | 24 | dig_gain_sd | relative | 0 | 20 |
+    | 25 | best_pull | of load, highest steady drawbar pull of this soil | -1 | 2 |
+    | 26 | best_pull_sd | of load | 0 | 2 |
 
     `"true_soil"`, for reference only, adds the undisturbed soil under the wheel instead:
 
     | # | name | unit | min | max |
     |---|------|------|-----|-----|
-    | s+0 | friction_angle | rad | 0 | 1.6 |
-    | s+1 | log10_shear_modulus | log10 m | -5 | 1 |
-    | s+2 | log10_sinkage_coefficient | log10 N/m^(n+2), at the true exponent | 0 | 15 |
-    | s+3 | cohesion | kPa | 0 | 1000 |
-    | s+4 | sinkage_exponent | - | 0 | 4 |
-    | s+5 | dig_gain | - | 0 | 100 |
-    | s+6 | dig_recovery | - | 0 | 10 |
+    | 14 | friction_angle | rad | 0 | 1.6 |
+    | 15 | log10_shear_modulus | log10 m | -5 | 1 |
+    | 16 | log10_sinkage_coefficient | log10 N/m^(n+2), at the true exponent | 0 | 15 |
+    | 17 | cohesion | kPa | 0 | 1000 |
+    | 18 | sinkage_exponent | - | 0 | 4 |
+    | 19 | dig_gain | - | 0 | 100 |
+    | 20 | dig_recovery | - | 0 | 10 |
 
     Where the scenario has terrain classes (`course={"classes": 3}`, as in "two_lines"), a camera's
     view follows, here for 3 classes and 2 routes; n is the number of entries above. Entries of the
@@ -198,7 +210,7 @@ class SoilWheelEnv(CourseEnv):
     | n+12 | choice | 0 or 1, 1 while the action chooses: below 0 the route beside | 0 | 1 |
 
     `"identified"` goes on with what was learnt of the class of each route, by its label:
-    `ahead_NAME` of entries s+0 to s+5 and s+7 to s+10, before them `ahead_met` (n+13; 0 while the
+    `ahead_NAME` of entries 14 to 19 and 21 to 24, before them `ahead_met` (n+13; 0 while the
     estimate of that class is the prior, else 1), then
 
     | # | name | unit | min | max |
@@ -206,8 +218,8 @@ class SoilWheelEnv(CourseEnv):
     | n+24 | ahead_margin | of load, best pull of that class over the grade that is seen | -2 | 2 |
     | n+25 | ahead_margin_sd | of load, of that pull | 0 | 2 |
 
-    then the same as `beside_NAME`. `"true_soil"` goes on with `ahead_NAME` of its entries s+0 to
-    s+6 and `ahead_margin` (n+20) of the true soil of each route, then the same as `beside_NAME`.
+    then the same as `beside_NAME`. `"true_soil"` goes on with `ahead_NAME` of its entries 14 to 20
+    and `ahead_margin` (n+20) of the true soil of each route, then the same as `beside_NAME`.
 
     ## Rewards
     The sum of the terms in `info["reward_terms"]`, with weights `reward={...}`:

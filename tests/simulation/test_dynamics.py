@@ -357,15 +357,17 @@ def test_forces_at_the_end_of_a_period_are_those_of_its_motion(action):
     """A commanded speed is reached evenly within it, as the drive of a rover does."""
     soil = soils()["dry_sand"].state(0.15)
     wheels = on_uniform_ground(soil, 0.0, action)
-    inertia = wheels.simulation.scenario.wheel.inertia
+    scenario = wheels.simulation.scenario
+    per_period = 1.0 / scenario.control.period
     off = []
     size = []
     for k in range(24):
         before = wheels.now()
         wheels.step(0.3 if action == "rim_acceleration" else 0.01 * (k + 1))
         now = wheels.now()
-        turning = inertia * (now.wheel_speed - before.wheel_speed) / wheels.simulation.scenario.control.period
-        travelling = now.mass * (now.speed - before.speed) / wheels.simulation.scenario.control.period
+        faster = now.wheel_speed - before.wheel_speed
+        turning = scenario.wheel.inertia * faster * per_period
+        travelling = now.mass * (now.speed - before.speed) * per_period
         off.append((now.motor_torque - now.torque - turning, now.drawbar_pull - travelling))
         size.append((turning, travelling))
     off, size = (np.abs(values[8:]).mean(0) for values in (np.array(off), np.array(size)))

@@ -15,8 +15,8 @@ from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv, observatio
 from soil_env.identification import Status
 from soil_env.identification.online.memory import PUBLISHED
 from soil_env.identification.online.on_board import knowledge, show_estimate
-from soil_env.parameters import Belief, SensorReading, SoilState, load_scenario, soils
-from soil_env.simulation.rover.task import first_soil, rover_layout
+from soil_env.parameters import Belief, SoilState, load_scenario, soils
+from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause, layout
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.simulation.wheels import SAMPLE, Setting, _observe, _sense
@@ -333,15 +333,11 @@ def test_knowledge_is_the_fall_of_the_entropy_and_bounded(shares, nats):
 
 
 ROW = re.compile(r"^\s*\| (\S+) \| (\S+) \| ([\w, ]+) \|$", re.MULTILINE)
-ENTRY = re.compile(
-    r"^\s*\| (?:([ns]\+\d+) \| )?(\w+) \| .+? \| ([-\d.]+) \| ([-\d.]+) \|$", re.MULTILINE
-)
+ENTRY = re.compile(r"^\s*\| (n\+)?(\d+) \| (\w+) \| .+? \| (\S+) \| (\S+) \|$", re.MULTILINE)
 COURSE = load_scenario("two_lines").course
-OF_FRONT = rover_layout("blind", 2)[: first_soil(1)]  # entries of the body and of the front axle
 
 
 def test_centres_and_scales_are_the_documented_ones():
-    """Those of sensors are in their declaration and the guide (`tests/project/test_pages.py`)."""
     rows = [
         (float(c), float(s), names.split(", "))
         for c, s, names in ROW.findall(SoilWheelEnv.__doc__)
@@ -353,39 +349,34 @@ def test_centres_and_scales_are_the_documented_ones():
         for variant in VARIANTS
         for e in layout(variant, COURSE)
     }
-    assert shown == {
-        name: pair
-        for name, pair in entries.items()
-        if pair != (0.0, 1.0) and name not in SensorReading._fields
-    }
+    assert shown == {name: pair for name, pair in entries.items() if pair != (0.0, 1.0)}
+
+
+def documented(env):
+    """Rows (number, name, low, high) of the tables in the docstring of an environment."""
+    return [
+        (n + number, name, float(low), float(high))
+        for n, number, name, low, high in ENTRY.findall(env.__doc__)
+    ]
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_entries_are_the_documented_ones(variant):
-    """Name and bounds of every entry but those of sensors, of lines and axles by the entry that
-    they repeat; numbers without a camera, behind the sensors. Those of sensors are in the guide
-    (`tests/project/test_pages.py`).
+    """Name and bounds of every entry, of lines and axles by the entry that they repeat; numbers
+    without a camera.
     """
-    found = ENTRY.findall(SoilWheelEnv.__doc__)
-    bounds = {(name, float(low), float(high)) for _, name, low, high in found}
-    numbered = {(number, name) for number, name, *_ in found}
+    rows = documented(SoilWheelEnv)
+    bounds = {row[1:] for row in rows}
+    numbered = {row[:2] for row in rows}
     named = {name for name, *_ in bounds}
     for e in (*layout(variant, COURSE), *rover_layout(variant, 3)):
         shown = e.name.replace("beside", "ahead")
         shown = shown if shown in named else re.sub("^(ahead|front|middle|rear)_", "", shown)
-        if shown in SensorReading._fields:
-            continue
         assert (shown, e.low, e.high) in bounds or e.name == f"{e.name.partition('_')[0]}_met", e
-    for env, entries in (
-        (SoilWheelEnv, layout("blind")),
-        (SoilRoverEnv, [replace(e, name=e.name.removeprefix("front_")) for e in OF_FRONT]),
-    ):
-        for e in entries:
-            if e.name in SensorReading._fields:
-                continue
-            assert re.search(rf"\b{e.name}\b", env.__doc__), f"{env.__name__} leaves out {e.name}"
-    behind = [e.name for e in layout(variant)[SENSORS:]]
-    assert {(f"s+{number}", name) for number, name in enumerate(behind)} <= numbered
+    assert {(e.name, e.low, e.high) for e in rover_layout("blind", 2)[:14]} == {
+        row[1:] for row in documented(SoilRoverEnv)
+    }
+    assert {(str(number), e.name) for number, e in enumerate(layout(variant))} <= numbered
     env = SoilWheelEnv("mixed", observation=variant, scaled=False)
     assert env.observation_names == tuple(e.name for e in layout(variant))
     np.testing.assert_array_equal(
