@@ -130,6 +130,8 @@ def main() -> None:
     parser.add_argument("steps", type=int, nargs="?", default=400_000)
     parser.add_argument("courses", type=int, nargs="?", default=200)
     asked = parser.parse_args()
+    if min(asked.steps, asked.courses) < 1:
+        parser.error("expected at least one step and one course")
     steps = asked.steps
     courses = asked.courses
     torch.manual_seed(0)
