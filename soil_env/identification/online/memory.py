@@ -143,8 +143,8 @@ MEMORY = record(
     "border_variance",
     "form_error",  # [of load] of the laws
     "misfit",  # chi-squared of the forces over its expectation
-    "compaction",  # of the floor of the rut under the wheel: ln S_N/S over n + 1/2
     "law_misfit",  # the same of the law of sinkage
+    "compaction",  # of the floor of the rut under the wheel: ln S_N/S over n + 1/2
     "widening",  # of standard deviations, while points in a row are outliers
     "rest_pull",  # [of weight] mean pull beyond that of the slope, standing
     "rests",  # readings that this is the mean of
