@@ -274,12 +274,17 @@ def constant_speeds(scenario: RoverScenario) -> Callable[[np.ndarray], np.ndarra
 
 
 def record_rover(
-    scenario: RoverScenario, courses: int, seed: int, control: Any, shadows: dict[str, Shadow]
+    scenario: RoverScenario,
+    courses: int,
+    seed: int,
+    control: Any,
+    shadows: dict[str, Shadow],
+    model: WheelSoilModel | None = None,
 ) -> dict[str, np.ndarray]:
     """Drive courses of a seed as `record`; arrays [T, courses, axles, ...], "truth"
     [OF_SOIL].
     """
-    simulation = RoverSimulation(courses, scenario, "blind", 2, estimates=True)
+    simulation = RoverSimulation(courses, scenario, "blind", 2, model=model, estimates=True)
     for j in range(courses):
         simulation.seed(j, np.random.default_rng([seed, j]))
     simulation.restart_where(np.ones(courses, dtype=bool))

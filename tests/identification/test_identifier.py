@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings, strategies as st
 
+from soil_env._compiled.flags import uncompiled
 from soil_env.identification import Status
 from soil_env.identification.online.identifier import (
     DOUBT,
@@ -18,6 +19,8 @@ from soil_env.identification.online.identifier import (
     RENEWED,
     SETTLED_POINTS,
     WIDER,
+    publish,
+    widening,
 )
 from soil_env.identification.online.memory import (
     CELLS,
@@ -28,9 +31,11 @@ from soil_env.identification.online.memory import (
     PRESSURE,
     TANGENT,
 )
+from soil_env.identification.online.on_board import compactions
 from soil_env.identification.online.points import FIRST_READINGS
 from soil_env.parameters import Belief, SoilState, load_scenario, soils
 from soil_env.parameters.sensors import SensorReading
+from soil_env.terramechanics.effects.multipass import rut_stiffness
 from tests.identification.observing import Identified, driven, reactions, started, unknowns_of
 from tests.simulation import wheels as bench
 from tests.simulation.courses import EVEN
@@ -103,6 +108,23 @@ def test_what_is_published_is_the_soil_at_the_bearing_sinkage():
     assert now.form_error == wheel.set.model_error and now.widening == 1.0
     np.testing.assert_allclose(wider[~capped], WIDER, rtol=0.02)
     assert np.all(wider[capped] <= 1.02 * WIDER) and capped.sum() <= 2
+
+
+def test_on_the_floor_of_a_rut_the_soil_is_less_sure_by_what_ruts_differ():
+    """Of ln S alone, by the range of a in z_1 N^(1/a): ln S_N is even between that for 2 and 3."""
+    wheel = Identified(PLAIN)
+    wheel.observe(driven(SAND, SLIPS, PLAIN))
+    now = wheel.now
+    sd = []
+    for compaction in (0.0, compactions()[1]):
+        now.compaction = compaction
+        uncompiled(publish)(now.soil, now.spread, now, now, wheel.set)
+        sd.append(now.fresh_sd[:5].copy())
+    n = float(now.soil[EXPONENT])
+    further = math.sqrt(sd[1][2] ** 2 - sd[0][2] ** 2) / widening(now, wheel.set)
+    ends = [math.log(rut_stiffness(2.0, n, 1.0 - 1.0 / a)) for a in (2.0, 3.0)]
+    assert further == pytest.approx((ends[1] - ends[0]) / math.sqrt(12.0), rel=0.05)
+    np.testing.assert_array_equal(np.delete(sd[0], 2), np.delete(sd[1], 2))
 
 
 def test_the_same_slip_all_along_excites_too_little():

@@ -76,8 +76,11 @@ def test_half_the_step_changes_a_drive_of_30_s_by_less_than_a_percent():
     assert np.all(np.abs(usual - half).mean(axis=1) < 0.01 * np.abs(half).mean(axis=1))
 
 
-@pytest.mark.parametrize(("every", "error"), [(1, 0.06), (2, 0.04), (5, 0.03)])
-def test_reversals_of_the_torque_are_followed(every, error):
+@pytest.mark.parametrize(
+    ("mode", "every", "error"),
+    [("torque", 1, 0.06), ("torque", 2, 0.04), ("torque", 5, 0.03), ("wheel_speed", 5, 0.03)],
+)
+def test_reversals_are_followed(mode, every, error):
     """Full reversals every 0.1 to 0.5 s: distance and work against steps 32 times as short, median
     of 96 courses.
     """
@@ -85,7 +88,7 @@ def test_reversals_of_the_torque_are_followed(every, error):
     runs = []
     size = rng.uniform(0.2, 1.0, (60, 96))
     for refine in (1, 32):
-        wheels = on_random_courses(range(96)).refined(refine)
+        wheels = on_random_courses(range(96), mode).refined(refine)
         wheels.state["next_halt"] = 1e9
         x = []
         motor_work = np.zeros(96)

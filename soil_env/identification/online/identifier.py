@@ -78,6 +78,8 @@ MISFIT = (
 )
 PULL_WIDER = 1.15  # of the best pull, beyond `WIDER`, whose errors have longer tails
 WIDER = 1.1  # of standard deviations: what a linearised fit under a Gaussian prior leaves out
+# Relative, of the compaction of a rut: a of z_1 N^(1/a) is 2 to 3 (`effects.multipass`).
+RUT_ERROR = 0.12
 LEARNT = 0.6  # [of the prior's] standard deviation of phi and ln K at which both count as known
 LEAST_SINKAGE = 1e-3  # [radii] for the bearing sinkage that S is published at
 DEEPEST = 2.0  # [radii] of that
@@ -154,9 +156,10 @@ def publish(u, V, into, memory, setting):
         sd[i] = math.sqrt(V[j, j])
     out[2] += u[EXPONENT] * below - setting.exponent * memory.ln_bearing
     variance = V[PRESSURE, PRESSURE] + below * below * V[EXPONENT, EXPONENT]
-    # the pressure is known, the depth errs: by ln p over n, and S by that times its exponent
-    of_depth = setting.exponent / u[EXPONENT]
-    sd[2] = of_depth * math.sqrt(max(variance + 2.0 * below * V[PRESSURE, EXPONENT], 0.0))
+    at_depth = math.sqrt(max(variance + 2.0 * below * V[PRESSURE, EXPONENT], 0.0))
+    # The load gives the pressure of the soil: what is not known of it there is the bearing sinkage.
+    of_soil = setting.exponent / u[EXPONENT] * at_depth
+    sd[2] = math.hypot(of_soil, RUT_ERROR * memory.compaction * (u[EXPONENT] + 0.5))
     wider = widening(memory, setting)
     for i in range(PUBLISHED):
         sd[i] = min(sd[i] * wider, setting.prior_sd[i]) * memory.widening

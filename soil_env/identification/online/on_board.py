@@ -90,7 +90,7 @@ BOARD_SETTING = record(
     camera=("i8",),  # 0: none
     lines=("i8",),  # over the patch ahead
     places=("f8", MOST_AXLES),  # [m] behind the front axle
-    compaction=("f8", MOST_AXLES),  # of ruts, by the number of passes before
+    compaction=("f8", MOST_AXLES),  # of the floors of ruts, by the number of wheels ahead
     bounds=("f4", (2, MOST_ENTRIES)),
     identifier=(SETTING, 1),
     warning=(WARNING_SETTING, 1),
@@ -153,10 +153,10 @@ def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
 
 
 def compactions() -> list[float]:
-    """ln S_N/S over n + 1/2 of the floor of a rut, `rut_stiffness`, by the wheels ahead."""
-    exponent = 0.5
+    """ln S_N/S over n + 1/2 of the floor of a rut, by the wheels ahead; the same for all n."""
+    exponent = 0.5  # with which n + 1/2 is 1
     stiffness = uncompiled(rut_stiffness)
-    return [math.log(stiffness(1.0 + n, exponent, COMPACTION)) for n in range(MOST_AXLES)]
+    return [math.log(stiffness(1.0 + k, exponent, COMPACTION)) for k in range(MOST_AXLES)]
 
 
 class OnBoard:

@@ -21,8 +21,10 @@ from soil_env.simulation.world.dynamics import (
 )
 from soil_env.simulation.world.newton import Motion
 from soil_env.simulation.world.wheel import (
+    Drive,
     Ground,
     World,
+    at_time,
     begin_period,
     commanded,
     end_period,
@@ -108,7 +110,8 @@ def _command_at(left, world):
     share = 1.0 - left / world.rig.period
     for a in range(world.suspension.axles):
         foot = world.stage.feet[a]
-        foot.command = foot.before + share * (foot.asked - foot.before)
+        asked = Drive(foot.asked, foot.by_speed > 0, foot.before)
+        foot.command = at_time(asked, share).command
 
 
 @inlined

@@ -7,7 +7,7 @@ import numpy as np
 from numba import literal_unroll
 
 from soil_env._compiled.flags import compiled_finite, inlined, record
-from soil_env._compiled.random_streams import draw_normals, normal_pair
+from soil_env._compiled.random_streams import NORMALS, draw_normals, normal_pair
 from soil_env.parameters import Scenario
 from soil_env.parameters.readings import reading_errors
 from soil_env.parameters.sensors import SensorReading
@@ -26,9 +26,10 @@ SENSOR_NOISE = record(
     zero=(READING, 1),
     gain=(READING, 1),
 )
-#: Pairs of normal numbers of all sensors of a wheel, at most eight (`NORMALS`); a pair is that of
-#: two readings, one after the other.
+#: Pairs of normal numbers of all sensors of a wheel; a pair is that of two readings, one after the
+#: other.
 PAIRS = (len(NAMES) + 1) // 2
+assert PAIRS <= NORMALS["first"].shape[0]
 SLOW = 3.0  # [-] the same, over the white noise of both speeds: a wheel at rest has little slip
 
 
