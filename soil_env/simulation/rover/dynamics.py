@@ -91,9 +91,10 @@ def _solve_stage(rover, course, ruts, number, h, forced, world):
         stage = _stage_of(number, h, wheel, foot, rig)
         end = Motion(speed, scratch.found[a].rim, reaction_of(scratch.found[a]), converged)
         under = Ground(soil_of(foot), foot.sinkage, foot.lift, foot.unfelt, foot.grade)
-        before = wheel.x
+        # each part of the way on the grade whose weight was along it
+        rise = stage.first * wheel.speed * sin_cos(wheel.grade)[0]
         move(wheel, end, stage, under, foot, rig)
-        axle.height += (wheel.x - before) * sin_cos(foot.grade)[0]
+        axle.height += rise + stage.last * speed * sin_cos(foot.grade)[0]
         axle.floor = floor_at(ruts, a, wheel.x)
     set_pitch(rover, world.suspension)
     for a in range(axles):
