@@ -18,6 +18,7 @@ from soil_env.parameters.readings import (
     RESTART,
     STEP,
     TRY,
+    Stepped,
 )
 
 TRIAL_COURSES = 8  # drawn before a scenario is accepted
@@ -98,7 +99,7 @@ class Vehicles:
         self._x = heads["x"]
         self._ready = self._world.courses["ready"]
         samples = getattr(self._world, self._sampled_by)
-        self._sampled = (heads, samples, self._world.observation)
+        self._sampled = Stepped(heads, samples, self._world.observation)
         results = {name: heads[name] for name in ("terms", "reward", "cause")}
         known = {} if self._on_board is None else self._on_board.views()
         self.worlds = self._arrays(**self._world._asdict(), **results, **known)

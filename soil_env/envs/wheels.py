@@ -83,8 +83,7 @@ class Simulation(Vehicles):
 
     def _view(self) -> None:
         super()._view()
-        state, samples, observation = self._sampled
-        self._sampled = (state, samples[:, None], observation)
+        self._sampled = self._sampled._replace(samples=self._sampled.samples[:, None])
         self._actions = self._heads["action"]
         self._order = self._heads["order"]
 
