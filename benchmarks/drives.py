@@ -188,7 +188,7 @@ def record(
     """
     log: dict[str, list[np.ndarray]] = defaultdict(list)
     for t, (sim, alive) in enumerate(
-        drive(controller, scenario, seed, 0, courses, model=model, warnings=True)
+        drive(controller, scenario, seed, range(courses), model=model, warnings=True)
     ):
         w = sim.worlds
         ground = _grounds(w.courses, w.state["x"][:, None], scenario.course.border)
