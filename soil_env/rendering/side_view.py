@@ -23,6 +23,7 @@ from soil_env.rendering.ground import (
     draw_flag,
     draw_ground,
     draw_scale_bar,
+    press_down,
 )
 from soil_env.simulation.rover.task import axle_names
 from soil_env.simulation.task import Cause
@@ -148,11 +149,9 @@ def width_of(simulation: Any) -> float:
 
 
 def draw_side_view(
-    c: Canvas, simulation: Any, j: int, wheels, profile: Profile, bounds, angles, identified
+    c: Canvas, simulation: Any, j: int, wheels, profile: Profile, bounds, angles
 ) -> None:
-    """Vehicle j in a camera that moves with it, its readings above and the table of its
-    `shown_wheels` below.
-    """
+    """Vehicle j with its `shown_wheels` in a camera that moves with it, its readings above."""
     worlds = simulation.worlds
     width = width_of(simulation)
     posture = None
@@ -169,7 +168,8 @@ def draw_side_view(
     place = np.add(SCENE[:2], np.multiply(AT, SCENE[2:]))
     scene = Scene(SCENE, SCENE[2] / width, place, np.array(profile.at(middle)))
     x = middle + (np.linspace(0.0, 1.0, 261) - AT[0]) * 1.2 * width  # along the slope
-    rut = depth_of_ruts(x, left) / np.gradient(profile.at(x)[0], x)
+    across, height = profile.at(x)
+    surface = height - depth_of_ruts(x, left) / np.gradient(across, x)
     task = simulation.numbers.task[0]
     r = radius_of(simulation)
     wheel_width = float(simulation.numbers.rig["width"][0])
@@ -178,7 +178,8 @@ def draw_side_view(
     per_pascal = 0.45 * size * 0.5 * r * wheel_width / task.weight  # drawn length of a stress
     c.clip(scene.box)
     c.box(scene.box, canvas.SKY)
-    draw_ground(c, scene, x, profile, rut, hubs, r, bounds)
+    press_down(across, surface, hubs, r)
+    draw_ground(c, scene, x, profile, surface, 0.03 * r, bounds)
     draw_flag(c, scene, scene.at(*profile.at(task.length)))
     places = [scene.at(*hub) for hub in hubs]
     if posture is not None:
@@ -196,7 +197,6 @@ def draw_side_view(
     c.box(scene.box, None, canvas.GRID)
     draw_scale_bar(c, scene)
     _draw_readings(c, simulation, body, Cause(int(worlds.cause[j])))
-    _draw_table(c, wheels, bounds, identified)
 
 
 def _draw_body(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) -> None:
@@ -248,9 +248,9 @@ def _draw_readings(c: Canvas, simulation: Any, body, cause: Cause) -> None:
     drawing.draw_cause(c, cause, body["halt_left"] > 0.0)
 
 
-def _draw_table(c: Canvas, wheels: list[dict[str, Any]], bounds, identified: bool) -> None:
-    """State of each wheel, with the rut that it runs in, the true soil under it and the status of
-    its estimate.
+def draw_table(c: Canvas, wheels: list[dict[str, Any]], bounds, identified: bool) -> None:
+    """State of each of the `shown_wheels` below the side view, with the rut that it runs in, the
+    true soil under it and the status of its estimate.
     """
     heads = "wheel", "slip", "sinkage", "rut", "load", "pull", "torque", "soil under it", "estimate"
     # Right ends but of the first and the last two.
