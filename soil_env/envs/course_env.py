@@ -5,7 +5,7 @@ Orchestration only.
 
 import copy
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from numbers import Integral
 from typing import TYPE_CHECKING, Any
 
@@ -19,10 +19,11 @@ from numpy.typing import ArrayLike, NDArray
 from soil_env._io.loading import ParameterError, UnknownKeyword, plural
 from soil_env.envs.infos import NESTED
 from soil_env.envs.vehicles import Vehicles
-from soil_env.envs.worlds import for_each, storable
+from soil_env.envs.worlds import for_each, storable, with_model, world_of
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause, ObservedNumber
 from soil_env.simulation.task.scaling import Scaling
+from soil_env.terramechanics.model import WheelSoilModel, load_model
 
 if TYPE_CHECKING:
     from soil_env.rendering.view import CourseView
@@ -109,9 +110,19 @@ class _Common:
     `gymnasium.make`, or of `make_vec`, which makes the environment again, as its JSON does.
     """
 
-    world: dict[str, Any] | None = None  # `info["world"]`, where there is a model
+    model: WheelSoilModel | None
+    world: dict[str, Any] | None  # `info["world"]`, where there is a model
     scaling: Scaling
     _spec: EnvSpec | None = None
+
+    def _in_world(
+        self, scenario: Any, model: Any, scatter: object, changes: Mapping[str, Any]
+    ) -> Any:
+        """The scenario in the world of the keyword `model`, which is kept with what `info` says."""
+        self.model = load_model(model)
+        found = with_model(scenario, self.model, scatter, changes)
+        self.world = world_of(found, self.model, scatter)
+        return found
 
     def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
         """Observations [..., D] of this env in the units of the tables."""

@@ -80,8 +80,7 @@ class _Reader(OnlineIdentifier):
     @property
     def white(self) -> np.ndarray:
         """White noise of the last readings, very large where one is missing."""
-        noise: np.ndarray = self._setting["white"][0, 0]
-        return noise
+        return self._setting["white"][0, 0]
 
 
 class Observer:

@@ -17,11 +17,10 @@ from soil_env.envs.course_env import (
 from soil_env.envs.infos import asks, checked
 from soil_env.envs.rover_infos import RoverInfos
 from soil_env.envs.rovers import RoverSimulation
-from soil_env.envs.worlds import with_model, world_of
 from soil_env.parameters import DEFAULT_ROVER, RoverScenario, Soil, load_rover
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.world.terrain import soil_at
-from soil_env.terramechanics.model import WheelSoilModel, load_model
+from soil_env.terramechanics.model import WheelSoilModel
 
 __all__ = ["SoilRoverEnv", "SoilRoverVectorEnv", "build_rover", "rover_action_space"]
 
@@ -190,15 +189,13 @@ class SoilRoverEnv(CourseEnv):
         scaled: bool = True,
         **changes: Any,
     ):
-        self.model: WheelSoilModel | None = load_model(model)
-        scenario = with_model(
-            build_rover(rover, action, repeat, changes), self.model, scatter, changes
+        scenario = self._in_world(
+            build_rover(rover, action, repeat, changes), model, scatter, changes
         )
         entries = rover_layout(observation, scenario.axles)
         super().__init__(
             scenario, entries, observation, rover_action_space(scenario.axles), render_mode, scaled
         )
-        self.world = world_of(scenario, self.model, scatter)
         info = checked(info, observation)
         self.simulation: RoverSimulation = RoverSimulation(
             1, scenario, observation, 1, self.model, asks(info)
@@ -245,10 +242,8 @@ class SoilRoverVectorEnv(CourseVectorEnv):
         **changes: Any,
     ):
         super().__init__(num_envs, autoreset_mode, max_episode_steps, threads, render_mode)
-        self.model: WheelSoilModel | None = load_model(model)
         scenario = build_rover(rover, action, repeat, changes, _OWN_OF_MANY)
-        self.scenario: RoverScenario = with_model(scenario, self.model, scatter, changes)
-        self.world = world_of(self.scenario, self.model, scatter)
+        self.scenario: RoverScenario = self._in_world(scenario, model, scatter, changes)
         axles = self.scenario.axles
         self._set_spaces(rover_layout(observation, axles), rover_action_space(axles), scaled)
         info = checked(info)

@@ -18,6 +18,7 @@ from soil_env.parameters.readings import (
     RESTART,
     STEP,
     TRY,
+    Shown,
     Stepped,
 )
 
@@ -92,6 +93,13 @@ class Vehicles:
         #: `SETTING` of the identifier
         self.belief = None if on_board is None else on_board.identifier
         self._view()
+
+    def _estimators(self, variant: str, first: int, warns: bool = False) -> Any:
+        """The estimators on board; `first`: index of the first entry on the soil."""
+        from soil_env.identification.online.on_board import OnBoard  # takes a while
+
+        shown = Shown(variant == "identified", first, *self.numbers.bounds)
+        return OnBoard(self.count, self.scenario, shown, warns)
 
     def _view(self) -> None:
         """Views of the arrays, which are no views any more in a copy until they are made anew."""
@@ -203,8 +211,7 @@ class Vehicles:
 
     def _draw(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> int:
         """Draw the ground that the orders ask for; number of the courses that were not found."""
-        failed: int = self._lay(self._world, self.course_numbers, orders, scratch, first, end)
-        return failed
+        return self._lay(self._world, self.course_numbers, orders, scratch, first, end)
 
     def _drive(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> int:
         """Follow the orders for vehicles `first` to `end` - 1: the world, then what is on board; 0,

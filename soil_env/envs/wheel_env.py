@@ -17,7 +17,6 @@ from soil_env.envs.course_env import (
 )
 from soil_env.envs.infos import IMMOBILISED, Infos, asks, checked
 from soil_env.envs.wheels import Simulation
-from soil_env.envs.worlds import with_model, world_of
 from soil_env.identification.published import published, soil_of_numbers
 from soil_env.parameters import (
     DEFAULT_SCENARIO,
@@ -29,7 +28,7 @@ from soil_env.parameters import (
 from soil_env.simulation.task import layout
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.simulation.world.terrain import soil_at
-from soil_env.terramechanics.model import WheelSoilModel, load_model
+from soil_env.terramechanics.model import WheelSoilModel
 
 __all__ = [
     "IMMOBILISED",
@@ -312,12 +311,10 @@ class SoilWheelEnv(CourseEnv):
         scaled: bool = True,
         **changes: Any,
     ):
-        self.model: WheelSoilModel | None = load_model(model)
         task = build_scenario(scenario, action, repeat, changes)
-        task = with_model(task, self.model, scatter, changes)
+        task = self._in_world(task, model, scatter, changes)
         entries = layout(observation, task.course)
         super().__init__(task, entries, observation, action_space(), render_mode, scaled)
-        self.world = world_of(task, self.model, scatter)
         info = checked(info, observation)
         self.simulation: Simulation = Simulation(
             1, self.scenario, observation, 1, self.model, asks(info)
@@ -375,10 +372,8 @@ class SoilWheelVectorEnv(CourseVectorEnv):
         **changes: Any,
     ):
         super().__init__(num_envs, autoreset_mode, max_episode_steps, threads, render_mode)
-        self.model: WheelSoilModel | None = load_model(model)
         task = build_scenario(scenario, action, repeat, changes, _OWN_OF_MANY)
-        self.scenario: Scenario = with_model(task, self.model, scatter, changes)
-        self.world = world_of(self.scenario, self.model, scatter)
+        self.scenario: Scenario = self._in_world(task, model, scatter, changes)
         self._set_spaces(layout(observation, self.scenario.course), action_space(), scaled)
         info = checked(info)
         finals = (
