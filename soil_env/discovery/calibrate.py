@@ -38,8 +38,9 @@ from soil_env.identification.table.form_error import (
     INPUTS,
     LENGTHS,
     Process,
+    by_stresses,
     compressed,
-    stress_changes,
+    finite,
     whitened,
 )
 from soil_env.identification.table.noise import NoiseEstimate, find_noise, with_noise_of_conditions
@@ -48,6 +49,7 @@ from soil_env.identification.table.priors import (
     Unknown,
     bounds_of,
     given_laws,
+    parameters_at,
     soil_unknowns,
 )
 from soil_env.identification.table.problem import (
@@ -55,8 +57,8 @@ from soil_env.identification.table.problem import (
     OFF_GUESS,
     Last,
     differences,
-    finite,
     most_probable,
+    side_by_side,
 )
 from soil_env.identification.table.rig import predict_table
 from soil_env.slip import sliding_speeds
@@ -68,7 +70,6 @@ PRIOR_WIDTH = 1.5  # factor of the sd of the setup's priors
 #: Form error of an effect that is named by its place, in all channels alike, over that of others.
 ANY_FORM = 10.0
 AT_BOUND = 1e-4  # [prior sd] of an unknown from a bound, within which it does not move
-_STRESS_STEP = 1e-3  # relative change of a stress, for differences
 _SAME = 1e-6  # [prior sd] of a start from a bound, and within which derivatives are the same
 _LAW = 24  # most functions of the process of the law's error
 _EFFECT = 24  # of that of the form of an effect
@@ -133,8 +134,7 @@ class Fit:
     def free_unknowns(self) -> np.ndarray:
         """[p] which unknowns are not at a bound."""
         low, high = bounds_of(self.unknowns)
-        free: np.ndarray = np.minimum(self.u - low, high - self.u) > AT_BOUND
-        return free
+        return np.minimum(self.u - low, high - self.u) > AT_BOUND
 
     def columns(self, sizes: Sizes) -> np.ndarray:
         """[M, R] whitened form errors at their sizes side by side, those of size 0 left out."""
@@ -402,30 +402,28 @@ class Law:
             return self.problem.whiten(self.problem.predict(self.values(x), self.choices, guess))
 
         base = model(u)
-        return finite(differences(model, u, self.unknowns, base), base.size)
+        return side_by_side(differences(model, u, self.unknowns, base), base.size)
 
     def added(self, u: np.ndarray, output: np.ndarray) -> tuple[np.ndarray, ...]:
         """[N, 3] what each effect adds to the output at u."""
         values = self.values(u)
         rest = (self.choices[:k] + self.choices[k + 1 :] for k in range(len(self.choices)))
         return tuple(
-            _finite(output - self.problem.predict(values, others, self.guess.copy()))
+            finite(output - self.problem.predict(values, others, self.guess.copy()))
             for others in rest
         )
 
     def stresses(self, u: np.ndarray, output: np.ndarray) -> list[np.ndarray]:
         """[N, 3] change of the output at u by each `stress_changes`, relative."""
-        h = _STRESS_STEP
         values = self.values(u)
         sinkage = float(np.nanmedian(output[:, 0]))
 
-        def out(soil, more):
+        def outcome(change):
+            soil = values | change.soil
             guess = OFF_GUESS * self.guess
-            return self.problem.predict(values | soil, self.choices, guess, more=more)
+            return self.problem.predict(soil, self.choices, guess, more=change.effects)
 
-        base = out({}, {})
-        changes = stress_changes(self.problem.known | values, h, sinkage)
-        return [_finite((out(*change) - base) / h) for change in changes]
+        return by_stresses(outcome, self.problem.known | values, sinkage)
 
     def form_errors(
         self,
@@ -457,7 +455,7 @@ class Law:
             blocks += [_in_channel(own, factor * unit) for unit in units]
         named = tuple(c.effect for c in self.choices)
         data = problem.data
-        rig = nuisances(data.setup, problem.bench, data.rows, _finite(output), named)
+        rig = nuisances(data.setup, problem.bench, data.rows, finite(output), named)
         return laws, np.concatenate(blocks, axis=2), rig
 
     def fitted(
@@ -478,18 +476,8 @@ class Law:
         return u, converged
 
 
-def parameters_at(unknowns: Sequence[Unknown], u: np.ndarray) -> dict[str, float]:
-    """Parameters by name at whitened unknowns."""
-    return {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
-
-
 def _geometric_mean(values: np.ndarray) -> float:
     return math.exp(float(np.mean(np.log(values))))
-
-
-def _finite(values: np.ndarray) -> np.ndarray:
-    """The values, 0 where the model has none."""
-    return np.where(np.isfinite(values), values, 0.0)
 
 
 def _in_channel(functions: np.ndarray, factor: np.ndarray) -> np.ndarray:

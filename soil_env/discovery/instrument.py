@@ -297,8 +297,7 @@ def in_balance(
 
     def pressed(out: np.ndarray) -> np.ndarray:
         z, _, torque = np.nan_to_num(out).T
-        load: np.ndarray = np.clip(start + arm * torque / r - spring * z, *np.outer(PRESSED, start))
-        return load
+        return np.clip(start + arm * torque / r - spring * z, *np.outer(PRESSED, start))
 
     first = pressed(out)
     second = pressed(outcome(rows._replace(load=first)))

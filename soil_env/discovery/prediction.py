@@ -173,8 +173,7 @@ class _Remainder:
         """[N, P] of points [N, D] with others [P, D]."""
         lengths = LENGTHS | learnt.lengths
         off = (points[:, None, :] - others) / np.array([lengths[n] for n in self.names])
-        found: np.ndarray = np.exp(-0.5 * np.sum(off**2, axis=2))
-        return found
+        return np.exp(-0.5 * np.sum(off**2, axis=2))
 
     def covariance(self, scale: np.ndarray, learnt: Learnt) -> _Covariance:
         """Of remainder and noise over the noise, of the values in use."""
@@ -198,8 +197,7 @@ def _scales(problem: Problem, output: np.ndarray) -> np.ndarray:
     r = rows.wheels[:, 0]
     force = FORCE_SCALE * rows.load
     sinkage = np.maximum(np.abs(np.nan_to_num(output[:, 0])), LEAST_SINKAGE * r)
-    found: np.ndarray = np.stack([sinkage, force, force * r], axis=1) / problem.noise
-    return found
+    return np.stack([sinkage, force, force * r], axis=1) / problem.noise
 
 
 class _Channel(NamedTuple):
@@ -267,8 +265,7 @@ class Prediction:
     @property
     def variance_of_run(self) -> np.ndarray:
         """[3] of the values of a run, over that of the noise."""
-        found: np.ndarray = 1.0 + self.learnt.beyond**2
-        return found
+        return 1.0 + self.learnt.beyond**2
 
     def joint_at(self, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
         """[N, 3, N, 3] covariance of the values at conditions, without noise, over the noise."""

@@ -165,8 +165,7 @@ def factors(rows: Rows, values: Mapping[str, float], bench: Bench) -> np.ndarray
 def _factor(rows: Rows, by: str, bench: Bench) -> np.ndarray:
     """[N] condition that a soil parameter goes with, over its middle; of a pass the number."""
     if by == "load":
-        found: np.ndarray = rows.load / bench.load
-        return found
+        return rows.load / bench.load
     column: np.ndarray = rows.conditions[:, _COLUMNS[by]]
     return column / bench.speed if by == "speed" else column
 

@@ -264,8 +264,7 @@ def _assess(rows, recent, estimate, sd, setting, net, assessed):
 @functools.cache
 def shipped() -> dict[str, Any]:
     """Content of immobilisation.json: `inputs`, the arrays of `Network`, `alarm` and `card`."""
-    content: dict[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))
-    return content
+    return json.loads(FILE.read_text(encoding="utf-8"))
 
 
 @functools.cache

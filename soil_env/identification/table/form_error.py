@@ -8,7 +8,7 @@ table (Karhunen-Loeve), so that its covariance becomes ordinary linear unknowns 
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -56,6 +56,7 @@ _TURNED = 2.6  # change of ln K that moves the resultant of the shear stress as 
 _STRONGER = 0.45  # relative change of the strength per ln K that keeps the mean shear stress
 #: Share of the largest variance, or of the noise, below which a direction does not count.
 _UNSEEN = 1e-10
+_STEP = 1e-3  # relative change of a stress, for differences
 
 #: Relative size alpha of the error of the stress laws, and its prior: a tenth for a law that is
 #: exact, else log-normal about 5 %, 1 to 25 % within two standard deviations. Fits of Bekker's and
@@ -166,6 +167,11 @@ def coordinates(conditions: Mapping[str, np.ndarray], names: tuple[str, ...]) ->
     )
 
 
+def finite(values: np.ndarray) -> np.ndarray:
+    """The values, 0 where a model has none."""
+    return np.where(np.isfinite(values), values, 0.0)
+
+
 Compression = tuple[np.ndarray, np.ndarray]
 
 
@@ -176,6 +182,17 @@ class StressChange(NamedTuple):
 
     soil: dict[str, float]
     effects: dict[str, float]
+
+
+def by_stresses(
+    outcome: Callable[[StressChange], np.ndarray], soil: Mapping[str, float], sinkage: float
+) -> list[np.ndarray]:
+    """[N, 3] relative change of the `outcome` by each of the `stress_changes`; 0 where it has no
+    value.
+    """
+    base = outcome(StressChange({}, {}))
+    changes = stress_changes(soil, _STEP, sinkage)
+    return [finite((outcome(change) - base) / _STEP) for change in changes]
 
 
 def stress_changes(soil: Mapping[str, float], h: float, sinkage: float) -> tuple[StressChange, ...]:

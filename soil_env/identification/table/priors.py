@@ -63,6 +63,11 @@ class Unknown(NamedTuple):
         return (self.low - self.mean) / self.sd, (self.high - self.mean) / self.sd
 
 
+def parameters_at(unknowns: Sequence[Unknown], u: np.ndarray) -> dict[str, float]:
+    """Parameters by name at whitened unknowns."""
+    return {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
+
+
 def bounds_of(unknowns: Sequence[Unknown]) -> tuple[np.ndarray, np.ndarray]:
     """(lower [p], upper [p]) bounds of whitened unknowns."""
     low, high = (np.array([k.bounds[end] for k in unknowns]) for end in (0, 1))
