@@ -265,8 +265,7 @@ class WheelSoilModel(Checked):
         content = {key: value for key, value in content.items() if value is not None}
         if content.pop("format", FORMAT) != FORMAT:
             raise ParameterError(f"{where}: expected format: {FORMAT!r}")
-        model: WheelSoilModel = load(cls, content, where)
-        return model
+        return load(cls, content, where)
 
 
 def load_model(
@@ -328,8 +327,7 @@ def _mapping(conditions: Any) -> Mapping[str, ArrayLike]:
         raise ParameterError(
             f"conditions = {conditions!r}: expected a Table or a mapping of arrays"
         )
-    found: Mapping[str, ArrayLike] = conditions.conditions()
-    return found
+    return conditions.conditions()
 
 
 def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
