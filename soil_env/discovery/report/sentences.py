@@ -104,10 +104,10 @@ def sure(p: float) -> str:
     )
 
 
-def listed(names: Iterable[str]) -> str:
-    """Names with commas, and "and" between the last two."""
+def listed(names: Iterable[str], last: str = "and") -> str:
+    """Names with commas and a last word between the last two."""
     *first, final = names
-    return f"{', '.join(first)} and {final}" if first else final
+    return f"{', '.join(first)} {last} {final}" if first else final
 
 
 def title(names: str) -> str:
