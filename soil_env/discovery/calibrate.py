@@ -16,7 +16,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -26,6 +26,7 @@ from soil_env.discovery.instrument import (
     LAWS,
     LISTED,
     Choice,
+    Choices,
     in_balance,
     nuisances,
     reading,
@@ -37,6 +38,7 @@ from soil_env.identification.table.data import CHANNELS, Data
 from soil_env.identification.table.form_error import (
     INPUTS,
     LENGTHS,
+    Conditions,
     Process,
     by_stresses,
     compressed,
@@ -55,6 +57,7 @@ from soil_env.identification.table.priors import (
 from soil_env.identification.table.problem import (
     COARSE,
     OFF_GUESS,
+    ArrayFunction,
     Last,
     differences,
     most_probable,
@@ -111,7 +114,7 @@ EXACT = Sizes()
 class Fit:
     """A fitted model. Whitened quantities: residuals in noise sd, unknowns in prior sd."""
 
-    choices: tuple[Choice, ...]
+    choices: Choices
     unknowns: tuple[Unknown, ...]
     u: np.ndarray  # [p]
     output: np.ndarray  # [N, 3] model values
@@ -237,7 +240,7 @@ class Problem:
             smooth=wheel.grouser_height == 0.0 and not np.any(rows.wheels[:, 2]),
         )
 
-    def unknowns(self, choices: tuple[Choice, ...]) -> tuple[Unknown, ...]:
+    def unknowns(self, choices: Choices) -> tuple[Unknown, ...]:
         """Unknowns of a model: soil first, then the effects in order."""
         out = list(self.soil)
         for choice in choices:
@@ -253,7 +256,7 @@ class Problem:
                 out.append(Unknown(full, mean, sd, max(low, p.low), min(high, p.high), False))
         return tuple(out)
 
-    def effects(self, choices: tuple[Choice, ...], values: dict[str, float]) -> Effects:
+    def effects(self, choices: Choices, values: dict[str, float]) -> Effects:
         """The effects of a set of parameters."""
         numbers: dict[str, float] = {}
         for choice in (c for c in choices if c.effect in CATALOGUE):
@@ -263,7 +266,7 @@ class Problem:
     def predict(
         self,
         values: dict[str, float],
-        choices: tuple[Choice, ...],
+        choices: Choices,
         guess: np.ndarray,
         rows: Rows | None = None,
         more: Mapping[str, float] | None = None,
@@ -309,7 +312,7 @@ class Problem:
 
     def fit(
         self,
-        choices: tuple[Choice, ...] = (),
+        choices: Choices = (),
         start: dict[str, float] | None = None,
         sizes: Sizes = EXACT,
         near: Fit | None = None,
@@ -377,9 +380,7 @@ class Law:
     `guess` [N] of the sinkage is renewed by every output.
     """
 
-    def __init__(
-        self, problem: Problem, choices: tuple[Choice, ...], guess: np.ndarray | None = None
-    ) -> None:
+    def __init__(self, problem: Problem, choices: Choices, guess: np.ndarray | None = None) -> None:
         self.problem = problem
         self.choices = choices
         self.unknowns = problem.unknowns(choices)
@@ -430,7 +431,7 @@ class Law:
         u: np.ndarray,
         output: np.ndarray,
         added: Sequence[np.ndarray],
-        at: Mapping[str, np.ndarray] | None = None,
+        at: Conditions | None = None,
     ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
         """Form errors [N, 3, R] at u at the size 1: of the base law, by span; of the effects, of
         what is `added`; and the nuisances of the instrument.
@@ -458,9 +459,7 @@ class Law:
         rig = nuisances(data.setup, problem.bench, data.rows, finite(output), named)
         return laws, np.concatenate(blocks, axis=2), rig
 
-    def fitted(
-        self, start: np.ndarray, whiten: Callable[[np.ndarray], np.ndarray]
-    ) -> tuple[np.ndarray, bool]:
+    def fitted(self, start: np.ndarray, whiten: ArrayFunction) -> tuple[np.ndarray, bool]:
         """(most probable u, whether it converged) where `whiten` takes the whitened values to those
         of a covariance.
         """

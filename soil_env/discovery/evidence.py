@@ -28,7 +28,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.special import chdtri, log_ndtr, ndtr
 
 from soil_env.discovery.calibrate import LAW_LENGTHS, Fit, Law, Problem, Sizes
-from soil_env.discovery.instrument import INSTRUMENT, LISTED, Choice
+from soil_env.discovery.instrument import INSTRUMENT, LISTED, Choice, Choices, Names
 from soil_env.identification.table.data import CHANNELS
 from soil_env.identification.table.form_error import (
     INPUTS,
@@ -72,7 +72,7 @@ class Evidence:
         return self.by_law[min(self.by_law, key=lambda x: abs(math.log(x / size)))]
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def names(self) -> Names:
         """Its effects."""
         return tuple(c.effect for c in self.fit.choices)
 
@@ -92,7 +92,7 @@ class Grid(NamedTuple):
 
 
 @cache
-def grid(names: tuple[str, ...]) -> tuple[list[Sizes], np.ndarray, np.ndarray]:
+def grid(names: Names) -> tuple[list[Sizes], np.ndarray, np.ndarray]:
     """(sizes of the form errors of the base law and of effects, log prior of each, [S, K] sizes by
     rig, effects and laws); an instrument's laws are exact.
     """
@@ -188,7 +188,7 @@ def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def settle(
     problem: Problem,
-    choices: tuple[Choice, ...],
+    choices: Choices,
     near: Evidence | None = None,
     start: dict[str, float] | None = None,
 ) -> Evidence:

@@ -72,6 +72,9 @@ def size_prior() -> np.ndarray:
     return weight / weight.sum()
 
 
+Conditions = Mapping[str, np.ndarray]  # [N] by the columns of a table
+
+
 @dataclass(frozen=True, eq=False)
 class Process:
     """A Gaussian process of unit variance over the conditions, in its leading functions at the rows
@@ -91,7 +94,7 @@ class Process:
     @classmethod
     def over(
         cls,
-        conditions: Mapping[str, np.ndarray],
+        conditions: Conditions,
         *,
         of: Sequence[str] | None = None,
         additive: bool = False,
@@ -126,7 +129,7 @@ class Process:
             common = 0.5 * common + 0.5 * np.exp(-0.5 * _SHORTER**2 * square).mean(axis=2)
         return common
 
-    def at(self, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
+    def at(self, conditions: Conditions) -> np.ndarray:
         """[N, R] of the functions at conditions [N]."""
         return self._covariance(coordinates(conditions, self.names)) @ self.weights
 
@@ -135,7 +138,7 @@ class Process:
         """[P, R] of the functions at the rows of the table."""
         return self._covariance(self.points) @ self.weights
 
-    def left(self, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
+    def left(self, conditions: Conditions) -> np.ndarray:
         """[N] share of the variance at conditions [N] that the functions do not have: 1 far from
         the table.
         """
@@ -147,7 +150,7 @@ def _condition(name: str) -> str:
     return "slip" if name == "log_slip" else name
 
 
-def coordinate(name: str, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
+def coordinate(name: str, conditions: Conditions) -> np.ndarray:
     """[N] of a coordinate in which processes are stationary."""
     value = conditions[_condition(name)]
     if name == "log_slip":
@@ -157,7 +160,7 @@ def coordinate(name: str, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.log(value + 1e-3) if name == "grouser_height" else np.log(np.maximum(value, 1e-6))
 
 
-def coordinates(conditions: Mapping[str, np.ndarray], names: tuple[str, ...]) -> np.ndarray:
+def coordinates(conditions: Conditions, names: tuple[str, ...]) -> np.ndarray:
     """[N, d] of the coordinates by name in which processes are stationary."""
     size = np.size(next(iter(conditions.values())))
     return (

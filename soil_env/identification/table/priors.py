@@ -38,6 +38,9 @@ _LEAST_SD = {
 }
 
 
+Values = Mapping[str, float]  # parameters by name
+
+
 class Unknown(NamedTuple):
     """One unknown in the coordinate it is fitted in: itself, or its logarithm."""
 
@@ -142,7 +145,7 @@ def given_laws(setup: Setup) -> dict[str, float]:
     }
 
 
-def soil_state(values: Mapping[str, float], laws: Mapping[str, float]) -> SoilState:
+def soil_state(values: Values, laws: Values) -> SoilState:
     """The soil of a set of parameters by name and the `given_laws`."""
     return SoilState(
         math.tan(math.radians(values["friction_angle_deg"])),

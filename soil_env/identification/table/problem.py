@@ -67,10 +67,13 @@ LAW_ERRORS = [
 _NO_WEIGHT = 0.0  # [N/m3] unit weight of the soil: the base model does not use it
 
 
+ArrayFunction = Callable[[np.ndarray], np.ndarray]
+
+
 def most_probable(
     target: np.ndarray,
-    model: Callable[[np.ndarray], np.ndarray],
-    derivatives: Callable[[np.ndarray], np.ndarray],
+    model: ArrayFunction,
+    derivatives: ArrayFunction,
     start: np.ndarray,
     bounds: tuple[np.ndarray, np.ndarray],
     **options: Any,
@@ -95,7 +98,7 @@ def most_probable(
 
 
 def differences(
-    model: Callable[[np.ndarray], np.ndarray],
+    model: ArrayFunction,
     u: np.ndarray,
     unknowns: Sequence[Unknown],
     base: np.ndarray,
@@ -120,7 +123,7 @@ def side_by_side(columns: list[np.ndarray], size: int) -> np.ndarray:
 class Last:
     """A function [..] of unknowns [p], computed once for those that it was asked for last."""
 
-    def __init__(self, compute: Callable[[np.ndarray], np.ndarray]) -> None:
+    def __init__(self, compute: ArrayFunction) -> None:
         self._compute = compute
         self._at: np.ndarray | None = None
         self._value = np.empty(0)
