@@ -1,6 +1,5 @@
 """The Gymnasium environments of a rover on two or three axles and of many."""
 
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -18,9 +17,10 @@ from soil_env.envs.infos import asks, checked
 from soil_env.envs.rover_infos import RoverInfos
 from soil_env.envs.rovers import RoverSimulation
 from soil_env.parameters import DEFAULT_ROVER, RoverScenario, Soil, load_rover
+from soil_env.parameters.rover import RoverLike
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.world.terrain import soil_at
-from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.terramechanics.model import ModelLike
 
 __all__ = ["SoilRoverEnv", "SoilRoverVectorEnv", "build_rover", "rover_action_space"]
 
@@ -29,7 +29,7 @@ _OWN_OF_MANY = (*OF_MANY, *_OWN)
 
 
 def build_rover(
-    rover: str | Path | dict[str, Any] | RoverScenario,
+    rover: RoverLike,
     action: str | None,
     repeat: int | None,
     changes: dict[str, Any],
@@ -178,12 +178,12 @@ class SoilRoverEnv(CourseEnv):
 
     def __init__(
         self,
-        rover: str | Path | dict[str, Any] | RoverScenario = DEFAULT_ROVER,
+        rover: RoverLike = DEFAULT_ROVER,
         observation: str = "identified",
         action: str | None = None,
         repeat: int | None = None,
         render_mode: str | None = None,
-        model: str | Path | dict[str, Any] | WheelSoilModel | None = None,
+        model: ModelLike = None,
         scatter: bool = False,
         info: str | None = None,
         scaled: bool = True,
@@ -227,7 +227,7 @@ class SoilRoverVectorEnv(CourseVectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        rover: str | Path | dict[str, Any] | RoverScenario = DEFAULT_ROVER,
+        rover: RoverLike = DEFAULT_ROVER,
         observation: str = "identified",
         action: str | None = None,
         repeat: int | None = None,
@@ -235,7 +235,7 @@ class SoilRoverVectorEnv(CourseVectorEnv):
         max_episode_steps: int | None = None,
         threads: int | None = None,
         render_mode: str | None = None,
-        model: str | Path | dict[str, Any] | WheelSoilModel | None = None,
+        model: ModelLike = None,
         scatter: bool = False,
         info: str = "short",
         scaled: bool = True,

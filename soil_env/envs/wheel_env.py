@@ -1,6 +1,5 @@
 """The Gymnasium environments of one driven wheel and of many."""
 
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -25,10 +24,11 @@ from soil_env.parameters import (
     Soil,
     load_scenario,
 )
+from soil_env.parameters.scenario import ScenarioLike
 from soil_env.simulation.task import layout
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.simulation.world.terrain import soil_at
-from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.terramechanics.model import ModelLike
 
 __all__ = [
     "IMMOBILISED",
@@ -44,7 +44,7 @@ _OWN_OF_MANY = (*OF_MANY, *_OWN)
 
 
 def build_scenario(
-    scenario: str | Path | dict[str, Any] | Scenario,
+    scenario: ScenarioLike,
     action: str | None,
     repeat: int | None,
     changes: dict[str, Any],
@@ -300,12 +300,12 @@ class SoilWheelEnv(CourseEnv):
 
     def __init__(
         self,
-        scenario: str | Path | dict[str, Any] | Scenario = DEFAULT_SCENARIO,
+        scenario: ScenarioLike = DEFAULT_SCENARIO,
         observation: str = "identified",
         action: str | None = None,
         repeat: int | None = None,
         render_mode: str | None = None,
-        model: str | Path | dict[str, Any] | WheelSoilModel | None = None,
+        model: ModelLike = None,
         scatter: bool = False,
         info: str | None = None,
         scaled: bool = True,
@@ -357,7 +357,7 @@ class SoilWheelVectorEnv(CourseVectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        scenario: str | Path | dict[str, Any] | Scenario = DEFAULT_SCENARIO,
+        scenario: ScenarioLike = DEFAULT_SCENARIO,
         observation: str = "identified",
         action: str | None = None,
         repeat: int | None = None,
@@ -365,7 +365,7 @@ class SoilWheelVectorEnv(CourseVectorEnv):
         max_episode_steps: int | None = None,
         threads: int | None = None,
         render_mode: str | None = None,
-        model: str | Path | dict[str, Any] | WheelSoilModel | None = None,
+        model: ModelLike = None,
         scatter: bool = False,
         info: str = "short",
         scaled: bool = True,

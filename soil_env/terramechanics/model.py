@@ -268,9 +268,10 @@ class WheelSoilModel(Checked):
         return load(cls, content, where)
 
 
-def load_model(
-    model: str | Path | Mapping[str, Any] | WheelSoilModel | None,
-) -> WheelSoilModel | None:
+ModelLike = str | Path | Mapping[str, Any] | WheelSoilModel | None  # file, mapping, or as it is
+
+
+def load_model(model: ModelLike) -> WheelSoilModel | None:
     """The model that the keyword `model` of an environment describes: a model.yaml, its mapping, a
     model, or none.
     """
