@@ -39,6 +39,7 @@ _LEAST_WIDTH = 8.5  # [radii] of the side view
 _BODY = (206, 198, 184)  # colours of the parts of a rover
 _BEAM = (86, 90, 100)
 _BOGIE = (120, 124, 134)
+State = dict[str, Any]  # of a wheel, by name
 COLOURS = {  # dark, pale
     "front": (canvas.PURPLE, canvas.LIGHT_PURPLE),
     "middle": (canvas.AMBER, canvas.LIGHT_AMBER),
@@ -47,7 +48,7 @@ COLOURS = {  # dark, pale
 }
 
 
-def shown_wheels(simulation: Any, j: int) -> list[dict[str, Any]]:
+def shown_wheels(simulation: Any, j: int) -> list[State]:
     """State of each wheel of vehicle j by name, the front one first.
 
     Beside the state of the simulation: its `name`, the depth of the `rut` that it runs in [m], the
@@ -79,7 +80,7 @@ def shown_wheels(simulation: Any, j: int) -> list[dict[str, Any]]:
     return wheels
 
 
-def by_name(record: np.record) -> dict[str, Any]:
+def by_name(record: np.record) -> State:
     """Fields of a record by name."""
     return dict(zip(record.dtype.names or (), record.item(), strict=True))
 
@@ -89,7 +90,7 @@ def radius_of(simulation: Any) -> float:
     return float(simulation.numbers.rig["radius"][0])
 
 
-def sample_of(simulation: Any, w: dict[str, Any], exponent: float) -> tuple[float, ...]:
+def sample_of(simulation: Any, w: State, exponent: float) -> tuple[float, ...]:
     """`charts.QUANTITIES` of one of the `shown_wheels`; S is that of a soil with this sinkage
     `exponent`.
     """
@@ -100,7 +101,7 @@ def sample_of(simulation: Any, w: dict[str, Any], exponent: float) -> tuple[floa
     return w["slip"], w["sinkage"] / radius_of(simulation), *known, *truth
 
 
-def hubs_of(simulation: Any, wheels: list[dict[str, Any]], profile: Profile) -> np.ndarray:
+def hubs_of(simulation: Any, wheels: list[State], profile: Profile) -> np.ndarray:
     """Places [wheels, 2] of the hubs (horizontal, height) [m]."""
     r = radius_of(simulation)
     hubs = []
@@ -248,7 +249,7 @@ def _draw_readings(c: Canvas, simulation: Any, body, cause: Cause) -> None:
     drawing.draw_cause(c, cause, body["halt_left"] > 0.0)
 
 
-def draw_table(c: Canvas, wheels: list[dict[str, Any]], bounds, identified: bool) -> None:
+def draw_table(c: Canvas, wheels: list[State], bounds, identified: bool) -> None:
     """State of each of the `shown_wheels` below the side view, with the rut that it runs in, the
     true soil under it and the status of its estimate.
     """
