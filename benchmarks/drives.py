@@ -124,8 +124,9 @@ class Shadow:
 
     def update(self, sim: Any, alive: np.ndarray, share: float) -> None:
         """Read the sensors of a control period, at a `share` of the longest drive."""
-        state, readings, observation = sim._sampled
-        world = (state, self._misread(readings, 2.0 * share if self.drifts else 1.0), observation)
+        readings = sim._sampled.samples
+        misread = self._misread(readings, 2.0 * share if self.drifts else 1.0)
+        world = sim._sampled._replace(samples=misread)
         if not self.begun:
             self.begun = True
             self.board.update(world, np.full(len(alive), RESTART), 0, len(alive))
@@ -187,7 +188,7 @@ def record(
     """
     log: dict[str, list[np.ndarray]] = defaultdict(list)
     for t, (sim, alive) in enumerate(
-        drive(controller, scenario, seed, 0, courses, model=model, warnings=True)
+        drive(controller, scenario, seed, range(courses), model=model, warnings=True)
     ):
         w = sim.worlds
         ground = _grounds(w.courses, w.state["x"][:, None], scenario.course.border)
@@ -196,7 +197,7 @@ def record(
         log["truth"].append(truth(soil, np.array(w.state["bearing_sinkage"]), load, scenario))
         log["driven"].append(alive & (w.state["halt_left"] == 0.0))
         log["alive"].append(alive.copy())
-        log["readings"].append(sim._sampled[1][:, 0, 0].copy())
+        log["readings"].append(sim._sampled.samples[:, 0, 0].copy())
         known = {OWN: published(w.ids)}
         for name, shadow in shadows.items():
             shadow.update(sim, alive, t / scenario.periods)

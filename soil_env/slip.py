@@ -87,8 +87,7 @@ def slips(rim_speed: np.ndarray, speed: np.ndarray, slow: float = SLOWEST) -> np
     """
     scale = np.maximum(np.maximum(np.abs(rim_speed), np.abs(speed)), slow)
     slip = (rim_speed - speed) / scale
-    out: np.ndarray = np.clip(np.where(rim_speed + speed < -slow, -slip, slip), -1.0, 1.0)
-    return out
+    return np.clip(np.where(rim_speed + speed < -slow, -slip, slip), -1.0, 1.0)
 
 
 def sliding_speeds(travel_speed: np.ndarray, slip: np.ndarray) -> np.ndarray:

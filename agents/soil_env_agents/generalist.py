@@ -167,9 +167,8 @@ def chosen(
         for world in worlds:
             for k, settings in enumerate(tried):
                 teacher = Teacher(scenario, **settings)
-                runs = run_courses(
-                    teacher, scenario, TEACHING_SET, courses, first, model=world, threads=threads
-                )
+                driven = range(first, first + courses)
+                runs = run_courses(teacher, scenario, TEACHING_SET, driven, world, threads)
                 earned[k] += runs.returns.mean()
             first += courses
         tried = [tried[k] for k in np.argsort(earned)[::-1][:left]]

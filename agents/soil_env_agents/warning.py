@@ -181,7 +181,8 @@ def drives(scenario: str, family: str, seed: int, first: int, count: int) -> Dri
     rows = np.arange(count)
     kept = []
     driver = make_driver(family, task, [seed, first], count)
-    for sim, alive in drive(driver, task, seed, first, count, threads=1, warnings=True):
+    courses = range(first, first + count)
+    for sim, alive in drive(driver, task, seed, courses, threads=1, warnings=True):
         worlds = sim.worlds
         read = warning.assess(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd).inputs
         drives_on = alive & (worlds.state["halt_left"] == 0.0)

@@ -98,12 +98,12 @@ def html_page(title: str, body: str | Sequence[str], style: str = "") -> str:
     )
 
 
-def html_image(content: bytes, caption: str = "", kind: str = "png") -> str:
+def html_image(content: bytes, caption: str, kind: str = "png") -> str:
     """Element `figure` with the image in it; `kind` is its media subtype, "png" or "svg+xml"."""
     text = escape(caption)
     data = base64.b64encode(content).decode("ascii")
-    below = f"<figcaption>{text}</figcaption>" if caption else ""
-    return f'<figure><img alt="{text}" src="data:image/{kind};base64,{data}">{below}</figure>'
+    image = f'<img alt="{text}" src="data:image/{kind};base64,{data}">'
+    return f"<figure>{image}<figcaption>{text}</figcaption></figure>"
 
 
 def plot_text(text: str) -> str:

@@ -226,8 +226,8 @@ def check_outputs(folder: str | Path, names: Iterable[str] = ()) -> None:
             )
 
 
-def picture_of(figure, kind: str = "png", **options) -> bytes:
-    """A matplotlib figure as a file of this kind. Options are those of `figure.savefig`."""
+def picture_of(figure, **options) -> bytes:
+    """A matplotlib figure as a PNG file. Options are those of `figure.savefig`."""
     stream = io.BytesIO()
-    figure.savefig(stream, format=kind, **options)
+    figure.savefig(stream, format="png", **options)
     return stream.getvalue()

@@ -152,6 +152,7 @@ def plural(count: int, word: str) -> str:
     return f"{count} {word}" + ("" if count == 1 else "s")
 
 
+Keys = dict[str, typing.Any]  # nested, as in a YAML file
 TITLES = 20  # lines of a CSV file, from the first, among which a header is looked for
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -26,6 +26,7 @@ from soil_env.discovery.instrument import (
     LAWS,
     LISTED,
     Choice,
+    Choices,
     in_balance,
     nuisances,
     reading,
@@ -37,9 +38,11 @@ from soil_env.identification.table.data import CHANNELS, Data
 from soil_env.identification.table.form_error import (
     INPUTS,
     LENGTHS,
+    Conditions,
     Process,
+    by_stresses,
     compressed,
-    stress_changes,
+    finite,
     whitened,
 )
 from soil_env.identification.table.noise import NoiseEstimate, find_noise, with_noise_of_conditions
@@ -48,15 +51,17 @@ from soil_env.identification.table.priors import (
     Unknown,
     bounds_of,
     given_laws,
+    parameters_at,
     soil_unknowns,
 )
 from soil_env.identification.table.problem import (
     COARSE,
     OFF_GUESS,
+    ArrayFunction,
     Last,
     differences,
-    finite,
     most_probable,
+    side_by_side,
 )
 from soil_env.identification.table.rig import predict_table
 from soil_env.slip import sliding_speeds
@@ -68,7 +73,6 @@ PRIOR_WIDTH = 1.5  # factor of the sd of the setup's priors
 #: Form error of an effect that is named by its place, in all channels alike, over that of others.
 ANY_FORM = 10.0
 AT_BOUND = 1e-4  # [prior sd] of an unknown from a bound, within which it does not move
-_STRESS_STEP = 1e-3  # relative change of a stress, for differences
 _SAME = 1e-6  # [prior sd] of a start from a bound, and within which derivatives are the same
 _LAW = 24  # most functions of the process of the law's error
 _EFFECT = 24  # of that of the form of an effect
@@ -110,7 +114,7 @@ EXACT = Sizes()
 class Fit:
     """A fitted model. Whitened quantities: residuals in noise sd, unknowns in prior sd."""
 
-    choices: tuple[Choice, ...]
+    choices: Choices
     unknowns: tuple[Unknown, ...]
     u: np.ndarray  # [p]
     output: np.ndarray  # [N, 3] model values
@@ -133,8 +137,7 @@ class Fit:
     def free_unknowns(self) -> np.ndarray:
         """[p] which unknowns are not at a bound."""
         low, high = bounds_of(self.unknowns)
-        free: np.ndarray = np.minimum(self.u - low, high - self.u) > AT_BOUND
-        return free
+        return np.minimum(self.u - low, high - self.u) > AT_BOUND
 
     def columns(self, sizes: Sizes) -> np.ndarray:
         """[M, R] whitened form errors at their sizes side by side, those of size 0 left out."""
@@ -237,7 +240,7 @@ class Problem:
             smooth=wheel.grouser_height == 0.0 and not np.any(rows.wheels[:, 2]),
         )
 
-    def unknowns(self, choices: tuple[Choice, ...]) -> tuple[Unknown, ...]:
+    def unknowns(self, choices: Choices) -> tuple[Unknown, ...]:
         """Unknowns of a model: soil first, then the effects in order."""
         out = list(self.soil)
         for choice in choices:
@@ -253,7 +256,7 @@ class Problem:
                 out.append(Unknown(full, mean, sd, max(low, p.low), min(high, p.high), False))
         return tuple(out)
 
-    def effects(self, choices: tuple[Choice, ...], values: dict[str, float]) -> Effects:
+    def effects(self, choices: Choices, values: dict[str, float]) -> Effects:
         """The effects of a set of parameters."""
         numbers: dict[str, float] = {}
         for choice in (c for c in choices if c.effect in CATALOGUE):
@@ -263,7 +266,7 @@ class Problem:
     def predict(
         self,
         values: dict[str, float],
-        choices: tuple[Choice, ...],
+        choices: Choices,
         guess: np.ndarray,
         rows: Rows | None = None,
         more: Mapping[str, float] | None = None,
@@ -309,7 +312,7 @@ class Problem:
 
     def fit(
         self,
-        choices: tuple[Choice, ...] = (),
+        choices: Choices = (),
         start: dict[str, float] | None = None,
         sizes: Sizes = EXACT,
         near: Fit | None = None,
@@ -377,9 +380,7 @@ class Law:
     `guess` [N] of the sinkage is renewed by every output.
     """
 
-    def __init__(
-        self, problem: Problem, choices: tuple[Choice, ...], guess: np.ndarray | None = None
-    ) -> None:
+    def __init__(self, problem: Problem, choices: Choices, guess: np.ndarray | None = None) -> None:
         self.problem = problem
         self.choices = choices
         self.unknowns = problem.unknowns(choices)
@@ -402,37 +403,35 @@ class Law:
             return self.problem.whiten(self.problem.predict(self.values(x), self.choices, guess))
 
         base = model(u)
-        return finite(differences(model, u, self.unknowns, base), base.size)
+        return side_by_side(differences(model, u, self.unknowns, base), base.size)
 
     def added(self, u: np.ndarray, output: np.ndarray) -> tuple[np.ndarray, ...]:
         """[N, 3] what each effect adds to the output at u."""
         values = self.values(u)
         rest = (self.choices[:k] + self.choices[k + 1 :] for k in range(len(self.choices)))
         return tuple(
-            _finite(output - self.problem.predict(values, others, self.guess.copy()))
+            finite(output - self.problem.predict(values, others, self.guess.copy()))
             for others in rest
         )
 
     def stresses(self, u: np.ndarray, output: np.ndarray) -> list[np.ndarray]:
         """[N, 3] change of the output at u by each `stress_changes`, relative."""
-        h = _STRESS_STEP
         values = self.values(u)
         sinkage = float(np.nanmedian(output[:, 0]))
 
-        def out(soil, more):
+        def outcome(change):
+            soil = values | change.soil
             guess = OFF_GUESS * self.guess
-            return self.problem.predict(values | soil, self.choices, guess, more=more)
+            return self.problem.predict(soil, self.choices, guess, more=change.effects)
 
-        base = out({}, {})
-        changes = stress_changes(self.problem.known | values, h, sinkage)
-        return [_finite((out(*change) - base) / h) for change in changes]
+        return by_stresses(outcome, self.problem.known | values, sinkage)
 
     def form_errors(
         self,
         u: np.ndarray,
         output: np.ndarray,
         added: Sequence[np.ndarray],
-        at: Mapping[str, np.ndarray] | None = None,
+        at: Conditions | None = None,
     ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
         """Form errors [N, 3, R] at u at the size 1: of the base law, by span; of the effects, of
         what is `added`; and the nuisances of the instrument.
@@ -457,12 +456,10 @@ class Law:
             blocks += [_in_channel(own, factor * unit) for unit in units]
         named = tuple(c.effect for c in self.choices)
         data = problem.data
-        rig = nuisances(data.setup, problem.bench, data.rows, _finite(output), named)
+        rig = nuisances(data.setup, problem.bench, data.rows, finite(output), named)
         return laws, np.concatenate(blocks, axis=2), rig
 
-    def fitted(
-        self, start: np.ndarray, whiten: Callable[[np.ndarray], np.ndarray]
-    ) -> tuple[np.ndarray, bool]:
+    def fitted(self, start: np.ndarray, whiten: ArrayFunction) -> tuple[np.ndarray, bool]:
         """(most probable u, whether it converged) where `whiten` takes the whitened values to those
         of a covariance.
         """
@@ -478,18 +475,8 @@ class Law:
         return u, converged
 
 
-def parameters_at(unknowns: Sequence[Unknown], u: np.ndarray) -> dict[str, float]:
-    """Parameters by name at whitened unknowns."""
-    return {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
-
-
 def _geometric_mean(values: np.ndarray) -> float:
     return math.exp(float(np.mean(np.log(values))))
-
-
-def _finite(values: np.ndarray) -> np.ndarray:
-    """The values, 0 where the model has none."""
-    return np.where(np.isfinite(values), values, 0.0)
 
 
 def _in_channel(functions: np.ndarray, factor: np.ndarray) -> np.ndarray:

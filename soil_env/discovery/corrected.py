@@ -9,7 +9,7 @@ neither.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise, product
 from typing import Any, NamedTuple
@@ -23,7 +23,8 @@ from soil_env.discovery.prediction import Prediction, independent
 from soil_env.discovery.predictive import DEEPEST
 from soil_env.discovery.unnamed import OF_LOAD
 from soil_env.identification.table.data import CHANNELS
-from soil_env.identification.table.priors import BROAD
+from soil_env.identification.table.form_error import Conditions
+from soil_env.identification.table.priors import BROAD, Values
 from soil_env.parameters import Soil, SoilState
 from soil_env.slip import slips_of_radius
 from soil_env.terramechanics.effects import CATALOGUE
@@ -52,9 +53,7 @@ SENSED = ("slip_bias", "sinkage_offset")  # effects of a world that only sensors
 LITTLE = 0.05  # [noise] change below which an effect is left to the table
 
 
-def model_of(
-    problem: Problem, choices: Sequence[Choice], values: Mapping[str, float]
-) -> WheelSoilModel:
+def model_of(problem: Problem, choices: Sequence[Choice], values: Values) -> WheelSoilModel:
     """The `WheelSoilModel` of fitted parameters: their soil, and their effects as the world has
     them.
     """
@@ -83,7 +82,7 @@ def model_of(
     return WheelSoilModel(wheel, of_soil, effects, gravity=setup.gravity, validity=conditions)
 
 
-def parameters(problem: Problem, choice: Choice, values: Mapping[str, float]) -> dict[str, float]:
+def parameters(problem: Problem, choice: Choice, values: Values) -> dict[str, float]:
     """Parameters of an effect: what its form frees, what it sets, and the reference speed that the
     table set.
     """
@@ -123,7 +122,7 @@ def corrected(found: Prediction, named: Sequence[str] = ()) -> WheelSoilModel:
 def _remainder(
     found: Prediction,
     model: WheelSoilModel,
-    nodes: Mapping[str, np.ndarray],
+    nodes: Conditions,
     without: Sequence[str],
 ) -> ResidualTable:
     """The table of what `model` misses of a prediction, at nodes of the conditions that this goes

@@ -33,8 +33,7 @@ class Curve(NamedTuple):
     def at(self, slip: np.ndarray, load: np.ndarray) -> np.ndarray:
         """[N] values."""
         x = np.log(load / self.load)
-        values: np.ndarray = _basis(slip, x, self.scale, self.powers, self.braked) @ self.amplitudes
-        return values
+        return _basis(slip, x, self.scale, self.powers, self.braked) @ self.amplitudes
 
 
 def _basis(

@@ -5,14 +5,12 @@ at a slip or load that no other row comes near is checked by none, and a mistype
 such a row. Mistakes that show before any effect is known are in `identification.table.mistakes`.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env.discovery.calibrate import Problem, calibrate
 from soil_env.discovery.instrument import LISTED
-from soil_env.discovery.search import Finding, search
+from soil_env.discovery.search import Finding, Say, search
 from soil_env.identification.table.data import prepare
 from soil_env.identification.table.noise import NoiseEstimate
 
@@ -20,7 +18,7 @@ FEW = 20  # rows for each one that may stand alone; in a smaller table most of t
 
 
 def of_lone_rows(
-    problem: Problem, noise: NoiseEstimate, finding: Finding, say: Callable[[str], None]
+    problem: Problem, noise: NoiseEstimate, finding: Finding, say: Say
 ) -> tuple[str, ...]:
     """Return a doubt where rows that stand alone in their conditions decide what is named, none as
     a rule.

@@ -28,7 +28,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.special import chdtri, log_ndtr, ndtr
 
 from soil_env.discovery.calibrate import LAW_LENGTHS, Fit, Law, Problem, Sizes
-from soil_env.discovery.instrument import INSTRUMENT, LISTED, Choice
+from soil_env.discovery.instrument import INSTRUMENT, LISTED, Choice, Choices, Names
 from soil_env.identification.table.data import CHANNELS
 from soil_env.identification.table.form_error import (
     INPUTS,
@@ -41,7 +41,7 @@ from soil_env.identification.table.form_error import (
     size_prior,
 )
 from soil_env.identification.table.priors import Unknown
-from soil_env.identification.table.problem import finite
+from soil_env.identification.table.problem import side_by_side
 
 log_sum = np.logaddexp.reduce  # on short arrays a tenth of the time of `logsumexp`
 #: Size beta of an effect's form error, relative to what it adds: published forms differ by 10 to
@@ -72,7 +72,7 @@ class Evidence:
         return self.by_law[min(self.by_law, key=lambda x: abs(math.log(x / size)))]
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def names(self) -> Names:
         """Its effects."""
         return tuple(c.effect for c in self.fit.choices)
 
@@ -91,27 +91,14 @@ class Grid(NamedTuple):
     first: int  # leading columns of `table` whose values many of its rows share
 
 
-def grid(names: tuple[str, ...]) -> tuple[list[Sizes], np.ndarray]:
-    """(sizes of the form errors of the base law and of effects, log prior of each); an instrument's
-    laws are exact.
-    """
-    return _points(_effect_sizes(names))[:2]
-
-
-def _effect_sizes(names: tuple[str, ...]) -> tuple[tuple[float, float], ...]:
-    """(size, probability) of the form errors of effects."""
-    if not names:
-        return ((0.0, 1.0),)
-    if {*names} <= {*INSTRUMENT}:
-        return ((EFFECT_SIZES[0], 1.0),)
-    return tuple(zip(EFFECT_SIZES, EFFECT_PRIOR, strict=True))
-
-
 @cache
-def _points(
-    effect: tuple[tuple[float, float], ...],
-) -> tuple[list[Sizes], np.ndarray, np.ndarray]:
-    """(sizes, log prior of each, [S, K] sizes of the form errors of rig, effects and laws)."""
+def grid(names: Names) -> tuple[list[Sizes], np.ndarray, np.ndarray]:
+    """(sizes of the form errors of the base law and of effects, log prior of each, [S, K] sizes by
+    rig, effects and laws); an instrument's laws are exact.
+    """
+    effect = [*zip(EFFECT_SIZES, EFFECT_PRIOR, strict=True)]
+    if {*names} <= {*INSTRUMENT}:
+        effect = [(EFFECT_SIZES[0] if names else 0.0, 1.0)]
     law = zip(SIZES.tolist(), size_prior(), strict=True)
     every = product(law, effect, range(len(LAW_LENGTHS)))
     points = [
@@ -124,7 +111,7 @@ def _points(
 
 def plain_grid(fit: Fit) -> Grid:
     """`grid` of a fit."""
-    sizes, log_prior, table = _points(_effect_sizes(tuple(c.effect for c in fit.choices)))
+    sizes, log_prior, table = grid(tuple(c.effect for c in fit.choices))
     return Grid(sizes, log_prior, (fit.rig, fit.effect, *fit.law), table, 2)
 
 
@@ -201,7 +188,7 @@ def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def settle(
     problem: Problem,
-    choices: tuple[Choice, ...],
+    choices: Choices,
     near: Evidence | None = None,
     start: dict[str, float] | None = None,
 ) -> Evidence:
@@ -265,7 +252,7 @@ class _Further:
                 )
                 self.unknowns.append(moved)
                 self.owner.append(k)
-        self.columns = finite(columns, base.size)
+        self.columns = side_by_side(columns, base.size)
         self.effect = first.sizes.effect
         self.own_gram = self.columns.T @ self.columns
         self.own_along = self.columns.T @ first.fit.residual
@@ -318,7 +305,7 @@ def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[f
     further = _Further(problem, first, choices)
     one_sided = np.array([u.low >= u.mean for u in further.unknowns])
     of = [np.flatnonzero(np.array(further.owner) == k) for k in range(len(choices))]
-    sizes, log_prior = grid(())
+    sizes, log_prior, _ = grid(())
     log, normal, pull = map(np.array, zip(*map(further.under, sizes), strict=True))
     gains = [_gains(normal[:, k[:, None], k], pull[:, k], one_sided[k]) for k in of]
     out = np.stack(gains, axis=1)

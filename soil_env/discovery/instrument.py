@@ -17,6 +17,7 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError, unknown_value
 from soil_env.discovery.unnamed import OF_LOAD, UNNAMED
+from soil_env.identification.table.priors import Values
 from soil_env.measurement.setup import Calibration, Setup
 from soil_env.slip import slips_of_radius
 from soil_env.terramechanics.effects import CATALOGUE
@@ -209,6 +210,10 @@ class Choice(NamedTuple):
         return {f"{self.effect}_{p}": v for p, v in LAWS[self.effect].forms[self.form].fixed}
 
 
+Choices = tuple[Choice, ...]
+Names = tuple[str, ...]  # a set of effects
+
+
 @cache
 def _free(choice: Choice) -> tuple[str, ...]:
     return tuple(f"{choice.effect}_{p}" for p in LAWS[choice.effect].forms[choice.form].free)
@@ -267,7 +272,7 @@ def odds(setup: Setup, bench: Bench) -> dict[str, float]:
     return {name: min(own[name] / usual[name], 1.0) for name in INSTRUMENT}
 
 
-def true_rows(rows: Rows, values: Mapping[str, float]) -> Rows:
+def true_rows(rows: Rows, values: Values) -> Rows:
     """Rows under the true wheel radius, which the recorded slip follows from."""
     error = values.get("wheel_radius_error", 0.0)
     if error == 0.0:
@@ -279,9 +284,7 @@ def true_rows(rows: Rows, values: Mapping[str, float]) -> Rows:
     )
 
 
-def in_balance(
-    rows: Rows, values: Mapping[str, float], outcome: Callable[[Rows], np.ndarray]
-) -> np.ndarray:
+def in_balance(rows: Rows, values: Values, outcome: Callable[[Rows], np.ndarray]) -> np.ndarray:
     """[N, 3] outcome of rows under the load that an arm or a spring leaves of the stated one.
 
     The load follows from the outcome: it is the limit of three loads, each from the one before
@@ -297,8 +300,7 @@ def in_balance(
 
     def pressed(out: np.ndarray) -> np.ndarray:
         z, _, torque = np.nan_to_num(out).T
-        load: np.ndarray = np.clip(start + arm * torque / r - spring * z, *np.outer(PRESSED, start))
-        return load
+        return np.clip(start + arm * torque / r - spring * z, *np.outer(PRESSED, start))
 
     first = pressed(out)
     second = pressed(outcome(rows._replace(load=first)))
@@ -308,7 +310,7 @@ def in_balance(
     return outcome(rows._replace(load=limit))
 
 
-def reading(out: np.ndarray, values: Mapping[str, float], radius: np.ndarray) -> np.ndarray:
+def reading(out: np.ndarray, values: Values, radius: np.ndarray) -> np.ndarray:
     """[N, 3] that the sensors read of true values [N, 3]; radius [N]."""
     if not any(name.startswith(("force_", "torque_")) for name in values):
         return out
@@ -321,7 +323,7 @@ def reading(out: np.ndarray, values: Mapping[str, float], radius: np.ndarray) ->
 
 
 def nuisances(
-    setup: Setup, bench: Bench, rows: Rows, output: np.ndarray, named: tuple[str, ...]
+    setup: Setup, bench: Bench, rows: Rows, output: np.ndarray, named: Names
 ) -> np.ndarray:
     """[N, 3, R] change of the readings [N, 3] by one sd of each error of one sensor that is not
     named.

@@ -10,6 +10,7 @@ import numpy as np
 
 from soil_env.discovery.calibrate import Fit, Problem
 from soil_env.discovery.evidence import Evidence
+from soil_env.discovery.instrument import Names
 from soil_env.discovery.search import Finding
 from soil_env.identification.table.data import CHANNELS, folds
 from soil_env.identification.table.form_error import mixed
@@ -164,7 +165,7 @@ def closed_interval(
     return float(low), float(high)
 
 
-def shares(problem: Problem, held: dict[tuple[str, ...], np.ndarray]) -> dict[str, float | None]:
+def shares(problem: Problem, held: dict[Names, np.ndarray]) -> dict[str, float | None]:
     """Share of the gap above the noise that each named effect closes, from held-out predictions of
     its sets, the base model among them.
 
@@ -172,7 +173,7 @@ def shares(problem: Problem, held: dict[tuple[str, ...], np.ndarray]) -> dict[st
     value).
     """
     full = max(held, key=len)
-    closes: dict[tuple[str, ...], float] = {}
+    closes: dict[Names, float] = {}
     for names, after in held.items():
         share = closed(problem, gaps(problem, held[()], after))
         if share is None:  # there is no gap, whatever is added

@@ -58,8 +58,7 @@ class Uncertainty:
         """[C, G C] whose square is what the covariance loses by run g."""
         root = cholesky(self.covariance[g, :, g] + self.noise, lower=True)
         across = self.covariance[g].reshape(self.noise.shape[0], -1)
-        found: np.ndarray = solve_triangular(root, across, lower=True)
-        return found
+        return solve_triangular(root, across, lower=True)
 
 
 def surer_runs(model: Prediction, evidence: Evidence, most: int = MOST) -> tuple[SurerRun, ...]:

@@ -23,7 +23,7 @@ import numpy as np
 
 from soil_env.discovery.calibrate import Problem
 from soil_env.discovery.evidence import Evidence, settle
-from soil_env.discovery.instrument import LISTED
+from soil_env.discovery.instrument import LISTED, Names
 from soil_env.discovery.predictive import predicted, problem_at
 from soil_env.discovery.search import ODDS, Finding, forms
 from soil_env.identification.table.data import CHANNELS, WHEEL
@@ -46,7 +46,7 @@ class Check(NamedTuple):
 
     name: str
     work: str  # to do
-    decides: tuple[str, ...]
+    decides: Names
 
 
 CHECKS = (
@@ -188,11 +188,11 @@ def next_checks(finding: Finding, runs: Sequence[NextTest]) -> tuple[Check, ...]
     return tuple(out)
 
 
-def _shares(finding: Finding) -> dict[tuple[str, ...], float]:
+def _shares(finding: Finding) -> dict[Names, float]:
     """Probability of each set of effects, but of something unlisted alone, which predicts
     nothing.
     """
-    share: dict[tuple[str, ...], float] = {}
+    share: dict[Names, float] = {}
     for h in finding.hypotheses:
         if h.names or not h.free:
             share[h.names] = share.get(h.names, 0.0) + h.probability
@@ -304,7 +304,7 @@ def sureness(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
     return out
 
 
-def decided(names: Sequence[tuple[str, ...]], check: Check) -> np.ndarray:
+def decided(names: Sequence[Names], check: Check) -> np.ndarray:
     """[K, K] 0 for two sets of effects that a check tells apart, 1 for others."""
     of = [{*check.decides} & {*n} for n in names]
     return np.array([[float(a == b) for b in of] for a in of])

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -25,11 +25,11 @@ from scipy.optimize import minimize
 
 from soil_env.discovery.calibrate import Law, Problem
 from soil_env.discovery.curve import LEAST_SPAN, fit_curve
-from soil_env.discovery.instrument import LISTED, Choice
+from soil_env.discovery.instrument import LISTED, Choice, Choices
 from soil_env.discovery.search import candidates, forms
 from soil_env.discovery.unnamed import OF_LOAD
 from soil_env.identification.table.data import CHANNELS
-from soil_env.identification.table.form_error import LENGTHS, coordinates
+from soil_env.identification.table.form_error import LENGTHS, Conditions, coordinates
 from soil_env.terramechanics.model import rows_of
 
 #: Forms of each effect that are fitted together; the first of the others.
@@ -119,7 +119,7 @@ class Outlook(NamedTuple):
     left_out: tuple[LeftOut, ...]
 
 
-def carried(problem: Problem) -> tuple[Choice, ...]:
+def carried(problem: Problem) -> Choices:
     """Effects that the table can carry, in one form or several that act together."""
     out = []
     varied = independent(problem)
@@ -140,7 +140,7 @@ def independent(problem: Problem) -> list[str]:
     return [name for name in problem.data.varied if not (name == "load" and scatters)]
 
 
-def at_conditions(problem: Problem, conditions: Mapping[str, np.ndarray]) -> Problem:
+def at_conditions(problem: Problem, conditions: Conditions) -> Problem:
     """The problem with the rows of other conditions, by the columns of a table; every channel is in
     use.
     """
@@ -173,8 +173,7 @@ class _Remainder:
         """[N, P] of points [N, D] with others [P, D]."""
         lengths = LENGTHS | learnt.lengths
         off = (points[:, None, :] - others) / np.array([lengths[n] for n in self.names])
-        found: np.ndarray = np.exp(-0.5 * np.sum(off**2, axis=2))
-        return found
+        return np.exp(-0.5 * np.sum(off**2, axis=2))
 
     def covariance(self, scale: np.ndarray, learnt: Learnt) -> _Covariance:
         """Of remainder and noise over the noise, of the values in use."""
@@ -198,8 +197,7 @@ def _scales(problem: Problem, output: np.ndarray) -> np.ndarray:
     r = rows.wheels[:, 0]
     force = FORCE_SCALE * rows.load
     sinkage = np.maximum(np.abs(np.nan_to_num(output[:, 0])), LEAST_SINKAGE * r)
-    found: np.ndarray = np.stack([sinkage, force, force * r], axis=1) / problem.noise
-    return found
+    return np.stack([sinkage, force, force * r], axis=1) / problem.noise
 
 
 class _Channel(NamedTuple):
@@ -252,7 +250,7 @@ class Prediction:
         """Every unknown by name."""
         return self.law.values(self.u)
 
-    def at(self, conditions: Mapping[str, np.ndarray], without: Collection[str] = ()) -> Predicted:
+    def at(self, conditions: Conditions, without: Collection[str] = ()) -> Predicted:
         """Predicted values at conditions, by the columns of a table, `without` these errors of the
         rig.
         """
@@ -267,10 +265,9 @@ class Prediction:
     @property
     def variance_of_run(self) -> np.ndarray:
         """[3] of the values of a run, over that of the noise."""
-        found: np.ndarray = 1.0 + self.learnt.beyond**2
-        return found
+        return 1.0 + self.learnt.beyond**2
 
-    def joint_at(self, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
+    def joint_at(self, conditions: Conditions) -> np.ndarray:
         """[N, 3, N, 3] covariance of the values at conditions, without noise, over the noise."""
         there = at_conditions(self.problem, conditions)
         _, law, across = self._means(there)
@@ -296,7 +293,7 @@ class Prediction:
         root = cholesky(np.eye(self.u.size) + j.T @ j, lower=True)
         return top.T, known, solve_triangular(root, j.T @ known, lower=True)
 
-    def mean_at(self, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
+    def mean_at(self, conditions: Conditions) -> np.ndarray:
         """[N, 3] predicted values alone."""
         return self._means(at_conditions(self.problem, conditions))[0]
 
@@ -326,7 +323,7 @@ class Prediction:
 
 def fit_prediction(
     problem: Problem,
-    choices: tuple[Choice, ...] | None = None,
+    choices: Choices | None = None,
     smooth: bool = True,
     near: Prediction | None = None,
 ) -> Prediction:
@@ -412,7 +409,7 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
     return Learnt.from_logarithms(found.x)
 
 
-def drawn(problem: Problem, conditions: Mapping[str, np.ndarray]) -> np.ndarray | None:
+def drawn(problem: Problem, conditions: Conditions) -> np.ndarray | None:
     """[N, 3] of the generic curve at conditions; None where others vary than it knows."""
     if set(independent(problem)) - {"slip", "load"}:
         return None

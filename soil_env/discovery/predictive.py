@@ -17,14 +17,14 @@ from soil_env.discovery.calibrate import ANY_FORM, LAW_LENGTHS, Fit, Law, Proble
 from soil_env.discovery.evidence import Evidence
 from soil_env.discovery.instrument import LISTED
 from soil_env.discovery.prediction import at_conditions
-from soil_env.identification.table.form_error import INPUTS, LENGTHS, Process
+from soil_env.identification.table.form_error import INPUTS, LENGTHS, Conditions, Process, finite
 
 DEEPEST = 0.6  # [radii] deepest sinkage of a feasible run
 _BEYOND = 30.0  # [sd] from which a normal density is none
 _FUNCTIONS = 60  # of a form error over table and other rows, at most
 
 
-def problem_at(problem: Problem, conditions: Mapping[str, np.ndarray]) -> Problem:
+def problem_at(problem: Problem, conditions: Conditions) -> Problem:
     """The problem with conditions [G], by the columns of a table, for rows: every channel in use.
 
     Form errors are over the rows of the table and these.
@@ -96,7 +96,7 @@ def predicted(
     sunk = law.guess
     feasible = (sunk > 0.0) & (sunk < DEEPEST * there.data.wheel.radius)
     feasible &= np.all(np.isfinite(out), axis=1)
-    out = np.nan_to_num(out, posinf=0.0, neginf=0.0)
+    out = finite(out)
     at = _conditions(there)
     added = law.added(u, out)
     theirs = errors(law, u, out, added, at)

@@ -30,7 +30,7 @@ from soil_env.discovery.evidence import (
     resembling,
     settle,
 )
-from soil_env.discovery.instrument import INSTRUMENT, LISTED, Choice, exact, odds
+from soil_env.discovery.instrument import INSTRUMENT, LISTED, Choice, Choices, Names, exact, odds
 from soil_env.discovery.unnamed import UNNAMED
 from soil_env.identification.table.data import CHANNELS
 
@@ -69,13 +69,13 @@ _FREE = 3  # best sets of effects that are tried with an anonymous contribution 
 class Hypothesis:
     """A set of effects, with or without an anonymous contribution, and its probability."""
 
-    names: tuple[str, ...]
+    names: Names
     free: bool
     probability: float
     score: float  # log odds of the data for it against the base model
     evidence: Evidence  # in the most probable of the forms
     #: Listed effects that an unlisted one resembles: in place and conditions, not in form.
-    like: tuple[str, ...] = ()
+    like: Names = ()
     if_laws_err: tuple[float, ...] = ()  # its probability where they err by `LAW_ERRORS`
 
     @property
@@ -103,9 +103,9 @@ class Finding:
     untestable: dict[str, str]
     detectable: dict[str, Detectable]
     #: Sets of effects that held-out rows or a pattern speak against.
-    refuted: tuple[tuple[str, ...], ...] = ()
+    refuted: tuple[Names, ...] = ()
 
-    def without(self, names: tuple[str, ...], alone: bool = False) -> Finding:
+    def without(self, names: Names, alone: bool = False) -> Finding:
         """The finding once these effects, together, are refuted: what is left, with probabilities
         that sum to 1.
 
@@ -141,7 +141,7 @@ class Finding:
         kept = (replace(h, evidence=evidence) if h is stated else h for h in self.hypotheses)
         return replace(self, hypotheses=tuple(kept))
 
-    def share(self, *names: str, without: tuple[str, ...] = ()) -> float:
+    def share(self, *names: str, without: Names = ()) -> float:
         """Probability that these effects are missing, and none of `without`."""
         return sum(
             h.probability
@@ -183,18 +183,18 @@ class Finding:
         return self.share(*self.names) - self.best(*self.names).probability
 
     @cached_property
-    def names(self) -> tuple[str, ...]:
+    def names(self) -> Names:
         """Effects that are stated: the most that are missing together with a probability of
         `NAMED`.
         """
-        named: tuple[str, ...] = ()
+        named: Names = ()
         for name in sorted(self.tried, key=lambda n: -self.share(n)):
             if self.share(*named, name) >= NAMED:
                 named = (*named, name)
         return named
 
     @cached_property
-    def candidates(self) -> tuple[str, ...]:
+    def candidates(self) -> Names:
         """Effects with at least `REPORTED` that are missing, or resembled by what is missing,
         beside the stated ones or in their place.
         """
@@ -206,7 +206,7 @@ class Finding:
         return _reported(near)
 
     @cached_property
-    def tried(self) -> tuple[str, ...]:
+    def tried(self) -> Names:
         """Every effect that was tried."""
         return tuple(dict.fromkeys(n for h in self.hypotheses for n in h.names))
 
@@ -243,7 +243,7 @@ class Finding:
         """
         return sum(d.power for d in self.detectable.values()) <= NAMED * len(self.detectable)
 
-    def alternatives(self, name: str) -> tuple[str, ...]:
+    def alternatives(self, name: str) -> Names:
         """Effects that stand in the place of a stated one with a probability of `REPORTED` or more,
         best first.
         """
@@ -272,7 +272,7 @@ class Finding:
         )
 
 
-def _reported(share: dict[str, float]) -> tuple[str, ...]:
+def _reported(share: dict[str, float]) -> Names:
     """Names with `REPORTED` or more, best first."""
     return tuple(sorted((n for n in share if share[n] >= REPORTED), key=lambda n: -share[n]))
 
@@ -308,9 +308,10 @@ def forms(problem: Problem, name: str) -> list[Choice]:
     return [Choice(name, k) for k, f in enumerate(LISTED[name].forms) if speed or not f.needs_speed]
 
 
+Say = Callable[[str], None]  # receives the progress, "stage: step"
 #: Effects, effects that it resembles, with an anonymous contribution, evidence, its logarithm, log
 #: of the prior odds.
-Entry = tuple[tuple[str, ...], tuple[str, ...], bool, Evidence, float, float]
+Entry = tuple[Names, Names, bool, Evidence, float, float]
 
 
 class _Sets:
@@ -318,9 +319,9 @@ class _Sets:
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
-        self.found: dict[tuple[str, ...], dict[tuple[Choice, ...], Evidence]] = {}
+        self.found: dict[Names, dict[Choices, Evidence]] = {}
 
-    def add(self, choices: tuple[Choice, ...], near: Evidence | None) -> Evidence:
+    def add(self, choices: Choices, near: Evidence | None) -> Evidence:
         """Fit a set in these forms, once."""
         choices = tuple(sorted(choices))
         of = self.found.setdefault(tuple(c.effect for c in choices), {})
@@ -328,17 +329,17 @@ class _Sets:
             of[choices] = settle(self.problem, choices, near)
         return of[choices]
 
-    def best(self, names: tuple[str, ...]) -> Evidence:
+    def best(self, names: Names) -> Evidence:
         """Evidence in the best form."""
         return max(self.found[tuple(sorted(names))].values(), key=lambda e: e.log)
 
-    def log(self, names: tuple[str, ...]) -> float:
+    def log(self, names: Names) -> float:
         """Log evidence, every combination of forms as probable before the table as another."""
         count = math.prod(len(forms(self.problem, n)) for n in names)
         return float(log_sum([e.log for e in self.found[names].values()])) - math.log(count)
 
 
-def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> Finding:
+def search(problem: Problem, say: Say = lambda text: None) -> Finding:
     """Return the probabilities of all hypotheses; `say` receives the progress."""
     names, untestable = candidates(problem)
     prior = partial(log_prior, of_rig=odds(problem.data.setup, problem.bench))
@@ -353,7 +354,7 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
     order = sorted(sets.found, key=lambda s: -(sets.log(s) / TEMPERATURE + prior(s)))
     entries: list[Entry] = [(s, (), False, sets.best(s), sets.log(s), prior(s)) for s in order]
     say("with something that no catalogue lists")
-    free: dict[tuple[str, ...], Evidence] = {(): anonymous(problem, base)}
+    free: dict[Names, Evidence] = {(): anonymous(problem, base)}
     # Under scatter the evidence without it does not say which sets matter.
     rough = free[()].sizes.scatter > 1.0
     for s in [s for s in order if len(s) == 1] if rough else order[:_FREE]:
@@ -397,7 +398,7 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
     return Finding(tuple(sorted(found, key=lambda h: -h.probability)), untestable, seen)
 
 
-def _unnamed(problem: Problem, base: Evidence, nearest: tuple[str, ...]) -> list[Entry]:
+def _unnamed(problem: Problem, base: Evidence, nearest: Names) -> list[Entry]:
     """Entries of the anonymous laws of few numbers; `nearest`: the listed effect that explains
     most.
     """
@@ -412,7 +413,7 @@ def _unnamed(problem: Problem, base: Evidence, nearest: tuple[str, ...]) -> list
 
 
 def log_prior(
-    names: tuple[str, ...], free: bool = False, of_rig: Mapping[str, float] = MappingProxyType({})
+    names: Names, free: bool = False, of_rig: Mapping[str, float] = MappingProxyType({})
 ) -> float:
     """Log prior odds of a set of effects, with an anonymous contribution or without, against the
     base model.
@@ -423,12 +424,12 @@ def log_prior(
     return sum(map(math.log, of.values())) + free * math.log(UNLISTED_ODDS)
 
 
-def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Callable[[str], None]) -> None:
+def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Say) -> None:
     """Pairs: all beside the best single effects screened to first order, the most promising forms
     and pairs refitted, the best pairs in all their forms.
     """
     say("screening pairs")
-    promise: dict[tuple[Choice, ...], float] = {}
+    promise: dict[Choices, float] = {}
     for name in sorted(names, key=lambda n: -sets.best((n,)).log)[:_FIRST]:
         first = sets.best((name,))
         others = [c for n in names if n != name for c in forms(problem, n)]
@@ -436,7 +437,7 @@ def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Callable[[str],
             pair = tuple(sorted((*first.fit.choices, choice)))
             promise[pair] = max(log, promise.get(pair, -math.inf))
     order = sorted(promise, key=lambda p: -promise[p])
-    in_form: dict[tuple[str, ...], tuple[Choice, ...]] = {}
+    in_form: dict[Names, Choices] = {}
     for pair in order:
         in_form.setdefault(tuple(c.effect for c in pair), pair)
     tried = list(in_form)[:_PAIRS]

@@ -22,6 +22,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from soil_env.identification.table.priors import Values
 from soil_env.identification.table.rig import BY_ROW
 from soil_env.terramechanics.effects.entry import (
     CHANNELS,
@@ -135,7 +136,7 @@ def _flatter(rows: Rows, gain: float, load: float) -> np.ndarray:
     return 1.0 + gain * rows.load / load
 
 
-def loaded(rows: Rows, values: Mapping[str, float], load: float) -> Rows:
+def loaded(rows: Rows, values: Values, load: float) -> Rows:
     """Rows with the load and the wheel of the anonymous law among `values`; `load`: the middle
     one.
     """
@@ -150,7 +151,7 @@ def loaded(rows: Rows, values: Mapping[str, float], load: float) -> Rows:
     )
 
 
-def factors(rows: Rows, values: Mapping[str, float], bench: Bench) -> np.ndarray | None:
+def factors(rows: Rows, values: Values, bench: Bench) -> np.ndarray | None:
     """[N, 4] of `BY_ROW`, by the laws of a soil parameter among `values`; None without such a
     law.
     """
@@ -165,13 +166,12 @@ def factors(rows: Rows, values: Mapping[str, float], bench: Bench) -> np.ndarray
 def _factor(rows: Rows, by: str, bench: Bench) -> np.ndarray:
     """[N] condition that a soil parameter goes with, over its middle; of a pass the number."""
     if by == "load":
-        found: np.ndarray = rows.load / bench.load
-        return found
+        return rows.load / bench.load
     column: np.ndarray = rows.conditions[:, _COLUMNS[by]]
     return column / bench.speed if by == "speed" else column
 
 
-def changed(out: np.ndarray, rows: Rows, values: Mapping[str, float], bench: Bench) -> np.ndarray:
+def changed(out: np.ndarray, rows: Rows, values: Values, bench: Bench) -> np.ndarray:
     """[N, 3] sinkage, pull and torque under the anonymous law among `values`."""
     if not values:
         return out

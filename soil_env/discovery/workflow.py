@@ -17,7 +17,7 @@ from soil_env.discovery import doubts, judgement
 from soil_env.discovery.calibrate import EXACT, PRIOR_WIDTH, Fit, Problem, calibrate
 from soil_env.discovery.corrected import corrected, least_sure, parameters
 from soil_env.discovery.evidence import Evidence, settle
-from soil_env.discovery.instrument import LISTED, exact
+from soil_env.discovery.instrument import LISTED, Names, exact
 from soil_env.discovery.judgement import Interval, held_out_predictions
 from soil_env.discovery.locate import locate, structure
 from soil_env.discovery.next_for_prediction import surer_runs
@@ -25,7 +25,7 @@ from soil_env.discovery.next_tests import MOST, next_checks, next_tests
 from soil_env.discovery.prediction import outlook
 from soil_env.discovery.report import check_folder, write
 from soil_env.discovery.result import EffectFound, Report, Settings
-from soil_env.discovery.search import REPORTED, TEMPERATURE, Finding, forms, search
+from soil_env.discovery.search import REPORTED, TEMPERATURE, Finding, Say, forms, search
 from soil_env.identification.table.bins import binned
 from soil_env.identification.table.data import prepare
 from soil_env.identification.table.mistakes import examine
@@ -91,7 +91,7 @@ def _conclude(
     table: Table,
     setup: Setup,
     settings: Settings,
-    say: Callable[[str], None],
+    say: Say,
     next_runs: int,
     goal: str,
 ) -> Report:
@@ -151,8 +151,8 @@ def _conclude(
 
 STRUCTURED = 1e-3  # p value of a pattern below which a model does not explain the table
 FAR = 8.0  # [sd of the setup] of a soil parameter
-Fits = dict[tuple[str, ...], Fit]  # by set of effects
-Held = dict[tuple[str, ...], np.ndarray]  # held-out predictions [N, 3] by set of effects
+Fits = dict[Names, Fit]  # by set of effects
+Held = dict[Names, np.ndarray]  # held-out predictions [N, 3] by set of effects
 
 
 def _that_predicts(problem: Problem, finding: Finding, seed: int) -> tuple[Finding, Fits, Held]:

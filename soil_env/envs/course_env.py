@@ -5,7 +5,7 @@ Orchestration only.
 
 import copy
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from numbers import Integral
 from typing import TYPE_CHECKING, Any
 
@@ -17,12 +17,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError, UnknownKeyword, plural
-from soil_env.envs.infos import NESTED
+from soil_env.envs.infos import NESTED, Info
 from soil_env.envs.vehicles import Vehicles
-from soil_env.envs.worlds import for_each, storable
+from soil_env.envs.worlds import for_each, storable, with_model, world_of
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause, ObservedNumber
 from soil_env.simulation.task.scaling import Scaling
+from soil_env.terramechanics.model import ModelLike, WheelSoilModel, load_model
 
 if TYPE_CHECKING:
     from soil_env.rendering.view import CourseView
@@ -109,9 +110,19 @@ class _Common:
     `gymnasium.make`, or of `make_vec`, which makes the environment again, as its JSON does.
     """
 
-    world: dict[str, Any] | None = None  # `info["world"]`, where there is a model
+    model: WheelSoilModel | None
+    world: Info | None  # `info["world"]`, where there is a model
     scaling: Scaling
     _spec: EnvSpec | None = None
+
+    def _in_world(
+        self, scenario: Any, model: ModelLike, scatter: object, changes: Mapping[str, Any]
+    ) -> Any:
+        """The scenario in the world of the keyword `model`, which is kept with what `info` says."""
+        self.model = load_model(model)
+        found = with_model(scenario, self.model, scatter, changes)
+        self.world = world_of(found, self.model, scatter)
+        return found
 
     def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
         """Observations [..., D] of this env in the units of the tables."""
@@ -168,7 +179,7 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[NDArray[np.float32], Info]:
         """New course, at rest at its start.
 
         `options` must be empty. Returns (observation, info).
@@ -194,9 +205,7 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
             info["world"] = copy.deepcopy(self.world)
         return self.scaling(self.simulation.worlds.observation[0]), info
 
-    def step(
-        self, action: ArrayLike
-    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Info]:
         """Drive as long as an action lasts.
 
         Returns (observation, reward, terminated, truncated, info).
@@ -315,7 +324,7 @@ class CourseVectorEnv(
         *,
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[NDArray[np.float32], Info]:
         """Reset all courses, or those of `options["reset_mask"]` [N] bool.
 
         Returns (observations, info).
@@ -379,7 +388,7 @@ class CourseVectorEnv(
         NDArray[np.float64],
         NDArray[np.bool_],
         NDArray[np.bool_],
-        dict[str, Any],
+        Info,
     ]:
         """One action for each course.
 
@@ -399,7 +408,7 @@ class CourseVectorEnv(
         truncated = ~terminated & (self.simulation.steps >= self._longest)
         np.logical_or(terminated, truncated, out=self._done)
         reward = worlds.reward.copy()
-        finals: dict[str, Any] = {}
+        finals: Info = {}
         if self.autoreset_mode == AutoresetMode.SAME_STEP and self._done.any():
             finals = self._finals()
             self.simulation.restart_where(self._done)
@@ -413,14 +422,14 @@ class CourseVectorEnv(
             self.infos.many() | finals,
         )
 
-    def _finals(self) -> dict[str, Any]:
+    def _finals(self) -> Info:
         """Last observations and infos of the courses that have ended, before they are reset."""
         worlds = self.simulation.worlds
         ended = self._done.copy()
         final = np.full(self.num_envs, None, dtype=object)
         for k in np.flatnonzero(ended):
             final[k] = self.scaling(worlds.observation[k])
-        out: dict[str, Any] = {"final_obs": final, "_final_obs": ended}
+        out: Info = {"final_obs": final, "_final_obs": ended}
         if self.infos.kind != "none":
             out |= {"final_info": self.infos.final(ended), "_final_info": ended.copy()}
         return out

@@ -41,6 +41,7 @@ assert WHEEL.fields is not None
 _TERMS_AT = WHEEL.fields["terms"][1] // 8  # place of the reward terms among the numbers of a wheel
 _TERMS_END = _TERMS_AT + len(REWARD_TERMS)
 assert names_of(WHEEL)[: len(STATE)] == STATE
+Info = dict[str, Any]  # of a vehicle, or arrays of many
 _WARNING = Traversability._fields
 _SEEN = [[e.name for e in layout("blind")].index(name) for name in ("load", "pitch")]
 
@@ -59,7 +60,7 @@ def asks(kind: str) -> bool:
     return kind in ("full", "numeric")
 
 
-def flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flat(nested: Mapping[str, Any], prefix: str = "") -> Info:
     """All numbers of a full info without nesting.
 
     `reward_NAME`, `estimate_NAME`, `NAME` of state and traversability; `AXLE_NAME`,
@@ -71,7 +72,7 @@ def flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         "state": "",
         "traversability": "",
     }
-    out: dict[str, Any] = {}
+    out: Info = {}
     for key, value in nested.items():
         if isinstance(value, Mapping):
             out |= flat(value, prefix + prefixes.get(key, f"{key}_"))
@@ -102,7 +103,7 @@ class VehicleInfos:
         self.kind: str = kind
         self._simulation = simulation
 
-    def many(self) -> dict[str, Any]:
+    def many(self) -> Info:
         """Info of all vehicles, arrays [vehicles]; causes and statuses are numbers."""
         if self.kind == "none":
             return {}
@@ -116,7 +117,7 @@ class VehicleInfos:
         full = info | {"reward_terms": terms} | self._groups(every, asks(self.kind))
         return full if self.kind != "numeric" else flat(full)
 
-    def final(self, ended: np.ndarray) -> dict[str, Any]:
+    def final(self, ended: np.ndarray) -> Info:
         """Info of the vehicles that have `ended` [vehicles] bool, before a reset; 0 for all others,
         and `_key` beside each key.
         """
@@ -127,7 +128,7 @@ class VehicleInfos:
         terms = self._simulation.worlds.terms
         return {name: terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
 
-    def _groups(self, which: np.ndarray, identified: bool) -> dict[str, Any]:
+    def _groups(self, which: np.ndarray, identified: bool) -> Info:
         """Groups of a full info, arrays [vehicles], of the vehicles `which` [vehicles] bool; what
         is identified only if it is asked for.
         """
@@ -171,7 +172,7 @@ class Infos(VehicleInfos):
         self._seen[which] = worlds.observation[which][:, _SEEN]
         self._stale |= which
 
-    def one(self, k: int) -> dict[str, Any]:
+    def one(self, k: int) -> Info:
         """Info of wheel k."""
         if self.kind == "none":
             return {}
@@ -220,7 +221,7 @@ class Infos(VehicleInfos):
             self._stale[rows] = False
         return self._warnings
 
-    def final(self, ended: np.ndarray) -> dict[str, Any]:
+    def final(self, ended: np.ndarray) -> Info:
         """Info of the wheels that have `ended` [wheels] bool, before a reset; 0 for all others.
 
         It is that of `kind`, with the groups of "full" if something is identified, else of "state".
@@ -230,7 +231,7 @@ class Infos(VehicleInfos):
         info = self.many() | {"reward_terms": self._terms(), "x": worlds.state["x"].copy()}
         return masked(info | self._groups(ended, identified), ended)
 
-    def _groups(self, which: np.ndarray, identified: bool) -> dict[str, Any]:
+    def _groups(self, which: np.ndarray, identified: bool) -> Info:
         """Estimate and traversability (of `which`), if `identified`, and state, arrays [wheels]."""
         worlds = self._simulation.worlds
         groups = {"state": {name: worlds.state[name].copy() for name in STATE}}
@@ -256,9 +257,9 @@ def estimates(known: Any, scenario: Scenario) -> dict[str, np.ndarray]:
     return found | {"status": known.status.copy()}
 
 
-def masked(info: dict[str, Any], which: np.ndarray) -> dict[str, Any]:
+def masked(info: Info, which: np.ndarray) -> Info:
     """Arrays with 0 where `which` is false, and beside each key `_key` with `which`."""
-    out: dict[str, Any] = {}
+    out: Info = {}
     for key, value in info.items():
         out[key] = (
             masked(value, which)

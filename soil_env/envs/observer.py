@@ -21,7 +21,7 @@ from soil_env.identification.online.interface import OnlineIdentifier, Readings
 from soil_env.identification.online.on_board import OnBoard
 from soil_env.identification.published import FORESEEN
 from soil_env.parameters import RoverScenario, Scenario
-from soil_env.parameters.readings import RESTART, STEP, Image, Shown
+from soil_env.parameters.readings import RESTART, STEP, Image, Shown, Stepped
 from soil_env.parameters.sensors import SensorReading
 from soil_env.simulation.task import layout
 from soil_env.simulation.task.observation import clip, write_sensors
@@ -80,8 +80,7 @@ class _Reader(OnlineIdentifier):
     @property
     def white(self) -> np.ndarray:
         """White noise of the last readings, very large where one is missing."""
-        noise: np.ndarray = self._setting["white"][0, 0]
-        return noise
+        return self._setting["white"][0, 0]
 
 
 class Observer:
@@ -221,7 +220,7 @@ class Observer:
 
     def _identify(self) -> None:
         """Take the readings on board; the first of a drive set all to the prior."""
-        world = (self._worlds.state, self._worlds.samples[:, None], self._worlds.observation)
+        world = Stepped(self._worlds.state, self._worlds.samples[:, None], self._worlds.observation)
         self._worlds.state["periods"] = 1
         order = STEP if self._begun else RESTART
         self._board.update(world, np.array([order]), 0, 1)

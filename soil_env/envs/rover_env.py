@@ -1,6 +1,5 @@
 """The Gymnasium environments of a rover on two or three axles and of many."""
 
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -17,11 +16,11 @@ from soil_env.envs.course_env import (
 from soil_env.envs.infos import asks, checked
 from soil_env.envs.rover_infos import RoverInfos
 from soil_env.envs.rovers import RoverSimulation
-from soil_env.envs.worlds import with_model, world_of
 from soil_env.parameters import DEFAULT_ROVER, RoverScenario, Soil, load_rover
+from soil_env.parameters.rover import RoverLike
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.world.terrain import soil_at
-from soil_env.terramechanics.model import WheelSoilModel, load_model
+from soil_env.terramechanics.model import ModelLike
 
 __all__ = ["SoilRoverEnv", "SoilRoverVectorEnv", "build_rover", "rover_action_space"]
 
@@ -30,7 +29,7 @@ _OWN_OF_MANY = (*OF_MANY, *_OWN)
 
 
 def build_rover(
-    rover: str | Path | dict[str, Any] | RoverScenario,
+    rover: RoverLike,
     action: str | None,
     repeat: int | None,
     changes: dict[str, Any],
@@ -179,26 +178,24 @@ class SoilRoverEnv(CourseEnv):
 
     def __init__(
         self,
-        rover: str | Path | dict[str, Any] | RoverScenario = DEFAULT_ROVER,
+        rover: RoverLike = DEFAULT_ROVER,
         observation: str = "identified",
         action: str | None = None,
         repeat: int | None = None,
         render_mode: str | None = None,
-        model: str | Path | dict[str, Any] | WheelSoilModel | None = None,
+        model: ModelLike = None,
         scatter: bool = False,
         info: str | None = None,
         scaled: bool = True,
         **changes: Any,
     ):
-        self.model: WheelSoilModel | None = load_model(model)
-        scenario = with_model(
-            build_rover(rover, action, repeat, changes), self.model, scatter, changes
+        scenario = self._in_world(
+            build_rover(rover, action, repeat, changes), model, scatter, changes
         )
         entries = rover_layout(observation, scenario.axles)
         super().__init__(
             scenario, entries, observation, rover_action_space(scenario.axles), render_mode, scaled
         )
-        self.world = world_of(scenario, self.model, scatter)
         info = checked(info, observation)
         self.simulation: RoverSimulation = RoverSimulation(
             1, scenario, observation, 1, self.model, asks(info)
@@ -230,7 +227,7 @@ class SoilRoverVectorEnv(CourseVectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        rover: str | Path | dict[str, Any] | RoverScenario = DEFAULT_ROVER,
+        rover: RoverLike = DEFAULT_ROVER,
         observation: str = "identified",
         action: str | None = None,
         repeat: int | None = None,
@@ -238,17 +235,15 @@ class SoilRoverVectorEnv(CourseVectorEnv):
         max_episode_steps: int | None = None,
         threads: int | None = None,
         render_mode: str | None = None,
-        model: str | Path | dict[str, Any] | WheelSoilModel | None = None,
+        model: ModelLike = None,
         scatter: bool = False,
         info: str = "short",
         scaled: bool = True,
         **changes: Any,
     ):
         super().__init__(num_envs, autoreset_mode, max_episode_steps, threads, render_mode)
-        self.model: WheelSoilModel | None = load_model(model)
         scenario = build_rover(rover, action, repeat, changes, _OWN_OF_MANY)
-        self.scenario: RoverScenario = with_model(scenario, self.model, scatter, changes)
-        self.world = world_of(self.scenario, self.model, scatter)
+        self.scenario: RoverScenario = self._in_world(scenario, model, scatter, changes)
         axles = self.scenario.axles
         self._set_spaces(rover_layout(observation, axles), rover_action_space(axles), scaled)
         info = checked(info)

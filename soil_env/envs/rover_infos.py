@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from soil_env.envs.infos import NESTED, STATE, VehicleInfos, estimates
+from soil_env.envs.infos import NESTED, STATE, Info, VehicleInfos, estimates
 from soil_env.envs.rovers import RoverSimulation
 from soil_env.identification import Status
 from soil_env.simulation.rover.task import axle_names
@@ -22,7 +22,7 @@ class RoverInfos(VehicleInfos):
         super().__init__(simulation, kind)
         self._axles = axle_names(simulation.scenario.axles)
 
-    def one(self, j: int) -> dict[str, Any]:
+    def one(self, j: int) -> Info:
         """Info of rover j; in words with "full" and "state", else in numbers of numpy."""
         return _one_of(self.many(), j, self.kind in NESTED)
 
@@ -31,9 +31,9 @@ class RoverInfos(VehicleInfos):
 
     renew = after_step
 
-    def _groups(self, which: np.ndarray, identified: bool) -> dict[str, Any]:
+    def _groups(self, which: np.ndarray, identified: bool) -> Info:
         w = self._simulation.worlds
-        info: dict[str, Any] = {"state": {name: w.state[name].copy() for name in _OF_BODY}}
+        info: Info = {"state": {name: w.state[name].copy() for name in _OF_BODY}}
         known = estimates(w.known, self.scenario) if identified and w.known is not None else {}
         for a, axle in enumerate(self._axles):
             wheels = w.state["wheels"][:, a]
@@ -43,9 +43,9 @@ class RoverInfos(VehicleInfos):
         return info
 
 
-def _one_of(infos: Mapping[str, Any], j: int, words: bool) -> dict[str, Any]:
+def _one_of(infos: Mapping[str, Any], j: int, words: bool) -> Info:
     """Info of rover j of the infos of many."""
-    out: dict[str, Any] = {}
+    out: Info = {}
     for name, values in infos.items():
         if isinstance(values, Mapping):
             out[name] = _one_of(values, j, words)

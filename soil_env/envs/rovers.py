@@ -6,7 +6,6 @@ import numpy as np
 
 from soil_env.envs.vehicles import Vehicles, asks_for_estimates
 from soil_env.parameters import RoverScenario
-from soil_env.parameters.readings import Shown
 from soil_env.simulation.rover.rovers import (
     RoverNumbers,
     lay_rovers,
@@ -70,12 +69,7 @@ class RoverSimulation(Vehicles):
         drawn = rover_course_numbers(scenario, model)
         courses = (drawn, float(drawn.drawn.spec.ahead) + scenario.vehicle.base)
         scratch = [new_rover_scratch() for _ in range(-(-rovers // self._chunk))]
-        on_board = None
-        if identifies:
-            from soil_env.identification.online.on_board import OnBoard
-
-            shown = Shown(variant == "identified", first_soil(axles), *self.numbers.bounds)
-            on_board = OnBoard(rovers, scenario, shown)
+        on_board = self._estimators(variant, first_soil(axles)) if identifies else None
         self._begin((lay_rovers, step_rovers), worlds, courses, scratch, on_board)
         self._check_drivable(new_rover_worlds(1, scenario, self.numbers, False))
 

@@ -18,6 +18,8 @@ from soil_env.parameters.readings import (
     RESTART,
     STEP,
     TRY,
+    Shown,
+    Stepped,
 )
 
 TRIAL_COURSES = 8  # drawn before a scenario is accepted
@@ -92,13 +94,20 @@ class Vehicles:
         self.belief = None if on_board is None else on_board.identifier
         self._view()
 
+    def _estimators(self, variant: str, first: int, warns: bool = False) -> Any:
+        """The estimators on board; `first`: index of the first entry on the soil."""
+        from soil_env.identification.online.on_board import OnBoard  # takes a while
+
+        shown = Shown(variant == "identified", first, *self.numbers.bounds)
+        return OnBoard(self.count, self.scenario, shown, warns)
+
     def _view(self) -> None:
         """Views of the arrays, which are no views any more in a copy until they are made anew."""
         heads = self._heads
         self._x = heads["x"]
         self._ready = self._world.courses["ready"]
         samples = getattr(self._world, self._sampled_by)
-        self._sampled = (heads, samples, self._world.observation)
+        self._sampled = Stepped(heads, samples, self._world.observation)
         results = {name: heads[name] for name in ("terms", "reward", "cause")}
         known = {} if self._on_board is None else self._on_board.views()
         self.worlds = self._arrays(**self._world._asdict(), **results, **known)
@@ -202,8 +211,7 @@ class Vehicles:
 
     def _draw(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> int:
         """Draw the ground that the orders ask for; number of the courses that were not found."""
-        failed: int = self._lay(self._world, self.course_numbers, orders, scratch, first, end)
-        return failed
+        return self._lay(self._world, self.course_numbers, orders, scratch, first, end)
 
     def _drive(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> int:
         """Follow the orders for vehicles `first` to `end` - 1: the world, then what is on board; 0,

@@ -1,6 +1,5 @@
 """The Gymnasium environments of one driven wheel and of many."""
 
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -17,7 +16,6 @@ from soil_env.envs.course_env import (
 )
 from soil_env.envs.infos import IMMOBILISED, Infos, asks, checked
 from soil_env.envs.wheels import Simulation
-from soil_env.envs.worlds import with_model, world_of
 from soil_env.identification.published import published, soil_of_numbers
 from soil_env.parameters import (
     DEFAULT_SCENARIO,
@@ -26,10 +24,11 @@ from soil_env.parameters import (
     Soil,
     load_scenario,
 )
+from soil_env.parameters.scenario import ScenarioLike
 from soil_env.simulation.task import layout
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.simulation.world.terrain import soil_at
-from soil_env.terramechanics.model import WheelSoilModel, load_model
+from soil_env.terramechanics.model import ModelLike
 
 __all__ = [
     "IMMOBILISED",
@@ -45,7 +44,7 @@ _OWN_OF_MANY = (*OF_MANY, *_OWN)
 
 
 def build_scenario(
-    scenario: str | Path | dict[str, Any] | Scenario,
+    scenario: ScenarioLike,
     action: str | None,
     repeat: int | None,
     changes: dict[str, Any],
@@ -301,23 +300,21 @@ class SoilWheelEnv(CourseEnv):
 
     def __init__(
         self,
-        scenario: str | Path | dict[str, Any] | Scenario = DEFAULT_SCENARIO,
+        scenario: ScenarioLike = DEFAULT_SCENARIO,
         observation: str = "identified",
         action: str | None = None,
         repeat: int | None = None,
         render_mode: str | None = None,
-        model: str | Path | dict[str, Any] | WheelSoilModel | None = None,
+        model: ModelLike = None,
         scatter: bool = False,
         info: str | None = None,
         scaled: bool = True,
         **changes: Any,
     ):
-        self.model: WheelSoilModel | None = load_model(model)
         task = build_scenario(scenario, action, repeat, changes)
-        task = with_model(task, self.model, scatter, changes)
+        task = self._in_world(task, model, scatter, changes)
         entries = layout(observation, task.course)
         super().__init__(task, entries, observation, action_space(), render_mode, scaled)
-        self.world = world_of(task, self.model, scatter)
         info = checked(info, observation)
         self.simulation: Simulation = Simulation(
             1, self.scenario, observation, 1, self.model, asks(info)
@@ -360,7 +357,7 @@ class SoilWheelVectorEnv(CourseVectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        scenario: str | Path | dict[str, Any] | Scenario = DEFAULT_SCENARIO,
+        scenario: ScenarioLike = DEFAULT_SCENARIO,
         observation: str = "identified",
         action: str | None = None,
         repeat: int | None = None,
@@ -368,17 +365,15 @@ class SoilWheelVectorEnv(CourseVectorEnv):
         max_episode_steps: int | None = None,
         threads: int | None = None,
         render_mode: str | None = None,
-        model: str | Path | dict[str, Any] | WheelSoilModel | None = None,
+        model: ModelLike = None,
         scatter: bool = False,
         info: str = "short",
         scaled: bool = True,
         **changes: Any,
     ):
         super().__init__(num_envs, autoreset_mode, max_episode_steps, threads, render_mode)
-        self.model: WheelSoilModel | None = load_model(model)
         task = build_scenario(scenario, action, repeat, changes, _OWN_OF_MANY)
-        self.scenario: Scenario = with_model(task, self.model, scatter, changes)
-        self.world = world_of(self.scenario, self.model, scatter)
+        self.scenario: Scenario = self._in_world(task, model, scatter, changes)
         self._set_spaces(layout(observation, self.scenario.course), action_space(), scaled)
         info = checked(info)
         finals = (

@@ -6,7 +6,6 @@ import numpy as np
 
 from soil_env.envs.vehicles import Vehicles, asks_for_estimates
 from soil_env.parameters import Scenario
-from soil_env.parameters.readings import Shown
 from soil_env.simulation.task import layout, truth
 from soil_env.simulation.wheels import (
     WheelNumbers,
@@ -71,20 +70,14 @@ class Simulation(Vehicles):
         settings = [new_setting(self.numbers, identifies, chunk) for chunk in range(chunks)]
         drawn = course_numbers(scenario, model)
         courses = (drawn, float(drawn.drawn.spec.ahead))
-        on_board = None
-        if identifies:
-            from soil_env.identification.online.on_board import OnBoard  # takes a while
-
-            first = len(layout("blind"))
-            shown = Shown(variant == "identified", first, *self.numbers.bounds)
-            on_board = OnBoard(wheels, scenario, shown, warnings)
+        first = len(layout("blind"))
+        on_board = self._estimators(variant, first, warnings) if identifies else None
         self._begin((lay_wheels, step_wheels), worlds, courses, settings, on_board)
         self._check_drivable(new_wheel_worlds(1, scenario, self.numbers, (1, 1)))
 
     def _view(self) -> None:
         super()._view()
-        state, samples, observation = self._sampled
-        self._sampled = (state, samples[:, None], observation)
+        self._sampled = self._sampled._replace(samples=self._sampled.samples[:, None])
         self._actions = self._heads["action"]
         self._order = self._heads["order"]
 

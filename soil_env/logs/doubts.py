@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from soil_env.logs.align import Aligned
-from soil_env.logs.mapping import GEARED, TIMES, UNITS, LogMap, si_factor
+from soil_env.logs.mapping import GEARED, TIMES, UNITS, LogMap, si_factor, si_unit
 from soil_env.online import slips
 from soil_env.parameters.readings import sizes_of
 from soil_env.parameters.sensors import SENSORS
@@ -205,7 +205,7 @@ class _Doubts:
                 reason += f", or wheel.body_mass {size / gravity:.3g} kg"
             if name == "acceleration":
                 reason += ", or an axis that points down"
-            unit = next(iter(UNITS[name]))
+            unit = si_unit(name)
             said = f"{ratio:.3g} times {_WORDS.get(of[name], 'a radian')} ({scale:.3g} {unit})"
             self._doubt(name, said, f"{low:g} to {high:g}", reason)
             if name == "load":
@@ -240,7 +240,7 @@ class _Doubts:
         for name in ("wheel_speed", "speed", "sinkage", "drawbar_pull", "torque", "motor_torque"):
             values = self._driven(self.log.get(name))
             if values.size >= _LEAST and np.ptp(values) == 0.0:
-                unit = next(iter(UNITS[name]))
+                unit = si_unit(name)
                 said = f"{values[0]:.3g} {unit} in all {values.size} steps that drive"
                 reason = "a stuck sensor, or a command"
                 self._doubt(name, said, "the noise of a sensor", reason)

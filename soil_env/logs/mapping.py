@@ -85,6 +85,11 @@ class Source(Checked):
         return f"topic {self.topic}, field {self.field}" if self.topic else f"column {self.column}"
 
 
+def si_unit(name: str) -> str:
+    """Unit that the reading `name` is turned into."""
+    return next(iter(UNITS[name]))
+
+
 def si_factor(name: str, unit: str | None) -> float:
     """SI value of one `unit` of the reading `name`; None is the SI unit."""
     return 1.0 if unit is None else UNITS[name][unit]

@@ -12,7 +12,7 @@ from soil_env.logs import bags, tables
 from soil_env.logs.align import Aligned, Channel, align
 from soil_env.logs.bags import Message, NotHere, Unlike, number, parse
 from soil_env.logs.doubts import doubts, time_doubts
-from soil_env.logs.mapping import UNITS, LogMap, Source, TimeColumn, factor
+from soil_env.logs.mapping import LogMap, Source, TimeColumn, factor, si_unit
 from soil_env.logs.notes import Faults, Notes, Progress
 from soil_env.logs.stamps import LATEST, Stamps
 from soil_env.online import largest_readings
@@ -141,7 +141,7 @@ class _Reader:
         if off.size:
             self.notes.add(
                 f"{channel.place}: readings of {name} differ at {off.size} time stamps that are "
-                f"there more than once, by up to {np.max(off):.3g} {next(iter(UNITS[name]))} (in "
+                f"there more than once, by up to {np.max(off):.3g} {si_unit(name)} (in "
                 f"the middle {np.median(off):.3g}): their mean is taken."
             )
 
@@ -349,7 +349,7 @@ def _remarks(found: Aligned, log_map: LogMap, limits: dict[str, float]) -> list[
         if c.unusable:
             doubtful = " Check its unit and field in the map." * (2 * c.unusable > c.readings)
             lines.append(
-                f"{place}: beyond {limits[name]:g} {next(iter(UNITS[name]))}".rstrip()
+                f"{place}: beyond {limits[name]:g} {si_unit(name)}".rstrip()
                 + f", which this wheel cannot reach, in {c.unusable} of {c.readings} readings. "
                 f"These are left out.{doubtful}"
             )

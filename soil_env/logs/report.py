@@ -12,7 +12,7 @@ from soil_env._io.document import Table, html_image, html_page, render
 from soil_env._io.files import json_text, picture_of
 from soil_env._io.loading import plural
 from soil_env.logs.align import Aligned
-from soil_env.logs.mapping import UNITS, LogMap
+from soil_env.logs.mapping import LogMap, si_unit
 from soil_env.logs.replay import SD_OF, Replay, findings
 from soil_env.logs.steady import Ground, Steady, advice, cell, commands, files, grounds
 from soil_env.online import Status
@@ -133,7 +133,7 @@ def _channel_table(log: Aligned) -> Table:
         known = log.readings[name][np.isfinite(log.readings[name])]
         span = "-"
         if known.size:
-            span = f"{known.min():.4g} .. {known.max():.4g} {next(iter(UNITS[name]))}"
+            span = f"{known.min():.4g} .. {known.max():.4g} {si_unit(name)}"
         rows.append((name, c.place, *counted, span))
     header = ("reading", "source", "readings", "a second", "interpolated", "missing", "range")
     return Table(header, rows)
@@ -219,6 +219,6 @@ def _readings_picture(log: Aligned, steady: Steady, log_map: LogMap) -> bytes:
         for row in steady.rows:
             end = row["start"] + log_map.windows.duration
             axis.axvspan(row["start"], end, color="C1", alpha=0.25, lw=0)
-        unit = next(iter(UNITS[name]))
+        unit = si_unit(name)
         axis.set_ylabel(f"{name.replace('_', ' ')}\n[{unit or '-'}]", fontsize=8)
     return picture_of(figure, dpi=110)

@@ -43,7 +43,7 @@ def write(results: Results, folder: Path, command: str) -> None:
     files: dict[str, bytes | str] = {}
     for name, (width, draw) in FIGURES.items():
         figure = Figure(figsize=(width, 4.2), layout="constrained")
-        draw(figure, results)
+        draw(figure)
         files[f"paper/{name}.png"] = picture_of(figure, dpi=110, metadata={"Software": None})
     write_own(folder, {**files, "paper.md": markdown(results, command)})
 
@@ -155,7 +155,7 @@ def _axes(figure: Figure, x: str, y: str, position: int = 111) -> Axes:
     return axes
 
 
-def _by_slip(figure: Figure, r: Results) -> None:
+def _by_slip(figure: Figure) -> None:
     """Fig. 2: drawbar pull against slip by Simpson's rule and exactly, and the differences."""
     slip = np.linspace(0.01, WIDE_SLIP[1], 80)
     pull = _axes(figure, "slip [-]", "drawbar pull [N]", 121)
@@ -195,19 +195,19 @@ def _along(figure: Figure, label: str, name: str, position: int = 111) -> Axes:
     return axes
 
 
-def _by_cohesion(figure: Figure, r: Results) -> None:
+def _by_cohesion(figure: Figure) -> None:
     """Fig. 3."""
     _along(figure, "cohesion c [Pa]", "cohesion").legend(fontsize=8)
 
 
-def _by_phi_and_K(figure: Figure, r: Results) -> None:
+def _by_phi_and_K(figure: Figure) -> None:
     """Fig. 4."""
     for k, name in enumerate(NAMES[:2]):
         axes = _along(figure, LABELS[name], name, 121 + k)
     axes.legend(fontsize=8)
 
 
-def _criterion(figure: Figure, r: Results) -> None:
+def _criterion(figure: Figure) -> None:
     """Fig. 8: torque required and available."""
     axes = _axes(figure, "slip [-]", "torque required (3) [N m]")
     for k, style in enumerate(("--", "-")):

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
-from soil_env._io.loading import Checked, ParameterError, quantity
+from soil_env._io.loading import Checked, Keys, ParameterError, quantity
 from soil_env.parameters.soil import SoilSpread, correlation_factor
 
 #: Numbers of `Belief` that a library of soils takes the place of.
@@ -87,7 +87,7 @@ class Belief(Checked):
         )
 
 
-def refuse_idle_prior(belief: dict[str, Any], where: str, changes: Iterable[str] = ()) -> None:
+def refuse_idle_prior(belief: Keys, where: str, changes: Iterable[str] = ()) -> None:
     """Raise `ParameterError` if a mapping of `Belief` has numbers of the prior beside soils.
 
     A saved one has the defaults of all: those are let pass, but not as `changes`.

@@ -49,6 +49,14 @@ class Shown(NamedTuple):
     high: np.ndarray
 
 
+class Stepped(NamedTuple):
+    """Records of vehicles as a step of the world has left them."""
+
+    state: np.ndarray  # [vehicles]
+    samples: np.ndarray  # [vehicles, axles, periods]
+    observation: np.ndarray  # [vehicles, entries]
+
+
 def sizes_of(wheel: Wheel, gravity: float) -> dict[str, float]:
     """Sizes [SI] that errors, limits and entries of the observation are relative to."""
     weight = wheel.body_mass * gravity

@@ -4,9 +4,8 @@ import contextlib
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-from soil_env._io.loading import FieldError, ParameterError
+from soil_env._io.loading import FieldError, Keys, ParameterError
 from soil_env.parameters.presets import shipped
 from soil_env.parameters.scenario import Scenario, load_scenario_as
 from soil_env.parameters.vehicle import Vehicle, mass_of_wheel
@@ -47,14 +46,17 @@ class RoverScenario(Scenario):
         return len(self.vehicle.axles)
 
 
+RoverLike = str | Path | Keys | RoverScenario  # name, file, mapping, or as it is
+
+
 def rover_names() -> list[str]:
     """Names of the shipped rovers."""
     return shipped("rovers")
 
 
 def load_rover(
-    which: str | Path | dict[str, Any] | RoverScenario = DEFAULT_ROVER,
-    changes: dict[str, Any] | None = None,
+    which: RoverLike = DEFAULT_ROVER,
+    changes: Keys | None = None,
     place: str = "changes",
 ) -> RoverScenario:
     """A rover's scenario by name, by path of a YAML file, or as it is, with `changes` over it.
@@ -74,7 +76,7 @@ def load_rover(
     return scenario
 
 
-def _with_mass(mapping: dict[str, Any]) -> dict[str, Any]:
+def _with_mass(mapping: Keys) -> Keys:
     """The mapping of a scenario with the mass on a wheel, which follows from the vehicle's."""
     vehicle = mapping.get("vehicle")
     wheel = mapping.get("wheel")

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 from soil_env._io.loading import (
     Checked,
+    Keys,
     ParameterError,
     config_dir,
     load,
@@ -104,14 +105,17 @@ class Scenario(Checked):
         return -(-self.periods // self.control.action_periods)
 
 
+ScenarioLike = str | Path | Keys | Scenario  # name, file, mapping, or as it is
+
+
 def scenario_names() -> list[str]:
     """Names of the shipped scenarios."""
     return shipped("scenarios")
 
 
 def load_scenario(
-    which: str | Path | dict[str, Any] | Scenario = DEFAULT_SCENARIO,
-    changes: dict[str, Any] | None = None,
+    which: ScenarioLike = DEFAULT_SCENARIO,
+    changes: Keys | None = None,
     place: str = "changes",
 ) -> Scenario:
     """A scenario by name, by path of a YAML file, as a mapping or as it is, with `changes` merged
@@ -130,10 +134,10 @@ def load_scenario(
 def load_scenario_as(
     kind: type[Scenario],
     folder: str,
-    which: str | Path | dict[str, Any] | Scenario,
-    changes: dict[str, Any] | None,
+    which: ScenarioLike,
+    changes: Keys | None,
     place: str,
-    complete: Callable[[dict[str, Any]], dict[str, Any]] = dict,
+    complete: Callable[[Keys], Keys] = dict,
 ) -> Any:
     """`load_scenario` of another class, whose shipped ones are in a `folder` of configs/.
 
@@ -152,10 +156,10 @@ def load_scenario_as(
 def _given(
     kind: type[Scenario],
     folder: str,
-    which: str | Path | dict[str, Any] | Scenario,
-    changes: dict[str, Any],
+    which: ScenarioLike,
+    changes: Keys,
     above: tuple[Path, ...] = (),
-) -> tuple[dict[str, Any], str]:
+) -> tuple[Keys, str]:
     """The mapping of a scenario without the changes, and where it comes from.
 
     `above`: the files whose `base` this one is.
@@ -189,10 +193,10 @@ def _given(
 def _on_base(
     kind: type[Scenario],
     folder: str,
-    mapping: dict[str, Any],
+    mapping: Keys,
     where: str,
     above: tuple[Path, ...],
-) -> dict[str, Any]:
+) -> Keys:
     """The mapping of a scenario; one with the key `base` as changes of the scenario named there."""
     if "base" not in mapping:
         return dict(mapping)
@@ -232,7 +236,7 @@ def _expected(folder: str) -> str:
     return f"expected one of {names}, or the path of a {folder.removesuffix('s')}'s YAML file"
 
 
-def _check_kind(mapping: dict[str, Any], changes: dict[str, Any], folder: str, where: str) -> None:
+def _check_kind(mapping: Keys, changes: Keys, folder: str, where: str) -> None:
     """Raise `ParameterError` for a rover where a wheel's scenario is asked for, or the reverse.
 
     A rover has `vehicle`. A mapping without it, of keys that are all known, is the scenario of a
@@ -247,7 +251,7 @@ def _check_kind(mapping: dict[str, Any], changes: dict[str, Any], folder: str, w
         )
 
 
-def _merged(mapping: dict[str, Any], changes: dict[str, Any], where: str) -> dict[str, Any]:
+def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
     """The mapping of a scenario with `changes` over it, and the presets in it replaced."""
     mapping = dict(mapping)
     changes = dict(changes)
@@ -280,6 +284,6 @@ def _plain(value: Any) -> Any:
     return to_dict(value) if isinstance(value, Checked) else value
 
 
-def _mapping(value: Any) -> dict[str, Any]:
+def _mapping(value: Any) -> Keys:
     """The value if it is a mapping, else an empty one: `load` refuses it later."""
     return value if isinstance(value, dict) else {}

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.ticker import LogLocator, MaxNLocator
@@ -15,6 +16,7 @@ QUANTITIES = 11
 CHARTS = tuple((622, 28 + 120 * i, 322, 90) for i in range(4))
 _SOIL = "friction angle φ [deg]", "shear modulus K [mm]", "sinkage coefficient S [MN/m^(n+2)]"
 _BROAD = 5.0  # width of a line behind another
+_NARROW = 1.8  # of that in front
 
 
 def draw_charts(
@@ -30,74 +32,77 @@ def draw_charts(
     history = history[:, history[0] >= end - SPAN - 1e-9]
     time = history[0]
     wheels = history[1:].reshape(len(colours), QUANTITIES, -1)
+    dark, pale = zip(*colours, strict=True)
     slip = wheels[:, 0]
     sinkage = wheels[:, 1]
-    limits = -1.0 if slip.min(initial=0.0) < -0.25 else -0.25, 1.0
-    name = "slip, sinkage / radius (broad) [-]"
-    _draw_chart(c, 0, name, end, time, limits, colours, slip, sinkage)
+    lowest = -1.0 if slip.min(initial=0.0) < -0.25 else -0.25
+    chart = _Chart(0, end, (lowest, 1.0))
+    _draw_axes(c, chart, "slip, sinkage / radius (broad) [-]")
+    _draw_lines(c, chart, time, sinkage, pale, _BROAD)
+    _draw_lines(c, chart, time, slip, dark, _NARROW)
     for i, name in enumerate(_SOIL):
         estimate, sd, true = (wheels[:, k + i] for k in (2, 5, 8))
         low, high, estimate, true = (
             _in_shown_units(v, i) for v in (estimate - sd, estimate + sd, estimate, true)
         )
-        band = (low[0], high[0]) if identified and len(colours) == 1 else None
+        band = (low[0], high[0]) if identified and len(colours) == 1 else ()
         shown = np.concatenate([true, *(band or estimate if identified else ())], axis=None)
-        name = f"{name}: {'estimate, true (broad)' if identified else 'true'}"
-        above = estimate if identified else ()
-        limits = _limits(shown, i > 0)
-        _draw_chart(c, i + 1, name, end, time, limits, colours, above, true, i > 0, band)
+        chart = _Chart(i + 1, end, _limits(shown, i > 0), i > 0)
+        _draw_axes(c, chart, f"{name}: {'estimate, true (broad)' if identified else 'true'}")
+        if band and time.size > 1:
+            lower, upper = (chart.at(time, values) for values in band)
+            c.polygon([*lower, *upper[::-1]], LIGHT_BLUE)
+        _draw_lines(c, chart, time, true, pale, _BROAD)
+        if identified:
+            _draw_lines(c, chart, time, estimate, dark, _NARROW)
 
 
-def _draw_chart(
-    c: Canvas,
-    place: int,
-    name: str,
-    end,
-    time,
-    limits,
-    colours,
-    above,
-    behind,
-    log=False,
-    band=None,
-):
-    """The strip chart `place` of `SPAN` seconds up to `end` [s], with the axis of time below the
-    last one.
+class _Chart(NamedTuple):
+    """The strip chart `place`: `SPAN` seconds up to `end` [s] over a range of values."""
 
-    Two lines a wheel: `behind`, broad and pale, and `above` (() for none); `band`: (lower, upper).
-    """
-    left, top, width, height = CHARTS[place]
-    of = np.log if log else np.asarray
-    low, high = of(limits)
+    place: int
+    end: float
+    limits: tuple[float, float]
+    log: bool = False
 
-    def at(t, values):
+    def at(self, t: np.ndarray, values: Any) -> np.ndarray:
+        """Places in the picture [n, 2] of values at times t [s]."""
+        left, top, width, height = CHARTS[self.place]
+        of = np.log if self.log else np.asarray
+        low, high = of(self.limits)
         share = (of(values) - low) / (high - low)
-        return np.stack(
-            [left + width * (1.0 + (t - end) / SPAN), top + height * (1.0 - share.clip(0.0, 1.0))],
-            axis=-1,
-        )
+        across = left + width * (1.0 + (t - self.end) / SPAN)
+        return np.stack([across, top + height * (1.0 - share.clip(0.0, 1.0))], axis=-1)
 
-    is_last = place == len(CHARTS) - 1
-    c.box(CHARTS[place], WHITE)
+
+def _draw_axes(c: Canvas, chart: _Chart, name: str) -> None:
+    """An empty chart with grid and numbers; the axis of time is below the last one."""
+    left, top, width, height = CHARTS[chart.place]
+    limits = chart.limits
+    span = np.array([chart.end - SPAN, chart.end])
+    is_last = chart.place == len(CHARTS) - 1
+    c.box(CHARTS[chart.place], WHITE)
     c.text(left, top - 11, name, 16)
-    for t in ticks(end - SPAN, end, 6):
-        line = at(np.array([t, t]), limits)
+    for t in ticks(chart.end - SPAN, chart.end, 6):
+        line = chart.at(np.array([t, t]), limits)
         c.lines(line, GRID, 1)
         if is_last:
             c.text(line[0, 0], top + height + 10, f"{t:g}", 14, GREY, 0.5)
-    for v in _log_ticks(*limits) if log else ticks(limits[0], limits[1], 3):
-        ends = at(np.array([end - SPAN, end]), [v, v])
+    for v in _log_ticks(*limits) if chart.log else ticks(*limits, 3):
+        ends = chart.at(span, [v, v])
         c.lines(ends, GRID, 1)
         c.text(left - 6, ends[0, 1], f"{v:g}", 14, GREY, 1.0)
     c.lines([(left, top), (left, top + height), (left + width, top + height)], GREY, 1)
-    if band is not None and time.size > 1:
-        c.polygon([*at(time, band[0]), *at(time, band[1])[::-1]], LIGHT_BLUE)
-    for values, (_, pale) in zip(behind, colours, strict=True):
-        c.lines(at(time, values), pale, _BROAD)
-    for values, (dark, _) in zip(above, colours, strict=False):
-        c.lines(at(time, values), dark, 1.8)
     if is_last:
         c.text(left + 0.5 * width, top + height + 24, "time [s]", 15, GREY, 0.5)
+
+
+def _draw_lines(
+    c: Canvas, chart: _Chart, time: np.ndarray, lines: np.ndarray, colours: Any, width: float
+) -> None:
+    """The values [wheels, samples] over `time`, a line a wheel."""
+    for values, colour in zip(lines, colours, strict=True):
+        c.lines(chart.at(time, values), colour, width)
 
 
 def _in_shown_units(values: np.ndarray, i: int) -> np.ndarray:

@@ -66,26 +66,27 @@ def depth_of_ruts(x: np.ndarray, cells: np.ndarray) -> np.ndarray:
     return np.interp(x, (np.arange(cells.size) - CELLS_BEHIND + 0.5) * CELL, cells, left=0.0)
 
 
+def press_down(across: np.ndarray, surface: np.ndarray, hubs: np.ndarray, r: float) -> None:
+    """Lower a `surface` [m] at horizontal places `across` [m] to wheels of radius r [m]."""
+    for x, height in hubs:
+        under = np.abs(across - x) < r
+        rim = height - np.sqrt(r * r - (across[under] - x) ** 2)
+        surface[under] = np.minimum(surface[under], rim)
+
+
 def draw_ground(
     c: Canvas,
     scene: Scene,
     x: np.ndarray,
     profile: Profile,
-    lowered: np.ndarray,
-    hubs: Any,
-    r: float,
+    now: np.ndarray,
+    least: float,
     bounds: tuple[float, float],
 ) -> None:
-    """The soil up to its surface at x [m] along the course, with specks; dashed where the surface
-    was before.
-
-    It is `lowered` [m] by ruts, and pressed down by wheels of radius r [m] at `hubs`.
+    """The soil up to its surface `now` [m] at x [m] along the course, with specks; dashed where it
+    was higher before by `least` [m] and more.
     """
     across, before = profile.at(x)
-    now = before - lowered
-    for hub in hubs:
-        under = np.abs(across - hub[0]) < r
-        now[under] = np.minimum(now[under], hub[1] - np.sqrt(r * r - (across[under] - hub[0]) ** 2))
     friction = np.interp(0.5 * (x[1:] + x[:-1]), profile.x, profile.friction)
     c.soil(scene.at(across, now), scene.box[1] + scene.box[3], friction, bounds)
     step = (across[-1] - across[0]) / 40.0
@@ -94,7 +95,7 @@ def draw_ground(
     gx = (cells // 4 + place) * step
     for spot in scene.at(gx, np.interp(gx, across, now) - (0.3 + 12.0 * depth) * step):
         c.circle(spot, 1.5, GRAIN)
-    untouched = scene.at(across, before)[before - now > 0.03 * r]
+    untouched = scene.at(across, before)[before - now > least]
     for i in range(0, len(untouched) - 2, 4):
         c.lines(untouched[i : i + 3], GREY, 1.2)
 

@@ -23,6 +23,7 @@ from soil_env.rendering.ground import (
     draw_flag,
     draw_ground,
     draw_scale_bar,
+    press_down,
 )
 from soil_env.simulation.rover.task import axle_names
 from soil_env.simulation.task import Cause
@@ -38,6 +39,7 @@ _LEAST_WIDTH = 8.5  # [radii] of the side view
 _BODY = (206, 198, 184)  # colours of the parts of a rover
 _BEAM = (86, 90, 100)
 _BOGIE = (120, 124, 134)
+State = dict[str, Any]  # of a wheel, by name
 COLOURS = {  # dark, pale
     "front": (canvas.PURPLE, canvas.LIGHT_PURPLE),
     "middle": (canvas.AMBER, canvas.LIGHT_AMBER),
@@ -46,7 +48,7 @@ COLOURS = {  # dark, pale
 }
 
 
-def shown_wheels(simulation: Any, j: int) -> list[dict[str, Any]]:
+def shown_wheels(simulation: Any, j: int) -> list[State]:
     """State of each wheel of vehicle j by name, the front one first.
 
     Beside the state of the simulation: its `name`, the depth of the `rut` that it runs in [m], the
@@ -78,7 +80,7 @@ def shown_wheels(simulation: Any, j: int) -> list[dict[str, Any]]:
     return wheels
 
 
-def by_name(record: np.record) -> dict[str, Any]:
+def by_name(record: np.record) -> State:
     """Fields of a record by name."""
     return dict(zip(record.dtype.names or (), record.item(), strict=True))
 
@@ -88,7 +90,7 @@ def radius_of(simulation: Any) -> float:
     return float(simulation.numbers.rig["radius"][0])
 
 
-def sample_of(simulation: Any, w: dict[str, Any], exponent: float) -> tuple[float, ...]:
+def sample_of(simulation: Any, w: State, exponent: float) -> tuple[float, ...]:
     """`charts.QUANTITIES` of one of the `shown_wheels`; S is that of a soil with this sinkage
     `exponent`.
     """
@@ -99,7 +101,7 @@ def sample_of(simulation: Any, w: dict[str, Any], exponent: float) -> tuple[floa
     return w["slip"], w["sinkage"] / radius_of(simulation), *known, *truth
 
 
-def hubs_of(simulation: Any, wheels: list[dict[str, Any]], profile: Profile) -> np.ndarray:
+def hubs_of(simulation: Any, wheels: list[State], profile: Profile) -> np.ndarray:
     """Places [wheels, 2] of the hubs (horizontal, height) [m]."""
     r = radius_of(simulation)
     hubs = []
@@ -148,11 +150,9 @@ def width_of(simulation: Any) -> float:
 
 
 def draw_side_view(
-    c: Canvas, simulation: Any, j: int, wheels, profile: Profile, bounds, angles, identified
+    c: Canvas, simulation: Any, j: int, wheels, profile: Profile, bounds, angles
 ) -> None:
-    """Vehicle j in a camera that moves with it, its readings above and the table of its
-    `shown_wheels` below.
-    """
+    """Vehicle j with its `shown_wheels` in a camera that moves with it, its readings above."""
     worlds = simulation.worlds
     width = width_of(simulation)
     posture = None
@@ -169,7 +169,8 @@ def draw_side_view(
     place = np.add(SCENE[:2], np.multiply(AT, SCENE[2:]))
     scene = Scene(SCENE, SCENE[2] / width, place, np.array(profile.at(middle)))
     x = middle + (np.linspace(0.0, 1.0, 261) - AT[0]) * 1.2 * width  # along the slope
-    rut = depth_of_ruts(x, left) / np.gradient(profile.at(x)[0], x)
+    across, height = profile.at(x)
+    surface = height - depth_of_ruts(x, left) / np.gradient(across, x)
     task = simulation.numbers.task[0]
     r = radius_of(simulation)
     wheel_width = float(simulation.numbers.rig["width"][0])
@@ -178,7 +179,8 @@ def draw_side_view(
     per_pascal = 0.45 * size * 0.5 * r * wheel_width / task.weight  # drawn length of a stress
     c.clip(scene.box)
     c.box(scene.box, canvas.SKY)
-    draw_ground(c, scene, x, profile, rut, hubs, r, bounds)
+    press_down(across, surface, hubs, r)
+    draw_ground(c, scene, x, profile, surface, 0.03 * r, bounds)
     draw_flag(c, scene, scene.at(*profile.at(task.length)))
     places = [scene.at(*hub) for hub in hubs]
     if posture is not None:
@@ -196,7 +198,6 @@ def draw_side_view(
     c.box(scene.box, None, canvas.GRID)
     draw_scale_bar(c, scene)
     _draw_readings(c, simulation, body, Cause(int(worlds.cause[j])))
-    _draw_table(c, wheels, bounds, identified)
 
 
 def _draw_body(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) -> None:
@@ -248,9 +249,9 @@ def _draw_readings(c: Canvas, simulation: Any, body, cause: Cause) -> None:
     drawing.draw_cause(c, cause, body["halt_left"] > 0.0)
 
 
-def _draw_table(c: Canvas, wheels: list[dict[str, Any]], bounds, identified: bool) -> None:
-    """State of each wheel, with the rut that it runs in, the true soil under it and the status of
-    its estimate.
+def draw_table(c: Canvas, wheels: list[State], bounds, identified: bool) -> None:
+    """State of each of the `shown_wheels` below the side view, with the rut that it runs in, the
+    true soil under it and the status of its estimate.
     """
     heads = "wheel", "slip", "sinkage", "rut", "load", "pull", "torque", "soil under it", "estimate"
     # Right ends but of the first and the last two.

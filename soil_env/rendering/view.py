@@ -10,7 +10,14 @@ from soil_env.parameters import Scenario
 from soil_env.rendering.canvas import SIZE, Canvas
 from soil_env.rendering.charts import QUANTITIES, SPAN, draw_charts
 from soil_env.rendering.ground import draw_course, friction_range, profile_of
-from soil_env.rendering.side_view import COLOURS, draw_side_view, sample_of, shown_wheels, width_of
+from soil_env.rendering.side_view import (
+    COLOURS,
+    draw_side_view,
+    draw_table,
+    sample_of,
+    shown_wheels,
+    width_of,
+)
 
 if TYPE_CHECKING:
     import pygame
@@ -60,7 +67,8 @@ class CourseView:
         profile = profile_of(simulation.worlds.courses, k, border, width, length + 2.0 * width)
         bounds = friction_range(self.scenario, simulation)
         angles = np.broadcast_to(self._angles, len(wheels))  # 0 before the first record
-        draw_side_view(canvas, simulation, k, wheels, profile, bounds, angles, self._identified)
+        draw_side_view(canvas, simulation, k, wheels, profile, bounds, angles)
+        draw_table(canvas, wheels, bounds, self._identified)
         draw_course(canvas, profile, length, [w["x"] for w in wheels], bounds)
         colours = [COLOURS[w["name"]] for w in wheels]
         history = np.reshape(self._history, (-1, 1 + QUANTITIES * len(wheels))).T

@@ -37,6 +37,7 @@ from soil_env.parameters.wheel import OnTyre, refuse_lugs_on_tyre
 from soil_env.terramechanics.effects import CATALOGUE, Effects, pack_effects
 from soil_env.terramechanics.effects.slip_bias import true_slip
 from soil_env.terramechanics.residual import (
+    GROUPS,
     ResidualTable,
     ResidualTerm,
     WorkingPoint,
@@ -211,8 +212,8 @@ class WheelSoilModel(Checked):
             carried += predict_rows(rows, soil, weight, fx, guess, values)
             if self.residual or self.remainder is not None:
                 deviations = np.empty_like(values)
-                gravity = float(self.gravity)
-                _add_residual(law, rows, guess, floats(soil), gravity, fx, values, deviations)
+                groups = _groups(rows, guess, floats(soil), float(self.gravity), fx)
+                _add_residual(law, groups, rows, values, deviations)
                 if self.remainder is not None:
                     sd[here] = deviations
             out[here] = values
@@ -264,13 +265,13 @@ class WheelSoilModel(Checked):
         content = {key: value for key, value in content.items() if value is not None}
         if content.pop("format", FORMAT) != FORMAT:
             raise ParameterError(f"{where}: expected format: {FORMAT!r}")
-        model: WheelSoilModel = load(cls, content, where)
-        return model
+        return load(cls, content, where)
 
 
-def load_model(
-    model: str | Path | Mapping[str, Any] | WheelSoilModel | None,
-) -> WheelSoilModel | None:
+ModelLike = str | Path | Mapping[str, Any] | WheelSoilModel | None  # file, mapping, or as it is
+
+
+def load_model(model: ModelLike) -> WheelSoilModel | None:
     """The model that the keyword `model` of an environment describes: a model.yaml, its mapping, a
     model, or none.
     """
@@ -327,8 +328,7 @@ def _mapping(conditions: Any) -> Mapping[str, ArrayLike]:
         raise ParameterError(
             f"conditions = {conditions!r}: expected a Table or a mapping of arrays"
         )
-    found: Mapping[str, ArrayLike] = conditions.conditions()
-    return found
+    return conditions.conditions()
 
 
 def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
@@ -383,21 +383,30 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
 
 
 @kept
-def _add_residual(law, rows, felt, soil, gravity, fx, out, sd):
-    """Add to `out` [N, 3] what a `RESIDUAL` adds to rows at the sinkages `felt` [N], and fill its
-    standard deviations `sd` [N, 3].
-    """
+def _groups(rows, felt, soil, gravity, fx):
+    """`GROUPS` [N, 7] of rows at the sinkages `felt` [N]."""
+    groups = np.empty((rows.slip.size, len(GROUPS)))
     for k in range(rows.slip.size):
         w = rows.wheels[k]
         c = rows.conditions[k]
-        load = rows.load[k]
         slip = true_slip(rows.slip[k], fx)
-        at = WorkingPoint(slip, felt[k], load, c[0], c[1], c[2])
+        at = WorkingPoint(slip, felt[k], rows.load[k], c[0], c[1], c[2])
         rim = Rim(w[0], w[1], w[2], 0.0, 0.0, 0.0, 0.0)
-        groups = dimensionless_groups(at, soil, rim, gravity)
-        scale = (w[0], load, load * w[0])
-        added = residual_at(law, groups)
-        deviation = interpolated(law, groups, 3)
+        groups[k] = dimensionless_groups(at, soil, rim, gravity)
+    return groups
+
+
+@kept
+def _add_residual(law, groups, rows, out, sd):
+    """Add to `out` [N, 3] what a `RESIDUAL` adds to rows of these `GROUPS` [N, 7], and fill its
+    standard deviations `sd` [N, 3].
+    """
+    for k in range(rows.slip.size):
+        radius = rows.wheels[k, 0]
+        load = rows.load[k]
+        scale = (radius, load, load * radius)
+        added = residual_at(law, groups[k])
+        deviation = interpolated(law, groups[k], 3)
         for j in range(3):
             out[k, j] += added[j] * scale[j]
             sd[k, j] = deviation[j] * scale[j]

@@ -432,7 +432,8 @@ def steady_state(slip: float, load: float, soil: SoilState, r: float, b: float) 
 
 
 @kept
-def _predict_rows(nodes, rows, soil, factors, unit_weight, fx, guess, out):
+def _predict_rows(rows, soil, factors, unit_weight, fx, guess, out):
+    nodes = np.zeros(1, ARC_NODES)
     carried = 0
     for k in range(rows.slip.size):
         w = rows.wheels[k]
@@ -468,10 +469,9 @@ def predict_rows(
     are contiguous. Returns the number of rows that the soil carries.
     """
     fx = switched_on(fx)
-    nodes = np.zeros(1, ARC_NODES)
     if factors is None:
         factors = np.ones((rows.slip.size, 4))
-    return _predict_rows(nodes, rows, floats(soil), factors, float(unit_weight), fx, guess, out)
+    return _predict_rows(rows, floats(soil), factors, float(unit_weight), fx, guess, out)
 
 
 def sinkage_coefficient_at(soil: SoilState, exponent: float, depth: float) -> float:

@@ -49,7 +49,7 @@ def test_the_trial_that_finishes_most_is_kept_then_the_highest_return(few):
     chosen = tuned_settings(SHORT, 8, ("constant_torque",))
     space = CONTROLLERS["constant_torque"].bounds
     bar = Bar("Tuning", {"constant_torque": 48}, "courses")
-    trials = tuning.tried("constant_torque", space, 6, SHORT, 8, None, None, bar)
+    trials = tuning.tried("constant_torque", space, SHORT, 8, None, None, bar)
     best = max(trials, key=lambda t: (t["finished"], t["return"]))
     assert (
         chosen == {"constant_torque": {"share": best["share"]}}

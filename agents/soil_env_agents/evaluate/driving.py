@@ -24,6 +24,7 @@ from .warning import Foresight
 #: Course sets (`course_rng`), disjoint from each other and from all courses of training.
 TUNING_SET = 1_000_001  # for the settings of controllers
 HELD_OUT_SET = 3_000_011  # for comparisons
+_BATCH = 500  # courses side by side, at most
 _RUNNING = Cause.RUNNING.value
 _STUCK = [cause.value for cause in IMMOBILISED]
 
@@ -159,16 +160,13 @@ def run_courses(
     controller,
     scenario: Scenario,
     seed: int,
-    courses: int,
-    first: int = 0,
-    batch: int = 500,
+    courses: int | range,
     model: WheelSoilModel | None = None,
     threads: int | None = None,
     detailed: bool = False,
 ) -> Runs:
-    """Drive `controller` over courses `first` ...
-
-    `first + courses - 1` of the set `seed`, of a wheel or of a rover.
+    """Drive `controller` over the first `courses` of the set `seed`, or over a range of them, of a
+    wheel or of a rover.
 
     `controller` has `predict` and `variant` (the observation it reads), and `drives` where it takes
     another action than the scenario's. Course k of a set is the same for every controller. `model`
@@ -177,17 +175,31 @@ def run_courses(
     The same arguments give the same runs, bit for bit, whatever the number of threads. For a neural
     network the last bits may depend on how many courses are driven side by side.
     """
-    parts = []
-    for start in range(first, first + courses, batch):
-        count = min(batch, first + courses - start)
-        totals: _Totals | None = None
-        for sim, alive in drive(controller, scenario, seed, start, count, threads, model, detailed):
-            if totals is None:
-                totals = _totals(sim, scenario, count, detailed)
-            totals.add(alive)
-        if totals is not None:
-            parts.append(totals.runs())
-    return Runs.join(parts)
+    every = courses if isinstance(courses, range) else range(courses)
+    return Runs.join(
+        [
+            run_block(controller, scenario, seed, every[k : k + _BATCH], model, threads, detailed)
+            for k in range(0, len(every), _BATCH)
+        ]
+    )
+
+
+def run_block(
+    controller,
+    scenario: Scenario,
+    seed: int,
+    courses: range,
+    model: WheelSoilModel | None = None,
+    threads: int | None = None,
+    detailed: bool = False,
+) -> Runs:
+    """`run_courses` with all courses side by side, however many."""
+    totals: _Totals | None = None
+    for sim, alive in drive(controller, scenario, seed, courses, model, threads, detailed):
+        totals = totals or _totals(sim, scenario, len(courses), detailed)
+        totals.add(alive)
+    assert totals is not None
+    return totals.runs()
 
 
 def simulate(
@@ -208,20 +220,20 @@ def drive(
     controller,
     scenario: Scenario,
     seed: int,
-    first: int,
-    count: int,
-    threads: int | None = None,
+    courses: range,
     model: WheelSoilModel | None = None,
+    threads: int | None = None,
     warnings: bool = False,
 ) -> Iterator[tuple[Simulation | RoverSimulation, np.ndarray]]:
-    """Drive courses `first` ... `first + count - 1` of set `seed` side by side, each to its end.
+    """Drive `courses` of the set `seed` side by side, each to its end.
 
     Yields (simulation, alive) after every control period: one row a course in its arrays, and the
-    courses still under way in that period [count] bool. The controller acts as often as the
+    courses still under way in that period [courses] bool. The controller acts as often as the
     scenario says (`control.repeat`); between, its action is held. Rows of ended courses stay as
-    they ended. Raises `ParameterError` for an action of another shape than [count, 1], or [count,
-    axles], and for one that is not finite. The reward has no term `information`: it helps to learn,
-    and is no merit of a drive. `warnings`: keep the last seconds of the sensors in `worlds.recent`.
+    they ended. Raises `ParameterError` for an action of another shape than [courses, 1], or
+    [courses, axles], and for one that is not finite. The reward has no term `information`: it helps
+    to learn, and is no merit of a drive. `warnings`: keep the last seconds of the sensors in
+    `worlds.recent`.
     """
     control = replace(scenario.control, **getattr(controller, "drives", {}))
     stepped = replace(
@@ -229,9 +241,10 @@ def drive(
         reward=replace(scenario.reward, information=0.0),
         control=replace(control, repeat=1),
     )
+    count = len(courses)
     sim = simulate(count, stepped, controller.variant, threads, model, warnings)
-    for k in range(count):
-        sim.seed(k, course_rng(seed, first + k))
+    for k, course in enumerate(courses):
+        sim.seed(k, course_rng(seed, course))
     sim.restart_where(np.ones(count, dtype=bool))
     if hasattr(controller, "attach"):  # a planner, which tries plans on clones of the world
         controller.attach(sim, threads, model)
@@ -248,9 +261,8 @@ def drive(
                 episode_start=np.full(count, period == 0),
                 deterministic=True,
             )
-            commands = _commands(
-                action, alive, scenario, f"in step {period // held} of course", first
-            )
+            when = f"in step {period // held} of course"
+            commands = _commands(action, alive, scenario, when, courses)
         sim.step_all(commands, what)
         yield sim, alive
         ended = alive & (worlds.cause != _RUNNING)
@@ -260,7 +272,9 @@ def drive(
             return
 
 
-def _commands(action, alive: np.ndarray, scenario: Scenario, when: str, first: int) -> np.ndarray:
+def _commands(
+    action, alive: np.ndarray, scenario: Scenario, when: str, courses: range
+) -> np.ndarray:
     """The `action` of a controller as commands [count] or [count, axles]; ParameterError for an
     unsuitable one.
     """
@@ -274,7 +288,7 @@ def _commands(action, alive: np.ndarray, scenario: Scenario, when: str, first: i
     if bad.size:
         value = action[bad[0]].tolist()
         said = value[0] if axles == 1 else value
-        raise ParameterError(f"action {said} {when} {first + bad[0]}: expected a finite number")
+        raise ParameterError(f"action {said} {when} {courses[bad[0]]}: expected a finite number")
     commands = np.clip(np.nan_to_num(action), -1.0, 1.0)
     return commands if isinstance(scenario, RoverScenario) else commands[:, 0]
 

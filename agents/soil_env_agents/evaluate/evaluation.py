@@ -21,7 +21,7 @@ from ..progress import Bar
 from . import loading
 from .comparing import ORACLE, ORACLE_BLOCK, comparison
 from .contestants import Contestant, digest, model_bytes
-from .driving import HELD_OUT_SET, Runs, run_courses
+from .driving import HELD_OUT_SET, Runs, run_block
 from .own import bounds_of_settings, code_digest
 
 
@@ -122,13 +122,11 @@ class Job:
         asked = self.asked
         key = block.controller
         try:
-            runs = run_courses(
+            runs = run_block(
                 self._controller(key),
                 asked.scenario,
                 asked.seed,
-                block.count,
-                block.first,
-                batch=block.count,
+                range(block.first, block.first + block.count),
                 model=asked.world,
                 threads=self.threads,
                 detailed=asked.detailed and key != ORACLE,

@@ -89,16 +89,16 @@ def tuned_settings(
     names = list(spaces)
     chosen = {name: shipped[name] for name in names if name in shipped}
     missing = [name for name in names if name not in shipped]
-    trials = trials_of(courses)
-    with Bar("Tuning", dict.fromkeys(missing, courses * trials), "courses") as bar:
+    driven = courses * trials_of(courses)
+    with Bar("Tuning", dict.fromkeys(missing, driven), "courses") as bar:
         for name in missing:
-            found = tried(name, spaces[name], trials, scenario, courses, model, log, bar)
+            found = tried(name, spaces[name], scenario, courses, model, log, bar)
             best = max(found, key=lambda trial: (trial["finished"], trial["return"]))
             chosen[name] = {key: best[key] for key in spaces[name]}
     return {name: chosen[name] for name in names}
 
 
-def tried(name, space, trials, scenario, courses, model, log, bar) -> list[dict]:
+def tried(name, space, scenario, courses, model, log, bar) -> list[dict]:
     """{**settings, "finished": share, "return": mean} of each trial of a controller, in their
     order.
     """
@@ -138,6 +138,7 @@ def tried(name, space, trials, scenario, courses, model, log, bar) -> list[dict]
     done = len(study.get_trials(states=(state.COMPLETE,)))
     if done:
         bar.found(courses * done, name)
+    trials = trials_of(courses)
     for number in range(done, trials):
         study.sampler = optuna.samplers.TPESampler(
             seed=int(np.random.SeedSequence([number]).generate_state(1)[0])

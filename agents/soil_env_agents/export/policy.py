@@ -169,7 +169,7 @@ def recorded(
     recorder = _Recorder(agent)
     course = 0
     while len(recorder.rows) < steps:
-        for _ in drive(recorder, scenario, HELD_OUT_SET, course, 1, model=world):
+        for _ in drive(recorder, scenario, HELD_OUT_SET, range(course, course + 1), world):
             pass
         course += 1
     seen, fresh, action = (np.array(column) for column in zip(*recorder.rows[:steps], strict=True))

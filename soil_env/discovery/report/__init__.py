@@ -111,18 +111,19 @@ def show(report: Report, console: Console) -> None:
 def content(report: Report) -> dict[str, Any]:
     """Plain values for JSON, null where there is no number; every key is always present."""
     noise = report.noise
+    finding = report.finding
     return plain(
         {
             "verdict": report.verdict,
             "conclusion": words.conclusion(report),
             "summary": sentences.summary(report),
             "next_step": words.next_step(report),
-            "candidates": report.finding.candidates,
+            "candidates": finding.candidates,
             "effects": [
                 vars(e)
                 | {
-                    "probability_if_laws_err": report.finding.if_laws_err(e.name),
-                    "sure": report.finding.is_sure(e.name),
+                    "probability_if_laws_err": finding.if_laws_err(e.name),
+                    "sure": finding.is_sure(e.name),
                     "explained": words.EXPLAINED[e.name],
                     "symbols": {p.name: p.symbol for p in LISTED[e.name].parameters if p.symbol},
                     **block.content(),
@@ -130,7 +131,7 @@ def content(report: Report) -> dict[str, Any]:
                 for e, block in zip(report.effects, equations.blocks(report), strict=True)
             ],
             "where": [vars(d) | {"words": sentences.disagreement(report, d)} for d in report.where],
-            "ranking": report.finding.ranking,
+            "ranking": finding.ranking,
             "gap": report.gap,
             "remainder": {
                 n: dict(zip(("rms", "share"), g.remainder, strict=True))
@@ -142,11 +143,11 @@ def content(report: Report) -> dict[str, Any]:
             "if_laws_err": sentences.if_laws_err(report),
             "guess": report.guess,
             "closed_interval": report.closed_interval,
-            "untestable": [{"name": k, "reason": v} for k, v in report.finding.untestable.items()],
-            "detectable": {name: d.size for name, d in report.finding.detectable.items()},
+            "untestable": [{"name": k, "reason": v} for k, v in finding.untestable.items()],
+            "detectable": {name: d.size for name, d in finding.detectable.items()},
             "detectable_as": {
                 name: d._asdict() | {"unit": LISTED[name].parameter(d.parameter).unit}
-                for name, d in report.finding.detectable.items()
+                for name, d in finding.detectable.items()
             },
             "next_checks": report.next_checks,
             "next_tests": [
@@ -154,9 +155,9 @@ def content(report: Report) -> dict[str, Any]:
             ],
             "surer_runs": [run._asdict() for run in report.surer_runs],
             "probability": {
-                "none": report.finding.none,
-                "unlisted": report.finding.unlisted,
-                "remainder": report.finding.remainder,
+                "none": finding.none,
+                "unlisted": finding.unlisted,
+                "remainder": finding.remainder,
             },
             "hypotheses": [
                 {
@@ -167,15 +168,15 @@ def content(report: Report) -> dict[str, Any]:
                     "probability": h.probability,
                     "score": h.score,
                 }
-                for h in report.finding.hypotheses
+                for h in finding.hypotheses
                 if h.probability >= LEAST
             ],
-            "refuted": report.finding.refuted,
+            "refuted": finding.refuted,
             "law_error": report.law_error,
             "soil": {
                 name: v._asdict() | {"known": report.known(name)} for name, v in report.soil.items()
             },
-            "scatter": report.finding.scatter,
+            "scatter": finding.scatter,
             "noise": {
                 name: {"sd": noise.sd[j], "origin": noise.origin[j]}
                 for j, name in enumerate(CHANNELS)

@@ -46,10 +46,6 @@ def pictures(report: Report) -> dict[str, bytes]:
         return {"predicted": _saved(_predicted(report)), "slip": _saved(_slip(report))}
 
 
-def _figure(width: float, height: float) -> Figure:
-    return Figure(figsize=(width, height), layout="constrained")
-
-
 def _saved(figure: Figure) -> bytes:
     # Drawn once: `savefig` draws a figure with a layout twice.
     stream = io.BytesIO()
@@ -60,7 +56,8 @@ def _saved(figure: Figure) -> bytes:
 
 def _columns(report: Report, height: float, rows: int = 1, **options) -> tuple[Figure, np.ndarray]:
     """(figure, axes [rows, channels])."""
-    figure = _figure(3.5 * max(len(report.channels), 2), height)
+    width = 3.5 * max(len(report.channels), 2)
+    figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, len(report.channels), squeeze=False, **options)
 
 

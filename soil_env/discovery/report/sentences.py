@@ -11,7 +11,7 @@ import numpy as np
 from soil_env._io.document import render
 from soil_env._io.loading import plural
 from soil_env.discovery.calibrate import PRIOR_WIDTH
-from soil_env.discovery.instrument import INSTRUMENT, LISTED, exact
+from soil_env.discovery.instrument import INSTRUMENT, LISTED, Names, exact
 from soil_env.discovery.locate import Disagreement
 from soil_env.discovery.next_tests import NextTest
 from soil_env.discovery.result import LEFT, WORSE, Report
@@ -208,7 +208,7 @@ def summary(report: Report) -> str:
     """Conclusion: what is missing, its probability, and how far the gap closes."""
     finding = report.finding
     gap = report.gap
-    of: defaultdict[tuple[str, ...], float] = defaultdict(float)
+    of: defaultdict[Names, float] = defaultdict(float)
     for h in finding.hypotheses:
         of[h.names] += h.probability
     shares = [

@@ -240,25 +240,31 @@ def _write_inputs(recent, x, sd, numbers, out):
         out[len(ground) + i] = recent[i]
 
 
+class Assessed(NamedTuple):
+    """What is foreseen of wheels, and by what."""
+
+    inputs: np.ndarray  # [n, inputs] `INPUTS`
+    probabilities: np.ndarray  # [n, 2] of immobilisation within `HORIZONS`
+
+
 @kept
-def _assess(rows, recent, estimate, sd, setting, net, inputs, out):
-    """`INPUTS` [n, inputs] and probabilities [n, 2] of the wheels `rows` [n]."""
+def _assess(rows, recent, estimate, sd, setting, net, assessed):
+    """Fill what is `assessed` of the wheels `rows` [n]."""
     for n in range(rows.size):
         k = rows[n]
-        _write_inputs(recent[k], estimate[k], sd[k], setting[0], inputs[n])
-        x = np.clip((inputs[n] - net.mean) * net.scale, -LARGEST, LARGEST)
+        _write_inputs(recent[k], estimate[k], sd[k], setting[0], assessed.inputs[n])
+        x = np.clip((assessed.inputs[n] - net.mean) * net.scale, -LARGEST, LARGEST)
         x = np.tanh(x @ net.first + net.first_bias)
         x = np.tanh(x @ net.second + net.second_bias)
         hazards = 1.0 / (1.0 + np.exp(-(x @ net.last + net.last_bias)))
-        out[n, 0] = hazards[0]
-        out[n, 1] = hazards[0] + (1.0 - hazards[0]) * hazards[1]
+        assessed.probabilities[n, 0] = hazards[0]
+        assessed.probabilities[n, 1] = hazards[0] + (1.0 - hazards[0]) * hazards[1]
 
 
 @functools.cache
 def shipped() -> dict[str, Any]:
     """Content of immobilisation.json: `inputs`, the arrays of `Network`, `alarm` and `card`."""
-    content: dict[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))
-    return content
+    return json.loads(FILE.read_text(encoding="utf-8"))
 
 
 @functools.cache
@@ -268,13 +274,6 @@ def shipped_network() -> Network:
     return Network(
         *(np.ascontiguousarray(shipped()[name], dtype=np.float64) for name in Network._fields)
     )
-
-
-class Assessed(NamedTuple):
-    """What is foreseen of wheels, and by what."""
-
-    inputs: np.ndarray  # [n, inputs] `INPUTS`
-    probabilities: np.ndarray  # [n, 2] of immobilisation within `HORIZONS`
 
 
 class ImmobilisationWarning:
@@ -292,7 +291,8 @@ class ImmobilisationWarning:
         `known`: averages [wheels, MEMORY], estimates and their sd [wheels, 6].
         """
         known = tuple(map(np.ascontiguousarray, known))  # views would be compiled anew
-        inputs = np.empty((len(rows), len(INPUTS)))
-        out = np.empty((len(rows), len(HORIZONS)))
-        _assess(rows, *known, self.setting, self._net, inputs, out)
-        return Assessed(inputs, out)
+        assessed = Assessed(
+            np.empty((len(rows), len(INPUTS))), np.empty((len(rows), len(HORIZONS)))
+        )
+        _assess(rows, *known, self.setting, self._net, assessed)
+        return assessed

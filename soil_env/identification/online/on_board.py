@@ -51,7 +51,7 @@ from soil_env.identification.online.pooling import (
 from soil_env.identification.online.prior import setting_of
 from soil_env.identification.status import Status
 from soil_env.parameters import RoverScenario, Scenario
-from soil_env.parameters.readings import RESTART, RUNNING, STEP, Shown
+from soil_env.parameters.readings import RESTART, RUNNING, STEP, Shown, Stepped
 from soil_env.parameters.vehicle import MOST_AXLES
 from soil_env.terramechanics.effects.multipass import COMPACTION, rut_stiffness
 
@@ -189,14 +189,12 @@ class OnBoard:
             "memory": memory["classes"][:, 0]["of"],
         }
 
-    def update(self, world: tuple[Any, ...], orders: np.ndarray, first: int, end: int) -> None:
-        """Follow the `orders` [vehicles] int8 of the vehicles `first` to `end` - 1 in a `world` of
-        (state, samples [vehicles, axles, periods], observation).
-        """
+    def update(self, world: Stepped, orders: np.ndarray, first: int, end: int) -> None:
+        """Follow the `orders` [vehicles] int8 of the vehicles `first` to `end` - 1 in a `world`."""
         thread = threading.get_ident()
         if thread not in self._work:
             self._work[thread] = np.zeros(1, WORK)
-        estimate(self.memory, *world, orders, self.setting, self._work[thread], (first, end))
+        estimate(self.memory, world, orders, self.setting, self._work[thread], first, end)
 
 
 @compiled
@@ -375,18 +373,17 @@ def _take(vehicle, samples, period, board, work):
 
 
 @kept
-def estimate(memory, state, samples, observation, orders, setting, work, span):
-    """Follow the `orders` of the vehicles of a `span` (first, end): STEP or RESTART.
-
-    `memory` [vehicles] `ON_WHEEL` or `ON_ROVER`; `state`, `samples` [vehicles, axles, periods] and
-    `observation` as the world's step has left them.
+def estimate(memory, world, orders, setting, work, first, end):
+    """Follow the `orders`, STEP or RESTART, of the vehicles `first` to `end` - 1 in a `Stepped`
+    world; `memory` [vehicles] `ON_WHEEL` or `ON_ROVER`.
     """
     board = setting[0]
-    for k in range(span[0], span[1]):
+    samples = world.samples
+    for k in range(first, end):
         if orders[k] != STEP and orders[k] != RESTART:
             continue
         own = memory[k]
-        vehicle = state[k]
+        vehicle = world.state[k]
         last = 0
         if orders[k] == RESTART:
             _restart(own, samples[k, 0, 0], board)
@@ -400,4 +397,4 @@ def estimate(memory, state, samples, observation, orders, setting, work, span):
             if paid:
                 reward_information(vehicle, before, _mean_knowledge(own, board), board)
         if board.shown > 0:
-            show_estimate(own, samples[k, 0, last], board, observation[k])
+            show_estimate(own, samples[k, 0, last], board, world.observation[k])

@@ -8,7 +8,7 @@ table (Karhunen-Loeve), so that its covariance becomes ordinary linear unknowns 
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -56,6 +56,7 @@ _TURNED = 2.6  # change of ln K that moves the resultant of the shear stress as 
 _STRONGER = 0.45  # relative change of the strength per ln K that keeps the mean shear stress
 #: Share of the largest variance, or of the noise, below which a direction does not count.
 _UNSEEN = 1e-10
+_STEP = 1e-3  # relative change of a stress, for differences
 
 #: Relative size alpha of the error of the stress laws, and its prior: a tenth for a law that is
 #: exact, else log-normal about 5 %, 1 to 25 % within two standard deviations. Fits of Bekker's and
@@ -69,6 +70,9 @@ def size_prior() -> np.ndarray:
     weight = np.exp(-0.5 * ((np.log(SIZES) - np.log(0.05)) / 0.8) ** 2)
     weight[0] = weight[1:].sum() / 9.0
     return weight / weight.sum()
+
+
+Conditions = Mapping[str, np.ndarray]  # [N] by the columns of a table
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +94,7 @@ class Process:
     @classmethod
     def over(
         cls,
-        conditions: Mapping[str, np.ndarray],
+        conditions: Conditions,
         *,
         of: Sequence[str] | None = None,
         additive: bool = False,
@@ -125,7 +129,7 @@ class Process:
             common = 0.5 * common + 0.5 * np.exp(-0.5 * _SHORTER**2 * square).mean(axis=2)
         return common
 
-    def at(self, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
+    def at(self, conditions: Conditions) -> np.ndarray:
         """[N, R] of the functions at conditions [N]."""
         return self._covariance(coordinates(conditions, self.names)) @ self.weights
 
@@ -134,7 +138,7 @@ class Process:
         """[P, R] of the functions at the rows of the table."""
         return self._covariance(self.points) @ self.weights
 
-    def left(self, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
+    def left(self, conditions: Conditions) -> np.ndarray:
         """[N] share of the variance at conditions [N] that the functions do not have: 1 far from
         the table.
         """
@@ -146,7 +150,7 @@ def _condition(name: str) -> str:
     return "slip" if name == "log_slip" else name
 
 
-def coordinate(name: str, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
+def coordinate(name: str, conditions: Conditions) -> np.ndarray:
     """[N] of a coordinate in which processes are stationary."""
     value = conditions[_condition(name)]
     if name == "log_slip":
@@ -156,7 +160,7 @@ def coordinate(name: str, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.log(value + 1e-3) if name == "grouser_height" else np.log(np.maximum(value, 1e-6))
 
 
-def coordinates(conditions: Mapping[str, np.ndarray], names: tuple[str, ...]) -> np.ndarray:
+def coordinates(conditions: Conditions, names: tuple[str, ...]) -> np.ndarray:
     """[N, d] of the coordinates by name in which processes are stationary."""
     size = np.size(next(iter(conditions.values())))
     return (
@@ -164,6 +168,11 @@ def coordinates(conditions: Mapping[str, np.ndarray], names: tuple[str, ...]) ->
         if names
         else np.zeros((size, 0))
     )
+
+
+def finite(values: np.ndarray) -> np.ndarray:
+    """The values, 0 where a model has none."""
+    return np.where(np.isfinite(values), values, 0.0)
 
 
 Compression = tuple[np.ndarray, np.ndarray]
@@ -176,6 +185,17 @@ class StressChange(NamedTuple):
 
     soil: dict[str, float]
     effects: dict[str, float]
+
+
+def by_stresses(
+    outcome: Callable[[StressChange], np.ndarray], soil: Mapping[str, float], sinkage: float
+) -> list[np.ndarray]:
+    """[N, 3] relative change of the `outcome` by each of the `stress_changes`; 0 where it has no
+    value.
+    """
+    base = outcome(StressChange({}, {}))
+    changes = stress_changes(soil, _STEP, sinkage)
+    return [finite((outcome(change) - base) / _STEP) for change in changes]
 
 
 def stress_changes(soil: Mapping[str, float], h: float, sinkage: float) -> tuple[StressChange, ...]:

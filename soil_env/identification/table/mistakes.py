@@ -25,6 +25,7 @@ from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table.data import CHANNELS, Data, prepare
+from soil_env.identification.table.form_error import finite
 from soil_env.identification.table.noise import (
     NoiseEstimate,
     find_noise,
@@ -236,7 +237,7 @@ def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
     def surface(rows: Rows) -> np.ndarray:
         model = np.zeros_like(data.y)
         found = fit.problem.steady(fit.u, rows) / fit.reading.scale
-        model[:, list(fit.reading.source)] = np.where(np.isfinite(found), found, 0.0)
+        model[:, list(fit.reading.source)] = finite(found)
         if fit.reading.name == "pull":
             model[:, 1] *= -1.0
         return model

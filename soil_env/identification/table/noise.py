@@ -17,6 +17,7 @@ from scipy import special
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table.data import CHANNELS, LOGARITHMIC, WHEEL, Data
+from soil_env.identification.table.form_error import finite
 from soil_env.terramechanics.model import Rows
 
 OUTLIER = 4.5  # [sd] distance from the smooth surface beyond which a value is left out
@@ -170,7 +171,7 @@ def _slopes(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -> np.
             if rows.any():
                 coefficients, *_ = np.linalg.lstsq(basis[rows], left[rows, j], rcond=1e-10)
                 out[:, j] += change @ coefficients * per_unit
-    return np.where(np.isfinite(out), out, 0.0)
+    return finite(out)
 
 
 def _without_outliers(

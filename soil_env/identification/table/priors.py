@@ -38,6 +38,9 @@ _LEAST_SD = {
 }
 
 
+Values = Mapping[str, float]  # parameters by name
+
+
 class Unknown(NamedTuple):
     """One unknown in the coordinate it is fitted in: itself, or its logarithm."""
 
@@ -61,6 +64,11 @@ class Unknown(NamedTuple):
     def bounds(self) -> tuple[float, float]:
         """Bounds of the whitened unknown."""
         return (self.low - self.mean) / self.sd, (self.high - self.mean) / self.sd
+
+
+def parameters_at(unknowns: Sequence[Unknown], u: np.ndarray) -> dict[str, float]:
+    """Parameters by name at whitened unknowns."""
+    return {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
 
 
 def bounds_of(unknowns: Sequence[Unknown]) -> tuple[np.ndarray, np.ndarray]:
@@ -137,7 +145,7 @@ def given_laws(setup: Setup) -> dict[str, float]:
     }
 
 
-def soil_state(values: Mapping[str, float], laws: Mapping[str, float]) -> SoilState:
+def soil_state(values: Values, laws: Values) -> SoilState:
     """The soil of a set of parameters by name and the `given_laws`."""
     return SoilState(
         math.tan(math.radians(values["friction_angle_deg"])),

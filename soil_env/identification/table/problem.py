@@ -22,9 +22,15 @@ from scipy.special import logsumexp
 
 from soil_env._io.loading import ParameterError, plural
 from soil_env.identification.table import form_error
-from soil_env.identification.table.form_error import LAW_LENGTHS, Process
+from soil_env.identification.table.form_error import LAW_LENGTHS, Process, finite
 from soil_env.identification.table.noise import NoiseEstimate
-from soil_env.identification.table.priors import USUAL_SINKAGE, Unknown, bounds_of, soil_unknowns
+from soil_env.identification.table.priors import (
+    USUAL_SINKAGE,
+    Unknown,
+    bounds_of,
+    parameters_at,
+    soil_unknowns,
+)
 from soil_env.identification.table.rig import predict_table
 from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import MEASURED, Table
@@ -41,7 +47,6 @@ FINE = MappingProxyType({"xtol": 1e-9, "ftol": 1e-11, "gtol": 1e-9, "max_nfev": 
 #: To compare fits whose costs are far apart.
 COARSE = MappingProxyType({"xtol": 1e-4, "ftol": 1e-5, "gtol": 1e-4, "max_nfev": 25})
 _STARTS = 8  # of the least squares; the first is the prior mean
-_STRESS_STEP = 1e-3  # relative change of a stress, for differences
 _FUNCTIONS = 24  # of the form error at most
 #: Relative error of each channel by itself over that of the stresses, equally probable.
 CHANNELS_OWN = (0.0, 1.0)
@@ -62,10 +67,13 @@ LAW_ERRORS = [
 _NO_WEIGHT = 0.0  # [N/m3] unit weight of the soil: the base model does not use it
 
 
+ArrayFunction = Callable[[np.ndarray], np.ndarray]
+
+
 def most_probable(
     target: np.ndarray,
-    model: Callable[[np.ndarray], np.ndarray],
-    derivatives: Callable[[np.ndarray], np.ndarray],
+    model: ArrayFunction,
+    derivatives: ArrayFunction,
     start: np.ndarray,
     bounds: tuple[np.ndarray, np.ndarray],
     **options: Any,
@@ -90,7 +98,7 @@ def most_probable(
 
 
 def differences(
-    model: Callable[[np.ndarray], np.ndarray],
+    model: ArrayFunction,
     u: np.ndarray,
     unknowns: Sequence[Unknown],
     base: np.ndarray,
@@ -107,16 +115,15 @@ def differences(
     return columns
 
 
-def finite(columns: list[np.ndarray], size: int) -> np.ndarray:
+def side_by_side(columns: list[np.ndarray], size: int) -> np.ndarray:
     """[size, p] of the columns, 0 where the model has no value."""
-    j = np.stack(columns, axis=1) if columns else np.zeros((size, 0))
-    return np.where(np.isfinite(j), j, 0.0)
+    return finite(np.stack(columns, axis=1) if columns else np.zeros((size, 0)))
 
 
 class Last:
     """A function [..] of unknowns [p], computed once for those that it was asked for last."""
 
-    def __init__(self, compute: Callable[[np.ndarray], np.ndarray]) -> None:
+    def __init__(self, compute: ArrayFunction) -> None:
         self._compute = compute
         self._at: np.ndarray | None = None
         self._value = np.empty(0)
@@ -178,14 +185,14 @@ class TableProblem:
         self._noise()
         values = int(self.measured.sum())
         needed = len(self.unknowns)
-        if values < needed + int(self.estimated.sum()):
+        least = needed + int(self.estimated.sum())
+        if values < least:
             unknown = "".join(
                 f" + {s} noise" for s, e in zip(SOURCES, self.estimated, strict=True) if e
             )
             raise ParameterError(
                 f"{table.source}: {plural(values, 'measured value')} (sinkage, drawbar_pull, "
-                f"torque) for {plural(needed, 'parameter')}{unknown}: expected at least "
-                f"{needed + int(self.estimated.sum())}"
+                f"torque) for {plural(needed, 'parameter')}{unknown}: expected at least {least}"
             )
         #: Of the base law, beside the noise; None as long as it is not known.
         self.form_error: form_error.Compression | None = None
@@ -242,7 +249,7 @@ class TableProblem:
 
     def values(self, u: np.ndarray) -> dict[str, float]:
         """Every soil parameter by name."""
-        return self.known | {k.name: k.value(x) for k, x in zip(self.unknowns, u, strict=True)}
+        return self.known | parameters_at(self.unknowns, u)
 
     def predict(self, u: np.ndarray, rows: Rows | None = None) -> np.ndarray:
         """Sinkage, drawbar pull and torque [N, 3] at the corrected conditions, or at `rows`; 0
@@ -329,7 +336,7 @@ class TableProblem:
         flat = differences(
             lambda x: self.predict(x).ravel(), u, self.unknowns, self.predict(u).ravel()
         )
-        return finite(flat, self.y.size).reshape(*self.y.shape, -1)
+        return side_by_side(flat, self.y.size).reshape(*self.y.shape, -1)
 
     def covariance(self, u: np.ndarray) -> np.ndarray:
         """[p, p] of the whitened unknowns: inverse of the normal matrix with the priors."""
@@ -354,13 +361,13 @@ class TableProblem:
 
     def _changed_stresses(self, u: np.ndarray) -> np.ndarray:
         """[N, 3, C] change of the model by each of the `stress_changes`, relative."""
-        h = _STRESS_STEP
-        base = self.predict(u)
+
+        def outcome(change: form_error.StressChange) -> np.ndarray:
+            return self.steady(u, self.corrected, change)
+
         sinkage = float(np.median(self.steady(u, self.corrected)[:, 0]))
-        changes = form_error.stress_changes(self.values(u), h, sinkage)
-        there = [self.steady(u, self.corrected, change) for change in changes]
-        moved = [np.where(self.measured, out - base, 0.0) / h for out in there]
-        return finite([x.ravel() for x in moved], base.size).reshape(*base.shape, -1)
+        moved = form_error.by_stresses(outcome, self.values(u), sinkage)
+        return np.stack(moved, axis=2) * self.measured[:, :, None]
 
     def by_size(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(probability, mean [p] and covariance [p, p] of the unknowns, by size and span),

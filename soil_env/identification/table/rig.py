@@ -3,11 +3,10 @@ the setup says.
 """
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 
-from soil_env.identification.table.priors import given_laws, soil_state
+from soil_env.identification.table.priors import Values, given_laws, soil_state
 from soil_env.measurement.setup import Setup
 from soil_env.terramechanics.effects import Effects
 from soil_env.terramechanics.model import Rows
@@ -21,7 +20,7 @@ BY_ROW = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficien
 def predict_table(
     setup: Setup,
     rows: Rows,
-    values: Mapping[str, float],
+    values: Values,
     unit_weight: float,
     fx: Effects,
     guess: np.ndarray,

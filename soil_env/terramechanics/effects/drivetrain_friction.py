@@ -10,6 +10,7 @@ from soil_env.terramechanics.effects.entry import (
     Effect,
     EffectParameter as P,
     Form,
+    Priors,
 )
 
 
@@ -37,7 +38,7 @@ def friction_at(torque, wheel_speed, floor, fx):
     )
 
 
-def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
+def _priors(bench: Bench) -> Priors:
     torque = 0.3 * bench.load * bench.radius
     turning = max(bench.median_speed / bench.radius, 1e-6)
     return {

@@ -61,6 +61,10 @@ class Bench(NamedTuple):
     smooth: bool  # no lugs on any wheel
 
 
+#: Prior (standard deviation, low, high) by parameter.
+Priors = Mapping[str, tuple[float, float, float]]
+
+
 @dataclass(frozen=True)
 class Effect:
     """Effect of the catalogue: its parameters and its published forms."""
@@ -79,8 +83,8 @@ class Effect:
     symbols: Mapping[str, str] = field(default_factory=dict)  # of its equations, beside `SYMBOLS`
     #: Parameters that act on sensors, or that the simulated world has anyway.
     sensed: tuple[str, ...] = ()
-    #: Prior (standard deviation, low, high) by parameter, where the rig sets it.
-    priors: Callable[[Bench], Mapping[str, tuple[float, float, float]]] = lambda bench: {}
+    #: Its priors where the rig sets them.
+    priors: Callable[[Bench], Priors] = lambda bench: {}
     #: Neutral value, or centre, by parameter, where the rig sets it.
     neutral: Callable[[Bench], Mapping[str, float]] = lambda bench: {}
     #: Reason why a rig cannot show the effect; "" if it can.

@@ -9,6 +9,7 @@ from soil_env.terramechanics.effects.entry import (
     Effect,
     EffectParameter as P,
     Form,
+    Priors,
 )
 from soil_env.terramechanics.ground import with_strength
 
@@ -72,7 +73,7 @@ def blades_at(thrust, slip):
     return thrust * share, thrust * (1.0 - share * share) / BLADE_SLIP
 
 
-def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
+def _priors(bench: Bench) -> Priors:
     # as many lugs a radian; part of each one's share is the other lugs'
     return (
         {}

@@ -7,6 +7,7 @@ from soil_env.terramechanics.effects.entry import (
     Effect,
     EffectParameter as P,
     Form,
+    Priors,
 )
 
 #: Eq. (10) as a `ShearLaw`.
@@ -48,7 +49,7 @@ def shear_length_ratio(fx):
     return 1.0
 
 
-def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
+def _priors(bench: Bench) -> Priors:
     return {
         "sharpness": (4.0, 1.0, 30.0),  # below 1 the law has no peak
         "onset": (0.15 * bench.radius, 0.0, 2.0 * bench.radius),

@@ -1,7 +1,14 @@
 """Offset of the measured sinkage."""
 
 from soil_env._compiled.flags import compiled
-from soil_env.terramechanics.effects.entry import SINKAGE, Bench, Effect, EffectParameter as P, Form
+from soil_env.terramechanics.effects.entry import (
+    SINKAGE,
+    Bench,
+    Effect,
+    EffectParameter as P,
+    Form,
+    Priors,
+)
 
 
 @compiled
@@ -13,7 +20,7 @@ def sinkage_zero(fx):
         return fx.sinkage_offset_offset
 
 
-def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
+def _priors(bench: Bench) -> Priors:
     return {"offset": (0.3 * bench.sinkage, -0.5 * bench.radius, 0.5 * bench.radius)}
 
 

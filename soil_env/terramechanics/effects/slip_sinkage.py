@@ -6,6 +6,7 @@ from soil_env.terramechanics.effects.entry import (
     Effect,
     EffectParameter as P,
     Form,
+    Priors,
 )
 from soil_env.terramechanics.ground import with_digging
 
@@ -86,7 +87,7 @@ def dug(soil, passage, fx):
     return with_digging(soil, n, gain, recovery)
 
 
-def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
+def _priors(bench: Bench) -> Priors:
     return {
         "length": (0.3 * bench.sinkage, 0.0, 5.0 * bench.sinkage),
         "exponent_slope": (0.5, 0.0, 2.0),  # slip digs: less of it would be another effect

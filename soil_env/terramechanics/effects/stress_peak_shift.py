@@ -6,6 +6,7 @@ from soil_env.terramechanics.effects.entry import (
     Effect,
     EffectParameter as P,
     Form,
+    Priors,
 )
 
 
@@ -16,7 +17,7 @@ def peak_shift(theta1, slip, fx):
     return share * theta1
 
 
-def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
+def _priors(bench: Bench) -> Priors:
     # every published peak of a driven wheel moves forward with slip
     return {"slope": (0.3, 0.0, 0.9)} if bench.lowest_slip > -0.02 else {}
 
