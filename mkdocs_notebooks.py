@@ -8,6 +8,7 @@ notebooks does not execute them a second time.
 
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import tempfile
@@ -33,6 +34,7 @@ NOTEBOOKS = (
     "read_a_log",
     "own_wheel_and_soil",
 )
+_SCRIPT = re.compile(r"\]\((?:\.\./)+examples/(\w+)\.py\)")
 SECONDS = 600  # a cell may take, on a loaded machine with nothing compiled
 _SOURCES = ("soil_env", "agents", "configs", "examples/data")  # that outputs depend on
 #: Lines below each page.
@@ -56,6 +58,17 @@ def on_files(files, *, config: dict, **_: object):
         for path, of_path in content.items():
             files.append(File.generated(config, f"notebooks/{path}", content=of_path))
     return files
+
+
+def on_page_markdown(markdown: str, page, **_: object) -> str:
+    """Markdown whose links to scripts of `examples/`, as in the clone, lead to notebooks."""
+    return _SCRIPT.sub(lambda link: _to_notebook(link[1], page.file.src_uri), markdown)
+
+
+def _to_notebook(name: str, page: str) -> str:
+    if name not in NOTEBOOKS:
+        raise PluginError(f"{page}: examples/{name}.py: expected a link to a notebook of the site")
+    return f"]({'../' * page.count('/')}notebooks/{name}.md)"
 
 
 def executed(*names: str) -> dict[str, nbformat.NotebookNode]:

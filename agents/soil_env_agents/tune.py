@@ -59,9 +59,13 @@ def command(
     """Tune controllers on a scenario.
 
     Every controller gets the same number of trials on the first N courses of the tuning set, for
-    each action of the drive. OUT then holds NAME.yaml with the settings; that of a shipped scenario
-    in configs/tuned is found by train.py and soil-env evaluate. A class of your own has `bounds`,
-    as those of soil_env_agents.controllers. The same command continues an interrupted tuning.
+    each action of the drive. OUT then holds NAME.yaml with the settings. A class of your own has
+    `bounds`, as those of soil_env_agents.controllers. The same command continues an interrupted
+    tuning.
+
+    To use a value of NAME.yaml, give it to soil-env evaluate as --settings.CONTROLLER.KEY VALUE. A
+    NAME.yaml of a shipped scenario in configs/tuned is found by train.py and soil-env evaluate,
+    where N is at least their --tuning-courses.
 
     \b
     soil-env tune --scenario mixed --out tuned

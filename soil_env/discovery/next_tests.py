@@ -14,7 +14,7 @@ to those before it for its cost.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
@@ -35,6 +35,7 @@ WITHIN_REACH = 0.01  # least probability of a candidate
 CANDIDATES = 14  # at most, the most probable ones
 #: Of the runs to choose from, where the setup says nothing of the rig.
 SLIPS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
+ENOUGH = 0.995  # probability of the right candidate from which no further run is proposed
 BASE = "base model"
 _LARGEST = 3000  # points of a grid
 
@@ -47,6 +48,15 @@ class Check(NamedTuple):
     name: str
     work: str  # to do
     decides: Names
+
+    def without(self, known: Collection[str]) -> "Check | None":
+        """The check of what is not `known` yet; None where nothing is left of it."""
+        left = tuple(name for name in self.decides if name not in known)
+        if left == self.decides or not left:
+            return self if left else None
+        begin, parts = PARTS[self.name]
+        end = " and ".join(dict.fromkeys(parts[name] for name in left))
+        return self._replace(work=f"{begin} {end}", decides=left)
 
 
 CHECKS = (
@@ -75,6 +85,45 @@ CHECKS = (
         ("arm_load", "spring_load"),
     ),
 )
+
+
+#: Beginning and parts of the work of a check, where only a part is to be done.
+PARTS = {
+    "lifted": (
+        "lift the wheel, and read",
+        {
+            "force_offset": "the pull at rest",
+            "torque_offset": "the torque at rest",
+            "drivetrain_friction": "the torque that it takes to turn",
+        },
+    ),
+    "plate": (
+        "roll the wheel on a hard plate without pull, under each load and at each speed, and read",
+        {
+            "sinkage_offset": "the sinkage, which has to be 0",
+            "slip_bias": "the slip, which has to be 0",
+            "wheel_radius": "the slip, which has to be 0",
+        },
+    ),
+    "weights": (
+        "hang known weights, and read",
+        {
+            "force_gain": "the pull of a weight on the load cell",
+            "torque_gain": "the torque of a weight on a lever at the wheel",
+            "force_crosstalk": "the pull of a weight on a lever at the wheel",
+            "torque_crosstalk": "the torque of a weight on the load cell",
+        },
+    ),
+    "scale": (
+        "stand the wheel on a scale, where the load has to stay, and",
+        {"arm_load": "turn the wheel against a block", "spring_load": "raise the wheel"},
+    ),
+}
+
+
+def open_checks(known: Collection[str]) -> tuple[Check, ...]:
+    """The checks of errors that are not `known` yet."""
+    return tuple(left for check in CHECKS if (left := check.without(known)) is not None)
 
 
 class Predicted(NamedTuple):
@@ -162,15 +211,17 @@ def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[Ne
     return proposed(problem, [found[s] for s in order], [share[s] for s in order], most, unlisted)
 
 
-def next_checks(finding: Finding, runs: Sequence[NextTest]) -> tuple[Check, ...]:
-    """Checks that are expected to say more about which candidate is right than any of these
-    runs.
+def next_checks(
+    finding: Finding, runs: Sequence[NextTest], known: Collection[str] = ()
+) -> tuple[Check, ...]:
+    """Checks that are expected to say more about which candidate is right than any of these runs;
+    none of errors that are `known`.
     """
     least = max((t.information for t in runs), default=0.0)
     share = {s: p for s, p in _shares(finding).items() if p > 0.0}
     names = [*share, ()]
     p = np.array([*share.values(), finding.unlisted])  # no check knows what is in no catalogue
-    left = list(CHECKS)
+    left = list(open_checks(known))
     out = []
     before = 0.0
     overlap = np.ones((p.size, p.size))
@@ -186,6 +237,12 @@ def next_checks(finding: Finding, runs: Sequence[NextTest]) -> tuple[Check, ...]
         before = before + worth[k]
         out.append(left.pop(k))
     return tuple(out)
+
+
+def sure_of(finding: Finding) -> float:
+    """Probability that the right set of effects has on average, of those that predict something."""
+    share = np.array([*_shares(finding).values()])
+    return float(np.sum(share**2) / max(np.sum(share), 1e-300) ** 2)
 
 
 def _shares(finding: Finding) -> dict[Names, float]:
@@ -250,6 +307,8 @@ def proposed(
         point = {name: float(grid.value[name][g]) for name in grid.asked}
         sure = float(sureness(of.share, overlap)[g])
         out.append(NextTest(point, *said, sure, float(cost[g]), float(gain[g]), forced))
+        if sure >= ENOUGH:
+            break
     return tuple(out)
 
 

@@ -100,7 +100,8 @@ def _conclude(
     examined = examine(table, setup)
     doubted = examined.said
     say("calibrating the base model")
-    problem, noise = calibrate(prepare(examined.table, setup))
+    with examined.named_first():
+        problem, noise = calibrate(prepare(examined.table, setup))
     finding = search(problem, lambda text: say(f"searching: {text}"))
     say("predicting what was held out")
     rng = np.random.default_rng([settings.seed, 1])
@@ -135,7 +136,7 @@ def _conclude(
         closed_interval=interval,
         outlook=foreseen,
         guess=least_sure(foreseen.model),
-        next_checks=next_checks(finding, runs),
+        next_checks=next_checks(finding, runs, exact(setup)),
         next_tests=runs,
         surer_runs=surer,
         fit=final,

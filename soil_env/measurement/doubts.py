@@ -1,4 +1,6 @@
-"""Loads that look like another unit than newtons, whatever model a table is fitted with."""
+"""Loads that look like another unit than newtons, and what a table of one load cannot tell,
+whatever model it is fitted with.
+"""
 
 import numpy as np
 
@@ -10,6 +12,7 @@ DRIVEN = 0.15  # slip from which the strength of the soil is mobilised
 FRICTION = 0.5  # tan(phi) beside a cohesion that is known
 USUAL_SINKAGE = 0.3  # [radii] where none was measured
 FEWEST = 3  # rows in another unit than the rest
+SAME_LOAD = 1.1  # largest over least load of a table that has one load
 LIGHTER = 0.2  # load of such rows over that of the rest
 
 
@@ -55,3 +58,20 @@ def load_doubt(table: Table, setup: Setup) -> str:
                 "multiply them by 9.81)."
             )
     return ""
+
+
+def one_load(table: Table, setup: Setup) -> str:
+    """What a table of one load and one wheel cannot tell, in sentences; "" for any other table.
+
+    One load presses with about one stress to about one depth. S z^n is known there, and the
+    strength c + sigma tan(phi) at that stress.
+    """
+    sizes = (table.radius(setup.wheel), table.width(setup.wheel))
+    if np.max(table.load) > SAME_LOAD * np.min(table.load) or any(np.ptp(size) for size in sizes):
+        return ""
+    return (
+        f"Every row has the same load, about {np.median(table.load):.3g} N: n apart from S, and "
+        "cohesion apart from friction angle, rest mostly on the priors. Other loads are "
+        "extrapolated, and whether K, n or the thrust of grousers changes with the pressure cannot "
+        "show."
+    )

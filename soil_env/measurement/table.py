@@ -16,7 +16,8 @@ from typing import Literal
 
 import numpy as np
 
-from soil_env._io.loading import TITLES, ParameterError, below_title, nearest, plural
+from soil_env._io.loading import TITLES, ParameterError, below_title, plural
+from soil_env.measurement.names import meant
 from soil_env.measurement.setup import REQUIRED, Setup, SetupWheel
 from soil_env.parameters import LARGEST_WHEEL
 from soil_env.slip import slips_of_radius
@@ -286,7 +287,7 @@ def _check_header(path: Path, header: list[str]) -> None:
         )
     unknown = [name for name in dict.fromkeys(header) if name not in COLUMNS]
     if unknown:
-        names = ", ".join(f"{name!r}{nearest(name.lower(), COLUMNS)}" for name in unknown)
+        names = ", ".join(f"{name!r}{meant(name, header, COLUMNS)}" for name in unknown)
         raise ParameterError(
             f"{path}: unknown column{'s' * (len(unknown) > 1)} {names} (known: "
             f"{', '.join(COLUMNS)}; a column to pass over: ignore_columns in the setup)"

@@ -115,6 +115,13 @@ def test_every_run_can_be_made(case):
     assert np.all(np.diff([0.6**2 + 0.4**2, *(t.sure for t in runs)]) > 0.0)
 
 
+def test_no_run_is_proposed_behind_one_that_decides(case, monkeypatch):
+    p, candidates = case
+    runs = proposed(p, candidates, (0.6, 0.4))
+    monkeypatch.setattr("soil_env.discovery.next_tests.ENOUGH", runs[1].sure)
+    assert proposed(p, candidates, (0.6, 0.4)) == runs[:2]
+
+
 def test_a_rig_is_asked_for_what_it_has_and_for_what_costs_little(case):
     p, candidates = case
     last = {name: float(x[-1]) for name, x in p.data.conditions.items()}

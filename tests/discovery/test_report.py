@@ -13,13 +13,18 @@ import pytest
 
 from soil_env.discovery import report as drawn, run
 from soil_env.discovery.calibrate import PRIOR_WIDTH, calibrate
+from soil_env.discovery.corrected import Guess
 from soil_env.discovery.instrument import LISTED
 from soil_env.discovery.judgement import Gap
+from soil_env.discovery.next_for_prediction import SurerRun
 from soil_env.discovery.next_tests import CHECKS
 from soil_env.discovery.prediction import fit_prediction
 from soil_env.discovery.report import equations, sentences, words
 from soil_env.discovery.report.pictures import curves
+from soil_env.identification.table import identify_table
 from soil_env.identification.table.data import CHANNELS
+from soil_env.measurement.doubts import one_load
+from soil_env.measurement.setup import Calibration
 from tests.discovery.files import PLANTED, SETUP, data_of, table_text, write_files
 
 KEYS = (
@@ -169,6 +174,67 @@ def test_checks_are_asked_for_where_they_are_likely_to_find_something(nothing):
         )
 
     assert step(0.04) == "Simulate with model.yaml." and "known weights" in step(0.06)
+
+
+def with_setup(report, **keys):
+    """The report with other keys in its setup."""
+    setup = dataclasses.replace(report.problem.data.setup, **keys)
+    problem = copy.copy(report.problem)
+    problem.data = dataclasses.replace(problem.data, setup=setup)
+    return dataclasses.replace(report, problem=problem)
+
+
+def test_no_check_is_asked_for_what_the_setup_declares_exact(nothing):
+    """Zeros that are exact: of the lifted wheel only its friction is read."""
+    base = nothing.finding.best()
+    rig = dataclasses.replace(base, names=("drivetrain_friction",), probability=0.5)
+    rest = dataclasses.replace(base, probability=0.5)
+    finding = dataclasses.replace(nothing.finding, hypotheses=(rest, rig))
+    report = dataclasses.replace(nothing, finding=finding, next_checks=CHECKS[1:2], next_tests=())
+    zeros = Calibration(force_offset=0.0, torque_offset=0.0)
+    assert "force_offset" in words.next_step(with_setup(report, calibration=Calibration()))
+    said = words.next_step(with_setup(report, calibration=zeros))
+    assert "the torque that it takes to turn" in said and "pull" not in said
+    assert "checked: [drivetrain_friction]" in said and "offset" not in said
+    checked = with_setup(report, calibration=zeros, checked=("drivetrain_friction",))
+    assert "Lift the wheel" not in words.next_step(checked)
+
+
+def test_the_screen_names_the_first_of_the_runs_that_serve_the_prediction(nothing):
+    guess = Guess({"slip": 0.7, "load": 210.0}, np.zeros(3), np.ones(3), 2.0)
+    runs = tuple(SurerRun({"slip": s, "load": 150.0}, 0.9, 1.0) for s in (0.25, 0.45))
+    for there in (guess, None):
+        said = sentences.foreseen(dataclasses.replace(nothing, guess=there, surer_runs=runs))
+        assert "measure at slip 0.25 at load 150 N, the first of the runs below" in said
+    alone = sentences.foreseen(dataclasses.replace(nothing, guess=guess, surer_runs=()))
+    assert "measure there" in alone
+
+
+def test_no_further_run_is_asked_for_where_the_answer_is_sure(nothing):
+    base = nothing.finding.best()
+    for p, said in ((1.0, True), (0.7, False)):
+        other = dataclasses.replace(base, names=("bulldozing",), probability=1.0 - p)
+        sure = dataclasses.replace(base, probability=p)
+        finding = dataclasses.replace(nothing.finding, hypotheses=(sure, other))
+        report = dataclasses.replace(nothing, finding=finding, next_tests=())
+        assert ("No further run is needed" in drawn.text(report)) == said
+    last = SimpleNamespace(predicted=[SimpleNamespace(probability=0.5)] * 2, sure=1.0, repeat=False)
+    runs = SimpleNamespace(next_tests=[last], verdict="ambiguous")
+    assert "100 % after them. No further run is needed" in sentences.after_next(runs)
+
+
+def test_a_table_of_one_load_says_what_it_cannot_tell(tmp_path):
+    said = []
+    for loads in ((100,), (100, 150)):
+        data = data_of(tmp_path, table_text({}, loads=loads))
+        warnings = identify_table(data.table, data.setup).warnings
+        said.append([w for w in warnings if "same load, about 100 N" in w])
+    assert len(said[0]) == 1 and not said[1] and "friction angle" in said[0][0]
+    wheels = table_text({}, loads=(100,), wheel_radius=(0.12, 0.15))
+    data = data_of(tmp_path, wheels)
+    assert not one_load(data.table, data.setup)
+    report = run(*write_files(tmp_path, table_text({}, loads=(100,))), next_runs=0)
+    assert any("same load, about 100 N" in caution for caution in sentences.cautions(report))
 
 
 @pytest.mark.usefixtures("unrendered")

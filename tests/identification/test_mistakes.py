@@ -149,6 +149,31 @@ def test_sinkage_alone_does_not_decide_the_sign_of_the_slip(tmp_path):
     assert examined(tmp_path, text, SETUP.replace(", drawbar_pull: 0.8, torque: 0.1", "")) == ()
 
 
+def test_a_turned_pull_is_not_taken_for_another_slip(tmp_path):
+    """V/(r w) would turn the fall of the pull, too; but the table begins at low slip."""
+    text = changed(table_text({}, channels=("sinkage", "drawbar_pull")), "drawbar_pull", -1.0)
+    data = data_of(tmp_path, text)
+    assert "slip_ratio" not in {r.name for r in mistakes.readings(data.table, data.setup)}
+    ratio = data_of(tmp_path, changed(text, "slip", lambda i: 1.0 - i))
+    assert "slip_ratio" in {r.name for r in mistakes.readings(ratio.table, ratio.setup)}
+
+
+def test_what_soil_holds_back_is_evidence_of_the_radius(tmp_path):
+    """Resistance over load goes with the root of sinkage over radius."""
+    data = data_of(tmp_path, table_text({}))
+    start = mistakes._as_is(data)
+    plain = start.fit.reading
+    wheel = replace(data.setup.wheel, radius=2.0 * data.setup.wheel.radius)
+    doubled = plain._replace(setup=replace(data.setup, wheel=wheel))
+    right, wrong = (
+        mistakes._by_resistance(data, start.noise, reading) for reading in (plain, doubled)
+    )
+    assert right > wrong + 0.5
+    alone = data_of(tmp_path, table_text({}, channels=("sinkage", "drawbar_pull")))
+    start = mistakes._as_is(alone)
+    assert mistakes._by_resistance(alone, start.noise, start.fit.reading) == 0.0
+
+
 def test_a_diameter_for_the_radius_is_told(tmp_path):
     setup = SETUP.replace("radius: 0.15", "radius: 0.3")
     assert "With wheel.radius of the setup halved to 0.15 m" in " ".join(
@@ -266,6 +291,51 @@ def test_a_wrong_row_of_a_short_table_is_named(tmp_path, name, noise):
     data = data_of(tmp_path, text, setup)
     found = examine(data.table, data.setup)
     assert 4 not in found.table.row and re.match(f"Row 4 .*check {name}", found.said[0])
+
+
+@pytest.mark.parametrize("noise", [True, False])
+@pytest.mark.parametrize("rows", [4, 5, 8])
+@pytest.mark.parametrize("name", ["load", "drawbar_pull", "sinkage"])
+def test_a_gross_error_in_a_small_table_comes_before_any_number(
+    tmp_path, capsys, name, rows, noise
+):
+    """At the largest slip, where the pull is large."""
+    text = table_text({}, loads=(100,), slips=np.linspace(0.05, 0.5, rows))
+    setup = SETUP if noise else re.sub("noise:.*", "", SETUP)
+    files = write_files(tmp_path, with_cell(text, rows + 1, name, 10.0), setup)
+    main(["identify", str(files[0]), "--setup", str(files[1])])
+    said = " ".join("".join(capsys.readouterr()).split()).partition("Soil parameter")[0]
+    assert re.search(rf"\brow {rows + 1}\b", said, re.IGNORECASE) and f"{name} = " in said
+
+
+@pytest.mark.parametrize("row", [3, 5])
+def test_a_gross_error_hides_in_no_noise_of_five_rows(tmp_path, row):
+    """A pull among the others' slips: the noise that is taken from the scatter takes it up."""
+    text = table_text({}, loads=(100,), slips=(0.05, 0.15, 0.25, 0.37, 0.5))
+    data = data_of(
+        tmp_path, with_cell(text, row, "drawbar_pull", 10.0), re.sub("noise:.*", "", SETUP)
+    )
+    assert re.match(f"Row {row}\\b.*drawbar_pull = ", examine(data.table, data.setup).said[0])
+
+
+@pytest.mark.parametrize(("channels", "factor"), [(("drawbar_pull",), 10.0), (("torque",), 0.1)])
+def test_a_load_far_from_all_others_is_said_where_no_channel_can_check_it(
+    tmp_path, channels, factor
+):
+    text = table_text({}, loads=(100,), slips=(0.05, 0.15, 0.25, 0.37, 0.5), channels=channels)
+    data = data_of(tmp_path, with_cell(text, 6, "load", factor))
+    said = examine(data.table, data.setup).said
+    assert re.match(r"Row 6\b", said[0])
+    sound = data_of(tmp_path, table_text({}, loads=(50, 400), slips=(0.1, 0.3, 0.5)))
+    assert examine(sound.table, sound.setup).said == ()
+
+
+def test_a_refusal_of_too_few_values_names_the_row_that_was_left_out_first(tmp_path):
+    """Five torques for five parameters, one of them wrong."""
+    text = table_text({}, loads=(100,), slips=(0.05, 0.15, 0.25, 0.37, 0.5), channels=("torque",))
+    data = data_of(tmp_path, with_cell(text, 4, "torque", 10.0))
+    with pytest.raises(ParameterError, match="data.csv: Row 4 .*: 4 measured values"):
+        identify_table(data.table, data.setup)
 
 
 def test_a_row_to_which_its_neighbours_lead_is_no_mistake():

@@ -139,6 +139,46 @@ def test_refuses_a_bad_table(tmp_path, lines, words):
         assert word in message + "\n"
 
 
+@pytest.mark.parametrize(
+    ("name", "column", "also"),
+    [
+        ("pull", "drawbar_pull", "N"),
+        ("Pull [kN]", "drawbar_pull", "multiply by 1000"),
+        ("fx", "drawbar_pull", "N"),
+        ("dp", "drawbar_pull", "N"),
+        ("thrust", "drawbar_pull", "less resistance"),
+        ("force", "drawbar_pull", "'load'"),
+        ("fz", "load", "N"),
+        ("Normal_Load", "load", "N"),
+        ("load_kg", "load", "multiply by 9.81"),
+        ("w", "load", "rotational speed"),
+        ("mass", "load", "9.81"),
+        ("sinkage_mm", "sinkage", "divide by 1000"),
+        ("Sinkage (mm)", "sinkage", "divide by 1000"),
+        ("depth", "sinkage", "m below"),
+        ("slip_ratio", "slip", "1 - V/(r w)"),
+        ("slip_pct", "slip", "divide by 100"),
+        ("i", "slip", "1 - V/(r w)"),
+        ("omega", "slip", "1 - V/(r w)"),
+        ("v", "speed", "m/s"),
+        ("mx", "torque", "axle"),
+        ("My [N m]", "torque", "axle"),
+        ("moment", "torque", "N m"),
+        ("slope", "grade_deg", "degrees"),
+        ("diameter", "wheel_radius", "half"),
+    ],
+)
+def test_a_usual_name_of_a_column_gets_the_known_one_with_its_unit(tmp_path, name, column, also):
+    others = [c for c in ("slip", "load", "sinkage", "run") if c != column]
+    header = [*others, name]
+    row = ",".join("1" * len(header))
+    said = refusal(read_table, written(tmp_path, ",".join(header), row)).partition(" (known: ")[0]
+    assert "did you mean" in said and f"'{column}'" in said and also in said
+    if column not in others:
+        given = written(tmp_path, f"slip,load,{column},{name}", "1,1,1,1")
+        assert f"did you mean '{column}'" not in refusal(read_table, given)
+
+
 def test_refuses_other_files(tmp_path):
     assert "cannot be read" in refusal(read_table, tmp_path / "absent.csv")
     assert "cannot be read" in refusal(read_table, tmp_path)

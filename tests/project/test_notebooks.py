@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -35,6 +36,15 @@ def test_every_notebook_of_the_site_is_tested():
         if script.read_text(encoding="utf-8").startswith("# %%")
     }
     assert set(SAID) == set(hooks.NOTEBOOKS) == percent
+
+
+def test_a_link_to_a_script_leads_to_its_notebook_on_the_site():
+    page = SimpleNamespace(file=SimpleNamespace(src_uri="guide/logs.md"))
+    links = "[a](../../examples/read_a_log.py) and [b](../rover.md)"
+    on_site = hooks.on_page_markdown(links, page)
+    assert on_site == "[a](../notebooks/read_a_log.md) and [b](../rover.md)"
+    with pytest.raises(hooks.PluginError, match="guide/logs.md: examples/sb3_ppo.py"):
+        hooks.on_page_markdown("[c](../../examples/sb3_ppo.py)", page)
 
 
 @pytest.mark.parametrize("name", SAID)

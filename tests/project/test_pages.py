@@ -323,8 +323,8 @@ def test_actions_rewards_causes_and_info_of_the_environment():
     assert keys == set(info["traversability"])
 
 
-@pytest.mark.parametrize("page", OUTSIDE, ids=name_of)
-def test_links_of_a_page_outside_the_site(page):
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_links_of_a_page_lead_to_files_of_the_clone(page):
     for target in re.findall(r"\]\(([^)#\s]+)", FENCE.sub("", page.read_text(encoding="utf-8"))):
         assert re.match(r"https?:|mailto:", target) or (page.parent / target).exists(), target
 

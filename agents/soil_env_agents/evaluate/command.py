@@ -123,7 +123,8 @@ def command(
     soil-env evaluate --resume evaluation
 
     --changes.KEY VALUE sets a key of the scenario, --settings.NAME.KEY VALUE one of a controller. A
-    class with `bounds` is tuned, as the classical ones.
+    class with `bounds` is tuned, as the classical ones. Values of a NAME.yaml that soil-env tune
+    wrote are given with --settings; that in configs/tuned is found.
     """
     chosen = cells.choose(engine, workers, address)
     if resume is None:

@@ -13,7 +13,7 @@ from soil_env._io.loading import plural
 from soil_env.discovery.calibrate import PRIOR_WIDTH
 from soil_env.discovery.instrument import INSTRUMENT, LISTED, Names, exact
 from soil_env.discovery.locate import Disagreement
-from soil_env.discovery.next_tests import NextTest
+from soil_env.discovery.next_tests import ENOUGH, NextTest, sure_of
 from soil_env.discovery.result import LEFT, WORSE, Report
 from soil_env.discovery.search import (
     LAW_ERRORS,
@@ -26,6 +26,7 @@ from soil_env.discovery.search import (
 )
 from soil_env.discovery.unnamed import UNNAMED
 from soil_env.identification.table.data import CHANNELS, WHEEL
+from soil_env.measurement.doubts import one_load
 from soil_env.terramechanics.steady import DEEPEST
 from soil_env.terramechanics.validity import in_words
 
@@ -180,9 +181,15 @@ def runs_help(report: Report) -> bool:
     return bool(runs) and (runs[0].repeat or runs[-1].sure - right_now(report) >= LITTLE)
 
 
+def is_decided(report: Report) -> bool:
+    """True if one candidate is so probable that no run is proposed to tell what is missing."""
+    return not report.next_tests and sure_of(report.finding) >= ENOUGH
+
+
 def after_next(report: Report) -> str:
     """Sentence on the probability of the right candidate after the next runs."""
-    return filled("after_next.txt", report, now=percent(right_now(report)))
+    now = sure_of(report.finding) if is_decided(report) else right_now(report)
+    return filled("after_next.txt", report, now=percent(now))
 
 
 def _place(point: Mapping[str, float]) -> str:
@@ -317,6 +324,7 @@ def cautions(report: Report) -> list[str]:
         "cautions.txt",
         report,
         {
+            "one_load": one_load(problem.data.table, setup),
             "conditions": len(np.unique(problem.data.cell)),
             "missing": [TITLES[name] for name in CHANNELS if name not in report.channels],
             "from_scatter": [
@@ -388,11 +396,17 @@ def foreseen(report: Report) -> str:
         unit, scale = UNITS[name]
         said = f"{figure(scale * guess.mean[j])} ± {figure(scale * guess.sd[j])} {unit}"
         place = _place(guess.conditions)
-        parts.append(
-            f"It guesses at {place} ({TITLES[name]} {said}): measure there to predict "
-            "better, not to learn what is missing."
-        )
+        parts.append(f"It guesses at {place} ({TITLES[name]} {said}){_to_predict(report)}.")
+    elif report.surer_runs:
+        parts.append(f"It guesses nowhere{_to_predict(report)}.")
     return " ".join(parts)
+
+
+def _to_predict(report: Report) -> str:
+    """Where to measure next to predict better: at the first of the runs for that, if there are."""
+    runs = report.surer_runs
+    where = f"at {_place(runs[0].conditions)}, the first of the runs below," if runs else "there"
+    return f": measure {where} to predict better, not to learn what is missing"
 
 
 def _level(conditions: tuple[str, ...]) -> str:

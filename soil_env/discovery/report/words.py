@@ -1,7 +1,7 @@
 """Result in a sentence, next step, and each effect in plain words: the head of the report."""
 
-from soil_env.discovery.instrument import INSTRUMENT
-from soil_env.discovery.next_tests import CHECKS
+from soil_env.discovery.instrument import INSTRUMENT, exact
+from soil_env.discovery.next_tests import open_checks
 from soil_env.discovery.report.sentences import filled, runs_help, title
 from soil_env.discovery.result import LEFT, Report
 from soil_env.discovery.unnamed import OF_SENSORS
@@ -83,11 +83,14 @@ def next_step(report: Report) -> str:
     named = {e.name for e in report.effects}
     possible = {n for n in report.finding.candidates if report.finding.share(n) >= LIKELY}
     suspected = named | possible
-    found = {c: sum(map(report.finding.share, c.decides)) for c in report.next_checks}
+    found = {c.name: sum(map(report.finding.share, c.decides)) for c in report.next_checks}
+    setup = report.problem.data.setup
     checks = [
-        c for c in CHECKS if found.get(c, 0.0) >= LIKELY or suspected & {*INSTRUMENT} & {*c.decides}
+        c
+        for c in open_checks(exact(setup))
+        if found.get(c.name, 0.0) >= LIKELY or suspected & {*INSTRUMENT} & {*c.decides}
     ]
-    before = report.problem.data.setup.checked
+    before = setup.checked
     done = list(dict.fromkeys((*before, *(n for c in checks for n in c.decides))))
     of_sensor = report.finding.hypotheses[0].law in OF_SENSORS and report.verdict == "unlisted"
     return filled(

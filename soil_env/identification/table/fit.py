@@ -23,6 +23,7 @@ from soil_env.identification.table.mistakes import Examined, examine
 from soil_env.identification.table.noise import NoiseEstimate
 from soil_env.identification.table.priors import given_laws
 from soil_env.identification.table.problem import LAW_ERRORS, SOURCES, TableProblem
+from soil_env.measurement.doubts import one_load
 from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import MEASURED, UNITS, Table
 from soil_env.parameters import EARTH_GRAVITY, Soil
@@ -146,7 +147,8 @@ def identify_table(table: Table, setup: Setup, *, check: bool = True) -> TableEs
         examined = Examined(table)
         if check:
             examined = examine(_with_whole_speeds(table), setup)
-        problem = TableProblem(_as_examined(examined), setup)
+        with examined.named_first():
+            problem = TableProblem(_as_examined(examined), setup)
         u, converged = _settle(problem, problem.search())
         plain = _Plain(u, _fits(problem, u))
         missed = _missed(problem, plain, examined.noise)
@@ -463,6 +465,7 @@ def _doubts(
             f"The noise is estimated from {np.min(few):.1f} degrees of freedom: the intervals are "
             "wide and may still be too narrow. Give the noise if it is known."
         )
+    words += filter(None, [one_load(problem.table, setup)])
     words += _not_modelled(problem)
     if not converged:
         words.append(

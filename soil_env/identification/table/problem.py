@@ -144,7 +144,9 @@ class TableProblem:
     re-weight it.
     """
 
-    def __init__(self, table: Table, setup: Setup, use: np.ndarray | None = None) -> None:
+    def __init__(
+        self, table: Table, setup: Setup, use: np.ndarray | None = None, *, scarce: bool = False
+    ) -> None:
         use = _usable(table, setup) if use is None else use
         count = int(use.sum())
         wheels = np.stack(
@@ -186,7 +188,7 @@ class TableProblem:
         values = int(self.measured.sum())
         needed = len(self.unknowns)
         least = needed + int(self.estimated.sum())
-        if values < least:
+        if values < least and not scarce:
             unknown = "".join(
                 f" + {s} noise" for s, e in zip(SOURCES, self.estimated, strict=True) if e
             )
