@@ -49,48 +49,12 @@ class Check(NamedTuple):
     work: str  # to do
     decides: Names
 
-    def without(self, known: Collection[str]) -> "Check | None":
-        """The check of what is not `known` yet; None where nothing is left of it."""
-        left = tuple(name for name in self.decides if name not in known)
-        if left == self.decides or not left:
-            return self if left else None
-        begin, parts = PARTS[self.name]
-        end = " and ".join(dict.fromkeys(parts[name] for name in left))
-        return self._replace(work=f"{begin} {end}", decides=left)
 
-
-CHECKS = (
-    Check("level", "put a level on the rig", ("tilt",)),
-    Check(
-        "lifted",
-        "lift the wheel, and read pull and torque at rest and turning",
-        ("force_offset", "torque_offset", "drivetrain_friction"),
-    ),
-    Check(
-        "plate",
-        "roll the wheel on a hard plate without pull, under each load and at each speed: sinkage "
-        "and slip have to read 0",
-        ("sinkage_offset", "slip_bias", "wheel_radius"),
-    ),
-    Check(
-        "weights",
-        "hang known weights on the load cell and on a lever at the wheel, and read both sensors "
-        "each time",
-        ("force_gain", "torque_gain", "force_crosstalk", "torque_crosstalk"),
-    ),
-    Check(
-        "scale",
-        "stand the wheel on a scale, raise it, and turn the wheel against a block: the load has to "
-        "stay",
-        ("arm_load", "spring_load"),
-    ),
-)
-
-
-#: Beginning and parts of the work of a check, where only a part is to be done.
-PARTS = {
+#: Beginning of the work of a check, and what each error that it decides adds to that.
+WORK = {
+    "level": ("", {"tilt": "put a level on the rig"}),
     "lifted": (
-        "lift the wheel, and read",
+        "lift the wheel, and read ",
         {
             "force_offset": "the pull at rest",
             "torque_offset": "the torque at rest",
@@ -98,7 +62,7 @@ PARTS = {
         },
     ),
     "plate": (
-        "roll the wheel on a hard plate without pull, under each load and at each speed, and read",
+        "roll the wheel on a hard plate without pull, under each load and at each speed, and read ",
         {
             "sinkage_offset": "the sinkage, which has to be 0",
             "slip_bias": "the slip, which has to be 0",
@@ -106,7 +70,7 @@ PARTS = {
         },
     ),
     "weights": (
-        "hang known weights, and read",
+        "hang known weights, and read ",
         {
             "force_gain": "the pull of a weight on the load cell",
             "torque_gain": "the torque of a weight on a lever at the wheel",
@@ -115,15 +79,20 @@ PARTS = {
         },
     ),
     "scale": (
-        "stand the wheel on a scale, where the load has to stay, and",
+        "stand the wheel on a scale, where the load has to stay, and ",
         {"arm_load": "turn the wheel against a block", "spring_load": "raise the wheel"},
     ),
 }
 
 
-def open_checks(known: Collection[str]) -> tuple[Check, ...]:
+def open_checks(known: Collection[str] = ()) -> tuple[Check, ...]:
     """The checks of errors that are not `known` yet."""
-    return tuple(left for check in CHECKS if (left := check.without(known)) is not None)
+    out = []
+    for name, (begin, parts) in WORK.items():
+        left = {error: part for error, part in parts.items() if error not in known}
+        if left:
+            out.append(Check(name, begin + " and ".join(dict.fromkeys(left.values())), tuple(left)))
+    return tuple(out)
 
 
 class Predicted(NamedTuple):

@@ -15,7 +15,6 @@ from soil_env.discovery.corrected import model_of
 from soil_env.discovery.evidence import settle
 from soil_env.discovery.instrument import Choice, exact
 from soil_env.discovery.next_tests import (
-    CHECKS,
     LEAST,
     SLIPS,
     NextTest,
@@ -23,6 +22,7 @@ from soil_env.discovery.next_tests import (
     information,
     next_checks,
     next_tests,
+    open_checks,
     overlaps,
     proposed,
     sureness,
@@ -221,7 +221,7 @@ def test_a_run_that_says_nothing_is_not_proposed(case):
 
 
 def test_checks_come_first_where_they_decide_more_than_a_run():
-    level, lifted, *_ = CHECKS
+    level, lifted, *_ = open_checks()
     p = problem(table({}), np.random.default_rng(1))
     base = settle(p, ())
 

@@ -17,7 +17,7 @@ from soil_env.discovery.corrected import Guess
 from soil_env.discovery.instrument import LISTED
 from soil_env.discovery.judgement import Gap
 from soil_env.discovery.next_for_prediction import SurerRun
-from soil_env.discovery.next_tests import CHECKS
+from soil_env.discovery.next_tests import open_checks
 from soil_env.discovery.prediction import fit_prediction
 from soil_env.discovery.report import equations, sentences, words
 from soil_env.discovery.report.pictures import curves
@@ -170,7 +170,9 @@ def test_checks_are_asked_for_where_they_are_likely_to_find_something(nothing):
         rest = dataclasses.replace(base, probability=1.0 - 2.0 * p)
         finding = dataclasses.replace(nothing.finding, hypotheses=(rest, *found))
         return words.next_step(
-            dataclasses.replace(nothing, finding=finding, next_checks=CHECKS[3:4], next_tests=())
+            dataclasses.replace(
+                nothing, finding=finding, next_checks=open_checks()[3:4], next_tests=()
+            )
         )
 
     assert step(0.04) == "Simulate with model.yaml." and "known weights" in step(0.06)
@@ -190,7 +192,9 @@ def test_no_check_is_asked_for_what_the_setup_declares_exact(nothing):
     rig = dataclasses.replace(base, names=("drivetrain_friction",), probability=0.5)
     rest = dataclasses.replace(base, probability=0.5)
     finding = dataclasses.replace(nothing.finding, hypotheses=(rest, rig))
-    report = dataclasses.replace(nothing, finding=finding, next_checks=CHECKS[1:2], next_tests=())
+    report = dataclasses.replace(
+        nothing, finding=finding, next_checks=open_checks()[1:2], next_tests=()
+    )
     zeros = Calibration(force_offset=0.0, torque_offset=0.0)
     assert "force_offset" in words.next_step(with_setup(report, calibration=Calibration()))
     said = words.next_step(with_setup(report, calibration=zeros))
