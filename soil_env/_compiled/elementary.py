@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from soil_env._compiled.flags import compiled
+from .flags import compiled
 
 LARGEST_EXPONENT = 700.0  # [-] e^700 is the largest power that is formed
 # [-] added and subtracted it rounds to a whole number, which is then in the low bits

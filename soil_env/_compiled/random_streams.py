@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from soil_env._compiled.elementary import half_cos, half_sin, log
-from soil_env._compiled.flags import compiled, compiled_sums, record
+from .elementary import half_cos, half_sin, log
+from .flags import compiled, compiled_sums, record
 
 WEYL = np.uint64(0x9E3779B97F4A7C15)  # odd, 2^64 over the golden ratio
 # multipliers and shifts of the mixing function (Stafford's variant 13)

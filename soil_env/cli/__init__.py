@@ -10,7 +10,8 @@ from importlib import import_module
 import click
 
 from soil_env._io.loading import nearest
-from soil_env.cli.running import leave, run
+
+from .running import leave, run
 
 _AGENTS = "soil_env_agents"
 #: Module of each subcommand, with the summary that `soil-env --help` shows without importing it.

@@ -1,6 +1,6 @@
 """`python -m soil_env.cli`: the command `soil-env` where its script is not on the path."""
 
-from soil_env.cli import entry
+from . import entry
 
 if __name__ == "__main__":
     entry()

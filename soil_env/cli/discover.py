@@ -7,12 +7,13 @@ from typing import Literal
 
 import click
 
-from soil_env.cli.running import WholeNumber, console, out_option, seed_option
-from soil_env.cli.table_files import table_arguments
 from soil_env.discovery.next_tests import MOST
 from soil_env.discovery.report import FILES, show
 from soil_env.discovery.report.sentences import summary
 from soil_env.discovery.workflow import run
+
+from .running import WholeNumber, console, out_option, seed_option
+from .table_files import table_arguments
 
 
 @click.command("discover")

@@ -7,7 +7,8 @@ import click
 
 from soil_env._io.files import check_outputs, is_unused
 from soil_env._io.loading import ParameterError, shipped_dir
-from soil_env.cli.running import PATH
+
+from .running import PATH
 
 
 @click.command("examples")

@@ -6,13 +6,14 @@ import click
 from rich.text import Text
 
 from soil_env._io.files import check_own, json_text, write_own
-from soil_env.cli.running import console, out_option
-from soil_env.cli.table_files import table_arguments
 from soil_env.discovery.instrument import exact
 from soil_env.identification.table.fit import identify_table
 from soil_env.identification.table.report import picture, report_of, text_of
 from soil_env.measurement.setup import read_setup
 from soil_env.measurement.table import read_table
+
+from .running import console, out_option
+from .table_files import table_arguments
 
 FILES = ("identification.json", "identification.png")
 

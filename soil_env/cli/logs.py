@@ -8,12 +8,13 @@ from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
 
 from soil_env._io.files import check_own, drop_own, write_own
-from soil_env.cli.running import PATH, out_option
 from soil_env.logs.mapping import read_map
 from soil_env.logs.recordings import read_recording
 from soil_env.logs.replay import replay
 from soil_env.logs.report import ALWAYS, report_of
 from soil_env.logs.steady import FILES, steady_windows
+
+from .running import PATH, out_option
 
 
 @click.command("logs")

@@ -6,9 +6,10 @@ import click
 from rich.markdown import Markdown
 
 from soil_env._io.files import check_own
-from soil_env.cli.running import WholeNumber, console, out_option, seed_option
 from soil_env.paper import page
 from soil_env.paper.compare import compute
+
+from .running import WholeNumber, console, out_option, seed_option
 
 
 @click.command("paper")

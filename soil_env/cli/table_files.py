@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import click
 
-from soil_env.cli.running import PATH
+from .running import PATH
 
 #: Text of --help; `\\b` keeps the lines of a paragraph as they are.
 FILES = """

@@ -15,7 +15,6 @@ import gymnasium
 import numpy as np
 
 from soil_env._compiled.cache import place
-from soil_env.cli.running import end_with_parent
 from soil_env.envs.vehicles import processors
 from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.online import Observer, OnlineIdentifier, Readings, slips
@@ -26,6 +25,8 @@ from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.residual import WorkingPoint
 from soil_env.terramechanics.steady import LEVEL, Rim, steady_with
 from soil_env.terramechanics.traversability import best_points, best_working_point_with
+
+from .running import end_with_parent
 
 
 @click.command("warmup")

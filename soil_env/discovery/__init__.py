@@ -2,7 +2,7 @@
 missing.
 """
 
-from soil_env.discovery.result import Report
-from soil_env.discovery.workflow import run
+from .result import Report
+from .workflow import run
 
 __all__ = ["Report", "run"]

@@ -22,17 +22,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.discovery.instrument import (
-    LAWS,
-    LISTED,
-    Choice,
-    Choices,
-    in_balance,
-    nuisances,
-    reading,
-    true_rows,
-)
-from soil_env.discovery.unnamed import changed, factors, loaded
 from soil_env.identification.table import form_error
 from soil_env.identification.table.data import CHANNELS, Data
 from soil_env.identification.table.form_error import (
@@ -68,6 +57,18 @@ from soil_env.slip import sliding_speeds
 from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, Effects
 from soil_env.terramechanics.effects.entry import Bench
 from soil_env.terramechanics.model import Rows
+
+from .instrument import (
+    LAWS,
+    LISTED,
+    Choice,
+    Choices,
+    in_balance,
+    nuisances,
+    reading,
+    true_rows,
+)
+from .unnamed import changed, factors, loaded
 
 PRIOR_WIDTH = 1.5  # factor of the sd of the setup's priors
 #: Form error of an effect that is named by its place, in all channels alike, over that of others.

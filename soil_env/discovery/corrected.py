@@ -17,11 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soil_env._compiled.cache import kept
-from soil_env.discovery.calibrate import Problem
-from soil_env.discovery.instrument import INSTRUMENT, LISTED, Choice
-from soil_env.discovery.prediction import Prediction, independent
-from soil_env.discovery.predictive import DEEPEST
-from soil_env.discovery.unnamed import OF_LOAD
 from soil_env.identification.table.data import CHANNELS
 from soil_env.identification.table.form_error import Conditions
 from soil_env.identification.table.priors import BROAD, Values
@@ -41,6 +36,12 @@ from soil_env.terramechanics.residual import (
 )
 from soil_env.terramechanics.steady import Rim
 from soil_env.terramechanics.validity import seen
+
+from .calibrate import Problem
+from .instrument import INSTRUMENT, LISTED, Choice
+from .prediction import Prediction, independent
+from .predictive import DEEPEST
+from .unnamed import OF_LOAD
 
 BEYOND_SLIP = 0.1  # that the table goes beyond the measured slips
 BEYOND_LOAD = 2.0  # factor by which it goes beyond the measured loads

@@ -8,11 +8,12 @@ such a row. Mistakes that show before any effect is known are in `identification
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.discovery.calibrate import Problem, calibrate
-from soil_env.discovery.instrument import LISTED
-from soil_env.discovery.search import Finding, Say, search
 from soil_env.identification.table.data import prepare
 from soil_env.identification.table.noise import NoiseEstimate
+
+from .calibrate import Problem, calibrate
+from .instrument import LISTED
+from .search import Finding, Say, search
 
 FEW = 20  # rows for each one that may stand alone; in a smaller table most of them do
 

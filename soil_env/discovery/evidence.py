@@ -27,8 +27,6 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import chdtri, log_ndtr, ndtr
 
-from soil_env.discovery.calibrate import LAW_LENGTHS, Fit, Law, Problem, Sizes
-from soil_env.discovery.instrument import INSTRUMENT, LISTED, Choice, Choices, Names
 from soil_env.identification.table.data import CHANNELS
 from soil_env.identification.table.form_error import (
     INPUTS,
@@ -42,6 +40,9 @@ from soil_env.identification.table.form_error import (
 )
 from soil_env.identification.table.priors import Unknown
 from soil_env.identification.table.problem import side_by_side
+
+from .calibrate import LAW_LENGTHS, Fit, Law, Problem, Sizes
+from .instrument import INSTRUMENT, LISTED, Choice, Choices, Names
 
 log_sum = np.logaddexp.reduce  # on short arrays a tenth of the time of `logsumexp`
 #: Size beta of an effect's form error, relative to what it adds: published forms differ by 10 to

@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._io.loading import ParameterError, unknown_value
-from soil_env.discovery.unnamed import OF_LOAD, UNNAMED
 from soil_env.identification.table.priors import Values
 from soil_env.measurement.setup import Calibration, Setup
 from soil_env.slip import slips_of_radius
@@ -32,6 +31,8 @@ from soil_env.terramechanics.effects.entry import (
     Form,
 )
 from soil_env.terramechanics.model import Rows
+
+from .unnamed import OF_LOAD, UNNAMED
 
 OFFSET = 0.05  # [mean load, times the radius] sd of a zero error that is a candidate
 LEAST_OFFSET = 0.003  # [the same] sd of the zero error of every table, a nuisance

@@ -8,13 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.discovery.calibrate import Fit, Problem
-from soil_env.discovery.evidence import Evidence
-from soil_env.discovery.instrument import Names
-from soil_env.discovery.search import Finding
 from soil_env.identification.table.data import CHANNELS, folds
 from soil_env.identification.table.form_error import mixed
 from soil_env.identification.table.priors import Unknown
+
+from .calibrate import Fit, Problem
+from .evidence import Evidence
+from .instrument import Names
+from .search import Finding
 
 SURE = 1.959964  # [sd] of a 95 % interval
 _CLOSED_DRAWS = 2000  # of the groups, for the interval of `closed`

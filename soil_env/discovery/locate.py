@@ -18,9 +18,10 @@ from itertools import combinations
 import numpy as np
 from scipy.special import stdtr
 
-from soil_env.discovery.calibrate import Fit, Problem, Sizes
-from soil_env.discovery.evidence import Evidence
 from soil_env.identification.table.data import CHANNELS
+
+from .calibrate import Fit, Problem, Sizes
+from .evidence import Evidence
 
 SIGNIFICANT = 0.01  # p value above which a disagreement is not reported
 LAW = 0.1  # relative error of the laws that `structure` allows

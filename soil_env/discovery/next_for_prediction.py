@@ -11,10 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from soil_env.discovery.evidence import Evidence
-from soil_env.discovery.next_tests import MOST, conditions, costs
-from soil_env.discovery.prediction import Prediction
 from soil_env.terramechanics.steady import DEEPEST
+
+from .evidence import Evidence
+from .next_tests import MOST, conditions, costs
+from .prediction import Prediction
 
 LARGEST = 300  # runs to choose from
 

@@ -21,12 +21,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.discovery.calibrate import Problem
-from soil_env.discovery.evidence import Evidence, settle
-from soil_env.discovery.instrument import LISTED, Names
-from soil_env.discovery.predictive import predicted, problem_at
-from soil_env.discovery.search import ODDS, Finding, forms
 from soil_env.identification.table.data import CHANNELS, WHEEL
+
+from .calibrate import Problem
+from .evidence import Evidence, settle
+from .instrument import LISTED, Names
+from .predictive import predicted, problem_at
+from .search import ODDS, Finding, forms
 
 MOST = 4  # runs proposed
 LEAST = 1e-3  # [nat] of information below which no run is proposed

@@ -23,14 +23,15 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize
 
-from soil_env.discovery.calibrate import Law, Problem
-from soil_env.discovery.curve import LEAST_SPAN, fit_curve
-from soil_env.discovery.instrument import LISTED, Choice, Choices
-from soil_env.discovery.search import candidates, forms
-from soil_env.discovery.unnamed import OF_LOAD
 from soil_env.identification.table.data import CHANNELS
 from soil_env.identification.table.form_error import LENGTHS, Conditions, coordinates
 from soil_env.terramechanics.model import rows_of
+
+from .calibrate import Law, Problem
+from .curve import LEAST_SPAN, fit_curve
+from .instrument import LISTED, Choice, Choices
+from .search import candidates, forms
+from .unnamed import OF_LOAD
 
 #: Forms of each effect that are fitted together; the first of the others.
 FORMS = {"slip_sinkage": ("ratio", "exponent"), "grousers": ("shear_radius", "blades")}

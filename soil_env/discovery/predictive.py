@@ -13,11 +13,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.special import ndtr
 
-from soil_env.discovery.calibrate import ANY_FORM, LAW_LENGTHS, Fit, Law, Problem
-from soil_env.discovery.evidence import Evidence
-from soil_env.discovery.instrument import LISTED
-from soil_env.discovery.prediction import at_conditions
 from soil_env.identification.table.form_error import INPUTS, LENGTHS, Conditions, Process, finite
+
+from .calibrate import ANY_FORM, LAW_LENGTHS, Fit, Law, Problem
+from .evidence import Evidence
+from .instrument import LISTED
+from .prediction import at_conditions
 
 DEEPEST = 0.6  # [radii] deepest sinkage of a feasible run
 _BEYOND = 30.0  # [sd] from which a normal density is none

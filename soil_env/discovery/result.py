@@ -6,17 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soil_env.discovery.calibrate import Fit, Problem
-from soil_env.discovery.corrected import Guess, model_of
-from soil_env.discovery.judgement import Gap, Interval
-from soil_env.discovery.locate import Disagreement
-from soil_env.discovery.next_for_prediction import SurerRun
-from soil_env.discovery.next_tests import Check, NextTest
-from soil_env.discovery.prediction import Outlook
-from soil_env.discovery.search import Finding
 from soil_env.identification.table.data import CHANNELS
 from soil_env.identification.table.noise import NoiseEstimate
 from soil_env.terramechanics.model import WheelSoilModel
+
+from .calibrate import Fit, Problem
+from .corrected import Guess, model_of
+from .judgement import Gap, Interval
+from .locate import Disagreement
+from .next_for_prediction import SurerRun
+from .next_tests import Check, NextTest
+from .prediction import Outlook
+from .search import Finding
 
 WORSE = 0.1  # rise of a held-out error that is stated
 LEFT = 1.5  # [noise] of a held-out error after the correction above which a remainder is stated

@@ -19,8 +19,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.discovery.calibrate import Problem
-from soil_env.discovery.evidence import (
+from soil_env.identification.table.data import CHANNELS
+
+from .calibrate import Problem
+from .evidence import (
     Detectable,
     Evidence,
     anonymous,
@@ -30,9 +32,8 @@ from soil_env.discovery.evidence import (
     resembling,
     settle,
 )
-from soil_env.discovery.instrument import INSTRUMENT, LISTED, Choice, Choices, Names, exact, odds
-from soil_env.discovery.unnamed import UNNAMED
-from soil_env.identification.table.data import CHANNELS
+from .instrument import INSTRUMENT, LISTED, Choice, Choices, Names, exact, odds
+from .unnamed import UNNAMED
 
 #: Prior odds that a listed effect of the soil or the drive is missing, and that the instrument has
 #: a listed error, each independent of the others: none is there with 32 %. An error is less

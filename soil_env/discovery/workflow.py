@@ -13,24 +13,25 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
-from soil_env.discovery import doubts, judgement
-from soil_env.discovery.calibrate import EXACT, PRIOR_WIDTH, Fit, Problem, calibrate
-from soil_env.discovery.corrected import corrected, least_sure, parameters
-from soil_env.discovery.evidence import Evidence, settle
-from soil_env.discovery.instrument import LISTED, Names, exact
-from soil_env.discovery.judgement import Interval, held_out_predictions
-from soil_env.discovery.locate import locate, structure
-from soil_env.discovery.next_for_prediction import surer_runs
-from soil_env.discovery.next_tests import MOST, next_checks, next_tests
-from soil_env.discovery.prediction import outlook
-from soil_env.discovery.report import check_folder, write
-from soil_env.discovery.result import EffectFound, Report, Settings
-from soil_env.discovery.search import REPORTED, TEMPERATURE, Finding, Say, forms, search
 from soil_env.identification.table.bins import binned
 from soil_env.identification.table.data import prepare
 from soil_env.identification.table.mistakes import examine
 from soil_env.measurement.setup import Setup, read_setup
 from soil_env.measurement.table import Table, read_table
+
+from . import doubts, judgement
+from .calibrate import EXACT, PRIOR_WIDTH, Fit, Problem, calibrate
+from .corrected import corrected, least_sure, parameters
+from .evidence import Evidence, settle
+from .instrument import LISTED, Names, exact
+from .judgement import Interval, held_out_predictions
+from .locate import locate, structure
+from .next_for_prediction import surer_runs
+from .next_tests import MOST, next_checks, next_tests
+from .prediction import outlook
+from .report import check_folder, write
+from .result import EffectFound, Report, Settings
+from .search import REPORTED, TEMPERATURE, Finding, Say, forms, search
 
 
 def run(

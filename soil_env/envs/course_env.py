@@ -17,13 +17,14 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError, UnknownKeyword, plural
-from soil_env.envs.infos import NESTED, Info
-from soil_env.envs.vehicles import Vehicles
-from soil_env.envs.worlds import for_each, storable, with_model, world_of
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause, ObservedNumber
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.terramechanics.model import ModelLike, WheelSoilModel, load_model
+
+from .infos import NESTED, Info
+from .vehicles import Vehicles
+from .worlds import for_each, storable, with_model, world_of
 
 if TYPE_CHECKING:
     from soil_env.rendering.view import CourseView

@@ -7,12 +7,13 @@ import numpy as np
 
 from soil_env._compiled.flags import names_of
 from soil_env._io.loading import ParameterError
-from soil_env.envs.wheels import Simulation
 from soil_env.identification import Status
 from soil_env.identification.published import FORESEEN, HORIZONS, Traversability, published
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
 from soil_env.simulation.world.wheel import WHEEL
+
+from .wheels import Simulation
 
 #: Values of the keyword `info`: all groups nested; those that need no estimate; all as flat
 #: numbers; what costs next to nothing; nothing. "full" and "numeric" ask for an estimate of the

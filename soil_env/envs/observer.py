@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 
 from soil_env._compiled.cache import kept
 from soil_env._io.loading import ParameterError
-from soil_env.envs.course_env import actions_of
 from soil_env.identification.online.immobilisation import ImmobilisationWarning, shares_of
 from soil_env.identification.online.interface import OnlineIdentifier, Readings
 from soil_env.identification.online.on_board import OnBoard
@@ -34,6 +33,8 @@ from soil_env.simulation.wheels import (
 from soil_env.simulation.world.camera import write_view
 from soil_env.simulation.world.sensors import NO_ERRORS, read_slip, roll_odometer
 from soil_env.simulation.world.wheel import commanded
+
+from .course_env import actions_of
 
 
 @kept

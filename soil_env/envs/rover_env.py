@@ -6,21 +6,22 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from soil_env.envs.course_env import (
+from soil_env.parameters import DEFAULT_ROVER, RoverScenario, Soil, load_rover
+from soil_env.parameters.rover import RoverLike
+from soil_env.simulation.rover.task import rover_layout
+from soil_env.simulation.world.terrain import soil_at
+from soil_env.terramechanics.model import ModelLike
+
+from .course_env import (
     OF_MANY,
     OWN,
     CourseEnv,
     CourseVectorEnv,
     scenario_changes,
 )
-from soil_env.envs.infos import asks, checked
-from soil_env.envs.rover_infos import RoverInfos
-from soil_env.envs.rovers import RoverSimulation
-from soil_env.parameters import DEFAULT_ROVER, RoverScenario, Soil, load_rover
-from soil_env.parameters.rover import RoverLike
-from soil_env.simulation.rover.task import rover_layout
-from soil_env.simulation.world.terrain import soil_at
-from soil_env.terramechanics.model import ModelLike
+from .infos import asks, checked
+from .rover_infos import RoverInfos
+from .rovers import RoverSimulation
 
 __all__ = ["SoilRoverEnv", "SoilRoverVectorEnv", "build_rover", "rover_action_space"]
 

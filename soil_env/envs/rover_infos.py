@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from soil_env.envs.infos import NESTED, STATE, Info, VehicleInfos, estimates
-from soil_env.envs.rovers import RoverSimulation
 from soil_env.identification import Status
 from soil_env.simulation.rover.task import axle_names
 from soil_env.simulation.task import Cause
+
+from .infos import NESTED, STATE, Info, VehicleInfos, estimates
+from .rovers import RoverSimulation
 
 _OF_BODY = ("x", "speed", "pitch", "slip", "sinkage", "drawbar_pull", "motor_work")
 _OF_WHEEL = tuple(name for name in STATE if name != "speed")  # which all wheels share

@@ -4,7 +4,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env.envs.vehicles import Vehicles, asks_for_estimates
 from soil_env.parameters import RoverScenario
 from soil_env.simulation.rover.rovers import (
     RoverNumbers,
@@ -18,6 +17,8 @@ from soil_env.simulation.rover.rovers import (
 )
 from soil_env.simulation.rover.task import first_soil, rover_layout
 from soil_env.terramechanics.model import WheelSoilModel
+
+from .vehicles import Vehicles, asks_for_estimates
 
 
 class Worlds(NamedTuple):

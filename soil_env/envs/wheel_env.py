@@ -7,15 +7,6 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from soil_env._io.loading import ParameterError
-from soil_env.envs.course_env import (
-    OF_MANY,
-    OWN,
-    CourseEnv,
-    CourseVectorEnv,
-    scenario_changes,
-)
-from soil_env.envs.infos import IMMOBILISED, Infos, asks, checked
-from soil_env.envs.wheels import Simulation
 from soil_env.identification.published import published, soil_of_numbers
 from soil_env.parameters import (
     DEFAULT_SCENARIO,
@@ -29,6 +20,16 @@ from soil_env.simulation.task import layout
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.simulation.world.terrain import soil_at
 from soil_env.terramechanics.model import ModelLike
+
+from .course_env import (
+    OF_MANY,
+    OWN,
+    CourseEnv,
+    CourseVectorEnv,
+    scenario_changes,
+)
+from .infos import IMMOBILISED, Infos, asks, checked
+from .wheels import Simulation
 
 __all__ = [
     "IMMOBILISED",

@@ -4,7 +4,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env.envs.vehicles import Vehicles, asks_for_estimates
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout, truth
 from soil_env.simulation.wheels import (
@@ -19,6 +18,8 @@ from soil_env.simulation.wheels import (
 )
 from soil_env.simulation.world.courses import course_numbers
 from soil_env.terramechanics.model import WheelSoilModel
+
+from .vehicles import Vehicles, asks_for_estimates
 
 
 class Worlds(NamedTuple):

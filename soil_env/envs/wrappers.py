@@ -5,8 +5,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError
-from soil_env.envs.course_env import actions_of
-from soil_env.envs.wheel_env import SoilWheelEnv
+
+from .course_env import actions_of
+from .wheel_env import SoilWheelEnv
 
 
 class LineAction(gymnasium.ActionWrapper, gymnasium.utils.RecordConstructorArgs):

@@ -2,6 +2,6 @@
 of a table.
 """
 
-from soil_env.identification.status import Status
+from .status import Status
 
 __all__ = ["Status"]

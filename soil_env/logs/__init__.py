@@ -6,11 +6,11 @@
 describes these.
 """
 
-from soil_env.logs.align import Aligned
-from soil_env.logs.mapping import LogMap, Source, Windows, read_map
-from soil_env.logs.recordings import read_recording
-from soil_env.logs.replay import Replay, replay
-from soil_env.logs.steady import Steady, steady_windows
+from .align import Aligned
+from .mapping import LogMap, Source, Windows, read_map
+from .recordings import read_recording
+from .replay import Replay, replay
+from .steady import Steady, steady_windows
 
 __all__ = [
     "Aligned",

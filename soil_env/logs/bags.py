@@ -22,7 +22,8 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from soil_env._io.loading import ParameterError, nearest, plural, read_yaml
-from soil_env.logs.notes import Notes
+
+from .notes import Notes
 
 SUFFIXES = (".mcap", ".db3")
 #: Commands that unpack a file, by its suffix.

@@ -11,11 +11,12 @@ import math
 
 import numpy as np
 
-from soil_env.logs.align import Aligned
-from soil_env.logs.mapping import GEARED, TIMES, UNITS, LogMap, si_factor, si_unit
 from soil_env.online import slips
 from soil_env.parameters.readings import sizes_of
 from soil_env.parameters.sensors import SENSORS
+
+from .align import Aligned
+from .mapping import GEARED, TIMES, UNITS, LogMap, si_factor, si_unit
 
 _STANDS = 0.13  # [rad/s] wheel speed, or travel speed over radius, below which a wheel stands
 _LEAST = 10  # steps that drive, below which nothing is compared

@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 
 from soil_env._io.loading import ParameterError, plural, unknown_key
-from soil_env.logs import bags, tables
-from soil_env.logs.align import Aligned, Channel, align
-from soil_env.logs.bags import Message, NotHere, Unlike, number, parse
-from soil_env.logs.doubts import doubts, time_doubts
-from soil_env.logs.mapping import LogMap, Source, TimeColumn, factor, si_unit
-from soil_env.logs.notes import Faults, Notes, Progress
-from soil_env.logs.stamps import LATEST, Stamps
 from soil_env.online import largest_readings
+
+from . import bags, tables
+from .align import Aligned, Channel, align
+from .bags import Message, NotHere, Unlike, number, parse
+from .doubts import doubts, time_doubts
+from .mapping import LogMap, Source, TimeColumn, factor, si_unit
+from .notes import Faults, Notes, Progress
+from .stamps import LATEST, Stamps
 
 MOST_READINGS = 50_000_000  # of all channels: 800 MB
 _DELAY = 1.0  # [s] between the clocks of header and recording, beyond which the report says so

@@ -10,10 +10,11 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from soil_env.logs.align import Aligned
-from soil_env.logs.mapping import UNKNOWN_INERTIA, LogMap
 from soil_env.online import Estimate, OnlineIdentifier, Readings, Status
 from soil_env.parameters import Soil
+
+from .align import Aligned
+from .mapping import UNKNOWN_INERTIA, LogMap
 
 #: Numbers of an estimate, in the order of the columns of estimates.csv.
 ESTIMATED = tuple(

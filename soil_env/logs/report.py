@@ -11,11 +11,12 @@ from matplotlib.figure import Figure
 from soil_env._io.document import Table, html_image, html_page, render
 from soil_env._io.files import json_text, picture_of
 from soil_env._io.loading import plural
-from soil_env.logs.align import Aligned
-from soil_env.logs.mapping import LogMap, si_unit
-from soil_env.logs.replay import SD_OF, Replay, findings
-from soil_env.logs.steady import Ground, Steady, advice, cell, commands, files, grounds
 from soil_env.online import Status
+
+from .align import Aligned
+from .mapping import LogMap, si_unit
+from .replay import SD_OF, Replay, findings
+from .steady import Ground, Steady, advice, cell, commands, files, grounds
 
 ALWAYS = ("report.html", "log.json", "estimates.csv", "estimates.png", "readings.png")
 _DATES = 10**9 * 86400 * 3650  # [ns] from 1970, about ten years: before it a time is no date

@@ -11,7 +11,8 @@ from bisect import bisect_right
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.logs.notes import Notes
+
+from .notes import Notes
 
 LATEST = 2**62  # [ns] from 1970, the year 2116
 _FAR = 10**15  # [ns] 12 days: stamps further from all others belong to another clock

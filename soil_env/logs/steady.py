@@ -27,13 +27,14 @@ import yaml
 
 from soil_env._compiled.flags import uncompiled
 from soil_env._io.loading import plural
-from soil_env.logs.align import Aligned
-from soil_env.logs.mapping import UNKNOWN_INERTIA, LogMap
-from soil_env.logs.replay import DIFFERS, Replay
 from soil_env.measurement.table import MEASURED
 from soil_env.online import Estimate
 from soil_env.parameters import FLOW_LAW
 from soil_env.terramechanics.effects.slip_sinkage import excavation_rate
+
+from .align import Aligned
+from .mapping import UNKNOWN_INERTIA, LogMap
+from .replay import DIFFERS, Replay
 
 FILES = re.compile(r"(steady|setup|ground\d+)\.(csv|yaml)")  # those that `files` may write
 _COLUMNS = ("slip", "load", "speed", "grade_deg", "run", "time", *MEASURED)

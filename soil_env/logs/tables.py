@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from soil_env._io.loading import TITLES, ParameterError, below_title, one_line, plural, unknown_key
-from soil_env.logs.mapping import TIMES
-from soil_env.logs.notes import Faults, Notes
-from soil_env.logs.stamps import LATEST
+
+from .mapping import TIMES
+from .notes import Faults, Notes
+from .stamps import LATEST
 
 SUFFIXES = (".csv", ".parquet", ".pq")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)

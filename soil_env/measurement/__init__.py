@@ -1,6 +1,6 @@
 """Measurement tables and the setup files beside them."""
 
-from soil_env.measurement.setup import (
+from .setup import (
     REQUIRED,
     NoiseLevels,
     Prior,
@@ -9,7 +9,7 @@ from soil_env.measurement.setup import (
     SoilPriors,
     read_setup,
 )
-from soil_env.measurement.table import COLUMNS, MEASURED, OPTIONAL, UNITS, Table, read_table
+from .table import COLUMNS, MEASURED, OPTIONAL, UNITS, Table, read_table
 
 __all__ = [
     "COLUMNS",

@@ -4,8 +4,8 @@ whatever model it is fitted with.
 
 import numpy as np
 
-from soil_env.measurement.setup import Setup
-from soil_env.measurement.table import Table
+from .setup import Setup
+from .table import Table
 
 MOST_GRIP = 1.5  # force over load in the middle of the rows, beyond which the load is doubted
 DRIVEN = 0.15  # slip from which the strength of the soil is mobilised

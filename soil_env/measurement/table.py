@@ -17,10 +17,11 @@ from typing import Literal
 import numpy as np
 
 from soil_env._io.loading import TITLES, ParameterError, below_title, plural
-from soil_env.measurement.names import meant
-from soil_env.measurement.setup import REQUIRED, Setup, SetupWheel
 from soil_env.parameters import LARGEST_WHEEL
 from soil_env.slip import slips_of_radius
+
+from .names import meant
+from .setup import REQUIRED, Setup, SetupWheel
 
 Channel = Literal["sinkage", "drawbar_pull", "torque"]
 MEASURED: tuple[Channel, ...] = ("sinkage", "drawbar_pull", "torque")

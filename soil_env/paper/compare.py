@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from soil_env.paper.model import (
+from soil_env.parameters import lumped_coefficient
+
+from .model import (
     AS_PRINTED,
     MEASURED,
     WONG_REECE,
@@ -26,7 +28,6 @@ from soil_env.paper.model import (
     forces,
     newton_raphson,
 )
-from soil_env.parameters import lumped_coefficient
 
 SAND = P.table2
 POINT = P.working_point

@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 
 from soil_env._io.document import Table, render
 from soil_env._io.files import picture_of, write_own
-from soil_env.paper import compare
-from soil_env.paper.compare import (
+
+from . import compare
+from .compare import (
     LABELS,
     MODELS,
     NAMES,

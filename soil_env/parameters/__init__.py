@@ -5,18 +5,19 @@ configs/rovers/*.yaml. `SoilState` is the plain tuple in which compiled code tak
 """
 
 from soil_env._io.loading import ParameterError, config_dir, to_dict
-from soil_env.parameters.belief import Belief, refuse_idle_prior
-from soil_env.parameters.course import MOST_CLASSES, Camera, CourseSpec
-from soil_env.parameters.readings import sensor_noise
-from soil_env.parameters.rover import DEFAULT_ROVER, RoverScenario, load_rover, rover_names
-from soil_env.parameters.scenario import (
+
+from .belief import Belief, refuse_idle_prior
+from .course import MOST_CLASSES, Camera, CourseSpec
+from .readings import sensor_noise
+from .rover import DEFAULT_ROVER, RoverScenario, load_rover, rover_names
+from .scenario import (
     DEFAULT_SCENARIO,
     Scenario,
     load_scenario,
     scenario_names,
 )
-from soil_env.parameters.sensors import Noise, SensorReading
-from soil_env.parameters.soil import (
+from .sensors import Noise, SensorReading
+from .soil import (
     EARTH_GRAVITY,
     FLOW_LAW,
     NO_LAYER,
@@ -28,9 +29,9 @@ from soil_env.parameters.soil import (
     lumped_coefficient,
     soils,
 )
-from soil_env.parameters.task import ACTION_PERIODS, Control, Limits, RewardWeights
-from soil_env.parameters.vehicle import MOST_AXLES, Vehicle, mass_of_wheel
-from soil_env.parameters.wheel import (
+from .task import ACTION_PERIODS, Control, Limits, RewardWeights
+from .vehicle import MOST_AXLES, Vehicle, mass_of_wheel
+from .wheel import (
     LARGEST_WHEEL,
     Tyre,
     Wheel,

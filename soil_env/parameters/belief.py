@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from soil_env._io.loading import Checked, Keys, ParameterError, quantity
-from soil_env.parameters.soil import SoilSpread, correlation_factor
+
+from .soil import SoilSpread, correlation_factor
 
 #: Numbers of `Belief` that a library of soils takes the place of.
 _PRIOR = (

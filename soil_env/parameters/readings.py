@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.parameters.scenario import Scenario
-from soil_env.parameters.sensors import SENSORS, Noise, SensorReading
-from soil_env.parameters.wheel import Wheel
+from .scenario import Scenario
+from .sensors import SENSORS, Noise, SensorReading
+from .wheel import Wheel
 
 STEP = np.int8(0)  # order to a vehicle: the control periods of an action
 RESTART = np.int8(1)  # order: a new course, at rest at its start

@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from soil_env._io.loading import FieldError, Keys, ParameterError
-from soil_env.parameters.presets import shipped
-from soil_env.parameters.scenario import Scenario, load_scenario_as
-from soil_env.parameters.vehicle import Vehicle, mass_of_wheel
+
+from .presets import shipped
+from .scenario import Scenario, load_scenario_as
+from .vehicle import Vehicle, mass_of_wheel
 
 #: Rover of the environments where none is named.
 DEFAULT_ROVER = "lunar_micro_rover"

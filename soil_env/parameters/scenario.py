@@ -18,13 +18,14 @@ from soil_env._io.loading import (
     unknown_key,
     unknown_value,
 )
-from soil_env.parameters.belief import Belief, refuse_idle_prior
-from soil_env.parameters.course import Camera, CourseSpec
-from soil_env.parameters.presets import shipped
-from soil_env.parameters.sensors import Noise
-from soil_env.parameters.soil import EARTH_GRAVITY, Soil, SoilSpread, SoilState, soils
-from soil_env.parameters.task import Control, Limits, RewardWeights
-from soil_env.parameters.wheel import Wheel, with_preset
+
+from .belief import Belief, refuse_idle_prior
+from .course import Camera, CourseSpec
+from .presets import shipped
+from .sensors import Noise
+from .soil import EARTH_GRAVITY, Soil, SoilSpread, SoilState, soils
+from .task import Control, Limits, RewardWeights
+from .wheel import Wheel, with_preset
 
 #: Scenario of the environments, of training and of evaluation, where none is named.
 DEFAULT_SCENARIO = "two_lines"

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._io.loading import Checked, ParameterError, quantity
-from soil_env.parameters.presets import library
+
+from .presets import library
 
 #: [m/s2] of Earth, where a soil counts as measured that does not say otherwise.
 EARTH_GRAVITY = 9.81

@@ -13,7 +13,8 @@ from soil_env._io.loading import (
     to_dict,
     unknown_value,
 )
-from soil_env.parameters.presets import library
+
+from .presets import library
 
 LARGEST_WHEEL = 3.0  # [m] largest radius and width of a wheel that are accepted; own choice
 LEAST_INERTIA = 0.02  # [-] of body_mass radius^2, below that of any geared drive; own choice

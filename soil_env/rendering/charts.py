@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.ticker import LogLocator, MaxNLocator
 
-from soil_env.rendering.canvas import GREY, GRID, LIGHT_BLUE, WHITE, Canvas, Colour
+from .canvas import GREY, GRID, LIGHT_BLUE, WHITE, Canvas, Colour
 
 SPAN = 30.0  # [s] shown by the charts
 #: Numbers of a wheel in a sample: slip, sinkage [radii], estimate [3], its sd [3] and truth [3] of

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soil_env.parameters import Scenario
-from soil_env.rendering.canvas import GRAIN, GRAINS, GREY, INK, RIM, Box, Canvas, soil_colour
-from soil_env.rendering.charts import ticks
 from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND, places_on
+
+from .canvas import GRAIN, GRAINS, GREY, INK, RIM, Box, Canvas, soil_colour
+from .charts import ticks
 
 #: Box of the strip of the whole course: left, top, width, height
 COURSE = (32, 448, 512, 66)

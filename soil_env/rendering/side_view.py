@@ -14,9 +14,15 @@ import numpy as np
 
 from soil_env.identification import Status
 from soil_env.parameters import RoverScenario, Vehicle
-from soil_env.rendering import canvas, wheels as drawing
-from soil_env.rendering.canvas import GREY, INK, Canvas, soil_colour
-from soil_env.rendering.ground import (
+from soil_env.simulation.rover.task import axle_names
+from soil_env.simulation.task import Cause
+from soil_env.simulation.world.terrain import soil_at
+from soil_env.terramechanics.reaction import REST_SPEED
+from soil_env.terramechanics.steady import sinkage_coefficient_at
+
+from . import canvas, wheels as drawing
+from .canvas import GREY, INK, Canvas, soil_colour
+from .ground import (
     Profile,
     Scene,
     depth_of_ruts,
@@ -25,11 +31,6 @@ from soil_env.rendering.ground import (
     draw_scale_bar,
     press_down,
 )
-from soil_env.simulation.rover.task import axle_names
-from soil_env.simulation.task import Cause
-from soil_env.simulation.world.terrain import soil_at
-from soil_env.terramechanics.reaction import REST_SPEED
-from soil_env.terramechanics.steady import sinkage_coefficient_at
 
 #: Box of the side view: left, top, width, height
 SCENE = (14, 52, 548, 302)

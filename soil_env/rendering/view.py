@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from soil_env.parameters import Scenario
-from soil_env.rendering.canvas import SIZE, Canvas
-from soil_env.rendering.charts import QUANTITIES, SPAN, draw_charts
-from soil_env.rendering.ground import draw_course, friction_range, profile_of
-from soil_env.rendering.side_view import (
+
+from .canvas import SIZE, Canvas
+from .charts import QUANTITIES, SPAN, draw_charts
+from .ground import draw_course, friction_range, profile_of
+from .side_view import (
     COLOURS,
     draw_side_view,
     draw_table,

@@ -6,7 +6,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soil_env._compiled.cache import kept
-from soil_env.rendering.canvas import (
+from soil_env.simulation.task import Cause
+from soil_env.terramechanics import contact
+from soil_env.terramechanics.reaction import (
+    REST_SPEED,
+    carried_along,
+    lay_footing,
+    soil_reaction,
+)
+
+from .canvas import (
     AMBER,
     BLUE,
     GREEN,
@@ -21,14 +30,6 @@ from soil_env.rendering.canvas import (
     Box,
     Canvas,
     Colour,
-)
-from soil_env.simulation.task import Cause
-from soil_env.terramechanics import contact
-from soil_env.terramechanics.reaction import (
-    REST_SPEED,
-    carried_along,
-    lay_footing,
-    soil_reaction,
 )
 
 ARC_POINTS = 25  # of the contact arc at which stresses are drawn

@@ -13,8 +13,12 @@ from soil_env._compiled.flags import HUGE, compiled_finite, inlined, record
 from soil_env._compiled.random_streams import NORMALS, between
 from soil_env.parameters import Scenario
 from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY
-from soil_env.simulation.task.layout import bounds_of, layout
-from soil_env.simulation.task.observation import (
+from soil_env.terramechanics.contact import ARC_NODES
+from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.terramechanics.reaction import Acting
+
+from .task.layout import bounds_of, layout
+from .task.observation import (
     ENTRIES_OF_WHEEL,
     TRUE_SOIL,
     clip,
@@ -23,20 +27,20 @@ from soil_env.simulation.task.observation import (
     write_soil_under,
     write_truth,
 )
-from soil_env.simulation.task.rules import (
+from .task.rules import (
     RUNNING,
     TASK,
     add_reward,
     judge,
     task_of,
 )
-from soil_env.simulation.world.camera import CAMERA, IMAGE, Sight, camera_of, sight_of, take_image
-from soil_env.simulation.world.courses import (
+from .world.camera import CAMERA, IMAGE, Sight, camera_of, sight_of, take_image
+from .world.courses import (
     extend_course,
     start_course,
 )
-from soil_env.simulation.world.dynamics import control_period
-from soil_env.simulation.world.sensors import (
+from .world.dynamics import control_period
+from .world.sensors import (
     READING,
     SENSOR_NOISE,
     SensorErrors,
@@ -47,11 +51,8 @@ from soil_env.simulation.world.sensors import (
     sensor_errors,
     sensors_of,
 )
-from soil_env.simulation.world.terrain import new_courses
-from soil_env.simulation.world.wheel import RIG, WHEEL, World, acting_in, rig_of, settle_at
-from soil_env.terramechanics.contact import ARC_NODES
-from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.terramechanics.reaction import Acting
+from .world.terrain import new_courses
+from .world.wheel import RIG, WHEEL, World, acting_in, rig_of, settle_at
 
 ATTEMPTS = 100  # at a course in the middle of a run, where nobody can change the scenario
 

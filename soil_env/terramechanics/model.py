@@ -34,9 +34,10 @@ from soil_env.parameters import (
     check_lugs,
 )
 from soil_env.parameters.wheel import OnTyre, refuse_lugs_on_tyre
-from soil_env.terramechanics.effects import CATALOGUE, Effects, pack_effects
-from soil_env.terramechanics.effects.slip_bias import true_slip
-from soil_env.terramechanics.residual import (
+
+from .effects import CATALOGUE, Effects, pack_effects
+from .effects.slip_bias import true_slip
+from .residual import (
     GROUPS,
     ResidualTable,
     ResidualTerm,
@@ -46,8 +47,8 @@ from soil_env.terramechanics.residual import (
     residual_at,
     residual_law,
 )
-from soil_env.terramechanics.steady import Rim, Rows, floats, predict_rows
-from soil_env.terramechanics.validity import OutsideValidity, checked, outside
+from .steady import Rim, Rows, floats, predict_rows
+from .validity import OutsideValidity, checked, outside
 
 FORMAT = "soil_env model 1"
 STEEPEST = 60.0  # [deg] grade

@@ -14,7 +14,8 @@ import numpy as np
 from soil_env._compiled.elementary import smoothed_sign
 from soil_env._compiled.flags import compiled, inlined, record, uncompiled
 from soil_env.slip import signed_slip, slip_ratio
-from soil_env.terramechanics.contact import (
+
+from .contact import (
     ShearLaw,
     bounded_bearing,
     braked_shift,
@@ -30,7 +31,7 @@ from soil_env.terramechanics.contact import (
     shear_integrals,
     shear_rates,
 )
-from soil_env.terramechanics.effects import (
+from .effects import (
     NO_EFFECTS,
     Effects,
     drive_friction,
@@ -38,15 +39,15 @@ from soil_env.terramechanics.effects import (
     soil_in_contact,
     soil_resistance,
 )
-from soil_env.terramechanics.effects.entry import Passage
-from soil_env.terramechanics.effects.shear_softening import mobilisation, shear_length_ratio
-from soil_env.terramechanics.effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
-from soil_env.terramechanics.residual import (
+from .effects.entry import Passage
+from .effects.shear_softening import mobilisation, shear_length_ratio
+from .effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
+from .residual import (
     WorkingPoint,
     residual_law,
     residual_under,
 )
-from soil_env.terramechanics.steady import LEAST_DIGGING, arc_of
+from .steady import LEAST_DIGGING, arc_of
 
 # [m/s] below this speed slip and resistance fade out, so that a wheel can stand still
 REST_SPEED = 0.001

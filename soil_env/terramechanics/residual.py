@@ -17,7 +17,8 @@ import numpy as np
 from soil_env._compiled.elementary import power
 from soil_env._compiled.flags import compiled, record
 from soil_env._io.loading import Checked, ParameterError, quantity, unknown_key
-from soil_env.terramechanics.effects.entry import CHANNELS, Channel
+
+from .effects.entry import CHANNELS, Channel
 
 #: Dimensionless groups: |i|, 1 - |i|, z/r, W/(S b r^(n+1)) load over bearing strength, V/sqrt(g r)
 #: Froude number, pass number, sine of the grade.

@@ -15,7 +15,8 @@ from soil_env._compiled.elementary import asin_root
 from soil_env._compiled.flags import compiled, inlined
 from soil_env.parameters import SoilState
 from soil_env.slip import motion_from_slip, sliding_speed
-from soil_env.terramechanics.contact import (
+
+from .contact import (
     ARC_NODES,
     FOREMOST_PEAK,
     Arc,
@@ -38,7 +39,7 @@ from soil_env.terramechanics.contact import (
     smooth_arc,
     substitute_radius,
 )
-from soil_env.terramechanics.effects import (
+from .effects import (
     Effects,
     arc_ends,
     drive_torque,
@@ -46,20 +47,20 @@ from soil_env.terramechanics.effects import (
     soil_resistance,
     switched_on,
 )
-from soil_env.terramechanics.effects.entry import Passage
-from soil_env.terramechanics.effects.grade import weight_on_slope
-from soil_env.terramechanics.effects.grousers import (
+from .effects.entry import Passage
+from .effects.grade import weight_on_slope
+from .effects.grousers import (
     at_shear_radius,
     blade_thrust,
     blades_at,
     contact_radius,
     shear_radius_ratio,
 )
-from soil_env.terramechanics.effects.shear_softening import JANOSI, mobilisation, shear_length_ratio
-from soil_env.terramechanics.effects.sinkage_offset import sinkage_zero
-from soil_env.terramechanics.effects.slip_bias import true_slip
-from soil_env.terramechanics.effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
-from soil_env.terramechanics.ground import stiffened, with_strength
+from .effects.shear_softening import JANOSI, mobilisation, shear_length_ratio
+from .effects.sinkage_offset import sinkage_zero
+from .effects.slip_bias import true_slip
+from .effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
+from .ground import stiffened, with_strength
 
 DEEPEST = 1.5  # [radii] sinkage beyond which a wheel counts as buried
 LEAST_DIGGING = 1e-3  # [-] least slip-sinkage ratio that anything is divided by

@@ -13,11 +13,12 @@ import numpy as np
 from soil_env._compiled.cache import kept
 from soil_env._compiled.flags import compiled
 from soil_env.parameters import SoilState, Wheel
-from soil_env.terramechanics.contact import ARC_NODES
-from soil_env.terramechanics.effects import Effects
-from soil_env.terramechanics.effects.slip_sinkage import digging, slip_sinkage_ratio
-from soil_env.terramechanics.ground import SOIL, soil_of
-from soil_env.terramechanics.steady import (
+
+from .contact import ARC_NODES
+from .effects import Effects
+from .effects.slip_sinkage import digging, slip_sinkage_ratio
+from .ground import SOIL, soil_of
+from .steady import (
     DEEPEST,
     LEVEL,
     Conditions,

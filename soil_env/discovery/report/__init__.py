@@ -19,9 +19,10 @@ from soil_env._io.document import html_image, html_page, render
 from soil_env._io.files import check_own, plain, write_own
 from soil_env._io.loading import ParameterError
 from soil_env.discovery.instrument import LISTED
-from soil_env.discovery.report import equations, sentences, tables, words
 from soil_env.discovery.result import Report
 from soil_env.identification.table.data import CHANNELS
+
+from . import equations, sentences, tables, words
 
 __all__ = ["FILES", "check_folder", "content", "page", "show", "text", "write"]
 
@@ -60,7 +61,7 @@ def write(report: Report, folder: Path) -> None:
 def page(report: Report, values: dict[str, Any]) -> str:
     """Return report.html, which needs no other file; `values` is `content(report)`."""
     # Here: matplotlib takes a second to load.
-    from soil_env.discovery.report.pictures import CAPTIONS, pictures
+    from .pictures import CAPTIONS, pictures
 
     images = {
         name: Markup(html_image(svg, CAPTIONS[name], "svg+xml"))

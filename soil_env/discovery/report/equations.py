@@ -5,9 +5,10 @@ report.json.
 from typing import Any, NamedTuple
 
 from soil_env.discovery.instrument import LISTED
-from soil_env.discovery.report.sentences import SOIL
 from soil_env.discovery.result import EffectFound, Report
 from soil_env.terramechanics.effects.text import fitted, legend, plain, published, used
+
+from .sentences import SOIL
 
 _SYMBOLS = {
     "friction_angle_deg": "phi",

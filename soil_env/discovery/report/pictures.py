@@ -12,9 +12,10 @@ from matplotlib.figure import Figure
 from soil_env._io.document import plot_text
 from soil_env.discovery.calibrate import Law
 from soil_env.discovery.prediction import at_conditions
-from soil_env.discovery.report.sentences import CONDITIONS, TITLES, UNITS
 from soil_env.discovery.result import Report
 from soil_env.identification.table.data import CHANNELS
+
+from .sentences import CONDITIONS, TITLES, UNITS
 
 BEFORE = "#c2571a"
 AFTER = "#1f6f8b"

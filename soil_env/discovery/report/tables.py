@@ -8,7 +8,11 @@ from soil_env.discovery.instrument import LISTED
 from soil_env.discovery.judgement import Interval
 from soil_env.discovery.next_for_prediction import SurerRun
 from soil_env.discovery.next_tests import NextTest
-from soil_env.discovery.report.sentences import (
+from soil_env.discovery.result import Report
+from soil_env.discovery.search import LAW_ERRORS
+from soil_env.identification.table.data import CHANNELS
+
+from .sentences import (
     CONDITIONS,
     SOIL,
     TITLES,
@@ -22,9 +26,6 @@ from soil_env.discovery.report.sentences import (
     times,
     title,
 )
-from soil_env.discovery.result import Report
-from soil_env.discovery.search import LAW_ERRORS
-from soil_env.identification.table.data import CHANNELS
 
 
 def effects(report: Report) -> Table:

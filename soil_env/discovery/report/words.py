@@ -2,9 +2,10 @@
 
 from soil_env.discovery.instrument import INSTRUMENT, exact
 from soil_env.discovery.next_tests import open_checks
-from soil_env.discovery.report.sentences import filled, runs_help, title
 from soil_env.discovery.result import LEFT, Report
 from soil_env.discovery.unnamed import OF_SENSORS
+
+from .sentences import filled, runs_help, title
 
 #: The page on which every effect has its equations and sources.
 PAGE = "docs/physics/effects.md"

@@ -11,7 +11,9 @@ import math
 import numpy as np
 
 from soil_env._compiled.flags import compiled
-from soil_env.identification.online.forces import (
+from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
+
+from .forces import (
     BY_SINKAGE,
     LEAST_COEFFICIENT,
     LN_S,
@@ -20,7 +22,7 @@ from soil_env.identification.online.forces import (
     TORQUE,
     reaction,
 )
-from soil_env.identification.online.memory import (
+from .memory import (
     BEST_PULL,
     EXPONENT,
     GAIN,
@@ -29,8 +31,7 @@ from soil_env.identification.online.memory import (
     SLIPS,
     SOIL,
 )
-from soil_env.identification.online.residuals import ground_of
-from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
+from .residuals import ground_of
 
 SLIP = np.array([0.08, 0.15, 0.23, 0.33, 0.45, 0.6, 0.78, 0.97])  # [-] at which pulls are compared
 assert len(SLIP) == SLIPS

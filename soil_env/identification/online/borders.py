@@ -5,9 +5,10 @@ soil's; over a border one soil passes into the next.
 import math
 
 from soil_env._compiled.flags import compiled
-from soil_env.identification.online.best_pull import renew_best_pull
-from soil_env.identification.online.linear import invert_whole
-from soil_env.identification.online.memory import (
+
+from .best_pull import renew_best_pull
+from .linear import invert_whole
+from .memory import (
     HERE,
     OLD,
     PLACE,
@@ -15,7 +16,7 @@ from soil_env.identification.online.memory import (
     QUANTITIES,
     SOIL,
 )
-from soil_env.identification.online.residuals import share_at
+from .residuals import share_at
 
 PLACE_SD = 0.3  # [border lengths] of the place of a border that forces show, which is where they do
 # factor of the covariance of the old soil, which the border's first readings spoilt

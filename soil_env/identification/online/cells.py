@@ -7,7 +7,8 @@ import math
 from numba import literal_unroll
 
 from soil_env._compiled.flags import compiled
-from soil_env.identification.online.memory import CELLS, MEANS, OF_CHANGES, VARIANCES
+
+from .memory import CELLS, MEANS, OF_CHANGES, VARIANCES
 
 # Differences that count as one, beside noise.
 PULL_UNIT = 0.003  # [of weight]

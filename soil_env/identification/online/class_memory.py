@@ -14,8 +14,9 @@ together (Birge 1932, Physical Review 40:207-227).
 import numpy as np
 
 from soil_env._compiled.flags import compiled, record
-from soil_env.identification.online.memory import BEST_PULL, QUANTITIES
 from soil_env.parameters.course import MOST_CLASSES
+
+from .memory import BEST_PULL, QUANTITIES
 
 LEAST_SD = 1e-6
 WIDER = 1.4  # [of the sd] of the pull of a patch: labels may be wrong, borders are near

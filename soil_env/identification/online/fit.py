@@ -6,8 +6,9 @@ covariance.
 import math
 
 from soil_env._compiled.flags import compiled
-from soil_env.identification.online.linear import add_gaussian, factorise, invert, solve
-from soil_env.identification.online.memory import (
+
+from .linear import add_gaussian, factorise, invert, solve
+from .memory import (
     ALL,
     HERE,
     OLD,
@@ -20,7 +21,7 @@ from soil_env.identification.online.memory import (
     TANGENT,
     TORQUE,
 )
-from soil_env.identification.online.residuals import (
+from .residuals import (
     EXACTLY,
     LEAST_TANGENT,
     WEIGHT,

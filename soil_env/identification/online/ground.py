@@ -5,11 +5,12 @@ import math
 import numpy as np
 
 from soil_env._compiled.cache import kept
-from soil_env.identification.online.memory import BEST_PULL
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.contact import ARC_NODES
 from soil_env.terramechanics.steady import LEVEL, Rim
 from soil_env.terramechanics.traversability import best_point_at
+
+from .memory import BEST_PULL
 
 STIFFEST = 1e13  # [N/m^(n+2)] largest sinkage coefficient that an estimate may stand for
 MOST_DIGGING = 20.0  # [-] largest gain of slip-sinkage that an estimate may stand for

@@ -6,20 +6,22 @@ import math
 
 from soil_env._compiled.cache import kept
 from soil_env._compiled.flags import compiled
-from soil_env.identification.online.best_pull import renew_best_pull
-from soil_env.identification.online.borders import (
+from soil_env.identification.status import Status
+
+from .best_pull import renew_best_pull
+from .borders import (
     begin_soil,
     blend_estimates,
     feel_border,
     put_on_border,
     take_fresh,
 )
-from soil_env.identification.online.cells import remember
-from soil_env.identification.online.fit import CONTRADICTS, renew
-from soil_env.identification.online.forces import LN_S, reaction
-from soil_env.identification.online.library import lean, mix, write_information
-from soil_env.identification.online.linear import invert, solve_half
-from soil_env.identification.online.memory import (
+from .cells import remember
+from .fit import CONTRADICTS, renew
+from .forces import LN_S, reaction
+from .library import lean, mix, write_information
+from .linear import invert, solve_half
+from .memory import (
     ALL,
     BEST_PULL,
     COHESION,
@@ -36,7 +38,7 @@ from soil_env.identification.online.memory import (
     TANGENT,
     TORQUE,
 )
-from soil_env.identification.online.points import (
+from .points import (
     FIRST_POINTS,
     FIRST_READINGS,
     LOCKED,
@@ -52,8 +54,7 @@ from soil_env.identification.online.points import (
     slip_error,
     weigh,
 )
-from soil_env.identification.online.residuals import DEEPER, ground_of, residuals, weigh_unknowns
-from soil_env.identification.status import Status
+from .residuals import DEEPER, ground_of, residuals, weigh_unknowns
 
 #: Outcomes of a set of readings: the estimate is as before; the wheel moved on a border, and so to
 #: other ground; a point was completed.

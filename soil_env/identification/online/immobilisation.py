@@ -20,10 +20,11 @@ import numpy as np
 
 from soil_env._compiled.cache import kept
 from soil_env._compiled.flags import compiled, record
-from soil_env.identification.online.class_memory import BEST_PULL
-from soil_env.identification.online.prior import setting_of
 from soil_env.identification.published import HORIZONS
 from soil_env.parameters import Scenario
+
+from .class_memory import BEST_PULL
+from .prior import setting_of
 
 FILE = Path(__file__).with_suffix(".json")
 SCALES = (0.2, 0.7, 2.0, 5.0)  # [s] time constants of the moving averages

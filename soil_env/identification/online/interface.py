@@ -20,15 +20,6 @@ from typing import Self
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.identification.online.ground import assess_ground
-from soil_env.identification.online.identifier import HELD, instruments, observe_all
-from soil_env.identification.online.memory import (
-    MEMORY,
-    READING,
-    WORK,
-    Instruments,
-)
-from soil_env.identification.online.prior import setting_of
 from soil_env.identification.published import Traversability, published, soil_of_numbers
 from soil_env.identification.status import Status
 from soil_env.parameters import (
@@ -43,6 +34,16 @@ from soil_env.parameters.readings import reading_units, sizes_of
 from soil_env.parameters.sensors import SENSORS, Readings
 from soil_env.slip import rim_speeds, slips, travel_speeds
 from soil_env.terramechanics.steady import steady_state
+
+from .ground import assess_ground
+from .identifier import HELD, instruments, observe_all
+from .memory import (
+    MEMORY,
+    READING,
+    WORK,
+    Instruments,
+)
+from .prior import setting_of
 
 __all__ = [
     "LONGEST_STEP",

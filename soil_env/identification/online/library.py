@@ -8,7 +8,8 @@ With each Gaussian of the library it gives a posterior and its weight; their mix
 import math
 
 from soil_env._compiled.flags import compiled
-from soil_env.identification.online.linear import (
+
+from .linear import (
     add_gaussian,
     factorise,
     invert,
@@ -16,7 +17,7 @@ from soil_env.identification.online.linear import (
     solve,
     solve_half,
 )
-from soil_env.identification.online.memory import SOIL
+from .memory import SOIL
 
 UNLIKELY = 1e-6  # [of the likeliest] weight below which a soil of the library counts as excluded
 

@@ -5,7 +5,10 @@ covariance, a border; and the constants and the work space of its functions.
 from typing import NamedTuple
 
 from soil_env._compiled.flags import record
-from soil_env.identification.online.forces import (
+from soil_env.parameters import FLOW_LAW
+from soil_env.parameters.sensors import SensorReading
+
+from .forces import (
     COHESION,
     CONTACT,
     EXPONENT,
@@ -13,8 +16,6 @@ from soil_env.identification.online.forces import (
     OF_GROUND,
     TANGENT,
 )
-from soil_env.parameters import FLOW_LAW
-from soil_env.parameters.sensors import SensorReading
 
 #: Unknowns of the soil: tan phi, c [Pa], n, ln of K [m], ln of the pressure S d^n [Pa] at the depth
 #: d, ln of the gain of slip-sinkage over the nominal one.

@@ -13,19 +13,25 @@ import numpy as np
 
 from soil_env._compiled.cache import kept
 from soil_env._compiled.flags import compiled, record, uncompiled
-from soil_env.identification.online.borders import see_border
-from soil_env.identification.online.class_memory import (
+from soil_env.identification.status import Status
+from soil_env.parameters import RoverScenario, Scenario
+from soil_env.parameters.readings import RESTART, RUNNING, STEP, Shown, Stepped
+from soil_env.parameters.vehicle import MOST_AXLES
+from soil_env.terramechanics.effects.multipass import COMPACTION, rut_stiffness
+
+from .borders import see_border
+from .class_memory import (
     CLASSES,
     clear_of_borders,
     forget_classes,
     remember_class,
 )
-from soil_env.identification.online.identifier import (
+from .identifier import (
     HELD,
     RENEWED,
     observe,
 )
-from soil_env.identification.online.immobilisation import (
+from .immobilisation import (
     MEMORY as AVERAGES,
     WARNING_SETTING,
     average,
@@ -33,7 +39,7 @@ from soil_env.identification.online.immobilisation import (
     see,
     warning_setting,
 )
-from soil_env.identification.online.memory import (
+from .memory import (
     BEST_PULL,
     MEMORY,
     PUBLISHED,
@@ -41,19 +47,14 @@ from soil_env.identification.online.memory import (
     SETTING,
     WORK,
 )
-from soil_env.identification.online.pooling import (
+from .pooling import (
     POOL,
     forget_pool,
     hand_over_border,
     keep_knowledge,
     pool_with,
 )
-from soil_env.identification.online.prior import setting_of
-from soil_env.identification.status import Status
-from soil_env.parameters import RoverScenario, Scenario
-from soil_env.parameters.readings import RESTART, RUNNING, STEP, Shown, Stepped
-from soil_env.parameters.vehicle import MOST_AXLES
-from soil_env.terramechanics.effects.multipass import COMPACTION, rut_stiffness
+from .prior import setting_of
 
 CONVERGED = Status.CONVERGED.value
 OF_SOIL = 2 * QUANTITIES + 1  # entries of the observation on a soil

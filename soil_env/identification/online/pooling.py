@@ -15,10 +15,12 @@ slip-sinkage are not pooled: a wheel behind another bears on a floor whose stiff
 import math
 
 from soil_env._compiled.flags import compiled, record
-from soil_env.identification.online.borders import begin_border, blend_estimates, take_fresh
-from soil_env.identification.online.identifier import publish, status_of
-from soil_env.identification.online.library import join, mix
-from soil_env.identification.online.linear import (
+from soil_env.identification.status import Status
+
+from .borders import begin_border, blend_estimates, take_fresh
+from .identifier import publish, status_of
+from .library import join, mix
+from .linear import (
     add_gaussian,
     factorise,
     invert,
@@ -26,13 +28,12 @@ from soil_env.identification.online.linear import (
     solve,
     solve_half,
 )
-from soil_env.identification.online.memory import (
+from .memory import (
     BEST_PULL,
     ESTIMATES,
     OF_GROUND,
     SOIL,
 )
-from soil_env.identification.status import Status
 
 SOILS = 4  # that are kept of a wheel
 SHARED = OF_GROUND  # unknowns that a passing wheel does not change: tan phi, c, n, ln K

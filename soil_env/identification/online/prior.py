@@ -11,8 +11,11 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from soil_env._io.loading import ParameterError
-from soil_env.identification.online.identifier import start
-from soil_env.identification.online.memory import (
+from soil_env.parameters import FLOW_LAW, Scenario
+from soil_env.parameters.readings import reading_errors, reading_units
+
+from .identifier import start
+from .memory import (
     COHESION,
     EXPONENT,
     GAIN,
@@ -26,8 +29,6 @@ from soil_env.identification.online.memory import (
     TANGENT,
     WORK,
 )
-from soil_env.parameters import FLOW_LAW, Scenario
-from soil_env.parameters.readings import reading_errors, reading_units
 
 KNOWN = 1e-4  # standard deviation, relative, of what the belief holds for known
 _LEAST_WIDTH = 0.95  # of `widths` that counts

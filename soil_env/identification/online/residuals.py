@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 from soil_env._compiled.elementary import smooth_step
 from soil_env._compiled.flags import compiled
-from soil_env.identification.online.forces import (
+
+from .forces import (
     BY_SINKAGE,
     BY_SLIP,
     LN_S,
@@ -18,7 +19,7 @@ from soil_env.identification.online.forces import (
     Ground,
     reaction,
 )
-from soil_env.identification.online.memory import (
+from .memory import (
     COHESION,
     EXPONENT,
     GAIN,
@@ -40,7 +41,7 @@ from soil_env.identification.online.memory import (
     TORQUE_GAIN,
     TORQUE_ZERO,
 )
-from soil_env.identification.online.points import READINGS, TYPICAL_PULL
+from .points import READINGS, TYPICAL_PULL
 
 SINGULAR = 1e-9  # least determinant of a covariance, of the product of its variances
 SHALLOWEST = 0.01  # [radii] least sinkage of a cell

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env.identification.table.form_error import LENGTHS, coordinate
 from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import MEASURED, NOISE, Table
+
+from .form_error import LENGTHS, coordinate
 
 DENSE = 240  # rows from which a table is binned
 REPEATED = 100  # the same of rows at few conditions, `FEWEST` and more at each

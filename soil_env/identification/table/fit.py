@@ -17,17 +17,18 @@ import numpy as np
 from scipy.special import chdtr, chdtrc, fdtrc, ndtri, stdtrit
 from threadpoolctl import threadpool_limits
 
-from soil_env.identification.table.bins import binned
-from soil_env.identification.table.form_error import mixed
-from soil_env.identification.table.mistakes import Examined, examine
-from soil_env.identification.table.noise import NoiseEstimate
-from soil_env.identification.table.priors import given_laws
-from soil_env.identification.table.problem import LAW_ERRORS, SOURCES, TableProblem
 from soil_env.measurement.doubts import one_load
 from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import MEASURED, UNITS, Table
 from soil_env.parameters import EARTH_GRAVITY, Soil
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+
+from .bins import binned
+from .form_error import mixed
+from .mistakes import Examined, examine
+from .noise import NoiseEstimate
+from .priors import given_laws
+from .problem import LAW_ERRORS, SOURCES, TableProblem
 
 PHI, LN_K, LN_S, EXPONENT, COHESION, TILT = range(6)  # in these coordinates, the angles in degrees
 #: Parameters in that order.

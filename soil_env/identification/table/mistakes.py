@@ -25,19 +25,20 @@ from scipy.special import expit, logsumexp
 from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
-from soil_env.identification.table.data import CHANNELS, Data, prepare
-from soil_env.identification.table.form_error import finite
-from soil_env.identification.table.noise import (
+from soil_env.measurement.doubts import load_doubt
+from soil_env.measurement.setup import Setup
+from soil_env.measurement.table import Table, look_like_radians
+from soil_env.terramechanics.model import Rows
+
+from .data import CHANNELS, Data, prepare
+from .form_error import finite
+from .noise import (
     NoiseEstimate,
     find_noise,
     given_noise,
     with_noise_of_conditions,
 )
-from soil_env.identification.table.problem import COARSE, TableProblem
-from soil_env.measurement.doubts import load_doubt
-from soil_env.measurement.setup import Setup
-from soil_env.measurement.table import Table, look_like_radians
-from soil_env.terramechanics.model import Rows
+from .problem import COARSE, TableProblem
 
 GRAVITY = 9.81  # [m/s2]
 UNUSUAL = math.log(1e-3)  # log of the prior probability of a mistake of one kind

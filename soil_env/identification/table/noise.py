@@ -16,9 +16,10 @@ import numpy as np
 from scipy import special
 
 from soil_env._io.loading import ParameterError
-from soil_env.identification.table.data import CHANNELS, LOGARITHMIC, WHEEL, Data
-from soil_env.identification.table.form_error import finite
 from soil_env.terramechanics.model import Rows
+
+from .data import CHANNELS, LOGARITHMIC, WHEEL, Data
+from .form_error import finite
 
 OUTLIER = 4.5  # [sd] distance from the smooth surface beyond which a value is left out
 #: [sd over root of their number] median of the others at a slip from which a deviation is no

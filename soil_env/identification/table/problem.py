@@ -21,21 +21,22 @@ from scipy.optimize import least_squares
 from scipy.special import logsumexp
 
 from soil_env._io.loading import ParameterError, plural
-from soil_env.identification.table import form_error
-from soil_env.identification.table.form_error import LAW_LENGTHS, Process, finite
-from soil_env.identification.table.noise import NoiseEstimate
-from soil_env.identification.table.priors import (
+from soil_env.measurement.setup import Setup
+from soil_env.measurement.table import MEASURED, Table
+from soil_env.terramechanics.effects import NO_EFFECTS
+from soil_env.terramechanics.model import Rows
+
+from . import form_error
+from .form_error import LAW_LENGTHS, Process, finite
+from .noise import NoiseEstimate
+from .priors import (
     USUAL_SINKAGE,
     Unknown,
     bounds_of,
     parameters_at,
     soil_unknowns,
 )
-from soil_env.identification.table.rig import predict_table
-from soil_env.measurement.setup import Setup
-from soil_env.measurement.table import MEASURED, Table
-from soil_env.terramechanics.effects import NO_EFFECTS
-from soil_env.terramechanics.model import Rows
+from .rig import predict_table
 
 SOURCES = ("slip", "load", *MEASURED)  # of error; the last three are the channels
 STEP = 1e-3  # of a whitened unknown, for differences

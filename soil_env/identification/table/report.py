@@ -8,7 +8,8 @@ import numpy as np
 from soil_env._io.document import Table
 from soil_env._io.files import picture_of, plain
 from soil_env._io.loading import to_dict
-from soil_env.identification.table.fit import SYMBOLS, TableEstimate
+
+from .fit import SYMBOLS, TableEstimate
 
 LABELS = {
     "friction_angle_deg": "friction angle",

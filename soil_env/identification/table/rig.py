@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 
-from soil_env.identification.table.priors import Values, given_laws, soil_state
 from soil_env.measurement.setup import Setup
 from soil_env.terramechanics.effects import Effects
 from soil_env.terramechanics.model import Rows
 from soil_env.terramechanics.steady import predict_rows
+
+from .priors import Values, given_laws, soil_state
 
 #: Parameters that may differ from row to row, by the names of a setup: columns of the factors of
 #: `predict_rows`; of the friction angle the tangent.

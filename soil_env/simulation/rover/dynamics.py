@@ -5,9 +5,6 @@ All wheels of a rover run over the same course, each leaving its rut to those be
 
 from soil_env._compiled.elementary import sin_cos
 from soil_env._compiled.flags import compiled_finite, inlined
-from soil_env.simulation.rover.body import set_pitch
-from soil_env.simulation.rover.newton import equation_of, foresee, reaction_of, solve_speeds
-from soil_env.simulation.rover.ruts import copy_rut_behind, floor_at
 from soil_env.simulation.world.dynamics import (
     FINEST,
     GAMMA,
@@ -32,6 +29,10 @@ from soil_env.simulation.world.wheel import (
     measure_slip,
 )
 from soil_env.terramechanics.ground import put_soil, soil_of
+
+from .body import set_pitch
+from .newton import equation_of, foresee, reaction_of, solve_speeds
+from .ruts import copy_rut_behind, floor_at
 
 
 @compiled_finite

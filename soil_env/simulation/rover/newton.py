@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 from soil_env._compiled.elementary import sin_cos
 from soil_env._compiled.flags import HUGE, compiled_finite, inlined, record
 from soil_env.parameters import MOST_AXLES, SoilState
-from soil_env.simulation.rover.body import LOAD_TOLERANCE, axle_loads, weight_of
 from soil_env.simulation.world.newton import (
     LEAST_GAIN,
     LEAST_PIVOT,
@@ -33,6 +32,8 @@ from soil_env.terramechanics.reaction import (
     Reaction,
     reaction,
 )
+
+from .body import LOAD_TOLERANCE, axle_loads, weight_of
 
 TURNS = 4  # solutions of a stage at most, each with the loads of the one before; the last is kept
 

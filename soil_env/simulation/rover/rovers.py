@@ -16,19 +16,6 @@ from soil_env._compiled.flags import HUGE, compiled, compiled_finite, inlined, r
 from soil_env._compiled.random_streams import NORMALS, between, word
 from soil_env.parameters import MOST_AXLES, RoverScenario
 from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY
-from soil_env.simulation.rover.body import ROVER, set_pitch, suspension_of
-from soil_env.simulation.rover.dynamics import control_period
-from soil_env.simulation.rover.newton import STAGE, RoverWorld
-from soil_env.simulation.rover.ruts import clear_ruts, new_ruts
-from soil_env.simulation.rover.task import (
-    BODY,
-    ENTRIES_OF_AXLE,
-    ENTRIES_OF_BODY,
-    rover_layout,
-    write_axle,
-    write_body,
-    write_true_soils,
-)
 from soil_env.simulation.task.layout import bounds_of
 from soil_env.simulation.task.observation import TRUE_SOIL, clip
 from soil_env.simulation.task.rules import RUNNING, add_reward, judge, task_of
@@ -49,6 +36,20 @@ from soil_env.simulation.world.terrain import new_courses
 from soil_env.simulation.world.wheel import World, acting_in, rig_of, settle_at
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.reaction import Acting
+
+from .body import ROVER, set_pitch, suspension_of
+from .dynamics import control_period
+from .newton import STAGE, RoverWorld
+from .ruts import clear_ruts, new_ruts
+from .task import (
+    BODY,
+    ENTRIES_OF_AXLE,
+    ENTRIES_OF_BODY,
+    rover_layout,
+    write_axle,
+    write_body,
+    write_true_soils,
+)
 
 DEEPEST_ALONE = 0.5  # [of the limit] sinkage of a wheel by itself on the ground of a course
 

@@ -1,6 +1,6 @@
 """Task: observation layout, reward, causes of an episode's end."""
 
-from soil_env.simulation.task.layout import (
+from .layout import (
     AXLES,
     ROUTES,
     VARIANTS,
@@ -10,7 +10,7 @@ from soil_env.simulation.task.layout import (
     layout,
     truth,
 )
-from soil_env.simulation.task.rules import REWARD_TERMS, Cause
+from .rules import REWARD_TERMS, Cause
 
 __all__ = [
     "AXLES",

@@ -5,12 +5,13 @@ import math
 from numba import literal_unroll
 
 from soil_env._compiled.flags import compiled, compiled_finite
-from soil_env.simulation.task.layout import VARIANTS, layout
 from soil_env.simulation.world.camera import Sight, patch_ahead, seen_grade, write_view
 from soil_env.simulation.world.routes import choosing
 from soil_env.simulation.world.sensors import NAMES
 from soil_env.simulation.world.terrain import piece_at, soil_on
 from soil_env.terramechanics.ground import soil_of
+
+from .layout import VARIANTS, layout
 
 _ENTRIES = [entry.name for entry in layout("blind")]
 ENTRIES_OF_WHEEL = len(_ENTRIES)  # that every variant has

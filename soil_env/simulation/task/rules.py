@@ -9,9 +9,10 @@ from soil_env._compiled.flags import compiled_finite, record
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import Limits, RewardWeights, Scenario
 from soil_env.parameters.readings import observed_units
-from soil_env.simulation.task.layout import VARIANTS, layout
 from soil_env.simulation.world.sensors import READING
 from soil_env.simulation.world.terrain import BEHIND
+
+from .layout import VARIANTS, layout
 
 REWARD_TERMS = ("progress", "energy", "immobilisation", "information")
 ROUNDING = 1e-9  # [s] by which a sum of control periods may fall short of a time

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soil_env._io.loading import ParameterError
-from soil_env.simulation.task.layout import ROUTES, ObservedNumber, bounds_of
+
+from .layout import ROUTES, ObservedNumber, bounds_of
 
 _OF_ROUTES = tuple(f"{route}_" for route in ROUTES)
 _ALWAYS = "log10_sinkage_coefficient"

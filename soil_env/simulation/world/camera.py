@@ -13,7 +13,8 @@ from soil_env._compiled.flags import compiled, record
 from soil_env._compiled.random_streams import normal_pair
 from soil_env.parameters import Scenario
 from soil_env.parameters.readings import Image
-from soil_env.simulation.world.routes import settled
+
+from .routes import settled
 
 #: The camera of a `Scenario`.
 CAMERA = record(

@@ -16,7 +16,10 @@ import numpy as np
 from soil_env._compiled.flags import HUGE, compiled, inlined
 from soil_env._compiled.random_streams import word
 from soil_env.parameters import Scenario
-from soil_env.simulation.world.passability import (
+from soil_env.terramechanics.ground import put_soil
+from soil_env.terramechanics.model import WheelSoilModel
+
+from .passability import (
     DISTRIBUTION,
     PRESET,
     CourseDistribution,
@@ -24,11 +27,9 @@ from soil_env.simulation.world.passability import (
     draw_ground,
     within,
 )
-from soil_env.simulation.world.routes import draw_classes, draw_routes
-from soil_env.simulation.world.terrain import cell_at, clear
-from soil_env.simulation.world.wheel import acting_in, rig_of
-from soil_env.terramechanics.ground import put_soil
-from soil_env.terramechanics.model import WheelSoilModel
+from .routes import draw_classes, draw_routes
+from .terrain import cell_at, clear
+from .wheel import acting_in, rig_of
 
 # actions of travel at top rim speed before a wheel within which ground is drawn
 ACTIONS_AHEAD = 3.0

@@ -10,16 +10,28 @@ from typing import NamedTuple
 
 from soil_env._compiled.elementary import sin_cos, smoothed_sign
 from soil_env._compiled.flags import compiled_finite, inlined
-from soil_env.simulation.world.newton import Stage, foreseen, solve_speeds
-from soil_env.simulation.world.routes import choosing, plan_halt, set_route
-from soil_env.simulation.world.terrain import (
+from soil_env.slip import braked_share
+from soil_env.terramechanics.effects.multipass import in_rut
+from soil_env.terramechanics.motor import motor_torque
+from soil_env.terramechanics.reaction import (
+    REST_SPEED,
+    ExtraForces,
+    Footing,
+    Standing,
+    ground_under,
+    lay_footing,
+)
+
+from .newton import Stage, foreseen, solve_speeds
+from .routes import choosing, plan_halt, set_route
+from .terrain import (
     grade_on,
     in_cell,
     pass_at,
     piece_at,
     soil_on,
 )
-from soil_env.simulation.world.wheel import (
+from .wheel import (
     Ahead,
     Ground,
     Path,
@@ -31,17 +43,6 @@ from soil_env.simulation.world.wheel import (
     measure_slip,
     pile_up,
     sink,
-)
-from soil_env.slip import braked_share
-from soil_env.terramechanics.effects.multipass import in_rut
-from soil_env.terramechanics.motor import motor_torque
-from soil_env.terramechanics.reaction import (
-    REST_SPEED,
-    ExtraForces,
-    Footing,
-    Standing,
-    ground_under,
-    lay_footing,
 )
 
 GAMMA = 1.0 - math.sqrt(0.5)  # [-] duration of a stage over that of the step

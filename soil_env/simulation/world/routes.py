@@ -6,8 +6,9 @@ looking at the soils: both routes may be passable, or one, or none.
 
 from soil_env._compiled.flags import compiled, inlined
 from soil_env._compiled.random_streams import normal_pair, uniform
-from soil_env.simulation.world.passability import capacity, draw_ground, scattered, within
 from soil_env.terramechanics.ground import put_soil, soil_of
+
+from .passability import capacity, draw_ground, scattered, within
 
 
 @inlined

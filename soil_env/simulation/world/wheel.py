@@ -21,16 +21,6 @@ from soil_env._compiled.flags import compiled, compiled_finite, inlined, record,
 from soil_env._compiled.random_streams import between
 from soil_env.parameters import Scenario, SoilState
 from soil_env.parameters.wheel import refuse_lugs_on_tyre
-from soil_env.simulation.world.sensors import READING
-from soil_env.simulation.world.terrain import (
-    cell_after,
-    cell_at,
-    depth_to_come,
-    grade_on,
-    leave_rut,
-    piece_at,
-    soil_on,
-)
 from soil_env.slip import slip_ratio
 from soil_env.terramechanics.contact import layered_depth
 from soil_env.terramechanics.effects import acting_effects
@@ -39,6 +29,17 @@ from soil_env.terramechanics.effects.slip_sinkage import excavation_rate, onto_f
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.reaction import BASE, REST_SPEED, Acting, acting_on
 from soil_env.terramechanics.steady import DEEPEST, Conditions, Point, steady_at
+
+from .sensors import READING
+from .terrain import (
+    cell_after,
+    cell_at,
+    depth_to_come,
+    grade_on,
+    leave_rut,
+    piece_at,
+    soil_on,
+)
 
 SHALLOWEST = 1e-4  # [radii] least sinkage of a wheel
 # [of the top rim speed] that rim acceleration can command backwards, to back out of a hole

@@ -43,7 +43,8 @@ from types import MappingProxyType
 
 from soil_env._compiled.flags import compiled
 from soil_env._io.loading import ParameterError, number, unknown_key
-from soil_env.terramechanics.effects import (
+
+from . import (
     bulldozing,
     drivetrain_friction,
     grade,
@@ -58,8 +59,8 @@ from soil_env.terramechanics.effects import (
     slip_sinkage,
     stress_peak_shift,
 )
-from soil_env.terramechanics.effects.drivetrain_friction import Friction, friction_at
-from soil_env.terramechanics.effects.entry import Effect
+from .drivetrain_friction import Friction, friction_at
+from .entry import Effect
 
 #: Modules of this folder, one an effect, in the order of every list of effects.
 _MODULES = (

@@ -3,7 +3,8 @@
 import math
 
 from soil_env._compiled.flags import compiled
-from soil_env.terramechanics.effects.entry import PULL, Effect, EffectParameter as P, Form
+
+from .entry import PULL, Effect, EffectParameter as P, Form
 
 
 @compiled

@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 from soil_env._compiled.elementary import smoothed_sign
 from soil_env._compiled.flags import compiled
-from soil_env.terramechanics.effects.entry import (
+
+from .entry import (
     TORQUE,
     Bench,
     Effect,

@@ -4,12 +4,13 @@ import math
 
 from soil_env._compiled.elementary import asin_root, power
 from soil_env._compiled.flags import compiled
-from soil_env.terramechanics.effects.entry import (
+from soil_env.terramechanics.ground import stiffened
+
+from .entry import (
     Effect,
     EffectParameter as P,
     Form,
 )
-from soil_env.terramechanics.ground import stiffened
 
 
 @compiled

@@ -3,15 +3,16 @@
 import math
 
 from soil_env._compiled.flags import compiled
-from soil_env.terramechanics.effects.bulldozing import passive_coefficient
-from soil_env.terramechanics.effects.entry import (
+from soil_env.terramechanics.ground import with_strength
+
+from .bulldozing import passive_coefficient
+from .entry import (
     Bench,
     Effect,
     EffectParameter as P,
     Form,
     Priors,
 )
-from soil_env.terramechanics.ground import with_strength
 
 BLADE_SLIP = 0.015  # slip over which the thrust of the lugs comes in
 

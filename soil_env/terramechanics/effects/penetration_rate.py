@@ -2,13 +2,14 @@
 
 from soil_env._compiled.elementary import exp, log
 from soil_env._compiled.flags import compiled
-from soil_env.terramechanics.effects.entry import (
+from soil_env.terramechanics.ground import stiffened
+
+from .entry import (
     Bench,
     Effect,
     EffectParameter as P,
     Form,
 )
-from soil_env.terramechanics.ground import stiffened
 
 
 @compiled

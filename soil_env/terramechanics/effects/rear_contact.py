@@ -1,7 +1,8 @@
 """Contact behind the lowest point of the rim."""
 
 from soil_env._compiled.flags import compiled
-from soil_env.terramechanics.effects.entry import (
+
+from .entry import (
     Effect,
     EffectParameter as P,
     Form,

@@ -2,14 +2,15 @@
 
 from soil_env._compiled.elementary import log
 from soil_env._compiled.flags import compiled
-from soil_env.terramechanics.effects.entry import (
+from soil_env.terramechanics.ground import with_strength
+
+from .entry import (
     Bench,
     Effect,
     EffectParameter as P,
     Form,
 )
-from soil_env.terramechanics.effects.penetration_rate import rate_factor
-from soil_env.terramechanics.ground import with_strength
+from .penetration_rate import rate_factor
 
 
 @compiled

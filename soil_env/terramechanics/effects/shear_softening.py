@@ -2,7 +2,8 @@
 
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.contact import ShearLaw
-from soil_env.terramechanics.effects.entry import (
+
+from .entry import (
     Bench,
     Effect,
     EffectParameter as P,

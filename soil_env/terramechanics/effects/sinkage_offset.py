@@ -1,7 +1,8 @@
 """Offset of the measured sinkage."""
 
 from soil_env._compiled.flags import compiled
-from soil_env.terramechanics.effects.entry import (
+
+from .entry import (
     SINKAGE,
     Bench,
     Effect,

@@ -2,7 +2,8 @@
 
 from soil_env._compiled.flags import compiled
 from soil_env.slip import slip_of_radius
-from soil_env.terramechanics.effects.entry import (
+
+from .entry import (
     Effect,
     EffectParameter as P,
     Form,

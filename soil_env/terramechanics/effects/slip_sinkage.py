@@ -1,14 +1,15 @@
 """Slip-sinkage: a slipping wheel digs."""
 
 from soil_env._compiled.flags import compiled
-from soil_env.terramechanics.effects.entry import (
+from soil_env.terramechanics.ground import with_digging
+
+from .entry import (
     Bench,
     Effect,
     EffectParameter as P,
     Form,
     Priors,
 )
-from soil_env.terramechanics.ground import with_digging
 
 
 @compiled

@@ -1,7 +1,8 @@
 """Stress peak that moves with slip."""
 
 from soil_env._compiled.flags import compiled
-from soil_env.terramechanics.effects.entry import (
+
+from .entry import (
     Bench,
     Effect,
     EffectParameter as P,

@@ -5,8 +5,8 @@ effects.
 import re
 from collections.abc import Mapping
 
-from soil_env.terramechanics.effects import CATALOGUE
-from soil_env.terramechanics.effects.entry import SYMBOLS, Effect, Form
+from . import CATALOGUE
+from .entry import SYMBOLS, Effect, Form
 
 _WORD = re.compile(r"[A-Za-z][A-Za-z0-9]*(?:_[A-Za-z0-9]+)?")
 _PARAMETER = re.compile(r"\{(\w+)\}")
