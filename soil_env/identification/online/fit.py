@@ -30,7 +30,6 @@ from .residuals import (
 )
 
 STEPS = 2  # of Gauss-Newton for a point, at most; with one the errors of ln K grow by a tenth
-FIRST_STEPS = 4  # for the first point of a soil, which may be far from the prior
 SETTLED = 0.3  # squared length of a step in standard deviations, below which it is the last
 FARTHEST = 4.0  # [prior standard deviations] of the soil from its mean
 # Form error: where chi-squared is `CONTRADICTS` times its expectation the laws err, by as much as
@@ -147,7 +146,7 @@ def renew(memory, setting, work):
     left = 1.0  # of chi-squared after the step
     forces = 0.0
     sinkage = 0.0
-    for _ in range(STEPS if memory.cells_kept > 1 else FIRST_STEPS):
+    for _ in range(STEPS):
         forces, sinkage, others = _normal_equations(memory, setting, work, size)
         factorise(work.normal, size, memory.factor)
         solve(memory.factor, size, work.gradient, work.step)
