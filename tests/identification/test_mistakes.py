@@ -149,6 +149,31 @@ def test_sinkage_alone_does_not_decide_the_sign_of_the_slip(tmp_path):
     assert examined(tmp_path, text, SETUP.replace(", drawbar_pull: 0.8, torque: 0.1", "")) == ()
 
 
+def test_a_turned_pull_is_not_taken_for_another_slip(tmp_path):
+    """V/(r w) would turn the fall of the pull, too; but the table begins at low slip."""
+    text = changed(table_text({}, channels=("sinkage", "drawbar_pull")), "drawbar_pull", -1.0)
+    data = data_of(tmp_path, text)
+    assert "slip_ratio" not in {r.name for r in mistakes.readings(data.table, data.setup)}
+    ratio = data_of(tmp_path, changed(text, "slip", lambda i: 1.0 - i))
+    assert "slip_ratio" in {r.name for r in mistakes.readings(ratio.table, ratio.setup)}
+
+
+def test_what_soil_holds_back_is_evidence_of_the_radius(tmp_path):
+    """Resistance over load goes with the root of sinkage over radius."""
+    data = data_of(tmp_path, table_text({}))
+    start = mistakes._as_is(data)
+    plain = start.fit.reading
+    wheel = replace(data.setup.wheel, radius=2.0 * data.setup.wheel.radius)
+    doubled = plain._replace(setup=replace(data.setup, wheel=wheel))
+    right, wrong = (
+        mistakes._by_resistance(data, start.noise, reading) for reading in (plain, doubled)
+    )
+    assert right > wrong + 0.5
+    alone = data_of(tmp_path, table_text({}, channels=("sinkage", "drawbar_pull")))
+    start = mistakes._as_is(alone)
+    assert mistakes._by_resistance(alone, start.noise, start.fit.reading) == 0.0
+
+
 def test_a_diameter_for_the_radius_is_told(tmp_path):
     setup = SETUP.replace("radius: 0.15", "radius: 0.3")
     assert "With wheel.radius of the setup halved to 0.15 m" in " ".join(
