@@ -40,8 +40,6 @@ RIM = (60, 64, 72)
 WHEEL = (238, 239, 242)
 SPOKE = (150, 154, 162)
 _RAMP = np.array([(247, 230, 186), (218, 182, 126), (171, 128, 82), (116, 82, 56)], dtype=float)
-GRAIN = (150, 118, 82)
-GRAINS = np.random.default_rng(5).random((512, 2))  # place in the cell, depth
 
 
 class Canvas:

@@ -2,7 +2,6 @@
 whole course.
 """
 
-import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -11,7 +10,7 @@ import numpy as np
 from soil_env.parameters import Scenario
 from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND, places_on
 
-from .canvas import GRAIN, GRAINS, GREY, INK, RIM, Box, Canvas, soil_colour
+from .canvas import GREY, INK, RIM, Box, Canvas, soil_colour
 from .charts import ticks
 
 #: Box of the strip of the whole course: left, top, width, height
@@ -84,18 +83,12 @@ def draw_ground(
     least: float,
     bounds: tuple[float, float],
 ) -> None:
-    """The soil up to its surface `now` [m] at x [m] along the course, with specks; dashed where it
-    was higher before by `least` [m] and more.
+    """The soil up to its surface `now` [m] at x [m] along the course; dashed where it was higher
+    before by `least` [m] and more.
     """
     across, before = profile.at(x)
     friction = np.interp(0.5 * (x[1:] + x[:-1]), profile.x, profile.friction)
     c.soil(scene.at(across, now), scene.box[1] + scene.box[3], friction, bounds)
-    step = (across[-1] - across[0]) / 40.0
-    cells = np.arange(4 * math.floor(across[0] / step), 4 * math.ceil(across[-1] / step))
-    place, depth = GRAINS[cells % len(GRAINS)].T
-    gx = (cells // 4 + place) * step
-    for spot in scene.at(gx, np.interp(gx, across, now) - (0.3 + 12.0 * depth) * step):
-        c.circle(spot, 1.5, GRAIN)
     untouched = scene.at(across, before)[before - now > least]
     for i in range(0, len(untouched) - 2, 4):
         c.lines(untouched[i : i + 3], GREY, 1.2)
