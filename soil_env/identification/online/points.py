@@ -20,9 +20,7 @@ MOST_READINGS = 3.0 * READINGS
 FIRST_READINGS = 3.0
 FIRST_POINTS = 3
 LONGEST = 3.0  # [radii] of a point
-# [-] of the readings of a point, beyond three standard deviations: forces are curved over the slip,
-# with 0.08 their mean differs from the force at the mean slip by up to a hundredth of the load
-SLIP_RANGE = 0.04
+SLIP_RANGE = 0.08  # [-] of the readings of a point, beyond three standard deviations
 SLOWEST = 0.02  # [m/s] rim speed below which a wheel rests
 BLUNTEST = 0.1  # [-] standard deviation of a slip above which it says nothing
 SPINNING = 0.9  # [-] slip above which a wheel spins on the spot

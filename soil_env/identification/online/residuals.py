@@ -53,8 +53,7 @@ DEEPER = 10.0  # bearing sinkage over the sinkage, at most
 BORDER_ERROR = 2e-3
 LAW_ERROR = 0.06  # [-] of the law of sinkage in a cell; with 0.1 the errors of ln S grow by a tenth
 BORDER_LAW_ERROR = 0.3  # [-] the same of a cell on a border
-# [standard deviations] from which a residual of the law of sinkage counts less (Huber 1964, Ann.
-# Math. Statist. 35:73-101); cut there instead, a soil far from the prior counted as known too soon
+# [standard deviations] at which a residual of the law of sinkage is cut.
 FARTHEST = 3.0
 
 
@@ -252,8 +251,8 @@ def _of_sinkage(cell, sinkage, share, by_place, memory, setting, work):
     of_point = setting.white[0].sinkage ** 2 / READINGS
     variance = (1.0 + (1.0 - come * a) ** 2) * of_point / cell.changes
     variance += (law * come * a * bearing) ** 2 + place * place
-    beyond = abs(residual) / (FARTHEST * math.sqrt(variance))
-    return residual, 1.0 / (variance * max(beyond, 1.0))
+    sd = math.sqrt(variance)
+    return min(max(residual, -FARTHEST * sd), FARTHEST * sd), 1.0 / variance
 
 
 PAYLOAD = 0.05  # [of weight] doubt of the load where no sensor measures it
