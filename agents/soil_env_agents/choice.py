@@ -71,15 +71,17 @@ class ChoiceVecEnv(VecEnvWrapper):
 
 
 class Chooser(BaseCallback):
-    """The regression, continued after each rollout of PPO; as a student learns, `learn` is
-    called.
+    """Logistic regression of the routes taken by whether the wheel came over them, continued after
+    each rollout of PPO; as a student learns, `learn` is called.
+
+    Nothing is learned in an environment without routes. `rng` draws the choices of an update.
     """
 
     def __init__(self, model: PPO, rng: np.random.Generator):
         super().__init__()
         self.normalised = model.get_vec_normalize_env()
         self.rng = rng
-        self.learned = 0
+        self.learned = 0  # choices that were learned from, of all that were kept
         self.left = 1.0  # share of the training that is left
         self.env = self.normalised.venv if isinstance(self.normalised.venv, ChoiceVecEnv) else None
         if self.env is not None:

@@ -92,12 +92,14 @@ class CommonScaling(Scaling):
         return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
     def __call__(self, values):
-        """Observations [n, D] from values [n, d] in their units; arrays, or values of an ONNX
-        graph.
+        """Observations [n, D] from values [n, d] in their units, in the order of `NAMES`: scaled
+        entries, constants of the scenario, misfit of the best pull, and the share of the slip in
+        each band. Arrays, or values of an ONNX graph.
         """
         if UNREAD:
             values = values[:, self.read]
         seen = super().__call__(values)
+        # 0 times an entry: a column as long as the batch and of its type, in an ONNX graph too.
         slip, pull, load, best = (0.0 * seen[:, [0]] + values[:, column] for column in self.columns)
         begun = [np.clip((slip - edge) / WIDTH, 0.0, 1.0) for edge in EDGES]
         bands = [*(a - b for a, b in zip(begun, begun[1:], strict=False)), begun[-1]]

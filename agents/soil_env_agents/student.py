@@ -112,6 +112,7 @@ def teach(
             if k > 0:
                 action = model.predict(seen, deterministic=True)[0]
             wander = MEMORY * wander + np.sqrt(1.0 - MEMORY**2) * rng.normal(size=wander.shape)
+            # Choices of routes that are turned round, half of the first ones: both become known.
             turned = np.where(
                 rng.random((wheels, 1)) < max(0.5 * (1.0 - k / rounds), FLIPPED), -action, action
             )

@@ -195,10 +195,12 @@ class Problem:
             f"{e.name}_{k}": v for e in LISTED.values() for k, v in e.neutral(self.bench).items()
         }
         self.neutral: Effects = NO_EFFECTS._replace(**self.centres)
-        self._processes()
+        self._lay_form_errors()
 
-    def _processes(self) -> None:
-        """Form errors over the conditions of the table, and the size of each channel."""
+    def _lay_form_errors(self) -> None:
+        """Lay Gaussian processes over the conditions of the table: form errors of the laws, one for
+        each length, and of effects, and functions that are free; set the size of each channel.
+        """
         at = self.data.conditions | self.data.elapsed
         self.law_processes: list[Process] = [
             Process.over(at, of=INPUTS, most=_LAW, lengths=x) for x in LAW_LENGTHS

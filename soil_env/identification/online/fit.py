@@ -141,6 +141,7 @@ def _fall(work, size, length, share):
 @compiled
 def renew(memory, setting, work):
     """Renew unknowns and covariance by all cells, `misfit` and form error of the laws."""
+    # Behind a border the soil before it and the place of the border are unknowns too.
     size = ALL if memory.behind > 0 else HERE
     weigh_unknowns(memory, setting, work)
     left = 1.0  # of chi-squared after the step
@@ -159,7 +160,7 @@ def renew(memory, setting, work):
         if share == 1.0 and length < SETTLED:
             break
     invert(memory.factor, SOIL, work.scratch, memory.covariance)
-    changes = 0.0
+    changes = 0.0  # of sinkage, which have a residual of the law of sinkage
     for k in range(memory.cells_kept):
         changes += min(memory.cells[k].changes, 1.0)
     memory.misfit = left * forces / (2.0 * memory.cells_kept)

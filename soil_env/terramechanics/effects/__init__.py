@@ -18,14 +18,15 @@ How to add an effect, in four files beside tests and pages:
    `WheelSoilModel.predict`, the discovery workflow, its report and the table of `text.markdown`
    have it from there. Where two laws change one quantity, the later takes what the earlier left.
 4. Add a sentence for readers of a report to `EXPLAINED` in `discovery/report/words.py`.
-5. Let the blind benchmark hide it: published forms of others in `benchmarks/discovery/forms.py`,
-   which draws other cases from then on, so that `docs/results/discovery.json` is made anew.
+5. Let the blind benchmark hide it, as a test demands: published forms of others, or own ones, in
+   `benchmarks/discovery/forms.py`, and the number of mechanisms in `cases.py` there and in its
+   test. It draws other cases from then on, so that `docs/results/discovery.json` is made anew.
 6. Add ranges of the parameters to `cases.py` in `tests/terramechanics`, the law as its source
    writes it to `reference.py` and `test_equations.py` there, and its units to
    `test_units_do_not_matter`; bounds must hold in those units too. Run `pytest
    tests/terramechanics tests/simulation/test_worlds.py tests/discovery
    tests/benchmarks/test_discovery.py`. `HIDDEN` of the agents' `environment.py` lists the
-   effects that hidden training worlds draw from.
+   effects that hidden training worlds draw from; an effect need not be there.
 
 A force or torque at the wheel that neither place above has also needs its term in `_at_the_axle`
 of `reaction.py` and in `steady.py`. `varies`
