@@ -264,7 +264,7 @@ def test_the_line_that_a_controller_chooses_is_the_one_that_it_drives():
     controller = make_controller("best_slip_true", scenario)
     forks = 0
     right = 0
-    *_, (sim, _) = evaluation_drive(controller, scenario, 5, 0, 40)
+    *_, (sim, _) = evaluation_drive(controller, scenario, 5, range(40))
     worlds = sim.worlds
     courses = worlds.courses
     routes = courses["routes"]

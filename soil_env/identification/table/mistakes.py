@@ -414,10 +414,8 @@ def _by_resistance(data: Data, noise: NoiseEstimate, reading: Reading) -> float:
     if rows.sum() < FEWEST_ROWS or reading.name in ("slip", "slip_ratio"):
         return 0.0
     share = (table.torque / radius - table.drawbar_pull) / table.load
-    off = (
-        float(np.median((share - HELD * np.sqrt(np.maximum(table.sinkage, 0.0) / radius))[rows]))
-        / HELD_SD
-    )
+    root = np.sqrt(np.maximum(table.sinkage, 0.0) / radius)
+    off = float(np.median((share - HELD * root)[rows])) / HELD_SD
     freedom = LESS_FREEDOM if off < 0.0 else MORE_FREEDOM
     return -0.5 * (freedom + 1.0) * math.log1p(off**2 / freedom)
 
