@@ -71,8 +71,8 @@ class ChoiceVecEnv(VecEnvWrapper):
 
 
 class Chooser(BaseCallback):
-    """Logistic regression of the routes taken by whether the wheel came over them, continued after
-    each rollout of PPO; as a student learns, `learn` is called.
+    """Logistic regression of whether the wheel came over a route on the entries of that route,
+    continued after each rollout of PPO; as a student learns, `learn` is called.
 
     Nothing is learned in an environment without routes. `rng` draws the choices of an update.
     """

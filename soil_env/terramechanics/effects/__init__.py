@@ -1,7 +1,7 @@
 """Named effects that the base model of Eqs. (1)-(10) lacks, one file an effect, and their
 composition.
 
-How to add an effect, in four files beside tests and pages:
+How to add an effect, in three files here and two of the benchmark, beside tests and pages:
 
 1. Write `effects/<name>.py` with `EFFECT = Effect(...)`: title, `EffectParameter`s, and for each
    published form its equation as text and its source. In the text a space multiplies and names
