@@ -271,20 +271,18 @@ def test_whatever_is_admitted_gives_a_soil():
     warning.
     """
     rng = np.random.default_rng(3)
-    limits = largest_readings(WHEEL)[:10]
+    limits = largest_readings(WHEEL)[:-1]
+    n = len(limits)
+    typical = STEADY._replace(pitch=0.0, motor_torque=5.5, acceleration=0.3)[:-1]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for _ in range(40):
             identifier = OnlineIdentifier(WHEEL)
-            size = np.where(rng.random(10) < 0.4, 10.0 ** rng.uniform(-4, 4, 10), 1.0)
-            size *= np.where(rng.random(10) < 0.2, -1.0, 1.0)
-            missing = (rng.random(10) < 0.2) & (np.arange(10) > 0)
+            size = np.where(rng.random(n) < 0.4, 10.0 ** rng.uniform(-4, 4, n), 1.0)
+            size *= np.where(rng.random(n) < 0.2, -1.0, 1.0)
+            missing = (rng.random(n) < 0.2) & (np.arange(n) > 0)
             for _ in range(40):
-                values = (
-                    np.array([*STEADY[:7], 0.0, 5.5, 0.3])
-                    * size
-                    * (1.0 + 0.3 * rng.normal(size=10))
-                )
+                values = np.array(typical) * size * (1.0 + 0.3 * rng.normal(size=n))
                 values = np.where(missing, math.nan, np.clip(values, np.negative(limits), limits))
                 try:
                     e = identifier.update(Readings(*values.tolist()))

@@ -79,7 +79,7 @@ class Group:
 ALL = [
     Group(kind, count, sort, of_slip)
     for kind, sort, count in (
-        ("one", "", 13),
+        ("one", "", len(MECHANISMS)),
         ("two", "", 9),
         ("none", "", 7),
         ("unlisted", "", 8),

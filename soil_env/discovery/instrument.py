@@ -42,6 +42,7 @@ PRESSED = (0.2, 3.0)  # of the stated load, within which the true one is sought
 def _entry(
     name: str,
     title: str,
+    explained: str,
     moves: tuple[Channel, ...],
     p: EffectParameter,
     equation: str,
@@ -56,7 +57,9 @@ def _entry(
         "W_true": "true load",
         "z": "sinkage",
     }
-    return Effect(name, title, (p,), (form,), moves, symbols=symbols, priors=priors)
+    return Effect(
+        name, title, (p,), (form,), moves, symbols=symbols, priors=priors, explained=explained
+    )
 
 
 def _p(name: str, symbol: str, unit: str, most: float, sd: float, doc: str) -> EffectParameter:
@@ -80,6 +83,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
             _entry(
                 "tilt",
                 "a rig that is not level",
+                "The rig is not level, so that a part of the load is read as pull.",
                 (PULL,),
                 _p(
                     "angle_deg",
@@ -94,6 +98,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
             _entry(
                 "force_offset",
                 "zero error of the drawbar pull",
+                "The zero of the load cell that measures the pull is off.",
                 (PULL,),
                 _p("offset", "d", "N", 1e6, 0.0, "offset of the load cell"),
                 "DP_measured = DP + {offset}",
@@ -102,6 +107,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
             _entry(
                 "force_gain",
                 "gain error of the drawbar pull",
+                "The load cell reads the pull too large or too small by a constant factor.",
                 (PULL,),
                 _p("gain", "g", "", 0.5, 0.08, "relative error of the load cell"),
                 "DP_measured = DP (1 + {gain})",
@@ -109,6 +115,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
             _entry(
                 "torque_offset",
                 "zero error of the torque",
+                "The zero of the torque sensor is off.",
                 (TORQUE,),
                 _p("offset", "d", "N m", 1e6, 0.0, "offset of the torque sensor"),
                 "T_measured = T + {offset}",
@@ -117,6 +124,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
             _entry(
                 "torque_gain",
                 "gain error of the torque",
+                "The torque sensor reads too much or too little by a constant factor.",
                 (TORQUE,),
                 _p("gain", "g", "", 0.5, 0.08, "relative error of the torque sensor"),
                 "T_measured = T (1 + {gain})",
@@ -124,6 +132,10 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
             _entry(
                 "wheel_radius",
                 "a wheel radius other than stated",
+                (
+                    "The wheel has another radius than the setup says, and the slip was computed "
+                    "with that."
+                ),
                 CHANNELS,
                 _p("error", "e", "", 0.3, 0.05, "relative error of the stated radius"),
                 "r_true = r (1 + {error})",
@@ -131,6 +143,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
             _entry(
                 "force_crosstalk",
                 "crosstalk of the torque in the drawbar pull",
+                "The load cell reads a part of the torque as pull.",
                 (PULL,),
                 _p(
                     "share",
@@ -145,6 +158,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
             _entry(
                 "torque_crosstalk",
                 "crosstalk of the drawbar pull in the torque",
+                "The torque sensor reads a part of the pull as torque.",
                 (TORQUE,),
                 _p(
                     "share",
@@ -159,6 +173,10 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
             _entry(
                 "arm_load",
                 "a load that goes with the torque",
+                (
+                    "The wheel hangs on an arm that its torque presses down or lifts, so that the "
+                    "load changes with it."
+                ),
                 CHANNELS,
                 _p(
                     "share",
@@ -173,6 +191,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
             _entry(
                 "spring_load",
                 "a load that goes with the sinkage",
+                "A spring or the weight of an arm changes the load as the wheel sinks.",
                 CHANNELS,
                 _p(
                     "rate",

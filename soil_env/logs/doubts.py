@@ -12,11 +12,10 @@ import math
 import numpy as np
 
 from soil_env.online import slips
-from soil_env.parameters.readings import sizes_of
-from soil_env.parameters.sensors import SENSORS
+from soil_env.parameters.sensors import SENSORS, sizes_of
 
 from .align import Aligned
-from .mapping import GEARED, TIMES, UNITS, LogMap, si_factor, si_unit
+from .mapping import GEARED, TIMES, UNITS, LogMap, is_converted, si_factor, si_unit
 
 _STANDS = 0.13  # [rad/s] wheel speed, or travel speed over radius, below which a wheel stands
 _LEAST = 10  # steps that drive, below which nothing is compared
@@ -35,23 +34,11 @@ _HELD = 0.7  # of the travel speed: the rim of a wheel that holds back downhill
 #: Rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long.
 _RIM = (0.65, 6.0)
 _FREEST = (0.4, 3.2)  # the same in the tenth of the steps with the least slip
-#: Of each reading the quantile that is compared, and least and most over the size that it is
-#: observed over. A force may be small for a while, as the torque of a wheel that rolls.
-_USUAL_SIZES = {
-    "acceleration": (0.5, 0.0, 0.7),  # more with an axis that points down
-    "pitch": (0.5, 0.0, 0.8),
-    "sinkage": (1.0, 1e-3, math.inf),  # largest of a log
-    "load": (0.5, 0.2, 5.0),
-    "drawbar_pull": (0.75, 1e-3, 2.0),
-    "torque": (0.75, 5e-3, 3.0),
-    "motor_torque": (0.75, 5e-3, 3.0),
-}
-_WORDS = {
-    "of gravity": "gravity",
-    "of radius": "the radius",
-    "of weight": "the weight on the wheel",
-    "of weight x radius": "weight times radius",
-}
+#: Sensors whose readings are compared with sizes of the wheel, the load before the other forces.
+_SIZED = sorted(
+    ((s.name, s.unit, s.observed[0], s.usual) for s in SENSORS if s.usual is not None),
+    key=lambda sized: ("weight" in sized[2], sized[0] != "load"),
+)
 
 
 def time_doubts(interval: float, length: float, log_map: LogMap) -> list[str]:
@@ -122,12 +109,11 @@ class _Doubts:
     def _units(self, name: str, low: float, high: float) -> list[str]:
         """Units in which the reading would be `low` to `high` times as large."""
         unit = self.map.channels[name].unit
+        if is_converted(name, unit):
+            return []
         now = si_factor(name, unit)
-        return [
-            u
-            for u, f in UNITS[name].items()
-            if not {u, unit} & {"A", "quaternion"} and f != now and low <= f / now <= high
-        ]
+        others = {u: f for u, f in UNITS[name].items() if f != now and not is_converted(name, u)}
+        return [u for u, f in others.items() if low <= f / now <= high]
 
     def _unit(self, name: str, low: float, high: float) -> str:
         """A unit that explains a reading which should be `low` to `high` times as large."""
@@ -190,15 +176,13 @@ class _Doubts:
         """
         gravity = self.map.gravity
         sizes = sizes_of(self.map.wheel, gravity)
-        of = {sensor.name: sensor.observed[0] for sensor in SENSORS}
         before = len(self.lines)
-        for name, (quantile, low, high) in _USUAL_SIZES.items():
-            scale = sizes.get(of[name], 1.0)
+        for name, unit, of, (quantile, low, high) in _SIZED:
             values = self._driven(np.abs(self.log.get(name)))
             if values.size < _LEAST:
                 continue
             size = float(np.quantile(values, quantile))
-            ratio = size / scale
+            ratio = size / sizes.get(of, 1.0)
             if low <= ratio <= high or (ratio == 0.0 and name == "sinkage"):
                 continue
             reason = self._unit(name, low / ratio, high / ratio) if ratio else "a dead sensor"
@@ -206,8 +190,9 @@ class _Doubts:
                 reason += f", or wheel.body_mass {size / gravity:.3g} kg"
             if name == "acceleration":
                 reason += ", or an axis that points down"
-            unit = si_unit(name)
-            said = f"{ratio:.3g} times {_WORDS.get(of[name], 'a radian')} ({scale:.3g} {unit})"
+            said = f"{size:.3g} {unit}"
+            if of in sizes:
+                said = f"{ratio:.3g} {of} ({sizes[of]:.3g} {unit})"
             self._doubt(name, said, f"{low:g} to {high:g}", reason)
             if name == "load":
                 break

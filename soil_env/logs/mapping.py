@@ -21,12 +21,9 @@ from soil_env._io.loading import (
 )
 from soil_env.measurement.setup import setup_of
 from soil_env.parameters import Belief, Noise, Wheel, refuse_idle_prior, with_preset
-from soil_env.parameters.readings import sizes_of
-from soil_env.parameters.sensors import SENSORS
+from soil_env.parameters.sensors import SENSORS, sizes_of
 
-#: Other units of a reading by its SI unit, in that. An ampere is one of a motor's current, a
-#: quaternion the orientation of the body, x forward and z up as in ROS (REP 103), of which the
-#: uphill pitch is taken.
+#: Other units of a reading by its SI unit, in that.
 _OTHERS = {
     "m": {"cm": 1e-2, "mm": 1e-3},
     "m/s": {"cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6},
@@ -37,6 +34,10 @@ _OTHERS = {
     "rad": {"deg": math.pi / 180.0, "quaternion": 1.0},
     "m/s2": {"g": 9.80665},
 }
+#: Units that are turned into a reading by more than a factor, and its SI unit: the current of a
+#: motor, and the orientation of the body, x forward and z up as in ROS (REP 103), of which the
+#: uphill pitch is taken.
+_CONVERTED = {"A": "N m", "quaternion": "rad"}
 #: Units of each reading, the first being the one that readings are turned into.
 UNITS: dict[str, dict[str, float]] = {
     s.name: {s.unit: 1.0} | _OTHERS.get(s.unit, {}) for s in SENSORS
@@ -88,6 +89,11 @@ class Source(Checked):
 def si_unit(name: str) -> str:
     """Unit that the reading `name` is turned into."""
     return next(iter(UNITS[name]))
+
+
+def is_converted(name: str, unit: str | None) -> bool:
+    """True if a unit of the reading `name` is turned into it by more than a factor."""
+    return unit is not None and _CONVERTED.get(unit) == si_unit(name)
 
 
 def si_factor(name: str, unit: str | None) -> float:
@@ -184,9 +190,10 @@ class LogMap(Checked):
             raise FieldError(self, f"{place}.unit", str(unknown_value(s.unit, UNITS[name])))
         if abs(s.sign) != 1.0:
             raise FieldError(self, f"{place}.sign", f" = {s.sign:g}: expected 1 or -1")
-        if (s.unit == "A") != (s.motor_constant is not None):
+        of_current = s.unit == "A" and is_converted(name, s.unit)
+        if of_current != (s.motor_constant is not None):
             raise FieldError(
-                self, place, ": expected motor_constant [N m/A] with unit A, and only there"
+                self, place, ": expected motor_constant [N m/A] with a torque in A, and only there"
             )
         if s.gear != 1.0 and name not in GEARED:
             raise FieldError(self, f"{place}.gear", f": expected only with {', '.join(GEARED)}")

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .scenario import Scenario
-from .sensors import SENSORS, Noise, SensorReading
+from .sensors import SENSORS, Noise, Readings, SensorReading, sizes_of
 from .wheel import Wheel
 
 STEP = np.int8(0)  # order to a vehicle: the control periods of an action
@@ -57,16 +57,17 @@ class Stepped(NamedTuple):
     observation: np.ndarray  # [vehicles, entries]
 
 
-def sizes_of(wheel: Wheel, gravity: float) -> dict[str, float]:
-    """Sizes [SI] that errors, limits and entries of the observation are relative to."""
-    weight = wheel.body_mass * gravity
-    return {
-        "of weight": weight,
-        "of weight x radius": weight * wheel.radius,
-        "of radius": wheel.radius,
-        "of top rim speed": wheel.radius * wheel.no_load_speed,
-        "of gravity": gravity,
-    }
+def largest_readings(wheel: Wheel, gravity: float = 9.81) -> Readings:
+    """Largest plausible readings (`Sensor.largest`); larger ones are faults or in another unit."""
+    sizes = sizes_of(wheel, gravity)
+    return Readings(**{s.name: s.largest[0] * sizes.get(s.largest[1], 1.0) for s in SENSORS})
+
+
+def largest_sensed(wheel: Wheel, gravity: float) -> SensorReading:
+    """`largest_readings` of a `SensorReading`, in its units."""
+    largest = largest_readings(wheel, gravity)
+    largest = largest._replace(wheel_speed=largest.wheel_speed * wheel.radius)  # the rim speed
+    return SensorReading(*(getattr(largest, sensor.name) for sensor in SENSORS))
 
 
 def observed_units(scenario: Scenario) -> SensorReading:

@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 
 from soil_env._io.loading import Checked, quantity
 
+from .wheel import Wheel
+
 _WEIGHT = "of weight"
 _TWIST = "of weight x radius"
 _TOP_SPEED = "of top rim speed"
@@ -120,10 +122,22 @@ class Readings(NamedTuple):
     time: float = _NAN  # [s] of any epoch; left out, one `period` after the last
 
 
+def sizes_of(wheel: Wheel, gravity: float) -> dict[str, float]:
+    """Sizes [SI] that errors, limits and entries of the observation are relative to."""
+    weight = wheel.body_mass * gravity
+    return {
+        _WEIGHT: weight,
+        _TWIST: weight * wheel.radius,
+        "of radius": wheel.radius,
+        _TOP_SPEED: wheel.radius * wheel.no_load_speed,
+        "of gravity": gravity,
+    }
+
+
 class Sensor(NamedTuple):
     """What a sensor reads, the largest sound reading, and its entry of the observation.
 
-    A size is one of `readings.sizes_of`; any other text is that of a unit.
+    A size is one of `sizes_of`; any other text is that of a unit.
     """
 
     name: str  # in `Readings` and `Noise`
@@ -134,6 +148,9 @@ class Sensor(NamedTuple):
     #: Size that it is observed over or its unit, least and greatest value, centre and scale.
     observed: tuple[str, float, float, float, float]
     of_body: bool = False  # a rover has one, and not one for each axle
+    #: Of a log that drives: the quantile of the reading's size that is compared with the least and
+    #: the most over the size that it is observed over. A force may be small for a while.
+    usual: tuple[float, float, float] | None = None
 
 
 #: One for each field of `SensorReading`, in its order. Centres and scales were read off the
@@ -141,15 +158,49 @@ class Sensor(NamedTuple):
 #: the ground.
 SENSORS = (
     Sensor("slip", "", (1.5, ""), ("-", -1.0, 1.0, 0.2, 0.3)),
-    Sensor("sinkage", "m", (1.0, "of radius"), ("of radius", -1.0, 3.0, 0.25, 0.15)),
-    Sensor("drawbar_pull", "N", (100.0, _WEIGHT), (_WEIGHT, -10.0, 10.0, 0.1, 0.2)),
-    Sensor("load", "N", (100.0, _WEIGHT), (_WEIGHT, -10.0, 10.0, 1.1, 0.1)),
-    Sensor("torque", "N m", (100.0, _TWIST), (_TWIST, -10.0, 10.0, 0.4, 0.2)),
+    Sensor(
+        "sinkage",
+        "m",
+        (1.0, "of radius"),
+        ("of radius", -1.0, 3.0, 0.25, 0.15),
+        usual=(1.0, 1e-3, math.inf),
+    ),
+    Sensor(
+        "drawbar_pull",
+        "N",
+        (100.0, _WEIGHT),
+        (_WEIGHT, -10.0, 10.0, 0.1, 0.2),
+        usual=(0.75, 1e-3, 2.0),
+    ),
+    Sensor(
+        "load", "N", (100.0, _WEIGHT), (_WEIGHT, -10.0, 10.0, 1.1, 0.1), usual=(0.5, 0.2, 5.0)
+    ),
+    Sensor(
+        "torque", "N m", (100.0, _TWIST), (_TWIST, -10.0, 10.0, 0.4, 0.2), usual=(0.75, 5e-3, 3.0)
+    ),
     Sensor("speed", "m/s", (40.0, ""), (_TOP_SPEED, -5.0, 5.0, 0.2, 0.2), of_body=True),
     Sensor("wheel_speed", "rad/s", (1e3, ""), (_TOP_SPEED, -5.0, 5.0, 0.2, 0.2)),
-    Sensor("pitch", "rad", (1.5, ""), ("rad, uphill positive", -1.6, 1.6, 0.0, 0.15), of_body=True),
-    Sensor("motor_torque", "N m", (100.0, _TWIST), (_TWIST, -10.0, 10.0, 0.4, 0.2)),
     Sensor(
-        "acceleration", "m/s2", (500.0, ""), ("of gravity", -10.0, 10.0, 0.0, 0.15), of_body=True
+        "pitch",
+        "rad",
+        (1.5, ""),
+        ("rad, uphill positive", -1.6, 1.6, 0.0, 0.15),
+        of_body=True,
+        usual=(0.5, 0.0, 0.8),
+    ),
+    Sensor(
+        "motor_torque",
+        "N m",
+        (100.0, _TWIST),
+        (_TWIST, -10.0, 10.0, 0.4, 0.2),
+        usual=(0.75, 5e-3, 3.0),
+    ),
+    Sensor(
+        "acceleration",
+        "m/s2",
+        (500.0, ""),
+        ("of gravity", -10.0, 10.0, 0.0, 0.15),
+        of_body=True,
+        usual=(0.5, 0.0, 0.7),  # more with an axis that points down
     ),
 )

@@ -20,7 +20,6 @@ from soil_env.identification.online.points import (
     LONGEST,
     READINGS,
     SHARPEST_SLIP,
-    SLACK,
     SLIP_RANGE,
     SLOWEST,
     SPINNING,
@@ -31,7 +30,7 @@ from soil_env.identification.online.points import (
 )
 from soil_env.online import slips
 from soil_env.parameters import load_scenario, soils
-from soil_env.parameters.sensors import SensorReading
+from soil_env.parameters.readings import largest_sensed
 from tests.identification.observing import Identified, driven
 
 SCENARIO = load_scenario("mixed")
@@ -219,12 +218,9 @@ IN_NO_POINT = {
     "in the air": {"load": 0.9 * LIFTED * W},
 }
 NO_WHEEL = {
-    **{
-        f"{name} {wrong}": {name: wrong}
-        for name in SensorReading._fields
-        for wrong in (math.nan, math.inf, -math.inf, 1e13)
-    },
-    "deeper than a wheel": {"sinkage": SLACK * R},
+    f"{name} {wrong}": {name: wrong}
+    for name, limit in largest_sensed(SCENARIO.wheel, SCENARIO.gravity)._asdict().items()
+    for wrong in (math.nan, math.inf, -math.inf, 1.01 * limit, -1.01 * limit)
 }
 
 

@@ -125,7 +125,7 @@ def content(report: Report) -> dict[str, Any]:
                 | {
                     "probability_if_laws_err": finding.if_laws_err(e.name),
                     "sure": finding.is_sure(e.name),
-                    "explained": words.EXPLAINED[e.name],
+                    "explained": LISTED[e.name].explained,
                     "symbols": {p.name: p.symbol for p in LISTED[e.name].parameters if p.symbol},
                     **block.content(),
                 }

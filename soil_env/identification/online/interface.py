@@ -30,7 +30,7 @@ from soil_env.parameters import (
     Soil,
     Wheel,
 )
-from soil_env.parameters.readings import reading_units, sizes_of
+from soil_env.parameters.readings import largest_readings, reading_units
 from soil_env.parameters.sensors import SENSORS, Readings
 from soil_env.slip import rim_speeds, slips, travel_speeds
 from soil_env.terramechanics.steady import steady_state
@@ -68,12 +68,6 @@ UNMEASURED = 1e2
 _UNITS = {sensor.name: sensor.unit for sensor in SENSORS} | {"time": "s"}
 #: Readings that are not needed to know the motion.
 _FORCES = [s.name for s in SENSORS if s.name not in ("slip", "speed", "wheel_speed", "pitch")]
-
-
-def largest_readings(wheel: Wheel, gravity: float = 9.81) -> Readings:
-    """Largest plausible readings (`Sensor.largest`); larger ones are faults or in another unit."""
-    sizes = sizes_of(wheel, gravity)
-    return Readings(**{s.name: s.largest[0] * sizes.get(s.largest[1], 1.0) for s in SENSORS})
 
 
 @dataclass(frozen=True, slots=True)

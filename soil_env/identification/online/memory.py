@@ -197,6 +197,7 @@ SETTING = record(
     white=(READING, 1),
     zero=(READING, 1),
     gain=(READING, 1),
+    largest=(READING, 1),  # of sound readings
     soil_mean=("f8", SOIL),
     soil_sd=("f8", SOIL),
     soil_precision=("f8", (SOIL, SOIL)),

@@ -7,8 +7,12 @@ no point, because the laws are those of steady motion.
 import math
 from typing import NamedTuple
 
-from soil_env._compiled.flags import compiled
+from numba import literal_unroll
 
+from soil_env._compiled.flags import compiled
+from soil_env.parameters.sensors import SensorReading
+
+NAMES = SensorReading._fields
 # Readings of a point; with 4 the errors of ln K grow by 5 %.
 READINGS = 8.0
 # [-] Standard deviation of the slip that a point has at most, if it can: noise of slip that is
@@ -30,10 +34,6 @@ SPIN_ERROR = 8.0  # [-] error of a motor torque over the one that turns the whee
 LIFTED = 0.05  # [of weight] load below which a wheel is in the air
 LAG = 0.3  # [periods] between the ground that a reading shows and the place at its end
 RESTS_KEPT = 60.0  # readings that the mean pull of a standing wheel remembers
-SLACK = 2.0  # [radii] sinkage beyond which a reading is of no wheel
-LARGEST_FORCE = 200.0  # [of weight] and as an acceleration of gravity
-FASTEST = 80.0  # [m/s] of both speeds together
-STEEPEST = 1.5  # [rad]
 TYPICAL_TORQUE = 0.3  # [of weight x radius] at which a gain counts as an error of a torque
 TYPICAL_PULL = 0.2  # [of weight] the same of a pull
 
@@ -41,20 +41,11 @@ TYPICAL_PULL = 0.2  # [of weight] the same of a pull
 @compiled
 def is_sound(reading, setting):
     """True if all readings are numbers that a wheel can give."""
-    force = LARGEST_FORCE * setting.weight
-    r = setting.radius
-    sizes = (
-        (abs(reading.slip), 1.0),
-        (abs(reading.drawbar_pull) + abs(reading.load), force),
-        (abs(reading.torque) + abs(reading.motor_torque), force * r),
-        (abs(reading.speed) + abs(reading.rim_speed), FASTEST),
-        (abs(reading.acceleration), LARGEST_FORCE * setting.gravity),
-        (abs(reading.pitch), STEEPEST),
-    )
-    for size, most in sizes:
-        if not size <= most:
-            return False
-    return abs(reading.sinkage) < SLACK * r
+    largest = setting.largest[0]
+    sound = True
+    for name in literal_unroll(NAMES):
+        sound = sound and abs(reading[name]) <= largest[name]
+    return sound
 
 
 @compiled

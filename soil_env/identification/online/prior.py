@@ -12,7 +12,7 @@ from scipy.special import ndtr
 
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import FLOW_LAW, Scenario
-from soil_env.parameters.readings import reading_errors, reading_units
+from soil_env.parameters.readings import largest_sensed, reading_errors, reading_units
 
 from .identifier import start
 from .memory import (
@@ -181,6 +181,7 @@ def setting_of(scenario: Scenario) -> np.ndarray:
     setting["white"] = np.maximum(white, least).view(READING)
     setting["zero"] = zero.view(READING)
     setting["gain"] = gain.view(READING)
+    setting["largest"] = np.array(largest_sensed(wheel, scenario.gravity)).view(READING)
     mean, covariance = prior_of_belief(scenario)
     setting["soil_mean"] = mean
     setting["soil_sd"] = np.sqrt(np.diag(covariance))

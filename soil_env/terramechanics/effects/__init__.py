@@ -1,12 +1,12 @@
 """Named effects that the base model of Eqs. (1)-(10) lacks, one file an effect, and their
 composition.
 
-How to add an effect, in three files here and two of the benchmark, beside tests and pages:
+How to add an effect, in two files here and one of the benchmark, beside tests and pages:
 
 1. Write `effects/<name>.py` with `EFFECT = Effect(...)`: title, `EffectParameter`s, and for each
    published form its equation as text and its source. In the text a space multiplies and names
-   have no dash. Set `moves` where it leaves a channel as it is, and `varies` to the condition that
-   shows the effect.
+   have no dash. `explained` is a sentence for readers of a report. Set `moves` where it leaves a
+   channel as it is, and `varies` to the condition that shows the effect.
    A constant of the source that is not fitted is a parameter `reference_speed` with scale 0.
    Another form of a listed mechanism is a `Form`, no effect.
 2. Write its law there as a function under `@compiled`. `fx.<name>_<parameter>` are its
@@ -17,11 +17,10 @@ How to add an effect, in three files here and two of the benchmark, beside tests
    axle); a law of speed to `depends_on_speed` too. Model files, the simulated world,
    `WheelSoilModel.predict`, the discovery workflow, its report and the table of `text.markdown`
    have it from there. Where two laws change one quantity, the later takes what the earlier left.
-4. Add a sentence for readers of a report to `EXPLAINED` in `discovery/report/words.py`.
-5. Let the blind benchmark hide it, as a test demands: published forms of others, or own ones, in
-   `benchmarks/discovery/forms.py`, and the number of mechanisms in `cases.py` there and in its
-   test. It draws other cases from then on, so that `docs/results/discovery.json` is made anew.
-6. Add ranges of the parameters to `cases.py` in `tests/terramechanics`, the law as its source
+4. Let the blind benchmark hide it, as a test demands: published forms of others, or own ones, in
+   `benchmarks/discovery/forms.py`. It draws other cases from then on, so that
+   `docs/results/discovery.json` is made anew.
+5. Add ranges of the parameters to `cases.py` in `tests/terramechanics`, the law as its source
    writes it to `reference.py` and `test_equations.py` there, and its units to
    `test_units_do_not_matter`; bounds must hold in those units too. Run `pytest
    tests/terramechanics tests/simulation/test_worlds.py tests/discovery

@@ -56,4 +56,5 @@ EFFECT = Effect(
     ),
     moves=(PULL,),
     symbols={"X": "45 deg - phi/2"},
+    explained="The wheel pushes a heap of soil ahead of itself, which takes drawbar pull.",
 )

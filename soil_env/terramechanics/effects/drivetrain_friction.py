@@ -77,4 +77,5 @@ EFFECT = Effect(
     beside="speed",  # lubricated friction falls and rises again with the speed (Stribeck)
     symbols={"T_measured": "measured torque", "w": "wheel speed, rad/s"},
     priors=_priors,
+    explained="Bearings, gears and seals take torque between the sensor and the wheel.",
 )

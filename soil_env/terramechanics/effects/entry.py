@@ -89,6 +89,7 @@ class Effect:
     neutral: Callable[[Bench], Mapping[str, float]] = lambda bench: {}
     #: Reason why a rig cannot show the effect; "" if it can.
     hidden: Callable[[Bench], str] = lambda bench: ""
+    explained: str = ""  # in a sentence, for readers of a report
 
     @property
     def conditions(self) -> tuple[str, ...]:

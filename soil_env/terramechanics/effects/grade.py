@@ -65,4 +65,5 @@ EFFECT = Effect(
         "S_b": "sinkage coefficient on the slope",
     },
     sensed=("share",),
+    explained="On a slope a part of the weight acts along the ground, and the ground carries less.",
 )

@@ -142,4 +142,8 @@ EFFECT = Effect(
     },
     priors=_priors,
     hidden=lambda bench: "the wheel has no grousers (grouser_height 0)" if bench.smooth else "",
+    explained=(
+        "Lugs shear the soil at their tips, on a larger circle than the rim, or push against it "
+        "as blades."
+    ),
 )

@@ -173,4 +173,5 @@ EFFECT = Effect(
         "c_N": "cohesion on pass N",
         "phi_N": "friction angle on pass N",
     },
+    explained="Soil that was driven over before is denser and carries and shears otherwise.",
 )

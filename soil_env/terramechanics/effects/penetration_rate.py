@@ -64,4 +64,5 @@ EFFECT = Effect(
     varies="speed",
     symbols={"S_V": "sinkage coefficient at the speed V"},
     neutral=_neutral,
+    explained="Soil that is loaded faster carries more (or less) before it gives way.",
 )

@@ -48,4 +48,8 @@ EFFECT = Effect(
             (("peak_follows", 0.0),),
         ),
     ),
+    explained=(
+        "Soil that rebounds touches the wheel behind its lowest point too, and carries and shears "
+        "there."
+    ),
 )

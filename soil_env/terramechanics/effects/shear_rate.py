@@ -98,4 +98,5 @@ EFFECT = Effect(
     },
     neutral=_neutral,
     hidden=_hidden,
+    explained="Soil that is sheared faster is stronger (or weaker).",
 )

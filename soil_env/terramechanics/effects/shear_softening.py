@@ -106,4 +106,8 @@ EFFECT = Effect(
     symbols={"j": "shear displacement", "tau": "shear stress", "tau_max": "c + sigma tan(phi)"},
     priors=_priors,
     neutral=lambda bench: {"length": 0.3 * bench.radius},
+    explained=(
+        "The strength of the soil rises to a peak and falls to a residual as it is sheared "
+        "further."
+    ),
 )

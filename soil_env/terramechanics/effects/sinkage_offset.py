@@ -35,4 +35,5 @@ EFFECT = Effect(
     symbols={"z_measured": "measured sinkage"},
     sensed=("offset",),
     priors=_priors,
+    explained="The zero of the sinkage sensor is off.",
 )

@@ -54,4 +54,8 @@ EFFECT = Effect(
     any_form=True,
     symbols={"i_measured": "measured slip"},
     sensed=("offset", "radius_error"),
+    explained=(
+        "The recorded slip is off, by its zero or by the rolling radius that it was computed "
+        "with."
+    ),
 )

@@ -145,4 +145,7 @@ EFFECT = Effect(
         "z_measured": "measured sinkage",
     },
     priors=_priors,
+    explained=(
+        "A wheel that slips digs soil out from under itself and sinks deeper the more it slips."
+    ),
 )

@@ -39,4 +39,8 @@ EFFECT = Effect(
         ),
     ),
     priors=_priors,
+    explained=(
+        "The place under the wheel where the soil presses hardest moves forward as the slip "
+        "grows."
+    ),
 )
