@@ -74,10 +74,21 @@ PRIOR_WIDTH = 1.5  # factor of the sd of the setup's priors
 #: Form error of an effect that is named by its place, in all channels alike, over that of others.
 ANY_FORM = 10.0
 AT_BOUND = 1e-4  # [prior sd] of an unknown from a bound, within which it does not move
-_SAME = 1e-6  # [prior sd] of a start from a bound, and within which derivatives are the same
-_LAW = 24  # most functions of the process of the law's error
-_EFFECT = 24  # of that of the form of an effect
-_FREE = 40  # of an anonymous contribution
+USUAL_DENSITY = 1500.0  # [kg/m3] of the soil where the setup gives none; own choice
+#: Lower bound of a parameter with a log-normal prior, over its centre, where its own bound is lower
+#: (0 has no logarithm); own choice.
+LEAST_OF_CENTRE = 1e-3
+#: Noise of a first fit over the standard deviation of the channel, where the setup gives none; own
+#: choice.
+ROUGH_NOISE = 0.05
+LEAST_NOISE = 1e-12  # [m, N, N m] the same of a channel whose values are all equal
+#: [prior sd] of a start from a bound, and of two starts, within which derivatives are the same.
+_SAME = 1e-6
+_OFF_NEUTRAL = 0.3  # [prior sd] start of a strength whose bound is its neutral value; own choice
+_NO_VALUE = 1e3  # [noise] residual where the model has no value
+_LAW = 24  # most functions of the process of the base law's error
+_EFFECT = 24  # most functions of the process of an effect's form error
+_FREE = 40  # most functions of an anonymous contribution
 #: Correlation lengths of the error of the base law, one as probable as another. The shortest is
 #: about the step between two slips of a table, for laws that are right at some slips alone: soil
 #: flows in two zones below a driven wheel, and in one at large slip (Wong 1967, J. Agric. Eng. Res.
@@ -104,7 +115,7 @@ class Sizes(NamedTuple):
 
     @property
     def laws(self) -> tuple[float, ...]:
-        """Size of the base law's error over each of the spans."""
+        """Size of the base law's error over each of the spans: 0 but for `span`."""
         return tuple(self.law if k == self.span else 0.0 for k in range(len(LAW_LENGTHS)))
 
 
@@ -131,17 +142,20 @@ class Fit:
     sizes: Sizes = EXACT  # that the unknowns are most probable under
 
     def parameters(self) -> dict[str, float]:
-        """Every unknown by name."""
+        """Values of the unknowns by name, in their own units."""
         return parameters_at(self.unknowns, self.u)
 
     @property
     def free_unknowns(self) -> np.ndarray:
-        """[p] which unknowns are not at a bound."""
+        """[p] True for the unknowns that are not within `AT_BOUND` of a bound."""
         low, high = bounds_of(self.unknowns)
         return np.minimum(self.u - low, high - self.u) > AT_BOUND
 
     def columns(self, sizes: Sizes) -> np.ndarray:
-        """[M, R] whitened form errors at their sizes side by side, those of size 0 left out."""
+        """[M, R] whitened form errors and nuisances at these sizes, side by side.
+
+        Those of size 0 are left out, and patterns, which no fit is made with.
+        """
         blocks = zip(
             (*self.law, self.effect, *self.free, self.rig),
             (*sizes.laws, sizes.effect, *sizes.free, sizes.rig),
@@ -152,11 +166,11 @@ class Fit:
         )
 
     def linearised(self) -> tuple[np.ndarray, np.ndarray]:
-        """(A [M + p, k], e [M + p]): the whitened problem about its solution, the priors as the
-        last p rows.
+        """(A [M + p + R, k], e [M + p + R]): the whitened least squares |A x - e| about the fit.
 
-        Unknowns come first, then the form errors, of the sizes that it was fitted with. Unknowns at
-        a bound do not move.
+        The first M rows are the values, the others the priors of the p unknowns and of R form
+        errors. The columns are the unknowns and then the form errors, at the sizes of the fit.
+        Unknowns at a bound have no column, since they do not move.
         """
         extra = self.columns(self.sizes)
         free = np.concatenate([self.free_unknowns, np.ones(extra.shape[1], dtype=bool)])
@@ -183,7 +197,8 @@ class Problem:
         self.soil, self.known = soil_unknowns(
             setup, self.data.rows.load, self.data.y[:, 0], PRIOR_WIDTH
         )
-        self.density: float = 1500.0 if setup.soil.density is None else setup.soil.density.value
+        given = setup.soil.density
+        self.density: float = USUAL_DENSITY if given is None else given.value
         self.laws: dict[str, float] = given_laws(setup)
         self.bench: Bench = self._bench()
         #: Prior (sd, low, high) and neutral value or centre of the parameters for which the rig
@@ -198,8 +213,12 @@ class Problem:
         self._lay_form_errors()
 
     def _lay_form_errors(self) -> None:
-        """Lay Gaussian processes over the conditions of the table: form errors of the laws, one for
-        each length, and of effects, and functions that are free; set the size of each channel.
+        """Lay Gaussian processes over the conditions of the table, and set `size` [3], the rms of
+        each channel.
+
+        The form error of the base law has a process for each of `LAW_LENGTHS`. That of effects has
+        one for each set of conditions that some effect depends on. `free_functions` [N, R] are of
+        all conditions, for an anonymous contribution.
         """
         at = self.data.conditions | self.data.elapsed
         self.law_processes: list[Process] = [
@@ -217,7 +236,10 @@ class Problem:
         self.size: np.ndarray = np.sqrt(square / np.maximum(self.used.sum(axis=0), 1))
 
     def _bench(self) -> Bench:
-        """Sizes of this rig, which priors of effects scale with."""
+        """Sizes of this rig, which priors of effects scale with.
+
+        The sliding speed is a mean over the rows that slip; of rows without slip, the travel speed.
+        """
         rows = self.data.rows
         r = self.data.wheel.radius
         wheel = self.data.setup.wheel
@@ -244,14 +266,19 @@ class Problem:
         )
 
     def unknowns(self, choices: Choices) -> tuple[Unknown, ...]:
-        """Unknowns of a model: soil first, then the effects in order."""
+        """Unknowns of a model: soil first, then the free parameters of the effects in order.
+
+        A parameter with a centre is fitted in its logarithm. Any other has its neutral value for
+        the prior mean, the gain of slip-sinkage the `dig_gain` of the setup.
+        """
         out = list(self.soil)
         for choice in choices:
             for full in choice.free:
                 p = LAWS[choice.effect].parameter(full.removeprefix(f"{choice.effect}_"))
                 if p.centre is not None:
                     centre = self.centres.get(full, p.centre)
-                    low, high = math.log(max(p.low, 1e-3 * centre)), math.log(p.high)
+                    low = math.log(max(p.low, LEAST_OF_CENTRE * centre))
+                    high = math.log(p.high)
                     out.append(Unknown(full, math.log(centre), p.scale, low, high, True))
                     continue
                 sd, low, high = self.scales.get(full, (p.scale, p.low, p.high))
@@ -260,7 +287,9 @@ class Problem:
         return tuple(out)
 
     def effects(self, choices: Choices, values: dict[str, float]) -> Effects:
-        """The effects of a set of parameters."""
+        """`Effects` of the world under parameters `values`: of the `choices` in the catalogue, all
+        else neutral.
+        """
         numbers: dict[str, float] = {}
         for choice in (c for c in choices if c.effect in CATALOGUE):
             numbers |= choice.fixed | {name: values[name] for name in choice.free}
@@ -274,10 +303,11 @@ class Problem:
         rows: Rows | None = None,
         more: Mapping[str, float] | None = None,
     ) -> np.ndarray:
-        """Model values [N, 3] of a set of parameters, at other `rows` than those of the table if
-        given.
+        """What the rig reads, by the model with these effects: [N, 3], NaN where it has no value.
 
-        `guess` [N] of the sinkage is renewed; `more` is added to parameters of effects.
+        `values`: fitted parameters by name. `guess` [N]: sinkages to start from, overwritten by the
+        solution. `rows`: those of the table if None. `more` is added to parameters of effects.
+        Errors of the rig and laws without a name act before and after the laws of the world.
         """
         fx = self.effects(choices, values)
         if more:
@@ -303,12 +333,14 @@ class Problem:
         return np.maximum(fit.output[:, 0], 0.0)
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
-        """[M, ..] of an array [N, 3, ..]: the values in use over the noise."""
+        """[M, ..] of an array [N, 3, ..]: the values in use, each over its noise."""
         scale = self.noise * self.data.relative_sd
         return (values.T / scale.T).T[self.used]
 
     def without(self, rows: np.ndarray) -> Problem:
-        """The problem without the values of the rows [N] bool."""
+        """A copy of the problem in which the values of the rows that are True [N] are not in
+        use.
+        """
         rest = copy.copy(self)
         rest.used = self.used & ~rows[:, None]
         return rest
@@ -322,15 +354,15 @@ class Problem:
     ) -> Fit:
         """Most probable parameters of the model with the given effects.
 
-        `start`: parameters by name; effects that it does not name start a little off neutral. With
-        `near`, a fit to the same table, the covariance holds its form errors at these `sizes`;
-        without, that of the noise alone, times the scatter.
+        `start`: parameters by name; effects that it does not name start a little off neutral.
+        `near`: a fit to the same table, whose form errors at these `sizes` are in the covariance.
+        Without it the covariance is that of the noise times the scatter, and no other size counts.
         """
         law = Law(self, choices)
         low, high = law.bounds
         u = np.array(
             [
-                k.at(start[k.name]) if start and k.name in start else self._first(k)
+                k.at(start[k.name]) if start and k.name in start else self._start_of(k)
                 for k in law.unknowns
             ]
         )
@@ -352,7 +384,7 @@ class Problem:
             u,
             output,
             added,
-            np.where(np.isfinite(residual), residual, 1e3),
+            np.where(np.isfinite(residual), residual, _NO_VALUE),
             law.derivatives(u),
             tuple(map(self.whiten, of_law)),
             self.whiten(effect),
@@ -363,16 +395,19 @@ class Problem:
         )
 
     @staticmethod
-    def _first(unknown: Unknown) -> float:
-        """Start of an unknown: the prior mean; strengths that are bounded at their neutral value a
-        little off it.
+    def _start_of(unknown: Unknown) -> float:
+        """Whitened start of an unknown: 0, the prior mean.
+
+        The strength of an effect whose lower bound is its neutral value starts a little above. At
+        neutral the other parameters of the effect change nothing.
         """
+        # Parameters of effects have an underscore in their names, the cohesion has none.
         bounded = not unknown.log and unknown.low >= unknown.mean and "_" in unknown.name
         return 0.3 if bounded else 0.0
 
     def effect_process(self, choice: Choice) -> Process:
-        """Form error of an effect: it goes with what the base law knows and with what the effect is
-        about.
+        """Process of the form error of an effect: a function of what the base law depends on, and
+        of the conditions that the effect depends on.
         """
         return self.effect_processes[LAWS[choice.effect].conditions]
 
@@ -380,7 +415,8 @@ class Problem:
 class Law:
     """The model of a table with some effects as a function of the whitened unknowns u [p].
 
-    `guess` [N] of the sinkage is renewed by every output.
+    `guess` [N]: sinkages that a prediction starts from; every `output` overwrites them with its
+    own.
     """
 
     def __init__(self, problem: Problem, choices: Choices, guess: np.ndarray | None = None) -> None:
@@ -393,7 +429,7 @@ class Law:
         self.derivatives = Last(self._derivatives)
 
     def values(self, u: np.ndarray) -> dict[str, float]:
-        """Every unknown by name."""
+        """Values of the unknowns by name at u."""
         return parameters_at(self.unknowns, u)
 
     def output(self, u: np.ndarray) -> np.ndarray:
@@ -401,6 +437,8 @@ class Law:
         return self.problem.predict(self.values(u), self.choices, self.guess)
 
     def _derivatives(self, u: np.ndarray) -> np.ndarray:
+        """[M, p] `derivatives` at u; each prediction starts off the solution (`OFF_GUESS`)."""
+
         def model(x):
             guess = OFF_GUESS * self.guess
             return self.problem.whiten(self.problem.predict(self.values(x), self.choices, guess))
@@ -409,7 +447,9 @@ class Law:
         return side_by_side(differences(model, u, self.unknowns, base), base.size)
 
     def added(self, u: np.ndarray, output: np.ndarray) -> tuple[np.ndarray, ...]:
-        """[N, 3] what each effect adds to the output at u."""
+        """[N, 3] by effect: the `output` at u less that of the same parameters without the effect;
+        0 where the model has no value.
+        """
         values = self.values(u)
         rest = (self.choices[:k] + self.choices[k + 1 :] for k in range(len(self.choices)))
         return tuple(
@@ -418,7 +458,9 @@ class Law:
         )
 
     def stresses(self, u: np.ndarray, output: np.ndarray) -> list[np.ndarray]:
-        """[N, 3] change of the output at u by each `stress_changes`, relative."""
+        """[N, 3] derivative of the output at u by the relative size of each of `stress_changes`;
+        `output` gives their typical sinkage.
+        """
         values = self.values(u)
         sinkage = float(np.nanmedian(output[:, 0]))
 
@@ -436,10 +478,13 @@ class Law:
         added: Sequence[np.ndarray],
         at: Conditions | None = None,
     ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
-        """Form errors [N, 3, R] at u at the size 1: of the base law, by span; of the effects, of
-        what is `added`; and the nuisances of the instrument.
+        """Form errors at u at the size 1: (of the base law by span, of the effects, nuisances of
+        the instrument), each [N, 3, R].
 
-        `at`: conditions of the rows, where they are not those of the processes.
+        The error of the base law acts on the stresses. That of an effect is a factor of its own on
+        what it has `added` to each channel; for an effect that is named in any form, one factor on
+        all channels, `ANY_FORM` times as large. `output`: that at u. `at`: conditions of the rows,
+        where they are not those of the processes.
         """
         problem = self.problem
 
@@ -463,8 +508,9 @@ class Law:
         return laws, np.concatenate(blocks, axis=2), rig
 
     def fitted(self, start: np.ndarray, whiten: ArrayFunction) -> tuple[np.ndarray, bool]:
-        """(most probable u, whether it converged) where `whiten` takes the whitened values to those
-        of a covariance.
+        """(most probable u, True if the search converged), from u = `start`.
+
+        `whiten` turns values over the noise into values that are independent under a covariance.
         """
         whole = self.problem.whiten
         u, _, converged = most_probable(
@@ -488,11 +534,16 @@ def _in_channel(functions: np.ndarray, factor: np.ndarray) -> np.ndarray:
 
 
 def calibrate(data: Data) -> tuple[Problem, NoiseEstimate]:
-    """`Problem` with its noise found and its outliers left out."""
+    """(`Problem`, estimate of its noise) of a table, with outliers left out.
+
+    A first fit of the base model under a rough noise gives the surface about which noise and
+    outliers are found. Noise of slip and load that the setup states counts as noise of the
+    channels. The noise is known as well as that of the channel with the fewest degrees of freedom.
+    """
     spread = [np.nanstd(y) if np.isfinite(y).any() else 1.0 for y in data.y.T]
     rough = np.array(
         [
-            getattr(data.setup.noise, name) or max(0.05 * sd, 1e-12)
+            getattr(data.setup.noise, name) or max(ROUGH_NOISE * sd, LEAST_NOISE)
             for name, sd in zip(CHANNELS, spread, strict=True)
         ]
     )

@@ -43,20 +43,25 @@ from .prediction import Prediction, independent
 from .predictive import DEEPEST
 from .unnamed import OF_LOAD
 
-BEYOND_SLIP = 0.1  # that the table goes beyond the measured slips
-BEYOND_LOAD = 2.0  # factor by which it goes beyond the measured loads
-STEPS = {"slip": 0.08, "load": 0.2}  # correlation lengths between two nodes of it
-LEAST_STEP = {"slip": 0.012, "load": 0.15}  # of slip, and of ln W
-COARSER = 1.2  # factor of these steps until there are few enough nodes
-MOST = 2000  # nodes
-FEW = 4  # nodes of another condition, at most
+#: [-] that the table goes beyond the measured slips; it begins at 0 where no row is braked.
+BEYOND_SLIP = 0.1
+MOST_SLIP = 0.95  # [-] of either sign, where the table ends even if a row is beyond; own choice
+BEYOND_LOAD = 2.0  # factor by which the table goes beyond the measured loads
+STEPS = {"slip": 0.08, "load": 0.2}  # correlation lengths between two nodes of the table
+LEAST_STEP = {"slip": 0.012, "load": 0.15}  # between two nodes: of slip, and of ln W
+COARSER = 1.2  # factor of the steps of slip and load until there are few enough nodes
+MOST = 2000  # nodes of the table, less than `terramechanics.residual.MOST_NODES`
+FEW = 4  # nodes of a condition other than slip and load, at most
 SENSED = ("slip_bias", "sinkage_offset")  # effects of a world that only sensors feel
 LITTLE = 0.05  # [noise] change below which an effect is left to the table
 
 
 def model_of(problem: Problem, choices: Sequence[Choice], values: Values) -> WheelSoilModel:
-    """The `WheelSoilModel` of fitted parameters: their soil, and their effects as the world has
-    them.
+    """The `WheelSoilModel` of parameters `values` by name: the soil, and the effects of the
+    catalogue among `choices`.
+
+    Errors of the rig and laws without a name are left out, since the world has none. The model
+    knows the range of slip, load and other conditions of the table.
     """
     soil = {**problem.known, **values}
     numbers: dict[str, Any] = {name: float(soil[name]) for name in BROAD} | problem.laws
@@ -84,8 +89,8 @@ def model_of(problem: Problem, choices: Sequence[Choice], values: Values) -> Whe
 
 
 def parameters(problem: Problem, choice: Choice, values: Values) -> dict[str, float]:
-    """Parameters of an effect: what its form frees, what it sets, and the reference speed that the
-    table set.
+    """Parameters of an effect by name, cut to their bounds: those that its form frees, those that
+    the form sets, and the reference speed, which the table sets.
     """
     numbers = problem.effects((choice,), dict(values))._asdict() | dict(values)
     out = {}
@@ -97,10 +102,13 @@ def parameters(problem: Problem, choice: Choice, values: Values) -> dict[str, fl
 
 
 def corrected(found: Prediction, named: Sequence[str] = ()) -> WheelSoilModel:
-    """The model of a prediction: its soil, the effects that change something, and the rest as a
-    table; without what of the `named` is an error of the rig.
+    """The model of a prediction that can be simulated: its soil, its effects, and the rest as a
+    table.
 
-    What only sensors feel stays an effect where it is named: a world is no rig.
+    In the rest are errors of the rig, soil that goes with the load, effects that only sensors feel
+    (`SENSED`), and effects that together change no value by `LITTLE`. Exceptions: a `SENSED` effect
+    that is `named` stays an effect. A named error of the rig and the tilt of the setup are in
+    neither, since the world is no rig.
     """
     problem = found.problem
     left = [name for name in (*INSTRUMENT, *OF_LOAD, *SENSED) if name not in {*named} & {*SENSED}]
@@ -126,13 +134,16 @@ def _remainder(
     nodes: Conditions,
     without: Sequence[str],
 ) -> ResidualTable:
-    """The table of what `model` misses of a prediction, at nodes of the conditions that this goes
-    with.
+    """The table of a prediction less `model`, at all combinations of `nodes` (by condition, true
+    slips): sinkage over radius, pull over load, torque over both, and their standard deviations.
+
+    `without`: errors of the rig that the prediction leaves out.
     """
     grid = np.stack(np.meshgrid(*nodes.values(), indexing="ij"), axis=-1).reshape(-1, len(nodes))
     at = _usual(found.problem, ("load", "speed", "pass"), len(grid))
     at |= dict(zip(nodes, grid.T, strict=True))
     bias = {"offset": 0.0, "radius_error": 0.0} | model.effects.get("slip_bias", {})
+    # The model and the prediction take the slip as it is measured.
     scale = np.full(len(grid), 1.0 / (1.0 - bias["radius_error"]))
     at["slip"] = np.clip(slips_of_radius(at["slip"] - bias["offset"], scale), -1.0, 1.0)
     law = np.stack(replace(model, validity={}).predict(at)[:3], axis=1)
@@ -150,7 +161,9 @@ def _remainder(
 
 
 def _usual(problem: Problem, names: Sequence[str], count: int) -> dict[str, np.ndarray]:
-    """Middle value of the table for `count` rows: of what does not vary by itself."""
+    """Median in the table of each of the conditions `names`, `count` times: values of conditions
+    that have no nodes.
+    """
     conditions = problem.data.conditions
     return {name: np.full(count, np.median(conditions[name])) for name in names}
 
@@ -161,11 +174,16 @@ class Guess(NamedTuple):
     conditions: dict[str, float]
     mean: np.ndarray  # [3]
     sd: np.ndarray  # [3]
-    times: float  # sd over the largest of the measured conditions, mean of the channels in use
+    #: sd over the largest sd at the conditions of the table, mean of the channels in use.
+    times: float
 
 
 def least_sure(found: Prediction) -> Guess | None:
-    """The least sure corner of the remainder's table; None where the wheel is buried in all."""
+    """The corner of the remainder's table where the standard deviation is largest, relative to the
+    largest at the measured conditions.
+
+    None where the wheel sinks deeper than `predictive.DEEPEST` radii in every corner.
+    """
     problem = found.problem
     nodes = _nodes(found, 1.0)
     corners = np.array(list(product(*((x[0], x[-1]) for x in nodes.values()))))
@@ -183,8 +201,11 @@ def least_sure(found: Prediction) -> Guess | None:
 
 
 def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
-    """Conditions, in the units of a table, at which the remainder is written down, with steps that
-    are `coarse` times the usual.
+    """Nodes of the remainder's table by condition that varies, in units of a measurement table.
+
+    Slip and load go beyond the measured range, in steps `coarse` times the usual. Slip has a node
+    at 0 where it changes sign, and begins at 0 where no row is braked. Other conditions have at
+    most `FEW` of their measured values.
     """
     problem = found.problem
     out = {}
@@ -198,8 +219,9 @@ def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
         if name in STEPS:
             step = coarse * max(STEPS[name] * found.learnt.lengths[name], LEAST_STEP[name])
         if name == "slip":
-            start = max(low - BEYOND_SLIP, -0.95) if low < 0.0 else 0.0
-            ends = [start, *([0.0] if start < 0.0 < high else []), min(high + BEYOND_SLIP, 0.95)]
+            start = max(low - BEYOND_SLIP, -MOST_SLIP) if low < 0.0 else 0.0
+            end = min(high + BEYOND_SLIP, MOST_SLIP)
+            ends = [start, *([0.0] if start < 0.0 < high else []), end]
             parts = [np.linspace(a, b, math.ceil((b - a) / step) + 1) for a, b in pairwise(ends)]
             out[name] = np.unique(np.concatenate(parts))
         elif name == "load":
@@ -221,7 +243,9 @@ def groups_at(point: WorkingPoint, soil: SoilState, rim: Rim, gravity: float) ->
 
 
 def _groups(model: WheelSoilModel, name: str, values: np.ndarray) -> list[float]:
-    """Values of the group of a condition."""
+    """Values of the dimensionless group (`residual.GROUPS`) that goes with a condition `name`, at
+    `values` in units of a measurement table.
+    """
     assert model.soil is not None
     wheel = model.wheel
     rim = Rim(wheel.radius, wheel.width, 0.0, 0.0)
@@ -231,6 +255,7 @@ def _groups(model: WheelSoilModel, name: str, values: np.ndarray) -> list[float]
         values = np.sin(np.radians(values))
     out = []
     for x in values.tolist():
+        # Of the fields only that one counts for its group.
         point = WorkingPoint(0.0, 0.0, 1.0, 0.0, 1.0, 0.0)._replace(**{field: x})
         soil = model.soil.under(wheel.radius, wheel.width, point.load, model.gravity)
         out.append(float(groups_at(point, soil, rim, model.gravity)[GROUPS.index(group)]))

@@ -48,12 +48,17 @@ log_sum = np.logaddexp.reduce  # on short arrays a tenth of the time of `logsume
 #: Size beta of an effect's form error, relative to what it adds: published forms differ by 10 to
 #: 30 % of it.
 EFFECT_SIZES = (0.03, 0.12, 0.3)
-EFFECT_PRIOR = (0.35, 0.5, 0.15)  # probability of each of them
+EFFECT_PRIOR = (0.35, 0.5, 0.15)  # probability of each of them; own choice
 _NOISE_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of estimated noise, equally probable
 ALIKE_SIZES = (0.6, 1.0)  # of what resembles an effect and is not it
 _ROUNDS = 2  # of fit and sizes in turn
 _SLIGHT = 1e-3  # posterior share below which a size of the form error does not count
 _LITTLE = 0.05  # [prior sd] strength at which an effect's first order is taken
+_FIRST_LAW = 0.05  # most of the size of the law's error in the first of these fits; own choice
+_SETTLED = 0.1  # [nat] change of the log evidence below which fit and sizes are settled; own choice
+_APART = 1e-12  # least difference of the logarithms of two probabilities: of 0 there is none
+_INVISIBLE = 1e-12  # least normal of a strength, which it is divided by
+_TIE = 1e-9  # weight of a small strength beside its power, where the powers of forms are equal
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,16 +74,18 @@ class Evidence:
     by_law: dict[float, float]  # log evidence under a size of the law's error, over that of all
 
     def if_laws_err(self, size: float) -> float:
-        """Log evidence under an error of the base law of about this size, over that of all."""
+        """Log evidence if the base law has an error of this size, less that over all sizes: of the
+        size on the grid whose ratio to it is nearest to 1.
+        """
         return self.by_law[min(self.by_law, key=lambda x: abs(math.log(x / size)))]
 
     @property
     def names(self) -> Names:
-        """Its effects."""
+        """Names of the effects of the model."""
         return tuple(c.effect for c in self.fit.choices)
 
     def typical(self, kind: str) -> float:
-        """Root mean square of a size over its posterior."""
+        """Root mean square of a size over its posterior; `kind`: its field of `Sizes`."""
         return math.sqrt(sum(p * getattr(s, kind) ** 2 for s, p in self.share.items()))
 
 
@@ -94,8 +101,11 @@ class Grid(NamedTuple):
 
 @cache
 def grid(names: Names) -> tuple[list[Sizes], np.ndarray, np.ndarray]:
-    """(sizes of the form errors of the base law and of effects, log prior of each, [S, K] sizes by
-    rig, effects and laws); an instrument's laws are exact.
+    """(all sizes of the form errors of a model with these effects, log prior [S], the sizes [S, K]
+    by rig, effects and each span of the base law).
+
+    Errors of the instrument follow their law nearly exactly: the smallest size is the only one.
+    Without effects the size of their form error is 0.
     """
     effect = [*zip(EFFECT_SIZES, EFFECT_PRIOR, strict=True)]
     if {*names} <= {*INSTRUMENT}:
@@ -111,14 +121,14 @@ def grid(names: Names) -> tuple[list[Sizes], np.ndarray, np.ndarray]:
 
 
 def plain_grid(fit: Fit) -> Grid:
-    """`grid` of a fit."""
+    """`Grid` of the form errors of a fit itself, without an anonymous contribution."""
     sizes, log_prior, table = grid(tuple(c.effect for c in fit.choices))
     return Grid(sizes, log_prior, (fit.rig, fit.effect, *fit.law), table, 2)
 
 
 def noise_scales(freedom: float) -> np.ndarray:
-    """Noise over its estimate, equally probable values, where the estimate has so many degrees of
-    freedom.
+    """Equally probable values of the noise over its estimate, which has so many degrees of freedom;
+    1 alone where the noise is known.
     """
     if not math.isfinite(freedom):
         return np.ones(1)
@@ -127,7 +137,9 @@ def noise_scales(freedom: float) -> np.ndarray:
 
 
 def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
-    """`Evidence` of a fit, linearised about it, over the sizes of `plain_grid` or others."""
+    """`Evidence` of a fit, linearised about it: marginal over the sizes of the grid (`plain_grid`
+    where none is given) and over the scales of a noise that is estimated.
+    """
     sizes, log_prior, errors, table, first = over or plain_grid(fit)
     scatter = np.array([s.scatter for s in sizes])
     p = fit.u.size
@@ -166,8 +178,8 @@ def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
 
 
 def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """[S] log of the posterior over the prior probability that every unknown is within its
-    bounds.
+    """[S] log of the posterior over the prior probability that every unknown is within its bounds,
+    as if unknowns were independent; `mean` [S, p], `covariance` [S, p, p] without bounds.
     """
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     out = np.zeros(len(mean))
@@ -183,7 +195,7 @@ def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     turn = a > 0.0  # there by the other tail, where the difference of two ones would vanish
     upper: np.ndarray = log_ndtr(np.where(turn, -a, b))
     lower: np.ndarray = log_ndtr(np.where(turn, -b, a))
-    between: np.ndarray = upper + np.log1p(-np.exp(np.minimum(lower - upper, -1e-12)))
+    between: np.ndarray = upper + np.log1p(-np.exp(np.minimum(lower - upper, -_APART)))
     return between
 
 
@@ -193,13 +205,17 @@ def settle(
     near: Evidence | None = None,
     start: dict[str, float] | None = None,
 ) -> Evidence:
-    """Evidence of a model, fitted under the form errors that are most probable with it, and
+    """Evidence of a model that is fitted under its most probable sizes of form errors, and
     linearised there.
 
-    `near`, a model of the same table, is where the first fit takes its form errors from.
+    Fit and sizes are found in turn, at most `_ROUNDS` times after a first fit. `near`: a model of
+    the same table, from which the first fit takes its form errors, and its start where that is not
+    given. Without it the first fit is under the noise alone.
     """
     first = (
-        Sizes() if near is None else Sizes(min(near.sizes.law, 0.05), span=near.sizes.span, rig=1.0)
+        Sizes()
+        if near is None
+        else Sizes(min(near.sizes.law, _FIRST_LAW), span=near.sizes.span, rig=1.0)
     )
     if start is None and near is not None:
         start = near.fit.parameters()
@@ -207,7 +223,7 @@ def settle(
     for _ in range(_ROUNDS):
         sizes = best.sizes
         now = weigh(problem, problem.fit(choices, best.fit.parameters(), sizes, best.fit))
-        done = now.sizes == sizes and abs(now.log - best.log) < 0.1
+        done = now.sizes == sizes and abs(now.log - best.log) < _SETTLED
         best = now
         if done:
             break
@@ -215,23 +231,24 @@ def settle(
 
 
 class _Part(NamedTuple):
-    """Log evidence, normal [K, K] and pull [K] of `_Further` without an error of the law, and that
-    error over one span in its own directions.
+    """What `_Further.under` computes every size of the law's error over one span from: log
+    evidence, `normal` and `pull` without an error of the law, and that error in its eigenvectors.
     """
 
     log: float
-    normal: np.ndarray
-    pull: np.ndarray
-    values: np.ndarray  # [R] of its normal matrix
-    turned: np.ndarray  # [R, 1 + K] pulls of the residual and of the strengths on it
+    normal: np.ndarray  # [K, K]
+    pull: np.ndarray  # [K]
+    values: np.ndarray  # [R] eigenvalues of the normal matrix of the law's error
+    turned: np.ndarray  # [R, 1 + K] pulls of the residual and of the strengths on that error
 
 
 class _Further:
-    """Strengths of further effects beside a fitted model as linear unknowns [M, K], under each size
-    of the law's error.
+    """K strengths of further effects as linear unknowns beside a fitted model, under each size of
+    the law's error.
 
-    Under the covariance of noise and form errors, the model's unknowns free, the strengths x have
-    the normal matrix `normal` [K, K] and the pull `pull` [K] of the table.
+    A strength is a parameter that is not fitted in its logarithm. `columns` [M, K] are the changes
+    of the whitened values by it. Under the covariance of noise and form errors, and with the
+    unknowns of the model free, the strengths x add x'pull - x'normal x / 2 to the log likelihood.
     """
 
     def __init__(self, problem: Problem, first: Evidence, choices: list[Choice]) -> None:
@@ -260,8 +277,8 @@ class _Further:
         self.parts: dict[tuple[int, float], _Part] = {}
 
     def under(self, sizes: Sizes) -> tuple[float, np.ndarray, np.ndarray]:
-        """(log evidence of the model alone, normal [K, K], pull [K]) at a size of the law's error,
-        and scatter.
+        """(log evidence of the model alone, normal [K, K], pull [K]) under a size and span of the
+        law's error and a scatter; other sizes are those of the model.
         """
         key = sizes.span, sizes.scatter
         if key not in self.parts:
@@ -274,7 +291,9 @@ class _Further:
         return log, part.normal - by_law[1:, 1:], part.pull - by_law[1:, 0]
 
     def _part(self, span: int, noise: float) -> _Part:
-        """What all sizes of the law's error over a span share, under a noise."""
+        """What all sizes of the law's error over a span share; `noise` is over that of the
+        table.
+        """
         fit = self.fit
         blocks = (fit.jacobian, self.effect * fit.effect, fit.rig)
         known = np.concatenate(blocks, axis=1) / noise
@@ -300,8 +319,8 @@ class _Further:
 
 
 def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[float]:
-    """Log evidence that a further effect promises in each of its forms beside those of `first`, to
-    first order.
+    """Log evidence of the model of `first` with each of the `choices` added by itself, to first
+    order in the strengths of the latter, over the sizes of the law's error.
     """
     further = _Further(problem, first, choices)
     one_sided = np.array([u.low >= u.mean for u in further.unknowns])
@@ -315,8 +334,8 @@ def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[f
 
 
 def _gains(normal: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> np.ndarray:
-    """[S] gain of log evidence by unknowns with unit priors, of normal [S, K, K] and pull [S, K];
-    those that may not be negative stay at 0 where they would.
+    """[S] gain of log evidence by K further unknowns with unit priors, of `normal` [S, K, K] and
+    `pull` [S, K]; those that are `one_sided` [K] stay at 0 where they would be negative.
     """
     whole = normal + np.eye(len(one_sided))
     solved = np.linalg.solve(whole, pull[:, :, None])[:, :, 0]
@@ -340,21 +359,21 @@ class Detectable(NamedTuple):
 def detectable(
     problem: Problem, base: Evidence, choices: list[Choice], threshold: float
 ) -> Detectable:
-    """`Detectable` of an effect, in the form of `choices` that shows best.
+    """`Detectable` of an effect, in the form among `choices` that shows most probably.
 
-    A strength of x prior standard deviations with the normal n under the form errors of the base
-    model is expected to gain x^2 n/2 - ln(1 + n)/2 nats; it is seen where that exceeds the
-    `threshold` that its prior sets.
+    A strength of x prior standard deviations has the normal n under the form errors of the base
+    model, and is expected to gain x^2 n/2 - ln(1 + n)/2 nats. It is seen where this exceeds the
+    `threshold` [nat], minus the log of the prior odds of the effect.
     """
     further = _Further(problem, base, choices)
     normal = sum(
-        p * np.maximum(np.diag(further.under(s)[1]), 1e-12)
+        p * np.maximum(np.diag(further.under(s)[1]), _INVISIBLE)
         for s, p in base.share.items()
         if p > _SLIGHT
     )
     x = np.sqrt((2.0 * threshold + np.log1p(normal)) / normal)
     power = np.array([_beyond(u, float(at)) for u, at in zip(further.unknowns, x, strict=True)])
-    k = int(np.argmax(power + 1e-9 / x))
+    k = int(np.argmax(power + _TIE / x))
     moved = further.unknowns[k]
     choice = choices[further.owner[k]]
     form = LISTED[choice.effect].forms[choice.form].name
@@ -364,8 +383,8 @@ def detectable(
 
 
 def _beyond(unknown: Unknown, x: float) -> float:
-    """Prior probability of a strength further than x standard deviations from its mean, within its
-    bounds.
+    """Prior probability that a strength, which is within its bounds, is more than x standard
+    deviations from its mean on either side.
     """
     low, high = unknown.bounds
     inside = ndtr(high) - ndtr(low)
@@ -399,17 +418,20 @@ _OWNED = {
     "sinkage": ("pass", "elapsed"),
 }
 FEWEST_BEDS = 4  # beds of soil of a table that can show that each has a soil of its own
-MOST_BEDS = 60  # the same: more are rows, which scatter says better
-_FUNCTIONS = 12  # of a pattern at most
-_LIKELY = 2  # sizes of the other form errors that are tried beside it
-_COARSE = (0.02, 0.1)  # sizes of the law's error that are tried with it, too
+MOST_BEDS = 60  # the same; where there are more, scatter of the rows says it better
+ROWS_OF_BED = 3  # rows for each bed, on average, in such a table; own choice
+_FUNCTIONS = 12  # of a pattern, at most
+_LIKELY = 2  # most probable sizes of the other form errors, beside which a contribution is tried
+_COARSE = (0.02, 0.1)  # further sizes of the law's error, beside which a contribution is tried
 
 
 def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
     """Patterns of size 1 about a fit, [M, R] by name: whitened changes of the M measurements.
 
-    A pattern is a systematic error of a channel, or of a stress, that goes smoothly with the named
-    conditions; its R columns are basis functions.
+    A pattern is a systematic error of a channel, or of a stress, that goes smoothly with one named
+    condition, or with it and the slip; its R columns are basis functions. Left out are patterns
+    that a listed effect owns (`_OWNED`), and patterns of a stress with what the base law knows. In
+    a table of several beds a stress may have a value for each bed.
     """
     at = problem.data.conditions | problem.data.elapsed
     moved = Law(problem, fit.choices, problem.sinkage_guess(fit)).stresses(fit.u, fit.output)
@@ -439,7 +461,7 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
             errors = change[:, :, None] * functions[:, None, :]
             out[f"{place} with {' and '.join(names)}"] = problem.whiten(errors)
     beds = problem.data.beds
-    if FEWEST_BEDS <= beds.max() + 1 <= min(MOST_BEDS, beds.size // 3):
+    if FEWEST_BEDS <= beds.max() + 1 <= min(MOST_BEDS, beds.size // ROWS_OF_BED):
         for place, change in zip(_STRESSES[:2], moved, strict=False):
             out[f"{place} with bed"] = problem.whiten(
                 change[:, :, None] * np.eye(beds.max() + 1)[beds][:, None, :]
@@ -450,11 +472,11 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
 def anonymous_grid(
     problem: Problem, plain: Evidence, fit: Fit, beside: Pattern | None = None
 ) -> Grid:
-    """Sizes of anonymous contributions about a fit, beside sizes of the other form errors that
-    `plain` has likely.
+    """`Grid` of an anonymous contribution about a fit: its sizes in each of the three kinds, beside
+    the sizes of the other form errors that are most probable in `plain`.
 
-    With `beside`, a pattern of a first round, those of a second: with that pattern, another or a
-    smooth contribution.
+    With `beside`, a pattern and its size, every point has this pattern and beside it a second one
+    or a smooth contribution.
     """
     likely = sorted(plain.share, key=lambda s: -plain.share[s])
     likely = list(
@@ -496,11 +518,11 @@ def anonymous_grid(
 
 
 def resembling(problem: Problem, plain: Evidence) -> Evidence:
-    """Evidence of an anonymous law of the same freedom as a fitted effect: what it adds, in another
-    form.
+    """Evidence of an anonymous law with the same freedom as the effects of a fitted model.
 
-    It moves the same channels under the same conditions by as much, with an error of its form that
-    is as large as it is: a shape that no published form has.
+    The law moves the same channels under the same conditions by about as much as these effects. Its
+    form error is of `ALIKE_SIZES`, nearly as large as what they add: a shape that no published form
+    has.
     """
     usual = plain_grid(plain.fit)
     rows = [k for k, s in enumerate(usual.sizes) if s.effect == EFFECT_SIZES[0]]
@@ -515,12 +537,12 @@ def resembling(problem: Problem, plain: Evidence) -> Evidence:
 
 
 def anonymous(problem: Problem, plain: Evidence) -> Evidence:
-    """Evidence of a model with an anonymous contribution beside it; fitted anew where that is
-    scatter.
+    """Evidence of the model of `plain` with an anonymous contribution.
 
-    The parameters of a fit without scatter are bent to explain it, and lie far from those of a fit
-    with scatter. What no single pattern is, two may be: beside the most probable one a second is
-    tried, as probable before as none.
+    Where scatter is most probable the model is fitted anew: without scatter its parameters are bent
+    to explain the scatter, and lie far from those under it. The more probable of both is returned.
+    Otherwise a second contribution is tried beside the most probable pattern, with a prior of one
+    half: two patterns may explain what no single one does.
     """
     free = weigh(problem, plain.fit, anonymous_grid(problem, plain, plain.fit))
     if free.sizes.scatter > 1.0:

@@ -34,9 +34,19 @@ from soil_env.terramechanics.model import Rows
 
 from .unnamed import OF_LOAD, UNNAMED
 
-OFFSET = 0.05  # [mean load, times the radius] sd of a zero error that is a candidate
-LEAST_OFFSET = 0.003  # [the same] sd of the zero error of every table, a nuisance
-PRESSED = (0.2, 3.0)  # of the stated load, within which the true one is sought
+#: Standard deviation of a zero error that is a candidate: of the pull, over the median load of the
+#: table; of the torque, over that load times the radius.
+OFFSET = 0.05
+#: The same of a zero error that is a nuisance, where the setup states none.
+LEAST_OFFSET = 0.003
+#: Standard deviation [median load over the radius] of a spring rate that is a nuisance, where the
+#: setup states none; own choice.
+LEAST_SPRING = 0.1
+PRESSED = (0.2, 3.0)  # of the stated load, within which the true one is sought; own choice
+#: Second change of the load over the first, cut to these. The load is extrapolated by 0.2 to 5
+#: times the second change: a series that hardly converges is not followed to its end; own choice.
+GROWTH = (-4.0, 0.8)
+STEADY = 1e-9  # [stated load] change of the load below which it is not extrapolated
 
 
 def _entry(
@@ -48,6 +58,9 @@ def _entry(
     equation: str,
     priors=lambda bench: {},
 ) -> Effect:
+    """An error of the rig as an effect of one parameter `p` and one form; `priors` where its size
+    goes with the rig.
+    """
     form = Form("constant", (p.name,), equation, "calibration of the rig")
     symbols = {
         "DP_measured": "measured drawbar pull",
@@ -63,15 +76,17 @@ def _entry(
 
 
 def _p(name: str, symbol: str, unit: str, most: float, sd: float, doc: str) -> EffectParameter:
-    """A parameter within `most` of 0."""
+    """A parameter within `most` of 0. Where `_within` sets the prior, `sd` is 0 and `most` so large
+    that it does not count.
+    """
     return EffectParameter(name, symbol, -most, most, sd, doc, unit)
 
 
 def _within(
     name: str, sd: float, most: float, size: Callable[[Bench], float]
 ) -> Callable[[Bench], dict]:
-    """Prior (sd, low, high) of a parameter that goes with a size of the rig, both over that
-    size.
+    """Function of a rig that returns the prior (sd, low, high) of the parameter `name`: `sd` and
+    the bounds -`most` and `most` in units of a size of the rig.
     """
     return lambda bench: {name: (sd * size(bench), -most * size(bench), most * size(bench))}
 
@@ -209,7 +224,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
 )
 #: Everything that can be named.
 LISTED: Mapping[str, Effect] = MappingProxyType({**CATALOGUE, **INSTRUMENT})
-#: The same, and what has no name.
+#: Everything that can be named, and the laws without a name (`unnamed`).
 LAWS: Mapping[str, Effect] = MappingProxyType({**LISTED, **UNNAMED, **OF_LOAD})
 
 
@@ -236,26 +251,36 @@ Names = tuple[str, ...]  # a set of effects
 
 @cache
 def _free(choice: Choice) -> tuple[str, ...]:
+    """`Choice.free`, made once for each choice, since fits ask for it often."""
     return tuple(f"{choice.effect}_{p}" for p in LAWS[choice.effect].forms[choice.form].free)
 
 
 def _known(sd: Calibration) -> dict[str, float | None]:
-    """Standard deviation by name to which a rig is known; None where it goes with the load."""
+    """Standard deviation by name of each error of a rig, as the setup states it; None where it goes
+    with the load.
+    """
     return {name: getattr(sd, "tilt_deg" if name == "tilt" else name) for name in INSTRUMENT}
 
 
 def _spread(sd: Calibration, bench: Bench) -> dict[str, float]:
-    """`_known` with numbers for what goes with the load."""
+    """Standard deviation by name of each error of a rig as a nuisance: `_known`, with the usual
+    share of the load where that is None.
+    """
     usual = {
         "force_offset": LEAST_OFFSET * bench.load,
         "torque_offset": LEAST_OFFSET * bench.load * bench.radius,
-        "spring_load": 0.1 * bench.load / bench.radius,
+        "spring_load": LEAST_SPRING * bench.load / bench.radius,
     }
     return {name: usual[name] if x is None else x for name, x in _known(sd).items()}
 
 
 def exact(setup: Setup) -> dict[str, str]:
-    """Reason by name of the errors that a setup rules out, or has as an unknown of its own."""
+    """Reason by name of the effects and errors of the rig that are no candidates.
+
+    The setup rules them out by a check or by a calibration of 0, or has the tilt as a number or
+    prior of its own. Raises `ParameterError` for a name in `checked` that is unknown or there
+    twice, and where all are there.
+    """
     for name in setup.checked:
         if name not in LISTED:
             raise unknown_value(name, LISTED, f"{setup.source}: checked")
@@ -274,10 +299,12 @@ def exact(setup: Setup) -> dict[str, str]:
 
 
 def odds(setup: Setup, bench: Bench) -> dict[str, float]:
-    """Prior odds by name of the errors of a rig, over those of one whose setup states nothing.
+    """Prior odds by name of the errors of a rig, over those of a rig whose setup states nothing; at
+    most 1.
 
     A rig that is known five times better than usual is wrong a fifth as often, since somebody
-    looked.
+    looked. Raises `ParameterError` for a stated zero error above the median load, or of the torque
+    above that times the radius.
     """
     own = _spread(setup.calibration, bench)
     usual = _spread(Calibration(), bench)
@@ -293,7 +320,9 @@ def odds(setup: Setup, bench: Bench) -> dict[str, float]:
 
 
 def true_rows(rows: Rows, values: Values) -> Rows:
-    """Rows under the true wheel radius, which the recorded slip follows from."""
+    """Rows with the true wheel radius and with the true slip: the recorded slip was computed with
+    the stated radius.
+    """
     error = values.get("wheel_radius_error", 0.0)
     if error == 0.0:
         return rows
@@ -305,10 +334,12 @@ def true_rows(rows: Rows, values: Values) -> Rows:
 
 
 def in_balance(rows: Rows, values: Values, outcome: Callable[[Rows], np.ndarray]) -> np.ndarray:
-    """[N, 3] outcome of rows under the load that an arm or a spring leaves of the stated one.
+    """Sinkage, pull and torque [N, 3], by `outcome`, at the load that really presses on the wheel.
 
-    The load follows from the outcome: it is the limit of three loads, each from the one before
-    (Aitken 1926, Proc. R. Soc. Edinb. 46:289-305).
+    An arm adds a share of torque/radius to the stated load, a spring takes its rate times the
+    sinkage, so load and outcome depend on each other. The load is extrapolated once from three
+    loads, the stated one and two updates (Aitken 1926, Proc. R. Soc. Edinb. 46:289-305). It stays
+    within `PRESSED`.
     """
     arm = values.get("arm_load_share", 0.0)
     spring = values.get("spring_load_rate", 0.0)
@@ -318,20 +349,22 @@ def in_balance(rows: Rows, values: Values, outcome: Callable[[Rows], np.ndarray]
     if arm == spring == 0.0:
         return out
 
-    def pressed(out: np.ndarray) -> np.ndarray:
+    def load_from(out: np.ndarray) -> np.ndarray:
         z, _, torque = np.nan_to_num(out).T
         return np.clip(start + arm * torque / r - spring * z, *np.outer(PRESSED, start))
 
-    first = pressed(out)
-    second = pressed(outcome(rows._replace(load=first)))
-    change = np.where(np.abs(first - start) > 1e-9 * start, first - start, math.inf)
-    ratio = np.clip((second - first) / change, -4.0, 0.8)
+    first = load_from(out)
+    second = load_from(outcome(rows._replace(load=first)))
+    change = np.where(np.abs(first - start) > STEADY * start, first - start, math.inf)
+    ratio = np.clip((second - first) / change, *GROWTH)
     limit = np.clip(first + (second - first) / (1.0 - ratio), *np.outer(PRESSED, start))
     return outcome(rows._replace(load=limit))
 
 
 def reading(out: np.ndarray, values: Values, radius: np.ndarray) -> np.ndarray:
-    """[N, 3] that the sensors read of true values [N, 3]; radius [N]."""
+    """Readings [N, 3] of the sensors of true values `out` [N, 3], under the gains, offsets and
+    crosstalk among `values`; `radius` [N]. The sinkage is read as it is.
+    """
     if not any(name.startswith(("force_", "torque_")) for name in values):
         return out
     read = out.copy()
@@ -345,8 +378,11 @@ def reading(out: np.ndarray, values: Values, radius: np.ndarray) -> np.ndarray:
 def nuisances(
     setup: Setup, bench: Bench, rows: Rows, output: np.ndarray, named: Names
 ) -> np.ndarray:
-    """[N, 3, R] change of the readings [N, 3] by one sd of each error of one sensor that is not
-    named.
+    """[N, 3, R] change of the readings by one standard deviation of each error of the rig that is a
+    nuisance; `output` [N, 3]: the model values.
+
+    These are the tilt and the errors of a single sensor, unless they are `named` or the setup rules
+    them out. Errors that move all channels work through the model, and are candidates only.
     """
     spread = _spread(setup.calibration, bench)
     out = []

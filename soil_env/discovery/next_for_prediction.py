@@ -24,15 +24,17 @@ class SurerRun(NamedTuple):
     """One run to make."""
 
     conditions: dict[str, float]  # slip, load [N] and what else matters, as the columns of a table
-    left: float  # of the mean standard deviation, once this run and those before it are made
+    #: Share of the mean standard deviation that stays once this run and those before it are made.
+    left: float
     cost: float
 
 
 class Uncertainty:
-    """Covariance of the values of all runs of a rig, as runs are made.
+    """Covariance of what all G runs of a rig would give; `make` lowers it by what a run tells of
+    the others.
 
     Parameters: `covariance` [G, C, G, C] of the values of C channels without noise; `noise` [C]
-    variance that each value of a run has by itself.
+    variance that each value of a run has by itself. Both are over the variance of the noise.
     """
 
     def __init__(self, covariance: np.ndarray, noise: np.ndarray) -> None:
@@ -40,7 +42,7 @@ class Uncertainty:
         self.noise = np.diag(noise)
 
     def mean_sd(self, gained: np.ndarray | None = None) -> float:
-        """Mean standard deviation of all values, after a run whose `_gained` is given."""
+        """Mean standard deviation of all values; if `_gained` of a run is given, after that run."""
         variance = np.einsum("gcgc->gc", self.covariance).ravel()
         if gained is not None:
             variance = variance - np.sum(gained**2, axis=0)
@@ -56,16 +58,18 @@ class Uncertainty:
         self.covariance = self.covariance - (gained.T @ gained).reshape(self.covariance.shape)
 
     def _gained(self, g: int) -> np.ndarray:
-        """[C, G C] whose square is what the covariance loses by run g."""
+        """L [C, G C] of run g: once it is made, the covariance is less by L'L."""
         root = cholesky(self.covariance[g, :, g] + self.noise, lower=True)
         across = self.covariance[g].reshape(self.noise.shape[0], -1)
         return solve_triangular(root, across, lower=True)
 
 
 def surer_runs(model: Prediction, evidence: Evidence, most: int = MOST) -> tuple[SurerRun, ...]:
-    """At most `most` runs, in the order to make them; `evidence` knows which conditions matter.
+    """At most `most` runs that make the prediction surer, in the order to make them.
 
-    Runs in which the wheel would be buried are not made. Of a large grid, `LARGEST` are drawn.
+    Each is the run that lowers the mean standard deviation most for its cost. The grid to choose
+    from has the conditions on which the effects in `evidence` depend, without runs in which the
+    wheel would be buried. Of a large grid, `LARGEST` runs are drawn.
     """
     problem = model.problem
     grid = conditions(problem, (evidence,))

@@ -31,19 +31,26 @@ from .search import ODDS, Finding, forms
 
 MOST = 4  # runs proposed
 LEAST = 1e-3  # [nat] of information below which no run is proposed
-LEAST_OF_CHECK = 0.2  # the same of a check: what errors of 5 % together are worth
+#: [nat] of information below which no check is asked for: what finding a candidate of 5 % is worth.
+LEAST_OF_CHECK = 0.2
 WITHIN_REACH = 0.01  # least probability of a candidate
 CANDIDATES = 14  # at most, the most probable ones
 #: Of the runs to choose from, where the setup says nothing of the rig.
 SLIPS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
+#: Factors on the least and the largest load and speed of the table: the ends of the runs to choose
+#: from, where the setup says nothing of the rig; own choice.
+LOAD_FACTORS = (0.7, 1.4)
+SPEED_FACTORS = (0.5, 2.0)
 ENOUGH = 0.995  # probability of the right candidate from which no further run is proposed
 BASE = "base model"
 _LARGEST = 3000  # points of a grid
+_SAME = 1e-6  # relative difference of a condition below which no price is paid for a change
+_WIDE = 1.1  # largest over least value, from which a middle between them is a level of its own
 
 
 class Check(NamedTuple):
-    """A reading of the instrument without soil, which finds the errors that it `decides` or rules
-    them out.
+    """A reading of the instrument without soil, which finds the errors in `decides` or rules them
+    out.
     """
 
     name: str
@@ -87,7 +94,9 @@ WORK = {
 
 
 def open_checks(known: Collection[str] = ()) -> tuple[Check, ...]:
-    """The checks of errors that are not `known` yet."""
+    """The checks, each with the work for those of its errors that are not `known` yet; none where
+    all are known.
+    """
     out = []
     for name, (begin, parts) in WORK.items():
         left = {error: part for error, part in parts.items() if error not in known}
@@ -141,8 +150,8 @@ class Candidates(NamedTuple):
     own: np.ndarray  # [K, G, C] further variance of every value by itself, the noise with it
 
     def joint(self, chosen: Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
-        """(mean [K, G, m], covariance [K, G, m, m]) of the chosen runs followed by each run of the
-        grid.
+        """Joint predictions (mean [K, G, m], covariance [K, G, m, m]) of the n chosen runs together
+        with each run of the grid, which is the last of them: m = (n + 1) C.
         """
         chosen = list(chosen)
         mean, own = (_behind(x[:, chosen], x) for x in (self.mean, self.own))
@@ -152,18 +161,21 @@ class Candidates(NamedTuple):
 
 
 def _behind(first: np.ndarray, each: np.ndarray) -> np.ndarray:
-    """[K, G, (n + 1) C, ..] of `each` run [K, G, C, ..] behind the `first` ones [K, n, C, ..]."""
+    """[K, G, (n + 1) C, ..]: values of the `first` runs [K, n, C, ..], repeated for each of the G
+    runs, and behind them those of that run (`each` [K, G, C, ..]).
+    """
     known = first.reshape(len(first), 1, -1, *each.shape[3:])
     known = np.broadcast_to(known, (*each.shape[:2], *known.shape[2:]))
     return np.concatenate([known, each], axis=2)
 
 
 def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[NextTest, ...]:
-    """At most `most` runs that would tell the sets of effects within reach apart, in the order to
-    make them.
+    """At most `most` runs that would tell the candidates apart, in the order to make them.
 
-    Effects whose condition the table does not vary, and the rig could, are within reach with their
-    prior odds.
+    The candidates are the most probable sets of effects with `WITHIN_REACH` or more. Among them,
+    with their prior odds, are effects whose condition the table does not vary and the rig could.
+    Where something unlisted is most probable, the run that the first candidate misses most is
+    repeated first.
     """
     share = _shares(finding)
     found = {h.names: h.evidence for h in finding.hypotheses if not h.free}
@@ -184,8 +196,11 @@ def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[Ne
 def next_checks(
     finding: Finding, runs: Sequence[NextTest], known: Collection[str] = ()
 ) -> tuple[Check, ...]:
-    """Checks that are expected to say more about which candidate is right than any of these runs;
-    none of errors that are `known`.
+    """Checks that are expected to say more about which candidate is right than any of these runs,
+    the best first.
+
+    Each has to add more than the best run does, and more than `LEAST_OF_CHECK`, to the checks
+    before it. Errors that are `known` are left out.
     """
     least = max((t.information for t in runs), default=0.0)
     share = {s: p for s, p in _shares(finding).items() if p > 0.0}
@@ -210,14 +225,18 @@ def next_checks(
 
 
 def sure_of(finding: Finding) -> float:
-    """Probability that the right set of effects has on average, of those that predict something."""
+    """Probability that the right set of effects has on average: sum of P^2, with P the
+    probabilities of the sets that predict something, scaled to the sum 1.
+    """
     share = np.array([*_shares(finding).values()])
     return float(np.sum(share**2) / max(np.sum(share), 1e-300) ** 2)
 
 
 def _shares(finding: Finding) -> dict[Names, float]:
-    """Probability of each set of effects, but of something unlisted alone, which predicts
-    nothing.
+    """Probability of each set of effects, with an anonymous contribution or without; the empty set
+    is the base model alone.
+
+    Something unlisted without a listed effect is left out, since it predicts nothing.
     """
     share: dict[Names, float] = {}
     for h in finding.hypotheses:
@@ -233,8 +252,12 @@ def proposed(
     most: int = MOST,
     repeat: bool = False,
 ) -> tuple[NextTest, ...]:
-    """The runs for candidates of these probabilities; `repeat`: the run that the first one misses
-    most comes first.
+    """At most `most` runs that tell candidates with these models and probabilities apart.
+
+    Each is the feasible run of the grid with most information for its cost beyond the runs before
+    it. They end where it has less than `LEAST`, or where the right candidate has `ENOUGH`. With
+    `repeat`, the run of the table that the first candidate misses most comes first. Without it, one
+    candidate needs no run.
     """
     if len(evidence) < 2 and not repeat:
         return ()
@@ -285,7 +308,11 @@ def proposed(
 def _said(
     problem: Problem, of: Candidates, own: np.ndarray, g: int
 ) -> tuple[tuple[Predicted, ...], tuple[str, str], str, float]:
-    """Predictions of a run, and what it separates, as in `NextTest`."""
+    """What `NextTest` says of run g: (predicted, separates, channel, expected_sigma).
+
+    `own` [K, C]: standard deviations of the run. The rival of the first candidate is the one that
+    differs most from it, weighted with its probability.
+    """
     seen = problem.used.any(axis=0)
     mean = np.full((len(of.names), 3), np.nan)
     sd = mean.copy()
@@ -300,8 +327,8 @@ def _said(
 
 
 def overlaps(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
-    """[K, K, G] of exp(-Bhattacharyya distance) between normal predictions, `mean` [K, G, m], `cov`
-    [K, G, m, m].
+    """[K, K, G] exp(-B), with B the Bhattacharyya distance between the normal predictions of two
+    candidates, `mean` [K, G, m], `cov` [K, G, m, m]: 1 where they predict the same.
     """
     count, points = mean.shape[:2]
     out = np.ones((count, count, points))
@@ -320,7 +347,9 @@ def overlaps(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
 
 
 def information(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
-    """[G] least information [nat] about which candidate is right."""
+    """[G] least information [nat] about which of K candidates is right, by the formula above;
+    `overlap` [K, K, G].
+    """
     out: np.ndarray = -share @ np.log(np.einsum("j,ijg->ig", share, overlap))
     return out
 
@@ -334,31 +363,38 @@ def sureness(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
 
 
 def decided(names: Sequence[Names], check: Check) -> np.ndarray:
-    """[K, K] 0 for two sets of effects that a check tells apart, 1 for others."""
+    """[K, K] overlap after a check: 0 for two sets of effects that differ in what it decides, 1 for
+    others.
+    """
     of = [{*check.decides} & {*n} for n in names]
     return np.array([[float(a == b) for b in of] for a in of])
 
 
 def costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
-    """[G] cost of each run after the last chosen one, or the last of the table, by the setup's
-    rig.
+    """[G] cost of each run, by the prices of the setup's rig: of a run, and of each condition that
+    differs from the run before.
+
+    That is the last chosen run, or the last row of the table. A change of any size of the wheel is
+    one change. A pass costs for each pass that has to be made before it on fresh soil.
     """
     prices = {"run": 1.0} | problem.data.setup.rig.cost
     table = problem.data.conditions
     last = {n: x[chosen[-1]] if chosen else table[n][-1] for n, x in grid.value.items()}
     counted = {
-        n: np.abs(x - last[n]) > 1e-6 * max(1.0, abs(last[n])) for n, x in grid.value.items()
+        n: np.abs(x - last[n]) > _SAME * max(1.0, abs(last[n])) for n, x in grid.value.items()
     }
     counted["run"] = np.ones(grid.value["slip"].size)
     counted["wheel"] = np.any([counted[n] for n in WHEEL], axis=0)
-    # On fresh soil they have to be made first.
+    # The passes before it have to be made first.
     counted["pass"] = np.maximum(grid.value["pass"] - 1.0, 0.0)
     out: np.ndarray = np.sum([price * counted[name] for name, price in prices.items()], axis=0)
     return out
 
 
 def _of_rig(problem: Problem) -> dict[str, Sequence[float]]:
-    """Values of each condition but the wheel that the setup lists for the rig."""
+    """Values of each condition but the wheel that the setup lists for the rig, empty where it lists
+    none; no speeds where the table has none.
+    """
     rig = problem.data.setup.rig
     timed = problem.bench.speed > 0.0
     return {
@@ -371,14 +407,18 @@ def _of_rig(problem: Problem) -> dict[str, Sequence[float]]:
 
 
 def _levels(problem: Problem) -> dict[str, list[float]]:
-    """Values of each condition but the wheel: the rig's, else around those of the table."""
+    """Values of each condition but the wheel: those of the rig, else around those of the table.
+
+    Around them are `SLIPS`, loads and speeds by `_around`, passes to one more than the table has,
+    and its least and largest grade.
+    """
     column = problem.data.conditions
     most = float(column["pass"].max())
     grade = column["grade_deg"]
     around = {
         "slip": list(SLIPS),
-        "load": _around(column["load"], 0.7, 1.4),
-        "speed": _around(column["speed"], 0.5, 2.0) if problem.bench.speed > 0.0 else [0.0],
+        "load": _around(column["load"], *LOAD_FACTORS),
+        "speed": _around(column["speed"], *SPEED_FACTORS) if problem.bench.speed > 0.0 else [0.0],
         "pass": sorted({1.0, 2.0, most, most + 1.0}),
         "grade_deg": sorted({float(grade.min()), float(grade.max())}),
     }
@@ -386,7 +426,7 @@ def _levels(problem: Problem) -> dict[str, list[float]]:
 
 
 def _could_show(problem: Problem, name: str) -> bool:
-    """True if the rig can vary the condition that an effect needs."""
+    """True if the table does not vary the condition that an effect needs, and the rig could."""
     effect = LISTED[name]
     if effect.hidden(problem.bench) or effect.varies in problem.data.varied:
         return False
@@ -394,11 +434,11 @@ def _could_show(problem: Problem, name: str) -> bool:
 
 
 def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
-    """Slips and loads, wheels, and the speeds, passes and grades that matter, by the setup's rig or
-    about the table.
+    """Runs to choose from: all combinations of slips, loads, wheels, and of the speeds, passes and
+    grades that a candidate depends on, at most `_LARGEST` of them.
 
-    What no candidate knows is the middle speed, the first pass and the least grade of the table, or
-    what the rig has nearest to them.
+    Where no candidate depends on a condition, it has one value: the median speed, the least pass,
+    or the grade nearest to 0 in the range of the table, or what the rig has nearest to that.
     """
     column = problem.data.conditions
     rig = problem.data.setup.rig
@@ -434,14 +474,15 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
 
 
 def _around(x: np.ndarray, below: float, above: float) -> list[float]:
-    """The ends and the middle of the values, and beyond by the two factors, in two digits where the
-    table has none.
+    """Ascending levels: the least value times `below`, the least, the middle, the largest, and that
+    times `above`. Levels that the table does not have are rounded to two digits.
     """
     low = float(x.min())
     high = float(x.max())
-    middle = _round((low * high) ** 0.5) if high > 1.1 * low else low
+    middle = _round((low * high) ** 0.5) if high > _WIDE * low else low
     return sorted({_round(below * low), low, middle, high, _round(above * high)})
 
 
 def _round(x: float) -> float:
+    """The value in two digits."""
     return float(f"{x:.2g}")

@@ -46,16 +46,17 @@ LEFT_OUT = (
     "arm_load",
     "spring_load",
 )
-ROUNDS = 2  # of fit and remainder
-OFF_BOUND = 0.3  # [prior sd] of the start from a bound
+ROUNDS = 2  # of fitting the unknowns and learning the remainder, in turn
+OFF_BOUND = 0.3  # [prior sd] least distance of the start from a bound; own choice
 IMPOSSIBLE = 1e10  # -ln of the likelihood of what has none
-FORCE_SCALE = 0.3  # of the load: scale of pull, and of torque over the radius
-LEAST_SINKAGE = 0.004  # [radii] least scale of the sinkage
+FORCE_SCALE = 0.3  # of the load: scale of pull, and of torque over the radius; own choice
+LEAST_SINKAGE = 0.004  # [radii] least scale of the sinkage; own choice
 #: Widening of the standard deviations, measured on rigs: linearised intervals held too rarely.
 WIDER = 1.35
-FEWEST_GROUPS = 3  # that are left out in turn
+FEWEST_GROUPS = 3  # levels of a condition, from which they are left out in turn
 FEWEST = 4  # values of a channel, for a curve
-FAR = 12.0  # of the logarithm of a size or length, where it ends
+FAR = 12.0  # logarithm of a size or length, of either sign, at which its search ends
+STEPS_TO_LEARN = 25  # most steps of the search for sizes and lengths; own choice
 
 
 class Learnt(NamedTuple):
@@ -67,7 +68,7 @@ class Learnt(NamedTuple):
 
     @classmethod
     def from_logarithms(cls, logarithms: np.ndarray) -> Learnt:
-        """From natural logarithms [8], in the order of the fields."""
+        """From natural logarithms [8] of three sizes, two lengths (slip, load) and three noises."""
         size, lengths, beyond = np.split(np.exp(logarithms), (3, 5))
         return cls(size, dict(zip(USUAL.lengths, lengths.tolist(), strict=True)), beyond)
 
@@ -121,7 +122,12 @@ class Outlook(NamedTuple):
 
 
 def carried(problem: Problem) -> Choices:
-    """Effects that the table can carry, in one form or several that act together."""
+    """Effects that go into the prediction, each in the forms of `FORMS` together, or else in its
+    first form.
+
+    They are those that the search tries, but for `LEFT_OUT` and for effects of a condition that
+    does not vary by itself. Where the load varies, soil that goes with it is among them.
+    """
     out = []
     varied = independent(problem)
     for name in candidates(problem)[0]:
@@ -136,14 +142,16 @@ def carried(problem: Problem) -> Choices:
 
 
 def independent(problem: Problem) -> list[str]:
-    """Conditions that vary by themselves, without a load that only scatters."""
+    """Conditions that vary by themselves, slip first; the load only if its logarithm spans
+    `LEAST_SPAN`, since less is scatter.
+    """
     scatters = np.ptp(np.log(problem.data.rows.load)) < LEAST_SPAN
     return [name for name in problem.data.varied if not (name == "load" and scatters)]
 
 
 def at_conditions(problem: Problem, conditions: Conditions) -> Problem:
-    """The problem with the rows of other conditions, by the columns of a table; every channel is in
-    use.
+    """The problem with other rows, at conditions [G] by the columns of a table, with every channel
+    in use and the noise of the channels.
     """
     there = copy.copy(problem)
     rows = rows_of(conditions, problem.data.wheel)
@@ -171,13 +179,15 @@ class _Remainder:
         return (x[:, None] - x) ** 2
 
     def correlation(self, points: np.ndarray, others: np.ndarray, learnt: Learnt) -> np.ndarray:
-        """[N, P] of points [N, D] with others [P, D]."""
+        """[N, P] correlation of the remainder at points [N, D] with that at others [P, D]."""
         lengths = LENGTHS | learnt.lengths
         off = (points[:, None, :] - others) / np.array([lengths[n] for n in self.names])
         return np.exp(-0.5 * np.sum(off**2, axis=2))
 
     def covariance(self, scale: np.ndarray, learnt: Learnt) -> _Covariance:
-        """Of remainder and noise over the noise, of the values in use."""
+        """Covariance of remainder and noise, over the noise, of the values in use; `scale` [N, 3]
+        as from `_scales`.
+        """
         correlation = self.correlation(self.table, self.table, learnt)
         used = self.problem.used
         channel = np.nonzero(used)[1]
@@ -193,7 +203,9 @@ class _Remainder:
 
 
 def _scales(problem: Problem, output: np.ndarray) -> np.ndarray:
-    """[N, 3] scales s of the remainder, over the noise."""
+    """[N, 3] scales s of the remainder, over the noise: the sinkage of the `output` or the least
+    one, `FORCE_SCALE` of the load, and this times the radius.
+    """
     rows = problem.data.rows
     r = rows.wheels[:, 0]
     force = FORCE_SCALE * rows.load
@@ -216,7 +228,7 @@ class _Covariance(NamedTuple):
     channels: list[_Channel]
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
-        """[M, B] of values [M, B], or [M]: independent ones of variance 1."""
+        """C^-1/2 v of values v [M] or [M, B] with this covariance C: independent, of variance 1."""
         out = np.empty_like(values, dtype=float)
         for channel in self.channels:
             out[channel.places] = solve_triangular(channel.root, values[channel.places], lower=True)
@@ -224,13 +236,15 @@ class _Covariance(NamedTuple):
 
     @property
     def log_size(self) -> float:
-        """Half the logarithm of the determinant."""
+        """Half the logarithm of the determinant of the covariance."""
         return float(sum(np.sum(np.log(np.diag(channel.root))) for channel in self.channels))
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """A fit of all effects with its remainder; whitened quantities are over the noise."""
+    """A fit of all effects with its remainder; whitened values are over the noise, unknowns over
+    their prior sd.
+    """
 
     law: Law
     u: np.ndarray  # [p]
@@ -243,17 +257,19 @@ class Prediction:
 
     @property
     def problem(self) -> Problem:
-        """The table."""
+        """The table that was fitted, with its noise and values in use."""
         return self.law.problem
 
     @property
     def values(self) -> dict[str, float]:
-        """Every unknown by name."""
+        """Values of the unknowns by name, in their own units."""
         return self.law.values(self.u)
 
     def at(self, conditions: Conditions, without: Collection[str] = ()) -> Predicted:
-        """Predicted values at conditions, by the columns of a table, `without` these errors of the
-        rig.
+        """Predicted values at conditions [N] by the columns of a table, and their standard
+        deviations with the noise of a run, widened by `WIDER`.
+
+        `without`: errors of the rig that the mean leaves out, "tilt_deg" for the tilt of the setup.
         """
         there = at_conditions(self.problem, conditions)
         mean, law, across = self._means(there, without)
@@ -265,7 +281,9 @@ class Prediction:
 
     @property
     def variance_of_run(self) -> np.ndarray:
-        """[3] of the values of a run, over that of the noise."""
+        """[3] variance of the values of a run by themselves, over the variance of the noise: stated
+        noise and what was learnt beyond it.
+        """
         return 1.0 + self.learnt.beyond**2
 
     def joint_at(self, conditions: Conditions) -> np.ndarray:
@@ -283,8 +301,11 @@ class Prediction:
     def _known(
         self, there: Problem, law: np.ndarray, across: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """T [p, 3 N], A [M, 3 N], B [p, 3 N] with T'T - A'A + B'B the covariance of values through
-        the unknowns, beside that of the remainder.
+        """T [p, 3 N], A [M, 3 N], B [p, 3 N], for the covariance of the values at N rows given the
+        M values of the table.
+
+        It is T'T - A'A + B'B plus the prior covariance of the remainder: what the unknowns spread
+        before the table, less what the table tells. `law` and `across` are those of `_means`.
         """
         top = Law(there, self.law.choices, np.maximum(law[:, 0], 0.0)).derivatives(self.u)
         # The values are known through the unknowns and through the remainder: with J whitened,
@@ -301,8 +322,8 @@ class Prediction:
     def _means(
         self, there: Problem, without: Collection[str] = ()
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """([N, 3] predicted values, [N, 3] of the law, [M, 3 N] whitened covariance of the
-        remainder) of other rows.
+        """(predicted values [N, 3], those of the law alone [N, 3], covariance [M, 3 N] of the
+        remainder at N other rows with that of the M values of the table, whitened by the latter).
         """
         values = self.values
         if "tilt_deg" in without:
@@ -328,10 +349,11 @@ def fit_prediction(
     smooth: bool = True,
     near: Prediction | None = None,
 ) -> Prediction:
-    """The fit of the effects that the table can carry, or of `choices`; without a remainder where
-    not `smooth`, which is then a fit under the noise alone.
+    """The fit of the effects that the table can carry, or of `choices`, with a remainder.
 
-    With `near`, a fit to more rows, it starts there and keeps what was learnt of the remainder.
+    Unknowns and remainder are found in turn. If not `smooth`, there is no remainder and the fit is
+    under the noise alone. With `near`, a fit to a table with more values in use, the fit has its
+    effects, starts from its unknowns, and keeps what was learnt of the remainder.
     """
     if near is not None:
         law = Law(problem, near.law.choices)
@@ -353,7 +375,11 @@ def fit_prediction(
 
 
 def _fitted(law: Law, start: np.ndarray, learnt: Learnt) -> Prediction:
-    """The most probable unknowns under a covariance whose scales are those of the start."""
+    """The `Prediction` with the most probable unknowns.
+
+    They are sought from `start` under a covariance whose scales are those of the output there. The
+    covariance that is returned has the scales of the output that was found.
+    """
     problem = law.problem
     remainder = _Remainder(problem)
     scales = _scales(problem, law.output(start))
@@ -365,7 +391,9 @@ def _fitted(law: Law, start: np.ndarray, learnt: Learnt) -> Prediction:
 
 
 def _learn(fit: Prediction, start: Learnt) -> Learnt:
-    """That of the largest marginal likelihood, linearised about a fit, under the priors."""
+    """Sizes and lengths of the remainder and further noise of the largest marginal likelihood, with
+    their priors, linearised about a fit; sought from `start`.
+    """
     remainder = fit.remainder
     used = fit.problem.used
     scale = _scales(fit.problem, fit.output)
@@ -405,13 +433,18 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
                     slope[n] += np.sum(g * square[name][use]) / length**2
         return float(value), slope
 
-    # What the table does not show has no slope and stays usual.
-    found = minimize(cost, start.logarithms, jac=True, method="L-BFGS-B", options={"maxiter": 25})
+    # What the table does not show has no slope but that of its prior, and stays usual.
+    options = {"maxiter": STEPS_TO_LEARN}
+    found = minimize(cost, start.logarithms, jac=True, method="L-BFGS-B", options=options)
     return Learnt.from_logarithms(found.x)
 
 
 def drawn(problem: Problem, conditions: Conditions) -> np.ndarray | None:
-    """[N, 3] of the generic curve at conditions; None where others vary than it knows."""
+    """[N, 3] values at conditions of the generic curve (`curve`) through the values in use.
+
+    None where anything but slip and load varies in the table, which the curve does not know. NaN
+    for a channel with less than `FEWEST` values.
+    """
     if set(independent(problem)) - {"slip", "load"}:
         return None
     there = rows_of(conditions, problem.data.wheel)
@@ -428,7 +461,9 @@ def drawn(problem: Problem, conditions: Conditions) -> np.ndarray | None:
 def outlook(problem: Problem) -> Outlook:
     """The fit of all effects, and the errors of predictions of what is left out of the table.
 
-    Unknowns are fitted anew to the rest; the remainder keeps what was learnt from all rows.
+    Left out one after the other are the levels of the slip, those of the load, and the combinations
+    of all conditions but the slip, where there are `FEWEST_GROUPS`. Unknowns are fitted anew to the
+    rest; the remainder keeps what was learnt from all rows.
     """
     models = (fit_prediction(problem, (), smooth=False), fit_prediction(problem))
     others = tuple(name for name in independent(problem) if name != "slip")
@@ -458,7 +493,9 @@ def outlook(problem: Problem) -> Outlook:
 
 
 def _errors(problem: Problem, split: str, what: tuple[str, ...], held: np.ndarray) -> LeftOut:
-    """Errors of held-out predictions [3, N, 3] of the base model, all effects and the curve."""
+    """`LeftOut` of predictions [3, N, 3] of values that were left out: by the base model, by all
+    effects with the remainder, and by the curve.
+    """
     off = held - problem.data.y
 
     def size(values: np.ndarray, noise: float) -> Errors:

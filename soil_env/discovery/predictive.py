@@ -20,15 +20,22 @@ from .evidence import Evidence
 from .instrument import LISTED
 from .prediction import at_conditions
 
-DEEPEST = 0.6  # [radii] deepest sinkage of a feasible run
+DEEPEST = 0.6  # [radii] deepest sinkage of a feasible run; own choice
 _BEYOND = 30.0  # [sd] from which a normal density is none
 _FUNCTIONS = 60  # of a form error over table and other rows, at most
+_NEAR = 4.0  # [sd] distance of a bound above which it changes nothing
+#: [sd] distance beyond a bound from which an unknown is put on it: there is no probability inside to
+#: compute with.
+_OUTSIDE = 8.0
+_LEAST_LEFT = 1e-4  # least share of its variance that a bounded unknown keeps
+_JITTER = 1e-12  # of a unit variance, with which rounding leaves a covariance positive
 
 
 def problem_at(problem: Problem, conditions: Conditions) -> Problem:
-    """The problem with conditions [G], by the columns of a table, for rows: every channel in use.
+    """The problem with other rows, at conditions [G] by the columns of a table, with every channel
+    in use.
 
-    Form errors are over the rows of the table and these.
+    Its form errors are functions over the rows of the table and the new ones together.
     """
     there = at_conditions(problem, conditions)
     table = problem.data.conditions | problem.data.elapsed
@@ -48,7 +55,9 @@ def problem_at(problem: Problem, conditions: Conditions) -> Problem:
 
 
 def _conditions(there: Problem) -> dict[str, np.ndarray]:
-    """Conditions of a grid, after the end of the campaign where the table has times."""
+    """Conditions of the rows of `there`; if the table has times, all are at the end of the
+    campaign.
+    """
     ended = {n: np.ones(there.data.rows.slip.size) for n in there.data.elapsed}
     return there.data.conditions | ended
 
@@ -56,11 +65,12 @@ def _conditions(there: Problem) -> dict[str, np.ndarray]:
 def predicted(
     problem: Problem, there: Problem, candidate: Evidence
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(mean [G, 3], root [G, 3, R] and own variance [G, 3] as in `next_tests`, feasible [G]) of a
-    candidate.
+    """(mean [G, 3], root [G, 3, R], own variance [G, 3], feasible [G]) of a candidate at the rows
+    of `there`, which is from `problem_at`; in units of the noise.
 
-    In units of the noise, at the rows of `there`, from `problem_at`. Form errors have their typical
-    sizes.
+    The joint covariance is root root', and beside it each value varies by its own variance, the
+    noise and the part of an effect's form error that the table cannot show. Form errors have their
+    typical sizes. A run is feasible if the wheel sinks, less than `DEEPEST`.
     """
     fit = candidate.fit
     p = candidate.fit.u.size
@@ -69,6 +79,7 @@ def predicted(
     )
 
     def errors(law, u, output, added, at):
+        """Whitened form errors of the law and of effects, and nuisances, at their sizes."""
         of_law, effect, rig = law.form_errors(u, output, added, at)
         blocks = (sizes.law * of_law[sizes.span], sizes.effect * effect, sizes.rig * rig)
         return map(law.problem.whiten, blocks)
@@ -103,7 +114,7 @@ def predicted(
     theirs = errors(law, u, out, added, at)
     top = np.concatenate([law.derivatives(u), *theirs], axis=1)
     mean = out / there.noise + (top[:, p:] @ off[p:]).reshape(-1, 3)
-    root = top @ np.linalg.cholesky(covariance + 1e-12 * np.eye(start.size))
+    root = top @ np.linalg.cholesky(covariance + _JITTER * np.eye(start.size))
     own = np.full(mean.shape, sizes.scatter**2)
     for choice, x in zip(fit.choices, added, strict=True):
         beta = sizes.effect * (ANY_FORM if LISTED[choice.effect].any_form else 1.0)
@@ -114,28 +125,33 @@ def predicted(
 def _within_bounds(
     fit: Fit, off: np.ndarray, covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean [k], from the fit, and covariance [k, k] of unknowns that are within their bounds, one
-    after the other.
+    """(mean [k] less the fit, covariance [k, k]) of unknowns and form errors once each unknown is
+    known to be within its bounds; `off` and `covariance` are those without bounds.
+
+    The unknowns are truncated one after the other, each as a normal variable, and the others follow
+    by their covariance with it.
     """
     for k, unknown in enumerate(fit.unknowns):
         mean = fit.u[k] + off[k]
         sd = math.sqrt(covariance[k, k])
         low, high = ((end - mean) / sd for end in unknown.bounds)
-        if min(-low, high) < 4.0:
-            if low > 8.0 or high < -8.0:  # far outside: at the bound
+        if min(-low, high) < _NEAR:
+            if low > _OUTSIDE or high < -_OUTSIDE:
                 moved = low if low > 0.0 else high
-                left = 1e-4
+                left = _LEAST_LEFT
             else:
                 moved, left = _truncated(low, high)
             along = covariance[:, k] / sd
             off = off + along * moved
-            covariance = covariance + np.outer(along, along) * (min(max(left, 1e-4), 1.0) - 1.0)
+            left = min(max(left, _LEAST_LEFT), 1.0)
+            covariance = covariance + np.outer(along, along) * (left - 1.0)
     return off, covariance
 
 
 def _truncated(low: float, high: float) -> tuple[float, float]:
     """(mean, variance) of a standard normal variable between two bounds."""
-    if low > 0.0:  # by the other tail, where the difference of two ones would vanish
+    # Above the mean both probabilities are nearly 1: the difference of the lower tail is exact.
+    if low > 0.0:
         mean, variance = _truncated(-high, -low)
         return -mean, variance
     inside = float(ndtr(high) - ndtr(low))

@@ -54,7 +54,7 @@ ALIKE = 0.17
 #: 2017, Bayesian Anal. 12:1069-1103). Chosen on the development seed 136101 of
 #: `benchmarks.discovery`; between 1 and 2.5 hardly a share of its answers moves.
 TEMPERATURE = 1.75
-NAMED = 0.5  # probability from which a hypothesis, or a name, is given
+NAMED = 0.5  # probability from which an answer is given, such as a name
 #: Probability from which a name is sure, where the laws err by the largest of `LAW_ERRORS`; below
 #: it is likely.
 SURE = 0.8
@@ -70,12 +70,12 @@ _FREE = 3  # best sets of effects that are tried with an anonymous contribution 
 class Hypothesis:
     """A set of effects, with or without an anonymous contribution, and its probability."""
 
-    names: Names
-    free: bool
+    names: Names  # listed effects
+    free: bool  # with an anonymous contribution or law
     probability: float
-    score: float  # log odds of the data for it against the base model
+    score: float  # log evidence less that of the base model, without priors
     evidence: Evidence  # in the most probable of the forms
-    #: Listed effects that an unlisted one resembles: in place and conditions, not in form.
+    #: Listed effects that an anonymous law resembles: in channels and conditions, not in form.
     like: Names = ()
     if_laws_err: tuple[float, ...] = ()  # its probability where they err by `LAW_ERRORS`
 
@@ -107,12 +107,13 @@ class Finding:
     refuted: tuple[Names, ...] = ()
 
     def without(self, names: Names, alone: bool = False) -> Finding:
-        """The finding once these effects, together, are refuted: what is left, with probabilities
-        that sum to 1.
+        """The finding once these effects, together, are refuted; the probabilities of what is left
+        sum to 1.
 
-        `alone`: these effects and no other; sets with more may explain what they leave. So is the
-        base model, without names. What is refuted alone stays as a hypothesis, as what the others
-        are compared with.
+        All sets with these effects are left out. With `alone`, only the set of exactly these
+        effects is refuted: sets with more may explain what it leaves. It stays as a hypothesis with
+        the probability 0, since others are compared with it. Without names the base model alone is
+        refuted.
         """
         alone = alone or not names
 
@@ -143,7 +144,9 @@ class Finding:
         return replace(self, hypotheses=tuple(kept))
 
     def share(self, *names: str, without: Names = ()) -> float:
-        """Probability that these effects are missing, and none of `without`."""
+        """Probability that these effects are missing, alone or with others, and none of
+        `without`.
+        """
         return sum(
             h.probability
             for h in self.hypotheses
@@ -156,7 +159,9 @@ class Finding:
         return tuple(map(sum, zip(*with_it, strict=True)))
 
     def is_sure(self, name: str) -> bool:
-        """True if an effect is sure to be missing, and not only likely."""
+        """True if an effect is sure to be missing: with `SURE` even if the laws err by the largest
+        of `LAW_ERRORS`. Otherwise a name is only likely.
+        """
         return self.if_laws_err(name)[-1] >= SURE
 
     @property
@@ -185,8 +190,10 @@ class Finding:
 
     @cached_property
     def names(self) -> Names:
-        """Effects that are stated: the most that are missing together with a probability of
-        `NAMED`.
+        """Effects that are stated, as missing.
+
+        In the order of their probabilities, each is stated that is missing together with those
+        stated before it with a probability of `NAMED`.
         """
         named: Names = ()
         for name in sorted(self.tried, key=lambda n: -self.share(n)):
@@ -196,8 +203,10 @@ class Finding:
 
     @cached_property
     def candidates(self) -> Names:
-        """Effects with at least `REPORTED` that are missing, or resembled by what is missing,
-        beside the stated ones or in their place.
+        """Effects that are not stated and have at least `REPORTED`, the most probable first.
+
+        The probability is that the effect is missing, or that a missing anonymous law resembles it,
+        whichever is larger.
         """
         near = {
             n: max(self.share(n), sum(h.probability for h in self.hypotheses if n in h.like))
@@ -230,7 +239,11 @@ class Finding:
 
     @property
     def verdict(self) -> str:
-        """named, partly, ambiguous, unlisted, none or undetermined."""
+        """named, partly, ambiguous, unlisted, none or undetermined, by what has `NAMED` or more.
+
+        A name is "partly" if a further effect or an anonymous contribution has as much. "none" is
+        "undetermined" if the table is `blind`.
+        """
         if self.names:
             return "partly" if max(self.remainder, self.more) >= NAMED else "named"
         if self.unlisted >= NAMED:
@@ -240,13 +253,13 @@ class Finding:
     @property
     def blind(self) -> bool:
         """True if a listed effect, had one been missing, would more probably have been overlooked
-        than seen.
+        than seen: the mean power is at most `NAMED`, or no effect could be seen at all.
         """
         return sum(d.power for d in self.detectable.values()) <= NAMED * len(self.detectable)
 
     def alternatives(self, name: str) -> Names:
-        """Effects that stand in the place of a stated one with a probability of `REPORTED` or more,
-        best first.
+        """Effects that are not stated, and are missing without the stated effect `name` with a
+        probability of `REPORTED` or more, the most probable first.
         """
         return _reported(
             {n: self.share(n, without=(name,)) for n in self.tried if n not in self.names}
@@ -254,32 +267,40 @@ class Finding:
 
     @property
     def stated(self) -> Hypothesis:
-        """The most probable hypothesis with exactly the stated effects."""
+        """The most probable hypothesis with exactly the stated effects, with an anonymous
+        contribution or without.
+        """
         return next(h for h in self.hypotheses if {*h.names} == {*self.names} and not h.like)
 
     @property
     def scatter(self) -> float:
-        """Scatter of the values about the model over their noise, root mean square over the
-        probabilities.
+        """Scatter of the values about the model over their noise: root mean square over the
+        hypotheses by their probabilities.
         """
         return math.sqrt(
             sum(h.probability * h.evidence.typical("scatter") ** 2 for h in self.hypotheses)
         )
 
     def best(self, *names: str, free: bool = False) -> Hypothesis:
-        """The hypothesis with exactly these effects, with an anonymous contribution or without."""
+        """The hypothesis with exactly these listed effects, and with an anonymous contribution if
+        `free`; none that resembles an effect.
+        """
         return next(
             h for h in self.hypotheses if {*h.names} == {*names} and h.free == free and not h.like
         )
 
 
 def _reported(share: dict[str, float]) -> Names:
-    """Names with `REPORTED` or more, best first."""
+    """Names with `REPORTED` or more, the most probable first."""
     return tuple(sorted((n for n in share if share[n] >= REPORTED), key=lambda n: -share[n]))
 
 
 def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
-    """(names to try, reason by name of those that this table cannot show)."""
+    """(names of the listed effects to try, reason by name of the others).
+
+    An effect is not tried where none of its channels is measured, where the setup rules it out,
+    where the rig hides it, or where its condition does not vary by itself.
+    """
     names = []
     reasons = {}
     data = problem.data
@@ -304,14 +325,16 @@ def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
 
 
 def forms(problem: Problem, name: str) -> list[Choice]:
-    """Forms of an effect that this table can be fitted with."""
+    """Forms of an effect that this table can be fitted with: where a row has no speed, those that
+    need none.
+    """
     speed = problem.bench.speed > 0.0
     return [Choice(name, k) for k, f in enumerate(LISTED[name].forms) if speed or not f.needs_speed]
 
 
 Say = Callable[[str], None]  # receives the progress, "stage: step"
-#: Effects, effects that it resembles, with an anonymous contribution, evidence, its logarithm, log
-#: of the prior odds.
+#: Hypothesis before its probability is known: effects, effects that it resembles, True with an
+#: anonymous contribution, evidence in the best form, log evidence over the forms, log prior odds.
 Entry = tuple[Names, Names, bool, Evidence, float, float]
 
 
@@ -323,7 +346,7 @@ class _Sets:
         self.found: dict[Names, dict[Choices, Evidence]] = {}
 
     def add(self, choices: Choices, near: Evidence | None) -> Evidence:
-        """Fit a set in these forms, once."""
+        """Evidence of a set in these forms, fitted if it was not before; `near`: as in `settle`."""
         choices = tuple(sorted(choices))
         of = self.found.setdefault(tuple(c.effect for c in choices), {})
         if choices not in of:
@@ -331,17 +354,24 @@ class _Sets:
         return of[choices]
 
     def best(self, names: Names) -> Evidence:
-        """Evidence in the best form."""
+        """Evidence of a set of effects in the most probable of the forms that were tried."""
         return max(self.found[tuple(sorted(names))].values(), key=lambda e: e.log)
 
     def log(self, names: Names) -> float:
-        """Log evidence, every combination of forms as probable before the table as another."""
+        """Log evidence of a set of effects, over all combinations of their forms, equally probable
+        before the table; those that were not tried count as 0.
+        """
         count = math.prod(len(forms(self.problem, n)) for n in names)
         return float(log_sum([e.log for e in self.found[names].values()])) - math.log(count)
 
 
 def search(problem: Problem, say: Say = lambda text: None) -> Finding:
-    """Return the probabilities of all hypotheses; `say` receives the progress."""
+    """Return the `Finding` of a table; `say` receives the progress.
+
+    The hypotheses are no effect, each effect and the best pairs. Some of these are also tried with
+    an anonymous contribution, each set except no effect against anonymous laws that resemble it,
+    and anonymous laws of few numbers by themselves.
+    """
     names, untestable = candidates(problem)
     prior = partial(log_prior, of_rig=odds(problem.data.setup, problem.bench))
     sets = _Sets(problem)
@@ -371,7 +401,7 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
     ]
     for s in order:
         if not s or any(LISTED[n].any_form for n in s):
-            continue  # what resembles it has its name
+            continue  # an effect that is named in any form: what resembles it has its name
         alike = resembling(problem, sets.best(s))
         entries.append(((), s, True, alike, alike.log, prior(s) + len(s) * math.log(ALIKE)))
     say("with a law that no catalogue lists")
@@ -400,8 +430,10 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
 
 
 def _unnamed(problem: Problem, base: Evidence, nearest: Names) -> list[Entry]:
-    """Entries of the anonymous laws of few numbers; `nearest`: the listed effect that explains
-    most.
+    """Entries of the anonymous laws of few numbers whose condition varies and whose channels are
+    measured.
+
+    `nearest`: the listed effect that explains most, which they resemble; without it there are none.
     """
     seen = {k for k, used in zip(CHANNELS, problem.used.T, strict=True) if used.any()}
     laws = [
@@ -426,8 +458,11 @@ def log_prior(
 
 
 def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Say) -> None:
-    """Pairs: all beside the best single effects screened to first order, the most promising forms
-    and pairs refitted, the best pairs in all their forms.
+    """Add pairs of effects to `sets`.
+
+    Every effect beside each of the `_FIRST` best single ones is screened to first order. The
+    `_PAIRS` most promising pairs of forms, and as many pairs of effects, are fitted. The `_FORMS`
+    best pairs are fitted with each of the two effects in all its forms.
     """
     say("screening pairs")
     promise: dict[Choices, float] = {}

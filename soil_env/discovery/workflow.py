@@ -50,8 +50,8 @@ def run(
     Parameters: `table` and `setup`, read or as files; `out`, a folder for report.json, report.html
     and model.yaml, written at the end, all of them or none; `seed` of the simulated null
     distributions; `next_runs`, how many are proposed, to
-    `name` what is missing or to `predict`; `progress` is called with what is being done,
-    "stage: step".
+    `name` what is missing or to `predict`; `progress` is called with the text of each stage,
+    "stage" or "stage: step".
 
     Raises `ParameterError` with one line for bad input, and where `out` cannot be written.
     """
@@ -82,7 +82,7 @@ def run(
 
 
 def _digest(given: Table | Setup | str | Path) -> str | None:
-    """SHA-256 of a file; None where none was read."""
+    """SHA-256 of a file; None for a table or a setup that was given as an object."""
     if isinstance(given, (Table, Setup)):
         return None
     return hashlib.sha256(Path(given).read_bytes()).hexdigest()
@@ -96,6 +96,11 @@ def _conclude(
     next_runs: int,
     goal: str,
 ) -> Report:
+    """Go through all stages of the workflow, and return what they found.
+
+    With the `goal` "name" the next runs tell what is missing, with "predict" they make the
+    prediction surer; there are none of the other kind.
+    """
     say("looking for mistakes")
     table, setup, dense = binned(table, setup)
     examined = examine(table, setup)
@@ -152,25 +157,28 @@ def _conclude(
 
 
 STRUCTURED = 1e-3  # p value of a pattern below which a model does not explain the table
-FAR = 8.0  # [sd of the setup] of a soil parameter
+#: [sd of the setup's prior] distance of a soil parameter from the setup's value, beyond which it is
+#: another soil; own choice.
+FAR = 8.0
 Fits = dict[Names, Fit]  # by set of effects
 Held = dict[Names, np.ndarray]  # held-out predictions [N, 3] by set of effects
 
 
 def _that_predicts(problem: Problem, finding: Finding, seed: int) -> tuple[Finding, Fits, Held]:
-    """The finding without sets of effects that held-out rows speak against.
-
-    With it the fits, and the held-out predictions, of the base model, of the named effects and,
-    where there are two, of each alone.
+    """(finding without refuted sets of effects, fits, held-out predictions): the latter of the base
+    model, of the named effects and, where two are named, of each alone.
 
     Evidence is as certain as the shapes that form errors are assumed to have. Where the law errs in
-    another way, it may be sure of effects that are not there. Refuted are effects that predict rows
-    worse to which they were not fitted than the base model does, or than one of two effects does by
-    itself (95 % interval), in all their forms that are probable.
-    So is the most probable set behind a name, without those that have a further effect, if it needs
-    a soil far from the setup's, or leaves a pattern in a channel (`structure`) and is not, by
-    itself, more probable than an anonymous law; and the base model with a pattern where nothing
-    would be missing.
+    another way, evidence may be sure of effects that are not there. So the named effects are
+    examined until none is refuted:
+
+    1. The most probable set with these names is refuted, and no set with more, on either of two
+       grounds. It needs a soil far from the setup's (`_far`). Or it leaves a pattern in a channel
+       (`structure`), and is no more probable than the base model with an anonymous contribution.
+       Without a name, and with the verdict "none" or "undetermined", the base model is refuted by
+       such a soil or by a pattern.
+    2. The names, and all sets with them, are refuted if the base model, or one of two effects
+       alone, predicts held-out rows better (`_worse`). This must hold in all probable forms.
     """
     while True:
         own = finding.stated.evidence
@@ -188,6 +196,7 @@ def _that_predicts(problem: Problem, finding: Finding, seed: int) -> tuple[Findi
             ):
                 finding = finding.without(behind, alone=True)
                 continue
+        # The first form that is not worse than fewer effects is taken.
         for form in _probable_forms(problem, own):
             fits = _under_noise(problem, finding, form)
             held = {some: held_out_predictions(problem, fit) for some, fit in fits.items()}
@@ -198,8 +207,10 @@ def _that_predicts(problem: Problem, finding: Finding, seed: int) -> tuple[Findi
 
 
 def _probable_forms(problem: Problem, own: Evidence) -> Iterator[Evidence]:
-    """The model of a set of effects, then with one effect in another form, the most probable first;
-    those that are `REPORTED` as probable.
+    """Yield `own`, the model of the stated effects, and then the models with one effect in another
+    form, the most probable first.
+
+    Left out are other forms that have less than `REPORTED` of the probability of `own`.
     """
     yield own
     choices = own.fit.choices
@@ -214,8 +225,8 @@ def _probable_forms(problem: Problem, own: Evidence) -> Iterator[Evidence]:
 
 
 def _under_noise(problem: Problem, finding: Finding, own: Evidence) -> Fits:
-    """Fits under noise alone of the base model, of each named effect and of all, in their forms of
-    `own`.
+    """Fits under noise alone, with the scatter of `own`: of the base model, of each of two named
+    effects alone in its best form, and of all named effects in the forms of `own`.
 
     Names and intervals follow from fits with form errors. What predicts best with a law as it is,
     without the form error that this table shows, is its fit under noise alone (White 1982,
@@ -230,15 +241,17 @@ def _under_noise(problem: Problem, finding: Finding, own: Evidence) -> Fits:
 
 
 def _worse(problem: Problem, before: np.ndarray, after: np.ndarray, seed: int) -> bool:
-    """True if held-out predictions [N, 3] are worse than those of fewer effects, with 97.5 %."""
+    """True if held-out predictions `after` [N, 3] are worse than `before`, those of fewer effects.
+
+    The share of the gap that they close is below 0 in its whole 95 % interval. False where there is
+    no gap, and so no interval.
+    """
     interval = judgement.closed_interval(problem, before, after, np.random.default_rng([seed, 2]))
     return interval is not None and interval[1] < 0.0
 
 
 def _far(problem: Problem, model: Evidence) -> bool:
-    """True if a soil parameter is further from the setup's value than a soil that is like the
-    setup's can be.
-    """
+    """True if a soil parameter that the setup gives is further than `FAR` from its value there."""
     given = [
         getattr(problem.data.setup.soil, unknown.name, None) is not None for unknown in problem.soil
     ]
@@ -252,6 +265,10 @@ def _effects(
     intervals: dict[str, Interval],
     shares: dict[str, float | None],
 ) -> tuple[EffectFound, ...]:
+    """`EffectFound` of each named effect, with the form and the parameters of `fit`.
+
+    A parameter that the form or the table sets has its value at both ends of the interval.
+    """
     out = []
     for name in finding.names:
         choice = next(c for c in fit.choices if c.effect == name)
@@ -265,6 +282,7 @@ def _effects(
 
 
 def _soil(problem: Problem, intervals: dict[str, Interval]) -> dict[str, Interval]:
+    """Interval by soil parameter; those that are known, and the density, have no width."""
     given = problem.known | {"density": problem.density}
     return {
         **{k.name: intervals[k.name] for k in problem.soil},
