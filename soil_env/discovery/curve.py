@@ -18,7 +18,9 @@ POWERS = np.array([1.0, 1.0, 0.0])  # p, q, m where the loads do not show them
 POWER_SD = 0.5  # of p, q and m about these
 LEAST_SPAN = 0.25  # of ln W, from which the loads show the powers
 BRAKED = -0.02  # [-] slip below which a row is braked
-FEWEST_BRAKED = 2  # rows, for an amplitude of their own
+FEWEST_BRAKED = 2  # braked rows, from which they have an amplitude of their own
+BEYOND_SCALES = 2.0  # factor by which a fitted k may go beyond `SLIP_SCALES`; own choice
+MOST_CALLS = 40  # of the curve in a fit; own choice
 
 
 class Curve(NamedTuple):
@@ -39,7 +41,9 @@ class Curve(NamedTuple):
 def _basis(
     slip: np.ndarray, x: np.ndarray, scale: float, powers: np.ndarray, braked: bool
 ) -> np.ndarray:
-    """[N, 2 or 3] functions of the amplitudes, at x = ln(W/W0)."""
+    """[N, 2 or 3] functions that the amplitudes a, b and, if `braked`, b of braked rows multiply; x
+    = ln(W/W0), `scale` k, `powers` p, q, m.
+    """
     grown = -np.expm1(-np.abs(slip) / (scale * np.exp(powers[2] * x)))
     side = np.exp(powers[1] * x) * grown
     level = np.exp(powers[0] * x)
@@ -49,7 +53,11 @@ def _basis(
 
 
 def fit_curve(slip: np.ndarray, load: np.ndarray, y: np.ndarray, sd: np.ndarray | float) -> Curve:
-    """The curve of values y [N] with standard deviations sd."""
+    """The curve through values y [N] with standard deviations sd: k the best on the grid; k and the
+    powers fitted from there if the loads span more than `LEAST_SPAN`.
+
+    Braked rows have an amplitude of their own if there are `FEWEST_BRAKED`.
+    """
     middle = float(np.exp(np.mean(np.log(load))))
     x = np.log(load / middle)
     braked = int(np.sum(slip < BRAKED)) >= FEWEST_BRAKED
@@ -68,10 +76,10 @@ def fit_curve(slip: np.ndarray, load: np.ndarray, y: np.ndarray, sd: np.ndarray 
             lambda p: np.append(fitted(math.exp(p[3]), p[:3])[1], (p[:3] - POWERS) / POWER_SD),
             [*POWERS, math.log(scale)],
             bounds=(
-                [-np.inf] * 3 + [math.log(SLIP_SCALES[0] / 2.0)],
-                [np.inf] * 3 + [math.log(2.0 * SLIP_SCALES[-1])],
+                [-np.inf] * 3 + [math.log(SLIP_SCALES[0] / BEYOND_SCALES)],
+                [np.inf] * 3 + [math.log(BEYOND_SCALES * SLIP_SCALES[-1])],
             ),
-            max_nfev=40,
+            max_nfev=MOST_CALLS,
         ).x
         powers = found[:3]
         scale = math.exp(found[3])

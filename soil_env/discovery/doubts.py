@@ -15,14 +15,20 @@ from .calibrate import Problem, calibrate
 from .instrument import LISTED
 from .search import Finding, Say, search
 
-FEW = 20  # rows for each one that may stand alone; in a smaller table most of them do
+#: Rows of a table for each row that stands alone, at least: in smaller tables most rows do; own
+#: choice.
+FEW = 20
 
 
 def of_lone_rows(
     problem: Problem, noise: NoiseEstimate, finding: Finding, say: Say
 ) -> tuple[str, ...]:
-    """Return a doubt where rows that stand alone in their conditions decide what is named, none as
-    a rule.
+    """Return a doubt, as a sentence, where rows that stand alone in their conditions decide what is
+    named; else nothing.
+
+    The search is made again without these rows, and decides otherwise if the verdict or the names
+    differ. It is left out where no row stands alone, or more than one in `FEW`, and where too
+    little would be left.
     """
     table = problem.data.table
     alone = np.flatnonzero(noise.alone)

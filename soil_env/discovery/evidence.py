@@ -192,7 +192,8 @@ def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """log(Phi(b) - Phi(a)), a < b."""
-    turn = a > 0.0  # there by the other tail, where the difference of two ones would vanish
+    # There both values of Phi are nearly 1, and their difference would be lost in rounding.
+    turn = a > 0.0
     upper: np.ndarray = log_ndtr(np.where(turn, -a, b))
     lower: np.ndarray = log_ndtr(np.where(turn, -b, a))
     between: np.ndarray = upper + np.log1p(-np.exp(np.minimum(lower - upper, -_APART)))

@@ -19,7 +19,7 @@ from .search import Finding
 
 SURE = 1.959964  # [sd] of a 95 % interval
 _CLOSED_DRAWS = 2000  # of the groups, for the interval of `closed`
-_LEAST_GAP = 0.5  # share of those draws with a gap to close below which no interval is given
+_LEAST_GAP = 0.5  # share of these draws that have a gap to close, below which no interval is given
 
 
 class Interval(NamedTuple):
@@ -44,8 +44,10 @@ class Gap(NamedTuple):
 
     @property
     def remainder(self) -> tuple[float, float | None]:
-        """(error after, beyond the noise; its share of the mean square before, beyond the noise,
-        None if none).
+        """(error after [unit of the channel], noise taken off in the mean square; that mean square
+        over the one before).
+
+        An error below the noise counts as 0. The share is None if the error before is below.
         """
         before, after = (max(x**2 - self.noise_floor**2, 0.0) for x in (self.before, self.after))
         return math.sqrt(after), after / before if before > 0.0 else None
@@ -54,9 +56,9 @@ class Gap(NamedTuple):
 def intervals(finding: Finding, own: Evidence) -> dict[str, Interval]:
     """Posterior mean and 95 % interval of every unknown, from the same posterior as the names.
 
-    Of the soil over all hypotheses and sizes of form errors, each with its probability; of the
-    effects over the sizes in `own`, their model. In the logarithm where the unknown is fitted in
-    it; never beyond the bounds.
+    The soil's are of the mixture of all hypotheses and sizes of form errors, each with its
+    probability. Those of the effects are of `own`, the model of the named effects, over the sizes.
+    An unknown that is fitted in its logarithm is normal there. No end is beyond a bound.
     """
     p = len(finding.best().evidence.fit.unknowns)
     share = np.array([h.probability for h in finding.hypotheses])
@@ -72,7 +74,7 @@ def intervals(finding: Finding, own: Evidence) -> dict[str, Interval]:
 
 
 def _interval(unknown: Unknown, u: float, sd: float) -> Interval:
-    """Mean and quantiles, those of the normal distribution brought within the bounds."""
+    """Value and ends at u and u ± `SURE` sd of the normal distribution, each cut to the bounds."""
     return Interval(
         *(
             float(unknown.value(np.clip(x, *unknown.bounds)))
@@ -82,11 +84,12 @@ def _interval(unknown: Unknown, u: float, sd: float) -> Interval:
 
 
 def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
-    """[N, 3] what the model predicts of each value, its unknowns fitted to the groups without it;
-    NaN where not in use.
+    """[N, 3] prediction of each value by the model fitted without the group that holds the value;
+    NaN where it is not in use.
 
     Form errors weigh the values and do not enter the prediction, which is that of the laws. Refits
-    are linearised about the fit to all. Mean over the ways to cut the table.
+    are linearised about the fit to all. The table is cut into groups in one or two ways (`folds`),
+    of which the mean is taken.
     """
     a, e = fit.linearised()
     ways = folds(problem.data)
@@ -122,8 +125,10 @@ def gaps(problem: Problem, before: np.ndarray, after: np.ndarray) -> dict[str, G
 
 
 def closed(problem: Problem, gap: dict[str, Gap]) -> float | None:
-    """Share of the held-out mean square above the noise that is gone, over all values; None where
-    there was none.
+    """Share of the gap that is closed: of the held-out mean square above the noise, summed over the
+    channels by their number of values.
+
+    Negative where the error has grown. None where no channel had an error above the noise.
     """
     before, after = (
         sum(
@@ -138,8 +143,8 @@ def closed(problem: Problem, gap: dict[str, Gap]) -> float | None:
 def closed_interval(
     problem: Problem, before: np.ndarray, after: np.ndarray, rng: np.random.Generator
 ) -> tuple[float, float] | None:
-    """95 % interval of `closed`, from held-out predictions [N, 3]; None where hardly any draw has a
-    gap.
+    """95 % interval of `closed` for held-out predictions [N, 3]; None where less than `_LEAST_GAP`
+    of the draws have a gap.
 
     Values of one slip share the error of that slip, and values of one combination of the other
     conditions share another: both are drawn with replacement, and a row counts as often as its slip
@@ -167,10 +172,10 @@ def closed_interval(
 
 
 def shares(problem: Problem, held: dict[Names, np.ndarray]) -> dict[str, float | None]:
-    """Share of the gap above the noise that each named effect closes, from held-out predictions of
-    its sets, the base model among them.
+    """Share of the gap above the noise that each named effect closes; None where there is no gap.
 
-    Of two effects the mean of what one closes alone and of what it closes beside the other (Shapley
+    `held`: held-out predictions of the base model `()`, of each named effect alone and of all. Of
+    two effects, each has the mean of what it closes alone and of what it adds to the other (Shapley
     value).
     """
     full = max(held, key=len)

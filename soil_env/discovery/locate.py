@@ -31,7 +31,8 @@ LEAST_VALUES = 3  # in a box
 _DRAWS = 400  # of the noise, for the distribution of the largest |t|
 #: Quantile of the simulated maxima at which the number of independent looks is read off.
 _TAIL = 0.95
-_SHOWS = 2.0  # least |t| of the plain mean residual of a box
+#: Least |t| of the mean residual of a box, without projection: what the reader of a report sees.
+_SHOWS = 2.0
 _OPEN = 0.02  # share of a box's variance that the parameters must leave for it to be looked at
 
 
@@ -51,8 +52,9 @@ Limits = dict[str, tuple[int, int]]  # condition -> (first, last) level
 
 
 def boxes(problem: Problem) -> tuple[tuple[Limits, ...], np.ndarray]:
-    """(limits, members [R, N] bool) of all boxes: the whole table, intervals of one condition,
-    half-lines of two; each set of rows once.
+    """(limits [R], rows inside [R, N] bool) of all boxes: the whole table, intervals of levels of
+    one condition, half-lines of two. Boxes with less than `LEAST_VALUES` rows are left out, and so
+    is a second box with the same rows.
     """
     varied = problem.data.varied
     limits: list[Limits] = [{}]
@@ -73,14 +75,19 @@ def boxes(problem: Problem) -> tuple[tuple[Limits, ...], np.ndarray]:
 
 
 def _half_lines(levels: int) -> list[tuple[int, int]]:
+    """(first, last) level of every interval that begins at the first level or ends at the last, but
+    for all levels.
+    """
     return [(0, k) for k in range(levels - 1)] + [(k, levels - 1) for k in range(1, levels)]
 
 
 def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...]:
-    """Significant disagreements, the most certain first; none where the model explains the table.
+    """Significant disagreements, the most certain first, at most `MOST`; none where the model
+    explains the table.
 
     After each, the box is given to the model as a further parameter, so that the next one says
-    something new; in one channel the boxes do not overlap.
+    something new; in one channel the boxes do not overlap. `fit` gives the form errors that the
+    model may have; `seed` is of the simulated null distribution.
     """
     limits, member = boxes(problem)
     a, e = fit.linearised()
@@ -95,7 +102,7 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
     total = np.sqrt(raw.sum(axis=0))
     v, left = _project(raw, q, total)
     looks = _looks(v, where[:, 0], problem.freedom, np.random.default_rng(seed))
-    # the next box must also show in the plain residual, with the same sign
+    # A box must show in the residual without projection as well, with the same sign.
     plain = (raw[: row.size].T @ fit.residual) / total
     out: list[Disagreement] = []
     taken: list[tuple[int, np.ndarray]] = []
@@ -118,11 +125,12 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
 
 
 def structure(problem: Problem, model: Evidence, seed: int = 0) -> float:
-    """p value of the pattern that a model leaves in a channel, over slip, load and the other
-    conditions.
+    """p value of the most certain pattern that a model leaves in a channel, over slip, load and the
+    other conditions; 1 where none is significant.
 
-    A posterior predictive check: beyond the noise, laws that are off by `LAW`, and an effect whose
-    form is off by `EFFECT`. Unlike the evidence it needs no other model to compare with.
+    A posterior predictive check: noise, laws that are off by `LAW` and effects whose form is off by
+    `EFFECT` (or by their most probable size, if that is larger) explain no such pattern. Unlike the
+    evidence, the check needs no other model to compare with.
     """
     effect = max(model.sizes.effect, EFFECT) if model.fit.choices else 0.0
     sizes = Sizes(LAW, effect, span=model.sizes.span, scatter=model.sizes.scatter, rig=1.0)
@@ -133,8 +141,8 @@ def structure(problem: Problem, model: Evidence, seed: int = 0) -> float:
 
 
 def _project(v: np.ndarray, q: np.ndarray, total: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(unit columns of v without the directions q, which of them keep a part of their length
-    `total`).
+    """(columns of v [M, R] without the orthonormal directions q, of length 1; [R] True for those
+    that keep `_OPEN` of the square of their length `total`). Others become 0.
     """
     v = v - q @ (q.T @ v)
     length = np.sqrt(np.einsum("mr,mr->r", v, v))
@@ -143,8 +151,11 @@ def _project(v: np.ndarray, q: np.ndarray, total: np.ndarray) -> tuple[np.ndarra
 
 
 def _looks(v: np.ndarray, channel: np.ndarray, freedom: float, rng: np.random.Generator) -> float:
-    """Number of independent looks whose largest |t| is as large as that over the columns of v, each
-    of a channel.
+    """Number of independent looks whose largest |t| has the quantile `_TAIL` of the largest |t|
+    over the columns of v, which is simulated under the null; at least 1.
+
+    `channel`: that of each column. Noise that is known to `freedom` degrees has an error for each
+    channel.
     """
     t = np.abs(rng.standard_normal((_DRAWS, v.shape[0]), dtype=np.float32) @ v.astype(np.float32))
     if math.isfinite(freedom):
@@ -155,11 +166,12 @@ def _looks(v: np.ndarray, channel: np.ndarray, freedom: float, rng: np.random.Ge
 
 
 def _alone(t: float, freedom: float) -> float:
-    """p value of one look."""
+    """p value of one look: two-sided, by Student's t distribution."""
     return float(2.0 * stdtr(freedom, -t))
 
 
 def _p_value(t: float, looks: float, freedom: float) -> float:
+    """p value of the largest |t| of so many independent looks."""
     alone = _alone(t, freedom)
     return -math.expm1(looks * math.log1p(-alone)) if alone < 1.0 else 1.0
 
@@ -167,6 +179,9 @@ def _p_value(t: float, looks: float, freedom: float) -> float:
 def _disagreement(
     problem: Problem, fit: Fit, channel: str, box: Limits, member: np.ndarray, p: float
 ) -> Disagreement:
+    """`Disagreement` of a box with the rows `member` [N] bool: its limits as values of the table,
+    and the mean residual of the values in use.
+    """
     j = CHANNELS.index(channel)
     varied = problem.data.varied
     inside = member & problem.used[:, j]

@@ -34,7 +34,7 @@ class Uncertainty:
     the others.
 
     Parameters: `covariance` [G, C, G, C] of the values of C channels without noise; `noise` [C]
-    variance that each value of a run has by itself. Both are over the variance of the noise.
+    variance that each value of a run has by itself, in the same unit.
     """
 
     def __init__(self, covariance: np.ndarray, noise: np.ndarray) -> None:

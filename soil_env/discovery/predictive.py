@@ -24,8 +24,8 @@ DEEPEST = 0.6  # [radii] deepest sinkage of a feasible run; own choice
 _BEYOND = 30.0  # [sd] from which a normal density is none
 _FUNCTIONS = 60  # of a form error over table and other rows, at most
 _NEAR = 4.0  # [sd] distance of a bound above which it changes nothing
-#: [sd] distance beyond a bound from which an unknown is put on it: there is no probability inside to
-#: compute with.
+#: [sd] distance beyond a bound from which an unknown is put on it: inside there is no probability
+#: left to compute with.
 _OUTSIDE = 8.0
 _LEAST_LEFT = 1e-4  # least share of its variance that a bounded unknown keeps
 _JITTER = 1e-12  # of a unit variance, with which rounding leaves a covariance positive
@@ -68,9 +68,9 @@ def predicted(
     """(mean [G, 3], root [G, 3, R], own variance [G, 3], feasible [G]) of a candidate at the rows
     of `there`, which is from `problem_at`; in units of the noise.
 
-    The joint covariance is root root', and beside it each value varies by its own variance, the
-    noise and the part of an effect's form error that the table cannot show. Form errors have their
-    typical sizes. A run is feasible if the wheel sinks, less than `DEEPEST`.
+    The joint covariance is root root'. Beside it each value has a variance of its own: the noise
+    with its scatter, and what the functions of an effect's form error leave out. Form errors have
+    their typical sizes. A run is feasible if the wheel sinks, but less than `DEEPEST`.
     """
     fit = candidate.fit
     p = candidate.fit.u.size
@@ -150,7 +150,7 @@ def _within_bounds(
 
 def _truncated(low: float, high: float) -> tuple[float, float]:
     """(mean, variance) of a standard normal variable between two bounds."""
-    # Above the mean both probabilities are nearly 1: the difference of the lower tail is exact.
+    # There both values of ndtr are nearly 1, and their difference would be lost in rounding.
     if low > 0.0:
         mean, variance = _truncated(-high, -low)
         return -mean, variance

@@ -19,8 +19,8 @@ from .next_tests import Check, NextTest
 from .prediction import Outlook
 from .search import Finding
 
-WORSE = 0.1  # rise of a held-out error that is stated
-LEFT = 1.5  # [noise] of a held-out error after the correction above which a remainder is stated
+WORSE = 0.1  # relative rise of a held-out error by the named effects, above which it is stated
+LEFT = 1.5  # [noise] held-out error above which a model is said to miss a channel; own choice
 
 
 @dataclass(frozen=True)
@@ -78,15 +78,18 @@ class Report:
     def verdict(self) -> str:
         """named, partly, ambiguous, unlisted, none or undetermined.
 
-        The verdict of the probabilities, with one exception. Named effects are `partly` what is
-        missing if they leave a held-out error of more than `LEFT` times the noise, or one a tenth
-        larger than the base model's.
+        The verdict of the probabilities (`Finding.verdict`), with one exception. Named effects are
+        `partly` what is missing if a remainder is stated in any channel (`remains`).
         """
         said = self.finding.verdict
         return "partly" if said == "named" and any(map(self.remains, self.gap)) else said
 
     def remains(self, channel: str) -> bool:
-        """True if a stated remainder of the gap is left in a channel."""
+        """True if the named effects leave a remainder in a channel that is stated.
+
+        Their held-out error is more than `LEFT` times the noise, or larger than the base model's by
+        more than `WORSE`.
+        """
         gap = self.gap[channel]
         return gap.after > LEFT * gap.noise_floor or gap.after > (1.0 + WORSE) * gap.before
 
@@ -114,13 +117,13 @@ class Report:
         )
 
     def is_free(self, effect: str, parameter: str) -> bool:
-        """True if a parameter of a named effect was fitted; without an interval it is then at a
-        bound of its range.
+        """True if a parameter of a named effect was fitted. If its interval has no width all the
+        same, it is at a bound of its range.
         """
         return f"{effect}_{parameter}" in self.fit.parameters()
 
     @property
     def left_out(self) -> list[tuple[int, str]]:
-        """(line of the file, channel) of the values that were taken for outliers."""
+        """(line of the file, channel) of each measured value that was left out as an outlier."""
         at = np.argwhere(self.problem.data.measured & ~self.problem.used)
         return [(int(self.problem.data.table.row[k]), CHANNELS[j]) for k, j in at]

@@ -40,6 +40,7 @@ from soil_env.terramechanics.model import Rows
 def _p(
     name: str, sd: float, low: float, high: float, centre: float | None = None
 ) -> EffectParameter:
+    """A pure number with a normal prior about 0, or a log-normal one about `centre`."""
     return EffectParameter(name, "", low, high, sd, "", "", centre or 0.0, centre)
 
 
@@ -50,6 +51,7 @@ def _law(
     *p: EffectParameter,
     varies: str | None = None,
 ) -> Effect:
+    """An anonymous law as an effect with one form, which frees all its parameters."""
     form = Form(name, tuple(k.name for k in p), "", "own assumption")
     return Effect(name, title, p, (form,), moves, varies=varies)
 
@@ -70,11 +72,15 @@ _ANONYMOUS = {
     )
     for condition in _COLUMNS
 }
+#: The same of soil that goes with the load.
 _PRESSED = {
     "friction_load": ("friction_angle_deg", "load"),
     "modulus_load": ("shear_modulus", "load"),
 }
 _SOIL = _ANONYMOUS | _PRESSED
+TORQUE_SCALE = 0.5  # [load times radius] y0 of `torque_curve`; own choice
+PULL_SCALE = 0.2  # [load] y0 of `pull_curve`; own choice
+LEAST_DIVISOR = 0.1  # of these curves, which would change the sign of a reading below 0; own choice
 #: Laws of sensors, for which no law goes into a model.
 OF_SENSORS = ("torque_curve", "pull_curve")
 _NAMELESS = (
@@ -129,16 +135,18 @@ OF_LOAD: Mapping[str, Effect] = MappingProxyType(
 
 
 def _grown(rows: Rows, scale: float) -> np.ndarray:
+    """[N] q = 1 - exp(-i/k) with k the `scale` of slip; 0 where braked."""
     return -np.expm1(-np.maximum(rows.slip, 0.0) / scale)
 
 
 def _flatter(rows: Rows, gain: float, load: float) -> np.ndarray:
+    """[N] factor on the radius of a wheel that its load deforms; `load`: the middle one."""
     return 1.0 + gain * rows.load / load
 
 
 def loaded(rows: Rows, values: Values, load: float) -> Rows:
-    """Rows with the load and the wheel of the anonymous law among `values`; `load`: the middle
-    one.
+    """Rows with the load under `slip_load` or the wheel radius under `soft_wheel`, where `values`
+    hold the parameters of one of them; `load`: the middle one.
     """
     if "soft_wheel_gain" in values:
         wheels = rows.wheels.copy()
@@ -152,8 +160,8 @@ def loaded(rows: Rows, values: Values, load: float) -> Rows:
 
 
 def factors(rows: Rows, values: Values, bench: Bench) -> np.ndarray | None:
-    """[N, 4] of `BY_ROW`, by the laws of a soil parameter among `values`; None without such a
-    law.
+    """Factors [N, 4] on the soil parameters `BY_ROW` (of the friction angle, its tangent) by the
+    laws of soil whose power is among `values`; None without such a law.
     """
     laws = [name for name in _SOIL if f"{name}_power" in values]
     out = np.ones((rows.slip.size, len(BY_ROW)))
@@ -164,7 +172,9 @@ def factors(rows: Rows, values: Values, bench: Bench) -> np.ndarray | None:
 
 
 def _factor(rows: Rows, by: str, bench: Bench) -> np.ndarray:
-    """[N] condition that a soil parameter goes with, over its middle; of a pass the number."""
+    """[N] condition `by` of which a power multiplies a soil parameter: load or speed over its
+    middle, or the pass number.
+    """
     if by == "load":
         return rows.load / bench.load
     column: np.ndarray = rows.conditions[:, _COLUMNS[by]]
@@ -172,7 +182,9 @@ def _factor(rows: Rows, by: str, bench: Bench) -> np.ndarray:
 
 
 def changed(out: np.ndarray, rows: Rows, values: Values, bench: Bench) -> np.ndarray:
-    """[N, 3] sinkage, pull and torque under the anonymous law among `values`."""
+    """Sinkage, pull and torque [N, 3] with what the anonymous laws among `values` change of `out`,
+    the outcome on loaded rows: added forces, the lever of a soft wheel, curved sensors.
+    """
     if not values:
         return out
     out = out.copy()
@@ -191,8 +203,11 @@ def changed(out: np.ndarray, rows: Rows, values: Values, bench: Bench) -> np.nda
             )
         out[:, 1] -= values[f"{name}_pull"] * bench.load * share
         out[:, 2] += values[f"{name}_torque"] * size * share
-    for name, j, scale in (("pull_curve", 1, 0.2 * bench.load), ("torque_curve", 2, 0.5 * size)):
+    for name, j, scale in (
+        ("pull_curve", 1, PULL_SCALE * bench.load),
+        ("torque_curve", 2, TORQUE_SCALE * size),
+    ):
         if f"{name}_loss" in values:
             loss = values[f"{name}_loss"] * np.abs(out[:, j]) / scale
-            out[:, j] /= np.maximum(1.0 + loss, 0.1)
+            out[:, j] /= np.maximum(1.0 + loss, LEAST_DIVISOR)
     return out

@@ -27,7 +27,7 @@ from . import equations, sentences, tables, words
 __all__ = ["FILES", "check_folder", "content", "page", "show", "text", "write"]
 
 FILES = ("report.json", "report.html", "model.yaml")
-COLOURS = {"named": "green", "none": "green"}
+COLOURS = {"named": "green", "none": "green"}  # of the terminal by verdict; others are yellow
 _SHOWN = 8  # candidates of the ranking on the terminal
 LEAST = 1e-3  # probability below which a hypothesis is not listed
 
@@ -79,7 +79,7 @@ def text(report: Report) -> str:
 
 
 def _common(report: Report) -> dict[str, Any]:
-    """Values of both templates."""
+    """Values that the templates of report.html and of the terminal share."""
     return {
         "report": report,
         "sentences": sentences,
@@ -91,7 +91,7 @@ def _common(report: Report) -> dict[str, Any]:
 
 
 def show(report: Report, console: Console) -> None:
-    """Print the conclusion with its tables."""
+    """Print the doubts, if there are any, the conclusion and the tables."""
     colour = COLOURS.get(report.verdict, "yellow")
     if report.doubts:
         doubts = Text(" ".join(report.doubts))

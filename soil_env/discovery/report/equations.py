@@ -45,6 +45,9 @@ def blocks(report: Report) -> list[Block]:
 
 
 def _of_effect(report: Report, e: EffectFound) -> Block:
+    """`Block` of a named effect; soil, wheel and unit weight stand with their numbers in the
+    legend.
+    """
     effect = LISTED[e.name]
     wheel = report.model.wheel
     form = effect.form(e.form)
@@ -59,7 +62,8 @@ def _of_effect(report: Report, e: EffectFound) -> Block:
     }
     where = {}
     for symbol, meaning in legend(effect, form).items():
-        other = symbol in effect.symbols and symbol != "h"  # b is the grade there, not the width
+        # An effect may use a symbol for something of its own, such as b for the grade.
+        other = symbol in effect.symbols and symbol != "h"
         where[symbol] = meaning if other or symbol not in known else f"{meaning}, {known[symbol]}"
     numbers = []
     for name in used(form):
@@ -86,4 +90,5 @@ def _of_effect(report: Report, e: EffectFound) -> Block:
 
 
 def _number(x: float, unit: str = "", digits: int = 4) -> str:
+    """A number in plain digits, with its unit."""
     return f"{plain(x, digits)} {unit}".rstrip()

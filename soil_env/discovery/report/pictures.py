@@ -22,6 +22,8 @@ AFTER = "#1f6f8b"
 MEASURED = "#222222"
 MANY = 1200  # points of a plot above which they are drawn as an image
 CURVES = 4  # groups of rows whose curves over slip are drawn
+FEWEST_SLIPS = 3  # in such a group, or all slips of the table if it has less
+POINTS = 60  # of a curve
 CAPTIONS = {
     "predicted": "Held-out predictions against the measured values; grey: twice the noise.",
     "slip": (
@@ -48,6 +50,7 @@ def pictures(report: Report) -> dict[str, bytes]:
 
 
 def _saved(figure: Figure) -> bytes:
+    """The figure as SVG without document type and metadata, such as the date."""
     # Drawn once: `savefig` draws a figure with a layout twice.
     stream = io.BytesIO()
     FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None})
@@ -56,7 +59,9 @@ def _saved(figure: Figure) -> bytes:
 
 
 def _columns(report: Report, height: float, rows: int = 1, **options) -> tuple[Figure, np.ndarray]:
-    """(figure, axes [rows, channels])."""
+    """(figure, axes [rows, channels]) with a column for each measured channel; `height` of the
+    figure in inches.
+    """
     width = 3.5 * max(len(report.channels), 2)
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, len(report.channels), squeeze=False, **options)
@@ -105,15 +110,15 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
     """At most `CURVES` groups of rows that differ in slip alone, (what they share, rows sorted by
     slip).
 
-    Of all groups with three slips or more, evenly from the one that the base model misses least to
-    the one that it misses most.
+    Of all groups with `FEWEST_SLIPS`, they are picked evenly from the one that the base model
+    misses least to the one that it misses most, by held-out errors over the noise.
     """
     data = report.problem.data
     varied = data.varied
     others = [c for name, c in varied.items() if name != "slip"]
     found = []
     for k, rows in enumerate(data.groups):
-        if np.unique(varied["slip"].level[rows]).size >= min(3, varied["slip"].levels):
+        if np.unique(varied["slip"].level[rows]).size >= min(FEWEST_SLIPS, varied["slip"].levels):
             off = (data.y - report.held_out_before)[rows] / report.problem.noise
             found.append((float(np.nanmean(off**2)) if np.isfinite(off).any() else 0.0, k, rows))
     found.sort(key=lambda f: f[:2])
@@ -126,19 +131,20 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
 
 
 def _value(name: str, x: float) -> str:
+    """A condition with its value and unit."""
     label, unit = CONDITIONS[name]
     return f"{label} {round(x, 1) if name == 'grade_deg' else x:.3g}{unit}"
 
 
 def curves(report: Report, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(slips [60], values [60, 3] of the base model and of the corrected one) over the slips of a
-    group of rows, as the rig measures them.
+    """(slips [P], values [P, 3] of the base model, values [P, 3] of the corrected one) at `POINTS`
+    slips over a group of rows and the mean of its other conditions, as the rig measures them.
     """
     data = report.problem.data
     at: dict[str, Any] = {
         name: float(np.mean(column[rows])) for name, column in data.conditions.items()
     }
-    at["slip"] = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), 60)
+    at["slip"] = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), POINTS)
     base = Law(at_conditions(report.problem, at), ()).output(report.base.u)
     return at["slip"], base, report.outlook.model.mean_at(at)
 

@@ -36,6 +36,10 @@ LITTLE = 0.02  # rise of the probability of the right candidate below which runs
 SCATTERED = 1.2  # [noise] scatter of the values that is worth a caution
 FAR = 3.0  # [sd of the setup] from the setup's value at which a soil parameter is worth a caution
 FEW = 6  # conditions below which a table shows hardly any misfit
+ORDINARY = 3.0  # [noise] residual by the final model up to which an outlier would be ordinary
+WITH_OUTLIERS = 1.2  # rise of a channel's residual by its outliers, from which both are stated
+SUNK = 0.999  # of `DEEPEST`, at which the prediction of a buried wheel ends: rounding
+TINY = 1e-6  # [unit of the parameter] what a bound at 0 leaves of a soil parameter
 SOIL = {
     "friction_angle_deg": ("friction angle", "deg"),
     "cohesion": ("cohesion c", "Pa"),
@@ -84,7 +88,9 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def times(log: float) -> str:
-    """A factor of which the natural logarithm is given."""
+    """A factor of which the natural logarithm is given, as a power of ten where it is large or
+    small.
+    """
     decades = log / math.log(10.0)
     return f"{figure(10.0**decades)} times" if -2.0 <= decades < 3.0 else f"10^{decades:.0f} times"
 
@@ -95,7 +101,7 @@ def percent(share: float) -> str:
 
 
 def sure(p: float) -> str:
-    """A probability in percent."""
+    """A probability in percent, never as 0 or 100 %."""
     return (
         "more than 99.9 %"
         if p > 0.999
@@ -106,13 +112,15 @@ def sure(p: float) -> str:
 
 
 def listed(names: Iterable[str], last: str = "and") -> str:
-    """Names with commas and a last word between the last two."""
+    """Names with commas between them, and the word `last` before the last one."""
     *first, final = names
     return f"{', '.join(first)} {last} {final}" if first else final
 
 
 def title(names: str) -> str:
-    """Name of an effect, or of two joined by " and ", in a sentence."""
+    """Title of an effect, or of two, for a sentence; `names`: its name, or two with " and " between
+    them. A name that is not listed stays.
+    """
     return " and ".join(LISTED[n].title if n in LISTED else n for n in names.split(" and "))
 
 
@@ -123,8 +131,8 @@ def amount(channel: str, value: float, digits: int = 2) -> str:
 
 
 def not_tiny(value: float) -> float:
-    """0 for what a bound at 0 leaves of a soil parameter."""
-    return value if abs(value) > 1e-6 else 0.0
+    """The value of a soil parameter, 0 where it is `TINY`: a fit ends a little off a bound at 0."""
+    return value if abs(value) > TINY else 0.0
 
 
 def disagreement(report: Report, d: Disagreement) -> str:
@@ -141,11 +149,12 @@ def disagreement(report: Report, d: Disagreement) -> str:
 
 
 def chance(p: float) -> str:
-    """A p value."""
+    """A p value in two digits; below 1e-6 only that it is."""
     return "< 1e-6" if p < 1e-6 else f"{p:.2g}"
 
 
 def _limit(name: str, limits: tuple[float, float], values: np.ndarray) -> str:
+    """Limits of a condition in words; `values` are all that the table has of it."""
     low, high = (f"{x:.3g}" for x in limits)
     label, unit = CONDITIONS[name]
     if low == high:
@@ -169,13 +178,15 @@ def next_test(report: Report, t: NextTest) -> str:
 
 
 def right_now(report: Report) -> float:
-    """Probability that the right candidate has on average, before the next runs."""
+    """Probability that the right candidate has on average, before the next runs, of which there has
+    to be one: sum of P^2.
+    """
     return sum(p.probability**2 for p in report.next_tests[0].predicted)
 
 
 def runs_help(report: Report) -> bool:
-    """True if there are next runs that should raise that probability by `LITTLE` or more, or one to
-    repeat.
+    """True if there are next runs and they should raise the probability of the right candidate
+    (`right_now`) by `LITTLE` or more, or the first of them is a repeat.
     """
     runs = report.next_tests
     return bool(runs) and (runs[0].repeat or runs[-1].sure - right_now(report) >= LITTLE)
@@ -193,7 +204,9 @@ def after_next(report: Report) -> str:
 
 
 def _place(point: Mapping[str, float]) -> str:
-    """Conditions of a test or a prediction; only those that vary by themselves are there."""
+    """Conditions of a test or a prediction in words, as far as `point` has them; the first pass and
+    level ground are not said.
+    """
     formats = {
         "load": "load {:.4g} N",
         "speed": "{:.3g} m/s",
@@ -252,7 +265,9 @@ def likely(report: Report) -> bool:
 
 
 def simulated(report: Report) -> str:
-    """What model.yaml simulates of each named effect."""
+    """What model.yaml simulates of each named effect: forms whose parameters it has all, which may
+    be others than the stated one; only the table; or, of an error of the rig, nothing.
+    """
     said = []
     for e in report.effects:
         own = report.model.effects.get(e.name, {}).keys()
@@ -275,12 +290,16 @@ def _quoted(form: str) -> str:
 
 
 def filled(template: str, report: Report, **values: object) -> str:
-    """A template of this folder as one paragraph."""
+    """A template of this folder as one paragraph, without line breaks; `values` as in
+    `_rendered`.
+    """
     return " ".join(_rendered(template, report, values).split()).replace(" ,", ",")
 
 
 def _rendered(template: str, report: Report, values: Mapping[str, object]) -> str:
-    """A template of this folder, which may use every name of this module."""
+    """A template of this folder as text. It may use every name of this module, `plural`, `report`
+    and the `values`.
+    """
     known = globals() | {"plural": plural, "report": report}
     return render(f"{__package__}:{template}", **(known | dict(values)))
 
@@ -293,8 +312,8 @@ def unseen(report: Report) -> list[str]:
 
 
 def cautions(report: Report) -> list[str]:
-    """Cautions beside the doubts of `Report.doubts`, of the table, the fit, the gap and
-    model.yaml.
+    """Cautions of the table, the fit, the gap and model.yaml, in sentences; those of
+    `Report.doubts` are not among them.
     """
     problem = report.problem
     noise = report.noise
@@ -319,7 +338,8 @@ def cautions(report: Report) -> list[str]:
             math.sqrt(float(np.mean(far[rows[:, j], j] ** 2)))
             for rows in (problem.used, problem.data.measured)
         )
-        worse_with += [(TITLES[CHANNELS[j]], whole, kept)] if whole > 1.2 * kept else []
+        if whole > WITH_OUTLIERS * kept:
+            worse_with.append((TITLES[CHANNELS[j]], whole, kept))
     text = _rendered(
         "cautions.txt",
         report,
@@ -333,11 +353,11 @@ def cautions(report: Report) -> list[str]:
                 if noise.origin[j] == "scatter"
             ],
             "left_out": [f"{TITLES[name]} in row {row}" for row, name in report.left_out],
-            "ordinary": int(np.sum(far[dropped] <= 3.0)),
+            "ordinary": int(np.sum(far[dropped] <= ORDINARY)),
             "worse_with": worse_with,
             "at_bound": bounds,
             "off_prior": off_prior,
-            "buried": int(np.sum(fit.output[:, 0] >= 0.999 * DEEPEST * problem.data.wheel.radius)),
+            "buried": int(np.sum(fit.output[:, 0] >= SUNK * DEEPEST * problem.data.wheel.radius)),
             "remains": [
                 (TITLES[n], g.over_noise[1])
                 for n, g in report.gap.items()
@@ -352,7 +372,9 @@ def cautions(report: Report) -> list[str]:
 
 
 def rises(report: Report) -> list[str]:
-    """Channels whose held-out error is larger with the named effects, in sentences."""
+    """Channels whose held-out error is larger with the named effects by more than `WORSE`, in
+    sentences.
+    """
     return [
         f"The held-out error of {TITLES[name]} rises by {percent(g.after / g.before - 1.0)} with "
         f"{added(report)}."
@@ -367,7 +389,9 @@ def added(report: Report) -> str:
 
 
 def if_laws_err(report: Report) -> str:
-    """The most probable effects, and how probable the first is where the laws err by the most."""
+    """The most probable effects, and which is most probable if the laws err by the largest of
+    `LAW_ERRORS`; empty where no effect is `MENTIONED`.
+    """
     ranks = [r for r in report.finding.ranking if r.probability >= MENTIONED][:3]
     if not ranks:
         return ""
@@ -380,7 +404,9 @@ def if_laws_err(report: Report) -> str:
 
 
 def foreseen(report: Report) -> str:
-    """How well runs that were not made are predicted."""
+    """How well runs that were not made are predicted: errors of what was left out, and where the
+    corrected model guesses.
+    """
     parts = []
     for way in report.outlook.left_out:
         over = way.over_noise
@@ -403,7 +429,9 @@ def foreseen(report: Report) -> str:
 
 
 def _to_predict(report: Report) -> str:
-    """Where to measure next to predict better: at the first of the runs for that, if there are."""
+    """Where to measure next to predict better: at the first of `Report.surer_runs`, or else at the
+    guess that was just said.
+    """
     runs = report.surer_runs
     where = f"at {_place(runs[0].conditions)}, the first of the runs below," if runs else "there"
     return f": measure {where} to predict better, not to learn what is missing"
@@ -416,7 +444,7 @@ def _level(conditions: tuple[str, ...]) -> str:
 
 
 def probabilities(report: Report) -> str:
-    """Probabilities that are of no one effect."""
+    """Probabilities of answers other than an effect, in a sentence."""
     finding = report.finding
     return (
         f"probability that nothing is missing {fixed(finding.none, 3)}, that something is missing "

@@ -29,7 +29,9 @@ from .sentences import (
 
 
 def effects(report: Report) -> Table:
-    """Every parameter of the named effects."""
+    """Every parameter of the named effects; the first row of each has its name, its alternatives
+    and the share of the gap that it closes.
+    """
     rows = []
     for e in report.effects:
         label = title(e.name)
@@ -59,7 +61,9 @@ def _interval(p: Interval) -> str:
 
 
 def gap(report: Report) -> Table:
-    """Held-out error of each channel, of the base model and with the named effects."""
+    """Held-out error of each channel, of the base model and, if there are any, with the named
+    effects.
+    """
     rows: list[tuple[str, ...]] = []
     for name, g in report.gap.items():
         before, after, noise = (amount(name, x, 3) for x in g)
@@ -84,7 +88,9 @@ def left_out(report: Report) -> Table:
 
 
 def ranking(report: Report, most: int | None = None) -> Table:
-    """The candidates, the first `most` of them; evidence over the best without a name."""
+    """The candidates, the first `most` of them; evidence as a factor over the best hypothesis
+    without a listed effect.
+    """
     rows = [
         (title(r.name), times(r.score), *(fixed(p, 3) for p in (r.probability, *r.if_laws_err)))
         for r in report.finding.ranking[:most]
@@ -106,6 +112,9 @@ def surer_runs(report: Report) -> Table:
 
 
 def _runs(runs: Sequence[NextTest | SurerRun], last: str, said: Sequence[str]) -> Table:
+    """Table of runs, at least one: number, conditions, cost, and a column `last` of the texts
+    `said`.
+    """
     names = list(runs[0].conditions)
     head = [
         f"{label} [{unit.strip()}]" if unit else label
@@ -119,8 +128,8 @@ def _runs(runs: Sequence[NextTest | SurerRun], last: str, said: Sequence[str]) -
 
 
 def next_predictions(report: Report, most: int | None = None) -> Table:
-    """Predictions of the candidates, the first `most` of them, at each of these runs, with one
-    standard deviation.
+    """Predictions of the candidates, the first `most` of them, at each of the runs to make next,
+    with one standard deviation.
     """
     rows = []
     for k, test in enumerate(report.next_tests, start=1):
@@ -145,7 +154,9 @@ def untestable(report: Report) -> Table:
 
 
 def detectable(report: Report) -> Table:
-    """The smallest strength of each effect that would have been seen."""
+    """The smallest strength of each effect that would have been seen, and the prior probability of
+    a larger one.
+    """
     rows = []
     for name, d in report.finding.detectable.items():
         unit = LISTED[name].parameter(d.parameter).unit

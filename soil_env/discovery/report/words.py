@@ -12,8 +12,10 @@ PAGE = "docs/physics/effects.md"
 LIKELY = 0.1  # least probability of what is named as possible, and of what a check would find
 
 
-def missed(report: Report) -> bool:
-    """True if the base model leaves a stated error in a channel."""
+def base_misses(report: Report) -> bool:
+    """True if the base model's held-out error is more than `LEFT` times the noise in any
+    channel.
+    """
     return any(gap.over_noise[0] > LEFT for gap in report.gap.values())
 
 
@@ -29,12 +31,16 @@ def conclusion(report: Report) -> str:
         near=[title(n) for n in finding.candidates[:3]],
         beside=[title(n) for n in finding.candidates if finding.share(*finding.names, n) >= LIKELY],
         rivals=[name for p, name in sorted(rivals, reverse=True) if p >= LIKELY],
-        missed=missed(report),
+        base_misses=base_misses(report),
     )
 
 
 def next_step(report: Report) -> str:
-    """Return the next step, in words."""
+    """Return the next step, in words: checks of the instrument, then runs, or else to simulate.
+
+    A check is asked for if it is among the next ones and would find something with `LIKELY`, or if
+    it decides an error of the rig that is named or has that probability.
+    """
     named = {e.name for e in report.effects}
     possible = {n for n in report.finding.candidates if report.finding.share(n) >= LIKELY}
     suspected = named | possible
@@ -56,5 +62,5 @@ def next_step(report: Report) -> str:
         load_sensors=of_sensor and not {"force_gain", "torque_gain"} <= {*done},
         runs=report.surer_runs or (runs_help(report) and report.verdict != "none"),
         of_rig=named & {*INSTRUMENT},
-        missed=missed(report),
+        base_misses=base_misses(report),
     )
