@@ -140,7 +140,7 @@ def _remainder(
     `without`: errors of the rig that the prediction leaves out.
     """
     grid = np.stack(np.meshgrid(*nodes.values(), indexing="ij"), axis=-1).reshape(-1, len(nodes))
-    at = _usual(found.problem, ("load", "speed", "pass"), len(grid))
+    at = _medians(found.problem, ("load", "speed", "pass"), len(grid))
     at |= dict(zip(nodes, grid.T, strict=True))
     bias = {"offset": 0.0, "radius_error": 0.0} | model.effects.get("slip_bias", {})
     # The model and the prediction take the slip as it is measured.
@@ -160,7 +160,7 @@ def _remainder(
     return ResidualTable(axes, dict(zip(COLUMNS, text, strict=True)))
 
 
-def _usual(problem: Problem, names: Sequence[str], count: int) -> dict[str, np.ndarray]:
+def _medians(problem: Problem, names: Sequence[str], count: int) -> dict[str, np.ndarray]:
     """Median in the table of each of the conditions `names`, `count` times: values of conditions
     that have no nodes.
     """
@@ -188,7 +188,7 @@ def least_sure(found: Prediction) -> Guess | None:
     nodes = _nodes(found, 1.0)
     corners = np.array(list(product(*((x[0], x[-1]) for x in nodes.values()))))
     at = dict(zip(nodes, corners.T, strict=True))
-    there = found.at(_usual(problem, ("load", "speed", "pass", "grade_deg"), len(corners)) | at)
+    there = found.at(_medians(problem, ("load", "speed", "pass", "grade_deg"), len(corners)) | at)
     used = problem.used.any(axis=0)
     known = found.at(problem.data.conditions).sd.max(axis=0)
     times = np.mean((there.sd / known)[:, used], axis=1)

@@ -320,8 +320,10 @@ class _Further:
 
 
 def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[float]:
-    """Log evidence of the model of `first` with each of the `choices` added by itself, to first
-    order in the strengths of the latter, over the sizes of the law's error.
+    """Log evidence of the model of `first` with each of the `choices` added by itself.
+
+    It is to first order in the strengths of the added effect, and over all sizes of the base law's
+    error.
     """
     further = _Further(problem, first, choices)
     one_sided = np.array([u.low >= u.mean for u in further.unknowns])
@@ -362,9 +364,9 @@ def detectable(
 ) -> Detectable:
     """`Detectable` of an effect, in the form among `choices` that shows most probably.
 
-    A strength of x prior standard deviations has the normal n under the form errors of the base
-    model, and is expected to gain x^2 n/2 - ln(1 + n)/2 nats. It is seen where this exceeds the
-    `threshold` [nat], minus the log of the prior odds of the effect.
+    Under the form errors of the base model a strength of x prior standard deviations has the normal
+    n. It is expected to gain x^2 n/2 - ln(1 + n)/2 nats, and is seen where this exceeds the
+    `threshold` [nat], which outweighs the prior odds against the effect.
     """
     further = _Further(problem, base, choices)
     normal = sum(

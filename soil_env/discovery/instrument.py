@@ -255,15 +255,15 @@ def _free(choice: Choice) -> tuple[str, ...]:
     return tuple(f"{choice.effect}_{p}" for p in LAWS[choice.effect].forms[choice.form].free)
 
 
-def _known(sd: Calibration) -> dict[str, float | None]:
+def _stated(sd: Calibration) -> dict[str, float | None]:
     """Standard deviation by name of each error of a rig, as the setup states it; None where it goes
     with the load.
     """
     return {name: getattr(sd, "tilt_deg" if name == "tilt" else name) for name in INSTRUMENT}
 
 
-def _spread(sd: Calibration, bench: Bench) -> dict[str, float]:
-    """Standard deviation by name of each error of a rig as a nuisance: `_known`, with the usual
+def _sd_of_nuisances(sd: Calibration, bench: Bench) -> dict[str, float]:
+    """Standard deviation by name of each error of a rig as a nuisance: `_stated`, with the usual
     share of the load where that is None.
     """
     usual = {
@@ -271,7 +271,7 @@ def _spread(sd: Calibration, bench: Bench) -> dict[str, float]:
         "torque_offset": LEAST_OFFSET * bench.load * bench.radius,
         "spring_load": LEAST_SPRING * bench.load / bench.radius,
     }
-    return {name: usual[name] if x is None else x for name, x in _known(sd).items()}
+    return {name: usual[name] if x is None else x for name, x in _stated(sd).items()}
 
 
 def exact(setup: Setup) -> dict[str, str]:
@@ -292,7 +292,7 @@ def exact(setup: Setup) -> dict[str, str]:
         raise ParameterError(
             f"{setup.source}: checked: has all effects: expected those that a check has ruled out"
         )
-    sure = [name for name, sd in _known(setup.calibration).items() if sd == 0.0]
+    sure = [name for name, sd in _stated(setup.calibration).items() if sd == 0.0]
     known = dict.fromkeys(sure, "calibrated, by the setup")
     known |= dict.fromkeys(setup.checked, "checked, by the setup")
     return known | ({"tilt": "tilt_deg of the setup has it"} if setup.tilt_deg is not None else {})
@@ -306,8 +306,8 @@ def odds(setup: Setup, bench: Bench) -> dict[str, float]:
     looked. Raises `ParameterError` for a stated zero error above the median load, or of the torque
     above that times the radius.
     """
-    own = _spread(setup.calibration, bench)
-    usual = _spread(Calibration(), bench)
+    own = _sd_of_nuisances(setup.calibration, bench)
+    usual = _sd_of_nuisances(Calibration(), bench)
     for name, most in (("force_offset", bench.load), ("torque_offset", bench.load * bench.radius)):
         if own[name] > most:
             limit = f"at most {most:.3g}, the middle load" + (
@@ -384,7 +384,7 @@ def nuisances(
     These are the tilt and the errors of a single sensor, unless they are `named` or the setup rules
     them out. Errors that move all channels work through the model, and are candidates only.
     """
-    spread = _spread(setup.calibration, bench)
+    spread = _sd_of_nuisances(setup.calibration, bench)
     out = []
     for name, effect in INSTRUMENT.items():
         if len(effect.moves) > 1 or name in (*named, *exact(setup)):

@@ -101,7 +101,7 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
     raw[: row.size] = inside[tuple(where.T)].T
     total = np.sqrt(raw.sum(axis=0))
     v, left = _project(raw, q, total)
-    looks = _looks(v, where[:, 0], problem.freedom, np.random.default_rng(seed))
+    looks = _independent_looks(v, where[:, 0], problem.freedom, np.random.default_rng(seed))
     # A box must show in the residual without projection as well, with the same sign.
     plain = (raw[: row.size].T @ fit.residual) / total
     out: list[Disagreement] = []
@@ -150,7 +150,9 @@ def _project(v: np.ndarray, q: np.ndarray, total: np.ndarray) -> tuple[np.ndarra
     return v / np.where(left, length, math.inf), left
 
 
-def _looks(v: np.ndarray, channel: np.ndarray, freedom: float, rng: np.random.Generator) -> float:
+def _independent_looks(
+    v: np.ndarray, channel: np.ndarray, freedom: float, rng: np.random.Generator
+) -> float:
     """Number of independent looks whose largest |t| has the quantile `_TAIL` of the largest |t|
     over the columns of v, which is simulated under the null; at least 1.
 
@@ -161,18 +163,18 @@ def _looks(v: np.ndarray, channel: np.ndarray, freedom: float, rng: np.random.Ge
     if math.isfinite(freedom):
         noise = np.sqrt(rng.chisquare(freedom, (_DRAWS, 3)) / freedom)
         t /= noise.astype(np.float32)[:, channel]
-    alone = _alone(float(np.quantile(t.max(axis=1), _TAIL)), freedom)
+    alone = _p_of_one(float(np.quantile(t.max(axis=1), _TAIL)), freedom)
     return max(1.0, math.log(_TAIL) / math.log1p(-alone)) if alone < 1.0 else 1.0
 
 
-def _alone(t: float, freedom: float) -> float:
+def _p_of_one(t: float, freedom: float) -> float:
     """p value of one look: two-sided, by Student's t distribution."""
     return float(2.0 * stdtr(freedom, -t))
 
 
 def _p_value(t: float, looks: float, freedom: float) -> float:
     """p value of the largest |t| of so many independent looks."""
-    alone = _alone(t, freedom)
+    alone = _p_of_one(t, freedom)
     return -math.expm1(looks * math.log1p(-alone)) if alone < 1.0 else 1.0
 
 

@@ -44,6 +44,7 @@ SPEED_FACTORS = (0.5, 2.0)
 ENOUGH = 0.995  # probability of the right candidate from which no further run is proposed
 BASE = "base model"
 _LARGEST = 3000  # points of a grid
+_LEAST_SUM = 1e-300  # of probabilities, which they are divided by: all may be 0
 _SAME = 1e-6  # relative difference of a condition below which no price is paid for a change
 _WIDE = 1.1  # largest over least value, from which a middle between them is a level of its own
 
@@ -229,7 +230,7 @@ def sure_of(finding: Finding) -> float:
     probabilities of the sets that predict something, scaled to the sum 1.
     """
     share = np.array([*_shares(finding).values()])
-    return float(np.sum(share**2) / max(np.sum(share), 1e-300) ** 2)
+    return float(np.sum(share**2) / max(np.sum(share), _LEAST_SUM) ** 2)
 
 
 def _shares(finding: Finding) -> dict[Names, float]:
@@ -296,7 +297,7 @@ def proposed(
         able[g] = False  # once each: a repeat says nothing of how far the laws err
         chosen.append(g)
         before += gain[g]
-        said = _said(problem, of, sd[:, g], g)
+        said = _described(problem, of, sd[:, g], g)
         point = {name: float(grid.value[name][g]) for name in grid.asked}
         sure = float(sureness(of.share, overlap)[g])
         out.append(NextTest(point, *said, sure, float(cost[g]), float(gain[g]), forced))
@@ -305,7 +306,7 @@ def proposed(
     return tuple(out)
 
 
-def _said(
+def _described(
     problem: Problem, of: Candidates, own: np.ndarray, g: int
 ) -> tuple[tuple[Predicted, ...], tuple[str, str], str, float]:
     """What `NextTest` says of run g: (predicted, separates, channel, expected_sigma).

@@ -273,7 +273,7 @@ class Prediction:
         """
         there = at_conditions(self.problem, conditions)
         mean, law, across = self._means(there, without)
-        top, known, shared = self._known(there, law, across)
+        top, known, shared = self._covariance_factors(there, law, across)
         own = (self.learnt.size * _scales(there, law)) ** 2
         variance = np.sum(top**2, axis=0) - np.sum(known**2, axis=0) + np.sum(shared**2, axis=0)
         sd = np.sqrt(np.maximum(variance.reshape(law.shape) + own, 0.0) + self.variance_of_run)
@@ -290,7 +290,7 @@ class Prediction:
         """[N, 3, N, 3] covariance of the values at conditions, without noise, over the noise."""
         there = at_conditions(self.problem, conditions)
         _, law, across = self._means(there)
-        top, known, shared = self._known(there, law, across)
+        top, known, shared = self._covariance_factors(there, law, across)
         points = self.remainder.points(there)
         alike = self.remainder.correlation(points, points, self.learnt)
         scale = self.learnt.size * _scales(there, law)
@@ -298,7 +298,7 @@ class Prediction:
         found: np.ndarray = top.T @ top - known.T @ known + shared.T @ shared
         return found.reshape(own.shape) + own
 
-    def _known(
+    def _covariance_factors(
         self, there: Problem, law: np.ndarray, across: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """T [p, 3 N], A [M, 3 N], B [p, 3 N], for the covariance of the values at N rows given the
@@ -322,8 +322,11 @@ class Prediction:
     def _means(
         self, there: Problem, without: Collection[str] = ()
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(predicted values [N, 3], those of the law alone [N, 3], covariance [M, 3 N] of the
-        remainder at N other rows with that of the M values of the table, whitened by the latter).
+        """(predicted values [N, 3], values of the law alone [N, 3], covariance [M, 3 N]) at N other
+        rows.
+
+        The covariance is of the remainder there with the M values of the table, whitened by the
+        covariance of these.
         """
         values = self.values
         if "tilt_deg" in without:
@@ -439,7 +442,7 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
     return Learnt.from_logarithms(found.x)
 
 
-def drawn(problem: Problem, conditions: Conditions) -> np.ndarray | None:
+def curve_at(problem: Problem, conditions: Conditions) -> np.ndarray | None:
     """[N, 3] values at conditions of the generic curve (`curve`) through the values in use.
 
     None where anything but slip and load varies in the table, which the curve does not know. NaN
@@ -485,7 +488,7 @@ def outlook(problem: Problem) -> Outlook:
             at = {name: x[group] for name, x in problem.data.conditions.items()}
             for j, model in enumerate(models):
                 held[j, group] = fit_prediction(rest, near=model).mean_at(at)
-            curve = drawn(rest, at)
+            curve = curve_at(rest, at)
             if curve is not None:
                 held[2, group] = curve
         out.append(_errors(problem, split, what, held))

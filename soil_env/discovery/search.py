@@ -60,6 +60,7 @@ NAMED = 0.5  # probability from which an answer is given, such as a name
 SURE = 0.8
 LAW_ERRORS = (0.03, 0.1)  # of the base law, for which probabilities are given beside these
 REPORTED = 0.05  # least probability of an alternative
+_LEAST_SUM = 1e-300  # of probabilities, which they are divided by: all may be 0
 _FIRST = 8  # single effects, the best, beside which a second one is sought
 _PAIRS = 10  # pairs refitted after the screen
 _FORMS = 3  # of them, the best, in all their forms
@@ -129,7 +130,7 @@ class Finding:
             [np.multiply((h.probability, *h.if_laws_err), not refuted(h)) for h in left]
         )
         total = share.sum(axis=0)
-        share = np.where(total > 0.0, share / np.maximum(total, 1e-300), 1.0 / len(left))
+        share = np.where(total > 0.0, share / np.maximum(total, _LEAST_SUM), 1.0 / len(left))
         kept = [
             replace(h, probability=p, if_laws_err=tuple(others))
             for h, (p, *others) in zip(left, share.tolist(), strict=True)
@@ -298,8 +299,9 @@ def _reported(share: dict[str, float]) -> Names:
 def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
     """(names of the listed effects to try, reason by name of the others).
 
-    An effect is not tried where none of its channels is measured, where the setup rules it out,
-    where the rig hides it, or where its condition does not vary by itself.
+    An effect is not tried where none of its channels is measured or where the setup rules it out.
+    Nor is it where the rig hides it, or where its condition does not vary by itself and the effect
+    cannot show without that (`Effect.shows_without`).
     """
     names = []
     reasons = {}

@@ -134,12 +134,12 @@ OF_LOAD: Mapping[str, Effect] = MappingProxyType(
 )
 
 
-def _grown(rows: Rows, scale: float) -> np.ndarray:
+def _slip_share(rows: Rows, scale: float) -> np.ndarray:
     """[N] q = 1 - exp(-i/k) with k the `scale` of slip; 0 where braked."""
     return -np.expm1(-np.maximum(rows.slip, 0.0) / scale)
 
 
-def _flatter(rows: Rows, gain: float, load: float) -> np.ndarray:
+def _radius_factor(rows: Rows, gain: float, load: float) -> np.ndarray:
     """[N] factor on the radius of a wheel that its load deforms; `load`: the middle one."""
     return 1.0 + gain * rows.load / load
 
@@ -150,12 +150,13 @@ def loaded(rows: Rows, values: Values, load: float) -> Rows:
     """
     if "soft_wheel_gain" in values:
         wheels = rows.wheels.copy()
-        wheels[:, 0] *= _flatter(rows, values["soft_wheel_gain"], load)
+        wheels[:, 0] *= _radius_factor(rows, values["soft_wheel_gain"], load)
         return rows._replace(wheels=wheels)
     if "slip_load_load" not in values:
         return rows
     return rows._replace(
-        load=rows.load * (1.0 + values["slip_load_load"] * _grown(rows, values["slip_load_slip"]))
+        load=rows.load
+        * (1.0 + values["slip_load_load"] * _slip_share(rows, values["slip_load_slip"]))
     )
 
 
@@ -190,12 +191,12 @@ def changed(out: np.ndarray, rows: Rows, values: Values, bench: Bench) -> np.nda
     out = out.copy()
     size = bench.load * rows.wheels[:, 0]
     if "soft_wheel_gain" in values:
-        out[:, 2] /= _flatter(rows, values["soft_wheel_gain"], bench.load)
+        out[:, 2] /= _radius_factor(rows, values["soft_wheel_gain"], bench.load)
     for name in ("force", "rut_force", "slip_force"):
         if f"{name}_pull" not in values:
             continue
         if name == "slip_force":
-            share = _grown(rows, values["slip_force_slip"])
+            share = _slip_share(rows, values["slip_force_slip"])
         else:
             share = (np.maximum(out[:, 0], 0.0) / bench.sinkage) ** values[f"{name}_power"]
             share = share * (

@@ -111,7 +111,7 @@ def _conclude(
     finding = search(problem, lambda text: say(f"searching: {text}"))
     say("predicting what was held out")
     rng = np.random.default_rng([settings.seed, 1])
-    finding, fits, held = _that_predicts(problem, finding, settings.seed)
+    finding, fits, held = _without_refuted(problem, finding, settings.seed)
     before = held[()]
     after = held[finding.names]
     final = fits[finding.names]
@@ -164,7 +164,7 @@ Fits = dict[Names, Fit]  # by set of effects
 Held = dict[Names, np.ndarray]  # held-out predictions [N, 3] by set of effects
 
 
-def _that_predicts(problem: Problem, finding: Finding, seed: int) -> tuple[Finding, Fits, Held]:
+def _without_refuted(problem: Problem, finding: Finding, seed: int) -> tuple[Finding, Fits, Held]:
     """(finding without refuted sets of effects, fits, held-out predictions): the latter of the base
     model, of the named effects and, where two are named, of each alone.
 
@@ -198,7 +198,7 @@ def _that_predicts(problem: Problem, finding: Finding, seed: int) -> tuple[Findi
                 continue
         # The first form that is not worse than fewer effects is taken.
         for form in _probable_forms(problem, own):
-            fits = _under_noise(problem, finding, form)
+            fits = _fits_under_noise(problem, finding, form)
             held = {some: held_out_predictions(problem, fit) for some, fit in fits.items()}
             fewer = (held[some] for some in held if some != names)
             if not any(_worse(problem, before, held[names], seed) for before in fewer):
@@ -224,7 +224,7 @@ def _probable_forms(problem: Problem, own: Evidence) -> Iterator[Evidence]:
     yield from sorted((e for e in others if e.log >= least), key=lambda e: -e.log)
 
 
-def _under_noise(problem: Problem, finding: Finding, own: Evidence) -> Fits:
+def _fits_under_noise(problem: Problem, finding: Finding, own: Evidence) -> Fits:
     """Fits under noise alone, with the scatter of `own`: of the base model, of each of two named
     effects alone in its best form, and of all named effects in the forms of `own`.
 

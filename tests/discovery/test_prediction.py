@@ -11,7 +11,7 @@ from soil_env.discovery.curve import fit_curve
 from soil_env.discovery.prediction import (
     WIDER,
     carried,
-    drawn,
+    curve_at,
     fit_prediction,
     independent,
     outlook,
@@ -134,7 +134,7 @@ def test_what_follows_from_slip_is_no_condition_of_its_own(tmp_path):
     assert "penetration_rate" in candidates(problem)[1]
     assert not {"penetration_rate", "shear_rate"} & {c.effect for c in carried(problem)}
     rows = problem.data.rows
-    assert drawn(problem, {"slip": rows.slip, "load": rows.load}) is not None
+    assert curve_at(problem, {"slip": rows.slip, "load": rows.load}) is not None
 
 
 def test_a_grade_by_a_latin_square_of_load_and_speed_is_a_condition_of_its_own(tmp_path):
@@ -177,7 +177,7 @@ def test_a_table_of_one_level_of_slip_and_of_load_is_refused_in_a_line(tmp_path)
 def test_no_curve_is_drawn_over_conditions_that_it_does_not_know(tmp_path):
     text = table_text({}, loads=(100.0,), **{"pass": (1, 2, 3)})
     problem = problem_of(tmp_path, text)
-    assert drawn(problem, {"slip": np.array([0.2]), "load": np.array([100.0])}) is None
+    assert curve_at(problem, {"slip": np.array([0.2]), "load": np.array([100.0])}) is None
     passes = outlook(problem).left_out[-1]
     assert passes.what == ("pass",) and math.isnan(passes.over_noise.curve)
 

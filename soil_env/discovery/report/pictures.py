@@ -24,6 +24,9 @@ MANY = 1200  # points of a plot above which they are drawn as an image
 CURVES = 4  # groups of rows whose curves over slip are drawn
 FEWEST_SLIPS = 3  # in such a group, or all slips of the table if it has less
 POINTS = 60  # of a curve
+WIDTH = 3.5  # [in] of a plot
+HEIGHT = 2.1  # [in] of a row of plots over slip
+BELOW = 1.0  # [in] of their axis labels and legend
 CAPTIONS = {
     "predicted": "Held-out predictions against the measured values; grey: twice the noise.",
     "slip": (
@@ -62,7 +65,7 @@ def _columns(report: Report, height: float, rows: int = 1, **options) -> tuple[F
     """(figure, axes [rows, channels]) with a column for each measured channel; `height` of the
     figure in inches.
     """
-    width = 3.5 * max(len(report.channels), 2)
+    width = WIDTH * max(len(report.channels), 2)
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, len(report.channels), squeeze=False, **options)
 
@@ -110,8 +113,8 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
     """At most `CURVES` groups of rows that differ in slip alone, (what they share, rows sorted by
     slip).
 
-    Of all groups with `FEWEST_SLIPS`, they are picked evenly from the one that the base model
-    misses least to the one that it misses most, by held-out errors over the noise.
+    Of all groups with `FEWEST_SLIPS`, they are picked evenly in the order of the base model's
+    held-out error over the noise, from the least to the largest.
     """
     data = report.problem.data
     varied = data.varied
@@ -137,8 +140,8 @@ def _value(name: str, x: float) -> str:
 
 
 def curves(report: Report, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(slips [P], values [P, 3] of the base model, values [P, 3] of the corrected one) at `POINTS`
-    slips over a group of rows and the mean of its other conditions, as the rig measures them.
+    """(slips [P], values [P, 3] of the base model, values [P, 3] of the corrected one), as the rig
+    measures them: at `POINTS` slips over a group of rows, and at the means of its other conditions.
     """
     data = report.problem.data
     at: dict[str, Any] = {
@@ -153,7 +156,7 @@ def _slip(report: Report) -> Figure:
     """Measured against both models over slip, in a few groups of rows."""
     picked = groups(report)
     figure, axes = _columns(
-        report, 1.0 + 2.1 * max(len(picked), 1), max(len(picked), 1), sharex=True
+        report, BELOW + HEIGHT * max(len(picked), 1), max(len(picked), 1), sharex=True
     )
     data = report.problem.data
     for axis, name in zip(axes[0], report.channels, strict=True):

@@ -73,7 +73,7 @@ _MORE = {
 
 
 def figure(x: float) -> str:
-    """Two digits, without an exponent where the number is large."""
+    """Two digits; a number of three digits or more as a whole number, without an exponent."""
     return f"{x:.2g}" if abs(x) < 99.5 else f"{x:.0f}"
 
 
@@ -88,9 +88,7 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def times(log: float) -> str:
-    """A factor of which the natural logarithm is given, as a power of ten where it is large or
-    small.
-    """
+    """A factor of which the natural logarithm is given; a power of ten below 0.01 and from 1000."""
     decades = log / math.log(10.0)
     return f"{figure(10.0**decades)} times" if -2.0 <= decades < 3.0 else f"10^{decades:.0f} times"
 

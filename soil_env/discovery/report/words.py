@@ -38,8 +38,8 @@ def conclusion(report: Report) -> str:
 def next_step(report: Report) -> str:
     """Return the next step, in words: checks of the instrument, then runs, or else to simulate.
 
-    A check is asked for if it is among the next ones and would find something with `LIKELY`, or if
-    it decides an error of the rig that is named or has that probability.
+    A check is asked for if it is among the next checks and would find something with `LIKELY`. It
+    is also asked for if it decides an error of the rig that is named or has that probability.
     """
     named = {e.name for e in report.effects}
     possible = {n for n in report.finding.candidates if report.finding.share(n) >= LIKELY}
