@@ -120,7 +120,7 @@ def sliding_speed(slip, travel_speed):
 
 @compiled
 def slip_of_radius(slip, scale):
-    """Slip in [-1, 1) after V/(r w) is multiplied by `scale`, as when another radius is meant.
+    """Slip in [-1, 1] after V/(r w) is multiplied by `scale`, as when another radius is meant.
 
     A driving wheel may become a braked one. A locked wheel (-1) stays locked.
     """

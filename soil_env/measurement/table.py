@@ -176,10 +176,10 @@ def read_table(
 ) -> Table:
     """The measurement table in a CSV file, without the rows that have no measured value.
 
-    With `wheel`, no sinkage may exceed its radius, nor a lug of a row be as high. Columns named in
-    `ignore` (`ignore_columns` of a setup) are passed over; but a row is refused as a repeat only if
-    it equals another in these too. Raises `ParameterError` with one line for everything that cannot
-    be right.
+    With `wheel`, sinkages and lugs are compared with its radius in rows that give none. Columns
+    named in `ignore` (`ignore_columns` of a setup) are passed over, but a row is refused as a
+    repeat only if it equals another in these too. Raises `ParameterError` with one line for
+    everything that cannot be right.
     """
     path = Path(path)
     header, rows = _csv_cells(path)

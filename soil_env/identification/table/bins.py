@@ -25,7 +25,7 @@ FINE = 0.04  # extent of a bin that is not cut further, in correlation lengths o
 JUMP = 0.25  # share of the extent of a bin, from which a gap between its values parts them
 FEWEST = 8  # values of a bin, of which one may be an outlier
 FAR = 8.0  # [sd] from the median of a bin, beyond which a value is an outlier
-#: A part of a cut has at least one row in so many of the mean of `MOST` bins; own choice.
+#: Times fewer rows than the mean of `MOST` bins, that a part of a cut may have; own choice.
 _PART = 4
 _WIDE = 1.0  # [correlation lengths] extent of a bin that is cut however small a part is
 # Correlation lengths of the coordinates in which rows are compared.
@@ -143,8 +143,8 @@ def _extent(x: np.ndarray) -> float:
 def _cut(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two parts of the rows, cut along the coordinate where their range is largest.
 
-    The cut is at the widest gap if that is more than `JUMP` of the range, else in the middle of
-    their number or at the nearest change of the value beside it.
+    The cut is at the widest gap if that is more than `JUMP` of the range. Else it is in the middle
+    of their number, or at the nearest change of the value beside it.
     """
     here = x[rows]
     value = here[:, int(np.argmax(np.ptp(here, axis=0)))]

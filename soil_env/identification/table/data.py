@@ -34,7 +34,7 @@ _SAME = {
     "wheel_radius": 0.005,
     "wheel_width": 0.005,
 }
-_SAME_RATIO = 0.02  # the same for the ratio of conditions that `_SAME` does not name
+_SAME_RATIO = 0.02  # relative difference, likewise, of conditions that `_SAME` does not name
 _SAME_SHARE = 0.02  # of the range of a condition: a smaller step parts no levels either
 _CHAIN = 6.0  # gaps, beyond which a level of values is a continuum
 # Own choices. A condition with more levels than both of these is a continuum:
@@ -172,8 +172,8 @@ def prepare(table: Table, setup: Setup) -> Data:
         found = _factor(name, value, name in LOGARITHMIC)
         same = name in WHEEL and any(_one_to_one(found, varied[w]) for w in WHEEL if w in varied)
         # Of sizes that change together one stands for the wheel. A speed that follows from the
-        # slip, as at one rim speed, is no condition of its own. A grade by a Latin square of load
-        # and speed is one: neither says anything of it.
+        # slip, as at one rim speed, is no condition of its own. A grade set by a Latin square of
+        # load and speed is one: no sum of functions of these two gives it.
         if found.levels > 1 and not same and not (name in TERMS and _follows(found, varied)):
             varied[name] = found
     if "slip" not in varied:

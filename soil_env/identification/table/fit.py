@@ -49,7 +49,7 @@ SMALL = 0.2  # [noise] rms below which residuals are smaller than the given nois
 SCARCE = 6.5  # degrees of freedom of an estimated noise below which that is said
 LIGHT = 1.0  # load [N] below which kilonewtons are suspected
 SOFT = 1e3  # S [N/m^(n+2)] below which kilonewtons or millimetres are suspected
-# p values, shared by the channels where one is tested in each; own choices:
+# p values; `MISSED` and `TOO_SMALL` are divided by the number of channels. Own choices:
 MISSED = 1e-3  # of residuals over a given noise, below which the model misses a channel
 FOLLOWS = 5e-4  # of an F test, below which it misses a channel of estimated noise
 TOO_SMALL = 1e-4  # of residuals below a given noise, below which noise or unit is doubted
@@ -151,14 +151,14 @@ def identify_table(table: Table, setup: Setup, *, check: bool = True) -> TableEs
     The table is examined first (`mistakes.examine`): wrong rows and outliers are left out, and
     `ParameterError` is raised where it cannot be right. Without `check` it is taken as it is.
 
-    Noise that the setup does not give is estimated from what the fit leaves, as long as that
-    scatters; else from the scatter about a smooth surface, and the rest is an error of the laws.
+    Noise that the setup does not give is estimated from the residuals of the fit. If these do not
+    merely scatter, it is the scatter about a smooth surface, and the rest is an error of the laws.
 
-    The stress laws may be wrong by a smooth error whose size the table decides (`form_error`): it
-    enters the weights, and the intervals are over its sizes. Base model: smooth rim on level, fresh
-    soil, without slip-sinkage; a sinkage that was not measured follows from the load. Raises
-    `ParameterError` if no row has enough, nothing is to fit, or measured values are fewer than
-    fitted parameters.
+    The stress laws may be wrong by a smooth error whose size the table decides (`form_error`). It
+    enters the weights, and the intervals average over its sizes. Base model: smooth rim on level,
+    fresh soil, without slip-sinkage; a sinkage that was not measured follows from the load. Raises
+    `ParameterError` if no row has enough values, nothing is to fit, or measured values are fewer
+    than fitted parameters.
     """
     with threadpool_limits(1):  # the matrices are small
         table, setup, dense = binned(table, setup)
@@ -572,8 +572,8 @@ def _misfit(
 
 
 def _not_modelled(problem: TableProblem) -> list[str]:
-    """Warnings on what the table lacks, on rows that are left out or taken otherwise than it has
-    them, and on what of the rig the base model does not contain.
+    """Warnings on channels that were not measured, on rows that are left out or taken otherwise
+    than given, and on what of the rig the base model does not contain.
     """
     table = problem.table
     used = problem.use
@@ -628,9 +628,8 @@ def _follows_conditions(slip: np.ndarray, load: np.ndarray, residual: np.ndarray
     e = residual[kept]
     i = slip[kept]
     w = np.log(load[kept])
-    w = (
-        w - np.mean(w) if np.ptp(w) > SAME_LOG_LOAD else np.zeros_like(w)
-    )  # else the same load throughout
+    # A table of one load has no terms of the load.
+    w = w - np.mean(w) if np.ptp(w) > SAME_LOG_LOAD else np.zeros_like(w)
     basis = np.stack([np.ones_like(i), i, i * i, w, i * w], axis=1)
     solution, _, rank, _ = np.linalg.lstsq(basis, e, rcond=1e-9)
     explained = np.sum((basis @ solution) ** 2)

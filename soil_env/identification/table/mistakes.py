@@ -530,10 +530,10 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
     """([doubt] or [], cautions): what is told of other readings, in sentences.
 
     The best of the `sure` readings is a doubt, with those nearly as good. `ParameterError` if the
-    table also breaks a physical limit that goes with this reading. Without one a doubt is told for
-    the first limit that is broken: a pull that falls with slip while its sign turned fits no worse,
-    a wheel that gains power, or one that pulls with more than its torque. The best reading with a
-    gain of `MAYBE` and a better fit is a caution, unless one is sure.
+    table also breaks a physical limit that goes with this reading. Without a sure reading the first
+    limit that is broken is a doubt: the pull falls with slip while its turned sign fits no worse,
+    the wheel gains power, or it pulls with more than its torque. The best reading with a gain of
+    `MAYBE` and a better fit is a caution then.
     """
     others = _other_readings(start)
     possible = [b for b in others if b.gain > MAYBE and b.rms < b.rms_before]
@@ -653,11 +653,11 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
 
 
 def _goes_on(data: Data, row: int, rest: _AsIs) -> bool:
-    """True if a row lies near the line through the two rows of its group that are next in slip,
-    compared with its distance from the fit `rest` to the others (`SHARED`).
+    """True if a row goes on the trend of the two rows of its group that are next in slip.
 
-    Then the row is not wrong: the model misses what grows with slip. The channel is that of the
-    largest distance.
+    Its distance from the line through these is less than `SHARED` of its distance from the fit
+    `rest` to all others, in the channel where that is largest. Then the row is not wrong: the model
+    misses what grows with slip.
     """
     (group,) = (rows for rows in data.groups if row in rows)
     model = rest.fit.problem.steady(rest.fit.u, data.rows)[row]
@@ -830,8 +830,10 @@ def _channels_doubted(data: Data) -> list[str]:
 
 
 def _from_low_slip(data: Data, used: np.ndarray) -> Iterator[np.ndarray]:
-    """Indices of the `used` rows [N, bool] by rising slip, of each group that begins at low slip:
-    three rows or more from `LOWEST_SLIP` to `LOW_SLIP`, over `LEAST_SPAN` or more.
+    """Indices of the `used` rows [N, bool] by rising slip, of each group that begins at low slip.
+
+    Its lowest slip is between `LOWEST_SLIP` and `LOW_SLIP`, its range `LEAST_SPAN` or more, and it
+    has three rows or more.
     """
     for rows in data.groups:
         rows = rows[used[rows]]

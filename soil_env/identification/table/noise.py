@@ -54,7 +54,7 @@ class NoiseEstimate:
     origin: tuple[str, ...]  # [3] "setup", "repeats", "scatter" or "" where not measured
     used: np.ndarray  # [N, 3] bool, measured values that are no outliers
     alone: np.ndarray  # [N] bool, rows whose values no other row comes near enough to check
-    of_conditions: tuple[str, ...] = ()  # of slip and load, those whose noise is in `sd` too
+    of_conditions: tuple[str, ...] = ()  # of slip and load: whose noise is in that of the channels
 
 
 def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
@@ -201,18 +201,18 @@ def _without_outliers(
     """[N] bool, which of the values `used` of a channel stay; their noise is `sd`, or taken from
     their scatter for None.
 
-    `e` [N]: values less the model. The value furthest from the surface through the others is left
-    out as long as it is beyond `OUTLIER`, and a share of `MOST_OUTLIERS` allows it. A value that no
-    other checks (`ALONE`) stays. Two kinds come back: with a given `sd` those that an outlier had
-    masked, and those of which two or more others at the level of `slip` [N] leave the surface the
-    same way (`COMMON`).
+    `e` [N]: values less the model. The value furthest from the surface is left out, one after the
+    other, while it is beyond `OUTLIER` and there are not more than `MOST_OUTLIERS`. A value that no
+    other checks (`ALONE`) stays. With a given `sd` values come back that a larger outlier had moved
+    the surface away from. A value also comes back if two or more others at its level of `slip` [N]
+    leave the surface the same way (`COMMON`).
     """
     keep = used.copy()
     for _ in range(max(1, int(MOST_OUTLIERS * keep.sum())) + 1):
         left, leverage = _surface(basis, e, keep)
         known = keep & (leverage <= ALONE)
         spread = left / np.sqrt(np.maximum(1.0 - leverage, LEAST_FREE))
-        # Values of less noise than the surface errs by all leave it: that is their scale then.
+        # Where the surface errs by more than the noise, all values leave it: that is the scale.
         scale = max(SD_OF_MEDIAN * float(np.median(np.abs(spread[keep]))), sd or SMALLEST_SD)
         far = np.abs(spread) / scale
         if sd is None:

@@ -110,9 +110,8 @@ def soil_unknowns(
             sd = widened * (math.log1p(prior.sd / value) if log else prior.sd)
             low = min(low, mean)
             high = max(high, mean)
-            sd = min(
-                max(sd, _LEAST_SD[name]), high - low
-            )  # beyond the range a wider prior says no less
+            # A prior wider than the range says no less than one as wide.
+            sd = min(max(sd, _LEAST_SD[name]), high - low)
         unknowns.append(Unknown(name, mean, sd, low, high, log))
     n = known.get(
         "sinkage_exponent", next((k.mean for k in unknowns if k.name == "sinkage_exponent"), 1.0)

@@ -116,8 +116,8 @@ def differences(
     unknowns: Sequence[Unknown],
     base: np.ndarray,
 ) -> list[np.ndarray]:
-    """Derivatives of the model's values by each unknown, as forward differences from `base` at u;
-    backward at an upper bound.
+    """Derivatives of the model's values by each unknown, one array for each: forward differences
+    from `base`, the values at u; backward at an upper bound.
     """
     columns = []
     for k, unknown in enumerate(unknowns):
@@ -185,12 +185,14 @@ class TableProblem:
         )
         self.rows: Rows = Rows(*(column[use] for column in rows))
         self._take_conditions(self.rows)
+        # [N, 3] measured values, nan where not; noise of each over that of its channel.
         self.y: np.ndarray = np.stack([getattr(table, name)[use] for name in MEASURED], axis=1)
         self.measured: np.ndarray = np.isfinite(self.y)
         self.relative: np.ndarray = np.broadcast_to(
             table.relative_sd(setup), table.slip.shape + (3,)
         )[use]
         seen = self.measured[:, 0]
+        # [m] Reference sinkage, the median.
         self.z_ref: float = (
             float(np.median(self.y[seen, 0])) if seen.any() else USUAL_SINKAGE * setup.wheel.radius
         )
@@ -463,7 +465,7 @@ class TableProblem:
         return found[:2]
 
     def search(self) -> np.ndarray:
-        """The best solution u of least squares from `_STARTS` starts; the weights are set there.
+        """The best solution u of least squares from `_STARTS` starts; the weights are set at it.
 
         The first start is the prior mean, the others are random within one standard deviation of
         it. There S follows n, so that S z_ref^n stays within a factor e of that of the prior mean:
@@ -519,7 +521,7 @@ class TableProblem:
 
     def update_noise(self, u: np.ndarray) -> None:
         """Set the noise that is `estimated`, from the most probable errors at u and their degrees
-        of freedom (values less those spent on fitting). The weights stay.
+        of freedom (values less those spent on fitting). The weights stay until `correct`.
         """
         if not np.any(self.estimated):
             return
@@ -544,8 +546,8 @@ class TableProblem:
 def _usable(table: Table, setup: Setup) -> np.ndarray:
     """[N] bool, rows with a sinkage, both forces, or one force where S has a prior.
 
-    `ParameterError` where no row is left, none of those has a force, a sinkage is impossible, or
-    the pull is 0 on every grade while the load is said to be normal to the ground.
+    `ParameterError` where no row is left, where none of those has a force, and where a sinkage is
+    impossible. A pull of 0 on every grade is refused for a load that is normal to the ground.
     """
     seen, pull, torque = (~np.isnan(getattr(table, name)) for name in MEASURED)
     stiffness = setup.soil.lumped(setup.wheel.width) is not None

@@ -36,7 +36,7 @@ def predict_table(
     A force W of the rig that stands on ground inclined by b against it presses with W cos(b) on the
     ground and acts with W sin(b) against the pull. b is the tilt of the rig (`tilt_deg` of
     `values`); of a vertical load it is the tilt and the grade of the row. S of wheels of another
-    width b than the setup's is k_c/b + k_phi where these are given.
+    width than the setup's is k_c/width + k_phi where these are given.
     """
     soil = soil_state(values, given_laws(setup))
     tilt = math.radians(values.get("tilt_deg", 0.0))
