@@ -84,8 +84,8 @@ class Prior(Checked):
 
 @dataclass(frozen=True)
 class SoilPriors(Checked):
-    """Priors of the soil; `parameters.Soil` says what the parameters mean. Friction angle, cohesion,
-    K, S and n are fitted with a broad prior where they are left out.
+    """Priors of the soil; `parameters.Soil` says what the parameters mean. Friction angle,
+    cohesion, K, S and n are fitted with a broad prior where they are left out.
 
     `dig_gain` and `dig_recovery` are known numbers: digging that the model has before any
     effect is sought. Left out, there is none. `rim_flow` to `shear_length` are known too. Left
