@@ -10,17 +10,19 @@ import numpy as np
 from soil_env._compiled.elementary import smoothed_sign
 from soil_env._compiled.flags import compiled
 
-SLOWEST = 1e-3  # [m/s] speed that a slip is relative to, at least: at rest there is none
+#: [m/s] least speed that a slip is divided by, so that a wheel at rest has slip 0.
+SLOWEST = 1e-3
 LEAST_TRAVEL_RATIO = 0.02  # [-] least V / (r w) from which the speed of a rim that spins is known
 LEAST_ROLLING = 1e-9  # [-] least r w / V of a braked wheel that anything is divided by
 
 
 @compiled
 def signed_slip(rim_speed, travel_speed, floor):
-    """(slip in [-1, 1], its derivatives by the two speeds [s/m]): (r w - V)/max(|r w|, |V|), of the
-    sign of r w - V.
+    """Slip (r w - V)/max(|r w|, |V|, floor), cut to [-1, 1], and its derivatives by the speed of
+    the rim and of travel [s/m].
 
-    `floor` [m/s] bounds the denominator from below, so that a wheel at rest has slip 0.
+    Its sign is that of r w - V, forward and in reverse. `floor` [m/s] gives a wheel at rest the
+    slip 0. At -1 and 1 (locked, spinning on the spot, rim against travel) the derivatives are 0.
     """
     u = abs(rim_speed)
     v = abs(travel_speed)
@@ -40,8 +42,10 @@ def signed_slip(rim_speed, travel_speed, floor):
 
 @compiled
 def slip_ratio(rim_speed, travel_speed, floor):
-    """Slip in [-1, 1]: (r w - V)/(r w) when driving, (r w - V)/V when braking; mirrored in reverse
-    (`signed_slip`).
+    """Slip in [-1, 1]: (r w - V)/(r w) when driving, (r w - V)/V when braking.
+
+    It is `signed_slip` with the sign turned in reverse (r w + V < 0), so that a wheel that drives
+    has a positive slip in both directions.
     """
     slip = signed_slip(rim_speed, travel_speed, floor)[0]
     return -slip if rim_speed + travel_speed < 0.0 else slip
@@ -49,8 +53,10 @@ def slip_ratio(rim_speed, travel_speed, floor):
 
 @compiled
 def braked_share(rim_speed, travel_speed, floor):
-    """Share |i| of its travel that a braked wheel slides, 0 driving; up to 1, of a wheel that is
+    """Share |i| of its travel that a braked wheel slides: 0 when driving, 1 for a wheel that is
     locked or turns against its travel.
+
+    The sign of the travel is smooth over `floor` [m/s], so that the share falls to 0 at rest.
     """
     slip = signed_slip(rim_speed, travel_speed, floor)[0]
     return max(-slip * smoothed_sign(travel_speed, floor)[0], 0.0)
@@ -58,8 +64,11 @@ def braked_share(rim_speed, travel_speed, floor):
 
 @compiled
 def motion_from_slip(slip):
-    """(rim, travel) of a wheel travelling forward at the given slip in [-1, 1]; -1 is locked, 1
-    spins on the spot.
+    """Speeds (rim, travel) over that of the rim, of a wheel that travels forward at a slip in
+    [-1, 1].
+
+    The rim is always 1. Travel is 0 at the slip 1 (spinning on the spot), and 1/`LEAST_ROLLING`
+    at -1 (locked).
     """
     if slip < 0.0:
         return 1.0, 1.0 / max(1.0 + slip, LEAST_ROLLING)
@@ -67,8 +76,8 @@ def motion_from_slip(slip):
 
 
 def travel_speeds(rim_speed: float | np.ndarray, slip: float | np.ndarray) -> np.ndarray:
-    """`motion_from_slip` of arrays of numpy: V [m/s], [N], at rim speeds r w [m/s] and slips in
-    [-1, 1].
+    """Travel speeds V [m/s], [N], at rim speeds r w [m/s] and slips in [-1, 1]: `motion_from_slip`
+    for arrays.
     """
     braked = 1.0 / np.maximum(1.0 + slip, LEAST_ROLLING)
     return rim_speed * np.where(slip < 0.0, braked, 1.0 - slip)
@@ -81,9 +90,10 @@ def rim_speeds(travel_speed: float | np.ndarray, slip: float | np.ndarray) -> np
 
 def slips(rim_speed: np.ndarray, speed: np.ndarray, slow: float = SLOWEST) -> np.ndarray:
     """Slip [N] in [-1, 1] of rim and travel speeds [N] in m/s: (r w - V)/(r w) driving, (r w - V)/V
-    braking, mirrored in reverse.
+    braking; positive for a wheel that drives, in reverse too.
 
-    Speeds below `slow` [m/s], as of a wheel at rest, count as forward and are relative to it.
+    It is divided by at least `slow` [m/s], so that a wheel at rest has slip 0. Reverse is where
+    r w + V < -`slow`.
     """
     scale = np.maximum(np.maximum(np.abs(rim_speed), np.abs(speed)), slow)
     slip = (rim_speed - speed) / scale
@@ -91,21 +101,29 @@ def slips(rim_speed: np.ndarray, speed: np.ndarray, slow: float = SLOWEST) -> np
 
 
 def sliding_speeds(travel_speed: np.ndarray, slip: np.ndarray) -> np.ndarray:
-    """|r w - V| [m/s], [N], at travel speeds V [m/s] and slips in [-1, 1], as `sliding_speed`."""
+    """`sliding_speed` for arrays [N]: |r w - V| [m/s] at travel speeds V >= 0 and slips in
+    [-1, 1].
+    """
     slide = travel_speed * np.abs(slip)
     return np.where(slip < 0.0, slide, slide / np.maximum(1.0 - slip, LEAST_TRAVEL_RATIO))
 
 
 @compiled
 def sliding_speed(slip, travel_speed):
-    """|r w - V| [m/s] of a wheel that travels at V >= 0 with a slip, bounded near a slip of 1."""
+    """|r w - V| [m/s] of a wheel that travels at V >= 0 [m/s] with a slip in [-1, 1].
+
+    The rim speed is V/(1 - slip) when driving; `LEAST_TRAVEL_RATIO` bounds it near a slip of 1.
+    """
     slide = travel_speed * abs(slip)
     return slide if slip < 0.0 else slide / max(1.0 - slip, LEAST_TRAVEL_RATIO)
 
 
 @compiled
 def slip_of_radius(slip, scale):
-    """Slip after V/(r w) is multiplied by `scale`, as by another radius; driving or braking."""
+    """Slip in [-1, 1] after V/(r w) is multiplied by `scale`, as when another radius is meant.
+
+    A driving wheel may become a braked one. A locked wheel (-1) stays locked.
+    """
     if slip <= -1.0 or scale == 1.0:
         return slip
     ratio = scale * motion_from_slip(slip)[1]

@@ -7,22 +7,25 @@ import numpy as np
 from .setup import Setup
 from .table import Table
 
-MOST_GRIP = 1.5  # force over load in the middle of the rows, beyond which the load is doubted
+MOST_GRIP = 1.5  # force over load that soil may always give; beyond it the load is doubted
 DRIVEN = 0.15  # slip from which the strength of the soil is mobilised
 FRICTION = 0.5  # tan(phi) beside a cohesion that is known
+COHESION_SDS = 2.0  # [prior sd] by which the cohesion may be lower than the setup says; own choice
 USUAL_SINKAGE = 0.3  # [radii] where none was measured
-FEWEST = 3  # rows in another unit than the rest
+FEWEST = 3  # rows with too large a force, from which they are doubted beside sound rows
+#: Largest load of such rows over the median load of the others: 1/9.81 is below it.
+LIGHTER = 0.2
 SAME_LOAD = 1.1  # largest over least load of a table that has one load
-LIGHTER = 0.2  # load of such rows over that of the rest
 
 
 def load_doubt(table: Table, setup: Setup) -> str:
-    """A doubt in a sentence where the wheel pulls or turns with more than its load lets soil give
-    it; "" as a rule.
+    """Sentence that the load is hardly in newtons, since the wheel pulls or turns with more than
+    soil gives; "" as a rule.
 
-    A wheel can transmit at most tan(phi) W and c times its contact area. The second is small beside
-    W where the wheel sinks, so that the sum hardly exceeds the load unless the setup's cohesion
-    says so.
+    Soil gives at most tan(phi) W + c A, A being the contact area. The limit is `FRICTION` W + c A
+    with the setup's cohesion, and at least `MOST_GRIP` W. Pull and torque/radius of rows with a
+    slip above `DRIVEN` are doubted in two cases. Either their median exceeds the limit, or
+    `FEWEST` rows or more do, whose loads are all far below those of the others (`LIGHTER`).
     """
     radius = table.radius(setup.wheel)
     driven = table.rim_slip(setup) > DRIVEN
@@ -31,7 +34,7 @@ def load_doubt(table: Table, setup: Setup) -> str:
     # Arc of contact up to the lowest point, times the width [m2].
     area = table.width(setup.wheel) * radius * np.arccos(1.0 - depth / radius)
     prior = setup.soil.cohesion
-    cohesion = 0.0 if prior is None else max(prior.value - 2.0 * prior.sd, 0.0)
+    cohesion = 0.0 if prior is None else max(prior.value - COHESION_SDS * prior.sd, 0.0)
     most = np.maximum(MOST_GRIP, cohesion * area / table.load + FRICTION)
     forces = {"torque/radius": table.torque / radius, "drawbar_pull": table.drawbar_pull}
     for name, force in forces.items():
@@ -61,10 +64,11 @@ def load_doubt(table: Table, setup: Setup) -> str:
 
 
 def one_load(table: Table, setup: Setup) -> str:
-    """What a table of one load and one wheel cannot tell, in sentences; "" for any other table.
+    """Sentences on what a table of one load (`SAME_LOAD`) and one wheel cannot tell; "" for any
+    other table.
 
-    One load presses with about one stress to about one depth. S z^n is known there, and the
-    strength c + sigma tan(phi) at that stress.
+    One load presses with about one stress to about one depth. So the table shows S z^n at that
+    depth and the strength c + sigma tan(phi) at that stress, but not their parts.
     """
     sizes = (table.radius(setup.wheel), table.width(setup.wheel))
     if np.max(table.load) > SAME_LOAD * np.min(table.load) or any(np.ptp(size) for size in sizes):

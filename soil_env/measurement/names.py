@@ -46,13 +46,16 @@ OTHERS = {
     "wheel_width": ("m", "width b"),
     "grouser_height": ("m", "grouser lug_height grousers lugs"),
 }
-#: Units behind a name.
+#: Units that others write at the end of a name, as in `sinkage_mm`.
 UNITS = "mm cm m km n kn kg kgf nm nmm ncm knm pct percent deg rad s ms h mps kmh".split()
 
 
 def meant(name: str, header: Collection[str], known: Collection[str]) -> str:
-    """'; did you mean ...?' of an unknown column, with what that holds; "" where none is like it,
-    or where the `header` has it too.
+    """Hint '; did you mean ...?' for an unknown column, with what the column that is meant holds.
+
+    Units at the end of the name are ignored. A name that `OTHERS` does not list is compared with
+    the `known` ones by its spelling. "" where nothing is like it, or where the `header` has the
+    columns that are meant already.
     """
     words = re.findall(r"[a-z0-9]+", name.lower())
     while len(words) > 1 and words[-1] in UNITS:

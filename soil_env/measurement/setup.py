@@ -30,10 +30,11 @@ from soil_env.parameters import (
 )
 
 REQUIRED = ("slip", "load")  # columns of every table
-#: Of a run and of what is changed for it.
+#: Keys of `Rig.cost`: a run, and what is changed for it.
 COSTS = ("run", "slip", "load", "speed", "grade_deg", "wheel", "pass")
 STEEPEST_TILT = 20.0  # [deg] of a rig that is not level
-LEAST_SD = 1e-6  # of a prior, as a share of its value; a smaller one is the value known
+LEAST_SD = 1e-6  # of a prior, as a share of its value; below it the value is as good as known
+MOST_SINKAGE_NOISE = 0.5  # [radii] a larger noise of the sinkage is taken for millimetres
 # Below these soil parameters look like another unit: parameter, limit, its unit, what it looks
 # like, factor
 _OTHER_UNITS = (
@@ -46,8 +47,9 @@ _OTHER_UNITS = (
 
 @dataclass(frozen=True)
 class SetupWheel(Checked):
-    """The wheel that was measured; `grouser_height` 0 is a smooth rim, left out it may have lugs.
+    """The wheel that was measured.
 
+    `grouser_height` 0 is a smooth rim. Where it is left out, nothing is known of lugs.
     `grouser_count` is the number of lugs around the rim.
     """
 
@@ -82,12 +84,12 @@ class Prior(Checked):
 
 @dataclass(frozen=True)
 class SoilPriors(Checked):
-    """Priors of the soil, `parameters.Soil` for their meaning; what is left out is fitted with a
-    broad prior.
+    """Priors of the soil; `parameters.Soil` says what the parameters mean. Friction angle,
+    cohesion, K, S and n are fitted with a broad prior where they are left out.
 
-    `dig_gain` and `dig_recovery` are known or nothing: digging that the model is to have before any
-    effect is sought, none where they are left out. So are `rim_flow` to `shear_length`, without
-    which the shear law is Eq. (10).
+    `dig_gain` and `dig_recovery` are known numbers: digging that the model has before any
+    effect is sought. Left out, there is none. `rim_flow` to `shear_length` are known too. Left
+    out, the shear law is Eq. (10).
     """
 
     friction_angle_deg: Prior | None = None
@@ -106,6 +108,10 @@ class SoilPriors(Checked):
     shear_length: Prior | None = None
 
     def __post_init__(self) -> None:
+        """Refuse values outside the limits of `Soil`, and keys that do not go together.
+
+        The base's check is left out: it looks at numbers, and these fields are `Prior`.
+        """
         limits = {f.name: f.metadata for f in dataclasses.fields(Soil)}
         given = {name: prior for name, prior in vars(self).items() if prior is not None}
         for name, prior in given.items():
@@ -131,8 +137,8 @@ class SoilPriors(Checked):
             raise ParameterError(f"k_phi = {self.k_phi.value:g}: expected a number > 0 N/m^(n+2)")
 
     def lumped(self, width: float) -> Prior | None:
-        """Prior of S [N/m^(n+2)] under a wheel of width b [m]: k_c/b + k_phi where these are
-        given.
+        """Prior of S [N/m^(n+2)] under a wheel of width b [m]: k_c/b + k_phi where these are given,
+        with independent errors, else `sinkage_coefficient`, which may be None.
         """
         if self.k_c is None or self.k_phi is None:
             return self.sinkage_coefficient
@@ -154,6 +160,10 @@ class NoiseLevels(Checked):
     load: float | None = quantity("N", default=None)
 
     def __post_init__(self) -> None:
+        """Refuse a level that is not a finite number > 0.
+
+        The base's check is left out: its ranges include their ends.
+        """
         for f in dataclasses.fields(self):
             value = getattr(self, f.name)
             if value is not None and not 0.0 < value < math.inf:
@@ -165,10 +175,8 @@ class NoiseLevels(Checked):
 class Rig(Checked):
     """Conditions that a rig can make, for the next runs; a list that is left out is not known.
 
-    `cost` by `COSTS`.
-
-    A run costs `run` and what it changes from the run before. `pass` is the cost of each earlier
-    pass on its soil.
+    `cost` has the keys `COSTS`. A run costs `run`, and what `cost` has for each condition that it
+    changes from the run before. `pass` is the cost of each earlier pass on its soil.
     """
 
     slips: tuple[float, ...] = quantity("", -1.0, 0.95, default=())
@@ -193,10 +201,11 @@ class Rig(Checked):
 class Calibration(Checked):
     """Standard deviations to which a rig is known before its runs; 0 where it is exact.
 
-    Of the level [deg], the relative gains of the pull and torque sensors, their zeros [N, N m],
-    None for 0.3 % of the middle load (times the radius), the relative error of the wheel radius,
-    the share of the other force that a sensor reads, the share of torque/radius that loads the
-    wheel, and the rate of a spring [N/m], None for a tenth of the middle load over the radius.
+    `tilt_deg` is of its level, gains and `wheel_radius` are relative. A zero (`offset`) that is
+    None is 0.3 % of the middle load (times the radius for torque). A crosstalk is the share of the
+    other force that a sensor reads. `arm_load` is the share of torque/radius that loads the wheel.
+    `spring_load` is the rate of a spring that loads it; None is a tenth of the middle load over the
+    radius.
     """
 
     tilt_deg: float = quantity("deg", 0.0, STEEPEST_TILT, default=0.5)
@@ -218,9 +227,9 @@ class Setup(Checked):
     `load`: the column of that name is the force normal to the ground (default), or the vertical
     force. On a grade b the latter is resolved into load cos(b) on the ground and load sin(b)
     against the pull. `slip_reference` is the radius that slip was computed with, to the rim or to
-    the lug tips (r + grouser height). `soil` holds at `gravity`, that of the tests. `tilt_deg` is
-    the constant uphill tilt of the ground against the axes in which a rig measures load and pull: a
-    known number or a prior.
+    the lug tips (r + grouser height). `soil` holds at `gravity`, under which the tests were made.
+    `tilt_deg` is the constant uphill tilt of the ground against the axes in which a rig measures
+    load and pull: a known number or a prior.
     """
 
     wheel: SetupWheel
@@ -248,7 +257,7 @@ class Setup(Checked):
                     f"ignore_columns: {name!r}: expected other columns, every table needs this one"
                 )
         sinkage = self.noise.sinkage
-        if sinkage is not None and sinkage > 0.5 * self.wheel.radius:
+        if sinkage is not None and sinkage > MOST_SINKAGE_NOISE * self.wheel.radius:
             raise ParameterError(
                 f"noise: sinkage = {sinkage:g}: expected metres, well below the wheel radius "
                 f"{self.wheel.radius:g} m (if it is millimetres, divide by 1000)"
@@ -275,8 +284,8 @@ def read_setup(path: str | Path) -> Setup:
 
 
 def setup_of(mapping: dict[str, Any], where: str) -> Setup:
-    """`read_setup` of the mapping of a file that is at hand already; `where` it comes from, for
-    messages.
+    """The setup in the mapping of a YAML file that was read already, as `read_setup` does it;
+    `where`: the file, for messages.
     """
     # A heading with nothing below it is left out.
     sections = ("soil", "noise", "calibration", "checked", "tilt_deg", "ignore_columns", "rig")
@@ -303,7 +312,9 @@ def setup_of(mapping: dict[str, Any], where: str) -> Setup:
 
 
 def _prior(value: Any, where: str) -> Prior:
-    """A number as a known `Prior`; a mapping must have an sd > 0."""
+    """`Prior` of a value in YAML: a number is known, sd 0; a mapping must have an sd > 0 that is at
+    least `LEAST_SD` of its value. `where`: file and key, for messages.
+    """
     if not isinstance(value, dict):
         try:
             return Prior(number(float, value, where), 0.0)

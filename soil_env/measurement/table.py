@@ -62,6 +62,12 @@ LIGHTEST = 1e-3  # [N] of a load
 STRONGEST = 1e6  # [N], [N m] of a load, and of a pull or torque either way
 MOST_BYTES = 50_000_000  # of a file: half a million steady points
 MOST_PASSES = 10**6  # pass numbers are whole and small
+TALLEST = 1.0  # [m] of a grouser
+#: Largest |slip| beyond 1 that may be (r w - V)/V, and the largest that may be percent.
+MOST_SLIP_OVER_TRAVEL = 2.0
+MOST_PERCENT = 100.0
+STEEPEST_IN_RADIANS = 40.0  # [deg] grades that look like radians are all below it
+FEWEST_DIGITS = 3  # of a grade behind the point, that looks like radians
 EXACTEST = 1e-9  # least standard deviation, in the unit of its column
 COARSEST = 1e6  # largest one
 
@@ -124,23 +130,23 @@ class Table:
         return np.where(np.isnan(self.wheel_width), wheel.width, self.wheel_width)
 
     def height(self, wheel: SetupWheel) -> np.ndarray:
-        """Grouser height [m] of each row: the override where there is one; nan where nothing is
-        said.
+        """Grouser height [m] of each row: the override where there is one; nan where neither row
+        nor wheel has a height.
         """
         known = math.nan if wheel.grouser_height is None else wheel.grouser_height
         return np.where(np.isnan(self.grouser_height), known, self.grouser_height)
 
     def channel_sd(self, setup: Setup, name: str) -> float | None:
-        """1-sigma of a channel as the setup gives it, else the median of those of the rows; None
-        where none is said.
+        """1-sigma of a channel in its unit: the setup's, else the median of its `_sd` column; None
+        where neither gives one.
         """
         own = getattr(self, f"{name}_sd")
         known = getattr(setup.noise, name)
         return known if known is not None or np.all(np.isnan(own)) else float(np.nanmedian(own))
 
     def relative_sd(self, setup: Setup) -> np.ndarray:
-        """[N, 3] 1-sigma of the values over `channel_sd`, 1 where a row has none; [1, 3] ones where
-        none has any.
+        """1-sigma of each value over the `channel_sd` of its channel [N, 3], 1 where a row gives
+        none; [1, 3] ones where no row gives any.
         """
         own = np.stack([getattr(self, name) for name in NOISE], axis=1)
         if np.all(np.isnan(own)):
@@ -149,8 +155,8 @@ class Table:
         return np.where(np.isnan(own), 1.0, own / level)
 
     def rim_slip(self, setup: Setup) -> np.ndarray:
-        """Slip [N] by the radius of the rim, from that by the radius to the lug tips where the
-        setup says so.
+        """Slip [N] by the radius of the rim; converted where the setup says that the column is by
+        the radius r + h to the lug tips.
 
         V/(r w) is (r + h)/r times V/((r + h) w). `ParameterError` where h is not known.
         """
@@ -168,10 +174,12 @@ class Table:
 def read_table(
     path: str | Path, wheel: SetupWheel | None = None, ignore: Sequence[str] = ()
 ) -> Table:
-    """The measurement table in a CSV file; with `wheel`, no sinkage may exceed its radius.
+    """The measurement table in a CSV file, without the rows that have no measured value.
 
-    Columns named in `ignore` (`ignore_columns` of a setup) are passed over, but they distinguish
-    repeats. Raises `ParameterError` with one line for everything that cannot be right.
+    With `wheel`, sinkages and lugs are compared with its radius in rows that give none. Columns
+    named in `ignore` (`ignore_columns` of a setup) are passed over, but a row is refused as a
+    repeat only if it equals another in these too. Raises `ParameterError` with one line for
+    everything that cannot be right.
     """
     path = Path(path)
     header, rows = _csv_cells(path)
@@ -211,9 +219,10 @@ def read_table(
 def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Header and (line, cells) of the rows that are not blank, every cell stripped.
 
-    Semicolons or tabs in a header without commas separate the columns, and then commas may be
-    decimal. Columns at the end that have neither name nor value are dropped, as spreadsheets write
-    them.
+    Lines that begin with # and a first line such as `sep=;` are passed over. Semicolons or tabs in
+    a header without commas separate the columns, and then commas may be decimal. Columns at the end
+    that have neither name nor value are dropped, as spreadsheets write them. `ParameterError` for
+    another file, and where a row has more or fewer cells than the header.
     """
     try:
         if path.stat().st_size > MOST_BYTES:
@@ -277,6 +286,9 @@ def _with_points(path: Path, lines: Rows) -> list[tuple[int, list[str]]]:
 
 
 def _check_header(path: Path, header: list[str]) -> None:
+    """Refuse a header that is a row of numbers, or has an unknown, missing, empty or double
+    name.
+    """
     if all(isinstance(_canonical(name), float) for name in header):
         raise ParameterError(
             f"{path}: the first line has numbers: expected a header line with column names, "
@@ -310,12 +322,14 @@ def _check_header(path: Path, header: list[str]) -> None:
 
 
 def _texts(name: str, header: list[str], rows: Rows) -> list[str]:
-    """The cells [N] of one column, "" for those of an absent one."""
+    """The cells [N] of one column, all "" where the column is absent."""
     return [cells[header.index(name)] if name in header else "" for _, cells in rows]
 
 
 def _column(path: Path, name: str, header: list[str], rows: Rows) -> np.ndarray:
-    """The numbers [N] of one column, NaN for an empty cell or an absent column."""
+    """The numbers [N] of one column, NaN for an empty cell or an absent column; `ParameterError`
+    for any other cell that is no finite number.
+    """
     out = np.full(len(rows), math.nan)
     for k, text in enumerate(_texts(name, header, rows)):
         if not text:
@@ -339,7 +353,11 @@ def _column(path: Path, name: str, header: list[str], rows: Rows) -> np.ndarray:
 def _check_rows(
     table: Table, header: list[str], rows: Rows, wheel: SetupWheel | None, passes: np.ndarray
 ) -> None:
-    """Refuse values that cannot be right, the first by column and row; `passes` [N] as given."""
+    """Refuse values that cannot be right; the message names the first by check, then by row.
+
+    `passes` [N]: the column before it was made whole, nan where empty. Without `wheel`, sinkage and
+    lugs are compared with the radius only in rows that give a radius.
+    """
 
     def refuse(name: str, wrong: np.ndarray, expected: str) -> None:
         if np.any(wrong):
@@ -354,9 +372,9 @@ def _check_rows(
         refuse(name, np.isnan(getattr(table, name)), "a number in every row")
     slip = np.abs(table.slip)
     hint = ""
-    if np.max(slip) <= 2.0:
+    if np.max(slip) <= MOST_SLIP_OVER_TRAVEL:
         hint = " (if it is (r w - V)/V where the wheel drives, divide it by 1 + itself)"
-    elif np.max(slip) <= 100.0:
+    elif np.max(slip) <= MOST_PERCENT:
         hint = " (if it is percent, divide by 100)"
     refuse("slip", slip > 1.0, f"slip in [-1, 1]{hint}")
     expected = f"a load > 0 N, upward on the wheel, at least {LIGHTEST:g}"
@@ -385,7 +403,7 @@ def _check_rows(
     refuse("torque", np.abs(table.torque) > STRONGEST, f"newton metres in {limits}")
     radius = table.wheel_radius
     height = table.grouser_height
-    refuse("grouser_height", (height < 0.0) | (height > 1.0), "metres in [0, 1]")
+    refuse("grouser_height", (height < 0.0) | (height > TALLEST), f"metres in [0, {TALLEST:g}]")
     expected = "metres (this can only be millimetres, divide by 1000, or centimetres)"
     refuse("sinkage", np.abs(table.sinkage) > DEEPEST, expected)
     if wheel is not None:
@@ -419,7 +437,7 @@ def _check_whole(table: Table) -> None:
 
 
 def _check_repeats(path: Path, rows: Rows) -> None:
-    """Refuse a row that is there twice."""
+    """Refuse a row that repeats an earlier one in every cell; numbers are compared by value."""
     seen: dict[tuple[float | str, ...], int] = {}
     for line, cells in rows:
         key = tuple(_canonical(c) for c in cells)
@@ -432,6 +450,7 @@ def _check_repeats(path: Path, rows: Rows) -> None:
 
 
 def _canonical(cell: str) -> float | str:
+    """A cell as a number if it is one, else as its text."""
     try:
         return float(cell)
     except ValueError:
@@ -439,16 +458,18 @@ def _canonical(cell: str) -> float | str:
 
 
 def look_like_radians(cells: list[str]) -> bool:
-    """True if grades look like radians: read so, none exceeds 40 deg and all are whole degrees to
-    three digits or more.
+    """True if grades look like radians; `cells` are texts, of which the empty and zero ones do not
+    count.
 
-    One grade alone looks so by chance: in six of a thousand cases with four digits.
+    Read as radians, every grade is below `STEEPEST_IN_RADIANS` and is a whole degree, rounded to
+    the digits of the cell, `FEWEST_DIGITS` at least. One grade alone looks so by chance in six of a
+    thousand cases with four digits.
     """
     grades = [cell for cell in cells if cell and float(cell) != 0.0]
     for grade in grades:
         x = float(grade)
         digits = len(grade.rpartition(".")[2])
-        if digits < 3 or not abs(x) < math.radians(40.0):
+        if digits < FEWEST_DIGITS or not abs(x) < math.radians(STEEPEST_IN_RADIANS):
             return False
         whole = round(math.radians(round(math.degrees(x))), digits)
         if abs(whole - x) >= 10.0**-digits * 1e-3:

@@ -15,15 +15,20 @@ from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import MEASURED, NOISE, Table
 
 from .form_error import LENGTHS, coordinate
+from .noise import SD_OF_MEDIAN
 
-DENSE = 240  # rows from which a table is binned
-REPEATED = 100  # the same of rows at few conditions, `FEWEST` and more at each
+DENSE = 240  # rows above which every table is binned
+#: Rows above which a table at few conditions is binned: `FEWEST` or more rows a bin.
+REPEATED = 100
 MOST = 120  # bins
 FINE = 0.04  # extent of a bin that is not cut further, in correlation lengths of a form error
 JUMP = 0.25  # share of the extent of a bin, from which a gap between its values parts them
 FEWEST = 8  # values of a bin, of which one may be an outlier
 FAR = 8.0  # [sd] from the median of a bin, beyond which a value is an outlier
-# of the coordinates in which rows are compared
+#: Times fewer rows than the mean of `MOST` bins, that a part of a cut may have; own choice.
+_PART = 4
+_WIDE = 1.0  # [correlation lengths] extent of a bin that is cut however small a part is
+# Correlation lengths of the coordinates in which rows are compared.
 _LENGTHS = {name: LENGTHS[name] for name in LENGTHS if name != "elapsed"} | {"log_slip": 0.8}
 _APART = 10.0  # correlation lengths between rows whose channels or overrides differ
 
@@ -37,7 +42,12 @@ class Binned(NamedTuple):
 
 
 def binned(table: Table, setup: Setup) -> Binned:
-    """The table with one row a bin if it is dense, as it is otherwise."""
+    """The table with one row a bin if it is dense, as it is otherwise.
+
+    Dense are tables of more than `DENSE` rows, and of more than `REPEATED` with `FEWEST` rows or
+    more a bin on average. A measured value of a bin is the mean without outliers. Noise of the rows
+    and of the setup, that of slip and load too, is dropped: it is that of single rows.
+    """
     if len(table) <= REPEATED:
         return Binned(table, setup, "")
     bins = _bins(_coordinates(table, setup))
@@ -74,8 +84,10 @@ def binned(table: Table, setup: Setup) -> Binned:
 
 
 def _coordinates(table: Table, setup: Setup) -> np.ndarray:
-    """[N, d] conditions in correlation lengths of a form error; what must not be mixed lies far
-    apart.
+    """Conditions [N, d] in correlation lengths of a form error, those alone that vary.
+
+    Rows that lack a condition or a channel lie `_APART` from those that have it, so that the two
+    are parted before anything else is.
     """
     conditions = {
         "slip": table.slip,
@@ -97,10 +109,15 @@ def _coordinates(table: Table, setup: Setup) -> np.ndarray:
 
 
 def _bins(x: np.ndarray) -> list[np.ndarray]:
-    """Rows of each bin: the widest one is cut in two until all are fine, or there are `MOST`."""
+    """Rows of each bin, by their first row: the widest bin is cut in two until all are `FINE`, or
+    there are `MOST`.
+
+    A bin stays whole, too, if a part of it would have too few rows (`_PART`); but not if it is
+    wider than `_WIDE`.
+    """
     first = np.arange(len(x))
     heap = [(-_extent(x), 0, first)]
-    few = max(1, len(x) // (4 * MOST))
+    few = max(1, len(x) // (_PART * MOST))
     done: list[np.ndarray] = []
     count = 1
     while heap and len(heap) + len(done) < MOST:
@@ -109,7 +126,7 @@ def _bins(x: np.ndarray) -> list[np.ndarray]:
             done.append(rows)
             continue
         parts = _cut(x, rows)
-        if min(map(len, parts)) < few and -width < 1.0:
+        if min(map(len, parts)) < few and -width < _WIDE:
             done.append(rows)
             continue
         for part in parts:
@@ -119,12 +136,15 @@ def _bins(x: np.ndarray) -> list[np.ndarray]:
 
 
 def _extent(x: np.ndarray) -> float:
+    """Range of the rows `x` [N, d] along the coordinate where it is largest."""
     return float(np.max(np.ptp(x, axis=0)))
 
 
 def _cut(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two parts of the rows along their widest coordinate: at a gap, else in the middle of their
-    number.
+    """Two parts of the rows, cut along the coordinate where their range is largest.
+
+    The cut is at the widest gap if that is more than `JUMP` of the range. Else it is in the middle
+    of their number, or at the nearest change of the value beside it.
     """
     here = x[rows]
     value = here[:, int(np.argmax(np.ptp(here, axis=0)))]
@@ -140,21 +160,28 @@ def _cut(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _merged(values: np.ndarray) -> Any:
-    """One value for those of a bin: the first of texts and lines, else their mean."""
+    """One value for those of a bin: the first of texts and whole numbers (line, pass), else their
+    mean.
+    """
     if values.dtype.kind != "f":
         return values[0]
     return np.mean(values)
 
 
 def _spread(values: np.ndarray) -> float:
-    """Median distance from the median."""
+    """Median distance of the values from their median."""
     return float(np.median(np.abs(values - np.median(values))))
 
 
 def _without_outliers(values: np.ndarray, usual: float) -> tuple[float, int]:
-    """(mean without values far from the median, number of these); `usual` is the least spread."""
+    """(mean without outliers, number of outliers) of the values of a bin.
+
+    Outliers are beyond `FAR` sd from the median. The sd is that of a normal distribution with the
+    `_spread` of the bin, or with that of a `usual` bin if it is larger. Fewer than `FEWEST` values
+    have no outliers.
+    """
     if values.size < FEWEST:
         return float(np.mean(values)), 0
-    reach = FAR * 1.4826 * max(_spread(values), usual)
+    reach = FAR * SD_OF_MEDIAN * max(_spread(values), usual)
     kept = ~(np.abs(values - np.median(values)) > reach)
     return float(np.mean(values[kept])), int(values.size - kept.sum())

@@ -1,4 +1,4 @@
-"""A measurement table made ready for the search: its conditions as factors with levels, groups to
+"""A measurement table made ready for the fits: its conditions as factors with levels, groups to
 hold out.
 """
 
@@ -15,13 +15,15 @@ from soil_env.terramechanics.model import ModelWheel, Rows, rows_of
 
 CHANNELS = MEASURED  # sinkage, drawbar_pull, torque
 UNKNOWN_HEIGHT = 0.08  # [radii] lug height where the setup gives none
-LEAST_PRESSURE = 20.0  # [Pa] load over radius times width, below which the unit is wrong
-MOST_PRESSURE = 1e7  # [Pa] above which it is
+LEAST_PRESSURE = 20.0  # [Pa] load over radius times width, below which its unit is wrong
+MOST_PRESSURE = 1e7  # [Pa] load over radius times width, above which its unit is wrong
 MOST_FORCE = 5.0  # pull over load, torque over load times radius, beyond which the unit is wrong
+LOAD_SPAN = 0.05  # range of the loads over their mean, from which sinkage is compared with load
+SURELY_DRIVEN = 0.05  # slip above which a wheel needs a positive torque
 #: Conditions that are compared by their ratio.
 LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width")
 TERMS = ("speed", "pass", "grade_deg")  # conditions that the base law does not know
-OWN = 0.1  # share of the sd of a condition that it has by itself, below which it follows
+OWN = 0.1  # share of a condition's sd that others do not explain, below which it follows from them
 WHEEL = ("wheel_radius", "wheel_width", "grouser_height")
 #: Difference below which two values of a condition are one level; relative where it is compared by
 #: its ratio.
@@ -32,14 +34,23 @@ _SAME = {
     "wheel_radius": 0.005,
     "wheel_width": 0.005,
 }
+_SAME_RATIO = 0.02  # relative difference, likewise, of conditions that `_SAME` does not name
+_SAME_SHARE = 0.02  # of the range of a condition: a smaller step parts no levels either
 _CHAIN = 6.0  # gaps, beyond which a level of values is a continuum
-_SAME_RATIO = 0.02  # of the conditions that are not named above
+# Own choices. A condition with more levels than both of these is a continuum:
+_MOST_LEVELS = 12
+_ROWS_OF_LEVEL = 4  # rows of the table over its levels
+# It is cut into as many bins as both of these allow, but into two at least:
+_MOST_BINS = 8
+_ROWS_OF_BIN = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """A condition that varies in the table: its values [N], its levels [N] int, its values scaled
-    to [-1, 1].
+    """A condition of the table: its values [N], its levels [N] int from 0 in their order, its
+    values scaled to [-1, 1] (0 where it does not vary).
+
+    The `LOGARITHMIC` ones are scaled in the logarithm.
     """
 
     name: str
@@ -64,7 +75,7 @@ class Data:
     wheel: ModelWheel
     rows: Rows
     y: np.ndarray  # [N, 3] measured, nan where not
-    varied: dict[str, Factor]  # by themselves; slip first
+    varied: dict[str, Factor]  # conditions that vary by themselves; slip first
     cell: np.ndarray  # [N] int, rows of one cell are repeats
     #: [N, 3] noise of a value over that of its channel; [1, 3] ones where no row has its own.
     relative_sd: np.ndarray
@@ -91,8 +102,10 @@ class Data:
 
     @property
     def beds(self) -> np.ndarray:
-        """[N] number of the bed of soil of each row: of its run, or of the last run before it on
-        fresh soil.
+        """[N] number of the bed of soil of each row.
+
+        A row on fresh soil is on the bed of its `run`, a later pass on that of the last fresh row
+        above it.
         """
         fresh = np.where(self.rows.conditions[:, 1] <= 1.0, np.arange(len(self.table)), 0)
         runs = self.table.run[np.maximum.accumulate(fresh)]
@@ -126,7 +139,9 @@ def conditions_of(rows: Rows) -> dict[str, np.ndarray]:
 def prepare(table: Table, setup: Setup) -> Data:
     """`Data` of a table and its setup.
 
-    Raises `ParameterError` where nothing could be learned from it.
+    Without any height of grousers it is taken as `UNKNOWN_HEIGHT`, without any speed as 0. Of the
+    conditions that vary, those that follow from others are no factors. Raises `ParameterError` for
+    one slip only, for heights or speeds that only some rows have, and for impossible units.
     """
     height = setup.wheel.grouser_height
     wheel = ModelWheel(
@@ -157,8 +172,8 @@ def prepare(table: Table, setup: Setup) -> Data:
         found = _factor(name, value, name in LOGARITHMIC)
         same = name in WHEEL and any(_one_to_one(found, varied[w]) for w in WHEEL if w in varied)
         # Of sizes that change together one stands for the wheel. A speed that follows from the
-        # slip, as at one rim speed, is no condition of its own. A grade by a Latin square of load
-        # and speed is one: neither says anything of it.
+        # slip, as at one rim speed, is no condition of its own. A grade set by a Latin square of
+        # load and speed is one: no sum of functions of these two gives it.
         if found.levels > 1 and not same and not (name in TERMS and _follows(found, varied)):
             varied[name] = found
     if "slip" not in varied:
@@ -175,7 +190,10 @@ def _one_to_one(a: Factor, b: Factor) -> bool:
 
 
 def _follows(factor: Factor, others: Mapping[str, Factor]) -> bool:
-    """True if a sum of functions of other factors, one of each, is a factor but for `OWN`."""
+    """True if a factor is known from the others but for `OWN` of its sd.
+
+    It is fitted by a sum of functions, one of the levels of each other factor (least squares).
+    """
     value = factor.scaled
     constant = np.ones((value.size, 1))
     functions = np.hstack([constant, *(np.eye(o.levels)[o.level] for o in others.values())])
@@ -184,7 +202,12 @@ def _follows(factor: Factor, others: Mapping[str, Factor]) -> bool:
 
 
 def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
-    """`ParameterError` where a whole column has a unit or a sign that cannot be right."""
+    """`ParameterError` where a whole column has a unit or a sign that cannot be right.
+
+    Load and forces are judged by their medians. Sinkages below 0 throughout are refused unless they
+    rise with the load, as sinkages with a wrong zero do. Torque is refused if it is negative
+    in all of three or more driven rows.
+    """
 
     def refuse(wrong: bool, text: str) -> None:
         if wrong:
@@ -218,7 +241,7 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
         known = np.isfinite(z)
         slope = (
             np.polyfit(load[known], z[known], 1)[0]
-            if np.ptp(load[known]) > 0.05 * load.mean()
+            if np.ptp(load[known]) > LOAD_SPAN * load.mean()
             else 0.0
         )
         refuse(
@@ -226,21 +249,27 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
             "sinkage is negative in every row: expected metres below the surface, positive "
             "downward",
         )
-    driven = y[(rows.slip > 0.05) & np.isfinite(y[:, 2]), 2]
+    driven = y[(rows.slip > SURELY_DRIVEN) & np.isfinite(y[:, 2]), 2]
     refuse(
         driven.size > 2 and np.max(driven, initial=-math.inf) < 0.0,
-        "torque is negative in every row with slip > 0.05: expected the driving torque, positive "
-        "where it drives",
+        f"torque is negative in every row with slip > {SURELY_DRIVEN:g}: expected the driving "
+        "torque, positive where it drives",
     )
 
 
 def _factor(name: str, value: np.ndarray, log: bool) -> Factor:
-    """Levels by gaps: values closer than 2 % of the span (or of themselves) are one level, unless
-    they chain into one much wider than that.
+    """`Factor` of a condition; with `log` its values are compared by their ratio.
+
+    Sorted values are one level as long as their steps are within a gap: `_SAME_SHARE` of the range,
+    but at least what is no difference of this condition (`_SAME`). Values of slip, load, speed or
+    grade whose steps chain into a level wider than `_CHAIN` gaps, or that have too many levels, are
+    a continuum. They are cut into bins of equal count.
     """
     x = np.log(np.maximum(value, 1e-9)) if log else value
     span = float(np.ptp(x))
-    gap = max(0.02 * span, math.log(1.0 + _SAME.get(name, _SAME_RATIO)) if log else _SAME[name])
+    gap = max(
+        _SAME_SHARE * span, math.log(1.0 + _SAME.get(name, _SAME_RATIO)) if log else _SAME[name]
+    )
     order = np.argsort(x, kind="stable")
     steps = np.diff(x[order]) > gap
     level = np.empty(x.size, dtype=int)
@@ -248,10 +277,10 @@ def _factor(name: str, value: np.ndarray, log: bool) -> Factor:
     ends = np.flatnonzero(np.concatenate([steps, [True]]))
     starts = np.concatenate([[0], ends[:-1] + 1])
     widest = float(np.max(x[order][ends] - x[order][starts]))
-    many = level.max() > max(12, x.size // 4)
+    many = level.max() > max(_MOST_LEVELS, x.size // _ROWS_OF_LEVEL)
     if name in ("slip", "load", "speed", "grade_deg") and (many or widest > _CHAIN * gap):
         # a continuum of values: cut it into bins of equal count
-        bins = min(8, x.size // 6)
+        bins = min(_MOST_BINS, x.size // _ROWS_OF_BIN)
         level[order] = np.arange(x.size) * max(bins, 2) // x.size
     scaled = (x - 0.5 * (x.min() + x.max())) / (0.5 * span) if span > gap else np.zeros_like(x)
     return Factor(name, value, level, scaled)

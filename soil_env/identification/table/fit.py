@@ -27,8 +27,8 @@ from .bins import binned
 from .form_error import mixed
 from .mistakes import Examined, examine
 from .noise import NoiseEstimate
-from .priors import given_laws
-from .problem import LAW_ERRORS, SOURCES, TableProblem
+from .priors import LARGEST_LOG, given_laws
+from .problem import LAW_ERRORS, LEAST_FREEDOM, SOURCES, TableProblem
 
 PHI, LN_K, LN_S, EXPONENT, COHESION, TILT = range(6)  # in these coordinates, the angles in degrees
 #: Parameters in that order.
@@ -41,13 +41,29 @@ LABELS = {
     "tilt_deg": "tilt of the rig",
 }
 SYMBOLS = dict(zip(LABELS.values(), ("phi", "K", "S z^n", "n", "c", "tilt"), strict=True))
+OFF_PRIOR = 3.0  # [prior sd] from the prior, beyond which a solution under noise alone is doubted
+EDGE = 1e-6  # of the range or the prior sd of an unknown, within which it is at a bound
 UNDETERMINED = 0.7  # share of the prior sd above which a parameter is not determined by the data
 TIED = 0.98  # correlation above which two parameters are tied
 SMALL = 0.2  # [noise] rms below which residuals are smaller than the given noise allows
 SCARCE = 6.5  # degrees of freedom of an estimated noise below which that is said
 LIGHT = 1.0  # load [N] below which kilonewtons are suspected
-SOFT = 1e3  # S [N/m^(n+2)] below which they are
+SOFT = 1e3  # S [N/m^(n+2)] below which kilonewtons or millimetres are suspected
+# p values; `MISSED` and `TOO_SMALL` are divided by the number of channels. Own choices:
+MISSED = 1e-3  # of residuals over a given noise, below which the model misses a channel
+FOLLOWS = 5e-4  # of an F test, below which it misses a channel of estimated noise
+TOO_SMALL = 1e-4  # of residuals below a given noise, below which noise or unit is doubted
+SAME_LOG_LOAD = 0.1  # range of the logarithm of the load, within which it is one load
+_KNOWN_NOISE = 1e6  # degrees of freedom of a noise that is given, for an F test
+_LEAST_SHARE = 1e-3  # of its variance that the fit leaves an error, at least: less is rounding
+_ZERO = 1e-9  # of the half interval: an estimate below it is written as 0
 _PASSES = 80  # of an iteration at most
+_SETTLED = 1e-4  # [prior sd] change of the solution, below which the iteration ends
+_SETTLED_NOISE = 1e-3  # relative change of the noise, for the same
+# Where the change hardly falls (`_STALLED`) after a quarter of the passes, moves are cut:
+_STALLED = 0.9  # change over the one before
+_CUT = 0.6  # factor of the share of a move that is taken
+_LEAST_MOVE = 0.2  # of this share
 _FORM_PASSES = 2  # of the form error of the base law and the solution in turn
 
 
@@ -76,11 +92,12 @@ class ChannelFit:
     measured: np.ndarray  # nan where not measured
     fitted: np.ndarray
     noise: float  # 1-sigma
-    relative: np.ndarray  # [N] that of a row over it
+    relative: np.ndarray  # [N] noise of the value in a row over `noise`
     estimated: bool  # the noise is estimated from the scatter
-    #: Of residuals so large by chance were the laws exact; nan if the noise is estimated.
+    #: Probability of residuals so large were the laws exact; nan if the noise is estimated.
     p_value: float
-    too_small: float  # the same of residuals so small
+    #: Probability of residuals so small; 1 if they are not below `SMALL`, nan for estimated noise.
+    too_small: float
     unit: str
 
     @property
@@ -134,14 +151,14 @@ def identify_table(table: Table, setup: Setup, *, check: bool = True) -> TableEs
     The table is examined first (`mistakes.examine`): wrong rows and outliers are left out, and
     `ParameterError` is raised where it cannot be right. Without `check` it is taken as it is.
 
-    Noise that the setup does not give is estimated from what the fit leaves, as long as that
-    scatters; else from the scatter about a smooth surface, and the rest is an error of the laws.
+    Noise that the setup does not give is estimated from the residuals of the fit. If these do not
+    merely scatter, it is the scatter about a smooth surface, and the rest is an error of the laws.
 
-    The stress laws may be wrong by a smooth error whose size the table decides (`form_error`): it
-    enters the weights, and the intervals are over its sizes. Base model: smooth rim on level, fresh
-    soil, without slip-sinkage; a sinkage that was not measured follows from the load. Raises
-    `ParameterError` if no row has enough, nothing is to fit, or measured values are fewer than
-    fitted parameters.
+    The stress laws may be wrong by a smooth error whose size the table decides (`form_error`). It
+    enters the weights, and the intervals average over its sizes. Base model: smooth rim on level,
+    fresh soil, without slip-sinkage; a sinkage that was not measured follows from the load. Raises
+    `ParameterError` if no row has enough values, nothing is to fit, or measured values are fewer
+    than fitted parameters.
     """
     with threadpool_limits(1):  # the matrices are small
         table, setup, dense = binned(table, setup)
@@ -167,13 +184,17 @@ def identify_table(table: Table, setup: Setup, *, check: bool = True) -> TableEs
 
 
 def _with_whole_speeds(table: Table) -> Table:
-    """The table without a speed that some rows lack: the base model does not depend on it."""
+    """The table without its speeds if some rows lack one, which `examine` would refuse: the base
+    model does not depend on the speed.
+    """
     missing = np.isnan(table.speed)
     return replace(table, speed=np.full(len(table), math.nan)) if np.any(missing) else table
 
 
 def _as_examined(examined: Examined) -> Table:
-    """The table without what is wrong in it."""
+    """The examined table with outliers as not measured, and without rows that have nothing else;
+    as it is where it was not examined.
+    """
     if examined.noise is None:
         return examined.table
     used = examined.noise.used
@@ -192,26 +213,31 @@ class _Plain(NamedTuple):
 
 
 def _settle(problem: TableProblem, u: np.ndarray, guess: bool = True) -> tuple[np.ndarray, bool]:
-    """The solution from u with conditions and, with `guess`, noise renewed until they no longer
-    change; whether so.
+    """(solution, True if converged) from u: least squares, slip and load, and the noise with
+    `guess`, renewed in turn until solution and noise settle.
+
+    The problem is left with what was renewed last. There are `_PASSES` at most. If the moves of the
+    solution hardly become smaller, they are cut.
     """
     guessed = problem.estimated & guess
     converged = False
-    share = 1.0  # of each move; lessened where they go in circles, as when the model does not fit
+    share = 1.0  # of each move; cut where moves go in circles, as when the model does not fit
     last = math.inf  # change of the iteration before
     problem.weigh(problem.by_conditions(u))
     for count in range(_PASSES):
         noise = problem.noise.copy()
         move = problem.minimise(u)[0] - u
         size = float(np.max(np.abs(move)))
-        share = max(0.2, 0.6 * share) if count > _PASSES // 4 and size > 0.9 * last else share
+        stalled = count > _PASSES // 4 and size > _STALLED * last
+        share = max(_LEAST_MOVE, _CUT * share) if stalled else share
         last = size
         u = u + share * move
         if guess:
             problem.update_noise(u)
         problem.correct(u)
         converged = bool(
-            size < 1e-4 and np.all(np.abs(problem.noise - noise)[guessed] < 1e-3 * noise[guessed])
+            size < _SETTLED
+            and np.all(np.abs(problem.noise - noise)[guessed] < _SETTLED_NOISE * noise[guessed])
         )
         if converged:
             break
@@ -219,7 +245,7 @@ def _settle(problem: TableProblem, u: np.ndarray, guess: bool = True) -> tuple[n
 
 
 def _scaling(problem: TableProblem) -> tuple[np.ndarray, np.ndarray]:
-    """(d(phi, ln K, ln S, n, c, tilt)/du [6, p], which of the six are free)."""
+    """(d(phi [deg], ln K, ln S, n, c, tilt)/du [6, p], [6] bool: which of the six are fitted)."""
     order = list(LABELS)
     out = np.zeros((len(order), len(problem.unknowns)))
     for j, unknown in enumerate(problem.unknowns):
@@ -236,8 +262,14 @@ def _summary(
     examined: Examined,
     dense: str,
 ) -> TableEstimate:
+    """The estimate from the solution u, with its intervals over all `LAW_ERRORS` and its warnings.
+
+    `plain`: the solution under noise alone, `missed`: channels that it misses, `dense`: words on
+    bins. The value is u; the covariance is about u, since the means under other sizes differ.
+    """
     scaling, free = _scaling(problem)
     # (phi [rad], ln K, ln S z_ref^n, n, c, tilt) by (phi [deg], ln K, ln S, n, c, tilt).
+    # S and n are correlated, so S z_ref^n is given in place of S.
     published = np.eye(len(LABELS))
     published[PHI, PHI] = math.radians(1.0)
     published[LN_S, EXPONENT] = math.log(problem.z_ref)
@@ -282,7 +314,7 @@ def _summary(
         problem.rows.slip,
         problem.rows.load,
         int(problem.measured.sum()),
-        _exact(problem),
+        _exact_conditions(problem),
         converged,
         law_error,
         tuple(first),
@@ -293,7 +325,7 @@ def _summary(
 
 
 def _soil(problem: TableProblem, u: np.ndarray) -> Soil:
-    """The soil of a solution, with the laws, density and gravity that the setup knows."""
+    """The soil at u, with the laws, density and gravity that the setup knows."""
     density = problem.setup.soil.density
     known = {**given_laws(problem.setup), "gravity_measured": problem.setup.gravity}
     known |= {"density": density.value} if density else {}
@@ -303,10 +335,11 @@ def _soil(problem: TableProblem, u: np.ndarray) -> Soil:
 def _parameters(
     problem: TableProblem, u: np.ndarray, covariance: np.ndarray, scaling: np.ndarray
 ) -> dict[str, Parameter]:
-    """Estimates and 95 % intervals, within the bounds; those of K, S and p_ref are computed in the
-    logarithm.
+    """Estimates at u and 95 % intervals from the `covariance` [p, p] of u, cut at the bounds of the
+    unknowns; those of K, S and p_ref = S z_ref^n are computed in the logarithm.
 
-    Where noise is estimated, Student's t has the degrees of freedom of the channel that has fewest.
+    `scaling` as from `_scaling`. Where noise is estimated, Student's t has the degrees of freedom
+    of the channel with the fewest.
     """
     freedom = max(1.0, float(np.min(problem.freedom)))
     reach = float(ndtri(0.975) if math.isinf(freedom) else stdtrit(freedom, 0.975))
@@ -335,9 +368,9 @@ def _parameters(
         at_bound = tuple(end for end, there in ends if there and half > 0.0)
         bounds = [float(value), low, high]
         if name in ("shear_modulus", "sinkage_coefficient", "reference_pressure"):
-            bounds = [math.exp(min(b, 700.0)) for b in bounds]
+            bounds = [math.exp(min(b, LARGEST_LOG)) for b in bounds]
         elif name != "tilt_deg":
-            bounds[0] = 0.0 if abs(bounds[0]) < 1e-9 * half else bounds[0]
+            bounds[0] = 0.0 if abs(bounds[0]) < _ZERO * half else bounds[0]
         prior_sd = math.sqrt(by_u @ by_u)
         shrunk = half / reach / prior_sd if prior_sd > 0.0 else math.nan
         known = prior_sd == 0.0
@@ -346,7 +379,10 @@ def _parameters(
 
 
 def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
-    """`ChannelFit` of each channel, and of the load if it has noise, at the solution u."""
+    """`ChannelFit` of each measured channel, and of the load if it has noise, at the solution u.
+
+    The probabilities are chi-squared, with as many degrees of freedom as the fit leaves the errors.
+    """
     errors, left = problem.errors(u)
     variances = problem.variances
     out = problem.predict(u)
@@ -367,7 +403,9 @@ def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
         p = math.nan
         low = math.nan
         if not problem.estimated[j]:
-            freedom = max(float(np.sum(np.maximum(left[k, j] / variances[k, j], 1e-3))), 0.5)
+            freedom = max(
+                float(np.sum(np.maximum(left[k, j] / variances[k, j], _LEAST_SHARE))), LEAST_FREEDOM
+            )
             square = float(np.sum(errors[k, j] ** 2 / variances[k, j]))
             p = float(chdtrc(freedom, square))
             low = float(chdtr(freedom, square)) if square < SMALL**2 * freedom else 1.0
@@ -377,14 +415,17 @@ def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
     return fits
 
 
-def _exact(problem: TableProblem) -> tuple[str, ...]:
+def _exact_conditions(problem: TableProblem) -> tuple[str, ...]:
+    """Conditions (slip, load) without a stated noise, which are taken as exact."""
     return tuple(name for name in ("slip", "load") if getattr(problem.setup.noise, name) is None)
 
 
 def _units(
     problem: TableProblem, parameters: dict[str, Parameter], fits: dict[str, ChannelFit]
 ) -> list[str]:
-    """Warnings of a wrong unit in setup or table."""
+    """Warnings of a wrong unit in setup or table: a tiny load, a soil softer than any, residuals
+    far below a given noise. `fits`: under noise alone.
+    """
     words = []
     load = float(np.median(problem.rows.load))
     S = parameters["sinkage_coefficient"]
@@ -399,7 +440,7 @@ def _units(
             "expected newtons and metres in the table."
         )
     for name, fit in fits.items():
-        if fit.too_small < 1e-4 / len(fits):
+        if fit.too_small < TOO_SMALL / len(fits):
             words.append(
                 f"The residuals of {name.replace('_', ' ')} are far smaller than its given noise "
                 f"of {fit.noise:.3g} {fit.unit}: the noise or the unit of one of them is wrong, "
@@ -434,11 +475,16 @@ def _doubts(
     plain: _Plain,
     converged: bool,
 ) -> list[str]:
-    """Warnings on the solution u, and on the priors by the solution under noise alone."""
+    """Warnings on the solution u: bounds, priors, scarce noise, a single load, what is not
+    modelled, weights that have not settled.
+
+    Priors are compared with the solution under noise alone, `plain.u`, which is in prior standard
+    deviations.
+    """
     words = []
     setup = problem.setup
     (low, high) = problem.bounds
-    edge = 1e-6 * np.minimum(1.0, high - low)
+    edge = EDGE * np.minimum(1.0, high - low)
     at_end = [
         LABELS[k.name]
         for k, at in zip(problem.unknowns, (u <= low + edge) | (u >= high - edge), strict=True)
@@ -455,7 +501,7 @@ def _doubts(
         "tilt_deg": setup.tilt_deg,
     }
     for unknown, d in zip(problem.unknowns, plain.u, strict=True):
-        if given[unknown.name] is not None and abs(d) > 3.0:
+        if given[unknown.name] is not None and abs(d) > OFF_PRIOR:
             words.append(
                 f"Were the stress laws exact, the {LABELS[unknown.name]} would be {abs(d):.1f} "
                 "standard deviations from its prior: prior, table or laws are wrong."
@@ -476,25 +522,27 @@ def _doubts(
 
 
 def _missed(problem: TableProblem, plain: _Plain, noise: NoiseEstimate | None) -> dict[str, float]:
-    """Channels that the base model misses, with its misfit over their noise.
+    """Channels that the base model misses by more than chance (`MISSED`, `FOLLOWS`), with its
+    misfit over their noise.
 
-    A given noise is compared with the residuals. One that was estimated from them is compared with
-    the scatter about a smooth surface (F test), and it must not follow slip and load.
+    With a given noise the residuals are compared with it. An estimated noise has taken up the
+    misfit. So it is compared with the scatter about a smooth surface, `noise` (F test), where the
+    table was examined. The residuals must not follow slip and load either.
     """
     out = {}
     for name, fit in plain.fits.items():
         ratio = math.sqrt(float(np.nanmean(fit.residual**2)))
         if not fit.estimated:
-            if fit.p_value < 1e-3 / len(plain.fits):
+            if fit.p_value < MISSED / len(plain.fits):
                 out[name] = ratio
             continue
         j = MEASURED.index(name)
-        follows = _follows(problem.rows.slip, problem.rows.load, fit.residual)
+        follows = _follows_conditions(problem.rows.slip, problem.rows.load, fit.residual)
         if noise is not None and noise.origin[j]:
             scatter = noise.sd[j]
             more = (fit.noise / scatter) ** 2
-            freedom = problem.freedom[2 + j], min(noise.freedom[j], 1e6)
-            follows = follows or fdtrc(*freedom, more) < 5e-4
+            freedom = problem.freedom[2 + j], min(noise.freedom[j], _KNOWN_NOISE)
+            follows = follows or fdtrc(*freedom, more) < FOLLOWS
             ratio = fit.noise / scatter
         if follows:
             out[name] = ratio
@@ -504,13 +552,15 @@ def _missed(problem: TableProblem, plain: _Plain, noise: NoiseEstimate | None) -
 def _misfit(
     problem: TableProblem, plain: _Plain, missed: dict[str, float], law_error: float
 ) -> str:
-    """Say that the base model does not fit, and what the intervals then are; "" where it does."""
+    """Sentences that the base model does not fit, by how much it misses which channels, and what
+    the intervals then hold; "" where none is `missed`.
+    """
     if not missed:
         return ""
     sizes = " and ".join(
         f"{ratio:.2g} times the noise of {name.replace('_', ' ')}" for name, ratio in missed.items()
     )
-    exact = _exact(problem)
+    exact = _exact_conditions(problem)
     keys = " and ".join(f"noise.{name}" for name in exact)
     also = f" If {' and '.join(exact)} scatter, give {keys}." if exact else ""
     return (
@@ -522,8 +572,8 @@ def _misfit(
 
 
 def _not_modelled(problem: TableProblem) -> list[str]:
-    """Rows left out or taken otherwise than the table has them, and what of the rig the base model
-    lacks.
+    """Warnings on channels that were not measured, on rows that are left out or taken otherwise
+    than given, and on what of the rig the base model does not contain.
     """
     table = problem.table
     used = problem.use
@@ -567,20 +617,24 @@ def _not_modelled(problem: TableProblem) -> list[str]:
     return [words for true, words in told if true]
 
 
-def _follows(slip: np.ndarray, load: np.ndarray, residual: np.ndarray) -> bool:
-    """True if a smooth function of slip and load explains more of the residuals than chance does (F
-    test, 5e-4).
+def _follows_conditions(slip: np.ndarray, load: np.ndarray, residual: np.ndarray) -> bool:
+    """True if a smooth function of slip and load [N] explains more of the residuals [N] than chance
+    does (F test, `FOLLOWS`).
+
+    It has up to the second power of slip, the logarithm of the load and its product with slip.
+    False where residuals are hardly more than its terms.
     """
     kept = np.isfinite(residual)
     e = residual[kept]
     i = slip[kept]
     w = np.log(load[kept])
-    w = w - np.mean(w) if np.ptp(w) > 0.1 else np.zeros_like(w)  # else the same load throughout
+    # A table of one load has no terms of the load.
+    w = w - np.mean(w) if np.ptp(w) > SAME_LOG_LOAD else np.zeros_like(w)
     basis = np.stack([np.ones_like(i), i, i * i, w, i * w], axis=1)
     solution, _, rank, _ = np.linalg.lstsq(basis, e, rcond=1e-9)
     explained = np.sum((basis @ solution) ** 2)
     rest = np.sum((e - basis @ solution) ** 2)
     spare = e.size - rank
     return bool(
-        spare > 1 and fdtrc(rank, spare, explained / rank * spare / max(rest, 1e-300)) < 5e-4
+        spare > 1 and fdtrc(rank, spare, explained / rank * spare / max(rest, 1e-300)) < FOLLOWS
     )

@@ -47,16 +47,22 @@ _LEFT = 1e-3  # share of the variance that may be left out of a basis
 _NUGGET = 1e-9  # of the largest eigenvalue, below which a function is rounding
 #: Correlation length of a contribution of all conditions over that of one condition alone.
 _SHORTER = 3.0
-# By an error of size 1, that moves and spreads a parabola of stress as much:
+# An error of size 1 that changes along the arc moves and spreads a parabola of normal stress as
+# these do:
 _MOVED = 0.25  # shift of the stress peak [of the entry angle]
 _SPREAD = 0.32  # change of the sinkage exponent
 _MEAN_DEPTH = 0.75  # depth, over the sinkage, at which such a change leaves the pressure
-# At a slip of 0.3, an entry angle of 0.7 and K of a tenth of the radius:
+# The same for the shear stress, at a slip of 0.3, an entry angle of 0.7 and K of a tenth of the
+# radius:
 _TURNED = 2.6  # change of ln K that moves the resultant of the shear stress as much
 _STRONGER = 0.45  # relative change of the strength per ln K that keeps the mean shear stress
 #: Share of the largest variance, or of the noise, below which a direction does not count.
 _UNSEEN = 1e-10
 _STEP = 1e-3  # relative change of a stress, for differences
+_VARIES = 1e-6  # range of a coordinate from which its condition varies
+_LUG = 1e-3  # [m] added to the height of a lug: a smooth rim has a logarithm, too
+_LEAST_VALUE = 1e-6  # of any other condition in a logarithm; 0 is a speed that is not known
+_LEAST_SINKAGE = 1e-6  # [m] in a power
 
 #: Relative size alpha of the error of the stress laws, and its prior: a tenth for a law that is
 #: exact, else log-normal about 5 %, 1 to 25 % within two standard deviations. Fits of Bekker's and
@@ -81,15 +87,15 @@ class Process:
     of a table.
 
     Its covariance is exp(-d^2/2), d the distance in correlation lengths. Where it is `additive`,
-    half of the variance goes with all conditions together, over these lengths, and half with each
-    on its own, over a third of them.
+    half of the variance goes with all conditions together, over these lengths. The other half goes
+    with each condition on its own, over lengths that are `_SHORTER` times shorter.
     """
 
-    names: tuple[str, ...]
-    lengths: np.ndarray  # [d]
+    names: tuple[str, ...]  # of the coordinates
+    lengths: np.ndarray  # [d] correlation lengths
     additive: bool
-    points: np.ndarray  # [P, d]
-    weights: np.ndarray  # [P, R]
+    points: np.ndarray  # [P, d] coordinates of the rows of the table
+    weights: np.ndarray  # [P, R] of the covariance with the points, in each function
 
     @classmethod
     def over(
@@ -101,11 +107,14 @@ class Process:
         most: int = 40,
         lengths: Mapping[str, float] = LENGTHS,
     ) -> "Process":
-        """The process over those of the conditions [N] that vary, with at most `most` functions;
-        `of` None: of all.
+        """The process over the coordinates in `lengths` (and in `of`, unless None) whose condition
+        varies.
+
+        It has so many functions that at most `_LEFT` of the variance is left out, but no more than
+        `most`.
         """
         known = [n for n in lengths if _condition(n) in conditions and (of is None or n in of)]
-        names = tuple(n for n in known if np.ptp(coordinate(n, conditions)) > 1e-6)
+        names = tuple(n for n in known if np.ptp(coordinate(n, conditions)) > _VARIES)
         points = coordinates(conditions, names)
         empty = cls(
             names, np.array([lengths[n] for n in names]), additive, points, np.zeros((0, 0))
@@ -122,7 +131,7 @@ class Process:
         return replace(empty, weights=vectors[:, :keep] / np.sqrt(values[:keep]))
 
     def _covariance(self, x: np.ndarray) -> np.ndarray:
-        """[N, P] with the points of the table."""
+        """Covariance [N, P] of coordinates x [N, d] with the points of the table."""
         square = ((x[:, None, :] - self.points[None, :, :]) / self.lengths) ** 2
         common = np.exp(-0.5 * square.sum(axis=2))
         if self.additive and self.names:
@@ -130,38 +139,46 @@ class Process:
         return common
 
     def at(self, conditions: Conditions) -> np.ndarray:
-        """[N, R] of the functions at conditions [N]."""
+        """Values [N, R] of the functions at conditions [N]."""
         return self._covariance(coordinates(conditions, self.names)) @ self.weights
 
     @cached_property
     def at_points(self) -> np.ndarray:
-        """[P, R] of the functions at the rows of the table."""
+        """Values [P, R] of the functions at the rows of the table."""
         return self._covariance(self.points) @ self.weights
 
     def left(self, conditions: Conditions) -> np.ndarray:
-        """[N] share of the variance at conditions [N] that the functions do not have: 1 far from
-        the table.
+        """Share [N] of the variance at conditions [N] that the functions lack: 1 far from the
+        table.
         """
         return np.clip(1.0 - np.sum(self.at(conditions) ** 2, axis=1), 0.0, 1.0)
 
 
 def _condition(name: str) -> str:
-    """Name of the condition of a coordinate."""
+    """Name of the condition that a coordinate is a function of."""
     return "slip" if name == "log_slip" else name
 
 
 def coordinate(name: str, conditions: Conditions) -> np.ndarray:
-    """[N] of a coordinate in which processes are stationary."""
+    """A coordinate [N] of conditions [N], in which processes are stationary.
+
+    It is the logarithm of those in `LOGARITHMIC`, that of the lug height with `_LUG` added.
+    `log_slip` is a function of the slip (`LAW_LENGTHS`). All others are the condition itself.
+    """
     value = conditions[_condition(name)]
     if name == "log_slip":
         return np.copysign(np.log1p(np.abs(value) / LITTLE_SLIP), value)
     if name not in LOGARITHMIC:
         return value
-    return np.log(value + 1e-3) if name == "grouser_height" else np.log(np.maximum(value, 1e-6))
+    return (
+        np.log(value + _LUG)
+        if name == "grouser_height"
+        else np.log(np.maximum(value, _LEAST_VALUE))
+    )
 
 
 def coordinates(conditions: Conditions, names: tuple[str, ...]) -> np.ndarray:
-    """[N, d] of the coordinates by name in which processes are stationary."""
+    """The coordinates [N, d] with these names, each as `coordinate`; [N, 0] without names."""
     size = np.size(next(iter(conditions.values())))
     return (
         np.stack([coordinate(n, conditions) for n in names], axis=1)
@@ -171,27 +188,29 @@ def coordinates(conditions: Conditions, names: tuple[str, ...]) -> np.ndarray:
 
 
 def finite(values: np.ndarray) -> np.ndarray:
-    """The values, 0 where a model has none."""
+    """The values, but 0 where they are not finite: there the model that gave them has none."""
     return np.where(np.isfinite(values), values, 0.0)
 
 
-Compression = tuple[np.ndarray, np.ndarray]
+Compression = tuple[np.ndarray, np.ndarray]  # (U, share) of `compressed`
 
 
 class StressChange(NamedTuple):
-    """Soil parameters in place of others, and what is added to effects, under which a stress is
-    another.
+    """A change of a stress, written as soil parameters that replace those of the soil, and as
+    amounts that are added to parameters of effects.
     """
 
-    soil: dict[str, float]
-    effects: dict[str, float]
+    soil: dict[str, float]  # by the names of a setup
+    effects: dict[str, float]  # by the fields of `Effects`
 
 
 def by_stresses(
     outcome: Callable[[StressChange], np.ndarray], soil: Mapping[str, float], sinkage: float
 ) -> list[np.ndarray]:
-    """[N, 3] relative change of the `outcome` by each of the `stress_changes`; 0 where it has no
-    value.
+    """Derivatives [N, 3] of the `outcome` by the relative size of each of the `stress_changes`; 0
+    where it has no value.
+
+    `outcome`: values [N, 3] under a change. `sinkage` [m]: a typical one.
     """
     base = outcome(StressChange({}, {}))
     changes = stress_changes(soil, _STEP, sinkage)
@@ -199,17 +218,18 @@ def by_stresses(
 
 
 def stress_changes(soil: Mapping[str, float], h: float, sinkage: float) -> tuple[StressChange, ...]:
-    """Changes of the stresses by a form error of the relative size h; `sinkage` [m], a typical one.
+    """Changes of the stresses by a form error of the relative size h, each for itself; `sinkage`
+    [m], a typical one.
 
     The normal stress can be larger all along the arc; so can the shear stress. Where the error of
-    the normal stress changes along the arc, the stress moves and is more or less concentrated. Both
-    are as large as an error correlated over half of the arc makes them of a parabola of stress.
+    the normal stress changes along the arc, the stress moves and is more or less concentrated. An
+    error of a parabola of stress that is correlated over half of the arc sets the size of both.
     They are written as a shift of the peak and as a change of the sinkage exponent at the same mean
     pressure. The resultant of the shear stress moves as well, written as a change of the shear
     deformation modulus at about the same mean shear stress.
     """
     more = _SPREAD * h
-    depth = _MEAN_DEPTH * max(sinkage, 1e-6)
+    depth = _MEAN_DEPTH * max(sinkage, _LEAST_SINKAGE)
     flatter = {
         "sinkage_exponent": soil["sinkage_exponent"] + more,
         "sinkage_coefficient": soil["sinkage_coefficient"] * depth**-more,
@@ -246,7 +266,7 @@ def compressed(columns: np.ndarray) -> Compression:
 
 
 def whitened(compression: Compression | None, v: np.ndarray) -> np.ndarray:
-    """C^-1/2 v of `compressed`; v [M] or [M, B]."""
+    """C^-1/2 v with the `compressed` covariance C, v [M] or [M, B]; v itself for None (C = I)."""
     if compression is None:
         return v
     u, share = compression
@@ -254,20 +274,18 @@ def whitened(compression: Compression | None, v: np.ndarray) -> np.ndarray:
 
 
 class NormalEquations(NamedTuple):
-    """Products of a whitened linear problem: A'A and A'e of A = (Jacobian, form errors), e'e,
-    columns of each part.
-    """
+    """Products of a whitened linear problem: residuals e [M], A = (Jacobian, form errors)."""
 
-    gram: np.ndarray
-    along: np.ndarray
-    square: float
-    width: tuple[int, ...]
+    gram: np.ndarray  # A'A
+    along: np.ndarray  # A'e
+    square: float  # e'e
+    width: tuple[int, ...]  # columns of the Jacobian, and of each form error
 
     @classmethod
     def of(
         cls, jacobian: np.ndarray, errors: Sequence[np.ndarray], residual: np.ndarray
     ) -> "NormalEquations":
-        """Those of residual [M], jacobian [M, p] and K form errors [M, R] at the size 1."""
+        """The products for residual [M], jacobian [M, p] and K form errors [M, R] of size 1."""
         # What counts of an error B is B B': no more columns than values.
         errors = [qr(b.T, mode="r")[0].T if b.shape[1] > len(b) else b for b in errors]
         a = np.concatenate([jacobian, *errors], axis=1)
@@ -275,8 +293,8 @@ class NormalEquations(NamedTuple):
         return cls(a.T @ a, a.T @ residual, float(residual @ residual), width)
 
     def where(self, used: np.ndarray, noise: float) -> "NormalEquations":
-        """Those of the form errors that are `used` [K], under a noise relative to that of the
-        problem.
+        """The products with the form errors `used` [K, bool] alone, if all noise were `noise` times
+        as large.
         """
         width = tuple(w for w, some in zip(self.width, (True, *used), strict=True) if some)
         at = np.flatnonzero(np.repeat((True, *used), self.width))
@@ -293,15 +311,16 @@ def marginals(
     problem: NormalEquations, sizes: np.ndarray, u: np.ndarray, first: int = 0, noise: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(log evidence [S], mean [S, p], covariance [S, p, p] of the unknowns) under each row of sizes
-    [S, K].
+    [S, K] of the K form errors.
 
-    The problem is linear about u [p], whose unit priors are about 0; `noise` is relative to its
-    own. With A the Jacobian and the form errors, and D their sizes,
+    The problem is linear about u [p]; the priors of the unknowns are N(0, 1). `noise` multiplies
+    the noise of the problem. With A the Jacobian and the form errors, and D their sizes (1 for the
+    Jacobian),
 
         ln p = -(e'e + |u|^2 - h'N^-1 h)/2 - ln|N|/2,    N = I + D A'A D,    h = D A'e - u.
 
-    The unknowns and the `first` form errors are eliminated once for all rows that have the same
-    sizes of these.
+    To save time, the unknowns and the form errors up to number `first` are eliminated once for all
+    rows that have the same sizes of these.
     """
     used = np.any(sizes != 0.0, axis=0)
     used[:first] = True
@@ -314,14 +333,16 @@ def marginals(
     mean = np.empty((len(sizes), p))
     covariance = np.empty((len(sizes), p, p))
     scales = np.repeat(np.column_stack([np.ones(len(sizes)), sizes]), width, axis=1)
+    # Columns of the unknowns and the `first` form errors; of the rest, the form error of each.
     outer = np.arange(sum(width[: 1 + first]))
     place = np.repeat(np.arange(len(width) - 1), width[1:]) - first
     place = place[place >= 0]
     for rows in _alike(sizes[:, :first]):
+        # N of the outer columns, the same for all these rows.
         d = scales[rows[0], outer]
         kept = outer[d > 0.0]
         d = d[d > 0.0]
-        factor = _factor(d[:, None] * gram[np.ix_(kept, kept)] * d)
+        factor = _cholesky(d[:, None] * gram[np.ix_(kept, kept)] * d)
         cross = d[:, None] * gram[kept, outer.size :]
         right = np.column_stack([d * along[kept] - start[kept], np.eye(d.size, p), cross])
         half = _solved(factor, right)
@@ -334,6 +355,7 @@ def marginals(
         pulls = np.column_stack([along[outer.size :] - rest.T @ of_data, rest.T @ of_unknowns])
         there = sizes[rows, first:] > 0.0
         for alike in _alike(there):
+            # The rest of N after the outer columns are eliminated (Schur complement).
             some = there[alike[0]]
             seen = np.flatnonzero(some[place])
             column = outer.size + seen
@@ -354,7 +376,7 @@ def marginals(
                 continue
             for row in these:
                 d = scales[row, column]
-                factor = _factor(d[:, None] * normal * d)
+                factor = _cholesky(d[:, None] * normal * d)
                 half = _solved(factor, d[:, None] * pull)
                 moved = half.T @ half
                 log[row] = base + 0.5 * moved[0, 0] - np.sum(np.log(np.diag(factor)))
@@ -371,7 +393,7 @@ def _alike(rows: np.ndarray) -> list[np.ndarray]:
     return [np.array(numbers) for numbers in found.values()]
 
 
-def _factor(normal: np.ndarray) -> np.ndarray:
+def _cholesky(normal: np.ndarray) -> np.ndarray:
     """Lower Cholesky factor of N = I + `normal` [R, R], which is overwritten by N; the upper
     triangle of the factor is not cleaned.
 
@@ -398,8 +420,8 @@ def _solved(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
 def mixed(
     share: np.ndarray, mean: np.ndarray, covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(mean [p], covariance [p, p]) of normal distributions that have the probabilities `share`
-    [S].
+    """(mean [p], covariance [p, p]) of a mixture of normal distributions with probabilities `share`
+    [S], means [S, p] and covariances [S, p, p].
     """
     centre = share @ mean
     off = mean - centre

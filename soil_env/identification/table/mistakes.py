@@ -43,23 +43,30 @@ from .problem import COARSE, TableProblem
 GRAVITY = 9.81  # [m/s2]
 UNUSUAL = math.log(1e-3)  # log of the prior probability of a mistake of one kind
 SURE = 8.5  # log of the evidence for another reading, from which it is told
-MAYBE = 4.5  # the same, from which it is mentioned as one that could be meant
+MAYBE = 4.5  # log of the evidence, from which another reading is mentioned as a possible one
 #: Times smaller that the mean square above the noise gets under a reading that is told.
 BETTER = 1.5
 CORRECTIONS = 4  # of slip and load that have noise, and fits in turn
 FEWEST_ROWS = 3  # that have to agree against a wrong one
-SMALL = 8  # rows of a table, each of which is looked at
-SHARED = 0.5  # of its deviation, from which what rows next to it share is no mistake of one row
+SMALL = 8  # rows up to which a table is small: every row is tried as the wrong one
+CANDIDATES = 2  # rows of a larger table that are tried, those furthest off a robust fit; own choice
+SHARED = 0.5  # share of a row's deviation, from which rows beside it that have it excuse the row
 MOST_WRONG = 0.04  # share of the rows that may be wrong, but one may always be
-ALIKE = 1.5  # times the least load of rows, up to which their loads are alike
-APART = 5.0  # times these, from which a load stands alone
-LONE = 1.0  # ranges of the others, by which a value that is told first leaves them
+ALIKE = 1.5  # largest over least load of rows whose loads are alike
+APART = 5.0  # ratio of a load to the nearest of these, from which it stands alone
+LONE = 1.0  # ranges of the other values, by which an outlier that is told first is off all of them
 CLEAR = 3.0  # [noise and law error] within which a row fits with another load or slip
 WRONG = 4.0  # [noise and law error] from which a row is wrong
-GROSS = 6.0  # the same in a small table whose noise is not known
-LAW_ERROR = 0.1  # relative, for the same
+GROSS = 6.0  # [noise and law error] from which it is in a small table whose noise is not known
+LAW_ERROR = 0.1  # relative error of the laws in `CLEAR`, `WRONG` and `GROSS`
 NO_VALUE = 1e3  # [noise and law error] residual where the model has no value
 ROUGH = 0.05  # of the spread of a channel: its noise where none is known yet
+LEAST_SD = 1e-12  # [unit of the channel] of this noise, since it divides
+# In place of a wrong load or slip others are tried: least, largest, number. Own choices.
+LOADS_TRIED = (0.01, 100.0, 401)  # over the load in the table
+SLIPS_TRIED = (-0.95, 0.95, 191)
+LEAST_RADIUS = 0.01  # [m] of a wheel in a setup: none is halved below it
+CERTAIN = 0.999  # probability from which words give no number
 #: Student's t of the logarithms of a rise over the load and of pull over torque/radius: of 2000
 #: tables of `benchmarks.sound_tables` (seed 5001).
 FREEDOM = np.array([5.0, 1.5])
@@ -72,36 +79,41 @@ HELD_SD = 0.056
 LESS_FREEDOM = 8.0
 MORE_FREEDOM = 2.0
 ALONE = 4.5  # log of the evidence by rises, from which a reading is told whatever the model says
-#: The same, from which a reading of enough evidence is told though it misses the table by more
-#: noise, which an effect that is missing can do.
+#: Log of the evidence by rises, from which a reading of enough evidence is told although it misses
+#: the table by more noise. An effect that is missing can do that.
 WITH = 3.0
-UNLIKE = -2.5  # the same, below which it is none
-FALLS = 0.8  # share of the groups of rows in which the drawbar pull falls with slip
-LOW_SLIP = 0.2  # slip below which a group must begin for a fall to say anything
+UNLIKE = -2.5  # log of the evidence by rises, below which a reading is out of the question
+FALLS = 0.8  # share of the groups of rows in which the pull has to fall with slip to be doubted
+FALL_SD = 3.0  # [noise] by which the pull of a group has to fall; own choice
+LOW_SLIP = 0.2  # slip up to which a group must begin for a rise or fall to say anything
+LOWEST_SLIP = -0.05  # slip from which it must begin, so that it is not of a braked wheel
 LEAST_SPAN = 0.15  # of the slips of a group, for the same
-#: Share of the load, largest in a table, below which a force is in another unit: rolling takes
-#: more.
+FEWEST_VALUES = 4  # of a channel, from which it can be found constant or too weak
+#: Largest force of a table over the load, below which its unit is another: rolling takes more.
 WEAK = 2e-3
 LEVEL = 0.02  # sine of the grade below which the weight neither takes nor gives power
-GAINED = 1.1  # times the power or force at the axle, from which more is no error of a gain
-SURE_GAIN = 3.0  # [noise] beyond which it is no noise
-BROAD = 3.0  # spreads of a channel within which a wrong value may be anywhere
+GAINED = 1.1  # times the power or force at the axle, beyond which no error of a gain explains it
+SURE_GAIN = 3.0  # [noise] by which power or force must also exceed that at the axle
+BROAD = 3.0  # times the largest value of a channel, within which a wrong one may be anywhere
 
 
 class Reading(NamedTuple):
     """The table read otherwise."""
 
-    name: str
+    name: str  # "" for the table as it is
     words: str  # "With ...", in a sentence
-    remedy: str
+    remedy: str  # what was expected in the table
     table: Table
     setup: Setup
-    scale: np.ndarray  # [3] of the channels
-    source: tuple[int, ...] = (0, 1, 2)  # channel of the table of each
+    scale: np.ndarray  # [3] size of the channels over that in the table as it is
+    source: tuple[int, ...] = (0, 1, 2)  # channel of the table as it is, from which each is taken
 
 
 def readings(table: Table, setup: Setup) -> list[Reading]:
-    """Every reading of the table that is tried."""
+    """Every other reading of the table that is tried.
+
+    A reading is left out where the table cannot show it, or where it would be impossible.
+    """
     out = []
     known: dict[str, bool] = {
         name: bool(np.any(np.isfinite(getattr(table, name)))) for name in CHANNELS
@@ -116,6 +128,10 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
         there: Setup = setup,
         **columns,
     ) -> None:
+        """Add a reading with other `columns` and the setup `there`; `scale`, `source`: `Reading`.
+
+        Noise of single rows is scaled, too.
+        """
         for channel, factor in zip(CHANNELS, scale, strict=True):
             columns[f"{channel}_sd"] = factor * getattr(table, f"{channel}_sd")
         otherwise = dataclasses.replace(table, **columns)
@@ -174,7 +190,7 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
                 slip=1.0 - table.slip,
             )
     half = 0.5 * setup.wheel.radius
-    if not np.any(np.isfinite(table.wheel_radius)) and half >= 0.01:
+    if not np.any(np.isfinite(table.wheel_radius)) and half >= LEAST_RADIUS:
         if not np.any(table.sinkage > half) and (setup.wheel.grouser_height or 0.0) < half:
             wheel = dataclasses.replace(setup.wheel, radius=half)
             add(
@@ -188,29 +204,33 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """A reading, fitted."""
+    """A reading of the table and its most probable soil u."""
 
     reading: Reading
     problem: TableProblem
     u: np.ndarray
-    cost: float  # squares of residuals and unknowns
-    rms: float  # [noise]
+    cost: float  # sum of the squares of residuals over their noise, and of u
+    rms: float  # root mean square of these residuals
 
     @cached_property
     def evidence(self) -> float:
-        """Logarithm of the evidence."""
+        """Logarithm of the evidence over all sizes of the laws' error."""
         return float(logsumexp(self.problem.evidence(self.u)[0]))
 
 
 def _plain(table: Table, setup: Setup) -> Reading:
+    """The table read as it is."""
     return Reading("", "", "", table, setup, np.ones(3))
 
 
 def _problem(
     reading: Reading, sd: np.ndarray, used: np.ndarray | None, scarce: bool = True
 ) -> TableProblem:
-    """The reading under a noise [3] of the channels, of the values `used` [N, 3]; fewer values than
-    unknowns are refused unless `scarce`: the priors are enough to compare readings and rows.
+    """The least-squares problem of a reading, with the noise `sd` [3] and the values `used` [N, 3]
+    (None: all) of the channels of the table as it is.
+
+    Fewer values than unknowns are refused unless `scarce`: the priors are enough to compare
+    readings and rows.
     """
     there = reading.table
     order = list(reading.source)
@@ -238,7 +258,11 @@ def _fit(
     start: np.ndarray | None = None,
     search: bool = False,
 ) -> _Fit:
-    """The reading, fitted from `start` or the prior mean, or by a search."""
+    """Fit of a reading under noise alone, from `start`, from the prior mean, or by a `search` from
+    several starts.
+
+    `sd` and `used` as in `_problem`. Slip and load that have noise are corrected between fits.
+    """
     problem = _problem(reading, sd, used)
     u = np.zeros(len(problem.unknowns)) if start is None else start
     if search:
@@ -251,11 +275,14 @@ def _fit(
 
 
 def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
-    """Noise about the surface of a fit, read as the table is; a rough one where the values do not
-    show it.
+    """Noise of the channels of the table as it is, about the surface of the `fit` of any reading.
+
+    For the table as it is, given noise of slip and load widens what is no outlier, but not the
+    noise. Where the values do not show their noise it is `_rough`, and all values are used.
     """
 
     def surface(rows: Rows) -> np.ndarray:
+        """Values [N, 3] of the fit in units, signs and columns of the table as it is."""
         model = np.zeros_like(data.y)
         found = fit.problem.steady(fit.u, rows) / fit.reading.scale
         model[:, list(fit.reading.source)] = finite(found)
@@ -266,7 +293,7 @@ def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
     model = surface(fit.problem.rows)
     try:
         found = find_noise(data, model)
-        if fit.reading.name:  # its slip may be another
+        if fit.reading.name:  # its slip may differ from that of the data
             return found
         wide = with_noise_of_conditions(data, surface)[0]
         return (
@@ -278,7 +305,9 @@ def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
 
 
 def _rough(data: Data, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
-    """[3] noise of the channels before it is known, of some `rows` [N] or of all."""
+    """[3] noise of the channels before any fit: as given, else `ROUGH` of the sd of the values in
+    `rows` (all by default).
+    """
     out = np.full(len(CHANNELS), ROUGH)
     for j, name in enumerate(CHANNELS):
         known = data.table.channel_sd(data.setup, name)
@@ -287,22 +316,26 @@ def _rough(data: Data, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
         if known is not None:
             out[j] = known
         elif y.size:
-            out[j] = max(ROUGH * float(np.std(y)), 1e-12)
+            out[j] = max(ROUGH * float(np.std(y)), LEAST_SD)
     return out
 
 
 class Better(NamedTuple):
-    """A reading that explains the table better."""
+    """A reading compared with the table as it is."""
 
     reading: Reading
-    gain: float  # of the logarithm of the evidence
-    rms: float
-    rms_before: float
-    by_rises: float = 0.0  # share of the gain that is not the model's
+    gain: float  # log evidence over that of the table as it is, by model, rises and resistance
+    rms: float  # [noise] of the fit of the reading
+    rms_before: float  # [noise] of the fit of the table as it is
+    by_rises: float = 0.0  # part of the gain, from the rises of the forces with slip
 
     @property
     def sure(self) -> bool:
-        """True if it is to be told."""
+        """True if the reading is to be told.
+
+        Rises of `ALONE` are enough. Else the gain must be `SURE`, and the base model must fit
+        better: by `BETTER`, or at all where rises speak for it. Rises of `WITH` make up for that.
+        """
         fits = self.rms < self.rms_before and (
             self.by_rises > 0.0 or BETTER * (self.rms**2 - 1.0) < self.rms_before**2 - 1.0
         )
@@ -328,11 +361,17 @@ class _AsIs(NamedTuple):
 
     @property
     def suspect(self) -> bool:
-        """True if another reading could be better by `SURE`."""
+        """True if the fit misses the table by more than noise, so that another reading or a wrong
+        row may be sought.
+
+        Noise alone costs about 1 for each measured value, and the log evidence falls by half the
+        cost. So a reading that leaves only noise would gain `SURE`.
+        """
         return self.fit.cost - int(self.fit.problem.measured.sum()) > 2.0 * SURE
 
 
 def _as_is(data: Data) -> _AsIs:
+    """The table as it is: fitted under a rough noise, then under the noise about that fit."""
     plain = _plain(data.table, data.setup)
     rough = _fit(plain, _rough(data))
     noise = _noise(data, rough)
@@ -340,8 +379,11 @@ def _as_is(data: Data) -> _AsIs:
 
 
 def _other_readings(start: _AsIs) -> list[Better]:
-    """The readings by their gain, the best first; none where the table as it is leaves nothing to
-    gain.
+    """The other readings, that with the largest gain first; none where the table is not `suspect`
+    and the rises of its forces speak for no reading (`ALONE`).
+
+    All are fitted under one noise: the smallest about the surface of any reading, as a wrong one
+    leaves more about its own. If a reading may be better, the table as it is gets a fit by search.
     """
     data, noise, first = start
     plain = first.reading
@@ -370,8 +412,11 @@ def _other_readings(start: _AsIs) -> list[Better]:
 
 
 def _rises(data: Data, noise: NoiseEstimate) -> np.ndarray:
-    """[2] change with slip of pull and torque/radius over the load, in the middle of the groups;
-    negative where they fall, nan where not known.
+    """[2] change with slip of pull and torque/radius over the load, the median of the groups that
+    begin at low slip.
+
+    Its size is the range within a group, its sign that of the last row less the first. nan where
+    a force was not measured, does not change, or no group begins at low slip.
     """
     forces = data.y[:, 1:] / data.rows.load[:, None]
     forces[:, 1] /= data.rows.wheels[:, 0]
@@ -383,8 +428,10 @@ def _rises(data: Data, noise: NoiseEstimate) -> np.ndarray:
 
 
 def _by_rises(rises: np.ndarray, data: Data, other: Reading) -> float:
-    """Gain of the logarithm of the evidence by the rises of the forces; -inf where these
-    contradict it, as a turned sign where the pull rises.
+    """Gain of the log evidence of a reading by the `rises` of the table as it is; 0 if unknown.
+
+    -inf where they contradict the reading: below `UNLIKE`, or a sign is turned although the pull
+    rises.
     """
     scale = other.scale[1:] * data.table.load[0] / other.table.load[0]
     scale[1] *= data.setup.wheel.radius / other.setup.wheel.radius
@@ -394,18 +441,24 @@ def _by_rises(rises: np.ndarray, data: Data, other: Reading) -> float:
 
 
 def _of_soils(rises: np.ndarray) -> float:
-    """Logarithm of the probability of the `rises` [2], but for a constant."""
+    """Logarithm of the probability density of the `rises` [2] on soils, but for a constant; signs
+    do not count, nor does what is nan.
+
+    The rise over the load (of the pull, else of torque/radius) and the ratio of the two are
+    independent (`CENTRE`).
+    """
     pull, torque = np.log(np.abs(rises))
     off = (np.array([torque if math.isnan(pull) else pull, pull - torque]) - CENTRE) / SCALE
     return -0.5 * float(np.nansum((FREEDOM + 1.0) * np.log1p(off**2 / FREEDOM)))
 
 
 def _by_resistance(data: Data, noise: NoiseEstimate, reading: Reading) -> float:
-    """Logarithm of the probability, but for a constant, of what soil holds the wheel back by as the
-    table is read; 0 where it has not all three channels.
+    """Logarithm of the probability, but for a constant, of the resistance to the wheel under a
+    reading, as the median of rows with all three channels beyond `LOW_SLIP`.
 
-    The vertical stress over the arc of contact holds back with about W/2 times the sine of its
-    entry, sqrt(2 z/r): torque/radius less the pull is that share of the load, at any slip.
+    Resistance is torque/radius less the pull, at any slip. The vertical stress over the arc of
+    contact makes it about W/2 times the sine sqrt(2 z/r) of the entry angle. 0 for less than
+    `FEWEST_ROWS` such rows on the level, and for readings under which other rows are driven.
     """
     table = reading.table
     radius = table.radius(reading.setup.wheel)
@@ -421,7 +474,7 @@ def _by_resistance(data: Data, noise: NoiseEstimate, reading: Reading) -> float:
 
 
 class Examined(NamedTuple):
-    """A table that was examined."""
+    """What `examine` found in a table."""
 
     table: Table  # without wrong rows
     said: tuple[str, ...] = ()  # what to check first; none as a rule
@@ -433,7 +486,9 @@ class Examined(NamedTuple):
 
     @contextmanager
     def named_first(self) -> Iterator[None]:
-        """Put the rows that were left out before a refusal of the rest."""
+        """Within this context a `ParameterError` about the rest names the rows and values left out
+        first.
+        """
         try:
             yield
         except ParameterError as error:
@@ -449,8 +504,10 @@ class Examined(NamedTuple):
 def examine(table: Table, setup: Setup) -> Examined:
     """Doubts about a table, most certain first, and the table without the rows that are wrong.
 
-    Raises `ParameterError` where the table cannot be right: it is far better read otherwise, and as
-    it is it breaks a physical limit.
+    A column that is dead or in another unit ends the examination: rows and readings are not sought
+    then. Loads are doubted by `load_doubt` only if nothing else was found. Raises `ParameterError`
+    where the table cannot be right (`_readings_doubted`), and for what `prepare` refuses, too
+    little noise or too few values.
     """
     data = prepare(table, setup)
     given_noise(data)  # refuses one that leaves no digits
@@ -470,9 +527,13 @@ def examine(table: Table, setup: Setup) -> Examined:
 
 
 def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
-    """A doubt where another reading explains the table far better, or where the pull falls with
-    slip and fits no worse with its sign turned; and a caution where one explains it a little
-    better.
+    """([doubt] or [], cautions): what is told of other readings, in sentences.
+
+    The best of the `sure` readings is a doubt, with those nearly as good. `ParameterError` if the
+    table also breaks a physical limit that goes with this reading. Without a sure reading the first
+    limit that is broken is a doubt: the pull falls with slip while its turned sign fits no worse,
+    the wheel gains power, or it pulls with more than its torque. The best reading with a gain of
+    `MAYBE` and a better fit is a caution then.
     """
     others = _other_readings(start)
     possible = [b for b in others if b.gain > MAYBE and b.rms < b.rms_before]
@@ -507,17 +568,20 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
 
 
 def _sure(gain: float) -> str:
-    """Probability of a mistake in words, from the gain of the evidence."""
+    """Probability of a mistake in words, from its gain of log evidence and its prior `UNUSUAL`."""
     probability = expit(gain + UNUSUAL)
     return (
         "probability above 99.9 %"
-        if probability > 0.999
+        if probability > CERTAIN
         else f"probability {100.0 * probability:.3g} %"
     )
 
 
 def _without_wrong_rows(start: _AsIs) -> tuple[_AsIs, list[str]]:
-    """The table without rows that contradict all others, and what is said of these."""
+    """(table without the rows that contradict all others, a sentence on each).
+
+    They are left out one by one, up to `MOST_WRONG` of the rows.
+    """
     said = []
     for _ in range(max(1, int(MOST_WRONG * len(start.data.table)))):
         found = _wrong_row(start)
@@ -529,11 +593,16 @@ def _without_wrong_rows(start: _AsIs) -> tuple[_AsIs, list[str]]:
 
 
 def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
-    """The table without the row whose loss helps the fit most, and words on it, if the others then
-    agree.
+    """(table without the wrong row, a sentence on it), None where no row is found wrong.
+
+    The row is that without which the others fit best. Tried are all rows of a `SMALL` table, else
+    the `CANDIDATES` furthest off and those at the ends of slip and load. The row is kept if others
+    at its slip share the deviation, if the trend of its neighbours leads to it, or if the evidence
+    is too little (`_words_on`). A table that is not `suspect` is searched only if its noise was
+    taken from the scatter: a wrong row is in that noise.
     """
     data, noise, fit = start
-    hidden = "scatter" in noise.origin or not any(noise.origin)  # a wrong row is in the noise too
+    hidden = "scatter" in noise.origin or not any(noise.origin)  # noise that a wrong row enlarges
     if len(data.table) <= FEWEST_ROWS or not (start.suspect or hidden):
         return None
     problem = fit.problem
@@ -547,11 +616,11 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
     rows = np.arange(len(slip))
     sd = noise.sd
     if hidden:
-        # That of the values without a wrong one, whichever it is.
+        # The least rough noise without any one row: without the wrong one, whichever it is.
         sd = np.min([sd, *(_rough(data, rows != row) for row in rows)], axis=0)
 
     def left(row: int) -> float:
-        """Mean cost of a value without the row."""
+        """Cost of the fit to all other rows, over the number of their values; inf if too few."""
         there = _plain(data.table.only(rows != row), data.setup)
         try:
             found = _fit(there, sd, np.delete(data.measured, row, axis=0))
@@ -559,7 +628,7 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
             return math.inf
         return found.cost / int(found.problem.measured.sum())
 
-    few = rows if len(rows) <= SMALL else np.argsort(-square)[:2]
+    few = rows if len(rows) <= SMALL else np.argsort(-square)[:CANDIDATES]
     worst = min({int(k) for k in (*few, *ends)}, key=left)
     kept = rows != worst
     # A deviation that the others at its slip share is no mistake of one row.
@@ -584,8 +653,11 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
 
 
 def _goes_on(data: Data, row: int, rest: _AsIs) -> bool:
-    """True if the line through the two rows next to it in slip leads to a row that is off the fit
-    to the others: the model misses what grows with slip.
+    """True if a row goes on the trend of the two rows of its group that are next in slip.
+
+    Its distance from the line through these is less than `SHARED` of its distance from the fit
+    `rest` to all others, in the channel where that is largest. Then the row is not wrong: the model
+    misses what grows with slip.
     """
     (group,) = (rows for rows in data.groups if row in rows)
     model = rest.fit.problem.steady(rest.fit.u, data.rows)[row]
@@ -604,9 +676,13 @@ def _goes_on(data: Data, row: int, rest: _AsIs) -> bool:
 
 
 def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, least: float) -> str:
-    """Words on a wrong row: which of its cells is wrong by the fit to the other rows; "" where it
-    is off them by less than `least` [noise and law error], or the `gain` of the others' evidence
-    without it does not pay for what is wrong: a value that may be anywhere, or all of them.
+    """Sentence on a wrong row and on which of its cells to check, by the fit to the `others`; "" if
+    the row is not sure to be wrong.
+
+    Sure is a distance of `least` [noise and law error] and a `gain` of `SURE`, of the evidence of
+    the other rows without it. From the gain is taken what a wrong row costs: a value, or all
+    of them, may be anywhere. To check is the only value that is off, else the load or slip with
+    which all values fit, else everything.
     """
     table = data.table
     here = Rows(*(column[row : row + 1] for column in data.rows))
@@ -618,7 +694,9 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
     spread = BROAD * np.max(np.abs(np.nan_to_num(data.y)), axis=0)[known]
 
     def residuals(name: str, values: np.ndarray) -> np.ndarray:
-        """[G, M] of the row at other values of slip or load."""
+        """[G, M] residuals of the row's M values [noise and law error], with each of the G `values`
+        in place of its slip or load.
+        """
         many = Rows(*(np.repeat(column, values.size, axis=0) for column in here))
         out = others.problem.steady(others.u, many._replace(**{name: values}))[:, known]
         return np.where(np.isfinite(out), (y - out) / allowed, NO_VALUE)
@@ -627,13 +705,13 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
     if np.max(off) < least:
         return ""
     grids = {
-        "load": here.load[0] * np.geomspace(0.01, 100.0, 401),
-        "slip": np.linspace(-0.95, 0.95, 191),
+        "load": here.load[0] * np.geomspace(*LOADS_TRIED),
+        "slip": np.linspace(*SLIPS_TRIED),
     }
     fits = {name: np.sqrt(np.mean(residuals(name, x) ** 2, axis=1)) for name, x in grids.items()}
     best = min(fits, key=lambda name: float(np.min(fits[name])))
     names = np.array(CHANNELS)[known]
-    free = np.ones(len(names), dtype=bool)  # of the values, by what is wrong
+    free = np.ones(len(names), dtype=bool)  # values that may be anywhere
     if len(names) > 2 and np.sum(off > CLEAR) == 1:
         name = names[int(np.argmax(off))]
         check = f"check {name} = {getattr(table, name)[row]:g} there."
@@ -661,8 +739,8 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
 
 
 def _outliers(data: Data, noise: NoiseEstimate) -> tuple[list[str], list[str]]:
-    """Words on the values that leave the surface through the others, and on those among them that
-    are to be checked first.
+    """Sentences on the values that leave the surface through the others, and again on those among
+    them that are to be checked first: further off each other value than their range (`LONE`).
     """
     cells = []
     gross = []
@@ -680,8 +758,8 @@ def _outliers(data: Data, noise: NoiseEstimate) -> tuple[list[str], list[str]]:
 
 
 def _load_alone(table: Table) -> list[str]:
-    """A doubt where one row has a load far from that of all others, which are alike: nothing in the
-    table can check it.
+    """[doubt] where the largest or least load is far (`APART`) from all others, which are `ALIKE`:
+    nothing in the table can check it. Else [].
     """
     order = np.argsort(table.load)
     load = table.load[order]
@@ -700,7 +778,10 @@ def _load_alone(table: Table) -> list[str]:
 
 
 def _grades_doubted(data: Data) -> list[str]:
-    """A doubt where the only grade of the table is that of whole degrees in radians."""
+    """[doubt] where the grade of the table looks like whole degrees in radians, else [].
+
+    Several different ones that look so were refused when the table was read.
+    """
     grades = data.table.grade_deg[data.table.grade_deg != 0.0]
     if not look_like_radians([repr(float(g)) for g in grades]):
         return []
@@ -710,7 +791,10 @@ def _grades_doubted(data: Data) -> list[str]:
 
 def _channels_doubted(data: Data) -> list[str]:
     """Doubts of channels that hold one value at all slips, or forces that are far too small for
-    newtons.
+    newtons (`WEAK`).
+
+    Judged are `FEWEST_VALUES` or more over a range of slip of `LEAST_SPAN`. A pull of 0 throughout
+    is no doubt where the wheel may climb by itself: on grades, or with a vertical load.
     """
     out = []
     # A wheel that climbs freely pulls nothing.
@@ -724,7 +808,11 @@ def _channels_doubted(data: Data) -> list[str]:
         known = data.measured[:, j]
         y = data.y[known, j]
         slips = data.rows.slip[known]
-        if y.size < 4 or np.ptp(slips) < LEAST_SPAN or (j == 1 and free and not np.any(y)):
+        if (
+            y.size < FEWEST_VALUES
+            or np.ptp(slips) < LEAST_SPAN
+            or (j == 1 and free and not np.any(y))
+        ):
             continue
         largest = float(np.max(np.abs(y) / over[known]))
         if np.ptp(y) == 0.0:
@@ -742,17 +830,21 @@ def _channels_doubted(data: Data) -> list[str]:
 
 
 def _from_low_slip(data: Data, used: np.ndarray) -> Iterator[np.ndarray]:
-    """The rows that are `used` [N], by slip, of each group that begins at low slip."""
+    """Indices of the `used` rows [N, bool] by rising slip, of each group that begins at low slip.
+
+    Its lowest slip is between `LOWEST_SLIP` and `LOW_SLIP`, its range `LEAST_SPAN` or more, and it
+    has three rows or more.
+    """
     for rows in data.groups:
         rows = rows[used[rows]]
         slip = data.rows.slip[rows]
-        if rows.size > 2 and -0.05 <= slip.min() <= LOW_SLIP and np.ptp(slip) >= LEAST_SPAN:
+        if rows.size > 2 and LOWEST_SLIP <= slip.min() <= LOW_SLIP and np.ptp(slip) >= LEAST_SPAN:
             yield rows[np.argsort(slip)]
 
 
 def _pull_falls(data: Data, noise: NoiseEstimate) -> str:
-    """The drawbar pull falls with slip from low slip on, below 0 at much slip, in nearly all groups
-    of rows.
+    """Clause that the drawbar pull falls with slip from low slip on, beyond noise and to below 0,
+    in nearly all groups of rows (`FALLS`); "" else.
     """
     falls = []
     ends = []
@@ -760,7 +852,7 @@ def _pull_falls(data: Data, noise: NoiseEstimate) -> str:
         pull = data.y[rows, 1]
         slip = data.rows.slip[rows]
         slope = np.polyfit(slip, pull, 1)[0]
-        falls.append(slope * np.ptp(slip) < -3.0 * noise.sd[1] and pull[-1] < min(pull[0], 0.0))
+        falls.append(slope * np.ptp(slip) < -FALL_SD * noise.sd[1] and pull[-1] < min(pull[0], 0.0))
         ends.append(pull[[0, -1]])
     if not falls or np.mean(falls) < FALLS:
         return ""
@@ -777,7 +869,9 @@ def _pull_falls(data: Data, noise: NoiseEstimate) -> str:
 
 
 def _gains_power(data: Data, noise: NoiseEstimate) -> str:
-    """The driven wheel pulls with more power than its axle takes, whatever the soil: DP V > T w."""
+    """Clause that the driven wheel pulls with more power than its axle takes, DP V > T w, which no
+    soil can make; "" else.
+    """
     return _over_the_axle(
         data,
         noise,
@@ -788,8 +882,8 @@ def _gains_power(data: Data, noise: NoiseEstimate) -> str:
 
 
 def _outpulls_the_rim(data: Data, noise: NoiseEstimate) -> str:
-    """The driven wheel pulls with more than its torque brings to the rim, as if the normal stress
-    pushed it forward: DP > T/r.
+    """Clause that the driven wheel pulls with more than its torque brings to the rim, DP > T/r, as
+    if the normal stress pushed it forward; "" else.
     """
     return _over_the_axle(
         data,
@@ -801,8 +895,11 @@ def _outpulls_the_rim(data: Data, noise: NoiseEstimate) -> str:
 
 
 def _over_the_axle(data: Data, noise: NoiseEstimate, speed: np.ndarray, words: str) -> str:
-    """`words` with DP `speed`/(T/r) in the middle of the driven rows on the level, where that is
-    beyond noise and gains; `speed` [N] as a share of that of the rim.
+    """`words` with the median of DP `speed`/(T/r) over the driven rows on the level, if it exceeds
+    1 by more than noise (`SURE_GAIN`) and errors of gains (`GAINED`); "" else.
+
+    `speed` [N] is a share of that of the rim, 1 to compare forces. Three rows are needed, and a
+    positive torque.
     """
     level = np.abs(data.rows.conditions[:, 2]) < LEVEL
     both = noise.used[:, 1] & noise.used[:, 2] & (data.rows.slip > 0.0) & level

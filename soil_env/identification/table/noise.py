@@ -22,15 +22,25 @@ from .data import CHANNELS, LOGARITHMIC, WHEEL, Data
 from .form_error import finite
 
 OUTLIER = 4.5  # [sd] distance from the smooth surface beyond which a value is left out
-#: [sd over root of their number] median of the others at a slip from which a deviation is no
-#: outlier.
+#: Median distance of the other values at a slip, in sd over the root of their number, from which a
+#: deviation that they share is no outlier.
 COMMON = 3.8
+#: Share of the values of a channel that may be left out; rounded down to one at least, and one
+#: more. Own choice.
+MOST_OUTLIERS = 0.06
+SD_OF_MEDIAN = 1.4826  # sd of a normal distribution over its median distance from the median
+LEAST_FREE = 0.05  # 1 - leverage that a residual is divided by the root of, at least
 LEAST_TAIL = 1e-300  # probability that a distance is computed from, at least
 ALONE = 0.8  # leverage on the smooth surface above which a value is checked by no other
 #: Scatter over the size of the values below which they are rounded or computed, not measured.
 LEAST_NOISE = 1e-5
 LEAST_GIVEN = 1e-6  # the same of noise that the setup gives; less leaves no digits to fit with
-STEPS = {"slip": 0.005, "load": 0.01}  # of a slope: absolute, relative
+SMALLEST_SD = 1e-12  # [unit of the channel] of any noise, since it divides
+FEWEST_REPEATS = 6  # degrees of freedom of repeats, from which noise is taken from them; own choice
+SPARE = 3  # values of a channel beyond the functions of the surface, at least
+STEPS = {"slip": 0.005, "load": 0.01}  # of a derivative of the model: absolute, relative
+SHIFT = 1e-4  # of a condition scaled to [-1, 1], for the derivative of the polynomials
+INDEPENDENT = 1e-9  # share of a column that those before it do not make up; less is rounding
 REPEAT_SLIP = 0.02  # largest difference of slip within repeats
 REPEAT_LOAD = 0.2  # largest difference of load within repeats, over their mean
 
@@ -39,20 +49,22 @@ REPEAT_LOAD = 0.2  # largest difference of load within repeats, over their mean
 class NoiseEstimate:
     """Noise of the channels and the values that count."""
 
-    sd: np.ndarray  # [3], of a value whose row gives none of its own
+    sd: np.ndarray  # [3], of a value whose row gives none of its own; 1 where not measured
     freedom: np.ndarray  # [3] of the estimate; inf where the setup gives it
     origin: tuple[str, ...]  # [3] "setup", "repeats", "scatter" or "" where not measured
-    used: np.ndarray  # [N, 3] bool
+    used: np.ndarray  # [N, 3] bool, measured values that are no outliers
     alone: np.ndarray  # [N] bool, rows whose values no other row comes near enough to check
-    of_conditions: tuple[str, ...] = ()  # slip, load: whose noise is in that of the channels
+    of_conditions: tuple[str, ...] = ()  # of slip and load: whose noise is in that of the channels
 
 
 def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
-    """`NoiseEstimate` from the setup, else from repeats, else from the scatter about the surface
-    through the data.
+    """`NoiseEstimate` of each channel: from the setup, else from repeats with `FEWEST_REPEATS`
+    degrees of freedom, else from the scatter about the surface through the data.
 
-    `model` [N, 3]: the calibrated base model, to which the surface adds polynomials. Values further
-    than `OUTLIER` sd from the surface are left out one after the other.
+    `model` [N, 3]: the calibrated base model, to which the surface adds polynomials. Outliers from
+    the surface are left out one after the other, and count in no noise. With fewer than `SPARE`
+    values beyond the functions of the surface no outlier is sought. `ParameterError` where noise
+    would have to be taken from too few values, or from values that hardly scatter.
     """
     given = given_noise(data)
     repeat_sd, repeat_freedom = repeat_noise(data, model)
@@ -66,11 +78,15 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
         if not used[:, j].any():
             continue
         origin[j] = (
-            "setup" if given[j] is not None else "repeats" if repeat_freedom[j] >= 6 else "scatter"
+            "setup"
+            if given[j] is not None
+            else "repeats"
+            if repeat_freedom[j] >= FEWEST_REPEATS
+            else "scatter"
         )
         sd[j] = given[j] if given[j] is not None else repeat_sd[j]
         values = int(used[:, j].sum())
-        if values - basis.shape[1] < 3:
+        if values - basis.shape[1] < SPARE:
             if origin[j] == "scatter":
                 raise ParameterError(
                     f"{data.table.source}: noise of {name}: cannot be estimated from {values} "
@@ -93,12 +109,13 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
         sd[repeats] = repeat_sd[repeats]
         freedom[repeats] = repeat_freedom[repeats]
     _refuse_no_scatter(data, used, sd, origin)
-    return NoiseEstimate(np.maximum(sd, 1e-12), freedom, tuple(origin), used, alone)
+    return NoiseEstimate(np.maximum(sd, SMALLEST_SD), freedom, tuple(origin), used, alone)
 
 
 def given_noise(data: Data) -> list[float | None]:
-    """[3] noise of the channels as the setup or the rows give it; `ParameterError` where it is
-    none.
+    """[3] noise of the channels as the setup or the rows give it, else None.
+
+    `ParameterError` where it is less than `LEAST_GIVEN` of the root mean square of the values.
     """
     given = [data.table.channel_sd(data.setup, name) for name in CHANNELS]
     for j, name in enumerate(CHANNELS):
@@ -116,13 +133,14 @@ def given_noise(data: Data) -> list[float | None]:
 def with_noise_of_conditions(
     data: Data, predict: Callable[[Rows], np.ndarray]
 ) -> tuple[Data, tuple[str, ...]]:
-    """The data with the noise of slip and load, where the setup gives it, as noise of what was
-    measured; their names.
+    """(data in which given noise of slip and load is noise of the channels, names of these
+    conditions).
 
     An error of the slip moves a value along the surface through the data. The effective variance
-    (Orear 1982, Am. J. Phys. 50:912-916) adds that to the noise of a channel, where the setup or
-    the table gives it; noise that is taken from the scatter has it already. `predict`: values [N,
-    3] of the calibrated base model at rows.
+    (Orear 1982, Am. J. Phys. 50:912-916) adds that to the noise of a channel that the setup or the
+    table gives. Noise that is taken from the scatter has it already. Where there is nothing to add,
+    the data are returned as they are, without names. `predict`: values [N, 3] of the calibrated
+    base model at rows.
     """
     noise = {name: getattr(data.setup.noise, name) for name in STEPS}
     known = given_noise(data)
@@ -131,7 +149,7 @@ def with_noise_of_conditions(
     more = np.zeros(data.y.shape)
     for name, sd in noise.items():
         if sd is not None:
-            more += (sd * _slopes(data, predict, name)) ** 2
+            more += (sd * _derivatives(data, predict, name)) ** 2
     columns: dict[str, Any] = {}
     levels: dict[str, None] = dict.fromkeys(STEPS)  # from here on they are exact
     for j, channel in enumerate(CHANNELS):
@@ -147,9 +165,11 @@ def with_noise_of_conditions(
     ), counted
 
 
-def _slopes(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -> np.ndarray:
-    """[N, 3] change per unit of slip or load of the smooth surface: the base model and polynomials
-    of the rest.
+def _derivatives(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -> np.ndarray:
+    """Derivatives [N, 3] of the smooth surface by the condition `name`, slip or load [N].
+
+    The surface is the base model and polynomials that are fitted to the rest; these count only if
+    the condition varies. 0 where the model has no value.
     """
     value = getattr(data.rows, name)
     step = STEPS[name] * (value if name in LOGARITHMIC else np.ones_like(value))
@@ -161,11 +181,11 @@ def _slopes(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -> np.
         per_unit = (
             (1.0 / value if name in LOGARITHMIC else 1.0) * np.ptp(factor.scaled) / np.ptp(scale)
         )
-        shifted = dataclasses.replace(factor, scaled=factor.scaled + 1e-4)
+        shifted = dataclasses.replace(factor, scaled=factor.scaled + SHIFT)
         basis = smooth_basis(data)
         change = (
             smooth_basis(dataclasses.replace(data, varied=data.varied | {name: shifted})) - basis
-        ) / 1e-4
+        ) / SHIFT
         left = data.y - predict(data.rows)
         for j in range(len(CHANNELS)):
             rows = np.isfinite(left[:, j])
@@ -178,23 +198,26 @@ def _slopes(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -> np.
 def _without_outliers(
     basis: np.ndarray, e: np.ndarray, used: np.ndarray, sd: float | None, slip: np.ndarray
 ) -> np.ndarray:
-    """[N] which of the values `used` of a channel stay; their noise is `sd`, or taken from their
-    scatter.
+    """[N] bool, which of the values `used` of a channel stay; their noise is `sd`, or taken from
+    their scatter for None.
 
-    A value stays if the others at its level of `slip` [N] leave the surface the same way: that is
-    no outlier.
+    `e` [N]: values less the model. The value furthest from the surface is left out, one after the
+    other, while it is beyond `OUTLIER` and there are not more than `MOST_OUTLIERS`. A value that no
+    other checks (`ALONE`) stays. With a given `sd` values come back that a larger outlier had moved
+    the surface away from. A value also comes back if two or more others at its level of `slip` [N]
+    leave the surface the same way (`COMMON`).
     """
     keep = used.copy()
-    for _ in range(max(1, int(0.06 * keep.sum())) + 1):
+    for _ in range(max(1, int(MOST_OUTLIERS * keep.sum())) + 1):
         left, leverage = _surface(basis, e, keep)
         known = keep & (leverage <= ALONE)
-        spread = left / np.sqrt(np.maximum(1.0 - leverage, 0.05))
-        # Values of little noise leave the surface as it leaves them: that is no outlier.
-        scale = max(1.4826 * float(np.median(np.abs(spread[keep]))), sd or 1e-12)
+        spread = left / np.sqrt(np.maximum(1.0 - leverage, LEAST_FREE))
+        # Where the surface errs by more than the noise, all values leave it: that is the scale.
+        scale = max(SD_OF_MEDIAN * float(np.median(np.abs(spread[keep]))), sd or SMALLEST_SD)
         far = np.abs(spread) / scale
         if sd is None:
             freedom = int(keep.sum()) - basis.shape[1] - 1
-            far = np.maximum(far, _deleted(spread, float(np.sum(left[keep] ** 2)), freedom))
+            far = np.maximum(far, _studentised(spread, float(np.sum(left[keep] ** 2)), freedom))
         far[~known] = 0.0
         worst = int(np.argmax(far))
         if far[worst] <= OUTLIER:
@@ -210,12 +233,12 @@ def _without_outliers(
     return keep
 
 
-def _deleted(spread: np.ndarray, square: float, freedom: int) -> np.ndarray:
-    """[N] distances [sd] of values from the surface through all others, which a single large one
-    hides neither by the surface nor by the noise that it draws to itself.
+def _studentised(spread: np.ndarray, square: float, freedom: int) -> np.ndarray:
+    """Distances [N] in sd of values from the surface through all others, with the noise of these.
 
-    The externally studentised residual (Belsley, Kuh & Welsch 1980, Eq. 2.26), as the distance of
-    the same probability under a known noise. `spread` [N]: residuals over sqrt(1 - leverage);
+    So a single large value cannot hide by drawing the surface to itself or by raising the noise. It
+    is the externally studentised residual (Belsley, Kuh & Welsch 1980, Eq. 2.26), as the distance
+    of the same probability under a known noise. `spread` [N]: residuals over sqrt(1 - leverage);
     `square`: the sum of squared residuals; `freedom`: of the others.
     """
     rest = np.maximum(square - spread**2, 1e-12 * square)
@@ -225,7 +248,9 @@ def _deleted(spread: np.ndarray, square: float, freedom: int) -> np.ndarray:
 
 
 def _refuse_no_scatter(data: Data, used: np.ndarray, sd: np.ndarray, origin: list[str]) -> None:
-    """`ParameterError` where noise was to be taken from values that are rounded or computed."""
+    """`ParameterError` where noise `sd` was taken from values that are rounded or computed: it is
+    at most `LEAST_NOISE` of their root mean square, or all are the same.
+    """
     for j, name in enumerate(CHANNELS):
         if origin[j] not in ("repeats", "scatter"):
             continue
@@ -241,8 +266,10 @@ def smooth_basis(data: Data) -> np.ndarray:
     """[N, B] polynomials of the varied conditions: up to the third power of slip, second of the
     others, and products.
 
-    Sizes of the wheel multiply all of these: two wheels have a surface each. Of those columns none
-    is taken that the columns before it make up. Never more columns than half the cells.
+    A square needs three levels of its condition, the cube five. Sizes of the wheel multiply all of
+    these columns: two wheels have a surface each. Of the columns with sizes none is taken that
+    those before it make up. Only the first columns are taken, up to half as many as cells, but two
+    at least.
     """
     s = data.varied["slip"].scaled
     columns = [np.ones_like(s), s]
@@ -263,7 +290,7 @@ def smooth_basis(data: Data) -> np.ndarray:
     basis = np.stack(columns, axis=1)
     kept = np.ones(len(columns), dtype=bool)
     if sizes and len(basis) >= len(columns):
-        kept[plain:] = np.abs(np.diag(np.linalg.qr(basis)[1]))[plain:] > 1e-9 * math.sqrt(
+        kept[plain:] = np.abs(np.diag(np.linalg.qr(basis)[1]))[plain:] > INDEPENDENT * math.sqrt(
             len(basis)
         )
     return basis[:, kept][:, : max(2, cells // 2)]
@@ -271,10 +298,10 @@ def smooth_basis(data: Data) -> np.ndarray:
 
 def repeat_noise(data: Data, model: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(sd [3], degrees of freedom [3]) of the scatter of measured minus `model` [N, 3] within
-    cells.
+    cells; nan and 0 without repeats.
 
-    The model takes up the small differences of slip and load that repeats have; cells with larger
-    ones do not count.
+    The model takes up the small differences of slip and load that repeats have. Cells with larger
+    differences (`REPEAT_SLIP`, `REPEAT_LOAD`) do not count.
     """
     left = (data.y - model) / data.relative_sd
     total = np.zeros(3)
@@ -299,7 +326,9 @@ def repeat_noise(data: Data, model: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _surface(basis: np.ndarray, e: np.ndarray, keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(residual [N], leverage [N]) of the least-squares surface through the kept values."""
+    """(residual [N], leverage [N]) of all values `e` from the least-squares surface through those
+    to `keep` [N, bool]; leverage is cut at 1 for these.
+    """
     coefficients, *_ = np.linalg.lstsq(basis[keep], e[keep], rcond=1e-10)
     inverse = np.linalg.pinv(basis[keep].T @ basis[keep], rcond=1e-12)
     leverage = np.einsum("nb,bc,nc->n", basis, inverse, basis)

@@ -14,8 +14,8 @@ import numpy as np
 from soil_env.measurement.setup import STEEPEST_TILT, Setup
 from soil_env.parameters import FLOW_LAW, Soil, SoilState
 
-#: Where the setup says nothing of a soil parameter: mean, sd, lower and upper bound, of the
-#: parameter or its logarithm. Ours, wide enough for every preset soil of configs/soils.yaml, clays
+#: Where the setup says nothing of a soil parameter: mean, sd, lower and upper bound, and True if
+#: these are of its logarithm. Ours, wide enough for every preset soil of configs/soils.yaml, clays
 #: with 69 kPa among them. The mean of ln S is that of a plate that carries the median load at the
 #: median sinkage.
 BROAD = MappingProxyType(
@@ -28,6 +28,12 @@ BROAD = MappingProxyType(
     }
 )
 USUAL_SINKAGE = 0.08  # [radii] where none was measured
+LARGEST_LOG = 700.0  # an exponential of more overflows
+_LEAST_VALUE = 1e-12  # of a prior whose logarithm is taken
+_SHALLOWEST = 0.01  # [radii] sinkage of a plate at least; a radius at most
+#: Share of the chord sqrt(2 r z) from the entry to the lowest point that a plate is as long as; own
+#: choice.
+_PLATE = 0.6
 #: Smallest standard deviations of priors that are given, in the coordinate of the fit.
 _LEAST_SD = {
     "friction_angle_deg": 0.05,
@@ -52,12 +58,12 @@ class Unknown(NamedTuple):
     log: bool
 
     def value(self, u: float) -> float:
-        """The parameter at the whitened unknown u."""
+        """The parameter in its unit at the whitened unknown u."""
         x = self.mean + self.sd * u
-        return math.exp(min(x, 700.0)) if self.log else x
+        return math.exp(min(x, LARGEST_LOG)) if self.log else x
 
     def at(self, value: float) -> float:
-        """The whitened unknown of a value."""
+        """The whitened unknown u of a parameter's value; the inverse of `value`."""
         return ((math.log(value) if self.log else value) - self.mean) / self.sd
 
     @property
@@ -80,12 +86,12 @@ def bounds_of(unknowns: Sequence[Unknown]) -> tuple[np.ndarray, np.ndarray]:
 def soil_unknowns(
     setup: Setup, load: np.ndarray, sinkage: np.ndarray, widened: float = 1.0
 ) -> tuple[tuple[Unknown, ...], dict[str, float]]:
-    """(unknowns of the soil, values of what the setup knows) of a table with loads [N] and sinkages
-    [N], nan allowed.
+    """(unknowns of the soil, values by name that the setup knows) of a table with loads [N] and
+    sinkages [N], nan where not measured.
 
-    Of a rig that is not level, `tilt_deg` is the last of the unknowns, or among what is known.
-
-    `widened` multiplies the standard deviations of the setup's priors.
+    A parameter without a prior in the setup has that of `BROAD`. The setup's prior is taken in the
+    coordinate of the fit, and the bounds are widened to include its value. `widened` multiplies its
+    standard deviation. If the setup gives `tilt_deg`, that is the last of the unknowns, or known.
     """
     unknowns = []
     known = {}
@@ -99,12 +105,13 @@ def soil_unknowns(
             known[name] = prior.value
             continue
         if prior is not None:
-            value = max(prior.value, 1e-12) if log else prior.value
+            value = max(prior.value, _LEAST_VALUE) if log else prior.value
             mean = math.log(value) if log else value
             sd = widened * (math.log1p(prior.sd / value) if log else prior.sd)
             low = min(low, mean)
             high = max(high, mean)
-            sd = min(max(sd, _LEAST_SD[name]), high - low)  # a wider prior holds no less
+            # A prior wider than the range says no less than one as wide.
+            sd = min(max(sd, _LEAST_SD[name]), high - low)
         unknowns.append(Unknown(name, mean, sd, low, high, log))
     n = known.get(
         "sinkage_exponent", next((k.mean for k in unknowns if k.name == "sinkage_exponent"), 1.0)
@@ -123,11 +130,15 @@ def soil_unknowns(
 def plate_coefficient(
     setup: Setup, load: np.ndarray, sinkage: np.ndarray, exponent: float
 ) -> float:
-    """S [N/m^(n+2)] of a flat plate that carries the median load at the median sinkage."""
+    """S [N/m^(n+2)] of a flat plate in place of the wheel's contact that carries the median load
+    at the median sinkage.
+
+    Without any measured sinkage it is `USUAL_SINKAGE`. `exponent`: n.
+    """
     r = setup.wheel.radius
     z = float(np.nanmedian(sinkage)) if np.any(np.isfinite(sinkage)) else USUAL_SINKAGE * r
-    z = min(max(z, 0.01 * r), r)
-    carried: float = setup.wheel.width * math.sqrt(2.0 * r * z) * 0.6 * z**exponent
+    z = min(max(z, _SHALLOWEST * r), r)
+    carried: float = setup.wheel.width * math.sqrt(2.0 * r * z) * _PLATE * z**exponent
     return float(np.median(load)) / carried
 
 
@@ -136,8 +147,8 @@ _GIVEN = ("dig_gain", "dig_recovery", *FLOW_LAW)
 
 
 def given_laws(setup: Setup) -> dict[str, float]:
-    """Slip-sinkage and `FLOW_LAW` that the setup knows the soil to have; those of `Soil` where it
-    says nothing.
+    """Parameters of slip-sinkage and of the `FLOW_LAW` by name, as the setup gives them; the
+    defaults of `Soil` where it says nothing.
     """
     given = {name: getattr(setup.soil, name) for name in _GIVEN}
     return {
@@ -146,7 +157,7 @@ def given_laws(setup: Setup) -> dict[str, float]:
 
 
 def soil_state(values: Values, laws: Values) -> SoilState:
-    """The soil of a set of parameters by name and the `given_laws`."""
+    """`SoilState` with fitted or known parameters `values` and the `given_laws`, both by name."""
     return SoilState(
         math.tan(math.radians(values["friction_angle_deg"])),
         values["cohesion"],

@@ -48,6 +48,17 @@ FINE = MappingProxyType({"xtol": 1e-9, "ftol": 1e-11, "gtol": 1e-9, "max_nfev": 
 #: To compare fits whose costs are far apart.
 COARSE = MappingProxyType({"xtol": 1e-4, "ftol": 1e-5, "gtol": 1e-4, "max_nfev": 25})
 _STARTS = 8  # of the least squares; the first is the prior mean
+_INSIDE = 1e-9  # of the range of an unknown, by which a start is within the bounds
+_CONDITION_STEP = 1e-4  # of the slip, and of the load as a share, for differences
+# Own choices: noise before the first fit, for channels that the setup gives none for.
+_GUESS_SLIP = 0.03  # only for the least that may be given
+_GUESS_FORCE = 0.03  # of the median load; times the radius for torque
+_GUESS_SINKAGE = 0.05  # of the reference sinkage
+_LEAST_GIVEN = 1e-7  # of these guesses: less noise in the setup leaves no digits to fit with
+_FLOOR = 1e-4  # of these guesses: least noise that is estimated
+LEAST_FREEDOM = 0.5  # degrees of freedom of an estimated noise: it is divided by them
+_LEAST_LOAD = 0.2  # of the measured load, to which the corrected one may fall; own choice
+_MOST_LOAD = 5.0  # of the measured load, to which the corrected one may rise; own choice
 _FUNCTIONS = 24  # of the form error at most
 #: Relative error of each channel by itself over that of the stresses, equally probable.
 CHANNELS_OWN = (0.0, 1.0)
@@ -57,8 +68,8 @@ class LawError(NamedTuple):
     """A form error of the base law."""
 
     span: int  # of `form_error.LAW_LENGTHS`
-    own: float  # of `CHANNELS_OWN`: whether the channels err beyond what stresses do
-    size: float
+    own: float  # of `CHANNELS_OWN`: error of each channel by itself over that of the stresses
+    size: float  # of `form_error.SIZES`: relative error of the stresses
 
 
 #: Form errors that are marginalised.
@@ -81,8 +92,9 @@ def most_probable(
 ) -> tuple[np.ndarray, float, bool]:
     """(u, J, whether it converged): the least |target - model(u)|^2 + |u|^2 within the bounds.
 
-    `target` [M] and the values [M] and derivatives [M, p] of the model are whitened. Trust-region
-    reflective method; `options` are those of `scipy.optimize.least_squares`.
+    `target` [M] and the values [M] and derivatives [M, p] of the model are whitened. A residual
+    where the model has no value is `_FAR`. Trust-region reflective method; `options` are those of
+    `scipy.optimize.least_squares`. Without unknowns (`start` [0]) only J is computed.
     """
     if start.size == 0:
         return start, float(np.sum((target - model(start)) ** 2)), True  # everything is known
@@ -104,8 +116,8 @@ def differences(
     unknowns: Sequence[Unknown],
     base: np.ndarray,
 ) -> list[np.ndarray]:
-    """Forward differences of the whitened values, `base` at u, by each unknown; backward at an
-    upper bound.
+    """Derivatives of the model's values by each unknown, one array for each: forward differences
+    from `base`, the values at u; backward at an upper bound.
     """
     columns = []
     for k, unknown in enumerate(unknowns):
@@ -117,12 +129,14 @@ def differences(
 
 
 def side_by_side(columns: list[np.ndarray], size: int) -> np.ndarray:
-    """[size, p] of the columns, 0 where the model has no value."""
+    """[size, p] with the p columns [size], 0 where the model has no value; [size, 0] for none."""
     return finite(np.stack(columns, axis=1) if columns else np.zeros((size, 0)))
 
 
 class Last:
-    """A function [..] of unknowns [p], computed once for those that it was asked for last."""
+    """A function of unknowns u [p] that keeps its last value: asked again at the same u, it does
+    not compute.
+    """
 
     def __init__(self, compute: ArrayFunction) -> None:
         self._compute = compute
@@ -130,7 +144,7 @@ class Last:
         self._value = np.empty(0)
 
     def know(self, u: np.ndarray, value: np.ndarray) -> None:
-        """Take its value at u from elsewhere."""
+        """Keep `value` as that at u, where it was computed elsewhere."""
         self._at = u.copy()
         self._value = value
 
@@ -141,8 +155,12 @@ class Last:
 
 
 class TableProblem:
-    """The soil of one table as a weighted least-squares problem; `correct` and `update_noise`
-    re-weight it.
+    """The soil of one table as a weighted least-squares problem, with the state that its weights
+    are computed from: noise, corrected slip and load, form error.
+
+    `correct`, `update_noise`, `take_noise` and `allow_form_error` change this state. `use` [N,
+    bool]: rows of the table that take part, None for all that can. `ParameterError` if all
+    parameters are known, or if the values are fewer than what is to be found and not `scarce`.
     """
 
     def __init__(
@@ -167,12 +185,14 @@ class TableProblem:
         )
         self.rows: Rows = Rows(*(column[use] for column in rows))
         self._take_conditions(self.rows)
+        # [N, 3] measured values, nan where not; noise of each over that of its channel.
         self.y: np.ndarray = np.stack([getattr(table, name)[use] for name in MEASURED], axis=1)
         self.measured: np.ndarray = np.isfinite(self.y)
         self.relative: np.ndarray = np.broadcast_to(
             table.relative_sd(setup), table.slip.shape + (3,)
         )[use]
         seen = self.measured[:, 0]
+        # [m] Reference sinkage, the median.
         self.z_ref: float = (
             float(np.median(self.y[seen, 0])) if seen.any() else USUAL_SINKAGE * setup.wheel.radius
         )
@@ -185,7 +205,7 @@ class TableProblem:
                 "identify, left out or as {value: ..., sd: ...}"
             )
         self.bounds: tuple[np.ndarray, np.ndarray] = bounds_of(self.unknowns)
-        self._noise()
+        self._set_noise()
         values = int(self.measured.sum())
         needed = len(self.unknowns)
         least = needed + int(self.estimated.sum())
@@ -202,24 +222,28 @@ class TableProblem:
         self.weigh(np.zeros((count, 3, 2)))
 
     def _take_conditions(self, corrected: Rows) -> None:
-        """Take the most probable slip and load, and nothing that was computed at others."""
+        """Take the most probable slip and load, and forget what was computed at other ones."""
         self.corrected: Rows = corrected
         #: [N, 3, p] of the model by the whitened unknowns.
         self.by_unknowns = Last(self._differences)
         self._by_stresses = Last(self._changed_stresses)
         self._processes: list[Process] | None = None
 
-    def _noise(self) -> None:
-        """Set noise, its floor and whether it is estimated, from the setup or from first
-        guesses.
+    def _set_noise(self) -> None:
+        """Set `noise` [5] of `SOURCES` from the setup, else from first guesses; which of it is
+        `estimated`, and its `floor`.
+
+        Slip and load without noise in the setup are exact. `ParameterError` for too little noise.
         """
         size = float(np.median(self.rows.load))
-        pull = 0.03 * size
-        guess = np.array([0.03, pull, 0.05 * self.z_ref, pull, pull * self.rows.wheels[0, 0]])
+        pull = _GUESS_FORCE * size
+        guess = np.array(
+            [_GUESS_SLIP, pull, _GUESS_SINKAGE * self.z_ref, pull, pull * self.rows.wheels[0, 0]]
+        )
         noise = self.setup.noise
         given = [noise.slip, noise.load]
         given += [self.table.channel_sd(self.setup, name) for name in MEASURED]
-        for name, sd, least in zip(SOURCES, given, 1e-7 * guess, strict=True):
+        for name, sd, least in zip(SOURCES, given, _LEAST_GIVEN * guess, strict=True):
             if sd is not None and sd < least:
                 known = "it counts as exact" if name in ("slip", "load") else "it is not known"
                 raise ParameterError(
@@ -229,18 +253,18 @@ class TableProblem:
         left_out = np.array([sd is None for sd in given])
         measured = np.concatenate([[False, False], self.measured.any(axis=0)])
         self.estimated: np.ndarray = left_out & measured
-        self.floor: np.ndarray = 1e-4 * guess
+        self.floor: np.ndarray = _FLOOR * guess
         guess[:2] = 0.0  # slip and load count as exact
         pairs = zip(given, guess, strict=True)
         self.noise: np.ndarray = np.array([usual if sd is None else sd for sd, usual in pairs])
-        # Degrees of freedom behind an estimated noise.
+        # Degrees of freedom behind an estimated noise; infinite where it is given.
         self.freedom: np.ndarray = np.full(5, math.inf)
 
     @property
     def processes(self) -> list[Process]:
         """Form errors over the corrected conditions, one for each of `LAW_LENGTHS`.
 
-        The measured conditions would not do: what they err by is in the residuals too, and the two
+        The measured conditions would not do: their errors are in the residuals too, and the two
         together look like an error of the laws.
         """
         if self._processes is None:
@@ -251,20 +275,20 @@ class TableProblem:
         return self._processes
 
     def values(self, u: np.ndarray) -> dict[str, float]:
-        """Every soil parameter by name."""
+        """Every parameter by name, known or at u; the tilt of the rig too, if the setup has one."""
         return self.known | parameters_at(self.unknowns, u)
 
     def predict(self, u: np.ndarray, rows: Rows | None = None) -> np.ndarray:
-        """Sinkage, drawbar pull and torque [N, 3] at the corrected conditions, or at `rows`; 0
-        where not measured.
+        """Sinkage, drawbar pull and torque [N, 3] at the corrected conditions, or at those of
+        `rows` [N]; 0 where the table has no measured value.
         """
         return np.where(self.measured, self.steady(u, rows or self.corrected), 0.0)
 
     def steady(
         self, u: np.ndarray, rows: Rows, changed: form_error.StressChange | None = None
     ) -> np.ndarray:
-        """Sinkage, drawbar pull and torque [N, 3] at `rows`, measured or not; `changed`: with other
-        stresses.
+        """Sinkage, drawbar pull and torque [N, 3] at any `rows`, measured or not; `changed`: with
+        other stresses.
         """
         soil = self.values(u)
         fx = NO_EFFECTS
@@ -274,13 +298,16 @@ class TableProblem:
         return predict_table(self.setup, rows, soil, _NO_WEIGHT, fx, np.zeros(rows.slip.size))
 
     def by_conditions(self, u: np.ndarray) -> np.ndarray:
-        """Derivatives [N, 3, 2] of the model by slip and load at the corrected conditions; 0 where
-        these are exact.
+        """Derivatives [N, 3, 2] of the model by slip and load at the corrected conditions; 0 by a
+        condition that is exact.
         """
         out = np.zeros((*self.y.shape, 2))
         at = self.corrected
         for k, (name, step) in enumerate(
-            (("slip", np.full(at.slip.size, 1e-4)), ("load", 1e-4 * at.load))
+            (
+                ("slip", np.full(at.slip.size, _CONDITION_STEP)),
+                ("load", _CONDITION_STEP * at.load),
+            )
         ):
             if self.noise[k] > 0.0:
                 column = getattr(at, name)
@@ -294,8 +321,10 @@ class TableProblem:
         return out
 
     def weigh(self, by_conditions: np.ndarray) -> None:
-        """Fix the effect F [N, 3, 2] of the conditions' errors, and with it the covariance V [N, 3,
-        3] of the rows.
+        """Set the derivatives F [N, 3, 2] `by_conditions`, and with them the covariance V [N, 3, 3]
+        of the rows under the present noise.
+
+        A value that was not measured has the variance 1; its residual is 0.
         """
         self.F = by_conditions
         self.V = np.einsum("kcj,j,kdj->kcd", self.F, self.noise[:2] ** 2, self.F)
@@ -305,22 +334,23 @@ class TableProblem:
 
     @property
     def variances(self) -> np.ndarray:
-        """[N, 5] of the errors of `SOURCES` in each row."""
+        """Variances [N, 5] of the errors of `SOURCES` in each row."""
         sd = np.broadcast_to(self.noise, (len(self.y), 5)).copy()
         sd[:, 2:] *= self.relative
         return sd**2
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
-        """[3 N, ..] of an array [N, 3, ..], under noise and form error."""
+        """An array [N, 3, ..] whitened by noise and form error [3 N, ..]."""
         return form_error.whitened(self.form_error, self.by_noise(values))
 
     def by_noise(self, values: np.ndarray) -> np.ndarray:
+        """An array [N, 3, ..] whitened by the covariances V of the rows alone [3 N, ..]."""
         found = np.einsum("kcd,kd...->kc...", self._whitener, values)
         return found.reshape(-1, *values.shape[2:])
 
     def target(self) -> np.ndarray:
-        """Measured values [N, 3], less what the errors of slip and load change in them; 0 where not
-        measured.
+        """Measured values [N, 3] less F times the errors of slip and load, which is what the model
+        at the corrected conditions has to meet; 0 where not measured.
         """
         off = np.stack(
             [self.rows.slip - self.corrected.slip, self.rows.load - self.corrected.load], axis=1
@@ -328,30 +358,33 @@ class TableProblem:
         return np.where(self.measured, self.y, 0.0) - np.einsum("kcj,kj->kc", self.F, off)
 
     def residual(self, u: np.ndarray) -> np.ndarray:
-        """e [N, 3], 0 where not measured."""
+        """e [N, 3] of the module's docstring, 0 where not measured."""
         return self.target() - self.predict(u)
 
     def derivatives(self, u: np.ndarray) -> np.ndarray:
-        """[3 N, p] of the whitened model by the whitened unknowns."""
+        """Derivatives [3 N, p] of the whitened model by the whitened unknowns."""
         return self.whiten(self.by_unknowns(u))
 
     def _differences(self, u: np.ndarray) -> np.ndarray:
+        """Derivatives [N, 3, p] of the model by the whitened unknowns, 0 where not measured."""
         flat = differences(
             lambda x: self.predict(x).ravel(), u, self.unknowns, self.predict(u).ravel()
         )
         return side_by_side(flat, self.y.size).reshape(*self.y.shape, -1)
 
     def covariance(self, u: np.ndarray) -> np.ndarray:
-        """[p, p] of the whitened unknowns: inverse of the normal matrix with the priors."""
+        """Covariance [p, p] of the whitened unknowns, linearised at u: inverse of the normal matrix
+        with the priors.
+        """
         j = self.derivatives(u)
         return np.linalg.inv(np.eye(u.size) + j.T @ j)
 
     def law_errors(self, u: np.ndarray, span: int) -> tuple[np.ndarray, np.ndarray]:
-        """[3 N, R] form errors at the size 1 over one of the spans, whitened by the noise: of
-        stresses, of channels.
+        """Form errors at the size 1, whitened by the noise: (of the stresses [3 N, R], of the
+        channels [3 N, Q]). `span`: of `LAW_LENGTHS`.
 
         Errors of the stresses reach the three channels together. Channels that err by themselves
-        stand for all else that the model is not, such as a rig that bends.
+        stand for all that the model does not contain, such as a rig that bends.
         """
         base = self.predict(u)
         functions = self.processes[span].at_points
@@ -363,7 +396,9 @@ class TableProblem:
         )
 
     def _changed_stresses(self, u: np.ndarray) -> np.ndarray:
-        """[N, 3, C] change of the model by each of the `stress_changes`, relative."""
+        """Derivatives [N, 3, C] of the model by the relative size of each of the C
+        `stress_changes`; 0 where not measured.
+        """
 
         def outcome(change: form_error.StressChange) -> np.ndarray:
             return self.steady(u, self.corrected, change)
@@ -373,17 +408,15 @@ class TableProblem:
         return np.stack(moved, axis=2) * self.measured[:, :, None]
 
     def by_size(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(probability, mean [p] and covariance [p, p] of the unknowns, by size and span),
-        linearised at u.
-
-        The S are in the order of `LAW_ERRORS`.
+        """(probability [S], mean [S, p], covariance [S, p, p] of the unknowns) under each of the S
+        `LAW_ERRORS`, linearised at u.
         """
         log, mean, covariance = self.evidence(u)
         return np.exp(log - logsumexp(log)), mean, covariance
 
     def evidence(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(log of evidence and prior, mean [p] and covariance [p, p] of the unknowns, by size and
-        span), linearised at u; the S as in `by_size`.
+        """(log of evidence times prior [S], mean [S, p], covariance [S, p, p] of the unknowns)
+        under each of the S `LAW_ERRORS`, linearised at u.
         """
         j = self.by_noise(self.by_unknowns(u))
         e = self.by_noise(self.residual(u))
@@ -398,8 +431,9 @@ class TableProblem:
         return log - self._widening(), mean, covariance
 
     def _widening(self) -> float:
-        """Half the logarithm of |V| over that of the noise of the channels alone: errors of slip
-        and load that explain more make each value less probable.
+        """Half of ln|V| less half of that without errors of slip and load.
+
+        It is subtracted from the evidence: errors that explain more make each value less probable.
         """
         if not np.any(self.noise[:2] > 0.0):
             return 0.0
@@ -408,18 +442,18 @@ class TableProblem:
         return float(whole - alone)
 
     def allow_form_error(self, u: np.ndarray, of: LawError) -> None:
-        """Take a form error, as it is at u, into the weights."""
+        """Take the form error `of`, linearised at u, into the weights in place of any before."""
         stresses, channels = self.law_errors(u, of.span)
         self.form_error = form_error.compressed(
             of.size * np.concatenate([stresses, of.own * channels], axis=1)
         )
 
     def minimise(self, u: np.ndarray, **options: Any) -> tuple[np.ndarray, float]:
-        """(u, J) of the least squares from u at the present weights; `options` as those of
-        `most_probable`.
+        """(u, J) of the least squares from u at the present weights; `options` replace those of
+        `FINE`.
         """
         low, high = self.bounds
-        start = np.clip(u, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+        start = np.clip(u, low + _INSIDE * (high - low), high - _INSIDE * (high - low))
         found = most_probable(
             self.whiten(self.target()),
             lambda x: self.whiten(self.predict(x)),
@@ -431,8 +465,11 @@ class TableProblem:
         return found[:2]
 
     def search(self) -> np.ndarray:
-        """The best of several starts over the priors, all with an S under which a plate bears the
-        median load.
+        """The best solution u of least squares from `_STARTS` starts; the weights are set at it.
+
+        The first start is the prior mean, the others are random within one standard deviation of
+        it. There S follows n, so that S z_ref^n stays within a factor e of that of the prior mean:
+        the median load shows that pressure, whatever n is.
         """
         rng = np.random.default_rng(0)
         starts = [np.zeros(len(self.unknowns))]
@@ -450,11 +487,11 @@ class TableProblem:
         return best
 
     def errors(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Most probable errors [N, 5] of `SOURCES` under u, and the variance [N, 5] that the fit
-        leaves them to show.
+        """(most probable errors [N, 5] of `SOURCES` under u, their expected squares [N, 5]).
 
-        e = B eps - J du with eps the errors of a row; they are regressed on e with gain diag(var)
-        B' V^-1.
+        The latter are below the variances, since the fit follows the errors and shares them out
+        among the sources. e = B eps - J du with the errors eps of a row and du of the unknowns;
+        eps is regressed on e with the gain diag(variances) B' V^-1.
         """
         e = self.residual(u)
         j = self.by_unknowns(u)
@@ -466,20 +503,25 @@ class TableProblem:
         return np.einsum("kjc,kc->kj", gain, e), left
 
     def correct(self, u: np.ndarray) -> None:
-        """Move slip and load to their most probable values under u, and weigh anew there."""
+        """Move slip and load to their most probable values under u, and weigh anew there.
+
+        Slip stays in [-1, 1], load within `_LEAST_LOAD` and `_MOST_LOAD` times the measured one.
+        """
         if np.any(self.noise[:2] > 0.0):
             half = self.whiten(self.residual(u))
             half = form_error.whitened(self.form_error, half).reshape(-1, 3)
             solved = np.einsum("kdc,kd->kc", self._whitener, half)
             slip, load = (self.noise[:2] ** 2 * np.einsum("kcj,kc->kj", self.F, solved)).T
-            load = np.clip(self.rows.load + load, 0.2 * self.rows.load, 5.0 * self.rows.load)
+            load = np.clip(
+                self.rows.load + load, _LEAST_LOAD * self.rows.load, _MOST_LOAD * self.rows.load
+            )
             slip = np.clip(self.rows.slip + slip, -1.0, 1.0)
             self._take_conditions(self.rows._replace(slip=slip, load=load))
         self.weigh(self.by_conditions(u))
 
     def update_noise(self, u: np.ndarray) -> None:
-        """Noise of the channels that the setup leaves out, from their residuals and the values
-        spent on fitting.
+        """Set the noise that is `estimated`, from the most probable errors at u and their degrees
+        of freedom (values less those spent on fitting). The weights stay until `correct`.
         """
         if not np.any(self.estimated):
             return
@@ -487,13 +529,13 @@ class TableProblem:
         variances = self.variances
         for j in np.flatnonzero(self.estimated):
             k = self.measured[:, j - 2]
-            self.freedom[j] = max(float(np.sum(left[k, j] / variances[k, j])), 0.5)
+            self.freedom[j] = max(float(np.sum(left[k, j] / variances[k, j])), LEAST_FREEDOM)
             # No row has an sd of its own here.
             variance = float(np.sum(errors[k, j] ** 2)) / self.freedom[j]
             self.noise[j] = max(math.sqrt(variance), self.floor[j])
 
     def take_noise(self, noise: NoiseEstimate) -> None:
-        """Take the noise of the channels whose noise is estimated from another estimate."""
+        """Set the noise that is `estimated` from `noise` where that has any, and weigh anew."""
         for j in range(3):
             if self.estimated[2 + j] and noise.origin[j]:
                 self.noise[2 + j] = max(noise.sd[j], self.floor[2 + j])
@@ -502,8 +544,10 @@ class TableProblem:
 
 
 def _usable(table: Table, setup: Setup) -> np.ndarray:
-    """[N] rows with a sinkage or both forces; `ParameterError` where nothing could be identified
-    from them.
+    """[N] bool, rows with a sinkage, both forces, or one force where S has a prior.
+
+    `ParameterError` where no row is left, where none of those has a force, and where a sinkage is
+    impossible. A pull of 0 on every grade is refused for a load that is normal to the ground.
     """
     seen, pull, torque = (~np.isnan(getattr(table, name)) for name in MEASURED)
     stiffness = setup.soil.lumped(setup.wheel.width) is not None

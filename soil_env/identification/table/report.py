@@ -11,6 +11,13 @@ from soil_env._io.loading import to_dict
 
 from .fit import SYMBOLS, TableEstimate
 
+SEPARABLE = 1e3  # condition number beyond which parameters are hardly separable
+SAME_LOAD = 0.1  # step of the logarithm of the load that parts two groups
+MOST_GROUPS = 6  # groups of load with a colour and a line each
+ONE_SLIP = 1e-3  # steps of slip up to which a line through a group would zigzag
+HALF_WIDTH = 1.96  # [sd] of a 95 % interval
+LEAST_REACH = 3.5  # [noise] of the axis of residuals
+
 LABELS = {
     "friction_angle_deg": "friction angle",
     "shear_modulus": "shear deformation modulus K",
@@ -28,7 +35,7 @@ def text_of(estimate: TableEstimate) -> str:
     first = [f"CHECK FIRST: {doubt}" for doubt in estimate.check_first]
     first += [f"NO FIT: {estimate.misfit}"] if estimate.misfit else []
     parts = [*first, ""] if first else []
-    parts += ["Soil", _soil(estimate).text(2), "", "Fit", _channels(estimate).text(2)]
+    parts += ["Soil", _soil_table(estimate).text(2), "", "Fit", _channel_table(estimate).text(2)]
     if estimate.exact:
         keys = ", ".join(f"noise.{name}" for name in estimate.exact)
         parts.append(f"{' and '.join(estimate.exact)} taken as exact ({keys} not given)")
@@ -39,7 +46,7 @@ def text_of(estimate: TableEstimate) -> str:
             [(label, *(f"{c:+.3f}" for c in line)) for label, line in rows],
         )
         parts += ["", "Correlation", grid.text(2)]
-    hardly = " (hardly separable)" if estimate.condition > 1e3 else ""
+    hardly = " (hardly separable)" if estimate.condition > SEPARABLE else ""
     parts += [
         "",
         f"{estimate.values} measured values, condition number {estimate.condition:.3g}{hardly}",
@@ -49,7 +56,8 @@ def text_of(estimate: TableEstimate) -> str:
     return "\n".join([*parts, *(f"! {warning}" for warning in rest)])
 
 
-def _soil(estimate: TableEstimate) -> Table:
+def _soil_table(estimate: TableEstimate) -> Table:
+    """Table of the parameters: estimate, interval ("" if known), unit, sd over prior sd."""
     labels = LABELS | {
         "reference_pressure": f"S z^n at z = {1e3 * estimate.reference_sinkage:.3g} mm"
     }
@@ -69,7 +77,8 @@ def _soil(estimate: TableEstimate) -> Table:
     return Table(("parameter", "estimate", "95 % interval", "unit", "sd / prior sd"), rows)
 
 
-def _channels(estimate: TableEstimate) -> Table:
+def _channel_table(estimate: TableEstimate) -> Table:
+    """Table of the channels: number of values, noise, root mean square of the residuals."""
     rows = []
     for name, fit in estimate.fits.items():
         noise = f"{fit.noise:.3g} {fit.unit}" + (" (estimated)" if fit.estimated else "")
@@ -88,11 +97,12 @@ def _channels(estimate: TableEstimate) -> Table:
 
 
 def _rms(off: np.ndarray) -> float:
+    """Root mean square, without values that are nan (not measured)."""
     return math.sqrt(float(np.nanmean(off**2)))
 
 
 def report_of(estimate: TableEstimate) -> dict[str, Any]:
-    """The estimate as plain values for JSON; null where there is none."""
+    """The estimate as plain values for JSON, with channels in place of `fits`; null for nan."""
     channels = {
         name: {
             "noise": fit.noise,
@@ -115,6 +125,9 @@ def report_of(estimate: TableEstimate) -> dict[str, Any]:
 def picture(estimate: TableEstimate) -> bytes:
     """PNG: each channel over slip, measured with error bars and fitted, and below it the residuals
     over their noise.
+
+    Groups of about the same load have a colour and a line each. More than `MOST_GROUPS` are grey,
+    with crosses for the fit.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -126,14 +139,16 @@ def picture(estimate: TableEstimate) -> bytes:
         2, len(estimate.fits), sharex=True, squeeze=False, height_ratios=(2.2, 1.0)
     )
     groups = load_groups(estimate.load)
-    colors = [(0.55, 0.55, 0.55)] if len(groups) > 6 else [f"C{k}" for k in range(6)]
+    colors = (
+        [(0.55, 0.55, 0.55)] if len(groups) > MOST_GROUPS else [f"C{k}" for k in range(MOST_GROUPS)]
+    )
     for (name, fit), (top, below) in zip(estimate.fits.items(), axes.T, strict=True):
         scale, unit = factor[fit.unit]
         for k, (label, members) in enumerate(groups):
             color = colors[k % len(colors)]
             order = members[np.argsort(estimate.slip[members])]
             slip = estimate.slip[order]
-            distinct = len(groups) <= 6 and np.all(np.diff(slip) > 1e-3)  # else a line would zigzag
+            distinct = len(groups) <= MOST_GROUPS and np.all(np.diff(slip) > ONE_SLIP)
             top.plot(
                 slip,
                 scale * fit.fitted[order],
@@ -142,7 +157,7 @@ def picture(estimate: TableEstimate) -> bytes:
                 lw=1.2,
                 label=label,
             )
-            bar = scale * 1.96 * fit.noise * fit.relative[order]
+            bar = scale * HALF_WIDTH * fit.noise * fit.relative[order]
             top.errorbar(
                 slip,
                 scale * fit.measured[order],
@@ -154,17 +169,22 @@ def picture(estimate: TableEstimate) -> bytes:
                 capsize=2,
             )
             below.plot(slip, fit.residual[order], "o", ms=3.5, color=color)
-        below.axhspan(-1.96, 1.96, color="0.92", zorder=0)
+        below.axhspan(-HALF_WIDTH, HALF_WIDTH, color="0.92", zorder=0)
         below.axhline(0.0, color="0.5", lw=0.8)
-        reach = max(3.5, 1.1 * float(np.nanmax(np.abs(fit.residual))))
+        reach = max(LEAST_REACH, 1.1 * float(np.nanmax(np.abs(fit.residual))))
         below.set(xlabel="slip", ylim=(-reach, reach))
         top.set(title=name.replace("_", " "), ylabel=unit)
     axes[1, 0].set_ylabel("residual / noise")
-    if len(groups) <= 6:
+    if len(groups) <= MOST_GROUPS:
         handles, labels = axes[0, 0].get_legend_handles_labels()
         labels = [f"load {label}" for label in labels]
         figure.legend(
-            handles, labels, loc="outside lower center", ncols=6, fontsize=9, frameon=False
+            handles,
+            labels,
+            loc="outside lower center",
+            ncols=MOST_GROUPS,
+            fontsize=9,
+            frameon=False,
         )
     p = estimate.parameters
     figure.suptitle(
@@ -178,7 +198,9 @@ def picture(estimate: TableEstimate) -> bytes:
 
 
 def load_groups(load: np.ndarray) -> list[tuple[str, np.ndarray]]:
-    """Rows of about the same load, a gap of 10 % parting two: (label, indices), lightest first."""
+    """Groups of about the same load: (label, indices of its rows), lightest first. A step of
+    `SAME_LOAD` between sorted loads parts two groups.
+    """
     order = np.argsort(load, kind="stable")
-    cuts = np.flatnonzero(np.diff(np.log(load[order])) > 0.1) + 1
+    cuts = np.flatnonzero(np.diff(np.log(load[order])) > SAME_LOAD) + 1
     return [(f"{np.mean(load[members]):.0f} N", members) for members in np.split(order, cuts)]

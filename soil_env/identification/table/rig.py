@@ -27,13 +27,16 @@ def predict_table(
     guess: np.ndarray,
     factors: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Sinkage, drawbar pull and torque [N, 3] of the soil with the parameters `values` by name;
-    `guess` [N] is renewed, `factors` [N, 4] of `BY_ROW` may multiply them.
+    """Sinkage, drawbar pull and torque [N, 3] of the soil with the parameters `values` by name and
+    the laws of the setup.
+
+    `guess` [N]: sinkages that the balance of the load starts from, 0 for none; it gets those that
+    were found. `factors` [N, 4] multiply the `BY_ROW` parameters; None is 1. `unit_weight` [N/m3].
 
     A force W of the rig that stands on ground inclined by b against it presses with W cos(b) on the
     ground and acts with W sin(b) against the pull. b is the tilt of the rig (`tilt_deg` of
-    `values`), and of a vertical load the tilt and the grade of the row. S of wheels of another
-    width than the setup's is k_c/b + k_phi where these are given.
+    `values`); of a vertical load it is the tilt and the grade of the row. S of wheels of another
+    width than the setup's is k_c/width + k_phi where these are given.
     """
     soil = soil_state(values, given_laws(setup))
     tilt = math.radians(values.get("tilt_deg", 0.0))
@@ -50,7 +53,7 @@ def predict_table(
     if setup.soil.k_c is not None:
         factors = np.ones((rows.slip.size, len(BY_ROW))) if factors is None else factors.copy()
         for width in np.unique(rows.wheels[:, 1]):
-            factors[rows.wheels[:, 1] == width, -1] *= _factor(setup, width)
+            factors[rows.wheels[:, 1] == width, -1] *= _coefficient_ratio(setup, width)
     out = np.empty((rows.slip.size, 3))
     # Code is compiled anew for arrays in another order, and for those that nobody may write to.
     rows = Rows(*(a if a.flags.carray else np.require(a, requirements=["C", "W"]) for a in rows))
@@ -59,8 +62,8 @@ def predict_table(
     return out
 
 
-def _factor(setup: Setup, width: float) -> float:
-    """S under a wheel of this width [m] over that under the setup's wheel."""
+def _coefficient_ratio(setup: Setup, width: float) -> float:
+    """S under a wheel of this width [m] over S under the setup's wheel, by k_c and k_phi."""
     if width == setup.wheel.width:
         return 1.0
     here = setup.soil.lumped(width)
