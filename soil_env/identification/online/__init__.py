@@ -7,4 +7,7 @@ most probable ones, `library` weighs the soils that may come; `borders` passes t
 is believed before. Above stand `class_memory`, `pooling` over the wheels of a rover,
 `immobilisation` and `ground`, which says whether the wheel can pass; `on_board` runs
 all on simulated wheels and rovers, `interface` on readings of a real wheel.
+
+Constants without another origin are own choices. Those of the estimate were chosen on courses of
+their own (docs/physics/estimation.md); least and largest numbers guard logarithms and divisions.
 """
