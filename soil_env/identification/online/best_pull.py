@@ -1,9 +1,9 @@
 """Best steady drawbar pull of the ground under the wheel, of the load, with its standard deviation.
 
-At each of `SLIP` the steady sinkage z is the root of ln s(z) + n ln q - ln S: s is the sinkage
-coefficient that the load mobilises, q the ratio of slip-sinkage. A step of Newton's method a point
-follows it. Friction, cohesion, K and stiffness err together, so the pull is known better than any
-of them: its variance is by their whole covariance.
+At each `SLIP` the steady sinkage z is the root of the condition ln s(z) + n ln q - ln S. Here s is
+the sinkage coefficient that the load mobilises, and q the ratio of slip-sinkage. One step of
+Newton's method at each renewal follows the root. Friction, cohesion, K and stiffness err together,
+so the pull is known better than any of them: its variance is by their whole covariance.
 """
 
 import math

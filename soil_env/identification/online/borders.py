@@ -30,8 +30,10 @@ CELL_SHARE = 0.1  # [of the spread of the cell] added to that error, own choice
 
 @compiled
 def begin_soil(memory, setting, work):
-    """Set what is known of the ground and of the instruments to the prior, with no points, and the
-    fresh estimate with it; mass, clocks, places and the published estimate stay.
+    """Set what is known of the ground and of the instruments to the prior, without points, and the
+    fresh estimate with it.
+
+    Mass, clocks, places and the published estimate stay.
     """
     memory.excess = 0.0
     memory.form_error = setting.model_error

@@ -15,8 +15,8 @@ from .memory import CELLS, MEANS, OF_CHANGES, VARIANCES
 PULL_UNIT = 0.003  # [of weight]
 SLIP_UNIT = 0.025  # [-]
 SINKAGE_UNIT = 0.05  # [of the mean sinkage of both]
-# [1/m2] squared distance of two cells on a border over that of their places, own choice: above 1
-# always, by `NEAREST`, so that such cells are merged for want of room alone and after others
+# [1/m2] Squared distance of two cells on a border over that of their places, own choice. With
+# `NEAREST` it is never below 1: such cells are merged only for want of room, after others.
 ON_BORDER = 1e9
 NEAREST = 1e-6  # [m2] added to the square of the distance of their places
 

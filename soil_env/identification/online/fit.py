@@ -1,6 +1,7 @@
-"""The most probable soil and instruments by all cells: Gauss-Newton, the generalized Newton-Raphson
-method of the source paper (its Section 4), with noise in its conditions and a prior; Laplace
-covariance.
+"""The most probable soil and instruments by all cells, and their covariance (Laplace).
+
+Gauss-Newton is the generalized Newton-Raphson method of the source paper (its Section 4), here with
+noise in its conditions and a prior.
 """
 
 import math

@@ -187,10 +187,11 @@ def _derive(contact, i, sums, rim, travel, state):
 
 @compiled
 def reaction(contact, ground, sinkage, slip, load, r, b):
-    """Write forces and derivatives into `value` and `by` of a `CONTACT`: of a wheel of radius r and
-    width b [m] under a `load` [N] on `Ground`, at a `sinkage` [m] and a `slip` [-] above -1.
+    """Write forces and their derivatives into `value` and `by` of a `CONTACT`.
 
-    S is the one that carries the load at this sinkage, at least `LEAST_COEFFICIENT`.
+    The wheel has radius r and width b [m], and stands under a `load` [N] on a `Ground`, at a
+    `sinkage` [m] and a `slip` [-] above -1. S is the one that carries the load at this
+    sinkage, at least `LEAST_COEFFICIENT`.
     """
     nodes = contact.arc[0]
     t = ground.tan_phi

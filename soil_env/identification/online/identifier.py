@@ -102,7 +102,7 @@ def _surprise(memory, setting, work):
     """Chi-squared of pull and torque of the newest cell under the soil so far.
 
     Their covariance is that of the residuals, with a larger error of the laws, and that of the
-    unknowns of the last fit; an old soil behind a border counts as known.
+    unknowns of the last fit. An old soil behind a border counts as known.
     """
     cell = memory.cells[memory.cells_kept]
     e = residuals(cell, memory, setting, work)
@@ -129,8 +129,8 @@ def _surprise(memory, setting, work):
 
 @compiled
 def _find_bearing(memory, reading, setting, work):
-    """Renew the bearing sinkage under the wheel: the depth at which undisturbed ground, or the floor
-    of a rut, carries its present pressure.
+    """Renew the bearing sinkage under the wheel: the depth at which undisturbed ground, or the
+    floor of a rut, carries its present pressure.
 
     Where it is due, also renews the best pull, and widens its standard deviation.
     """
@@ -156,8 +156,10 @@ def _find_bearing(memory, reading, setting, work):
 
 @compiled
 def widening(memory, setting):
-    """Factor of the standard deviations: for what the linearised fit leaves out, and the root of
-    the form error over the believed one, since errors of laws do not average out.
+    """Factor of the standard deviations: `WIDER` for what the linearised fit leaves out, times the
+    root of the form error over the believed one.
+
+    Errors of laws do not average out as noise does.
     """
     return WIDER * math.sqrt(memory.form_error / setting.model_error)
 
@@ -222,7 +224,7 @@ def _complete(memory, reading, alone, setting, work):
     """Close the open point and take it into account, in one of three ways.
 
     Where the sum of excesses shows another soil, or a soil that had fitted contradicts the laws, a
-    border begins here and the point is dropped; that is asked only if `alone`, off borders. An
+    border begins here and the point is dropped. That is asked only off borders, if `alone`. An
     outlier is left out, and the published standard deviations grow by `DOUBT`. To any other point
     the soil is fitted, and published.
     """

@@ -51,8 +51,9 @@ def join(known, u, mean, precision, work):
 
 @compiled
 def _log_weight(known, u, setting, work, k):
-    """ln of the weight of the Gaussian k of the library under the readings, but for a constant of
-    all; joins the readings with it (`join`), and leaves the half-solved step in `work.step`.
+    """ln of the weight of the Gaussian k of the library under the readings, up to a constant.
+
+    Joins the readings with it: see `join`. Overwrites `work.step`.
     """
     mean = setting.library_mean[k]
     join(known, u, mean, setting.library_precision[k], work)

@@ -1,6 +1,6 @@
 """Positive definite systems by triangular factors, in arrays of which the first n rows count.
 
-A = U U' with U upper triangular: the last unknown is eliminated first, so that the covariance of
+A = U U' with U upper triangular. The last unknown is eliminated first, so that the covariance of
 the first m unknowns follows from the first m rows of U.
 """
 

@@ -20,7 +20,7 @@ from .forces import (
 )
 
 #: Unknowns of the soil: tan phi, c [Pa], n, ln of K [m], ln of the pressure S d^n [Pa] at the depth
-#: d, ln of the gain of slip-sinkage over the nominal one.
+#: of `SETTING`. The last is ln of the gain of slip-sinkage over the nominal one.
 assert (TANGENT, COHESION, EXPONENT, LN_K) == tuple(range(OF_GROUND))
 PRESSURE, GAIN = range(OF_GROUND, OF_GROUND + 2)
 SOIL = GAIN + 1
@@ -58,12 +58,12 @@ CELLS = 8
 #: Gaussians of a library at most, with the one of soils that are like none: room in `SETTING`.
 MOST_SOILS = 32
 
-#: [of its unit] Least standard deviation of a sensor or an estimate, own choice, so that no weight is
-#: infinite.
+#: [of its unit] Least standard deviation of a sensor or an estimate, own choice, so that no weight
+#: is infinite.
 LEAST_SD = 1e-6
 
-#: Indices of an estimate: phi [rad], ln of K [m], ln of S at the exponent of the belief, c [Pa], ln
-#: of the gain of slip-sinkage over the nominal one. Those of a fit are `TANGENT` to `GAIN`.
+#: Indices of an estimate: phi [rad], ln of K [m], ln of S at the exponent of the belief, c [Pa],
+#: ln of the gain (over the nominal one). Those of a fit are `TANGENT` to `GAIN`.
 PUBLISHED_PHI, PUBLISHED_LN_K, PUBLISHED_LN_S, PUBLISHED_COHESION, PUBLISHED_GAIN = range(5)
 PUBLISHED = PUBLISHED_GAIN + 1
 #: Quantities of an estimate: the published ones and the best steady drawbar pull [of load].

@@ -15,15 +15,15 @@ from soil_env.parameters.sensors import SensorReading
 NAMES = SensorReading._fields
 # Readings of a point, own choice; with 4 the errors of ln K grow by 5 %.
 READINGS = 8.0
-# [-] Standard deviation of the slip that a point has at most, if it can, own choice: noise of slip
+# [-] Standard deviation of the slip that a point has at most, if it can, own choice. Noise of slip
 # that is taken for slip draws ln K and phi down. A slow wheel needs more readings for it.
 SHARPEST_SLIP = 0.012
 MOST_READINGS = 3.0 * READINGS  # of a point of a slow wheel, own choice
 FIRST_READINGS = 3.0  # of each of the first points of a soil, own choice: sooner a first estimate
 FIRST_POINTS = 3  # number of these points, own choice
 LONGEST = 3.0  # [radii] travel over a point, own choice
-# [-] Range of slip of a point beyond three standard deviations, own choice: forces are curved over
-# slip, so that their mean differs from the force at the mean slip by up to a hundredth of the load.
+# [-] Range of slip of a point beyond three standard deviations, own choice. Forces are curved over
+# slip: their mean differs from the force at the mean slip by up to a hundredth of the load.
 SLIP_RANGE = 0.08
 # [m/s] Rim or travel speed below which a wheel rests: 20 times the speed below which slip and
 # resistance of the world go to zero (docs/physics/wheel.md).
@@ -247,9 +247,9 @@ def collect(point, memory, reading, error, turned, setting):
     point.turning += memory.turning
 
 
-# [relaxation lengths] Clock `turning` from point to point, the summed changes of the rim speed,
-# above which the wheel has stopped between them, own choice: soil yields under a standing wheel,
-# which the law of sinkage does not know.
+# [relaxation lengths] Advance of the clock `turning` (summed changes of rim speed) from point to
+# point, above which the wheel has stopped between them, own choice. Soil yields under a standing
+# wheel, which the law of sinkage does not know.
 STOPPED = 0.1
 
 

@@ -1,11 +1,11 @@
 """Joint knowledge of the wheels of a rover that run over the same ground.
 
 The front wheel finds borders by its forces, and those behind cross them where it has found them: so
-the soils that they meet are numbered alike. Of each soil a wheel keeps the information that its
-readings gave on (tan phi, c, n, ln K): the inverse of their covariance less that of the prior,
+the soils that they meet are numbered alike. Of each soil a wheel keeps what its readings say of
+(tan phi, c, n, ln K). Its information is the inverse of their covariance less that of the prior,
 which counts once (channel filter: Grime & Durrant-Whyte 1994, Control Engineering Practice
-2:849-863). To what a wheel knows itself that of the others is added. No identifier is given what is
-pooled, so nothing is counted twice.
+2:849-863). The information of the others is added to that of the wheel itself. No identifier is
+given what is pooled, so nothing is counted twice.
 
 `TRUST` of it counts, and less where two differ by more than they allow, by chi-squared over its
 degrees of freedom (Birge 1932, Physical Review 40:207-227). Sinkage coefficient and gain of

@@ -157,11 +157,11 @@ def prior_of_belief(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
 
 
 def published_prior(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
-    """Mean [5] and standard deviations [5] of (phi, ln K, ln S, c, ln gain) before any reading:
-    S at the exponent of the belief, the gain over its nominal one.
+    """Mean [5] and standard deviations [5] of (phi, ln K, ln S, c, ln gain) before any reading.
 
-    Standard deviations are half widths of the 68 % intervals of the belief's library, but at least
-    `_LEAST_WIDTH` of its standard deviations.
+    S is that at the exponent of the belief, the gain is over its nominal one. Standard deviations
+    are half widths of the 68 % intervals of the belief's library, but at least `_LEAST_WIDTH` of
+    its standard deviations.
     """
     u, covariance = prior_of_belief(scenario)
     scale = np.maximum(widths(_gaussians(scenario)), _LEAST_WIDTH)

@@ -49,7 +49,7 @@ SINGULAR = 1e-9
 SHALLOWEST = 0.01  # [radii] least sinkage less its zero, own choice
 MOST_SLIP = 0.96  # [-] slip at which forces are computed, at most, own choice
 FARTHEST_SLIP = 0.08  # [-] that the most likely slip may be from its reading, own choice
-LEAST_TANGENT = 0.05  # [-] of the friction angle, 3 deg, own choice
+LEAST_TANGENT = 0.05  # [-] of the friction angle, about 3 deg, own choice
 # [-] bearing sinkage over the sinkage, at most, as in the world (docs/physics/wheel.md)
 DEEPER = 10.0
 # [of load] Form error of a cell on a border, where the blend of two soils is a model too; of load x
