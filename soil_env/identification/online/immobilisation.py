@@ -110,7 +110,7 @@ INPUTS = (
 BLIND = len(INPUTS) - len(View._fields)  # inputs that need no camera, the first ones
 _CHANNELS = len(Channels._fields)
 _AVERAGES = _CHANNELS * len(SCALES)  # number of averages, and index of the seconds behind them
-_SEEN = _AVERAGES + 1  # index of the view behind these
+_SEEN = _AVERAGES + 1  # index behind these: of the view in `MEMORY`, of `Estimated` in `INPUTS`
 #: Numbers kept of each wheel: moving averages, seconds of driving since the start or a halt, what
 #: is seen now.
 MEMORY = _SEEN + len(View._fields)

@@ -269,9 +269,10 @@ class OnlineIdentifier:
         return found._replace(passable=found.passable > 0.0)
 
     def _checked(self, readings: Readings) -> tuple[float, float, float]:
-        """(time [s] since the last readings, rim speed, travel speed [m/s]).
+        """(time [s] since the last readings, rim speed, travel speed [m/s]), checked.
 
-        Raises TypeError for what are no readings, ValueError for one beyond `largest_readings`.
+        Raises TypeError for anything but `Readings` of numbers, ValueError for a reading or a time
+        that cannot be; see `update`.
         """
         if not isinstance(readings, Readings):
             raise TypeError(
@@ -290,7 +291,7 @@ class OnlineIdentifier:
         return self._period(readings.time), *self._speeds(readings)
 
     def _period(self, time: float) -> float:
-        """Time [s] since the last update; the control period without a time of both.
+        """Time [s] since the last update; the control period if either has no time.
 
         Warns outside `SHORTEST_STEP` to `LONGEST_STEP`; raises ValueError for an infinite time and
         one that is not later than the last.
@@ -337,9 +338,9 @@ class OnlineIdentifier:
     def _put(self, r: Readings, rim: float, speed: float) -> None:
         """Store readings and the white noise of each.
 
-        A missing force has the noise `UNMEASURED`, a missing sinkage too, and a substitute: the
-        sinkage at rest, the weight on the slope as load, 0 for others. A missing pitch is 0, a
-        missing slip is that of both speeds, and slips are cut to [-1, 1].
+        A missing pitch is 0, a missing slip that of both speeds; slips are cut to [-1, 1]. Any
+        other missing reading has the noise `UNMEASURED` and a substitute: the sinkage at rest, the
+        weight on the slope as load, 0 for forces, torques and acceleration.
         """
         pitch = 0.0 if r.pitch != r.pitch else r.pitch
         slip = r.slip

@@ -55,7 +55,8 @@ RESIDUALS = SINKAGE + 1
 
 #: Cells kept, own choice; with five the errors grow by 1 to 3 %, with 24 they stay.
 CELLS = 8
-#: Gaussians of a library at most, with the one of soils that are like none: room in `SETTING`.
+#: Gaussians of a library at most, own choice, with the one of soils that are like none: room in
+#: `SETTING`.
 MOST_SOILS = 32
 
 #: [of its unit] Least standard deviation of a sensor or an estimate, own choice, so that no weight

@@ -302,8 +302,8 @@ def write_estimate(out, known, dig_gain):
 def _show_ahead(vehicle, sample, board, out):
     """Fill what is known of the classes on the routes ahead into the last entries of `out`.
 
-    Each route has `OF_SOIL` entries: 0 where it is out of sight or there is one route only; the
-    flag is 1 if its class has been met.
+    Each route has `OF_SOIL` entries. They are 0 where it is out of sight, and of the second route
+    where there is one. The flag is 1 if the class of the route has been met.
     """
     for route in range(board.lines):
         ahead = out[out.size - (board.lines - route) * OF_SOIL :]
