@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 from soil_env.parameters import FLOW_LAW, Belief, Soil
 
-#: [s] of driving within which an immobilisation is foreseen (`online.immobilisation`).
+#: [s] of driving within which an immobilisation is foreseen, own choice: the network of
+#: `online.immobilisation` was trained for them.
 HORIZONS = (3.0, 5.0)
 FORESEEN = tuple(f"immobilised_within_{horizon:g}_s" for horizon in HORIZONS)
 
@@ -19,14 +20,17 @@ class Traversability(NamedTuple):
     best_slip: float  # [-] of the highest steady drawbar pull
     drawbar_margin: float  # [of load] best drawbar pull over the grade; at least -1
     drawbar_margin_sd: float  # of the best drawbar pull
-    torque_required: float  # [N m] there
-    torque_available: float  # [N m]
-    passable: bool
+    torque_required: float  # [N m] at the best slip
+    torque_available: float  # [N m] stall torque of the motor
+    passable: bool  # the margin is above 0
 
 
 def published(x: Any, sd: Any, dig_gain: float, of: Any = math) -> dict[str, Any]:
     """Published numbers of an estimate x [6] with its sd [6]; of arrays [6, wheels] with `of`
     numpy.
+
+    x is phi [rad], ln K, ln S, c [Pa], ln of the gain of slip-sinkage over the nominal `dig_gain`,
+    best pull [of load]. Standard deviations of logarithms are published as relative ones.
     """
     return {
         "friction_angle_deg": of.degrees(x[0]),
@@ -45,7 +49,7 @@ def published(x: Any, sd: Any, dig_gain: float, of: Any = math) -> dict[str, Any
 
 
 def soil_of_numbers(numbers: Mapping[str, float], belief: Belief, gravity: float) -> Soil:
-    """The soil of `published` numbers at a gravity [m/s2], each within its bounds; exponent,
+    """The soil of `published` numbers at a gravity [m/s2], each cut to its bounds; exponent,
     recovery of digging and `FLOW_LAW` are the belief's.
     """
     known = ("sinkage_exponent", "dig_recovery", *FLOW_LAW)

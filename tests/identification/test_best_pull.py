@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings, strategies as st
 
-from soil_env.identification.online.best_pull import SLIP
 from soil_env.identification.online.memory import (
     COHESION,
     EXPONENT,
     LN_K,
     LOAD_GAIN,
     PRESSURE,
+    SLIP,
     SOIL,
     TANGENT,
 )

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from soil_env.identification.online.ground import (
-    LEAST_LOAD,
     MOST_DIGGING,
     STIFFEST,
     assess_ground,
 )
+from soil_env.identification.online.points import LIFTED
 from soil_env.identification.online.prior import setting_of
 from soil_env.identification.published import Traversability
 from soil_env.parameters import SoilState, load_scenario
@@ -57,7 +57,7 @@ def test_slip_and_torque_are_those_of_the_best_working_point(strength, K, S, loa
     """The margin is the best pull that is published, over the grade."""
     estimate = PRIOR + np.array([0.15 * strength, K, S, 300.0 * strength, 0.3 * K])
     best = best_working_point(
-        max(load, LEAST_LOAD) * SCENARIO.weight,
+        max(load, LIFTED) * SCENARIO.weight,
         soil_of(estimate),
         WHEEL.radius,
         WHEEL.width,

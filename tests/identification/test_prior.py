@@ -15,6 +15,7 @@ from soil_env.identification.online.memory import (
     COHESION,
     EXPONENT,
     GAIN,
+    LEAST_SD,
     LN_K,
     PRESSURE,
     SETTING,
@@ -163,5 +164,5 @@ def test_the_sensors_are_those_of_the_scenario():
     assert setting.white[0].drawbar_pull == pytest.approx(0.02 * weight)
     assert setting.zero[0].torque == pytest.approx(0.03 * weight * scenario.wheel.radius)
     assert setting.gain[0].speed == pytest.approx(0.04)
-    assert setting.white[0].load == pytest.approx(prior.LEAST_NOISE * weight)
+    assert setting.white[0].load == pytest.approx(LEAST_SD * weight)
     assert setting.white[0].slip == 0.0  # there is none

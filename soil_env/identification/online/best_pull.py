@@ -1,17 +1,16 @@
 """Best steady drawbar pull of the ground under the wheel, of the load, with its standard deviation.
 
-At each of `SLIP` the steady sinkage z is the root of ln s(z) + n ln q - ln S: s is the sinkage
-coefficient that the load mobilises, q the ratio of slip-sinkage. A step of Newton's method a point
-follows it. Friction, cohesion, K and stiffness err together, so the pull is known better than any
-of them: its variance is by their whole covariance.
+At each `SLIP` the steady sinkage z is the root of the condition ln s(z) + n ln q - ln S. Here s is
+the sinkage coefficient that the load mobilises, and q the ratio of slip-sinkage. One step of
+Newton's method at each renewal follows the root. Friction, cohesion, K and stiffness err together,
+so the pull is known better than any of them: its variance is by their whole covariance.
 """
 
 import math
 
-import numpy as np
-
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
+from soil_env.terramechanics.steady import DEEPEST
 
 from .forces import (
     BY_SINKAGE,
@@ -28,24 +27,31 @@ from .memory import (
     GAIN,
     LOAD_GAIN,
     PRESSURE,
+    SLIP,
     SLIPS,
     SOIL,
 )
 from .residuals import ground_of
 
-SLIP = np.array([0.08, 0.15, 0.23, 0.33, 0.45, 0.6, 0.78, 0.97])  # [-] at which pulls are compared
-assert len(SLIP) == SLIPS
-FLOORED = math.log(2.0 * LEAST_COEFFICIENT)  # ln of a mobilised coefficient that counts as none
-FIRST_STEPS = 12  # of Newton's method, from a first guess; one step follows what is known
-FAR = 0.7  # largest step of ln z
-SHALLOWEST = 1e-5  # [radii]
-DEEPEST = 1.5  # [radii]
-FLATTEST = -0.1  # slope of the condition by ln z, at least
+# ln of a mobilised coefficient that counts as none: twice the floor of `forces.reaction`
+FLOORED = math.log(2.0 * LEAST_COEFFICIENT)
+# Steps of Newton's method from a first guess, own choice; one step follows a sinkage that is known.
+FIRST_STEPS = 12
+LARGEST_STEP = 0.7  # [-] of ln z in a step of Newton's method, own choice: a factor of 2
+SHALLOWEST = 1e-5  # [radii] least steady sinkage, own choice: ln z stays finite
+# [-] slope of the condition by ln z is cut to at most this, own choice: it falls with z, and a
+# slope near 0 gives no step
+FLATTEST = -0.1
 
 
 @compiled
 def _newton(x, slip, load, memory, setting, work):
-    """(ln z after a step, slope of the condition by ln z, ratio q); `work.contact` at x."""
+    """One step of Newton's method from x = ln z: (ln z after it, slope of the condition by ln z at
+    x, ratio q of slip-sinkage).
+
+    Leaves the forces at x in `work.contact`. Where cohesion alone carries the load the wheel rises
+    by a whole `LARGEST_STEP`. z stays within `SHALLOWEST` and `DEEPEST`.
+    """
     u = memory.soil
     contact = work.contact[0]
     ground = ground_of(u, setting)
@@ -59,17 +65,19 @@ def _newton(x, slip, load, memory, setting, work):
     slope = min(contact.by[LN_S, BY_SINKAGE] * z, FLATTEST)
     step = -(ln_s + u[EXPONENT] * math.log(ratio) - ln_S) / slope
     if ln_s <= FLOORED:  # cohesion alone carries the load
-        step = -FAR
-    after = x + min(max(step, -FAR), FAR)
+        step = -LARGEST_STEP
+    after = x + min(max(step, -LARGEST_STEP), LARGEST_STEP)
     low = math.log(SHALLOWEST * setting.radius)
     high = math.log(DEEPEST * setting.radius)
     return min(max(after, low), high), slope, ratio
 
 
 @compiled
-def _slopes(deeper, slope, ratio, memory, setting, work):
-    """Slopes of the steady pull by the soil, S keeping the condition, into `work.step`; `deeper`:
-    that at a given soil by ln z.
+def _pull_slopes(deeper, slope, ratio, memory, setting, work):
+    """Write the slopes of the steady pull [N] by the unknowns of the soil into `work.step`.
+
+    The steady sinkage changes with the soil so that the condition still holds. `deeper`: slope of
+    the pull by ln z at a given soil; `slope`: that of the condition.
     """
     by = work.contact[0].by
     through = -deeper / slope
@@ -83,7 +91,12 @@ def _slopes(deeper, slope, ratio, memory, setting, work):
 
 @compiled
 def renew_best_pull(memory, load, setting, work):
-    """Renew the fresh best pull under a measured `load` [N]."""
+    """Renew the fresh best pull, its standard deviation and the steady sinkages under a measured
+    `load` [N].
+
+    Slips at which the torque exceeds the motor's are left out. The pull is at least -1 of load.
+    Where no slip is left it is -1 with a standard deviation of 1, and the sinkages start anew.
+    """
     load *= 1.0 - memory.u[LOAD_GAIN]
     contact = work.contact[0]
     best = -math.inf
@@ -101,7 +114,7 @@ def renew_best_pull(memory, load, setting, work):
         if contact.value[TORQUE] > setting.stall_torque or pull <= best:
             continue
         best = pull
-        _slopes(deeper, slope, ratio, memory, setting, work)
+        _pull_slopes(deeper, slope, ratio, memory, setting, work)
         variance = 0.0
         for i in range(SOIL):
             for j in range(SOIL):

@@ -18,14 +18,23 @@ from .memory import (
 )
 from .residuals import share_at
 
-PLACE_SD = 0.3  # [border lengths] of the place of a border that forces show, which is where they do
-# factor of the covariance of the old soil, which the border's first readings spoilt
+# [border lengths] standard deviation of the place of a border that forces show, own choice: its
+# middle is assumed where they do
+PLACE_SD = 0.3
+# Factor of the covariance of the old soil, own choice: the first readings on the border were taken
+# for that soil.
 OLD_DOUBT = 3.0
+CELL_PLACE = 2e-3  # [m] error of the place of a cell on a border, own choice
+CELL_SHARE = 0.1  # [of the spread of the cell] added to that error, own choice
 
 
 @compiled
 def begin_soil(memory, setting, work):
-    """Set what is known of the ground and of the instruments to the prior."""
+    """Set what is known of the ground and of the instruments to the prior, without points, and the
+    fresh estimate with it.
+
+    Mass, clocks, places and the published estimate stay.
+    """
     memory.excess = 0.0
     memory.form_error = setting.model_error
     memory.misfit = 1.0
@@ -52,8 +61,10 @@ def begin_soil(memory, setting, work):
 
 @compiled
 def begin_border(memory, setting, work, place, variance):
-    """Begin with another soil, whose border has its middle at `place` [m]; what was known becomes
-    the old soil. Instruments begin anew: carried over, they were too sure.
+    """Begin with another soil, whose border has its middle at `place` [m] with a `variance` [m2].
+
+    What was known becomes the old soil. The instruments begin anew: carried over, they were too
+    sure.
     """
     memory.border = place
     memory.border_variance = variance
@@ -72,10 +83,11 @@ def begin_border(memory, setting, work, place, variance):
 
 @compiled
 def see_border(memory, sample, camera_sd, setting, work):
-    """Begin a border where a camera sees ground of another class begin, and another point; True if
-    it did.
+    """Begin a border, and an empty point, where a camera sees another class of ground begin within
+    half a border; True if it did.
 
-    `sample`: an `Image`; `camera_sd` [m]: of the place of a border in it.
+    On a border and before the first point none begins. `sample`: an `Image`; `camera_sd` [m]:
+    standard deviation of the place of a border in it.
     """
     following = sample.label_0 if sample.taken == 0.0 else sample.label_1
     in_sight = sample.seen > 0.0 and sample.left < 0.5 * setting.border
@@ -88,23 +100,21 @@ def see_border(memory, sample, camera_sd, setting, work):
 
 @compiled
 def feel_border(memory, setting, work):
-    """Begin a border that forces show here.
+    """Begin a border with its middle here, where forces show it.
 
-    The form error begins between that before and the believed one: the laws may be wrong here too.
+    The form error begins at the geometric mean of the one before and the believed one: the laws may
+    be wrong behind the border too.
     """
     form_error = math.sqrt(memory.form_error * setting.model_error)
     begin_border(memory, setting, work, memory.place, (PLACE_SD * setting.border) ** 2)
     memory.form_error = form_error
 
 
-# [m] and [of the spread of a cell] error of the place of a cell on a border
-CELL_PLACE = 2e-3
-CELL_SHARE = 0.1
-
-
 @compiled
 def put_on_border(memory, cell, setting):
-    """Set the error of the place of a new cell on a border, from which its soil follows."""
+    """Set the error of the place of a new cell, if it lies before the end of the last border; its
+    soil is then a blend.
+    """
     before_its_end = memory.borders > 0 and cell.place <= memory.border + 0.5 * setting.border
     if before_its_end or memory.crossing > 0.0:
         cell.place_error = CELL_PLACE + CELL_SHARE * cell.spread
@@ -112,7 +122,10 @@ def put_on_border(memory, cell, setting):
 
 @compiled
 def blend_estimates(into, memory, setting):
-    """Publish the blend of the old and the fresh estimate of a record on a border."""
+    """Publish the blend of the old and the fresh estimate of the record `into` on a border.
+
+    `memory` gives the place on it. Its variance adds to those of both estimates.
+    """
     share, slope = share_at(memory.place - memory.border, setting.border)
     rest = 1.0 - share
     for i in range(QUANTITIES):
@@ -124,6 +137,6 @@ def blend_estimates(into, memory, setting):
 
 @compiled
 def take_fresh(known):
-    """Publish the fresh estimate of a record."""
+    """Publish the fresh estimate of a record, off borders."""
     known.estimate[:] = known.fresh
     known.sd[:] = known.fresh_sd

@@ -10,17 +10,22 @@ from soil_env._compiled.flags import compiled
 
 from .memory import CELLS, MEANS, OF_CHANGES, VARIANCES
 
-# Differences that count as one, beside noise.
+# Differences at which two cells without noise are at a distance of 1, from which on they are kept
+# apart: own choices.
 PULL_UNIT = 0.003  # [of weight]
 SLIP_UNIT = 0.025  # [-]
-SINKAGE_UNIT = 0.05  # relative
-ON_BORDER = 1e9  # [1/m2] of two cells on a border, so that others are merged before them
-NEAREST = 1e-6  # [m2] least square of the distance of their places
+SINKAGE_UNIT = 0.05  # [of the mean sinkage of both]
+# [1/m2] Squared distance of two cells on a border over that of their places, own choice. With
+# `NEAREST` it is never below 1: such cells are merged only for want of room, after others.
+ON_BORDER = 1e9
+NEAREST = 1e-6  # [m2] added to the square of the distance of their places
 
 
 @compiled
 def _distance(a, b):
-    """Squared distance of two cells in the units above."""
+    """Squared distance of two cells by pull, slip and sinkage; unit of each: the one above with the
+    noise of both.
+    """
     pull = PULL_UNIT**2 + a.pull_variance + b.pull_variance
     slip = SLIP_UNIT**2 + a.slip_variance + b.slip_variance
     sinkage = 0.5 * SINKAGE_UNIT * (a.sinkage + b.sinkage)
@@ -31,14 +36,18 @@ def _distance(a, b):
 
 @compiled
 def _joint_variance(a, b, share):
-    """Variance of (1 - share) x + share y, from theirs."""
+    """Variance of (1 - share) x + share y, from the variances a of x and b of y, which are
+    independent.
+    """
     return (1.0 - share) ** 2 * a + share * share * b
 
 
 @compiled
 def _merge(into, cell):
-    """Average a cell into another; one share for all quantities, so that they stay of one
-    condition.
+    """Average a cell into another.
+
+    One share, by the precision of the slip, serves all `MEANS`, so that they stay those of one
+    condition. Places are averaged by the number of readings, `OF_CHANGES` by that of changes.
     """
     share = into.slip_variance / (into.slip_variance + cell.slip_variance)
     for name in literal_unroll(MEANS):
@@ -61,7 +70,9 @@ def _merge(into, cell):
 
 @compiled
 def _apart(a, b):
-    """`_distance`, far where one of the two is on a border; nearer if both are, by their places."""
+    """Squared distance of two cells: `_distance` if neither is on a border, by their places if both
+    are, infinite if one is.
+    """
     if a.place_error > 0.0 and b.place_error > 0.0:
         return ON_BORDER * ((a.place - b.place) ** 2 + NEAREST)
     if a.place_error > 0.0 or b.place_error > 0.0:
@@ -71,8 +82,11 @@ def _apart(a, b):
 
 @compiled
 def remember(memory):
-    """Put the newest cell among the kept ones: into a like one, beside them, or, where there is no
-    room, in the place of one of the two that are most alike.
+    """Put the newest cell among the kept ones.
+
+    It is merged into the nearest one if their distance is below 1, else kept beside them. Where
+    there is no room, the two of all cells whose merging loses least are merged: squared distance
+    times the fewer readings.
     """
     kept = memory.cells_kept
     newest = memory.cells[kept]

@@ -16,17 +16,19 @@ import numpy as np
 from soil_env._compiled.flags import compiled, record
 from soil_env.parameters.course import MOST_CLASSES
 
-from .memory import BEST_PULL, QUANTITIES
+from .memory import BEST_PULL, LEAST_SD, QUANTITIES
 
-LEAST_SD = 1e-6
-WIDER = 1.4  # [of the sd] of the pull of a patch: labels may be wrong, borders are near
-FOUND = 1.0 / 3.0  # [border lengths] behind a border until the identifier has found it out
+# [of the sd] of the best pull of a patch, own choice: labels may be wrong, borders are near
+WIDER = 1.4
+# [border lengths] behind the end of a border before an estimate counts, own choice: until then the
+# identifier may not have found the border
+FOUND = 1.0 / 3.0
 
 _EACH = ("f8", QUANTITIES)
 #: What is known of a class of terrain.
 CLASS = record(patches=("i8",), estimate=_EACH, sd=_EACH)
-#: Memory of a wheel: the patch that the last estimate was made on, or -1; mean and precision of its
-#: class from the patches before; the classes.
+#: Memory of a wheel: the patch that the last estimate was made on, or -1; estimate of its class and
+#: its precisions from the patches before (`before`, `precision`); the classes.
 CLASSES = record(patch=("i8",), before=_EACH, precision=_EACH, of=(CLASS, MOST_CLASSES))
 
 
@@ -43,8 +45,10 @@ def forget_classes(classes, setting):
 
 @compiled
 def remember_class(classes, c, patch, memory, setting):
-    """Renew class c by the estimate that a `memory` has on a `patch`; it replaces an earlier one
-    from there.
+    """Renew class c by the estimate that a `memory` has on a `patch`; an earlier estimate from the
+    same patch is replaced.
+
+    A quantity that is not better known than by the prior changes nothing.
     """
     known = classes.of[c]
     mean = classes.before
@@ -73,7 +77,9 @@ def remember_class(classes, c, patch, memory, setting):
 
 @compiled
 def clear_of_borders(since, left, setting):
-    """True if an estimate made `since` [m] the last border and `left` [m] before the next is of one
-    soil.
+    """True if an estimate is of one soil: `since` [m] behind the middle of the last border and
+    `left` [m] before that of the next one.
+
+    Half a border length lies on each side of a middle; behind it `FOUND` is added.
     """
     return since > (0.5 + FOUND) * setting.border and left > 0.5 * setting.border

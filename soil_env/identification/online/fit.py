@@ -1,6 +1,7 @@
-"""The most probable soil and instruments by all cells: Gauss-Newton, the generalized Newton-Raphson
-method of the source paper (its Section 4), with noise in its conditions and a prior; Laplace
-covariance.
+"""The most probable soil and instruments by all cells, and their covariance (Laplace).
+
+Gauss-Newton is the generalized Newton-Raphson method of the source paper (its Section 4), here with
+noise in its conditions and a prior.
 """
 
 import math
@@ -22,28 +23,37 @@ from .memory import (
     TORQUE,
 )
 from .residuals import (
-    EXACTLY,
     LEAST_TANGENT,
     WEIGHT,
     residuals,
     weigh_unknowns,
 )
 
-STEPS = 2  # of Gauss-Newton for a point, at most; with one the errors of ln K grow by a tenth
-SETTLED = 0.3  # squared length of a step in standard deviations, below which it is the last
-FARTHEST = 4.0  # [prior standard deviations] of the soil from its mean
-# Form error: where chi-squared is `CONTRADICTS` times its expectation the laws err, by as much as
-# leaves no contradiction.
+# Steps of Gauss-Newton for a point, at most, own choice; with one the errors of ln K grow by a
+# tenth. What two leave at the first point widens the form error, which holds where the laws err.
+STEPS = 2
+# [variances] squared length of a step, below which it is the last, own choice
+SETTLED = 0.3
+FARTHEST = 4.0  # [prior standard deviations] of the soil from its mean, at most, own choice
+LEAST_CHI_SQUARED = 1e-5  # [-] least chi-squared that a share is formed of, own choice
+# Form error of the laws, own choices:
+# [of its expectation] chi-squared of the forces above which the laws err: the form error grows
 CONTRADICTS = 1.3
-GROWS = 1.4
-FASTEST = 10.0
-SHRINKS = 1.1
-LARGEST_ERROR = 0.1  # [of load]
+GROWS = 1.4  # factor by which it grows, at least
+FASTEST = 10.0  # factor by which it grows, at most
+# [of `CONTRADICTS`] chi-squared below which it shrinks: 0.78 times the expectation
+AGREES = 0.6
+SHRINKS = 1.1  # factor by which it shrinks
+LARGEST_ERROR = 0.1  # [of load] form error up to which it grows, if the believed one is not larger
 
 
 @compiled
 def _write_prior(memory, setting, work, size):
-    """Normal matrix and gradient of the prior alone."""
+    """Write normal matrix and gradient of the prior of `size` unknowns into `work`: of soil and
+    instruments, behind a border also of its place and of the old soil.
+
+    If the wheel has stood, its pull at rest counts there as a measured zero.
+    """
     A = work.prior
     g = work.prior_gradient
     u = memory.u
@@ -68,8 +78,10 @@ def _write_prior(memory, setting, work, size):
 
 @compiled
 def _normal_equations(memory, setting, work, size):
-    """Normal matrix and gradient of all cells at the unknowns; chi-squared of the forces, of the
-    law of sinkage, and of the other residuals.
+    """Write normal matrix and gradient of prior and cells at `size` unknowns into `work`; returns
+    chi-squared (of the forces, of the law of sinkage, of the other residuals).
+
+    Only residuals of cells on a border depend on its place and on the old soil.
     """
     _write_prior(memory, setting, work, size)
     A = work.normal
@@ -106,8 +118,10 @@ def _normal_equations(memory, setting, work, size):
 
 @compiled
 def _apply_step(memory, setting, work, size):
-    """Take `work.step`, shortened to a prior standard deviation of any unknown; the share of it
-    that is taken.
+    """Add `work.step` to the unknowns; the share of it that is taken.
+
+    It is shortened until no unknown moves by more than its prior standard deviation. Then both
+    soils are held within `FARTHEST`, and tan phi at `LEAST_TANGENT` or above.
     """
     u = memory.u
     share = 1.0
@@ -126,8 +140,10 @@ def _apply_step(memory, setting, work, size):
 
 @compiled
 def _fall(work, size, length, share):
-    """Fall of chi-squared of the cells, without the prior, over a share of `work.step`, whose
-    squared `length` is that in standard deviations.
+    """Fall of chi-squared of the cells over a share of `work.step`, as the normal equations predict
+    it: that of cells and prior together, less that of the prior.
+
+    `length`: step times gradient, the squared length of the whole step in standard deviations.
     """
     step = work.step
     fall = share * (2.0 - share) * length
@@ -140,7 +156,12 @@ def _fall(work, size, length, share):
 
 @compiled
 def renew(memory, setting, work):
-    """Renew unknowns and covariance by all cells, `misfit` and form error of the laws."""
+    """Renew unknowns and covariance of the soil by all cells, then both misfits and the form error.
+
+    Chi-squared after the last step is the one before it, less the fall that is predicted. Where the
+    forces contradict the laws, the form error grows by the root of `misfit`, within `GROWS` and
+    `FASTEST`. Where they agree, it shrinks to the believed one.
+    """
     # Behind a border the soil before it and the place of the border are unknowns too.
     size = ALL if memory.behind > 0 else HERE
     weigh_unknowns(memory, setting, work)
@@ -155,7 +176,7 @@ def renew(memory, setting, work):
         for i in range(size):
             length += work.step[i] * work.gradient[i]
         share = _apply_step(memory, setting, work, size)
-        before = max(forces + sinkage + others, EXACTLY)
+        before = max(forces + sinkage + others, LEAST_CHI_SQUARED)
         left = max(1.0 - _fall(work, size, length, share) / before, 0.0)
         if share == 1.0 and length < SETTLED:
             break
@@ -168,5 +189,5 @@ def renew(memory, setting, work):
     if memory.misfit > CONTRADICTS:
         grown = min(max(math.sqrt(memory.misfit), GROWS), FASTEST) * memory.form_error
         memory.form_error = min(grown, max(LARGEST_ERROR, setting.model_error))
-    elif memory.misfit < 0.6 * CONTRADICTS:
+    elif memory.misfit < AGREES * CONTRADICTS:
         memory.form_error = max(memory.form_error / SHRINKS, setting.model_error)

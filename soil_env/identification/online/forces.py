@@ -33,16 +33,38 @@ from soil_env.terramechanics.contact import (
     smooth_arc,
 )
 
-LEAST_COEFFICIENT = 1.0  # [N/m^(n+2)] least mobilised S whose logarithm is taken
-LEAST_SINE = 1e-3  # [-] of the entry angle that a derivative is divided by
-SHALLOWEST = 1e-9  # [radii] depth of a node below the entry point whose logarithm is taken
+# [N/m^(n+2)] least mobilised S, whose logarithm is taken, own choice: where cohesion alone carries
+# the load, the balance would need S <= 0
+LEAST_COEFFICIENT = 1.0
+LEAST_SINE = 1e-3  # [-] sine of the entry angle that a derivative is divided by, own choice
+# [radii] least depth of a node below the entry point, whose logarithm is taken, own choice
+SHALLOWEST = 1e-9
 FORWARD = 1.0  # sign of the travel speed
 
 #: Results of `reaction`: pull [N], torque [N m], ln of the mobilised sinkage coefficient.
 PULL, TORQUE, LN_S = range(3)
-#: Their derivatives: by the first fields of `Ground`, then by sinkage and slip.
-TANGENT, COHESION, EXPONENT, LN_K, BY_SINKAGE, BY_SLIP = range(6)
-OF_GROUND = BY_SINKAGE
+
+
+class Ground(NamedTuple):
+    """Soil as the forces depend on it at a given sinkage; the identifier knows the shear law from
+    `rim_flow` on.
+    """
+
+    tan_phi: float
+    cohesion: float  # [Pa]
+    exponent: float
+    ln_K: float  # of m
+    rim_flow: float  # to `shear_length` as in `Soil`
+    braked_peak: float
+    shear_growth: float
+    shear_length: float  # [m]
+
+
+#: Columns of the derivatives of these results: by the unknown fields of `Ground`, then by sinkage
+#: and slip.
+OF_GROUND = Ground._fields.index("rim_flow")
+TANGENT, COHESION, EXPONENT, LN_K = range(OF_GROUND)
+BY_SINKAGE, BY_SLIP = range(OF_GROUND, OF_GROUND + 2)
 
 # [-] length of the front zone between the entry and the node in front with the same stress
 PEER_AHEAD = np.tile(FRONT_AHEAD[:NODES_PER_ZONE], 2)
@@ -60,22 +82,11 @@ CONTACT = record(
 )
 
 
-class Ground(NamedTuple):
-    """Soil as the forces depend on it at a given sinkage."""
-
-    tan_phi: float
-    cohesion: float  # [Pa]
-    exponent: float
-    ln_K: float  # of m
-    rim_flow: float  # these are known, as in `Soil`
-    braked_peak: float
-    shear_growth: float
-    shear_length: float  # [m]
-
-
 @compiled_sums
 def _lay_depths(contact, theta1, exponent, r):
-    """Lay the depths of the nodes below the entry point."""
+    """Write what derivatives of the stress need of each node: its depth below the entry point, by
+    the node in front with the same stress, which sets it.
+    """
     nodes = contact.arc[0]
     sine = half_sin(theta1)
     contact.sin1 = 2.0 * sine * half_cos(theta1)
@@ -89,13 +100,15 @@ def _lay_depths(contact, theta1, exponent, r):
 
 
 class _Sums(NamedTuple):
-    """Derivatives by one quantity at a given S: of the integrals of p for S = 1 and of tau."""
+    """Derivatives of integrals over the arc by one quantity, at a given S: of the normal stress p
+    for S = 1, and of the shear stress tau.
+    """
 
-    p_cos: float
-    p_sin: float
-    cos: float
-    sin: float
-    one: float
+    p_cos: float  # of Int p cos
+    p_sin: float  # of Int p sin
+    cos: float  # of Int tau cos
+    sin: float  # of Int tau sin
+    one: float  # of Int tau
 
 
 class _State(NamedTuple):
@@ -107,25 +120,27 @@ class _State(NamedTuple):
     rim: float  # motion of the sheared soil, as in `contact`
     travel: float
     modulus: float  # [m] K at this length of contact
-    by_S: Forces
-    rates: ShearRates
+    by_S: Forces  # derivatives of the forces by S
+    rates: ShearRates  # derivatives of the integrals of tau by the motion
 
 
 @compiled_sums
-def _move(contact, ground, state, theta1, thetam, exponent):
-    """`_Sums` by a quantity that changes entry angle, angle of the stress peak and exponent by so
-    much.
+def _sums_by(contact, ground, state, by_entry, by_peak, by_exponent):
+    """`_Sums` by a quantity on which entry angle, angle of the stress peak and exponent depend;
+    `by_entry`, `by_peak` and `by_exponent` are their derivatives by it.
+
+    The nodes move with the arc, and their weights grow with the lengths of its zones.
     """
     nodes = contact.arc[0]
     arc = state.arc
     r = arc.radius
     st = state.S * ground.tan_phi
     c = ground.cohesion
-    front = theta1 - thetam  # of the lengths of both zones
+    front = by_entry - by_peak  # change of the length of the front zone; of the rear one: by_peak
     wider_front = front / (arc.theta1 - arc.thetam)
-    wider_rear = thetam / arc.thetam
-    sin1 = contact.sin1 * theta1
-    cos1 = contact.cos1 * theta1
+    wider_rear = by_peak / arc.thetam
+    sin1 = contact.sin1 * by_entry
+    cos1 = contact.cos1 * by_entry
     p_cos = p_sin = tau_cos = tau_sin = tau = 0.0
     for k in range(NODES):
         cos = nodes.cos[k]
@@ -133,13 +148,14 @@ def _move(contact, ground, state, theta1, thetam, exponent):
         p = nodes.stress[k]
         weight = nodes.weight[k]
         wider = wider_front if k < NODES_PER_ZONE else wider_rear
-        moved = theta1 - front * FRONT_AHEAD[k] - thetam * REAR_AHEAD[k]
-        sunk = sin1 - contact.peer_sin[k] * (theta1 - front * PEER_AHEAD[k])
-        stress = p * (wider + sunk * contact.per_depth[k] + exponent * contact.ln_depth[k])
+        moved = by_entry - front * FRONT_AHEAD[k] - by_peak * REAR_AHEAD[k]
+        sunk = sin1 - contact.peer_sin[k] * (by_entry - front * PEER_AHEAD[k])
+        stress = p * (wider + sunk * contact.per_depth[k] + by_exponent * contact.ln_depth[k])
         j = state.rim * nodes.by_rim[k] + state.travel * nodes.by_travel[k]
+        # mobilised share of the shear strength, from its slope by j: Eq. (10)
         e = math.copysign(1.0 - state.modulus * nodes.rate[k], j)
         strength = st * p + c * weight
-        slid = r * (state.rim * (theta1 - moved) - state.travel * (cos1 - cos * moved))
+        slid = r * (state.rim * (by_entry - moved) - state.travel * (cos1 - cos * moved))
         shear = (st * stress + c * weight * wider) * e + strength * nodes.rate[k] * slid
         p_cos += stress * cos - p * sin * moved
         p_sin += stress * sin + p * cos * moved
@@ -151,8 +167,10 @@ def _move(contact, ground, state, theta1, thetam, exponent):
 
 @compiled
 def _derive(contact, i, sums, rim, travel, state):
-    """Write the derivatives by quantity i, S keeping the load, by its `_Sums` and its change of the
-    motion.
+    """Write the derivatives of pull, torque and ln S by quantity i into `contact.by`, while S
+    changes so that the load stays.
+
+    `sums`: by the quantity at a given S; `rim`, `travel`: derivatives of the motion by it.
     """
     S = state.S
     rates = state.rates
@@ -169,8 +187,11 @@ def _derive(contact, i, sums, rim, travel, state):
 
 @compiled
 def reaction(contact, ground, sinkage, slip, load, r, b):
-    """Write `value` and `by` of a `CONTACT`: of a wheel of radius r and width b [m] under a `load`
-    [N] on `Ground`, at a `sinkage` [m] and a `slip` [-] above -1.
+    """Write forces and their derivatives into `value` and `by` of a `CONTACT`.
+
+    The wheel has radius r and width b [m], and stands under a `load` [N] on a `Ground`, at a
+    `sinkage` [m] and a `slip` [-] above -1. S is the one that carries the load at this
+    sinkage, at least `LEAST_COEFFICIENT`.
     """
     nodes = contact.arc[0]
     t = ground.tan_phi
@@ -199,10 +220,10 @@ def reaction(contact, ground, sinkage, slip, load, r, b):
     by_t = _Sums(0.0, 0.0, S * q.pe_cos, S * q.pe_sin, S * q.pe)
     _derive(contact, TANGENT, by_t, travel * by_share * ground.rim_flow * free, 0.0, state)
     _derive(contact, COHESION, _Sums(0.0, 0.0, q.e_cos, q.e_sin, q.e), 0.0, 0.0, state)
-    _derive(contact, EXPONENT, _move(contact, ground, state, 0.0, 0.0, 1.0), 0.0, 0.0, state)
+    _derive(contact, EXPONENT, _sums_by(contact, ground, state, 0.0, 0.0, 1.0), 0.0, 0.0, state)
     _derive(contact, LN_K, none, -rim, -travel, state)
     theta1 = 1.0 / (r * max(contact.sin1, LEAST_SINE))
-    by_z = _move(contact, ground, state, theta1, (0.5 + shift) * theta1, 0.0)
+    by_z = _sums_by(contact, ground, state, theta1, (0.5 + shift) * theta1, 0.0)
     growth = ground.shear_growth / arc.theta1 * theta1
     rim_by_z = travel * by_most * most_by_angle(arc) * theta1
     _derive(contact, BY_SINKAGE, by_z, rim_by_z - growth * rim, -growth * travel, state)
@@ -210,6 +231,6 @@ def reaction(contact, ground, sinkage, slip, load, r, b):
     by_i = none
     if braked > 0.0 and ground.braked_peak > 0.0:
         peak = -ground.braked_peak / (1.0 + braked) ** 2 * arc.theta1
-        by_i = _move(contact, ground, state, 0.0, peak, 0.0)
+        by_i = _sums_by(contact, ground, state, 0.0, peak, 0.0)
     rim_by_i = (share + travel * by_share * carry * free_by_travel) * slower
     _derive(contact, BY_SLIP, by_i, rim_by_i, slower, state)

@@ -5,50 +5,65 @@ import math
 import numpy as np
 
 from soil_env._compiled.cache import kept
-from soil_env.parameters import SoilState
+from soil_env.identification.published import Traversability
+from soil_env.parameters import NO_LAYER, SoilState
 from soil_env.terramechanics.contact import ARC_NODES
 from soil_env.terramechanics.steady import LEVEL, Rim
 from soil_env.terramechanics.traversability import best_point_at
 
-from .memory import BEST_PULL
+from .memory import (
+    BEST_PULL,
+    PUBLISHED_COHESION,
+    PUBLISHED_GAIN,
+    PUBLISHED_LN_K,
+    PUBLISHED_LN_S,
+    PUBLISHED_PHI,
+)
+from .points import LIFTED
 
-STIFFEST = 1e13  # [N/m^(n+2)] largest sinkage coefficient that an estimate may stand for
-MOST_DIGGING = 20.0  # [-] largest gain of slip-sinkage that an estimate may stand for
-LEAST_LOAD = 0.05  # [of weight] below which a measured load counts as this
+# Largest numbers of a soil that an estimate may stand for, the upper bounds of `Soil`.
+STIFFEST = 1e13  # [N/m^(n+2)] sinkage coefficient
+MOST_DIGGING = 20.0  # [-] gain of slip-sinkage
+# Columns of what is assessed.
+BEST_SLIP, MARGIN, MARGIN_SD, REQUIRED, AVAILABLE, PASSABLE = range(len(Traversability._fields))
 
 
 @kept
 def _assess(rows, estimate, sd, seen, setting, nodes, out):
-    """`assess_ground`, with an arc's scratch `nodes`."""
+    """Compiled part of `assess_ground`; `nodes` [1] `ARC_NODES`: scratch.
+
+    The margin is by the estimated best pull, slip and torque by the steady state on the estimated
+    soil. The margin is at least -1, and -1 where the motor has too little torque at every slip.
+    """
     numbers = setting[0]
     wheel = Rim(numbers.radius, numbers.width, 0.0, 0.0, 0.0, 0.0, 0.0)
     for k in rows:
         x = estimate[k]
         soil = SoilState(
-            math.tan(x[0]),
-            max(x[3], 0.0),
-            math.exp(x[1]),
-            min(math.exp(x[2]), STIFFEST),
+            math.tan(x[PUBLISHED_PHI]),
+            max(x[PUBLISHED_COHESION], 0.0),
+            math.exp(x[PUBLISHED_LN_K]),
+            min(math.exp(x[PUBLISHED_LN_S]), STIFFEST),
             numbers.exponent,
-            min(numbers.dig_gain * math.exp(x[4]), MOST_DIGGING),
+            min(numbers.dig_gain * math.exp(x[PUBLISHED_GAIN]), MOST_DIGGING),
             numbers.dig_recovery,
             numbers.rim_flow,
             numbers.braked_peak,
             numbers.shear_growth,
             numbers.shear_length,
-            0.0,
-            0.1,
+            NO_LAYER[0],
+            NO_LAYER[1],
         )
-        load = max(seen[k, 0], LEAST_LOAD) * numbers.weight
+        load = max(seen[k, 0], LIFTED) * numbers.weight
         best = best_point_at(nodes[0], load, soil, wheel, LEVEL, None, numbers.stall_torque)
         turns = best.drawbar_pull > -math.inf  # at some slip the motor has the torque
         margin = max(x[BEST_PULL] - math.tan(seen[k, 1]), -1.0) if turns else -1.0
-        out[k, 0] = best.slip
-        out[k, 1] = margin
-        out[k, 2] = sd[k, BEST_PULL]
-        out[k, 3] = best.torque
-        out[k, 4] = numbers.stall_torque
-        out[k, 5] = 1.0 if margin > 0.0 else 0.0
+        out[k, BEST_SLIP] = best.slip
+        out[k, MARGIN] = margin
+        out[k, MARGIN_SD] = sd[k, BEST_PULL]
+        out[k, REQUIRED] = best.torque
+        out[k, AVAILABLE] = numbers.stall_torque
+        out[k, PASSABLE] = 1.0 if margin > 0.0 else 0.0
 
 
 def assess_ground(
@@ -61,9 +76,9 @@ def assess_ground(
 ) -> None:
     """Write the traversability of the ground under the wheels `rows` [n] into `out` [wheels, 6].
 
-    `estimate` and `sd` [wheels, 6]; `seen` [wheels, 2], load [of weight] and pitch [rad]; `setting`
-    is `SETTING` [1]. Columns of `out`: best slip, drawbar margin and its sd [of load], torques
-    required and available [N m], 1 if the ground is passable.
+    `estimate` and `sd` [wheels, 6]; `seen` [wheels, 2], load [of weight], at least `LIFTED`, and
+    pitch [rad]; `setting` is `SETTING` [1]. Columns of `out` are those of `Traversability`: best
+    slip, drawbar margin and its sd [of load], torques required and available [N m], 1 if passable.
     """
     arrays = (np.ascontiguousarray(estimate), np.ascontiguousarray(sd), seen)
     _assess(rows, *arrays, setting, np.zeros(1, ARC_NODES), out)

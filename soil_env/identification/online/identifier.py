@@ -32,6 +32,11 @@ from .memory import (
     LOAD_GAIN,
     PRESSURE,
     PUBLISHED,
+    PUBLISHED_COHESION,
+    PUBLISHED_GAIN,
+    PUBLISHED_LN_K,
+    PUBLISHED_LN_S,
+    PUBLISHED_PHI,
     PULL,
     SINKAGE_ZERO,
     SOIL,
@@ -59,41 +64,52 @@ from .residuals import DEEPER, ground_of, residuals, weigh_unknowns
 #: Outcomes of a set of readings: the estimate is as before; the wheel moved on a border, and so to
 #: other ground; a point was completed.
 HELD, MOVED, RENEWED = range(3)
-# Readings of a point on a border, where the ground changes from one to the next.
+# Readings of a point on a border, own choice: fewer, since the ground changes from one to the next.
 READINGS_ON_BORDER = 5.0
-# Chi-squared (two degrees of freedom) of the forces of a point: its excess over `EXPECTED` is
-# summed, never below 0; a sum above `ANOTHER_SOIL` is another soil. A point above `OUTLIER` is
-# left out until then.
-EXPECTED = 3.0
-ANOTHER_SOIL = 8.0
-OUTLIER = 3.5
-LONG = 5  # points of a soil, up to which it is the laws that readings contradict
-SETTLED_POINTS = 3  # of a soil, before which no point is an outlier
-DOUBT = 1.3  # factor of the standard deviations while a point is an outlier
-DOUBLED = 4.0  # factor of the form error's variance in that test
-BEYOND = 4e-6  # [of load, squared] further error of the laws in that test
-OFTEN = 3  # points of a soil after which the best pull is renewed with every third one
-CONTRADICTION = 2.5  # chi-squared over its expectation, above which readings contradict the laws
-MISFIT = (
-    4.0  # [of the belief's model error] form error of the laws above which they contradict them
-)
-PULL_WIDER = 1.15  # of the best pull, beyond `WIDER`, whose errors have longer tails
-WIDER = 1.1  # of standard deviations: what a linearised fit under a Gaussian prior leaves out
-# Relative, of the compaction of a rut: a of z_1 N^(1/a) is 2 to 3 (`effects.multipass`).
-RUT_ERROR = 0.12
+# Test for another soil by chi-squared (two degrees of freedom) of the forces of each new point,
+# under the soil so far (CUSUM, docs/physics/estimation.md): own choices.
+EXPECTED = 3.0  # [-] taken off chi-squared before it is summed; the sum is never below 0
+ANOTHER_SOIL = 8.0  # [-] sum above which a border is assumed here
+OUTLIER = 3.5  # [-] chi-squared above which a point is left out, until the sum decides
+SETTLED_POINTS = 3  # of a soil, before which no point is tested
+DOUBT = 1.3  # factor of the standard deviations while the last point is an outlier
+DOUBLED = 2.0**2  # factor of the form error's variance in that test: twice the error
+FURTHER_ERROR = 4e-6  # [of load, squared] further variance of the laws in that test: 0.002 of load
+# Points of a soil up to which readings that contradict the laws show no missed border, own choice:
+# so soon behind a border it is the laws that they contradict.
+FEW_POINTS = 5
+# Points of a soil up to which the best pull is renewed with each, then with every third; own
+# choice, since it takes the forces at each `SLIP`.
+OFTEN = 3
+# Status, own choices (docs/physics/estimation.md):
+# [of its expectation] chi-squared of forces or sinkage above which readings contradict the laws
+CONTRADICTION = 2.5
+# [of the belief's model error] form error above which readings contradict the laws
+LARGE_FORM_ERROR = 4.0
 LEARNT = 0.6  # [of the prior's] standard deviation of phi and ln K at which both count as known
-LEAST_SINKAGE = 1e-3  # [radii] for the bearing sinkage that S is published at
-DEEPEST = 2.0  # [radii] of that
+# Widening of standard deviations, own choices:
+WIDER = 1.1  # factor for what a linearised fit under a Gaussian prior leaves out
+PULL_WIDER = 1.15  # further factor of the best pull, whose errors have longer tails
+# [of the compaction of a rut] its standard deviation: a of z_1 N^(1/a) is 2 to 3
+# (`effects.multipass`).
+RUT_ERROR = 0.12
+LEAST_SINKAGE = 1e-3  # [radii] least sinkage and bearing sinkage that S is published at, own choice
+DEEPEST = 2.0  # [radii] largest bearing sinkage that S is published at, own choice
 
 
 @compiled
 def _surprise(memory, setting, work):
-    """Chi-squared of the forces of the newest cell under the soil so far."""
+    """Chi-squared of pull and torque of the newest cell under the soil so far.
+
+    Their covariance is that of the residuals, with a larger error of the laws, and that of the
+    unknowns of the last fit. An old soil behind a border counts as known.
+    """
     cell = memory.cells[memory.cells_kept]
     e = residuals(cell, memory, setting, work)
     J = work.slopes
     det = e.pull_weight * e.torque_weight - e.joint_weight**2
-    error = (DOUBLED - 1.0) * memory.form_error**2 + BEYOND
+    error = (DOUBLED - 1.0) * memory.form_error**2 + FURTHER_ERROR
+    # the weights are the inverse of a covariance, which is inverted here
     pp = e.torque_weight / det + error
     pt = -e.joint_weight / det
     tt = e.pull_weight / det + error
@@ -113,7 +129,11 @@ def _surprise(memory, setting, work):
 
 @compiled
 def _find_bearing(memory, reading, setting, work):
-    """Renew the bearing sinkage under the wheel, and the best pull there."""
+    """Renew the bearing sinkage under the wheel: the depth at which undisturbed ground, or the
+    floor of a rut, carries its present pressure.
+
+    Where it is due, also renews the best pull, and widens its standard deviation.
+    """
     u = memory.soil
     r = setting.radius
     load = memory.mass * setting.gravity * math.cos(reading.pitch)
@@ -136,31 +156,42 @@ def _find_bearing(memory, reading, setting, work):
 
 @compiled
 def widening(memory, setting):
-    """Factor of the standard deviations for what the linearised fit leaves out, and for a form
-    error beyond the believed one.
+    """Factor of the standard deviations: `WIDER` for what the linearised fit leaves out, times the
+    root of the form error over the believed one.
+
+    Errors of laws do not average out as noise does.
     """
     return WIDER * math.sqrt(memory.form_error / setting.model_error)
 
 
 @compiled
 def publish(u, V, into, memory, setting):
-    """Write `fresh` and its standard deviations by `u` and `covariance` of a record: S is that at
-    the bearing sinkage, for the exponent of the belief.
+    """Write `fresh` and `fresh_sd` of the record `into`, but for the best pull, by a soil u and its
+    covariance V.
+
+    S gives, with the exponent of the belief, the same pressure at the bearing sinkage. Standard
+    deviations are at most those of the prior, then widened after an outlier.
     """
     below = memory.ln_bearing - math.log(setting.depth)
     out = into.fresh
     sd = into.fresh_sd
-    out[0] = math.atan(u[TANGENT])
-    sd[0] = math.sqrt(V[TANGENT, TANGENT]) / (1.0 + u[TANGENT] ** 2)
-    for i, j in ((1, LN_K), (2, PRESSURE), (3, COHESION), (PUBLISHED - 1, GAIN)):
+    out[PUBLISHED_PHI] = math.atan(u[TANGENT])
+    sd[PUBLISHED_PHI] = math.sqrt(V[TANGENT, TANGENT]) / (1.0 + u[TANGENT] ** 2)
+    for i, j in (
+        (PUBLISHED_LN_K, LN_K),
+        (PUBLISHED_LN_S, PRESSURE),
+        (PUBLISHED_COHESION, COHESION),
+        (PUBLISHED_GAIN, GAIN),
+    ):
         out[i] = u[j]
         sd[i] = math.sqrt(V[j, j])
-    out[2] += u[EXPONENT] * below - setting.exponent * memory.ln_bearing
+    out[PUBLISHED_LN_S] += u[EXPONENT] * below - setting.exponent * memory.ln_bearing
     variance = V[PRESSURE, PRESSURE] + below * below * V[EXPONENT, EXPONENT]
     at_depth = math.sqrt(max(variance + 2.0 * below * V[PRESSURE, EXPONENT], 0.0))
     # The load gives the pressure of the soil: what is not known of it there is the bearing sinkage.
     of_soil = setting.exponent / u[EXPONENT] * at_depth
-    sd[2] = math.hypot(of_soil, RUT_ERROR * memory.compaction * (u[EXPONENT] + 0.5))
+    of_rut = RUT_ERROR * memory.compaction * (u[EXPONENT] + 0.5)
+    sd[PUBLISHED_LN_S] = math.hypot(of_soil, of_rut)
     wider = widening(memory, setting)
     for i in range(PUBLISHED):
         sd[i] = min(sd[i] * wider, setting.prior_sd[i]) * memory.widening
@@ -168,23 +199,35 @@ def publish(u, V, into, memory, setting):
 
 @compiled
 def status_of(known, contradicted, setting):
-    """Status of the estimate of a record; `contradicted`: its readings contradict the laws."""
+    """`Status` of a published estimate: MISFIT if readings have `contradicted` the laws, else
+    CONVERGED if phi and ln K are both `LEARNT`, else NOT_EXCITED.
+    """
     if contradicted:
         return Status.MISFIT.value
-    learnt = max(known.sd[0] / setting.prior_sd[0], known.sd[1] / setting.prior_sd[1])
-    return Status.CONVERGED.value if learnt <= LEARNT else Status.NOT_EXCITED.value
+    of_phi = known.sd[PUBLISHED_PHI] / setting.prior_sd[PUBLISHED_PHI]
+    of_modulus = known.sd[PUBLISHED_LN_K] / setting.prior_sd[PUBLISHED_LN_K]
+    left = max(of_phi, of_modulus)
+    return Status.CONVERGED.value if left <= LEARNT else Status.NOT_EXCITED.value
 
 
 @compiled
 def _contradicted(memory, setting):
-    """True if the readings contradict the laws."""
+    """True if the readings contradict the laws: by a misfit of the last fit or by the form error
+    that it took.
+    """
     misfit = max(memory.misfit, memory.law_misfit)
-    return misfit > CONTRADICTION or memory.form_error > MISFIT * setting.model_error
+    return misfit > CONTRADICTION or memory.form_error > LARGE_FORM_ERROR * setting.model_error
 
 
 @compiled
 def _complete(memory, reading, alone, setting, work):
-    """Close the open point and renew what is known by it."""
+    """Close the open point and take it into account, in one of three ways.
+
+    Where the sum of excesses shows another soil, or a soil that had fitted contradicts the laws, a
+    border begins here and the point is dropped. That is asked only off borders, if `alone`. An
+    outlier is left out, and the published standard deviations grow by `DOUBT`. To any other point
+    the soil is fitted, and published.
+    """
     cell = memory.cells[memory.cells_kept]
     close(memory, cell, setting)
     if setting.border > 0.0:
@@ -196,8 +239,8 @@ def _complete(memory, reading, alone, setting, work):
     if alone and not contradicted and memory.points >= SETTLED_POINTS:
         surprise = _surprise(memory, setting, work)
         memory.excess = max(memory.excess + surprise - EXPECTED, 0.0)
-    late = memory.settled > 0 and memory.points > LONG and memory.cells_kept > 1
-    missed = contradicted and late  # a border that no point has shown
+    late = memory.settled > 0 and memory.points > FEW_POINTS and memory.cells_kept > 1
+    missed = contradicted and late  # a border that the sum of excesses has not shown
     if alone and (missed or memory.excess > ANOTHER_SOIL):
         feel_border(memory, setting, work)
         return
@@ -231,9 +274,11 @@ def _is_finite(memory):
 
 @compiled
 def observe(memories, k, reading, alone, setting, work):
-    """Take one set of readings into `memories` [k]: `HELD`, `MOVED` or `RENEWED`.
+    """Take one set of readings into `memories` [k]; its outcome `HELD`, `MOVED` or `RENEWED`.
 
-    `alone`: look for borders by it.
+    `alone`: forces may show a border; False of a wheel that another one tells of borders. Readings
+    that no wheel gives are counted and left out. Where the estimate is no number, the memory is
+    set to the prior.
     """
     memory = memories[k]
     alone = alone and setting.border > 0.0
@@ -274,7 +319,7 @@ def observe(memories, k, reading, alone, setting, work):
 
 @kept
 def start(memory, setting, work):
-    """Set a `memory` [1] of zeros to the prior."""
+    """Set a `memory` [1] of zeros to the prior: the blank memory of a `SETTING` [1]."""
     begin_soil(memory[0], setting[0], work[0])
     take_fresh(memory[0])
 
@@ -290,7 +335,9 @@ def observe_all(memory, readings, setting, work, out):
 
 @kept
 def instruments(memory, setting, work, out):
-    """Write means and standard deviations of the instruments of `memory` [1] into `out` [2, 6]."""
+    """Write means and standard deviations of the instruments of `memory` [1] into `out` [2, 6], in
+    the order of `Instruments`; before the first point those of the prior.
+    """
     one = memory[0]
     scratch = work[0]
     weigh_unknowns(one, setting[0], scratch)

@@ -23,19 +23,30 @@ from soil_env._compiled.flags import compiled, record
 from soil_env.identification.published import HORIZONS
 from soil_env.parameters import Scenario
 
-from .class_memory import BEST_PULL
-from .prior import setting_of
+from .memory import (
+    BEST_PULL,
+    PUBLISHED_COHESION,
+    PUBLISHED_GAIN,
+    PUBLISHED_LN_K,
+    PUBLISHED_LN_S,
+    PUBLISHED_PHI,
+)
+from .points import LIFTED
+from .prior import LEAST_GAIN, setting_of
 
 FILE = Path(__file__).with_suffix(".json")
+# Own choices. The network was trained with these constants, `LIFTED` and `LEAST_GAIN`: other values
+# need other weights.
 SCALES = (0.2, 0.7, 2.0, 5.0)  # [s] time constants of the moving averages
-LARGEST = 6.0  # [standard deviations of the training drives] beyond which an input is cut
-_LEAST_LOAD = 0.05  # [of weight] least load that forces are divided by
+LARGEST = 6.0  # [standard deviations of the training drives] at which an input is cut
 _LEAST_TORQUE = 0.05  # [of stall torque] least available torque that the motor torque is divided by
-# [s/radius]: speeds enter as asinh of it times radii a second, so that a slow wheel is resolved
+_MOST_TORQUE = 1.5  # [of available torque] at which the motor torque is cut; braking: at -1
+# [s/radius] Speeds enter as asinh of this times radii a second, so that a slow wheel is resolved.
 _SPEED = 3.0
-_LEAST_GAIN = 1e-3  # [-] of slip-sinkage, whose logarithm is taken
+_SHORTEST = 0.2  # [s] added to the time since a halt, whose logarithm is taken
+_LEAST_COSINE = 0.01  # [-] least square of the cosine of a pitch that a tangent is divided by
 _BEHIND = 7.0  # [radii] since the last border, beyond which the distance does not matter
-_OFTEN = 2.0  # patches of a class, beyond which more do not matter
+_MOST_MET = 2.0  # patches of a class, beyond which more do not matter
 
 
 class Channels(NamedTuple):
@@ -44,12 +55,12 @@ class Channels(NamedTuple):
     slip: float
     sinkage: float  # [radii]
     drawbar_pull: float  # [of load]
-    load: float  # [of weight]
+    load: float  # [of weight], at least `LIFTED`
     torque: float  # [of load x radius]
     speed: float  # asinh(3 s x radii a second)
-    rim_speed: float  # the same
+    rim_speed: float  # asinh(3 s x radii a second)
     pitch: float  # sine
-    motor: float  # share of the torque that the motor has at this speed
+    motor: float  # motor torque over the torque that the motor has at this speed
     acceleration: float  # of travel [of gravity]
 
 
@@ -79,14 +90,14 @@ class View(NamedTuple):
 class Estimated(NamedTuple):
     """The soil as identified, without dimension."""
 
-    strength: float  # [of load]
-    log_modulus: float
-    log_bearing: float
-    log_digging: float
-    phi_sd: float
-    modulus_sd: float
-    bearing_sd: float
-    digging_sd: float
+    strength: float  # tan phi + cohesion x radius x width [of load]
+    log_modulus: float  # ln of K [radii]
+    log_bearing: float  # ln of the pressure S r^n over weight/(radius x width)
+    log_digging: float  # ln of the gain of slip-sinkage
+    phi_sd: float  # [rad]
+    modulus_sd: float  # of ln K
+    bearing_sd: float  # of ln S
+    digging_sd: float  # of the ln of the gain
 
 
 #: Inputs of the network, in this order.
@@ -96,19 +107,22 @@ INPUTS = (
     *Estimated._fields,
     *View._fields,
 )
-BLIND = len(INPUTS) - len(View._fields)  # of them need no camera
+BLIND = len(INPUTS) - len(View._fields)  # inputs that need no camera, the first ones
 _CHANNELS = len(Channels._fields)
-_AVERAGES = _CHANNELS * len(SCALES)
-_SEEN = _AVERAGES + 1
+_AVERAGES = _CHANNELS * len(SCALES)  # number of averages, and index of the seconds behind them
+_SEEN = _AVERAGES + 1  # index behind these: of the view in `MEMORY`, of `Estimated` in `INPUTS`
 #: Numbers kept of each wheel: moving averages, seconds of driving since the start or a halt, what
 #: is seen now.
 MEMORY = _SEEN + len(View._fields)
-# averages over 2 s
+# Indices of the averages over 2 s, the third scale.
 _PITCH, _LOAD = (2 * _CHANNELS + Channels._fields.index(name) for name in ("pitch", "load"))
 
 
 #: Constants of the averages of a scenario.
-WARNING_SETTING = record("no_load_speed", shares=("f8", len(SCALES)))  # of a new reading in each
+WARNING_SETTING = record(
+    "no_load_speed",  # [rad/s]
+    shares=("f8", len(SCALES)),  # of a new reading in each average
+)
 
 
 class Network(NamedTuple):
@@ -139,8 +153,8 @@ def shares_of(period: float) -> list[float]:
 
 @compiled
 def _channels(reading, numbers, warning):
-    """`Channels` of one set of readings."""
-    load = max(reading.load, _LEAST_LOAD * numbers.weight)
+    """`Channels` of one set of readings; `numbers`: `SETTING`, `warning`: `WARNING_SETTING`."""
+    load = max(reading.load, LIFTED * numbers.weight)
     rim = reading.rim_speed / numbers.radius
     pitch = math.sin(reading.pitch)
     available = max(1.0 - rim / warning.no_load_speed, _LEAST_TORQUE) * numbers.stall_torque
@@ -153,14 +167,16 @@ def _channels(reading, numbers, warning):
         math.asinh(_SPEED * reading.speed / numbers.radius),
         math.asinh(_SPEED * rim),
         pitch,
-        min(max(reading.motor_torque / available, -1.0), 1.5),
+        min(max(reading.motor_torque / available, -1.0), _MOST_TORQUE),
         reading.acceleration / numbers.gravity - pitch,
     )
 
 
 @compiled
 def begin(recent, reading, numbers, warning):
-    """Start the averages of a wheel, at rest at the start of a course, with its first readings."""
+    """Start the averages of a wheel with its first readings, at rest at the start of a course, and
+    its seconds of driving with 0.
+    """
     values = _channels(reading, numbers, warning)
     for i in range(_AVERAGES):
         recent[i] = values[i % _CHANNELS]
@@ -169,8 +185,10 @@ def begin(recent, reading, numbers, warning):
 
 @compiled
 def average(recent, reading, halted, numbers, warning):
-    """Take the readings of a control period into the averages, which stand still in halts;
-    `numbers`: `SETTING` of the identifier.
+    """Take the readings of a control period into the averages and add it to the seconds of driving.
+
+    In a halt the averages stay as they are, and the seconds begin anew. `numbers`: `SETTING` of the
+    identifier.
     """
     if halted > 0.0:
         recent[_AVERAGES] = 0.0
@@ -183,14 +201,19 @@ def average(recent, reading, halted, numbers, warning):
 
 @compiled
 def _margin(known, tangent, seen):
-    """(margin over the `tangent` of a grade, "met") of a class."""
-    return seen * (known.estimate[BEST_PULL] - tangent), seen * min(float(known.patches), _OFTEN)
+    """(margin of a class over the `tangent` of a grade, patches it was met on up to `_MOST_MET`);
+    both 0 where `seen` is 0.
+    """
+    margin = seen * (known.estimate[BEST_PULL] - tangent)
+    return margin, seen * min(float(known.patches), _MOST_MET)
 
 
 @compiled
 def see(recent, image, classes, sight, numbers):
-    """Store the view of a control period by an image and what is known of the `CLASSES`; `sight`
-    [m] of the camera.
+    """Store the `View` of a control period, by an `Image` and the `CLASSES` of a wheel.
+
+    The grade under the wheel is that of its pitch, averaged over 2 s; `sight` [m]: range of the
+    camera, at which the distance to the next border is cut.
     """
     sine = recent[_PITCH]
     route = classes.of[int(image.label_0)]
@@ -199,7 +222,7 @@ def see(recent, image, classes, sight, numbers):
     grade_beside = image.grade_1
     if image.taken > 0.0:
         route, beside, grade, grade_beside = beside, route, grade_beside, grade
-    tangent = sine / math.sqrt(max(1.0 - sine * sine, 0.01))
+    tangent = sine / math.sqrt(max(1.0 - sine * sine, _LEAST_COSINE))
     seen = image.seen
     view = View(
         1.0,
@@ -218,22 +241,24 @@ def see(recent, image, classes, sight, numbers):
 
 @compiled
 def _write_inputs(recent, x, sd, numbers, out):
-    """Write `INPUTS` of a wheel: `recent` [MEMORY], its estimate x and sd [6]."""
+    """Write the `INPUTS` of a wheel into `out`, by its averages `recent` [MEMORY], its estimate x
+    and sd [6]; the load is the average over 2 s.
+    """
     for i in range(_AVERAGES):
         out[i] = recent[i]
-    out[_AVERAGES] = math.log(0.2 + recent[_AVERAGES])
+    out[_AVERAGES] = math.log(_SHORTEST + recent[_AVERAGES])
     load = recent[_LOAD] * numbers.weight
     area = numbers.radius * numbers.width
     ln_r = math.log(numbers.radius)
     ground = Estimated(
-        math.tan(x[0]) + x[3] * area / load,
-        x[1] - ln_r,
-        x[2] + math.log(area / numbers.weight) + numbers.exponent * ln_r,
-        math.log(max(numbers.dig_gain, _LEAST_GAIN)) + x[4],
-        sd[0],
-        sd[1],
-        sd[2],
-        sd[4],
+        math.tan(x[PUBLISHED_PHI]) + x[PUBLISHED_COHESION] * area / load,
+        x[PUBLISHED_LN_K] - ln_r,
+        x[PUBLISHED_LN_S] + math.log(area / numbers.weight) + numbers.exponent * ln_r,
+        math.log(max(numbers.dig_gain, LEAST_GAIN)) + x[PUBLISHED_GAIN],
+        sd[PUBLISHED_PHI],
+        sd[PUBLISHED_LN_K],
+        sd[PUBLISHED_LN_S],
+        sd[PUBLISHED_GAIN],
     )
     for i in range(len(ground)):
         out[_SEEN + i] = ground[i]
@@ -242,7 +267,7 @@ def _write_inputs(recent, x, sd, numbers, out):
 
 
 class Assessed(NamedTuple):
-    """What is foreseen of wheels, and by what."""
+    """Probabilities of immobilisation of wheels, and the inputs that they follow from."""
 
     inputs: np.ndarray  # [n, inputs] `INPUTS`
     probabilities: np.ndarray  # [n, 2] of immobilisation within `HORIZONS`
@@ -250,7 +275,10 @@ class Assessed(NamedTuple):
 
 @kept
 def _assess(rows, recent, estimate, sd, setting, net, assessed):
-    """Fill what is `assessed` of the wheels `rows` [n]."""
+    """Fill `assessed` of the wheels `rows` [n]: inputs, then probabilities by the network `net`.
+
+    The second probability joins both hazards: of the first horizon, and of the time after it.
+    """
     for n in range(rows.size):
         k = rows[n]
         _write_inputs(recent[k], estimate[k], sd[k], setting[0], assessed.inputs[n])
@@ -278,8 +306,8 @@ def shipped_network() -> Network:
 
 
 class ImmobilisationWarning:
-    """Probabilities of immobilisation within `HORIZONS` of wheels whose averages a simulation
-    keeps.
+    """Probabilities of immobilisation within `HORIZONS`, of wheels whose averages a simulation
+    keeps; with the network of the package.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -287,7 +315,7 @@ class ImmobilisationWarning:
         self._net = shipped_network()
 
     def assess(self, rows: np.ndarray, *known: np.ndarray) -> Assessed:
-        """What is foreseen of the wheels `rows` [n] int64.
+        """Inputs and probabilities of the wheels `rows` [n] int64.
 
         `known`: averages [wheels, MEMORY], estimates and their sd [wheels, 6].
         """

@@ -58,11 +58,16 @@ __all__ = [
     "slips",
 ]
 
-#: [s] between two sets of readings, for which the identifier is made; a warning outside.
+#: [s] Shortest time between two sets of readings, below which `update` warns: the least
+#: `Control.period`.
 SHORTEST_STEP = 1e-3
+#: [s] Longest time between two sets of readings, above which `update` warns: own choice.
 LONGEST_STEP = 10.0
-#: White noise, in the units of `Noise`, of what is not measured: nothing beside what is.
+#: White noise, in the units of `Noise`, of what is not measured, own choice: no weight beside what
+#: is.
 UNMEASURED = 1e2
+# [s] Longest step of the integrator in the scenario of an identifier, which only has to be valid.
+_SUBSTEP = 0.05
 
 
 _UNITS = {sensor.name: sensor.unit for sensor in SENSORS} | {"time": "s"}
@@ -141,7 +146,7 @@ class OnlineIdentifier:
         if period is None:
             raise ParameterError("period = None: expected a number [s]")
         try:
-            control = replace(Control(period=period), substep=min(period, 0.05))
+            control = replace(Control(period=period), substep=min(period, _SUBSTEP))
             self._set(
                 Scenario(
                     wheel,
@@ -158,8 +163,11 @@ class OnlineIdentifier:
 
     @classmethod
     def of_scenario(cls, scenario: Scenario) -> Self:
-        """The identifier that an environment of this scenario runs, but for borders that the camera
-        of a scenario with terrain classes sees.
+        """The identifier that an environment of this scenario runs; without the borders that its
+        camera sees, where the scenario has terrain classes.
+
+        Raises TypeError for anything but a `Scenario`, `ParameterError` for one whose belief has
+        the method "none".
         """
         if not isinstance(scenario, Scenario):
             raise TypeError(
@@ -171,6 +179,9 @@ class OnlineIdentifier:
         return identifier
 
     def _set(self, scenario: Scenario) -> None:
+        """Prepare constants, memory and scratch of a scenario; `ParameterError` if it identifies
+        nothing.
+        """
         self.scenario = scenario
         wheel = scenario.wheel
         self._radius = wheel.radius
@@ -258,8 +269,10 @@ class OnlineIdentifier:
         return found._replace(passable=found.passable > 0.0)
 
     def _checked(self, readings: Readings) -> tuple[float, float, float]:
-        """Time [s] since the last readings, rim and travel speed [m/s]; TypeError or ValueError for
-        what cannot be.
+        """(time [s] since the last readings, rim speed, travel speed [m/s]), checked.
+
+        Raises TypeError for anything but `Readings` of numbers, ValueError for a reading or a time
+        that cannot be; see `update`.
         """
         if not isinstance(readings, Readings):
             raise TypeError(
@@ -278,7 +291,11 @@ class OnlineIdentifier:
         return self._period(readings.time), *self._speeds(readings)
 
     def _period(self, time: float) -> float:
-        """Time [s] since the last update."""
+        """Time [s] since the last update; the control period if either has no time.
+
+        Warns outside `SHORTEST_STEP` to `LONGEST_STEP`; raises ValueError for an infinite time and
+        one that is not later than the last.
+        """
         if abs(time) == math.inf:
             raise ValueError(
                 f"time = {time!r} s: expected a finite number, or NaN for one period after the last"
@@ -290,7 +307,7 @@ class OnlineIdentifier:
                     f"time = {time!r} s: {passed:.3g} s after the last readings: expected "
                     f"{SHORTEST_STEP:g} to {LONGEST_STEP:g} s; average faster "
                     "readings, call reset() after a longer gap",
-                    stacklevel=4,
+                    stacklevel=4,  # the caller of `update`
                 )
             return passed
         if passed != passed:
@@ -300,8 +317,11 @@ class OnlineIdentifier:
         )
 
     def _speeds(self, r: Readings) -> tuple[float, float]:
-        """Rim and travel speed [m/s] of a wheel going forward, one of the two from a measured slip;
-        NaN without it.
+        """(rim speed, travel speed) [m/s]; one that was not measured follows from a measured slip,
+        of a wheel going forward, and is NaN without a slip.
+
+        A rim speed does not follow from a slip of 1. Raises ValueError for speeds beyond
+        `largest_readings`.
         """
         rim = r.wheel_speed * self._radius
         speed = r.speed
@@ -316,7 +336,12 @@ class OnlineIdentifier:
         return rim, speed
 
     def _put(self, r: Readings, rim: float, speed: float) -> None:
-        """Store readings and the white noise of each; missing ones have no weight."""
+        """Store readings and the white noise of each.
+
+        A missing pitch is 0, a missing slip that of both speeds; slips are cut to [-1, 1]. Any
+        other missing reading has the noise `UNMEASURED` and a substitute: the sinkage at rest, the
+        weight on the slope as load, 0 for forces, torques and acceleration.
+        """
         pitch = 0.0 if r.pitch != r.pitch else r.pitch
         slip = r.slip
         if slip != slip:
@@ -336,6 +361,7 @@ class OnlineIdentifier:
             white[name] = unknown if missing else self._white[name]
 
     def _published(self, renewed: bool) -> Estimate:
+        """The `Estimate` of the memory, with the instruments as identified."""
         memory = self._memory[0]
         gain = self.scenario.belief.dig_gain
         numbers = published(memory.estimate.tolist(), memory.sd.tolist(), gain)

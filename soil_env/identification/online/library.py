@@ -19,7 +19,9 @@ from .linear import (
 )
 from .memory import SOIL
 
-UNLIKELY = 1e-6  # [of the likeliest] weight below which a soil of the library counts as excluded
+# [of the likeliest] weight below which a soil of the library counts as excluded, own choice: left
+# out, it costs no inversion
+UNLIKELY = 1e-6
 
 
 @compiled
@@ -36,8 +38,10 @@ def write_information(memory, work):
 
 @compiled
 def join(known, u, mean, precision, work):
-    """Join what the readings say at the soil u with a Gaussian: the factor of the posterior into
-    `work.factor`, the gradient into `work.gradient`.
+    """Join what the readings say at the soil u with a Gaussian of a `mean` and a `precision`.
+
+    Writes the factor of the precision of their product into `work.factor`, the gradient of its
+    log-density at u into `work.gradient`; `known`: a record with `information` and `gradient`.
     """
     work.normal[:SOIL, :SOIL] = known.information
     work.gradient[:SOIL] = known.gradient
@@ -47,7 +51,10 @@ def join(known, u, mean, precision, work):
 
 @compiled
 def _log_weight(known, u, setting, work, k):
-    """Join with the Gaussian k of the library; ln of its weight."""
+    """ln of the weight of the Gaussian k of the library under the readings, up to a constant.
+
+    Joins the readings with it: see `join`. Overwrites `work.step`.
+    """
     mean = setting.library_mean[k]
     join(known, u, mean, setting.library_precision[k], work)
     solve_half(work.factor, SOIL, work.gradient, work.step)
@@ -60,8 +67,11 @@ def _log_weight(known, u, setting, work, k):
 
 @compiled
 def mix(known, u, setting, work):
-    """Write `soil` and `spread` of `known` by its `information` and `gradient` at the soil u, and
-    the weights of the library into `work.weights`.
+    """Write mean and covariance of the mixture into `soil` and `spread` of `known`, by its
+    `information` and `gradient` at the soil u; the weights of the library into `work.weights`.
+
+    Sums are taken over the likeliest weight so far, so that none overflows. Soils below `UNLIKELY`
+    have the weight 0.
     """
     mean = known.soil
     spread = known.spread
@@ -100,8 +110,8 @@ def mix(known, u, setting, work):
 
 @compiled
 def lean(memory, setting, work):
-    """Give the next fit a prior of the moments of the soils that are left, by `work.weights`, so
-    that it is linearised near them.
+    """Give the next fit the prior of one Gaussian, with the moments of the library's soils under
+    `work.weights`, so that it is linearised near those that are left.
     """
     mean = memory.prior_mean
     mean[:] = 0.0

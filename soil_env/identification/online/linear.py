@@ -1,6 +1,6 @@
 """Positive definite systems by triangular factors, in arrays of which the first n rows count.
 
-A = U U' with U upper triangular: the last unknown is eliminated first, so that the covariance of
+A = U U' with U upper triangular. The last unknown is eliminated first, so that the covariance of
 the first m unknowns follows from the first m rows of U.
 """
 
@@ -8,12 +8,12 @@ import math
 
 from soil_env._compiled.flags import compiled
 
-LEAST_PIVOT = 1e-12  # [of the diagonal] below which a matrix counts as singular there
+LEAST_PIVOT = 1e-12  # [of the diagonal] to which a smaller pivot is raised: a singular matrix
 
 
 @compiled
 def factorise(a, n, factor):
-    """U of the upper triangle of a [n, n]."""
+    """Write U into `factor`, by the upper triangle of a [n, n]."""
     for back in range(n):
         j = n - 1 - back
         pivot = a[j, j]
@@ -30,7 +30,7 @@ def factorise(a, n, factor):
 
 @compiled
 def solve_half(factor, n, right, x):
-    """x [n] with U x = right; its square is right' A^-1 right."""
+    """Write x [n] with U x = right; its square x' x is right' A^-1 right."""
     for back in range(n):
         i = n - 1 - back
         rest = right[i]
@@ -41,7 +41,7 @@ def solve_half(factor, n, right, x):
 
 @compiled
 def solve(factor, n, right, x):
-    """x [n] with A x = right."""
+    """Write x [n] with A x = right."""
     solve_half(factor, n, right, x)
     for i in range(n):
         rest = x[i]
@@ -52,7 +52,9 @@ def solve(factor, n, right, x):
 
 @compiled
 def invert(factor, m, scratch, inverse):
-    """The first m rows and columns of A^-1, all of them; `scratch` [m, m]: U^-1."""
+    """Write the first m rows and columns of A^-1 into `inverse`, both triangles, and those of U^-1
+    into `scratch`.
+    """
     for j in range(m):
         scratch[j, j] = 1.0 / factor[j, j]
         for back in range(j):
@@ -72,14 +74,16 @@ def invert(factor, m, scratch, inverse):
 
 @compiled
 def invert_whole(a, n, work, inverse):
-    """A^-1 of a [n, n], by the factor and the scratch of a work space."""
+    """Write A^-1 of a [n, n] into `inverse`; overwrites `factor` and `scratch` of a work space."""
     factorise(a, n, work.factor)
     invert(work.factor, n, work.scratch, inverse)
 
 
 @compiled
 def add_gaussian(precision, mean, u, share, n, normal, gradient):
-    """Add a share of a Gaussian's log-density at u [n] to a normal matrix and to its gradient."""
+    """Add a share of a Gaussian of n unknowns to a normal matrix, and of the gradient of its
+    log-density at u to `gradient`; a negative share takes it away.
+    """
     for i in range(n):
         for j in range(n):
             more = share * precision[i, j]

@@ -4,6 +4,8 @@ covariance, a border; and the constants and the work space of its functions.
 
 from typing import NamedTuple
 
+import numpy as np
+
 from soil_env._compiled.flags import record
 from soil_env.parameters import FLOW_LAW
 from soil_env.parameters.sensors import SensorReading
@@ -18,7 +20,7 @@ from .forces import (
 )
 
 #: Unknowns of the soil: tan phi, c [Pa], n, ln of K [m], ln of the pressure S d^n [Pa] at the depth
-#: d, ln of the gain of slip-sinkage over the nominal one.
+#: of `SETTING`. The last is ln of the gain of slip-sinkage over the nominal one.
 assert (TANGENT, COHESION, EXPONENT, LN_K) == tuple(range(OF_GROUND))
 PRESSURE, GAIN = range(OF_GROUND, OF_GROUND + 2)
 SOIL = GAIN + 1
@@ -28,7 +30,7 @@ class Instruments(NamedTuple):
     """Zeros and gains of the instruments as identified with the soil, each a (mean, standard
     deviation).
 
-    Of two sensors of one quantity it is that of their mean by precision.
+    Where two sensors measure one quantity, zero and gain are those of their mean by precision.
     """
 
     load_gain: tuple[float, float]  # relative
@@ -40,9 +42,9 @@ class Instruments(NamedTuple):
 
 
 HERE = SOIL + len(Instruments._fields)  # unknowns of one soil with the instruments
-#: Those of the instruments, in the order and the units of `Instruments`.
+#: Unknowns of the instruments, in the order and the units of `Instruments`.
 LOAD_GAIN, PULL_ZERO, TORQUE_GAIN, TORQUE_ZERO, SINKAGE_ZERO, SPEED_GAIN = range(SOIL, HERE)
-#: Behind a border: the place of its middle [m], and the six of the old soil.
+#: Further unknowns behind a border: the place of its middle [m], and the six of the old soil.
 PLACE = HERE
 OLD = PLACE + 1
 ALL = OLD + SOIL
@@ -51,17 +53,26 @@ ALL = OLD + SOIL
 PULL, TORQUE, SINKAGE = range(3)
 RESIDUALS = SINKAGE + 1
 
-#: Cells kept; with five the errors grow by 1 to 3 %, with 24 they stay.
+#: Cells kept, own choice; with five the errors grow by 1 to 3 %, with 24 they stay.
 CELLS = 8
-MOST_SOILS = 32  # of a library
+#: Gaussians of a library at most, own choice, with the one of soils that are like none: room in
+#: `SETTING`.
+MOST_SOILS = 32
 
-#: [5] published: phi [rad], ln K, ln S, c [Pa], ln of the gain of slip-sinkage over the nominal
-#: one.
-PUBLISHED = 5
+#: [of its unit] Least standard deviation of a sensor or an estimate, own choice, so that no weight
+#: is infinite.
+LEAST_SD = 1e-6
+
+#: Indices of an estimate: phi [rad], ln of K [m], ln of S at the exponent of the belief, c [Pa],
+#: ln of the gain (over the nominal one). Those of a fit are `TANGENT` to `GAIN`.
+PUBLISHED_PHI, PUBLISHED_LN_K, PUBLISHED_LN_S, PUBLISHED_COHESION, PUBLISHED_GAIN = range(5)
+PUBLISHED = PUBLISHED_GAIN + 1
 #: Quantities of an estimate: the published ones and the best steady drawbar pull [of load].
 BEST_PULL = PUBLISHED
 QUANTITIES = BEST_PULL + 1
-SLIPS = 8  # at which the drawbar pull is compared
+#: [-] Slips at which the drawbar pull is compared, denser at low slip: own choice.
+SLIP = np.array([0.08, 0.15, 0.23, 0.33, 0.45, 0.6, 0.78, 0.97])
+SLIPS = len(SLIP)
 
 READING = record(*SensorReading._fields)
 
@@ -69,8 +80,8 @@ READING = record(*SensorReading._fields)
 OPEN = record(
     "readings",
     "first_slip",
-    "slip",  # weighted, as pull and torque
-    "slip_weight",
+    "slip",  # weighted by 1/variance, as pull and torque
+    "slip_weight",  # sum of the weights
     "sinkage",
     "pull",
     "pull_weight",
@@ -83,13 +94,14 @@ OPEN = record(
     "place",  # behind that of the first reading
     "place_square",
     "first_place",
-    "travel",
+    "travel",  # clocks of `MEMORY`
     "slide",
     "turning",
 )
 
-#: Readings of like pull, slip and sinkage, averaged: what is averaged by the precision of the slip,
-#: variances of white noise, and means of the changes of sinkage from point to point.
+#: A cell: readings of like pull, slip and sinkage, averaged. `MEANS` are averaged by the precision
+#: of the slip, `VARIANCES` are those of their white noise, `OF_CHANGES` are means over the changes
+#: of sinkage from point to point.
 MEANS = (
     "slip",
     "sinkage",  # [m]
@@ -101,7 +113,7 @@ MEANS = (
 )
 VARIANCES = ("slip_variance", "sinkage_variance", "pull_variance", "torque_variance")
 OF_CHANGES = (
-    "rise",  # [m] of sinkage
+    "rise",  # [m] of sinkage between two points
     "travel",  # [relaxation lengths]
     "slide",  # [relaxation lengths]
     "middle",  # [m] sinkage in the middle
@@ -111,17 +123,17 @@ CELL = record(
     *MEANS,
     *VARIANCES,
     *OF_CHANGES,
-    "readings",
-    "changes",
+    "readings",  # number of them
+    "changes",  # number of changes of sinkage; 0: no residual of the law of sinkage
     "most_likely_slip",  # at which the forces are linearised
-    "place",  # [m]
-    "spread",  # [m] sd of the places of its readings
-    "place_error",  # [m] of them, on a border; 0 elsewhere
+    "place",  # [m] mean of the places of its readings
+    "spread",  # [m] sd of these places
+    "place_error",  # [m] sd of `place` on a border; 0 elsewhere
 )
 
 _EACH = ("f8", QUANTITIES)
-#: Estimates with their standard deviations: what is published, of the soil behind a border, and of
-#: the soil before it.
+#: Estimates with their standard deviations: published (`estimate`), of the soil of the last points
+#: (`fresh`), and of the soil before the last border (`old`). On a border the first is a blend.
 ESTIMATES = {name: _EACH for name in ("estimate", "sd", "fresh", "fresh_sd", "old", "old_sd")}
 
 #: Memory of the identifier of a wheel.
@@ -138,12 +150,12 @@ MEMORY = record(
     "point_sinkage",  # [m] of the last point; 0 before the first
     "last_speed",  # [m/s] of the last reading
     "last_rim",  # [m/s]
-    "excess",  # sum of what is beyond the expected of chi-squared of points
+    "excess",  # sum of chi-squared of points beyond what is expected, never below 0
     "crossing",  # 1 on a border
     "border",  # [m] its middle: by a camera, by the forces, or by another wheel
     "border_variance",
     "form_error",  # [of load] of the laws
-    "misfit",  # chi-squared of the forces over its expectation
+    "misfit",  # chi-squared of the forces over the number of their residuals
     "law_misfit",  # the same of the law of sinkage
     "compaction",  # of the floor of the rut under the wheel: ln S_N/S over n + 1/2
     "widening",  # of standard deviations, while points in a row are outliers
@@ -153,24 +165,24 @@ MEMORY = record(
     "ln_bearing",  # of the bearing sinkage [m] under the wheel
     "refused",  # readings that no wheel gives
     points=("i8",),  # of this soil
-    borders=("i8",),
-    status=("i8",),
+    borders=("i8",),  # passed so far
+    status=("i8",),  # `Status`
     cells_kept=("i8",),
     settled=("i8",),  # 1: this soil has fitted
     behind=("i8",),  # 1 behind a border: the old soil is unknown too
     u=("f8", ALL),
-    factor=("f8", (ALL, ALL)),  # of their normal matrix
+    factor=("f8", (ALL, ALL)),  # of the normal matrix of the unknowns u
     covariance=("f8", (SOIL, SOIL)),  # of the soil
     prior_mean=("f8", SOIL),  # of the next fit
     prior_precision=("f8", (SOIL, SOIL)),
     information=("f8", (SOIL, SOIL)),  # that the readings alone give on the soil
-    gradient=("f8", SOIL),  # of their log-likelihood at it
-    soil=("f8", SOIL),  # of the soil under the library
-    spread=("f8", (SOIL, SOIL)),  # covariance of that
+    gradient=("f8", SOIL),  # of the log-likelihood of the readings at u
+    soil=("f8", SOIL),  # mean under the library
+    spread=("f8", (SOIL, SOIL)),  # covariance under the library
     old_mean=("f8", SOIL),
     old_precision=("f8", (SOIL, SOIL)),
     **ESTIMATES,
-    steady=("f8", SLIPS),  # ln of the steady sinkages at `SLIPS`
+    steady=("f8", SLIPS),  # ln of the steady sinkages [m] at each `SLIP`; 0: none is known
     open=(OPEN, 1),
     cells=(CELL, CELLS + 1),  # and the newest
 )

@@ -43,6 +43,11 @@ from .memory import (
     BEST_PULL,
     MEMORY,
     PUBLISHED,
+    PUBLISHED_COHESION,
+    PUBLISHED_GAIN,
+    PUBLISHED_LN_K,
+    PUBLISHED_LN_S,
+    PUBLISHED_PHI,
     QUANTITIES,
     SETTING,
     WORK,
@@ -57,13 +62,15 @@ from .pooling import (
 from .prior import setting_of
 
 CONVERGED = Status.CONVERGED.value
-OF_SOIL = 2 * QUANTITIES + 1  # entries of the observation on a soil
-MOST_ENTRIES = 256  # of an observation
-LEAST_LEFT = 1e-6  # share of a prior standard deviation that is left at least
-INFORMATION = 3  # index of the reward term
-LN_10 = math.log(10.0)  # [-] over which ln K and ln S are observed, as decimal logarithms
-KILOPASCAL = 1e3  # [Pa] in which cohesion is observed
-#: White noise, in the units of `Noise`, of what a sensor of the body does not measure of a wheel.
+OF_SOIL = 2 * QUANTITIES + 1  # entries of the observation on a soil: quantities, sds and a flag
+MOST_ENTRIES = 256  # of an observation, own choice: room for its bounds in `BOARD_SETTING`
+# [of the prior's] standard deviation below which nothing more counts as known, own choice
+LEAST_LEFT = 1e-6
+INFORMATION = 3  # index of the reward term of knowledge
+LN_10 = math.log(10.0)  # [-] ln K and ln S are divided by it: decimal logarithms are observed
+KILOPASCAL = 1e3  # [Pa] unit in which cohesion is observed
+#: White noise, in the units of `Noise`, of what a sensor of the body does not measure of one wheel,
+#: own choice: no weight beside what is measured.
 OF_BODY = 1e6
 
 #: Memory of the estimators of a wheel, and of a rover from its front wheel on.
@@ -82,17 +89,17 @@ BOARD_SETTING = record(
     "information",  # weight of knowledge in the reward
     "discount",  # of the knowledge after a step
     "sight",  # [m] of the camera
-    "border_sd",  # [m] of the place of a border in an image
+    "border_sd",  # [m] standard deviation of the place of a border in an image
     axles=("i8",),
     pooled=("i8",),  # 1: the axles are those of a rover
     warns=("i8",),  # 1: averages are kept
     shown=("i8",),  # 1: the observation has the estimate of the soil
-    first=("i8",),  # index of its first entry
-    camera=("i8",),  # 0: none
-    lines=("i8",),  # over the patch ahead
+    first=("i8",),  # index of the first entry of the estimate
+    camera=("i8",),  # number of terrain classes that it sees; 0: none
+    lines=("i8",),  # number of routes over the patch ahead
     places=("f8", MOST_AXLES),  # [m] behind the front axle
     compaction=("f8", MOST_AXLES),  # of the floors of ruts, by the number of wheels ahead
-    bounds=("f4", (2, MOST_ENTRIES)),
+    bounds=("f4", (2, MOST_ENTRIES)),  # least and greatest value of each entry
     identifier=(SETTING, 1),
     warning=(WARNING_SETTING, 1),
 )
@@ -108,12 +115,16 @@ class Known(NamedTuple):
 
     @classmethod
     def of(cls, memory: np.ndarray) -> "Known":
-        """Views of records that have these fields."""
+        """Views of `memory`, an array of records that have these fields."""
         return cls(*(memory[name] for name in cls._fields))
 
 
 def board_setting(scenario: Scenario, shown: Shown, warns: bool) -> np.ndarray:
-    """Pack `BOARD_SETTING` [1] of a wheel or a rover."""
+    """Pack `BOARD_SETTING` [1] of a wheel or a rover.
+
+    `warns`: averages for the warning are kept. Raises ValueError for an observation of more than
+    `MOST_ENTRIES`.
+    """
     setting = np.zeros(1, BOARD_SETTING)
     setting["information"] = scenario.reward.information
     setting["discount"] = scenario.reward.information_discount
@@ -154,14 +165,19 @@ def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
 
 
 def compactions() -> list[float]:
-    """ln S_N/S over n + 1/2 of the floor of a rut, by the wheels ahead; the same for all n."""
+    """ln S_N/S over n + 1/2 of the floor of a rut, for 0, 1, ... wheels ahead; the same for all
+    n.
+    """
     exponent = 0.5  # with which n + 1/2 is 1
     stiffness = uncompiled(rut_stiffness)
     return [math.log(stiffness(1.0 + k, exponent, COMPACTION)) for k in range(MOST_AXLES)]
 
 
 class OnBoard:
-    """Estimators of many wheels or rovers; they follow the orders that the world has followed."""
+    """Estimators of many wheels or rovers; they follow the orders that the world has followed.
+
+    `warns`: keep the averages for the warning of immobilisation.
+    """
 
     def __init__(
         self, vehicles: int, scenario: Scenario, shown: Shown, warns: bool = False
@@ -202,8 +218,9 @@ class OnBoard:
 def knowledge(known, setting):
     """Knowledge in an estimate beyond the prior of a `SETTING` [nat].
 
-    Fall of entropy, summed over the unknowns, each taken as Gaussian by itself. None counts less
-    than nothing, or more than with a millionth of its prior standard deviation.
+    Fall of entropy, summed over the published quantities of the soil, each taken as Gaussian by
+    itself. A quantity counts at least 0, and at most as one with the share `LEAST_LEFT` of its
+    prior standard deviation.
     """
     left = 1.0
     for i in range(PUBLISHED):
@@ -225,8 +242,8 @@ def _mean_knowledge(vehicle, board):
 
 @compiled
 def reward_information(vehicle, before, after, board):
-    """Reward the knowledge [nat] of a step: weight x (discount x `after` - `before`), and sum the
-    reward.
+    """Reward the knowledge [nat] gained in a step, weight x (discount x `after` - `before`), and
+    renew the reward as the sum of its terms.
 
     Nothing counts as known after the end of an episode. This is shaping by a potential, which
     leaves the best policy as it is (Ng, Harada & Russell 1999, ICML; its end: Grzes 2017, AAMAS).
@@ -239,23 +256,33 @@ def reward_information(vehicle, before, after, board):
 
 @compiled
 def write_known(out, first, flag, known, tangent, dig_gain):
-    """Fill `out` [13] with an estimate of (phi, ln K, ln S, c, ln gain), the margin of its best
-    drawbar pull over the `tangent` of a grade, and their standard deviations.
+    """Fill `out` [13] with an estimate (phi, ln K, ln S, c, gain, margin of its best drawbar pull
+    over the `tangent` of a grade) and its standard deviations.
 
-    Those of the first three are written from `first` on; the `flag` comes behind them, or before
-    them where `first` is 1.
+    The first three quantities with their standard deviations fill six entries from `first` on, the
+    other three the last six. The `flag` stands behind the first six where `first` is 0, and before
+    them where it is 1. K and S are decimal logarithms with relative standard deviations, cohesion
+    is in kPa.
     """
     mean = known.estimate
     sd = known.sd
-    shear = (mean[0], mean[1] / LN_10, mean[2] / LN_10, sd[0], sd[1], sd[2])
+    shear = (
+        mean[PUBLISHED_PHI],
+        mean[PUBLISHED_LN_K] / LN_10,
+        mean[PUBLISHED_LN_S] / LN_10,
+        sd[PUBLISHED_PHI],
+        sd[PUBLISHED_LN_K],
+        sd[PUBLISHED_LN_S],
+    )
     others = (
-        mean[3] / KILOPASCAL,
-        dig_gain * math.exp(mean[4]),
-        sd[3] / KILOPASCAL,
-        sd[4],
+        mean[PUBLISHED_COHESION] / KILOPASCAL,
+        dig_gain * math.exp(mean[PUBLISHED_GAIN]),
+        sd[PUBLISHED_COHESION] / KILOPASCAL,
+        sd[PUBLISHED_GAIN],
         mean[BEST_PULL] - tangent,
         sd[BEST_PULL],
     )
+    # the flag stays in one of the two; the loop overwrites the other
     out[0] = flag
     out[QUANTITIES] = flag
     for i in range(QUANTITIES):
@@ -265,13 +292,19 @@ def write_known(out, first, flag, known, tangent, dig_gain):
 
 @compiled
 def write_estimate(out, known, dig_gain):
-    """Fill `out` [13] with what is identified of the soil under a wheel."""
+    """Fill `out` [13] with what is identified of the soil under a wheel, with the margin on level
+    ground; the flag is 1 if the status is CONVERGED.
+    """
     write_known(out, 0, 1.0 if known.status == CONVERGED else 0.0, known, 0.0, dig_gain)
 
 
 @compiled
 def _show_ahead(vehicle, sample, board, out):
-    """Fill what is known of the classes on the routes ahead into the last entries."""
+    """Fill what is known of the classes on the routes ahead into the last entries of `out`.
+
+    Each route has `OF_SOIL` entries. They are 0 where it is out of sight, and of the second route
+    where there is one. The flag is 1 if the class of the route has been met.
+    """
     for route in range(board.lines):
         ahead = out[out.size - (board.lines - route) * OF_SOIL :]
         label = sample.label_0 if route == 0 else sample.label_1
@@ -302,7 +335,7 @@ def show_estimate(vehicle, sample, board, out):
 
 @compiled
 def _see_ahead(vehicle, sample, board):
-    """Store the view for the warning, where both are asked for."""
+    """Store the view for the warning, where camera and warning are both in use."""
     if board.camera > 0 and board.warns > 0:
         see(vehicle.recent, sample, vehicle.classes[0], board.sight, board.identifier[0])
 
@@ -323,8 +356,8 @@ def _restart(vehicle, sample, board):
 
 @compiled
 def _pool(vehicle, renewed, board, work):
-    """Renew what the wheels of a rover know together: of all if one was `renewed`, and on a
-    border.
+    """Renew what the wheels of a rover know together: of every wheel if one was `renewed`, else of
+    those on a border.
     """
     for a in range(board.axles):
         memory = vehicle.identifier[a]
@@ -334,7 +367,10 @@ def _pool(vehicle, renewed, board, work):
 
 @compiled
 def _compaction(memory, a, board):
-    """Compaction of the floor under the wheel of an axle; a course begins on fresh ground."""
+    """Compaction of the floor under the wheel of axle a, by the wheels ahead that have run there.
+
+    A course begins on fresh ground: a wheel ahead counts from where it started.
+    """
     before = 0
     for b in range(a):
         if memory.place >= board.places[a] - board.places[b]:
@@ -343,8 +379,13 @@ def _compaction(memory, a, board):
 
 
 @compiled
-def _take(vehicle, samples, period, board, work):
-    """Take the records [axles, periods] of a control period of a vehicle."""
+def _take_period(vehicle, samples, period, board, work):
+    """Take the records of one control period into the estimators of a vehicle; `samples` [axles,
+    periods].
+
+    The front wheel finds borders, by the camera and by its forces; the wheels behind cross them
+    where it has found them.
+    """
     numbers = board.identifier[0]
     memory = vehicle.identifier[0]
     front = samples[0, period]
@@ -375,8 +416,11 @@ def _take(vehicle, samples, period, board, work):
 
 @kept
 def estimate(memory, world, orders, setting, work, first, end):
-    """Follow the `orders`, STEP or RESTART, of the vehicles `first` to `end` - 1 in a `Stepped`
-    world; `memory` [vehicles] `ON_WHEEL` or `ON_ROVER`.
+    """Follow the `orders` of the vehicles `first` to `end` - 1 in a `Stepped` world: STEP or
+    RESTART, any other leaves a vehicle as it is.
+
+    Writes what is identified into the observation, where it is shown, and the reward of knowledge
+    into the state, where it is paid. `memory` [vehicles] `ON_WHEEL` or `ON_ROVER`.
     """
     board = setting[0]
     samples = world.samples
@@ -394,7 +438,7 @@ def estimate(memory, world, orders, setting, work, first, end):
             paid = board.information > 0.0 and vehicle.periods > 0
             before = _mean_knowledge(own, board) if paid else 0.0
             for period in range(vehicle.periods):
-                _take(own, samples[k], period, board, work[0])
+                _take_period(own, samples[k], period, board, work[0])
             if paid:
                 reward_information(vehicle, before, _mean_knowledge(own, board), board)
         if board.shown > 0:

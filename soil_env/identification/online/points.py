@@ -13,29 +13,38 @@ from soil_env._compiled.flags import compiled
 from soil_env.parameters.sensors import SensorReading
 
 NAMES = SensorReading._fields
-# Readings of a point; with 4 the errors of ln K grow by 5 %.
+# Readings of a point, own choice; with 4 the errors of ln K grow by 5 %.
 READINGS = 8.0
-# [-] Standard deviation of the slip that a point has at most, if it can: noise of slip that is
-# taken for slip draws ln K and phi down. A slow wheel needs more readings for it, up to three times
-# as many.
+# [-] Standard deviation of the slip that a point has at most, if it can, own choice. Noise of slip
+# that is taken for slip draws ln K and phi down. A slow wheel needs more readings for it.
 SHARPEST_SLIP = 0.012
-MOST_READINGS = 3.0 * READINGS
-# Readings of each of the first points of a soil: sooner a first estimate.
-FIRST_READINGS = 3.0
-FIRST_POINTS = 3
-LONGEST = 3.0  # [radii] of a point
-SLIP_RANGE = 0.08  # [-] of the readings of a point, beyond three standard deviations
-SLOWEST = 0.02  # [m/s] rim speed below which a wheel rests
-BLUNTEST = 0.1  # [-] standard deviation of a slip above which it says nothing
-SPINNING = 0.9  # [-] slip above which a wheel spins on the spot
-LOCKED = -0.4  # [-] slip below which it is as good as locked
-THROWN = 0.115  # [of gravity] acceleration of the rim above which the laws do not hold
-SPIN_ERROR = 8.0  # [-] error of a motor torque over the one that turns the wheel faster
-LIFTED = 0.05  # [of weight] load below which a wheel is in the air
-LAG = 0.3  # [periods] between the ground that a reading shows and the place at its end
-RESTS_KEPT = 60.0  # readings that the mean pull of a standing wheel remembers
-TYPICAL_TORQUE = 0.3  # [of weight x radius] at which a gain counts as an error of a torque
-TYPICAL_PULL = 0.2  # [of weight] the same of a pull
+MOST_READINGS = 3.0 * READINGS  # of a point of a slow wheel, own choice
+FIRST_READINGS = 3.0  # of each of the first points of a soil, own choice: sooner a first estimate
+FIRST_POINTS = 3  # number of these points, own choice
+LONGEST = 3.0  # [radii] travel over a point, own choice
+# [-] Range of slip of a point beyond three standard deviations, own choice. Forces are curved over
+# slip: their mean differs from the force at the mean slip by up to a hundredth of the load.
+SLIP_RANGE = 0.08
+# [m/s] Rim or travel speed below which a wheel rests: 20 times the speed below which slip and
+# resistance of the world go to zero (docs/physics/wheel.md).
+SLOWEST = 0.02
+BLUNTEST = 0.1  # [-] standard deviation of a slip above which it is not used, own choice
+SPINNING = 0.9  # [-] slip above which a wheel spins on the spot, own choice
+LOCKED = -0.4  # [-] slip below which a wheel is as good as locked, own choice
+MOST_TRAVEL = 2.0  # [of rim speed] travel speed in the noise of a slip, at most, own choice
+# [of gravity] acceleration of the rim above which the laws of steady motion do not hold, own choice
+THROWN = 0.115
+# [-] error of a motor torque over the torque that turns wheel and rotor faster, own choice
+SPIN_ERROR = 8.0
+# [of weight] Load below which a wheel is in the air, own choice; also the least load that a force
+# is divided by (`ground`, `immobilisation`).
+LIFTED = 0.05
+# [periods] of travel from the ground that a reading shows to the place at its end, own choice
+LAG = 0.3
+RESTS_KEPT = 60.0  # readings over which the pull of a standing wheel is averaged, own choice
+# Sizes at which the error of a gain is weighed beside those of zero and white noise: own choices.
+TYPICAL_TORQUE = 0.3  # [of weight x radius]
+TYPICAL_PULL = 0.2  # [of weight]
 
 
 @compiled
@@ -50,20 +59,24 @@ def is_sound(reading, setting):
 
 @compiled
 def slip_error(reading, setting):
-    """Standard deviation of the slip: of its own sensor, or by the white noise of the speeds."""
+    """Standard deviation of the slip: that of a slip sensor, or by the white noise of both speeds.
+
+    Rim speeds below `SLOWEST` count as `SLOWEST`. Braked, the slip is rim over travel speed less 1.
+    """
     white = setting.white[0]
     if white.slip > 0.0:
         return white.slip
     rim = max(abs(reading.rim_speed), SLOWEST)
-    travel = min(abs(reading.speed) / rim, 2.0)
+    travel = min(abs(reading.speed) / rim, MOST_TRAVEL)
     rate = 1.0 / max(travel, 1.0) ** 2
     return rate * math.hypot(white.speed, travel * white.rim_speed) / rim
 
 
 @compiled
 def advance(memory, reading, turned, setting):
-    """Advance place and clocks by a period, with the means of the speeds at its beginning and end;
-    `turned`: change of the rim speed in it [m/s].
+    """Advance place and clocks by a period, with the means of the speeds at its beginning and end.
+
+    `turned` [m/s]: change of the rim speed in the period, without sign.
     """
     step = setting.period / setting.length
     speed = 0.5 * (memory.last_speed + reading.speed)
@@ -78,7 +91,9 @@ def advance(memory, reading, turned, setting):
 
 @compiled
 def is_steady(reading, error, turned, setting):
-    """True if the wheel drives on the ground without spinning, locking or a jump of its speed."""
+    """True if the wheel drives on the ground without spinning, locking or a jump of its speed, and
+    its slip is well enough known; `error`: standard deviation of the slip.
+    """
     drives = reading.rim_speed > SLOWEST and LOCKED <= reading.slip <= SPINNING
     touches = reading.load >= LIFTED * setting.weight and reading.sinkage > 0.0
     return (
@@ -91,7 +106,12 @@ def is_steady(reading, error, turned, setting):
 
 @compiled
 def ends_point(point, reading, error, most, setting):
-    """True if the open point has enough readings, or this one is unlike its first."""
+    """True if the open point has enough readings or is too long, or the slip of this reading is
+    unlike that of its first.
+
+    Enough are `most` readings and a slip as sharp as `SHARPEST_SLIP`, or `MOST_READINGS`. `error`:
+    standard deviation of the slip of the reading.
+    """
     enough = point.readings >= most and (
         point.slip_weight * SHARPEST_SLIP**2 >= 1.0 or point.readings >= MOST_READINGS
     )
@@ -101,8 +121,10 @@ def ends_point(point, reading, error, most, setting):
 
 @compiled
 def weigh(memory, reading, setting):
-    """Renew the mass on the wheel by a reading of the load, if there is one; first it is the
-    body's.
+    """Renew the mass [kg] on the wheel by a reading of the load; before the first it is the body's.
+
+    It is the mean of all, and where the load varies one that forgets after `READINGS`. Without a
+    sensor (white noise above the weight) and of a lifted wheel no reading counts.
     """
     if memory.mass == 0.0:
         memory.mass = setting.weight / setting.gravity
@@ -117,22 +139,24 @@ def weigh(memory, reading, setting):
 
 
 class Sensor(NamedTuple):
-    """One of two sensors of a quantity."""
+    """One of two sensors of a quantity: its reading and standard deviations of its errors."""
 
     reading: float
-    white: float  # standard deviation of its noise
-    zero: float  # of its zero
-    gain: float  # of what its gain makes of a typical reading
+    white: float  # of the white noise
+    zero: float  # of the zero
+    gain: float  # of the error by the gain at a typical reading
 
 
 @compiled
 def _combine(one, other, unit):
-    """(mean of two sensors by their precision, its white variance, share of the other), over a
-    unit.
+    """(mean of two sensors, variance of its white noise, share of the other sensor in it), the
+    first two in a `unit`.
+
+    Sensors count by their precision: 1 over the sum of the variances of all three errors.
     """
     own = 1.0 / (one.white**2 + one.zero**2 + one.gain**2)
-    theirs = 1.0 / (other.white**2 + other.zero**2 + other.gain**2)
-    share = theirs / (own + theirs)
+    others = 1.0 / (other.white**2 + other.zero**2 + other.gain**2)
+    share = others / (own + others)
     mean = (1.0 - share) * one.reading + share * other.reading
     variance = ((1.0 - share) * one.white) ** 2 + (share * other.white) ** 2
     return mean / unit, variance / (unit * unit), share
@@ -140,7 +164,10 @@ def _combine(one, other, unit):
 
 @compiled
 def combined_pull(memory, reading, setting):
-    """`_combine` of force sensor and accelerometer, of the weight."""
+    """`_combine` of force sensor and accelerometer, in units of the weight.
+
+    The accelerometer reads acceleration and g sin(grade): times the mass on the wheel, the pull.
+    """
     white = setting.white[0]
     zero = setting.zero[0]
     gain = setting.gain[0]
@@ -167,8 +194,10 @@ def combined_pull(memory, reading, setting):
 
 @compiled
 def _combined_torque(reading, turned, setting):
-    """`_combine` of torque sensor and motor torque, of weight x radius; `turned`: change of the rim
-    speed [m/s] in the period, which costs the motor a torque of its own.
+    """`_combine` of torque sensor and motor torque, in units of weight x radius.
+
+    A change `turned` [m/s] of the rim speed in the period takes a torque of the motor. `SPIN_ERROR`
+    times that torque counts as white noise of the motor's, less what noise of the rim speed shows.
     """
     white = setting.white[0]
     zero = setting.zero[0]
@@ -187,7 +216,10 @@ def _combined_torque(reading, turned, setting):
 
 @compiled
 def collect(point, memory, reading, error, turned, setting):
-    """Add a reading to the open point."""
+    """Add a reading to the open point, with the place of the ground that it shows.
+
+    `error`: standard deviation of its slip; `turned` [m/s]: change of the rim speed in the period.
+    """
     place = memory.place - LAG * reading.speed * setting.period
     if point.readings == 0.0:
         point.first_slip = reading.slip
@@ -215,14 +247,20 @@ def collect(point, memory, reading, error, turned, setting):
     point.turning += memory.turning
 
 
-# [relaxation lengths] that the rim turns faster or slower between two points, above which the wheel
-# has stopped between them: soil yields under it there
+# [relaxation lengths] Advance of the clock `turning` (summed changes of rim speed) from point to
+# point, above which the wheel has stopped between them, own choice. Soil yields under a standing
+# wheel, which the law of sinkage does not know.
 STOPPED = 0.1
 
 
 @compiled
 def close(memory, cell, setting):
-    """Write the means of the open point into `cell`, with the change of sinkage since the last."""
+    """Write the means of the open point into `cell`, with the change of sinkage since the point
+    before, and open an empty one.
+
+    The first point, and one before which the wheel has stopped, shows no change. Where the load on
+    the wheel does not vary, it is that of the mean mass.
+    """
     point = memory.open[0]
     n = point.readings
     sinkage = point.sinkage / n
@@ -262,12 +300,14 @@ def close(memory, cell, setting):
     memory.open[0] = setting.blank[0].open[0]
 
 
-STANDSTILL = 3.0  # readings after which a wheel that stands has settled
+STANDSTILL = 3.0  # readings after which a wheel that stands has settled, own choice
 
 
 @compiled
 def record_rest(memory, reading, setting):
-    """Where the wheel stands, its pull is that of its weight on the slope: the rest is the zero."""
+    """Average what a settled, standing wheel pulls beyond its weight on the slope: the zero of the
+    pull, over about the last `RESTS_KEPT` readings.
+    """
     standing = abs(reading.rim_speed) < SLOWEST and abs(reading.speed) < SLOWEST
     memory.standing = memory.standing + 1.0 if standing else 0.0
     if memory.standing > STANDSTILL:

@@ -1,11 +1,11 @@
 """Joint knowledge of the wheels of a rover that run over the same ground.
 
 The front wheel finds borders by its forces, and those behind cross them where it has found them: so
-the soils that they meet are numbered alike. Of each soil a wheel keeps the information that its
-readings gave on (tan phi, c, n, ln K): the inverse of their covariance less that of the prior,
+the soils that they meet are numbered alike. Of each soil a wheel keeps what its readings say of
+(tan phi, c, n, ln K). Its information is the inverse of their covariance less that of the prior,
 which counts once (channel filter: Grime & Durrant-Whyte 1994, Control Engineering Practice
-2:849-863). To what a wheel knows itself that of the others is added. No identifier is given what is
-pooled, so nothing is counted twice.
+2:849-863). The information of the others is added to that of the wheel itself. No identifier is
+given what is pooled, so nothing is counted twice.
 
 `TRUST` of it counts, and less where two differ by more than they allow, by chi-squared over its
 degrees of freedom (Birge 1932, Physical Review 40:207-227). Sinkage coefficient and gain of
@@ -32,24 +32,31 @@ from .memory import (
     BEST_PULL,
     ESTIMATES,
     OF_GROUND,
+    PUBLISHED_COHESION,
+    PUBLISHED_LN_K,
+    PUBLISHED_PHI,
     SOIL,
 )
 
-SOILS = 4  # that are kept of a wheel
+# Soils that are kept of a wheel, own choice: the wheels behind are still on earlier ones.
+SOILS = 4
 SHARED = OF_GROUND  # unknowns that a passing wheel does not change: tan phi, c, n, ln K
-# Errors that all wheels have alike, so that no comparison shows them.
-ANGLE_ERROR = math.radians(0.6)
-MODULUS_ERROR = 0.06  # relative
-COHESION_ERROR = 50.0  # [Pa]
-# Share of another wheel's information that counts: borders are found late, and all wheels err alike
-# where the laws do.
+# Standard deviations of errors that all wheels have alike, so that no comparison shows them: own
+# choices.
+ANGLE_ERROR = math.radians(0.6)  # [rad]
+MODULUS_ERROR = 0.06  # [-] of ln K
+COHESION_ERROR = 50.0  # [Pa]; with 100 the intervals of cohesion held 92 % instead of 68 %
+# [-] Share of another wheel's information that counts, own choice: borders are found late, and all
+# wheels err alike where the laws do.
 TRUST = 0.5
-PLACE_SD = 0.25  # [border lengths] of a border that another wheel has found
+# [border lengths] standard deviation of the place of a border that another wheel has found, own
+# choice
+PLACE_SD = 0.25
 
 #: What the wheels of a rover know of the ground under one of them, and what it gives the others.
 POOL = record(
-    borders=("i8", SOILS),  # number of the soil that a column is of
-    border_places=("f8", SOILS),  # [m] middle of the border before it, by odometry
+    borders=("i8", SOILS),  # number of the soil in each place, -1: none
+    border_places=("f8", SOILS),  # [m] middle of the border before that soil, by odometry
     shared=("f8", (SOILS, SHARED)),  # the shared unknowns by the wheel's own readings
     shared_covariance=("f8", (SOILS, SHARED, SHARED)),
     information=("f8", (SOIL, SOIL)),  # of all wheels on the soil under this one
@@ -63,17 +70,17 @@ POOL = record(
 
 @compiled
 def forget_pool(pool, memory):
-    """Set a wheel's pool to what its identifier, just reset, has."""
+    """Set a wheel's pool to the estimate of its identifier before the first point, with no soil."""
     pool.borders[:] = -1
     pool.status = memory.status
     pool.fresh[:] = memory.estimate
     pool.fresh_sd[:] = memory.sd
-    _take_fresh(pool)
+    _publish_fresh(pool)
 
 
 @compiled
-def _take_fresh(pool):
-    """Publish the fresh estimate; behind the next border it is the old one."""
+def _publish_fresh(pool):
+    """Publish the fresh estimate, and keep it as the old one for the next border."""
     take_fresh(pool)
     pool.old[:] = pool.fresh
     pool.old_sd[:] = pool.fresh_sd
@@ -81,7 +88,9 @@ def _take_fresh(pool):
 
 @compiled
 def keep_knowledge(pool, memory, setting, work):
-    """Keep what a renewed identifier knows of its soil, under the prior of one Gaussian."""
+    """Keep what a renewed identifier knows of its soil for the other wheels: mean and covariance of
+    the shared unknowns, under the prior of one Gaussian.
+    """
     s = memory.borders % SOILS
     pool.borders[s] = memory.borders
     pool.border_places[s] = memory.border
@@ -94,7 +103,11 @@ def keep_knowledge(pool, memory, setting, work):
 
 @compiled
 def hand_over_border(front, memory, behind, setting, work):
-    """Begin with the next soil where the front wheel, `behind` [m] ahead, found its border."""
+    """Begin the next border where the front wheel, `behind` [m] ahead of this one, found it: half a
+    border length before its middle.
+
+    Nothing begins on a border, or if the front wheel has not found the next one or has dropped it.
+    """
     number = memory.borders + 1
     s = number % SOILS
     if front.borders[s] != number or memory.crossing > 0.0:
@@ -106,7 +119,9 @@ def hand_over_border(front, memory, behind, setting, work):
 
 @compiled
 def _disagreement(memory, other, s, work):
-    """Chi-squared over its degrees of freedom between what a wheel and another one know."""
+    """Chi-squared, over its degrees of freedom, of the difference between what a wheel knows of the
+    shared unknowns and what `other` has kept of its soil in place s.
+    """
     for i in range(SHARED):
         work.gradient[i] = other.shared[s, i] - memory.soil[i]
         for j in range(SHARED):
@@ -120,15 +135,21 @@ def _disagreement(memory, other, s, work):
 
 
 @compiled
-def _add(pool, u, covariance, mean, share, work):
-    """Add a share of the precision of a Gaussian of the shared unknowns to what is pooled."""
+def _add_share(pool, u, covariance, mean, share, work):
+    """Add a share of a Gaussian of the shared unknowns to the pooled information, and to its
+    gradient at u; a negative share takes it away.
+    """
     invert_whole(covariance, SHARED, work, work.inverse)
     add_gaussian(work.inverse, mean, u, share, SHARED, pool.information, pool.gradient)
 
 
 @compiled
 def pool_with(pools, axles, own, memory, setting, work):
-    """Renew what all wheels of a rover know of the ground under the one on the axle `own`."""
+    """Renew what all wheels of a rover know of the ground under the one on the axle `own`.
+
+    Of each other wheel that has kept this soil a share of its Gaussian is added, less the same
+    share of the prior in it. Before the first point, the pool is reset.
+    """
     pool = pools[own]
     if memory.status == Status.NO_DATA.value:
         forget_pool(pool, memory)
@@ -141,18 +162,18 @@ def pool_with(pools, axles, own, memory, setting, work):
         other = pools[a]
         if a != own and other.borders[s] == memory.borders:
             share = TRUST / max(_disagreement(memory, other, s, work), 1.0)
-            _add(pool, u, other.shared_covariance[s], other.shared[s], share, work)
-            _add(pool, u, setting.soil_covariance, setting.soil_mean, -share, work)
+            _add_share(pool, u, other.shared_covariance[s], other.shared[s], share, work)
+            _add_share(pool, u, setting.soil_covariance, setting.soil_mean, -share, work)
     mix(pool, u, setting, work)
     publish(pool.soil, pool.spread, pool, memory, setting)
     sd = pool.fresh_sd
-    sd[0] = math.hypot(sd[0], ANGLE_ERROR)
-    sd[1] = math.hypot(sd[1], MODULUS_ERROR)
-    sd[3] = math.hypot(sd[3], COHESION_ERROR)
+    sd[PUBLISHED_PHI] = math.hypot(sd[PUBLISHED_PHI], ANGLE_ERROR)
+    sd[PUBLISHED_LN_K] = math.hypot(sd[PUBLISHED_LN_K], MODULUS_ERROR)
+    sd[PUBLISHED_COHESION] = math.hypot(sd[PUBLISHED_COHESION], COHESION_ERROR)
     if memory.crossing > 0.0:
         blend_estimates(pool, memory, setting)
     else:
-        _take_fresh(pool)
+        _publish_fresh(pool)
     pool.estimate[BEST_PULL] = memory.estimate[BEST_PULL]  # by the readings of this wheel alone
     pool.sd[BEST_PULL] = memory.sd[BEST_PULL]
     pool.status = status_of(pool, memory.status == Status.MISFIT.value, setting)

@@ -19,10 +19,13 @@ from .memory import (
     COHESION,
     EXPONENT,
     GAIN,
+    LEAST_SD,
     LN_K,
     MOST_SOILS,
     PRESSURE,
     PUBLISHED,
+    PUBLISHED_LN_S,
+    PUBLISHED_PHI,
     READING,
     SETTING,
     SOIL as SIZE,
@@ -30,14 +33,20 @@ from .memory import (
     WORK,
 )
 
-KNOWN = 1e-4  # standard deviation, relative, of what the belief holds for known
-_LEAST_WIDTH = 0.95  # of `widths` that counts
-_WIDEST = 4.0  # of them
-_PUBLISHED = [TANGENT, LN_K, PRESSURE, COHESION, GAIN]
-_ONE_SIGMA = math.erf(math.sqrt(0.5))
-_DEPTH = 0.2  # [wheel radii] at which pressures are compared
-# in the order of `SoilSpread.factor`
-_OF_SPREAD = np.array([TANGENT, COHESION, LN_K, PRESSURE, GAIN])
+# Standard deviation of an unknown that the belief holds for known, own choice: of cohesion [of the
+# mean pressure weight/(r b)], of the others in their units.
+KNOWN = 1e-4
+# [of the standard deviation of `plain`] least scatter of a soil of the library, own choice
+LEAST_SCATTER = 1e-2
+LEAST_GAIN = 1e-3  # [-] least gain of slip-sinkage, whose logarithm is taken, own choice
+# [of the weight of the library] weight of a soil that is like none of the library, own choice
+STRANGE = 0.2
+_LEAST_WIDTH = 0.95  # [of the standard deviation] least of `widths`, own choice
+_WIDEST = 4.0  # [of the standard deviation] half width up to which `widths` are sought, own choice
+_DEPTH = 0.2  # [wheel radii] depth at which pressures are compared, own choice
+_ONE_SIGMA = math.erf(math.sqrt(0.5))  # [-] probability within one standard deviation
+_PUBLISHED = [TANGENT, LN_K, PRESSURE, COHESION, GAIN]  # behind each published quantity, in order
+_OF_SPREAD = np.array([TANGENT, COHESION, LN_K, PRESSURE, GAIN])  # as in `SoilSpread.factor`
 
 Gaussian = tuple[float, np.ndarray, np.ndarray]  # weight, mean [SIZE], covariance [SIZE, SIZE]
 
@@ -48,7 +57,9 @@ def depth_of(scenario: Scenario) -> float:
 
 
 def plain(scenario: Scenario) -> Gaussian:
-    """The prior of the belief without its library."""
+    """The prior of the belief without its library, of weight 1; each standard deviation is at least
+    `KNOWN`.
+    """
     b = scenario.belief
     w = scenario.wheel
     tangent = math.tan(math.radians(b.friction_angle_deg))
@@ -78,14 +89,19 @@ def plain(scenario: Scenario) -> Gaussian:
 
 
 def of_library(scenario: Scenario) -> list[Gaussian]:
-    """A Gaussian for each soil of the belief's library, with the scatter of `Belief.spread`."""
+    """A Gaussian for each soil of the belief's library, with the scatter of `Belief.spread`, or of
+    the courses where that is None.
+
+    The soils are those of the scenario's gravity. K, S and gain scatter as log-normals with these
+    means. The pressure is that of `depth_of`, so it scatters with the exponent too.
+    """
     b = scenario.belief
     spread = scenario.belief.spread or scenario.spread
     found = []
     logs = np.sqrt(np.log1p(np.square([spread.shear_modulus, spread.stiffness, spread.dig_gain])))
     r = np.eye(SIZE)
     r[np.ix_(_OF_SPREAD, _OF_SPREAD)] = spread.factor() @ spread.factor().T
-    least = 1e-2 * np.sqrt(np.diag(plain(scenario)[2]))
+    least = LEAST_SCATTER * np.sqrt(np.diag(plain(scenario)[2]))
     deeper = np.eye(SIZE)  # from the pressure at the reference of the scatter to that at `depth_of`
     deeper[PRESSURE, EXPONENT] = math.log(depth_of(scenario) / spread.reference_sinkage)
     for name, weight in b.soils.items():
@@ -93,7 +109,7 @@ def of_library(scenario: Scenario) -> list[Gaussian]:
         tangent = soil.tan_phi
         n = soil.sinkage_exponent
         y = math.log(soil.sinkage_coefficient) + n * math.log(spread.reference_sinkage)
-        gain = math.log(max(soil.dig_gain, 1e-3) / max(b.dig_gain, 1e-3))
+        gain = math.log(max(soil.dig_gain, LEAST_GAIN) / max(b.dig_gain, LEAST_GAIN))
         mean = np.array([tangent, soil.cohesion, n, math.log(soil.shear_modulus), y, gain])
         mean[LN_K:] -= 0.5 * logs**2  # the scatter keeps the mean, not the median
         friction = (1.0 + tangent**2) * math.atan(tangent) * spread.friction
@@ -123,6 +139,7 @@ def widths(gaussians: list[Gaussian]) -> np.ndarray:
     own = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)) / sd
 
     def beyond(width: float, i: int) -> float:
+        """Probability of unknown i within `width` of the mean, less that of one sigma."""
         held = ndtr((width - off[:, i]) / own[:, i]) - ndtr((-width - off[:, i]) / own[:, i])
         return float(np.average(held, weights=weights)) - _ONE_SIGMA
 
@@ -130,6 +147,7 @@ def widths(gaussians: list[Gaussian]) -> np.ndarray:
 
 
 def _gaussians(scenario: Scenario) -> list[Gaussian]:
+    """The Gaussians of the prior: of the library, or one where the belief has none."""
     return of_library(scenario) if scenario.belief.soils else [plain(scenario)]
 
 
@@ -139,27 +157,28 @@ def prior_of_belief(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
 
 
 def published_prior(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
-    """Mean [5] and standard deviations [5] of (phi, ln K, ln S, c, l) before any reading, S at the
-    exponent of the belief.
+    """Mean [5] and standard deviations [5] of (phi, ln K, ln S, c, ln gain) before any reading.
 
-    As wide as the 68 % intervals of the belief's library are.
+    S is that at the exponent of the belief, the gain is over its nominal one. Standard deviations
+    are half widths of the 68 % intervals of the belief's library, but at least `_LEAST_WIDTH` of
+    its standard deviations.
     """
     u, covariance = prior_of_belief(scenario)
     scale = np.maximum(widths(_gaussians(scenario)), _LEAST_WIDTH)
     sd = (scale * np.sqrt(np.diag(covariance)))[_PUBLISHED]
-    sd[0] /= 1.0 + u[TANGENT] ** 2
+    sd[PUBLISHED_PHI] /= 1.0 + u[TANGENT] ** 2
     mean = u[_PUBLISHED]
-    mean[0] = math.atan(u[TANGENT])
-    mean[2] -= scenario.belief.sinkage_exponent * math.log(depth_of(scenario))
+    mean[PUBLISHED_PHI] = math.atan(u[TANGENT])
+    mean[PUBLISHED_LN_S] -= scenario.belief.sinkage_exponent * math.log(depth_of(scenario))
     return mean, sd
 
 
-LEAST_NOISE = 1e-6  # [of its unit] least white noise of a sensor, so that no weight is infinite
-STRANGE = 0.2  # [of the library's weight] of a soil that is like none of it
-
-
 def setting_of(scenario: Scenario) -> np.ndarray:
-    """Pack the constants of the identifier of a scenario, `SETTING` [1]."""
+    """Pack the constants of the identifier of a scenario, `SETTING` [1], and its blank memory.
+
+    A library of several soils gets one more Gaussian, with its own moments and the weight
+    `STRANGE`. Raises `ParameterError` for more soils than `MOST_SOILS` leaves room for.
+    """
     setting = np.zeros(1, SETTING)
     s = setting[0]
     wheel = scenario.wheel
@@ -176,7 +195,7 @@ def setting_of(scenario: Scenario) -> np.ndarray:
     s.exponent = belief.sinkage_exponent
     s.off = int(belief.method == "none")
     white, zero, gain = reading_errors(scenario)
-    least = LEAST_NOISE * np.array(reading_units(scenario))
+    least = LEAST_SD * np.array(reading_units(scenario))
     least[0] = 0.0  # without a slip sensor
     setting["white"] = np.maximum(white, least).view(READING)
     setting["zero"] = zero.view(READING)
@@ -198,6 +217,7 @@ def setting_of(scenario: Scenario) -> np.ndarray:
         setting["library_covariance"][0, k] = spread
         setting["library_precision"][0, k] = np.linalg.inv(spread)
         setting["library_log"][0, k] = math.log(weight) - 0.5 * np.linalg.slogdet(spread)[1]
+    # `start` takes the published prior from the setting and adds the best pull of the prior
     prior, sd = published_prior(scenario)
     setting["prior"][0, :PUBLISHED] = prior
     setting["prior_sd"][0, :PUBLISHED] = sd

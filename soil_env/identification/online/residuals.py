@@ -43,49 +43,61 @@ from .memory import (
 )
 from .points import READINGS, TYPICAL_PULL
 
-SINGULAR = 1e-9  # least determinant of a covariance, of the product of its variances
-SHALLOWEST = 0.01  # [radii] least sinkage of a cell
-MOST_SLIP = 0.96  # [-] of a cell
-FARTHEST_SLIP = 0.08  # [-] that the most likely slip may be from its reading
-LEAST_TANGENT = 0.05  # [-] of the friction angle
-DEEPER = 10.0  # bearing sinkage over the sinkage, at most
-# Form error of a cell on a border [of load], where the blend of two soils is a model too.
+# [of the product of both variances] least determinant of the covariance of pull and torque, own
+# choice: slopes by one noisy slip make both err as one
+SINGULAR = 1e-9
+SHALLOWEST = 0.01  # [radii] least sinkage less its zero, own choice
+MOST_SLIP = 0.96  # [-] slip at which forces are computed, at most, own choice
+FARTHEST_SLIP = 0.08  # [-] that the most likely slip may be from its reading, own choice
+LEAST_TANGENT = 0.05  # [-] of the friction angle, about 3 deg, own choice
+# [-] bearing sinkage over the sinkage, at most, as in the world (docs/physics/wheel.md)
+DEEPER = 10.0
+# [of load] Form error of a cell on a border, where the blend of two soils is a model too; of load x
+# radius in the torque. Own choice.
 BORDER_ERROR = 2e-3
-LAW_ERROR = 0.06  # [-] of the law of sinkage in a cell; with 0.1 the errors of ln S grow by a tenth
-BORDER_LAW_ERROR = 0.3  # [-] the same of a cell on a border
-# [standard deviations] at which a residual of the law of sinkage is cut.
+# [of z_b (1 - exp(-A))] Error of the law of sinkage, own choice; with 0.1 the errors of ln S grow
+# by a tenth.
+LAW_ERROR = 0.06
+BORDER_LAW_ERROR = 0.3  # [of z_b (1 - exp(-A))] that of a cell on a border, own choice
+# [standard deviations] at which a residual of the law of sinkage is cut, own choice. If it weighs
+# less beyond instead, a soil far from the prior is found sooner, but one border is found twice.
 FARTHEST = 3.0
 
 
 class Residuals(NamedTuple):
-    """Residuals of a cell over their units, by their rows; then the inverse of their covariance, of
-    pull and torque with a joint one.
+    """Residuals of a cell by rows, then their weights, the inverse of their covariance; pull and
+    torque, which are correlated, have a joint weight too.
     """
 
-    pull: float
-    torque: float
-    sinkage: float
+    pull: float  # [of weight]
+    torque: float  # [of weight x radius]
+    sinkage: float  # [m]
     pull_weight: float
     joint_weight: float
     torque_weight: float
     sinkage_weight: float  # 0 where the cell shows no change of sinkage
 
 
-# Index in `Residuals` of the weight of a row from `SINKAGE` on, less the row.
+# Distance in `Residuals` from a residual to its weight, of rows from `SINKAGE` on.
 WEIGHT = RESIDUALS + 1
 
 
 @compiled
 def share_at(behind, length):
-    """(share of the new soil, its slope [1/m]) at a distance behind the middle of a border [m]."""
+    """(share of the new soil, its slope [1/m] by the distance) `behind` [m] the middle of a border
+    of a `length` [m].
+    """
     share, slope = smooth_step(behind / length + 0.5)
     return share, slope / length
 
 
 @compiled
 def _blend(cell, memory, setting, work):
-    """Write the soil under a cell into `work.soil`; (share of the new soil, its slope by the
-    place).
+    """Write the soil under a cell into `work.soil`; (share of the new soil, its slope [1/m] by the
+    place of the border).
+
+    On a border the share is the mean of those at both ends of the cell's places, one sd from their
+    mean. Elsewhere it is 1.
     """
     u = memory.u
     for j in range(SOIL):
@@ -103,8 +115,10 @@ def _blend(cell, memory, setting, work):
 
 @compiled
 def _over_border(row, share, by_place, memory, work):
-    """Share the slopes of a residual by the soil among new and old soil and the place of the
-    border; its change over the border for a metre of that.
+    """Share the slopes of a residual by the soil among new soil, old soil and place of the border,
+    in `work.slopes`; returns the slope by that place.
+
+    `share`: of the new soil; `by_place` [1/m]: its slope by the place.
     """
     u = memory.u
     slopes = work.slopes
@@ -119,7 +133,9 @@ def _over_border(row, share, by_place, memory, work):
 
 @compiled
 def ground_of(unknowns, setting):
-    """`Ground` of the unknowns of a soil and what is known of its law."""
+    """`Ground` of the unknowns of a soil and the constants of its shear law; tan phi is at least
+    `LEAST_TANGENT`.
+    """
     return Ground(
         max(unknowns[TANGENT], LEAST_TANGENT),
         unknowns[COHESION],
@@ -134,14 +150,16 @@ def ground_of(unknowns, setting):
 
 @compiled
 def slip_slope(slip, setting):
-    """Change of the slip for a relative error of the speed; none for a slip sensor."""
+    """Change of the slip for a relative error of the speeds: 1 - |slip|, 0 with a slip sensor."""
     return 0.0 if setting.white[0].slip > 0.0 else 1.0 - abs(slip)
 
 
 @compiled
 def residuals(cell, memory, setting, work):
-    """`Residuals` of a cell at the unknowns, with slopes in `work.slopes`; renews its most likely
-    slip.
+    """`Residuals` of a cell at the unknowns; writes minus their slopes by them into `work.slopes`,
+    and renews the most likely slip of the cell.
+
+    Forces are computed at the most likely slip and extended to the measured one by their slopes.
     """
     u = memory.u
     J = work.slopes
@@ -205,16 +223,17 @@ def residuals(cell, memory, setting, work):
         slip + off + cell.slip_variance * (p_slip * (pp * p + pt * t) + t_slip * (pt * p + tt * t))
     )
     cell.most_likely_slip = min(max(likely, cell.slip - FARTHEST_SLIP), cell.slip + FARTHEST_SLIP)
-    s, weight = _of_sinkage(cell, sinkage, share, by_place, memory, setting, work)
+    s, weight = _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work)
     return Residuals(p, t, s, pp, pt, tt, weight)
 
 
 @compiled
-def _of_sinkage(cell, sinkage, share, by_place, memory, setting, work):
-    """Residual of the law of slip-sinkage, z' - z = come (B z_b - A z), over its unit, and its
-    weight.
+def _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work):
+    """(residual [m] of the law of slip-sinkage, its weight); both 0 without a change of sinkage.
 
-    A and B are integrals over the way from point to point, z_b is the bearing sinkage.
+    The law is z' - z = come (B z_b - A z) from point to point, with come = (1 - exp(-A))/A. A and B
+    are integrals over the way, z_b is the bearing sinkage. Takes the forces at `sinkage` [m] from
+    `work.contact`, with S extended to the middle of the way.
     """
     u = memory.u
     J = work.slopes
@@ -255,14 +274,18 @@ def _of_sinkage(cell, sinkage, share, by_place, memory, setting, work):
     return min(max(residual, -FARTHEST * sd), FARTHEST * sd), 1.0 / variance
 
 
-PAYLOAD = 0.05  # [of weight] doubt of the load where no sensor measures it
-EXACTLY = 1e-5  # least standard deviation of an instrument, so that none is singular
+# [of weight] standard deviation of the load where no sensor measures it, own choice
+PAYLOAD = 0.05
+# [units of `Instruments`] added to the standard deviation of each instrument, as another error of
+# it, so that none is singular: own choice
+EXACTLY = 1e-5
 
 
 @compiled
 def weigh_unknowns(memory, setting, work):
-    """Prior standard deviations of all unknowns into `work.sd`, those of two sensors by the shares
-    that they have had.
+    """Write the prior standard deviations of all unknowns into `work.sd`.
+
+    Where two sensors measure one quantity, each counts by its mean share in the cells.
     """
     sd = work.sd
     sd[:SOIL] = setting.soil_sd
