@@ -13,7 +13,8 @@ import numpy as np
 from .flags import compiled
 
 LARGEST_EXPONENT = 700.0  # [-] e^700 is the largest power that is formed
-# [-] added and subtracted it rounds to a whole number, which is then in the low bits
+# [-] Added to a number below 2^51, it leaves the nearest whole number in the low bits of the sum.
+# Subtracted again it leaves that whole number as a float.
 ROUNDING = 1.5 * 2.0**52
 PER_LN2 = 1.4426950408889634  # [-] 1/ln 2
 LN2_HIGH = 0.6931471803691238  # [-] ln 2 to 32 bits
@@ -61,7 +62,7 @@ def log(x):
 
 @compiled
 def power(x, y):
-    """x^y for x of at least 1e-300."""
+    """x^y for x >= 0: x below `TINIEST` counts as `TINIEST`, and y ln x is cut as in `exp`."""
     return exp(y * log(max(x, TINIEST)))
 
 
@@ -129,6 +130,6 @@ def smoothed_sign(speed, floor):
 
 @compiled
 def smooth_step(t):
-    """(w, dw/dt): cubic from 0 at t = 0 to 1 at t = 1, constant and level beyond."""
+    """(w, dw/dt): the cubic from 0 at t = 0 to 1 at t = 1, level at both ends; constant beyond."""
     t = min(max(t, 0.0), 1.0)
     return t * t * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t)

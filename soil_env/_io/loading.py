@@ -22,7 +22,6 @@ from pathlib import Path
 
 import yaml
 
-
 # Characters of an error's message, and of its two ends where it is longer; own choices.
 _LONGEST = 1000
 _HEAD = 700
@@ -86,7 +85,7 @@ def _said(value: object) -> str:
 
 
 def _bound(x: float) -> str:
-    """A bound for an error: to six digits, but a whole number in full where these do not give it."""
+    """A bound for an error: to six digits, but a whole number that has more of them in full."""
     short = f"{x:g}"
     return str(x) if isinstance(x, int) and float(short) != x else short
 
@@ -352,7 +351,9 @@ class _Strict(yaml.SafeLoader):
     values = 0  # counted so far
 
     def get_single_node(self):
-        """The root of the file, with all below it checked before any value is made; None if empty."""
+        """The root of the file, None of an empty one; all below it is checked before a value is
+        made.
+        """
         node = super().get_single_node()
         if node is not None:
             self._check(node, ())

@@ -43,8 +43,8 @@ class _Commands(click.Group):
         return list(_COMMANDS)
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command:
-        """Import the subcommand of this name; `click.UsageError` for an unknown one and for one that
-        needs a package which is not installed.
+        """Import the subcommand of this name; `click.UsageError` for an unknown one, and for one
+        that needs a package which is not installed.
         """
         if name not in _COMMANDS:
             known = ", ".join(_COMMANDS)

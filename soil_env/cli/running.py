@@ -198,7 +198,7 @@ def _send(number: int) -> None:
 
 
 def console(width: int = 100) -> Console:
-    """Console on stdout: as wide as the terminal, or of this width [characters] in a file or pipe."""
+    """Console on stdout: as wide as the terminal, or of `width` characters in a file or pipe."""
     return Console(width=None if sys.stdout.isatty() else width)
 
 

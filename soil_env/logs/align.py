@@ -32,7 +32,8 @@ class Channel:
     unusable: int = 0  # out of any range
     interpolated: float = 0.0  # share of the steps
     missing: float = 0.0  # share of the steps
-    #: [ns] of usable readings; while a recording is read, the place of each reading's stamp instead.
+    #: [ns] of usable readings. While a recording is read: places of their stamps in its topic or
+    #: table.
     times: array = field(default_factory=lambda: array("q"), repr=False)
     values: array = field(default_factory=lambda: array("d"), repr=False)
 
