@@ -206,8 +206,9 @@ class Kept:
                 partial.replace(found)
 
     def _checksums(self) -> dict[str, str] | None:
-        """Checksums by file as they were written; empty before the first time, None if they cannot
-        be read.
+        """Checksums by name of the files when numba had written them, from the file `CHECKSUMS`.
+
+        Empty where that file is missing, None where it cannot be read.
         """
         assert self._folder is not None
         try:

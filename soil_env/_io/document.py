@@ -79,7 +79,10 @@ class Table:
         return "\n".join((" " * indent + line).rstrip() for line in shown)
 
     def _numbers(self) -> list[bool]:
-        """True for each column of numbers: every cell begins with one, is empty or a dash."""
+        """For each column, True if it has numbers: every cell begins with one, is empty or a dash.
+
+        Without rows no column has.
+        """
         if not self.rows:
             return [False] * len(self.header)
         return [

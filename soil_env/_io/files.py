@@ -97,9 +97,10 @@ def _in_the_way(path: str | Path, said: str) -> FileExistsError:
 
 
 def write_own(folder: str | Path, contents: Mapping[str, bytes | str]) -> None:
-    """`replace_files` that remembers in `MANIFEST` what it wrote, and replaces nothing else.
+    """Write files as `replace_files`, and their digests into `MANIFEST`.
 
-    Raises FileExistsError as `check_own`.
+    Replaces only files that a command wrote and nobody changed since; FileExistsError as
+    `check_own` for others.
     """
     folder = Path(folder)
     check_own(folder, contents)

@@ -227,6 +227,7 @@ def load(cls, mapping, where: str = ""):
             raise
         raise ParameterError(f"{_below(where, error.name)}{error.problem}") from None
     except ParameterError as error:
+        # A message that begins with a field continues the path of keys; any other stands behind it.
         of_field = str(error).startswith(tuple(f"{name}{end}" for name in names for end in " .:"))
         raise ParameterError(
             _below(where, str(error)) if of_field else f"{where}: {error}"
@@ -311,8 +312,9 @@ def number(kind: type, value, where: str):
 
 
 def merge(base: dict, changes: dict) -> dict:
-    """`base` with the values of `changes`, nested mappings merged key by key; neither argument is
-    modified.
+    """`base` with the values of `changes`; neither argument is modified.
+
+    A value replaces that of `base`, but where both are mappings they are merged key by key.
     """
     out = dict(base)
     for key, value in changes.items():
@@ -322,7 +324,7 @@ def merge(base: dict, changes: dict) -> dict:
 
 
 def to_dict(instance: object) -> dict[str, typing.Any]:
-    """A dataclass as nested plain values, ready for YAML."""
+    """A dataclass as nested plain values, ready for YAML: mappings, and lists for tuples."""
 
     def plain(x):
         if dataclasses.is_dataclass(x):

@@ -61,7 +61,7 @@ class Source(Checked):
     """Source of a reading: `topic` and `field` of a bag, or `column` of a table, or a `constant`.
 
     The reading is sign x number x unit (x motor_constant of a current) + offset. `gear` is turns of
-    the motor to one turn of the wheel, for what is measured at the motor: a speed is divided by it,
+    the motor to one turn of the wheel, for what is measured at the motor. A speed is divided by it,
     a torque or a current multiplied by it and by `efficiency`.
     """
 

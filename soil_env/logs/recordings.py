@@ -219,8 +219,8 @@ class _Reader:
         _note_delays(notes, delays, set(topics))
 
     def _check_found(self, topics: dict[str, "_Topic"]) -> None:
-        """Raise `ParameterError` for a topic that is not in the recording, a topic or field of
-        which less than half can be read, and a field that no message has; note other faults.
+        """Raise `ParameterError` for a topic that the recording lacks, a field that no message has,
+        and either of which less than half can be read; note other faults.
         """
         notes = self.notes
         path = notes.path
@@ -350,9 +350,9 @@ def _stamp(content: Any) -> int:
 
 
 def _note_delays(notes: Notes, mean: dict[str, float], topics: set[str]) -> None:
-    """Add a note if header stamps of a topic are more than `_DELAY` off the clock of the recording
-    while another topic has that clock: their readings do not belong together.
+    """Add a note if header stamps of a topic are more than `_DELAY` off the clock of the recording.
 
+    Only where another topic has that clock, so that their readings do not belong together.
     `mean`: mean delay [s] of each topic with header stamps; `topics`: names of all.
     """
     late = [topic for topic, delay in mean.items() if abs(delay) > _DELAY]

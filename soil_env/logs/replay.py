@@ -331,7 +331,10 @@ _MISFIT = (
 
 
 def findings(found: Replay, log: Aligned) -> list[str]:
-    """Sentences on what can be identified from the channels of this log, and what was."""
+    """Sentences on what can be identified from the channels of this log, and what was.
+
+    A parameter counts as identified if a current estimate has an sd below `_LEARNT` of the prior's.
+    """
     measured = found.measured
     lines = []
     if "motor_torque" in log.readings and "motor_torque" not in measured:

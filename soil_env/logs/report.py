@@ -45,8 +45,10 @@ def report_of(
     steady: Steady,
     folder: Path = Path(),  # noqa: B008
 ) -> tuple[dict[str, bytes | str], str]:
-    """Files of a replayed log by name, `ALWAYS` and tables and setups of steady points, and the
-    text for the terminal; `folder` is where the files will be.
+    """(Contents of the files of a replayed log by name, text for the terminal).
+
+    The files are `ALWAYS` and the tables and setups of steady points. Nothing is written;
+    `recording` and `folder`, where the files will be, are named in the texts.
     """
     parts = grounds(found, steady)
     length = log.time[-1] - log.time[0]

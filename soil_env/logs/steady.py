@@ -401,7 +401,7 @@ def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
 
 
 def commands(grounds: list[Ground], steady: Steady, folder: Path = Path()) -> list[str]:  # noqa: B008
-    """Commands to run next with the tables in `folder`."""
+    """Commands to run next: identify and discover, for each of `tables_to_fit` in `folder`."""
     out = []
     for table, setup, _ in tables_to_fit(grounds, steady):
         data, given, target = (

@@ -54,8 +54,8 @@ COLOURS = {  # dark, pale
 def shown_wheels(simulation: Any, j: int) -> list[State]:
     """State of each wheel of vehicle j by name, the front one first.
 
-    Added to the state of the simulation are the `name` of the axle, the depth of the `rut` that
-    wheels ahead left [m] (0 for a single wheel), and the undisturbed `soil` under it. `estimate`,
+    Added to the state of the simulation are the `name` of the axle and the undisturbed `soil` under
+    it. `rut` [m] is the depth that wheels ahead left, 0 for a single wheel. `estimate`,
     `sd` and `status` are the identifier's, None where nothing is identified.
     """
     worlds = simulation.worlds
@@ -98,7 +98,7 @@ def sample_of(simulation: Any, w: State, exponent: float) -> tuple[float, ...]:
     is identified.
 
     The true S is that of a soil with this sinkage `exponent` which bears as much at
-    `bearing_sinkage`. The identifier's S has the exponent of its belief, so the two can be compared.
+    `bearing_sinkage`. With the exponent of the belief it compares with the identifier's S.
     """
     soil = w["soil"]
     known = (math.nan,) * 6 if w["status"] is None else (*w["estimate"][:3], *w["sd"][:3])
@@ -187,7 +187,8 @@ def draw_side_view(
     middle = 0.5 * (wheels[0]["x"] + wheels[-1]["x"])
     place = np.add(SCENE[:2], np.multiply(AT, SCENE[2:]))
     scene = Scene(SCENE, SCENE[2] / width, place, np.array(profile.at(middle)))
-    x = middle + (np.linspace(0.0, 1.0, 261) - AT[0]) * 1.2 * width  # along the slope
+    # Along the slope, and wider than the view, since a slope is shorter across.
+    x = middle + (np.linspace(0.0, 1.0, 261) - AT[0]) * 1.2 * width
     across, height = profile.at(x)
     # The gradient is the cosine of the grade: a vertical depth is longer than a normal one.
     surface = height - depth_of_ruts(x, left) / np.gradient(across, x)
@@ -300,5 +301,6 @@ def draw_table(c: Canvas, wheels: list[State], bounds, identified: bool) -> None
         )
         c.circle((20, y), 5, COLOURS[w["name"]][0])
         for i, (x, words) in enumerate(zip(places, values, strict=True)):
+            # The soil has a box of its colour before it.
             c.text(x + 12 * (i == 7), y, words, 14, INK, 1.0 if 0 < i < 7 else 0.0)
         c.box((402, y - 5, 8, 10), soil_colour([phi], bounds)[0], GREY)

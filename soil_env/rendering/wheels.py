@@ -62,7 +62,7 @@ class _Wheel(NamedTuple):
 
 @kept
 def _stresses(nodes, wheel, soil, angle, normal, shear):
-    """Fill `angle`, `normal` and `shear` [points] of `Stresses`, from the lowest point to the entry.
+    """Fill `angle`, `normal` and `shear` [points] of `Stresses`, from the lowest point upward.
 
     `nodes` [1]: scratch of `soil_reaction`, which gives the sinkage coefficient that carries the
     load. Its laws are those by which the simulation moves the wheel.
