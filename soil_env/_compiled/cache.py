@@ -42,16 +42,16 @@ FOLDER = "kernels"
 CHECKSUMS = "checksums.json"
 COMPILED = not config.DISABLE_JIT
 COMPILING = "(at the first use only, up to a minute for each environment)"
-PATIENCE = 3.0  # [s] that a compilation may take before a line explains it, but for the first
+PATIENCE = 3.0  # [s] of a compilation before a line explains it; the first one is told at once
 PACE = 0.5  # [s] between two counts of what is compiled, on a terminal
 
 
 @cache
 def folder() -> Path | None:
-    """Folder of the compiled code of these sources; None where none can be written.
+    """Folder of the compiled code of these sources, made if missing; None if none can be written.
 
-    It is below NUMBA_CACHE_DIR where that is set, beside the sources of a clone, else in the user's
-    cache.
+    It is below the first place that can be written: NUMBA_CACHE_DIR where that is set, the sources
+    if they are a clone, the user's cache.
     """
     installed = not {"site-packages", "dist-packages"}.isdisjoint(PACKAGE.parts)
     own = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "soil_env"
@@ -68,6 +68,7 @@ def folder() -> Path | None:
 
 
 def _hash_of_sources() -> str:
+    """First 16 hexadecimal digits of the SHA-256 of all files of `SOURCES`."""
     files = [PACKAGE / name for name in SOURCES if name.endswith(".py")]
     for name in SOURCES:
         files += (PACKAGE / name).rglob("*.py")
@@ -78,7 +79,8 @@ class Kept:
     """A function that Python calls, compiled for the types that it gets and kept on disk.
 
     The first call in a process checks the files of the function, and compiles, or loads, under a
-    lock. `py_func` is the function as Python runs it.
+    lock. Later calls run the compiled code, and note a version for other types that they made.
+    `py_func` is the function as Python runs it.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -100,13 +102,18 @@ class Kept:
         result = self._call(arguments)
         if len(self._function.overloads) != self._versions:
             with self._alone():
-                self._note()
+                self._write_checksums()
         return result
 
     def __reduce__(self) -> str:
         return self.__qualname__  # pickled by name
 
     def _first_call(self, arguments: tuple[Any, ...]) -> Any:
+        """Check the files, call the function, and write the checksums of new files.
+
+        Files that are whole and that numba cannot load all the same are dropped. Errors of the
+        function itself are raised, as by any call.
+        """
         with self._threads:
             if self._opened:  # by another thread
                 return self._function(*arguments)
@@ -115,15 +122,17 @@ class Kept:
                 try:
                     result = self._call(arguments)
                 except Exception:
-                    if not loaded or self._function.overloads:  # of the function itself
+                    # Nothing compiled means that numba failed to load: the function has not run.
+                    if not loaded or self._function.overloads:
                         raise
-                    self._drop()  # whole files that numba cannot load: nothing has run yet
+                    self._drop()
                     result = self._call(arguments)
                 self._opened = True
-                self._note()
+                self._write_checksums()
         return result
 
     def _call(self, arguments: tuple[Any, ...]) -> Any:
+        """Call numba's function; where it cannot write a file, say so and call what it compiled."""
         try:
             return self._function(*arguments)
         except OSError as error:  # numba has compiled the function and cannot write it
@@ -132,7 +141,11 @@ class Kept:
 
     @contextmanager
     def _alone(self):
-        """Wait until no other process compiles the function; on a disk without locks, go on."""
+        """Hold the lock of the function's folder, so that no other process compiles it meanwhile.
+
+        Waits for another one with a line that says so. Without a folder, or on a disk without
+        locks, nothing is held.
+        """
         with ExitStack() as held:
             if self._folder is not None:
                 with suppress(OSError, NotImplementedError):
@@ -146,13 +159,16 @@ class Kept:
             yield
 
     def _check(self) -> bool:
-        """True if there are files to load; drop them if one is damaged, and say what is done."""
+        """True if there are whole files to load; drop all if one is damaged.
+
+        Says so, and where there is no folder that each process compiles anew.
+        """
         if self._folder is None:
             tell("compiling in each process anew: compiled code cannot be kept without a folder")
             return False
         try:
             known = self._checksums()
-            damaged = known is None or known != self._present()
+            damaged = known is None or known != self._checksums_now()
         except OSError:  # a file that nobody may read, a folder or a link in its place
             damaged = True
         if damaged:
@@ -162,7 +178,10 @@ class Kept:
         return False
 
     def _drop(self) -> None:
-        """Delete the files of the function and say so; where one stays, none is kept any more."""
+        """Delete the files of the function, say so, and make numba's function anew.
+
+        Where a file cannot be deleted this process keeps none on disk.
+        """
         assert self._folder is not None
         tell(f"compiled code in {self._folder} is damaged; it is dropped and compiled anew")
         shutil.rmtree(self._folder, ignore_errors=True)
@@ -170,8 +189,11 @@ class Kept:
             self._folder = None
         self._function = _compiled(self.py_func, self._folder)
 
-    def _note(self) -> None:
-        """Write the checksums of the files that numba has written."""
+    def _write_checksums(self) -> None:
+        """Write the checksums of the function's files if there are versions since the last time.
+
+        Where they cannot be written, the next process takes the files for damaged.
+        """
         versions = len(self._function.overloads)
         if versions == self._versions:
             return
@@ -180,12 +202,13 @@ class Kept:
             with suppress(OSError):
                 found = self._folder / CHECKSUMS
                 partial = found.with_suffix(f".{os.getpid()}")
-                partial.write_text(json.dumps(self._present()))
+                partial.write_text(json.dumps(self._checksums_now()))
                 partial.replace(found)
 
     def _checksums(self) -> dict[str, str] | None:
-        """Checksums by file as they were written; empty before the first time, None if they cannot
-        be read.
+        """Checksums by name of the files when numba had written them, from the file `CHECKSUMS`.
+
+        Empty where that file is missing, None where it cannot be read.
         """
         assert self._folder is not None
         try:
@@ -196,18 +219,21 @@ class Kept:
             return None
         return known if isinstance(known, dict) else None
 
-    def _present(self) -> dict[str, str]:
-        """Checksums by file as they are."""
+    def _checksums_now(self) -> dict[str, str]:
+        """Checksums of the files that are there, by name."""
         assert self._folder is not None
         files = sorted(self._folder.rglob("*.nb[ci]"))
         return {f.name: hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
 
 
-_decorating = threading.Lock()  # while numba's setting of the cache folder is another one
+_decorating = threading.Lock()  # held while numba's setting of the cache folder is changed
 
 
 def _compiled(function: Callable[..., Any], place: Path | None) -> Any:
-    """Numba's dispatcher of a function, with its cache in the folder `place`."""
+    """Numba's dispatcher of a function, with its cache in the folder `place`; None: kept nowhere.
+
+    With NUMBA_DISABLE_JIT it is the function itself, without compiled versions.
+    """
     if not COMPILED:
         interpreted: Any = np.errstate(all="ignore")(function)  # divides without a warning, too
         interpreted.overloads = ()
@@ -232,8 +258,8 @@ _told: set[str] = set()  # lines that this process has said
 
 
 def tell(line: str) -> None:
-    """Print a line on stderr, once; not in workers of `multiprocessing`, whose parent says it, and
-    not in tests.
+    """Print a line on stderr, each line once in a process, unless the process is a silent one
+    (`_speaks`).
     """
     if line not in _told and _speaks():
         _told.add(line)
@@ -245,25 +271,28 @@ def _say(line: str) -> None:
 
 
 def _speaks() -> bool:
-    """True in a process that tells the user what it compiles."""
+    """True in a process that tells the user what it compiles: not in workers of `multiprocessing`,
+    whose parent does, not in tests, and not where nothing is compiled.
+    """
     testing = "PYTEST_CURRENT_TEST" in os.environ
     return COMPILED and not testing and multiprocessing.parent_process() is None
 
 
 class _Compilations(Listener):
-    """Explains what somebody waits for: each version of a function that Python calls, while it is
-    compiled, and none that is loaded.
+    """Explains on stderr what somebody waits for: each compilation of a `Kept` function.
 
-    Numba tells the start and the end, and compiles for one thread at a time.
+    Functions that it calls are not told one by one, and loading from disk is not told. Numba calls
+    `on_start` and `on_end`, and compiles for one thread at a time, so one watcher is enough.
     """
 
     def __init__(self) -> None:
-        self.of: set[Callable[..., Any]] = set()  # functions as Python runs them
-        self._patience = 0.0
+        self.of: set[Callable[..., Any]] = set()  # `py_func` of every `Kept`
+        self._patience = 0.0  # [s]; `PATIENCE` after the first
         self._done = threading.Event()
         self._watcher: threading.Thread | None = None
 
     def on_start(self, event: Event) -> None:
+        """Start the thread that tells of this compilation if it takes long."""
         function = event.data["dispatcher"].py_func
         if function in self.of and _speaks():
             self._done.clear()
@@ -273,6 +302,7 @@ class _Compilations(Listener):
             self._patience = PATIENCE
 
     def on_end(self, event: Event) -> None:
+        """End that thread."""
         if event.data["dispatcher"].py_func in self.of and self._watcher is not None:
             self._done.set()
             self._watcher.join()
@@ -283,8 +313,11 @@ register("numba:compile", _compilations)
 
 
 def _count(function: Callable[..., Any], done: threading.Event, patience: float) -> None:
-    """Say what takes longer than `patience` [s]: one line, or on a terminal, until it is done, how
-    many of the functions that `function` calls are compiled.
+    """Say that compiling `function` takes longer than `patience` [s]; return at once if `done` is
+    set before.
+
+    On a terminal a line counts how many of the functions that it calls are compiled, until `done`.
+    Elsewhere one line is printed.
     """
     if done.wait(patience):
         return
@@ -301,7 +334,11 @@ def _count(function: Callable[..., Any], done: threading.Event, patience: float)
 
 
 def called_by(function: Callable[..., Any]) -> set[Any]:
-    """Compiled functions that a Python function names, directly or through one that it names."""
+    """Compiled functions that a Python function names, directly or through one that it names.
+
+    Names are global ones, and attributes of modules that it names. A name counts also where the
+    function does not call it, so these are at least the functions called.
+    """
     found: set[Any] = set()
     left = [function]
     while left:
@@ -318,6 +355,6 @@ def called_by(function: Callable[..., Any]) -> set[Any]:
 
 
 def place() -> str:
-    """Folder of the compiled code, in words."""
+    """Where compiled code is kept, in words for the user."""
     found = folder()
     return "compiled code is not kept" if found is None else f"kept below {found}"

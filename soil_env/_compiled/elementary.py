@@ -13,7 +13,8 @@ import numpy as np
 from .flags import compiled
 
 LARGEST_EXPONENT = 700.0  # [-] e^700 is the largest power that is formed
-# [-] added and subtracted it rounds to a whole number, which is then in the low bits
+# [-] Added to a number below 2^51, it leaves the nearest whole number in the low bits of the sum.
+# Subtracted again it leaves that whole number as a float.
 ROUNDING = 1.5 * 2.0**52
 PER_LN2 = 1.4426950408889634  # [-] 1/ln 2
 LN2_HIGH = 0.6931471803691238  # [-] ln 2 to 32 bits
@@ -27,7 +28,10 @@ TINIEST = 1e-300  # [-] least number whose logarithm is taken
 
 @compiled
 def exp(x):
-    """e^x for x cut to [-700, 700]: 2^k (1 + r + r^2 P(r)) with |r| <= ln(2)/2."""
+    """e^x for x cut to [-700, 700]: 2^k (1 + r + r^2 P(r)) with x = k ln 2 + r, |r| <= ln(2)/2.
+
+    k is read from the low bits of a rounded sum (`ROUNDING`) and shifted into the exponent.
+    """
     x = max(min(x, LARGEST_EXPONENT), -LARGEST_EXPONENT)
     shifted = x * PER_LN2 + ROUNDING
     k = shifted - ROUNDING
@@ -44,7 +48,10 @@ def exp(x):
 
 @compiled
 def log(x):
-    """Natural logarithm of a normal number x > 0: ln m + k ln 2 with m in [sqrt(1/2), sqrt(2))."""
+    """Natural logarithm of a normal number x = m 2^k > 0: ln m + k ln 2, m in [sqrt(1/2), sqrt(2)).
+
+    ln m = 2 artanh s = 2 s + s^3 Q(s^2) with s = (m - 1)/(m + 1).
+    """
     bits = np.float64(x).view(np.int64)
     whole = (bits - ROOT_HALF_BITS) >> MANTISSA
     m = np.int64(bits - (whole << MANTISSA)).view(np.float64)
@@ -61,13 +68,13 @@ def log(x):
 
 @compiled
 def power(x, y):
-    """x^y for x of at least 1e-300."""
+    """x^y for x >= 0: x below `TINIEST` counts as `TINIEST`, and y ln x is cut as in `exp`."""
     return exp(y * log(max(x, TINIEST)))
 
 
 @compiled
 def half_sin(x):
-    """sin(x/2) for |x| <= pi."""
+    """sin(x/2) for |x| <= pi: h + h^3 P(h^2) with h = x/2."""
     h = 0.5 * x
     t = h * h
     t2 = t * t
@@ -79,7 +86,7 @@ def half_sin(x):
 
 @compiled
 def half_cos(x):
-    """cos(x/2) for |x| <= pi."""
+    """cos(x/2) for |x| <= pi: 1 - h^2/2 + h^4 P(h^2) with h = x/2."""
     h = 0.5 * x
     t = h * h
     t2 = t * t
@@ -91,7 +98,7 @@ def half_cos(x):
 
 @compiled
 def sin_cos(x):
-    """(sin x, cos x) for |x| <= pi."""
+    """(sin x, cos x) for |x| <= pi, by the sine and cosine of the half angle."""
     s = half_sin(x)
     c = half_cos(x)
     return 2.0 * s * c, 1.0 - 2.0 * s * s
@@ -99,7 +106,10 @@ def sin_cos(x):
 
 @compiled
 def asin_root(t):
-    """asin(sqrt(t)) for t cut to [0, 1]; above 1/4 by asin(s) = pi/2 - 2 asin(sqrt((1 - s)/2))."""
+    """asin(sqrt(t)) for t cut to [0, 1]: s + s^3 P(s^2) with s = sqrt(t).
+
+    Above t = 1/4 it is asin(s) = pi/2 - 2 asin(sqrt((1 - s)/2)), whose argument is small again.
+    """
     t = max(min(t, 1.0), 0.0)
     near_one = t > 0.25
     u = 0.5 * (1.0 - math.sqrt(t)) if near_one else t
@@ -129,6 +139,6 @@ def smoothed_sign(speed, floor):
 
 @compiled
 def smooth_step(t):
-    """(w, dw/dt): cubic from 0 at t = 0 to 1 at t = 1, constant and level beyond."""
+    """(w, dw/dt): the cubic from 0 at t = 0 to 1 at t = 1, level at both ends; constant beyond."""
     t = min(max(t, 0.0), 1.0)
     return t * t * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t)

@@ -38,7 +38,9 @@ inlined: Any = njit(**_EXACT, inline="always")
 
 
 def uncompiled(function: Any) -> Any:
-    """Return the uncompiled function, for a single call from Python."""
+    """Return the Python function of a compiled one, for a call that is not worth a compilation; any
+    other function as it is.
+    """
     return getattr(function, "py_func", function)
 
 

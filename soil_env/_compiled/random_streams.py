@@ -35,7 +35,7 @@ def seed_stream(rng: np.random.Generator) -> np.uint64:
 
 @compiled
 def word(owner):
-    """Next 64 bits of the stream of a record. Another stream may start from them."""
+    """Next 64 bits of the stream of the record `owner`. Another stream may start from them."""
     owner.stream += WEYL
     z = owner.stream
     z = (z ^ (z >> SHIFT_FIRST)) * MIX_FIRST
@@ -45,7 +45,7 @@ def word(owner):
 
 @compiled
 def uniform(owner):
-    """Next number in [0, 1)."""
+    """Next number in [0, 1), from one word of the stream of `owner`."""
     return float(word(owner) >> SHIFT_TO_UNIT) * TO_UNIT
 
 
@@ -57,7 +57,7 @@ def between(owner, low, high):
 
 @compiled
 def normal_pair(owner):
-    """Two independent standard normal numbers (Box & Muller 1958)."""
+    """Two independent standard normal numbers (Box & Muller 1958), from two words of the stream."""
     radius = math.sqrt(-2.0 * math.log(1.0 - uniform(owner)))
     angle = 2.0 * math.pi * uniform(owner)
     return radius * math.cos(angle), radius * math.sin(angle)
@@ -65,7 +65,10 @@ def normal_pair(owner):
 
 @compiled
 def draw_normals(owner, normals, pairs):
-    """Fill the first `pairs` of `normals` with standard normal numbers."""
+    """Fill the first `pairs`, at most 8, of `NORMALS` with standard normal numbers.
+
+    The others become 0 and take nothing from the stream of `owner`.
+    """
     for i in range(8):
         normals.first[i] = uniform(owner) if i < pairs else 0.0
         normals.second[i] = uniform(owner) if i < pairs else 0.0
@@ -74,10 +77,14 @@ def draw_normals(owner, normals, pairs):
 
 @compiled_sums
 def _to_normal(normals):
-    """Make normal numbers of uniform ones; all eight at once."""
+    """Turn uniform numbers in [0, 1) into normal ones (Box & Muller 1958), all eight pairs at once.
+
+    It is `normal_pair` by functions that LLVM vectorises, so results differ by rounding.
+    """
     for i in range(8):
         radius = math.sqrt(-2.0 * log(1.0 - normals.first[i]))
-        # half a turn back: sine and cosine change sign
+        # Half a turn back brings the angle into the range of `half_sin`; sine and cosine of the
+        # angle change sign.
         angle = math.pi * (2.0 * normals.second[i] - 1.0)
         sine = half_sin(angle)
         cosine = half_cos(angle)

@@ -14,7 +14,9 @@ from importlib import resources
 import jinja2
 
 WIDTH = 100  # characters of a line on the terminal
-_NUMBER = re.compile(r"[-+]?\.?\d|[-+]?(inf|nan)\b|-?$")  # how a cell of a column of numbers begins
+#: How a cell of a column of numbers begins; an empty one and a dash count.
+_NUMBER = re.compile(r"[-+]?\.?\d|[-+]?(inf|nan)\b|-?$")
+_LEAST_WIDTH = 12  # characters that a column keeps whose cells are cut; own choice
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ class Table:
         return "\n".join(lines) + (f"\n\n*{self.caption}*" if self.caption else "")
 
     def html(self) -> str:
-        """Element `table`, all text escaped; cells in columns of numbers have class "n"."""
+        """HTML element `table`, all text escaped; cells in columns of numbers have class "n"."""
         numbers = self._numbers()
         lines = [
             list(zip(map(str, line), numbers, strict=True)) for line in (self.header, *self.rows)
@@ -54,7 +56,8 @@ class Table:
         """Aligned columns for the terminal, the caption above; every line begins with `indent`
         spaces.
 
-        The longest cells of text are cut where a line would be longer than `WIDTH`.
+        Where a line would be longer than `WIDTH`, cells of the widest column of text are cut, but
+        not below its header and `_LEAST_WIDTH`. Numbers are never cut, so a line may stay longer.
         """
         lines = [[str(cell) for cell in line] for line in (self.header, *self.rows)]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
@@ -63,7 +66,7 @@ class Table:
         if over > 0 and not all(numbers):
             texts = [k for k, number in enumerate(numbers) if not number]
             longest = max(texts, key=widths.__getitem__)
-            most = max(widths[longest] - over, len(lines[0][longest]), 12)
+            most = max(widths[longest] - over, len(lines[0][longest]), _LEAST_WIDTH)
             widths[longest] = most
             for line in lines:
                 cell = line[longest]
@@ -76,7 +79,10 @@ class Table:
         return "\n".join((" " * indent + line).rstrip() for line in shown)
 
     def _numbers(self) -> list[bool]:
-        """True for each column of numbers: every cell begins with one, is empty or a dash."""
+        """For each column, True if it has numbers: every cell begins with one, is empty or a dash.
+
+        Without rows no column has.
+        """
         if not self.rows:
             return [False] * len(self.header)
         return [
@@ -86,6 +92,7 @@ class Table:
 
 
 def _markdown_row(cells: Sequence[object]) -> str:
+    """Row of a pipe table: each cell on one line, its pipes escaped."""
     return "| " + " | ".join(" ".join(str(c).split()).replace("|", r"\|") for c in cells) + " |"
 
 
@@ -122,6 +129,7 @@ def render(template: str, **values: object) -> str:
 
 @cache
 def _environment() -> jinja2.Environment:
+    """The one environment of all templates, with `hanging` as a filter."""
     made = jinja2.Environment(
         loader=jinja2.FunctionLoader(_source),
         autoescape=jinja2.select_autoescape(("html",)),
@@ -134,7 +142,10 @@ def _environment() -> jinja2.Environment:
 
 
 def hanging(text: str) -> str:
-    """Text in lines of at most `WIDTH` characters; all but the first are indented by two more."""
+    """Text in lines of at most `WIDTH` characters, but for longer words.
+
+    All lines have the indent of the first, and all but the first two spaces more.
+    """
     first = " " * (len(text) - len(text.lstrip()))
     return textwrap.fill(
         text.lstrip(),
@@ -147,6 +158,7 @@ def hanging(text: str) -> str:
 
 
 def _source(name: str) -> str:
+    """Text of a template by the name that `render` takes."""
     package, _, file = name.rpartition(":")
     folder = resources.files(package or "soil_env._io") / "templates"
     return (folder / file).read_text(encoding="utf-8")

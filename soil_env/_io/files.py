@@ -39,7 +39,11 @@ def replace_files(folder: str | Path, contents: Mapping[str, bytes | str]) -> No
 
 
 def _replace(contents: Mapping[Path, bytes | str]) -> None:
-    """Write files beside those that they replace, or that a symbolic link names, then rename."""
+    """Write each file in full beside the one that it replaces, then rename all.
+
+    A symbolic link stays, and the file that it names is replaced. Where a file cannot be written
+    none is replaced; OSError has its path.
+    """
     places = {path: Path(os.path.realpath(path)) for path in contents}
     stamp = uuid.uuid4().hex[:8]  # no other process writes to the same partial file
     partial = {
@@ -61,15 +65,17 @@ def _replace(contents: Mapping[Path, bytes | str]) -> None:
 
 
 def _bytes(content: bytes | str) -> bytes:
-    """Content of a file; names of files that are no UTF-8 may be part of a text."""
+    """Content of a file in bytes. A text may quote names of files that are no UTF-8: these bytes
+    are escaped.
+    """
     return content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
 
 
 def check_own(folder: str | Path, names: Iterable[str], inputs: Iterable[str | Path] = ()) -> None:
-    """`check_outputs` of files that a command is to write with `write_own`.
+    """Check, before the work, that a command can write these files with `write_own`.
 
-    Raises FileExistsError for a file that no command wrote, or that was changed since, and for one
-    of the `inputs` of the command.
+    Raises OSError as `check_outputs`. Raises FileExistsError for a file in `folder` that no command
+    wrote, or that was changed since, and for one of the `inputs` of the command.
     """
     folder = Path(folder)
     names = tuple(names)
@@ -85,21 +91,24 @@ def check_own(folder: str | Path, names: Iterable[str], inputs: Iterable[str | P
 
 
 def _in_the_way(path: str | Path, said: str) -> FileExistsError:
+    """Return the error for a file that stays, with the reason `said`."""
     text = f"{said}: expected another --out, or the file moved away"
     return FileExistsError(errno.EEXIST, text, str(path))
 
 
 def write_own(folder: str | Path, contents: Mapping[str, bytes | str]) -> None:
-    """`replace_files` that remembers in `MANIFEST` what it wrote, and replaces nothing else.
+    """Write files as `replace_files`, and their digests into `MANIFEST`.
 
-    Raises FileExistsError as `check_own`.
+    Replaces only files that a command wrote and nobody changed since; FileExistsError as
+    `check_own` for others.
     """
     folder = Path(folder)
     check_own(folder, contents)
     known = _manifest(folder)
     for name, content in contents.items():
         new = _digest(_bytes(content))
-        known[name] = [new, *known.get(name, ())[:1]]  # the old file stays until all are written
+        # Also the digest of the old file, which is still there if a kill comes before the renaming.
+        known[name] = [new, *known.get(name, ())[:1]]
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
     replace_files(folder, {MANIFEST: json_text(known), **contents})
 
@@ -115,7 +124,9 @@ def drop_own(folder: str | Path, names: Iterable[str]) -> None:
 
 
 def _manifest(folder: Path) -> dict[str, list[str]]:
-    """Digests of each file that `write_own` wrote into a folder; none if the list is damaged."""
+    """Digests of each file that `write_own` wrote into a folder, by name: of the file, and of the
+    one that it replaced. Empty if the list is missing or damaged.
+    """
     try:
         known = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
         return {str(name): [str(d) for d in digests] for name, digests in known.items()}
@@ -128,7 +139,10 @@ def _digest(content: bytes) -> str:
 
 
 def drop_torn_line(path: str | Path) -> None:
-    """Cut off the last line of a record, one line an entry, if a kill or a full disk tore it."""
+    """Cut off the last line of a file with one entry a line, if a kill or a full disk tore it.
+
+    A torn line does not end with a line break. A missing file is left alone.
+    """
     path = Path(path)
     if path.is_file():
         content = path.read_bytes()
@@ -139,7 +153,10 @@ def drop_torn_line(path: str | Path) -> None:
 
 @contextmanager
 def alone(folder: str | Path) -> Iterator[None]:
-    """Make a folder and hold its lock. Raises FileExistsError while another process holds it."""
+    """Make a folder and hold its lock. Raises FileExistsError while another process holds it.
+
+    On a disk without locks it goes on without one.
+    """
     make_folder(folder)
     lock = FileLock(Path(folder) / LOCK)
     try:
@@ -157,7 +174,7 @@ def alone(folder: str | Path) -> Iterator[None]:
 
 
 def write_json(path: str | Path, content, indent: int | None = 1) -> None:
-    """Write `json_text`."""
+    """Write `json_text` with `replace_file`."""
     replace_file(path, json_text(content, indent))
 
 
@@ -193,18 +210,19 @@ def is_unused(folder: str | Path) -> bool:
 
 
 def make_folder(folder: str | Path) -> None:
-    """Make a folder where there is none, and see that files can be put into it: OSError now, not
-    after the work.
+    """Make a folder where there is none, and check that files can be put into it.
+
+    OSError, before the work of a command and not after it, where that fails.
     """
     check_outputs(folder)
     Path(folder).mkdir(parents=True, exist_ok=True)
 
 
 def check_outputs(folder: str | Path, names: Iterable[str] = ()) -> None:
-    """OSError where files of these names could not be written into `folder`, made if need be; makes
-    nothing.
+    """Raise OSError where files of these names could not be written into `folder`; make nothing.
 
-    A name may have one folder in it, "plots/a.png".
+    Of a folder that does not exist the nearest one above is tried, by a temporary file. A name may
+    have one folder in it, "plots/a.png". Existing files may be replaced, folders not.
     """
     folder = Path(folder)
     names = tuple(names)

@@ -22,21 +22,31 @@ from pathlib import Path
 
 import yaml
 
+# Characters of an error's message, and of its two ends where it is longer; own choices.
+_LONGEST = 1000
+_HEAD = 700
+_TAIL = 200
+_MOST_SHOWN = 10**15  # largest whole number that an error writes in full
+_MOST_QUOTED = 200  # characters of a library's message in an error
+
 
 class ParameterError(ValueError):
     """A parameter is unknown, of the wrong type or outside its physical range.
 
-    The message is one line. The middle of one that quotes something very long is left out.
+    The message is one line. Of one longer than `_LONGEST` the middle is left out, since it may
+    quote whatever a file has.
     """
 
     def __init__(self, message: str = "") -> None:
-        text = " ".join(str(message).splitlines())  # names of others may have line breaks
-        super().__init__(text if len(text) <= 1000 else f"{text[:700]} ... {text[-200:]}")
+        text = " ".join(str(message).splitlines())  # a quoted name may have line breaks
+        super().__init__(text if len(text) <= _LONGEST else f"{text[:_HEAD]} ... {text[-_TAIL:]}")
 
 
 class FieldError(ParameterError):
-    """A field of a dataclass has a wrong value; `load` replaces the name of the class by the place
-    in the file.
+    """The field `name` of a dataclass has a wrong value.
+
+    `problem` is the rest of the message, as " = 3: expected ...". `load` puts the place in the file
+    before it, in place of the class.
     """
 
     def __init__(self, owner: object, name: str, problem: str) -> None:
@@ -53,26 +63,29 @@ def quantity(
     default=dataclasses.MISSING,
     doc: str = "",
 ):
-    """A dataclass field holding a number in [low, high] of the given unit, or a (low, high) pair of
-    such numbers.
+    """A dataclass field holding a number in [low, high] of the given unit, both ends included, or a
+    (low, high) pair of such numbers.
+
+    `doc` is its meaning, which errors and `soil-env describe` show. Only classes derived from
+    `Checked` check it.
     """
     return field(default=default, metadata={"unit": unit, "low": low, "high": high, "doc": doc})
 
 
 def _of_python(value: typing.Any) -> typing.Any:
-    """A number of numpy as one of Python; anything else as it is."""
+    """`value` as Python's own number if it is a real number of numpy, else as it is."""
     return value.item() if isinstance(value, numbers.Real) and hasattr(value, "item") else value
 
 
 def _said(value: object) -> str:
-    """A value for people: a whole number of very many digits by its size."""
-    if type(value) is int and abs(value) > 10**15:
+    """A value for an error: a whole number beyond `_MOST_SHOWN` rounded to six digits."""
+    if type(value) is int and abs(value) > _MOST_SHOWN:
         return f"{Context(prec=6).create_decimal(value).normalize():e}"
     return repr(value)
 
 
 def _bound(x: float) -> str:
-    """A bound for people; a whole number in full where the short form would be another one."""
+    """A bound for an error: to six digits, but a whole number that has more of them in full."""
     short = f"{x:g}"
     return str(x) if isinstance(x, int) and float(short) != x else short
 
@@ -81,8 +94,8 @@ _hints = functools.cache(typing.get_type_hints)  # of the fields of a class
 
 
 class Checked:
-    """Base of the parameter classes: every `quantity` and every choice is checked on
-    construction.
+    """Base of the parameter classes: every `quantity` and every `Literal` is checked on
+    construction, `FieldError` for a wrong one.
 
     A `quantity` is finite and in its range, or None. Whole numbers in a field of floats become
     floats: compiled code would be compiled anew for them.
@@ -103,6 +116,9 @@ class Checked:
 
 
 def _check_quantity(owner: Checked, f: dataclasses.Field, value: typing.Any) -> None:
+    """Raise `FieldError` unless the value of a `quantity`, or each of a tuple, is None or a finite
+    number in its range, and a pair does not fall.
+    """
     low = f.metadata["low"]
     high = f.metadata["high"]
     for x in map(_of_python, value if isinstance(value, tuple) else (value,)):
@@ -117,14 +133,14 @@ def _check_quantity(owner: Checked, f: dataclasses.Field, value: typing.Any) -> 
 
 
 def unknown_key(key, known, where: str) -> ParameterError:
-    """The error for a key that does not exist, with the nearest known name."""
+    """Return the error for a key that does not exist, with the nearest known name."""
     return ParameterError(
         f"{where}: unknown key {key!r}{nearest(key, known)} (known: {_sorted(known)})"
     )
 
 
 def unknown_value(value, known, where: str = "") -> ParameterError:
-    """Error for a value that is none of the known ones, with the nearest of them."""
+    """Return the error for a value that is none of the known ones, with the nearest of them."""
     expected = f"one of {_sorted(known)}" if known else "none"
     return ParameterError(
         f"{where}: unknown value {value!r}{nearest(value, known)} (expected {expected})"
@@ -132,23 +148,26 @@ def unknown_value(value, known, where: str = "") -> ParameterError:
 
 
 class UnknownKeyword(ParameterError, TypeError):
-    """A keyword argument that does not exist: the `TypeError` that Python raises, and names the
-    nearest known one.
+    """Error for a keyword argument that does not exist, with the nearest known one.
+
+    It is a `TypeError` as Python's own. Without `known`, `key` is the whole message.
     """
 
     def __init__(self, key, known=()) -> None:
         text = f"unexpected keyword argument {key!r}{nearest(key, known)} (known: {_sorted(known)})"
-        super().__init__(text if known else key)  # a copy is made of the text
+        super().__init__(text if known else key)  # copying and unpickling pass the message alone
 
 
 def nearest(name, known) -> str:
-    """'; did you mean ...?' with the known name that is most like `name`; "" where none is."""
+    """'; did you mean ...?' with the known name that is most like `name`; "" where none is like
+    it.
+    """
     near = difflib.get_close_matches(str(name), [str(k) for k in known], n=1)
     return f"; did you mean {near[0]!r}?" if near else ""
 
 
 def plural(count: int, word: str) -> str:
-    """A count of something, in words."""
+    """The count and the word, with an s unless the count is 1."""
     return f"{count} {word}" + ("" if count == 1 else "s")
 
 
@@ -157,8 +176,10 @@ TITLES = 20  # lines of a CSV file, from the first, among which a header is look
 
 
 def below_title(path: Path, lines: Iterable[Sequence[str]], names: Iterable[str]) -> None:
-    """`ParameterError` where one of the lines, not the first, has the `names` of columns; each
-    line in cells.
+    """Raise `ParameterError` where a line below the first has the `names` of columns and the first
+    has not: there is a title above the header.
+
+    `lines` are the first ones of the file at `path`, each in cells.
     """
     bare = [[cell.strip().strip('"') for cell in cells] for cells in lines]
     has_names = [set(names) <= set(cells) for cells in bare]
@@ -206,6 +227,7 @@ def load(cls, mapping, where: str = ""):
             raise
         raise ParameterError(f"{_below(where, error.name)}{error.problem}") from None
     except ParameterError as error:
+        # A message that begins with a field continues the path of keys; any other stands behind it.
         of_field = str(error).startswith(tuple(f"{name}{end}" for name in names for end in " .:"))
         raise ParameterError(
             _below(where, str(error)) if of_field else f"{where}: {error}"
@@ -213,12 +235,18 @@ def load(cls, mapping, where: str = ""):
 
 
 def _below(where: str, key: str) -> str:
-    """The place of a key: "file: key", and "file: section.key" further down."""
+    """The place of a key below `where`: "file: key" below a file, "file: section.key" below a
+    section.
+    """
     return f"{where}{'.' if ': ' in where else ': '}{key}"
 
 
 def _convert(hint, value, where: str):
-    """`value` as the annotated type `hint` of a field."""
+    """`value` as the annotated type `hint` of a field; `where`: the place for an error.
+
+    `ParameterError` for a value of another type. Of a union only X | None is known; a hint for
+    which there is no rule is a TypeError, a mistake in the class.
+    """
     origin = typing.get_origin(hint)
     items = typing.get_args(hint)
 
@@ -251,20 +279,21 @@ def _convert(hint, value, where: str):
     if hint in (float, int):
         return number(hint, value, where)
     if hint not in (bool, str):
-        # A programming error, not the user's.
         raise TypeError(f"{where}: no rule to load a {hint!r}")
     expect(isinstance(value, hint), "true or false" if hint is bool else "text")
     return value
 
 
 def number(kind: type, value, where: str):
-    """`value` as float or int (`kind`); ParameterError with `where` where it is no number nor text
-    of one.
+    """`value` as float or int (`kind`), also if it is text of a number or of numpy.
+
+    `ParameterError`, with the place `where`, for anything else, true and false among it. Infinite
+    and NaN are floats here; ranges refuse them.
     """
     if isinstance(value, str):  # YAML 1.1 reads 1e6 as text
         try:
             found = float(value)
-            # 1e400 is no number of the user's.
+            # 1e400 stays text and is refused: as a float it would be infinite without being meant.
             value = found if math.isfinite(found) or value.strip(" +-")[:1] in "iInN" else value
         except ValueError:
             pass
@@ -283,8 +312,9 @@ def number(kind: type, value, where: str):
 
 
 def merge(base: dict, changes: dict) -> dict:
-    """`base` with the values of `changes`, nested mappings merged key by key; neither argument is
-    modified.
+    """`base` with the values of `changes`; neither argument is modified.
+
+    A value replaces that of `base`, but where both are mappings they are merged key by key.
     """
     out = dict(base)
     for key, value in changes.items():
@@ -294,7 +324,7 @@ def merge(base: dict, changes: dict) -> dict:
 
 
 def to_dict(instance: object) -> dict[str, typing.Any]:
-    """A dataclass as nested plain values, ready for YAML."""
+    """A dataclass as nested plain values, ready for YAML: mappings, and lists for tuples."""
 
     def plain(x):
         if dataclasses.is_dataclass(x):
@@ -313,8 +343,8 @@ _TOO_MUCH = f"more than {MOST_VALUES} values, or nested deeper than {DEEPEST} le
 
 
 class _Strict(yaml.SafeLoader):
-    """SafeLoader that refuses a key given twice, of which YAML would keep the last, and files made
-    to be a burden.
+    """SafeLoader that refuses a key given twice, of which YAML would keep the last, and files that
+    stand for too much (`MOST_VALUES`, `DEEPEST`).
 
     Aliases are counted as often as they are used: ten lines of them can stand for more values than
     memory holds.
@@ -323,15 +353,17 @@ class _Strict(yaml.SafeLoader):
     values = 0  # counted so far
 
     def get_single_node(self):
-        """The root, checked whole."""
+        """The root of the file, None of an empty one; all below it is checked before a value is
+        made.
+        """
         node = super().get_single_node()
         if node is not None:
             self._check(node, ())
         return node
 
     def _check(self, node: yaml.Node, above: tuple[yaml.Node, ...]) -> None:
-        """Refuse a node that stands for too much, contains itself or has a key twice; `above` are
-        those around it.
+        """Raise `yaml.YAMLError` for a node that stands for too much, contains itself or has a key
+        twice, and so for those in it; `above`: the nodes that it is in.
         """
         self.values += 1
         if self.values > MOST_VALUES or len(above) >= DEEPEST:
@@ -353,11 +385,16 @@ class _Strict(yaml.SafeLoader):
 
 
 def _wrong(node: yaml.Node, said: str) -> yaml.YAMLError:
+    """Return the error `said` with the line of the node."""
     return yaml.constructor.ConstructorError(None, None, said, node.start_mark)
 
 
 def _number_of(loader: _Strict, node: yaml.ScalarNode) -> int | float:
-    """A number as it is written; YAML 1.1 takes 0150 for octal, and 1:30 for sixtieths."""
+    """The number of a node as it is written.
+
+    Refused are 0150, which YAML 1.1 reads as octal, 1:30, which it reads in sixtieths, and a number
+    too large for a float. The text inf is infinite.
+    """
     text = node.value.replace("_", "").lstrip("+-")
     whole = node.tag.endswith(":int")
     if ":" in text or (whole and len(text) > 1 and text[0] == "0" and text.isdecimal()):
@@ -376,7 +413,9 @@ for _kind in ("int", "float"):
 
 
 def parse_yaml(text: str):
-    """The value that a YAML text stands for; `yaml.YAMLError` for whatever is wrong with it."""
+    """The value that a YAML text stands for, None of an empty one; `yaml.YAMLError` for whatever is
+    wrong with it.
+    """
     try:
         return yaml.load(text, _Strict)  # a SafeLoader
     except RecursionError:
@@ -386,7 +425,9 @@ def parse_yaml(text: str):
 
 
 def read_yaml(path: Path) -> dict:
-    """The mapping in a YAML file; `ParameterError` if it cannot be read as one."""
+    """The mapping in a YAML file, {} of an empty one; `ParameterError` if it cannot be read as one
+    or is larger than `MOST_BYTES`.
+    """
     try:
         with open(path, "rb") as stream:
             raw = stream.read(MOST_BYTES + 1)
@@ -399,7 +440,7 @@ def read_yaml(path: Path) -> dict:
         raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         said = " ".join(str(error).split()).replace('in "<unicode string>", ', "in ")
-        raise ParameterError(f"{path}: not valid YAML ({said[:200]})") from None
+        raise ParameterError(f"{path}: not valid YAML ({said[:_MOST_QUOTED]})") from None
     if content is None:
         return {}
     if not isinstance(content, dict):
@@ -421,13 +462,16 @@ def read_json(path: Path) -> dict:
 
 
 def one_line(error: BaseException, which: int = 0) -> str:
-    """The first line of the message of a library, or that of another number; not too long."""
-    return (str(error).strip().splitlines() or [type(error).__name__])[which][:200]
+    """Line `which` of the message of an error, cut to `_MOST_QUOTED` characters.
+
+    The name of the error's class stands for an empty message. Python's index -1 is the last line.
+    """
+    return (str(error).strip().splitlines() or [type(error).__name__])[which][:_MOST_QUOTED]
 
 
 def check_unpacked(archive: str | Path | typing.BinaryIO, most: int) -> None:
-    """Raise ValueError for a zip whose members unpack to more than `most` bytes, and zipfile's
-    errors for what is none.
+    """Raise ValueError for a zip whose members unpack to more than `most` bytes together, by its
+    directory, and zipfile's errors for a file that is no zip.
     """
     with zipfile.ZipFile(archive) as members:
         size = sum(member.file_size for member in members.infolist())
@@ -442,7 +486,7 @@ def config_dir() -> Path:
 
 def shipped_dir(name: str) -> Path:
     """A folder that comes with the package: inside it where it is installed, else beside it in the
-    clone.
+    clone. Where it is missing, its path in the clone.
     """
     here = Path(__file__).resolve().parents[1]  # soil_env/
     return next((p for p in (here / name, here.parent / name) if p.is_dir()), here.parent / name)

@@ -1,6 +1,6 @@
-"""Command `soil-env`, a subcommand a task.
+"""Command `soil-env`, with a subcommand for each task.
 
-Modules are imported when their subcommand is asked for.
+The module of a subcommand is imported when it is asked for.
 """
 
 import sys
@@ -43,7 +43,9 @@ class _Commands(click.Group):
         return list(_COMMANDS)
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command:
-        """Import the subcommand of this name; `click.UsageError` for an unknown one."""
+        """Import the subcommand of this name; `click.UsageError` for an unknown one, and for one
+        that needs a package which is not installed.
+        """
         if name not in _COMMANDS:
             known = ", ".join(_COMMANDS)
             raise click.UsageError(

@@ -14,7 +14,7 @@ import click
 from soil_env.measurement.setup import Prior
 from soil_env.parameters import Soil
 
-#: Kind of file -> (module, class that reads it, what it is).
+#: Kind of file -> (module and name of the class that reads it, option or key that takes it).
 KINDS = {
     "scenario": ("soil_env.parameters", "Scenario", "--scenario, a task of one wheel"),
     "rover": ("soil_env.parameters", "RoverScenario", "--rover, a task of a rover"),
@@ -45,7 +45,12 @@ def command(kind: str) -> None:
 
 
 def keys_of(cls: type, above: str = "") -> Iterator[str]:
-    """A line for each key of a dataclass, and of those within it after its own."""
+    """Yield a line for each key of a dataclass, then a heading and the lines of each dataclass in
+    it.
+
+    `above`: path of keys before a name, with its dot. A `Prior` has no lines of its own: its key
+    shows the range of the number in `Soil`.
+    """
     hints = typing.get_type_hints(cls)
     within: list[tuple[str, type]] = []
     for f in (f for f in dataclasses.fields(cls) if f.init):
@@ -67,13 +72,15 @@ def keys_of(cls: type, above: str = "") -> Iterator[str]:
 
 
 def _class_in(hint: Any) -> type | None:
-    """The dataclass that a hint names, alone, as one of several, or as the values of a mapping."""
+    """The dataclass that a hint names, alone, as one of several, or as the values of a mapping;
+    None without one.
+    """
     kinds = (hint, *typing.get_args(hint))
     return next((k for k in kinds if isinstance(k, type) and dataclasses.is_dataclass(k)), None)
 
 
 def _range(f: Any) -> str:
-    """Unit and range of a number, "" for anything else."""
+    """Unit and range of a field made by `quantity`, "" for any other."""
     if "unit" not in f.metadata:
         return ""
     low = f.metadata["low"]
@@ -85,7 +92,7 @@ def _range(f: Any) -> str:
 
 
 def _kind(hint: Any) -> str:
-    """The values of a hint in words."""
+    """Values that a hint admits, in words, without None; "value" for a type not listed here."""
     if typing.get_origin(hint) is typing.Literal:
         return " | ".join(map(str, typing.get_args(hint)))
     parts = [h for h in typing.get_args(hint) if h is not types.NoneType]
@@ -98,7 +105,10 @@ def _kind(hint: Any) -> str:
 
 
 def _default(f: Any) -> str:
-    """The default in words, or that there is none."""
+    """The default in words, "required" without one, "" where it is empty, None or a dataclass.
+
+    NaN is the default of numbers that are then taken from the usual wheel.
+    """
     if f.default is f.default_factory is dataclasses.MISSING:
         return "required"
     value = f.default if f.default is not dataclasses.MISSING else f.default_factory()

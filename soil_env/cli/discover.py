@@ -63,8 +63,10 @@ def command(
 
 
 def _stages(quiet: bool) -> Callable[[str], None]:
-    """Function that prints each stage of the work once, on stderr, but the reading of the files,
-    which may refuse.
+    """Return the function that prints a stage of the work on stderr when it begins.
+
+    The stage is the text before a colon, and printed once. That of reading the files is not
+    printed, since bad input prints one line only. If `quiet`, none is.
     """
     said = {"reading"}
 

@@ -29,7 +29,7 @@ def command(data: Path, setup: Path, out: Path | None) -> None:
     what the data cannot determine.
     """
     known = read_setup(setup)
-    exact(known)  # refuses what `discover` would
+    exact(known)  # for its errors: `discover` reads the same setup and refuses it
     table = read_table(data, known.wheel, known.ignore_columns)
     if out is not None:
         check_own(out, FILES, (data, setup))

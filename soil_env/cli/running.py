@@ -27,12 +27,15 @@ TERMINATED = 143  # after SIGTERM: 128 + 15
 UNREAD = 141  # after SIGPIPE: 128 + 13
 GRACE = 5.0  # [s] that a worker whose parent has ended has for saving its work
 _LATER = 0.02  # [s] after which a signal that a callback has dropped is sent again
+_MOST_WHOLE = 10**15  # default most: beyond about 9e15 a float does not hold every whole number
 
 
 def run(
     command: click.Command | Callable[[], click.Command], arguments: Sequence[str] | None, name: str
 ) -> int:
-    """Run a click command, or that which a function imports, and return its exit status.
+    """Run a click command, or the one that a function imports, and return its exit status.
+
+    `arguments` are those of the process where None; `name` is that of the program, for messages.
 
     Bad input (`ParameterError`, a usage error), a file that cannot be read or written (`OSError`)
     and too little memory print one line on stderr and return `BAD_INPUT`. Ctrl-C and SIGTERM return
@@ -82,7 +85,7 @@ def run(
 
 
 def _called(command: object, arguments: Sequence[str], name: str) -> str:
-    """Name of the program with that of its subcommand, for messages."""
+    """Name of the program, with that of its subcommand if the first argument is one."""
     known = (
         command.list_commands(click.Context(command)) if isinstance(command, click.Group) else ()
     )
@@ -90,14 +93,16 @@ def _called(command: object, arguments: Sequence[str], name: str) -> str:
 
 
 def _fail(name: str, text: str, error: Exception) -> int:
-    """Print a line of the text and of the notes of an error."""
+    """Print the text and the notes of an error in one line on stderr; return `BAD_INPUT`."""
     said = "; ".join([text, *getattr(error, "__notes__", ())])
     print(f"{name}: error: {' '.join(said.split())}", file=sys.stderr)
     return BAD_INPUT
 
 
 def _drop_output() -> None:
-    """Discard further output after a failed print, since Python flushes again at its end."""
+    """Discard further output after a failed print, since Python flushes again at its end, which
+    would fail with a traceback.
+    """
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
@@ -193,7 +198,7 @@ def _send(number: int) -> None:
 
 
 def console(width: int = 100) -> Console:
-    """The terminal, or lines of this width in a file or a pipe."""
+    """Console on stdout: as wide as the terminal, or of `width` characters in a file or pipe."""
     return Console(width=None if sys.stdout.isatty() else width)
 
 
@@ -202,16 +207,16 @@ class WholeNumber(click.ParamType):
 
     name = "N"
 
-    def __init__(self, least: int = 0, most: int = 10**15) -> None:
+    def __init__(self, least: int = 0, most: int = _MOST_WHOLE) -> None:
         self.least = least
         self.most = most
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Convert text; `click.BadParameter` for anything else."""
+        """Convert text, also 1e6; `click.BadParameter` for no whole number and one out of range."""
         try:
             number = float(value)
         except ValueError:
-            number = -1.0
+            number = -1.0  # below any `least`, so that it is refused below
         if not (self.least <= number <= self.most and number == int(number)):
             self.fail(
                 f"{value!r}: expected a whole number >= {self.least}, at most {self.most:.0e}",

@@ -28,7 +28,7 @@ All columns and keys: docs/guide/tables.md.
 
 
 def table_arguments(command: Callable) -> Callable:
-    """Add the argument DATA.csv and the option --setup; append `FILES` to the help."""
+    """Decorator: add the argument DATA.csv and the option --setup; append `FILES` to the help."""
     command.__doc__ = f"{inspect.cleandoc(command.__doc__ or '')}\n{FILES}"
     command = click.option(
         "--setup", type=PATH, metavar="YAML", required=True, help="Wheel, soil, noise."

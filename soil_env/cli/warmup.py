@@ -50,7 +50,7 @@ def command() -> None:
 
 
 def _begin() -> None:
-    """Begin a worker process, which ends with its parent."""
+    """Prepare a worker process: it ends with its parent and collects no garbage."""
     end_with_parent()
     # Numba's compiler makes many objects and leaves few cycles: looking for these takes time only.
     gc.disable()
@@ -70,7 +70,7 @@ def _drive(env_id: str, action: float, **options: Any) -> None:
 
 
 def _drive_wheels(**options: Any) -> None:
-    """Drive one wheel and many."""
+    """Compile what one wheel and what many need: a step of each, with these options."""
     _drive("SoilWheel-v0", 0.4, **options)
     envs = SoilWheelVectorEnv(64, **options)
     envs.reset(seed=0)
@@ -80,7 +80,7 @@ def _drive_wheels(**options: Any) -> None:
 
 
 def _with_effects() -> WheelSoilModel:
-    """A model with an effect."""
+    """A model with an effect, of which the compiled functions have versions of their own."""
     return WheelSoilModel(
         ModelWheel(0.15, 0.15), soils()["lete_sand"], {"bulldozing": {"rankine": 1.0}}
     )
@@ -99,7 +99,10 @@ def _rovers() -> None:
 
 
 def _identifier() -> None:
-    """What identifies; at the end what it needs of the parts before."""
+    """Compile the identifier by itself, then the drives that run it.
+
+    The drives come last, since they need what other processes compile meanwhile.
+    """
     image = Image(*(0.0,) * len(Image._fields))
     Observer(load_scenario("two_lines")).observe(Readings(2.0, 0.25), image=image)
     identifier = OnlineIdentifier(wheels()["planetary_rover"])
@@ -110,7 +113,7 @@ def _identifier() -> None:
 
 
 def _predictions() -> None:
-    """What predicts, reads tables and logs, and recomputes the source paper."""
+    """Compile what predicts, reads tables and logs, and recomputes the source paper."""
     # Here so that importing this file loads neither scipy nor the printed values of the paper.
     from soil_env.discovery.corrected import groups_at
     from soil_env.paper import compare
@@ -134,7 +137,7 @@ def _predictions() -> None:
 
 
 #: Parts that are compiled side by side, the longest first. A process compiles an inner function
-#: once: what identifies is one part, and drives what the parts before have compiled.
+#: once, so everything that identifies is one part, whose drives load what other parts compiled.
 PARTS = {
     "wheels with effects": _wheels_with_effects,
     "rovers": _rovers,

@@ -17,7 +17,8 @@ from soil_env.online import slips
 from soil_env.slip import travel_speeds
 
 MOST_STEPS = 2_000_000  # of a time axis: 55 hours at 0.1 s, of which a replay takes an hour
-_LOCKED = -0.9  # slip below which the rim says little of the travel speed
+_LOCKED = -0.9  # [-] least slip from which a travel speed is taken: a locked rim tells none
+_ROUNDING = 1e-9  # [of `max_gap`] by which a gap may be longer: sums of periods are rounded
 
 
 @dataclass
@@ -31,7 +32,9 @@ class Channel:
     unusable: int = 0  # out of any range
     interpolated: float = 0.0  # share of the steps
     missing: float = 0.0  # share of the steps
-    times: array = field(default_factory=lambda: array("q"), repr=False)  # [ns] of usable readings
+    #: [ns] of usable readings. While a recording is read: places of their stamps in its topic or
+    #: table.
+    times: array = field(default_factory=lambda: array("q"), repr=False)
     values: array = field(default_factory=lambda: array("d"), repr=False)
 
 
@@ -58,7 +61,8 @@ class Aligned:
     def motion(self, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(Rim speed [m/s], travel speed [m/s], slip) [N] of a wheel of `radius` [m].
 
-        Speed and slip follow from each other where one of them is missing.
+        Speed and slip follow from each other where one of them is missing. A measured slip is cut
+        to [-1, 1], and where a speed follows from it to at least `_LOCKED`.
         """
         rim = self.get("wheel_speed") * radius
         speed = self.get("speed")
@@ -68,8 +72,10 @@ class Aligned:
         return rim, np.where(np.isnan(speed), of_slip, speed), slip
 
     def travelled(self, radius: float) -> np.ndarray:
-        """Distance [N] in m from the beginning, without what was travelled in gaps; `radius` [m] of
-        the wheel.
+        """Distance [N] in m from the beginning for a wheel of `radius` [m]; going back adds, too.
+
+        Where the travel speed is missing the rim's is taken, and 0 where that is missing. A gap
+        counts as one period, since nothing is known of the drive in it.
         """
         rim, speed, _ = self.motion(radius)
         steps = np.minimum(np.diff(self.time, prepend=self.time[:1]), self.period)
@@ -79,8 +85,11 @@ class Aligned:
 def align(
     channels: dict[str, Channel], constants: dict[str, float], period: float, max_gap: float
 ) -> Aligned:
-    """Readings from the first to the last of the wheel speed; `constants` by the name of the
-    reading, in SI units.
+    """Put the readings of `channels` on one axis, from the first wheel speed to the last.
+
+    `constants` are readings in SI units that hold at every step, by name. Steps at which nothing
+    was measured are left out. The shares `interpolated` and `missing` of each measured channel are
+    set. The wheel speed needs a reading.
     """
     ns = round(period * 1e9)
     measured = {n: c for n, c in channels.items() if n not in constants}
@@ -109,7 +118,10 @@ def align(
 
 
 def _bridged(steps: np.ndarray, most: int) -> np.ndarray:
-    """Rising `steps` [N] with the ones between neighbours that are at most `most` apart."""
+    """Rising numbers `steps` [N], with the whole numbers between neighbours at most `most` apart.
+
+    `ParameterError` for more than `MOST_STEPS`.
+    """
     count = np.where(np.diff(steps) <= most, np.diff(steps), 1)
     if count.sum() >= MOST_STEPS:
         raise ParameterError(
@@ -123,14 +135,16 @@ def _bridged(steps: np.ndarray, most: int) -> np.ndarray:
 def interpolated(
     time: np.ndarray, values: np.ndarray, max_gap: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`values` [N] with NaN filled linearly between neighbours at most `max_gap` apart; True [N]
-    where filled.
+    """(`values` [N] with NaN filled linearly, True [N] where filled).
+
+    Filled is what lies between known values at most `max_gap` apart, in the unit of `time` [N].
+    NaN before the first known value and behind the last stays.
     """
     filled = np.isnan(values)
     known = np.flatnonzero(~filled)
     if not known.size:
         return values, ~filled
-    near = np.diff(time[known]) <= max_gap * (1.0 + 1e-9)
+    near = np.diff(time[known]) <= max_gap * (1.0 + _ROUNDING)
     filled[: known[0]] = False
     filled[known[0] : known[-1]] &= np.repeat(near, np.diff(known))
     filled[known[-1] :] = False

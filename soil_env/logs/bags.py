@@ -30,11 +30,17 @@ SUFFIXES = (".mcap", ".db3")
 _UNPACK = {".zst": "zstd -d", ".zstd": "zstd -d", ".lz4": "lz4 -d", ".gz": "gzip -d"}
 _MOST_CHUNK = 2**28  # [bytes] unpacked, of a chunk; recorders make them of a few megabytes
 _MOST_MESSAGE = 2**26  # [bytes] unpacked, of a message of which a number is read
-#: Instructions of SQLite for any file, and more of them a byte; a plain bag takes less than one.
+#: Most instructions of SQLite for a file: this many, and so many more for each of its bytes. A
+#: plain bag takes less than one a byte; own choice.
 _MOST_WORK = (10_000_000, 10)
 _WORK_STEP = 100_000  # instructions between two counts
+_LEAST_TEXT = 10_000  # [bytes] of a text or blob that SQLite may make of a file however small
 _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[[^\[\]]+\])*)\Z")  # of a path into a message
 _LISTS_OF_NAMES = ("name", "joint_names", "names")
+_ZSTD = b"\x28\xb5\x2f\xfd"  # first bytes of what zstd compressed (RFC 8878)
+_LEAST_NORM = 1e-6  # [-] squared, of a quaternion; one that nobody has set is all zeros
+_DEEPEST = 6  # levels of fields within fields whose paths an error names
+_MOST_NAMED = 24  # paths that an error names
 
 
 class Message(NamedTuple):
@@ -49,8 +55,11 @@ class Message(NamedTuple):
 
 
 def bag_files(path: Path) -> list[Path]:
-    """The files of a bag in their order: of its metadata.yaml, or, where a recording ended without
-    one, by name.
+    """Files of a bag in the order of recording: as metadata.yaml lists them, else by name.
+
+    A recording that was killed has no metadata.yaml. Files that it lists may be missing.
+    `ParameterError` for a folder without files of a bag, and for compressed ones. A path to a file
+    is returned as it is.
     """
     if path.is_file():
         return [path]
@@ -68,7 +77,10 @@ def bag_files(path: Path) -> list[Path]:
 
 
 def check_packed(file: Path) -> None:
-    """Refuse a file that is compressed as a whole; chunks and messages within one may be."""
+    """Raise `ParameterError` for a file that is compressed as a whole, by its suffix.
+
+    Chunks and messages within a file may be compressed.
+    """
     if file.suffix in _UNPACK:
         raise ParameterError(
             f"{file}: is compressed as a whole: expected {file.stem}; unpack it with "
@@ -77,8 +89,11 @@ def check_packed(file: Path) -> None:
 
 
 def messages(wanted: set[str], notes: Notes, definitions: Mapping[str, str]) -> Iterator[Message]:
-    """The messages on the topics `wanted` of a bag (a folder) or of one of its files, in the order
-    of recording; `definitions` of message types, the text of their .msg files.
+    """Yield the messages on the topics `wanted` of a bag, at `notes.path`, in recorded order.
+
+    The path is the folder of the bag or one of its files; a file that is missing is noted.
+    `definitions`: text of .msg files by message type. `notes` receives all topics of the bag, the
+    file being read, and the progress.
     """
     try:
         import mcap  # noqa: F401
@@ -102,14 +117,18 @@ def messages(wanted: set[str], notes: Notes, definitions: Mapping[str, str]) -> 
 
 
 class _Decoder:
-    """Messages from bytes; one for each file."""
+    """Decoder of messages in CDR, one for each file of a bag.
+
+    A type is looked up in the map's definitions, then in those of the file, then in those of the
+    current ROS 2.
+    """
 
     def __init__(self, definitions: Mapping[str, str]) -> None:
         from rosbags.typesys import Stores, get_typestore
 
         self._known = get_typestore(Stores.LATEST)
         self._own = get_typestore(Stores.EMPTY)
-        self._unread: dict[str, Exception] = {}  # definitions, by type
+        self._unread: dict[str, Exception] = {}  # why a definition cannot be read, by type
         for kind, text in definitions.items():
             self.define(kind, text)
             if kind in self._unread:
@@ -118,7 +137,10 @@ class _Decoder:
                 )
 
     def define(self, kind: str, text: str) -> None:
-        """Take the definition of a message type, unless there is one already."""
+        """Take the definitions in the text of a message type, but for types that have one already.
+
+        A text that cannot be read raises nothing here; `cdr` names the type where it is needed.
+        """
         from rosbags.typesys import get_types_from_msg
 
         try:
@@ -129,8 +151,9 @@ class _Decoder:
             self._unread[kind] = error
 
     def cdr(self, kind: str, where: str, data: bytes) -> Any:
-        """The message of this type, compressed or not; `ParameterError` for a type that nothing
-        defines.
+        """Decode a message of this type, compressed or not; `where` begins the text of an error.
+
+        `ParameterError` for a type that nothing defines.
         """
         for store in (self._own, self._known):
             if kind in store.types:
@@ -143,7 +166,11 @@ class _Decoder:
         )
 
     def _decoded(self, store: Any, kind: str, data: bytes) -> Any:
-        """The message; types of ROS 2 within it that its own definition leaves out are known."""
+        """Decode a message by the definitions of `store`.
+
+        A type within it that these lack is a `KeyError`. It is taken from those of ROS 2, if it is
+        one of them, and the message decoded again.
+        """
         while True:
             try:
                 return store.deserialize_cdr(data, kind)
@@ -155,8 +182,11 @@ class _Decoder:
 
 
 def _unpacked(data: bytes) -> bytes:
-    """The bytes of a message that may be compressed; CDR begins with 00, zstd does not."""
-    if data[:4] != b"\x28\xb5\x2f\xfd":
+    """The bytes of a message, unpacked if zstd compressed them; CDR itself begins with a zero.
+
+    ValueError for a message that unpacks to more than `_MOST_MESSAGE`.
+    """
+    if data[:4] != _ZSTD:
         return data
     import zstandard
 
@@ -167,8 +197,10 @@ def _unpacked(data: bytes) -> bytes:
 
 
 def _mcap_records(file: Path, notes: Notes) -> Iterator[Any]:
-    """Records of an MCAP file up to its index, those in chunks one by one; damaged chunks are left
-    out.
+    """Yield the records of an MCAP file up to its index, those within chunks one by one.
+
+    A damaged chunk is left out with a note. A file that was cut off ends, with a note, where it is
+    no longer whole. `ParameterError` for a file that is no MCAP.
     """
     from mcap.exceptions import EndOfFile, InvalidMagic
     from mcap.records import Chunk, DataEnd, Footer, Message as Record
@@ -221,7 +253,7 @@ def _mcap_records(file: Path, notes: Notes) -> Iterator[Any]:
 
 
 def _mcap(file: Path, wanted: set[str], notes: Notes, decoder: _Decoder) -> Iterator[Message]:
-    """Messages of an MCAP file."""
+    """Yield the messages of an MCAP file on the topics `wanted`; all its topics go into `notes`."""
     from mcap.records import Channel, Message as Record, Schema
 
     schemas = {}
@@ -242,8 +274,10 @@ def _mcap(file: Path, wanted: set[str], notes: Notes, decoder: _Decoder) -> Iter
 
 
 def _decoding(decoder: _Decoder, where: str, channel, schema) -> Callable[[bytes], Any]:
-    """Function that decodes the messages of a channel; `ParameterError` for an encoding that is not
-    read.
+    """Return the function that decodes the bytes of a message of an MCAP channel.
+
+    Objects of JSON become `SimpleNamespace`, so that fields are attributes as in CDR. A definition
+    in the schema is handed to the decoder. `ParameterError` for another encoding.
     """
     if channel.message_encoding == "json":
         return partial(json.loads, object_hook=lambda d: SimpleNamespace(**d))
@@ -259,7 +293,11 @@ def _decoding(decoder: _Decoder, where: str, channel, schema) -> Callable[[bytes
 
 
 def _sqlite(file: Path, wanted: set[str], notes: Notes, decoder: _Decoder) -> Iterator[Message]:
-    """Messages of a .db3 file in the order of its rows, which is that of recording."""
+    """Yield the messages of a .db3 file on the topics `wanted`, in the order of its rows.
+
+    That is the order of recording. All topics go into `notes`. `ParameterError` for a file that is
+    cut off, damaged, or takes more work than a bag does (`_guard`).
+    """
     size = file.stat().st_size
     _check_size(file, size)
     with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as base:
@@ -294,10 +332,12 @@ def _sqlite(file: Path, wanted: set[str], notes: Notes, decoder: _Decoder) -> It
 
 
 def _guard(base: sqlite3.Connection, size: int) -> None:
-    """Only read, and no more than a plain bag of `size` bytes takes: text and blobs of the file's
-    length, and work that is proportional to it.
+    """Let a connection only read, and bound the memory and work that a crafted file can ask for.
+
+    Text and blobs are at most as long as the file (`size` [bytes]), instructions at most
+    `_MOST_WORK`. SQLite ends a query beyond that with an error of its own.
     """
-    base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(size, 10_000))
+    base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(size, _LEAST_TEXT))
     base.text_factory = lambda text: text.decode("utf-8", "replace")
     base.execute("PRAGMA query_only = ON")
     base.execute("PRAGMA trusted_schema = OFF")
@@ -316,11 +356,14 @@ def _is_plain(base: sqlite3.Connection, name: str) -> bool:
 
 
 def _check_size(file: Path, size: int) -> None:
-    """Refuse an SQLite file that is shorter than its header says: missing parts of a page would be
-    read as zeros.
+    """Raise `ParameterError` for an SQLite file that is shorter than its header says.
+
+    SQLite would read the missing part of a page as zeros. Of a file without a header nothing is
+    said here.
     """
     with file.open("rb") as stream:
         header = stream.read(32)
+    # At byte 16 the size of a page, of which 65536 is written as 1; at byte 28 the number of pages.
     page, pages = struct.unpack(">16xH10xI", header) if len(header) == 32 else (0, 0)
     whole = (65536 if page == 1 else page) * pages
     if header.startswith(b"SQLite format 3") and size < whole:
@@ -331,7 +374,7 @@ def _check_size(file: Path, size: int) -> None:
 
 
 def _define(base: sqlite3.Connection, decoder: _Decoder, kinds: set[str]) -> None:
-    """Take the definitions of message types where the bag has them; older ones do not."""
+    """Hand the bag's definitions of the types `kinds` to the decoder; older bags have none."""
     query = (
         "SELECT topic_type, encoded_message_definition FROM message_definitions WHERE encoding = "
         "'ros2msg'"
@@ -353,6 +396,9 @@ class Unlike(ValueError):
 def parse(field: str, where: str) -> tuple[str | int, ...]:
     """Steps of a path: names of attributes, "[name]" for the index of a name, numbers for
     indices.
+
+    "velocity[front_left]" gives ("velocity", "[front_left]"). `ParameterError`, which begins with
+    `where`, for any other text.
     """
     steps: list[str | int] = []
     for step in field.split("."):
@@ -399,14 +445,19 @@ def _has_fields(value: Any) -> bool:
 
 
 def _wrong(message: Any, said: str) -> ValueError:
-    """Error for a message without what the map says: of the map, if messages of its type are all
-    alike.
+    """Return the error for a message that lacks what the map names.
+
+    `ParameterError` for CDR, where all messages of a type have the same fields, so that the map is
+    wrong; `Unlike` for JSON, where the next message may have them.
     """
     return (ParameterError if dataclasses.is_dataclass(message) else Unlike)(said)
 
 
 def _item(message: Any, values: Any, step: str | int, where: str) -> Any:
-    """Element of a list by its index, or by its "[name]" in the list of names of the message."""
+    """Element of the list `values` by its index, or by its "[name]" in the message's list of names.
+
+    `NotHere` for an index or a name that is not there, `_wrong` where there is no list at all.
+    """
     if not hasattr(values, "__len__") or isinstance(values, str):
         raise _wrong(message, f"{where}: {step} of something that is no list: {_kind(values)}")
     if isinstance(step, str):
@@ -433,13 +484,15 @@ def uphill(x: float, y: float, z: float, w: float) -> float:
     orientation.
     """
     norm = x * x + y * y + z * z + w * w
-    if norm < 1e-6:
+    if norm < _LEAST_NORM:
         return math.nan
     return -math.asin(min(max(2.0 * (w * y - z * x) / norm, -1.0), 1.0))
 
 
-def _paths(value: Any, prefix: str = "", depth: int = 6) -> list[str]:
-    """Paths of a message that lead to numbers or lists."""
+def _paths(value: Any, prefix: str = "", depth: int = _DEEPEST) -> list[str]:
+    """Paths in a value that lead to numbers or lists, each after `prefix`, at most `depth` levels
+    deep.
+    """
     if isinstance(value, Real):
         return [prefix]
     if _has_fields(value):
@@ -451,6 +504,7 @@ def _paths(value: Any, prefix: str = "", depth: int = 6) -> list[str]:
 
 
 def _kind(value: Any) -> str:
+    """What a value is that is no number, in words for an error."""
     if value is None:
         return "null"
     if hasattr(value, "__len__"):
@@ -459,8 +513,8 @@ def _kind(value: Any) -> str:
 
 
 def _near(message: Any, steps: tuple[str | int, ...]) -> str:
-    """The most similar path of a message, and the others."""
+    """End of an error: the path in the message that is most like `steps`, and the first others."""
     asked = ".".join(str(s) for s in steps if not isinstance(s, int) and not s.startswith("["))
     known = _paths(message)
-    more = ", ..." if len(known) > 24 else ""
-    return f"{nearest(asked, known)} (fields: {', '.join(known[:24])}{more})"
+    more = ", ..." if len(known) > _MOST_NAMED else ""
+    return f"{nearest(asked, known)} (fields: {', '.join(known[:_MOST_NAMED])}{more})"

@@ -19,8 +19,10 @@ from .mapping import GEARED, TIMES, UNITS, LogMap, is_converted, si_factor, si_u
 
 _STANDS = 0.13  # [rad/s] wheel speed, or travel speed over radius, below which a wheel stands
 _LEAST = 10  # steps that drive, below which nothing is compared
-#: Differences between the slip measured and that of the speeds: least of another sign, most.
-_SLIPS = (0.05, 0.3)
+# Own choices for the median difference between the slip measured and that of the two speeds.
+_SLIP_OFF = 0.3  # [-] a doubt beyond
+_SLIP_TURNED = 0.05  # [-] from which another sign of the slip is tried
+_FITS_BETTER = 2.0  # times that the difference falls where another sign counts as the reason
 _HILL = 0.02  # [of gravity] rms over the steps, below which the sign of a pitch cannot be seen
 _AGAINST = -0.5  # slope of the gravity felt by that of the pitch, below which its sign is wrong
 _ALIKE = 0.5  # size of the correlation of both, from which that counts
@@ -29,11 +31,16 @@ _USUAL = (2e-3, 2.0)  # [s] between rows, usual
 _SHORT = 10.0  # [s] length of a short table
 
 
-_HELD = 0.7  # of the travel speed: the rim of a wheel that holds back downhill
+# Rim speed over travel speed, between which another unit has to bring the ratio; own choice.
+_HELD = 0.7  # [-] of a wheel that holds back downhill
+_SPUN = 2.0  # [-] at a slip of one half
+_FREE_SHARE = 0.1  # of the steps: those with the least slip
+_LEAST_DIVISOR = 1e-9  # in place of the 0 of a sensor that reads nothing
+_TINIEST = 1e-300  # [m2/s4] keeps a correlation with a constant 0 finite
 # Plausible ratios, least and most; wide, so that hardly a wheel on soil is outside.
 #: Rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long.
 _RIM = (0.65, 6.0)
-_FREEST = (0.4, 3.2)  # the same in the tenth of the steps with the least slip
+_FREEST = (0.4, 3.2)  # the same at the quantile `_FREE_SHARE`, where the wheel slips least
 #: Sensors whose readings are compared with sizes of the wheel, the load before the other forces.
 _SIZED = sorted(
     ((s.name, s.unit, s.observed[0], s.usual) for s in SENSORS if s.usual is not None),
@@ -42,8 +49,11 @@ _SIZED = sorted(
 
 
 def time_doubts(interval: float, length: float, log_map: LogMap) -> list[str]:
-    """A doubt where rows of a table are `interval` [s] apart and take `length` [s] in all; NaN: not
-    known.
+    """Doubt on the unit of the column of time, in a list; empty without one.
+
+    `interval` [s] is the median between rows, `length` [s] that of the table, NaN where not known.
+    Doubtful is an interval beyond `_INTERVAL`, and below the usual one in a table shorter than
+    `_SHORT`. One of 0 is left to `stamps`, which notes repeated stamps.
     """
     brief = interval < _USUAL[0] and length < _SHORT
     if (
@@ -72,7 +82,11 @@ def doubts(log: Aligned, log_map: LogMap) -> list[str]:
 
 
 class _Doubts:
-    """Comparisons of the readings of one log."""
+    """Comparisons of the readings of one log, all made on construction; `lines` are the doubts.
+
+    Signs of torques are compared only if `_speeds` finds no doubt, that of the pitch only if
+    `_sizes` finds none.
+    """
 
     def __init__(self, log: Aligned, log_map: LogMap) -> None:
         self.log = log
@@ -102,12 +116,16 @@ class _Doubts:
         return f"{name} ({self.map.channels[name].place})"
 
     def _doubt(self, name: str, said: str, expected: str, reason: str) -> None:
+        """Add the line of a doubt on the reading `name`."""
         self.lines.append(
             f"{self._place(name)} reads {said}, expected {expected}. Perhaps {reason}."
         )
 
     def _units(self, name: str, low: float, high: float) -> list[str]:
-        """Units in which the reading would be `low` to `high` times as large."""
+        """Units in which the reading would be `low` to `high` times as large.
+
+        None for a reading that takes more than a factor, as a current does.
+        """
         unit = self.map.channels[name].unit
         if is_converted(name, unit):
             return []
@@ -115,14 +133,23 @@ class _Doubts:
         others = {u: f for u, f in UNITS[name].items() if f != now and not is_converted(name, u)}
         return [u for u, f in others.items() if low <= f / now <= high]
 
-    def _unit(self, name: str, low: float, high: float) -> str:
-        """A unit that explains a reading which should be `low` to `high` times as large."""
+    def _unit_in_words(self, name: str, low: float, high: float) -> str:
+        """Units that explain a reading which should be `low` to `high` times as large, in words;
+        without one, what else may be wrong.
+        """
         units = " or ".join(self._units(name, low, high))
         geared = name in GEARED and self.map.channels[name].gear == 1.0
         return f"unit {units}" if units else f"another unit{', gear' * geared} or field"
 
     def _speeds(self) -> bool:
-        """Compare rim speed, travel speed and slip; True if nothing is doubtful."""
+        """Compare rim speed, travel speed and slip; add the first doubt, True if there is none.
+
+        Compared are first the sizes of the two speeds, then their directions, then the slip with
+        that of the speeds. The ratio of the medians has to be in `_RIM`, that at the least slip in
+        `_FREEST`. A ratio above `_RIM` alone is no doubt where `_LEAST` steps have rim and wheel in
+        motion: the wheel may be stuck in the others. Nothing is doubtful where fewer than `_LEAST`
+        steps have both speeds.
+        """
         rim = self.rim
         speed = self.speed
         both = self.drives & ~np.isnan(rim + speed)
@@ -130,19 +157,20 @@ class _Doubts:
         both = moves if moves.sum() >= _LEAST else both
         if both.sum() < _LEAST:
             return True
-        over = _median(np.abs(rim[both])) / max(_median(np.abs(speed[both])), 1e-9)
+        over = _median(np.abs(rim[both])) / max(_median(np.abs(speed[both])), _LEAST_DIVISOR)
 
         turns = moves & (np.abs(rim) > self.slowest)
         known = turns.sum() >= _LEAST
-        freest = float(np.quantile(np.abs(rim[turns] / speed[turns]), 0.1)) if known else 1.0
+        ratios = np.abs(rim[turns] / speed[turns])
+        freest = float(np.quantile(ratios, _FREE_SHARE)) if known else 1.0
         low, high = _RIM
         free, freer = _FREEST
         if over < low or not free <= freest <= freer or (over > high and not known):
             over = over if over < low or not known else freest
-            least = max(over, 1e-9)  # of a sensor that reads nothing
+            least = max(over, _LEAST_DIVISOR)
             limits = {
-                "wheel_speed": (_HELD / least, 2.0 / least),
-                "speed": (over / 2.0, over / _HELD),
+                "wheel_speed": (_HELD / least, _SPUN / least),
+                "speed": (over / _SPUN, over / _HELD),
             }
             units = [
                 f"{name} in {u}" for name, of in limits.items() for u in self._units(name, *of)
@@ -161,7 +189,7 @@ class _Doubts:
         of_speeds = slips(rim, speed)[both]
         slip = self.log.get("slip")[both]
         away, opposite = (_median(np.abs(slip - sign * of_speeds)) for sign in (1.0, -1.0))
-        if away > _SLIPS[1] or away > max(_SLIPS[0], 2.0 * opposite):
+        if away > _SLIP_OFF or away > max(_SLIP_TURNED, _FITS_BETTER * opposite):
             expected = f"{_median(of_speeds):.2g} by the two speeds"
             self._doubt(
                 "slip", f"{_median(slip):.2g}", expected, "another sign, unit or definition"
@@ -172,7 +200,9 @@ class _Doubts:
     def _sizes(self) -> bool:
         """Compare readings with sizes of the wheel; True if nothing is doubtful.
 
-        Forces wait for a doubtful load.
+        The quantile of a reading's size that `usual` of its `Sensor` names is taken over the size
+        of the wheel, or over its unit. A doubtful load is the last comparison, since the weight may
+        be wrong, too. A sinkage of 0 throughout is left to `_stuck_sensors`.
         """
         gravity = self.map.gravity
         sizes = sizes_of(self.map.wheel, gravity)
@@ -185,7 +215,9 @@ class _Doubts:
             ratio = size / sizes.get(of, 1.0)
             if low <= ratio <= high or (ratio == 0.0 and name == "sinkage"):
                 continue
-            reason = self._unit(name, low / ratio, high / ratio) if ratio else "a dead sensor"
+            reason = (
+                self._unit_in_words(name, low / ratio, high / ratio) if ratio else "a dead sensor"
+            )
             if name == "load":
                 reason += f", or wheel.body_mass {size / gravity:.3g} kg"
             if name == "acceleration":
@@ -199,8 +231,12 @@ class _Doubts:
         return len(self.lines) == before
 
     def _pitch(self) -> None:
-        """Compare the sign of the pitch: an accelerometer along the course reads dv/dt + g
-        sin(pitch).
+        """Doubt the sign of a pitch whose gravity along the course another sensor feels reversed.
+
+        An accelerometer reads dv/dt + g sin(pitch), and so does the pull over the mass on the
+        wheel, which is taken without one. An unknown dv/dt counts as 0. Reversed means a slope of
+        the regression of at most `_AGAINST` and a correlation of at most minus `_ALIKE`. A course
+        below `_HILL` and one of fewer than `_LEAST` steps tell nothing.
         """
         log = self.log
         gravity = self.map.gravity
@@ -216,13 +252,16 @@ class _Doubts:
         if x.size < _LEAST or math.sqrt(float(x @ x) / x.size) < _HILL * gravity:
             return
         slope = float(x @ y) / float(x @ x)
-        alike = float(x @ y) / math.sqrt(max(float(x @ x) * float(y @ y), 1e-300))
+        alike = float(x @ y) / math.sqrt(max(float(x @ x) * float(y @ y), _TINIEST))
         if slope <= _AGAINST and alike <= -_ALIKE:
             said = f"{slope:.2g} times the slope that {self._place(name)} feels"
             self._doubt("pitch", said, "the same slope", "another sign of one of the two")
 
     def _stuck_sensors(self) -> None:
-        """Doubt each reading but the load that has one value in all steps that drive."""
+        """Doubt speeds, sinkage, pull and torques with one value in all steps that drive.
+
+        The other readings are left out.
+        """
         for name in ("wheel_speed", "speed", "sinkage", "drawbar_pull", "torque", "motor_torque"):
             values = self._driven(self.log.get(name))
             if values.size >= _LEAST and np.ptp(values) == 0.0:

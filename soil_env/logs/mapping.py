@@ -34,9 +34,9 @@ _OTHERS = {
     "rad": {"deg": math.pi / 180.0, "quaternion": 1.0},
     "m/s2": {"g": 9.80665},
 }
-#: Units that are turned into a reading by more than a factor, and its SI unit: the current of a
-#: motor, and the orientation of the body, x forward and z up as in ROS (REP 103), of which the
-#: uphill pitch is taken.
+#: SI unit of the reading that is made of a unit by more than a factor: of the current of a motor,
+#: and of the orientation of the body, x forward and z up as in ROS (REP 103), of which the uphill
+#: pitch is taken.
 _CONVERTED = {"A": "N m", "quaternion": "rad"}
 #: Units of each reading, the first being the one that readings are turned into.
 UNITS: dict[str, dict[str, float]] = {
@@ -48,10 +48,12 @@ TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0, "excel": 8640
 GEARED = ("wheel_speed", "torque", "motor_torque")
 #: [kg m2] of a map that has none; a motor torque, which needs it, is left out then.
 UNKNOWN_INERTIA = 1e5
-#: That limit nothing.
+#: Fields that a wheel in a map may leave out, [kg m2], [N m] and [rad/s]: they limit nothing.
 _WHEEL = {"inertia": UNKNOWN_INERTIA, "stall_torque": 1e6, "no_load_speed": 10.0}
 #: [wheel radii] length of a border between soils, where the belief of the map says nothing of it.
 _BORDER = 2.0
+_LONGEST_BORDER = 10.0  # [m] that `Belief` takes
+_LEAST_PERIODS = 4.0  # in a steady window, whose halves have a mean each; own choice
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,8 @@ class Source(Checked):
     """Source of a reading: `topic` and `field` of a bag, or `column` of a table, or a `constant`.
 
     The reading is sign x number x unit (x motor_constant of a current) + offset. `gear` is turns of
-    the motor to one turn of the wheel, for a speed, a torque or a current measured at the motor; a
-    torque also gets `efficiency`.
+    the motor to one turn of the wheel, for what is measured at the motor. A speed is divided by it,
+    a torque or a current multiplied by it and by `efficiency`.
     """
 
     topic: str = ""
@@ -80,19 +82,19 @@ class Source(Checked):
 
     @property
     def place(self) -> str:
-        """Topic and field, or column, for messages."""
+        """Where the reading is from, in words: topic and field, column, or constant."""
         if self.constant is not None:
             return f"constant {self.constant:g}"
         return f"topic {self.topic}, field {self.field}" if self.topic else f"column {self.column}"
 
 
 def si_unit(name: str) -> str:
-    """Unit that the reading `name` is turned into."""
+    """SI unit of the reading `name`; "" for a number without one."""
     return next(iter(UNITS[name]))
 
 
 def is_converted(name: str, unit: str | None) -> bool:
-    """True if a unit of the reading `name` is turned into it by more than a factor."""
+    """True if the reading `name` is made of this unit by more than a factor (`_CONVERTED`)."""
     return unit is not None and _CONVERTED.get(unit) == si_unit(name)
 
 
@@ -102,7 +104,11 @@ def si_factor(name: str, unit: str | None) -> float:
 
 
 def factor(name: str, source: Source) -> float:
-    """SI value of the reading `name` to one unit of its source, with the sign."""
+    """SI value of the reading `name` for a number of 1 in its source, without the offset.
+
+    Sign, unit, motor constant, gear and efficiency are in it; gear and efficiency of other readings
+    are 1.
+    """
     f = source.sign * si_factor(name, source.unit)
     if source.motor_constant is not None:
         f *= source.motor_constant
@@ -156,6 +162,7 @@ class LogMap(Checked):
     windows: Windows = Windows()  # noqa: RUF009
 
     def __post_init__(self) -> None:
+        """Check also what fields say together: sources, noise, the slip, the length of a window."""
         super().__post_init__()
         for name, source in self.channels.items():
             if name not in UNITS:
@@ -174,7 +181,7 @@ class LogMap(Checked):
                 ": expected readings, which make the time axis; no constant",
             )
         self.noise()
-        if self.windows.duration < 4.0 * self.period:
+        if self.windows.duration < _LEAST_PERIODS * self.period:
             raise ParameterError(
                 f"windows: duration = {self.windows.duration:g} s: expected at least four periods "
                 f"of {self.period:g} s"
@@ -204,11 +211,15 @@ class LogMap(Checked):
 
     @property
     def weight(self) -> float:
-        """[N] on the wheel."""
+        """Weight [N] on the wheel."""
         return self.wheel.body_mass * self.gravity
 
     def noise(self) -> Noise:
-        """The sensors: `sd` of the channels where given, else the defaults of `Noise`."""
+        """Noise of the sensors: `sd` of a channel where it is given, else the default of `Noise`.
+
+        An sd is turned from the unit of its source into that of `Noise`, such as a share of the
+        weight. `FieldError` for one beyond the range there.
+        """
         sizes = sizes_of(self.wheel, self.gravity)
         of = {f.name: f.metadata for f in fields(Noise)}
         sd = {}
@@ -225,6 +236,9 @@ class LogMap(Checked):
 def read_map(path: str | Path) -> LogMap:
     """The map in a YAML file; `ParameterError` with one line for anything unknown, misspelt or out
     of range.
+
+    `wheel` may name a preset; a wheel of its own needs body_mass, and the rest of `_WHEEL` is
+    filled in. Without `belief.border` a border is `_BORDER` wheel radii long.
     """
     mapping = read_yaml(Path(path))
     where = str(path)
@@ -238,7 +252,7 @@ def read_map(path: str | Path) -> LogMap:
         refuse_idle_prior(belief, where)
     found: LogMap = load(LogMap, mapping, where)
     if "border" not in belief:
-        border = min(_BORDER * found.wheel.radius, 10.0)
+        border = min(_BORDER * found.wheel.radius, _LONGEST_BORDER)
         found = dataclasses.replace(found, belief=dataclasses.replace(found.belief, border=border))
     setup_of(  # only for its checks
         {"wheel": {"radius": found.wheel.radius, "width": found.wheel.width}, "soil": found.soil},

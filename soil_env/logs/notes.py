@@ -9,15 +9,15 @@ Progress = Callable[[int, int], None]  # read, of how much in all: bytes, or row
 
 
 class Notes:
-    """Remarks of a reader beside the messages, and how far it is."""
+    """Remarks on a recording while it is read, the topics seen in it, and the progress."""
 
     def __init__(self, path: Path, progress: Progress = lambda done, size: None) -> None:
         self.path = path
         self.lines: list[str] = []
         self.topics: dict[str, str] = {}  # seen, with their type
         self.file = ""  # being read
-        self.size = 0  # of all files
-        self.before = 0  # of those that have been read
+        self.size = 0  # of all files, as in `Progress`
+        self.before = 0  # of the files that have been read
         self._progress = progress
 
     def add(self, line: str) -> None:
@@ -26,7 +26,7 @@ class Notes:
             self.lines.append(line)
 
     def report(self, position: int) -> None:
-        """Show how far the present file has been read."""
+        """Show that the present file has been read up to `position`, in bytes or rows."""
         self._progress(self.before + position, self.size)
 
 
@@ -41,12 +41,12 @@ class Faults:
         self.first = ""
 
     def add(self, where: str, reason: object) -> None:
-        """Count a fault; `where`: the message or row."""
+        """Count a fault; `where`, the message or row, and `reason` are kept of the first one."""
         self.wrong += 1
         self.first = self.first or f"{where}: {' '.join(str(reason).split())[:300]}"
 
     def settle(self, notes: Notes) -> None:
-        """Add a note where there are faults; `ParameterError` where less than half is left."""
+        """Add a note if there are faults; `ParameterError` if more than half cannot be read."""
         said = f"{self.place}: {self.wrong} of {self.count} {self.things} cannot be read"
         if 2 * self.wrong > self.count:
             said = said.removeprefix(f"{notes.path.name}: ")

@@ -19,8 +19,9 @@ from .notes import Faults, Notes, Progress
 from .stamps import LATEST, Stamps
 
 MOST_READINGS = 50_000_000  # of all channels: 800 MB
-_DELAY = 1.0  # [s] between the clocks of header and recording, beyond which the report says so
+_DELAY = 1.0  # [s] mean, between stamps of headers and of the recording; a note says so beyond
 _SLOW = 0.3  # share of interpolated steps beyond which the report says so
+_FIRST_ROWS = 4096  # of a table: their median interval stands for all; own choice
 
 
 def read_recording(
@@ -29,9 +30,9 @@ def read_recording(
     """The readings of a bag (a folder, .mcap, .db3), a CSV or a Parquet file, as `log_map`
     describes it.
 
-    `progress` is called with the bytes read so far and those in all. Raises `ParameterError` for a
-    recording of another format, a topic, field or column that it does not have, and one without a
-    single reading of the wheel speed.
+    `progress` is called with the bytes (of Parquet: rows) read so far and those in all. Raises
+    `ParameterError` for a recording of another format, a topic, field or column that it does not
+    have, and one without a single reading of the wheel speed.
     """
     path = Path(path)
     stamps = log_map.time if _check_kind(path, log_map) else None
@@ -52,8 +53,10 @@ def read_recording(
 
 
 def _check_kind(path: Path, log_map: LogMap) -> bool:
-    """True for a table, False for a bag; `ParameterError` for neither, or where the map is for the
-    other kind.
+    """True for a table, False for a bag, by the name of the path.
+
+    `ParameterError` for neither, for a missing or empty file, and for a map whose channels or time
+    are those of the other kind.
     """
     if not path.exists():
         raise ParameterError(
@@ -78,7 +81,11 @@ def _check_kind(path: Path, log_map: LogMap) -> bool:
 
 
 class _Reader:
-    """Numbers of a recording by channel."""
+    """Reader of a recording into `channels`, by `read_table` or `read_bag`; one for each recording.
+
+    While it reads, a channel holds numbers as they are in the recording, with the places of their
+    stamps. At the end these become readings in SI units and times.
+    """
 
     def __init__(self, log_map: LogMap, notes: Notes) -> None:
         self.map = log_map
@@ -106,7 +113,10 @@ class _Reader:
             self.constants[name] = value
 
     def _add(self, name: str, place: int, value: float) -> None:
-        """Keep a reading in the unit of its source; `place`: index of its stamp."""
+        """Keep a reading of channel `name` in the unit of its source; `place`: index of its stamp.
+
+        `ParameterError` for more than `MOST_READINGS` of all channels.
+        """
         self._left -= 1
         if self._left < 0:
             raise ParameterError(
@@ -117,10 +127,12 @@ class _Reader:
         channel.times.append(place)
         channel.values.append(value)
 
-    def _settle(self, name: str, times: np.ndarray, kept: np.ndarray) -> None:
-        """Turn the readings of a channel into SI units, and their places into times [ns]; count
-        and leave out those without a sound stamp (`kept`) and those that cannot be; note those of
-        one stamp that differ.
+    def _finish(self, name: str, times: np.ndarray, kept: np.ndarray) -> None:
+        """Turn the readings of a channel into SI units, and their places into times [ns].
+
+        `times` [ns] and `kept` [N] are those of the stamps; readings of a stamp that is not kept
+        are dropped. NaN and infinite readings are counted as `empty`, those beyond `limits` as
+        `unusable`, and both left out. A note says where readings of one time differ.
         """
         channel = self.channels[name]
         place = np.frombuffer(channel.times, np.int64)
@@ -147,7 +159,7 @@ class _Reader:
             )
 
     def read_table(self, stamps: TimeColumn) -> None:
-        """Read a CSV or Parquet file with a column of time stamps."""
+        """Read a CSV or Parquet file with a column of time stamps; set `interval` and `length`."""
         columns: dict[str, list[str]] = {}
         for name, source in self.sources.items():
             columns.setdefault(source.column, []).append(name)
@@ -164,17 +176,21 @@ class _Reader:
         kept = order.settle(times, *self._gaps, self.notes)
         sound = times[kept]
         if sound.size > 1:
-            self.interval = float(np.median(np.abs(np.diff(sound[:4096])))) * 1e-9
+            self.interval = float(np.median(np.abs(np.diff(sound[:_FIRST_ROWS])))) * 1e-9
             self.length = float(sound[-1] - sound[0]) * 1e-9
         for name in self.sources:
-            self._settle(name, times, kept)
+            self._finish(name, times, kept)
 
     def read_bag(self) -> None:
-        """Read a bag."""
+        """Read a bag: the topics of the map.
+
+        A topic has the clock of its headers if the map asks for it and any message has a stamp,
+        else that of the recording.
+        """
         notes = self.notes
         topics = {s.topic: _Topic(s.topic) for s in self.sources.values()}
         for name, source in self.sources.items():
-            topics[source.topic].channels[name] = _Path(name, source)
+            topics[source.topic].channels[name] = _Field(name, source)
         file = ""
         for message in bags.messages(set(topics), notes, self.map.messages):
             topic = topics[message.topic]
@@ -182,7 +198,7 @@ class _Reader:
                 file = notes.file
                 for other in topics.values():
                     other.stamps.begin()
-            content, stamp = topic.open(message)
+            content, stamp = topic.decoded(message)
             if stamp is None:
                 continue
             for name, place in topic.channels.items():
@@ -194,17 +210,17 @@ class _Reader:
         delays = {}
         for of, topic in topics.items():
             by_header = self.map.clock == "header" and any(topic.stamps.times)
-            times, kept = topic.settle(by_header, self._gaps, notes)
+            times, kept = topic.sound_times(by_header, self._gaps, notes)
             for name in topic.channels:
-                self._settle(name, times, kept)
+                self._finish(name, times, kept)
             if by_header:
                 recorded = np.frombuffer(topic.stamps.recorded, np.int64)
                 delays[of] = float(np.mean((recorded - times)[kept])) * 1e-9
         _note_delays(notes, delays, set(topics))
 
     def _check_found(self, topics: dict[str, "_Topic"]) -> None:
-        """Raise `ParameterError` for a topic that is not in the recording, one of which less than
-        half can be read, and a field that no message has.
+        """Raise `ParameterError` for a topic that the recording lacks, a field that no message has,
+        and either of which less than half can be read; note other faults.
         """
         notes = self.notes
         path = notes.path
@@ -225,7 +241,10 @@ class _Reader:
 
 
 def _spread(times: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Largest less smallest of the values [N] at each of the times [N] at which they differ."""
+    """Largest less smallest of the `values` [N] of one time, for each time at which they differ.
+
+    `times` [N] may repeat and need not rise.
+    """
     order = np.argsort(times, kind="stable")
     first = np.unique(times[order], return_index=True)[1]
     there = values[order]
@@ -234,17 +253,17 @@ def _spread(times: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 class _Topic:
-    """Messages of a topic as they come: their stamps, and what is wrong with them."""
+    """A topic while its messages come: its channels, the stamps, and counts of faults."""
 
     def __init__(self, name: str) -> None:
-        self.channels: dict[str, _Path] = {}
+        self.channels: dict[str, _Field] = {}
         self.stamps = Stamps(f"topic {name}", "message")
         self.faults = Faults(f"topic {name}", "messages")
 
-    def open(self, message: Message) -> tuple[Any, int | None]:
-        """The content of a message and the stamp [ns] of its header, 0 without one; None where it
-        cannot be decoded, which is counted.
+    def decoded(self, message: Message) -> tuple[Any, int | None]:
+        """Decode a message: (content, header stamp [ns], 0 without a header).
 
+        (None, None), counted as a fault, where it cannot be decoded or a time is beyond `LATEST`.
         `ParameterError` for a type that nothing defines.
         """
         self.faults.count += 1
@@ -255,15 +274,19 @@ class _Topic:
             return content, _stamp(content)
         except ParameterError:
             raise
-        # Decoders have errors of their own, and those of whatever damaged bytes make them do.
+        # Any error: damaged bytes make a decoder fail in ways of its own.
         except Exception as error:
             self.faults.add(f"message {self.faults.count}", error or type(error).__name__)
             return None, None
 
-    def settle(
+    def sound_times(
         self, by_header: bool, gaps: tuple[int, int], notes: Notes
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Stamps [N] in ns by header or recording, and True [N] for those that count."""
+        """(Stamps [N] in ns of headers or of the recording, True [N] for those that count).
+
+        `gaps` are `max_gap` and `restart_gap` [ns] for `Stamps.settle`. Zeros in headers are noted;
+        `ParameterError` where they are more than half.
+        """
         stamps = self.stamps
         times = np.frombuffer(stamps.times if by_header else stamps.recorded, np.int64)
         if by_header:
@@ -275,19 +298,22 @@ class _Topic:
         return times, stamps.settle(times, *gaps, notes)
 
 
-class _Path:
-    """Place of a channel in the messages of its topic."""
+class _Field:
+    """Field of a channel in the messages of its topic, with counts of faults."""
 
     def __init__(self, name: str, source: Source) -> None:
         self._name = name
         self._source = source
         self._steps = parse(source.field, f"channels.{name}.field")
         self.faults = Faults(f"{name}: {source.place}", "messages")
-        self.lacking: NotHere | None = None  # the first
+        self.lacking: NotHere | None = None  # error of the first message without it
 
     def number(self, content: Any, kind: str, place: int) -> float | None:
-        """The number in message `place`; None where it is not there, or is none, which is
-        counted.
+        """Number in the `content` of a message of type `kind`, `place`-th of its topic, or None.
+
+        None where the message lacks the value, which `lacking` keeps, and where the value is no
+        number, which counts as a fault. `ParameterError` for a field that no message of the type
+        can have.
         """
         source = self._source
         where = f"channels.{self._name}: topic {source.topic} ({kind}), field {source.field}"
@@ -300,14 +326,16 @@ class _Path:
             self.lacking = self.lacking or error
         except Unlike as error:
             self.faults.add(f"message {place}", str(error).removeprefix(f"{where}: "))
-        # A number that is too large for a float, or fields named as those of Python's own.
+        # A number too large for a float, or a field with the name of a method.
         except (ArithmeticError, AttributeError, TypeError, ValueError) as error:
             self.faults.add(f"message {place}", error)
         return None
 
 
 def _stamp(content: Any) -> int:
-    """Stamp [ns] in the header of a message, 0 where it has none; ValueError for one of no time."""
+    """Stamp [ns] in the header of a message, 0 where it has none; ValueError for one that is no
+    time or beyond `LATEST`.
+    """
     stamp = getattr(getattr(content, "header", None), "stamp", None)
     seconds = getattr(stamp, "sec", None)
     if seconds is None:
@@ -322,8 +350,10 @@ def _stamp(content: Any) -> int:
 
 
 def _note_delays(notes: Notes, mean: dict[str, float], topics: set[str]) -> None:
-    """Add a note where the stamps of some topics are far off the clock of the recording, which
-    others have.
+    """Add a note if header stamps of a topic are more than `_DELAY` off the clock of the recording.
+
+    Only where another topic has that clock, so that their readings do not belong together.
+    `mean`: mean delay [s] of each topic with header stamps; `topics`: names of all.
     """
     late = [topic for topic, delay in mean.items() if abs(delay) > _DELAY]
     if late and len(mean) < len(topics):
@@ -336,7 +366,10 @@ def _note_delays(notes: Notes, mean: dict[str, float], topics: set[str]) -> None
 
 
 def _remarks(found: Aligned, log_map: LogMap, limits: dict[str, float]) -> list[str]:
-    """Notes on channels without readings, with implausible or slow ones, and on gaps."""
+    """Notes on channels without readings, with implausible or slow ones, and on gaps.
+
+    `limits`: largest plausible reading by channel, in SI units.
+    """
     lines = []
     for name, c in found.channels.items():
         place = f"{name} ({c.place})"

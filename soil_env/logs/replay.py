@@ -23,7 +23,7 @@ ESTIMATED = tuple(
     if name not in ("status", "renewed", "borders", "instruments", "refused")
 )
 COLUMNS = (*ESTIMATED, "drawbar_margin", "drawbar_margin_sd", "torque_required")
-#: Standard deviation of each parameter of the soil, by its name.
+#: Name of the standard deviation of each parameter of the soil; a relative one is of the logarithm.
 SD_OF = {
     "friction_angle_deg": "friction_angle_sd_deg",
     "shear_modulus": "shear_modulus_relative_sd",
@@ -33,20 +33,26 @@ SD_OF = {
 }
 DIFFERS = 0.5  # probability from which the ground behind a border counts as another
 _LEARNT = 0.8  # sd over prior sd, below which something was learnt
-_LEAST_LOAD = 1e-9  # [N] of a wheel that is lifted, or whose reading of the load has noise
+_LEAST_LOAD = 1e-9  # [N] for which a margin is computed: that of a lifted wheel reads 0 or less
 _CONTRADICTS = 0.1  # share of the steps with status MISFIT, beyond which the report says so
-_LEFT = 1.2  # [border lengths] before a border that the identifier found, where it may have begun
-#: Of two grounds.
+#: [border lengths] before the place where the identifier found a border. The border may have begun
+#: there, so estimates in it are not those of the ground before.
+_LEFT = 1.2
+_LEAST_PART = 2.0  # [border lengths] of a part of the drive that is compared with that before
+#: Parameters by which two grounds are compared.
 _COMPARED = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "cohesion")
 _SEEN = 0.8  # prior probability that there is another soil behind a border that the identifier saw
 _DOUBTED = 0.1  # [prior sd] by which every estimate may be off beside its own sd
-#: Of the parameters of a soil but the gain of slip-sinkage, of which little may be known.
+_LEAST_VARIANCE = 1e-9  # [of the prior's] that is divided by
+_LARGEST_LOG_ODDS = 50.0  # [-] keeps exp finite; the probability is 0 or 1 to 21 digits
+#: (least, greatest) value of a soil's parameters; without the gain of slip-sinkage, of which little
+#: may be known.
 _BOUNDS = {
     f.name: (f.metadata["low"], f.metadata["high"])
     for f in fields(Soil)
     if f.name in ESTIMATED and f.name != "dig_gain"
 }
-_NO_WAY = (math.nan,) * 3  # margin, its sd and torque of a step without them
+_NO_MARGIN = (math.nan,) * 3  # drawbar margin, its sd and the torque required, where not known
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,9 +86,11 @@ class Replay:
         return "\n".join(lines) + "\n"
 
     def surest_on(self, ground: int) -> dict[str, float] | None:
-        """The surest current estimate on a ground, by `COLUMNS`; None where there was none.
+        """The surest estimate on a ground, by `COLUMNS`; None where none was current.
 
-        The last may be the prior's, behind a border that was none.
+        It is that with the least product of the sds over those of the prior among those with
+        status CONVERGED. The last one is not taken: behind a border that `_grounds` does not count
+        the identifier began anew, and the estimate may be the prior.
         """
         current = np.flatnonzero((self.ground == ground) & (self.status == Status.CONVERGED))
         if not current.size:
@@ -92,11 +100,10 @@ class Replay:
         return {name: float(values[k]) for name, values in self.values.items()}
 
     def learnt(self, current: bool = False) -> dict[str, float]:
-        """Least standard deviation over that of the prior, for each parameter: 1 where nothing was
-        learnt.
+        """Least standard deviation of each parameter over that of the prior; 1: nothing learnt.
 
-        Of the estimates away from borders that the readings do not contradict; `current`: with
-        status CONVERGED.
+        Taken are the estimates away from borders with status CONVERGED or NOT_EXCITED; with
+        `current` only CONVERGED ones.
         """
         sound = [Status.CONVERGED] if current else [Status.CONVERGED, Status.NOT_EXCITED]
         kept = np.isin(self.status, sound) & ~self.on_border
@@ -112,8 +119,9 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
 
     After a gap of more than `restart_gap` it starts from the prior again. A motor torque without
     the inertia of the wheel is left out. The drawbar margin and the torque required are those of
-    `OnlineIdentifier.traversability`, renewed with the estimate. An estimate out of the bounds of
-    `Soil` is refused: NaN, with status MISFIT.
+    `OnlineIdentifier.traversability` at the load and pitch of the step that renewed the estimate,
+    and held until the next. An estimate out of the bounds of `Soil` is refused: NaN, with status
+    MISFIT.
     """
     identifier = OnlineIdentifier(
         log_map.wheel,
@@ -136,20 +144,20 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
         names.discard("motor_torque")
     before = 0
     last = math.nan
-    way = _NO_WAY
+    margin = _NO_MARGIN
     for k, t in enumerate(log.time.tolist()):
         if t - last > log_map.restart_gap:
             before += identifier.estimate.borders
             identifier.reset()
             restarts = restarts + 1
-            way = _NO_WAY
+            margin = _NO_MARGIN
         reading = Readings(**{n: float(log.readings[n][k]) for n in names}, time=t)
         e = identifier.update(reading)
         if e.renewed:
             load = None if math.isnan(reading.load) else max(reading.load, _LEAST_LOAD)
             ahead = identifier.traversability(load, float(np.nan_to_num(reading.pitch)))
-            way = ahead.drawbar_margin, ahead.drawbar_margin_sd, ahead.torque_required
-        table[k] = [*(getattr(e, name) for name in ESTIMATED), *way]
+            margin = ahead.drawbar_margin, ahead.drawbar_margin_sd, ahead.torque_required
+        table[k] = [*(getattr(e, name) for name in ESTIMATED), *margin]
         status[k] = e.status
         renewed[k] = e.renewed
         on_border[k] = identifier.on_border
@@ -162,7 +170,7 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
             f"The identifier started anew {'once' if restarts == 1 else f'{restarts} times'}, "
             f"after gaps of more than {log_map.restart_gap:g} s."
         )
-    warnings += _refused(log.time, values, status)
+    warnings += _refuse(log.time, values, status)
     ground, differs = _grounds(log, log_map, found, values, status, prior)
     return Replay(
         log.time,
@@ -180,9 +188,11 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     )
 
 
-def _refused(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray) -> list[str]:
-    """Put NaN in place of estimates out of the bounds of a soil, in `values` itself, with MISFIT
-    in `status`; a line that says so, where there are some.
+def _refuse(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray) -> list[str]:
+    """Refuse estimates that are not finite or out of the bounds of a soil (`_BOUNDS`).
+
+    All `values` of such a step become NaN and its `status` MISFIT, both in place. Returns a
+    warning, which names one value out of bounds; none where nothing is refused.
     """
     bad = ~np.all([np.isfinite(values[n]) for n in ESTIMATED], axis=0)
     said = ""
@@ -214,12 +224,13 @@ def _grounds(
     status: np.ndarray,
     prior: Estimate,
 ) -> tuple[np.ndarray, list[float]]:
-    """Number [N] from 1 of the ground at each step, and the probability by ground that it is not as
-    the last.
+    """(Number [N] from 1 of the ground at each step, probability for each ground that its soil is
+    not that of the ground before).
 
-    `found` [N]: borders found so far. A part shorter than two borders is part of the next: a
-    border that is long is found twice. A part whose estimate does not differ from that of the
-    ground before is part of that.
+    `found` [N]: borders found so far. They and gaps part the drive. A part shorter than
+    `_LEAST_PART` is joined to the next, as a long border is found twice, unless a gap ends it. A
+    part that differs with a probability below `DIFFERS` belongs to the ground before, and the two
+    estimates are pooled. The first part after a gap is a ground of its own, with NaN.
     """
     where = log.travelled(log_map.wheel.radius)
     border = log_map.belief.border
@@ -231,7 +242,7 @@ def _grounds(
     for end in np.flatnonzero((np.diff(found, append=found[-1:] + 1) != 0) | gap).tolist():
         settled = end
         if not gap[end]:
-            if where[end] - where[begins] < 2.0 * border:
+            if where[end] - where[begins] < _LEAST_PART * border:
                 continue
             settled = int(np.searchsorted(where, where[end] - _LEFT * border, side="right")) - 1
         here = _last_known(values, status, begins, max(settled, begins), prior)
@@ -249,8 +260,11 @@ def _grounds(
 def _last_known(
     values: dict[str, np.ndarray], status: np.ndarray, first: int, last: int, prior: Estimate
 ):
-    """[2, 4] of `_COMPARED` at the last known step of `first` to `last`, over the prior's sd:
-    deviation from the prior, and variance; (0, 1) if there is none.
+    """Last estimate of the steps `first` to `last` relative to the prior [2, 4], for `_COMPARED`.
+
+    The first row has deviations from the prior in its sds, of the logarithm where the sd is
+    relative. The second has variances over the prior's, at most 1. Without an estimate in these
+    steps it is the prior: 0 and 1.
     """
     known = (status != Status.NO_DATA) & np.isfinite(values["cohesion"])
     steps = np.flatnonzero(known[first : last + 1])
@@ -268,11 +282,12 @@ def _last_known(
 
 
 def _probability_of_two(one: np.ndarray, other: np.ndarray) -> float:
-    """Probability that the soils of two estimates (`_last_known`) differ, if it was `_SEEN` before.
+    """Probability that the soils of two estimates (`_last_known`) differ; before it is `_SEEN`.
 
-    An estimate of variance v, of a soil that scatters by 1, scatters by 1 - v itself. Two of one
-    soil have in common what they take from the prior: their difference has the variance v + w - 2 v
-    w. Two of two soils have 2 - v - w.
+    Soils have variance 1 about the prior. An estimate with the variance v of its error has 1 - v,
+    since it is drawn towards the prior. The difference of two estimates (v, w) of one soil has the
+    variance v + w - 2 v w, that of two independent soils 2 - v - w. Each estimate adds `_DOUBTED`^2
+    to both.
     """
     away = one[0] - other[0]
     doubt = 2.0 * _DOUBTED**2
@@ -282,13 +297,16 @@ def _probability_of_two(one: np.ndarray, other: np.ndarray) -> float:
     apart = 2.0 - v - w + doubt
     odds = 0.5 * float(np.sum(np.log(same / apart) + away**2 * (1.0 / same - 1.0 / apart)))
     odds += math.log(_SEEN / (1.0 - _SEEN))
-    return 1.0 / (1.0 + math.exp(-min(max(odds, -50.0), 50.0)))
+    return 1.0 / (1.0 + math.exp(-min(max(odds, -_LARGEST_LOG_ODDS), _LARGEST_LOG_ODDS)))
 
 
 def _pooled(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """The estimate of two of one soil, whose prior (0, 1) counts once."""
-    own = 1.0 / np.maximum(one[1], 1e-9)
-    more = 1.0 / np.maximum(other[1], 1e-9)
+    """One estimate [2, 4] from two of one soil (`_last_known`), each weighted by 1/variance.
+
+    Both contain the prior (0, 1), so its weight of 1 is taken off once.
+    """
+    own = 1.0 / np.maximum(one[1], _LEAST_VARIANCE)
+    more = 1.0 / np.maximum(other[1], _LEAST_VARIANCE)
     return np.array([one[0] * own + other[0] * more, np.ones_like(own)]) / (own + more - 1.0)
 
 
@@ -313,7 +331,10 @@ _MISFIT = (
 
 
 def findings(found: Replay, log: Aligned) -> list[str]:
-    """Sentences on what can be identified from the channels of this log, and what was."""
+    """Sentences on what can be identified from the channels of this log, and what was.
+
+    A parameter counts as identified if a current estimate has an sd below `_LEARNT` of the prior's.
+    """
     measured = found.measured
     lines = []
     if "motor_torque" in log.readings and "motor_torque" not in measured:

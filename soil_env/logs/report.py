@@ -21,6 +21,8 @@ from .steady import Ground, Steady, advice, cell, commands, files, grounds
 ALWAYS = ("report.html", "log.json", "estimates.csv", "estimates.png", "readings.png")
 _DATES = 10**9 * 86400 * 3650  # [ns] from 1970, about ten years: before it a time is no date
 _MOST_POINTS = 4000  # of a curve in a picture
+_HALF = 1.96  # [sd] half the 95 % interval of a normal distribution
+_WIDEST = 10.0  # [-] half interval of a logarithm that is drawn: far beyond any axis, exp finite
 _NAMES = {  # name, unit
     "friction_angle_deg": ("friction angle", "deg"),
     "shear_modulus": ("shear deformation modulus K", "m"),
@@ -43,8 +45,10 @@ def report_of(
     steady: Steady,
     folder: Path = Path(),  # noqa: B008
 ) -> tuple[dict[str, bytes | str], str]:
-    """Files of a replayed log by name, `ALWAYS` and tables and setups of steady points, and the
-    text for the terminal; `folder` is where the files will be.
+    """(Contents of the files of a replayed log by name, text for the terminal).
+
+    The files are `ALWAYS` and the tables and setups of steady points. Nothing is written;
+    `recording` and `folder`, where the files will be, are named in the texts.
     """
     parts = grounds(found, steady)
     length = log.time[-1] - log.time[0]
@@ -77,7 +81,7 @@ def report_of(
     }
     values |= {
         "summary": (
-            f"From {_moment(log.start)}, {length:.1f} s, "
+            f"From {_date(log.start)}, {length:.1f} s, "
             f"{plural(len(log), 'step')} of {log.period:g} s."
         ),
         "channels": _channel_table(log),
@@ -115,15 +119,15 @@ def report_of(
     return written, text
 
 
-def _moment(time: int) -> str:
-    """A time [ns] as a date, or as seconds of a clock that counts from a start of its own."""
+def _date(time: int) -> str:
+    """A time [ns] as a date; before `_DATES` as seconds, of a clock that counts from elsewhere."""
     if time < _DATES:
         return f"{time * 1e-9:.3f} s of its clock"
     return datetime.fromtimestamp(time * 1e-9, UTC).isoformat(timespec="milliseconds")
 
 
 def _channel_table(log: Aligned) -> Table:
-    """Source, rate, gaps and range of each reading."""
+    """Source, rate, gaps and range of each reading; a constant has only source and range."""
     length = max(float(log.time[-1] - log.time[0]), log.period)
     rows = []
     for name, c in log.channels.items():
@@ -141,7 +145,7 @@ def _channel_table(log: Aligned) -> Table:
 
 
 def _soil_table(found: Replay) -> Table:
-    """The estimate at the end and the least standard deviation over that of the prior."""
+    """Table of the last estimate ("refused" where it is NaN) and of `Replay.learnt`."""
     learnt = found.learnt()
     rows = []
     for name, (words, unit) in _NAMES.items():
@@ -154,8 +158,8 @@ def _soil_table(found: Replay) -> Table:
 
 
 def _ground_table(parts: list[Ground]) -> Table:
-    """The grounds: when, how sure that each is not the last, its surest estimate, its steady
-    points.
+    """Table of the grounds: times, probability that the soil is not that of the ground before,
+    surest estimate, number of steady points and range of their slips.
     """
     rows = []
     for g in parts:
@@ -178,6 +182,7 @@ def _ground_table(parts: list[Ground]) -> Table:
 
 
 def _figure(rows: int, height: float) -> tuple[Figure, np.ndarray]:
+    """Figure of this height [in] and its axes [rows], one below the other with one axis of time."""
     figure = Figure(figsize=(9.0, height), layout="constrained")
     axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
     axes[-1].set_xlabel("time [s]")
@@ -185,20 +190,25 @@ def _figure(rows: int, height: float) -> tuple[Figure, np.ndarray]:
 
 
 def _thinned(size: int) -> np.ndarray:
+    """Indices of at most `_MOST_POINTS` of `size` points, the first and the last among them."""
     return np.unique(np.linspace(0, size - 1, min(size, _MOST_POINTS)).astype(int))
 
 
 def _estimates_picture(found: Replay) -> bytes:
+    """Picture of the soil and the drawbar margin over time, with 95 % intervals of the soil.
+
+    Estimates whose status is not CONVERGED are grey.
+    """
     figure, axes = _figure(len(_SHOWN) + 1, 7.5)
     k = _thinned(found.time.size)
     t = found.time[k]
     valid = found.status[k] == Status.CONVERGED
     for axis, (name, (scale, label)) in zip(axes, _SHOWN.items(), strict=False):
         value = scale * found.values[name][k]
-        half = 1.96 * found.values[SD_OF[name]][k]
+        half = _HALF * found.values[SD_OF[name]][k]
         band = (value - half, value + half)
         if "relative" in SD_OF[name]:
-            factor = np.exp(np.minimum(half, 10.0))
+            factor = np.exp(np.minimum(half, _WIDEST))
             band = (value / factor, value * factor)
             axis.set_yscale("log")
         axis.fill_between(t, *band, color="C0", alpha=0.25, lw=0, where=valid)
@@ -213,6 +223,7 @@ def _estimates_picture(found: Replay) -> bytes:
 
 
 def _readings_picture(log: Aligned, steady: Steady, log_map: LogMap) -> bytes:
+    """Picture of every reading over time, with the steady windows shaded."""
     figure, axes = _figure(len(log.readings), 1.0 + 1.1 * len(log.readings))
     k = _thinned(log.time.size)
     for axis, (name, values) in zip(axes, log.readings.items(), strict=True):

@@ -17,7 +17,9 @@ from .notes import Notes
 LATEST = 2**62  # [ns] from 1970, the year 2116
 _FAR = 10**15  # [ns] 12 days: stamps further from all others belong to another clock
 _ALONE = 100.0  # [median intervals] around a single reading that counts as alone
-_STANDS = 10  # equal stamps, and no others, of a clock that stands
+#: Equal stamps, and no others, of a clock that stands; also successive stamps left out from which a
+#: clock counts as set back. Own choice.
+_STANDS = 10
 
 
 class Stamps:
@@ -45,10 +47,11 @@ class Stamps:
         self._files.append(len(self))
 
     def settle(self, times: np.ndarray, slack: int, restart: int, notes: Notes) -> np.ndarray:
-        """True [N] for each of the stamps `times` [ns] that counts; notes on others.
+        """True [N] for each of the stamps `times` [ns] that counts: `sound`, file by file.
 
-        A stamp may be late by `slack` [ns]. A single one is left out where it is further than
-        `restart` [ns] from all others. `ParameterError` where less than half is left.
+        Notes say which are left out, which are late by at most `slack` [ns], and which repeat the
+        stamp before. `restart` [ns]: gap after which a single stamp counts as alone.
+        `ParameterError` where less than half is left, or the clock stands.
         """
         kept = np.zeros(times.size, bool)
         for first, end in zip(self._files, [*self._files[1:], times.size], strict=True):
@@ -84,7 +87,9 @@ class Stamps:
         return kept
 
     def _check(self, times: np.ndarray, kept: np.ndarray, notes: Notes) -> None:
-        """Raise `ParameterError` for a clock that stands, and for one that hardly ever rises."""
+        """Raise `ParameterError` where all stamps are equal, at least `_STANDS` of them, and where
+        less than half is `kept` [N].
+        """
         said = ""
         if times.size >= _STANDS and np.all(times == times[0]):
             said = (
@@ -101,7 +106,11 @@ class Stamps:
             raise ParameterError(f"{notes.path}: {self.source}: {said}{header}")
 
     def _set_back(self, times: np.ndarray, out: np.ndarray, restart: int) -> str:
-        """Where the clock goes back, if stamps that follow each other are left out for that."""
+        """Sentence on where the clock goes back most; empty where it is not set back.
+
+        It is set back if `_STANDS` successive stamps are left out (`out`: indices) and a stamp is
+        `restart` [ns] or more before the stamp that precedes it.
+        """
         fall = np.diff(times)
         k = int(np.argmin(fall)) + 1
         most = max(part.size for part in np.split(out, np.flatnonzero(np.diff(out) > 1) + 1))
@@ -119,8 +128,11 @@ class Stamps:
 
 
 def sound(times: np.ndarray, slack: int, restart: int) -> np.ndarray:
-    """True [N] for stamps [ns] that belong to the largest set that never goes back, or lie at most
-    `slack` beside it, and are not alone.
+    """True [N] for the stamps `times` [N] in ns that can be right.
+
+    These are the largest set that never goes back, without those alone or of another clock
+    (`_together`), and stamps at most `slack` [ns] outside their two neighbours in that set. Before
+    its first and behind its last stamp they may be `restart` [ns] outside.
     """
     if times.size == 0:
         return np.zeros(0, bool)
@@ -138,11 +150,11 @@ def sound(times: np.ndarray, slack: int, restart: int) -> np.ndarray:
 
 
 def _longest_rising(times: np.ndarray) -> np.ndarray:
-    """Indices of the longest subsequence that never falls (Schensted 1961)."""
+    """Indices of the longest subsequence of `times` that never falls (Schensted 1961)."""
     if np.all(times[1:] >= times[:-1]):
         return np.arange(times.size)
-    ends: list[int] = []  # least last time of a subsequence of each length
-    places: list[int] = []  # its index
+    ends: list[int] = []  # least last time of the subsequences of length 1, 2, ...
+    places: list[int] = []  # indices of these times
     before = []  # index of the element before, -1 of a first one
     for k, time in enumerate(times.tolist()):
         length = bisect_right(ends, time)
@@ -156,7 +168,11 @@ def _longest_rising(times: np.ndarray) -> np.ndarray:
 
 
 def _together(times: np.ndarray, restart: int) -> np.ndarray:
-    """True [N] of rising stamps, but for those alone and those of another clock."""
+    """True [N] of rising stamps [ns], but for those alone and those of another clock.
+
+    Stamps are parted where a gap is longer than `restart` [ns] and `_ALONE` median intervals. The
+    largest part stays. Another is left out if it has one stamp, or is further than `_FAR` away.
+    """
     out = np.ones(times.size, bool)
     gaps = np.diff(times)
     if gaps.size == 0:

@@ -39,7 +39,17 @@ from .replay import DIFFERS, Replay
 FILES = re.compile(r"(steady|setup|ground\d+)\.(csv|yaml)")  # those that `files` may write
 _COLUMNS = ("slip", "load", "speed", "grade_deg", "run", "time", *MEASURED)
 _LEAST_SD = 1e-9  # in the unit of a channel: a smaller scatter is rounding
-_LEAST_SPREAD = 0.01  # of slip, for a table
+_LEAST_SPREAD = 0.01  # [-] of the slips of a table; own choice, below it they count as one slip
+_STARTS = 4  # places at which a window is tried within its own length
+_GAP = 1.5  # [periods] between steps, from which they are of two drives; neighbours have 1
+# Most change of a mean from the first half of a steady window to the second; own choices.
+_SLIP_CHANGE = 0.03  # [-]
+_SPEED_CHANGE = 0.05  # [of the rim speed] of travel and rim speed
+_PITCH_CHANGE = 0.02  # [rad]
+_FORCE_CHANGE = 0.04  # [of weight], of the torque [of weight x radius]
+#: [of the radius] that the sinkage may have left to go, by the law of slip-sinkage.
+_SINKAGE_LEFT = 0.05
+_MOST_GAIN = 20.0  # [-] largest `dig_gain` that `Soil` takes
 
 #: Columns of a measurement table, ground and start [s]: numbers, NaN = not measured, but for `run`.
 Point = dict[str, Any]
@@ -47,7 +57,7 @@ Point = dict[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class Steady:
-    """Steady points and the noise of their means."""
+    """Steady points, one for each steady window, and the noise of their means."""
 
     rows: list[Point] = field(default_factory=list)
     noise: dict[str, float] = field(default_factory=dict)  # 1-sigma of a row's value, by column
@@ -82,7 +92,10 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
     """The steady windows of a log, none overlapping another, each as long as
     `log_map.windows.duration`.
 
-    `ground` [N] is that of `Replay`, one more from each border on; left out, all is one ground.
+    A window lies in one drive (`_drives`) and on one ground, further than `belief.border` from
+    where the ground changes. It has a load above 0 and sinkage, pull or torque. The noise is the
+    scatter within all windows over the root of the steps of one. `ground` [N] is that of `Replay`,
+    one more from each border on; left out, all is one ground.
     """
     columns = _columns(log, log_map)
     where = log.travelled(log_map.wheel.radius)
@@ -105,7 +118,7 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
             and ground[at] == ground[last]
         )
         if not (one_drive and is_steady(part, log.period, log_map)):
-            at += max(1, n // 4)
+            at += max(1, n // _STARTS)
             continue
         row = _row(part, float(log.time[at]), log.period)
         if any(row[name] == row[name] for name in MEASURED) and row["load"] > 0.0:
@@ -124,8 +137,11 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
 
 
 def _columns(log: Aligned, log_map: LogMap) -> dict[str, np.ndarray]:
-    """Quantities [N] of steady points; the weight for the load, and the like, where a channel is
-    not measured.
+    """Quantities [N] of steady points by name, in SI units; NaN where unknown.
+
+    Where they are not measured, the load is the weight's part normal to the ground, the pull
+    acceleration times mass, and the torque that of the motor. The part of a motor torque that
+    turns the wheel faster is taken off where the inertia is known.
     """
     rim, speed, slip = log.motion(log_map.wheel.radius)
     pitch = log.get("pitch")
@@ -133,31 +149,39 @@ def _columns(log: Aligned, log_map: LogMap) -> dict[str, np.ndarray]:
     if len(log) > 1 and log_map.wheel.inertia != UNKNOWN_INERTIA:
         motor = motor - log_map.wheel.inertia * np.gradient(log.get("wheel_speed"), log.time)
 
-    def first(name: str, other: np.ndarray) -> np.ndarray:
+    def measured(name: str, other: np.ndarray) -> np.ndarray:
         return np.where(np.isnan(log.get(name)), other, log.get(name))
 
     return {
         "slip": slip,
         "speed": speed,
         "rim": rim,
-        "load": first("load", log_map.weight * np.cos(np.nan_to_num(pitch))),
+        "load": measured("load", log_map.weight * np.cos(np.nan_to_num(pitch))),
         "pitch": pitch,
         "sinkage": log.get("sinkage"),
-        "drawbar_pull": first("drawbar_pull", log.get("acceleration") * log_map.wheel.body_mass),
-        "torque": first("torque", motor),
+        "drawbar_pull": measured("drawbar_pull", log.get("acceleration") * log_map.wheel.body_mass),
+        "torque": measured("torque", motor),
     }
 
 
 def _drives(log: Aligned, rim: np.ndarray, log_map: LogMap) -> np.ndarray:
-    """Number [N] of the drive of each step, between halts and gaps; -1 where the wheel stands."""
+    """Number [N] from 0 of the drive of each step; -1 where the wheel stands.
+
+    A halt, that is a wheel slower than `windows.wheel_speed`, and a step without a reading part two
+    drives.
+    """
     driving = np.abs(rim) > log_map.windows.wheel_speed * log_map.wheel.radius
-    gap = np.diff(log.time, prepend=log.time[:1]) > 1.5 * log.period
+    gap = np.diff(log.time, prepend=log.time[:1]) > _GAP * log.period
     begins = driving & (gap | ~np.concatenate(([False], driving[:-1])))
     return np.where(driving, np.cumsum(begins) - 1, -1)
 
 
 def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bool:
-    """True if the columns [n] of a window are steady."""
+    """True if the means of the two halves of a window agree; `part`: columns [n] of `_columns`.
+
+    False where slip or speed is missing or the wheel travels backward. The limit of the sinkage is
+    the share of the way left that half a window covers, so a slow wheel has a small one.
+    """
     radius = log_map.wheel.radius
     weight = log_map.weight
     n = part["slip"].size
@@ -169,23 +193,23 @@ def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bo
     rate, _ = uncompiled(excavation_rate)(
         speed, slid, 0.0, log_map.belief.dig_recovery, log_map.relaxation * radius
     )
+    # Share of the way left that the sinkage comes in the time between the two means.
     come = -math.expm1(-rate * (n / 2) * period)
     limits = {  # of the change of the means from the first to the second half
-        "slip": 0.03,
-        "speed": 0.05 * rim,
-        "rim": 0.05 * rim,
-        "pitch": 0.02,
-        "load": 0.04 * weight,
-        "drawbar_pull": 0.04 * weight,
-        "torque": 0.04 * weight * radius,
-        # By the law of slip-sinkage 5 % of the radius are left to go.
-        "sinkage": 0.05 * radius * come,
+        "slip": _SLIP_CHANGE,
+        "speed": _SPEED_CHANGE * rim,
+        "rim": _SPEED_CHANGE * rim,
+        "pitch": _PITCH_CHANGE,
+        "load": _FORCE_CHANGE * weight,
+        "drawbar_pull": _FORCE_CHANGE * weight,
+        "torque": _FORCE_CHANGE * weight * radius,
+        "sinkage": _SINKAGE_LEFT * radius * come,
     }
     return all(_change(part[name]) <= limit for name, limit in limits.items())
 
 
 def _change(values: np.ndarray) -> float:
-    """Difference of the means of the two halves; 0 where nothing is measured."""
+    """Size of the difference between the means of the two halves; 0 if a half is not measured."""
     first, second = np.split(values, [values.size // 2])
     if np.isnan(first).all() or np.isnan(second).all():
         return 0.0
@@ -202,8 +226,9 @@ def _scatter(values: np.ndarray) -> float:
 
 
 def _row(part: dict[str, np.ndarray], start: float, period: float) -> Point:
-    """The means of a window that begins at `start` [s]; NaN where half of the values are
-    missing.
+    """The means of a window that begins at `start` [s], and its middle `time` [s].
+
+    A mean is NaN where half of its values or more are missing.
     """
     mean = {
         n: float(np.nanmean(v)) if np.isfinite(v).mean() > 0.5 else math.nan
@@ -229,7 +254,7 @@ class Ground:
 
 
 def grounds(found: Replay, steady: Steady) -> list[Ground]:
-    """All parts of the ground of a log, in the order of the drive."""
+    """The grounds of a log in the order of the drive, with the steady points of each."""
     out = []
     for number in sorted({*found.ground.tolist()}):
         time = found.time[found.ground == number].tolist()
@@ -239,9 +264,10 @@ def grounds(found: Replay, steady: Steady) -> list[Ground]:
     return out
 
 
-def tables(grounds: list[Ground], steady: Steady) -> list[tuple[str, str, Ground]]:
-    """Names of table and setup, and the ground, of each part of the points that may be fitted as
-    one soil.
+def tables_to_fit(grounds: list[Ground], steady: Steady) -> list[tuple[str, str, Ground]]:
+    """(File of the table, file of the setup, ground) for each ground with points enough for a fit.
+
+    A single ground has all points.
     """
     if len(grounds) == 1:
         return [] if steady.reason else [("steady.csv", "setup.yaml", grounds[0])]
@@ -255,8 +281,10 @@ def tables(grounds: list[Ground], steady: Steady) -> list[tuple[str, str, Ground
 def files(
     grounds: list[Ground], steady: Steady, log_map: LogMap, prior: Estimate
 ) -> dict[str, str]:
-    """Tables and setups by name: of all points, and, where there are several grounds, of each that
-    has two slips.
+    """Texts of tables and setups by file name; none where there is no table (`steady.reason`).
+
+    One pair has all points, and where there are several grounds one each has those of a ground with
+    points enough. Only the setup of one ground has its estimate.
     """
     if steady.reason:
         return {}
@@ -265,7 +293,7 @@ def files(
         "steady.csv": note + steady.table(),
         "setup.yaml": setup_text(log_map, steady, prior, None),
     }
-    for table, setup, ground in tables(grounds, steady):
+    for table, setup, ground in tables_to_fit(grounds, steady):
         out[table] = ground.points.table()
         out[setup] = setup_text(log_map, ground.points, prior, ground.estimate)
     return out
@@ -274,8 +302,11 @@ def files(
 def setup_text(
     log_map: LogMap, steady: Steady, prior: Estimate, estimate: dict[str, float] | None
 ) -> str:
-    """setup.yaml beside a table: wheel, the belief as priors with what the map knows of the soil,
-    scatter as noise.
+    """Text of the setup file beside a table: wheel, priors of the soil, scatter as noise.
+
+    `estimate`: the online one of this ground, by `replay.COLUMNS`, None for a table of several. It
+    gives the dig_gain and a comment; the priors are the belief's. What the map says of the soil
+    replaces a prior.
     """
     text = (
         "# soil: the belief of the map (the prior of the online identifier), and what the map says "
@@ -301,8 +332,11 @@ def setup_text(
 def _priors(
     log_map: LogMap, prior: Estimate, estimate: dict[str, float] | None
 ) -> dict[str, object]:
-    """Section `soil`; log-normal priors have the sd whose ln(1 + sd/value) is the relative one of
-    the prior.
+    """Priors of the section `soil`, {value, sd}, or the value alone where it counts as known.
+
+    K and S have the sd for which ln(1 + sd/value) is the relative sd of the prior. dig_gain is that
+    of the estimate, else the prior's, at most `_MOST_GAIN`. The law of the soil's flow is given
+    where the belief has one. A prior that does not go with the map's `soil` is left out.
     """
     belief = log_map.belief
     K = prior.shear_modulus
@@ -314,7 +348,7 @@ def _priors(
         "shear_modulus": (K, K * math.expm1(prior.shear_modulus_relative_sd)),
         "sinkage_coefficient": (S, S * math.expm1(prior.sinkage_coefficient_relative_sd)),
         "sinkage_exponent": (belief.sinkage_exponent, belief.sinkage_exponent_sd),
-        "dig_gain": (min(gain, 20.0), 0.0),
+        "dig_gain": (min(gain, _MOST_GAIN), 0.0),
         "dig_recovery": (belief.dig_recovery, 0.0),
     }
     if any(getattr(belief, name) for name in ("rim_flow", "braked_peak", "shear_growth")):
@@ -330,6 +364,7 @@ def _priors(
 
 
 def _short(value: float) -> float:
+    """The value to four significant digits, as it is written into a setup."""
     return float(f"{value:.4g}")
 
 
@@ -366,9 +401,9 @@ def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
 
 
 def commands(grounds: list[Ground], steady: Steady, folder: Path = Path()) -> list[str]:  # noqa: B008
-    """Commands to run next with the tables in `folder`."""
+    """Commands to run next: identify and discover, for each of `tables_to_fit` in `folder`."""
     out = []
-    for table, setup, _ in tables(grounds, steady):
+    for table, setup, _ in tables_to_fit(grounds, steady):
         data, given, target = (
             shlex.quote(str(folder / n)) for n in (table, setup, Path(table).stem)
         )

@@ -20,6 +20,8 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _EXCEL = 25569  # [days] from 1899-12-30, where Excel counts from, to 1970
 
 _DAY = 86400 * 10**9  # [ns]
+_MIDNIGHT = 23 * _DAY // 24  # [ns] by which a time of day falls back, at least, on the next day
+_BATCH = 4096  # rows read between two reports of progress
 _EXAMPLES = {
     "iso": "text as 2026-05-04T09:30:00.25 or 09:30:00.25",
     "excel": "days of Excel as 46146.39583",
@@ -31,10 +33,11 @@ _Cells = tuple[int, str | int, list[str]]
 def rows(
     stamps: str, unit: str, columns: dict[str, str], notes: Notes
 ) -> Iterator[tuple[int, int, list[float | None]]]:
-    """Rows of a table: number in the file, time [ns], and the values of the columns, None where
-    empty or no number.
+    """Yield (number in the file, time [ns], values of the `columns`) for each row of a table.
 
-    Time stamps are in the column `stamps` of `unit`; `columns`, each with its readings.
+    The column `stamps` has times in `unit`. `columns`: names of the columns to read, each with its
+    readings in words for an error. A value is None where a cell is empty or no number. A time of
+    day that falls by `_MIDNIGHT` is one of the next day.
 
     Rows without a time and cells without a number are left out, and counted in notes;
     `ParameterError` where that leaves less than half.
@@ -52,7 +55,7 @@ def rows(
             whole.add(f"row {number}", f"{stamps} = {time!r}, expected {_expected(time, unit)}")
             continue
         if unit == "iso" and abs(at) < _DAY:  # a time of day
-            midnights += at < last - 23 * _DAY // 24
+            midnights += at < last - _MIDNIGHT
             last = at
             at += midnights * _DAY
         values: list[float | None] = [None] * len(texts)
@@ -69,8 +72,10 @@ def rows(
 
 
 def _nanoseconds(stamp: str | int, unit: str) -> int:
-    """Time stamp [ns] from 1970, given in ns or as text; an ISO 8601 text without a zone is taken
-    as UTC, and a time of day as that of the first day.
+    """Time [ns] from 1970 of a stamp: a whole number of ns, or text in `unit`.
+
+    An ISO 8601 text without a zone is taken as UTC, and a time of day as one of 1970-01-01.
+    ValueError or ArithmeticError for a text of another kind and a time beyond `LATEST`.
     """
     if isinstance(stamp, int):
         time: Any = stamp
@@ -88,14 +93,17 @@ def _nanoseconds(stamp: str | int, unit: str) -> int:
 
 
 def _moment(text: str) -> datetime:
-    """Date and time, or the time of the first day, of an ISO 8601 text."""
+    """Date and time of an ISO 8601 text; a time of day, also as 9:30:00, is of 1970-01-01."""
     if text[1:2] == ":":  # 9:30:00
         text = f"0{text}"
     return datetime.fromisoformat(f"1970-01-01T{text}" if text[2:3] == ":" else text)
 
 
 def _expected(stamp: str | int, unit: str) -> str:
-    """What a time stamp of this unit looks like, and the unit that this one may have."""
+    """What a time stamp of this unit looks like, for an error, and the unit that may be meant.
+
+    ISO 8601 text under another unit, and any stamp refused under "iso", get the other unit named.
+    """
     text = _EXAMPLES.get(unit, f"a time in {unit}")
     if unit != "iso" and isinstance(stamp, str):
         with suppress(ValueError):
@@ -107,6 +115,7 @@ def _expected(stamp: str | int, unit: str) -> str:
 
 
 def _check_columns(path: Path, header: list[str], stamps: str, columns: dict[str, str]) -> None:
+    """Raise `ParameterError` for a column of time or readings that `header` lacks or has twice."""
     for name, what in {stamps: "time", **columns}.items():
         if name not in header:
             unknown = str(unknown_key(name, header, f"{path}: {what}"))
@@ -120,8 +129,10 @@ def _check_columns(path: Path, header: list[str], stamps: str, columns: dict[str
 
 
 def _csv(stamps: str, columns: dict[str, str], notes: Notes, faults: Faults) -> Iterator[_Cells]:
-    """Rows of a CSV file; those of another length than the header are counted as faults, and a last
-    one that is cut off is not.
+    """Yield the rows of a CSV file; empty ones and those that begin with # are passed over.
+
+    A row with more or fewer cells than the header is left out and counted as a fault. The last row
+    may be cut off, which is only noted. `ParameterError` for no CSV, no header and no whole row.
     """
     path = notes.path
     notes.size = path.stat().st_size
@@ -168,7 +179,7 @@ def _csv(stamps: str, columns: dict[str, str], notes: Notes, faults: Faults) -> 
                     continue
                 count += 1
                 yield reader.line_num, cells[at], [cells[p] for p in places]
-                if count % 4096 == 0:
+                if count % _BATCH == 0:
                     notes.report(raw.tell())
     except UnicodeDecodeError as error:
         raise ParameterError(
@@ -188,7 +199,11 @@ def _csv(stamps: str, columns: dict[str, str], notes: Notes, faults: Faults) -> 
 def _parquet(
     stamps: str, columns: dict[str, str], notes: Notes, faults: Faults
 ) -> Iterator[_Cells]:
-    """Rows of a Parquet file as text; stamps of a column of type timestamp in nanoseconds."""
+    """Yield the rows of a Parquet file, cells as text.
+
+    A stamp is a whole number of ns where its column has a type of timestamps, else text too.
+    `ParameterError` for a file that cannot be read or has no rows.
+    """
     path = notes.path
     try:
         import pyarrow
@@ -202,7 +217,7 @@ def _parquet(
         with pyarrow.parquet.ParquetFile(path) as file:
             notes.size = file.metadata.num_rows
             _check_columns(path, file.schema_arrow.names, stamps, columns)
-            for batch in file.iter_batches(4096, columns=[stamps, *columns]):
+            for batch in file.iter_batches(_BATCH, columns=[stamps, *columns]):
                 times = batch.column(stamps)
                 tick = 0  # [ns] of the column's unit
                 if pyarrow.types.is_timestamp(times.type):

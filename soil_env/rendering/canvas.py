@@ -39,11 +39,20 @@ SKY = (232, 240, 246)
 RIM = (60, 64, 72)
 WHEEL = (238, 239, 242)
 SPOKE = (150, 154, 162)
+_HEAD = 5.0  # [px] length of the head of an arrow
+_HEAD_SHARE = 0.6  # of a short arrow that is head
+_HALF_HEAD = 0.6  # half the width of a head over its length
+_SHORTEST = 1.0  # [px] of an arrow that is drawn
+_OVERLAP = 0.6  # [px] of neighbouring soils, between which the background would show
 _RAMP = np.array([(247, 230, 186), (218, 182, 126), (171, 128, 82), (116, 82, 56)], dtype=float)
 
 
 class Canvas:
-    """Drawing surface with twofold supersampling, text on top; points [n, 2] in pixels."""
+    """Drawing surface of `SIZE`, drawn twice as large and shrunk, so that edges are smooth.
+
+    Points [n, 2], lengths and widths are in pixels of the finished picture, y downward. Text is put
+    on top of all shapes at the end.
+    """
 
     def __init__(self) -> None:
         import pygame
@@ -58,10 +67,11 @@ class Canvas:
         self._texts: list[tuple[pygame.Surface, np.ndarray]] = []  # with their places
 
     def _at(self, points):
+        """Numbers of a place, places or a box in pixels of the large picture, as lists."""
         return (2.0 * np.asarray(points)).tolist()
 
     def _width(self, width):
-        """Width of a line in pixels of the large picture, which has twice as many."""
+        """Width of a line in pixels of the large picture, at least 1."""
         return max(1, round(2.0 * width))
 
     def clear(self) -> None:
@@ -70,7 +80,7 @@ class Canvas:
         self._texts.clear()
 
     def clip(self, box: Box | None) -> None:
-        """Confine shapes (not text) to a box; None lifts it."""
+        """Confine shapes (not text) to a box from here on; None: to the whole picture."""
         self._large.set_clip(box and np.rint(self._at(box)).astype(int).tolist())
 
     def box(self, box: Box, colour: Colour | None, edge: Colour | None = None) -> None:
@@ -87,36 +97,40 @@ class Canvas:
         self._draw.polygon(self._large, colour, self._at(points))
 
     def lines(self, points: Points, colour: Colour, width: float = 1.5) -> None:
-        """A polyline."""
+        """A polyline; nothing for fewer than two points."""
         if len(points) > 1:
             self._draw.lines(self._large, colour, False, self._at(points), self._width(width))
 
     def circle(self, centre: Point, radius: float, colour: Colour, width: float = 0) -> None:
-        """A disc, or a ring `width` wide inside `radius`."""
+        """A disc, or, where `width` is not 0, a ring of this width inside `radius`."""
         thickness = self._width(width) if width else 0
         self._draw.circle(self._large, colour, self._at(centre), 2.0 * radius, thickness)
 
     def arrow(self, tail: Point, head: Point, colour: Colour, width: float = 2.0) -> None:
-        """A line with a head 5 units long, or shorter."""
+        """A line from `tail` to the tip `head`; nothing where it is shorter than `_SHORTEST`."""
         along = np.subtract(head, tail)
         length = math.hypot(*along)
-        if length >= 1.0:
-            along *= min(5.0, 0.6 * length) / length
+        if length >= _SHORTEST:
+            along *= min(_HEAD, _HEAD_SHARE * length) / length
             base = head - along
-            across = 0.6 * np.array([-along[1], along[0]])
+            across = _HALF_HEAD * np.array([-along[1], along[0]])
             self.lines([tail, base], colour, width)
             self.polygon([head, base + across, base - across], colour)
 
     def soil(
         self, points: np.ndarray, bottom: float, friction: np.ndarray, bounds: tuple[float, float]
     ) -> None:
-        """Ground below a surface [n, 2], coloured by friction angle [n - 1]."""
+        """Ground between a surface of `points` [n, 2] and the height `bottom`, with a dark surface.
+
+        `friction` [n - 1] in deg colours the ground between neighbouring points; `bounds` as in
+        `soil_colour`.
+        """
         colours = soil_colour(friction, bounds)
         x, y = np.transpose(points)
         # One polygon for each run of one colour.
         changes = np.flatnonzero(np.diff(colours, axis=0).any(axis=1)) + 1
         for start, end in itertools.pairwise([0, *changes, len(colours)]):
-            right = x[end] + 0.6
+            right = x[end] + _OVERLAP
             below = [(right, y[end]), (right, bottom), (x[start], bottom)]
             self.polygon([*points[start : end + 1], *below], colours[start])
         self.lines(points, SURFACE)
@@ -124,14 +138,15 @@ class Canvas:
     def text(
         self, x: float, y: float, words: str, size: int, colour: Colour = INK, align: float = 0.0
     ) -> None:
-        """Words with their middle line at y; align 0, 0.5 or 1 puts their left end, middle or right
-        end at x.
+        """Words of a `size` [px] with their middle line at y; align 0, 0.5 or 1 puts their left
+        end, middle or right end at x.
         """
         image = self._written(words, size, colour)
         place = np.array([x, y]) - np.multiply(image.get_size(), (align, 0.5))
         self._texts.append((image, place.round()))
 
     def _write(self, words: str, size: int, colour: Colour) -> "pygame.Surface":
+        """Picture of words; `_written` keeps the last ones, since most return in the next frame."""
         return self._font(size).render(words, True, colour)
 
     def finish(self) -> "pygame.Surface":
@@ -142,7 +157,11 @@ class Canvas:
 
 
 def soil_colour(friction: np.ndarray | list[float], bounds: tuple[float, float]) -> np.ndarray:
-    """Colours [n, 3] of soils with friction angles [n] in deg; the ramp spans `bounds` [deg]."""
+    """Colours [n, 3] of soils with friction angles [n] in deg.
+
+    They run from light at the lower of the `bounds` [deg] to dark at the upper one, and are
+    constant beyond.
+    """
     place = np.linspace(*bounds, len(_RAMP))
     channels = [np.interp(friction, place, channel) for channel in _RAMP.T]
     return np.stack(channels, axis=1).astype(int)

@@ -15,27 +15,33 @@ SPAN = 30.0  # [s] shown by the charts
 QUANTITIES = 11
 CHARTS = tuple((622, 28 + 120 * i, 322, 90) for i in range(4))
 _SOIL = "friction angle φ [deg]", "shear modulus K [mm]", "sinkage coefficient S [MN/m^(n+2)]"
-_BROAD = 5.0  # width of a line behind another
-_NARROW = 1.8  # of that in front
+_BROAD = 5.0  # [px] width of a line behind another
+_NARROW = 1.8  # [px] of that in front
+_LOWEST_SLIP = -0.25  # [-] of the axis; a lower one makes it begin at -1
+_LARGEST_LOG = 50.0  # [-] of ln K and ln S, so that exp stays finite where nothing is known
+_ROUNDING = 1e-9  # in the unit of an axis, by which a value counts as within
+_TWO_DECADES = 101.0  # [-] ratio of limits, with room for rounding
+_WITHIN = (0.999, 1.001)  # [of the limits] between which ticks of a logarithmic axis are kept
 
 
 def draw_charts(
     c: Canvas, history: np.ndarray, colours: Sequence[tuple[Colour, Colour]], identified: bool
 ) -> None:
-    """Slip and sinkage, then phi, K and S, estimated where the soil is `identified` and true.
+    """Draw the charts of slip and sinkage, of phi, of K and of S over the last `SPAN` seconds.
 
-    `history` [1 + `QUANTITIES` x wheels, samples]: time, then those of each wheel in turn. Of the
-    (dark, pale) colours of a wheel the pale one is that of sinkage and truth. A single wheel has a
-    band of one standard deviation.
+    `history` [1 + `QUANTITIES` x wheels, samples]: time [s], then `QUANTITIES` of each wheel in
+    turn. `colours` (dark, pale) of each wheel: slip and estimates are dark, sinkage and true soil
+    pale. Estimates are drawn only if `identified`, with a band of one standard deviation if the
+    wheel is single.
     """
     end = max(SPAN, history[0].max(initial=0.0))
-    history = history[:, history[0] >= end - SPAN - 1e-9]
+    history = history[:, history[0] >= end - SPAN - _ROUNDING]
     time = history[0]
     wheels = history[1:].reshape(len(colours), QUANTITIES, -1)
     dark, pale = zip(*colours, strict=True)
     slip = wheels[:, 0]
     sinkage = wheels[:, 1]
-    lowest = -1.0 if slip.min(initial=0.0) < -0.25 else -0.25
+    lowest = -1.0 if slip.min(initial=0.0) < _LOWEST_SLIP else _LOWEST_SLIP
     chart = _Chart(0, end, (lowest, 1.0))
     _draw_axes(c, chart, "slip, sinkage / radius (broad) [-]")
     _draw_lines(c, chart, time, sinkage, pale, _BROAD)
@@ -58,7 +64,9 @@ def draw_charts(
 
 
 class _Chart(NamedTuple):
-    """The strip chart `place`: `SPAN` seconds up to `end` [s] over a range of values."""
+    """A strip chart: its `place` in `CHARTS`, the `SPAN` seconds up to `end` [s], and the least and
+    greatest value; `log`: the axis of values is logarithmic.
+    """
 
     place: int
     end: float
@@ -66,7 +74,7 @@ class _Chart(NamedTuple):
     log: bool = False
 
     def at(self, t: np.ndarray, values: Any) -> np.ndarray:
-        """Places in the picture [n, 2] of values at times t [s]."""
+        """Places in the picture [n, 2] of values at times t [s]; values are cut to the limits."""
         left, top, width, height = CHARTS[self.place]
         of = np.log if self.log else np.asarray
         low, high = of(self.limits)
@@ -76,7 +84,7 @@ class _Chart(NamedTuple):
 
 
 def _draw_axes(c: Canvas, chart: _Chart, name: str) -> None:
-    """An empty chart with grid and numbers; the axis of time is below the last one."""
+    """Draw an empty chart with its name, grid and numbers; only the last one has those of time."""
     left, top, width, height = CHARTS[chart.place]
     limits = chart.limits
     span = np.array([chart.end - SPAN, chart.end])
@@ -100,7 +108,7 @@ def _draw_axes(c: Canvas, chart: _Chart, name: str) -> None:
 def _draw_lines(
     c: Canvas, chart: _Chart, time: np.ndarray, lines: np.ndarray, colours: Any, width: float
 ) -> None:
-    """The values [wheels, samples] over `time`, a line a wheel."""
+    """Draw the values [wheels, samples] over `time` [s], a line for each wheel in its colour."""
     for values, colour in zip(lines, colours, strict=True):
         c.lines(chart.at(time, values), colour, width)
 
@@ -111,23 +119,26 @@ def _in_shown_units(values: np.ndarray, i: int) -> np.ndarray:
     """
     if i == 0:
         return np.degrees(values)
-    return (1e3 if i == 1 else 1e-6) * np.exp(np.clip(values, -50.0, 50.0))
+    return (1e3 if i == 1 else 1e-6) * np.exp(np.clip(values, -_LARGEST_LOG, _LARGEST_LOG))
 
 
 def ticks(low: float, high: float, most: int) -> list[float]:
-    """Round values in [low, high], at most about so many."""
+    """Round values in [low, high] for an axis, about `most` of them at most."""
     values = MaxNLocator(most, steps=(1, 2, 5, 10)).tick_values(low, high)
-    return [float(v) for v in values if low - 1e-9 <= v <= high + 1e-9]
+    return [float(v) for v in values if low - _ROUNDING <= v <= high + _ROUNDING]
 
 
 def _log_ticks(low: float, high: float) -> list[float]:
     """Decades in [low, high], with 2 and 5 between them where there are at most two decades."""
-    values = LogLocator(subs=(1.0, 2.0, 5.0) if high <= 101.0 * low else (1.0,))
-    return [v for v in values.tick_values(low, high) if 0.999 * low <= v <= 1.001 * high]
+    values = LogLocator(subs=(1.0, 2.0, 5.0) if high <= _TWO_DECADES * low else (1.0,))
+    return [v for v in values.tick_values(low, high) if _WITHIN[0] * low <= v <= _WITHIN[1] * high]
 
 
 def _limits(values: np.ndarray, log: bool) -> tuple[float, float]:
-    """Limits of a value axis: decades when log, else multiples of 5 and at least 10."""
+    """Limits of an axis of `values`: whole decades if `log`, else multiples of 5 at least 10 apart.
+
+    Without values the axis is that of a 1.
+    """
     low, high = (values.min(), values.max()) if values.size else (1.0, 1.0)
     if log:
         low = 10.0 ** math.floor(math.log10(low))

@@ -15,6 +15,13 @@ from .charts import ticks
 
 #: Box of the strip of the whole course: left, top, width, height
 COURSE = (32, 448, 512, 66)
+_SPREADS = 2.0  # standard deviations of the friction angle beside the presets that colours span
+_LEAST_SPREAD = 0.02  # [of the angle] added, so that a single soil has a span of colours, too
+_POLE = 156  # [px] height of the flag's top, above the wheel
+_BELOW_EDGE = 40  # [px] of the flag's top below the edge of the scene, at least
+_TALL = 0.6  # [of the strip] that the heights of a course fill at most
+_MAGNIFIED = 3.0  # most that heights are stretched over lengths
+_FLAT = 1e-6  # [m] in place of the range of heights of a level course
 
 
 class Profile(NamedTuple):
@@ -31,8 +38,10 @@ class Profile(NamedTuple):
 
 
 def profile_of(courses: np.ndarray, k: int, border: float, before: float, beyond: float) -> Profile:
-    """Course k from `before` [m] ahead of its start up to `beyond` [m]; distances are those along
-    the slope.
+    """Profile of course k, from `before` [m] before its start to `beyond` [m] past it.
+
+    Distances are along the slope, and the start has height and place 0. `border` [m]: length over
+    which one soil passes into the next.
     """
     x = np.arange(-before, beyond, 0.5 * CELL)
     places = places_on(courses, k, x, border)
@@ -40,6 +49,7 @@ def profile_of(courses: np.ndarray, k: int, border: float, before: float, beyond
     friction = np.degrees(np.arctan(places["tan_phi"]))
 
     def from_start(slope):
+        """Integral of `slope` along the course (trapezoids), 0 at its start."""
         total = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(x))])
         return total - np.interp(0.0, x, total)
 
@@ -50,24 +60,30 @@ class Scene(NamedTuple):
     """A box of the picture that shows a part of the world."""
 
     box: Box
-    scale: float  # [units per m]
-    place: np.ndarray  # where in the picture `centre` is
+    scale: float  # [px per m]
+    place: np.ndarray  # [px] where in the picture `centre` is
     centre: np.ndarray  # horizontal place and height [m]
 
     def at(self, x: Any, y: Any) -> np.ndarray:
-        """Place in the picture of points of the world [m]."""
+        """Places in the picture [n, 2] of points of the world: across `x` [m], height `y` [m]."""
         across = self.scale * (x - self.centre[0])
         up = self.scale * (y - self.centre[1])
         return np.stack([self.place[0] + across, self.place[1] - up], axis=-1)
 
 
 def depth_of_ruts(x: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Depth [m] at each x [m] along a course of what is left in its cells."""
+    """Depth [m] of the ruts at each x [m] along a course, normal to the ground, from the depths [m]
+    in its `cells`; 0 before the first.
+    """
     return np.interp(x, (np.arange(cells.size) - CELLS_BEHIND + 0.5) * CELL, cells, left=0.0)
 
 
 def press_down(across: np.ndarray, surface: np.ndarray, hubs: np.ndarray, r: float) -> None:
-    """Lower a `surface` [m] at horizontal places `across` [m] to wheels of radius r [m]."""
+    """Lower a `surface`, heights [m] at horizontal places `across` [m], in place, to the rims of
+    wheels of radius r [m].
+
+    `hubs` [wheels, 2]: horizontal place and height [m].
+    """
     for x, height in hubs:
         under = np.abs(across - x) < r
         rim = height - np.sqrt(r * r - (across[under] - x) ** 2)
@@ -83,21 +99,25 @@ def draw_ground(
     least: float,
     bounds: tuple[float, float],
 ) -> None:
-    """The soil up to its surface `now` [m] at x [m] along the course; dashed where it was higher
-    before by `least` [m] and more.
+    """Draw the soil below its surface, the heights `now` [m] at x [m] along the course.
+
+    Where the untouched profile is higher by more than `least` [m] it is drawn as a dashed line.
+    `bounds` [deg] of the colours as in `soil_colour`.
     """
     across, before = profile.at(x)
     friction = np.interp(0.5 * (x[1:] + x[:-1]), profile.x, profile.friction)
     c.soil(scene.at(across, now), scene.box[1] + scene.box[3], friction, bounds)
     untouched = scene.at(across, before)[before - now > least]
-    for i in range(0, len(untouched) - 2, 4):
+    for i in range(0, len(untouched) - 2, 4):  # of four points a dash of three
         c.lines(untouched[i : i + 3], GREY, 1.2)
 
 
 def draw_flag(c: Canvas, scene: Scene, foot: np.ndarray) -> None:
-    """A flag at the end of the course."""
-    # Above the wheel, in view on a slope.
-    top = np.array([foot[0], max(foot[1] - 156, scene.box[1] + 40)])
+    """Draw a flag at the place `foot` [px] of the end of the course.
+
+    It reaches above a wheel; its top stays in view where the course climbs.
+    """
+    top = np.array([foot[0], max(foot[1] - _POLE, scene.box[1] + _BELOW_EDGE)])
     c.lines([foot + (0, 12), top], INK, 2.5)
     c.polygon([top, top + (40, 13), top + (0, 26)], INK)
 
@@ -116,12 +136,15 @@ def draw_scale_bar(c: Canvas, scene: Scene) -> None:
 def draw_course(
     c: Canvas, profile: Profile, length: float, places: Iterable[float], bounds: tuple[float, float]
 ) -> None:
-    """A whole course of `length` [m] from the side (heights stretched to fit), the wheels on it at
-    `places` [m] along it, and the key to the colours."""
+    """Draw a whole course of `length` [m] from the side into `COURSE`, and the key to its colours.
+
+    Heights are stretched to fill `_TALL` of the strip, at most `_MAGNIFIED` times. Dots are the
+    wheels at `places` [m] along it, those beyond its ends at the end.
+    """
     left, top, width, height = COURSE
     x = np.linspace(0.0, length, 257)
     h = np.interp(x, profile.x, profile.height)
-    magnified = min(0.6 * height / max(np.ptp(h), 1e-6), 3.0 * width / length)
+    magnified = min(_TALL * height / max(np.ptp(h), _FLAT), _MAGNIFIED * width / length)
     y = top + 0.62 * height - magnified * (h - 0.5 * (h.max() + h.min()))
     friction = np.interp(0.5 * (x[1:] + x[:-1]), profile.x, profile.friction)
     c.soil(np.stack([left + width * x / length, y], axis=1), top + height, friction, bounds)
@@ -138,9 +161,11 @@ def draw_course(
 
 
 def friction_range(scenario: Scenario, simulation: Any) -> tuple[float, float]:
-    """Range of phi [deg] that the soil colours span: that of the scenario's presets and two
-    deviations more.
+    """(least, greatest) phi [deg] that the soil colours span.
+
+    It is the range of the scenario's presets, widened on both sides by `_SPREADS` standard
+    deviations of the scatter of soils (relative) and `_LEAST_SPREAD`.
     """
     phi = np.degrees(np.arctan(simulation.course_numbers.drawn.presets["tan_phi"]))
-    spread = 2.0 * scenario.spread.friction + 0.02
+    spread = _SPREADS * scenario.spread.friction + _LEAST_SPREAD
     return float(phi.min() * (1.0 - spread)), float(phi.max() * (1.0 + spread))

@@ -37,6 +37,8 @@ SCENE = (14, 52, 548, 302)
 AT = (0.5, 0.66)  # place of the ground below the middle of the vehicle, from left and top
 _WIDTH = 1.55  # of the side view over the length of a rover from rim to rim
 _LEAST_WIDTH = 8.5  # [radii] of the side view
+_LEAST_RUT = 0.03  # [radii] of depth from which the untouched ground is drawn dashed
+_THINNEST = 3.0  # [px] of a beam of the suspension
 _BODY = (206, 198, 184)  # colours of the parts of a rover
 _BEAM = (86, 90, 100)
 _BOGIE = (120, 124, 134)
@@ -52,9 +54,9 @@ COLOURS = {  # dark, pale
 def shown_wheels(simulation: Any, j: int) -> list[State]:
     """State of each wheel of vehicle j by name, the front one first.
 
-    Beside the state of the simulation: its `name`, the depth of the `rut` that it runs in [m], the
-    undisturbed `soil` under it, and `estimate`, `sd` and `status` of the identifier, None where
-    nothing is identified.
+    Added to the state of the simulation are the `name` of the axle and the undisturbed `soil` under
+    it. `rut` [m] is the depth that wheels ahead left, 0 for a single wheel. `estimate`,
+    `sd` and `status` are the identifier's, None where nothing is identified.
     """
     worlds = simulation.worlds
     state = worlds.state[j]
@@ -92,8 +94,11 @@ def radius_of(simulation: Any) -> float:
 
 
 def sample_of(simulation: Any, w: State, exponent: float) -> tuple[float, ...]:
-    """`charts.QUANTITIES` of one of the `shown_wheels`; S is that of a soil with this sinkage
-    `exponent`.
+    """The `charts.QUANTITIES` numbers of one of the `shown_wheels`; estimates are NaN where nothing
+    is identified.
+
+    The true S is that of a soil with this sinkage `exponent` which bears as much at
+    `bearing_sinkage`. With the exponent of the belief it compares with the identifier's S.
     """
     soil = w["soil"]
     known = (math.nan,) * 6 if w["status"] is None else (*w["estimate"][:3], *w["sd"][:3])
@@ -103,7 +108,10 @@ def sample_of(simulation: Any, w: State, exponent: float) -> tuple[float, ...]:
 
 
 def hubs_of(simulation: Any, wheels: list[State], profile: Profile) -> np.ndarray:
-    """Places [wheels, 2] of the hubs (horizontal, height) [m]."""
+    """Places [wheels, 2] of the hubs (horizontal, height) [m].
+
+    Normal to the untouched ground a hub is a radius above it, less the sinkage and the rut.
+    """
     r = radius_of(simulation)
     hubs = []
     for w in wheels:
@@ -118,12 +126,14 @@ class Posture(NamedTuple):
 
     hubs: np.ndarray  # [axles, 2]
     pitch: float  # [rad] of the body, front up positive
-    pivot: np.ndarray  # of the bogie; the centre of mass, on the axles, without
+    pivot: np.ndarray  # of the bogie; without one the place on the axles below the centre of mass
     behind: float  # [m] of the pivot on the body behind the front axle
     above: float  # [m] of it above the axles
 
     def on_body(self, behind: float, above: float) -> np.ndarray:
-        """Place [m] of a point of the body so far behind the front axle and above the axles."""
+        """Place [m] in the world of the point of the body that is `behind` [m] the front axle and
+        `above` [m] the axles; the body turns about the pivot.
+        """
         cos = math.cos(self.pitch)
         sin = math.sin(self.pitch)
         ahead = self.behind - behind
@@ -132,7 +142,11 @@ class Posture(NamedTuple):
 
 
 def posture_of(v: Vehicle, hubs: np.ndarray, pitch: float) -> Posture:
-    """`Posture` of a rover with its `hubs` [axles, 2] and the `pitch` [rad] of its body."""
+    """`Posture` of a rover with its `hubs` [axles, 2] and the `pitch` [rad] of its body.
+
+    The pivot stands on the line between the hubs of the bogie; without a bogie between the first
+    two axles.
+    """
     first = v.first_on_bogie
     front, rear, above = (0, 1, 0.0) if first < 0 else (first, first + 1, v.pivot_height)
     behind = v.centre if first < 0 else v.pivot
@@ -144,7 +158,7 @@ def posture_of(v: Vehicle, hubs: np.ndarray, pitch: float) -> Posture:
 
 
 def width_of(simulation: Any) -> float:
-    """Width of the side view [m]."""
+    """Width of the side view [m]: `_WIDTH` times a rover, at least `_LEAST_WIDTH` wheel radii."""
     r = radius_of(simulation)
     vehicle = getattr(simulation.scenario, "vehicle", None)
     return max(_WIDTH * ((vehicle.base if vehicle else 0.0) + 2.0 * r), _LEAST_WIDTH * r)
@@ -153,7 +167,11 @@ def width_of(simulation: Any) -> float:
 def draw_side_view(
     c: Canvas, simulation: Any, j: int, wheels, profile: Profile, bounds, angles
 ) -> None:
-    """Vehicle j with its `shown_wheels` in a camera that moves with it, its readings above."""
+    """Draw vehicle j with its `shown_wheels` in a camera that moves with it, its readings above.
+
+    `angles` [wheels] in rad: what the wheels have turned; `bounds` of the colours in deg. The
+    surface is lower by the ruts that are left (depths normal to the ground) and by the wheels.
+    """
     worlds = simulation.worlds
     width = width_of(simulation)
     posture = None
@@ -169,19 +187,23 @@ def draw_side_view(
     middle = 0.5 * (wheels[0]["x"] + wheels[-1]["x"])
     place = np.add(SCENE[:2], np.multiply(AT, SCENE[2:]))
     scene = Scene(SCENE, SCENE[2] / width, place, np.array(profile.at(middle)))
-    x = middle + (np.linspace(0.0, 1.0, 261) - AT[0]) * 1.2 * width  # along the slope
+    # Along the slope, and wider than the view, since a slope is shorter across.
+    x = middle + (np.linspace(0.0, 1.0, 261) - AT[0]) * 1.2 * width
     across, height = profile.at(x)
+    # The gradient is the cosine of the grade: a vertical depth is longer than a normal one.
     surface = height - depth_of_ruts(x, left) / np.gradient(across, x)
     task = simulation.numbers.task[0]
     r = radius_of(simulation)
     wheel_width = float(simulation.numbers.rig["width"][0])
     size = r * scene.scale
     stresses = [drawing.stresses_under(w, r, wheel_width) for w in wheels]
-    per_pascal = 0.45 * size * 0.5 * r * wheel_width / task.weight  # drawn length of a stress
+    # [px per Pa]; the mean pressure of the weight on half a radius times the width is drawn 0.45
+    # radii long.
+    per_pascal = 0.45 * size * 0.5 * r * wheel_width / task.weight
     c.clip(scene.box)
     c.box(scene.box, canvas.SKY)
     press_down(across, surface, hubs, r)
-    draw_ground(c, scene, x, profile, surface, 0.03 * r, bounds)
+    draw_ground(c, scene, x, profile, surface, _LEAST_RUT * r, bounds)
     draw_flag(c, scene, scene.at(*profile.at(task.length)))
     places = [scene.at(*hub) for hub in hubs]
     if posture is not None:
@@ -202,7 +224,7 @@ def draw_side_view(
 
 
 def _draw_body(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) -> None:
-    """The body, with a slanted front."""
+    """Draw the body about the centre of mass, with a slanted front; `r`: wheel radius [m]."""
     low = vehicle.centre_height - 0.55 * r
     top = vehicle.centre_height + 0.55 * r
     front = 0.02 * vehicle.base
@@ -214,11 +236,13 @@ def _draw_body(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) 
 
 
 def _draw_suspension(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) -> None:
-    """Rocker and bogie, or the beam between two axles, and the centre of mass, in front of all
-    else.
+    """Draw rocker and bogie, or the beam between two axles, and the centre of mass.
+
+    They are drawn last, in front of body and wheels. The rocker bends above the axle that is not on
+    the bogie.
     """
     hubs = [scene.at(*hub) for hub in p.hubs]
-    width = max(0.12 * r * scene.scale, 3.0)
+    width = max(0.12 * r * scene.scale, _THINNEST)
     if vehicle.bogie == "none":
         c.lines(hubs, _BEAM, width)
     else:
@@ -236,8 +260,8 @@ def _draw_suspension(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: f
 
 
 def _draw_readings(c: Canvas, simulation: Any, body, cause: Cause) -> None:
-    """Numbers of the wheel, or of the rover as a whole, above the side view, and the state of the
-    episode.
+    """Write distance, speed and pitch of the wheel, or of the rover as a whole, above the side
+    view, and the state of the episode.
     """
     cells = (
         ("distance", f"{body['x']:.2f} of {simulation.scenario.course.length:g} m"),
@@ -251,11 +275,11 @@ def _draw_readings(c: Canvas, simulation: Any, body, cause: Cause) -> None:
 
 
 def draw_table(c: Canvas, wheels: list[State], bounds, identified: bool) -> None:
-    """State of each of the `shown_wheels` below the side view, with the rut that it runs in, the
-    true soil under it and the status of its estimate.
+    """Draw the table of the `shown_wheels` below the side view: state, rut, true soil, and status
+    of the estimate, "none" where nothing is `identified`.
     """
     heads = "wheel", "slip", "sinkage", "rut", "load", "pull", "torque", "soil under it", "estimate"
-    # Right ends but of the first and the last two.
+    # [px] Left ends of the first and the last two columns, right ends of the others.
     places = (28, 106, 162, 216, 270, 324, 392, 402, 500)
     for i, (x, words) in enumerate(zip(places, heads, strict=True)):
         c.text(x, 364, words, 14, GREY, 1.0 if 0 < i < 7 else 0.0)
@@ -277,5 +301,6 @@ def draw_table(c: Canvas, wheels: list[State], bounds, identified: bool) -> None
         )
         c.circle((20, y), 5, COLOURS[w["name"]][0])
         for i, (x, words) in enumerate(zip(places, values, strict=True)):
+            # The soil has a box of its colour before it.
             c.text(x + 12 * (i == 7), y, words, 14, INK, 1.0 if 0 < i < 7 else 0.0)
         c.box((402, y - 5, 8, 10), soil_colour([phi], bounds)[0], GREY)

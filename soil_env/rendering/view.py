@@ -23,7 +23,7 @@ from .side_view import (
 if TYPE_CHECKING:
     import pygame
 
-_POINTS = 600  # of the history, at most
+_POINTS = 600  # samples of the history over the `SPAN` of the charts, at most
 
 
 class CourseView:
@@ -44,12 +44,15 @@ class CourseView:
         self._angles: Any = 0.0  # [rad] that the wheels have turned
 
     def clear(self) -> None:
-        """Forget the history: a new episode."""
+        """Forget the history and the angles of the wheels, for a new episode."""
         self._history.clear()
         self._angles = 0.0
 
     def record(self, simulation: Any, k: int) -> None:
-        """Add the present state of number k to the history."""
+        """Turn the wheels by a step, and add the state of vehicle k to the history.
+
+        Only every `_every`-th state is added, so that the history stays within `_POINTS`.
+        """
         steps = int(simulation.steps[k])
         wheels = shown_wheels(simulation, k)
         self._angles = self._angles + np.array([w["wheel_speed"] for w in wheels]) * self._step
@@ -60,7 +63,9 @@ class CourseView:
             self._history.append(sample)
 
     def _paint(self, canvas: Canvas, simulation: Any, k: int) -> None:
-        """Draw number k as it is now on a cleared canvas; its course is complete."""
+        """Draw vehicle k as it is now on a cleared canvas; all of its course has to be drawn from
+        the soils (`simulation.complete`).
+        """
         wheels = shown_wheels(simulation, k)
         width = width_of(simulation)
         length = self.scenario.course.length
@@ -76,8 +81,8 @@ class CourseView:
         draw_charts(canvas, history, colours, self._identified and wheels[0]["status"] is not None)
 
     def draw(self, simulation: Any, k: int) -> np.ndarray | None:
-        """The picture as uint8 [height, width, 3] in mode "rgb_array"; in mode "human" it goes to
-        the window.
+        """Picture of vehicle k as uint8 [height, width, 3]; in mode "human" it goes to the window,
+        and None is returned.
         """
         self._canvas = self._canvas or Canvas()
         self._canvas.clear()
@@ -100,8 +105,9 @@ class CourseView:
         self._clock = None
 
     def _show(self, surface: Any) -> None:
-        """Put a picture into the window, which is opened at the first call, and wait until it is
-        due.
+        """Put a picture into the window, which is opened at the first call.
+
+        Waits until a step of real time has passed since the last picture.
         """
         import pygame
 

@@ -33,6 +33,9 @@ from .canvas import (
 )
 
 ARC_POINTS = 25  # of the contact arc at which stresses are drawn
+_LONGEST = 0.85  # [of the drawn radius] of a drawn stress; larger ones are cut
+_APART = 9.0  # [px] between two arrows of normal stress
+_LEAST_BAND = 4.0  # [px] of the band of shear stress from which an arrow in it shows its direction
 
 
 class Stresses(NamedTuple):
@@ -44,7 +47,7 @@ class Stresses(NamedTuple):
 
 
 class _Wheel(NamedTuple):
-    """A rigid wheel of the base model as it moves under its load."""
+    """A rigid wheel of the base model as it moves under its load, for `soil_reaction`."""
 
     radius: float  # [m]
     width: float  # [m]
@@ -52,14 +55,18 @@ class _Wheel(NamedTuple):
     load: float  # [N]
     speed: float  # V [m/s]
     rim_speed: float  # r w [m/s]
-    braked: float  # [of its travel] that soil piled ahead answers to
+    braked: float  # [of its travel] that a braked wheel slides (`contact.braked_shift`)
     tyre_deflection: float = 0.0  # [m]
     tyre_compliance: float = 0.0  # [m/N]
 
 
 @kept
 def _stresses(nodes, wheel, soil, angle, normal, shear):
-    """Fill `angle`, `normal` and `shear` [points] of `Stresses`; `nodes`: the scratch of an arc."""
+    """Fill `angle`, `normal` and `shear` [points] of `Stresses`, from the lowest point upward.
+
+    `nodes` [1]: scratch of `soil_reaction`, which gives the sinkage coefficient that carries the
+    load. Its laws are those by which the simulation moves the wheel.
+    """
     r = wheel.radius
     arc = contact.smooth_arc(wheel.sinkage, r, contact.braked_shift(wheel.braked, soil))
     footing = lay_footing(nodes[0], arc, soil, wheel.load)
@@ -79,11 +86,11 @@ def _stresses(nodes, wheel, soil, angle, normal, shear):
 
 
 def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
-    """`Stresses` under a wheel of radius r and width b [m] with the state `w`, as it moves now
-    under its load.
+    """`Stresses` under a wheel of radius r and width b [m] with the state `w`, as it moves and is
+    loaded.
 
-    They are those at the sinkage coefficient that the load mobilises. The soil's own one does not
-    matter: so the same holds in a rut.
+    The sinkage coefficient is not the soil's: it is the one that carries the load at this sinkage.
+    So the stresses carry the load in a rut, too, where the soil's own coefficient does not hold.
     """
     braked = max(math.copysign(1.0, w["speed"]) * w["braked"], 0.0)
     wheel = _Wheel(r, b, w["sinkage"], w["load"], w["speed"], w["wheel_speed"] * r, braked)
@@ -93,8 +100,10 @@ def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
 
 
 def draw_wheel(c: Canvas, centre: np.ndarray, size: float, angle: float, hub: Colour = RIM) -> None:
-    """Rim, hub and six spokes, turned clockwise (forward: the course runs to the right) by `angle`
-    [rad].
+    """Draw a wheel of the radius `size` [px], turned clockwise by `angle` [rad].
+
+    Clockwise is forward, since the course runs to the right. A dot shows the turning.
+    `hub` colours the hub, which is larger where the colour tells axles apart.
     """
 
     def at(radius: float, a: float) -> np.ndarray:
@@ -117,18 +126,21 @@ def draw_stresses(
     stresses: Stresses,
     scale: float,
 ) -> None:
-    """Normal stress as arrows from the soil onto the rim, shear stress as a band inside it.
+    """Draw normal stress as arrows from the soil onto the rim, shear stress as a band inside it.
 
-    `side`: 1 where the wheel travels forward, -1 backward; `scale` [units per Pa].
+    `hub` and the radius `size` are in px, `grade` in rad. `side`: 1 where the wheel travels
+    forward, -1 backward, which puts the contact arc to the other side. `scale` [px per Pa]: length
+    of a stress, at most `_LONGEST`. An arrow in the band shows where the largest shear stress
+    pulls.
     """
     a = grade + side * stresses.angle
     outward = np.stack([np.sin(a), np.cos(a)], axis=1)
-    normal, shear = (np.minimum(np.abs(s) * scale, 0.85 * size)[:, None] for s in stresses[1:])
+    normal, shear = (np.minimum(np.abs(s) * scale, _LONGEST * size)[:, None] for s in stresses[1:])
     rim = hub + outward * size
     outer = hub + outward * (size + normal)
     c.polygon([*rim, *outer[::-1]], LIGHT_BLUE)
     c.lines(outer, BLUE)
-    arrows = np.linspace(0, ARC_POINTS - 1, 2 + int(size * stresses.angle[-1] / 9.0))[1:-1]
+    arrows = np.linspace(0, ARC_POINTS - 1, 2 + int(size * stresses.angle[-1] / _APART))[1:-1]
     for i in arrows.round().astype(int):
         c.arrow(outer[i], rim[i], BLUE, 1.6)
     inside = hub + outward * 0.93 * size
@@ -136,7 +148,7 @@ def draw_stresses(
     c.polygon([*inside, *inner[::-1]], LIGHT_ORANGE)
     c.lines(inner, ORANGE)
     i = int(np.argmax(shear))
-    if shear[i] > 4.0:
+    if shear[i] > _LEAST_BAND:
         ahead = np.array([outward[i, 1], -outward[i, 0]])
         forward = 0.16 * size * ahead * np.sign(stresses.shear[i])
         middle = 0.5 * (inside[i] + inner[i])
@@ -144,8 +156,8 @@ def draw_stresses(
 
 
 def draw_stress_key(c: Canvas, box: Box, wheels: list[Stresses]) -> None:
-    """Colours of the stresses, and the peak under each of the wheels, in the upper left corner of a
-    box.
+    """Write the key of the stresses into the upper left corner of a box: colour, name, and the
+    peak [kPa] under each of the wheels, with its sign.
     """
     keys = (
         ("normal stress σ", BLUE, LIGHT_BLUE),
@@ -159,7 +171,9 @@ def draw_stress_key(c: Canvas, box: Box, wheels: list[Stresses]) -> None:
 
 
 def draw_cause(c: Canvas, cause: Cause, halted: bool) -> None:
-    """The state of the episode, in a coloured field."""
+    """Write the state of the episode into a coloured field: "halted" where the vehicle of a running
+    episode is `halted`, else the name of the cause.
+    """
     colour = {Cause.RUNNING: GREY, Cause.FINISHED: GREEN}.get(cause, ORANGE)
     words = cause.name.lower().replace("_", " ")
     if halted and cause == Cause.RUNNING:
