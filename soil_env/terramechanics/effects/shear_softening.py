@@ -107,7 +107,6 @@ EFFECT = Effect(
     priors=_priors,
     neutral=lambda bench: {"length": 0.3 * bench.radius},
     explained=(
-        "The strength of the soil rises to a peak and falls to a residual as it is sheared "
-        "further."
+        "The strength of the soil rises to a peak and falls to a residual as it is sheared further."
     ),
 )

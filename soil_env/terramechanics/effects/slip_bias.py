@@ -55,7 +55,6 @@ EFFECT = Effect(
     symbols={"i_measured": "measured slip"},
     sensed=("offset", "radius_error"),
     explained=(
-        "The recorded slip is off, by its zero or by the rolling radius that it was computed "
-        "with."
+        "The recorded slip is off, by its zero or by the rolling radius that it was computed with."
     ),
 )

@@ -40,7 +40,6 @@ EFFECT = Effect(
     ),
     priors=_priors,
     explained=(
-        "The place under the wheel where the soil presses hardest moves forward as the slip "
-        "grows."
+        "The place under the wheel where the soil presses hardest moves forward as the slip grows."
     ),
 )
