@@ -14,7 +14,7 @@ from .entry import (
 
 @compiled
 def sinkage_zero(fx):
-    """What a sinkage sensor reads too much [m]."""
+    """Reading [m] of the sinkage sensor at no sinkage; 0 without effects."""
     if fx is None:
         return 0.0
     else:

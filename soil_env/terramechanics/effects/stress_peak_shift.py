@@ -13,14 +13,17 @@ from .entry import (
 
 @compiled
 def peak_shift(theta1, slip, fx):
-    """Shift [rad] of the stress peak: (a + c |i|) theta1."""
+    """Shift [rad] of the stress peak towards the entry: (a + c |i|) theta1."""
     share = fx.stress_peak_shift_offset + fx.stress_peak_shift_slope * abs(slip)
     return share * theta1
 
 
+LOWEST_DRIVEN = -0.02  # [-] slip above which a wheel counts as driven; own choice
+
+
 def _priors(bench: Bench) -> Priors:
     # every published peak of a driven wheel moves forward with slip
-    return {"slope": (0.3, 0.0, 0.9)} if bench.lowest_slip > -0.02 else {}
+    return {"slope": (0.3, 0.0, 0.9)} if bench.lowest_slip > LOWEST_DRIVEN else {}
 
 
 EFFECT = Effect(
