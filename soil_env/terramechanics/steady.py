@@ -109,7 +109,7 @@ class Rim(NamedTuple):
 
     @classmethod
     def of(cls, wheel: Any) -> "Rim":
-        """The rim of a wheel of a scenario, without lugs and unit weight, with its tyre and grip."""
+        """The rim of a wheel with its tyre and grip, without lugs and unit weight."""
         tyre = wheel.tyre_deflection, wheel.tyre_compliance
         return cls(wheel.radius, wheel.width, 0.0, 0.0, *tyre, wheel.grip)
 
@@ -268,7 +268,7 @@ def _balance(slip, load, soil, wheel, conditions, fx):
 
 @compiled
 def _integrals(nodes, arc, p, fx):
-    """`ArcIntegrals` of an `Arc` at the motion of a `_Balance` p, with soil carried along the rim."""
+    """`ArcIntegrals` of an `Arc` at the motion of a `_Balance` p, soil carried along included."""
     stress = lay_nodes(nodes, arc, p.soil.sinkage_exponent)
     rim = p.rim
     flows = p.carried > 0.0

@@ -97,7 +97,7 @@ def best_working_point_with(
     fx: Effects | None,
     torque_available: float,
 ) -> Best:
-    """`Best` of a wheel with effects under a load [N], within the torque [N m] that the motor has."""
+    """`Best` of a wheel with effects under a load [N], within the torque [N m] of its motor."""
     return _best_point(
         np.zeros(1, ARC_NODES),
         float(load),

@@ -14,7 +14,6 @@ from .entry import (
     Priors,
 )
 
-
 SLOWEST_TURNING = 1e-6  # [rad/s] wheel speed that a prior is divided by, at least; own choice
 
 

@@ -12,7 +12,6 @@ from .entry import (
     Form,
 )
 
-
 LEAST_FRICTION = 1e-3  # [rad] friction angle that a grade is divided by, at least; own choice
 LEAST_LEFT = 0.02  # [-] of 1 - |b|/phi, so that S stays > 0 on the steepest slopes; own choice
 

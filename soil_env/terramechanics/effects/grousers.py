@@ -42,8 +42,8 @@ def shear_radius_ratio(wheel, fx):
 
 @compiled
 def at_shear_radius(soil, q, shear_modulus):
-    """The soil that, sheared at the contact radius r, gives the thrust and torque / r that `soil`
-    sheared at q r gives: its strength is q times as large.
+    """The soil that, sheared at the contact radius r, gives the shear forces that `soil` gives at
+    q r: its strength is q times as large. The longer lever of the torque is left to the caller.
 
     K [m] becomes `shear_modulus`. The share of soil carried along the rim, which is proportional to
     tan(phi), stays, so `rim_flow` is divided by q.

@@ -11,7 +11,6 @@ from .entry import (
     Form,
 )
 
-
 LEAST_RATE = 0.02  # [of the reference speed] below which soil counts as loaded at rest; own choice
 LEAST_FACTOR = 0.1  # [-] of a strength by its rate, where the logarithm would end it; own choice
 

@@ -11,7 +11,6 @@ from .entry import (
     Priors,
 )
 
-
 LEAST_WAY = 1e-6  # [unit of `way`] way + recovery slid in `digging_ratio`, at least
 MOST_SLIP = 0.95  # [-] slip above which `excavated_depth` grows no more; own choice
 
@@ -90,7 +89,7 @@ def excavated_depth(slip, fx):
 
 @compiled
 def dug(soil, passage, fx):
-    """`soil` with the exponent n + n1 |i|, at least 0, and with the gain and recovery of `digging`."""
+    """`soil` with the exponent n + n1 |i|, at least 0, and the gain and recovery of `digging`."""
     n = max(soil.sinkage_exponent + fx.slip_sinkage_exponent_slope * abs(passage.slip), 0.0)
     gain, recovery = digging(soil, fx)
     return with_digging(soil, n, gain, recovery)
