@@ -334,7 +334,7 @@ def _numbers(name: str, value) -> np.ndarray:
 
 
 def _mapping(conditions: Any) -> Mapping[str, ArrayLike]:
-    """The conditions as a mapping of columns: by `conditions()` of a `Table`, a mapping as it is."""
+    """The conditions as a mapping of columns: `conditions()` of a `Table`, a mapping as it is."""
     if isinstance(conditions, Mapping):
         return conditions
     if not hasattr(conditions, "conditions"):
