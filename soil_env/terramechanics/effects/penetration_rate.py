@@ -1,4 +1,4 @@
-"""Rate of penetration: bearing that goes with the travel speed."""
+"""Rate of penetration: bearing that depends on the travel speed."""
 
 from soil_env._compiled.elementary import exp, log
 from soil_env._compiled.flags import compiled

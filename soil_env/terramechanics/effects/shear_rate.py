@@ -1,4 +1,4 @@
-"""Rate of shear: strength that goes with the sliding speed."""
+"""Rate of shear: strength that depends on the sliding speed."""
 
 from soil_env._compiled.elementary import log
 from soil_env._compiled.flags import compiled
