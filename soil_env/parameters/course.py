@@ -23,10 +23,11 @@ class CourseSpec(Checked):
     and has to start again where it stands.
 
     With `classes` the ground is of that many terrain classes, which a camera can distinguish
-    (`Camera`), and with `lines` = 2 the wheel may go on along one of two routes over each patch
-    after the first of each class (docs/physics/wheel.md, "Terrain classes"). Rovers predict slip by
-    class to choose a way around ground before they are on it (Angelova, Matthies, Helmick & Perona
-    2007, J. Field Robotics 24:205-231; Rothrock et al. 2016, AIAA SPACE, doi 10.2514/6.2016-5539).
+    (`Camera`). With `lines` = 2 there are two routes over each patch after the first one of each
+    class, and the wheel takes one (docs/physics/wheel.md, "Terrain classes"). Rovers predict slip
+    by class to choose a way around ground before they are on it (Angelova, Matthies, Helmick &
+    Perona 2007, J. Field Robotics 24:205-231; Rothrock et al. 2016, AIAA SPACE, doi
+    10.2514/6.2016-5539).
     """
 
     length: float = quantity("m", 1.0, 1e4, default=10.0)

@@ -43,8 +43,8 @@ class Noise(Checked):
       by 1 % of the weight in 20 K.
     - The torque constant of a motor is within 10 % (Hiwin TM-04-0-EN-2108, section 8.1).
     - An accelerometer as it is delivered is within 50 thousandths of gravity and 3 % (InvenSense
-      PS-MPU-6000A 3.4, section 6.2). Ours was turned over once, which leaves a tenth of the zero
-      and a sixth of the gain; a zero of 5 thousandths of gravity is a pitch of 0.3 deg.
+      PS-MPU-6000A 3.4, section 6.2). Ours counts as turned over once, which leaves a tenth of the
+      zero and a sixth of the gain. A zero of 5 thousandths of gravity is a pitch of 0.3 deg.
     - The others are our choice.
     """
 

@@ -208,9 +208,9 @@ class Soil(Checked):
         """The soil as compiled code takes it, at a gravity [m/s2] under a wheel [m] with a load
         [N].
 
-        A curved strength counts as the line that touches it at 0.6 of the pressure of a flat plate
-        as long as the contact, sqrt(2 r z), with z at most the radius. The error of the pull by
-        that is at most 0.03 of the load (docs/physics/contact.md, "Strength at low stress").
+        A curved strength counts as the line that touches it at `_FELT` times the pressure of a flat
+        plate. The plate is as long as the contact, sqrt(2 r z), with z at most the radius. The
+        error of the pull by that is at most 0.03 of the load (docs/physics/contact.md).
         """
         soil = self.at(gravity)
         if soil.reference_stress > 0.0:

@@ -81,9 +81,9 @@ class Wheel(Checked, OnTyre):
     stall_torque (1 - w / no_load_speed). An inertia below 2 % of body_mass radius^2 is refused: no
     geared drive is that light, and the wheel would spin up within a step.
 
-    A wheel may be given by `radius` and `width` alone. A mass that is left out gives the ground
-    pressure of the preset "planetary_rover", and a drive that is left out moves the rim as fast and
-    pulls as much of the weight as its drive.
+    A wheel may be given by `radius` and `width` alone. A mass that is left out becomes the one that
+    gives the ground pressure of the preset "planetary_rover". A drive that is left out becomes one
+    that moves the rim as fast as the drive of that preset, and pulls as much of the weight.
     """
 
     more_keys: ClassVar = ("preset",)  # of a mapping, beside the fields

@@ -96,9 +96,9 @@ ARC_NODES = record(
 class ShearLaw(NamedTuple):
     """Mobilised share of the shear strength with a peak and a residual.
 
-    e(j) = (1 - x)(a + b x + c y) with x = exp(-|j|/K) and y = exp(-(|j| - onset)/length) beyond the
-    onset, 1 before it; e has the sign of j. Functions that take a law take None for Eq. (10), the
-    law of Janosi & Hanamoto.
+    e(j) = (1 - x)(a + b x + c y), with the sign of j. x = exp(-|j|/K), and y = exp(-(|j| -
+    onset)/length) beyond the onset, 1 before it. Functions that take a law take None for Eq. (10),
+    the law of Janosi & Hanamoto.
     """
 
     a: float
@@ -337,7 +337,7 @@ def most_carried(arc):
     """Bound on the share of the travel speed at which soil is carried along the rim.
 
     It is the speed of a locked rim along itself, over V, at `RISING_FROM` of the entry angle: the
-    cosine of that angle. Soil in front of a locked wheel rises as in front of a blade: above that
+    cosine of that angle. Soil in front of a locked wheel rises as in front of a blade. Above that
     angle it overtakes the rim and lifts it, below that angle it drags the rim back. The bound is
     smoothed to stay above 0 where the axle is below the ground.
     """

@@ -181,9 +181,10 @@ class WheelSoilModel(Checked):
         `conditions`: a measurement table, or a mapping of arrays [N]; scalars count for every row.
         It has `slip` [-] and `load` [N] and, as far as they matter, `speed` [m/s], `pass`,
         `grade_deg`, `wheel_radius`, `wheel_width`, `grouser_height` [m]. Raises `ParameterError`
-        for unknown or missing names, for values that are not finite, and where the speed or the
-        pass that an effect or the residual law depends on (`needed`) is not given in every row.
-        Warns once for each model (`OutsideValidity`) of conditions outside `validity`.
+        for unknown or missing names and for values that are not finite or out of range. The speed
+        and the pass that an effect or the residual law depends on (`needed`) are missing unless
+        given in every row. Warns once for each model (`OutsideValidity`) of conditions outside
+        `validity`.
         """
         if self.soil is None:
             raise ParameterError("WheelSoilModel: no soil: expected one, to predict with")

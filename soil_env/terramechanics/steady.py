@@ -322,8 +322,10 @@ def _misfit(nodes, x, p, wheel, fx):
 
 @inlined
 def _first_guess(p, wheel, guess):
-    """ln of the sinkage [m] to start from: `guess` [m] where it is > 0, else that of a flat plate
-    of the length sqrt(2 r z), plus the depth excavated whatever the load.
+    """ln of the sinkage [m] to start from: `guess` [m] where it is > 0, else a rough one.
+
+    That is the sinkage of a flat plate of the length sqrt(2 r z), plus the depth excavated whatever
+    the load.
     """
     if guess > 0.0:
         return math.log(guess)

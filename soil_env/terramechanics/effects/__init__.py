@@ -11,30 +11,30 @@ How to add an effect, in two files here and one of the benchmark, beside tests a
    Another form of a listed mechanism is a `Form`, no effect.
 2. Write its law there as a function under `@compiled`. `fx.<name>_<parameter>` are its
    numbers; at the neutral values the law changes nothing.
-3. Add the module to `_MODULES` below, and the law to the function below that composes the laws of
+3. Add the module to `_MODULES` below. Add the law to the function below that composes the laws of
    its place: `soil_in_contact` (strength and bearing under the wheel), `arc_ends` (exit angle and
    stress peak), `soil_resistance` (force against the travel) or `drive_friction` (between motor and
-   axle); a law of speed to `depends_on_speed` too. Model files, the simulated world,
+   axle). Add a law of speed to `depends_on_speed`, too. Model files, the simulated world,
    `WheelSoilModel.predict`, the discovery workflow, its report and the table of `text.markdown`
    have it from there. Where two laws change one quantity, the later takes what the earlier left.
 4. Let the blind benchmark hide it, as a test demands: published forms of others, or own ones, in
    `benchmarks/discovery/forms.py`. It draws other cases from then on, so that
    `docs/results/discovery.json` is made anew.
-5. Add ranges of the parameters to `cases.py` in `tests/terramechanics`, the law as its source
+5. Add ranges of the parameters to `cases.py` in `tests/terramechanics`. Add the law as its source
    writes it to `reference.py` and `test_equations.py` there, and its units to
    `test_units_do_not_matter`; bounds must hold in those units too. Run `pytest
    tests/terramechanics tests/simulation/test_worlds.py tests/discovery
    tests/benchmarks/test_discovery.py`. `HIDDEN` of the agents' `environment.py` lists the
    effects that hidden training worlds draw from; an effect need not be there.
 
-A force or torque at the wheel that neither place above has also needs its term in `_at_the_axle`
-of `reaction.py` and in `steady.py`. `varies`
-stays None where only slip shows the effect. The source of an assumption of your own is "own
-assumption".
+A force or torque at the wheel that none of the places of step 3 has also needs its term in
+`_at_the_axle` of `reaction.py` and in `steady.py`. `varies` stays None where only slip shows the
+effect. The source of an assumption of your own is "own assumption".
 
-Where no effect is on, compiled code gets None for `fx` and leaves their laws out: numba drops the
-other branch of `if fx is None` while it compiles, if `fx` is an argument of that function and the
-branch has an `else`. With effects it compiles both branches, which return the same types.
+Where no effect is on, compiled code gets None for `fx` and leaves the laws of all effects out.
+While it compiles, numba drops the other branch of `if fx is None`, if `fx` is an argument of that
+function and the branch has an `else`. With effects it compiles both branches, which return the same
+types.
 """
 
 from collections import namedtuple

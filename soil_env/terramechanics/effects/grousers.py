@@ -79,8 +79,9 @@ def blades_at(thrust, slip):
 
 
 def _priors(bench: Bench) -> Priors:
-    # Normal about 0, with the lugs of the wheel a radian as standard deviation and twice as many as
-    # bound: lugs that share the soil between them push less than each by itself.
+    """Prior of `blades`, normal about 0: the standard deviation is the lugs of the wheel a radian,
+    the bound twice that. Lugs share the soil between them, so each may push less than one alone.
+    """
     return (
         {}
         if bench.lugs is None

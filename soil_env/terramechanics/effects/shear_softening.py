@@ -53,6 +53,7 @@ def shear_length_ratio(fx):
 
 
 def _priors(bench: Bench) -> Priors:
+    """Priors of sharpness and onset, the latter in proportion to the wheel radius; own choice."""
     return {
         "sharpness": (4.0, 1.0, 30.0),  # below 1 the law has no peak
         "onset": (0.15 * bench.radius, 0.0, 2.0 * bench.radius),

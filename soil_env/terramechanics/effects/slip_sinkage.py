@@ -96,6 +96,9 @@ def dug(soil, passage, fx):
 
 
 def _priors(bench: Bench) -> Priors:
+    """Priors of the excavation length, by the median sinkage of the table, and of the exponent's
+    slope; own choice.
+    """
     return {
         "length": (0.3 * bench.sinkage, 0.0, 5.0 * bench.sinkage),
         "exponent_slope": (0.5, 0.0, 2.0),  # slip digs; below 0 it would raise the wheel

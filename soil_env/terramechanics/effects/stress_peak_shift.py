@@ -22,7 +22,9 @@ LOWEST_DRIVEN = -0.02  # [-] slip above which a wheel counts as driven; own choi
 
 
 def _priors(bench: Bench) -> Priors:
-    # every published peak of a driven wheel moves forward with slip
+    """Prior of the slope, at least 0 where the wheel is driven: every published peak of a driven
+    wheel moves forward with slip. With braked rows the prior of the parameter stays.
+    """
     return {"slope": (0.3, 0.0, 0.9)} if bench.lowest_slip > LOWEST_DRIVEN else {}
 
 
