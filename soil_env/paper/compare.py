@@ -332,7 +332,7 @@ def table_5(e: Equations, seed: int, draws: int) -> Noisy:
 
 
 def sets(k: int) -> dict[str, tuple[np.ndarray, Equations]]:
-    """{name: (phi, K, S), equations} of the parameter sets of Figs. 6 to 8, by `MODELS`[k]."""
+    """{name: ((phi, K, S), equations)} of the parameter sets of Figs. 6 to 8, by `MODELS`[k]."""
     return {
         "Table 2": (ACTUAL_SET, MODELS[k]),
         "Table 3, printed": (PRINTED_SET, FIXED_COHESION[k]),

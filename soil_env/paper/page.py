@@ -121,7 +121,7 @@ def _ranges(r: Results) -> Table:
 
 
 def _corners(r: Results) -> Table:
-    """Table of the corners of the ranges of Table 4: whether the search from each converges."""
+    """Table of the corners of the ranges of Table 4: does the search from each reach the root?"""
     rows = [
         (f"{phi:.0f}", f"{K:.3f}", f"{S:.2g}", *("converges" if ok else "lost" for ok in found))
         for (phi, K, S), *found in zip(r.corners.guesses, *r.corners.columns(), strict=True)

@@ -12,7 +12,7 @@ from .wheel import Wheel
 STEP = np.int8(0)  # order to a vehicle: the control periods of an action
 RESTART = np.int8(1)  # order: a new course, at rest at its start
 IDLE = np.int8(2)  # order: nothing
-TRY = np.int8(3)  # order: draw a course as a trial, of a wheel a whole one
+TRY = np.int8(3)  # order: draw a course as a trial; that of a single wheel is drawn as a whole
 COMPLETE = np.int8(4)  # order: draw the rest of the course
 AHEAD = np.int8(5)  # order: draw the ground ahead of the vehicle
 RUNNING = 0  # `task.Cause` while an episode goes on

@@ -66,8 +66,8 @@ def load_rover(
     merged over it.
 
     As `load_scenario`, with the key `vehicle`. The mass on a wheel follows from the vehicle's mass
-    and may not be given. Raises `ParameterError` with one line for anything unknown or out of
-    range.
+    and is refused in `changes`. Raises `ParameterError` with one line for anything unknown or out
+    of range.
     """
     wheel = (changes or {}).get("wheel")
     if isinstance(wheel, dict) and "body_mass" in wheel:

@@ -85,7 +85,9 @@ def calibrated(noise: Noise) -> Noise:
 
 
 class SensorReading(NamedTuple):
-    """One set of sensor readings."""
+    """One set of sensor readings of a wheel, as the world draws it and compiled code takes it; the
+    one that a user gives is `Readings`.
+    """
 
     slip: float
     sinkage: float  # [m]

@@ -166,8 +166,8 @@ class WheelSoilModel(Checked):
     def needed(self) -> dict[str, str]:
         """{condition: effect or law that depends on it}, for "speed" and "pass".
 
-        A prediction without a condition in it is refused. Of several effects or laws the last is
-        named.
+        A prediction to which a condition in it is not given is refused. Of several effects or laws
+        the last one is named.
         """
         by = {name: CATALOGUE[name].varies for name in self.effects}
         groups = [group for term in self.residual for group in term.powers]

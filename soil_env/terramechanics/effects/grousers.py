@@ -80,7 +80,7 @@ def blades_at(thrust, slip):
 
 def _priors(bench: Bench) -> Priors:
     """Prior of `blades`, normal about 0: the standard deviation is the lugs of the wheel a radian,
-    the bound twice that. Lugs share the soil between them, so each may push less than one alone.
+    the bound twice that. Own choice: the soil between two lugs is shared by them.
     """
     return (
         {}
