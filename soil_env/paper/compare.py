@@ -45,24 +45,31 @@ LABELS = {
     "k_phi": "k_phi",
     "sinkage_exponent": "n",
 }
-# Parameters of Table 3, in the order of `NAMES`: as identified there, and as they are.
+# Parameters of Table 3, in the order of `NAMES`: as identified there, and the actual values.
 PRINTED_SET = np.array([P.table3[name].identified for name in NAMES])
 ACTUAL_SET = np.array([P.table3[name].actual for name in NAMES])
 GUESS = tuple(ACTUAL_SET)
 WONG_REECE_LOAD = 8923.0  # [N] of the wheel of Wong & Reece (1967), 2006 lb
 WIDE_SLIP = (0.05, 0.6)  # our reading of "a wide range of slip"
 RULES = (1, 2, 5, 10)  # m of Simpson's rule in Fig. 2
-SLIPS = np.linspace(0.01, 0.95, 48)
+SLIPS = np.linspace(0.01, 0.95, 48)  # of the torques of Fig. 8
+OFF = (0.95, 1.05)  # drawbar pulls of Table 1 over that of the working point
+NOISE = 0.05  # standard deviation of the noise of Table 5, relative to each measured value
+# A search counts as ended on a root within these distances of it; own choice, far above the error
+# of a search and far below the distance of another root.
+ROOT_DEGREES = 0.01  # [deg] of phi
+ROOT_RELATIVE = 1e-4  # [-] of K and of S
+BURIED = 1.5  # [radii] sinkage that `sinkages` looks for, at most; as in the steady state
 
 
 class Row(NamedTuple):
-    """A printed number and ours by each of `MODELS`."""
+    """A printed number and the recomputed ones, by each of `MODELS`."""
 
     name: str
     printed: float
     ours: Sequence[float]
-    form: str = ".2f"
-    #: "<" or ">" where ours is the end of what was scanned, and no limit was found.
+    form: str = ".2f"  # format of all these numbers, with the digits of the printed one
+    #: "<" or ">" where a recomputed limit is the end of its scan, and no limit was found.
     beyond: Sequence[str] = ("", "")
 
 
@@ -72,7 +79,7 @@ def as_shown(value: float, form: str) -> float:
 
 
 def field(soil: Any, e: Equations = AS_PRINTED) -> tuple[tuple[float, float, float], Equations]:
-    """(phi [deg], K [m], S) of a `Sand` or a `Soil`, and the equations with its c and n."""
+    """((phi [deg], K [m], S) of a `Sand` or a `Soil`, the equations `e` with its c and n)."""
     S = lumped_coefficient(soil.k_c, soil.k_phi, e.width)
     e = e._replace(cohesion=soil.cohesion, exponent=soil.sinkage_exponent)
     return (soil.friction_angle_deg, soil.shear_modulus, S), e
@@ -91,8 +98,10 @@ def pull(e: Equations, sand: Sand = SAND) -> float:
 
 
 def alone(e: Equations, name: str, target: float) -> float:
-    """The value of one parameter of the sand at which the working point's drawbar pull is `target`
-    [N].
+    """The value of one parameter of the sand at which the drawbar pull of the working point is
+    `target` [N], all others as in Table 2.
+
+    Looked for between half and twice the value of Table 2, cohesion within wide limits.
     """
     value = getattr(SAND, name)
     low, high = (-1e4, 1e5) if name == "cohesion" else (0.5 * value, 2.0 * value)
@@ -102,7 +111,9 @@ def alone(e: Equations, name: str, target: float) -> float:
 
 
 def variation(e: Equations) -> float:
-    """Mean change of DP by the held cohesion over `WIDE_SLIP`, relative to the mean DP [%]."""
+    """Mean change of DP over `WIDE_SLIP` where the cohesion is the one held in Table 3 in place of
+    the one of Table 2, relative to the mean DP [%].
+    """
     slip = np.linspace(*WIDE_SLIP, 200)
     own = pulls(e, SAND, slip)
     held = pulls(e, replace(SAND, cohesion=P.fixed_cohesion), slip)
@@ -110,7 +121,7 @@ def variation(e: Equations) -> float:
 
 
 def working_point() -> list[Row]:
-    """Sections 3.1 and 4: the drawbar pull, and what is said of cohesion."""
+    """Rows of Sections 3.1 and 4: the drawbar pull, and what the text says of cohesion."""
     at_1150 = [alone(e, "cohesion", POINT.if_measured_drawbar_pull) for e in MODELS]
     at_1200 = [alone(e, "cohesion", 1200.0) for e in MODELS]
     no_cohesion = [pull(e, replace(SAND, cohesion=0.0)) for e in MODELS]
@@ -129,12 +140,14 @@ def working_point() -> list[Row]:
 
 
 def table_1() -> list[Row]:
-    """Each parameter identified alone from a drawbar pull 5 % off, and its error."""
+    """Rows of Table 1: each parameter identified alone from drawbar pulls 5 % off (`OFF`), and its
+    error [%], which is taken from the rounded value as in the paper.
+    """
     rows = []
     forms = {"shear_modulus": ".4f", "k_c": ".0f", "k_phi": ".0f", "sinkage_exponent": ".4f"}
     for name, line in P.table1.items():
         form = forms.get(name, ".2f")
-        for k, factor in enumerate((0.95, 1.05)):
+        for k, factor in enumerate(OFF):
             found = [alone(e, name, factor * pull(e)) for e in MODELS]
             label = f"{LABELS[name]}, DP {100 * (factor - 1):+.0f} %"
             rows.append(Row(label, line.identified[k], found, form))
@@ -144,8 +157,11 @@ def table_1() -> list[Row]:
 
 
 def rules() -> list[tuple[Any, ...]]:
-    """DP [N] of the working point by other rules of integration, and by Eq. (11), and the mean
-    difference from (12) integrated exactly over `WIDE_SLIP`, relative to its mean [%].
+    """(rule, DP [N] of the working point by each of `MODELS`, difference [%] by each of `MODELS`).
+
+    The rules are (12) by Simpson's rule with each m of `RULES` and exactly, then (11) with m = 2
+    and exactly. The difference is that of the mean DP over `WIDE_SLIP` from the mean by (12),
+    integrated exactly.
     """
     slip = np.linspace(*WIDE_SLIP, 200)
     cases = [(f"(12), m = {m}", m, True) for m in RULES]
@@ -162,15 +178,16 @@ def rules() -> list[tuple[Any, ...]]:
 
 
 def on_the_curve(name: str) -> list[tuple[str, float, Row]]:
-    """Printed values of one parameter beside the DP that is printed for each: (where, value, DP).
+    """Printed values of one parameter with the DP that is printed for each: (where it is printed,
+    value, `Row` of the DP).
 
-    They lie on the curves of Fig. 3 (cohesion) and Fig. 4 (phi and K).
+    In the paper they lie on the curves of Fig. 3 (cohesion) and Fig. 4 (phi and K).
     """
     below, above = P.table1[name].identified
     printed = [
-        ("Table 1, DP -5 %", below, 0.95 * POINT.drawbar_pull),
+        ("Table 1, DP -5 %", below, OFF[0] * POINT.drawbar_pull),
         ("Table 2", getattr(SAND, name), POINT.drawbar_pull),
-        ("Table 1, DP +5 %", above, 1.05 * POINT.drawbar_pull),
+        ("Table 1, DP +5 %", above, OFF[1] * POINT.drawbar_pull),
     ]
     if name == "cohesion":
         target = POINT.if_measured_drawbar_pull
@@ -184,13 +201,15 @@ def on_the_curve(name: str) -> list[tuple[str, float, Row]]:
 
 @cache
 def root(e: Equations) -> np.ndarray:
-    """(phi [deg], K [m], S) from the three measured points."""
+    """(phi [deg], K [m], S) that solve the equations for the three measured points, by
+    Newton-Raphson from `GUESS`.
+    """
     return newton_raphson(MEASURED, GUESS, e)
 
 
 def table_3() -> list[Row]:
-    """The identified set, its errors, and the measured pulls beside those that the printed set
-    predicts.
+    """Rows of Table 3: the identified parameters, their errors [%] against the actual ones, and the
+    measured pulls beside the pulls that the printed parameters predict.
     """
     found = [root(e) for e in FIXED_COHESION]
     rows = []
@@ -207,18 +226,23 @@ def table_3() -> list[Row]:
 
 
 def reaches(e: Equations, guesses: np.ndarray, backtracking: bool) -> np.ndarray:
-    """[G] True if Newton-Raphson from `guesses` [G, 3] ends on the root, phi up to the period of
-    its tangent.
+    """[G] True if Newton-Raphson from `guesses` [G, 3] ends on the `root`.
+
+    A phi that is off by a multiple of 180 deg counts as equal, since only its tangent is used.
     """
     found = newton_raphson(MEASURED, guesses, e, backtracking)
     solution = root(e)
     turn = (found[:, 0] - solution[0] + 90.0) % 180.0 - 90.0
-    return (np.abs(turn) < 0.01) & np.all(np.abs(found[:, 1:] / solution[1:] - 1.0) < 1e-4, axis=1)
+    off = np.abs(found[:, 1:] / solution[1:] - 1.0)
+    return (np.abs(turn) < ROOT_DEGREES) & np.all(off < ROOT_RELATIVE, axis=1)
 
 
 def table_4(backtracking: bool) -> list[Row]:
-    """Range of guesses of one unknown, the other two as in Table 2, from which Newton-Raphson
-    converges.
+    """Rows of Table 4: lowest and highest guess of one unknown, the other two at their actual
+    values, from which Newton-Raphson reaches the root.
+
+    All guesses between the limit and the actual value reach it too. A scan without a lost guess on
+    one side gives its end, marked in `Row.beyond`.
     """
     rows = []
     scans = (
@@ -254,13 +278,16 @@ class Box(NamedTuple):
     backtracking: list[np.ndarray]
 
     def columns(self) -> list[np.ndarray]:
-        """Plain and with backtracking as printed, then both with Wong & Reece's peak."""
+        """[G] each: plain and with backtracking by the equations as printed, then the same two with
+        Wong & Reece's peak; the order of `page.METHODS`.
+        """
         return [found[k] for k in range(2) for found in (self.plain, self.backtracking)]
 
 
 def box(*counts: int) -> Box:
-    """Table 4's ranges on a grid of `counts` values of phi, K and S, S in equal ratios; 2 are its
-    corners.
+    """`Box` of a grid over the ranges of Table 4, with `counts` values of phi, K and S.
+
+    The values of S have equal ratios. Counts of 2 give the corners of the ranges.
     """
     phi, K, S = (P.table4[name] for name in NAMES)
     sides = (
@@ -276,19 +303,22 @@ def box(*counts: int) -> Box:
 
 
 class Noisy(NamedTuple):
-    """Errors [%] of (phi, K, S) under noise, against the actual values."""
+    """Errors [%] of (phi, K, S) identified from noisy points, against the actual values.
 
-    quantiles: np.ndarray  # 5, 50, 95 % of |error|, [3, 3]
-    below: np.ndarray  # share of draws with an error below the printed one [3]
-    converged: float
+    Quantiles and shares are of the draws whose search converged.
+    """
+
+    quantiles: np.ndarray  # 5, 50, 95 % of |error|, [3 quantiles, 3 parameters]
+    below: np.ndarray  # share of draws with an error below the printed one, [3]
+    converged: float  # share of all draws
 
 
 def table_5(e: Equations, seed: int, draws: int) -> Noisy:
-    """5 % white noise (standard deviation) on slip, sinkage and drawbar pull of the three
-    points.
+    """`Noisy` of Table 5: so many `draws` of white noise (`NOISE`) on slip, sinkage and drawbar
+    pull of the three measured points.
     """
     rng = np.random.default_rng([seed, 5])
-    factors = 1.0 + 0.05 * rng.standard_normal((draws, 3, 3))
+    factors = 1.0 + NOISE * rng.standard_normal((draws, 3, 3))
     noisy = Points(*np.swapaxes(np.array(MEASURED) * factors, 0, 1))
     found = newton_raphson(noisy, np.tile(GUESS, (draws, 1)), e)
     errors = 100.0 * np.abs(found / ACTUAL_SET - 1.0)
@@ -302,7 +332,7 @@ def table_5(e: Equations, seed: int, draws: int) -> Noisy:
 
 
 def sets(k: int) -> dict[str, tuple[np.ndarray, Equations]]:
-    """Parameter sets of Figs. 6 to 8 by `MODELS`[k]."""
+    """{name: ((phi, K, S), equations)} of the parameter sets of Figs. 6 to 8, by `MODELS`[k]."""
     return {
         "Table 2": (ACTUAL_SET, MODELS[k]),
         "Table 3, printed": (PRINTED_SET, FIXED_COHESION[k]),
@@ -311,24 +341,26 @@ def sets(k: int) -> dict[str, tuple[np.ndarray, Equations]]:
 
 
 def prediction(soil: ArrayLike, e: Equations) -> np.ndarray:
-    """DP [N] and T [N m] at the measured points, [3, 2]."""
+    """DP [N] and T [N m] that a soil (phi [deg], K [m], S) gives at the three measured points,
+    [3, 2].
+    """
     return forces(soil, *MEASURED[:2], e)[:, [0, 2]]
 
 
 def pull_misfits() -> list[float]:
-    """Root mean square [N] by which the printed set of Table 3 misses the three measured drawbar
-    pulls.
+    """Root mean square [N], by each of `MODELS`, by which the printed parameters of Table 3 miss
+    the three measured drawbar pulls.
     """
     misses = [prediction(PRINTED_SET, e)[:, 0] - MEASURED.pull for e in FIXED_COHESION]
     return [float(np.sqrt(np.mean(miss**2))) for miss in misses]
 
 
 def sinkages(soil: ArrayLike, slip: np.ndarray, e: Equations) -> np.ndarray:
-    """Sinkage [m] by slip at which (1) carries `WONG_REECE_LOAD`; NaN where none up to 1.5 radii
-    does.
+    """Sinkage [m] at each slip at which (1) carries `WONG_REECE_LOAD`, by bisection; NaN where none
+    up to `BURIED` radii does.
     """
     low = np.zeros(slip.shape)
-    high = np.full(slip.shape, 1.5 * e.radius)
+    high = np.full(slip.shape, BURIED * e.radius)
     buried = forces(soil, slip, high, e)[:, 1] < WONG_REECE_LOAD
     for _ in range(40):  # halves the bracket to 1e-12 m
         middle = 0.5 * (low + high)
@@ -339,8 +371,8 @@ def sinkages(soil: ArrayLike, slip: np.ndarray, e: Equations) -> np.ndarray:
 
 
 def torque(soil: ArrayLike, e: Equations) -> np.ndarray:
-    """Torque required [N m] by (1) and (3) at `SLIPS`, exactly; NaN where the soil does not carry
-    the wheel.
+    """Torque required [N m] at `SLIPS` by (1) and (3), integrated exactly; NaN where the soil does
+    not carry the wheel.
     """
     e = e._replace(simpson=0)
     return forces(soil, SLIPS, sinkages(soil, SLIPS, e), e)[:, 2]
@@ -350,16 +382,16 @@ def torque(soil: ArrayLike, e: Equations) -> np.ndarray:
 class Results:
     """All that the page shows."""
 
-    seed: int
-    draws: int
-    rows: dict[str, list[Row]]
-    corners: Box  # of Table 4
-    box: Box  # the whole of it
-    noise: list[Noisy]
+    seed: int  # of the noise of Table 5
+    draws: int  # of that noise
+    rows: dict[str, list[Row]]  # by table or figure
+    corners: Box  # of the ranges of Table 4
+    box: Box  # grid over these ranges
+    noise: list[Noisy]  # by each of `MODELS`
 
 
 def compute(seed: int = 0, draws: int = 1000) -> Results:
-    """Recompute everything; `draws` of the noise in Table 5."""
+    """Recompute everything, with so many `draws` of the noise of Table 5 from a `seed`."""
     rows = {
         "point": working_point(),
         "table1": table_1(),

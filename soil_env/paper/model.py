@@ -38,7 +38,7 @@ class Sand:
 
 
 def _printed() -> SimpleNamespace:
-    """Numbers of printed.yaml by its keys; tables by the name of the parameter."""
+    """Numbers of printed.yaml as attributes by its keys; tables 1 and 3 are {parameter: line}."""
     content = read_yaml(Path(__file__).with_name("printed.yaml"))
     for table in ("table1", "table3"):
         content[table] = {name: SimpleNamespace(**line) for name, line in content[table].items()}
@@ -75,8 +75,11 @@ _DEGREES = np.array([math.degrees(1.0), 1.0, 1.0])  # of the radians in a step o
 
 
 def _nodes(m: int) -> tuple[np.ndarray, np.ndarray]:
-    """(places in [0, 1], weights) in a zone of the arc: Simpson with 2m subintervals, Eqs.
-    (14)-(15); 0: Gauss.
+    """(places in [0, 1], weights) of the nodes of a zone of the arc; a place is 0 at the entry or
+    exit and 1 at the stress peak.
+
+    By Simpson's rule with 2m subintervals, Eqs. (14)-(15); with m = 0 by Gauss-Legendre nodes, as
+    in `contact`.
     """
     if m == 0:
         return NODE_DEPTHS, NODE_WEIGHTS
@@ -87,11 +90,12 @@ def _nodes(m: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def forces(soil: ArrayLike, slip: ArrayLike, sinkage: ArrayLike, e: Equations) -> np.ndarray:
-    """DP [N], W [N], T [N m] and d(DP) by phi [rad], K and S, [M, 6], of soils (phi [deg], K [m],
-    S), [3] or [M, 3].
+    """DP [N], W [N], T [N m] and the derivatives of DP by phi [rad], K and S, [M, 6], by the
+    equations `e`.
 
-    For any phi and S, and K > 0. Nodes at the same place of the front and the rear zone have one
-    stress, Eq. (8).
+    `soil` is (phi [deg], K [m], S), [3] or [M, 3]; slip and sinkage [m] are numbers or [M]. Any phi
+    and S, and K > 0, are admitted, as a search passes through them. Nodes at the same place of the
+    front and the rear zone have one stress, Eq. (8).
     """
     phi, K, S = (np.atleast_2d(np.asarray(soil, float)) * (math.pi / 180.0, 1.0, 1.0)).T[:, :, None]
     slip, z = (np.atleast_1d(np.asarray(v, float))[:, None] for v in (slip, sinkage))
@@ -150,10 +154,10 @@ def newton_raphson(
 ) -> np.ndarray:
     """Roots (phi [deg], K [m], S) by Newton-Raphson, the paper's Section 4; NaN where it is lost.
 
-    `guess` [3], or [G, 3] of as many searches; points [3] of all of them, or [G, 3]. A search is
-    lost at a singular Jacobian, at K <= 0, where Eq. (10) means nothing, and after `_ITERATIONS`.
-    With `backtracking` a step is halved until it leads to a soil that fits better; a search that
-    finds none is lost.
+    `guess` is [3], or [G, 3] for G searches; the fields of `points` are [3], the same for all
+    searches, or [G, 3]. A search is lost at a singular Jacobian, at K <= 0, where Eq. (10) means
+    nothing, and after `_ITERATIONS`. With `backtracking` a step is halved until it leads to
+    positive parameters, phi < 90 deg, that fit better; a search that finds none is lost.
     """
     x = np.array(np.atleast_2d(guess), dtype=float)
     slip, sinkage, pull = (np.broadcast_to(v, x.shape) for v in points)
@@ -161,7 +165,9 @@ def newton_raphson(
     going = np.arange(len(x))
 
     def misfit(who: np.ndarray, soil: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Measured less predicted pulls [N] of the searches `who` at their soils; the Jacobian."""
+        """(measured less predicted pulls [N] of the searches `who` at their soils, the Jacobian of
+        the predicted pulls by (phi [rad], K, S)).
+        """
         y = forces(np.repeat(soil, 3, axis=0), slip[who].ravel(), sinkage[who].ravel(), e)
         return pull[who] - y[:, 0].reshape(-1, 3), y[:, 3:].reshape(-1, 3, 3)
 
@@ -194,7 +200,9 @@ def newton_raphson(
 
 
 def _small(step: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """[G] True where a step of (phi [deg], K, S) [G, 3] is within `_TOLERANCE`."""
+    """[G] True where a step of (phi [deg], K, S) [G, 3] from `x` is within `_TOLERANCE`: absolute
+    in radians for phi, relative for K and S.
+    """
     size = np.abs(x)
     size[:, 0] = _DEGREES[0]
     return np.all(np.abs(step) < _TOLERANCE * size, axis=1)

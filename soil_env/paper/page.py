@@ -40,7 +40,7 @@ READINGS = "equations as printed", "with Wong & Reece's peak"
 
 
 def write(results: Results, folder: Path, command: str) -> None:
-    """Write `folder`/paper.md and the figures in `folder`/paper."""
+    """Write `folder`/paper.md and the figures in `folder`/paper; `command` as in `markdown`."""
     files: dict[str, bytes | str] = {}
     for name, (width, draw) in FIGURES.items():
         figure = Figure(figsize=(width, 4.2), layout="constrained")
@@ -50,7 +50,7 @@ def write(results: Results, folder: Path, command: str) -> None:
 
 
 def markdown(results: Results, command: str) -> str:
-    """The page as Markdown."""
+    """paper.md as text; `command` is the command line that it names as its origin."""
     rows = results.rows
     names = ("point", "table1", "table3", "fig3", "fig4")
     tables = {f"{name}_table": _comparison(rows[name]) for name in names}
@@ -83,7 +83,9 @@ def markdown(results: Results, command: str) -> str:
 
 
 def _comparison(rows: Sequence[Row]) -> Table:
-    """A printed number, ours by each reading, and the differences."""
+    """Table of printed numbers, the recomputed ones by each reading, and their differences; these
+    are taken from the rounded numbers.
+    """
     header = ["", "printed", *(text for name in READINGS for text in (name, "difference"))]
     lines = []
     for row in rows:
@@ -95,28 +97,31 @@ def _comparison(rows: Sequence[Row]) -> Table:
     return Table(header, lines)
 
 
-def _shown(row: Row) -> list[str]:
-    """The numbers of ours, or the ends of the scans."""
+def _limits(row: Row) -> list[str]:
+    """The recomputed limits of a row of Table 4 as text, with a mark where one is only the end of
+    the scan.
+    """
     return [
         f"{side} {value:{row.form}} (end of the scan)" if side else format(value, row.form)
         for value, side in zip(row.ours, row.beyond, strict=True)
     ]
 
 
+#: Methods of Table 4: plain Newton-Raphson and with backtracking, by each reading.
 METHODS = [f"{name}: {how}" for name in READINGS for how in ("plain", "with backtracking")]
 
 
 def _ranges(r: Results) -> Table:
-    """Table 4 by plain Newton-Raphson and with backtracking."""
+    """Table 4: the limits of the guesses, printed and by each of `METHODS`."""
     rows = []
     for plain, other in zip(r.rows["table4"], r.rows["table4_backtracking"], strict=True):
-        ours = [text for pair in zip(_shown(plain), _shown(other), strict=True) for text in pair]
+        ours = [text for pair in zip(_limits(plain), _limits(other), strict=True) for text in pair]
         rows.append((plain.name, format(plain.printed, plain.form), *ours))
     return Table(("", "printed", *METHODS), rows)
 
 
 def _corners(r: Results) -> Table:
-    """What becomes of the corners of Table 4."""
+    """Table of the corners of the ranges of Table 4: does the search from each reach the root?"""
     rows = [
         (f"{phi:.0f}", f"{K:.3f}", f"{S:.2g}", *("converges" if ok else "lost" for ok in found))
         for (phi, K, S), *found in zip(r.corners.guesses, *r.corners.columns(), strict=True)
@@ -126,6 +131,7 @@ def _corners(r: Results) -> Table:
 
 
 def _rules() -> Table:
+    """Table of Fig. 2: drawbar pull and difference by each rule of integration."""
     heads = (f"{name}: DP [N]" for name in READINGS)
     differences = (f"{name}: from (12), exact [%]" for name in READINGS)
     rows = [
@@ -136,6 +142,7 @@ def _rules() -> Table:
 
 
 def _noise(r: Results) -> Table:
+    """Table 5: errors under noise, printed and drawn, and the share of draws below the printed."""
     rows = []
     for k, name in enumerate(NAMES):
         row = [LABELS[name], f"{P.table5[name][1]:.2f}"]
@@ -150,6 +157,7 @@ def _noise(r: Results) -> Table:
 
 
 def _axes(figure: Figure, x: str, y: str, position: int = 111) -> Axes:
+    """Axes with a grid and the labels `x` and `y`, at a `position` of matplotlib."""
     axes = figure.add_subplot(position)
     axes.set(xlabel=x, ylabel=y)
     axes.grid(alpha=0.3)
@@ -157,7 +165,7 @@ def _axes(figure: Figure, x: str, y: str, position: int = 111) -> Axes:
 
 
 def _by_slip(figure: Figure) -> None:
-    """Fig. 2: drawbar pull against slip by Simpson's rule and exactly, and the differences."""
+    """Draw Fig. 2: drawbar pull against slip by Simpson's rule and exactly, and the differences."""
     slip = np.linspace(0.01, WIDE_SLIP[1], 80)
     pull = _axes(figure, "slip [-]", "drawbar pull [N]", 121)
     error = _axes(figure, "slip [-]", "from (12), exact [N]", 122)
@@ -182,7 +190,9 @@ def _by_slip(figure: Figure) -> None:
 
 
 def _along(figure: Figure, label: str, name: str, position: int = 111) -> Axes:
-    """Drawbar pull against one parameter by both readings, and the printed points."""
+    """Draw drawbar pull against the parameter `name` by both readings, and the printed points.
+    Return the axes, whose x is labelled `label`.
+    """
     axes = _axes(figure, label, "drawbar pull (12) [N]", position)
     points = on_the_curve(name)
     values = np.array([value for _, value, _ in points])
@@ -197,19 +207,19 @@ def _along(figure: Figure, label: str, name: str, position: int = 111) -> Axes:
 
 
 def _by_cohesion(figure: Figure) -> None:
-    """Fig. 3."""
+    """Draw Fig. 3: drawbar pull against cohesion."""
     _along(figure, "cohesion c [Pa]", "cohesion").legend(fontsize=8)
 
 
 def _by_phi_and_K(figure: Figure) -> None:
-    """Fig. 4."""
+    """Draw Fig. 4: drawbar pull against phi and against K."""
     for k, name in enumerate(NAMES[:2]):
         axes = _along(figure, LABELS[name], name, 121 + k)
     axes.legend(fontsize=8)
 
 
-def _criterion(figure: Figure) -> None:
-    """Fig. 8: torque required and available."""
+def _torques(figure: Figure) -> None:
+    """Draw Fig. 8: torque required and available against slip, the criterion of traversability."""
     axes = _axes(figure, "slip [-]", "torque required (3) [N m]")
     for k, style in enumerate(("--", "-")):
         for colour, (name, (soil, e)) in enumerate(sets(k).items()):
@@ -225,5 +235,5 @@ FIGURES = {
     "fig2": (11.0, _by_slip),
     "fig3": (6.4, _by_cohesion),
     "fig4": (11.0, _by_phi_and_K),
-    "fig8": (6.4, _criterion),
+    "fig8": (6.4, _torques),
 }

@@ -8,7 +8,7 @@ from soil_env._io.loading import Checked, Keys, ParameterError, quantity
 
 from .soil import SoilSpread, correlation_factor
 
-#: Numbers of `Belief` that a library of soils takes the place of.
+#: Fields of `Belief` that have no effect where its `soils` names a library.
 _PRIOR = (
     "friction_angle_deg",
     "friction_sd_deg",
@@ -32,11 +32,11 @@ class Belief(Checked):
     (`..._sd` are relative there); the recovery of digging has one value.
 
     Where `soils` names a library, the prior has the mean and the covariance of its soils instead,
-    each with the scatter of `spread`. Of the numbers before, only `dig_gain` and `sinkage_exponent`
-    count then, to which gain and S are referred. `rim_flow` to `shear_length` have one value, as
-    the recovery, for soils of a library too: by default that of the presets of loose ground. With
-    `method` "none" nothing is identified and nothing of the observation may ask for it: a step
-    costs about half.
+    each with the scatter of `spread`. Of the prior's numbers only `dig_gain` and `sinkage_exponent`
+    count then: the gain is estimated relative to the one, S is stated at the other. `dig_recovery`
+    and `rim_flow` to `shear_length` have one value for all soils, those of a library included; by
+    default it is that of the presets of loose ground. With `method` "none" nothing is identified
+    and nothing of the observation may ask for it: a step costs about half.
     """
 
     friction_angle_deg: float = quantity("deg", 1.0, 60.0, default=30.0)
@@ -89,9 +89,11 @@ class Belief(Checked):
 
 
 def refuse_idle_prior(belief: Keys, where: str, changes: Iterable[str] = ()) -> None:
-    """Raise `ParameterError` if a mapping of `Belief` has numbers of the prior beside soils.
+    """Raise `ParameterError` if a mapping of `Belief` names soils and also numbers of the prior,
+    which are without effect beside soils.
 
-    A saved one has the defaults of all: those are let pass, but not as `changes`.
+    A mapping saved from a `Belief` has all fields, so a number that is its default passes. In
+    `changes`, the names that a user gave, it does not.
     """
     idle = [
         name

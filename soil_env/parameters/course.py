@@ -12,21 +12,22 @@ class CourseSpec(Checked):
     """Distribution of the random courses. All pairs are (low, high) of a uniform distribution.
 
     Soils and slopes are drawn apart: patches have lengths and soils, slopes lengths and grades of
-    their own. So a grade does not show the soil, and some slopes are too steep for theirs. Only
-    a soil that leaves this wheel less than `least_pull` on level ground is drawn again; with
-    `classes` that of a class, about which its patches scatter.
+    their own. So a grade does not show the soil, and some slopes are too steep for their soil. Only
+    a soil that leaves this wheel less than `least_pull` on level ground is drawn again. With
+    `classes` that is asked of the soil of a class, not of the patches, which scatter about it.
 
-    A border may not be longer than the shortest patch or slope, so that it lies between two only.
+    A border may not be longer than the shortest patch or slope, so that no two borders overlap.
 
     The wheel is halted every `halt_interval` metres, as rovers are to take the images of visual
     odometry (every 0.75 m at most: Maimone, Cheng & Matthies 2007, J. Field Robotics 24:169-186),
     and has to start again where it stands.
 
     With `classes` the ground is of that many terrain classes, which a camera can distinguish
-    (`Camera`), and with `lines` = 2 the wheel may go on along one of two routes over each patch
-    after the first of each class (docs/physics/wheel.md, "Terrain classes"). Rovers predict slip by
-    class to choose a way around ground before they are on it (Angelova, Matthies, Helmick & Perona
-    2007, J. Field Robotics 24:205-231; Rothrock et al. 2016, AIAA SPACE, doi 10.2514/6.2016-5539).
+    (`Camera`). With `lines` = 2 there are two routes over each patch after the first one of each
+    class, and the wheel takes one (docs/physics/wheel.md, "Terrain classes"). Rovers predict slip
+    by class to choose a way around ground before they are on it (Angelova, Matthies, Helmick &
+    Perona 2007, J. Field Robotics 24:205-231; Rothrock et al. 2016, AIAA SPACE, doi
+    10.2514/6.2016-5539).
     """
 
     length: float = quantity("m", 1.0, 1e4, default=10.0)
@@ -81,6 +82,9 @@ class CourseSpec(Checked):
             self._check_lines()
 
     def _check_lines(self) -> None:
+        """Raise `FieldError` where two routes have no classes, no halts to choose one in, or no
+        place for such a halt.
+        """
         if self.classes < 2:
             raise FieldError(
                 self, "classes", f" = {self.classes}: expected at least 2 where lines = 2"
@@ -105,8 +109,8 @@ class Camera(Checked):
 
     It sees the class of each route, which is wrong with probability `label_error`, the grade, and
     how far off the border is. Label and grade of a patch are read from its look: they are wrong in
-    the same way in every image. The distance has an error of that kind and one that is new in every
-    image, both of `border_noise`.
+    the same way in every image. The distance has one error that stays for a patch and one that is
+    new in every image, both with the standard deviation `border_noise`.
     """
 
     range: float = quantity("m", 0.1, 100.0, default=2.0)

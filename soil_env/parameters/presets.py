@@ -10,7 +10,7 @@ from soil_env._io.loading import config_dir, load, read_yaml
 def library(kind: str, cls: type) -> dict[str, Any]:
     """The entries of configs/`kind`.yaml as instances of `cls`, by name.
 
-    They are read once: a caller that hands them on copies the dictionary.
+    The file is read once, and the dictionary is shared: a caller that hands it on copies it.
     """
     path = config_dir() / f"{kind}.yaml"
     return {

@@ -12,7 +12,7 @@ from .wheel import Wheel
 STEP = np.int8(0)  # order to a vehicle: the control periods of an action
 RESTART = np.int8(1)  # order: a new course, at rest at its start
 IDLE = np.int8(2)  # order: nothing
-TRY = np.int8(3)  # order: draw a course as a trial, of a wheel a whole one
+TRY = np.int8(3)  # order: draw a course as a trial; that of a single wheel is drawn as a whole
 COMPLETE = np.int8(4)  # order: draw the rest of the course
 AHEAD = np.int8(5)  # order: draw the ground ahead of the vehicle
 RUNNING = 0  # `task.Cause` while an episode goes on
@@ -41,7 +41,7 @@ class Image(NamedTuple):
 
 
 class Shown(NamedTuple):
-    """Where an observation has the estimate of the soil."""
+    """Where an observation has the estimate of the soil, and the bounds of all its entries."""
 
     on: bool  # it has one at all
     first: int  # index of its first entry
@@ -58,26 +58,32 @@ class Stepped(NamedTuple):
 
 
 def largest_readings(wheel: Wheel, gravity: float = 9.81) -> Readings:
-    """Largest plausible readings (`Sensor.largest`); larger ones are faults or in another unit."""
+    """Largest plausible readings (`Sensor.largest`) of a wheel at a gravity [m/s2]; larger ones are
+    faults or in another unit.
+    """
     sizes = sizes_of(wheel, gravity)
     return Readings(**{s.name: s.largest[0] * sizes.get(s.largest[1], 1.0) for s in SENSORS})
 
 
 def largest_sensed(wheel: Wheel, gravity: float) -> SensorReading:
-    """`largest_readings` of a `SensorReading`, in its units."""
+    """`largest_readings` as a `SensorReading`, with a rim speed in place of a wheel speed."""
     largest = largest_readings(wheel, gravity)
     largest = largest._replace(wheel_speed=largest.wheel_speed * wheel.radius)  # the rim speed
     return SensorReading(*(getattr(largest, sensor.name) for sensor in SENSORS))
 
 
 def observed_units(scenario: Scenario) -> SensorReading:
-    """Units of the entries of the observation in those of a `SensorReading`."""
+    """Size that each entry of the observation is relative to, in the unit of a `SensorReading`; 1
+    where the entry is in that unit.
+    """
     sizes = sizes_of(scenario.wheel, scenario.gravity)
     return SensorReading(*(sizes.get(sensor.observed[0], 1.0) for sensor in SENSORS))
 
 
 def reading_units(scenario: Scenario) -> SensorReading:
-    """Units of `Noise` in those of a `SensorReading`."""
+    """Size that the errors of each sensor in `Noise` are relative to, in the unit of a
+    `SensorReading`; 1 where they are in that unit.
+    """
     sizes = sizes_of(scenario.wheel, scenario.gravity)
     of = {f.name: sizes.get(f.metadata["unit"], 1.0) for f in fields(Noise)}
     of["wheel_speed"] = scenario.wheel.radius  # its reading is the rim speed
@@ -85,7 +91,9 @@ def reading_units(scenario: Scenario) -> SensorReading:
 
 
 def reading_errors(scenario: Scenario) -> np.ndarray:
-    """Standard deviations of white noise, zeros and gains of a `SensorReading`, [3, sensors]."""
+    """Standard deviations of white noise, zeros and gains, [3, sensors]: the first two in the units
+    of a `SensorReading`, gains relative. 0 for an error that `Noise` does not have.
+    """
     of = vars(scenario.noise)
     found = [[of.get(s.name + kind, 0.0) for s in SENSORS] for kind in ("", "_zero", "_gain")]
     units = reading_units(scenario)

@@ -18,7 +18,9 @@ _ROUNDING = 1e-6  # [-] relative error that a mass written to a file may have
 
 @dataclass(frozen=True)
 class RoverScenario(Scenario):
-    """A complete task of a rover. `wheel` is any of its wheels, with the mean share of the mass."""
+    """A complete task of a rover. `wheel` is any of its wheels, all alike; its `body_mass` is the
+    mass of the vehicle over the number of wheels.
+    """
 
     vehicle: Vehicle = field(kw_only=True)
 
@@ -60,10 +62,12 @@ def load_rover(
     changes: Keys | None = None,
     place: str = "changes",
 ) -> RoverScenario:
-    """A rover's scenario by name, by path of a YAML file, or as it is, with `changes` over it.
+    """A rover's scenario by name, by path of a YAML file, as a mapping or as it is, with `changes`
+    merged over it.
 
-    As `load_scenario`, with the key `vehicle`. The mass on a wheel follows from the vehicle's.
-    Raises `ParameterError` with one line for anything unknown or out of range.
+    As `load_scenario`, with the key `vehicle`. The mass on a wheel follows from the vehicle's mass
+    and is refused in `changes`. Raises `ParameterError` with one line for anything unknown or out
+    of range.
     """
     wheel = (changes or {}).get("wheel")
     if isinstance(wheel, dict) and "body_mass" in wheel:
@@ -78,7 +82,10 @@ def load_rover(
 
 
 def _with_mass(mapping: Keys) -> Keys:
-    """The mapping of a scenario with the mass on a wheel, which follows from the vehicle's."""
+    """The mapping of a scenario with the mass on a wheel, the vehicle's mass over its wheels.
+
+    A mapping or a vehicle that is wrong passes: `load` refuses it later, naming the key.
+    """
     vehicle = mapping.get("vehicle")
     wheel = mapping.get("wheel")
     if not isinstance(vehicle, dict) or not isinstance(wheel, dict):

@@ -73,7 +73,7 @@ class Scenario(Checked):
                     expected = f"expected a weight {least}, at most {_HEAVIEST:g}"
                     raise ParameterError(f"{place}.{name} = {weight!r}: {expected}")
         for name in self.soils:
-            self.beneath(library[name])
+            self.beneath(library[name])  # refuses moduli whose S is not positive for this wheel
         if self.belief.method == "none" and self.reward.information > 0.0:
             raise ParameterError(
                 "reward.information: expected 0 where belief.method = 'none' identifies nothing"
@@ -97,12 +97,12 @@ class Scenario(Checked):
 
     @property
     def periods(self) -> int:
-        """Control periods until the time limit."""
+        """Control periods until the time limit, at least 1."""
         return max(1, round(self.control.time_limit / self.control.period))
 
     @property
     def steps(self) -> int:
-        """Actions until the time limit."""
+        """Actions until the time limit, rounded up."""
         return -(-self.periods // self.control.action_periods)
 
 
@@ -140,9 +140,10 @@ def load_scenario_as(
     place: str,
     complete: Callable[[Keys], Keys] = dict,
 ) -> Any:
-    """`load_scenario` of another class, whose shipped ones are in a `folder` of configs/.
+    """`load_scenario` of the class `kind`, whose shipped scenarios are in a `folder` of configs/.
 
-    `complete` adds to the mapping what follows from the rest of it.
+    `complete` adds to the mapping what follows from the rest of it. With `changes` the scenario is
+    first loaded without them: where that succeeds, an error lies in the changes and names `place`.
     """
     mapping, where = _given(kind, folder, which, changes or {})
     if changes:
@@ -161,9 +162,10 @@ def _given(
     changes: Keys,
     above: tuple[Path, ...] = (),
 ) -> tuple[Keys, str]:
-    """The mapping of a scenario without the changes, and where it comes from.
+    """(the mapping of a scenario without `changes`, the place it comes from for messages).
 
-    `above`: the files whose `base` this one is.
+    The changes serve only to tell a rover from a wheel. `above`: the files that led here by their
+    `base`, the nearest last; a path is relative to that one, and none of them may be named again.
     """
     singular = folder.removesuffix("s")
     if isinstance(which, dict):
@@ -198,7 +200,9 @@ def _on_base(
     where: str,
     above: tuple[Path, ...],
 ) -> Keys:
-    """The mapping of a scenario; one with the key `base` as changes of the scenario named there."""
+    """The mapping of a scenario; one with the key `base` is merged over the scenario named there,
+    whose `name` it does not take. `above` as in `_given`.
+    """
     if "base" not in mapping:
         return dict(mapping)
     own = dict(mapping)
@@ -215,7 +219,9 @@ def _on_base(
 
 
 def _shipped_file(folder: str, which: str | Path) -> Path:
-    """The file of a scenario of this name in a `folder` of configs/."""
+    """The file of the scenario `which` in a `folder` of configs/; `ParameterError` if there is
+    none.
+    """
     singular = folder.removesuffix("s")
     path = config_dir() / folder / f"{which}.yaml"
     if path.is_file():
@@ -233,6 +239,7 @@ def _shipped_file(folder: str, which: str | Path) -> Path:
 
 
 def _expected(folder: str) -> str:
+    """What a message expects: a name of those shipped in a `folder` of configs/, or a path."""
     names = ", ".join(shipped(folder))
     return f"expected one of {names}, or the path of a {folder.removesuffix('s')}'s YAML file"
 
@@ -253,7 +260,12 @@ def _check_kind(mapping: Keys, changes: Keys, folder: str, where: str) -> None:
 
 
 def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
-    """The mapping of a scenario with `changes` over it, and the presets in it replaced."""
+    """The mapping of a scenario with `changes` over it, and a preset of its wheel by its values.
+
+    `soils` in the changes replace the whole mixture, and that of the belief where it was the same;
+    `belief.soils` there replace the whole library. A wheel in the changes that is no mapping, as
+    the name of a preset, replaces the whole wheel. Neither argument is modified.
+    """
     mapping = dict(mapping)
     changes = dict(changes)
     belief = _mapping(mapping.get("belief"))
@@ -282,6 +294,7 @@ def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
 
 
 def _plain(value: Any) -> Any:
+    """A parameter class as the mapping of its fields; anything else as it is."""
     return to_dict(value) if isinstance(value, Checked) else value
 
 

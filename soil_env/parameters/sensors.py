@@ -14,12 +14,12 @@ _TOP_SPEED = "of top rim speed"
 
 
 def _error(unit: str, default: float, high: float = 1.0, doc: str = "") -> Any:
-    """Field of the standard deviation of white noise or of a zero."""
+    """Field of `Noise`: standard deviation of the white noise or the zero of a sensor."""
     return quantity(unit, 0.0, high, default=default, doc=doc)
 
 
 def _gain(default: float) -> Any:
-    """Field of the standard deviation of a relative gain."""
+    """Field of `Noise`: standard deviation of the relative gain of a sensor."""
     return quantity("", 0.0, 0.3, default=default)
 
 
@@ -43,8 +43,8 @@ class Noise(Checked):
       by 1 % of the weight in 20 K.
     - The torque constant of a motor is within 10 % (Hiwin TM-04-0-EN-2108, section 8.1).
     - An accelerometer as it is delivered is within 50 thousandths of gravity and 3 % (InvenSense
-      PS-MPU-6000A 3.4, section 6.2). Ours was turned over once, which leaves a tenth of the zero
-      and a sixth of the gain; a zero of 5 thousandths of gravity is a pitch of 0.3 deg.
+      PS-MPU-6000A 3.4, section 6.2). Ours counts as turned over once, which leaves a tenth of the
+      zero and a sixth of the gain. A zero of 5 thousandths of gravity is a pitch of 0.3 deg.
     - The others are our choice.
     """
 
@@ -79,13 +79,15 @@ class Noise(Checked):
 
 
 def calibrated(noise: Noise) -> Noise:
-    """Return the same sensors without zeros and gains."""
+    """Return the errors of the same sensors after calibration: without zeros and gains."""
     constant = {name: 0.0 for name in vars(noise) if name.endswith(("_zero", "_gain"))}
     return replace(noise, **constant)
 
 
 class SensorReading(NamedTuple):
-    """One set of sensor readings."""
+    """One set of sensor readings of a wheel, as the world draws it and compiled code takes it; the
+    one that a user gives is `Readings`.
+    """
 
     slip: float
     sinkage: float  # [m]
@@ -123,7 +125,9 @@ class Readings(NamedTuple):
 
 
 def sizes_of(wheel: Wheel, gravity: float) -> dict[str, float]:
-    """Sizes [SI] that errors, limits and entries of the observation are relative to."""
+    """{unit: size [SI]} of the units relative to a wheel, in which errors, limits and entries of
+    the observation are stated. "of weight" is the weight without payload [N].
+    """
     weight = wheel.body_mass * gravity
     return {
         _WEIGHT: weight,
@@ -145,11 +149,13 @@ class Sensor(NamedTuple):
     #: Largest plausible reading, as a multiple of a size or of the unit; a larger one is a fault or
     #: in another unit.
     largest: tuple[float, str]
-    #: Size that it is observed over or its unit, least and greatest value, centre and scale.
+    #: (size that its entry of the observation is relative to, or its unit; least value, greatest
+    #: value, centre and scale of the entry).
     observed: tuple[str, float, float, float, float]
     of_body: bool = False  # a rover has one, and not one for each axle
-    #: Of a log that drives: the quantile of the reading's size that is compared with the least and
-    #: the most over the size that it is observed over. A force may be small for a while.
+    #: (quantile, least, most): where the vehicle of a log drives, this quantile of |reading| over
+    #: the size in `observed` is usually between the two, else the log is doubted. A quantile, since
+    #: a force may be small for a while; None: not compared.
     usual: tuple[float, float, float] | None = None
 
 
@@ -172,9 +178,7 @@ SENSORS = (
         (_WEIGHT, -10.0, 10.0, 0.1, 0.2),
         usual=(0.75, 1e-3, 2.0),
     ),
-    Sensor(
-        "load", "N", (100.0, _WEIGHT), (_WEIGHT, -10.0, 10.0, 1.1, 0.1), usual=(0.5, 0.2, 5.0)
-    ),
+    Sensor("load", "N", (100.0, _WEIGHT), (_WEIGHT, -10.0, 10.0, 1.1, 0.1), usual=(0.5, 0.2, 5.0)),
     Sensor(
         "torque", "N m", (100.0, _TWIST), (_TWIST, -10.0, 10.0, 0.4, 0.2), usual=(0.75, 5e-3, 3.0)
     ),

@@ -66,8 +66,8 @@ def lumped_coefficient(k_c: float, k_phi: float, width: float) -> float:
 
 @dataclass(frozen=True)
 class Layer(Checked):
-    """Firm ground below a cover, `contact.layer_firmness`; S is that of the cover down to
-    `depth`.
+    """Firm ground below a cover, `contact.layer_firmness`; the S of a soil that has it is that of
+    the cover, down to `depth`.
     """
 
     depth: float = quantity("m", 1e-3, 3.0)
@@ -145,11 +145,13 @@ class Soil(Checked):
         return lumped_coefficient(self.k_c, self.k_phi, width)
 
     def at(self, gravity: float) -> "Soil":
-        """The soil at a gravity [m/s2]: k_phi in proportion to it, all else as it was measured.
+        """The soil at a gravity [m/s2]: k_phi, or a lumped S, in proportion to gravity, all else as
+        it was measured.
 
         k_phi bears by the weight of the soil, density x gravity (Reece 1965), k_c by cohesion. A
-        lumped S changes as a whole, for its cohesive part is not known. Raises `ParameterError` for
-        a gravity that no field admits.
+        lumped S changes as a whole, for its cohesive part is not known. A soil without
+        `gravity_measured` counts as measured on Earth; at another gravity it gives the warning
+        `UnstatedGravity`. Raises `ParameterError` for a gravity outside the range of that field.
         """
         here = replace(self, gravity_measured=gravity)
         measured = self.gravity_measured
@@ -160,7 +162,7 @@ class Soil(Checked):
                     f"a soil without gravity_measured is taken as measured at {measured:g} m/s2, "
                     f"and used at {gravity:g}: state where it was measured",
                     UnstatedGravity,
-                    stacklevel=1,  # of this line, so that it is said once
+                    stacklevel=1,  # of this line: Python shows a warning once for each line
                 )
         if gravity == measured:
             return self
@@ -171,10 +173,11 @@ class Soil(Checked):
         return replace(here, sinkage_coefficient=share * self.sinkage_coefficient)
 
     def strength(self, stress: float) -> float:
-        """Shear strength [Pa] at a normal stress [Pa].
+        """Shear strength [Pa] at a normal stress [Pa]: c + stress tan(phi) from `reference_stress`
+        on.
 
-        Below `reference_stress` it is tau_r (stress/reference)^m, with the strength and the slope
-        of the Mohr-Coulomb line there: m = reference tan(phi)/tau_r.
+        Below it the strength is tau_r (stress/reference)^m. At the reference it has the value tau_r
+        and the slope of the straight line, so m = reference tan(phi)/tau_r.
         """
         reference = self.reference_stress
         there = self.cohesion + reference * self.tan_phi
@@ -183,7 +186,11 @@ class Soil(Checked):
         return float(there * (stress / reference) ** (reference * self.tan_phi / there))
 
     def line_at(self, stress: float) -> "Soil":
-        """The soil with the Mohr-Coulomb line that touches its strength at a normal stress [Pa]."""
+        """The soil with the Mohr-Coulomb line that touches its strength at a normal stress [Pa].
+
+        Where the strength is straight there, it is the soil itself. The friction angle of the line
+        is at most `_STEEPEST_LINE`.
+        """
         if stress >= self.reference_stress:
             return self
         strength = self.strength(stress)
@@ -198,10 +205,12 @@ class Soil(Checked):
         )
 
     def under(self, radius: float, width: float, load: float, gravity: float) -> SoilState:
-        """The soil as compiled code takes it: where soil, gravity [m/s2] and a wheel meet.
+        """The soil as compiled code takes it, at a gravity [m/s2] under a wheel [m] with a load
+        [N].
 
-        A curved strength counts as the line that touches it at 0.6 of the pressure of a flat plate
-        as long as the contact, sqrt(2 r z). Pull errs by at most 0.03 of the load by that.
+        A curved strength counts as the line that touches it at `_FELT` times the pressure of a flat
+        plate. The plate is as long as the contact, sqrt(2 r z), with z at most the radius. The
+        error of the pull by that is at most 0.03 of the load (docs/physics/contact.md).
         """
         soil = self.at(gravity)
         if soil.reference_stress > 0.0:
@@ -213,9 +222,10 @@ class Soil(Checked):
 
     @classmethod
     def of_state(cls, state: SoilState, gravity: float | None = None) -> "Soil":
-        """The soil of a `SoilState` at a gravity [m/s2], each number within its bounds.
+        """The soil of a `SoilState` that belongs to a gravity [m/s2], each number cut to its
+        bounds.
 
-        Density is not in it.
+        What a state does not tell has its default: the density, and a curved strength.
         """
         numbers = state._asdict()
         numbers["friction_angle_deg"] = math.degrees(math.atan(numbers.pop("tan_phi")))
@@ -226,7 +236,7 @@ class Soil(Checked):
 
     @classmethod
     def within(cls, numbers: Mapping[str, float]) -> "Soil":
-        """The soil of these numbers by name, each cut to its bounds; others are passed over."""
+        """The soil of these numbers by field, each cut to its bounds; other names are ignored."""
         limits = {f.name: f.metadata for f in fields(cls) if f.name in numbers}
         return cls(
             **{
@@ -236,9 +246,9 @@ class Soil(Checked):
         )
 
     def state(self, width: float) -> SoilState:
-        """The soil where it was measured, under a wheel of width b [m], with a straight strength.
+        """The soil as compiled code takes it, as it was measured, under a wheel of width b [m].
 
-        `under` is that of any wheel at any gravity.
+        Its strength counts as straight; `under` is for any gravity and a curved strength.
         """
         return SoilState(
             self.tan_phi,
@@ -283,12 +293,11 @@ class SoilSpread(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.factor()
+        self.factor()  # refuses correlations that contradict each other
 
     def factor(self) -> np.ndarray:
-        """Lower Cholesky factor [5, 5] of the correlations.
-
-        In the order of friction, cohesion, K, stiffness, dig gain.
+        """Lower Cholesky factor [5, 5] of the correlations between friction, cohesion, K, stiffness
+        and dig gain, in this order. Pairs without a field are uncorrelated.
         """
         return correlation_factor(
             self,
@@ -309,9 +318,10 @@ def soils() -> dict[str, Soil]:
 
 
 def correlation_factor(owner: Checked, size: int, names: dict[tuple[int, int], str]) -> np.ndarray:
-    """Lower Cholesky factor [size, size] of the correlations that `owner` has under these names.
+    """Lower Cholesky factor [size, size] of the correlation matrix of `owner`.
 
-    `names` has the names by row and column.
+    `names`: {(row, column): field of `owner`}, each pair once; all other pairs are uncorrelated.
+    Raises `ParameterError` where the matrix is not positive definite.
     """
     correlations = np.eye(size)
     for (row, column), name in names.items():

@@ -59,12 +59,12 @@ class Vehicle(Checked):
 
     @property
     def first_on_bogie(self) -> int:
-        """The front one of the two axles of the bogie; -1 without."""
+        """Index of the front one of the two axles of the bogie; -1 without a bogie."""
         return {"none": -1, "front": 0, "rear": 1}[self.bogie]
 
     @property
     def base(self) -> float:
-        """From the front axle to the rear one [m]."""
+        """Distance from the front axle to the rear one [m]."""
         return self.axles[-1]
 
     @property
@@ -74,7 +74,9 @@ class Vehicle(Checked):
 
     @property
     def shares(self) -> tuple[float, ...]:
-        """Share of the weight that each axle carries at rest on level ground; they add up to 1."""
+        """Share of the weight that each axle carries at rest on level ground, front to rear; the
+        shares add up to 1.
+        """
         if self.bogie == "none":
             rear = self.centre / self.base
             return 1.0 - rear, rear

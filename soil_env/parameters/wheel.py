@@ -18,14 +18,14 @@ from .presets import library
 
 LARGEST_WHEEL = 3.0  # [m] largest radius and width of a wheel that are accepted; own choice
 LEAST_INERTIA = 0.02  # [-] of body_mass radius^2, below that of any geared drive; own choice
-USUAL = "planetary_rover"  # preset whose ground pressure and drive a wheel has that tells none
+USUAL = "planetary_rover"  # preset whose ground pressure and drive a wheel gets that has none given
 MOST_DEFLECTION = 0.3  # [of the radius] of a tyre; own choice
-_LEFT_OUT = float("nan")  # this very object: a NaN from elsewhere is refused
+_LEFT_OUT = float("nan")  # compared by identity: any other NaN is refused
 
 
 @dataclass(frozen=True)
 class Tyre(Checked):
-    """A flexible tyre, by one of the two; a rigid wheel has none."""
+    """A flexible tyre, given by its deflection or by its stiffness; a rigid wheel has no tyre."""
 
     deflection: float = quantity(
         "m", 0.0, 1.0, default=0.0, doc="on hard ground at any load; 0 where stiffness is given"
@@ -43,8 +43,8 @@ class Tyre(Checked):
 
 
 class OnTyre:
-    """What a wheel with the fields `tyre` and `radius` tells compiled code of its tyre; 0 and 0:
-    rigid.
+    """Base of wheels with the fields `tyre` and `radius`: the tyre as two numbers for compiled
+    code, both 0 for a rigid wheel.
     """
 
     tyre: Tyre | None
@@ -52,18 +52,20 @@ class OnTyre:
 
     @property
     def tyre_deflection(self) -> float:
-        """Deflection [m] at any load."""
+        """Deflection [m] at any load; 0 where it follows from the load or the wheel is rigid."""
         return 0.0 if self.tyre is None else self.tyre.deflection
 
     @property
     def tyre_compliance(self) -> float:
-        """Deflection over load [m/N]."""
+        """Deflection over load [m/N]; 0 where the deflection is given or the wheel is rigid."""
         if self.tyre is None or self.tyre.stiffness == 0.0:
             return 0.0
         return 1.0 / self.tyre.stiffness
 
     def check_tyre(self) -> None:
-        """Raise `FieldError` for a tyre that is flatter than the law holds for."""
+        """Raise `FieldError` for a given deflection above `MOST_DEFLECTION` of the radius. A
+        deflection by stiffness is cut there in `substitute_radius`.
+        """
         if self.tyre_deflection > MOST_DEFLECTION * self.radius:
             most = MOST_DEFLECTION * self.radius
             given = f" = {self.tyre_deflection:g}: expected at most {most:g} m"
@@ -79,9 +81,9 @@ class Wheel(Checked, OnTyre):
     stall_torque (1 - w / no_load_speed). An inertia below 2 % of body_mass radius^2 is refused: no
     geared drive is that light, and the wheel would spin up within a step.
 
-    A wheel may be given by `radius` and `width` alone. A mass that is left out gives the ground
-    pressure of the preset "planetary_rover", and a drive that is left out moves the rim as fast and
-    pulls as much of the weight as its drive.
+    A wheel may be given by `radius` and `width` alone. A mass that is left out becomes the one that
+    gives the ground pressure of the preset "planetary_rover". A drive that is left out becomes one
+    that moves the rim as fast as the drive of that preset, and pulls as much of the weight.
     """
 
     more_keys: ClassVar = ("preset",)  # of a mapping, beside the fields
@@ -117,7 +119,11 @@ class Wheel(Checked, OnTyre):
             raise FieldError(self, "inertia", problem)
 
     def _complete(self) -> None:
-        """Fill in what was left out, by the usual wheel."""
+        """Fill in mass, inertia and motor that were left out, by the preset `USUAL`.
+
+        The mass gives its ground pressure, over radius times width. Its drive is geared for the
+        radius and scaled with the mass. A wrong radius, width or mass is left for the checks.
+        """
         left = [name for name in _DRIVE if getattr(self, name) is _LEFT_OUT]
         if not left or not (_positive(self.radius) and _positive(self.width)):
             return
@@ -126,7 +132,7 @@ class Wheel(Checked, OnTyre):
         if mass is _LEFT_OUT:
             mass = usual.body_mass * self.radius * self.width / (usual.radius * usual.width)
         fitted = geared(replace(usual, width=self.width), self.radius)
-        heavier = mass / usual.body_mass if _positive(mass) else 1.0  # it is refused below
+        heavier = mass / usual.body_mass if _positive(mass) else 1.0  # such a mass is refused later
         found = {
             "body_mass": mass,
             "inertia": heavier * fitted.inertia,
@@ -138,9 +144,11 @@ class Wheel(Checked, OnTyre):
 
 
 def _positive(number: object) -> bool:
+    """True for a finite number above 0."""
     return isinstance(number, (int, float)) and 0.0 < number < math.inf
 
 
+#: Fields of `Wheel` that may be left out.
 _DRIVE = ("inertia", "stall_torque", "no_load_speed", "body_mass")
 
 
@@ -159,7 +167,7 @@ def geared(wheel: Wheel, radius: float) -> Wheel:
 
 
 def check_lugs(height: float, radius: float) -> None:
-    """Raise `ParameterError` for lugs [m] no shorter than the radius [m] of their wheel."""
+    """Raise `ParameterError` for lugs of a height [m] of at least the radius [m] of their wheel."""
     if height >= radius:
         raise ParameterError(
             f"grouser_height = {height:g}: expected metres, less than the wheel radius {radius:g} m"
@@ -167,7 +175,9 @@ def check_lugs(height: float, radius: float) -> None:
 
 
 def refuse_lugs_on_tyre(height: float, tyre: Tyre | None) -> None:
-    """Raise `ParameterError` for lugs [m] on a flexible tyre, which the laws of lugs are not of."""
+    """Raise `ParameterError` for lugs of a height [m] on a flexible tyre: the laws of lugs are for
+    rigid wheels.
+    """
     if tyre is not None and height > 0.0:
         raise ParameterError(
             f"grouser_height = {height:g}: expected none on a wheel with a tyre, whose tread is in "
@@ -181,9 +191,11 @@ def wheels() -> dict[str, Wheel]:
 
 
 def with_preset(wheel: Any, where: str) -> Any:
-    """A mapping of `Wheel` with the preset, if it names one, replaced by the preset's values.
+    """The mapping of a `Wheel` in which a preset is replaced by the values of that preset, with the
+    other keys merged over them.
 
-    A preset is named alone or under the key `preset`.
+    A preset is named by text in place of the mapping, or under its key `preset`. Anything else is
+    returned as it is. Errors begin with `where`.
     """
     if isinstance(wheel, str):
         wheel = {"preset": wheel}

@@ -25,12 +25,12 @@ from soil_env.parameters.wheel import MOST_DEFLECTION
 # Gauss-Legendre nodes of each zone of the arc; the two zones share the normal stress
 NODES_PER_ZONE = 8
 NODES = 2 * NODES_PER_ZONE  # those of the front zone, then those of the rear zone
-# [-] square of the cosine over which the bound of `most_carried` bends away from 0
+# [-] 4 times the square of the bound of `most_carried` where the cosine in it is 0; own choice
 LEAST_COSINE = 0.01
 # [of the entry angle] above which soil flows up along a locked rim, fitted here (benchmarks.rigs):
 # at 1 locked wheels sink and drag 1.5 times as much as measured, and more
 RISING_FROM = 0.75
-FOREMOST_PEAK = 0.05  # [of the arc] that a shifted stress peak stays behind the entry, at least
+PEAK_MARGIN = 0.05  # [of the arc] least distance of the stress peak from its ends; own choice
 _x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
 # [-] u^2, distance of a node from the end of the arc over the zone's length
 NODE_DEPTHS = (0.5 * (_x + 1.0)) ** 2
@@ -39,30 +39,32 @@ NODE_WEIGHTS = 0.5 * _w * (_x + 1.0)  # [-] weight of the node times d(u^2)/du
 #: takes as much load as the normal stress gives, and S would grow without bound.
 LEAST_BEARING = 0.05
 LEAST_LAYERED = 0.05  # [-] sinkage exponent of a soil with firm ground below, at least
-LAYER_STEPS = 40  # of a bisection
+LAYER_STEPS = 40  # bisections of ln z in `layered_depth`
 _none = np.zeros(NODES_PER_ZONE)
 _all = np.ones(NODES_PER_ZONE)
-#: [-] Lengths of the front and of the rear zone between the entry and each node, and the node's
-#: share of their weights.
+#: [-] Between the entry and node k lie FRONT_AHEAD[k] lengths of the front zone and REAR_AHEAD[k]
+#: of the rear zone. Its weight is FRONT_WEIGHT[k] and REAR_WEIGHT[k] of these lengths.
 FRONT_AHEAD = np.concatenate([NODE_DEPTHS, _all])
 REAR_AHEAD = np.concatenate([_none, 1.0 - NODE_DEPTHS])
 FRONT_WEIGHT = np.concatenate([NODE_WEIGHTS, _none])
 REAR_WEIGHT = np.concatenate([_none, NODE_WEIGHTS])
 
-# Gauss-Legendre nodes of each of the three zones of an arc that is split where the shear turns
+# Gauss-Legendre nodes of each of the three zones of an arc that is split where the shear
+# displacement changes sign
 SPLIT_PER_ZONE = 12
 SPLIT_NODES = 3 * SPLIT_PER_ZONE
 _x, _w = np.polynomial.legendre.leggauss(SPLIT_PER_ZONE)
 _v = 0.5 * (_x + 1.0)
-_place = _v * _v * (3.0 - 2.0 * _v)  # of a node in a zone, dense at both ends
+# [of the zone] place of a node from the front end of its zone, dense at both ends
+_place = _v * _v * (3.0 - 2.0 * _v)
 _zones = np.eye(3)
-#: [-] [zones, nodes] Lengths of each zone between the entry and a node, and its share of their
-#: weights.
+#: [-] [zones, nodes] Lengths of each zone that lie between the entry and a node, and the weight of
+#: the node in lengths of each zone.
 SPLIT_AHEAD = np.kron(_zones, _place) + np.kron(np.tril(np.ones((3, 3)), -1).T, np.ones_like(_v))
 SPLIT_WEIGHT = np.kron(_zones, 3.0 * _v * (1.0 - _v) * _w)
-TURNS = 8  # steps of Newton's method for the angle where the shear turns, at most
+TURNS = 8  # steps of Newton's method in `turning_angle`, at most
 TURN_STEP = 1e-5  # [rad] last of these steps, which leaves an error of about its square
-LEAST_WAY = 1e-7  # [rad] from the entry that a mean over the arc is formed of
+LEAST_HALF = 1e-7  # [rad] least half of an arc over which `_mean_cos` divides; own choice
 
 _OF_NODE = (
     "stress",  # [m^n rad] normal stress for S = 1, times the weight of the node
@@ -73,9 +75,10 @@ _OF_NODE = (
     "by_travel",  # [m] dj/d(travel)
     "rate",  # [1/m] de/dj
 )
-#: As `ARC_NODES`, of an arc that is split where the shear turns.
+#: Nodes of an arc that is split where the shear displacement changes sign, as in `ARC_NODES`.
 SPLIT_ARC = record(**dict.fromkeys(_OF_NODE, ("f8", SPLIT_NODES)))
-#: Scratch of a thread for one arc: what its nodes have at any motion, then at the last one.
+#: Scratch of a thread for one arc. `rate`, `turned` and `split` belong to the last motion given to
+#: `shear_integrals`, all other fields to any motion.
 ARC_NODES = record(
     "theta1",  # to `radius` as in `Arc`
     "theta2",
@@ -93,8 +96,9 @@ ARC_NODES = record(
 class ShearLaw(NamedTuple):
     """Mobilised share of the shear strength with a peak and a residual.
 
-    e(j) = (1 - x)(a + b x + c y) with x = exp(-|j|/K) and y = exp(-(|j| - onset)/length) beyond the
-    onset, 1 before it. The law of Janosi & Hanamoto, Eq. (10), is None.
+    e(j) = (1 - x)(a + b x + c y), with the sign of j. x = exp(-|j|/K), and y = exp(-(|j| -
+    onset)/length) beyond the onset, 1 before it. Functions that take a law take None for Eq. (10),
+    the law of Janosi & Hanamoto.
     """
 
     a: float
@@ -110,8 +114,8 @@ class Arc(NamedTuple):
     theta1: float  # [rad] entry angle
     theta2: float  # [rad] exit angle
     thetam: float  # [rad] angle of the largest normal stress
-    sheared_from: float  # [rad] angle from which the soil is sheared: theta1, but for lugs
-    radius: float  # [m] that carries the normal stress
+    sheared_from: float  # [rad] where shear begins: theta1, further ahead where lugs enter first
+    radius: float  # [m] of the circle that carries the normal stress
 
 
 class ArcIntegrals(NamedTuple):
@@ -132,8 +136,9 @@ class ArcIntegrals(NamedTuple):
 
 
 class ShearRates(NamedTuple):
-    """Derivatives of Int tau cos, Int tau sin and Int tau with `rim` and `travel`, tau = (st p + c)
-    e [Pa rad].
+    """Derivatives of Int tau cos, Int tau sin and Int tau by `rim` and `travel` [Pa rad].
+
+    tau = (S tan(phi) p + c) e, with p and e as in `ArcIntegrals`.
     """
 
     cos_rim: float
@@ -162,8 +167,8 @@ def entry_angle(sinkage, r):
 
 @compiled
 def smooth_arc(sinkage, r, shift):
-    """`Arc` of a smooth rim: theta2 = 0 and the peak midway, Eq. (9), but for a forward `shift` [of
-    theta1].
+    """`Arc` of a smooth rim: theta2 = 0, and the stress peak midway, Eq. (9), plus a forward
+    `shift` [of theta1].
     """
     theta1 = entry_angle(sinkage, r)
     return Arc(theta1, 0.0, (0.5 + shift) * theta1, theta1, r)
@@ -177,10 +182,11 @@ def on_tyre(wheel):
 
 @compiled
 def substitute_radius(sinkage, load, wheel):
-    """Radius [m] of the rigid circle that a tyre under a load [N] touches the ground like.
+    """Radius [m] of the rigid circle that stands for a tyre under a load [N]; sinkage z > 0 [m].
 
-    D*/D = [sqrt(1 + f/z) + sqrt(f/z)]^2 with the deflection f (Schmid 1995, second-hand): from its
-    entry to its lowest point the circle is as long as the whole contact of the deflected tyre.
+    R/r = [sqrt(1 + f/z) + sqrt(f/z)]^2 with the deflection f, at most `MOST_DEFLECTION` of r
+    (Schmid 1995, second-hand). From its entry to its lowest point that circle is as long as the
+    whole contact of the deflected tyre.
     """
     deflection = wheel.tyre_deflection + wheel.tyre_compliance * load
     share = min(deflection, MOST_DEFLECTION * wheel.radius) / sinkage
@@ -190,10 +196,11 @@ def substitute_radius(sinkage, load, wheel):
 
 @compiled
 def gripping_share(soil, arc, load, wheel):
-    """Strength of the ground that the tread can take, min(c + p tan(phi), grip p) over c + p
-    tan(phi), smooth, with the mean pressure p of the contact.
+    """Share of the ground's strength that the tread transmits before it slips on hard ground.
 
-    So the shear forces of the contact stay below grip times load.
+    It is min(s, grip p)/s, smoothed by `held_below`, with the mean pressure p of the contact and
+    s = c + p tan(phi); 1 where s is 0. With c and tan(phi) times this share the shear forces of the
+    contact stay below grip times load.
     """
     pressure = load / (wheel.width * arc.radius * arc.theta1)
     strength = soil.cohesion + pressure * soil.tan_phi
@@ -204,8 +211,10 @@ def gripping_share(soil, arc, load, wheel):
 
 @compiled
 def layer_firmness(depth, soil):
-    """Sinkage coefficient at a depth [m] over that of the cover: 1 + G x^16/(1 + x^16) with x =
-    depth/`layer_depth`.
+    """Sinkage coefficient at a depth [m] over that of the cover: 1 + G x^16/(1 + x^16).
+
+    G is `layer_gain` and x = depth/`layer_depth`. Own law: the power 16 makes it a smooth but steep
+    step at x = 1.
     """
     if soil.layer_gain == 0.0:
         return 1.0
@@ -218,7 +227,10 @@ def layer_firmness(depth, soil):
 @compiled
 def layered_depth(depth, soil):
     """Depth [m] at which a soil with firm ground below carries the pressure that its cover alone
-    carries at `depth` [m]: bisection in ln z.
+    carries at `depth` [m].
+
+    Bisection in ln z between `depth` and depth/(1 + G)^(1/n), as if all of the ground were firm.
+    The exponent n counts as at least `LEAST_LAYERED`, so that the bracket stays finite.
     """
     n = max(soil.sinkage_exponent, LEAST_LAYERED)
     goal = n * math.log(depth)
@@ -235,16 +247,18 @@ def layered_depth(depth, soil):
 
 @compiled
 def braked_shift(braked, soil):
-    """Forward shift [of theta1] of the stress peak of a wheel that slides by the share `braked` >=
-    0 of its travel: `soil.braked_peak` s/(1 + s).
+    """Forward shift [of theta1] of the stress peak of a wheel that slides by the share s = `braked`
+    >= 0 of its travel: `soil.braked_peak` s/(1 + s).
     """
     return soil.braked_peak * braked / (1.0 + braked)
 
 
 @compiled
 def grown_modulus(modulus, soil, arc):
-    """Shear deformation modulus [m] at the contact length of an `Arc`: K (r theta1/L)^p, with K =
-    `modulus` [m].
+    """Shear deformation modulus [m] at the contact length of an `Arc`: K (r theta1/L)^p.
+
+    K is `modulus` [m], which belongs to the length L = `soil.shear_length`; p =
+    `soil.shear_growth`.
     """
     if soil.shear_growth == 0.0:
         return modulus
@@ -253,10 +267,11 @@ def grown_modulus(modulus, soil, arc):
 
 
 @compiled
-def _over_turning(t):
-    """(1 - i, its derivative) where the rim is the faster: t = V/(r w).
+def _complement_fast_rim(t):
+    """(1 - i, its derivative by t) where the rim is at least as fast as the travel: t = V/(r w).
 
-    Where t < 0 it is `_over_travel` of 1/t, and so 0 at rest.
+    Where the rim turns against the travel, t < 0, the value is that of `_complement_fast_travel` at
+    1/t, so that both meet at t = -1. It falls to 0 at V = 0.
     """
     if t >= 0.0:
         return t, 1.0
@@ -265,11 +280,11 @@ def _over_turning(t):
 
 
 @compiled
-def _over_travel(t):
-    """(1 - i, its derivative) where the travel is the faster: 2 - t with t = r w/V.
+def _complement_fast_travel(t):
+    """(1 - i, its derivative by t) where the travel is faster than the rim: 2 - t with t = r w/V.
 
-    Where t < 0 it is (2 - 5 t)/(1 - t)^2, which has the value and the slope of 2 - t at t = 0,
-    rises to 2.1, and falls to 0 as the rim becomes much the faster.
+    Where t < 0 it is (2 - 5 t)/(1 - t)^2 (own choice). That has the value and the slope of 2 - t at
+    t = 0, rises to 2.1, and falls to 0 as the rim becomes much the faster.
     """
     if t >= 0.0:
         return 2.0 - t, -1.0
@@ -280,21 +295,22 @@ def _over_travel(t):
 @compiled
 def carried_share(rim, travel, floor):
     """(share, its derivatives by `rim` and `travel`): speed of soil carried along the rim over the
-    travel speed, for a tan(phi) = 1: (1 - i)^3.
+    travel speed, (1 - i)^3.
 
-    Speeds in any one unit. 1 - i is V/(r w) driving and 2 - r w/V braking, 2 of a locked wheel.
-    Where the rim turns against the travel it goes on from 2, through 2.1, to 0, so that there is no
-    jump at V = 0. The share fades out below speeds of `floor`.
+    The caller multiplies by a tan(phi), with a = `rim_flow`. Speeds and `floor` are in any one
+    unit. 1 - i is V/(r w) driving and 2 - r w/V braking, 2 of a locked wheel. Where the rim turns
+    against the travel 1 - i goes on from 2, through 2.1, to 0, so that there is no jump at V = 0.
+    The share fades out below speeds of `floor`, and is 0 at rest.
     """
     square = rim * rim + travel * travel
     if square == 0.0:
         return 0.0, 0.0, 0.0
     if abs(rim) >= abs(travel):
-        w, slope = _over_turning(travel / rim)
+        w, slope = _complement_fast_rim(travel / rim)
         by_travel = slope / rim
         by_rim = -by_travel * (travel / rim)
     else:
-        w, slope = _over_travel(rim / travel)
+        w, slope = _complement_fast_travel(rim / travel)
         by_rim = slope / travel
         by_travel = -by_rim * (rim / travel)
     rest = square + floor * floor
@@ -310,7 +326,7 @@ def carried_share(rim, travel, floor):
 
 @compiled
 def _cosine_of_rise(arc):
-    """(cosine, sine over 2) of the angle above which soil flows up along a locked rim."""
+    """(cosine, half the sine) of the angle above which soil flows up along a locked rim."""
     angle = RISING_FROM * arc.sheared_from
     s = half_sin(angle)
     return 1.0 - 2.0 * s * s, s * half_cos(angle)
@@ -318,11 +334,12 @@ def _cosine_of_rise(arc):
 
 @compiled
 def most_carried(arc):
-    """Bound on the carried share of the travel speed: the speed of a locked rim along itself at
-    `RISING_FROM` of the entry angle.
+    """Bound on the share of the travel speed at which soil is carried along the rim.
 
-    Above that angle the soil overtakes a locked rim and lifts it, below it drags it back. The bound
-    stays above 0 where the axle is below the ground.
+    It is the speed of a locked rim along itself, over V, at `RISING_FROM` of the entry angle: the
+    cosine of that angle. Soil in front of a locked wheel rises as in front of a blade. Above that
+    angle it overtakes the rim and lifts it, below that angle it drags the rim back. The bound is
+    smoothed to stay above 0 where the axle is below the ground.
     """
     cosine, _ = _cosine_of_rise(arc)
     return 0.5 * (cosine + math.sqrt(cosine * cosine + LEAST_COSINE))
@@ -330,7 +347,7 @@ def most_carried(arc):
 
 @compiled
 def most_by_angle(arc):
-    """Derivative of `most_carried` by the entry angle."""
+    """Derivative of `most_carried` by the entry angle [1/rad]."""
     cosine, half_sine = _cosine_of_rise(arc)
     change = -2.0 * RISING_FROM * half_sine
     return change * most_carried(arc) / math.sqrt(cosine * cosine + LEAST_COSINE)
@@ -338,9 +355,10 @@ def most_by_angle(arc):
 
 @compiled
 def held_below(share, most):
-    """(share below `most`, its derivatives by both): share (1 + (share/most)^4)^(-1/4), smooth.
+    """(smooth minimum of `share` and `most` > 0, its derivatives by `share` and by `most`).
 
-    A share of a third of the bound stays within 0.3 %.
+    share (1 + (share/most)^4)^(-1/4) is always below `most`. A share of a third of `most` changes
+    by 0.3 %.
     """
     ratio = share / most
     fourth = ratio * ratio * (ratio * ratio)
@@ -354,8 +372,8 @@ def motion_from_speeds(rim_speed, travel_speed, floor):
     """(rim, travel, direction) from rim speed r w and travel speed V [m/s], smooth through rest and
     reversal.
 
-    `direction` in (-1, 1) is the smoothed sign of V; `floor` [m/s] is the speed below which the
-    wheel counts as resting.
+    rim and travel are both speeds over sqrt((r w)^2 + floor^2); `direction` in (-1, 1) is the
+    smoothed sign of V. Below `floor` [m/s] the wheel counts as resting.
     """
     v = math.sqrt(rim_speed * rim_speed + floor * floor)
     return rim_speed / v, travel_speed / v, smoothed_sign(travel_speed, floor)[0]
@@ -364,9 +382,9 @@ def motion_from_speeds(rim_speed, travel_speed, floor):
 @compiled
 def relative_stress(theta, cos1, n, r):
     """Normal stress for S = 1 at an angle of the front zone, Eq. (7): its depth [m] below the entry
-    point, to the n.
+    point, to the power n.
 
-    cos1 = cos(theta1).
+    cos1 = cos(theta1). Above the entry point the depth counts as 0.
     """
     depth = r * (math.cos(theta) - cos1)
     if depth > 0.0:
@@ -376,8 +394,8 @@ def relative_stress(theta, cos1, n, r):
 
 @compiled
 def mirror_angle(theta, theta1, theta2, thetam):
-    """Angle in the front zone with the same normal stress as `theta`, Eq. (8) for the rear zone,
-    itself in front.
+    """Angle in the front zone with the same normal stress as `theta`: by Eq. (8) where `theta` is
+    in the rear zone, `theta` where it is in the front zone.
     """
     if theta >= thetam:
         return theta
@@ -386,7 +404,7 @@ def mirror_angle(theta, theta1, theta2, thetam):
 
 @compiled
 def shear_displacement(theta, theta1, sin1, rim, travel, r):
-    """(j, dj/d(rim), dj/d(travel)) [m] of Eq. (10) at one angle; sin1 = sin(theta1)."""
+    """(j, dj/d(rim), dj/d(travel)) [m] of Eq. (10) at one angle; sin1 = sin(theta1), r [m]."""
     by_rim = r * (theta1 - theta)
     by_travel = -r * (sin1 - math.sin(theta))
     return rim * by_rim + travel * by_travel, by_rim, by_travel
@@ -394,8 +412,8 @@ def shear_displacement(theta, theta1, sin1, rim, travel, r):
 
 @compiled
 def mobilised(j, K, law):
-    """(e, de/dj): mobilised share of the shear strength at displacement j [m], signed as j; Eq.
-    (10) or a `ShearLaw`.
+    """(e, de/dj [1/m]): mobilised share of the shear strength at a displacement j [m], with its
+    sign, by a `ShearLaw`, or by Eq. (10) where `law` is None.
     """
     if law is None:
         rate = 1.0 / K
@@ -421,12 +439,12 @@ def _mobilised_by(law, j, K):
 
 @compiled_sums
 def lay_nodes(nodes, arc, n):
-    """Lay the nodes of an `Arc` into the scratch `nodes`, for a sinkage exponent n; (Int p cos, Int
-    p sin).
+    """Lay the nodes of an `Arc` into the scratch `nodes` (`ARC_NODES`), for a sinkage exponent n.
+    Return (Int p cos, Int p sin).
 
     Gauss-Legendre nodes are at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam -
     theta2) u^2 behind. That removes the singularity (theta1 - theta)^n at both ends. By Eq. (8) the
-    two nodes have the same normal stress.
+    front node and the rear node of one u have the same normal stress.
     """
     r = arc.radius
     nodes.theta1 = arc.theta1
@@ -464,8 +482,8 @@ def lay_nodes(nodes, arc, n):
 
 @compiled
 def _mean_cos(theta, end):
-    """(mean of cos over [theta, end], its derivative by theta)."""
-    h = max(0.5 * (end - theta), LEAST_WAY)
+    """(mean of cos over [theta, end], its derivative by theta), angles in rad."""
+    h = max(0.5 * (end - theta), LEAST_HALF)
     s = half_sin(theta)
     mean = half_cos(end + theta) * half_sin(2.0 * h) / h
     return mean, 0.5 * (mean - (1.0 - 2.0 * s * s)) / h
@@ -473,15 +491,16 @@ def _mean_cos(theta, end):
 
 @compiled
 def turning_angle(nodes, rim, travel):
-    """Angle inside the arc of `lay_nodes` at which the shear displacement changes its sign; theta1
-    if there is none.
+    """Angle [rad] inside the arc of `lay_nodes` at which the shear displacement j changes its sign;
+    theta1 if there is none.
 
-    j = 0 where the mean of cos from there to the entry is rim/travel. Newton's method starts from
-    the series of that mean to second order.
+    j = 0 where the mean of cos, from that angle to the one where shear begins, is rim/travel.
+    Newton's method starts from the series of that mean to second order.
     """
     end = nodes.sheared_from
     s = half_sin(end)
-    if (rim - travel) * (rim - travel * (1.0 - 2.0 * s * s)) >= 0.0:  # a mean is between these
+    # rim/travel must lie between cos(0) and cos(end), as the mean does
+    if (rim - travel) * (rim - travel * (1.0 - 2.0 * s * s)) >= 0.0:
         return nodes.theta1
     goal = rim / travel
     theta = 0.5 * (math.sqrt(max(24.0 * (1.0 - goal) - 3.0 * end * end, 0.0)) - end)
@@ -497,8 +516,10 @@ def turning_angle(nodes, rim, travel):
 
 @compiled_sums
 def _lay_split(nodes, turn):
-    """Lay the nodes of the arc of `lay_nodes` in three zones, between which the stress peaks and
-    the shear turns.
+    """Lay nodes of the arc of `lay_nodes` into `nodes.split`, in three zones.
+
+    The arc is cut at the stress peak and at `turn` [rad], where the shear displacement changes
+    sign. Both give the integrands a kink, which nodes of one zone across it would not resolve.
     """
     split = nodes.split[0]
     r = nodes.radius
@@ -511,19 +532,25 @@ def _lay_split(nodes, turn):
     sine = half_sin(theta1)
     rise1 = sine * sine
     sheared_sin = 2.0 * half_sin(sheared_from) * half_cos(sheared_from)
-    upper = theta1 - max(turn, thetam)
-    middle = abs(turn - thetam)
-    lower = min(turn, thetam) - theta2
+    front_zone = theta1 - max(turn, thetam)
+    middle_zone = abs(turn - thetam)
+    rear_zone = min(turn, thetam) - theta2
     for k in range(SPLIT_NODES):
-        ahead = upper * SPLIT_AHEAD[0, k] + middle * SPLIT_AHEAD[1, k] + lower * SPLIT_AHEAD[2, k]
+        ahead = (
+            front_zone * SPLIT_AHEAD[0, k]
+            + middle_zone * SPLIT_AHEAD[1, k]
+            + rear_zone * SPLIT_AHEAD[2, k]
+        )
         theta = theta1 - ahead
-        front = theta1 - (theta - theta2) * mirrored  # Eq. (8)
-        front = theta if theta >= thetam else front
-        f = half_sin(front)
+        as_stressed = theta1 - (theta - theta2) * mirrored  # Eq. (8)
+        as_stressed = theta if theta >= thetam else as_stressed
+        f = half_sin(as_stressed)
         s = half_sin(theta)
         c = half_cos(theta)
         weight = (
-            upper * SPLIT_WEIGHT[0, k] + middle * SPLIT_WEIGHT[1, k] + lower * SPLIT_WEIGHT[2, k]
+            front_zone * SPLIT_WEIGHT[0, k]
+            + middle_zone * SPLIT_WEIGHT[1, k]
+            + rear_zone * SPLIT_WEIGHT[2, k]
         )
         split.weight[k] = weight
         split.stress[k] = weight * power(2.0 * r * (rise1 - f * f), n)
@@ -535,7 +562,11 @@ def _lay_split(nodes, turn):
 
 @compiled_sums
 def _shear_sums(nodes, count, p, motion, K, law):
-    """`ArcIntegrals` of so many nodes."""
+    """`ArcIntegrals` over the first `count` nodes at a `motion` (rim, travel); de/dj of each goes
+    to `nodes.rate`.
+
+    `p`: (Int p cos, Int p sin), which do not depend on the motion.
+    """
     rim = motion[0]
     travel = motion[1]
     pe_cos = 0.0
@@ -562,14 +593,19 @@ def _shear_sums(nodes, count, p, motion, K, law):
 
 @compiled
 def _split_integrals(nodes, p, motion, K, law):
-    """`shear_integrals` of the arc split at `motion[2]`, where the shear turns."""
+    """`shear_integrals` of an arc split at the angle `motion[2]` [rad], where the shear
+    displacement changes sign.
+    """
     _lay_split(nodes, motion[2])
     return _shear_sums(nodes.split[0], SPLIT_NODES, p, motion, K, law)
 
 
 @compiled_sums
 def _integrals_under(nodes, p, motion, K, law, split):
-    """`shear_integrals` under one `law`."""
+    """`shear_integrals` with a `law` that is None or a `ShearLaw`; each is compiled on its own.
+
+    `nodes.turned` says afterwards whether the arc was split.
+    """
     nodes.turned = 0
     if split:
         turn = turning_angle(nodes, motion[0], motion[1])
@@ -584,8 +620,9 @@ def shear_integrals(nodes, p, motion, K, law, split):
     """`ArcIntegrals` of the nodes of `lay_nodes` at a `motion` (rim, travel); stores de/dj at each
     node, which `shear_rates` reads.
 
-    `p`: (Int p cos, Int p sin). With `split` an arc in which the shear turns has nodes of its own,
-    since de/dj has a kink there. `law`: a `ShearLaw`, or None for Eq. (10).
+    `p`: (Int p cos, Int p sin), as `lay_nodes` returns them. With `split` an arc in which the shear
+    displacement changes sign gets nodes of its own, since de/dj has a kink there. `law`: a
+    `ShearLaw`, or None for Eq. (10).
     """
     if law is None:
         return _integrals_under(nodes, p, motion, K, None, split)
@@ -597,7 +634,7 @@ def shear_integrals(nodes, p, motion, K, law, split):
 
 @compiled_sums
 def _rate_sums(nodes, count, st, c):
-    """`ShearRates` of so many nodes."""
+    """`ShearRates` over the first `count` nodes, with st = S tan(phi) and cohesion c [Pa]."""
     cos_rim = 0.0
     sin_rim = 0.0
     one_rim = 0.0
@@ -619,7 +656,9 @@ def _rate_sums(nodes, count, st, c):
 
 @compiled_sums
 def shear_rates(nodes, st, c):
-    """`ShearRates` of the nodes at the last motion of `shear_integrals`, with st = S tan(phi)."""
+    """`ShearRates` of the nodes at the last motion of `shear_integrals`, with st = S tan(phi) and
+    cohesion c [Pa].
+    """
     if nodes.turned > 0:
         return _rate_sums(nodes.split[0], SPLIT_NODES, st, c)
     return _rate_sums(nodes, NODES, st, c)
@@ -627,8 +666,8 @@ def shear_rates(nodes, st, c):
 
 @compiled
 def forces(q, S, tan_phi, c, r, b, direction):
-    """`Forces` from `ArcIntegrals` q: Eqs. (1)-(3) with the exact resistance integral of Eq. (11)
-    ("consistent").
+    """`Forces` from `ArcIntegrals` q on a circle of radius r and width b [m]: Eqs. (1)-(3), with
+    the resistance of Eq. (11), not (12).
 
     `direction` is the smoothed sign of the travel speed, 1 in a steady forward run. In reverse the
     horizontal part of the normal stress and the vertical part of the shear stress change sign.
@@ -652,8 +691,9 @@ def bearing_share(q, tan_phi, direction):
 
 @compiled
 def bounded_bearing(q, tan_phi, direction):
-    """(`bearing_share`, at least `LEAST_BEARING` of what the normal stress carries by itself, True
-    if it is no more).
+    """(`bearing_share` cut from below, True if the cut holds) [m^n].
+
+    The cut is at `LEAST_BEARING` of the load that the normal stress carries by itself.
     """
     share = bearing_share(q, tan_phi, direction)
     least = LEAST_BEARING * q.p_cos
@@ -666,8 +706,8 @@ def mobilised_sinkage_coefficient(q, load, tan_phi, c, r, b, direction):
     0.
 
     Eq. (1) is linear in S, so at a given sinkage the coefficient that the load mobilises has a
-    closed form. Where `bounded_bearing` is at its bound S is bounded, too, and carries less than
-    the load.
+    closed form. It is 0 where cohesion alone carries more than the load. Where `bounded_bearing` is
+    cut, S is too small to carry the load.
     """
     bearing, _ = bounded_bearing(q, tan_phi, direction)
     rest = load / (r * b) - direction * c * q.e_sin

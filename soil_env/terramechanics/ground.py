@@ -36,13 +36,13 @@ def stiffened(soil, factor):
 
 @compiled
 def with_strength(soil, tan_phi, cohesion, shear_modulus, rim_flow):
-    """`soil` with these numbers of its shear law."""
+    """`soil` with these numbers of its shear law, K [m] as `shear_modulus`."""
     return SoilState(tan_phi, cohesion, shear_modulus, *soil[3:7], rim_flow, *soil[8:])
 
 
 @compiled
 def with_digging(soil, exponent, gain, recovery):
-    """`soil` with these numbers of its sinkage."""
+    """`soil` with this sinkage exponent, and this gain and recovery of slip-sinkage."""
     return SoilState(*soil[:4], exponent, gain, recovery, *soil[7:])
 
 
@@ -66,14 +66,17 @@ def put_soil(record, soil):
 
 @compiled
 def _geometric(a, b, share):
-    """Geometric mean of two numbers, with a `share` of the second."""
+    """Geometric mean of two numbers > 0, with a `share` in [0, 1] of the second."""
     return exp((1.0 - share) * log(a) + share * log(b))
 
 
 @compiled
 def blend(a, b, share):
-    """Soil between two, share of the second: moduli and the stiffness of firm ground below
-    geometrically, everything else linearly."""
+    """Soil between `a` and `b`, with a `share` in [0, 1] of `b`.
+
+    K, S and the stiffness of firm ground below, 1 + `layer_gain`, are interpolated geometrically,
+    since they differ by orders of magnitude; everything else linearly.
+    """
     rest = 1.0 - share
     return SoilState(
         rest * a.tan_phi + share * b.tan_phi,

@@ -51,7 +51,8 @@ from .steady import Rim, Rows, floats, predict_rows
 from .validity import OutsideValidity, checked, outside
 
 FORMAT = "soil_env model 1"
-STEEPEST = 60.0  # [deg] grade
+STEEPEST = 60.0  # [deg] grade that a prediction is asked for, either way; own choice
+USUAL_DENSITY = 1500.0  # [kg/m3] of a model without a soil, the default of `Soil`
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,10 @@ class ModelWheel(Checked, OnTyre):
 
     @classmethod
     def of(cls, wheel: object) -> "ModelWheel":
-        """The sizes of any wheel that has a radius and a width: of a scenario, of a setup."""
+        """The sizes of any wheel that has a radius and a width, as of a scenario or a setup.
+
+        What else it lacks counts as none: no lugs, no tyre, no limit of grip.
+        """
         if isinstance(wheel, cls):
             return wheel
         if not hasattr(wheel, "radius") or not hasattr(wheel, "width"):
@@ -99,8 +103,8 @@ class Prediction(NamedTuple):
     sinkage: np.ndarray  # [m]
     drawbar_pull: np.ndarray  # [N]
     torque: np.ndarray  # [N m]
-    supported: bool  # False where the soil carries the load in no row or not in all rows
-    #: [N, 3] standard deviations of a measurement of these, NaN where the model states none.
+    supported: bool  # True if the soil carries the load in every row
+    #: [N, 3] standard deviations of a measurement of these three, NaN without a `remainder`.
     sd: np.ndarray
 
 
@@ -145,8 +149,8 @@ class WheelSoilModel(Checked):
 
     @property
     def density(self) -> float:
-        """Density of the soil [kg/m3]; 1500 where the model has no soil."""
-        return 1500.0 if self.soil is None else self.soil.density
+        """Density of the soil [kg/m3]; `USUAL_DENSITY` where the model has no soil."""
+        return USUAL_DENSITY if self.soil is None else self.soil.density
 
     @property
     def numbers(self) -> Effects:
@@ -160,7 +164,11 @@ class WheelSoilModel(Checked):
 
     @property
     def needed(self) -> dict[str, str]:
-        """What needs the speed or the pass to be known, by these names."""
+        """{condition: effect or law that depends on it}, for "speed" and "pass".
+
+        A prediction to which a condition in it is not given is refused. Of several effects or laws
+        the last one is named.
+        """
         by = {name: CATALOGUE[name].varies for name in self.effects}
         groups = [group for term in self.residual for group in term.powers]
         by |= {f"the residual law by {group}": group for group in groups}
@@ -173,9 +181,10 @@ class WheelSoilModel(Checked):
         `conditions`: a measurement table, or a mapping of arrays [N]; scalars count for every row.
         It has `slip` [-] and `load` [N] and, as far as they matter, `speed` [m/s], `pass`,
         `grade_deg`, `wheel_radius`, `wheel_width`, `grouser_height` [m]. Raises `ParameterError`
-        for unknown or missing names, also of a speed or pass that an effect or the residual law
-        goes with, and for values that are not finite; warns once (`OutsideValidity`) of conditions
-        outside `validity`.
+        for unknown or missing names and for values that are not finite or out of range. The speed
+        and the pass that an effect or the residual law depends on (`needed`) are missing unless
+        given in every row. Warns once for each model (`OutsideValidity`) of conditions outside
+        `validity`.
         """
         if self.soil is None:
             raise ParameterError("WheelSoilModel: no soil: expected one, to predict with")
@@ -199,7 +208,8 @@ class WheelSoilModel(Checked):
         law = self.law
         fx = self.numbers
         carried = 0
-        footing = c.wheels[:, 1:2]  # S = k_c/b + k_phi
+        # rows of one `footing` share the numbers of the soil, which S = k_c/b + k_phi is one of
+        footing = c.wheels[:, 1:2]
         if self.soil.reference_stress > 0.0:  # strength depends on the pressure
             footing = np.column_stack([c.wheels[:, :2], c.load])
         for one in np.unique(footing, axis=0):
@@ -221,7 +231,7 @@ class WheelSoilModel(Checked):
         return Prediction(out[:, 0], out[:, 1], out[:, 2], carried == c.slip.size, sd)
 
     def content(self) -> dict[str, Any]:
-        """The mapping of model.yaml."""
+        """The mapping of model.yaml, without what the model does not have."""
         content = {
             "format": FORMAT,
             "wheel": _without_off(self.wheel),
@@ -246,7 +256,7 @@ class WheelSoilModel(Checked):
         return content
 
     def save(self, path: str | Path) -> None:
-        """Write model.yaml, in one piece."""
+        """Write model.yaml, whole or not at all."""
         replace_file(path, yaml.safe_dump(self.content(), sort_keys=False))
 
     @classmethod
@@ -288,14 +298,15 @@ def load_model(model: ModelLike) -> WheelSoilModel | None:
 
 
 def _without_off(wheel: ModelWheel) -> dict[str, Any]:
-    """The mapping of a wheel without tyre and grip where it has none."""
+    """The mapping of a wheel, without the keys of tyre and grip where it has none."""
     keys = to_dict(wheel)
     off = {"tyre": None, "grip": 0.0}
     return {name: value for name, value in keys.items() if name not in off or value != off[name]}
 
 
-_OPTIONAL = {"speed": 0.0, "pass": 1.0, "grade_deg": 0.0}
-_SIZES = ("wheel_radius", "wheel_width", "grouser_height")
+_OPTIONAL = {"speed": 0.0, "pass": 1.0, "grade_deg": 0.0}  # values where they are not given
+_SIZES = ("wheel_radius", "wheel_width", "grouser_height")  # those of the model if not given
+#: Name of a condition, its least and largest value, and what a message expects.
 _RANGES = (
     ("speed", 0.0, math.inf, "a travel speed >= 0 m/s"),
     ("pass", 1.0, math.inf, "numbers from 1, 1 = fresh soil"),
@@ -307,7 +318,9 @@ _RANGES = (
 
 
 def _numbers(name: str, value) -> np.ndarray:
-    """A condition as an array [N] or of one number; NaN only where it may be left out."""
+    """A condition as an array of N numbers or of one; NaN stands for one not given, except in slip
+    and load, where it is refused.
+    """
     try:
         a = np.atleast_1d(np.asarray(value, dtype=float))
     except (TypeError, ValueError):
@@ -322,7 +335,7 @@ def _numbers(name: str, value) -> np.ndarray:
 
 
 def _mapping(conditions: Any) -> Mapping[str, ArrayLike]:
-    """Conditions by the columns of a table."""
+    """The conditions as a mapping of columns: `conditions()` of a `Table`, a mapping as it is."""
     if isinstance(conditions, Mapping):
         return conditions
     if not hasattr(conditions, "conditions"):
@@ -333,8 +346,10 @@ def _mapping(conditions: Any) -> Mapping[str, ArrayLike]:
 
 
 def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
-    """`Rows` of a table or a mapping; what is not given (or NaN) is level, fresh soil and the wheel
-    of the model.
+    """`Rows` [N] of a table or a mapping of conditions (`WheelSoilModel.predict`), checked.
+
+    What is not given, or NaN, is level, fresh soil, an unknown speed and the sizes of `wheel`. The
+    tyre and the grip are those of `wheel` in every row. Raises `ParameterError`.
     """
     conditions = _mapping(conditions)
     known = ("slip", "load", *_OPTIONAL, *_SIZES)
@@ -385,7 +400,9 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
 
 @kept
 def _groups(rows, felt, soil, gravity, fx):
-    """`GROUPS` [N, 7] of rows at the sinkages `felt` [N]."""
+    """`GROUPS` [N, 7] of rows at the sinkages `felt` [N], which `predict_rows` found, and at their
+    true slips.
+    """
     groups = np.empty((rows.slip.size, len(GROUPS)))
     for k in range(rows.slip.size):
         w = rows.wheels[k]
@@ -399,8 +416,8 @@ def _groups(rows, felt, soil, gravity, fx):
 
 @kept
 def _add_residual(law, groups, rows, out, sd):
-    """Add to `out` [N, 3] what a `RESIDUAL` adds to rows of these `GROUPS` [N, 7], and fill its
-    standard deviations `sd` [N, 3].
+    """Add to predictions `out` [N, 3] what the `RESIDUAL` law adds at these `GROUPS` [N, 7], and
+    write the standard deviations of its table into `sd` [N, 3]. Both are in SI units.
     """
     for k in range(rows.slip.size):
         radius = rows.wheels[k, 0]

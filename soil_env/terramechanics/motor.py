@@ -2,19 +2,20 @@
 
 from soil_env._compiled.flags import compiled
 
-LOOP_GAIN = 10.0  # [-] of the speed loop, over the slope of the torque-speed line: a stiff loop
+# [-] of the speed loop, over the slope of the torque-speed line: a stiff loop; own choice
+LOOP_GAIN = 10.0
 
 
 @compiled
 def motor_torque(command, by_speed, wheel_speed, motor):
-    """(torque, d torque/dw, available): motor torque [N m] for a command in [-1, 1].
+    """(torque, d torque/dw, available): motor torque [N m] for a command in [-1, 1] at a wheel
+    speed w [rad/s].
 
-    The command is a share of the stall torque or, with `by_speed`, of the no-load speed, which a
-    stiff speed loop then follows. Either way the torque stays between the lines of full voltage
-    forward and backward, +-T_stall - T_stall w/w_0, and within +-T_stall: faster than the no-load
-    speed the motor brakes.
-    `available` is the line on the side of the torque that is asked for. `motor` has `stall_torque`
-    [N m] and `no_load_speed` [rad/s].
+    The command is a share of the stall torque or, with `by_speed`, of the no-load speed w_0, which
+    a stiff speed loop then follows. Either way the torque stays between the lines of full voltage
+    forward and backward, +-T_stall - T_stall w/w_0, and within +-T_stall: faster than w_0 the motor
+    brakes. `available` is the largest torque [N m] in the direction of the torque asked for.
+    `motor` has `stall_torque` [N m] and `no_load_speed` [rad/s].
     """
     stall = motor.stall_torque
     line = stall / motor.no_load_speed

@@ -58,8 +58,10 @@ EFFECTS = record(*NO_EFFECTS._fields)
 
 
 class Acting(NamedTuple):
-    """What acts between wheel and soil beside the base model; None where nothing does, which
-    compiles to no code. Where anything does, all three are there.
+    """What acts between wheel and soil beside the base model.
+
+    All three are None where nothing acts, which compiles to no code. Where anything acts all three
+    are there, neutral if need be (`acting_on`).
     """
 
     effects: Any  # `EFFECTS` or None
@@ -80,24 +82,24 @@ class Standing(NamedTuple):
     weight: float  # [N] with the share of the body, along the vertical
     sin_grade: float  # uphill positive
     passes: float  # 1 = fresh soil
-    braked: float  # [of its travel] that soil piled ahead of a braked wheel answers to
+    braked: float  # [of its travel] sliding of a braked wheel to which the soil piled ahead belongs
     load: float  # [N] normal to the ground, for tyre and grip
 
 
 class ExtraForces(NamedTuple):
     """Forces and depths beside the contact, at the slip and the speeds that a step begins with."""
 
-    lift: float  # [m] sinkage beyond that which carries, as digging has it
+    lift: float  # [m] depth excavated whatever the load, over the slip-sinkage ratio
     bulldozing: float  # [N] resistance of the soil ahead
-    blades: float  # [N] thrust of the lugs of a slipping wheel
+    blades: float  # [N] thrust of the lugs of a wheel that slips, in full
     pull: float  # [N] of the residual law
     torque: float  # [N m] of the residual law
     unfelt: float  # [m] sinkage of the residual law, which is read and not felt
 
 
 class Footing(NamedTuple):
-    """What a wheel stands on during a step: its arc's integrals of the stress, the soil as sheared,
-    the load.
+    """What a wheel stands on during a step: integrals of the normal stress over its arc, the soil
+    as it is sheared, the load.
     """
 
     theta1: float  # [rad] entry angle
@@ -106,8 +108,8 @@ class Footing(NamedTuple):
     tan_phi: float
     cohesion: float  # [Pa]
     shear_modulus: float  # [m] at this length of contact
-    carry: float  # a tan(phi) of the soil carried along the rim
-    most_carried: float  # bound on its share of the travel speed
+    carry: float  # `rim_flow` tan(phi), the factor on `carried_share`
+    most_carried: float  # bound on the share of the travel speed at which soil is carried
     load: float  # [N] normal to the ground
 
 
@@ -130,7 +132,10 @@ NO_REACTION = Reaction(*[0.0] * len(Reaction._fields))
 
 
 def acting_on(effects: Effects | None, residual: np.record | None = None) -> Acting:
-    """Pack effects and a residual law."""
+    """Pack effects and a residual law (a record `RESIDUAL`): `BASE` where both are None.
+
+    Where one of them is None, the other comes with neutral effects or a law without terms.
+    """
     if effects is None and residual is None:
         return BASE
     effects = NO_EFFECTS if effects is None else effects
@@ -141,7 +146,9 @@ def acting_on(effects: Effects | None, residual: np.record | None = None) -> Act
 
 @inlined
 def lay_footing(nodes, arc, soil, load):
-    """Lay an `Arc` in `soil` into the scratch `nodes`; its `Footing` under a `load` [N]."""
+    """Lay the nodes of an `Arc` into the scratch `nodes`. Return its `Footing` on `soil`, as it is
+    sheared, under a `load` [N].
+    """
     p_cos, p_sin = lay_nodes(nodes, arc, soil.sinkage_exponent)
     most = most_carried(arc) if soil.rim_flow > 0.0 else 1.0
     return Footing(
@@ -160,7 +167,7 @@ def lay_footing(nodes, arc, soil, load):
 @compiled
 def carried_along(footing, speed, rim_speed):
     """(share of the travel speed at which soil is carried along the rim, its derivatives [s/m] by
-    V and u).
+    the travel speed V and the rim speed u).
     """
     if footing.carry == 0.0:
         return 0.0, 0.0, 0.0
@@ -172,11 +179,13 @@ def carried_along(footing, speed, rim_speed):
 
 @inlined
 def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
-    """`Reaction` of the contact alone: Eqs. (1)-(3), with Eq. (1) solved for S so that the load
-    stays what it is.
+    """`Reaction` of the contact alone at travel speed V and rim speed u [m/s]: Eqs. (1)-(3).
+
+    Eq. (1) is solved for S at the present sinkage, so that the load stays what it is. `nodes` and
+    `footing` are of `lay_footing`; `law` is a `ShearLaw`, or None for Eq. (10).
     """
     r = nodes.radius
-    lever = wheel.radius if on_tyre(wheel) else r
+    lever = wheel.radius if on_tyre(wheel) else r  # the tread of a tyre moves at its own r w
     b = wheel.width
     rb = r * b
     c = footing.cohesion
@@ -231,10 +240,11 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
 
 @compiled
 def ground_under(at, soil, wheel, acting):
-    """(`SoilState` as sheared, `Arc`, `ExtraForces`) of a wheel in the state `at`, on `soil` as a
-    rut leaves it; effects are applied here.
+    """(`SoilState` as it is sheared, `Arc`, `ExtraForces`) of a wheel whose state `at` is a
+    `Standing`.
 
-    The forces of a residual law fade out towards rest.
+    `soil` is as a rut leaves it; the effects of `acting` are applied here. The forces of a residual
+    law fade out towards rest and change sign in reverse.
     """
     slip = slip_ratio(at.rim_speed, at.speed, REST_SPEED)
     point = WorkingPoint(slip, at.sinkage, at.weight, abs(at.speed), at.passes, at.sin_grade)
@@ -248,14 +258,19 @@ def ground_under(at, soil, wheel, acting):
 
 @compiled
 def _gripped(soil, arc, load, wheel):
-    """Soil as the tread of a wheel shears it, which may slip on hard ground."""
+    """Soil as the tread of a wheel shears it: tan(phi) and cohesion times `gripping_share`.
+
+    The share of soil carried along the rim stays.
+    """
     share = 1.0 if wheel.grip == 0.0 else gripping_share(soil, arc, load, wheel)
     return grousers.at_shear_radius(soil, share, soil.shear_modulus)
 
 
 @compiled
 def _soil_and_arc(at, slip, soil, wheel, fx):
-    """(`SoilState` as it is sheared, `Arc`, then the first three of `ExtraForces`)."""
+    """(`SoilState` as it is sheared, `Arc`, lift, bulldozing, blades), the last three as in
+    `ExtraForces`, 0 without effects.
+    """
     shift = braked_shift(at.braked, soil)
     if fx is None:
         arc = arc_of(at.sinkage, slip, shift, at.load, None, wheel)
@@ -281,7 +296,9 @@ def _soil_and_arc(at, slip, soil, wheel, fx):
 @compiled
 def reaction(nodes, footing, speed, rim_speed, wheel, extra, acting):
     """`Reaction` at the axle at travel speed V and rim speed u [m/s], with `ExtraForces` and the
-    drivetrain.
+    friction of the drivetrain.
+
+    `wheel.rim_ratio` is the radius at which soil is sheared over that of the rim.
     """
     f = soil_reaction(nodes, footing, speed, wheel.rim_ratio * rim_speed, wheel, acting.law)
     return _at_the_axle(f, extra, speed, rim_speed, wheel, acting.effects)
@@ -289,7 +306,12 @@ def reaction(nodes, footing, speed, rim_speed, wheel, extra, acting):
 
 @compiled
 def _at_the_axle(f, extra, speed, rim_speed, wheel, fx):
-    """`Reaction` f at the shear radius as one at the axle."""
+    """`Reaction` at the axle of the contact's reaction `f`, whose rim speed and torque are those at
+    the radius where lugs shear the soil.
+
+    Without effects it is `f`. With them blades, bulldozing, residual forces and friction are added;
+    blades push at half the height of the lugs.
+    """
     if fx is None:
         return f
     else:
@@ -322,7 +344,9 @@ def _at_the_axle(f, extra, speed, rim_speed, wheel, fx):
 
 @compiled
 def moved(f, dv, du):
-    """`Reaction` f to first order after a change of V and of u; its derivatives stay."""
+    """`Reaction` f to first order after changes `dv` of V and `du` of u [m/s], S at least 0; load
+    and derivatives stay.
+    """
     coefficient = (
         f.sinkage_coefficient + f.sinkage_coefficient_v * dv + f.sinkage_coefficient_u * du
     )

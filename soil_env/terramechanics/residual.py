@@ -28,7 +28,8 @@ AXES = ("slip", "load", "speed", "pass", "grade")  # groups that a table may go 
 #: Coefficient and value in a table, at most: ten times radius, load, or load times radius. Own
 #: choice, far beyond any wheel.
 LARGEST = 10.0
-MOST_SD = 1e6  # of such a value
+MOST_SD = 1e6  # [-] standard deviation of such a value, at most; own choice
+MOST_POWER = 6.0  # [-] size of the power of a group; own choice
 MOST_TERMS = 32  # of a residual law
 MOST_NODES = 4096  # of a table, of all axes together and of all their combinations
 
@@ -53,13 +54,14 @@ class ResidualTerm(Checked):
                 if group not in GROUPS:
                     raise unknown_key(group, GROUPS, name)
         for group, p in self.powers.items():
-            if not abs(p) <= 6.0:
+            if not abs(p) <= MOST_POWER:
                 raise ParameterError(f"powers: {group} = {p!r}: expected a number in [-6, 6]")
         for group, (low, high) in self.ranges.items():
             if not low <= high:
                 raise ParameterError(f"ranges: {group} = {[low, high]}: expected [low, high]")
 
     def __str__(self) -> str:
+        """The coefficient and the powers, as "+0.03 slip load^-0.5"."""
         product = "".join(f" {g}" if p == 1 else f" {g}^{p:g}" for g, p in self.powers.items())
         return f"{self.coefficient:+.3g}{product}"
 
@@ -132,7 +134,10 @@ RESIDUAL = record(
 def residual_law(
     terms: Sequence[ResidualTerm] = (), table: ResidualTable | None = None
 ) -> np.record:
-    """Pack terms and a table as a record `RESIDUAL`; `ParameterError` where there are too many."""
+    """Pack terms and a table as a record `RESIDUAL`; `ParameterError` for more than `MOST_TERMS`.
+
+    A group of a term without a range keeps its value, whatever it is.
+    """
     if len(terms) > MOST_TERMS:
         raise ParameterError(f"residual: {len(terms)} terms: expected at most {MOST_TERMS}")
     packed = np.zeros(1, RESIDUAL)[0]
@@ -171,7 +176,9 @@ class WorkingPoint(NamedTuple):
 
 @compiled
 def dimensionless_groups(at, soil, wheel, gravity):
-    """The seven `GROUPS` at one `WorkingPoint`; the slip with its sign."""
+    """The seven `GROUPS` at one `WorkingPoint`, gravity in m/s2; the slip with its sign, cut to
+    [-1, 1].
+    """
     slip = min(max(at.slip, -1.0), 1.0)
     r = wheel.radius
     bearing = soil.sinkage_coefficient * wheel.width * power(r, soil.sinkage_exponent + 1.0)
@@ -188,7 +195,12 @@ def dimensionless_groups(at, soil, wheel, gravity):
 
 @compiled
 def residual_at(law, groups):
-    """Terms and table for (sinkage / r, drawbar pull / W, torque / (W r)) at `groups`."""
+    """What terms and table of a `RESIDUAL` add to (sinkage / r, drawbar pull / W, torque / (W r))
+    at `groups`.
+
+    In a term each group is cut to its range, and slip counts as |i|; the table takes it with its
+    sign.
+    """
     sinkage, pull, torque = interpolated(law, groups, 0)
     for k in range(law.terms):
         value = law.coefficient[k]
@@ -208,7 +220,7 @@ def residual_at(law, groups):
 
 @compiled
 def residual_under(law, at, soil, wheel):
-    """`residual_at` a `WorkingPoint` of a simulated wheel; 0 without a law."""
+    """`residual_at` of a `WorkingPoint` of a simulated wheel; three zeros where `law` is None."""
     if law is None:
         return 0.0, 0.0, 0.0
     else:
@@ -217,8 +229,10 @@ def residual_under(law, at, soil, wheel):
 
 @compiled
 def interpolated(law, groups, first):
-    """Three columns of the table from `first` on, linear between the nodes about `groups`; 0
-    without a table.
+    """Three columns of the table from `first` on, 0 for values and 3 for standard deviations.
+
+    They are linear in each group between the nodes about `groups`, and constant beyond the first
+    and the last node. Three zeros without a table.
     """
     sinkage = 0.0
     pull = 0.0
@@ -250,7 +264,7 @@ def interpolated(law, groups, first):
 
 @compiled
 def _raised(x, p):
-    """x^p; 0 where it is not a real number."""
+    """x^p; 0 for x = 0 at any p, and where x^p is not a real number."""
     if x == 0.0 or (x < 0.0 and p != math.floor(p)):
         return 0.0
     size = power(abs(x), p)

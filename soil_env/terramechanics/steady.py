@@ -11,14 +11,14 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.elementary import asin_root
+from soil_env._compiled.elementary import TINIEST, asin_root
 from soil_env._compiled.flags import compiled, inlined
 from soil_env.parameters import SoilState
 from soil_env.slip import motion_from_slip, sliding_speed
 
 from .contact import (
     ARC_NODES,
-    FOREMOST_PEAK,
+    PEAK_MARGIN,
     Arc,
     Forces,
     ShearLaw,
@@ -68,9 +68,15 @@ LEAST_SPEED = 1e-9  # [m/s] a wheel whose speed is not known turns all the same
 LEAST_TURNING = 1e-15  # [rad/s] wheel speed above which friction of the drivetrain is in full
 SHALLOWEST = 1e-6  # [radii] least sinkage
 SHALLOWEST_TYRE = 1e-13  # [radii] least sinkage of a tyre, which hard ground carries by its length
+MOST_LIFT = 0.9  # [of `DEEPEST`] depth excavated whatever the load, at most; own choice
+ABOVE_LIFT = 1.0001  # [-] least sinkage over the excavated depth, below which nothing carries
+LEAST_MISFIT = -2.0  # [-] cut of `_misfit`, so that a secant from it stays of use; own choice
+MOST_MISFIT = 50.0  # [-] the upper cut; own choice
+UNCARRIED = 2.0  # [-] misfit where no soil could carry the load: deeper; own choice
 MOST_STEPS = 60  # of the secant
-LEAST_SLOPE = 0.05  # [-] of the misfit over ln z, towards which a secant is held
+LEAST_SLOPE = 0.05  # [-] least steepness of the secant: misfit over ln z, which falls
 SMALLEST_STEP = 1e-6  # [ln m] step after which the secant ends
+LEAST_DEPTH = 1e-4  # [m] depth at which `sinkage_coefficient_at` compares, at least; own choice
 #: [ln m]^2 product of the last two steps at which the secant ends: the size of its error.
 SECANT_ERROR = 1e-7
 
@@ -84,7 +90,7 @@ class Steady(NamedTuple):
     sinkage: float  # [m]
     drawbar_pull: float  # [N]
     torque: float  # [N m]
-    #: False if the wheel is buried before the soil carries the load; `sinkage` is then the bound.
+    #: False if the soil does not carry the load down to `DEEPEST` radii, where `sinkage` then ends.
     supported: bool
 
 
@@ -103,7 +109,7 @@ class Rim(NamedTuple):
 
     @classmethod
     def of(cls, wheel: Any) -> "Rim":
-        """The smooth rim of a wheel, with its tyre and its grip."""
+        """The rim of a wheel with its tyre and grip, without lugs and unit weight."""
         tyre = wheel.tyre_deflection, wheel.tyre_compliance
         return cls(wheel.radius, wheel.width, 0.0, 0.0, *tyre, wheel.grip)
 
@@ -116,14 +122,15 @@ class Conditions(NamedTuple):
     sin_grade: float  # uphill positive
 
 
+#: Level, fresh soil; the speed 0 stands for one that is not known.
 LEVEL = Conditions(0.0, 1.0, 0.0)
 
 
 class Point(NamedTuple):
     """Steady point to solve, as it is measured."""
 
-    slip: float
-    load: float  # [N] weight
+    slip: float  # as it is measured, see `true_slip`
+    load: float  # [N] weight, along the vertical
     guess: float  # [m] sinkage to start from, 0 where there is none
 
 
@@ -142,7 +149,8 @@ def arc_of(sinkage, slip, shift, load, fx, wheel):
     """`Arc` of a wheel at a given sinkage [m], slip and load [N], with the effects that shape it
     and a forward `shift` of the stress peak [of theta1].
 
-    The tips of the lugs enter the soil, and begin to shear it, at cos = cos(theta1)/q (Ding et al.
+    The shifted peak stays `PEAK_MARGIN` of the arc behind the entry. The tips of the lugs, at q
+    times the radius, enter the soil and begin to shear it at cos = cos(theta1)/q (Ding et al.
     2011).
     """
     r = contact_radius(wheel, fx)
@@ -155,7 +163,7 @@ def arc_of(sinkage, slip, shift, load, fx, wheel):
         theta1 = entry_angle(sinkage, r)
         theta2, thetam = arc_ends(theta1, slip, fx)
         if shift > 0.0:
-            foremost = theta1 - FOREMOST_PEAK * (theta1 - theta2)
+            foremost = theta1 - PEAK_MARGIN * (theta1 - theta2)
             thetam = min(thetam + shift * theta1, foremost)
         sheared_from = theta1
         if q != 1.0:
@@ -165,27 +173,27 @@ def arc_of(sinkage, slip, shift, load, fx, wheel):
 
 
 class _Balance(NamedTuple):
-    """Constants of Eq. (1) at one point, and what follows from them beside it."""
+    """What Eq. (1) at one point takes beside the sinkage, for which it is solved."""
 
-    slip: float
-    rim: float  # of motion, as the sheared soil sees it
+    slip: float  # true
+    rim: float  # motion of the rim that shears the soil, as in `contact`
     travel: float
-    carried: float  # share of the travel speed at which soil is carried along the rim, unbounded
+    carried: float  # share of the travel speed of soil carried along, before the bound of the arc
     shift: float  # [of theta1] of the stress peak, forward
     load: float  # [N] normal to the ground
     along: float  # [N] weight along the slope
-    ground: SoilState  # in contact
-    soil: SoilState  # as it is sheared
-    strength: float  # ln of S over the pressure ratio of the digging
+    ground: SoilState  # in contact, with all effects on soil
+    soil: SoilState  # `ground` as the rim shears it, with lugs
+    strength: float  # ln of S/dug^n: the coefficient that dug soil offers at the sinkage
     lift: float  # [m] depth excavated whatever the load
-    dug: float  # ratio of the digging that the pressure feels
-    apparent: float  # sinkage that is seen over that which is felt
+    dug: float  # slip-sinkage ratio in the balance; 1 where the sinkage is only `apparent`
+    apparent: float  # measured sinkage over the one of the balance
     law: ShearLaw
 
 
 @inlined
 def _carried(soil, rim, travel):
-    """Share of the travel speed at which soil is carried along the rim, unbounded."""
+    """Share of the travel speed at which soil is carried along the rim, before `most_carried`."""
     if soil.rim_flow == 0.0:
         return 0.0
     return soil.rim_flow * soil.tan_phi * carried_share(rim, travel, 0.0)[0]
@@ -193,7 +201,10 @@ def _carried(soil, rim, travel):
 
 @compiled
 def _balance(slip, load, soil, wheel, conditions, fx):
-    """`_Balance` of a wheel at a true slip under a weight [N]."""
+    """`_Balance` of a wheel at a true slip under a weight `load` [N].
+
+    `soil` is undisturbed, `conditions` a `Conditions`, `fx` `Effects` or None for the base model.
+    """
     rim, travel = motion_from_slip(slip)
     shift = braked_shift(max(-slip, 0.0), soil)
     if fx is None:
@@ -248,7 +259,7 @@ def _balance(slip, load, soil, wheel, conditions, fx):
             ground,
             sheared,
             strength,
-            min(excavated_depth(slip, fx), 0.9 * DEEPEST * wheel.radius),
+            min(excavated_depth(slip, fx), MOST_LIFT * DEEPEST * wheel.radius),
             ratio / apparent,
             apparent,
             mobilisation(fx),
@@ -257,7 +268,7 @@ def _balance(slip, load, soil, wheel, conditions, fx):
 
 @compiled
 def _integrals(nodes, arc, p, fx):
-    """`ArcIntegrals` of an arc at the motion of a `_Balance`."""
+    """`ArcIntegrals` of an `Arc` at the motion of a `_Balance` p, soil carried along included."""
     stress = lay_nodes(nodes, arc, p.soil.sinkage_exponent)
     rim = p.rim
     flows = p.carried > 0.0
@@ -273,8 +284,11 @@ def _integrals(nodes, arc, p, fx):
 
 @inlined
 def _misfit(nodes, x, p, wheel, fx):
-    """(ln of the mobilised over the available sinkage coefficient at the sinkage e^x [m], `Forces`
-    there).
+    """(misfit of the `_Balance` p at the sinkage e^x [m], `Forces` there).
+
+    The misfit is ln(s/available): s is the sinkage coefficient that the load mobilises, the other
+    the one that the dug soil offers. Where it is positive the wheel sinks deeper. Forces are those
+    of the available coefficient.
     """
     z = math.exp(x)
     soil = p.soil
@@ -294,12 +308,13 @@ def _misfit(nodes, x, p, wheel, fx):
         available += n * math.log(1.0 - p.lift / z)
     if soil.layer_gain > 0.0:
         available += math.log(layer_firmness((z - p.lift) / p.dug, soil))
-    f = min(max(math.log(max(s, 1e-300)) - available, -2.0), 50.0)
+    f = min(max(math.log(max(s, TINIEST)) - available, LEAST_MISFIT), MOST_MISFIT)
     _, bounded = bounded_bearing(q, tan_phi, 1.0)
     if bounded and p.load / (arc.radius * b) > c * q.e_sin:
-        f = 2.0  # friction takes more than the normal stress gives: no S carries the load here
+        f = UNCARRIED  # friction takes more than the normal stress gives: no S carries the load
     coefficient = math.exp(available)
     if on_tyre(wheel):
+        # hard ground carries no more than the load; the tread moves at the wheel's own r w
         w = forces(q, min(coefficient, s), tan_phi, c, arc.radius, b, 1.0)
         return f, Forces(w.load, w.drawbar_pull, wheel.radius / arc.radius * w.torque)
     return f, forces(q, coefficient, tan_phi, c, arc.radius, b, 1.0)
@@ -307,8 +322,10 @@ def _misfit(nodes, x, p, wheel, fx):
 
 @inlined
 def _first_guess(p, wheel, guess):
-    """ln of the sinkage [m] to start from: of `guess` where there is one, else of a flat plate,
-    sqrt(2 r z) long.
+    """ln of the sinkage [m] to start from: `guess` [m] where it is > 0, else a rough one.
+
+    That is the sinkage of a flat plate of the length sqrt(2 r z), plus the depth excavated whatever
+    the load.
     """
     if guess > 0.0:
         return math.log(guess)
@@ -319,12 +336,15 @@ def _first_guess(p, wheel, guess):
 
 @inlined
 def _solve_balance(nodes, p, wheel, fx, guess):
-    """(ln of the sinkage, `Forces` there, whether the soil carries the load): bracketed secant on
-    `_misfit`.
+    """(ln of the sinkage, `Forces` there, True if the soil carries the load): root of `_misfit`.
+
+    A secant in x = ln z within the bracket (low, high); a step out of the bracket is replaced by
+    its middle. The last step of a secant that has converged is not evaluated: sinkage, pull and
+    torque are extrapolated by it. A wheel whose search ends at `DEEPEST` radii is not carried.
     """
     deepest = math.log(DEEPEST * wheel.radius)
     shallowest = SHALLOWEST_TYRE if on_tyre(wheel) else SHALLOWEST
-    low = math.log(max(shallowest * wheel.radius, 1.0001 * p.lift))
+    low = math.log(max(shallowest * wheel.radius, ABOVE_LIFT * p.lift))
     high = deepest
     x = min(max(_first_guess(p, wheel, guess), low), high)
     slope = -(p.soil.sinkage_exponent + 0.5)
@@ -363,8 +383,11 @@ def _solve_balance(nodes, p, wheel, fx, guess):
 
 @compiled
 def _as_measured(w, z, p, speed, wheel, fx):
-    """(sinkage, drawbar pull, torque) that instruments read at `Forces` w and a sinkage z [m] in
-    the ground.
+    """(sinkage [m], drawbar pull [N], torque [N m]) that instruments read where the contact has the
+    `Forces` w and the `_Balance` p the sinkage z [m].
+
+    With effects `fx`: lugs as blades, bulldozing, weight along the slope, friction of the
+    drivetrain and the zero of the sinkage. An unknown `speed` [m/s] of 0 counts as `LEAST_SPEED`.
     """
     sinkage = min(p.apparent * z, DEEPEST * wheel.radius)
     if fx is None:
@@ -390,8 +413,8 @@ def steady_at(nodes, point, soil, wheel, conditions, fx):
     `Effects` or None. Eq. (1) is solved for the sinkage, then Eqs. (2) and (3) follow. Digging
     deepens the hole at the same bearing pressure: s z^n = S z_w^n with z = k(i) z_w + l(i). So z
     carries the load when the coefficient s(z) that the load mobilises is S ((z - l)/(k z))^n. The
-    root of the difference of their logarithms is found by a bracketed secant in ln z, in which it
-    is nearly straight.
+    root of the difference of the two logarithms is found by a bracketed secant in ln z, in which
+    that difference is nearly straight.
     """
     slip = true_slip(point.slip, fx)
     p = _balance(slip, point.load, soil, wheel, conditions, fx)
@@ -402,6 +425,7 @@ def steady_at(nodes, point, soil, wheel, conditions, fx):
 
 @kept
 def _steady(nodes, point, soil, wheel, conditions, fx):
+    """`steady_at` for calls from Python, with `nodes` [1]."""
     return steady_at(nodes[0], point, soil, wheel, conditions, fx)
 
 
@@ -419,8 +443,8 @@ def steady_with(
     fx: Effects | None = None,
     guess: float = 0.0,
 ) -> Steady:
-    """`steady_at` of a measured slip and weight `load` [N], starting from the sinkage `guess` [m]
-    if there is one.
+    """`steady_at` of a measured slip and a weight `load` [N], starting from the sinkage `guess` [m]
+    unless it is 0.
     """
     point = floats(Point(slip, load, guess))
     nodes = np.zeros(1, ARC_NODES)
@@ -428,12 +452,15 @@ def steady_with(
 
 
 def steady_state(slip: float, load: float, soil: SoilState, r: float, b: float) -> Steady:
-    """`steady_with` of the base model on level, fresh soil, with the digging of `soil`."""
+    """`steady_with` of the base model on level, fresh soil, with the digging of `soil`, for a wheel
+    of radius r and width b [m].
+    """
     return steady_with(slip, load, soil, Rim(r, b, 0.0, 0.0))
 
 
 @kept
 def _predict_rows(rows, soil, factors, unit_weight, fx, guess, out):
+    """`predict_rows`, compiled."""
     nodes = np.zeros(1, ARC_NODES)
     carried = 0
     for k in range(rows.slip.size):
@@ -463,11 +490,13 @@ def predict_rows(
     out: np.ndarray,
     factors: np.ndarray | None = None,
 ) -> int:
-    """`steady_at` of every row into `out` [N, 3] (sinkage, drawbar pull, torque), from `guess` [N],
-    which it renews.
+    """Write `steady_at` of every row into `out` [N, 3] (sinkage, drawbar pull, torque). Return the
+    number of rows that the soil carries.
 
-    `factors` [N, 4] multiply the first four parameters of the soil row by row. Columns of `rows`
-    are contiguous. Returns the number of rows that the soil carries.
+    `guess` [N] has the sinkages to start from, 0 for none. It gets the sinkages found, without the
+    zero of the sensor, and 0 where the soil does not carry the wheel. `factors` [N, 4] multiply
+    tan(phi), cohesion, K and S of the soil row by row. `unit_weight` [N/m3] is that of the soil.
+    Columns of `rows` are contiguous.
     """
     fx = switched_on(fx)
     if factors is None:
@@ -479,6 +508,7 @@ def sinkage_coefficient_at(soil: SoilState, exponent: float, depth: float) -> fl
     """S' [N/m^(n'+2)] of the same pressure S' z^n' = S z^n as `soil` at `depth` z [m] with another
     exponent n'.
 
-    S has a unit that depends on n, so two values compare only at the same exponent.
+    S has a unit that depends on n, so two values compare only at the same exponent. The depth
+    counts as at least `LEAST_DEPTH`.
     """
-    return soil.sinkage_coefficient * max(depth, 1e-4) ** (soil.sinkage_exponent - exponent)
+    return soil.sinkage_coefficient * max(depth, LEAST_DEPTH) ** (soil.sinkage_exponent - exponent)

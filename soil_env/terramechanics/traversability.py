@@ -38,19 +38,18 @@ class Best(NamedTuple):
     """The working point of the highest steady drawbar pull within the motor's torque."""
 
     slip: float  # [-]
-    drawbar_pull: float  # [N]; -inf if the motor can turn the wheel at no slip
+    drawbar_pull: float  # [N]; -inf if at no slip the soil carries and the motor turns the wheel
     torque: float  # [N m]
     sinkage: float  # [m]
 
 
 @compiled
 def best_point_at(nodes, load, soil, wheel, conditions, fx, torque_available):
-    """`Best` of `steady.steady_at` over the slips of `SLIPS`: up from the middle of them, then down
-    from there.
+    """`Best` of the steady states at the slips of `SLIPS`: up from `MIDDLE`, then down from there.
 
-    `nodes`, `soil`, `wheel`, `conditions` and `fx` as there; load [N], torque_available [N m]. The
-    curve has one maximum, so each scan stops once it has clearly passed it, or where more slip
-    takes more torque than there is.
+    `nodes`, `soil`, `wheel`, `conditions` and `fx` as in `steady_at`; load [N], torque_available
+    [N m]. The pull over slip has one maximum, so each scan ends where the pull has clearly fallen.
+    The scan upward also ends where the torque is not available or the soil does not carry.
     """
     best = Best(SLIPS[0], -np.inf, 0.0, 0.0)
     n = soil.sinkage_exponent
@@ -86,6 +85,7 @@ def best_point_at(nodes, load, soil, wheel, conditions, fx, torque_available):
 
 @kept
 def _best_point(nodes, load, soil, wheel, conditions, fx, torque_available):
+    """`best_point_at` for calls from Python, with `nodes` [1]."""
     return best_point_at(nodes[0], load, soil, wheel, conditions, fx, torque_available)
 
 
@@ -97,7 +97,7 @@ def best_working_point_with(
     fx: Effects | None,
     torque_available: float,
 ) -> Best:
-    """`Best` of a wheel with effects under a load [N], within the motor's torque [N m]."""
+    """`Best` of a wheel with effects under a load [N], within the torque [N m] of its motor."""
     return _best_point(
         np.zeros(1, ARC_NODES),
         float(load),
@@ -112,12 +112,15 @@ def best_working_point_with(
 def best_working_point(
     load: float, soil: SoilState, r: float, b: float, torque_available: float
 ) -> Best:
-    """`best_working_point_with` of the base model on level, fresh soil that digs as `soil`."""
+    """`best_working_point_with` of the base model on level, fresh soil, with the digging of `soil`,
+    for a wheel of radius r and width b [m].
+    """
     return best_working_point_with(load, soil, Rim(r, b, 0.0, 0.0), LEVEL, None, torque_available)
 
 
 @kept
 def _best_points(nodes, soils, load, wheel, torque_available, slip, pull):
+    """`best_points`, compiled, into `slip` and `pull` [n]."""
     for k in range(load.size):
         soil = soil_of(soils[k])
         best = best_point_at(nodes[0], load[k], soil, wheel, LEVEL, None, torque_available)
@@ -128,8 +131,8 @@ def _best_points(nodes, soils, load, wheel, torque_available, slip, pull):
 def best_points(soils: np.ndarray, load: np.ndarray, wheel: Wheel) -> tuple[np.ndarray, np.ndarray]:
     """(slip [-], drawbar pull [N]) of `best_working_point` of many wheels, [n] each.
 
-    `soils` [n, 13] are rows of `SoilState`, `load` [n] in N; the size and the motor are those of
-    all wheels.
+    `soils` [n, 13] are rows of `SoilState`, `load` [n] in N. All wheels have the sizes and the
+    motor of `wheel`, whose stall torque is what is available.
     """
     count = len(load)
     slip = np.empty(count)

@@ -18,13 +18,17 @@ CONDITIONS = MappingProxyType(
 )
 
 
+NEAR = 0.01  # [of the range] by which conditions may lie outside without a word; own choice
+ROUNDING = 1e-6  # [of a bound] that is let pass at least, as the error of a written number
+
+
 class OutsideValidity(UserWarning):
     """A model predicts conditions beyond those that it was fitted to."""
 
 
 def checked(validity: Mapping[str, Any], where: str = "validity") -> dict[str, tuple[float, float]]:
-    """A range for each condition that has one; `ParameterError` for unknown names and for what is
-    no range.
+    """The ranges of a mapping {condition: (lowest, highest)} as pairs of floats; `ParameterError`
+    for unknown conditions and for what is no range.
     """
     if not isinstance(validity, Mapping):
         raise ParameterError(
@@ -48,8 +52,10 @@ def checked(validity: Mapping[str, Any], where: str = "validity") -> dict[str, t
 def seen(
     slip: ArrayLike, load: ArrayLike, conditions: np.ndarray
 ) -> dict[str, tuple[float, float]]:
-    """The ranges of slips [N], loads [N] and conditions [N, 3] (speed, 0 = not known; pass; sine of
-    the grade).
+    """{condition: (lowest, highest)} of slips [N], loads [N] and `conditions` [N, 3]: travel speed
+    [m/s], pass, sine of the grade.
+
+    A speed of 0 stands for one not known, and is left out; so is a condition without any row.
     """
     speed = conditions[:, 0]
     columns = {
@@ -68,21 +74,23 @@ def outside(
     load: ArrayLike,
     conditions: np.ndarray,
 ) -> str:
-    """Conditions of rows that lie outside by more than 1 % of the range, in words; "" if none."""
+    """In words, the conditions of rows that lie outside of `validity` by more than `NEAR` of the
+    range; "" if none.
+    """
     asked = seen(slip, load, conditions)
     out = []
     for name, (low, high) in validity.items():
         if name not in asked:
             continue
         a, b = asked[name]
-        near = max(0.01 * (high - low), 1e-6 * max(abs(low), abs(high)))
+        near = max(NEAR * (high - low), ROUNDING * max(abs(low), abs(high)))
         if a < low - near or b > high + near:
             out.append(f"{name} {_span(a, b, '')} (fitted to {_span(low, high, CONDITIONS[name])})")
     return ", ".join(out)
 
 
 def in_words(validity: Mapping[str, tuple[float, float]]) -> str:
-    """ "slip 0.04 to 0.55, load 63.1 to 149 N, ..."."""
+    """The ranges as text: "slip 0.04 to 0.55, load 63.1 to 149 N, ..."."""
     titles = {"grade_deg": "grade"}
     return ", ".join(
         f"{titles.get(k, k)} {_span(low, high, CONDITIONS[k])}"
@@ -91,5 +99,6 @@ def in_words(validity: Mapping[str, tuple[float, float]]) -> str:
 
 
 def _span(low: float, high: float, unit: str) -> str:
+    """One range as text, "0.04 to 0.55 N", or one number where both ends are equal."""
     span = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
     return f"{span} {unit}".rstrip()

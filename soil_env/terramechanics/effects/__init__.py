@@ -11,30 +11,30 @@ How to add an effect, in two files here and one of the benchmark, beside tests a
    Another form of a listed mechanism is a `Form`, no effect.
 2. Write its law there as a function under `@compiled`. `fx.<name>_<parameter>` are its
    numbers; at the neutral values the law changes nothing.
-3. Add the module to `_MODULES` below, and the law to the function below that composes the laws of
+3. Add the module to `_MODULES` below. Add the law to the function below that composes the laws of
    its place: `soil_in_contact` (strength and bearing under the wheel), `arc_ends` (exit angle and
    stress peak), `soil_resistance` (force against the travel) or `drive_friction` (between motor and
-   axle); a law of speed to `depends_on_speed` too. Model files, the simulated world,
+   axle). Add a law of speed to `depends_on_speed`, too. Model files, the simulated world,
    `WheelSoilModel.predict`, the discovery workflow, its report and the table of `text.markdown`
    have it from there. Where two laws change one quantity, the later takes what the earlier left.
 4. Let the blind benchmark hide it, as a test demands: published forms of others, or own ones, in
    `benchmarks/discovery/forms.py`. It draws other cases from then on, so that
    `docs/results/discovery.json` is made anew.
-5. Add ranges of the parameters to `cases.py` in `tests/terramechanics`, the law as its source
+5. Add ranges of the parameters to `cases.py` in `tests/terramechanics`. Add the law as its source
    writes it to `reference.py` and `test_equations.py` there, and its units to
    `test_units_do_not_matter`; bounds must hold in those units too. Run `pytest
    tests/terramechanics tests/simulation/test_worlds.py tests/discovery
    tests/benchmarks/test_discovery.py`. `HIDDEN` of the agents' `environment.py` lists the
    effects that hidden training worlds draw from; an effect need not be there.
 
-A force or torque at the wheel that neither place above has also needs its term in `_at_the_axle`
-of `reaction.py` and in `steady.py`. `varies`
-stays None where only slip shows the effect. The source of an assumption of your own is "own
-assumption".
+A force or torque at the wheel that none of the places of step 3 has also needs its term in
+`_at_the_axle` of `reaction.py` and in `steady.py`. `varies` stays None where only slip shows the
+effect. The source of an assumption of your own is "own assumption".
 
-Where no effect is on, compiled code gets None for `fx` and leaves their laws out: numba drops the
-other branch of `if fx is None` while it compiles, if `fx` is an argument of that function and the
-branch has an `else`. With effects it compiles both branches, which return the same types.
+Where no effect is on, compiled code gets None for `fx` and leaves the laws of all effects out.
+While it compiles, numba drops the other branch of `if fx is None`, if `fx` is an argument of that
+function and the branch has an `else`. With effects it compiles both branches, which return the same
+types.
 """
 
 from collections import namedtuple
@@ -43,6 +43,7 @@ from types import MappingProxyType
 
 from soil_env._compiled.flags import compiled
 from soil_env._io.loading import ParameterError, number, unknown_key
+from soil_env.terramechanics.contact import PEAK_MARGIN
 
 from . import (
     bulldozing,
@@ -95,8 +96,10 @@ NO_EFFECTS = Effects(*(p.neutral for effect in CATALOGUE.values() for p in effec
 
 
 def pack_effects(effects: Mapping[str, Mapping[str, float]]) -> Effects:
-    """Return the `Effects` of parameters by effect name; `ParameterError` for unknown names and
-    values out of range.
+    """Return the `Effects` of {effect: {parameter: value}}, those left out neutral.
+
+    Raises `ParameterError` for unknown names, for an effect without parameters, and for values out
+    of range.
     """
     if not isinstance(effects, Mapping):
         raise ParameterError(f"effects: expected a mapping of effect names, got {effects!r}")
@@ -132,18 +135,22 @@ def switched_on(fx: Effects | None) -> Effects | None:
 def acting_effects(fx: Effects) -> Effects | None:
     """The effects that act on a wheel in a simulated world, as compiled code takes them.
 
-    They are those without the effects of its sensors and without the weight on a slope.
+    Left out are those of its sensors, the weight on a slope, which the world has anyway
+    (`Effect.sensed`), and a slip-sinkage that is only `apparent`.
     """
     sensed = (f"{effect.name}_{name}" for effect in CATALOGUE.values() for name in effect.sensed)
     fx = fx._replace(**{name: getattr(NO_EFFECTS, name) for name in sensed})
-    if fx.slip_sinkage_apparent > 0.0:  # a sinkage that is seen, not felt
+    if fx.slip_sinkage_apparent > 0.0:  # a sinkage that is measured, and changes no stress
         fx = fx._replace(slip_sinkage_gain=0.0, slip_sinkage_apparent=0.0)
     return switched_on(fx)
 
 
 @compiled
 def soil_in_contact(soil, passage, fx):
-    """`SoilState` that the wheel meets on undisturbed `soil`: one law after the other."""
+    """`SoilState` under the wheel on undisturbed `soil`; each law changes what the one before left.
+
+    `passage` is a `Passage`.
+    """
     if fx is None:
         return soil
     else:
@@ -156,8 +163,8 @@ def soil_in_contact(soil, passage, fx):
 
 @compiled
 def arc_ends(theta1, slip, fx):
-    """(exit angle theta2, angle thetam of the stress peak) [rad]; the peak stays 5 % of the arc
-    away from its ends.
+    """(exit angle theta2, angle thetam of the stress peak) [rad]; the peak stays `PEAK_MARGIN` of
+    the arc away from both ends.
     """
     if fx is None:
         return 0.0, 0.5 * theta1
@@ -165,12 +172,12 @@ def arc_ends(theta1, slip, fx):
         theta2, peak = rear_contact.exit_and_peak(theta1, fx)
         peak += stress_peak_shift.peak_shift(theta1, slip, fx)
         span = theta1 - theta2
-        return theta2, min(max(peak, theta2 + 0.05 * span), theta1 - 0.05 * span)
+        return theta2, min(max(peak, theta2 + PEAK_MARGIN * span), theta1 - PEAK_MARGIN * span)
 
 
 @compiled
 def soil_resistance(sinkage, soil, wheel, fx):
-    """Force [N] of the soil against the travel, beside that in the contact."""
+    """Force [N] of the soil against the travel, beside the forces of the contact; sinkage in m."""
     if fx is None:
         return 0.0
     else:
@@ -179,7 +186,9 @@ def soil_resistance(sinkage, soil, wheel, fx):
 
 @compiled
 def drive_friction(torque, wheel_speed, floor, fx):
-    """`Friction` between motor and axle; it fades out below the wheel speed `floor` [rad/s]."""
+    """`Friction` between motor and axle at a torque [N m] of the axle and a wheel speed [rad/s]; it
+    fades out below the wheel speed `floor` [rad/s].
+    """
     if fx is None:
         return Friction(0.0, 0.0, 0.0)
     else:
@@ -194,7 +203,7 @@ def drive_torque(torque, wheel_speed, floor, fx):
 
 @compiled
 def depends_on_speed(fx):
-    """True if the strength of the soil goes with the speed."""
+    """True if bearing or strength of the soil depends on the travel speed or the sliding speed."""
     if fx is None:
         return False
     else:

@@ -14,19 +14,21 @@ from .entry import (
     Priors,
 )
 
+SLOWEST_TURNING = 1e-6  # [rad/s] wheel speed that a prior is divided by, at least; own choice
+
 
 class Friction(NamedTuple):
-    """Torque lost between motor and axle [N m], with its derivatives."""
+    """Torque lost between motor and axle, with its derivatives."""
 
-    torque: float
-    by_torque: float
-    by_wheel_speed: float
+    torque: float  # [N m]
+    by_torque: float  # by the torque at the axle
+    by_wheel_speed: float  # [N m s]
 
 
 @compiled
 def friction_at(torque, wheel_speed, floor, fx):
-    """`Friction`: Coulomb, viscous and a share of the torque; the sign is smoothed below `floor`
-    [rad/s].
+    """`Friction` against the turning: Coulomb friction, a share of the |torque| [N m] at the axle,
+    and viscous friction. The sign of the wheel speed [rad/s] is smoothed below `floor` [rad/s].
     """
     turning, turn = smoothed_sign(wheel_speed, floor)
     share = fx.drivetrain_friction_share
@@ -40,8 +42,11 @@ def friction_at(torque, wheel_speed, floor, fx):
 
 
 def _priors(bench: Bench) -> Priors:
+    """Priors in proportion to 0.3 of load times radius, about the torque of a driven wheel; own
+    choice.
+    """
     torque = 0.3 * bench.load * bench.radius
-    turning = max(bench.median_speed / bench.radius, 1e-6)
+    turning = max(bench.median_speed / bench.radius, SLOWEST_TURNING)
     return {
         "constant": (0.3 * torque, 0.0, 4.0 * torque),
         "viscous": (0.2 * torque / turning, 0.0, 3.0 * torque / turning),

@@ -14,27 +14,29 @@ CHANNELS: tuple[Channel, ...] = (SINKAGE, PULL, TORQUE)
 
 @dataclass(frozen=True)
 class EffectParameter:
-    """Parameter of an effect; its prior is normal about `neutral`, or log-normal about `centre`
-    where that is given.
+    """Parameter of an effect, within [low, high].
+
+    Its prior in a fit is normal about `neutral`, or log-normal about `centre` where that is given.
     """
 
     name: str
     symbol: str  # in the equations
     low: float
     high: float
-    #: Prior standard deviation, relative where `centre` is given; 0 where the table gives it.
+    #: Prior standard deviation, relative where `centre` is given; 0 where `Effect.priors` gives it
+    #: or the parameter is not fitted.
     scale: float
     doc: str
     unit: str = ""
-    neutral: float = 0.0  # switches the law off, or is an idle value where another parameter does
-    centre: float | None = None  # prior mean of a nuisance parameter of the law
+    neutral: float = 0.0  # switches the law off, or is without effect while another one does
+    centre: float | None = None  # prior median of one that only shapes the law, and cannot be 0
 
 
 @dataclass(frozen=True)
 class Form:
     """Published form of an effect: the parameters that it frees, its equation and its source.
 
-    The equation holds {parameter} for each parameter; every other symbol is in `SYMBOLS` or in
+    The equation holds "{parameter}" for each parameter; every other symbol is in `SYMBOLS` or in
     `Effect.symbols`. Several equations are separated by ";".
     """
 
@@ -42,8 +44,8 @@ class Form:
     free: tuple[str, ...]
     equation: str
     source: str
-    fixed: tuple[tuple[str, float], ...] = ()  # values of idle parameters that differ from neutral
-    needs_speed: bool = False  # travel speed known in every row
+    fixed: tuple[tuple[str, float], ...] = ()  # values, not neutral, of parameters not freed
+    needs_speed: bool = False  # fitted only where the travel speed is known in every row
 
 
 class Bench(NamedTuple):
@@ -61,7 +63,7 @@ class Bench(NamedTuple):
     smooth: bool  # no lugs on any wheel
 
 
-#: Prior (standard deviation, low, high) by parameter.
+#: {parameter: (standard deviation, low, high)} of priors.
 Priors = Mapping[str, tuple[float, float, float]]
 
 
@@ -75,17 +77,18 @@ class Effect:
     forms: tuple[Form, ...]
     moves: tuple[Channel, ...] = CHANNELS  # that it changes directly
     varies: str | None = None  # column that must vary in a table for the effect to show
-    shows_without: bool = False  # shows, if faintly, where that column does not vary
+    shows_without: bool = False  # shows, if faintly, also where that column does not vary
     #: Column, or the time elapsed, that it may depend on in a way that no form has.
     beside: str | None = None
-    #: Named by its place, as an error of one sensor is, however it goes with the conditions.
+    #: True where the name holds for any dependence on the conditions, as of an error of one sensor.
     any_form: bool = False
     symbols: Mapping[str, str] = field(default_factory=dict)  # of its equations, beside `SYMBOLS`
-    #: Parameters that act on sensors, or that the simulated world has anyway.
+    #: Parameters that a simulated wheel does without: they act on sensors, or the world has them.
     sensed: tuple[str, ...] = ()
-    #: Its priors where the rig sets them.
+    #: Priors of parameters for which they depend on the rig; they replace `scale`, `low` and
+    #: `high`.
     priors: Callable[[Bench], Priors] = lambda bench: {}
-    #: Neutral value, or centre, by parameter, where the rig sets it.
+    #: {parameter: neutral value or centre}, of parameters for which it depends on the rig.
     neutral: Callable[[Bench], Mapping[str, float]] = lambda bench: {}
     #: Reason why a rig cannot show the effect; "" if it can.
     hidden: Callable[[Bench], str] = lambda bench: ""
@@ -93,7 +96,7 @@ class Effect:
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Conditions that it depends on, or may, beside slip, load and wheel."""
+        """Columns that the effect depends on, or may, beside slip, load and wheel."""
         return tuple(name for name in (self.varies, self.beside) if name is not None)
 
     def parameter(self, name: str) -> EffectParameter:
@@ -106,8 +109,8 @@ class Effect:
 
 
 class Passage(NamedTuple):
-    """Motion of the wheel over the soil, and that soil before any effect: what laws of the soil
-    depend on.
+    """What the laws of the soil depend on: the motion of the wheel over the soil, and the soil
+    before any effect.
     """
 
     undisturbed: NamedTuple  # `SoilState`

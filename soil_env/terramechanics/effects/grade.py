@@ -12,27 +12,37 @@ from .entry import (
     Form,
 )
 
+LEAST_FRICTION = 1e-3  # [rad] friction angle that a grade is divided by, at least; own choice
+LEAST_LEFT = 0.02  # [-] of 1 - |b|/phi, so that S stays > 0 on the steepest slopes; own choice
+
 
 @compiled
 def weight_on_slope(load, sin_grade, fx):
-    """(load normal to the ground, pull along the slope) [N] of a weight `load` [N]."""
+    """(load normal to the ground, pull downhill along it) [N] of a weight `load` [N].
+
+    On a grade b they are W cos(b) and W sin(b) at a `grade_share` of 1, W and 0 at a share of 0.
+    Both are linear in the share.
+    """
     normal = load * (1.0 - fx.grade_share * (1.0 - math.sqrt(1.0 - sin_grade * sin_grade)))
     return normal, fx.grade_share * load * sin_grade
 
 
 @compiled
 def slope_factor(soil, sin_grade, fx):
-    """Bearing on a slope over that on the level: Meyerhof's (1 - |b|/phi)^2 for a load
+    """Sinkage coefficient on a slope over that on the level: Meyerhof's (1 - |b|/phi)^2 for a load
     at the angle b, to the power w.
+
+    phi is the friction angle of `soil`. It counts as at least `LEAST_FRICTION`, and 1 - |b|/phi as
+    at least `LEAST_LEFT`.
     """
     phi = asin_root(soil.tan_phi * soil.tan_phi / (1.0 + soil.tan_phi * soil.tan_phi))
-    left = 1.0 - asin_root(sin_grade * sin_grade) / max(phi, 1e-3)
-    return power(max(left, 0.02), 2.0 * fx.grade_weakening)
+    left = 1.0 - asin_root(sin_grade * sin_grade) / max(phi, LEAST_FRICTION)
+    return power(max(left, LEAST_LEFT), 2.0 * fx.grade_weakening)
 
 
 @compiled
 def weakened_on_slope(soil, passage, fx):
-    """Soil with S by the `slope_factor`."""
+    """`soil` with S times the `slope_factor` of the undisturbed soil."""
     return stiffened(soil, slope_factor(passage.undisturbed, passage.sin_grade, fx))
 
 

@@ -14,7 +14,7 @@ from .entry import (
     Priors,
 )
 
-BLADE_SLIP = 0.015  # slip over which the thrust of the lugs comes in
+BLADE_SLIP = 0.015  # [-] slip over which the thrust of the lugs comes in; own choice
 
 
 @compiled
@@ -30,7 +30,9 @@ def contact_radius(wheel, fx):
 
 @compiled
 def shear_radius_ratio(wheel, fx):
-    """Radius at which the soil between the lugs is sheared, over the `contact_radius`."""
+    """Radius at which the soil between the lugs is sheared, over the `contact_radius`; 1 without
+    effects.
+    """
     if fx is None:
         return 1.0
     else:
@@ -40,10 +42,11 @@ def shear_radius_ratio(wheel, fx):
 
 @compiled
 def at_shear_radius(soil, q, shear_modulus):
-    """The soil whose forces at the rim are those of `soil` at q times its radius: strength times q;
-    K as given [m].
+    """The soil that, sheared at the contact radius r, gives the shear forces that `soil` gives at
+    q r: its strength is q times as large. The longer lever of the torque is left to the caller.
 
-    The share of soil carried along the rim, which goes with tan(phi), stays.
+    K [m] becomes `shear_modulus`. The share of soil carried along the rim, which is proportional to
+    tan(phi), stays, so `rim_flow` is divided by q.
     """
     return with_strength(
         soil, q * soil.tan_phi, q * soil.cohesion, shear_modulus, soil.rim_flow / q
@@ -53,10 +56,10 @@ def at_shear_radius(soil, q, shear_modulus):
 @compiled
 def blade_thrust(theta1, sinkage, soil, wheel, fx):
     """Thrust [N] of the lugs in the ground along the rim of a slipping wheel: lugs a radian x
-    theta1 x thrust of one.
+    theta1 [rad] x thrust of one. `blades_at` scales it by the slip.
 
     One blade of width b and height h pushes soil out with b (1/2 gamma h^2 Kp + q h Kp + 2 c h sqrt
-    Kp) (Bekker 1969). q = gamma z/2 is the soil above it on average.
+    Kp) (Bekker 1969). q = gamma z/2 is the average pressure of the soil above a blade.
     """
     height = wheel.grouser_height
     kp = passive_coefficient(soil.tan_phi)
@@ -67,15 +70,18 @@ def blade_thrust(theta1, sinkage, soil, wheel, fx):
 
 @compiled
 def blades_at(thrust, slip):
-    """(what acts of the `blade_thrust` [N] at this slip, its derivative): none where the wheel
-    rolls freely.
+    """(the part of the `blade_thrust` [N] that acts at this slip, its derivative by the slip).
+
+    The part is tanh(slip/`BLADE_SLIP`): 0 where the wheel rolls freely, backward braked.
     """
     share = math.tanh(slip / BLADE_SLIP)
     return thrust * share, thrust * (1.0 - share * share) / BLADE_SLIP
 
 
 def _priors(bench: Bench) -> Priors:
-    # as many lugs a radian; part of each one's share is the other lugs'
+    """Prior of `blades`, normal about 0: the standard deviation is the lugs of the wheel a radian,
+    the bound twice that. Own choice: the soil between two lugs is shared by them.
+    """
     return (
         {}
         if bench.lugs is None

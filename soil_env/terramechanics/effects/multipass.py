@@ -16,18 +16,23 @@ from .entry import (
 #: a = 2 to 3 on loose soil or under a light load (Saarilahti 1991, second-hand): the middle.
 COMPACTION = 0.6
 LEAST_PART = 1e-6  # [-] of the first pass that a later one still sinks, at least
+LEAST_FACTOR = 0.05  # [-] of the gains of `pass_factor` together, so that S stays > 0; own choice
 
 
 @compiled
 def _part_of_pass(number, compaction):
-    """Sinkage of a pass into the floor of the rut over that of the first one."""
+    """Depth by which pass `number` sinks below the floor of the rut, over the depth of the first
+    pass; at least `LEAST_PART`.
+    """
     grown = power(number, 1.0 - compaction) - power(number - 1.0, 1.0 - compaction)
     return max(grown, LEAST_PART)
 
 
 @compiled
 def rut_growth(passes, compaction):
-    """Depth of the rut after so many passes, at least 2, over that before the last one."""
+    """Depth of the rut after N >= 2 passes over its depth after N - 1: (N/(N - 1))^(1 - q), with q
+    = `compaction`.
+    """
     return power(passes / (passes - 1.0), 1.0 - compaction)
 
 
@@ -35,9 +40,10 @@ def rut_growth(passes, compaction):
 def rut_stiffness(passes, exponent, compaction):
     """Sinkage coefficient of the floor of a rut over that of fresh soil, for pass N; at least 1.
 
-    The rut of N passes of a wheel is z_1 N^(1 - q) deep. Pass N so sinks N^(1 - q) -
-    (N - 1)^(1 - q) of z_1 below the floor. Sinkage goes with S^(-2/(2n + 1)) (Bekker 1969), with
-    the sinkage `exponent` n. Between whole numbers of passes the factor is linear.
+    The rut of N passes of a wheel is z_1 N^(1 - q) deep, with q = `compaction`. So pass N sinks
+    N^(1 - q) - (N - 1)^(1 - q) of z_1 below the floor. Sinkage is proportional to S^(-2/(2n + 1))
+    (Bekker 1969), with the sinkage `exponent` n. Between whole numbers of passes, as between cells
+    of a rut, the factor is linear.
     """
     if passes <= 1.0 or compaction == 0.0:
         return 1.0
@@ -63,8 +69,10 @@ def bearing_goes_with_passes(fx):
 
 @compiled
 def in_rut(soil, passes, fx):
-    """Soil that a wheel of the simulated world meets on so many passes, this one counted: that of
-    the effect where it is on.
+    """`soil` as the rut of the simulated world changes it for a wheel on so many passes, this one
+    counted.
+
+    It is unchanged where the effect `multipass` changes S: `passed_over` applies that effect later.
     """
     factor = 1.0
     if passes > 1.0 and not bearing_goes_with_passes(fx):
@@ -74,22 +82,25 @@ def in_rut(soil, passes, fx):
 
 @compiled
 def pass_factor(passes, slip, exponent, fx):
-    """Sinkage coefficient in the track of earlier passes over that of fresh soil, earlier passes at
-    the same slip.
+    """Sinkage coefficient on pass N > 1 over that of fresh soil, where all earlier passes had the
+    same slip i.
 
-    N^a [1 + g (1 - exp(-(N - 1)/d)) + s (1 - exp(-|i|/k1)) + p (N - 1)], times `rut_stiffness`.
+    N^a [1 + g (1 - exp(-(N - 1)/d)) + s (1 - exp(-|i|/k1)) + p (N - 1)], times `rut_stiffness`. The
+    bracket is at least `LEAST_FACTOR`. On fresh soil, N = 1, `passed_over` does not apply it.
     """
     more = passes - 1.0
     gain = fx.multipass_gain * (1.0 - exp(-more / fx.multipass_passes))
     gain += fx.multipass_per_pass * more
     gain += fx.multipass_slip_gain * (1.0 - exp(-abs(slip) / fx.multipass_slip_scale))
     rut = rut_stiffness(passes, exponent, fx.multipass_compaction)
-    return rut * power(passes, fx.multipass_hardening) * max(1.0 + gain, 0.05)
+    return rut * power(passes, fx.multipass_hardening) * max(1.0 + gain, LEAST_FACTOR)
 
 
 @compiled
 def passed_over(soil, passage, fx):
-    """Soil in the track: bearing by `pass_factor`, strength and K by powers of the pass number."""
+    """`soil` in the track of earlier passes: bearing by `pass_factor`, strength and K by powers of
+    the pass number; unchanged on the first pass.
+    """
     passes = passage.passes
     if passes <= 1.0:
         return soil

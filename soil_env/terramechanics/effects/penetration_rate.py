@@ -1,4 +1,4 @@
-"""Rate of penetration: bearing that goes with the travel speed."""
+"""Rate of penetration: bearing that depends on the travel speed."""
 
 from soil_env._compiled.elementary import exp, log
 from soil_env._compiled.flags import compiled
@@ -11,21 +11,24 @@ from .entry import (
     Form,
 )
 
+LEAST_RATE = 0.02  # [of the reference speed] below which soil counts as loaded at rest; own choice
+LEAST_FACTOR = 0.1  # [-] of a strength by its rate, where the logarithm would end it; own choice
+
 
 @compiled
 def rate_factor(speed, reference, exponent, slope):
-    """Strength at `speed` over strength at `reference` [m/s]: (v/v0)^m, or 1 + a ln(v/v0) where the
-    power m is 0.
+    """Strength at `speed` over strength at `reference` [m/s]: (v/v0)^m + a ln(v/v0).
 
-    Below v0/50 soil counts as loaded at rest. Never less than 0.1.
+    One of the power m (`exponent`) and a (`slope`) is 0 in each published form. v/v0 counts as at
+    least `LEAST_RATE`; the factor is at least `LEAST_FACTOR`.
     """
-    x = log(max(speed / reference, 0.02))
-    return max(exp(exponent * x) + slope * x, 0.1)
+    x = log(max(speed / reference, LEAST_RATE))
+    return max(exp(exponent * x) + slope * x, LEAST_FACTOR)
 
 
 @compiled
 def loaded_fast(soil, passage, fx):
-    """Soil with S by the `rate_factor` of the travel speed."""
+    """`soil` with S times the `rate_factor` of the travel speed."""
     factor = rate_factor(
         passage.speed,
         fx.penetration_rate_reference_speed,
@@ -36,6 +39,7 @@ def loaded_fast(soil, passage, fx):
 
 
 def _neutral(bench: Bench) -> dict[str, float]:
+    """The mean travel speed of the table as reference speed, which is not fitted."""
     return {"reference_speed": bench.speed} if bench.speed > 0.0 else {}
 
 

@@ -11,8 +11,10 @@ from .entry import (
 
 @compiled
 def exit_and_peak(theta1, fx):
-    """Exit angle -l theta1, with the stress peak midway between entry and exit or, if it is kept,
-    at theta1/2.
+    """(exit angle theta2 = -l theta1, angle of the stress peak) [rad].
+
+    The peak is midway between entry and exit with `rear_contact_peak_follows` 1, at theta1/2 with
+    0.
     """
     theta2 = -fx.rear_contact_ratio * theta1
     return theta2, 0.5 * (theta1 + fx.rear_contact_peak_follows * theta2)

@@ -1,4 +1,4 @@
-"""Rate of shear: strength that goes with the sliding speed."""
+"""Rate of shear: strength that depends on the sliding speed."""
 
 from soil_env._compiled.elementary import log
 from soil_env._compiled.flags import compiled
@@ -10,18 +10,18 @@ from .entry import (
     EffectParameter as P,
     Form,
 )
-from .penetration_rate import rate_factor
+from .penetration_rate import LEAST_FACTOR, rate_factor
 
 
 @compiled
 def sheared_fast(soil, passage, fx):
-    """Soil with friction and cohesion by the `rate_factor` of the sliding speed, or cohesion by its
-    own law.
+    """`soil` with tan(phi) and cohesion times the `rate_factor` of the sliding speed v, and the
+    cohesion also times 1 + d ln(1 + v/v1), which is at least `LEAST_FACTOR`.
     """
     cohesion = soil.cohesion
     if fx.shear_rate_cohesion != 0.0:
         faster = log(1.0 + passage.slide / fx.shear_rate_onset_speed)
-        cohesion *= max(1.0 + fx.shear_rate_cohesion * faster, 0.1)
+        cohesion *= max(1.0 + fx.shear_rate_cohesion * faster, LEAST_FACTOR)
     strength = rate_factor(
         passage.slide,
         fx.shear_rate_reference_speed,
@@ -34,6 +34,7 @@ def sheared_fast(soil, passage, fx):
 
 
 def _neutral(bench: Bench) -> dict[str, float]:
+    """The mean sliding speed of the table as reference and, to begin with, as onset speed."""
     return (
         {"reference_speed": bench.sliding, "onset_speed": bench.sliding}
         if bench.sliding > 0.0
@@ -42,6 +43,7 @@ def _neutral(bench: Bench) -> dict[str, float]:
 
 
 def _hidden(bench: Bench) -> str:
+    """Why no sliding speed is known in every row; "" if the travel speed is."""
     if bench.speed > 0.0:
         return ""
     return "a speed of 0" if bench.highest_speed > 0.0 else "speed not given"

@@ -17,12 +17,12 @@ JANOSI = ShearLaw(1.0, 0.0, 0.0, 1.0, 0.0)
 
 @compiled
 def mobilisation(fx):
-    """`ShearLaw` with a peak and a residual strength, or that of Eq. (10) where neither is on.
+    """`ShearLaw` with a peak and a residual strength; that of Eq. (10) where the effect is off.
 
     (1 - x)(1 + s x) with x = exp(-j/K) falls from its peak to the residual share 4 s/(1 + s)^2 for
     s > 1 (family of Wong 1983). It is divided by its peak, so that phi and c stay those of the
-    peak. `shear_softening_drop` lets the strength decay to the residual 1 - d over the length L
-    beyond an onset (Oida 1979).
+    peak. A sharpness s below 1 has no peak and counts as 0. `shear_softening_drop` lets the
+    strength decay to the residual 1 - d over the length L beyond an onset (Oida 1979).
     """
     if fx is None:
         return JANOSI
@@ -43,7 +43,9 @@ def mobilisation(fx):
 
 @compiled
 def shear_length_ratio(fx):
-    """Length of the shear law over K: 4 s/(1 + s) where K is that of the first slope, else 1."""
+    """Length that takes the place of K in the shear law, over K: 4 s/(1 + s) with
+    `shear_softening_slope_kept`, so that the law rises at first as Eq. (10) does with K, else 1.
+    """
     s = fx.shear_softening_sharpness
     if s >= 1.0 and fx.shear_softening_slope_kept > 0.0:
         return 4.0 * s / (1.0 + s)
@@ -51,6 +53,7 @@ def shear_length_ratio(fx):
 
 
 def _priors(bench: Bench) -> Priors:
+    """Priors of sharpness and onset, the latter in proportion to the wheel radius; own choice."""
     return {
         "sharpness": (4.0, 1.0, 30.0),  # below 1 the law has no peak
         "onset": (0.15 * bench.radius, 0.0, 2.0 * bench.radius),
@@ -107,7 +110,6 @@ EFFECT = Effect(
     priors=_priors,
     neutral=lambda bench: {"length": 0.3 * bench.radius},
     explained=(
-        "The strength of the soil rises to a peak and falls to a residual as it is sheared "
-        "further."
+        "The strength of the soil rises to a peak and falls to a residual as it is sheared further."
     ),
 )

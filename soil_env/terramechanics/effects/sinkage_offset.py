@@ -14,7 +14,7 @@ from .entry import (
 
 @compiled
 def sinkage_zero(fx):
-    """What a sinkage sensor reads too much [m]."""
+    """Reading [m] of the sinkage sensor at no sinkage; 0 without effects."""
     if fx is None:
         return 0.0
     else:
@@ -22,6 +22,7 @@ def sinkage_zero(fx):
 
 
 def _priors(bench: Bench) -> Priors:
+    """Prior of the offset, by the median sinkage of the table and the wheel radius; own choice."""
     return {"offset": (0.3 * bench.sinkage, -0.5 * bench.radius, 0.5 * bench.radius)}
 
 

@@ -12,10 +12,10 @@ from .entry import (
 
 @compiled
 def true_slip(measured, fx):
-    """Slip of the wheel where the measured one has an offset d, or comes from a rolling radius r (1
-    - e).
+    """Slip of the wheel at a `measured` slip m that is off by an offset d, or was computed with a
+    wrong rolling radius; cut to [-1, 1].
 
-    Driving, the latter is i = m + e (1 - m).
+    i = m + d, or i = m + e (1 - m) of a driven wheel: V/(r w) is 1 - e times as large as measured.
     """
     if fx is None:
         return measured
@@ -26,7 +26,7 @@ def true_slip(measured, fx):
 
 @compiled
 def measured_slip(slip, fx):
-    """Inverse of `true_slip`."""
+    """Inverse of `true_slip`, not cut."""
     if fx is None:
         return slip
     else:
@@ -55,7 +55,6 @@ EFFECT = Effect(
     symbols={"i_measured": "measured slip"},
     sensed=("offset", "radius_error"),
     explained=(
-        "The recorded slip is off, by its zero or by the rolling radius that it was computed "
-        "with."
+        "The recorded slip is off, by its zero or by the rolling radius that it was computed with."
     ),
 )

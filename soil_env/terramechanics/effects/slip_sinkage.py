@@ -11,6 +11,9 @@ from .entry import (
     Priors,
 )
 
+LEAST_WAY = 1e-6  # [unit of `way`] way + recovery slid in `digging_ratio`, at least
+MOST_SLIP = 0.95  # [-] slip above which `excavated_depth` grows no more; own choice
+
 
 @compiled
 def slip_sinkage_ratio(slip, gain, recovery):
@@ -22,33 +25,37 @@ def slip_sinkage_ratio(slip, gain, recovery):
     braked wheel the digging is driven by the share |i| of its travel that it slides: 1 + gain |i| /
     (1 + recovery |i|).
 
-    Both are the steady states of `excavation_rate`.
+    Both branches are the steady states of `excavation_rate`.
     """
     return digging_ratio(abs(slip), 1.0 if slip < 0.0 else 1.0 - slip, gain, recovery)
 
 
 @compiled
 def digging_ratio(slid, way, gain, recovery):
-    """Steady sinkage over that without slip, at least 1, where the rim slides by `slid` on a `way`
-    of the same unit.
+    """Steady sinkage over the sinkage without slip where the rim slides by `slid` while the wheel
+    travels by `way`: 1 + gain slid / (way + recovery slid).
+
+    Both are ways, speeds or shares of either in one unit.
     """
-    return 1.0 + gain * slid / max(way + recovery * slid, 1e-6)
+    return 1.0 + gain * slid / max(way + recovery * slid, LEAST_WAY)
 
 
 @compiled
 def onto_fresh(x, low, high):
-    """Distance [m] by which a wheel at x has left the section from `low` to `high` that it had
-    touched before.
+    """Distance [m] by which a wheel at the place x [m] has left the section from `low` to `high`
+    that it had touched before; 0 within the section.
     """
     return max(x - high, 0.0) + max(low - x, 0.0)
 
 
 @compiled
 def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
-    """Coefficients (A, B) [1/s] of the sinkage law dz/dt = B z_w - A z, with z_w [m] that
-    undisturbed soil has:
+    """Coefficients (A, B) [1/s] of the sinkage law dz/dt = B z_w - A z, which on fresh ground is
 
     dz/dt = { |V| (z_w - z) + |r w - V| [gain z_w - recovery (z - z_w)] } / length
+
+    z_w [m] is the depth at which undisturbed soil carries the same pressure. `travel_speed` is |V|,
+    `slip_speed` |r w - V| [m/s]; `length` [m] is the distance in which sinkage adapts.
     """
     a = (travel_speed + recovery * slip_speed) / length
     b = (travel_speed + (gain + recovery) * slip_speed) / length
@@ -57,8 +64,8 @@ def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
 
 @compiled
 def digging(soil, fx):
-    """(gain, recovery) of `slip_sinkage_ratio`: the effect's where it is on, else those of the
-    soil.
+    """(gain, recovery) of `slip_sinkage_ratio`: those of the effect where its gain is not 0, else
+    those of the soil.
     """
     if fx is None:
         return soil.dig_gain, soil.dig_recovery
@@ -70,28 +77,31 @@ def digging(soil, fx):
 
 @compiled
 def excavated_depth(slip, fx):
-    """Depth [m] that a slipping wheel excavates whatever its load: l |i| / (1 - |i|), Reece's law
-    with its length l.
+    """Depth [m] that a slipping wheel excavates whatever its load: l |i| / (1 - |i|), the law of
+    Reece with a length l. |i| counts as at most `MOST_SLIP`.
     """
     if fx is None:
         return 0.0
     else:
-        i = min(abs(slip), 0.95)
+        i = min(abs(slip), MOST_SLIP)
         return fx.slip_sinkage_length * i / (1.0 - i)
 
 
 @compiled
 def dug(soil, passage, fx):
-    """Soil with the exponent n + n1 |i| and the digging of the effect."""
+    """`soil` with the exponent n + n1 |i|, at least 0, and the gain and recovery of `digging`."""
     n = max(soil.sinkage_exponent + fx.slip_sinkage_exponent_slope * abs(passage.slip), 0.0)
     gain, recovery = digging(soil, fx)
     return with_digging(soil, n, gain, recovery)
 
 
 def _priors(bench: Bench) -> Priors:
+    """Priors of the excavation length, by the median sinkage of the table, and of the exponent's
+    slope; own choice.
+    """
     return {
         "length": (0.3 * bench.sinkage, 0.0, 5.0 * bench.sinkage),
-        "exponent_slope": (0.5, 0.0, 2.0),  # slip digs: less of it would be another effect
+        "exponent_slope": (0.5, 0.0, 2.0),  # slip digs; below 0 it would raise the wheel
     }
 
 

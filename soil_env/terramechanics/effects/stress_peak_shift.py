@@ -13,14 +13,19 @@ from .entry import (
 
 @compiled
 def peak_shift(theta1, slip, fx):
-    """Shift [rad] of the stress peak: (a + c |i|) theta1."""
+    """Shift [rad] of the stress peak towards the entry: (a + c |i|) theta1."""
     share = fx.stress_peak_shift_offset + fx.stress_peak_shift_slope * abs(slip)
     return share * theta1
 
 
+LOWEST_DRIVEN = -0.02  # [-] slip above which a wheel counts as driven; own choice
+
+
 def _priors(bench: Bench) -> Priors:
-    # every published peak of a driven wheel moves forward with slip
-    return {"slope": (0.3, 0.0, 0.9)} if bench.lowest_slip > -0.02 else {}
+    """Prior of the slope, at least 0 where the wheel is driven: every published peak of a driven
+    wheel moves forward with slip. With braked rows the prior of the parameter stays.
+    """
+    return {"slope": (0.3, 0.0, 0.9)} if bench.lowest_slip > LOWEST_DRIVEN else {}
 
 
 EFFECT = Effect(
@@ -40,7 +45,6 @@ EFFECT = Effect(
     ),
     priors=_priors,
     explained=(
-        "The place under the wheel where the soil presses hardest moves forward as the slip "
-        "grows."
+        "The place under the wheel where the soil presses hardest moves forward as the slip grows."
     ),
 )

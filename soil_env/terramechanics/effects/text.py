@@ -13,7 +13,7 @@ _PARAMETER = re.compile(r"\{(\w+)\}")
 
 
 def plain(x: float, digits: int = 3) -> str:
-    """Format a number in so many digits, without an exponent up to a million."""
+    """Format a number in so many significant digits, below a million without an exponent."""
     text = f"{x + 0.0:.{digits}g}"
     return f"{float(text):.0f}" if "e+" in text and abs(x) < 1e6 else text
 
@@ -26,7 +26,10 @@ def published(effect: Effect, form: Form) -> str:
 def fitted(
     effect: Effect, form: Form, values: Mapping[str, float], units: bool = True, digits: int = 3
 ) -> str:
-    """Equation of a form with numbers for its parameters, in so many digits, and their units."""
+    """Equation of a form with `values` for its parameters, in so many digits, and their units.
+
+    "+ (-2)" becomes "- 2", "- (-2)" becomes "+ 2", and "-(-2)" becomes "2".
+    """
 
     def number(match: re.Match) -> str:
         p = effect.parameter(match[1])
@@ -40,12 +43,12 @@ def fitted(
 
 
 def used(form: Form) -> list[str]:
-    """Parameters that the equation of a form holds, each once, in its order."""
+    """Names of the parameters in the equation of a form, each once, in order of appearance."""
     return list(dict.fromkeys(_PARAMETER.findall(form.equation)))
 
 
 def legend(effect: Effect, form: Form) -> dict[str, str]:
-    """Meaning of the symbols of a form's equation that are no parameters."""
+    """{symbol: meaning} of the symbols in a form's equation that are no parameters."""
     words = set(_WORD.findall(_PARAMETER.sub("", form.equation)))
     return {
         symbol: meaning
