@@ -152,8 +152,8 @@ def account(wheel, end, stage, drive, rig):
     """Add the work [J] of motor, soil and integrator in a stage, from the present speeds to its
     `end`, to the sums of the period; set the torque of the motor at the end.
 
-    The stage begins at V* and ends at V'. With d = V' - V* and the lead e = V* - V over the present
-    speed, the integrator takes m (d^2 - e^2)/2, and J/r^2 times the like of the rim speed. So much
+    The stage begins at V* and ends at V'; d = V' - V*, and e = V* - V is the lead over the present
+    speed. The integrator takes m (d^2 - e^2)/2, and J/r^2 times the like of the rim speed. So much
     is missing between the work of the forces and the gain of kinetic energy.
     """
     r = rig.radius

@@ -117,7 +117,8 @@ def solve_speeds(wheel, stage, footing, along, drive, world, extra):
     reaction to first order, without another evaluation.
 
     Not converged: `PASSES` evaluations were not enough, or no shorter step reduces a residual that
-    is not `near_enough`. The motion is then the best one found. `along` [N]: weight along the grade.
+    is not `near_enough`. The motion is then the best one found. `along` [N]: the weight along the
+    grade.
     """
     rig = world.rig
     r = rig.radius

@@ -176,8 +176,9 @@ def place_in_cells(x):
 
 @compiled
 def between_cells(cells, x):
-    """(index of a cell, share of the way from its middle to the middle of the next) at x [m], cut
-    to the middles of the first and the last of so many `cells`.
+    """(index of a cell, share of the way from its middle to the middle of the next) at x [m].
+
+    x is cut to the middles of the first and the last of so many `cells`.
     """
     place = min(max(place_in_cells(x), 0.0), cells - 1.0)
     i = min(int(place), cells - 2)

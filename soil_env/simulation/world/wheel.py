@@ -236,7 +236,9 @@ def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarra
 
 
 def acting_in(model: WheelSoilModel | None) -> Acting:
-    """Effects and residual law of a model that act on wheels, not on sensors; `BASE` without one."""
+    """Effects and residual law of a `model` that act on its wheels, not on its sensors; `BASE`
+    where nothing does.
+    """
     if model is None:
         return BASE
     law = model.law if model.residual or model.remainder else None
