@@ -29,7 +29,7 @@ from .worlds import for_each, storable, with_model, world_of
 if TYPE_CHECKING:
     from soil_env.rendering.view import CourseView
 
-#: Keywords of an environment that are no part of its scenario, beside the name of that.
+#: Keywords of an environment that are no part of its scenario, beside that of the scenario itself.
 OWN = ("observation", "action", "repeat", "render_mode", "model", "scatter", "info", "scaled")
 OF_MANY = ("num_envs", "autoreset_mode", "max_episode_steps", "threads")  # vector environments
 _RUNNING = Cause.RUNNING.value
@@ -57,11 +57,12 @@ def scenario_changes(
     own: tuple[str, ...],
     kind: type[Scenario],
 ) -> dict[str, Any]:
-    """Keyword arguments of an environment as changes of a scenario of this `kind`; `own`: those
-    that are none.
+    """Keyword arguments of an environment as changes of a scenario of this `kind`, with `action`
+    and `repeat` put into `control` where they are given.
 
-    Raises UnknownKeyword for a name that is neither, ParameterError for a `repeat` that is no whole
-    number.
+    `own`: keywords that are no part of a scenario, for the message. Raises UnknownKeyword for any
+    other name. Raises ParameterError for a `repeat` that is no whole number >= 1, and where
+    `control` is an object, into which nothing can be put.
     """
     fields = tuple(f.name for f in dataclasses.fields(kind))
     for key in changes:
@@ -84,7 +85,7 @@ def scenario_changes(
 
 
 def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Actions of this shape, cut to [-1, 1]; ValueError if they are anything else."""
+    """Actions of this shape, cut to [-1, 1]; ValueError unless they are finite numbers of it."""
     what = "action" if len(shape) == 1 else "actions"
     try:
         a = np.asarray(actions, dtype=np.float64)
@@ -107,8 +108,8 @@ def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
 
 
 class _Common:
-    """What the environments of one course and of many share: observations, and the spec of
-    `gymnasium.make`, or of `make_vec`, which makes the environment again, as its JSON does.
+    """What the environments of one course and of many share: scaled observations, the world of a
+    model, and the spec that `gymnasium.make` or `make_vec` sets.
     """
 
     model: WheelSoilModel | None
@@ -119,7 +120,9 @@ class _Common:
     def _in_world(
         self, scenario: Any, model: ModelLike, scatter: object, changes: Mapping[str, Any]
     ) -> Any:
-        """The scenario in the world of the keyword `model`, which is kept with what `info` says."""
+        """The scenario in the world of the keyword `model` (`with_model`); set `model`, and `world`
+        for `info`.
+        """
         self.model = load_model(model)
         found = with_model(scenario, self.model, scatter, changes)
         self.world = world_of(found, self.model, scatter)
@@ -131,7 +134,7 @@ class _Common:
 
     @property
     def spec(self) -> EnvSpec | None:
-        """Spec with plain values."""
+        """Spec with plain values, so that also its JSON makes the environment again."""
         return self._spec
 
     @spec.setter
@@ -245,13 +248,14 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
             self._renderer = None
 
     def _record(self) -> None:
-        """Show what has happened, if anybody looks on."""
+        """Record what has happened for the view, with a render mode; with "human" draw it too."""
         if self.render_mode is not None:
             self._view().record(self.simulation, 0)
             if self.render_mode == "human":
                 self.render()
 
     def _view(self) -> "CourseView":
+        """The view, made when it is first asked for."""
         if self._renderer is None:
             from soil_env.rendering.view import CourseView  # takes a while
 
@@ -304,7 +308,9 @@ class CourseVectorEnv(
     def _set_spaces(
         self, entries: Sequence[ObservedNumber], actions: gymnasium.spaces.Box, scaled: bool
     ) -> None:
-        """Spaces of these entries and actions; `scenario` is there already."""
+        """Set the spaces from these entries and actions, and the length of an episode from
+        `scenario`, which is set before.
+        """
         self.observation_names: tuple[str, ...] = tuple(e.name for e in entries)
         self.scaling = Scaling(entries, scaled)
         self.single_observation_space: gymnasium.spaces.Box = self.scaling.space
@@ -348,7 +354,7 @@ class CourseVectorEnv(
         return self.scaling(self.simulation.worlds.observation), info
 
     def _mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
-        """Courses that are reset [N] bool."""
+        """Courses to reset [N] bool: those of `options["reset_mask"]`, else all."""
         if options is not None and not isinstance(options, dict):
             raise ValueError(f"reset options = {options!r:.80}: expected a dictionary")
         options = dict(options or {})
@@ -368,7 +374,9 @@ class CourseVectorEnv(
         return mask
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        """A seed a course; counted up from a single one."""
+        """A seed for each course: from a single one counted up by one a course, from a sequence one
+        each. None keeps the random stream of the course, or starts one without a seed.
+        """
         if seed is None:
             return [None] * self.num_envs
         if isinstance(seed, Integral):
@@ -393,7 +401,8 @@ class CourseVectorEnv(
     ]:
         """One action for each course.
 
-        Returns (observations, rewards, terminations, truncations, info).
+        A course that has ended is reset in this step or the next, or refused, as `autoreset_mode`
+        says. Returns (observations, rewards, terminations, truncations, info).
         """
         if self._rngs is None:
             raise gymnasium.error.ResetNeeded("step() before reset()")

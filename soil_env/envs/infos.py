@@ -21,7 +21,7 @@ from .wheels import Simulation
 INFOS = ("full", "state", "numeric", "short", "none")
 NESTED = ("full", "state")  # of them, with groups
 IMMOBILISED = (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
-STUCK = np.array([cause in IMMOBILISED for cause in Cause])  # by its number
+STUCK = np.array([cause in IMMOBILISED for cause in Cause])  # [causes] bool, by number of the cause
 _STUCK = STUCK.tolist()
 _CAUSES = tuple(cause.name for cause in Cause)
 _TERMS = tuple(f"reward_{name}" for name in REWARD_TERMS)
@@ -48,7 +48,9 @@ _SEEN = [[e.name for e in layout("blind")].index(name) for name in ("load", "pit
 
 
 def checked(kind: object, observation: str = "identified") -> str:
-    """`kind` if it is one of `INFOS`, "full" or "state" for None; ParameterError otherwise."""
+    """`kind` if it is one of `INFOS`; for None "full" with an observation "identified", else
+    "state". ParameterError otherwise.
+    """
     if kind is None:
         return "full" if observation == "identified" else "state"
     if kind not in INFOS:
@@ -62,9 +64,9 @@ def asks(kind: str) -> bool:
 
 
 def flat(nested: Mapping[str, Any], prefix: str = "") -> Info:
-    """All numbers of a full info without nesting.
+    """All numbers of a full info without nesting; causes and statuses in words become numbers.
 
-    `reward_NAME`, `estimate_NAME`, `NAME` of state and traversability; `AXLE_NAME`,
+    Keys: `reward_NAME`, `estimate_NAME`, `NAME` of state and traversability; `AXLE_NAME`,
     `AXLE_estimate_NAME` of an axle.
     """
     prefixes = {
@@ -85,9 +87,10 @@ def flat(nested: Mapping[str, Any], prefix: str = "") -> Info:
 
 
 def _numbers(info: Mapping[str, Any]) -> dict[str, np.number]:
-    """Numbers of numpy for those of Python, for readers that ask for a dtype.
+    """Numpy numbers of a flat info, for readers that ask for a dtype: float64, but int64 for the
+    causes, statuses and truth values named below.
 
-    True is 1: the vector environments of gymnasium would gather `np.bool_` as objects.
+    True is 1, since the vector environments of gymnasium would gather `np.bool_` as objects.
     """
     out = dict(zip(info, np.array(list(info.values())), strict=True))
     return out | {
@@ -120,7 +123,7 @@ class VehicleInfos:
 
     def final(self, ended: np.ndarray) -> Info:
         """Info of the vehicles that have `ended` [vehicles] bool, before a reset; 0 for all others,
-        and `_key` beside each key.
+        and beside each key `_key` with `ended`.
         """
         return masked(self.many(), ended)
 
@@ -130,8 +133,9 @@ class VehicleInfos:
         return {name: terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
 
     def _groups(self, which: np.ndarray, identified: bool) -> Info:
-        """Groups of a full info, arrays [vehicles], of the vehicles `which` [vehicles] bool; what
-        is identified only if it is asked for.
+        """Groups of a full info, arrays [vehicles]: states, and if `identified` what is estimated.
+
+        What is computed for them needs to be right only for the vehicles `which` [vehicles] bool.
         """
         raise NotImplementedError
 
@@ -160,7 +164,9 @@ class Infos(VehicleInfos):
         self._warnings = np.zeros((wheels, len(_WARNING)))
 
     def after_step(self, reset: np.ndarray) -> None:
-        """Mark estimates that a step has changed; `reset` [wheels] bool: wheels it has reset."""
+        """Mark traversabilities as out of date whose estimate a step has changed, or whose wheel it
+        has reset, `reset` [wheels] bool. Nothing where no estimate is asked for.
+        """
         changed = self._simulation.worlds.changed
         if changed is not None and (asks(self.kind) or len(self._simulation.worlds.recent)):
             which = (changed > 0) | reset
@@ -168,7 +174,9 @@ class Infos(VehicleInfos):
                 self.renew(which)
 
     def renew(self, which: np.ndarray) -> None:
-        """Renew the traversability of the wheels `which` [wheels] bool, whose estimates are new."""
+        """Mark the traversability of the wheels `which` [wheels] bool as out of date, and keep the
+        load and pitch observed now. It is computed from them when an info is asked for.
+        """
         worlds = self._simulation.worlds
         self._seen[which] = worlds.observation[which][:, _SEEN]
         self._stale |= which
@@ -212,7 +220,9 @@ class Infos(VehicleInfos):
         return self._foresight.assess(rows, worlds.recent, ids.estimate, ids.sd).probabilities
 
     def _renewed(self, worlds: Any, rows: np.ndarray) -> np.ndarray:
-        """Traversability [wheels, 6], `_WARNING`, at the measured load; up to date for `rows`."""
+        """Traversability [wheels, 6] of all, `_WARNING`, computed anew for those of `rows` [n] that
+        are out of date.
+        """
         rows = rows[self._stale[rows]]
         if rows.size:
             ids = worlds.ids
@@ -233,7 +243,10 @@ class Infos(VehicleInfos):
         return masked(info | self._groups(ended, identified), ended)
 
     def _groups(self, which: np.ndarray, identified: bool) -> Info:
-        """Estimate and traversability (of `which`), if `identified`, and state, arrays [wheels]."""
+        """State, and if `identified` estimate and traversability, arrays [wheels].
+
+        The traversability is up to date for the wheels `which` only.
+        """
         worlds = self._simulation.worlds
         groups = {"state": {name: worlds.state[name].copy() for name in STATE}}
         if not identified:

@@ -64,14 +64,21 @@ def write_reading(state, samples, observation, setting, begun, slips, chooses):
 
 
 class _Reader(OnlineIdentifier):
-    """Readings as the identifier takes them."""
+    """Checks and stores readings as `OnlineIdentifier` does, and identifies nothing itself."""
 
     def check(self, readings: Readings) -> float:
-        """Time [s] since the last readings; TypeError or ValueError for what cannot be."""
+        """Time [s] since the last readings; TypeError or ValueError for readings that no wheel
+        gives, and for a time that is not later.
+        """
         return self._checked(readings)[0]
 
     def read(self, r: Readings, period: float, last: SensorReading) -> tuple[bool, np.ndarray]:
-        """(both speeds are known, `READING` with what stands for missing readings)."""
+        """(True if both speeds are known, `READING`), at a time `period` [s] after the last if the
+        readings have none.
+
+        A speed that is not known is that of `last`; for other missing readings stands what
+        `OnlineIdentifier` puts there.
+        """
         self._time = r.time if r.time == r.time else self._time + period
         rim, speed = self._speeds(r)
         known = rim == rim and speed == speed
@@ -80,7 +87,7 @@ class _Reader(OnlineIdentifier):
 
     @property
     def white(self) -> np.ndarray:
-        """White noise of the last readings, very large where one is missing."""
+        """White noise of the last readings, very large for a missing one, which has no weight."""
         return self._setting["white"][0, 0]
 
 
@@ -88,9 +95,9 @@ class Observer:
     """Observations of a `variant`, "identified" or "blind", from readings; one wheel.
 
     `observe` takes the readings of each control period of the scenario. A reading that is NaN keeps
-    its last value in the observation, and the identifier takes it as not measured; before the first
-    value stands what `OnlineIdentifier` puts there, of a speed 0. `held` counts such readings by
-    name since the last `reset`.
+    its last value in the observation, and the identifier takes it as not measured. Before the first
+    value stands what `OnlineIdentifier` puts there, and 0 for a speed. While a speed is not known,
+    the estimate stays. `held` counts readings that kept a value, by name, since the last `reset`.
     """
 
     def __init__(self, scenario: Scenario, variant: str = "identified") -> None:
@@ -174,6 +181,10 @@ class Observer:
         return dict(zip(FORESEEN, found.probabilities[0].tolist(), strict=True))
 
     def _read_image(self, image: Image | None) -> None:
+        """Store an image for the observation, on courses with terrain classes.
+
+        Without one, or with one that is not finite, the last stays; the latter counts as held.
+        """
         if not self.scenario.course.classes:
             if image is not None:
                 raise ParameterError(
@@ -197,8 +208,10 @@ class Observer:
             sample[name] = value
 
     def _read_sensors(self, readings: Readings, period: float) -> bool:
-        """Store readings, with the last ones in place of those that are missing; False where the
-        speeds are missing.
+        """Store readings, with the last ones in place of missing ones, and count these as held;
+        False where a speed is not known.
+
+        A slip is never held, since it follows from the speeds where it is missing.
         """
         known, reading = self._reader.read(readings, period, self._last)
         values = SensorReading(*reading.tolist())
@@ -220,14 +233,18 @@ class Observer:
         return bool(known)
 
     def _identify(self) -> None:
-        """Take the readings on board; the first of a drive set all to the prior."""
+        """Let the estimators take the readings; the first readings of a drive reset them to the
+        prior.
+        """
         world = Stepped(self._worlds.state, self._worlds.samples[:, None], self._worlds.observation)
         self._worlds.state["periods"] = 1
         order = STEP if self._begun else RESTART
         self._board.update(world, np.array([order]), 0, 1)
 
     def _set_period(self, period: float) -> None:
-        """Let everything count with a `period` [s] since the last readings."""
+        """Set the `period` [s] since the last readings in all settings that have one: identifier,
+        averages for the warning, odometry, and the step of a commanded rim speed.
+        """
         board = self._board.setting
         if board["identifier"]["period"][0, 0] == period:
             return

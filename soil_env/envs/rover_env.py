@@ -55,11 +55,11 @@ class SoilRoverEnv(CourseEnv):
     A planar rover on two or three axles has to cross a course of unknown soils and grades without
     getting stuck. Its two sides are alike, and every wheel has a motor. Each wheel meets the ground
     as that of `SoilWheelEnv` does (Hutangkabodee et al. 2006, Eqs. (1)-(10), with slip-sinkage), on
-    its own place of the same course: those behind run in the ruts of those ahead, compacted where
-    these rolled and loosened where they dug. Two axles are fixed to the body; of three, two hang on
-    a bogie that turns freely (rocker-bogie). The load of each wheel follows from the equilibrium of
-    body and bogie with centre of mass, pitch, pulls and torques of all wheels. At commanded halts
-    the drives brake, are held, and the agent's action is ignored.
+    its own place of the same course: those behind run in the ruts of those ahead, on ground that
+    each pass compacts. Two axles are fixed to the body; of three, two hang on a bogie that turns
+    freely (rocker-bogie). The load of each wheel follows from the equilibrium of body and bogie
+    with centre of mass, pitch, pulls and torques of all wheels. At commanded halts the drives
+    brake, are held, and the agent's action is ignored.
 
     Rovers: "lunar_micro_rover" (default) and "field_rover" with two axles, "mars_rover" with three.
 

@@ -13,7 +13,7 @@ from .infos import NESTED, STATE, Info, VehicleInfos, estimates
 from .rovers import RoverSimulation
 
 _OF_BODY = ("x", "speed", "pitch", "slip", "sinkage", "drawbar_pull", "motor_work")
-_OF_WHEEL = tuple(name for name in STATE if name != "speed")  # which all wheels share
+_OF_WHEEL = tuple(name for name in STATE if name != "speed")  # all wheels have that of the rover
 
 
 class RoverInfos(VehicleInfos):
@@ -24,7 +24,9 @@ class RoverInfos(VehicleInfos):
         self._axles = axle_names(simulation.scenario.axles)
 
     def one(self, j: int) -> Info:
-        """Info of rover j; in words with "full" and "state", else in numbers of numpy."""
+        """Info of rover j: with "full" and "state" causes and statuses in words and numbers of
+        Python, else numbers of numpy.
+        """
         return _one_of(self.many(), j, self.kind in NESTED)
 
     def after_step(self, reset: np.ndarray) -> None:
@@ -33,6 +35,7 @@ class RoverInfos(VehicleInfos):
     renew = after_step
 
     def _groups(self, which: np.ndarray, identified: bool) -> Info:
+        """States of body and axles, and if `identified` the estimate of each axle; all rovers."""
         w = self._simulation.worlds
         info: Info = {"state": {name: w.state[name].copy() for name in _OF_BODY}}
         known = estimates(w.known, self.scenario) if identified and w.known is not None else {}
@@ -45,7 +48,7 @@ class RoverInfos(VehicleInfos):
 
 
 def _one_of(infos: Mapping[str, Any], j: int, words: bool) -> Info:
-    """Info of rover j of the infos of many."""
+    """Info of rover j out of the infos of many; `words` as in `RoverInfos.one`."""
     out: Info = {}
     for name, values in infos.items():
         if isinstance(values, Mapping):

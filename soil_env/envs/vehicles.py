@@ -23,9 +23,10 @@ from soil_env.parameters.readings import (
 )
 
 TRIAL_COURSES = 8  # drawn before a scenario is accepted
-CHUNKS = 4  # of the vehicles, for each thread: those that are done early take another
-VIEWS = ("_x", "_ready", "_sampled", "worlds", "_order")  # attributes of `Vehicles`
-LEAST = 32  # vehicles that a thread takes at a time, at least
+CHUNKS = 4  # of the vehicles, for each thread: a thread that is done early takes another chunk
+# attributes of `Vehicles` that are views of arrays, which a copy has to make anew
+VIEWS = ("_x", "_ready", "_sampled", "worlds", "_order")
+LEAST = 32  # vehicles in a chunk, at least, so that handing it to a thread pays; own choice
 
 
 def processors() -> int:
@@ -37,7 +38,9 @@ def processors() -> int:
 
 @cache
 def _pool(threads: int, process: int) -> ThreadPoolExecutor:
-    """Threads of a process; those of another do not survive its fork."""
+    """Pool of so many threads, one for each `process` id: a forked process has none of the threads
+    of its parent, so it makes a pool of its own.
+    """
     return ThreadPoolExecutor(threads, "soil_env")
 
 
@@ -95,14 +98,19 @@ class Vehicles:
         self._view()
 
     def _estimators(self, variant: str, first: int, warns: bool = False) -> Any:
-        """The estimators on board; `first`: index of the first entry on the soil."""
+        """The estimators on board; `first`: index of the observation's first entry on the soil;
+        `warns`: keep the averages for the warning of an immobilisation.
+        """
         from soil_env.identification.online.on_board import OnBoard  # takes a while
 
         shown = Shown(variant == "identified", first, *self.numbers.bounds)
         return OnBoard(self.count, self.scenario, shown, warns)
 
     def _view(self) -> None:
-        """Views of the arrays, which are no views any more in a copy until they are made anew."""
+        """Make the views of the arrays.
+
+        A copy calls it again, since copied views would be arrays of their own.
+        """
         heads = self._heads
         self._x = heads["x"]
         self._ready = self._world.courses["ready"]
@@ -113,6 +121,7 @@ class Vehicles:
         self.worlds = self._arrays(**self._world._asdict(), **results, **known)
 
     def __getstate__(self) -> dict[str, Any]:
+        """All but the views, which `__setstate__` makes anew."""
         return {name: value for name, value in self.__dict__.items() if name not in VIEWS}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -120,8 +129,9 @@ class Vehicles:
         self._view()
 
     def _check_drivable(self, trial: Any) -> None:
-        """Refuse a scenario whose soils are too weak for this vehicle, before a training begins;
-        `trial`: the arrays of one.
+        """Refuse a scenario whose soils are too weak for this vehicle, before a training begins.
+
+        `trial`: the arrays of one vehicle, in which `TRIAL_COURSES` courses are started.
         """
         vehicles = trial.state
         vehicles["stream"] = 1
@@ -146,7 +156,7 @@ class Vehicles:
         self._one(k, RESTART, self._drive)
 
     def complete(self, k: int) -> None:
-        """Draw the rest of the course of vehicle k; it goes on as it would have."""
+        """Draw the rest of the course of vehicle k: the ground that it would have met later."""
         self._one(k, COMPLETE, self._draw)
 
     def step(self, k: int, action: Any) -> None:
@@ -182,7 +192,7 @@ class Vehicles:
         return self._heads["steps"]
 
     def _one(self, k: int, order: np.int8, follow: Callable[..., int]) -> None:
-        """Have vehicle k alone `follow` an order."""
+        """Let vehicle k alone `follow` an order, in this thread; `follow`: `_draw` or `_drive`."""
         self._orders[k] = order
         try:
             check_laid(follow(self._orders, self._scratch[0], k, k + 1))
@@ -190,7 +200,9 @@ class Vehicles:
             self._orders[k] = IDLE
 
     def _all(self, orders: np.ndarray) -> None:
-        """Follow the orders, in several threads if there are many vehicles."""
+        """Follow the orders [vehicles], chunk by chunk, in several threads if there are many
+        vehicles. Ground that a restart or a step needs is drawn first.
+        """
         courses = np.where(orders == RESTART, RESTART, IDLE)
         courses[(orders == STEP) & (self._ready < self._x + self._ahead)] = AHEAD
         laid = np.any(courses != IDLE)
@@ -210,12 +222,13 @@ class Vehicles:
         check_laid(sum(run(run_chunk, chunks)))
 
     def _draw(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> int:
-        """Draw the ground that the orders ask for; number of the courses that were not found."""
+        """Draw the ground that the orders ask for; return for how many no soil was found."""
         return self._lay(self._world, self.course_numbers, orders, scratch, first, end)
 
     def _drive(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> int:
-        """Follow the orders for vehicles `first` to `end` - 1: the world, then what is on board; 0,
-        since it cannot fail.
+        """Follow the orders of vehicles `first` to `end` - 1 in the world, then in the estimators.
+
+        Returns 0 as `_draw` does, since it cannot fail.
         """
         self._move(orders, scratch, first, end)
         if self._on_board is not None:
@@ -228,6 +241,6 @@ class Vehicles:
 
 
 def check_laid(failed: int) -> None:
-    """RuntimeError if a course was not found."""
+    """RuntimeError if no soil was found for a course."""
     if failed:
         raise RuntimeError("no soil found that leaves this vehicle course.least_pull")

@@ -77,12 +77,17 @@ class Simulation(Vehicles):
         self._check_drivable(new_wheel_worlds(1, scenario, self.numbers, (1, 1)))
 
     def _view(self) -> None:
+        """Make also the views that only wheels have.
+
+        The samples get an axis for the one axle of a wheel, as in `Stepped`.
+        """
         super()._view()
         self._sampled = self._sampled._replace(samples=self._sampled.samples[:, None])
         self._actions = self._heads["action"]
         self._order = self._heads["order"]
 
     def _move(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:
+        """Follow the orders in the world, where a wheel's order is in its record."""
         if end - first == 1:
             self._order[first] = orders[first]
         else:

@@ -26,9 +26,13 @@ def with_model(
     """The scenario with radius, width and tyre of the model, and its soil alone, if it has one.
 
     Mass and drive stay those of the scenario, behind a gear that keeps force and speed of the rim,
-    but for numbers in `changes["wheel"]`, which are taken as they are. The identifier expects what
-    it did before. With `scatter` the scenario stays as it is, and its spread is about the soil of
-    the model. Raises ParameterError where `changes` names another wheel.
+    but for numbers in `changes["wheel"]`, which are taken as they are. A soil of the model does not
+    scatter. The spread of the scenario then moves into the belief, so that the prior of the
+    identifier stays.
+
+    Without a model, or with `scatter`, the scenario stays as it is; with `scatter` its spread is
+    about the soil of the model. Raises ParameterError for a radius or width in `changes` that is
+    not the model's, and for a wheel or soil that the scenario cannot have.
     """
     if not isinstance(scatter, (bool, np.bool_)):
         raise ParameterError(f"scatter = {scatter!r:.60}: expected True or False")
@@ -64,7 +68,9 @@ def with_model(
 
 
 def _given(changed: Any, wheel: Wheel) -> dict[str, Any]:
-    """Numbers of the wheel that a keyword has set."""
+    """Numbers of `wheel` that its keyword has set: those named in `changed`, all for a preset or a
+    whole wheel, none for None.
+    """
     if changed is None:
         return {}
     whole = not isinstance(changed, Mapping) or "preset" in changed
@@ -92,7 +98,7 @@ def world_of(
 
 
 def for_each(world: Mapping[str, Any], count: int) -> dict[str, Any]:
-    """The same of many environments: arrays [count]."""
+    """`world_of` for many equal environments: each value as an array [count]."""
     return {
         key: for_each(value, count) if isinstance(value, Mapping) else np.full(count, value)
         for key, value in world.items()
@@ -111,6 +117,7 @@ def storable(spec: EnvSpec | None) -> EnvSpec | None:
 
 
 def _plain(value: Any) -> Any:
+    """A keyword argument in values that JSON has."""
     if isinstance(value, WheelSoilModel):
         return value.content()
     if isinstance(value, Checked):

@@ -120,7 +120,7 @@ SETTING = record(
 
 
 class Options(NamedTuple):
-    """What acts in a world."""
+    """What acts in a world beside the base model, on its wheels and on their sensors."""
 
     acting: Acting
     errors: SensorErrors
@@ -148,7 +148,7 @@ def new_setting(numbers: WheelNumbers, recorded: bool, chunk: int) -> np.ndarray
 def new_wheel_worlds(
     wheels: int, scenario: Scenario, numbers: WheelNumbers, samples: tuple[int, int]
 ) -> WheelWorlds:
-    """Worlds for so many wheels, to be restarted, with `samples` of that shape."""
+    """Blank worlds for so many wheels, to be restarted; `samples`: shape of their samples."""
     return WheelWorlds(
         np.zeros(wheels, WHEEL),
         new_courses(wheels, scenario),
@@ -174,7 +174,10 @@ class Setting(NamedTuple):
 
 @inlined
 def start_drivable(course, owner, numbers, scratch):
-    """Start a course with a seed of `owner`; the loaded mass [kg], or -1 if no soil was found."""
+    """Start a course with a seed from the stream of `owner`; return the mass [kg] with payload.
+
+    Where no soil is found, try another seed, at most `ATTEMPTS` times; then return -1.
+    """
     mass = -1.0
     attempts = 0
     while mass < 0.0 and attempts < ATTEMPTS:
@@ -185,12 +188,14 @@ def start_drivable(course, owner, numbers, scratch):
 
 @kept
 def lay_wheels(worlds, numbers, orders, setting, first, end):
-    """Follow the `orders` [wheels] for the courses `first` to `end` - 1; return the number of those
-    not found.
+    """Follow the `orders` [wheels] for the courses `first` to `end` - 1.
+
+    Return the number of restarts for which no soil was found.
 
     RESTART starts a new course and puts the wheel, whose record is blank but for its stream, at
-    rest at its start. After TRY, the wheel's `reward` is the mass on it, or -1 if no soil was
-    found. `numbers`: `CourseNumbers`.
+    rest at its start. TRY draws the start of a course; the wheel's `reward` is then the mass on it,
+    or -1 if no soil was found. AHEAD draws the ground that the next step needs, COMPLETE the rest.
+    `numbers`: `CourseNumbers`.
     """
     rig = numbers.rig
     nodes = setting[0].nodes[0]
@@ -236,7 +241,7 @@ def _sense(wheel, sample, course, setting):
 
 @inlined
 def _observe(wheel, sample, course, setting, sight, out):
-    """Fill the observation `out` [D] of a wheel but for what is identified."""
+    """Fill the observation `out` [D] of a wheel, but for the entries that are identified."""
     task = setting.task
     write_sensors(out, wheel, sample, task)
     truth = task.variant == TRUE_SOIL
@@ -248,7 +253,9 @@ def _observe(wheel, sample, course, setting, sight, out):
 
 @compiled_finite
 def _restart(wheel, sample, course, setting, out):
-    """Observe a wheel at the start of its course."""
+    """Begin the episode of a wheel that rests at the start of its course: draw the errors of its
+    sensors, read them and observe.
+    """
     mount_sensors(wheel, setting.normals, setting.sensors)
     wheel.cause = RUNNING
     wheel.periods = 1
@@ -258,10 +265,10 @@ def _restart(wheel, sample, course, setting, out):
 
 @compiled_finite
 def _step(wheel, action, course, setting, samples, out):
-    """The control periods of an action of a wheel, until its episode ends: drive, sense, judge,
-    reward; then observe.
+    """Take a wheel through the control periods of an action, until its episode ends: drive, sense,
+    judge, reward; then observe.
 
-    `samples` [periods], or [1] to overwrite.
+    `samples` [periods]: of all periods, or [1] of the last.
     """
     task = setting.task
     terms = wheel.terms
@@ -286,8 +293,8 @@ def _step(wheel, action, course, setting, samples, out):
 def step_wheels(state, courses, samples, observation, setting, options, span):
     """Follow the orders of the wheels of a `span` (first, end): STEP by their action, or RESTART.
 
-    The first four are the arrays of `WheelWorlds`; `setting` is that of the thread. Courses are
-    laid (`lay_wheels`).
+    The first four are the arrays of `WheelWorlds`; `setting` is that of the thread. `lay_wheels`
+    has drawn the courses before.
     """
     own = setting[0]
     world = World(own.rig[0], options.acting, own.nodes[0])

@@ -16,8 +16,9 @@ from soil_env.parameters import MOST_AXLES, RoverScenario
 from soil_env.simulation.world.wheel import WHEEL
 
 LOAD_TOLERANCE = 0.02  # [of the mean load of an axle] change of a load that asks for a new solution
-LEAST_LOAD = 0.02  # [of the mean load of an axle] that an axle carries: none is taken to lift off
-STEEPEST = 0.9  # [-] largest sine of the pitch
+# [of the mean load of an axle] that an axle carries at least: none is taken to lift off
+LEAST_LOAD = 0.02
+STEEPEST = 0.9  # [-] largest sine of the pitch; own choice
 
 #: What an axle has beside its wheel.
 AXLE = record(
@@ -89,8 +90,9 @@ def suspension_of(scenario: RoverScenario) -> np.ndarray:
 
 @compiled_finite
 def _two_loads(together, moment, arm, other_arm, least):
-    """Loads [N] at two arms [m] that carry `together` and balance a moment [N m], each at least
-    `least`.
+    """Loads [N] at two arms [m] that add up to `together` [N] and balance a `moment` [N m].
+
+    Each is cut to at least `least`; the moment is then not balanced.
     """
     one = (-moment - other_arm * together) / (arm - other_arm)
     one = min(max(one, least), together - least)
@@ -110,7 +112,8 @@ def axle_loads(forces, weight, s):
     """Loads [N] of the axles, front to rear, in equilibrium with the torques and drawbar pulls of
     `forces` [axles].
 
-    `weight` [N] is normal to the body. With two axles the third load is 0.
+    `weight` [N] is normal to the body. None is less than `LEAST_LOAD` of the mean, and they add up
+    to the weight all the same. With two axles the third load is 0.
     """
     least = LEAST_LOAD / s.axles * weight
     moment = 0.0
@@ -141,7 +144,11 @@ def _height_of(rover, a):
 
 @compiled_finite
 def set_pitch(rover, s):
-    """Pitch of the body of a rover, from where its wheels stand."""
+    """Set the pitch of a rover's body from the heights of its wheels.
+
+    It is the slope of the line through both axles, or through the bogie's pivot and the other
+    axle; its sine is cut to `STEEPEST`.
+    """
     front = _height_of(rover, 0)
     rear = _height_of(rover, s.axles - 1)
     length = s.wheelbase

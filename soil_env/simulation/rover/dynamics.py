@@ -26,7 +26,7 @@ from soil_env.simulation.world.wheel import (
     commanded,
     end_period,
     leave_ruts,
-    measure_slip,
+    set_slip,
 )
 from soil_env.terramechanics.ground import put_soil, soil_of
 
@@ -37,7 +37,7 @@ from .ruts import copy_rut_behind, floor_at
 
 @compiled_finite
 def _stage_of(number, h, wheel, foot, rig):
-    """`Stage` of the wheel of an axle."""
+    """`Stage` of this `number` (0 or 1) of a step of h seconds, of the wheel of an axle."""
     rim = rig.radius * wheel.wheel_speed
     return stage_of(number, h, wheel.speed, rim, foot.speed_before, foot.rim_before)
 
@@ -65,8 +65,11 @@ def _keep_stand(foot, at):
 
 @inlined
 def _solve_stage(rover, course, ruts, number, h, forced, world):
-    """A stage of a step; False if Newton's method fails, with the rover as before, unless it is
-    `forced` on.
+    """Take a rover through a stage of a step of h seconds, and return True; `ruts` [axles, cells].
+
+    Each wheel stands on its own ground; all speeds are solved together. Then wheels move, and axle
+    heights, floors, pitch and ruts follow. Where Newton's method fails, return False and leave the
+    rover where it was, or, if `forced`, go on with the best speeds found.
     """
     rig = world.rig
     scratch = world.stage
@@ -78,7 +81,7 @@ def _solve_stage(rover, course, ruts, number, h, forced, world):
         foot.rim_start = stage.rim
         own = World(rig, world.acting, scratch.nodes[a])
         ahead = ground_ahead(wheel, stage, course, ruts[a], rig.border, world.acting.effects)
-        at = stand(wheel, stage, ahead, wheel.load, own)  # of the stage before
+        at = stand(wheel, stage, ahead, wheel.load, own)  # tyre and grip by the last stage's load
         _keep_stand(foot, at)
     stage = _stage_of(number, h, rover.wheels[0], scratch.feet[0], rig)
     at_end = equation_of(stage.speed, stage.implicit, rover.mass, rig)
@@ -92,7 +95,7 @@ def _solve_stage(rover, course, ruts, number, h, forced, world):
         stage = _stage_of(number, h, wheel, foot, rig)
         end = Motion(speed, scratch.found[a].rim, reaction_of(scratch.found[a]), converged)
         under = Ground(soil_of(foot), foot.sinkage, foot.lift, foot.unfelt, foot.grade)
-        # each part of the way on the grade whose weight was along it
+        # each part of the way climbs the grade that its speed was solved on, for the energy balance
         rise = stage.first * wheel.speed * sin_cos(wheel.grade)[0]
         move(wheel, end, stage, under, foot, rig)
         axle.height += rise + stage.last * speed * sin_cos(foot.grade)[0]
@@ -108,7 +111,9 @@ def _solve_stage(rover, course, ruts, number, h, forced, world):
 
 @inlined
 def _command_at(left, world):
-    """Set the commands of all axles where so many seconds of the period are left."""
+    """Set the commands of all axles to those at the time when `left` seconds of the control period
+    remain.
+    """
     share = 1.0 - left / world.rig.period
     for a in range(world.suspension.axles):
         foot = world.stage.feet[a]
@@ -118,8 +123,10 @@ def _command_at(left, world):
 
 @inlined
 def _solve_step(rover, course, ruts, h, left, forced, world):
-    """A step of h seconds in two stages, `left` [s] before the end of the period; the time [s] that
-    was driven, less than h if Newton's method fails.
+    """Drive a step of h seconds in two stages, with `left` seconds of the period to go; return the
+    time [s] that was driven.
+
+    That is h, or where Newton's method fails the duration of the stages before, 0 or one stage.
     """
     for a in range(world.suspension.axles):
         foot = world.stage.feet[a]
@@ -134,7 +141,7 @@ def _solve_step(rover, course, ruts, h, left, forced, world):
 
 @inlined
 def _change_ahead(rover, world):
-    """Foreseen change of the speeds [of the top rim speed] in a step of the usual length."""
+    """Largest foreseen change of a speed in a step of the usual length [of the top rim speed]."""
     rig = world.rig
     for a in range(world.suspension.axles):
         world.stage.feet[a].rim_start = rig.radius * rover.wheels[a].wheel_speed
@@ -149,7 +156,7 @@ def _change_ahead(rover, world):
 
 @inlined
 def _drive_period(rover, course, ruts, world):
-    """Drive a rover for a control period by steps that are halved while Newton's method fails."""
+    """Drive a rover for a control period, in steps as those of `world.dynamics.drive_period`."""
     rig = world.rig
     steps = steps_for(_change_ahead(rover, world))
     longest = rig.period / (rig.substeps * steps)
@@ -170,11 +177,10 @@ def _drive_period(rover, course, ruts, world):
 
 @compiled_finite
 def control_period(rover, actions, course, ruts, world):
-    """One control period of a rover under actions [axles] in [-1, 1] (`wheel.commanded`).
+    """One control period of a rover under `actions` [axles] in [-1, 1] (`wheel.commanded`).
 
-    `course`: its own; `ruts` [axles, cells]: `RUT`.
-
-    In a halt the drives ignore them; their speed loops brake the wheels and hold them.
+    `course`: that of the rover; `ruts` [axles, cells]: `RUT`. In a halt the drives ignore the
+    actions; their speed loops brake the wheels and hold them.
     """
     halted = rover.halt_left > 0.0
     for a in range(world.suspension.axles):
@@ -193,7 +199,14 @@ def control_period(rover, actions, course, ruts, world):
 
 @inlined
 def _sum_up(rover, world):
-    """The end of a control period of a rover as a whole."""
+    """Set the state of a rover as a whole (`ROVER`) from its wheels, and end the control period.
+
+    Place and speed are those of the rear wheel: the rover has come as far as its last axle. The
+    wheel speed is that of the fastest wheel, so a rover stalls only if no wheel turns. The sinkage
+    is that of the deepest wheel, its rut included. Slip is the mean. Pull and motor work are sums;
+    a motor whose work is negative counts as 0, since it recovers nothing for the others.
+    `converged` is 0 if any wheel's is.
+    """
     axles = world.suspension.axles
     fastest = 0.0
     slip = 0.0
@@ -203,7 +216,7 @@ def _sum_up(rover, world):
     rover.converged = 1
     for a in range(axles):
         wheel = rover.wheels[a]
-        measure_slip(wheel, world.rig)
+        set_slip(wheel, world.rig)
         wheel.travel = wheel.x - world.stage.feet[a].start
         if abs(wheel.wheel_speed) > abs(fastest):
             fastest = wheel.wheel_speed

@@ -35,7 +35,9 @@ from soil_env.terramechanics.reaction import (
 
 from .body import LOAD_TOLERANCE, axle_loads, weight_of
 
-TURNS = 4  # solutions of a stage at most, each with the loads of the one before; the last is kept
+# [-] solutions of a stage at most, each with the axle loads that follow from the forces of the one
+# before; the last is kept
+TURNS = 4
 
 _NOT_SHEARED = [name for name in SoilState._fields if name not in Footing._fields]
 #: What the wheel of an axle is to do in a control period and what it stands on in a stage. It has
@@ -95,7 +97,9 @@ class Equation(NamedTuple):
 
 @compiled_finite
 def equation_of(speed, duration, mass, rig):
-    """`Equation` of a rover of this mass [kg] whose stage begins at V* = `speed`."""
+    """`Equation` of a rover of this `mass` [kg], for implicit Euler over `duration` [s] from
+    V* = `speed` [m/s].
+    """
     return Equation(speed, duration / mass, duration * rig.radius / rig.inertia)
 
 
@@ -132,27 +136,30 @@ def reaction_of(row):
 
 
 @compiled_finite
-def _apart(x):
-    """`x` away from 0, where it is divided by."""
+def _divisor(x):
+    """`x`, or `LEAST_PIVOT` where its size is less: a number to divide by."""
     return x if abs(x) > LEAST_PIVOT else LEAST_PIVOT
 
 
 @compiled_finite
 def newton_step(residual, at, world):
-    """Step of Newton's method from the speeds of `found`: dV [m/s], and `change` of each axle;
-    `residual` of travel.
+    """dV [m/s] of a step of Newton's method from the speeds in `found`; each axle of `found` gets
+    the `change` of its rim speed.
+
+    `residual` [m/s] is that of the equation of travel. The changes of the rim speeds are
+    eliminated, which leaves one equation in dV.
     """
     found = world.stage.found
     r = world.rig.radius
     slope = 1.0
     for a in range(world.suspension.axles):
         f = found[a]
-        per_pivot = 1.0 / _apart(1.0 + at.by_torque * (f.torque_u - f.motor_slope / r))
+        per_pivot = 1.0 / _divisor(1.0 + at.by_torque * (f.torque_u - f.motor_slope / r))
         f.change = -f.residual * per_pivot
         f.change_v = -at.by_torque * f.torque_v * per_pivot
         slope -= at.by_pull * (f.pull_v + f.pull_u * f.change_v)
         residual -= at.by_pull * f.pull_u * f.change
-    dv = -residual / _apart(slope)
+    dv = -residual / _divisor(slope)
     for a in range(world.suspension.axles):
         found[a].change += found[a].change_v * dv
     return dv
@@ -160,10 +167,10 @@ def newton_step(residual, at, world):
 
 @compiled_finite
 def foresee(rover, at, world):
-    """dV [m/s] in a stage by the reactions of the last one to first order; `found` has these and
-    the changes of u.
+    """dV [m/s] of a rover in a stage, by the reactions of the last stage to first order.
 
-    The stage begins at `Equation` and `rim_start` of each axle.
+    `found` gets those reactions and the `change` of u of each axle. The stage begins at V* of the
+    `Equation` `at` and at `rim_start` of each axle.
     """
     rig = world.rig
     residual = rover.wheels[0].speed - at.speed
@@ -183,10 +190,10 @@ def foresee(rover, at, world):
 
 @inlined
 def _begin(rover, at, weight, world):
-    """First V to try [m/s], with the rim speeds in `trial`: the foreseen ones where they are a
-    `SHORT` way off.
+    """First V to try in a stage [m/s]; `trial` gets the rim speeds to try, `feet` the axle loads.
 
-    The loads are those of the forces foreseen there.
+    They are the foreseen speeds where all foreseen changes are a `SHORT` way, else the present
+    ones. The loads balance the forces foreseen there.
     """
     s = world.suspension
     feet = world.stage.feet
@@ -213,8 +220,9 @@ def _begin(rover, at, weight, world):
 
 @inlined
 def _evaluate(v, at, world):
-    """(residual of travel, largest residual) [m/s] at V = `v` and the rim speeds in `trial`, which
-    gets the rest.
+    """(residual of travel, largest residual) [m/s] at V = `v` and the rim speeds in `trial`.
+
+    `trial` gets the reaction and the residual of each axle there.
     """
     rig = world.rig
     pull = 0.0
@@ -248,8 +256,8 @@ def _iterate(v, at, world):
     """(V, True if converged) by Newton's method at the present loads, from `v` and the rim speeds
     in `trial`.
 
-    As in `world.newton`, a step that does not reduce the largest residual is shortened. `found` has
-    the rest.
+    As in `world.newton`, a step that does not reduce the largest residual is shortened. `found`
+    gets the rim speeds and reactions at the V returned, the best one found.
     """
     axles = world.suspension.axles
     found = world.stage.found
@@ -285,8 +293,10 @@ def _iterate(v, at, world):
 
 @inlined
 def _renew_loads(weight, world):
-    """True if the forces found change a load; the loads are then theirs, and the speeds found are
-    tried next.
+    """True if the forces found change a load by more than `LOAD_TOLERANCE`.
+
+    All loads are then set to those that balance these forces, and `trial` to the rim speeds found,
+    which are tried next.
     """
     s = world.suspension
     feet = world.stage.feet
@@ -306,8 +316,11 @@ def _renew_loads(weight, world):
 
 @compiled_finite
 def solve_speeds(rover, at, world):
-    """(V [m/s], True if converged) at the end of a stage; `found` has the rim speeds and the
+    """(V [m/s], True if converged) at the end of a stage; `found` gets the rim speeds and the
     reactions.
+
+    Speeds are solved at fixed axle loads, then the loads are renewed from the forces, at most
+    `TURNS` times.
     """
     weight = weight_of(rover, world.rig.gravity)
     v = _begin(rover, at, weight, world)

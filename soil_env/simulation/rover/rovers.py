@@ -51,7 +51,9 @@ from .task import (
     write_true_soils,
 )
 
-DEEPEST_ALONE = 0.5  # [of the limit] sinkage of a wheel by itself on the ground of a course
+# [-] factor on the bogged sinkage where a soil is judged for a single wheel: the deepest wheel of a
+# rover carries more than the mean and runs in a rut; own choice
+DEEPEST_ALONE = 0.5
 
 
 #: Of a rover after a control period, for the estimators on board, beside readings of its wheels.
@@ -82,15 +84,16 @@ def new_rover_scratch() -> RoverScratch:
 
 
 class RoverWorlds(NamedTuple):
-    """Arrays that the compiled step reads and writes, one row a rover; axles from the front on."""
+    """Arrays that the compiled step reads and writes, one row a rover; axles from the front on.
+
+    Where nothing is recorded, `readings` and `samples` have no rows.
+    """
 
     state: np.ndarray  # [rovers] `ROVER`
     ruts: np.ndarray  # [rovers, axles, cells] `RUT`
     courses: np.ndarray  # [rovers] `course_dtype`; what is left in its cells is in `ruts`
     readings: np.ndarray  # [rovers, axles, periods] `SAMPLE` of the last step
-    samples: (
-        np.ndarray
-    )  # [rovers, periods] `ROVER_SAMPLE` of it; both without rows if nothing is recorded
+    samples: np.ndarray  # [rovers, periods] `ROVER_SAMPLE` of the last step
     observation: np.ndarray  # [rovers, D] float32
 
 
@@ -136,7 +139,6 @@ def rover_course_numbers(
 ) -> RoverCourseNumbers:
     """Pack the numbers of `lay_rovers`; `model` gives the effects that are on in this world."""
     numbers = course_numbers(_with_front(scenario), model)
-    # the deepest wheel of a rover carries more than the mean and runs in a rut
     numbers.drawn.spec.bogged_sinkage *= DEEPEST_ALONE
     return RoverCourseNumbers(*numbers, suspension_of(scenario)[0])
 
@@ -144,7 +146,9 @@ def rover_course_numbers(
 def new_rover_worlds(
     rovers: int, scenario: RoverScenario, numbers: RoverNumbers, recorded: bool
 ) -> RoverWorlds:
-    """Worlds for so many rovers, to be restarted; `recorded`: keep each step's sensor record."""
+    """Blank worlds for so many rovers, to be restarted; `recorded`: keep the readings of each step
+    for estimators.
+    """
     axles = scenario.axles
     periods = scenario.control.action_periods
     courses = new_courses(rovers, _with_front(scenario))
@@ -189,12 +193,13 @@ def _settle(rover, mass, course, ruts, numbers, nodes):
 
 @kept
 def lay_rovers(worlds, numbers, orders, scratch, first, end):
-    """Follow the `orders` [rovers] for the courses `first` to `end` - 1; return the number of those
-    not found.
+    """Follow the `orders` [rovers] for the courses `first` to `end` - 1.
+
+    Return the number of restarts for which no soil was found.
 
     RESTART starts a new course and puts the rover at rest at its start. TRY draws the start of a
-    course; the rover's `reward` is then the mean mass on a wheel, or -1 if no soil was found.
-    `numbers`: `RoverCourseNumbers`.
+    course; the rover's `reward` is then the mean mass on a wheel, or -1 if no soil was found. AHEAD
+    draws the ground that the next step needs, COMPLETE the rest. `numbers`: `RoverCourseNumbers`.
     """
     nodes = scratch.stage[0].nodes[0]
     s = numbers.suspension
@@ -235,7 +240,7 @@ class Setting(NamedTuple):
 def _sense(rover, readings, sample, period, setting):
     """Fill `readings` [axles, periods] of a control period and its `ROVER_SAMPLE`.
 
-    What the body has a sensor of is the same in all.
+    Readings of sensors of the body are the same for all axles.
     """
     task = setting.task
     sense_body(rover, sample, setting.sensors)
@@ -254,7 +259,9 @@ def _sense(rover, readings, sample, period, setting):
 
 @compiled_finite
 def _restart(rover, readings, samples, setting):
-    """Readings of a rover at the start of its course."""
+    """Begin the episode of a rover that rests at the start of its course: draw the errors of its
+    sensors, and read them.
+    """
     set_pitch(rover, setting.world.suspension)
     for a in range(setting.world.suspension.axles):
         mount_sensors(rover.wheels[a], setting.normals, setting.sensors)
@@ -265,9 +272,10 @@ def _restart(rover, readings, samples, setting):
 
 @compiled_finite
 def _step(rover, commands, course, ruts, readings, samples, setting):
-    """The control periods of an action of a rover, until its episode ends.
+    """Take a rover through the control periods of an action, until its episode ends: drive, sense,
+    judge, reward.
 
-    `readings` [axles, periods], `samples` [periods], or one of each to overwrite.
+    `readings` [axles, periods], `samples` [periods]: of all periods, or one column of the last.
     """
     task = setting.task
     terms = rover.terms
@@ -287,7 +295,7 @@ def _step(rover, commands, course, ruts, readings, samples, setting):
 
 @inlined
 def _observe(rover, readings, course, setting, out):
-    """Fill the observation `out` [D] of a rover but for what is identified."""
+    """Fill the observation `out` [D] of a rover, but for the entries that are identified."""
     task = setting.task
     axles = setting.world.suspension.axles
     last = min(rover.periods, readings.shape[1]) - 1
@@ -304,7 +312,7 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
     """Follow the `orders` [rovers] STEP and RESTART for the rovers `first` to `end` - 1; `actions`
     [rovers, axles].
 
-    Their courses are laid (`lay_rovers`).
+    `lay_rovers` has drawn their courses before.
     """
     world = RoverWorld(numbers.rig[0], numbers.acting, numbers.suspension[0], scratch.stage[0])
     setting = Setting(

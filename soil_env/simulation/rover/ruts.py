@@ -2,7 +2,7 @@
 
 A wheel behind another runs on the floor of its rut: its sinkage is that below the floor, and its
 contact begins there. Each wheel keeps its own rut, as a wheel by itself does, and meets it again
-where the rover reverses; what wheels behind it have left it does not meet.
+where the rover reverses. It does not meet the ruts of the wheels behind it.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ def new_ruts(rovers: int, axles: int, cells: int) -> np.ndarray:
 
 @compiled_finite
 def clear_ruts(cells):
-    """Undisturbed ground for a wheel."""
+    """Make all rut cells of a wheel undisturbed ground."""
     for i in range(cells.size):
         clear(cells[i])
 
@@ -35,8 +35,11 @@ def floor_at(ruts, a, x):
 
 @compiled_finite
 def copy_rut_behind(ruts, a, cell, after):
-    """Copy the rut of axle a to the axles behind it, in the cells from `cell` to before `after`;
-    `ruts` [axles, cells].
+    """Copy the rut of axle a to the axles behind it, in the cells from `cell` to before `after`, in
+    either direction; `ruts` [axles, cells].
+
+    Its depth becomes the floor on which those wheels run. Its passes count for them, unless they
+    have made more themselves.
     """
     while cell != after:
         left = ruts[a, cell]

@@ -2,8 +2,8 @@
 under each.
 
 Reward, causes of an end, halts and odometry are those of `simulation.task` for the rover as a
-whole, whose state has the same names (`body.ROVER`). A wheel that is stuck is no end as long as the
-rover gets on.
+whole, whose state has the same names (`body.ROVER`). A wheel that is stuck ends no episode as long
+as the rover gets on.
 """
 
 from dataclasses import replace
@@ -17,7 +17,7 @@ from soil_env.simulation.task.observation import ENTRIES_OF_SOIL, write_soil
 from soil_env.simulation.world.sensors import NAMES
 from soil_env.simulation.world.terrain import soil_on
 
-# Readings of the body and of an axle.
+# Names of the readings of the body and of an axle.
 BODY = tuple(sensor.name for sensor in SENSORS if sensor.of_body)
 AXLE = tuple(name for name in NAMES if name not in BODY)
 _OF_BODY = (*BODY, "odometry", "halted")
@@ -33,8 +33,8 @@ def axle_names(axles: int) -> tuple[str, ...]:
 
 
 def rover_layout(variant: str, axles: int) -> tuple[ObservedNumber, ...]:
-    """The observation of a variant, number by number; the first entries are those of `blind` in
-    every variant.
+    """The observation of a variant, number by number: body, then the sensors of each axle, then
+    what is known of the soil under each axle. All but the last part is that of `blind`.
     """
     wheel = {e.name: e for e in layout("blind")}
     known = layout(variant)[len(wheel) :]
@@ -48,8 +48,8 @@ def rover_layout(variant: str, axles: int) -> tuple[ObservedNumber, ...]:
 
 @compiled_finite
 def write_body(out, rover, reading, task):
-    """Fill the first entries of `out` with readings of a rover as a whole, which those of any of
-    its wheels have.
+    """Fill the first entries of `out`, those of the rover as a whole, from the `reading` of any of
+    its wheels, since each has the readings of the body.
     """
     i = 0
     for name in literal_unroll(BODY):
@@ -71,7 +71,7 @@ def write_axle(out, a, wheel, reading, task):
 
 
 def first_soil(axles: int) -> int:
-    """Index of the first entry of the observation of so many axles that is no reading."""
+    """Index of the first entry on the soil in the observation of a rover with so many axles."""
     return ENTRIES_OF_BODY + ENTRIES_OF_AXLE * axles
 
 

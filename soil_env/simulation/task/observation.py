@@ -21,6 +21,7 @@ LAST_ACTION, ODOMETRY, HALTED, RIM_COMMAND = map(
     _ENTRIES.index, ("last_action", "odometry", "halted", "rim_command")
 )
 TRUE_SOIL = VARIANTS.index("true_soil")
+KILOPASCAL = 1000.0  # [Pa] unit in which cohesion is observed
 ENTRIES_OF_SOIL = 7  # of a true soil
 ENTRIES_AHEAD = 8  # of the true soil of a route ahead: soil and margin
 
@@ -34,7 +35,7 @@ def clip(out, bounds):
 
 @compiled_finite
 def write_sensors(out, wheel, reading, task):
-    """Fill the first entries of the observation `out` [D] of a wheel."""
+    """Fill the entries of the observation `out` [D] of a wheel that every variant has."""
     i = 0
     for name in literal_unroll(NAMES):
         out[PLACES[i]] = reading[name] / task.units[0][name]
@@ -47,11 +48,11 @@ def write_sensors(out, wheel, reading, task):
 
 @compiled
 def write_soil(out, soil):
-    """Fill `out` [7] with a true soil."""
+    """Fill `out` [7] with a true soil, in the order and units of the layout of `true_soil`."""
     out[0] = math.atan(soil.tan_phi)
     out[1] = math.log10(soil.shear_modulus)
     out[2] = math.log10(soil.sinkage_coefficient)
-    out[3] = soil.cohesion / 1000.0
+    out[3] = soil.cohesion / KILOPASCAL
     out[4] = soil.sinkage_exponent
     out[5] = soil.dig_gain
     out[6] = soil.dig_recovery
@@ -66,7 +67,9 @@ def write_soil_under(out, wheel, course, border):
 
 @compiled
 def write_seen(out, wheel, image, course, sight, camera, truth):
-    """Fill `out` with an `IMAGE` of the camera; with `truth`, the routes' true soils behind it."""
+    """Fill `out` with the entries of an `IMAGE` of the camera (`write_view`), with `truth` followed
+    by the true soils of the routes ahead.
+    """
     i = write_view(out, image, choosing(wheel, course, camera) >= 0, camera)
     if truth:
         write_soils_ahead(out[i:], course, sight, camera)
@@ -74,7 +77,9 @@ def write_seen(out, wheel, image, course, sight, camera, truth):
 
 @compiled
 def write_truth(out, wheel, course, border, camera):
-    """Fill `out` with the entries of `layout.truth` at the true place of a wheel."""
+    """Fill `out` with the entries of `layout.truth`, for the true place of a wheel and not for the
+    place that an image shows.
+    """
     write_soil_under(out, wheel, course, border)
     patch = piece_at(course.patches, wheel.x, wheel.patch)
     here = course.patches[patch]
@@ -84,7 +89,11 @@ def write_truth(out, wheel, course, border, camera):
 
 @compiled
 def write_soils_ahead(out, course, sight, camera):
-    """Fill `out` [routes x 8] with true soils of routes ahead and their margins over the grade."""
+    """Fill `out` [routes x 8] with the true soil of each route ahead and its margin: the best pull
+    [of load] less the tangent of the grade that the camera sees.
+
+    Entries of a route that is out of sight or not there are 0.
+    """
     ahead = patch_ahead(course, sight, camera)
     for number in range(camera.lines):
         entries = out[number * ENTRIES_AHEAD :]

@@ -16,6 +16,8 @@ from .layout import VARIANTS, layout
 
 REWARD_TERMS = ("progress", "energy", "immobilisation", "information")
 ROUNDING = 1e-9  # [s] by which a sum of control periods may fall short of a time
+# [of the time without progress] in which the wheel hardly turns, beyond which it counts as stalled
+MOST_OF_IT = 0.5
 
 
 class Cause(enum.IntEnum):
@@ -81,9 +83,11 @@ def task_of(scenario: Scenario, variant: str) -> np.ndarray:
 def judge(vehicle, task):
     """`Cause` of a vehicle after a control period; advances its clocks, which stand still in halts.
 
-    A vehicle is immobilised if it has not got `no_progress_distance` further than ever before for
-    `no_progress_time`, has left the course backwards, or has sunk deeper than `bogged_sinkage`
-    radii.
+    The first of these that holds: FINISHED; BOGGED, deeper than `bogged_sinkage` radii; no
+    progress; TIME_LIMIT. No progress: `no_progress_time` without getting `no_progress_distance`
+    further than ever before, or a place more than `BEHIND` before the start. It is STALLED if the
+    rim was slower than `stalled_rim_speed` for most of that time, else ENTRAPPED. In a halt only
+    the time limit holds.
     """
     out_of_time = vehicle.steps >= task.periods
     if vehicle.halt_left > 0.0:
@@ -101,18 +105,18 @@ def judge(vehicle, task):
     if vehicle.sinkage > task.bogged_sinkage * task.radius:
         return BOGGED
     if vehicle.idle_time >= task.no_progress_time - ROUNDING or vehicle.x < -BEHIND:
-        return STALLED if vehicle.stalled_time > 0.5 * vehicle.idle_time else ENTRAPPED
+        return STALLED if vehicle.stalled_time > MOST_OF_IT * vehicle.idle_time else ENTRAPPED
     return TIME_LIMIT if out_of_time else RUNNING
 
 
 @compiled_finite
 def add_reward(vehicle, cause, task, terms):
     """Add the last control period of a vehicle to the first three of `terms` [4] (see
-    REWARD_TERMS).
+    REWARD_TERMS), each times its factor of `RewardWeights`.
 
-    progress: weight x distance travelled / course length; energy: -weight x motor work (no
-    recuperation) / (weight of the loaded wheel x course length); immobilisation: -weight once, when
-    the course ends unfinished.
+    Progress: distance travelled / course length. Energy: -(motor work, at least 0) / (weight with
+    payload x course length). Immobilisation: -1 once, when the episode ends unfinished, also by the
+    time limit.
     """
     terms[0] += task.progress * vehicle.travel / task.length
     work = max(vehicle.motor_work, 0.0)

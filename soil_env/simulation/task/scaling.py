@@ -16,7 +16,7 @@ from soil_env._io.loading import ParameterError
 from .layout import ROUTES, ObservedNumber, bounds_of
 
 _OF_ROUTES = tuple(f"{route}_" for route in ROUTES)
-_ALWAYS = "log10_sinkage_coefficient"
+_ALWAYS = "log10_sinkage_coefficient"  # entry of a route that is 0 only out of sight
 
 
 class Scaling:
@@ -38,10 +38,11 @@ class Scaling:
         self.scale: NDArray[np.float32] = np.array(
             [e.scale for e in self.entries], dtype=np.float32
         )
-        # for each entry one that is 0 if its route is out of sight, and 1 if it is kept then
+        # for each entry the index of one that is 0 if its route is out of sight
         self._mark = np.arange(len(names))
+        # for each entry 0 if it is set to 0 then, else 1
         self._kept = np.ones(len(names), dtype=np.float32)
-        self._routes = []  # the entries of each route that are not 0 in sight
+        self._routes = []  # of each route, indices of the entries whose centre is not 0
         for route in _OF_ROUTES:
             if route + _ALWAYS in names:
                 columns = [
@@ -66,10 +67,13 @@ class Scaling:
         out = (values - self.centre) / self.scale
         if not self._routes:
             return out
+        # + 0.0 makes 0 of -0
         return np.where(values[..., self._mark] == 0.0, out * self._kept + 0.0, out)
 
     def physical(self, observation: Any) -> NDArray[np.float32]:
-        """Values in their units, a new array, from observations [..., D]."""
+        """Values in their units, a new array, from observations [..., D]; ValueError for anything
+        else.
+        """
         try:
             given = np.array(observation, dtype=np.float32)
         except (TypeError, ValueError):
@@ -83,7 +87,7 @@ class Scaling:
         if not self.scaled:
             return given
         out: NDArray[np.float32] = given * self.scale + self.centre
-        for columns in self._routes:  # in sight no route has all of them at their centres
+        for columns in self._routes:  # all 0: out of sight, since in sight not all are at centres
             out[..., columns] = np.where(
                 (given[..., columns] == 0.0).all(axis=-1, keepdims=True), 0.0, out[..., columns]
             )

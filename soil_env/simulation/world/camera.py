@@ -14,7 +14,7 @@ from soil_env._compiled.random_streams import normal_pair
 from soil_env.parameters import Scenario
 from soil_env.parameters.readings import Image
 
-from .routes import settled
+from .routes import route_chosen
 
 #: The camera of a `Scenario`.
 CAMERA = record(
@@ -49,7 +49,11 @@ def camera_of(scenario: Scenario) -> np.ndarray:
 
 @compiled
 def sight_of(wheel, course, camera):
-    """`Sight` of a new image, with a number of the wheel's stream."""
+    """`Sight` of a new image: where the wheel seems to be, between borders where they seem to be.
+
+    The place of the wheel has an error that is new in every image, from the wheel's random stream.
+    Each border has an error that stays (`border_error`).
+    """
     patches = course.patches
     forks = course.forks
     last = course.drawn - 1
@@ -67,7 +71,7 @@ def sight_of(wheel, course, camera):
 
 @compiled
 def patch_ahead(course, sight, camera):
-    """The patch whose routes are in sight, or -1."""
+    """Index of the patch after that of a `Sight`, if it begins within `camera.sight`, else -1."""
     ahead = sight.patch + 1
     return ahead if ahead < course.drawn and sight.left <= camera.sight else -1
 
@@ -80,7 +84,10 @@ def seen_grade(course, p, route):
 
 @compiled
 def take_image(image, wheel, course, sight, camera):
-    """Fill the `IMAGE` of a wheel, for what identifies the ground on board."""
+    """Fill the `IMAGE` of a wheel, for what identifies the ground on board.
+
+    Without a patch ahead in sight, `seen` is 0 and what follows it is of patch 0 and means nothing.
+    """
     ahead = patch_ahead(course, sight, camera)
     p = max(ahead, 0)
     straight = course.routes[p, 0]
@@ -90,7 +97,7 @@ def take_image(image, wheel, course, sight, camera):
     image.left = sight.left
     image.here = course.routes[sight.patch, course.forks[sight.patch].taken].label
     image.seen = 1.0 if ahead >= 0 else 0.0
-    image.chosen = 1.0 if settled(wheel, course, p) else 0.0
+    image.chosen = 1.0 if route_chosen(wheel, course, p) else 0.0
     image.lines = course.forks[p].routes
     image.taken = course.forks[p].taken
     image.label_0 = straight.label
@@ -101,10 +108,11 @@ def take_image(image, wheel, course, sight, camera):
 
 @compiled
 def write_view(out, image, chooses, camera):
-    """Fill `out` with distance, class here, grade and class of routes ahead of an `IMAGE`; return
-    the count.
+    """Fill `out` with an `IMAGE`: distance of the border, class here, grade and class of each route
+    ahead, and with two routes whether the action `chooses` one now. Return the number of entries.
 
-    `chooses`: the action chooses a route now.
+    While no patch ahead is in sight, the distance is the range of the camera. Entries of routes
+    that are out of sight or not there are 0.
     """
     classes = camera.classes
     seen = image.seen > 0.0

@@ -31,12 +31,16 @@ from .routes import draw_classes, draw_routes
 from .terrain import cell_at, clear
 from .wheel import acting_in, rig_of
 
-# actions of travel at top rim speed before a wheel within which ground is drawn
+# ground is drawn as far ahead of a wheel as it travels in so many actions at top rim speed; one is
+# what it needs, the rest is an own choice
 ACTIONS_AHEAD = 3.0
+DRIVING = 0.5  # [of the top rim speed] travel at which a soil is judged; own choice
 
 
 def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> CourseNumbers:
-    """Pack what `start_course` and `extend_course` draw from; a `model` gives effects."""
+    """Pack what `start_course` and `extend_course` draw from; a `model` gives effects, lugs and,
+    where it has one, the soil.
+    """
     return CourseNumbers(
         course_distribution(scenario, model),
         rig_of(scenario, model)[0],
@@ -70,7 +74,7 @@ def course_distribution(
     spec.first_grade = np.radians(course.first_grade_deg)
     spec.bogged_sinkage = scenario.limits.bogged_sinkage * wheel.radius
     spec.reference_sinkage = spread.reference_sinkage
-    spec.speed = 0.5 * wheel.no_load_speed * wheel.radius
+    spec.speed = DRIVING * wheel.no_load_speed * wheel.radius
     spec.variation = (
         spread.friction,
         spread.cohesion,
@@ -85,7 +89,9 @@ def course_distribution(
 
 
 def _presets(scenario: Scenario, model: WheelSoilModel | None) -> np.ndarray:
-    """The mixture of soils, `PRESET` [soils]."""
+    """The mixture of soils, `PRESET` [soils]: that of the scenario, or the soil of a `model` alone
+    where it has one.
+    """
     if model is not None and model.soil is not None:
         soils = [scenario.beneath(model.soil)]
         weights = np.ones(1)
@@ -98,11 +104,11 @@ def _presets(scenario: Scenario, model: WheelSoilModel | None) -> np.ndarray:
 
 @compiled
 def start_course(course, owner, numbers, nodes):
-    """Start a course with a seed from the stream of `owner`; the mass [kg] on the wheel with
-    payload, or -1.
+    """Start a new course with a seed from the stream of `owner`; return the mass [kg] on the wheel
+    with payload, or -1.
 
-    -1: no soil was found that leaves this wheel the least pull. Only as much is drawn as a wheel at
-    its start needs; `extend_course` draws the rest.
+    -1 means that no soil was found that leaves this wheel the least pull. Only as much is drawn as
+    a wheel at the start needs; `extend_course` draws the rest.
     """
     _clear(course.patches, course.drawn)
     _clear(course.slopes, course.sloped)
@@ -121,6 +127,7 @@ def start_course(course, owner, numbers, nodes):
 
 @compiled
 def _clear(pieces, drawn):
+    """Mark the first `drawn` patches or slopes as not drawn."""
     for p in range(drawn):
         pieces[p].start = HUGE
         pieces[p].end = HUGE
@@ -139,7 +146,10 @@ def extend_course(course, mass, x, numbers, nodes):
 
 @compiled
 def _draw_patch(course, load, numbers, nodes):
-    """Draw the next patch and the slopes over it; False if no soil was found."""
+    """Draw the next patch and the slopes over it; False if no soil was found.
+
+    The patch then has the soil of the patch before; without one before, nothing is added.
+    """
     spec = numbers.drawn.spec
     length = within(course, spec.patch_length)
     found = True
@@ -150,14 +160,15 @@ def _draw_patch(course, load, numbers, nodes):
     if found or course.drawn > 0:
         _add_patch(course, length, spec)
         _draw_slopes(course, spec)
-        _steepest(course)
+        _note_steepest(course)
     return found
 
 
 @inlined
 def _draw_soil(course, load, numbers, nodes):
-    """Draw the soil of the next patch without classes; False, and the last again, if none was
-    found.
+    """Draw the soil of the next patch, on a course without terrain classes.
+
+    Where none is found, return False and repeat the soil of the patch before, if there is one.
     """
     p = course.drawn
     patch = course.patches[p]
@@ -169,7 +180,11 @@ def _draw_soil(course, load, numbers, nodes):
 
 @inlined
 def _add_patch(course, length, spec):
-    """Count the patch just written: its place, its cells, and how far the ground is final now."""
+    """Add the next patch, whose soil is written already: set its ends, clear its rut cells, and set
+    how far the ground is final.
+
+    It is final up to the border before the new patch, or all of it with the last patch.
+    """
     p = course.drawn
     start = 0.0 if p == 0 else course.patches[p - 1].end
     end = start + length
@@ -180,7 +195,7 @@ def _add_patch(course, length, spec):
     course.ready = HUGE if whole else start - 0.5 * spec.border
     cells = course.cells
     first = 0 if p == 0 else cell_at(cells, start) + 1
-    # `pass_at` reads one cell further
+    # one cell beyond the end, since `pass_at` reads it
     last = cells.size - 1 if whole else min(cell_at(cells, end) + 1, cells.size - 1)
     for i in range(first, last + 1):
         clear(cells[i])
@@ -190,7 +205,8 @@ def _add_patch(course, length, spec):
 def _draw_slopes(course, spec):
     """Draw slopes up to the end of the last patch, without looking at its soil.
 
-    The first, and those that begin on the first patch of each class, have grades of their own.
+    The first slope, and those drawn with the first patch of each class, have grades within
+    `first_grade`, all others within `grade`.
     """
     last = course.drawn - 1
     end = course.patches[last].end
@@ -208,8 +224,8 @@ def _draw_slopes(course, spec):
 
 
 @inlined
-def _steepest(course):
-    """Note the steepest slope on the last patch, for the camera."""
+def _note_steepest(course):
+    """Note the grade [rad] of the steepest slope uphill on the last patch, for the camera."""
     p = course.drawn - 1
     start = course.patches[p].start
     end = course.patches[p].end

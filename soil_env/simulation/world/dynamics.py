@@ -1,8 +1,8 @@
 """One control period of a wheel: two implicit stages a step, short steps where needed.
 
 The method: `newton` and docs/physics/wheel.md. A wheel whose speeds are about to change takes 2, 4
-or 8 steps where others take one; one whose iteration fails goes on by steps halved down to
-`FINEST`.
+or 8 steps where others take one. Where its iteration fails, the step is halved, down to the
+`FINEST` part.
 """
 
 import math
@@ -40,24 +40,25 @@ from .wheel import (
     commanded,
     end_period,
     leave_ruts,
-    measure_slip,
     pile_up,
+    set_slip,
     sink,
 )
 
 GAMMA = 1.0 - math.sqrt(0.5)  # [-] duration of a stage over that of the step
 # [-] (1 - GAMMA)/GAMMA - 1: how far the second stage begins beyond the end of the first
 LEAD = math.sqrt(2.0)
-# a step that fails is halved down to this fraction; softening soil breaks away within 1 ms
+# [-] a step that fails is halved until it has at most 1/FINEST of its length, where it is taken
+# all the same; softening soil breaks away within 1 ms
 FINEST = 1024
 # Foreseen changes of speed [of the top rim speed] beyond which a wheel takes 2, 4 and 8 steps where
-# others take one.
+# others take one; own choice.
 REFINED_TWICE = 0.3
 REFINED_FOUR_TIMES = 0.6
 REFINED_EIGHT_TIMES = 1.2
 OVER = 1e-9  # [of a step] time left that counts as none
 LEAST_SINKAGE = 1e-15  # [m] below which a wheel counts as in the air: powers of it have no digits
-LARGEST_LOWERING = 0.1  # [of the sinkage] change of it that is foreseen in a stage, at most
+LARGEST_CHANGE = 0.1  # [of the sinkage] that is foreseen in a stage, up or down; own choice
 
 
 class Stand(NamedTuple):
@@ -71,7 +72,9 @@ class Stand(NamedTuple):
 
 @inlined
 def steps_for(change):
-    """Steps that a wheel takes where others take one, for a `change` [of top rim speed] ahead."""
+    """Number of steps in place of one of the usual length: 1, 2, 4 or 8, the more the larger the
+    foreseen `change` of a speed [of the top rim speed].
+    """
     if change <= REFINED_TWICE:
         return 1
     if change <= REFINED_FOUR_TIMES:
@@ -81,7 +84,9 @@ def steps_for(change):
 
 @inlined
 def loop_change(du, wheel, drive, rig):
-    """Size of a foreseen change `du` [m/s] of the rim speed: a speed loop stops at its command."""
+    """Size [m/s] of a foreseen change `du` of the rim speed; with a speed loop at most the way to
+    its command, where it stops.
+    """
     if not drive.by_speed:
         return abs(du)
     command = drive.command * (rig.radius * rig.no_load_speed)
@@ -90,7 +95,9 @@ def loop_change(du, wheel, drive, rig):
 
 @compiled_finite
 def change_ahead(wheel, drive, rig):
-    """Foreseen change of the speeds [of the top rim speed] in a step of the usual length."""
+    """Foreseen change of V or r w, whichever is larger, in a step of the usual length [of the top
+    rim speed].
+    """
     along = rig.gravity * wheel.mass * sin_cos(wheel.grade)[0]
     dv, du = foreseen(wheel, drive, 0.0, 0.0, rig.period / rig.substeps, along, rig)
     return max(abs(dv), loop_change(du, wheel, drive, rig)) / (rig.radius * rig.no_load_speed)
@@ -98,7 +105,12 @@ def change_ahead(wheel, drive, rig):
 
 @inlined
 def stage_of(number, h, speed, rim, speed_before, rim_before):
-    """`Stage` 0 or 1 of a step of h seconds, from speeds now and before the last stage [m/s]."""
+    """`Stage` of this `number`, 0 or 1, of a step of h seconds.
+
+    `speed`, `rim` [m/s] are those at its beginning, `speed_before`, `rim_before` those at the
+    beginning of the step. V* and u* of stage 1 lie `LEAD` times the change in stage 0 beyond its
+    end (docs/physics/wheel.md).
+    """
     g = GAMMA * h
     if number == 0:
         return Stage(g, 0.0, g, g, speed, rim)
@@ -109,7 +121,11 @@ def stage_of(number, h, speed, rim, speed_before, rim_before):
 
 @compiled_finite
 def ground_ahead(wheel, stage, course, cells, border, fx):
-    """Ground `Ahead` of a wheel in a stage, with the `cells` of its rut; store its place."""
+    """Ground `Ahead` at the middle of the way of a wheel in a stage, foreseen by its present speed.
+
+    `cells`: of its rut; `border` [m] as in `soil_on`. The wheel's patch and slope become those
+    there.
+    """
     x = wheel.x + 0.5 * stage.duration * wheel.speed
     wheel.patch = piece_at(course.patches, x, wheel.patch)
     wheel.slope = piece_at(course.slopes, x, wheel.slope)
@@ -121,21 +137,24 @@ def ground_ahead(wheel, stage, course, cells, border, fx):
 
 @inlined
 def foreseen_sinkage(wheel, duration):
-    """Sinkage [m] at the end of a stage if it goes on as in the stage before."""
+    """Sinkage [m] at the end of a stage if it goes on at the rate of the stage before.
+
+    The change is at most `LARGEST_CHANGE` of the sinkage. In the air the sinkage is 0.
+    """
     if wheel.sinkage < LEAST_SINKAGE:
         return 0.0
-    most = LARGEST_LOWERING * wheel.sinkage
+    most = LARGEST_CHANGE * wheel.sinkage
     return wheel.sinkage + min(max(duration * wheel.sinking, -most), most)
 
 
 @inlined
 def account(wheel, end, stage, drive, rig):
-    """Work [J] of the motor, of the soil and of the integrator in a stage, from the present speeds
-    to its `end`.
+    """Add the work [J] of motor, soil and integrator in a stage, from the present speeds to its
+    `end`, to the sums of the period; set the torque of the motor at the end.
 
-    With d the change of speed from where the stage begins, and e where it begins beyond the present
-    speed, the integrator takes m (d^2 - e^2)/2, and the same of the rotation. This is what the
-    products of the stages with their speeds leave.
+    The stage begins at V* and ends at V'; d = V' - V*, and e = V* - V is the lead over the present
+    speed. The integrator takes m (d^2 - e^2)/2, and J/r^2 times the like of the rim speed. So much
+    is missing between the work of the forces and the gain of kinetic energy.
     """
     r = rig.radius
     turning = wheel.wheel_speed
@@ -159,7 +178,10 @@ def account(wheel, end, stage, drive, rig):
 
 @inlined
 def move(wheel, end, stage, ground, drive, rig):
-    """Take a wheel to the `end` of a stage: sinkage and place, work, speeds and forces."""
+    """Take a wheel to the `end` of a stage: sinkage and place, work, speeds and forces.
+
+    `converged` becomes 0 where Newton's method has failed.
+    """
     rim = rig.radius * wheel.wheel_speed
     moved = stage.first * wheel.speed + stage.last * end.speed
     slid = stage.first * abs(rim - wheel.speed) + stage.last * abs(end.rim - end.speed)
@@ -184,7 +206,9 @@ def move(wheel, end, stage, ground, drive, rig):
 
 @inlined
 def stand(wheel, stage, ahead, load, world):
-    """`Stand` of a wheel on the ground `Ahead` in a stage; a `load` [N] deflects its tyre."""
+    """`Stand` of a wheel on the ground `Ahead` in a stage; a `load` [N] deflects its tyre and
+    bounds its grip.
+    """
     rig = world.rig
     sine, cosine = sin_cos(ahead.grade)
     weight = rig.gravity * wheel.mass
@@ -200,8 +224,10 @@ def stand(wheel, stage, ahead, load, world):
 
 @inlined
 def solve_stage(wheel, stage, ahead, drive, forced, world):
-    """A stage on the ground `Ahead`; False if Newton's method fails, with the wheel as before,
-    unless it is `forced` on.
+    """Take a wheel through a stage on the ground `Ahead`, and return True.
+
+    Where Newton's method fails, return False and leave the wheel where it was, or, if `forced`, go
+    on with the best speeds found.
     """
     load = world.rig.gravity * wheel.mass * sin_cos(ahead.grade)[1]
     at = stand(wheel, stage, ahead, load, world)
@@ -214,7 +240,12 @@ def solve_stage(wheel, stage, ahead, drive, forced, world):
 
 @compiled_finite
 def drive_period(wheel, drive, course, world):
-    """Drive a wheel for a control period; steps are halved while Newton's method fails."""
+    """Drive a wheel for a control period, in one or more steps as its speeds change (`steps_for`).
+
+    A step whose Newton iteration fails is halved, down to 1/`FINEST` of its length, where the best
+    speeds found are taken. Only the first failure of a period repeats the step at full length,
+    since one of its two stages may have been driven. After a success the full length is back.
+    """
     rig = world.rig
     begin_period(wheel)
     steps = steps_for(change_ahead(wheel, drive, rig))
@@ -250,7 +281,9 @@ def drive_period(wheel, drive, course, world):
 
 @compiled_finite
 def _at_fork(wheel, course, action, rig):
-    """Set what an action chooses, and the halt to come, before a control period."""
+    """Take the route that the action chooses, if it chooses one now, and plan the halt before the
+    next fork. An action below 0 takes route 1 (beside), any other route 0.
+    """
     fork = choosing(wheel, course, rig)
     if fork >= 0:
         set_route(course, fork, 1 if action < 0.0 else 0)
@@ -267,5 +300,5 @@ def control_period(wheel, action, course, world):
     rig = world.rig
     drive_period(wheel, commanded(wheel, action, wheel.halt_left > 0.0, rig), course, world)
     _at_fork(wheel, course, action, rig)
-    measure_slip(wheel, rig)
+    set_slip(wheel, rig)
     end_period(wheel, x_start, wheel, rig)

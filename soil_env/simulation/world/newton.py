@@ -24,6 +24,8 @@ SHORTER = 0.4  # [-] factor on a step that is not better
 # the speeds as they are.
 NEARLY = 1e-4  # [m/s]
 OF_CHANGE = 0.1  # [-]
+# [of the first residual] taken for the residual before it, so that its fall predicts nothing
+BEFORE_FIRST = 0.1
 SHORT = 0.1  # [of the rim speed] foreseen change up to which the first try is the foreseen speed
 LEAST_PIVOT = 1e-12  # [-] determinant that a step is divided by, at least
 
@@ -32,10 +34,10 @@ class Stage(NamedTuple):
     """A stage of a step: duration, weights of its first and last speeds, where it begins."""
 
     duration: float  # [s]
-    first: float  # [s]
-    last: float  # [s]
+    first: float  # [s] weight of the speed at its beginning in the way, and in the work
+    last: float  # [s] weight of the speed at its end
     implicit: float  # [s] duration of implicit Euler that ends it
-    speed: float  # V* [m/s]
+    speed: float  # V* [m/s], from which the implicit Euler starts
     rim: float  # u* [m/s]
 
 
@@ -50,7 +52,10 @@ class Motion(NamedTuple):
 
 @compiled_finite
 def newton_step(f1, f2, cv, cu, force, net_u):
-    """(dV, du) of Newton's method for the residuals f1, f2; `net_u` = d(T - T_motor)/du."""
+    """(dV, du) [m/s] of Newton's method for the residuals f1 of travel and f2 of rotation [m/s].
+
+    `cv` = h/m, `cu` = h r/J; `force`: `Reaction` with its derivatives; `net_u` = d(T - T_motor)/du.
+    """
     a11 = 1.0 - cv * force.pull_v
     a12 = -cv * force.pull_u
     a21 = cu * force.torque_v
@@ -96,7 +101,9 @@ def foreseen(wheel, drive, back_v, back_u, h, along, rig):
 
 @inlined
 def near_enough(residual, change):
-    """True if a residual [m/s] that no shorter step reduces is let pass; `change` in m/s."""
+    """True if a residual [m/s] that no shorter step reduces is let pass: below `NEARLY`, and small
+    against the `change` [m/s] of the speeds since the beginning of the stage.
+    """
     return residual < NEARLY and residual < TOLERANCE + OF_CHANGE * change
 
 
@@ -105,8 +112,13 @@ def solve_speeds(wheel, stage, footing, along, drive, world, extra):
     """`Motion` at the end of a stage, by Newton's method; a step that does not reduce the residual
     is shortened.
 
+    The first try is the foreseen speeds where they are a `SHORT` way off, else the present ones.
     Once the residual is predicted to fall far below the tolerance, the last step is taken with the
-    reaction to first order instead of being computed once more.
+    reaction to first order, without another evaluation.
+
+    Not converged: `PASSES` evaluations were not enough, or no shorter step reduces a residual that
+    is not `near_enough`. The motion is then the best one found. `along` [N]: the weight along the
+    grade.
     """
     rig = world.rig
     r = rig.radius
@@ -138,7 +150,7 @@ def solve_speeds(wheel, stage, footing, along, drive, world, extra):
         reached = max(abs(f1), abs(f2))
         last = tries == TRIES - 1
         if reached < norm * (1.0 if last else 1.0 - LEAST_GAIN * share):
-            before = norm if norm < HUGE else 0.1 * reached  # the first residual predicts nothing
+            before = norm if norm < HUGE else BEFORE_FIRST * reached
             v = try_v
             u = try_u
             norm = reached

@@ -78,7 +78,9 @@ def within(owner, bounds):
 
 @compiled
 def draw_soil(owner, drawn):
-    """One soil: a preset by weight, scattered by `SoilSpread`; from the stream of `owner`."""
+    """Random soil from the stream of `owner`: a preset by its share of the mixture, scattered by
+    the whole `SoilSpread`.
+    """
     pick = uniform(owner)
     i = 0
     while i < drawn.presets.size - 1 and pick > drawn.presets[i].cumulative:
@@ -88,7 +90,12 @@ def draw_soil(owner, drawn):
 
 @compiled
 def scattered(mean, share, owner, spec):
-    """A soil that scatters about `mean` by a share of `SoilSpread`; deviations are cut."""
+    """Random soil about `mean`, with a `share` of the variations of `SoilSpread`, which are cut at
+    `CUT`.
+
+    Stiffness is the pressure at `reference_sinkage`, so a change of the exponent turns the curve
+    about that point. Recovery and the fields after it stay.
+    """
     z = normal_pair(owner) + normal_pair(owner) + normal_pair(owner)
     friction = share * spec.variation[0] * _deviation(0, z, spec)
     phi = min(math.atan(mean.tan_phi) * (1.0 + friction), STEEPEST_FRICTION)
@@ -105,12 +112,15 @@ def scattered(mean, share, owner, spec):
 
 @compiled
 def _cut(deviation):
+    """Deviation [sigma] within -`CUT` and `CUT`."""
     return min(max(deviation, -CUT), CUT)
 
 
 @compiled
 def _deviation(i, z, spec):
-    """Deviation [sigma] of the property i of `variation`, correlated, from independent ones z."""
+    """Deviation [sigma], cut, of property i of `variation`, correlated with those before it; z are
+    independent standard normal numbers.
+    """
     total = 0.0
     for k in range(i + 1):
         total += spec.factor[i, k] * z[k]
@@ -119,7 +129,9 @@ def _deviation(i, z, spec):
 
 @compiled
 def _factor(i, z, share, spec):
-    """Log-normal factor of mean 1 of the property i, with a share of its `variation`."""
+    """Random log-normal factor on property i, of mean 1 but for the cut, with a `share` of its
+    coefficient of variation.
+    """
     variation = share * spec.variation[i]
     s = math.sqrt(math.log(1.0 + variation * variation))
     return math.exp(s * _deviation(i, z, spec) - 0.5 * s * s)
@@ -127,9 +139,12 @@ def _factor(i, z, share, spec):
 
 @compiled
 def capacity(load, soil, numbers, nodes):
-    """Best steady drawbar pull over load [N] on level ground, `IMPASSABLE` for a bogged wheel.
+    """Best steady drawbar pull [of `load`] of this wheel on level, fresh ground within the stall
+    torque; `load` in N.
 
-    Where strength depends on speed, the lesser one of starting and of driving.
+    `IMPASSABLE` where the wheel sinks deeper than `SAFE_SINKAGE` allows, at rest or at that pull,
+    or where a residual law takes more torque than there is. Where strength depends on speed, it is
+    the lesser one of starting (speed 0) and of driving (`spec.speed`).
     """
     spec = numbers.drawn.spec
     rig = numbers.rig
@@ -150,15 +165,16 @@ def capacity(load, soil, numbers, nodes):
         least = min(least, best.drawbar_pull / load + pull)
         if not depends_on_speed(effects):
             break
-    return max(least, IMPASSABLE)
+    return max(least, IMPASSABLE)  # -inf where the motor can turn the wheel at no slip
 
 
 @compiled
 def draw_ground(ground, owner, load, numbers, nodes):
-    """Draw the soil of `ground`, which leaves this wheel the least pull; False if none was found.
+    """Draw a soil that leaves this wheel `least_pull` on level ground, and write it into `ground`;
+    False if none of `REDRAWS` soils does.
 
-    Of slopes nothing is asked: they are drawn without looking at soils. With a least pull of minus
-    the weight the last soil stays, even if a wheel would be bogged at its best pull.
+    Slopes do not count, since they are drawn without looking at soils. With a least pull of -1 the
+    last soil is taken, even if the wheel would be bogged at its best pull.
     """
     least = numbers.drawn.spec.least_pull
     for k in range(REDRAWS):

@@ -13,7 +13,7 @@ from .passability import capacity, draw_ground, scattered, within
 
 @inlined
 def draw_classes(course, load, numbers, nodes):
-    """Draw the soils of the classes of a course; False if one was not found."""
+    """Draw the soils of all terrain classes of a course; False if one was not found."""
     for c in range(numbers.drawn.spec.classes):
         if not draw_ground(course.library[c], course, load, numbers, nodes):
             return False
@@ -21,15 +21,15 @@ def draw_classes(course, load, numbers, nodes):
 
 
 @compiled
-def _another(owner, classes, one):
-    """A class other than `one`."""
+def _other_class(owner, classes, one):
+    """Random class other than `one`, each as likely."""
     other = int(uniform(owner) * (classes - 1))
     return other + 1 if other >= one else other
 
 
 @inlined
-def _introduced(course, p, classes):
-    """Class of a patch p < classes: one that no patch before it is of, by chance."""
+def _unused_class(course, p, classes):
+    """Random class for a patch p < `classes`, among those that no patch before it has."""
     left = classes - p
     pick = int(uniform(course) * left)
     for c in range(classes):
@@ -40,12 +40,12 @@ def _introduced(course, p, classes):
             if pick == 0:
                 return c
             pick -= 1
-    return 0
+    return 0  # not reached: a class is left
 
 
 @compiled
 def _draw_route(course, route, load, numbers, nodes):
-    """Draw the soil of a `ROUTE` of a known class."""
+    """Draw the soil of a `ROUTE`, about the soil of its class, and compute its best pull."""
     spec = numbers.drawn.spec
     mean = soil_of(course.library[route.terrain])
     soil = scattered(mean, spec.class_scatter, course, spec)
@@ -55,7 +55,12 @@ def _draw_route(course, route, load, numbers, nodes):
 
 @inlined
 def draw_routes(course, load, numbers, nodes):
-    """Draw the routes of the next patch of a course with terrain classes."""
+    """Draw the routes of the next patch of a course with terrain classes; the wheel heads for the
+    first.
+
+    The first patches have one route and show each class once. On later patches the class is random.
+    With `lines` = 2 they have a second route, of another class.
+    """
     p = course.drawn
     spec = numbers.drawn.spec
     two = spec.lines > 1 and p >= spec.classes
@@ -63,12 +68,12 @@ def draw_routes(course, load, numbers, nodes):
     straight = course.routes[p, 0]
     beside = course.routes[p, 1]
     if p < spec.classes:
-        straight.terrain = _introduced(course, p, spec.classes)
+        straight.terrain = _unused_class(course, p, spec.classes)
     else:
         straight.terrain = int(uniform(course) * spec.classes)
     _draw_route(course, straight, load, numbers, nodes)
     if two:
-        beside.terrain = _another(course, spec.classes, straight.terrain)
+        beside.terrain = _other_class(course, spec.classes, straight.terrain)
         _draw_route(course, beside, load, numbers, nodes)
     _draw_camera_errors(course, p, spec)
     if not two:
@@ -84,7 +89,7 @@ def _draw_camera_errors(course, p, spec):
         route = course.routes[p, i]
         route.label = route.terrain
         if uniform(course) < spec.label_error and spec.classes > 1:
-            route.label = _another(course, spec.classes, route.terrain)
+            route.label = _other_class(course, spec.classes, route.terrain)
     a, b = normal_pair(course)
     course.routes[p, 0].grade_error = spec.grade_noise * a
     course.routes[p, 1].grade_error = spec.grade_noise * b
@@ -95,7 +100,7 @@ def _draw_camera_errors(course, p, spec):
 
 @compiled
 def set_route(course, p, route):
-    """Let the course lead along a route of patch p."""
+    """Let the course lead along a route of patch p: the patch gets its soil."""
     taken = course.routes[p, route]
     course.forks[p].taken = route
     put_soil(course.patches[p], taken)
@@ -103,7 +108,9 @@ def set_route(course, p, route):
 
 @compiled
 def next_fork(wheel, course, border):
-    """The patch with two routes that a wheel comes to next and has not touched yet, or -1."""
+    """Index of the patch after the wheel's if it has two routes and the wheel has not been within
+    its `border` [m] yet, else -1.
+    """
     ahead = wheel.patch + 1
     if ahead >= course.drawn or course.forks[ahead].routes < 2:
         return -1
@@ -112,7 +119,9 @@ def next_fork(wheel, course, border):
 
 @compiled
 def plan_halt(wheel, course, rig):
-    """Let a wheel halt before the next fork; a halt shortly before that one waits for it."""
+    """Move the next halt to the place of the halt before the next fork, if it would be later than
+    that or less than `rig.halt_low` before. A place that the wheel has passed is left out.
+    """
     fork = next_fork(wheel, course, rig.border)
     if fork >= 0:
         place = course.patches[fork].start + course.forks[fork].halt
@@ -122,9 +131,10 @@ def plan_halt(wheel, course, rig):
 
 @compiled
 def choosing(wheel, course, view):
-    """The patch whose route the action chooses now, or -1: at a halt with a fork in sight.
+    """Index of the patch whose route the action chooses now: at a halt, the next fork if it is in
+    sight. -1 if there is none.
 
-    `view`: a record with `sight` and `border` [m], as those of a wheel's rig and of a camera.
+    `view`: a record with `sight` and `border` [m], as a wheel's rig and a camera have.
     """
     if wheel.halt_left <= 0.0:
         return -1
@@ -135,7 +145,9 @@ def choosing(wheel, course, view):
 
 
 @compiled
-def settled(wheel, course, p):
-    """True if a wheel has no choice over patch p: one route, or it has come to the halt."""
+def route_chosen(wheel, course, p):
+    """True if the route over patch p counts as chosen: there is only one, or the wheel has reached
+    the halt before the patch, at which the action chooses (`choosing`).
+    """
     fork = course.forks[p]
     return fork.routes < 2 or wheel.best_x >= course.patches[p].start + fork.halt

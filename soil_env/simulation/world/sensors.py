@@ -30,11 +30,15 @@ SENSOR_NOISE = record(
 #: other.
 PAIRS = (len(NAMES) + 1) // 2
 assert PAIRS <= NORMALS["first"].shape[0]
-SLOW = 3.0  # [-] the same, over the white noise of both speeds: a wheel at rest has little slip
+# [-] `slow` of `SENSOR_NOISE` over the white noise of both speeds, so that a wheel at rest reads
+# little slip; own choice
+SLOW = 3.0
 
 
 class SensorErrors(NamedTuple):
-    """Errors of the sensors: the `Effects`, by their names, that do not act on the wheel."""
+    """Numbers of the effects that change a reading and not the wheel, as they are called in
+    `Effects`.
+    """
 
     slip_bias_offset: float
     slip_bias_radius_error: float
@@ -47,11 +51,15 @@ NO_ERRORS = SensorErrors(*[0.0] * len(SensorErrors._fields))
 
 
 def sensor_errors(model: WheelSoilModel | None) -> SensorErrors:
-    """Pack the errors of the sensors in the world of a `model`."""
+    """Pack the errors of the sensors in the world of a `model`; without one there are none.
+
+    Slip-sinkage is one of them only in its form `apparent`, in which the sensor shows it and the
+    wheel does not sink. Else it acts on the wheel.
+    """
     if model is None:
         return NO_ERRORS
     fx = model.numbers
-    if fx.slip_sinkage_apparent == 0.0:  # of a sinkage that is felt the sensors have no error
+    if fx.slip_sinkage_apparent == 0.0:
         fx = fx._replace(slip_sinkage_gain=0.0)
     return SensorErrors(*(getattr(fx, name) for name in SensorErrors._fields))
 
@@ -68,7 +76,9 @@ def sensors_of(scenario: Scenario) -> np.ndarray:
 
 @compiled_finite
 def _scatter(out, sd, wheel, normals):
-    """Fill the record `out` with normal numbers of the standard deviations of the record `sd`."""
+    """Fill the record `out` with random normal numbers, whose standard deviations the record `sd`
+    has, from the stream of a wheel; `normals` is scratch.
+    """
     draw_normals(wheel, normals, PAIRS)
     i = 0
     for name in literal_unroll(NAMES):
@@ -86,18 +96,18 @@ def mount_sensors(wheel, normals, sensors):
 
 @compiled_finite
 def roll_odometer(vehicle, speed, period):
-    """Odometry after a control period [s] at whose end the sensor read this `speed` [m/s].
+    """Advance the odometry by a control `period` [s] at the `speed` [m/s] that was read at its end.
 
-    It integrates the readings of the speed sensor, so that its difference holds no truth beyond
-    theirs.
+    It sums readings, so the difference of two places tells no more of the truth than they do.
     """
     vehicle.odometer += speed * period
 
 
 @compiled_finite
 def sense(wheel, reading, normals, sensors, errors, radius):
-    """Fill the record `reading` (`READING`) with readings of a wheel of `radius` [m], of the slip
-    with white noise only (`read_slip`).
+    """Fill the record `reading` (`READING`) with readings of a wheel of `radius` [m].
+
+    Its slip gets the white noise only, and `read_slip` completes it. `normals` is scratch.
     """
     zero = wheel.zero[0]
     gain = wheel.gain[0]
@@ -113,13 +123,16 @@ def sense(wheel, reading, normals, sensors, errors, radius):
     reading.rim_speed += (1.0 + gain.rim_speed) * rim + zero.rim_speed
     reading.pitch += (1.0 + gain.pitch) * wheel.grade + zero.pitch
     reading.motor_torque += (1.0 + gain.motor_torque) * wheel.motor_torque + zero.motor_torque
+    # DP/m = dV/dt + g sin(grade), as an accelerometer reads
     reading.acceleration += (1.0 + gain.acceleration) * pull / wheel.mass + zero.acceleration
 
 
 @compiled_finite
 def read_slip(wheel, reading, sensors, errors):
-    """Complete a `reading`, whose slip is white noise so far, by the slip of a sensor of its own,
-    or, without one, by that of the two speeds that were read.
+    """Add the slip to that of a `reading`, which is white noise so far, and cut it to [-1, 1].
+
+    With noise of a slip sensor it is the true slip, else the slip of the two speeds that were read.
+    Either is biased as the `errors` say.
     """
     slip = wheel.slip
     if sensors.white[0].slip == 0.0:
@@ -139,15 +152,16 @@ def _seen_sinkage(slip, sinkage, errors):
 
 @inlined
 def sense_body(rover, reading, sensors):
-    """Fill a record with readings of the sensors that the body of a rover has; zeros and gains are
-    those in the record of the front wheel.
+    """Fill the record `reading` with readings of the sensors that the body of a rover has.
+
+    Their zeros and gains are those in the record of the front wheel.
     """
     of_speed, of_pitch = normal_pair(rover)
     of_acceleration, _ = normal_pair(rover)
     sd = sensors.white[0]
     zero = rover.wheels[0].zero[0]
     gain = rover.wheels[0].gain[0]
-    felt = rover.drawbar_pull / rover.mass
+    felt = rover.drawbar_pull / rover.mass  # as in `sense`
     reading.speed = (1.0 + gain.speed) * rover.speed + zero.speed + sd.speed * of_speed
     reading.pitch = (1.0 + gain.pitch) * rover.pitch + zero.pitch + sd.pitch * of_pitch
     noise = sd.acceleration * of_acceleration

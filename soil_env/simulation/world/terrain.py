@@ -88,7 +88,9 @@ def _room(count: int, least: int) -> int:
 
 
 def new_courses(wheels: int, scenario: Scenario) -> np.ndarray:
-    """Empty courses, `course_dtype` [wheels]."""
+    """Courses without drawn ground, `course_dtype` [wheels], with room for the most patches and
+    slopes that the scenario can draw.
+    """
     spec = scenario.course
     patches = math.ceil(spec.length / spec.patch_length[0]) + 2
     longest = spec.length + spec.patch_length[1]
@@ -115,10 +117,11 @@ def piece_at(pieces, x, piece):
 
 @compiled
 def border_near(pieces, x, piece, border):
-    """(patch or slope, share of the next one) at x [m] on `piece`, which is the first of them or
-    the next.
+    """(index of a patch or slope, share of the one after it) at x [m], which is on `piece`.
 
-    The share lies between 0 and 1 within `border` [m] around a border. It is 0 elsewhere.
+    Within `border` [m] around the end of a piece the index is that piece, and the share rises
+    smoothly from 0 to 1. Elsewhere the index is `piece` and the share 0, and so at both ends of
+    the drawn ground.
     """
     here = pieces[piece]
     at_end = x - here.start > here.end - x
@@ -145,7 +148,10 @@ def soil_on(patches, x, patch, border):
 
 @compiled
 def grade_on(slopes, x, slope, border):
-    """Grade [rad] of undisturbed ground at x [m], which is on `slope`; it bends as soils pass."""
+    """Grade [rad] of undisturbed ground at x [m], which is on `slope`.
+
+    Within `border` [m] around the end of a slope it passes smoothly into the next grade.
+    """
     first, share = border_near(slopes, x, slope, border)
     grade = slopes[first].grade
     if share == 0.0:
@@ -155,19 +161,25 @@ def grade_on(slopes, x, slope, border):
 
 @compiled
 def cell_at(cells, x):
-    """Index of the rut cell at x [m]; the first begins `BEHIND` metres before the start."""
+    """Index of the rut cell at x [m]; the first begins `BEHIND` metres before the start.
+
+    Places before it belong to it, places beyond the last cell to the last.
+    """
     return min(max(int(math.floor(x / CELL)) + CELLS_BEHIND, 0), cells.size - 1)
 
 
 @compiled
 def place_in_cells(x):
-    """Place x [m] in cells, from the middle of the first one."""
+    """Place x [m] counted in cells, 0 in the middle of the first one."""
     return x / CELL + (CELLS_BEHIND - 0.5)
 
 
 @compiled
 def between_cells(cells, x):
-    """(cell, way from its middle to that of the next [-]) at x [m], with so many `cells`."""
+    """(index of a cell, share of the way from its middle to the middle of the next) at x [m].
+
+    x is cut to the middles of the first and the last of so many `cells`.
+    """
     place = min(max(place_in_cells(x), 0.0), cells - 1.0)
     i = min(int(place), cells - 2)
     return i, place - i
@@ -191,8 +203,10 @@ def clear(cell):
 
 @compiled
 def depth_to_come(cell):
-    """Depth [m] below its floor to which a wheel that comes onto this cell rolls the rut; 0 where
-    it is its first pass.
+    """Depth [m] below its floor to which a wheel that comes onto this cell rolls the rut.
+
+    The whole rut, floor included, grows with one more pass (`rut_growth`). It is 0 where the wheel
+    has not been, since its own sinkage then makes the rut.
     """
     if cell.depth == 0.0 or cell.passes == 0.0:
         return 0.0
@@ -202,18 +216,17 @@ def depth_to_come(cell):
 
 @compiled
 def in_cell(cell, x):
-    """True if a wheel that comes from `cell` is still in it at x [m]: the next one begins in its
-    own middle.
-
-    So a cell is passed once the wheel no longer stands on any of it, and rocking over a border
-    passes none.
+    """True if a wheel that comes from `cell` counts as still in it at x [m]: until it reaches the
+    middle of a neighbour. So rocking over the border of two cells passes neither.
     """
     return cell - 1.0 < place_in_cells(x) < cell + 1.0
 
 
 @compiled
 def cell_after(cells, cell, x):
-    """The cell of a wheel that comes from `cell` and is at x [m], of so many `cells`."""
+    """Index of the cell in which a wheel counts as being at x [m] if it comes from `cell`, of so
+    many `cells` (`in_cell`).
+    """
     if in_cell(cell, x):
         return cell
     place = place_in_cells(x)
@@ -234,6 +247,7 @@ PLACE = record("grade", *SoilState._fields, patch=("i8",))
 
 @kept
 def _sample(courses, k, x, border, places):
+    """Fill the `PLACE` [n] of course k at x [n]."""
     course = courses[k]
     for i in range(x.size):
         place = places[i]
@@ -251,6 +265,6 @@ def places_on(courses: np.ndarray, k: int, x: np.ndarray, border: float) -> np.n
 
 
 def soil_at(courses: np.ndarray, k: int, x: float, border: float) -> SoilState:
-    """Undisturbed soil of course k at x [m]."""
+    """Undisturbed soil of course k at x [m]; `border` [m] as in `soil_on`."""
     place = places_on(courses, k, np.array([x]), border)[0]
     return SoilState(*(float(place[name]) for name in SoilState._fields))

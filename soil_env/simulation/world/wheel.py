@@ -44,9 +44,10 @@ from .terrain import (
 SHALLOWEST = 1e-4  # [radii] least sinkage of a wheel
 # [of the top rim speed] that rim acceleration can command backwards, to back out of a hole
 REVERSE = 0.1
+ROUNDING = 1e-9  # [-] by which a ratio may exceed a whole number and still counts as it
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
-MOST_BEARING = 10.0  # [-] most that z_w may exceed the present sinkage by, as a factor
-LEAST_EXPONENT = 0.05  # [-] sinkage exponent below which z_w is not sought
+MOST_BEARING = 10.0  # [-] z_w over the present sinkage, at most; own choice
+LEAST_EXPONENT = 0.05  # [-] least sinkage exponent by which z_w is computed; own choice
 # [radii] of travel in which soil piles up ahead of a braked wheel: 0.4 to 0.8 on a continuum
 # (`python -m benchmarks.continuum pile`)
 PILING = 0.7
@@ -160,7 +161,7 @@ class Drive(NamedTuple):
 
     command: float  # [-1, 1] of the stall torque, or of the top rim speed
     by_speed: bool
-    before: float  # command from which that of a speed rises evenly
+    before: float  # command of a speed at the beginning of the period; of a torque, `command`
 
 
 class Ground(NamedTuple):
@@ -174,9 +175,9 @@ class Ground(NamedTuple):
 
 
 class Ahead(NamedTuple):
-    """Undisturbed ground, with its rut, under the middle of the way of a wheel in a stage."""
+    """Ground under the middle of the way of a wheel in a stage, before the wheel passes it."""
 
-    soil: SoilState
+    soil: SoilState  # stiffened by earlier passes, but for the effect multipass (`in_rut`)
     grade: float  # [rad]
     passes: float  # 1 = fresh soil
 
@@ -190,7 +191,11 @@ class Path(NamedTuple):
 
 
 def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarray:
-    """Pack the constants of a scenario, `RIG` [1]; `model` gives lugs and effects."""
+    """Pack the constants of wheel, drive and halts of a scenario, `RIG` [1].
+
+    A `model` gives lugs, unit weight of the soil and effects on the radii; without one there are
+    none. Raises ParameterError for lugs on a tyre.
+    """
     w = scenario.wheel
     c = scenario.control
     rig = np.zeros(1, RIG)
@@ -220,7 +225,7 @@ def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarra
     rig["halt_low"], rig["halt_high"] = scenario.course.halt_interval
     rig["halt_time"] = scenario.course.halt_time
     rig["period"] = c.period
-    rig["substeps"] = math.ceil(c.period / c.substep - 1e-9)
+    rig["substeps"] = math.ceil(c.period / c.substep - ROUNDING)
     rig["speed_command"] = c.action != "torque"
     top = w.radius * w.no_load_speed
     if c.action == "rim_acceleration":
@@ -231,7 +236,9 @@ def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarra
 
 
 def acting_in(model: WheelSoilModel | None) -> Acting:
-    """Effects and residual law of a world that act on its wheels, not on their sensors."""
+    """Effects and residual law of a `model` that act on its wheels, not on its sensors; `BASE`
+    where nothing does.
+    """
     if model is None:
         return BASE
     law = model.law if model.residual or model.remainder else None
@@ -240,11 +247,15 @@ def acting_in(model: WheelSoilModel | None) -> Acting:
 
 @inlined
 def commanded(wheel, action, halted, rig):
-    """`Drive` of a control period: the action itself, or the rim speed that it leads to where it is
-    a rim acceleration. A commanded speed is reached evenly, at the end of the period (`at_time`).
+    """`Drive` of a control period under an action in [-1, 1]; store the commands in the wheel.
 
-    A halt brakes the rim evenly to rest and holds it there; the action that counts as the last one
-    is 0.
+    The action is a share of the stall torque, a share of the top rim speed, or a change of the
+    commanded share (`rig.rim_step`), which stays within -`REVERSE` and 1. A commanded speed is
+    reached evenly, at the end of the period (`at_time`).
+
+    In a halt the action is ignored, so `last_action` and `rim_command` are 0. The commanded speed
+    falls to 0 by `rig.halt_step` a period. It starts at the last command, or with torque at the
+    wheel's speed when the last period began.
     """
     before = wheel.halt_command
     if halted:
@@ -265,7 +276,7 @@ def commanded(wheel, action, halted, rig):
 
 @inlined
 def at_time(drive, share):
-    """`Drive` after a share of the control period."""
+    """`Drive` with its command at a time in the control period, given as a share of it."""
     return Drive(
         drive.before + share * (drive.command - drive.before), drive.by_speed, drive.before
     )
@@ -273,7 +284,7 @@ def at_time(drive, share):
 
 @inlined
 def begin_period(wheel):
-    """Set what a control period sums up to its start."""
+    """Set the sums of a control period to 0, and `converged` to 1."""
     wheel.motor_work = 0.0
     wheel.soil_work = 0.0
     wheel.numerical_work = 0.0
@@ -282,14 +293,16 @@ def begin_period(wheel):
 
 @inlined
 def sink(wheel, ground, mobilised, path, rig):
-    """Place and sinkage of a wheel after a stage on `Ground`, in which its load mobilised the
-    coefficient `mobilised`.
+    """Move a wheel along its `Path` in a stage on `Ground`: set its place, sinkage and rut.
 
-    z_w (`bearing`) is the depth at which undisturbed soil carries the pressure `mobilised` z^n at
-    the depth z = `ground.sinkage`, and `ground.lift` more where effects dig. Travel leads `onto`
-    z_w or a rut. Ground beyond the furthest places of a wheel is fresh; where it has been, travel
-    leads to the depth of the rut, which each later pass deepens. The rut grows where the wheel digs
-    and not where it climbs out of its hole.
+    z_w (`bearing`) is the depth at which undisturbed soil carries the pressure under the wheel,
+    `mobilised` z^n at z = `ground.sinkage`, and `ground.lift` more where effects dig. The
+    coefficient `mobilised` [N/m^(n+2)] is what the load took in the stage.
+
+    Travel leads the sinkage `onto` z_w on fresh ground, beyond the furthest places of the wheel.
+    Elsewhere it leads onto the rut, which each pass deepens; on a way over both, onto the mean by
+    length. The sinkage stays between `SHALLOWEST` and `DEEPEST`. `rut_depth` grows where the wheel
+    sinks and not where it climbs out of its hole.
     """
     soil = ground.soil
     exponent = max(soil.sinkage_exponent, LEAST_EXPONENT)
@@ -316,8 +329,11 @@ def sink(wheel, ground, mobilised, path, rig):
 
 @inlined
 def pile_up(wheel, braked, moved, rig):
-    """Soil piled up by a wheel that slides by the share `braked` of its travel, after a stage in
-    which it `moved` [m].
+    """Let `wheel.braked`, the share of sliding that the piled soil answers to, follow the present
+    share `braked` over a stage in which the wheel `moved` [m].
+
+    It follows exponentially, over `PILING` radii of travel. Its sign is that of the travel, so a
+    wheel that turns back leaves the pile behind.
     """
     if moved < 0.0:
         braked = -braked
@@ -329,11 +345,11 @@ def pile_up(wheel, braked, moved, rig):
 @inlined
 def relax_sinkage(sinkage, bearing, onto, path, soil, length):
     """Sinkage [m] after dz/dt = B z_w - A z + |V| (onto - z_w)/length along a `Path`
-    (`effects.excavation_rate`).
+    (`effects.excavation_rate`), with z_w = `bearing` [m]: the exact solution at constant rates.
 
-    Where z < z_w, 1/SETTLING_TIME is added to A and B: the wheel sinks under its load at once,
-    travelling or not. `onto` [m] is the depth that travel leads to: z_w on fresh ground, that of
-    the rut where the wheel has been.
+    Where z < z_w, 1/`SETTLING_TIME` is added to A and B: the wheel sinks under its load at once,
+    travelling or not. `onto` [m] is the depth that travel leads to, z_w on fresh ground and the
+    rut where the wheel has been. A wheel that neither moves, slides nor sinks keeps its sinkage.
     """
     speed = abs(path.moved) / path.duration
     sliding = abs(path.slid) / path.duration
@@ -350,7 +366,12 @@ def relax_sinkage(sinkage, bearing, onto, path, soil, length):
 
 @compiled_finite
 def leave_ruts(wheel, cells):
-    """Mark the cells that a wheel has passed in a stage; the next one begins in its own middle."""
+    """Mark the cells that a wheel has left in a stage as passed, and enter the next ones.
+
+    A cell is left once the wheel reaches the middle of the next (`cell_after`). It keeps the
+    deeper one of `rut_depth` and the rut to come, so far as the present sinkage reaches that. In a
+    cell that is entered for the first time the rut begins at the present sinkage.
+    """
     after = cell_after(cells.size, wheel.cell, wheel.x)
     while wheel.cell != after:
         rolled = min(wheel.rut_to_come, wheel.sinkage)
@@ -363,9 +384,11 @@ def leave_ruts(wheel, cells):
 
 @inlined
 def end_period(wheel, x_start, owner, rig):
-    """End a control period of a wheel or a whole rover that began at `x_start` [m].
+    """End a control period of a wheel or a whole rover that began at `x_start` [m]: set its travel,
+    count the period, and let a halt pass or begin.
 
-    `owner` has the random stream for the places of halts.
+    A halt begins where x reaches `next_halt`. The place of the halt after it is then drawn from the
+    random stream of `owner`.
     """
     wheel.travel = wheel.x - x_start
     wheel.steps += 1
@@ -377,14 +400,17 @@ def end_period(wheel, x_start, owner, rig):
 
 
 @inlined
-def measure_slip(wheel, rig):
-    """Set the slip of a wheel from its speeds."""
+def set_slip(wheel, rig):
+    """Set the true slip of a wheel from its speeds."""
     wheel.slip = slip_ratio(wheel.wheel_speed * rig.radius, wheel.speed, REST_SPEED)
 
 
 @compiled
 def settle_at(wheel, x, mass, course, world):
-    """Put a wheel, its record blank but for its stream, at rest at x [m], sunk in by its load."""
+    """Put a wheel, its record blank but for its stream, at rest at x [m] of a drawn course.
+
+    It has the steady sinkage of slip 0 on fresh soil, under the weight of its `mass` [kg].
+    """
     rig = world.rig
     wheel.patch = piece_at(course.patches, x, 0)
     wheel.slope = piece_at(course.slopes, x, 0)
