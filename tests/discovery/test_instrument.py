@@ -7,7 +7,6 @@ import pytest
 
 from soil_env._io.loading import ParameterError
 from soil_env.discovery import instrument, search as search_module
-from soil_env.discovery.report import words
 from soil_env.discovery.search import candidates, search
 from soil_env.measurement.setup import Calibration, setup_of
 from tests.discovery.tables import NOISE, problem, table

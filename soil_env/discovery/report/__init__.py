@@ -84,6 +84,7 @@ def _common(report: Report) -> dict[str, Any]:
         "report": report,
         "sentences": sentences,
         "words": words,
+        "listed": LISTED,
         "tables": tables,
         "blocks": equations.blocks(report),
         "cautions": sentences.cautions(report),
