@@ -33,7 +33,7 @@ from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import PATH, leave, run
 from soil_env.discovery.calibrate import Problem, calibrate
-from soil_env.discovery.prediction import drawn, fit_prediction
+from soil_env.discovery.prediction import curve_at, fit_prediction
 from soil_env.identification.table.data import prepare
 from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_setup
 from soil_env.measurement.table import MEASURED, Table, read_table
@@ -113,7 +113,7 @@ def figures(case: Case, folds: int | None = None) -> dict:
         base = fit_prediction(problem, (), smooth=False).at(conditions)
         near = fit_prediction(problem, ()).at(conditions)
         full = fit_prediction(problem).at(conditions)
-        curve = drawn(problem, conditions)
+        curve = curve_at(problem, conditions)
         if curve is None:
             raise ParameterError(f"{case.name}: conditions vary that no curve knows")
         sd[out] = full.sd
