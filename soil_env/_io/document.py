@@ -122,7 +122,8 @@ def render(template: str, **values: object) -> str:
     """Fill in a template: "page.html" of soil_env/_io/templates, or "package:page.html" of that
     package's own folder.
 
-    Values are escaped in templates whose name ends in .html; a name that is not given is an error.
+    Values are escaped in templates whose name ends in .html. A template that uses a value which was
+    not given raises an error.
     """
     return _environment().get_template(template).render(**values)
 

@@ -362,8 +362,10 @@ class _Strict(yaml.SafeLoader):
         return node
 
     def _check(self, node: yaml.Node, above: tuple[yaml.Node, ...]) -> None:
-        """Raise `yaml.YAMLError` for a node that stands for too much, contains itself or has a key
-        twice, and so for those in it; `above`: the nodes that it is in.
+        """Check a node and all below it; `above`: the nodes that it is in.
+
+        Raise `yaml.YAMLError` for more than `MOST_VALUES` values or `DEEPEST` levels, for a node
+        that contains itself, and for a key that is given twice.
         """
         self.values += 1
         if self.values > MOST_VALUES or len(above) >= DEEPEST:

@@ -93,7 +93,7 @@ _FREE = 40  # most functions of an anonymous contribution
 #: about the step between two slips of a table, for laws that are right at some slips alone: soil
 #: flows in two zones below a driven wheel, and in one at large slip (Wong 1967, J. Agric. Eng. Res.
 #: 12:257-269).
-LAW_LENGTHS = (*form_error.LAW_LENGTHS, LENGTHS | {"slip": 0.1})
+ALL_LAW_LENGTHS = (*form_error.LAW_LENGTHS, LENGTHS | {"slip": 0.1})
 #: Correlation lengths of an anonymous contribution of all conditions over those of a form error.
 _LONGER = 1.6
 
@@ -105,7 +105,7 @@ class Sizes(NamedTuple):
     effect: float = 0.0  # beta, relative to what an effect adds
     #: Of an anonymous contribution, relative to the channel's rms.
     free: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    span: int = 0  # of `LAW_LENGTHS`, that of the base law's error
+    span: int = 0  # index in `ALL_LAW_LENGTHS`: correlation lengths of the base law's error
     #: Of every value by itself about the model, over the noise: more than 1 if soils vary by row.
     scatter: float = 1.0
     #: Anonymous contributions of one condition in one place (`evidence.patterns`), and their
@@ -114,9 +114,11 @@ class Sizes(NamedTuple):
     rig: float = 0.0  # of the nuisances of the instrument, over their standard deviations
 
     @property
-    def laws(self) -> tuple[float, ...]:
-        """Size of the base law's error over each of the spans: 0 but for `span`."""
-        return tuple(self.law if k == self.span else 0.0 for k in range(len(LAW_LENGTHS)))
+    def law_sizes(self) -> tuple[float, ...]:
+        """`law` at the index `span`, 0 elsewhere: a size for each of `ALL_LAW_LENGTHS`, by which
+        `Fit.columns` multiplies the blocks of `Fit.law`.
+        """
+        return tuple(self.law if k == self.span else 0.0 for k in range(len(ALL_LAW_LENGTHS)))
 
 
 EXACT = Sizes()
@@ -158,7 +160,7 @@ class Fit:
         """
         blocks = zip(
             (*self.law, self.effect, *self.free, self.rig),
-            (*sizes.laws, sizes.effect, *sizes.free, sizes.rig),
+            (*sizes.law_sizes, sizes.effect, *sizes.free, sizes.rig),
             strict=True,
         )
         return np.concatenate(
@@ -216,13 +218,13 @@ class Problem:
         """Lay Gaussian processes over the conditions of the table, and set `size` [3], the rms of
         each channel.
 
-        The form error of the base law has a process for each of `LAW_LENGTHS`. That of effects has
-        one for each set of conditions that some effect depends on. `free_functions` [N, R] are of
-        all conditions, for an anonymous contribution.
+        The form error of the base law has a process for each of `ALL_LAW_LENGTHS`. That of effects
+        has one for each set of conditions that some effect depends on. `free_functions` [N, R] are
+        of all conditions, for an anonymous contribution.
         """
         at = self.data.conditions | self.data.elapsed
         self.law_processes: list[Process] = [
-            Process.over(at, of=INPUTS, most=_LAW, lengths=x) for x in LAW_LENGTHS
+            Process.over(at, of=INPUTS, most=_LAW, lengths=x) for x in ALL_LAW_LENGTHS
         ]
         own = {e.conditions for e in LAWS.values()}
         self.effect_processes: dict[tuple[str, ...], Process] = {
@@ -433,7 +435,10 @@ class Law:
         return parameters_at(self.unknowns, u)
 
     def output(self, u: np.ndarray) -> np.ndarray:
-        """[N, 3] model values."""
+        """[N, 3] sinkage, pull and torque that the rig reads at u; NaN where the model has none.
+
+        `guess` becomes the sinkages found.
+        """
         return self.problem.predict(self.values(u), self.choices, self.guess)
 
     def _derivatives(self, u: np.ndarray) -> np.ndarray:

@@ -41,7 +41,7 @@ from soil_env.identification.table.form_error import (
 from soil_env.identification.table.priors import Unknown
 from soil_env.identification.table.problem import side_by_side
 
-from .calibrate import LAW_LENGTHS, Fit, Law, Problem, Sizes
+from .calibrate import ALL_LAW_LENGTHS, Fit, Law, Problem, Sizes
 from .instrument import INSTRUMENT, LISTED, Choice, Choices, Names
 
 log_sum = np.logaddexp.reduce  # on short arrays a tenth of the time of `logsumexp`
@@ -111,12 +111,12 @@ def grid(names: Names) -> tuple[list[Sizes], np.ndarray, np.ndarray]:
     if {*names} <= {*INSTRUMENT}:
         effect = [(EFFECT_SIZES[0] if names else 0.0, 1.0)]
     law = zip(SIZES.tolist(), size_prior(), strict=True)
-    every = product(law, effect, range(len(LAW_LENGTHS)))
+    every = product(law, effect, range(len(ALL_LAW_LENGTHS)))
     points = [
-        (Sizes(a, e, span=k, rig=1.0), p * q / len(LAW_LENGTHS)) for (a, p), (e, q), k in every
+        (Sizes(a, e, span=k, rig=1.0), p * q / len(ALL_LAW_LENGTHS)) for (a, p), (e, q), k in every
     ]
     sizes = [s for s, _ in points]
-    table = np.array([(s.rig, s.effect, *s.laws) for s in sizes])
+    table = np.array([(s.rig, s.effect, *s.law_sizes) for s in sizes])
     return sizes, np.log([p for _, p in points]), table
 
 
@@ -514,7 +514,9 @@ def anonymous_grid(
     for row, s in zip(later, sizes, strict=True):
         for name, x in s.patterns[len(first) :]:
             row[column[name]] += x
-    known = np.array([(s.rig, s.effect, *s.laws, *(x for _, x in first), *s.free) for s in sizes])
+    known = np.array(
+        [(s.rig, s.effect, *s.law_sizes, *(x for _, x in first), *s.free) for s in sizes]
+    )
     table = np.column_stack([known, later])
     errors = (fit.rig, fit.effect, *fit.law, *leading, *fit.free, *by.values())
     return Grid(sizes, log_prior, errors, table, 2 + len(fit.law) + len(first))
@@ -530,7 +532,7 @@ def resembling(problem: Problem, plain: Evidence) -> Evidence:
     usual = plain_grid(plain.fit)
     rows = [k for k, s in enumerate(usual.sizes) if s.effect == EFFECT_SIZES[0]]
     sizes = [usual.sizes[k]._replace(effect=x) for x in ALIKE_SIZES for k in rows]
-    table = np.array([(s.rig, s.effect, *s.laws) for s in sizes])
+    table = np.array([(s.rig, s.effect, *s.law_sizes) for s in sizes])
     prior = np.tile(usual.log_prior[rows], len(ALIKE_SIZES))
     return weigh(
         problem,

@@ -170,7 +170,9 @@ class _Remainder:
         self.relative = np.broadcast_to(problem.data.relative_sd, problem.used.shape)
 
     def points(self, problem: Problem) -> np.ndarray:
-        """[N, D] coordinates of the rows of a problem."""
+        """[N, D] coordinates (`form_error.coordinates`) of the rows of any problem, in the D
+        conditions that vary by themselves in the fitted table.
+        """
         return coordinates(problem.data.conditions, self.names)
 
     def square(self, name: str) -> np.ndarray:

@@ -15,7 +15,7 @@ from scipy.special import ndtr
 
 from soil_env.identification.table.form_error import INPUTS, LENGTHS, Conditions, Process, finite
 
-from .calibrate import ANY_FORM, LAW_LENGTHS, Fit, Law, Problem
+from .calibrate import ALL_LAW_LENGTHS, ANY_FORM, Fit, Law, Problem
 from .evidence import Evidence
 from .instrument import LISTED
 from .prediction import at_conditions
@@ -49,7 +49,7 @@ def problem_at(problem: Problem, conditions: Conditions) -> Problem:
             dict(zip(known, unique, strict=True)), of=names, most=_FUNCTIONS, lengths=lengths
         )
 
-    there.law_processes = [over(INPUTS, lengths=x) for x in LAW_LENGTHS]
+    there.law_processes = [over(INPUTS, lengths=x) for x in ALL_LAW_LENGTHS]
     there.effect_processes = {more: over((*INPUTS, *more)) for more in problem.effect_processes}
     return there
 

@@ -117,8 +117,8 @@ class Report:
         )
 
     def is_free(self, effect: str, parameter: str) -> bool:
-        """True if a parameter of a named effect was fitted. If its interval has no width all the
-        same, it is at a bound of its range.
+        """True if a parameter of a named effect was fitted, not set by form or table. One that was
+        fitted and whose interval has no width is at a bound of its range.
         """
         return f"{effect}_{parameter}" in self.fit.parameters()
 

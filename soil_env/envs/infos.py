@@ -43,7 +43,7 @@ _TERMS_AT = WHEEL.fields["terms"][1] // 8  # place of the reward terms among the
 _TERMS_END = _TERMS_AT + len(REWARD_TERMS)
 assert names_of(WHEEL)[: len(STATE)] == STATE
 Info = dict[str, Any]  # of a vehicle, or arrays of many
-_WARNING = Traversability._fields
+_COLUMNS = Traversability._fields
 _SEEN = [[e.name for e in layout("blind")].index(name) for name in ("load", "pitch")]
 
 
@@ -161,7 +161,7 @@ class Infos(VehicleInfos):
         # load [of weight] and pitch [rad] when the estimate last changed
         self._seen = np.zeros((wheels, 2))
         self._stale = np.ones(wheels, dtype=np.bool_)
-        self._warnings = np.zeros((wheels, len(_WARNING)))
+        self._traversability = np.zeros((wheels, len(_COLUMNS)))
 
     def after_step(self, reset: np.ndarray) -> None:
         """Mark traversabilities as out of date whose estimate a step has changed, or whose wheel it
@@ -206,9 +206,9 @@ class Infos(VehicleInfos):
             known = published(ids.estimate[k].tolist(), ids.sd[k].tolist(), gain)
             info["estimate"] = known | {"status": STATUS[ids.status.item(k)]}
             only = np.array([k])
-            warning = dict(zip(_WARNING, self._renewed(worlds, only)[k].tolist(), strict=True))
+            ground = dict(zip(_COLUMNS, self._renewed(worlds, only)[k].tolist(), strict=True))
             foreseen = self._foreseen(worlds, only)[0].tolist()
-            info["traversability"] = warning | {"passable": warning["passable"] > 0.0}
+            info["traversability"] = ground | {"passable": ground["passable"] > 0.0}
             info["traversability"] |= dict(zip(FORESEEN, foreseen, strict=True))
         info["state"] = dict(zip(STATE, numbers[: len(STATE)].tolist()))  # noqa: B905 (hot)
         return info if self.kind != "numeric" else _numbers(flat(info))
@@ -220,17 +220,19 @@ class Infos(VehicleInfos):
         return self._foresight.assess(rows, worlds.recent, ids.estimate, ids.sd).probabilities
 
     def _renewed(self, worlds: Any, rows: np.ndarray) -> np.ndarray:
-        """Traversability [wheels, 6] of all, `_WARNING`, computed anew for those of `rows` [n] that
-        are out of date.
+        """Traversability of all wheels, [wheels, 6] in the order of `Traversability`.
+
+        Those of `rows` [n] that are out of date are computed anew first; others may stay out of
+        date. The array is kept: callers copy what they hand on.
         """
         rows = rows[self._stale[rows]]
         if rows.size:
             ids = worlds.ids
             assert self._simulation.belief is not None and self._assess is not None
             setting = self._simulation.belief
-            self._assess(rows, ids.estimate, ids.sd, self._seen, setting, self._warnings)
+            self._assess(rows, ids.estimate, ids.sd, self._seen, setting, self._traversability)
             self._stale[rows] = False
-        return self._warnings
+        return self._traversability
 
     def final(self, ended: np.ndarray) -> Info:
         """Info of the wheels that have `ended` [wheels] bool, before a reset; 0 for all others.
@@ -253,13 +255,13 @@ class Infos(VehicleInfos):
             return groups
         foreseen = np.zeros((which.size, len(HORIZONS)))
         rows = np.flatnonzero(which)
-        warning = dict(zip(_WARNING, self._renewed(worlds, rows).T.copy(), strict=True))
-        warning["passable"] = warning["passable"] > 0.0
+        ground = dict(zip(_COLUMNS, self._renewed(worlds, rows).T.copy(), strict=True))
+        ground["passable"] = ground["passable"] > 0.0
         foreseen[rows] = self._foreseen(worlds, rows)
-        warning |= dict(zip(FORESEEN, foreseen.T.copy(), strict=True))
+        ground |= dict(zip(FORESEEN, foreseen.T.copy(), strict=True))
         return {
             "estimate": estimates(worlds.ids, self.scenario),
-            "traversability": warning,
+            "traversability": ground,
             **groups,
         }
 

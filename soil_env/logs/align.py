@@ -118,7 +118,8 @@ def align(
 
 
 def _bridged(steps: np.ndarray, most: int) -> np.ndarray:
-    """Rising numbers `steps` [N], with the whole numbers between neighbours at most `most` apart.
+    """Rising whole numbers `steps` [N], with the numbers between neighbours filled in where these
+    are at most `most` apart; wider gaps stay open.
 
     `ParameterError` for more than `MOST_STEPS`.
     """

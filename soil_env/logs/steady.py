@@ -304,9 +304,9 @@ def setup_text(
 ) -> str:
     """Text of the setup file beside a table: wheel, priors of the soil, scatter as noise.
 
-    `estimate`: the online one of this ground, by `replay.COLUMNS`, None for a table of several. It
-    gives the dig_gain and a comment; the priors are the belief's. What the map says of the soil
-    replaces a prior.
+    `prior`: the identifier's estimate before any reading. `estimate`: the online one of this
+    ground, by `replay.COLUMNS`, None for a table of several grounds. It gives the dig_gain and a
+    comment; the priors are the belief's. What the map says of the soil replaces a prior.
     """
     text = (
         "# soil: the belief of the map (the prior of the online identifier), and what the map says "
@@ -318,9 +318,12 @@ def setup_text(
             "{friction_angle_sd_deg:.1f} deg, K {shear_modulus:.3g} m +- "
             "{shear_modulus_relative_sd:.0%}, S {sinkage_coefficient:.3g} +- "
             "{sinkage_coefficient_relative_sd:.0%}\n"
-            "# dig_gain: as identified online; take it out to let soil-env discover look for "
-            "slip-sinkage\n"
         ).format(**estimate)
+        if "dig_gain" not in log_map.soil:
+            text += (
+                "# dig_gain: as identified online; take it out to let soil-env discover look for "
+                "slip-sinkage\n"
+            )
     content = {
         "wheel": {"radius": log_map.wheel.radius, "width": log_map.wheel.width},
         "soil": _priors(log_map, prior, estimate) | log_map.soil,

@@ -74,8 +74,10 @@ def outside(
     load: ArrayLike,
     conditions: np.ndarray,
 ) -> str:
-    """In words, the conditions of rows that lie outside of `validity` by more than `NEAR` of the
-    range; "" if none.
+    """In words, each condition whose range over all rows leaves that of `validity`, with both
+    ranges; "" if none.
+
+    `NEAR` of the range, and at least `ROUNDING` of a bound, is tolerated.
     """
     asked = seen(slip, load, conditions)
     out = []

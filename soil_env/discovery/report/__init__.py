@@ -45,6 +45,9 @@ def check_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
 def write(report: Report, folder: Path) -> None:
     """Write report.json, report.html and model.yaml into `folder`: all are made before the first is
     written.
+
+    `ParameterError` where a file cannot be written, or would replace one that soil-env did not
+    write or that was changed since.
     """
     values = content(report)
     files = {
@@ -92,7 +95,9 @@ def _common(report: Report) -> dict[str, Any]:
 
 
 def show(report: Report, console: Console) -> None:
-    """Print the doubts, if there are any, the conclusion and the tables."""
+    """Print a panel of doubts, if there are any, and one with conclusion, summary, predictions and
+    next step; then the report's `text` with equations and tables.
+    """
     colour = COLOURS.get(report.verdict, "yellow")
     if report.doubts:
         doubts = Text(" ".join(report.doubts))

@@ -173,9 +173,9 @@ def _channels(reading, numbers, warning):
 
 
 @compiled
-def begin(recent, reading, numbers, warning):
-    """Start the averages of a wheel with its first readings, at rest at the start of a course, and
-    its seconds of driving with 0.
+def begin_averages(recent, reading, numbers, warning):
+    """Set all moving averages to the first readings of a wheel, at rest at the start of a course,
+    and its seconds of driving to 0.
     """
     values = _channels(reading, numbers, warning)
     for i in range(_AVERAGES):

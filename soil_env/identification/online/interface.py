@@ -269,10 +269,11 @@ class OnlineIdentifier:
         return found._replace(passable=found.passable > 0.0)
 
     def _checked(self, readings: Readings) -> tuple[float, float, float]:
-        """(time [s] since the last readings, rim speed, travel speed [m/s]), checked.
+        """(time [s] since the last readings, rim speed, travel speed [m/s]), checked. A missing
+        speed follows from the slip, else it is NaN.
 
-        Raises TypeError for anything but `Readings` of numbers, ValueError for a reading or a time
-        that cannot be; see `update`.
+        Warns of an unusual time since the last readings. Raises TypeError for anything but
+        `Readings` of numbers, ValueError for a reading or a time that cannot be; see `update`.
         """
         if not isinstance(readings, Readings):
             raise TypeError(

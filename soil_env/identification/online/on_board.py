@@ -35,7 +35,7 @@ from .immobilisation import (
     MEMORY as AVERAGES,
     WARNING_SETTING,
     average,
-    begin,
+    begin_averages,
     see,
     warning_setting,
 )
@@ -350,7 +350,7 @@ def _restart(vehicle, sample, board):
     forget_classes(vehicle.classes[0], numbers)
     vehicle.changed = 0
     if board.warns > 0:
-        begin(vehicle.recent, sample, numbers, board.warning[0])
+        begin_averages(vehicle.recent, sample, numbers, board.warning[0])
     _see_ahead(vehicle, sample, board)
 
 

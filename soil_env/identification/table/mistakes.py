@@ -428,11 +428,13 @@ def _rises(data: Data, noise: NoiseEstimate) -> np.ndarray:
 
 
 def _by_rises(rises: np.ndarray, data: Data, other: Reading) -> float:
-    """Gain of the log evidence of a reading by the `rises` of the table as it is; 0 if unknown.
+    """Log evidence for a reading over the table as it is, from its `_rises`.
 
-    -inf where they contradict the reading: below `UNLIKE`, or a sign is turned although the pull
-    rises.
+    Only the sizes of the rises are compared. 0 where the reading changes none, for columns that
+    were exchanged (their rises are not), and where no rise is known. -inf where this evidence is
+    below `UNLIKE`, or where the reading turns the sign of pull or slip although the pull rises.
     """
+    # a reading multiplies all loads by one factor, which the first row gives
     scale = other.scale[1:] * data.table.load[0] / other.table.load[0]
     scale[1] *= data.setup.wheel.radius / other.setup.wheel.radius
     gain = _of_soils(scale * rises) - _of_soils(rises)

@@ -180,10 +180,12 @@ def _draw_soil(course, load, numbers, nodes):
 
 @inlined
 def _add_patch(course, length, spec):
-    """Add the next patch, whose soil is written already: set its ends, clear its rut cells, and set
-    how far the ground is final.
+    """Add the next patch, whose soil is written already: set its ends, clear its rut cells, set
+    `ready`.
 
-    It is final up to the border before the new patch, or all of it with the last patch.
+    Until the wheel comes to the border before the new patch, a choice of route may still replace
+    the soil of the patch. So the ground is final up to that border, or all of it with the last
+    patch.
     """
     p = course.drawn
     start = 0.0 if p == 0 else course.patches[p - 1].end

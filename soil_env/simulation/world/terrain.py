@@ -223,15 +223,15 @@ def in_cell(cell, x):
 
 
 @compiled
-def cell_after(cells, cell, x):
-    """Index of the cell in which a wheel counts as being at x [m] if it comes from `cell`, of so
-    many `cells` (`in_cell`).
+def cell_after(count, cell, x):
+    """Index of the last cell whose middle a wheel has reached on its way from `cell` to x [m];
+    `cell` if it has reached none. There are `count` cells.
     """
     if in_cell(cell, x):
         return cell
     place = place_in_cells(x)
     after = math.floor(place) if place >= cell + 1.0 else math.ceil(place)
-    return int(min(max(after, 0.0), cells - 1.0))
+    return int(min(max(after, 0.0), count - 1.0))
 
 
 @compiled
