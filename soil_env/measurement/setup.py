@@ -58,8 +58,7 @@ class SetupWheel(Checked):
     grouser_height: float | None = quantity("m", 0.0, 1.0, default=None)
     grouser_count: int | None = quantity("", 1, 1000, default=None)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         check_lugs(self.grouser_height or 0.0, self.radius)
         if self.grouser_count is not None and self.grouser_height == 0.0:
             raise ParameterError(
@@ -187,8 +186,7 @@ class Rig(Checked):
     wheels: tuple[SetupWheel, ...] = ()
     cost: dict[str, float] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         for name, value in self.cost.items():
             if name not in COSTS:
                 raise unknown_key(name, COSTS, "cost")
@@ -246,8 +244,7 @@ class Setup(Checked):
     rig: Rig = Rig()
     source: str = field(default="setup", init=False, compare=False)  # the file, for messages
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         if self.tilt_deg is not None and not abs(self.tilt_deg.value) <= STEEPEST_TILT:
             expected = f"degrees in [-{STEEPEST_TILT:g}, {STEEPEST_TILT:g}]"
             raise ParameterError(f"tilt_deg = {self.tilt_deg.value:g}: expected {expected}")

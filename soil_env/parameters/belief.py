@@ -75,8 +75,7 @@ class Belief(Checked):
     # of the soils of that library; None: as those of the courses
     spread: SoilSpread | None = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         correlation_factor(
             self,
             4,

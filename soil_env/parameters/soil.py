@@ -126,8 +126,7 @@ class Soil(Checked):
     layer: Layer | None = None
     source: str = ""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         pair = (self.k_c is not None) + (self.k_phi is not None)
         if pair != (2 if self.sinkage_coefficient is None else 0):
             raise ParameterError("expected either sinkage_coefficient, or both k_c and k_phi")
@@ -291,8 +290,7 @@ class SoilSpread(Checked):
     stiffness_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.4)
     stiffness_dig_gain: float = quantity("", -0.99, 0.99, default=-0.5)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         self.factor()  # refuses correlations that contradict each other
 
     def factor(self) -> np.ndarray:
