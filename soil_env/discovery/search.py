@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -448,7 +447,7 @@ def _unnamed(problem: Problem, base: Evidence, nearest: Names) -> list[Entry]:
 
 
 def log_prior(
-    names: Names, free: bool = False, of_rig: Mapping[str, float] = MappingProxyType({})
+    names: Names, free: bool = False, *, of_rig: Mapping[str, float]
 ) -> float:
     """Log prior odds of a set of effects, with an anonymous contribution or without, against the
     base model.

@@ -1,7 +1,5 @@
 """Many rovers under one scenario, stepped by compiled calls: the core of their environments."""
 
-from typing import Any, NamedTuple
-
 import numpy as np
 
 from soil_env.parameters import RoverScenario
@@ -21,34 +19,12 @@ from soil_env.terramechanics.model import WheelSoilModel
 from .vehicles import Vehicles, asks_for_estimates
 
 
-class Worlds(NamedTuple):
-    """Arrays of many rovers, one row a rover.
-
-    Those of `RoverWorlds`, results of the last step, and those of the estimator
-    (`identification.online.on_board.OnBoard.views`), None without one.
-    """
-
-    state: np.ndarray
-    ruts: np.ndarray
-    courses: np.ndarray
-    readings: np.ndarray
-    samples: np.ndarray
-    observation: np.ndarray
-    terms: np.ndarray  # [rovers, 4] of the reward
-    reward: np.ndarray  # [rovers]
-    cause: np.ndarray  # [rovers] `Cause`
-    on_board: Any = None
-    ids: Any = None
-    known: Any = None
-
-
 class RoverSimulation(Vehicles):
     """`rovers` rovers under one scenario with one observation variant.
 
     `estimates`: identify the soil, even if neither the observation nor the reward asks for it.
     """
 
-    _arrays = Worlds
     _vehicle = "rover"
     _sampled_by = "readings"
 

@@ -195,6 +195,11 @@ class Rig(Checked):
                 raise ParameterError(f"cost.{name} = {value:g}: expected a number {least}")
 
 
+def _relative_error(default: float) -> Any:
+    """Field of `Calibration`: standard deviation of a relative error."""
+    return quantity("", 0.0, 0.5, default=default)
+
+
 @dataclass(frozen=True)
 class Calibration(Checked):
     """Standard deviations to which a rig is known before its runs; 0 where it is exact.
@@ -207,13 +212,13 @@ class Calibration(Checked):
     """
 
     tilt_deg: float = quantity("deg", 0.0, STEEPEST_TILT, default=0.5)
-    force_gain: float = quantity("", 0.0, 0.5, default=0.02)
+    force_gain: float = _relative_error(0.02)
     force_offset: float | None = quantity("N", 0.0, default=None)
-    torque_gain: float = quantity("", 0.0, 0.5, default=0.02)
+    torque_gain: float = _relative_error(0.02)
     torque_offset: float | None = quantity("N m", 0.0, default=None)
-    wheel_radius: float = quantity("", 0.0, 0.5, default=0.005)
-    force_crosstalk: float = quantity("", 0.0, 0.5, default=0.01)
-    torque_crosstalk: float = quantity("", 0.0, 0.5, default=0.01)
+    wheel_radius: float = _relative_error(0.005)
+    force_crosstalk: float = _relative_error(0.01)
+    torque_crosstalk: float = _relative_error(0.01)
     arm_load: float = quantity("", 0.0, 1.0, default=0.02)
     spring_load: float | None = quantity("N/m", 0.0, default=None)
 

@@ -7,7 +7,7 @@ import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -265,6 +265,11 @@ class Soil(Checked):
         )
 
 
+def correlation(default: float, doc: str = "") -> Any:
+    """Field of a class for `correlation_factor`: the correlation of two numbers."""
+    return quantity("", -0.99, 0.99, default=default, doc=doc)
+
+
 @dataclass(frozen=True)
 class SoilSpread(Checked):
     """Scatter of a soil in the field about its preset: coefficients of variation and correlations.
@@ -284,11 +289,11 @@ class SoilSpread(Checked):
     exponent: float = quantity("", 0.0, 0.3, default=0.05)
     dig_gain: float = quantity("", 0.0, 1.5, default=0.4)
     reference_sinkage: float = quantity("m", 1e-3, 0.5, default=0.03)
-    friction_cohesion: float = quantity("", -0.99, 0.99, default=-0.5)
-    friction_stiffness: float = quantity("", -0.99, 0.99, default=0.4)
-    friction_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.3)
-    stiffness_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.4)
-    stiffness_dig_gain: float = quantity("", -0.99, 0.99, default=-0.5)
+    friction_cohesion: float = correlation(-0.5)
+    friction_stiffness: float = correlation(0.4)
+    friction_shear_modulus: float = correlation(-0.3)
+    stiffness_shear_modulus: float = correlation(-0.4)
+    stiffness_dig_gain: float = correlation(-0.5)
 
     def _check_together(self) -> None:
         self.factor()  # refuses correlations that contradict each other

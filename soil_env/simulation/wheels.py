@@ -126,11 +126,6 @@ class Options(NamedTuple):
     errors: SensorErrors
 
 
-def options_of(numbers: WheelNumbers) -> Options:
-    """`Options` of a world."""
-    return Options(numbers.acting, numbers.errors)
-
-
 def new_setting(numbers: WheelNumbers, recorded: bool, chunk: int) -> np.ndarray:
     """Constants and work space of the thread of a chunk of the wheels, `SETTING` [1]."""
     setting = np.zeros(1, SETTING)

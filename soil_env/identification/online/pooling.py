@@ -31,6 +31,7 @@ from .linear import (
 from .memory import (
     BEST_PULL,
     ESTIMATES,
+    KNOWLEDGE,
     OF_GROUND,
     PUBLISHED_COHESION,
     PUBLISHED_LN_K,
@@ -59,10 +60,7 @@ POOL = record(
     border_places=("f8", SOILS),  # [m] middle of the border before that soil, by odometry
     shared=("f8", (SOILS, SHARED)),  # the shared unknowns by the wheel's own readings
     shared_covariance=("f8", (SOILS, SHARED, SHARED)),
-    information=("f8", (SOIL, SOIL)),  # of all wheels on the soil under this one
-    gradient=("f8", SOIL),  # of their log-likelihood at the soil of its own fit
-    soil=("f8", SOIL),
-    spread=("f8", (SOIL, SOIL)),
+    **KNOWLEDGE,  # by the readings of all wheels on the soil under this one
     status=("i8",),
     **ESTIMATES,
 )

@@ -235,11 +235,7 @@ def _problem(
     there = reading.table
     order = list(reading.source)
     if used is not None:
-        values: dict[str, Any] = {
-            name: np.where(used[:, order[j]], getattr(there, name), math.nan)
-            for j, name in enumerate(CHANNELS)
-        }
-        there = dataclasses.replace(there, **values)
+        there = there.with_values(used[:, order])
     levels = {
         name: float(sd[order[j]] * reading.scale[j])
         if np.any(np.isfinite(getattr(there, name)))
