@@ -446,9 +446,7 @@ def _unnamed(problem: Problem, base: Evidence, nearest: Names) -> list[Entry]:
     return [((), nearest, True, e, e.log, math.log(UNNAMED_ODDS)) for e in found]
 
 
-def log_prior(
-    names: Names, free: bool = False, *, of_rig: Mapping[str, float]
-) -> float:
+def log_prior(names: Names, free: bool = False, *, of_rig: Mapping[str, float]) -> float:
     """Log prior odds of a set of effects, with an anonymous contribution or without, against the
     base model.
 

@@ -14,6 +14,7 @@ from soil_env.simulation.rover.rovers import (
     step_rovers,
 )
 from soil_env.simulation.rover.task import first_soil, rover_layout
+from soil_env.simulation.task.layout import bounds_of
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .vehicles import Vehicles, asks_for_estimates
@@ -57,4 +58,4 @@ class RoverSimulation(Vehicles):
         soils = np.empty((self.count, len(entries) - sensed), dtype=np.float32)
         observe_true_soils(self._world, self.numbers, soils)
         out = np.concatenate((self.worlds.observation[:, :sensed], soils), axis=1)
-        return np.clip(out, [e.low for e in entries], [e.high for e in entries], dtype=np.float32)
+        return np.clip(out, *bounds_of(entries))

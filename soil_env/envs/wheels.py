@@ -6,6 +6,7 @@ import numpy as np
 
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout, truth
+from soil_env.simulation.task.layout import bounds_of
 from soil_env.simulation.wheels import (
     Options,
     WheelNumbers,
@@ -81,5 +82,4 @@ class Simulation(Vehicles):
         entries = truth(self.scenario.course)
         out = np.empty((self.count, len(entries)), dtype=np.float32)
         write_true_soils(self._world.state, self._world.courses, self._scratch[0], out)
-        low = [e.low for e in entries]
-        return np.clip(out, low, [e.high for e in entries], dtype=np.float32)
+        return np.clip(out, *bounds_of(entries))

@@ -19,13 +19,11 @@ from soil_env.identification.status import Status
 
 from .borders import begin_border, blend_estimates, take_fresh
 from .identifier import publish, status_of
-from .library import join, mix
+from .library import join, mix, solve_joined
 from .linear import (
     add_gaussian,
     factorise,
-    invert,
     invert_whole,
-    solve,
     solve_half,
 )
 from .memory import (
@@ -36,7 +34,6 @@ from .memory import (
     PUBLISHED_COHESION,
     PUBLISHED_LN_K,
     PUBLISHED_PHI,
-    SOIL,
 )
 
 # Soils that are kept of a wheel, own choice: the wheels behind are still on earlier ones.
@@ -93,8 +90,7 @@ def keep_knowledge(pool, memory, setting, work):
     pool.borders[s] = memory.borders
     pool.border_places[s] = memory.border
     join(memory, memory.u, setting.soil_mean, setting.soil_precision, work)
-    solve(work.factor, SOIL, work.gradient, work.step)
-    invert(work.factor, SOIL, work.scratch, work.inverse)
+    solve_joined(work)
     pool.shared[s, :] = memory.u[:SHARED] + work.step[:SHARED]
     pool.shared_covariance[s, :, :] = work.inverse[:SHARED, :SHARED]
 
