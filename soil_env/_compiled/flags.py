@@ -65,6 +65,11 @@ def put_fields(row, values, names):
         row[name] = getattr(values, name)
 
 
+def by_name(one: np.record) -> dict[str, Any]:
+    """Values of a record by the names of its fields."""
+    return dict(zip(names_of(one.dtype), one.item(), strict=True))
+
+
 def names_of(dtype: np.dtype[Any]) -> tuple[str, ...]:
     """Names of the fields of a record."""
     assert dtype.names is not None

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from soil_env._compiled.flags import by_name
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout, truth
 from soil_env.simulation.task.layout import bounds_of
@@ -74,8 +75,7 @@ class Simulation(Vehicles):
 
     def wheel(self, k: int) -> dict[str, float]:
         """State of wheel k by name, as it is now."""
-        state = self.worlds.state
-        return dict(zip(state.dtype.names, state[k].item(), strict=True))
+        return by_name(self.worlds.state[k])
 
     def true_soils(self) -> np.ndarray:
         """Entries of `true_soil` that `blind` does not have, of each wheel [wheels, D] float32."""
