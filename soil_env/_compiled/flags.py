@@ -19,7 +19,7 @@ by `cache.kept`, all others by `compiled` and the like. What to know of numba he
 from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import literal_unroll, njit
 
 _EXACT: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz"}}
 #: Sums keep their order; a product and a sum may be fused, so that results differ between machines
@@ -56,6 +56,18 @@ def record(*numbers: str, **others: tuple[Any, ...]) -> np.dtype[Any]:
     """
     fields = [(name, "f8") for name in numbers] + [(name, *kind) for name, kind in others.items()]
     return np.dtype((np.record, fields))
+
+
+@compiled
+def put_fields(row, values, names):
+    """Write the fields `names`, a constant, of a named tuple or a record into the record `row`."""
+    for name in literal_unroll(names):
+        row[name] = getattr(values, name)
+
+
+def by_name(one: np.record) -> dict[str, Any]:
+    """Values of a record by the names of its fields."""
+    return dict(zip(names_of(one.dtype), one.item(), strict=True))
 
 
 def names_of(dtype: np.dtype[Any]) -> tuple[str, ...]:

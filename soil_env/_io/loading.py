@@ -113,6 +113,12 @@ class Checked:
                 if value is not None and float in (hint, *typing.get_args(hint)):
                     plain = tuple(map(float, value)) if isinstance(value, tuple) else float(value)
                     object.__setattr__(self, f.name, plain)
+        self._check_together()
+
+    def _check_together(self) -> None:
+        """Raise `ParameterError` where fields, each right by itself, do not go together; a class
+        whose fields can contradict each other has this method.
+        """
 
 
 def _check_quantity(owner: Checked, f: dataclasses.Field, value: typing.Any) -> None:

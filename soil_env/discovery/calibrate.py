@@ -405,7 +405,7 @@ class Problem:
         """
         # Parameters of effects have an underscore in their names, the cohesion has none.
         bounded = not unknown.log and unknown.low >= unknown.mean and "_" in unknown.name
-        return 0.3 if bounded else 0.0
+        return _OFF_NEUTRAL if bounded else 0.0
 
     def effect_process(self, choice: Choice) -> Process:
         """Process of the form error of an effect: a function of what the base law depends on, and

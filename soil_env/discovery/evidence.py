@@ -34,6 +34,7 @@ from soil_env.identification.table.form_error import (
     SIZES,
     NormalEquations,
     Process,
+    log_diagonal,
     marginals,
     mixed,
     size_prior,
@@ -308,7 +309,7 @@ class _Further:
         of_law = half[:, count:]
         half = half[:, :count]
         square = fit.residual @ fit.residual / noise**2 + fit.u @ fit.u - half[:, 0] @ half[:, 0]
-        log = -0.5 * square - np.sum(np.log(np.diag(factor))) - fit.residual.size * math.log(noise)
+        log = -0.5 * square - log_diagonal(factor) - fit.residual.size * math.log(noise)
         values, vectors = np.linalg.eigh(law.T @ law - of_law.T @ of_law)
         return _Part(
             log,

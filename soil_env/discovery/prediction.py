@@ -23,8 +23,13 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize
 
-from soil_env.identification.table.data import CHANNELS
-from soil_env.identification.table.form_error import LENGTHS, Conditions, coordinates
+from soil_env.identification.table.data import CHANNELS, combinations_of
+from soil_env.identification.table.form_error import (
+    LENGTHS,
+    Conditions,
+    coordinates,
+    log_diagonal,
+)
 from soil_env.terramechanics.model import rows_of
 
 from .calibrate import Law, Problem
@@ -239,7 +244,7 @@ class _Covariance(NamedTuple):
     @property
     def log_size(self) -> float:
         """Half the logarithm of the determinant of the covariance."""
-        return float(sum(np.sum(np.log(np.diag(channel.root))) for channel in self.channels))
+        return float(sum(log_diagonal(channel.root) for channel in self.channels))
 
 
 @dataclass(frozen=True, eq=False)
@@ -423,7 +428,7 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
         v = c.whiten(e)
         a = v - b @ (b.T @ v)
         off = (x - usual) / SPREAD
-        value = 0.5 * (v @ a + off @ off) + c.log_size + np.sum(np.log(np.diag(of_unknowns)))
+        value = 0.5 * (v @ a + off @ off) + c.log_size + log_diagonal(of_unknowns)
         slope = off / SPREAD
         for k, (at, root, alike, noise) in enumerate(c.channels):
             inverse = solve_triangular(root, np.eye(at.size), lower=True)
@@ -479,8 +484,7 @@ def outlook(problem: Problem) -> Outlook:
         splits["condition"] = others
     out = []
     for split, what in splits.items():
-        levels = [problem.data.varied[name].level for name in what]
-        groups = np.unique(np.stack(levels), axis=1, return_inverse=True)[1].ravel()
+        groups = combinations_of([problem.data.varied[name].level for name in what])
         if groups.max() + 1 < FEWEST_GROUPS:
             continue
         held = np.full((3, *problem.used.shape), np.nan)

@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -447,9 +446,7 @@ def _unnamed(problem: Problem, base: Evidence, nearest: Names) -> list[Entry]:
     return [((), nearest, True, e, e.log, math.log(UNNAMED_ODDS)) for e in found]
 
 
-def log_prior(
-    names: Names, free: bool = False, of_rig: Mapping[str, float] = MappingProxyType({})
-) -> float:
+def log_prior(names: Names, free: bool = False, *, of_rig: Mapping[str, float]) -> float:
     """Log prior odds of a set of effects, with an anonymous contribution or without, against the
     base model.
 

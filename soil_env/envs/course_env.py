@@ -17,9 +17,10 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError, UnknownKeyword, plural
-from soil_env.parameters import Scenario
+from soil_env.parameters import Scenario, Soil
 from soil_env.simulation.task import Cause, ObservedNumber
 from soil_env.simulation.task.scaling import Scaling
+from soil_env.simulation.world.terrain import soil_at
 from soil_env.terramechanics.model import ModelLike, WheelSoilModel, load_model
 
 from .infos import NESTED, Info
@@ -236,6 +237,12 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
             )
             return None
         return self._view().draw(self.simulation, 0)
+
+    def _soil_at(self, x: float) -> Soil:
+        """The undisturbed soil at x [m] along the course, without its density."""
+        border = self.scenario.course.border
+        soil = soil_at(self.simulation.worlds.courses, 0, x, border)
+        return Soil.of_state(soil, self.scenario.gravity)
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the window: a copy opens its own."""

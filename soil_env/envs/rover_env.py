@@ -9,7 +9,6 @@ from gymnasium.vector import AutoresetMode
 from soil_env.parameters import DEFAULT_ROVER, RoverScenario, Soil, load_rover
 from soil_env.parameters.rover import RoverLike
 from soil_env.simulation.rover.task import rover_layout
-from soil_env.simulation.world.terrain import soil_at
 from soil_env.terramechanics.model import ModelLike
 
 from .course_env import (
@@ -207,12 +206,8 @@ class SoilRoverEnv(CourseEnv):
         """The undisturbed soil under each axle, without its density: for analysis and references,
         never part of a fair observation.
         """
-        worlds = self.simulation.worlds
-        places = worlds.state["wheels"]["x"][0, : self.scenario.axles]
-        border = self.scenario.course.border
-        gravity = self.scenario.gravity
-        under = (soil_at(worlds.courses, 0, float(x), border) for x in places)
-        return tuple(Soil.of_state(soil, gravity) for soil in under)
+        places = self.simulation.worlds.state["wheels"]["x"][0, : self.scenario.axles]
+        return tuple(map(self._soil_at, places.tolist()))
 
 
 class SoilRoverVectorEnv(CourseVectorEnv):

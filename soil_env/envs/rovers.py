@@ -1,7 +1,5 @@
 """Many rovers under one scenario, stepped by compiled calls: the core of their environments."""
 
-from typing import Any, NamedTuple
-
 import numpy as np
 
 from soil_env.parameters import RoverScenario
@@ -16,30 +14,10 @@ from soil_env.simulation.rover.rovers import (
     step_rovers,
 )
 from soil_env.simulation.rover.task import first_soil, rover_layout
+from soil_env.simulation.task.layout import bounds_of
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .vehicles import Vehicles, asks_for_estimates
-
-
-class Worlds(NamedTuple):
-    """Arrays of many rovers, one row a rover.
-
-    Those of `RoverWorlds`, results of the last step, and those of the estimator
-    (`identification.online.on_board.OnBoard.views`), None without one.
-    """
-
-    state: np.ndarray
-    ruts: np.ndarray
-    courses: np.ndarray
-    readings: np.ndarray
-    samples: np.ndarray
-    observation: np.ndarray
-    terms: np.ndarray  # [rovers, 4] of the reward
-    reward: np.ndarray  # [rovers]
-    cause: np.ndarray  # [rovers] `Cause`
-    on_board: Any = None
-    ids: Any = None
-    known: Any = None
 
 
 class RoverSimulation(Vehicles):
@@ -48,7 +26,6 @@ class RoverSimulation(Vehicles):
     `estimates`: identify the soil, even if neither the observation nor the reward asks for it.
     """
 
-    _arrays = Worlds
     _vehicle = "rover"
     _sampled_by = "readings"
 
@@ -81,4 +58,4 @@ class RoverSimulation(Vehicles):
         soils = np.empty((self.count, len(entries) - sensed), dtype=np.float32)
         observe_true_soils(self._world, self.numbers, soils)
         out = np.concatenate((self.worlds.observation[:, :sensed], soils), axis=1)
-        return np.clip(out, [e.low for e in entries], [e.high for e in entries], dtype=np.float32)
+        return np.clip(out, *bounds_of(entries))

@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -49,6 +49,30 @@ def asks_for_estimates(scenario: Scenario, variant: str) -> bool:
     return variant == "identified" or scenario.reward.information > 0.0
 
 
+class Worlds(NamedTuple):
+    """All arrays of many vehicles, one row a vehicle, overwritten by each step.
+
+    Those of `WheelWorlds` or `RoverWorlds`, results of the last step, and those of the estimators
+    (`identification.online.on_board.OnBoard.views`). None stands for what a vehicle has not.
+    """
+
+    state: np.ndarray
+    courses: np.ndarray
+    samples: np.ndarray
+    observation: np.ndarray
+    terms: np.ndarray  # [vehicles, 4] of the reward
+    reward: np.ndarray  # [vehicles]
+    cause: np.ndarray  # [vehicles] `Cause`
+    ruts: Any = None  # of rovers
+    readings: Any = None  # of rovers
+    on_board: Any = None
+    ids: Any = None
+    memory: Any = None  # of wheels
+    changed: Any = None  # of wheels
+    recent: Any = None  # of wheels
+    known: Any = None  # of rovers
+
+
 class Vehicles:
     """Base of the simulations of many wheels and of many rovers.
 
@@ -57,8 +81,6 @@ class Vehicles:
     """
 
     numbers: Any  # constants of the compiled step
-    worlds: Any  # all arrays, overwritten by each step
-    _arrays: Any  # type of `worlds`: arrays of the world, of results, of the estimator
     _actions: np.ndarray  # a row a vehicle, a column a motor
     _vehicle = "wheel"
     _sampled_by = "samples"  # array of the world that those on board read
@@ -118,7 +140,7 @@ class Vehicles:
         self._sampled = Stepped(heads, samples, self._world.observation)
         results = {name: heads[name] for name in ("terms", "reward", "cause")}
         known = {} if self._on_board is None else self._on_board.views()
-        self.worlds = self._arrays(**self._world._asdict(), **results, **known)
+        self.worlds: Worlds = Worlds(**self._world._asdict(), **results, **known)
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the views, which `__setstate__` makes anew."""

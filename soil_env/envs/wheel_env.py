@@ -18,7 +18,6 @@ from soil_env.parameters import (
 from soil_env.parameters.scenario import ScenarioLike
 from soil_env.simulation.task import layout
 from soil_env.simulation.task.scaling import Scaling
-from soil_env.simulation.world.terrain import soil_at
 from soil_env.terramechanics.model import ModelLike
 
 from .course_env import (
@@ -337,10 +336,7 @@ class SoilWheelEnv(CourseEnv):
         """The undisturbed soil under the wheel, without its density: for analysis and references,
         never part of a fair observation.
         """
-        worlds = self.simulation.worlds
-        x = float(worlds.state["x"][0])
-        soil = soil_at(worlds.courses, 0, x, self.scenario.course.border)
-        return Soil.of_state(soil, self.scenario.gravity)
+        return self._soil_at(self.simulation.worlds.state["x"].item(0))
 
 
 class SoilWheelVectorEnv(CourseVectorEnv):

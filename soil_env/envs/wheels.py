@@ -1,17 +1,19 @@
 """Many wheels under one scenario, stepped by compiled calls: the core of their environments."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from soil_env._compiled.flags import by_name
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout, truth
+from soil_env.simulation.task.layout import bounds_of
 from soil_env.simulation.wheels import (
+    Options,
     WheelNumbers,
     lay_wheels,
     new_setting,
     new_wheel_worlds,
-    options_of,
     step_wheels,
     wheel_numbers,
     write_true_soils,
@@ -22,35 +24,12 @@ from soil_env.terramechanics.model import WheelSoilModel
 from .vehicles import Vehicles, asks_for_estimates
 
 
-class Worlds(NamedTuple):
-    """Arrays of many wheels, one row a wheel.
-
-    Those of `WheelWorlds`, results of the last step, and those of the estimator
-    (`identification.online.on_board.OnBoard.views`), None without one.
-    """
-
-    state: np.ndarray
-    courses: np.ndarray
-    samples: np.ndarray
-    observation: np.ndarray
-    terms: np.ndarray  # [wheels, 4] of the reward
-    reward: np.ndarray  # [wheels]
-    cause: np.ndarray  # [wheels] `Cause`
-    on_board: Any = None
-    ids: Any = None
-    memory: Any = None
-    changed: Any = None
-    recent: Any = None
-
-
 class Simulation(Vehicles):
     """`wheels` wheels under one scenario with one observation variant.
 
     The soil is identified if the observation or the reward asks for it. `warnings`: identify in any
     case, and keep `worlds.recent` for `identification.online.immobilisation`.
     """
-
-    _arrays = Worlds
 
     def __init__(
         self,
@@ -67,7 +46,7 @@ class Simulation(Vehicles):
         chunks = -(-wheels // self._chunk)
         samples = (wheels, scenario.control.action_periods) if identifies else (chunks, 1)
         worlds = new_wheel_worlds(wheels, scenario, self.numbers, samples)
-        self._options = options_of(self.numbers)
+        self._options = Options(self.numbers.acting, self.numbers.errors)
         settings = [new_setting(self.numbers, identifies, chunk) for chunk in range(chunks)]
         drawn = course_numbers(scenario, model)
         courses = (drawn, float(drawn.drawn.spec.ahead))
@@ -96,13 +75,11 @@ class Simulation(Vehicles):
 
     def wheel(self, k: int) -> dict[str, float]:
         """State of wheel k by name, as it is now."""
-        state = self.worlds.state
-        return dict(zip(state.dtype.names, state[k].item(), strict=True))
+        return by_name(self.worlds.state[k])
 
     def true_soils(self) -> np.ndarray:
         """Entries of `true_soil` that `blind` does not have, of each wheel [wheels, D] float32."""
         entries = truth(self.scenario.course)
         out = np.empty((self.count, len(entries)), dtype=np.float32)
         write_true_soils(self._world.state, self._world.courses, self._scratch[0], out)
-        low = [e.low for e in entries]
-        return np.clip(out, low, [e.high for e in entries], dtype=np.float32)
+        return np.clip(out, *bounds_of(entries))

@@ -161,9 +161,8 @@ class LogMap(Checked):
     messages: dict[str, str] = dataclasses.field(default_factory=dict)
     windows: Windows = Windows()  # noqa: RUF009
 
-    def __post_init__(self) -> None:
-        """Check also what fields say together: sources, noise, the slip, the length of a window."""
-        super().__post_init__()
+    def _check_together(self) -> None:
+        """Check sources, noise, the slip and the length of a window."""
         for name, source in self.channels.items():
             if name not in UNITS:
                 raise FieldError(self, "channels", str(unknown_key(name, UNITS, "")))

@@ -58,8 +58,7 @@ class SetupWheel(Checked):
     grouser_height: float | None = quantity("m", 0.0, 1.0, default=None)
     grouser_count: int | None = quantity("", 1, 1000, default=None)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         check_lugs(self.grouser_height or 0.0, self.radius)
         if self.grouser_count is not None and self.grouser_height == 0.0:
             raise ParameterError(
@@ -187,14 +186,18 @@ class Rig(Checked):
     wheels: tuple[SetupWheel, ...] = ()
     cost: dict[str, float] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         for name, value in self.cost.items():
             if name not in COSTS:
                 raise unknown_key(name, COSTS, "cost")
             if not 0.0 <= value < math.inf or (name == "run" and value == 0.0):
                 least = "> 0" if name == "run" else ">= 0"
                 raise ParameterError(f"cost.{name} = {value:g}: expected a number {least}")
+
+
+def _relative_error(default: float) -> Any:
+    """Field of `Calibration`: standard deviation of a relative error."""
+    return quantity("", 0.0, 0.5, default=default)
 
 
 @dataclass(frozen=True)
@@ -209,13 +212,13 @@ class Calibration(Checked):
     """
 
     tilt_deg: float = quantity("deg", 0.0, STEEPEST_TILT, default=0.5)
-    force_gain: float = quantity("", 0.0, 0.5, default=0.02)
+    force_gain: float = _relative_error(0.02)
     force_offset: float | None = quantity("N", 0.0, default=None)
-    torque_gain: float = quantity("", 0.0, 0.5, default=0.02)
+    torque_gain: float = _relative_error(0.02)
     torque_offset: float | None = quantity("N m", 0.0, default=None)
-    wheel_radius: float = quantity("", 0.0, 0.5, default=0.005)
-    force_crosstalk: float = quantity("", 0.0, 0.5, default=0.01)
-    torque_crosstalk: float = quantity("", 0.0, 0.5, default=0.01)
+    wheel_radius: float = _relative_error(0.005)
+    force_crosstalk: float = _relative_error(0.01)
+    torque_crosstalk: float = _relative_error(0.01)
     arm_load: float = quantity("", 0.0, 1.0, default=0.02)
     spring_load: float | None = quantity("N/m", 0.0, default=None)
 
@@ -246,8 +249,7 @@ class Setup(Checked):
     rig: Rig = Rig()
     source: str = field(default="setup", init=False, compare=False)  # the file, for messages
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         if self.tilt_deg is not None and not abs(self.tilt_deg.value) <= STEEPEST_TILT:
             expected = f"degrees in [-{STEEPEST_TILT:g}, {STEEPEST_TILT:g}]"
             raise ParameterError(f"tilt_deg = {self.tilt_deg.value:g}: expected {expected}")

@@ -12,7 +12,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -120,6 +120,14 @@ class Table:
         return dataclasses.replace(
             self, **{k: v[rows] for k, v in vars(self).items() if isinstance(v, np.ndarray)}
         )
+
+    def with_values(self, used: np.ndarray) -> "Table":
+        """The table with the values that are `used` [N, 3] alone; others count as not measured."""
+        values: dict[str, Any] = {
+            name: np.where(used[:, j], getattr(self, name), math.nan)
+            for j, name in enumerate(MEASURED)
+        }
+        return dataclasses.replace(self, **values)
 
     def radius(self, wheel: SetupWheel) -> np.ndarray:
         """Wheel radius [m] of each row: the override where there is one."""

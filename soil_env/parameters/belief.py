@@ -6,7 +6,7 @@ from typing import Literal
 
 from soil_env._io.loading import Checked, Keys, ParameterError, quantity
 
-from .soil import SoilSpread, correlation_factor
+from .soil import SoilSpread, correlation, correlation_factor
 
 #: Fields of `Belief` that have no effect where its `soils` names a library.
 _PRIOR = (
@@ -64,9 +64,9 @@ class Belief(Checked):
         doc="1-sigma error of the laws, as long as no reading contradicts them",
     )
     method: Literal["filter", "none"] = "filter"
-    friction_cohesion: float = quantity("", -0.99, 0.99, default=-0.6, doc="correlation")
-    friction_stiffness: float = quantity("", -0.99, 0.99, default=0.5, doc="correlation")
-    stiffness_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.4, doc="correlation")
+    friction_cohesion: float = correlation(-0.6, "correlation")
+    friction_stiffness: float = correlation(0.5, "correlation")
+    stiffness_shear_modulus: float = correlation(-0.4, "correlation")
     border: float = quantity(
         "m", 0.01, 10.0, default=0.3, doc="length over which one soil passes into the next"
     )
@@ -75,8 +75,7 @@ class Belief(Checked):
     # of the soils of that library; None: as those of the courses
     spread: SoilSpread | None = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         correlation_factor(
             self,
             4,

@@ -69,8 +69,7 @@ class CourseSpec(Checked):
         "m", 0.0, 1e3, default=(0.4, 0.7), doc="a patch with two routes"
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         for piece, shortest in (("patch", self.patch_length[0]), ("slope", self.slope_length[0])):
             if self.border > shortest:
                 raise FieldError(

@@ -24,8 +24,8 @@ class RoverScenario(Scenario):
 
     vehicle: Vehicle = field(kw_only=True)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
+        super()._check_together()
         if self.course.classes:
             raise FieldError(
                 self, "course.classes", f" = {self.course.classes}: expected 0 for a rover"

@@ -57,8 +57,7 @@ class Scenario(Checked):
     reward: RewardWeights = RewardWeights()
     control: Control = Control()
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         if not self.soils:
             raise ParameterError("soils: expected at least one soil name with its weight")
         library = self.library

@@ -159,6 +159,18 @@ class Sensor(NamedTuple):
     usual: tuple[float, float, float] | None = None
 
 
+def _of_force(
+    name: str,
+    unit: str,
+    size: str,
+    centre: float,
+    scale: float,
+    usual: tuple[float, float, float],
+) -> Sensor:
+    """A sensor of a force or a torque, which are alike over their `size`."""
+    return Sensor(name, unit, (100.0, size), (size, -10.0, 10.0, centre, scale), usual=usual)
+
+
 #: One for each field of `SensorReading`, in its order. Centres and scales were read off the
 #: scenarios two_lines, sticky and field_vehicle. A wheel whose sinkage is the radius has its hub at
 #: the ground.
@@ -171,17 +183,9 @@ SENSORS = (
         ("of radius", -1.0, 3.0, 0.25, 0.15),
         usual=(1.0, 1e-3, math.inf),
     ),
-    Sensor(
-        "drawbar_pull",
-        "N",
-        (100.0, _WEIGHT),
-        (_WEIGHT, -10.0, 10.0, 0.1, 0.2),
-        usual=(0.75, 1e-3, 2.0),
-    ),
-    Sensor("load", "N", (100.0, _WEIGHT), (_WEIGHT, -10.0, 10.0, 1.1, 0.1), usual=(0.5, 0.2, 5.0)),
-    Sensor(
-        "torque", "N m", (100.0, _TWIST), (_TWIST, -10.0, 10.0, 0.4, 0.2), usual=(0.75, 5e-3, 3.0)
-    ),
+    _of_force("drawbar_pull", "N", _WEIGHT, 0.1, 0.2, (0.75, 1e-3, 2.0)),
+    _of_force("load", "N", _WEIGHT, 1.1, 0.1, (0.5, 0.2, 5.0)),
+    _of_force("torque", "N m", _TWIST, 0.4, 0.2, (0.75, 5e-3, 3.0)),
     Sensor("speed", "m/s", (40.0, ""), (_TOP_SPEED, -5.0, 5.0, 0.2, 0.2), of_body=True),
     Sensor("wheel_speed", "rad/s", (1e3, ""), (_TOP_SPEED, -5.0, 5.0, 0.2, 0.2)),
     Sensor(
@@ -192,13 +196,7 @@ SENSORS = (
         of_body=True,
         usual=(0.5, 0.0, 0.8),
     ),
-    Sensor(
-        "motor_torque",
-        "N m",
-        (100.0, _TWIST),
-        (_TWIST, -10.0, 10.0, 0.4, 0.2),
-        usual=(0.75, 5e-3, 3.0),
-    ),
+    _of_force("motor_torque", "N m", _TWIST, 0.4, 0.2, (0.75, 5e-3, 3.0)),
     Sensor(
         "acceleration",
         "m/s2",

@@ -7,7 +7,7 @@ import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -126,8 +126,7 @@ class Soil(Checked):
     layer: Layer | None = None
     source: str = ""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         pair = (self.k_c is not None) + (self.k_phi is not None)
         if pair != (2 if self.sinkage_coefficient is None else 0):
             raise ParameterError("expected either sinkage_coefficient, or both k_c and k_phi")
@@ -266,6 +265,11 @@ class Soil(Checked):
         )
 
 
+def correlation(default: float, doc: str = "") -> Any:
+    """Field of a class for `correlation_factor`: the correlation of two numbers."""
+    return quantity("", -0.99, 0.99, default=default, doc=doc)
+
+
 @dataclass(frozen=True)
 class SoilSpread(Checked):
     """Scatter of a soil in the field about its preset: coefficients of variation and correlations.
@@ -285,14 +289,13 @@ class SoilSpread(Checked):
     exponent: float = quantity("", 0.0, 0.3, default=0.05)
     dig_gain: float = quantity("", 0.0, 1.5, default=0.4)
     reference_sinkage: float = quantity("m", 1e-3, 0.5, default=0.03)
-    friction_cohesion: float = quantity("", -0.99, 0.99, default=-0.5)
-    friction_stiffness: float = quantity("", -0.99, 0.99, default=0.4)
-    friction_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.3)
-    stiffness_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.4)
-    stiffness_dig_gain: float = quantity("", -0.99, 0.99, default=-0.5)
+    friction_cohesion: float = correlation(-0.5)
+    friction_stiffness: float = correlation(0.4)
+    friction_shear_modulus: float = correlation(-0.3)
+    stiffness_shear_modulus: float = correlation(-0.4)
+    stiffness_dig_gain: float = correlation(-0.5)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         self.factor()  # refuses correlations that contradict each other
 
     def factor(self) -> np.ndarray:

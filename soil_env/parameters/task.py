@@ -58,8 +58,7 @@ class Control(Checked):
     )
     repeat: int | None = quantity("control periods", 1, 1e5, default=None)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         if self.repeat is not None and self.repeat != int(self.repeat):
             raise FieldError(self, "repeat", f" = {self.repeat!r}: expected a whole number")
 

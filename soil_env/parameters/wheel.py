@@ -34,8 +34,7 @@ class Tyre(Checked):
         "N/m", 0.0, 1e9, default=0.0, doc="load over deflection; 0 where deflection is given"
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         if (self.deflection > 0.0) == (self.stiffness > 0.0):
             given = f" = {self.deflection:g} and stiffness = {self.stiffness:g}"
             expected = "exactly one of the two > 0; 0 turns off what a preset or base gives"

@@ -106,7 +106,7 @@ class Canvas:
         thickness = self._width(width) if width else 0
         self._draw.circle(self._large, colour, self._at(centre), 2.0 * radius, thickness)
 
-    def arrow(self, tail: Point, head: Point, colour: Colour, width: float = 2.0) -> None:
+    def arrow(self, tail: Point, head: Point, colour: Colour, width: float) -> None:
         """A line from `tail` to the tip `head`; nothing where it is shorter than `_SHORTEST`."""
         along = np.subtract(head, tail)
         length = math.hypot(*along)

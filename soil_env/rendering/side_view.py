@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from soil_env._compiled.flags import by_name
 from soil_env.identification import Status
 from soil_env.parameters import RoverScenario, Vehicle
 from soil_env.simulation.rover.task import axle_names
@@ -81,11 +82,6 @@ def shown_wheels(simulation: Any, j: int) -> list[State]:
             w[key] = None if known is None else getattr(known, key)[place]
         wheels.append(w)
     return wheels
-
-
-def by_name(record: np.record) -> State:
-    """Fields of a record by name."""
-    return dict(zip(record.dtype.names or (), record.item(), strict=True))
 
 
 def radius_of(simulation: Any) -> float:

@@ -99,7 +99,7 @@ def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
     return stresses
 
 
-def draw_wheel(c: Canvas, centre: np.ndarray, size: float, angle: float, hub: Colour = RIM) -> None:
+def draw_wheel(c: Canvas, centre: np.ndarray, size: float, angle: float, hub: Colour) -> None:
     """Draw a wheel of the radius `size` [px], turned clockwise by `angle` [rad].
 
     Clockwise is forward, since the course runs to the right. A dot shows the turning.

@@ -30,8 +30,8 @@ from .task.observation import (
 from .task.rules import (
     RUNNING,
     TASK,
-    add_reward,
-    judge,
+    begin_step,
+    judge_period,
     task_of,
 )
 from .world.camera import CAMERA, IMAGE, Sight, camera_of, sight_of, take_image
@@ -124,11 +124,6 @@ class Options(NamedTuple):
 
     acting: Acting
     errors: SensorErrors
-
-
-def options_of(numbers: WheelNumbers) -> Options:
-    """`Options` of a world."""
-    return Options(numbers.acting, numbers.errors)
 
 
 def new_setting(numbers: WheelNumbers, recorded: bool, chunk: int) -> np.ndarray:
@@ -271,21 +266,15 @@ def _step(wheel, action, course, setting, samples, out):
     `samples` [periods]: of all periods, or [1] of the last.
     """
     task = setting.task
-    terms = wheel.terms
-    for i in range(4):
-        terms[i] = 0.0
     sample = samples[0]
     sight = NOWHERE
-    wheel.periods = 0
-    wheel.cause = RUNNING
+    begin_step(wheel)
     while wheel.periods < task.action_periods and wheel.cause == RUNNING:
         control_period(wheel, action, course, setting.world)
         sample = samples[min(wheel.periods, samples.size - 1)]
         sight = _sense(wheel, sample, course, setting)
-        wheel.cause = judge(wheel, task)
-        add_reward(wheel, wheel.cause, task, terms)
-        wheel.periods += 1
-    wheel.reward = terms.sum()
+        judge_period(wheel, task)
+    wheel.reward = wheel.terms.sum()
     _observe(wheel, sample, course, setting, sight, out)
 
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._compiled.elementary import asin_root, exp, half_cos, half_sin, power, smoothed_sign
-from soil_env._compiled.flags import compiled, compiled_sums, inlined, record
+from soil_env._compiled.flags import compiled, compiled_sums, inlined, put_fields, record
 from soil_env.parameters.wheel import MOST_DEFLECTION
 
 # Gauss-Legendre nodes of each zone of the arc; the two zones share the normal stress
@@ -66,6 +66,18 @@ TURNS = 8  # steps of Newton's method in `turning_angle`, at most
 TURN_STEP = 1e-5  # [rad] last of these steps, which leaves an error of about its square
 LEAST_HALF = 1e-7  # [rad] least half of an arc over which `_mean_cos` divides; own choice
 
+
+class Arc(NamedTuple):
+    """A contact arc: where it begins and ends, and where its normal stress peaks."""
+
+    theta1: float  # [rad] entry angle
+    theta2: float  # [rad] exit angle
+    thetam: float  # [rad] angle of the largest normal stress
+    sheared_from: float  # [rad] where shear begins: theta1, further ahead where lugs enter first
+    radius: float  # [m] of the circle that carries the normal stress
+
+
+ARC = Arc._fields
 _OF_NODE = (
     "stress",  # [m^n rad] normal stress for S = 1, times the weight of the node
     "weight",  # [rad] of the node
@@ -80,11 +92,7 @@ SPLIT_ARC = record(**dict.fromkeys(_OF_NODE, ("f8", SPLIT_NODES)))
 #: Scratch of a thread for one arc. `rate`, `turned` and `split` belong to the last motion given to
 #: `shear_integrals`, all other fields to any motion.
 ARC_NODES = record(
-    "theta1",  # to `radius` as in `Arc`
-    "theta2",
-    "thetam",
-    "sheared_from",
-    "radius",
+    *ARC,
     "exponent",  # n [-]
     rise=("f8", NODES),  # [-] (1 - cos(theta))/2
     **dict.fromkeys(_OF_NODE, ("f8", NODES)),
@@ -106,16 +114,6 @@ class ShearLaw(NamedTuple):
     c: float
     length: float  # [m]
     onset: float  # [m]
-
-
-class Arc(NamedTuple):
-    """A contact arc: where it begins and ends, and where its normal stress peaks."""
-
-    theta1: float  # [rad] entry angle
-    theta2: float  # [rad] exit angle
-    thetam: float  # [rad] angle of the largest normal stress
-    sheared_from: float  # [rad] where shear begins: theta1, further ahead where lugs enter first
-    radius: float  # [m] of the circle that carries the normal stress
 
 
 class ArcIntegrals(NamedTuple):
@@ -447,11 +445,7 @@ def lay_nodes(nodes, arc, n):
     front node and the rear node of one u have the same normal stress.
     """
     r = arc.radius
-    nodes.theta1 = arc.theta1
-    nodes.theta2 = arc.theta2
-    nodes.thetam = arc.thetam
-    nodes.sheared_from = arc.sheared_from
-    nodes.radius = r
+    put_fields(nodes, arc, ARC)
     nodes.exponent = n
     front = arc.theta1 - arc.thetam
     rear = arc.thetam - arc.theta2

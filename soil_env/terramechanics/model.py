@@ -67,8 +67,7 @@ class ModelWheel(Checked, OnTyre):
         "", 0.0, 3.0, default=0.0, doc="friction between tread and hard ground; 0: no such limit"
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         check_lugs(self.grouser_height, self.radius)
         self.check_tyre()
         refuse_lugs_on_tyre(self.grouser_height, self.tyre)

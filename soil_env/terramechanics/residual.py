@@ -44,8 +44,7 @@ class ResidualTerm(Checked):
     #: Group -> (low, high) of the data; outside, the group keeps the value of the nearer end.
     ranges: dict[str, tuple[float, float]] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         object.__setattr__(
             self, "ranges", {group: tuple(pair) for group, pair in self.ranges.items()}
         )
@@ -78,8 +77,7 @@ class ResidualTable(Checked):
     axes: dict[str, tuple[float, ...]]
     values: dict[str, str]
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_together(self) -> None:
         for group, nodes in self.axes.items():
             if group not in AXES:
                 raise unknown_key(group, AXES, "axes")

@@ -17,7 +17,7 @@ in snow, ASME J. Autonomous Vehicles and Systems 2(3) 031001 (2022).
 
 import numpy as np
 
-from soil_env.envs.wheels import Worlds
+from soil_env.envs.vehicles import Worlds
 from soil_env.identification.online.immobilisation import ImmobilisationWarning, shipped
 from soil_env.parameters import Scenario
 

@@ -32,7 +32,7 @@ _SHOWN = 8  # candidates of the ranking on the terminal
 LEAST = 1e-3  # probability below which a hypothesis is not listed
 
 
-def check_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
+def check_folder(folder: Path, inputs: Iterable[Path]) -> None:
     """Raise `ParameterError` where report files could not be written into `folder`, or would
     replace one of the user's; creates nothing.
     """

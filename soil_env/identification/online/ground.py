@@ -51,8 +51,7 @@ def _assess(rows, estimate, sd, seen, setting, nodes, out):
             numbers.braked_peak,
             numbers.shear_growth,
             numbers.shear_length,
-            NO_LAYER[0],
-            NO_LAYER[1],
+            *NO_LAYER,
         )
         load = max(seen[k, 0], LIFTED) * numbers.weight
         best = best_point_at(nodes[0], load, soil, wheel, LEVEL, None, numbers.stall_torque)

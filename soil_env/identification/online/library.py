@@ -50,6 +50,15 @@ def join(known, u, mean, precision, work):
 
 
 @compiled
+def solve_joined(work):
+    """Write the mean of the product of `join`, less u, into `work.step`, and its covariance into
+    `work.inverse`.
+    """
+    solve(work.factor, SOIL, work.gradient, work.step)
+    invert(work.factor, SOIL, work.scratch, work.inverse)
+
+
+@compiled
 def _log_weight(known, u, setting, work, k):
     """ln of the weight of the Gaussian k of the library under the readings, up to a constant.
 
@@ -92,8 +101,7 @@ def mix(known, u, setting, work):
         if weight < UNLIKELY:
             continue
         total += weight
-        solve(work.factor, SOIL, work.gradient, work.step)
-        invert(work.factor, SOIL, work.scratch, work.inverse)
+        solve_joined(work)
         for i in range(SOIL):
             mean[i] += weight * work.step[i]
             for j in range(SOIL):

@@ -136,6 +136,14 @@ _EACH = ("f8", QUANTITIES)
 #: (`fresh`), and of the soil before the last border (`old`). On a border the first is a blend.
 ESTIMATES = {name: _EACH for name in ("estimate", "sd", "fresh", "fresh_sd", "old", "old_sd")}
 
+#: What readings say of a soil, without and with the library.
+KNOWLEDGE = {
+    "information": ("f8", (SOIL, SOIL)),  # that the readings alone give
+    "gradient": ("f8", SOIL),  # of their log-likelihood at the soil of the fit
+    "soil": ("f8", SOIL),  # mean under the library
+    "spread": ("f8", (SOIL, SOIL)),  # covariance under the library
+}
+
 #: Memory of the identifier of a wheel.
 MEMORY = record(
     "mass",  # [kg] on the wheel by its load
@@ -175,10 +183,7 @@ MEMORY = record(
     covariance=("f8", (SOIL, SOIL)),  # of the soil
     prior_mean=("f8", SOIL),  # of the next fit
     prior_precision=("f8", (SOIL, SOIL)),
-    information=("f8", (SOIL, SOIL)),  # that the readings alone give on the soil
-    gradient=("f8", SOIL),  # of the log-likelihood of the readings at u
-    soil=("f8", SOIL),  # mean under the library
-    spread=("f8", (SOIL, SOIL)),  # covariance under the library
+    **KNOWLEDGE,
     old_mean=("f8", SOIL),
     old_precision=("f8", (SOIL, SOIL)),
     **ESTIMATES,

@@ -19,23 +19,21 @@ from soil_env.identification.status import Status
 
 from .borders import begin_border, blend_estimates, take_fresh
 from .identifier import publish, status_of
-from .library import join, mix
+from .library import join, mix, solve_joined
 from .linear import (
     add_gaussian,
     factorise,
-    invert,
     invert_whole,
-    solve,
     solve_half,
 )
 from .memory import (
     BEST_PULL,
     ESTIMATES,
+    KNOWLEDGE,
     OF_GROUND,
     PUBLISHED_COHESION,
     PUBLISHED_LN_K,
     PUBLISHED_PHI,
-    SOIL,
 )
 
 # Soils that are kept of a wheel, own choice: the wheels behind are still on earlier ones.
@@ -59,10 +57,7 @@ POOL = record(
     border_places=("f8", SOILS),  # [m] middle of the border before that soil, by odometry
     shared=("f8", (SOILS, SHARED)),  # the shared unknowns by the wheel's own readings
     shared_covariance=("f8", (SOILS, SHARED, SHARED)),
-    information=("f8", (SOIL, SOIL)),  # of all wheels on the soil under this one
-    gradient=("f8", SOIL),  # of their log-likelihood at the soil of its own fit
-    soil=("f8", SOIL),
-    spread=("f8", (SOIL, SOIL)),
+    **KNOWLEDGE,  # by the readings of all wheels on the soil under this one
     status=("i8",),
     **ESTIMATES,
 )
@@ -95,8 +90,7 @@ def keep_knowledge(pool, memory, setting, work):
     pool.borders[s] = memory.borders
     pool.border_places[s] = memory.border
     join(memory, memory.u, setting.soil_mean, setting.soil_precision, work)
-    solve(work.factor, SOIL, work.gradient, work.step)
-    invert(work.factor, SOIL, work.scratch, work.inverse)
+    solve_joined(work)
     pool.shared[s, :] = memory.u[:SHARED] + work.step[:SHARED]
     pool.shared_covariance[s, :, :] = work.inverse[:SHARED, :SHARED]
 

@@ -3,7 +3,7 @@ hold out.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,7 +97,7 @@ class Data:
         others = [c.level for name, c in self.varied.items() if name != "slip"]
         if not others:
             return [np.arange(self.rows.slip.size)]
-        label = np.unique(np.stack(others), axis=1, return_inverse=True)[1].ravel()
+        label = combinations_of(others)
         return [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
 
     @property
@@ -120,6 +120,11 @@ class Data:
         time = self.table.time
         known = "time" in self.table.given and np.all(np.isfinite(time)) and np.ptp(time) > 0.0
         return {"elapsed": (time - time.min()) / np.ptp(time)} if known else {}
+
+
+def combinations_of(levels: Sequence[np.ndarray]) -> np.ndarray:
+    """[N] number of the combination of levels in each row; `levels`: [N] of each condition."""
+    return np.unique(np.stack(levels), axis=1, return_inverse=True)[1].ravel()
 
 
 def conditions_of(rows: Rows) -> dict[str, np.ndarray]:
@@ -178,8 +183,7 @@ def prepare(table: Table, setup: Setup) -> Data:
             varied[name] = found
     if "slip" not in varied:
         raise ParameterError(f"{table.source}: slip: expected at least two different slips")
-    labels = np.stack([c.level for c in varied.values()])
-    cell = np.unique(labels, axis=1, return_inverse=True)[1].ravel()
+    cell = combinations_of([c.level for c in varied.values()])
     return Data(table, setup, wheel, rows, y, varied, cell, table.relative_sd(setup))
 
 

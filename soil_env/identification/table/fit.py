@@ -198,11 +198,7 @@ def _as_examined(examined: Examined) -> Table:
     if examined.noise is None:
         return examined.table
     used = examined.noise.used
-    channels: dict[str, Any] = {
-        name: np.where(used[:, j], getattr(examined.table, name), math.nan)
-        for j, name in enumerate(MEASURED)
-    }
-    return replace(examined.table, **channels).only(np.any(used, axis=1))
+    return examined.table.with_values(used).only(np.any(used, axis=1))
 
 
 class _Plain(NamedTuple):

@@ -349,7 +349,7 @@ def marginals(
         of_data = half[:, 0]
         of_unknowns = half[:, 1 : 1 + p]
         rest = half[:, 1 + p :]
-        base = -0.5 * (power - of_data @ of_data) - np.sum(np.log(np.diag(factor)))
+        base = -0.5 * (power - of_data @ of_data) - log_diagonal(factor)
         centre = u + of_unknowns.T @ of_data
         narrow = of_unknowns.T @ of_unknowns
         pulls = np.column_stack([along[outer.size :] - rest.T @ of_data, rest.T @ of_unknowns])
@@ -379,7 +379,7 @@ def marginals(
                 factor = _cholesky(d[:, None] * normal * d)
                 half = _solved(factor, d[:, None] * pull)
                 moved = half.T @ half
-                log[row] = base + 0.5 * moved[0, 0] - np.sum(np.log(np.diag(factor)))
+                log[row] = base + 0.5 * moved[0, 0] - log_diagonal(factor)
                 mean[row] = centre - moved[1:, 0]
                 covariance[row] = narrow + moved[1:, 1:]
     return log, mean, covariance
@@ -408,6 +408,11 @@ def _cholesky(normal: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh(normal)
     upper = np.linalg.qr((vectors * np.sqrt(np.maximum(values, 1.0))).T, mode="r")
     return np.asfortranarray((np.sign(np.diag(upper))[:, None] * upper).T)
+
+
+def log_diagonal(factor: np.ndarray) -> float:
+    """Half the logarithm of the determinant of N, by its Cholesky factor [R, R]."""
+    return np.sum(np.log(np.diag(factor)))
 
 
 def _solved(factor: np.ndarray, right: np.ndarray) -> np.ndarray:

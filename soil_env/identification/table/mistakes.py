@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import expit, logsumexp
@@ -235,11 +235,7 @@ def _problem(
     there = reading.table
     order = list(reading.source)
     if used is not None:
-        values: dict[str, Any] = {
-            name: np.where(used[:, order[j]], getattr(there, name), math.nan)
-            for j, name in enumerate(CHANNELS)
-        }
-        there = dataclasses.replace(there, **values)
+        there = there.with_values(used[:, order])
     levels = {
         name: float(sd[order[j]] * reading.scale[j])
         if np.any(np.isfinite(getattr(there, name)))

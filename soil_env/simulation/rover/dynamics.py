@@ -4,7 +4,7 @@ All wheels of a rover run over the same course, each leaving its rut to those be
 """
 
 from soil_env._compiled.elementary import sin_cos
-from soil_env._compiled.flags import compiled_finite, inlined
+from soil_env._compiled.flags import compiled_finite, inlined, put_fields
 from soil_env.simulation.world.dynamics import (
     FINEST,
     GAMMA,
@@ -31,7 +31,7 @@ from soil_env.simulation.world.wheel import (
 from soil_env.terramechanics.ground import put_soil, soil_of
 
 from .body import set_pitch
-from .newton import equation_of, foresee, reaction_of, solve_speeds
+from .newton import EXTRA, FOOTING, equation_of, foresee, reaction_of, solve_speeds
 from .ruts import copy_rut_behind, floor_at
 
 
@@ -49,18 +49,8 @@ def _keep_stand(foot, at):
     foot.sinkage = at.ground.sinkage
     foot.grade = at.ground.grade
     foot.along = at.along
-    foot.theta1 = at.footing.theta1
-    foot.p_cos = at.footing.p_cos
-    foot.p_sin = at.footing.p_sin
-    foot.shear_modulus = at.footing.shear_modulus
-    foot.carry = at.footing.carry
-    foot.most_carried = at.footing.most_carried
-    foot.lift = at.extra.lift
-    foot.bulldozing = at.extra.bulldozing
-    foot.blades = at.extra.blades
-    foot.pull = at.extra.pull
-    foot.torque = at.extra.torque
-    foot.unfelt = at.extra.unfelt
+    put_fields(foot, at.footing, FOOTING)
+    put_fields(foot, at.extra, EXTRA)
 
 
 @inlined

@@ -9,7 +9,7 @@ reaction are those of `simulation.world`.
 from typing import Any, NamedTuple
 
 from soil_env._compiled.elementary import sin_cos
-from soil_env._compiled.flags import HUGE, compiled_finite, inlined, record
+from soil_env._compiled.flags import HUGE, compiled_finite, inlined, put_fields, record
 from soil_env.parameters import MOST_AXLES, SoilState
 from soil_env.simulation.world.newton import (
     LEAST_GAIN,
@@ -39,7 +39,10 @@ from .body import LOAD_TOLERANCE, axle_loads, weight_of
 # before; the last is kept
 TURNS = 4
 
-_NOT_SHEARED = [name for name in SoilState._fields if name not in Footing._fields]
+# Names of what a wheel stands on; the load follows from the suspension.
+FOOTING = tuple(name for name in Footing._fields if name != "load")
+EXTRA = ExtraForces._fields
+_NOT_SHEARED = [name for name in SoilState._fields if name not in FOOTING]
 #: What the wheel of an axle is to do in a control period and what it stands on in a stage. It has
 #: the fields of a `Drive`, a `Footing`, an `ExtraForces` and the `SoilState` of a `Ground`.
 FOOT = record(
@@ -55,9 +58,10 @@ FOOT = record(
     "along",  # [N] weight along the grade
     *Footing._fields,
     *_NOT_SHEARED,
-    *ExtraForces._fields,
+    *EXTRA,
     by_speed=("i8",),
 )
+FORCES = Reaction._fields
 #: Rotation of an axle at some speeds, with the `Reaction` there.
 TURNING = record(
     "rim",  # u [m/s]
@@ -65,7 +69,7 @@ TURNING = record(
     "motor_slope",  # d T_motor/dw [N m s]
     "change",  # [m/s] of u in a step of Newton's method
     "change_v",  # [-] of u with V in such a step
-    *Reaction._fields,
+    *FORCES,
 )
 
 
@@ -101,21 +105,6 @@ def equation_of(speed, duration, mass, rig):
     V* = `speed` [m/s].
     """
     return Equation(speed, duration / mass, duration * rig.radius / rig.inertia)
-
-
-@compiled_finite
-def keep_reaction(row, force):
-    """Write a `Reaction` into a record."""
-    row.load = force.load
-    row.drawbar_pull = force.drawbar_pull
-    row.torque = force.torque
-    row.sinkage_coefficient = force.sinkage_coefficient
-    row.pull_v = force.pull_v
-    row.pull_u = force.pull_u
-    row.torque_v = force.torque_v
-    row.torque_u = force.torque_u
-    row.sinkage_coefficient_v = force.sinkage_coefficient_v
-    row.sinkage_coefficient_u = force.sinkage_coefficient_u
 
 
 @compiled_finite
@@ -178,7 +167,7 @@ def foresee(rover, at, world):
         wheel = rover.wheels[a]
         foot = world.stage.feet[a]
         found = world.stage.found[a]
-        keep_reaction(found, last_force(wheel))
+        put_fields(found, last_force(wheel), FORCES)
         torque, slope, _ = motor_torque(foot.command, foot.by_speed > 0, wheel.wheel_speed, rig)
         found.rim = rig.radius * wheel.wheel_speed
         found.residual = found.rim - foot.rim_start - at.by_torque * (torque - wheel.torque)
@@ -233,7 +222,7 @@ def _evaluate(v, at, world):
         u = trial.rim
         force = reaction(world.stage.nodes[a], foot, v, u, rig, foot, world.acting)
         torque, slope, _ = motor_torque(foot.command, foot.by_speed > 0, u / rig.radius, rig)
-        keep_reaction(trial, force)
+        put_fields(trial, force, FORCES)
         trial.residual = u - foot.rim_start - at.by_torque * (torque - force.torque)
         trial.motor_slope = slope
         pull += force.drawbar_pull - foot.along

@@ -18,7 +18,7 @@ from soil_env.parameters import MOST_AXLES, RoverScenario
 from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY
 from soil_env.simulation.task.layout import bounds_of
 from soil_env.simulation.task.observation import TRUE_SOIL, clip
-from soil_env.simulation.task.rules import RUNNING, add_reward, judge, task_of
+from soil_env.simulation.task.rules import RUNNING, begin_step, judge_period, task_of
 from soil_env.simulation.wheels import SAMPLE, start_drivable
 from soil_env.simulation.world.courses import course_numbers, extend_course, start_course
 from soil_env.simulation.world.passability import CourseDistribution
@@ -278,19 +278,13 @@ def _step(rover, commands, course, ruts, readings, samples, setting):
     `readings` [axles, periods], `samples` [periods]: of all periods, or one column of the last.
     """
     task = setting.task
-    terms = rover.terms
-    for i in range(4):
-        terms[i] = 0.0
-    rover.periods = 0
-    rover.cause = RUNNING
+    begin_step(rover)
     while rover.periods < task.action_periods and rover.cause == RUNNING:
         control_period(rover, commands, course, ruts, setting.world)
         period = min(rover.periods, samples.size - 1)
         _sense(rover, readings, samples[period], period, setting)
-        rover.cause = judge(rover, task)
-        add_reward(rover, rover.cause, task, terms)
-        rover.periods += 1
-    rover.reward = terms.sum()
+        judge_period(rover, task)
+    rover.reward = rover.terms.sum()
 
 
 @inlined

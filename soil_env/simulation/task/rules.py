@@ -110,14 +110,27 @@ def judge(vehicle, task):
 
 
 @compiled_finite
-def add_reward(vehicle, cause, task, terms):
-    """Add the last control period of a vehicle to the first three of `terms` [4] (see
-    REWARD_TERMS), each times its factor of `RewardWeights`.
+def begin_step(vehicle):
+    """Set the reward terms of a vehicle to 0 and its control periods to none, before a step."""
+    for i in range(4):
+        vehicle.terms[i] = 0.0
+    vehicle.periods = 0
+    vehicle.cause = RUNNING
+
+
+@compiled_finite
+def judge_period(vehicle, task):
+    """Judge the last control period of a vehicle (`judge`), count it, and add it to the first three
+    of its reward `terms` (see REWARD_TERMS), each times its factor of `RewardWeights`.
 
     Progress: distance travelled / course length. Energy: -(motor work, at least 0) / (weight with
     payload x course length). Immobilisation: -1 once, when the episode ends unfinished, also by the
     time limit.
     """
+    cause = judge(vehicle, task)
+    vehicle.cause = cause
+    vehicle.periods += 1
+    terms = vehicle.terms
     terms[0] += task.progress * vehicle.travel / task.length
     work = max(vehicle.motor_work, 0.0)
     terms[1] -= task.energy * work / (vehicle.mass * task.gravity * task.length)

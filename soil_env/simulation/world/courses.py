@@ -37,7 +37,7 @@ ACTIONS_AHEAD = 3.0
 DRIVING = 0.5  # [of the top rim speed] travel at which a soil is judged; own choice
 
 
-def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> CourseNumbers:
+def course_numbers(scenario: Scenario, model: WheelSoilModel | None) -> CourseNumbers:
     """Pack what `start_course` and `extend_course` draw from; a `model` gives effects, lugs and,
     where it has one, the soil.
     """
