@@ -327,17 +327,16 @@ def test_readings_on_a_border_tell_its_place_and_the_new_soil():
         assert off.max() < 2.0
 
 
-def either_law(reason):
-    """Parameters `law`: Eq. (10), and soil that flows, which is known to fail for a `reason`."""
-    fails = pytest.mark.xfail(strict=True, reason=reason)
-    laws = [
+APART = "0.12 prior sd apart after four steps, within 0.1 after six"
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
         pytest.param(EQUATION_10, id="equation 10"),
-        pytest.param(FLOW, id="flow", marks=fails),
-    ]
-    return pytest.mark.parametrize("law", laws)
-
-
-@either_law("0.12 prior sd apart after four steps, within 0.1 after six")
+        pytest.param(FLOW, id="flow", marks=pytest.mark.xfail(strict=True, reason=APART)),
+    ],
+)
 def test_a_border_that_is_found_elsewhere_does_not_hold_up_the_fit(law):
     """Pitches that show its place to half a centimetre, a tenth of a metre from where it was
     noticed: place and soil are fitted as they are where it was known from the first.
@@ -382,7 +381,7 @@ def test_the_misfit_is_chi_squared_over_its_expectation():
     assert wheel.now.law_misfit == pytest.approx(sinkage, rel=0.1)
 
 
-@either_law("misfit 0.41 of chi squared")
+@pytest.mark.parametrize("law", [EQUATION_10, FLOW], ids=["equation 10", "flow"])
 def test_a_fit_far_from_its_prior_hides_no_misfit(law):
     """On a border that is found elsewhere: a fall of the prior's part is none of the residuals."""
     wheel, u = begin(NEAR, law)

@@ -199,7 +199,8 @@ def test_rows_are_single_points_whatever_the_guess(seed):
         steady_with(slip[k], load[k], soil, Rim(*wheels[k], weight), Conditions(*conditions[k]), fx)
         for k in range(slip.size)
     ]
-    np.testing.assert_array_equal(cold, np.array([s[:3] for s in single]))
+    # compiled into two callers, products and sums may be fused otherwise
+    np.testing.assert_allclose(cold, np.array([s[:3] for s in single]), rtol=1e-12)
     assert carried == sum(s.supported for s in single)
     r = wheels[:, 0]
     rng = np.random.default_rng(seed)

@@ -12,20 +12,29 @@ How to add an effect, in two files here and one of the benchmark, beside tests a
 2. Write its law there as a function under `@compiled`. `fx.<name>_<parameter>` are its
    numbers; at the neutral values the law changes nothing.
 3. Add the module to `_MODULES` below. Add the law to the function below that composes the laws of
-   its place: `soil_in_contact` (strength and bearing under the wheel), `arc_ends` (exit angle and
-   stress peak), `soil_resistance` (force against the travel) or `drive_friction` (between motor and
-   axle). Add a law of speed to `depends_on_speed`, too. Model files, the simulated world,
+   its place:
+
+   - `soil_in_contact`: strength and bearing under the wheel, by slip, speeds, pass and grade;
+   - `arc_ends`: exit angle and stress peak, by entry angle and slip;
+   - `soil_resistance`: force against the travel, by sinkage, soil and wheel;
+   - `drive_friction`: between motor and axle, by torque and wheel speed.
+
+   Add a law of speed to `depends_on_speed`, too. Model files, the simulated world,
    `WheelSoilModel.predict`, the discovery workflow, its report and the table of `text.markdown`
    have it from there. Where two laws change one quantity, the later takes what the earlier left.
-4. Let the blind benchmark hide it, as a test demands: published forms of others, or own ones, in
-   `benchmarks/discovery/forms.py`. It draws other cases from then on, so that
-   `docs/results/discovery.json` is made anew.
+4. Let the blind benchmark hide it, as a test demands, in `benchmarks/discovery/forms.py`: at least
+   one form that the catalogue does not have, published by others or your own. A kind in
+   `unlisted.py` or `fresh.py` there that the law explains goes. Other cases are drawn from then on:
+   docs/results.md has the command that makes `docs/results/discovery.json` anew, in half an hour.
 5. Add ranges of the parameters to `cases.py` in `tests/terramechanics`. Add the law as its source
-   writes it to `reference.py` and `test_equations.py` there, and its units to
-   `test_units_do_not_matter`; bounds must hold in those units too. Run `pytest
-   tests/terramechanics tests/simulation/test_worlds.py tests/discovery
-   tests/benchmarks/test_discovery.py`. `HIDDEN` of the agents' `environment.py` lists the
-   effects that hidden training worlds draw from; an effect need not be there.
+   writes it to `reference.py` (and its name to the tuple `fx` there), its quantity to `model` of
+   `test_equations.py`, its units to `test_units_do_not_matter`; bounds must hold in those units
+   too, where a pressure may be a hundred times as large. Run `pytest tests/terramechanics
+   tests/simulation/test_worlds.py tests/discovery tests/benchmarks tests/project/test_pages.py`.
+   The effect is one more rival in every discovery: copy new printed output into
+   `docs/guide/discovery.md`, `cmu.md` (which needs the data of the rig) and README.
+   `HIDDEN` of the agents' `environment.py` lists the effects that hidden training worlds draw
+   from; an effect need not be there.
 
 A force or torque at the wheel that none of the places of step 3 has also needs its term in
 `_at_the_axle` of `reaction.py` and in `steady.py`. `varies` stays None where only slip shows the
