@@ -2,6 +2,7 @@
 page of tables.
 """
 
+import json
 import os
 import platform
 from collections.abc import Callable, Iterable, Mapping
@@ -16,9 +17,23 @@ from scipy.stats import binomtest
 
 from soil_env._io.document import Table
 from soil_env._io.files import check_outputs, make_folder, plain, replace_files
+from soil_env._io.loading import ParameterError, one_line
 from soil_env.cli.running import PATH
 
 RESULTS = Path(__file__).resolve().parent.parent / "docs" / "results"
+
+
+def read_json(path: Path) -> dict:
+    """The object in a JSON file; `ParameterError` if it cannot be read as one."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
+    except (ValueError, RecursionError) as error:  # no UTF-8 either
+        raise ParameterError(f"{path}: not valid JSON ({one_line(error)})") from None
+    if not isinstance(content, dict):
+        raise ParameterError(f"{path}: expected an object at the top, got {type(content).__name__}")
+    return content
 
 
 def spread(values) -> dict[str, float]:

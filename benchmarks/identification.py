@@ -22,10 +22,17 @@ import click
 import numpy as np
 
 from benchmarks import drives
-from benchmarks.common import machine, machine_text, ready, short, study_options, write
+from benchmarks.common import (
+    machine,
+    machine_text,
+    read_json,
+    ready,
+    short,
+    study_options,
+    write,
+)
 from soil_env._io.document import Table
 from soil_env._io.files import write_json
-from soil_env._io.loading import read_json
 from soil_env.cli.running import WholeNumber, leave, run
 from soil_env.identification import Status
 from soil_env.parameters import config_dir, load_scenario

@@ -18,12 +18,11 @@ from pathlib import Path
 import click
 import numpy as np
 
-from benchmarks.common import ready, short, study_options, write
+from benchmarks.common import read_json, ready, short, study_options, write
 from benchmarks.prediction import Case, cases
 from benchmarks.rigs import DATA
 from soil_env._io.document import Table as Page
 from soil_env._io.files import write_json
-from soil_env._io.loading import read_json
 from soil_env.cli.running import PATH, leave, run
 from soil_env.discovery.calibrate import Problem, calibrate
 from soil_env.discovery.next_for_prediction import Uncertainty

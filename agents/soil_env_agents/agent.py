@@ -26,7 +26,6 @@ from torch import nn
 from soil_env._io.loading import (
     Checked,
     ParameterError,
-    check_unpacked,
     load,
     one_line,
     quantity,
@@ -40,6 +39,7 @@ from soil_env.simulation.task.scaling import Scaling
 
 from . import inputs
 from .config import NAMES, PPOConfig
+from .default_policy import check_unpacked
 from .history import History, columns_of_routes
 
 # Members of the zip.

@@ -18,14 +18,13 @@ import click
 import numpy as np
 from scipy.stats import t as student_t
 
-from benchmarks.common import ready, short, study_options, write
+from benchmarks.common import read_json, ready, short, study_options, write
 from benchmarks.continuum import loop, rig
 from benchmarks.continuum.rig import LOADS, RIM_SPEED, SHAPES, SLIPS, SOILS, TABLES, WHEELS
 from benchmarks.continuum.soil import Bed
 from benchmarks.continuum.wheel import Rig
 from soil_env._io.document import Table
 from soil_env._io.files import make_folder, write_json
-from soil_env._io.loading import read_json
 from soil_env.cli.running import PATH, WholeNumber, leave, run
 from soil_env_agents.cells import processes
 

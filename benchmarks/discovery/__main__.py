@@ -33,11 +33,12 @@ import click
 from threadpoolctl import threadpool_limits
 
 import soil_env
+from benchmarks.common import read_json
 from benchmarks.discovery import score
 from benchmarks.discovery.cases import GROUPS, draw_case, generator, task_of, tasks, write_case
 from benchmarks.discovery.entrants import ENTRANTS, Answer, entrant
 from soil_env._io.files import make_folder, write_json
-from soil_env._io.loading import ParameterError, read_json
+from soil_env._io.loading import ParameterError
 from soil_env.cli.running import PATH, WholeNumber, end_with_parent, leave, run
 
 NAME = "benchmarks.discovery"

@@ -138,19 +138,6 @@ def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def drop_torn_line(path: str | Path) -> None:
-    """Cut off the last line of a file with one entry a line, if a kill or a full disk tore it.
-
-    A torn line does not end with a line break. A missing file is left alone.
-    """
-    path = Path(path)
-    if path.is_file():
-        content = path.read_bytes()
-        whole = content[: content.rfind(b"\n") + 1]
-        if whole != content:
-            replace_file(path, whole)
-
-
 @contextmanager
 def alone(folder: str | Path) -> Iterator[None]:
     """Make a folder and hold its lock. Raises FileExistsError while another process holds it.

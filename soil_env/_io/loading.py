@@ -8,13 +8,11 @@ one line with key, value and what was expected.
 import dataclasses
 import difflib
 import functools
-import json
 import math
 import numbers
 import sys
 import types
 import typing
-import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import field
 from decimal import Context
@@ -456,35 +454,12 @@ def read_yaml(path: Path) -> dict:
     return content
 
 
-def read_json(path: Path) -> dict:
-    """The object in a JSON file; `ParameterError` if it cannot be read as one."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError) as error:  # no UTF-8 either
-        raise ParameterError(f"{path}: not valid JSON ({one_line(error)})") from None
-    if not isinstance(content, dict):
-        raise ParameterError(f"{path}: expected an object at the top, got {type(content).__name__}")
-    return content
-
-
 def one_line(error: BaseException, which: int = 0) -> str:
     """Line `which` of the message of an error, cut to `_MOST_QUOTED` characters.
 
     The name of the error's class stands for an empty message. Python's index -1 is the last line.
     """
     return (str(error).strip().splitlines() or [type(error).__name__])[which][:_MOST_QUOTED]
-
-
-def check_unpacked(archive: str | Path | typing.BinaryIO, most: int) -> None:
-    """Raise ValueError for a zip whose members unpack to more than `most` bytes together, by its
-    directory, and zipfile's errors for a file that is no zip.
-    """
-    with zipfile.ZipFile(archive) as members:
-        size = sum(member.file_size for member in members.infolist())
-    if size > most:
-        raise ValueError(f"unpacks to {size} bytes: expected at most {most}")
 
 
 def config_dir() -> Path:

@@ -27,8 +27,8 @@ from soil_env_agents.drive import _drive
 from soil_env_agents.evaluate import driving
 from soil_env_agents.evaluate.driving import drive as evaluation_drive, run_courses
 from tests.agents.drivers import observations
+from tests.agents.test_cloning import memory
 from tests.simulation.courses import EVEN
-from tests.simulation.test_cloning import memory
 from tests.simulation.wheels import started
 
 NAMES = tuple(CONTROLLERS)

@@ -170,3 +170,12 @@ def test_controllers_without_settings_are_refused(tmp_path, capsys):
     assert soil_env(asked) == 2
     assert "--controllers: full_throttle: nothing to tune" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_torn_last_line_is_cut_off(tmp_path):
+    path = tmp_path / "record"
+    for content, kept in (("1\n2\n", "1\n2\n"), ("1\n2", "1\n"), ("1", ""), ("", "")):
+        path.write_text(content)
+        tuning.drop_torn_line(path)
+        assert path.read_text() == kept
+    tuning.drop_torn_line(tmp_path / "none")

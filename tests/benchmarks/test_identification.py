@@ -3,8 +3,7 @@
 import numpy as np
 
 from benchmarks import identification as study
-from benchmarks.common import RESULTS
-from soil_env._io.loading import read_json
+from benchmarks.common import RESULTS, read_json
 from soil_env.cli.running import run
 
 

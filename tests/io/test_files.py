@@ -14,7 +14,6 @@ from soil_env._io.files import (
     check_outputs,
     check_own,
     drop_own,
-    drop_torn_line,
     is_unused,
     replace_file,
     replace_files,
@@ -135,15 +134,6 @@ def test_a_folder_is_held_by_one(tmp_path):
         pass
     with alone(tmp_path):
         assert is_unused(tmp_path)
-
-
-def test_a_torn_last_line_is_cut_off(tmp_path):
-    path = tmp_path / "record"
-    for content, kept in (("1\n2\n", "1\n2\n"), ("1\n2", "1\n"), ("1", ""), ("", "")):
-        path.write_text(content)
-        drop_torn_line(path)
-        assert path.read_text() == kept
-    drop_torn_line(tmp_path / "none")
 
 
 def test_a_name_that_is_no_utf_8_may_be_part_of_a_text(tmp_path):

@@ -1,8 +1,8 @@
 """Oracle: a planner on clones of the true world, as the limit of the task (model predictive control
 by sampling).
 
-Every half second each wheel is cloned (`soil_env.envs.cloning`) some dozens of times. Every
-clone drives a plan of its own to a horizon of several seconds, halts and ruts included: back away,
+Every half second each wheel is cloned (`cloning`) some dozens of times. Every clone
+drives a plan of its own to a horizon of several seconds, halts and ruts included: back away,
 ramp the rim speed up to a top speed, and later ramp to another speed. The wheel follows the plan
 with the best score: distance, less a penalty for sinkage. Plans are the present one, variations of
 it, soft starts with fixed settings, and random ones.
@@ -20,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.envs.cloning import clone
 from soil_env.envs.wheels import Simulation
 from soil_env.parameters import Scenario
 from soil_env.parameters.readings import IDLE, STEP
@@ -28,6 +27,7 @@ from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .base import Ramped
+from .cloning import clone
 
 EVERY = 0.5  # [s] between two plans
 HORIZON = 11.0  # [s] that a plan is driven ahead

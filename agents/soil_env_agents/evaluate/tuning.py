@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from soil_env._io.files import drop_torn_line
+from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, config_dir, read_yaml, to_dict
 from soil_env.parameters import Scenario, load_scenario, scenario_names
 from soil_env.terramechanics.model import WheelSoilModel
@@ -32,6 +32,19 @@ TRIALS = 40  # settings tried of each controller
 _TIE = 1e-4  # weight of the return beside the share of courses finished
 _COURSES_A_TRIAL = 5  # fewer courses cannot distinguish more settings
 _LOCKED = 5  # [s] after which the lock of a process that was killed is taken over
+
+
+def drop_torn_line(path: str | Path) -> None:
+    """Cut off the last line of a file with one entry a line, if a kill or a full disk tore it.
+
+    A torn line does not end with a line break. A missing file is left alone.
+    """
+    path = Path(path)
+    if path.is_file():
+        content = path.read_bytes()
+        whole = content[: content.rfind(b"\n") + 1]
+        if whole != content:
+            replace_file(path, whole)
 
 
 def trials_of(courses: int) -> int:

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from soil_env._io.loading import ParameterError
-from soil_env.envs.cloning import clone
 from soil_env.envs.wheels import Simulation
 from soil_env.parameters import load_scenario
 from soil_env.parameters.readings import STEP
 from soil_env.simulation.task import Cause
+from soil_env_agents.controllers.cloning import clone
 from tests.simulation.wheels import started
 
 WHEELS = 5

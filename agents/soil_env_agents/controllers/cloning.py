@@ -12,8 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-
-from .wheels import Simulation
+from soil_env.envs.wheels import Simulation
 
 #: Arrays of `Worlds` with all that is kept of a wheel; samples are written anew by every step.
 KEPT = ("state", "courses", "observation", "on_board")
