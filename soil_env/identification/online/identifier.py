@@ -38,7 +38,6 @@ from .memory import (
     PUBLISHED_LN_S,
     PUBLISHED_PHI,
     PULL,
-    SINKAGE,
     SINKAGE_ZERO,
     SOIL,
     TANGENT,
@@ -67,15 +66,16 @@ from .residuals import DEEPER, ground_of, residuals, weigh_unknowns
 HELD, MOVED, RENEWED = range(3)
 # Readings of a point on a border, own choice: fewer, since the ground changes from one to the next.
 READINGS_ON_BORDER = 5.0
-# Test for another soil by chi-squared of the forces (two degrees of freedom) and of the change of
-# sinkage (one) of each new point, under the soil so far (CUSUM, docs/physics/estimation.md): own
-# choices. Without the change of sinkage, a border to a soil that only bears otherwise is missed.
-EXPECTED = 1.5  # [-] taken off chi-squared for each degree of freedom; the rest is the excess
-ANOTHER_SOIL = 8.0  # [-] sum of excesses, never below 0, above which a border is assumed here
-OUTLIER = 0.5  # [-] excess above which a point is left out, until the sum decides
+# Test for another soil by chi-squared (two degrees of freedom) of the forces of each new point,
+# under the soil so far (CUSUM, docs/physics/estimation.md): own choices. With the change of sinkage
+# beside them a border to a soil that only bears otherwise is found sooner, but readings whose
+# sinkage follows the slip at once begin borders too.
+EXPECTED = 3.0  # [-] taken off chi-squared before it is summed; the sum is never below 0
+ANOTHER_SOIL = 8.0  # [-] sum above which a border is assumed here
+OUTLIER = 3.5  # [-] chi-squared above which a point is left out, until the sum decides
 SETTLED_POINTS = 3  # of a soil, before which no point is tested
 DOUBT = 1.3  # factor of the standard deviations while the last point is an outlier
-DOUBLED = 2.0**2  # factor of the variances of the laws' errors in that test: twice the errors
+DOUBLED = 2.0**2  # factor of the form error's variance in that test: twice the error
 FURTHER_ERROR = 4e-6  # [of load, squared] further variance of the laws in that test: 0.002 of load
 # Points of a soil up to which readings that contradict the laws show no missed border, own choice:
 # so soon behind a border it is the laws that they contradict.
@@ -100,41 +100,14 @@ DEEPEST = 2.0  # [radii] largest bearing sinkage that S is published at, own cho
 
 
 @compiled
-def _excess(memory, setting, work):
-    """Excess of chi-squared of the newest cell under the soil so far: that of pull and torque, and
-    that of the change of sinkage where there is one.
+def _surprise(memory, setting, work):
+    """Chi-squared of pull and torque of the newest cell under the soil so far.
 
-    The covariance is that of the residuals and that of the unknowns of the last fit. An old soil
-    behind a border counts as known.
+    Their covariance is that of the residuals, with a larger error of the laws, and that of the
+    unknowns of the last fit. An old soil behind a border counts as known.
     """
     cell = memory.cells[memory.cells_kept]
     e = residuals(cell, memory, setting, work)
-    excess = _of_forces(e, memory, work) - 2.0 * EXPECTED
-    if e.sinkage_weight > 0.0:
-        excess += _of_change(e, memory, work) - EXPECTED
-    return excess
-
-
-@compiled
-def _of_change(e, memory, work):
-    """Chi-squared of the change of sinkage of a cell with the residuals `e`, with a larger error of
-    the law.
-    """
-    size = ALL if memory.behind > 0 else HERE
-    of_sinkage = work.step
-    work.slopes[SINKAGE, HERE:size] = 0.0
-    solve_half(memory.factor, size, work.slopes[SINKAGE], of_sinkage)
-    variance = DOUBLED * e.sinkage_variance
-    for i in range(size):
-        variance += of_sinkage[i] * of_sinkage[i]
-    return e.sinkage**2 / variance
-
-
-@compiled
-def _of_forces(e, memory, work):
-    """Chi-squared of pull and torque of a cell with the residuals `e`, with a larger error of the
-    laws.
-    """
     J = work.slopes
     det = e.pull_weight * e.torque_weight - e.joint_weight**2
     error = (DOUBLED - 1.0) * memory.form_error**2 + FURTHER_ERROR
@@ -264,19 +237,19 @@ def _complete(memory, reading, alone, setting, work):
     memory.points += 1
     alone = alone and memory.crossing == 0.0
     contradicted = _contradicted(memory, setting)
-    excess = 0.0
+    surprise = 0.0
     if alone and not contradicted and memory.points >= SETTLED_POINTS:
-        excess = _excess(memory, setting, work)
-        if excess > OUTLIER:  # fitted to the end before a point is doubted
+        surprise = _surprise(memory, setting, work)
+        if surprise > OUTLIER:  # fitted to the end before a point is doubted
             renew(memory, setting, work)
-            excess = _excess(memory, setting, work)
-        memory.excess = max(memory.excess + excess, 0.0)
+            surprise = _surprise(memory, setting, work)
+        memory.excess = max(memory.excess + surprise - EXPECTED, 0.0)
     late = memory.settled > 0 and memory.points > FEW_POINTS and memory.cells_kept > 1
     missed = contradicted and late  # a border that the sum of excesses has not shown
     if alone and (missed or memory.excess > ANOTHER_SOIL):
         feel_border(memory, setting, work)
         return
-    if excess > OUTLIER:  # the next ones decide
+    if surprise > OUTLIER:  # the next ones decide
         for i in range(PUBLISHED):
             memory.sd[i] *= DOUBT / memory.widening
         memory.widening = DOUBT

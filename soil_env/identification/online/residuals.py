@@ -76,7 +76,6 @@ class Residuals(NamedTuple):
     joint_weight: float
     torque_weight: float
     sinkage_weight: float  # 0 where the cell shows no change of sinkage
-    sinkage_variance: float  # [m2], before it grows with the residual
 
 
 # Distance in `Residuals` from a residual to its weight, of rows from `SINKAGE` on.
@@ -224,14 +223,13 @@ def residuals(cell, memory, setting, work):
         slip + off + cell.slip_variance * (p_slip * (pp * p + pt * t) + t_slip * (pt * p + tt * t))
     )
     cell.most_likely_slip = min(max(likely, cell.slip - FARTHEST_SLIP), cell.slip + FARTHEST_SLIP)
-    s, variance = _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work)
-    weight = 0.0 if cell.changes == 0.0 else 1.0 / max(variance, (s / FARTHEST) ** 2)
-    return Residuals(p, t, s, pp, pt, tt, weight, variance)
+    s, weight = _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work)
+    return Residuals(p, t, s, pp, pt, tt, weight)
 
 
 @compiled
 def _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work):
-    """(residual [m] of the law of slip-sinkage, its variance); both 0 without a change of sinkage.
+    """(residual [m] of the law of slip-sinkage, its weight); both 0 without a change of sinkage.
 
     The law is z' - z = come (B z_b - A z) from point to point, with come = (1 - exp(-A))/A. A and B
     are integrals over the way, z_b is the bearing sinkage. Takes the forces at `sinkage` [m] from
@@ -272,7 +270,7 @@ def _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work):
     of_point = setting.white[0].sinkage ** 2 / READINGS
     variance = (1.0 + (1.0 - come * a) ** 2) * of_point / cell.changes
     variance += (law * come * a * bearing) ** 2 + place * place
-    return residual, variance
+    return residual, 1.0 / max(variance, (residual / FARTHEST) ** 2)
 
 
 # [of weight] standard deviation of the load where no sensor measures it, own choice
