@@ -232,7 +232,8 @@ _decorating = threading.Lock()  # held while numba's setting of the cache folder
 def _compiled(function: Callable[..., Any], place: Path | None) -> Any:
     """Numba's dispatcher of a function, with its cache in the folder `place`; None: kept nowhere.
 
-    With NUMBA_DISABLE_JIT it is the function itself, without compiled versions.
+    With NUMBA_DISABLE_JIT it is the Python function, with numpy's warnings off; its `overloads` are
+    empty, since `Kept` counts them.
     """
     if not COMPILED:
         interpreted: Any = np.errstate(all="ignore")(function)  # divides without a warning, too

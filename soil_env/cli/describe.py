@@ -49,7 +49,8 @@ def keys_of(cls: type, above: str = "") -> Iterator[str]:
     it.
 
     `above`: path of keys before a name, with its dot. A `Prior` has no lines of its own: its key
-    shows the range of the number in `Soil`.
+    shows unit and range of the number of that name in `Soil`. Only `tilt_deg` of a setup is none of
+    those, and is in degrees.
     """
     hints = typing.get_type_hints(cls)
     within: list[tuple[str, type]] = []

@@ -64,7 +64,9 @@ def fit_curve(slip: np.ndarray, load: np.ndarray, y: np.ndarray, sd: np.ndarray 
     sd = np.broadcast_to(sd, y.shape)
 
     def fitted(scale: float, powers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(amplitudes, whitened residual [N])."""
+        """(least-squares amplitudes, (curve - y)/sd of each row) at a scale of the slip and these
+        powers.
+        """
         basis = _basis(slip, x, scale, powers, braked) / sd[:, None]
         found = np.linalg.lstsq(basis, y / sd, rcond=1e-8)[0]
         return found, basis @ found - y / sd

@@ -126,12 +126,13 @@ class Outlook(NamedTuple):
     left_out: tuple[LeftOut, ...]
 
 
-def carried(problem: Problem) -> Choices:
-    """Effects that go into the prediction, each in the forms of `FORMS` together, or else in its
-    first form.
+def effects_to_fit(problem: Problem) -> Choices:
+    """Effects that the prediction fits together.
 
-    They are those that the search tries, but for `LEFT_OUT` and for effects of a condition that
-    does not vary by itself. Where the load varies, soil that goes with it is among them.
+    They are the candidates of the search, less `LEFT_OUT` and effects whose condition does not vary
+    by itself. An effect of `FORMS` has the forms named there, any other its first form; a form that
+    needs a speed is left out where a row has none. Where the load varies by itself, friction and K
+    that change with the load (`OF_LOAD`) are among them.
     """
     out = []
     varied = independent(problem)
@@ -369,7 +370,7 @@ def fit_prediction(
         law = Law(problem, near.law.choices)
         law.derivatives.know(near.u, near.jacobian[problem.used[near.problem.used]])
         return _fitted(law, near.u, near.learnt)
-    law = Law(problem, carried(problem) if choices is None else choices)
+    law = Law(problem, effects_to_fit(problem) if choices is None else choices)
     low, high = law.bounds
     # Off the bounds: a start on a bound would stay there.
     u = np.clip(np.zeros(low.size), low + OFF_BOUND, high - OFF_BOUND)

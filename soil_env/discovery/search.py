@@ -258,8 +258,9 @@ class Finding:
         return sum(d.power for d in self.detectable.values()) <= NAMED * len(self.detectable)
 
     def alternatives(self, name: str) -> Names:
-        """Effects that are not stated, and are missing without the stated effect `name` with a
-        probability of `REPORTED` or more, the most probable first.
+        """Rivals of the stated effect `name`, the most probable first: effects that are not stated,
+        and that the model lacks while it does not lack `name`, with a probability of `REPORTED` or
+        more.
         """
         return _reported(
             {n: self.share(n, without=(name,)) for n in self.tried if n not in self.names}

@@ -115,6 +115,10 @@ class _Doubts:
     def _place(self, name: str) -> str:
         return f"{name} ({self.map.channels[name].place})"
 
+    def _is_sensed(self, name: str) -> bool:
+        """False for a constant of the map."""
+        return self.map.channels[name].constant is None
+
     def _doubt(self, name: str, said: str, expected: str, reason: str) -> None:
         """Add the line of a doubt on the reading `name`."""
         self.lines.append(
@@ -166,7 +170,9 @@ class _Doubts:
         low, high = _RIM
         free, freer = _FREEST
         if over < low or not free <= freest <= freer or (over > high and not known):
-            over = over if over < low or not known else freest
+            if over >= low and known:
+                over = freest
+                low, high = _FREEST
             least = max(over, _LEAST_DIVISOR)
             limits = {
                 "wheel_speed": (_HELD / least, _SPUN / least),
@@ -264,7 +270,7 @@ class _Doubts:
         """
         for name in ("wheel_speed", "speed", "sinkage", "drawbar_pull", "torque", "motor_torque"):
             values = self._driven(self.log.get(name))
-            if values.size >= _LEAST and np.ptp(values) == 0.0:
+            if values.size >= _LEAST and np.ptp(values) == 0.0 and self._is_sensed(name):
                 unit = si_unit(name)
                 said = f"{values[0]:.3g} {unit} in all {values.size} steps that drive"
                 reason = "a stuck sensor, or a command"

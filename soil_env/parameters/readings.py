@@ -31,7 +31,8 @@ class Image(NamedTuple):
     left: float  # [m] from the wheel to its end
     here: float  # label of the ground under the wheel
     seen: float  # 1 if the patch ahead is within `camera.sight`, else 0
-    chosen: float  # 1 if it has one route, or the wheel has come too near to choose, else 0
+    # 1 if it has one route or the wheel has reached the halt before it, where it chooses; else 0
+    chosen: float
     lines: float  # number of routes over the patch ahead, 1 or 2
     taken: float  # route over it that the wheel heads for: 0 straight on, 1 beside
     label_0: float  # label of the ground on route 0

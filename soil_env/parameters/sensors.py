@@ -155,7 +155,8 @@ class Sensor(NamedTuple):
     of_body: bool = False  # a rover has one, and not one for each axle
     #: (quantile, least, most): where the vehicle of a log drives, this quantile of |reading| over
     #: the size in `observed` is usually between the two, else the log is doubted. A quantile, since
-    #: a force may be small for a while; None: not compared.
+    #: a force may be small for a while; None: not compared. A size by the motor is huge where a map
+    #: tells none: its least is 0.
     usual: tuple[float, float, float] | None = None
 
 

@@ -25,7 +25,7 @@ class Limits(Checked):
 
 @dataclass(frozen=True)
 class RewardWeights(Checked):
-    """Weights of the reward terms (see `task.reward_terms`)."""
+    """Weights of the reward terms (`task.rules.judge_period`)."""
 
     progress: float = quantity("per course", 0.0, 1e4, default=10.0)
     energy: float = quantity("per weight x course length", 0.0, 1e4, default=1.0)

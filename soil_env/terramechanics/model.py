@@ -74,9 +74,11 @@ class ModelWheel(Checked, OnTyre):
 
     @classmethod
     def of(cls, wheel: object) -> "ModelWheel":
-        """The sizes of any wheel that has a radius and a width, as of a scenario or a setup.
+        """`ModelWheel` with sizes, tyre and grip of any wheel, as of a scenario or a setup. A
+        `ModelWheel` is returned as it is.
 
-        What else it lacks counts as none: no lugs, no tyre, no limit of grip.
+        Raises `ParameterError` without a radius or a width. What else it lacks counts as none: no
+        lugs, no tyre, no limit of grip.
         """
         if isinstance(wheel, cls):
             return wheel

@@ -268,18 +268,22 @@ def _balance(slip, load, soil, wheel, conditions, fx):
 
 @compiled
 def _integrals(nodes, arc, p, fx):
-    """`ArcIntegrals` of an `Arc` at the motion of a `_Balance` p, soil carried along included."""
-    stress = lay_nodes(nodes, arc, p.soil.sinkage_exponent)
+    """`ArcIntegrals` of an `Arc` at the motion of a `_Balance` p; overwrites the scratch `nodes`.
+
+    Soil that is carried along adds to the rim speed. An arc in which the shear displacement then
+    changes its sign is split there.
+    """
+    normal = lay_nodes(nodes, arc, p.soil.sinkage_exponent)
     rim = p.rim
     flows = p.carried > 0.0
     if flows:
         rim += held_below(p.carried, most_carried(arc))[0] * p.travel
     motion = (rim, p.travel)
     modulus = grown_modulus(p.soil.shear_modulus, p.soil, arc)
-    if fx is None:
-        return shear_integrals(nodes, stress, motion, modulus, None, flows)
+    if fx is None:  # a literal None, with which numba leaves out other laws
+        return shear_integrals(nodes, normal, motion, modulus, None, flows)
     else:
-        return shear_integrals(nodes, stress, motion, modulus, p.law, flows)
+        return shear_integrals(nodes, normal, motion, modulus, p.law, flows)
 
 
 @inlined

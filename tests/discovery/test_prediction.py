@@ -10,8 +10,8 @@ from soil_env.discovery.calibrate import calibrate
 from soil_env.discovery.curve import fit_curve
 from soil_env.discovery.prediction import (
     WIDER,
-    carried,
     curve_at,
+    effects_to_fit,
     fit_prediction,
     independent,
     outlook,
@@ -132,7 +132,7 @@ def test_what_follows_from_slip_is_no_condition_of_its_own(tmp_path):
     problem = problem_of(tmp_path, text)
     assert list(problem.data.varied) == independent(problem) == ["slip", "load"]
     assert "penetration_rate" in candidates(problem)[1]
-    assert not {"penetration_rate", "shear_rate"} & {c.effect for c in carried(problem)}
+    assert not {"penetration_rate", "shear_rate"} & {c.effect for c in effects_to_fit(problem)}
     rows = problem.data.rows
     assert curve_at(problem, {"slip": rows.slip, "load": rows.load}) is not None
 

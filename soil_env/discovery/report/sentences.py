@@ -109,8 +109,8 @@ def sure(p: float) -> str:
     )
 
 
-def listed(names: Iterable[str], last: str = "and") -> str:
-    """Names with commas between them, and the word `last` before the last one."""
+def joined(names: Iterable[str], last: str = "and") -> str:
+    """Names, at least one, with commas between them and the word `last` before the last one."""
     *first, final = names
     return f"{', '.join(first)} {last} {final}" if first else final
 
@@ -138,7 +138,7 @@ def disagreement(report: Report, d: Disagreement) -> str:
     varied = report.problem.data.varied
     parts = [_limit(name, limits, varied[name].value) for name, limits in d.region.items()]
     others = [CONDITIONS[name][0] for name in varied if name not in d.region]
-    parts += [f"every {listed(others)}"] if others else []
+    parts += [f"every {joined(others)}"] if others else []
     return (
         f"measured {TITLES[d.channel]} is on average {amount(d.channel, abs(d.size))} "
         f"{_MORE[d.channel][d.size < 0.0]} than the model's ({abs(d.size_sd):.1f} times the noise) "
@@ -219,7 +219,7 @@ def _place(point: Mapping[str, float]) -> str:
         if name in point and point[name] != usual.get(name)
     ]
     slip = f"slip {point['slip']:.2g}"
-    return f"{slip} at {listed(parts)}" if parts else slip
+    return f"{slip} at {joined(parts)}" if parts else slip
 
 
 def summary(report: Report) -> str:
@@ -277,7 +277,7 @@ def simulated(report: Report) -> str:
         else:
             other = "" if e.form in held else f", not {_quoted(e.form)} as stated here"
             forms = "form" if len(held) == 1 else "forms"
-            what = f"the {forms} {listed(map(_quoted, held))}{other}, shrunk to published sizes, "
+            what = f"the {forms} {joined(map(_quoted, held))}{other}, shrunk to published sizes, "
             what += "and a table of what is left"
         said.append(f"Of {title(e.name)} model.yaml simulates {what}.")
     return " ".join(said)
@@ -383,7 +383,7 @@ def rises(report: Report) -> list[str]:
 
 def added(report: Report) -> str:
     """Names of the named effects."""
-    return listed(title(e.name) for e in report.effects)
+    return joined(title(e.name) for e in report.effects)
 
 
 def if_laws_err(report: Report) -> str:
@@ -393,7 +393,7 @@ def if_laws_err(report: Report) -> str:
     ranks = [r for r in report.finding.ranking if r.probability >= MENTIONED][:3]
     if not ranks:
         return ""
-    said = listed(f"{title(r.name)} ({sure(r.probability)})" for r in ranks)
+    said = joined(f"{title(r.name)} ({sure(r.probability)})" for r in ranks)
     first = max(report.finding.ranking, key=lambda r: r.if_laws_err[-1])
     most = f"{title(first.name)} has {percent(first.if_laws_err[-1])}"
     if first.if_laws_err[-1] < NAMED:
@@ -437,7 +437,7 @@ def _to_predict(report: Report) -> str:
 
 def _level(conditions: tuple[str, ...]) -> str:
     """Level of a condition, or a combination of several, in words."""
-    names = listed(CONDITIONS[name][0] for name in conditions)
+    names = joined(CONDITIONS[name][0] for name in conditions)
     return f"a {names}" if len(conditions) == 1 else f"a combination of {names}"
 
 

@@ -20,7 +20,7 @@ from .sentences import (
     amount,
     figures,
     fixed,
-    listed,
+    joined,
     not_tiny,
     percent,
     times,
@@ -82,7 +82,7 @@ def left_out(report: Report) -> Table:
     for way in report.outlook.left_out:
         for name, errors in way.errors.items():
             cells = ("-" if math.isnan(x) else amount(name, x, 3) for x in errors)
-            rows.append((listed(CONDITIONS[n][0] for n in way.what), TITLES[name], *cells))
+            rows.append((joined(CONDITIONS[n][0] for n in way.what), TITLES[name], *cells))
     head = ("left out", "channel", "base model", "corrected", "plain curve", "noise")
     return Table(head, rows)
 

@@ -79,7 +79,7 @@ class View(NamedTuple):
     here_margin: float
     here_met: float
     ahead_seen: float  # 1 if the patch ahead is in sight
-    line_chosen: float  # 1 if there is no choice any more
+    line_chosen: float  # `Image.chosen`; 0 of a patch out of sight
     grade_change: float  # of the sine
     line_margin: float
     line_met: float

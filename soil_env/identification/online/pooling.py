@@ -114,7 +114,8 @@ def hand_over_border(front, memory, behind, setting, work):
 @compiled
 def _disagreement(memory, other, s, work):
     """Chi-squared, over its degrees of freedom, of the difference between what a wheel knows of the
-    shared unknowns and what `other` has kept of its soil in place s.
+    shared unknowns and what `other` has kept of the soil in place s of its ring of `SOILS`.
+    Overwrites scratch in `work`.
     """
     for i in range(SHARED):
         work.gradient[i] = other.shared[s, i] - memory.soil[i]

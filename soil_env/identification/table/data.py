@@ -194,9 +194,8 @@ def _one_to_one(a: Factor, b: Factor) -> bool:
 
 
 def _follows(factor: Factor, others: Mapping[str, Factor]) -> bool:
-    """True if a factor is known from the others but for `OWN` of its sd.
-
-    It is fitted by a sum of functions, one of the levels of each other factor (least squares).
+    """True if the other factors leave less than `OWN` of the sd of a factor unexplained, by least
+    squares with a free value for each level of each other factor.
     """
     value = factor.scaled
     constant = np.ones((value.size, 1))

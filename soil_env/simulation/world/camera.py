@@ -84,7 +84,7 @@ def seen_grade(course, p, route):
 
 @compiled
 def take_image(image, wheel, course, sight, camera):
-    """Fill the `IMAGE` of a wheel, for what identifies the ground on board.
+    """Fill the `IMAGE` of a wheel, which identifier and observation read.
 
     Without a patch ahead in sight, `seen` is 0 and what follows it is of patch 0 and means nothing.
     """

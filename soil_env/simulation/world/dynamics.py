@@ -206,14 +206,19 @@ def move(wheel, end, stage, ground, drive, rig):
 
 @inlined
 def stand(wheel, stage, ahead, load, world):
-    """`Stand` of a wheel on the ground `Ahead` in a stage; a `load` [N] deflects its tyre and
-    bounds its grip.
+    """Stand a wheel on the ground `Ahead` for a stage: return its `Stand`, and lay the nodes of its
+    arc into `world.nodes`.
+
+    The contact bears the weight normal to the grade. `load` [N] only deflects the tyre and bounds
+    the grip; a rover passes that of its last stage. The sinkage is that foreseen for the end of the
+    stage, slip and extra forces are those at its beginning.
     """
     rig = world.rig
     sine, cosine = sin_cos(ahead.grade)
     weight = rig.gravity * wheel.mass
     sinkage = foreseen_sinkage(wheel, stage.duration)
     rim = rig.radius * wheel.wheel_speed
+    # braking that the piled soil answers to; 0 where the pile lies behind
     piled = max(wheel.braked * smoothed_sign(wheel.speed, REST_SPEED)[0], 0.0)
     standing = Standing(sinkage, wheel.speed, rim, weight, sine, ahead.passes, piled, load)
     soil, arc, extra = ground_under(standing, ahead.soil, rig, world.acting)

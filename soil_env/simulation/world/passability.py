@@ -142,9 +142,14 @@ def capacity(load, soil, numbers, nodes):
     """Best steady drawbar pull [of `load`] of this wheel on level, fresh ground within the stall
     torque; `load` in N.
 
-    `IMPASSABLE` where the wheel sinks deeper than `SAFE_SINKAGE` allows, at rest or at that pull,
-    or where a residual law takes more torque than there is. Where strength depends on speed, it is
-    the lesser one of starting (speed 0) and of driving (`spec.speed`).
+    The point of best pull is found without a residual law, whose pull there is added. Where
+    strength depends on speed, it is the lesser one of starting (speed 0) and of driving
+    (`spec.speed`). `IMPASSABLE`:
+
+    - where the soil does not carry the wheel at rest;
+    - where it sinks deeper than `SAFE_SINKAGE` allows, at rest or at that point;
+    - where no slip is possible within the stall torque;
+    - where the residual law takes more torque than is left.
     """
     spec = numbers.drawn.spec
     rig = numbers.rig
@@ -165,7 +170,7 @@ def capacity(load, soil, numbers, nodes):
         least = min(least, best.drawbar_pull / load + pull)
         if not depends_on_speed(effects):
             break
-    return max(least, IMPASSABLE)  # -inf where the motor can turn the wheel at no slip
+    return max(least, IMPASSABLE)  # -inf where no slip is possible within the torque
 
 
 @compiled

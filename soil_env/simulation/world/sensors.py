@@ -21,7 +21,7 @@ NAMES = SensorReading._fields
 READING = record(*NAMES)
 #: Errors of the sensors: standard deviations of white noise, zeros and gains.
 SENSOR_NOISE = record(
-    "slow",  # [m/s] that slip of the two speeds is relative to at least
+    "slow",  # [m/s] least speed that a slip from the two speeds is divided by
     white=(READING, 1),
     zero=(READING, 1),
     gain=(READING, 1),
@@ -65,7 +65,9 @@ def sensor_errors(model: WheelSoilModel | None) -> SensorErrors:
 
 
 def sensors_of(scenario: Scenario) -> np.ndarray:
-    """Pack the errors of the sensors of a scenario, `SENSOR_NOISE` [1]."""
+    """Pack the standard deviations of the errors of a scenario's sensors, and `slow`, as
+    `SENSOR_NOISE` [1].
+    """
     sensors = np.zeros(1, SENSOR_NOISE)
     for name, sd in zip(("white", "zero", "gain"), reading_errors(scenario), strict=True):
         sensors[name] = sd.view(READING)

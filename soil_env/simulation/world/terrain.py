@@ -247,7 +247,9 @@ PLACE = record("grade", *SoilState._fields, patch=("i8",))
 
 @kept
 def _sample(courses, k, x, border, places):
-    """Fill the `PLACE` [n] of course k at x [n]."""
+    """Fill `places` (`PLACE` [n]) with patch, soil and grade of the undisturbed ground of course k
+    at x [n], in m; `border` [m] as in `soil_on`.
+    """
     course = courses[k]
     for i in range(x.size):
         place = places[i]

@@ -53,7 +53,9 @@ def shear_length_ratio(fx):
 
 
 def _priors(bench: Bench) -> Priors:
-    """Priors of sharpness and onset, the latter in proportion to the wheel radius; own choice."""
+    """(standard deviation, low, high) of sharpness and onset, about their neutral values; own
+    choice. The onset scales with the wheel radius.
+    """
     return {
         "sharpness": (4.0, 1.0, 30.0),  # below 1 the law has no peak
         "onset": (0.15 * bench.radius, 0.0, 2.0 * bench.radius),
