@@ -76,6 +76,7 @@ def begin_border(memory, setting, work, place, variance):
     memory.u[PLACE] = place
     memory.u[OLD:] = memory.soil
     memory.old_mean[:] = memory.soil
+    memory.old_form_error = memory.form_error
     work.normal[:SOIL, :SOIL] = OLD_DOUBT * memory.spread
     invert_whole(work.normal, SOIL, work, memory.old_precision)
     begin_soil(memory, setting, work)

@@ -319,7 +319,8 @@ def observe(memories, k, reading, alone, setting, work):
         if memory.place > memory.border + 0.5 * setting.border:
             memory.crossing = 0.0
             # what it grew on the border is of the blend of two soils, not of the laws
-            memory.form_error = min(memory.form_error, LARGE_FORM_ERROR * setting.model_error)
+            most = max(memory.old_form_error, LARGE_FORM_ERROR * setting.model_error)
+            memory.form_error = min(memory.form_error, most)
             take_fresh(memory)
     return outcome
 

@@ -163,6 +163,7 @@ MEMORY = record(
     "border",  # [m] its middle: by a camera, by the forces, or by another wheel
     "border_variance",
     "form_error",  # [of load] of the laws
+    "old_form_error",  # [of load] the same before the last border
     "misfit",  # chi-squared of the forces over the number of their residuals
     "law_misfit",  # the same of the law of sinkage
     "compaction",  # of the floor of the rut under the wheel: ln S_N/S over n + 1/2
