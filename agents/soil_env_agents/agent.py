@@ -38,8 +38,8 @@ from soil_env.simulation.task import ObservedNumber, check_version, layout
 from soil_env.simulation.task.scaling import Scaling
 
 from . import inputs
+from .archives import check_unpacked
 from .config import NAMES, PPOConfig
-from .default_policy import check_unpacked
 from .history import History, columns_of_routes
 
 # Members of the zip.

@@ -5,9 +5,7 @@ and how it was made.
 """
 
 import json
-import zipfile
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
@@ -16,6 +14,7 @@ from soil_env.parameters import RoverScenario, Scenario, load_scenario
 from soil_env.simulation.task import check_version, layout
 
 from . import common_layout, inputs
+from .archives import check_unpacked
 from .history import History, columns_of_routes
 
 WEIGHTS = Path(__file__).with_name("default_policy.npz")
@@ -28,16 +27,6 @@ _EXPECTED = (
     f"expected an .npz of {__package__}.generalist; the shipped one comes again with an "
     "installation"
 )
-
-
-def check_unpacked(archive: str | Path | BinaryIO, most: int) -> None:
-    """Raise ValueError for a zip whose members unpack to more than `most` bytes together, by its
-    directory, and zipfile's errors for a file that is no zip.
-    """
-    with zipfile.ZipFile(archive) as members:
-        size = sum(member.file_size for member in members.infolist())
-    if size > most:
-        raise ValueError(f"unpacks to {size} bytes: expected at most {most}")
 
 
 class DefaultPolicy(inputs.Observing):
