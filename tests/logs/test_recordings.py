@@ -59,7 +59,7 @@ def test_the_identifier_on_the_bag_gives_what_it_gave_online(drives, storage):
         "sinkage_coefficient",
         "friction_angle_sd_deg",
     ):
-        assert found.values[name] == pytest.approx([e[name] for e in online], rel=1e-4)
+        assert found.values[name] == pytest.approx([e[name] for e in online], rel=2e-4)
     assert [s for s in found.status] == [type(found.prior.status)[e["status"]] for e in online]
     learnt = found.learnt(current=True)
     assert learnt["friction_angle_deg"] < 0.6 and learnt["shear_modulus"] < 0.3
