@@ -164,7 +164,7 @@ class Vehicles:
                 raise ParameterError(
                     f"scenario {self.scenario.name!r}: no soil leaves this {self._vehicle} a "
                     f"drawbar pull of course.least_pull = {self.scenario.course.least_pull:g} of "
-                    "its weight; expected firmer soils, more stall torque or less"
+                    "its weight; expected firmer soils, more stall torque or a lower least_pull"
                 )
 
     def seed(self, k: int, rng: np.random.Generator) -> None:
