@@ -53,13 +53,13 @@ def test_the_identifier_on_the_bag_gives_what_it_gave_online(drives, storage):
     """
     folder, log_map, online = drives
     found = replay(read_recording(folder / storage, log_map), log_map)
-    for name in (
-        "friction_angle_deg",
-        "shear_modulus",
-        "sinkage_coefficient",
-        "friction_angle_sd_deg",
+    for name, near in (
+        ("friction_angle_deg", 2e-4),
+        ("shear_modulus", 2e-4),
+        ("sinkage_coefficient", 2e-4),
+        ("friction_angle_sd_deg", 1e-3),
     ):
-        assert found.values[name] == pytest.approx([e[name] for e in online], rel=2e-4)
+        assert found.values[name] == pytest.approx([e[name] for e in online], rel=near)
     assert [s for s in found.status] == [type(found.prior.status)[e["status"]] for e in online]
     learnt = found.learnt(current=True)
     assert learnt["friction_angle_deg"] < 0.6 and learnt["shear_modulus"] < 0.3
