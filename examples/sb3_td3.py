@@ -4,9 +4,9 @@
 
 With 60,000 steps, seed 0, in five minutes on one core:
 
-    60000 steps: return 5.39, 70 % of 100 finished
+    60000 steps: return 6.47, 77 % of 100 finished
 
-That is to drive; whether to choose a route, 100 courses do not say for sure. The wrapper
+Rules that know nothing of the soil finish 61 % at most, so it chooses routes. The wrapper
 `LineAction` gives the choice a number of its own, and `n_steps` lets the critic see its outcome:
 docs/guide/training.md. A later start, weight decay, and noise on the route as wide as its range
 keep the actor from saturating.
