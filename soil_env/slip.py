@@ -112,7 +112,8 @@ def sliding_speeds(travel_speed: np.ndarray, slip: np.ndarray) -> np.ndarray:
 def sliding_speed(slip, travel_speed):
     """|r w - V| [m/s] of a wheel that travels at V >= 0 [m/s] with a slip in [-1, 1].
 
-    The rim speed is V/(1 - slip) when driving; `LEAST_TRAVEL_RATIO` bounds it near a slip of 1.
+    The rim speed is V/(1 - slip) when driving; `LEAST_TRAVEL_RATIO` bounds it near a slip of 1. At
+    V = 0 it is 0, also of a wheel that spins: the slip does not tell its rim speed.
     """
     slide = travel_speed * abs(slip)
     return slide if slip < 0.0 else slide / max(1.0 - slip, LEAST_TRAVEL_RATIO)

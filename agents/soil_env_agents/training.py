@@ -95,6 +95,9 @@ def make_run_folder(config: TrainConfig, scenario: Scenario | RoverScenario) -> 
     folder = Path(config.runs) / name
     try:
         check_outputs(config.runs)
+    except OSError as error:
+        raise ParameterError(f"runs = {config.runs!r}: {error.filename} {error.strerror}") from None
+    try:
         folder.mkdir(parents=True)
         for file, content in (("config", config), ("scenario", scenario)):
             text = yaml.safe_dump(to_dict(content), sort_keys=False)
@@ -104,8 +107,6 @@ def make_run_folder(config: TrainConfig, scenario: Scenario | RoverScenario) -> 
         raise ParameterError(
             f"{folder}: exists; give another --name, or --resume {folder}"
         ) from None
-    except NotADirectoryError as error:
-        raise ParameterError(f"runs = {config.runs!r}: {error.filename} {error.strerror}") from None
     except OSError as error:
         raise ParameterError(f"{folder}: cannot be written ({error.strerror})") from None
     return folder

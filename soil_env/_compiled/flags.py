@@ -21,18 +21,18 @@ from typing import Any
 import numpy as np
 from numba import literal_unroll, njit
 
-_EXACT: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz"}}
+# No function is handed on as a value, so none needs the wrapper that numba makes for that.
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
+_EXACT: dict[str, Any] = {"fastmath": {"contract", "nsz"}, **_OPTIONS}
 #: Sums keep their order; a product and a sum may be fused, so that results differ between machines
 #: by rounding only.
 compiled: Any = njit(**_EXACT)
 #: As `compiled`, for functions that never meet NaN or infinity: a minimum is then one instruction
 #: and not a branch.
-compiled_finite: Any = njit(error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf"})
+compiled_finite: Any = njit(fastmath={"contract", "nsz", "nnan", "ninf"}, **_OPTIONS)
 #: Loops that sum: LLVM may change the order of a sum, without which it vectorises none. They are
 #: put into their callers.
-compiled_sums: Any = njit(
-    error_model="numpy", fastmath={"contract", "nsz", "reassoc"}, forceinline=True
-)
+compiled_sums: Any = njit(fastmath={"contract", "nsz", "reassoc"}, forceinline=True, **_OPTIONS)
 #: Put into the caller, whose other options then hold.
 inlined: Any = njit(**_EXACT, inline="always")
 
@@ -60,9 +60,11 @@ def record(*numbers: str, **others: tuple[Any, ...]) -> np.dtype[Any]:
 
 @compiled
 def put_fields(row, values, names):
-    """Write the fields `names`, a constant, of a named tuple or a record into the record `row`."""
+    """Write a tuple of numbers into the fields `names`, a constant, of the record `row`."""
+    k = 0
     for name in literal_unroll(names):
-        row[name] = getattr(values, name)
+        row[name] = values[k]
+        k += 1
 
 
 def by_name(one: np.record) -> dict[str, Any]:

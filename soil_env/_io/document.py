@@ -98,7 +98,7 @@ def _markdown_row(cells: Sequence[object]) -> str:
 
 def html_page(title: str, body: str | Sequence[str], style: str = "") -> str:
     """A self-contained HTML page: `body` is HTML, in one or several parts, and `style` CSS after
-    that of all pages.
+    that of all pages. Both are put in as they are; `title` is escaped.
     """
     return render(
         "page.html", title=title, body=[body] if isinstance(body, str) else body, style=style

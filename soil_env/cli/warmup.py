@@ -101,7 +101,8 @@ def _rovers() -> None:
 def _identifier() -> None:
     """Compile the identifier by itself, then the drives that run it.
 
-    The drives come last, since they need what other processes compile meanwhile.
+    The drives come last, since they need what other processes compile meanwhile. "two_lines" has
+    terrain classes; the readings are any plausible ones.
     """
     image = Image(*(0.0,) * len(Image._fields))
     Observer(load_scenario("two_lines")).observe(Readings(2.0, 0.25), image=image)

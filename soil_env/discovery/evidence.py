@@ -523,14 +523,15 @@ def anonymous_grid(
     return Grid(sizes, log_prior, errors, table, 2 + len(fit.law) + len(first))
 
 
-def resembling(problem: Problem, plain: Evidence) -> Evidence:
-    """Evidence of an anonymous law with the same freedom as the effects of a fitted model.
+def in_place_of_effects(problem: Problem, plain: Evidence) -> Evidence:
+    """Evidence that an unlisted law, and not the effects of `plain`, made what they explain.
 
-    The law moves the same channels under the same conditions by about as much as these effects. Its
-    form error is of `ALIKE_SIZES`, nearly as large as what they add: a shape that no published form
-    has.
+    The effects stay in the fit as a stand-in for that law, with a form error of `ALIKE_SIZES`, each
+    as probable: 60 or 100 % of what they add. So the law moves the same channels by about as much,
+    in a shape that no published form has. `plain` has at least one effect.
     """
     usual = plain_grid(plain.fit)
+    # one row for each size and length of the errors of the laws, with the error of the effects new
     rows = [k for k, s in enumerate(usual.sizes) if s.effect == EFFECT_SIZES[0]]
     sizes = [usual.sizes[k]._replace(effect=x) for x in ALIKE_SIZES for k in rows]
     table = np.array([(s.rig, s.effect, *s.law_sizes) for s in sizes])

@@ -26,9 +26,9 @@ from .evidence import (
     Evidence,
     anonymous,
     detectable,
+    in_place_of_effects,
     log_sum,
     promised,
-    resembling,
     settle,
 )
 from .instrument import INSTRUMENT, LISTED, Choice, Choices, Names, exact, odds
@@ -46,7 +46,7 @@ UNLISTED_ODDS = 0.05
 #: Prior odds of each anonymous law of few numbers (`unnamed`), half of those of a listed effect.
 UNNAMED_ODDS = 0.03
 #: Odds, for each effect of a set, that what moves its channels under its conditions is not it, but
-#: resembles it (`evidence.resembling`).
+#: resembles it (`evidence.in_place_of_effects`).
 ALIKE = 0.17
 #: Log evidences are divided by this. The form errors have assumed shapes and lengths, which no soil
 #: keeps to, so that evidence is less certain than it says (generalised Bayes: Grunwald & van Ommen
@@ -404,7 +404,7 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
     for s in order:
         if not s or any(LISTED[n].any_form for n in s):
             continue  # an effect that is named in any form: what resembles it has its name
-        alike = resembling(problem, sets.best(s))
+        alike = in_place_of_effects(problem, sets.best(s))
         entries.append(((), s, True, alike, alike.log, prior(s) + len(s) * math.log(ALIKE)))
     say("with a law that no catalogue lists")
     entries += _unnamed(

@@ -197,7 +197,7 @@ class Vehicles:
         self._all(np.ascontiguousarray(orders, np.int8))
 
     def restart_where(self, which: np.ndarray) -> None:
-        """Restart the vehicles with `which` True."""
+        """Restart the vehicles with `which` [vehicles] True; the others stay as they are."""
         if np.any(which):
             self._clear(which)
             self._all(np.where(which, RESTART, IDLE))

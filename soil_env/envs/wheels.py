@@ -9,7 +9,7 @@ from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout, truth
 from soil_env.simulation.task.layout import bounds_of
 from soil_env.simulation.wheels import (
-    Options,
+    Additions,
     WheelNumbers,
     lay_wheels,
     new_setting,
@@ -46,7 +46,7 @@ class Simulation(Vehicles):
         chunks = -(-wheels // self._chunk)
         samples = (wheels, scenario.control.action_periods) if identifies else (chunks, 1)
         worlds = new_wheel_worlds(wheels, scenario, self.numbers, samples)
-        self._options = Options(self.numbers.acting, self.numbers.errors)
+        self._added = Additions(self.numbers.acting, self.numbers.errors)
         settings = [new_setting(self.numbers, identifies, chunk) for chunk in range(chunks)]
         drawn = course_numbers(scenario, model)
         courses = (drawn, float(drawn.drawn.spec.ahead))
@@ -71,7 +71,7 @@ class Simulation(Vehicles):
             self._order[first] = orders[first]
         else:
             self._order[first:end] = orders[first:end]
-        self._step(*self._world, scratch, self._options, (first, end))
+        self._step(*self._world, scratch, self._added, (first, end))
 
     def wheel(self, k: int) -> dict[str, float]:
         """State of wheel k by name, as it is now."""

@@ -445,7 +445,7 @@ def _has_fields(value: Any) -> bool:
 
 
 def _wrong(message: Any, said: str) -> ValueError:
-    """Return the error for a message that lacks what the map names.
+    """Return the error for a message that lacks a field that the user's `LogMap` names.
 
     `ParameterError` for CDR, where all messages of a type have the same fields, so that the map is
     wrong; `Unlike` for JSON, where the next message may have them.

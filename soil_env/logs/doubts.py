@@ -278,6 +278,6 @@ class _Doubts:
 
 
 def _median(values: np.ndarray) -> float:
-    """Median without NaN; 0 of nothing."""
+    """Median without NaN; 0 of nothing, which nothing is doubted by."""
     known = values[~np.isnan(values)]
     return float(np.median(known)) if known.size else 0.0

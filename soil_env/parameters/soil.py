@@ -137,7 +137,7 @@ class Soil(Checked):
         return math.tan(math.radians(self.friction_angle_deg))
 
     def lumped(self, width: float) -> float:
-        """S [N/m^(n+2)] for a wheel of width b [m], by `lumped_coefficient` of the moduli."""
+        """S [N/m^(n+2)] under a wheel of width b [m]: by the moduli, or as given for any width."""
         if self.sinkage_coefficient is not None:
             return self.sinkage_coefficient
         assert self.k_c is not None and self.k_phi is not None  # checked on construction

@@ -119,7 +119,7 @@ SETTING = record(
 )
 
 
-class Options(NamedTuple):
+class Additions(NamedTuple):
     """What acts in a world beside the base model, on its wheels and on their sensors."""
 
     acting: Acting
@@ -152,8 +152,8 @@ def new_wheel_worlds(
     )
 
 
-class Setting(NamedTuple):
-    """Records of a `SETTING`, and what is on.
+class ThreadRecords(NamedTuple):
+    """Records of the `SETTING` of a thread, and the `Additions`.
 
     No arrays: numba counts references to those whenever a function takes one, which costs more than
     small functions.
@@ -279,22 +279,27 @@ def _step(wheel, action, course, setting, samples, out):
 
 
 @kept
-def step_wheels(state, courses, samples, observation, setting, options, span):
-    """Follow the orders of the wheels of a `span` (first, end): STEP by their action, or RESTART.
+def step_wheels(state, courses, samples, observation, setting, added, span):
+    """Follow the order of each wheel from `span[0]` to `span[1]` - 1, then set it to IDLE.
 
-    The first four are the arrays of `WheelWorlds`; `setting` is that of the thread. `lay_wheels`
-    has drawn the courses before.
+    STEP drives the control periods of the action in the wheel's record. RESTART draws the errors of
+    the sensors and reads them; `lay_wheels` has placed the wheel before. Both write the observation
+    within its bounds. Wheels with another order are left alone.
+
+    The first four are the arrays of `WheelWorlds`; `setting` [1] is the `SETTING` of the thread,
+    `added` what acts beside the base model (`Additions`).
     """
     own = setting[0]
-    world = World(own.rig[0], options.acting, own.nodes[0])
-    records = Setting(
-        world, own.task[0], own.sensors[0], options.errors, own.camera[0], own.normals[0]
+    world = World(own.rig[0], added.acting, own.nodes[0])
+    records = ThreadRecords(
+        world, own.task[0], own.sensors[0], added.errors, own.camera[0], own.normals[0]
     )
     for k in range(span[0], span[1]):
         wheel = state[k]
         if wheel.order != STEP and wheel.order != RESTART:
             continue
         course = courses[k]
+        # a row for each wheel if something on board reads them, else one for the chunk
         own_samples = samples[k if own.recorded > 0 else own.chunk]
         out = observation[k]
         if wheel.order == STEP:

@@ -48,7 +48,7 @@ def with_digging(soil, exponent, gain, recovery):
 
 @compiled
 def put_soil(record, soil):
-    """Write a soil into a record that has its fields."""
+    """Write a `SoilState` into a record that has its fields."""
     put_fields(record, soil, FIELDS)
 
 

@@ -114,6 +114,20 @@ class Rim(NamedTuple):
         return cls(wheel.radius, wheel.width, 0.0, 0.0, *tyre, wheel.grip)
 
 
+@inlined
+def rim_of(wheel):
+    """`Rim` of a record that has its fields."""
+    return Rim(
+        wheel.radius,
+        wheel.width,
+        wheel.grouser_height,
+        wheel.unit_weight,
+        wheel.tyre_deflection,
+        wheel.tyre_compliance,
+        wheel.grip,
+    )
+
+
 class Conditions(NamedTuple):
     """Conditions of a steady point besides slip and load."""
 
@@ -413,12 +427,12 @@ def _as_measured(w, z, p, speed, wheel, fx):
 def steady_at(nodes, point, soil, wheel, conditions, fx):
     """`Steady` sinkage, drawbar pull and torque as they are measured at a `Point`.
 
-    `nodes` is a scratch record of `ARC_NODES`; `wheel` a `Rim` or a record with its fields; `fx`
-    `Effects` or None. Eq. (1) is solved for the sinkage, then Eqs. (2) and (3) follow. Digging
-    deepens the hole at the same bearing pressure: s z^n = S z_w^n with z = k(i) z_w + l(i). So z
-    carries the load when the coefficient s(z) that the load mobilises is S ((z - l)/(k z))^n. The
-    root of the difference of the two logarithms is found by a bracketed secant in ln z, in which
-    that difference is nearly straight.
+    `nodes` is a scratch record of `ARC_NODES`; `wheel` a `Rim`; `fx` `Effects` or None. Eq. (1) is
+    solved for the sinkage, then Eqs. (2) and (3) follow. Digging deepens the hole at the same
+    bearing pressure: s z^n = S z_w^n with z = k(i) z_w + l(i). So z carries the load when the
+    coefficient s(z) that the load mobilises is S ((z - l)/(k z))^n. The root of the difference of
+    the two logarithms is found by a bracketed secant in ln z, in which that difference is nearly
+    straight.
     """
     slip = true_slip(point.slip, fx)
     p = _balance(slip, point.load, soil, wheel, conditions, fx)

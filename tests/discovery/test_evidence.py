@@ -190,4 +190,4 @@ def test_a_law_of_the_freedom_of_an_effect_takes_what_has_another_form(data):
     turned = added * (1.0 + 1.5 * np.sin(9.0 * data.rows.slip + data.rows.load / 40.0))[:, None]
     for p, listed in ((there, True), (problem(data, np.random.default_rng(9), turned), False)):
         named = evidence.settle(p, (Choice("bulldozing", 0),), evidence.settle(p, ()))
-        assert (named.log > evidence.resembling(p, named).log) == listed
+        assert (named.log > evidence.in_place_of_effects(p, named).log) == listed

@@ -319,6 +319,24 @@ def test_a_border_that_the_front_wheel_has_found_begins_there_for_the_next():
     assert memory.border_variance == pytest.approx((pooling.PLACE_SD * LENGTH) ** 2)
 
 
+def test_a_wheel_goes_on_behind_borders_that_the_front_wheel_has_forgotten():
+    """It keeps its soil until the first border that is left, and has its number then."""
+    rover = Rover(FRONT, REAR)
+    found = pooling.SOILS + 2
+    for number in range(1, found + 1):
+        rover.memory["borders"][0] = number
+        rover.memory["border"][0] = number
+        rover.tell(0)
+    left = found - pooling.SOILS + 1
+    axle = 0.6
+    memory = rover.memory[1]
+    for place, number in ((left - 0.5, 0), (left + axle - 0.52 * LENGTH, 0), (left + axle, left)):
+        memory.place = place
+        observing.hand_over_border(rover.pools, 1, rover.memory, axle, SETTING, rover.work)
+        assert memory.borders == number
+    assert memory.border == pytest.approx(left + axle)
+
+
 def test_a_new_course_leaves_nothing_of_the_one_before():
     rover = Rover(FRONT, REAR)
     rover.memory[:] = SETTING["blank"][0]

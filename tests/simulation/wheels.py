@@ -15,7 +15,7 @@ from soil_env.parameters.readings import IDLE, STEP
 from soil_env.simulation.world import wheel as in_world
 from soil_env.simulation.world.wheel import World
 from soil_env.terramechanics.effects import acting_effects
-from soil_env.terramechanics.steady import Rim, steady_with
+from soil_env.terramechanics.steady import steady_with
 
 
 def started(scenario, variant="blind", seeds=(0,), **options):
@@ -87,8 +87,7 @@ def on_random_courses(seeds, mode="torque", course=None, model=None, own_soils=N
 def _settle(wheel, mass, course, numbers, fx):
     """`settle_at` as Python runs it, with the steady state that is compiled already."""
 
-    def steady(nodes, point, soil, rig, at_rest, effects):
-        rim = Rim(*(rig[name] for name in Rim._fields))
+    def steady(nodes, point, soil, rim, at_rest, effects):
         return steady_with(point.slip, point.load, soil, rim, at_rest, fx)
 
     world = World(numbers.rig[0], numbers.acting, None)

@@ -46,7 +46,9 @@ def effects(report: Report) -> Table:
 
 
 def soil(report: Report) -> Table:
-    """Soil parameters with their intervals."""
+    """Soil parameters with their intervals. In place of one stands "given" for a value that the
+    setup knows, "assumed" for a density that it leaves out.
+    """
     rows = []
     for name, p in report.soil.items():
         label, unit = SOIL[name]

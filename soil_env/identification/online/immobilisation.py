@@ -282,7 +282,8 @@ def _assess(rows, recent, estimate, sd, setting, net, assessed):
     for n in range(rows.size):
         k = rows[n]
         _write_inputs(recent[k], estimate[k], sd[k], setting[0], assessed.inputs[n])
-        x = np.clip((assessed.inputs[n] - net.mean) * net.scale, -LARGEST, LARGEST)
+        x = (assessed.inputs[n] - net.mean) * net.scale
+        x = np.minimum(np.maximum(x, -LARGEST), LARGEST)
         x = np.tanh(x @ net.first + net.first_bias)
         x = np.tanh(x @ net.second + net.second_bias)
         hazards = 1.0 / (1.0 + np.exp(-(x @ net.last + net.last_bias)))

@@ -101,13 +101,17 @@ def hand_over_border(front, memory, behind, setting, work):
     border length before its middle.
 
     Nothing begins on a border, or if the front wheel has not found the next one or has dropped it.
+    A border whose soil it has forgotten for later ones is passed over.
     """
     number = memory.borders + 1
+    while front.borders[number % SOILS] > number:
+        number += 1
     s = number % SOILS
     if front.borders[s] != number or memory.crossing > 0.0:
         return
     place = front.border_places[s] + behind
     if memory.place > place - 0.5 * setting.border:
+        memory.borders = number - 1
         begin_border(memory, setting, work, place, (PLACE_SD * setting.border) ** 2)
 
 

@@ -58,12 +58,13 @@ class NoiseEstimate:
 
 
 def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
-    """`NoiseEstimate` of each channel: from the setup, else from repeats with `FEWEST_REPEATS`
-    degrees of freedom, else from the scatter about the surface through the data.
+    """`NoiseEstimate` of each channel: from the setup or a column of standard deviations, else from
+    repeats with `FEWEST_REPEATS` degrees of freedom, else from the scatter about the surface
+    through the data.
 
     `model` [N, 3]: the calibrated base model, to which the surface adds polynomials. Outliers from
-    the surface are left out one after the other, and count in no noise. With fewer than `SPARE`
-    values beyond the functions of the surface no outlier is sought. `ParameterError` where noise
+    the surface are left out one after the other, and count in no noise. None is sought with fewer
+    than `SPARE` values more than the surface has polynomials. `ParameterError` where noise
     would have to be taken from too few values, or from values that hardly scatter.
     """
     given = given_noise(data)

@@ -230,10 +230,12 @@ class TableProblem:
         self._processes: list[Process] | None = None
 
     def _set_noise(self) -> None:
-        """Set `noise` [5] of `SOURCES` from the setup, else from first guesses; which of it is
-        `estimated`, and its `floor`.
+        """Set the standard deviations `noise` [5] of `SOURCES`: slip, load, sinkage, pull, torque.
 
-        Slip and load without noise in the setup are exact. `ParameterError` for too little noise.
+        Slip and load have that of the setup, else 0. A measured channel has that of the setup, else
+        the median of its column of standard deviations, else a first guess. Of each, `estimated` is
+        True for a channel that has a guess only, `floor` the least that an estimate may be.
+        `ParameterError` for a given one so small that no digits are left to fit with.
         """
         size = float(np.median(self.rows.load))
         pull = _GUESS_FORCE * size
@@ -257,7 +259,7 @@ class TableProblem:
         guess[:2] = 0.0  # slip and load count as exact
         pairs = zip(given, guess, strict=True)
         self.noise: np.ndarray = np.array([usual if sd is None else sd for sd, usual in pairs])
-        # Degrees of freedom behind an estimated noise; infinite where it is given.
+        # Degrees of freedom behind each; infinite until the noise is estimated.
         self.freedom: np.ndarray = np.full(5, math.inf)
 
     @property

@@ -117,8 +117,8 @@ def check_version(found: object, where: object) -> None:
 def layout(variant: str, course: CourseSpec | None = None) -> tuple[ObservedNumber, ...]:
     """Entries of an observation variant; the first ones are those of `blind` in every variant.
 
-    On a `course` with terrain classes the entries of the camera follow, then those of the soils of
-    the routes ahead.
+    On a `course` with terrain classes the entries of the camera follow, then, but for `blind`,
+    those of the soil of each route ahead.
     """
     if not isinstance(variant, str):
         raise ParameterError(f"observation = {variant!r}: expected one of {', '.join(VARIANTS)}")

@@ -35,7 +35,9 @@ def clip(out, bounds):
 
 @compiled_finite
 def write_sensors(out, wheel, reading, task):
-    """Fill the entries of the observation `out` [D] of a wheel that every variant has."""
+    """Fill the entries of the observation `out` [D] that every variant has: readings in the units
+    of the layout, last action, odometry, halt, commanded rim speed.
+    """
     i = 0
     for name in literal_unroll(NAMES):
         out[PLACES[i]] = reading[name] / task.units[0][name]

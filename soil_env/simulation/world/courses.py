@@ -16,7 +16,7 @@ import numpy as np
 from soil_env._compiled.flags import HUGE, compiled, inlined
 from soil_env._compiled.random_streams import word
 from soil_env.parameters import Scenario
-from soil_env.terramechanics.ground import put_soil
+from soil_env.terramechanics.ground import put_soil, soil_of
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .passability import (
@@ -172,9 +172,10 @@ def _draw_soil(course, load, numbers, nodes):
     """
     p = course.drawn
     patch = course.patches[p]
-    found = draw_ground(patch, course, load, numbers, nodes)
+    found, soil = draw_ground(course, load, numbers, nodes)
     if not found and p > 0:
-        put_soil(patch, course.patches[p - 1])
+        soil = soil_of(course.patches[p - 1])
+    put_soil(patch, soil)
     return found
 
 

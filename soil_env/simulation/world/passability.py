@@ -9,10 +9,10 @@ from soil_env._compiled.flags import HUGE, compiled, record
 from soil_env._compiled.random_streams import between, normal_pair, uniform
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects import depends_on_speed
-from soil_env.terramechanics.ground import put_soil, soil_of
+from soil_env.terramechanics.ground import soil_of
 from soil_env.terramechanics.reaction import Acting
 from soil_env.terramechanics.residual import WorkingPoint, residual_under
-from soil_env.terramechanics.steady import Conditions, Point, steady_at
+from soil_env.terramechanics.steady import Conditions, Point, rim_of, steady_at
 from soil_env.terramechanics.traversability import best_point_at
 
 REDRAWS = 200  # attempts at a soil
@@ -97,13 +97,15 @@ def scattered(mean, share, owner, spec):
     about that point. Recovery and the fields after it stay.
     """
     z = normal_pair(owner) + normal_pair(owner) + normal_pair(owner)
-    friction = share * spec.variation[0] * _deviation(0, z, spec)
+    rows = spec.factor
+    variation = spec.variation
+    friction = share * variation[0] * _deviation(rows[0], z)
     phi = min(math.atan(mean.tan_phi) * (1.0 + friction), STEEPEST_FRICTION)
-    cohesion = mean.cohesion * _factor(1, z, share, spec)
-    modulus = mean.shear_modulus * _factor(2, z, share, spec)
-    stiffer = _factor(3, z, share, spec)
-    gain = mean.dig_gain * _factor(4, z, share, spec)
-    n = mean.sinkage_exponent * (1.0 + share * spec.variation[5] * _cut(z[5]))
+    cohesion = mean.cohesion * _factor(share * variation[1], _deviation(rows[1], z))
+    modulus = mean.shear_modulus * _factor(share * variation[2], _deviation(rows[2], z))
+    stiffer = _factor(share * variation[3], _deviation(rows[3], z))
+    gain = mean.dig_gain * _factor(share * variation[4], _deviation(rows[4], z))
+    n = mean.sinkage_exponent * (1.0 + share * variation[5] * _cut(z[5]))
     depth = spec.reference_sinkage
     pressure = mean.sinkage_coefficient * depth**mean.sinkage_exponent * stiffer  # [Pa] at `depth`
     coefficient = pressure / depth**n
@@ -117,24 +119,23 @@ def _cut(deviation):
 
 
 @compiled
-def _deviation(i, z, spec):
-    """Deviation [sigma], cut, of property i of `variation`, correlated with those before it; z are
-    independent standard normal numbers.
+def _deviation(row, z):
+    """Deviation [sigma], cut, of the property that has this row of `factor`, correlated with those
+    before it; z are independent standard normal numbers.
     """
     total = 0.0
-    for k in range(i + 1):
-        total += spec.factor[i, k] * z[k]
+    for k in range(row.size):
+        total += row[k] * z[k]
     return _cut(total)
 
 
 @compiled
-def _factor(i, z, share, spec):
-    """Random log-normal factor on property i, of mean 1 but for the cut, with a `share` of its
-    coefficient of variation.
+def _factor(variation, deviation):
+    """Log-normal factor with this coefficient of variation, of mean 1 but for the cut, at a
+    deviation [sigma].
     """
-    variation = share * spec.variation[i]
     s = math.sqrt(math.log(1.0 + variation * variation))
-    return math.exp(s * _deviation(i, z, spec) - 0.5 * s * s)
+    return math.exp(s * deviation - 0.5 * s * s)
 
 
 @compiled
@@ -153,16 +154,17 @@ def capacity(load, soil, numbers, nodes):
     """
     spec = numbers.drawn.spec
     rig = numbers.rig
+    rim = rim_of(rig)
     effects = numbers.acting.effects
     deepest = SAFE_SINKAGE * spec.bogged_sinkage
     at_rest = Conditions(0.0, 1.0, 0.0)
-    rest = steady_at(nodes, Point(0.0, load, 0.0), soil, rig, at_rest, effects)
+    rest = steady_at(nodes, Point(0.0, load, 0.0), soil, rim, at_rest, effects)
     if rest.sinkage > deepest or not rest.supported:
         return IMPASSABLE
     least = HUGE
     for speed in (spec.speed, 0.0):
         at = Conditions(speed, 1.0, 0.0)
-        best = best_point_at(nodes, load, soil, rig, at, effects, spec.stall_torque)
+        best = best_point_at(nodes, load, soil, rim, at, effects, spec.stall_torque)
         point = WorkingPoint(best.slip, best.sinkage, load, at.speed, at.passes, at.sin_grade)
         _, pull, torque = residual_under(numbers.acting.residual, point, soil, rig)
         if best.sinkage > deepest or best.torque + torque * load * rig.radius > spec.stall_torque:
@@ -174,18 +176,17 @@ def capacity(load, soil, numbers, nodes):
 
 
 @compiled
-def draw_ground(ground, owner, load, numbers, nodes):
-    """Draw a soil that leaves this wheel `least_pull` on level ground, and write it into `ground`;
-    False if none of `REDRAWS` soils does.
+def draw_ground(owner, load, numbers, nodes):
+    """Draw soils until one leaves this wheel `least_pull` on level ground: (found, the last one).
 
-    Slopes do not count, since they are drawn without looking at soils. With a least pull of -1 the
-    last soil is taken, even if the wheel would be bogged at its best pull.
+    None of `REDRAWS` soils may do. Slopes do not count, since they are drawn without looking at
+    soils. With a least pull of -1 the last soil is taken, even if the wheel would be bogged at its
+    best pull.
     """
     least = numbers.drawn.spec.least_pull
-    for k in range(REDRAWS):
+    soil = draw_soil(owner, numbers.drawn)
+    for _ in range(REDRAWS - 1):
+        if capacity(load, soil, numbers, nodes) >= least:
+            return True, soil
         soil = draw_soil(owner, numbers.drawn)
-        last = k == REDRAWS - 1 and least <= -1.0
-        if last or capacity(load, soil, numbers, nodes) >= least:
-            put_soil(ground, soil)
-            return True
-    return False
+    return least <= -1.0 or capacity(load, soil, numbers, nodes) >= least, soil

@@ -15,8 +15,10 @@ from .passability import capacity, draw_ground, scattered, within
 def draw_classes(course, load, numbers, nodes):
     """Draw the soils of all terrain classes of a course; False if one was not found."""
     for c in range(numbers.drawn.spec.classes):
-        if not draw_ground(course.library[c], course, load, numbers, nodes):
+        found, soil = draw_ground(course, load, numbers, nodes)
+        if not found:
             return False
+        put_soil(course.library[c], soil)
     return True
 
 
@@ -103,7 +105,7 @@ def set_route(course, p, route):
     """Let the course lead along a route of patch p: the patch gets its soil."""
     taken = course.routes[p, route]
     course.forks[p].taken = route
-    put_soil(course.patches[p], taken)
+    put_soil(course.patches[p], soil_of(taken))
 
 
 @compiled

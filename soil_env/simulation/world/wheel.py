@@ -28,7 +28,7 @@ from soil_env.terramechanics.effects.grousers import contact_radius, shear_radiu
 from soil_env.terramechanics.effects.slip_sinkage import excavation_rate, onto_fresh
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.reaction import BASE, REST_SPEED, Acting, acting_on
-from soil_env.terramechanics.steady import DEEPEST, Conditions, Point, steady_at
+from soil_env.terramechanics.steady import DEEPEST, Conditions, Point, rim_of, steady_at
 
 from .sensors import READING
 from .terrain import (
@@ -419,7 +419,7 @@ def settle_at(wheel, x, mass, course, world):
     load = mass * rig.gravity * math.cos(grade)
     at_rest = Conditions(0.0, 1.0, math.sin(grade))
     point = Point(0.0, load, 0.0)
-    rest = steady_at(world.nodes, point, soil, rig, at_rest, world.acting.effects)
+    rest = steady_at(world.nodes, point, soil, rim_of(rig), at_rest, world.acting.effects)
     wheel.x = x
     wheel.best_x = x
     wheel.lowest_x = x

@@ -43,8 +43,10 @@ def mobilisation(fx):
 
 @compiled
 def shear_length_ratio(fx):
-    """Length that takes the place of K in the shear law, over K: 4 s/(1 + s) with
-    `shear_softening_slope_kept`, so that the law rises at first as Eq. (10) does with K, else 1.
+    """Length that takes the place of K in the shear law, over K.
+
+    With `shear_softening_slope_kept` it is 4 s/(1 + s), so that the law rises at first as Eq. (10)
+    does with K. Without it, and for a sharpness s below 1, where the law has no peak, it is 1.
     """
     s = fx.shear_softening_sharpness
     if s >= 1.0 and fx.shear_softening_slope_kept > 0.0:
