@@ -47,6 +47,21 @@ soil_with_flow = st.builds(
 )
 
 
+@pytest.mark.parametrize(
+    "law",
+    [
+        pytest.param(EQUATION_10, id="equation 10"),
+        pytest.param({}, id="flow", marks=pytest.mark.xfail(strict=True, reason="at -0.067")),
+    ],
+)
+def test_on_hard_ground_a_wheel_rolls_freely_without_slip(law):
+    """A wheel that is braked to a slip of -0.03 on ground that hardly yields takes a brake."""
+    soil = soils()["dry_sand"].state(R)
+    hard = soil._replace(sinkage_coefficient=1e9, cohesion=0.0, dig_gain=0.0, **law)
+    at = steady_state(-0.03, LOAD, hard, R, R)
+    assert at.sinkage < 0.005 * R and at.torque < 0.0
+
+
 @settings(max_examples=60, deadline=None)
 @example(soil=soils()["dry_sand"].state(R)._replace(**FLOW), slip=-1.0)
 @given(soil=soil_with_flow, slip=st.one_of(st.floats(-1.0, 1.0), st.floats(-1.0, 0.0)))

@@ -117,6 +117,13 @@ def test_a_cover_passes_smoothly_into_the_firm_ground_below():
     assert deep[-1] > 0.06 and held[-1] < 0.03 and np.all(np.diff(held) > 0.0)
 
 
+@pytest.mark.xfail(strict=True, reason="49 mm below a cover of 30 mm; without rock 50 mm")
+def test_a_wheel_that_slips_stands_on_the_rock_below_its_cover():
+    """Firm ground is felt at z_w, the sinkage over the ratio of slip-sinkage."""
+    soil = soils()["rock_with_sand_cover"]
+    assert predicted(TYRE, soil, 0.6)[0].sinkage < soil.layer.depth
+
+
 @pytest.mark.parametrize(
     ("make", "said"),
     [
