@@ -209,26 +209,27 @@ def gripping_share(soil, arc, load, wheel):
 
 @compiled
 def layer_firmness(depth, soil):
-    """Sinkage coefficient at a depth [m] over that of the cover: 1 + G x^16/(1 + x^16).
+    """Sinkage coefficient at a depth [m] over that of the cover: (1 + G)^(x^16/(1 + x^16)).
 
     G is `layer_gain` and x = depth/`layer_depth`. Own law: the power 16 makes it a smooth but steep
-    step at x = 1.
+    step at x = 1, where half of the decades are passed.
     """
     if soil.layer_gain == 0.0:
         return 1.0
     square = (depth / soil.layer_depth) ** 2
     eighth = square * square * (square * square)
     x = eighth * eighth
-    return 1.0 + soil.layer_gain * (x / (1.0 + x))
+    return power(1.0 + soil.layer_gain, x / (1.0 + x))
 
 
 @compiled
-def layered_depth(depth, soil):
-    """Depth [m] at which a soil with firm ground below carries the pressure that its cover alone
-    carries at `depth` [m].
+def layered_depth(depth, lift, ratio, soil):
+    """Depth z_w [m] at which a soil with firm ground below carries the pressure that its cover
+    alone carries at `depth` [m], under a wheel that digs itself in to `ratio` (z_w + `lift`) [m].
 
-    Bisection in ln z between `depth` and depth/(1 + G)^(1/n), as if all of the ground were firm.
-    The exponent n counts as at least `LEAST_LAYERED`, so that the bracket stays finite.
+    Firm ground is felt at the depth of the wheel. Bisection in ln z_w between `depth` and depth/(1
+    + G)^(1/n), as if all of the ground were firm. The exponent n counts as at least
+    `LEAST_LAYERED`, so that the bracket stays finite.
     """
     n = max(soil.sinkage_exponent, LEAST_LAYERED)
     goal = n * math.log(depth)
@@ -236,7 +237,8 @@ def layered_depth(depth, soil):
     low = high - math.log(1.0 + soil.layer_gain) / n
     for _ in range(LAYER_STEPS):
         x = 0.5 * (low + high)
-        if n * x + math.log(layer_firmness(math.exp(x), soil)) > goal:
+        sinkage = ratio * (math.exp(x) + lift)
+        if n * x + math.log(layer_firmness(sinkage, soil)) > goal:
             high = x
         else:
             low = x

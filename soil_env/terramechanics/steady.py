@@ -198,9 +198,8 @@ class _Balance(NamedTuple):
     along: float  # [N] weight along the slope
     ground: SoilState  # in contact, with all effects on soil
     soil: SoilState  # `ground` as the rim shears it, with lugs
-    strength: float  # ln of S/dug^n: the coefficient that dug soil offers at the sinkage
+    strength: float  # ln of S over the slip-sinkage ratio to the n: what dug soil offers
     lift: float  # [m] depth excavated whatever the load
-    dug: float  # slip-sinkage ratio in the balance; 1 where the sinkage is only `apparent`
     apparent: float  # measured sinkage over the one of the balance
     law: ShearLaw
 
@@ -237,7 +236,6 @@ def _balance(slip, load, soil, wheel, conditions, fx):
             soil,
             strength,
             0.0,
-            ratio,
             1.0,
             JANOSI,
         )
@@ -274,7 +272,6 @@ def _balance(slip, load, soil, wheel, conditions, fx):
             sheared,
             strength,
             min(excavated_depth(slip, fx), MOST_LIFT * DEEPEST * wheel.radius),
-            ratio / apparent,
             apparent,
             mobilisation(fx),
         )
@@ -325,7 +322,7 @@ def _misfit(nodes, x, p, wheel, fx):
     if p.lift != 0.0:
         available += n * math.log(1.0 - p.lift / z)
     if soil.layer_gain > 0.0:
-        available += math.log(layer_firmness((z - p.lift) / p.dug, soil))
+        available += math.log(layer_firmness(z, soil))
     f = min(max(math.log(max(s, TINIEST)) - available, LEAST_MISFIT), MOST_MISFIT)
     _, bounded = bounded_bearing(q, tan_phi, 1.0)
     if bounded and p.load / (arc.radius * b) > c * q.e_sin:

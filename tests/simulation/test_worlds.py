@@ -37,13 +37,13 @@ def on_uniform_ground(effects, soil, grade, mode="wheel_speed", residual=(), rem
     return bench.on_uniform_ground(soil, grade, mode, model, **STILL)
 
 
-def settled(case, grade_deg):
+def settled(case, grade_deg, ground=SOFT):
     """Sinkage, pull and torque [3, 3] of a wheel driven far: as read, by `steady_with`, and without
     the effect.
     """
     effects = {name: dict(values) for name, values in CASES[case].items()}
     # the form takes the place of the soil's digging
-    soil = SOFT._replace(dig_gain=0.0) if "apparent" in case else SOFT
+    soil = ground._replace(dig_gain=0.0) if "apparent" in case else ground
     wheels = on_uniform_ground(effects, soil, math.radians(grade_deg))
     passes = 1.0
     if "multipass" in effects:
@@ -89,6 +89,17 @@ def test_a_driven_wheel_settles_at_the_steady_state(case):
         np.testing.assert_allclose(found, stated, rtol=0.0, atol=1e-5)
         change = max(change, np.abs(stated - without).max())
     assert change > 1e-3 or case == "grade-weight"  # there was something to settle at
+
+
+@pytest.mark.parametrize("case", ["slip_sinkage-ratio", "slip_sinkage-excavation"])
+def test_a_wheel_that_digs_settles_on_the_rock_below_its_cover(case):
+    depth = 0.03
+    covered = SOFT._replace(layer_gain=1e4, layer_depth=depth)
+    for grade_deg in (2.0, 12.0):
+        found, stated, _ = settled(case, grade_deg, covered)
+        np.testing.assert_allclose(found, stated, rtol=0.0, atol=1e-5)
+        _, deep, _ = settled(case, grade_deg)
+        assert found[0] < depth / WHEEL.radius < deep[0]
 
 
 TERMS = (

@@ -1,6 +1,7 @@
 """Tyres, their grip, and firm ground below a cover: limits, and an empirical traction curve."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -106,7 +107,7 @@ def test_a_cover_passes_smoothly_into_the_firm_ground_below():
     assert contact.layer_firmness(0.1, soil) == pytest.approx(1e4, rel=1e-3)
     assert contact.layer_firmness(0.1, cover) == 1.0
     depths = np.geomspace(1e-3, 1.0, 400)
-    borne = np.array([contact.layered_depth(z, soil) for z in depths])
+    borne = np.array([contact.layered_depth(z, 0.0, 1.0, soil) for z in depths])
     assert np.all(np.diff(borne) > 0.0) and np.all(borne <= depths)
     pressure = [contact.layer_firmness(z, soil) * z for z in borne]
     np.testing.assert_allclose(pressure, depths, rtol=1e-8)
@@ -117,11 +118,24 @@ def test_a_cover_passes_smoothly_into_the_firm_ground_below():
     assert deep[-1] > 0.06 and held[-1] < 0.03 and np.all(np.diff(held) > 0.0)
 
 
-@pytest.mark.xfail(strict=True, reason="49 mm below a cover of 30 mm; without rock 50 mm")
 def test_a_wheel_that_slips_stands_on_the_rock_below_its_cover():
-    """Firm ground is felt at z_w, the sinkage over the ratio of slip-sinkage."""
+    """Slip digs through the cover, not into the rock."""
     soil = soils()["rock_with_sand_cover"]
-    assert predicted(TYRE, soil, 0.6)[0].sinkage < soil.layer.depth
+    depth = soil.layer.depth
+    deep = replace(soil, layer=None)
+    for slip in (0.3, 0.6, 0.9):
+        found = predicted(TYRE, soil, slip)[0].sinkage
+        assert found < depth < predicted(TYRE, deep, slip)[0].sinkage + 0.5 * depth
+
+
+@pytest.mark.parametrize("stiffness", [10.0, 1e3, 1e6])
+def test_firm_ground_lies_as_deep_however_firm_it_is(stiffness):
+    """At its depth half of the decades are passed; at 0.85 of it less than a tenth."""
+    soil = ground(1e6, layer=Layer(0.03, stiffness)).state(WIDTH)
+    decades = [
+        math.log(contact.layer_firmness(x * 0.03, soil)) / math.log(stiffness) for x in (0.85, 1, 2)
+    ]
+    assert decades == pytest.approx([0.069, 0.5, 1.0], abs=1e-3)
 
 
 @pytest.mark.parametrize(

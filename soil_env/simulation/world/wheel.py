@@ -25,7 +25,7 @@ from soil_env.slip import slip_ratio
 from soil_env.terramechanics.contact import layered_depth
 from soil_env.terramechanics.effects import acting_effects
 from soil_env.terramechanics.effects.grousers import contact_radius, shear_radius_ratio
-from soil_env.terramechanics.effects.slip_sinkage import excavation_rate, onto_fresh
+from soil_env.terramechanics.effects.slip_sinkage import digging_ratio, excavation_rate, onto_fresh
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.reaction import BASE, REST_SPEED, Acting, acting_on
 from soil_env.terramechanics.steady import DEEPEST, Conditions, Point, rim_of, steady_at
@@ -309,7 +309,7 @@ def sink(wheel, ground, mobilised, path, rig):
     ratio = power(mobilised / soil.sinkage_coefficient, 1.0 / exponent)
     bearing = ground.sinkage * min(ratio, MOST_BEARING)
     if soil.layer_gain > 0.0 and bearing > 0.0:
-        bearing = layered_depth(bearing, soil)
+        bearing = layered_depth(bearing, ground.lift, _dug(path, soil), soil)
     bearing += ground.lift
     x = wheel.x + path.moved
     beyond = onto_fresh(x, wheel.lowest_x, wheel.best_x)
@@ -340,6 +340,16 @@ def pile_up(wheel, braked, moved, rig):
     if wheel.braked != 0.0 or braked != 0.0:
         left = exp(-abs(moved) / (PILING * rig.radius))
         wheel.braked = braked + (wheel.braked - braked) * left
+
+
+@inlined
+def _dug(path, soil):
+    """Sinkage over that without slip, to which the motion of a `Path` leads; 1 at rest."""
+    moved = abs(path.moved)
+    slid = abs(path.slid)
+    if moved + slid < STANDING:
+        return 1.0
+    return digging_ratio(slid, moved, soil.dig_gain, soil.dig_recovery)
 
 
 @inlined
