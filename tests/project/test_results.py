@@ -5,11 +5,17 @@
 
 import json
 import math
+import os
 import re
+import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 from scipy.stats import binom, binomtest
+
+from soil_env_agents.cells import code_version
 
 from .test_pages import DOCS, ROOT, tables
 
@@ -149,6 +155,18 @@ def test_discovery():
         share = known[target]
         said = [100.0 * share[key] for key in ("value", "low", "high")] + [share["of"]]
         assert numbers(rows[question]) == pytest.approx(said, abs=0.51), question
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
+def test_make_results_takes_no_result_of_other_code(importable):
+    """What goes on where it was interrupted works in a folder of this code alone."""
+    environment = {name: v for name, v in os.environ.items() if name not in ("MAKEFLAGS", "MFLAGS")}
+    command = ["make", "-n", "results", f"PY={sys.executable}"]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    for work in ("study", "next_runs", "continuum loop", "identification", "discovery run"):
+        (folder,) = re.findall(rf"{work} .*?--out (\S+)", done.stdout)
+        assert code_version() in folder, work
 
 
 def quick(name: str):
