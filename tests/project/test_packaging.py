@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import tomllib
 import zipfile
 from importlib import metadata
@@ -68,6 +69,29 @@ def test_the_wheel_holds_the_packages_configs_and_examples_and_nothing_else(whee
     assert "soil_env/configs/scenarios/mixed.yaml" in names and "soil_env_agents/train.py" in names
     assert "soil_env_agents/default_policy.npz" in names
     assert set(re.findall(r"^(\S+) = ", scripts, re.MULTILINE)) == set(PROJECT["scripts"])
+
+
+@pytest.mark.slow
+def test_the_sdist_holds_all_that_the_checks_of_make_test_need(tmp_path):
+    """Every file of the repository: `make lint` fails without the workflow files, for one."""
+    if not (ROOT / ".git").exists():
+        pytest.skip("not in a repository")
+    listed = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    names = {name for name in listed.stdout.split("\0") if (ROOT / name).is_file()}
+    source = tmp_path / "source"
+    for name in names:
+        (source / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, source / name)
+    program = f"from setuptools import build_meta; build_meta.build_sdist({str(tmp_path)!r})"
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=source, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    with tarfile.open(next(tmp_path.glob("*.tar.gz"))) as archive:
+        held = {name.partition("/")[2] for name in archive.getnames()}
+    assert names <= held, sorted(names - held)
 
 
 def test_versions_that_are_written_twice_agree():
