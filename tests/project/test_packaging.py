@@ -1,5 +1,6 @@
 """Contents of the wheel, and what is installed by it: names and commands."""
 
+import ast
 import os
 import re
 import shutil
@@ -115,6 +116,45 @@ def test_the_versions_that_were_run_are_in_the_range_of_each_dependency():
     assert found > len(PROJECT["dependencies"])
     run = {canonicalize_name(Requirement(d).name) for d in PROJECT["dependencies"]}
     assert run <= set(pinned)
+
+
+def imported(*folders):
+    """Top-level modules, of others than this project and Python, that the code of these folders
+    imports.
+    """
+    found = set()
+    for path in (p for folder in folders for p in sorted(ROOT.glob(folder))):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                found.add(node.module.partition(".")[0])
+    own = {"soil_env", "soil_env_agents", "benchmarks", "examples", "tests", "train"}
+    own |= {path.stem for path in ROOT.glob("mkdocs_*.py")}
+    return found - own - sys.stdlib_module_names
+
+
+@pytest.mark.parametrize(
+    ("folders", "extras"),
+    [
+        (
+            ("soil_env/**/*.py", "agents/**/*.py", "examples/*.py"),
+            ("train", "logs", "tune", "video", "ray", "export"),
+        ),
+        (("tests/**/*.py", "benchmarks/**/*.py"), ("train", "logs", "export", "ray", "test")),
+        (("mkdocs_*.py",), ("docs",)),
+    ],
+)
+def test_what_is_imported_is_declared(folders, extras):
+    """Not only what a dependency happens to need, which has bounds of its own."""
+    declared = [*PROJECT["dependencies"]]
+    for extra in extras:
+        declared += PROJECT["optional-dependencies"][extra]
+    declared = {canonicalize_name(Requirement(d).name) for d in declared}
+    known = metadata.packages_distributions()
+    for module in imported(*folders):
+        by = {canonicalize_name(name) for name in known.get(module, [module])}
+        assert by & declared, module
 
 
 def run(*command, cwd):
