@@ -118,6 +118,13 @@ def test_the_versions_that_were_run_are_in_the_range_of_each_dependency():
     assert run <= set(pinned)
 
 
+def test_the_image_has_the_extras_of_every_command():
+    """But `ray`, for a cluster: all else that is no extra of contributors, or contained in one."""
+    text = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+    extras = set(PROJECT["optional-dependencies"]) - {"test", "docs", "dev", "tune", "ray"}
+    assert set(re.search(r"\.whl\)\[([\w,]+)\]", text)[1].split(",")) == extras
+
+
 def imported(*folders):
     """Top-level modules, of others than this project and Python, that the code of these folders
     imports.
