@@ -74,6 +74,19 @@ def test_agents_and_rules():
         assert known[ground, rule.strip("`")] == max(known[ground, arm] for arm in blind)
 
 
+def test_the_page_of_studies_has_the_figure_of_the_results():
+    """What the agent lacks on `two_lines` to the best rule that does not know the soil."""
+    text = (DOCS / "guide" / "study.md").read_text(encoding="utf-8")
+    said = re.search(rf"({NUMBER}) \[({NUMBER}), ({NUMBER})\] points behind on `two_lines`", text)
+    row = tables(PAGE)["Agent and rules on every ground"][0]
+    value, low, high = numbers(row[list(row)[6]].split(" ", 1)[1])
+    assert row["ground"] == "`two_lines`" and [float(x) for x in said.groups()] == [
+        -value,
+        -high,
+        -low,
+    ]
+
+
 def test_identification():
     shipped = {row["scenario"]: row for row in first_table("identification", "as shipped")}
     errors = {row["scenario"]: row for row in first_table("identification", "errors")}
