@@ -1,4 +1,5 @@
-# soil_env with the CPU build of torch and the pinned versions: every command of the package, as a user without rights.
+# soil_env with the CPU build of torch and the pinned versions: every command of the package but --engine ray, as a
+# user without rights.
 #   docker build -t soil_env .
 #   docker run --rm soil_env train --help
 #   docker run --rm -v "$PWD":/work --user "$(id -u)" soil_env discover rig.csv --setup rig.setup.yaml --out result
@@ -23,7 +24,7 @@ COPY constraints.txt /tmp/constraints.txt
 RUN pip install --no-cache-dir --no-deps --index-url "$TORCH_INDEX" \
         "$(sed -n 's/^\(torch==[^ ]*\).*/\1/p' /tmp/constraints.txt)"
 COPY --from=build /dist /tmp/dist
-RUN pip install --no-cache-dir -c /tmp/constraints.txt "$(ls /tmp/dist/soil_env-*.whl)[train]" \
+RUN pip install --no-cache-dir -c /tmp/constraints.txt "$(ls /tmp/dist/soil_env-*.whl)[train,export,logs,video]" \
     && rm -rf /tmp/dist /tmp/constraints.txt
 
 # The kernels are compiled here once. Whoever runs the image (--user) may add to the caches.

@@ -81,19 +81,23 @@ dist: $(TEST_READY)  ## wheel and sdist into dist/
 	$(PY) -m build
 
 # QUICK=1: the same commands with few courses, drives and tables, into runs/quick.
+# What goes on where it was interrupted works in a folder named by the code: else it would find the results of other
+# code, those of docs/results among them, and measure nothing.
 RESULTS := $(if $(QUICK),runs/quick,docs/results)
+MADE = runs/$(if $(QUICK),quick_)results_$(shell $(PY) -c 'from soil_env_agents.cells import code_version as v; print(v())')
 results: $(TEST_READY)  ## make the tables of docs/results anew, in hours; QUICK=1: in minutes, into runs/quick, and compared with docs/results
-	$(BIN)/soil-env study --config configs/study_default_policy.yaml --out runs/$(if $(QUICK),quick_)agents $(if $(QUICK),--courses 100)
+	$(eval MADE := $(MADE))
+	$(BIN)/soil-env study --config configs/study_default_policy.yaml --out $(MADE)/agents $(if $(QUICK),--courses 100)
 	mkdir -p $(RESULTS)
-	sed -e 's/^# .*/# Agents and rules/' -e '/study.png/d' runs/$(if $(QUICK),quick_)agents/study.md > $(RESULTS)/agents.md
+	sed -e 's/^# .*/# Agents and rules/' -e '/study.png/d' $(MADE)/agents/study.md > $(RESULTS)/agents.md
 	$(PY) -m benchmarks.gravity --out $(RESULTS)
 	$(PY) -m benchmarks.rigs --out $(RESULTS)
 	$(PY) -m benchmarks.prediction --out $(RESULTS)
-	$(if $(QUICK),,$(PY) -m benchmarks.next_runs --out runs/next_runs && cp runs/next_runs/next_runs.* $(RESULTS))
-	$(if $(QUICK),,$(PY) -m benchmarks.continuum loop --out runs/continuum && cp runs/continuum/continuum.* $(RESULTS))
-	$(PY) -m benchmarks.identification --out $(RESULTS) --courses $(if $(QUICK),30,60)
+	$(if $(QUICK),,$(PY) -m benchmarks.next_runs --out $(MADE)/next_runs && cp $(MADE)/next_runs/next_runs.* $(RESULTS))
+	$(if $(QUICK),,$(PY) -m benchmarks.continuum loop --out $(MADE)/continuum && cp $(MADE)/continuum/continuum.* $(RESULTS))
+	$(PY) -m benchmarks.identification --out $(MADE)/identification --courses $(if $(QUICK),30,60) && cp $(MADE)/identification/identification.* $(RESULTS)
 	$(PY) -m benchmarks.robustness --out $(RESULTS) $(if $(QUICK),--courses 20)
-	$(PY) -m benchmarks.discovery run --held-out --entrant workflow --seed 2103 --limit $(if $(QUICK),12,240) --out runs/$(if $(QUICK),quick_)discovery --publish $(RESULTS)
+	$(PY) -m benchmarks.discovery run --held-out --entrant workflow --seed 2103 --limit $(if $(QUICK),12,240) --out $(MADE)/discovery --publish $(RESULTS)
 	$(PY) -m benchmarks.throughput --out $(RESULTS) $(if $(QUICK),--smoke)
 	$(if $(QUICK),$(PY) -m pytest -q tests/project/test_results.py)
 

@@ -27,7 +27,7 @@ from soil_env.cli.running import WholeNumber
 #: Settings of a click command that takes --KEY VALUE beside its options, as the argument `keys`.
 WITH_KEYS = {"ignore_unknown_options": True}
 _TEXT = ("scenario", "name", "runs", "observation", "model")  # keys whose value is always text
-_PACKAGES = ("stable_baselines3", "tensorboard", "torch", "tqdm")  # of the extra `train`
+_PACKAGES = ("stable_baselines3", "tensorboard", "torch")  # of the extra `train`
 _FAILURES = (ParameterError, OSError, MemoryError)  # that end a command with one line
 #: Files of a folder in which no work is done yet, beside hidden ones.
 _BEGINNINGS = ("study.yaml", "config.yaml", "scenario.yaml")

@@ -1,5 +1,6 @@
 """`soil-env paper`."""
 
+import shlex
 from pathlib import Path
 
 import click
@@ -34,7 +35,7 @@ def command(out: Path | None, draws: int, seed: int) -> None:
     results = compute(seed, draws)
     asked = f"soil-env paper --draws {draws} --seed {seed}"
     if out is not None:
-        page.write(results, out, f"{asked} --out docs")
+        page.write(results, out, f"{asked} --out {shlex.quote(str(out))}")
         print(f"written: {out / 'paper.md'}, figures in {out / 'paper'}")
     else:
         text = page.markdown(results, asked)

@@ -49,9 +49,8 @@ def run(
 
     Parameters: `table` and `setup`, read or as files; `out`, a folder for report.json, report.html
     and model.yaml, written at the end, all of them or none; `seed` of the simulated null
-    distributions; `next_runs`, how many are proposed, to
-    `name` what is missing or to `predict`; `progress` is called with the text of each stage,
-    "stage" or "stage: step".
+    distributions; `next_runs`, how many are proposed, with the `goal` to "name" what is missing or
+    to "predict"; `progress` is called with the text of each stage, "stage" or "stage: step".
 
     Raises `ParameterError` with one line for bad input, and where `out` cannot be written.
     """

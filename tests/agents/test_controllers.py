@@ -66,6 +66,18 @@ def test_a_controller_refuses_an_observation_that_is_not_its_own(scenario, actio
             make_controller("soft_start", task).predict(other)
 
 
+@pytest.mark.parametrize("name", BY_RIM_SPEED)
+def test_a_state_of_other_courses_is_refused(name):
+    """It was replaced by that of courses which begin, so that every ramp began anew."""
+    controller = make_controller(name, load_scenario("mixed", TORQUE))
+    seen = observations(load_scenario("mixed"), controller.variant, 3)
+    state = controller.predict(seen)[1]
+    controller.predict(seen, state)
+    for wrong in (controller.predict(seen[:2])[1], "x", np.zeros((3, 4)), {}):
+        with pytest.raises(ParameterError, match="^state = .*last predict of 3 observations"):
+            controller.predict(seen, wrong)
+
+
 def test_a_controller_of_a_rover_refuses_scaled_observations():
     rover = load_rover()
     for name in ROVER_CONTROLLERS:

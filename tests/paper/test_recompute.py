@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares, linprog
 
+from soil_env.cli import paper
+from soil_env.cli.running import run
 from soil_env.paper import compare, model, page
 from soil_env.paper.compare import FIXED_COHESION, MEASURED, MODELS, PRINTED_SET, P
 from soil_env.parameters import soils
@@ -275,3 +277,12 @@ def test_page_and_figures_are_written(tmp_path, results):
     page.write(results, tmp_path, "soil-env paper --seed 3")
     shown = re.findall(r"\(paper/(\w+\.png)\)", (tmp_path / "paper.md").read_text(encoding="utf-8"))
     assert shown and {p.name for p in (tmp_path / "paper").glob("*.png")} == set(shown)
+
+
+def test_the_page_names_the_command_that_wrote_it(tmp_path, monkeypatch):
+    said = []
+    monkeypatch.setattr(paper, "compute", lambda seed, draws: None)
+    monkeypatch.setattr(page, "write", lambda results, folder, command: said.append(command))
+    out = tmp_path / "a b"
+    assert run(paper.command, ["--draws", "5", "--out", str(out)], "paper") == 0
+    assert said == [f"soil-env paper --draws 5 --seed 0 --out '{out}'"]

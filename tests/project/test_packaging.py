@@ -1,11 +1,13 @@
 """Contents of the wheel, and what is installed by it: names and commands."""
 
+import ast
 import os
 import re
 import shutil
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import tomllib
 import zipfile
 from importlib import metadata
@@ -70,6 +72,29 @@ def test_the_wheel_holds_the_packages_configs_and_examples_and_nothing_else(whee
     assert set(re.findall(r"^(\S+) = ", scripts, re.MULTILINE)) == set(PROJECT["scripts"])
 
 
+@pytest.mark.slow
+def test_the_sdist_holds_all_that_the_checks_of_make_test_need(tmp_path):
+    """Every file of the repository: `make lint` fails without the workflow files, for one."""
+    if not (ROOT / ".git").exists():
+        pytest.skip("not in a repository")
+    listed = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    names = {name for name in listed.stdout.split("\0") if (ROOT / name).is_file()}
+    source = tmp_path / "source"
+    for name in names:
+        (source / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, source / name)
+    program = f"from setuptools import build_meta; build_meta.build_sdist({str(tmp_path)!r})"
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=source, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    with tarfile.open(next(tmp_path.glob("*.tar.gz"))) as archive:
+        held = {name.partition("/")[2] for name in archive.getnames()}
+    assert names <= held, sorted(names - held)
+
+
 def test_versions_that_are_written_twice_agree():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert soil_env.__version__ == citation["version"]
@@ -91,6 +116,52 @@ def test_the_versions_that_were_run_are_in_the_range_of_each_dependency():
     assert found > len(PROJECT["dependencies"])
     run = {canonicalize_name(Requirement(d).name) for d in PROJECT["dependencies"]}
     assert run <= set(pinned)
+
+
+def test_the_image_has_the_extras_of_every_command():
+    """But `ray`, for a cluster: all else that is no extra of contributors, or contained in one."""
+    text = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+    extras = set(PROJECT["optional-dependencies"]) - {"test", "docs", "dev", "tune", "ray"}
+    assert set(re.search(r"\.whl\)\[([\w,]+)\]", text)[1].split(",")) == extras
+
+
+def imported(*folders):
+    """Top-level modules, of others than this project and Python, that the code of these folders
+    imports.
+    """
+    found = set()
+    for path in (p for folder in folders for p in sorted(ROOT.glob(folder))):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                found.add(node.module.partition(".")[0])
+    own = {"soil_env", "soil_env_agents", "benchmarks", "examples", "tests", "train"}
+    own |= {path.stem for path in ROOT.glob("mkdocs_*.py")}
+    return found - own - sys.stdlib_module_names
+
+
+@pytest.mark.parametrize(
+    ("folders", "extras"),
+    [
+        (
+            ("soil_env/**/*.py", "agents/**/*.py", "examples/*.py"),
+            ("train", "logs", "tune", "video", "ray", "export"),
+        ),
+        (("tests/**/*.py", "benchmarks/**/*.py"), ("train", "logs", "export", "ray", "test")),
+        (("mkdocs_*.py",), ("docs",)),
+    ],
+)
+def test_what_is_imported_is_declared(folders, extras):
+    """Not only what a dependency happens to need, which has bounds of its own."""
+    declared = [*PROJECT["dependencies"]]
+    for extra in extras:
+        declared += PROJECT["optional-dependencies"][extra]
+    declared = {canonicalize_name(Requirement(d).name) for d in declared}
+    known = metadata.packages_distributions()
+    for module in imported(*folders):
+        by = {canonicalize_name(name) for name in known.get(module, [module])}
+        assert by & declared, module
 
 
 def run(*command, cwd):

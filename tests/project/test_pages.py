@@ -5,14 +5,17 @@ Links within the site are checked by `mkdocs build --strict`. `python -m tests.p
 writes the table of named effects into its page again.
 """
 
+import ast
 import functools
 import importlib.util
+import inspect
 import os
 import re
 import shlex
 import shutil
 import subprocess
 import sys
+from enum import Enum
 from pathlib import Path
 from unittest import mock
 
@@ -22,6 +25,7 @@ import pytest
 from click.testing import CliRunner
 
 from soil_env.cli import soil_env
+from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
 from soil_env.simulation.task import Cause
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -296,6 +300,26 @@ def test_the_observation_tables(page, env_id, variant, once, twice):
     assert sum(len(found[name]) for name in once) + 2 * sum(
         len(found[name]) for name in twice
     ) == len(expected)
+
+
+@pytest.mark.parametrize(
+    ("page", "heading", "made"),
+    [
+        ("environment.md", "Arguments", SoilWheelEnv),
+        ("vector.md", "Vector environments", SoilWheelVectorEnv),
+    ],
+)
+def test_the_defaults_of_arguments(page, heading, made):
+    """A default that is no value, as "of the action", is None in the code."""
+    parameters = inspect.signature(made).parameters
+    for row in tables(DOCS / "guide" / page)[heading]:
+        default = parameters[row["argument"].strip("`")].default
+        default = default.value if isinstance(default, Enum) else default
+        said = row["default"].strip("`")
+        try:
+            assert default == ast.literal_eval(said), row
+        except (SyntaxError, ValueError):
+            assert default is None, row
 
 
 def test_actions_rewards_causes_and_info_of_the_environment():

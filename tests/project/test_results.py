@@ -5,11 +5,17 @@
 
 import json
 import math
+import os
 import re
+import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 from scipy.stats import binom, binomtest
+
+from soil_env_agents.cells import code_version
 
 from .test_pages import DOCS, ROOT, tables
 
@@ -66,6 +72,19 @@ def test_agents_and_rules():
         assert numbers(difference) == [-value, -high, -low], ground
         blind = ("constant", "soft_start", "best_slip_identified")
         assert known[ground, rule.strip("`")] == max(known[ground, arm] for arm in blind)
+
+
+def test_the_page_of_studies_has_the_figure_of_the_results():
+    """What the agent lacks on `two_lines` to the best rule that does not know the soil."""
+    text = (DOCS / "guide" / "study.md").read_text(encoding="utf-8")
+    said = re.search(rf"({NUMBER}) \[({NUMBER}), ({NUMBER})\] points behind on `two_lines`", text)
+    row = tables(PAGE)["Agent and rules on every ground"][0]
+    value, low, high = numbers(row[list(row)[6]].split(" ", 1)[1])
+    assert row["ground"] == "`two_lines`" and [float(x) for x in said.groups()] == [
+        -value,
+        -high,
+        -low,
+    ]
 
 
 def test_identification():
@@ -149,6 +168,18 @@ def test_discovery():
         share = known[target]
         said = [100.0 * share[key] for key in ("value", "low", "high")] + [share["of"]]
         assert numbers(rows[question]) == pytest.approx(said, abs=0.51), question
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
+def test_make_results_takes_no_result_of_other_code(importable):
+    """What goes on where it was interrupted works in a folder of this code alone."""
+    environment = {name: v for name, v in os.environ.items() if name not in ("MAKEFLAGS", "MFLAGS")}
+    command = ["make", "-n", "results", f"PY={sys.executable}"]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    for work in ("study", "next_runs", "continuum loop", "identification", "discovery run"):
+        (folder,) = re.findall(rf"{work} .*?--out (\S+)", done.stdout)
+        assert code_version() in folder, work
 
 
 def quick(name: str):

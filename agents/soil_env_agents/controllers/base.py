@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout
 
@@ -136,8 +137,17 @@ class Controller(Observing):
     def state_for(self, batch: np.ndarray, state: dict | None, fresh: np.ndarray) -> dict:
         """Copy of `state` for a call with observations [n, D]; rows that are `fresh` [n] begin a
         course, with the integral at the torque that is fed forward.
+
+        ParameterError for a `state` of another number of rows, or that is none of a controller.
         """
-        if state is None or len(state["integral"]) != len(batch):
+        if state is not None and not (
+            isinstance(state, dict) and len(state.get("integral", ())) == len(batch)
+        ):
+            raise ParameterError(
+                f"state = {state!r:.60}: expected what the last predict of {len(batch)} "
+                "observations returned, or None"
+            )
+        if state is None:
             state = {
                 name: np.zeros((len(batch), n) if n else len(batch))
                 for name, n in self.memory.items()

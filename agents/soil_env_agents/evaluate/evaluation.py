@@ -74,9 +74,8 @@ class Evaluation(OfTask):
 
 @dataclass(frozen=True)
 class Block:
-    """Courses `first` ...
-
-    `first + count - 1` for the controller of a `Contestant.key`, or for `ORACLE`.
+    """Courses `first` to `first + count - 1` for the controller of a `Contestant.key`, or for
+    `ORACLE`.
     """
 
     controller: str

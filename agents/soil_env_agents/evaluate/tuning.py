@@ -86,10 +86,10 @@ def tuned_settings(
     """{controller: best settings} on the first `courses` courses of the tuning set.
 
     `names`: controllers of a wheel, or of a rover, or `module:Class`; default the shipped ones of
-    the vehicle. Settings that come with the package
-    are taken where they are good enough (`shipped_settings`), unless `anew`. Controllers without
-    settings are left out; with 0 courses all are. `model` has the effects of the world. With a
-    `log`, Optuna's journal, an interrupted tuning goes on.
+    the vehicle. Settings that come with the package are taken where they are good enough
+    (`shipped_settings`), unless `anew`. Controllers without settings are left out; with 0 courses
+    all are. `model` has the effects of the world. With a `log`, Optuna's journal, an interrupted
+    tuning goes on.
     """
     if courses == 0:
         return {}

@@ -288,7 +288,7 @@ def _summary(
     parameters = _parameters(problem, u, whole, scaling)
     first = [*examined.said, *_units(problem, parameters, plain.fits)]
     law_error = math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True)))
-    misfit = _misfit(problem, plain, missed, law_error)
+    misfit = _misfit(problem, missed, law_error)
     warnings = [
         *first,
         *filter(None, (misfit, dense)),
@@ -545,9 +545,7 @@ def _missed(problem: TableProblem, plain: _Plain, noise: NoiseEstimate | None) -
     return out
 
 
-def _misfit(
-    problem: TableProblem, plain: _Plain, missed: dict[str, float], law_error: float
-) -> str:
+def _misfit(problem: TableProblem, missed: dict[str, float], law_error: float) -> str:
     """Sentences that the base model does not fit, by how much it misses which channels, and what
     the intervals then hold; "" where none is `missed`.
     """
