@@ -19,7 +19,15 @@ from soil_env.identification.table.mistakes import examine
 from soil_env.measurement.doubts import load_doubt
 from soil_env.measurement.setup import Prior, Setup, SetupWheel, SoilPriors
 from soil_env.measurement.table import read_table
-from tests.discovery.files import PLANTED, SETUP, changed, data_of, table_text, write_files
+from tests.discovery.files import (
+    PLANTED,
+    SETUP,
+    changed,
+    data_of,
+    table_text,
+    with_column,
+    write_files,
+)
 
 
 def examined(folder, text, setup=SETUP):
@@ -202,6 +210,17 @@ def test_a_wheel_that_gains_power_is_doubted(tmp_path):
 
 def test_a_pull_that_falls_at_much_slip_alone_is_no_mistake(tmp_path):
     """Only tables that begin at low slip and end below zero say anything about the sign."""
+def test_a_pull_without_the_resistance_is_doubted(tmp_path):
+    """The whole thrust, torque over radius, in place of what is left of it at the axle."""
+    text = table_text({}, loads=(400, 500, 600))
+    data = data_of(tmp_path, text)
+    assert mistakes._no_resistance(data, mistakes._as_is(data).noise) == ""
+    whole = with_column(text, "drawbar_pull", lambda row: row["torque"] / 0.15)
+    assert "torque over radius less drawbar_pull is 0 times the load" in " ".join(
+        examined(tmp_path, whole)
+    )
+
+
     data = data_of(tmp_path, table_text({}))
     noise = mistakes._as_is(data).noise
     assert mistakes._pull_falls(data, noise) == "" and load_doubt(data.table, data.setup) == ""

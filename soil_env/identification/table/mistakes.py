@@ -79,6 +79,8 @@ HELD_SD = 0.056
 LESS_FREEDOM = 8.0
 MORE_FREEDOM = 2.0
 ALONE = 4.5  # log of the evidence by rises, from which a reading is told whatever the model says
+NONE_HELD = 5.0  # [`HELD_SD`] of the usual resistance, from which none at all is doubted
+MOST_HELD = 0.1  # of the usual resistance, up to which there is none
 #: Log of the evidence by rises, from which a reading of enough evidence is told although it misses
 #: the table by more noise. An effect that is missing can do that.
 WITH = 3.0
@@ -530,8 +532,8 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
     The best of the `sure` readings is a doubt, with those nearly as good. `ParameterError` if the
     table also breaks a physical limit that goes with this reading. Without a sure reading the first
     limit that is broken is a doubt: the pull falls with slip while its turned sign fits no worse,
-    the wheel gains power, or it pulls with more than its torque. The best reading with a gain of
-    `MAYBE` and a better fit is a caution then.
+    the wheel gains power, pulls with more than its torque, or with all of it. The best reading with
+    a gain of `MAYBE` and a better fit (`LESS`) is a caution then.
     """
     others = _other_readings(start)
     possible = [b for b in others if b.gain > MAYBE and b.rms < b.rms_before]
@@ -563,6 +565,12 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
         said = f"{more}: check the units of torque and drawbar_pull, and the wheel's radius."
         return [said], undecided
     return [], undecided
+    if missing := _no_resistance(data, noise):
+        said = (
+            f"{missing}: expected drawbar_pull at the axle, the thrust less the resistance; check "
+            "also the unit of torque and the wheel's radius."
+        )
+        return [said], undecided
 
 
 def _sure(gain: float) -> str:
@@ -893,6 +901,29 @@ def _outpulls_the_rim(data: Data, noise: NoiseEstimate) -> str:
 
 
 def _over_the_axle(data: Data, noise: NoiseEstimate, speed: np.ndarray, words: str) -> str:
+def _no_resistance(data: Data, noise: NoiseEstimate) -> str:
+    """Clause that torque over radius is the pull, as if the soil did not hold the wheel back where
+    it stands deep in it; "" else.
+
+    The pull is the whole thrust then. The usual resistance (`HELD`) must be clear of 0 by
+    `NONE_HELD`, and what is measured far below it (`MOST_HELD`).
+    """
+    level = np.abs(data.rows.conditions[:, 2]) < LEVEL
+    radius = data.rows.wheels[:, 0]
+    rows = np.all(noise.used, axis=1) & (data.rows.slip > LOW_SLIP) & level & (data.y[:, 0] > 0.0)
+    if rows.sum() < FEWEST_ROWS:
+        return ""
+    share = float(np.median(((data.y[:, 2] / radius - data.y[:, 1]) / data.rows.load)[rows]))
+    usual = float(np.median(HELD * np.sqrt(np.maximum(data.y[:, 0], 0.0) / radius)[rows]))
+    if usual < NONE_HELD * HELD_SD or abs(share) > MOST_HELD * usual:
+        return ""
+    return (
+        f"torque over radius less drawbar_pull is {round(share, 2) + 0.0:g} times the load in the "
+        "middle of the rows, where soil holds a wheel as deep as this one back with about "
+        f"{usual:.2g}"
+    )
+
+
     """`words` with the median of DP `speed`/(T/r) over the driven rows on the level, if it exceeds
     1 by more than noise (`SURE_GAIN`) and errors of gains (`GAINED`); "" else.
 
