@@ -43,6 +43,7 @@ from .problem import COARSE, TableProblem
 GRAVITY = 9.81  # [m/s2]
 UNUSUAL = math.log(1e-3)  # log of the prior probability of a mistake of one kind
 SURE = 8.5  # log of the evidence for another reading, from which it is told
+LESS = 0.97  # times the misfit of the table as it is, below which a reading is a possible one
 MAYBE = 4.5  # log of the evidence, from which another reading is mentioned as a possible one
 #: Times smaller that the mean square above the noise gets under a reading that is told.
 BETTER = 1.5
@@ -78,9 +79,9 @@ HELD = 0.72
 HELD_SD = 0.056
 LESS_FREEDOM = 8.0
 MORE_FREEDOM = 2.0
-ALONE = 4.5  # log of the evidence by rises, from which a reading is told whatever the model says
 NONE_HELD = 5.0  # [`HELD_SD`] of the usual resistance, from which none at all is doubted
 MOST_HELD = 0.1  # of the usual resistance, up to which there is none
+ALONE = 4.5  # log of the evidence by rises, from which a reading is told whatever the model says
 #: Log of the evidence by rises, from which a reading of enough evidence is told although it misses
 #: the table by more noise. An effect that is missing can do that.
 WITH = 3.0
@@ -536,7 +537,7 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
     a gain of `MAYBE` and a better fit (`LESS`) is a caution then.
     """
     others = _other_readings(start)
-    possible = [b for b in others if b.gain > MAYBE and b.rms < b.rms_before]
+    possible = [b for b in others if b.gain > MAYBE and b.rms < LESS * b.rms_before]
     better = [b for b in others if b.sure]
     data, noise, _ = start
     if better:
@@ -564,13 +565,13 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
     if more := _gains_power(data, noise) or _outpulls_the_rim(data, noise):
         said = f"{more}: check the units of torque and drawbar_pull, and the wheel's radius."
         return [said], undecided
-    return [], undecided
     if missing := _no_resistance(data, noise):
         said = (
             f"{missing}: expected drawbar_pull at the axle, the thrust less the resistance; check "
             "also the unit of torque and the wheel's radius."
         )
         return [said], undecided
+    return [], undecided
 
 
 def _sure(gain: float) -> str:
@@ -900,7 +901,6 @@ def _outpulls_the_rim(data: Data, noise: NoiseEstimate) -> str:
     )
 
 
-def _over_the_axle(data: Data, noise: NoiseEstimate, speed: np.ndarray, words: str) -> str:
 def _no_resistance(data: Data, noise: NoiseEstimate) -> str:
     """Clause that torque over radius is the pull, as if the soil did not hold the wheel back where
     it stands deep in it; "" else.
@@ -924,6 +924,7 @@ def _no_resistance(data: Data, noise: NoiseEstimate) -> str:
     )
 
 
+def _over_the_axle(data: Data, noise: NoiseEstimate, speed: np.ndarray, words: str) -> str:
     """`words` with the median of DP `speed`/(T/r) over the driven rows on the level, if it exceeds
     1 by more than noise (`SURE_GAIN`) and errors of gains (`GAINED`); "" else.
 
