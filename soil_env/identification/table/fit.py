@@ -42,6 +42,7 @@ LABELS = {
 }
 SYMBOLS = dict(zip(LABELS.values(), ("phi", "K", "S z^n", "n", "c", "tilt"), strict=True))
 OFF_PRIOR = 3.0  # [prior sd] from the prior, beyond which a solution under noise alone is doubted
+FAR_OFF_PRIOR = 5.0  # [prior sd] from which that is to be checked first where the base model fits
 EDGE = 1e-6  # of the range or the prior sd of an unknown, within which it is at a bound
 UNDETERMINED = 0.7  # share of the prior sd above which a parameter is not determined by the data
 TIED = 0.98  # correlation above which two parameters are tied
@@ -289,13 +290,16 @@ def _summary(
     first = [*examined.said, *_units(problem, parameters, plain.fits)]
     law_error = math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True)))
     misfit = _misfit(problem, plain, missed, law_error)
+    off_prior = _off_prior(problem, plain)
+    far, words = max(off_prior, default=(0.0, ""))
+    first += [words] if far > FAR_OFF_PRIOR and not misfit else []
     warnings = [
         *first,
         *filter(None, (misfit, dense)),
         *examined.undecided,
         *(w for w in examined.left_out if w not in first),
         *_undetermined(parameters, labels, correlation),
-        *_doubts(problem, u, plain, converged),
+        *_doubts(problem, u, [words for _, words in off_prior if words not in first], converged),
     ]
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else math.inf
     return TableEstimate(
@@ -465,17 +469,32 @@ def _undetermined(
     return words
 
 
-def _doubts(
-    problem: TableProblem,
-    u: np.ndarray,
-    plain: _Plain,
-    converged: bool,
-) -> list[str]:
-    """Warnings on the solution u: bounds, priors, scarce noise, a single load, what is not
-    modelled, weights that have not settled.
+def _off_prior(problem: TableProblem, plain: _Plain) -> list[tuple[float, str]]:
+    """(distance from its prior [prior sd], a sentence on that) of each parameter whose solution
+    under noise alone, `plain.u`, is further than `OFF_PRIOR` from a prior of the setup.
+    """
+    setup = problem.setup
+    given = {name: getattr(setup.soil, name, None) for name in LABELS}
+    given |= {
+        "sinkage_coefficient": setup.soil.lumped(setup.wheel.width),
+        "tilt_deg": setup.tilt_deg,
+    }
+    return [
+        (
+            abs(d),
+            f"Were the stress laws exact, the {LABELS[unknown.name]} would be {abs(d):.1f} "
+            "standard deviations from its prior: prior, table or laws are wrong.",
+        )
+        for unknown, d in zip(problem.unknowns, plain.u, strict=True)
+        if given[unknown.name] is not None and abs(d) > OFF_PRIOR
+    ]
 
-    Priors are compared with the solution under noise alone, `plain.u`, which is in prior standard
-    deviations.
+
+def _doubts(
+    problem: TableProblem, u: np.ndarray, off_prior: list[str], converged: bool
+) -> list[str]:
+    """Warnings on the solution u: bounds, priors (`off_prior`), scarce noise, a single load, what
+    is not modelled, weights that have not settled.
     """
     words = []
     setup = problem.setup
@@ -491,17 +510,7 @@ def _doubts(
             f"At the end of its admissible range: {', '.join(at_end)}; its interval is not "
             "reliable."
         )
-    given = {name: getattr(setup.soil, name, None) for name in LABELS}
-    given |= {
-        "sinkage_coefficient": setup.soil.lumped(setup.wheel.width),
-        "tilt_deg": setup.tilt_deg,
-    }
-    for unknown, d in zip(problem.unknowns, plain.u, strict=True):
-        if given[unknown.name] is not None and abs(d) > OFF_PRIOR:
-            words.append(
-                f"Were the stress laws exact, the {LABELS[unknown.name]} would be {abs(d):.1f} "
-                "standard deviations from its prior: prior, table or laws are wrong."
-            )
+    words += off_prior
     few = problem.freedom[problem.estimated]
     if few.size and np.min(few) < SCARCE:
         words.append(
