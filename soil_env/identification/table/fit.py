@@ -43,6 +43,8 @@ LABELS = {
 SYMBOLS = dict(zip(LABELS.values(), ("phi", "K", "S z^n", "n", "c", "tilt"), strict=True))
 OFF_PRIOR = 3.0  # [prior sd] from the prior, beyond which a solution under noise alone is doubted
 FAR_OFF_PRIOR = 5.0  # [prior sd] from which that is to be checked first where the base model fits
+LEAST_SD = 1e-12  # [unit of the channel] of a residual, since it divides
+MUCH_WORSE = 2.0  # times the residual under exact laws, from which a fit that allows for errors is
 EDGE = 1e-6  # of the range or the prior sd of an unknown, within which it is at a bound
 UNDETERMINED = 0.7  # share of the prior sd above which a parameter is not determined by the data
 TIED = 0.98  # correlation above which two parameters are tied
@@ -289,7 +291,7 @@ def _summary(
     parameters = _parameters(problem, u, whole, scaling)
     first = [*examined.said, *_units(problem, parameters, plain.fits)]
     law_error = math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True)))
-    misfit = _misfit(problem, plain, missed, law_error)
+    misfit = _misfit(problem, plain, missed, law_error, fits)
     off_prior = _off_prior(problem, plain)
     far, words = max(off_prior, default=(0.0, ""))
     first += [words] if far > FAR_OFF_PRIOR and not misfit else []
@@ -555,10 +557,15 @@ def _missed(problem: TableProblem, plain: _Plain, noise: NoiseEstimate | None) -
 
 
 def _misfit(
-    problem: TableProblem, plain: _Plain, missed: dict[str, float], law_error: float
+    problem: TableProblem,
+    plain: _Plain,
+    missed: dict[str, float],
+    law_error: float,
+    fits: dict[str, ChannelFit],
 ) -> str:
-    """Sentences that the base model does not fit, by how much it misses which channels, and what
-    the intervals then hold; "" where none is `missed`.
+    """Sentences that the base model does not fit, by how much it misses which channels, what the
+    intervals then hold, and that the soil of these `fits` predicts badly (`MUCH_WORSE`); "" where
+    no channel is `missed`.
     """
     if not missed:
         return ""
@@ -572,7 +579,25 @@ def _misfit(
         f"The base model does not fit the table: were its laws exact, it would miss by {sizes}. An "
         "effect may be missing: soil-env discover looks for it. The intervals allow for laws that "
         f"err by {100.0 * law_error:.2g} %, not for a missing effect, a wrong "
-        f"unit or a wrong sign.{also}"
+        f"unit or a wrong sign.{also}{_predicts_badly(plain, fits)}"
+    )
+
+
+def _predicts_badly(plain: _Plain, fits: dict[str, ChannelFit]) -> str:
+    """Sentence on the channel in which the soil of the `fits` misses the table most beyond what
+    exact laws would leave; "" where that is less than `MUCH_WORSE` times as much.
+    """
+    rms, least = (
+        {n: float(np.sqrt(np.nanmean((f.measured - f.fitted) ** 2))) for n, f in there.items()}
+        for there in (fits, plain.fits)
+    )
+    name = max(rms, key=lambda n: rms[n] / max(least[n], LEAST_SD))
+    if rms[name] < MUCH_WORSE * max(least[name], LEAST_SD):
+        return ""
+    return (
+        f" Do not simulate with this soil: without the error of the laws it misses "
+        f"{name.replace('_', ' ')} by {rms[name]:.2g} {fits[name].unit}. model.yaml of soil-env "
+        "discover is for that."
     )
 
 
