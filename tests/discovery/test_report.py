@@ -314,6 +314,8 @@ def test_the_summary_follows_the_probabilities(planted):
 
     ambiguous = sentences.summary(report_of(0.45, 0.4, 0.0, 0.15, 0.0))
     assert "85 %" in ambiguous and "slip-sinkage alone (45 %); bulldozing alone (40 %)" in ambiguous
+    besides = sentences.summary(report_of(0.05, 0.3, 0.4, 0.05, 0.2))
+    assert "in no catalogue, beside these or without them, is 60 %" in besides
     assert "in no catalogue (probability 90 %)" in sentences.summary(
         report_of(0.1, 0.0, 0.0, 0.0, 0.9)
     )
