@@ -81,10 +81,10 @@ WORK = {
     "weights": (
         "hang known weights, and read ",
         {
-            "force_gain": "the pull of a weight on the load cell",
-            "torque_gain": "the torque of a weight on a lever at the wheel",
-            "force_crosstalk": "the pull of a weight on a lever at the wheel",
-            "torque_crosstalk": "the torque of a weight on the load cell",
+            "force_gain": "the pull with a weight on the load cell",
+            "torque_gain": "the torque with a weight on a lever at the wheel",
+            "force_crosstalk": "the pull with a weight on a lever at the wheel, which has to be 0",
+            "torque_crosstalk": "the torque with a weight on the load cell, which has to be 0",
         },
     ),
     "scale": (
@@ -102,8 +102,14 @@ def open_checks(known: Collection[str] = ()) -> tuple[Check, ...]:
     for name, (begin, parts) in WORK.items():
         left = {error: part for error, part in parts.items() if error not in known}
         if left:
-            out.append(Check(name, begin + " and ".join(dict.fromkeys(left.values())), tuple(left)))
+            out.append(Check(name, begin + _listed(dict.fromkeys(left.values())), tuple(left)))
     return tuple(out)
+
+
+def _listed(parts: Collection[str]) -> str:
+    """The parts with semicolons between them, and "and" between two that are short."""
+    short = len(parts) < 3 and not any("," in part for part in parts)
+    return (" and " if short else "; ").join(parts)
 
 
 class Predicted(NamedTuple):

@@ -26,7 +26,7 @@ _WIDEST = 10.0  # [-] half interval of a logarithm that is drawn: far beyond any
 _NAMES = {  # name, unit
     "friction_angle_deg": ("friction angle", "deg"),
     "shear_modulus": ("shear deformation modulus K", "m"),
-    "sinkage_coefficient": ("sinkage coefficient S", "N/m^(n+2), n as in the map"),
+    "sinkage_coefficient": ("sinkage coefficient S", "N/m^(n+2)"),
     "cohesion": ("cohesion", "Pa"),
     "dig_gain": ("gain of slip-sinkage", ""),
 }
@@ -85,7 +85,7 @@ def report_of(
             f"{plural(len(log), 'step')} of {log.period:g} s."
         ),
         "channels": _channel_table(log),
-        "soil": _soil_table(found),
+        "soil": _soil_table(found, log_map.belief.sinkage_exponent),
         "grounds": _ground_table(parts),
         "steady": advice(found, parts, steady),
     }
@@ -144,14 +144,17 @@ def _channel_table(log: Aligned) -> Table:
     return Table(header, rows)
 
 
-def _soil_table(found: Replay) -> Table:
-    """Table of the last estimate ("refused" where it is NaN) and of `Replay.learnt`."""
+def _soil_table(found: Replay, exponent: float) -> Table:
+    """Table of the last estimate ("refused" where it is NaN) and of `Replay.learnt`. S is that of
+    the `exponent` of the belief.
+    """
     learnt = found.learnt()
     rows = []
     for name, (words, unit) in _NAMES.items():
         spread = found.values[SD_OF[name]][-1]
         error = f"{spread:.0%}" if "relative" in SD_OF[name] else f"{spread:.3g}"
         cells = ("refused", "") if spread != spread else (f"{found.values[name][-1]:.4g}", error)
+        unit += f", n {exponent:g}" if name == "sinkage_coefficient" else ""
         rows.append((words, *cells, unit, f"{learnt[name]:.2f}"))
     header = ("parameter", "at the end", "1 sd", "unit", "least sd / prior sd")
     return Table(header, rows, f"Status at the end: {Status(found.status[-1]).name}")

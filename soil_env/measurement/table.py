@@ -346,6 +346,11 @@ def _column(path: Path, name: str, header: list[str], rows: Rows) -> np.ndarray:
         out[k] = value if isinstance(value, float) else math.nan
         if not math.isfinite(out[k]):
             unit = f" in {UNITS[name]}" if UNITS[name] else ""
+            if k == 0 and not any(isinstance(_canonical(cell), float) for cell in rows[0][1]):
+                raise ParameterError(
+                    f"{path}: row {rows[0][0]} has no number, {name} = {text!r}: expected values "
+                    "below the header (a row of units begins with #)"
+                )
             hint = (
                 "with a decimal point, without separators of thousands"
                 if _GROUPED.fullmatch(text)
@@ -380,7 +385,9 @@ def _check_rows(
         refuse(name, np.isnan(getattr(table, name)), "a number in every row")
     slip = np.abs(table.slip)
     hint = ""
-    if np.max(slip) <= MOST_SLIP_OVER_TRAVEL:
+    if np.max(table.slip) <= 1.0 and np.max(slip) <= MOST_SLIP_OVER_TRAVEL:
+        hint = " (if it is (r w - V)/(r w) where the wheel is braked, divide it by 1 less itself)"
+    elif np.max(slip) <= MOST_SLIP_OVER_TRAVEL:
         hint = " (if it is (r w - V)/V where the wheel drives, divide it by 1 + itself)"
     elif np.max(slip) <= MOST_PERCENT:
         hint = " (if it is percent, divide by 100)"

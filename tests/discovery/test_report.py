@@ -186,6 +186,22 @@ def with_setup(report, **keys):
     return dataclasses.replace(report, problem=problem)
 
 
+def test_a_gap_that_is_left_is_never_closed_by_100_percent(planted):
+    there = dataclasses.replace(planted, closed=0.9985, closed_interval=(0.93, 0.9991))
+    said = sentences.summary(there)
+    assert "more than 99 % of the gap" in said
+    assert "interval 93 to more than 99 %" in said
+
+
+def test_the_work_of_a_check_reads_one_thing_at_a_time():
+    """With commas in the parts, or three of them, semicolons part them."""
+    work = {check.name: check.work for check in open_checks()}
+    assert work["weights"].count("; ") == 3 and " and the " not in work["weights"]
+    assert "which has to be 0; the slip" in work["plate"]
+    (lifted,) = (c for c in open_checks(("torque_offset",)) if c.name == "lifted")
+    assert "the pull at rest and the torque that it takes to turn" in lifted.work
+
+
 def test_no_check_is_asked_for_what_the_setup_declares_exact(nothing):
     """Zeros that are exact: of the lifted wheel only its friction is read."""
     base = nothing.finding.best()
@@ -298,6 +314,8 @@ def test_the_summary_follows_the_probabilities(planted):
 
     ambiguous = sentences.summary(report_of(0.45, 0.4, 0.0, 0.15, 0.0))
     assert "85 %" in ambiguous and "slip-sinkage alone (45 %); bulldozing alone (40 %)" in ambiguous
+    besides = sentences.summary(report_of(0.05, 0.3, 0.4, 0.05, 0.2))
+    assert "in no catalogue, beside these or without them, is 60 %" in besides
     assert "in no catalogue (probability 90 %)" in sentences.summary(
         report_of(0.1, 0.0, 0.0, 0.0, 0.9)
     )

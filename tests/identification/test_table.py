@@ -296,6 +296,27 @@ def test_says_that_the_model_does_not_fit(tmp_path):
         assert text_of(e).index("soil-env discover") < text_of(e).index("95 % interval")
 
 
+def test_a_prior_that_the_table_contradicts_is_said_first(tmp_path):
+    """The model fits the rows alone, not with the prior: the soil lies between the two. That of
+    another gravity is such a prior.
+    """
+    for times, there in ((1.0, False), (6.0, True)):
+        S = SAND.sinkage_coefficient * times
+        setup = setup_of(("cohesion",), sinkage_coefficient=Prior(S, 0.1 * S))
+        e = identify_table(table_of(tmp_path, clean()), setup)
+        assert not e.misfit
+        assert any("standard deviations from its prior" in w for w in e.check_first) == there
+
+
+def test_says_that_the_soil_of_a_misfit_is_not_to_be_simulated(tmp_path):
+    """Under errors of the laws it may miss the rows by much more than the least squares."""
+    sound = identify_table(table_of(tmp_path, clean()), setup_of(THREE))
+    rows = clean().copy()
+    rows[:, 3] = rows[:, 4] / WHEEL.radius  # nothing holds the wheel back
+    e = identify_table(table_of(tmp_path, rows), setup_of(THREE))
+    assert "Do not simulate with this soil" in e.misfit and not sound.misfit
+
+
 def test_residuals_that_do_not_fit_are_larger_than_their_noise(tmp_path):
     """Not those under the form error, which takes a part of the misfit of the pull away from the
     sinkage.

@@ -337,6 +337,7 @@ def test_command(tmp_path, capsys):
     assert float(lines[-1].split(",")[1]) == pytest.approx(facts["estimate"]["friction_angle_deg"])
     said = capsys.readouterr().out
     assert "/drive" in said and "steady.csv" in said
+    assert "N/m^(n+2), n 1.07" in said  # of the belief; the map gives none
     assert said.startswith("From 1.000 s of its clock, 19.9 s, 200 steps of 0.1 s.")
     mine = {"ground1.csv", "ground1.yaml", "mine.csv"}
     for name in mine:

@@ -89,10 +89,18 @@ def test_a_sinkage_beyond_the_radius_is_a_wrong_cell_or_a_wrong_unit(tmp_path):
         (["slip,load,torque", "0.1,1 000,2"], ["'1 000'", "without separators of thousands"]),
         (["slip,load,torque,", "0.1,100,2,7"], ["column 4 has no name"]),
         ([HEADER, "0.1,100,0.02,5", "1.5,100,0.02,6"], ["slip = 1.5", "(r w - V)/V"]),
+        (
+            [HEADER, "0.1,100,0.02,5", "-1.5,100,0.02,-6"],
+            ["slip = -1.5", "(r w - V)/(r w) where the wheel is braked"],
+        ),
         (["slip,load,torque", '"0,1",100,2'], ["slip = '0,1'", "with a decimal point"]),
         (
             [HEADER, "0.1,100,deep,5"],
             ["row 2", "sinkage = 'deep'", "expected a finite number in m ("],
+        ),
+        (
+            [HEADER, "-,N,m,N", *GOOD[1:]],
+            ["row 2 has no number, slip = '-'", "a row of units begins with #"],
         ),
         ([HEADER, GOOD[1], "0.1,nan,0.02,5"], ["row 3", "load = 'nan'", "finite number in N ("]),
         ([HEADER, ",100,0.02,5"], ["row 2", "slip is empty"]),

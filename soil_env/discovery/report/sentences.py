@@ -98,6 +98,11 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.0f} %"
 
 
+def most(share: float) -> str:
+    """A share in percent as a whole number, 100 only where nothing is left."""
+    return "more than 99" if 0.995 <= share < 1.0 else f"{100.0 * share:.0f}"
+
+
 def sure(p: float) -> str:
     """A probability in percent, never as 0 or 100 %."""
     return (
@@ -247,7 +252,7 @@ def summary(report: Report) -> str:
         sets=shares[:4],
         worst=max((g.over_noise[0] for g in gap.values()), default=0.0),
         weak=sum(d.power < NAMED for d in finding.detectable.values()),
-        most=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
+        widest=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
         law=UNNAMED[law].title if (law := finding.hypotheses[0].law) else "",
         refuted=[
             title(" and ".join(n))

@@ -42,6 +42,9 @@ LABELS = {
 }
 SYMBOLS = dict(zip(LABELS.values(), ("phi", "K", "S z^n", "n", "c", "tilt"), strict=True))
 OFF_PRIOR = 3.0  # [prior sd] from the prior, beyond which a solution under noise alone is doubted
+FAR_OFF_PRIOR = 5.0  # [prior sd] from which that is to be checked first where the base model fits
+LEAST_SD = 1e-12  # [unit of the channel] of a residual, since it divides
+MUCH_WORSE = 2.0  # times the residual under exact laws, from which a fit that allows for errors is
 EDGE = 1e-6  # of the range or the prior sd of an unknown, within which it is at a bound
 UNDETERMINED = 0.7  # share of the prior sd above which a parameter is not determined by the data
 TIED = 0.98  # correlation above which two parameters are tied
@@ -288,14 +291,17 @@ def _summary(
     parameters = _parameters(problem, u, whole, scaling)
     first = [*examined.said, *_units(problem, parameters, plain.fits)]
     law_error = math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True)))
-    misfit = _misfit(problem, missed, law_error)
+    misfit = _misfit(problem, plain, missed, law_error, fits)
+    off_prior = _off_prior(problem, plain)
+    far, words = max(off_prior, default=(0.0, ""))
+    first += [words] if far > FAR_OFF_PRIOR and not misfit else []
     warnings = [
         *first,
         *filter(None, (misfit, dense)),
         *examined.undecided,
         *(w for w in examined.left_out if w not in first),
         *_undetermined(parameters, labels, correlation),
-        *_doubts(problem, u, plain, converged),
+        *_doubts(problem, u, [words for _, words in off_prior if words not in first], converged),
     ]
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else math.inf
     return TableEstimate(
@@ -465,17 +471,32 @@ def _undetermined(
     return words
 
 
-def _doubts(
-    problem: TableProblem,
-    u: np.ndarray,
-    plain: _Plain,
-    converged: bool,
-) -> list[str]:
-    """Warnings on the solution u: bounds, priors, scarce noise, a single load, what is not
-    modelled, weights that have not settled.
+def _off_prior(problem: TableProblem, plain: _Plain) -> list[tuple[float, str]]:
+    """(distance from its prior [prior sd], a sentence on that) of each parameter whose solution
+    under noise alone, `plain.u`, is further than `OFF_PRIOR` from a prior of the setup.
+    """
+    setup = problem.setup
+    given = {name: getattr(setup.soil, name, None) for name in LABELS}
+    given |= {
+        "sinkage_coefficient": setup.soil.lumped(setup.wheel.width),
+        "tilt_deg": setup.tilt_deg,
+    }
+    return [
+        (
+            abs(d),
+            f"Were the stress laws exact, the {LABELS[unknown.name]} would be {abs(d):.1f} "
+            "standard deviations from its prior: prior, table or laws are wrong.",
+        )
+        for unknown, d in zip(problem.unknowns, plain.u, strict=True)
+        if given[unknown.name] is not None and abs(d) > OFF_PRIOR
+    ]
 
-    Priors are compared with the solution under noise alone, `plain.u`, which is in prior standard
-    deviations.
+
+def _doubts(
+    problem: TableProblem, u: np.ndarray, off_prior: list[str], converged: bool
+) -> list[str]:
+    """Warnings on the solution u: bounds, priors (`off_prior`), scarce noise, a single load, what
+    is not modelled, weights that have not settled.
     """
     words = []
     setup = problem.setup
@@ -491,17 +512,7 @@ def _doubts(
             f"At the end of its admissible range: {', '.join(at_end)}; its interval is not "
             "reliable."
         )
-    given = {name: getattr(setup.soil, name, None) for name in LABELS}
-    given |= {
-        "sinkage_coefficient": setup.soil.lumped(setup.wheel.width),
-        "tilt_deg": setup.tilt_deg,
-    }
-    for unknown, d in zip(problem.unknowns, plain.u, strict=True):
-        if given[unknown.name] is not None and abs(d) > OFF_PRIOR:
-            words.append(
-                f"Were the stress laws exact, the {LABELS[unknown.name]} would be {abs(d):.1f} "
-                "standard deviations from its prior: prior, table or laws are wrong."
-            )
+    words += off_prior
     few = problem.freedom[problem.estimated]
     if few.size and np.min(few) < SCARCE:
         words.append(
@@ -545,9 +556,16 @@ def _missed(problem: TableProblem, plain: _Plain, noise: NoiseEstimate | None) -
     return out
 
 
-def _misfit(problem: TableProblem, missed: dict[str, float], law_error: float) -> str:
-    """Sentences that the base model does not fit, by how much it misses which channels, and what
-    the intervals then hold; "" where none is `missed`.
+def _misfit(
+    problem: TableProblem,
+    plain: _Plain,
+    missed: dict[str, float],
+    law_error: float,
+    fits: dict[str, ChannelFit],
+) -> str:
+    """Sentences that the base model does not fit, by how much it misses which channels, what the
+    intervals then hold, and that the soil of these `fits` predicts badly (`MUCH_WORSE`); "" where
+    no channel is `missed`.
     """
     if not missed:
         return ""
@@ -561,7 +579,25 @@ def _misfit(problem: TableProblem, missed: dict[str, float], law_error: float) -
         f"The base model does not fit the table: were its laws exact, it would miss by {sizes}. An "
         "effect may be missing: soil-env discover looks for it. The intervals allow for laws that "
         f"err by {100.0 * law_error:.2g} %, not for a missing effect, a wrong "
-        f"unit or a wrong sign.{also}"
+        f"unit or a wrong sign.{also}{_predicts_badly(plain, fits)}"
+    )
+
+
+def _predicts_badly(plain: _Plain, fits: dict[str, ChannelFit]) -> str:
+    """Sentence on the channel in which the soil of the `fits` misses the table most beyond what
+    exact laws would leave; "" where that is less than `MUCH_WORSE` times as much.
+    """
+    rms, least = (
+        {n: float(np.sqrt(np.nanmean((f.measured - f.fitted) ** 2))) for n, f in there.items()}
+        for there in (fits, plain.fits)
+    )
+    name = max(rms, key=lambda n: rms[n] / max(least[n], LEAST_SD))
+    if rms[name] < MUCH_WORSE * max(least[name], LEAST_SD):
+        return ""
+    return (
+        f" Do not simulate with this soil: without the error of the laws it misses "
+        f"{name.replace('_', ' ')} by {rms[name]:.2g} {fits[name].unit}. model.yaml of soil-env "
+        "discover is for that."
     )
 
 

@@ -43,6 +43,7 @@ from .problem import COARSE, TableProblem
 GRAVITY = 9.81  # [m/s2]
 UNUSUAL = math.log(1e-3)  # log of the prior probability of a mistake of one kind
 SURE = 8.5  # log of the evidence for another reading, from which it is told
+LESS = 0.97  # times the misfit of the table as it is, below which a reading is a possible one
 MAYBE = 4.5  # log of the evidence, from which another reading is mentioned as a possible one
 #: Times smaller that the mean square above the noise gets under a reading that is told.
 BETTER = 1.5
@@ -78,6 +79,8 @@ HELD = 0.72
 HELD_SD = 0.056
 LESS_FREEDOM = 8.0
 MORE_FREEDOM = 2.0
+NONE_HELD = 5.0  # [`HELD_SD`] of the usual resistance, from which none at all is doubted
+MOST_HELD = 0.1  # of the usual resistance, up to which there is none
 ALONE = 4.5  # log of the evidence by rises, from which a reading is told whatever the model says
 #: Log of the evidence by rises, from which a reading of enough evidence is told although it misses
 #: the table by more noise. An effect that is missing can do that.
@@ -530,11 +533,11 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
     The best of the `sure` readings is a doubt, with those nearly as good. `ParameterError` if the
     table also breaks a physical limit that goes with this reading. Without a sure reading the first
     limit that is broken is a doubt: the pull falls with slip while its turned sign fits no worse,
-    the wheel gains power, or it pulls with more than its torque. The best reading with a gain of
-    `MAYBE` and a better fit is a caution then.
+    the wheel gains power, pulls with more than its torque, or with all of it. The best reading with
+    a gain of `MAYBE` and a better fit (`LESS`) is a caution then.
     """
     others = _other_readings(start)
-    possible = [b for b in others if b.gain > MAYBE and b.rms < b.rms_before]
+    possible = [b for b in others if b.gain > MAYBE and b.rms < LESS * b.rms_before]
     better = [b for b in others if b.sure]
     data, noise, _ = start
     if better:
@@ -561,6 +564,12 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
         return [said], undecided
     if more := _gains_power(data, noise) or _outpulls_the_rim(data, noise):
         said = f"{more}: check the units of torque and drawbar_pull, and the wheel's radius."
+        return [said], undecided
+    if missing := _no_resistance(data, noise):
+        said = (
+            f"{missing}: expected drawbar_pull at the axle, the thrust less the resistance; check "
+            "also the unit of torque and the wheel's radius."
+        )
         return [said], undecided
     return [], undecided
 
@@ -889,6 +898,29 @@ def _outpulls_the_rim(data: Data, noise: NoiseEstimate) -> str:
         np.ones_like(data.rows.slip),
         "drawbar_pull is {:.2g} times torque over radius in the middle of the rows, and soil holds "
         "a driven wheel back",
+    )
+
+
+def _no_resistance(data: Data, noise: NoiseEstimate) -> str:
+    """Clause that torque over radius is the pull, as if the soil did not hold the wheel back where
+    it stands deep in it; "" else.
+
+    The pull is the whole thrust then. The usual resistance (`HELD`) must be clear of 0 by
+    `NONE_HELD`, and what is measured far below it (`MOST_HELD`).
+    """
+    level = np.abs(data.rows.conditions[:, 2]) < LEVEL
+    radius = data.rows.wheels[:, 0]
+    rows = np.all(noise.used, axis=1) & (data.rows.slip > LOW_SLIP) & level & (data.y[:, 0] > 0.0)
+    if rows.sum() < FEWEST_ROWS:
+        return ""
+    share = float(np.median(((data.y[:, 2] / radius - data.y[:, 1]) / data.rows.load)[rows]))
+    usual = float(np.median(HELD * np.sqrt(np.maximum(data.y[:, 0], 0.0) / radius)[rows]))
+    if usual < NONE_HELD * HELD_SD or abs(share) > MOST_HELD * usual:
+        return ""
+    return (
+        f"torque over radius less drawbar_pull is {round(share, 2) + 0.0:g} times the load in the "
+        "middle of the rows, where soil holds a wheel as deep as this one back with about "
+        f"{usual:.2g}"
     )
 
 
