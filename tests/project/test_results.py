@@ -68,6 +68,30 @@ def test_agents_and_rules():
         assert known[ground, rule.strip("`")] == max(known[ground, arm] for arm in blind)
 
 
+def test_what_is_said_of_agent_and_rules():
+    (rows,) = tables(RESULTS / "agents.md").values()
+    arms = {row["arm"]: row for row in rows if row["scenario"] == "two_lines"}
+    known = {arm: numbers(row["finished [%]"])[0] for arm, row in arms.items()}
+    agent = known["default"]
+    text = " ".join(PAGE.read_text(encoding="utf-8").split())
+    said = re.search(
+        rf"({NUMBER}) points more than the best blind rule, ({NUMBER}) fewer than the best slip on "
+        rf"the identified soil, ({NUMBER}) fewer than on the true soil",
+        text,
+    )
+    assert [float(x) for x in said.groups()] == [
+        round(agent - max(known["constant"], known["soft_start"])),
+        round(known["best_slip_identified"] - agent),
+        round(known["best_slip_true"] - agent),
+    ]
+    (slow,) = (
+        row for row in rows if (row["scenario"], row["arm"]) == ("field_vehicle", "constant")
+    )
+    ended = sum(numbers(slow[f"{end} [%]"])[0] for end in ("finished", "immobilised"))
+    said = re.search(rf"too slow for ({NUMBER}) % of the courses", text)
+    assert float(said[1]) == round(100.0 - ended)
+
+
 def test_identification():
     shipped = {row["scenario"]: row for row in first_table("identification", "as shipped")}
     errors = {row["scenario"]: row for row in first_table("identification", "errors")}
