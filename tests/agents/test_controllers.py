@@ -32,7 +32,9 @@ from tests.simulation.courses import EVEN
 from tests.simulation.wheels import started
 
 NAMES = tuple(CONTROLLERS)
-BY_RIM_SPEED = tuple(name for name in NAMES if name not in ("full_throttle", "constant_torque"))
+BY_RIM_SPEED = tuple(
+    name for name in NAMES if name not in ("full_throttle", "constant_torque", "best_route")
+)
 ACTIONS = ("torque", "wheel_speed", "rim_acceleration")
 WITHOUT_NOISE = ("sinkage", "drawbar_pull", "torque", "load", "speed", "wheel_speed", "pitch")
 QUIET = vars(calibrated(Noise(**dict.fromkeys(WITHOUT_NOISE, 0.0))))

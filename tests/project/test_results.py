@@ -64,13 +64,13 @@ def test_agents_and_rules():
     }
     for row in tables(PAGE)["Agent and rules on every ground"]:
         ground = row["ground"].strip("`")
-        for column in list(row)[1:6]:
+        for column in list(row)[1:7]:
             arm = "default" if column == "agent" else column.strip("`")
             assert float(row[column]) == known[ground, arm], (ground, column)
-        rule, difference = row[list(row)[6]].split(" ", 1)
+        rule, difference = row[list(row)[7]].split(" ", 1)
         value, low, high = ahead[ground, rule.strip("`")]
         assert numbers(difference) == [-value, -high, -low], ground
-        blind = ("constant", "soft_start", "best_slip_identified")
+        blind = ("constant", "soft_start", "best_route", "best_slip_identified")
         assert known[ground, rule.strip("`")] == max(known[ground, arm] for arm in blind)
 
 
@@ -79,12 +79,36 @@ def test_the_page_of_studies_has_the_figure_of_the_results():
     text = (DOCS / "guide" / "study.md").read_text(encoding="utf-8")
     said = re.search(rf"({NUMBER}) \[({NUMBER}), ({NUMBER})\] points behind on `two_lines`", text)
     row = tables(PAGE)["Agent and rules on every ground"][0]
-    value, low, high = numbers(row[list(row)[6]].split(" ", 1)[1])
+    value, low, high = numbers(row[list(row)[7]].split(" ", 1)[1])
     assert row["ground"] == "`two_lines`" and [float(x) for x in said.groups()] == [
         -value,
         -high,
         -low,
     ]
+
+
+def test_what_is_said_of_agent_and_rules():
+    (rows,) = tables(RESULTS / "agents.md").values()
+    arms = {row["arm"]: row for row in rows if row["scenario"] == "two_lines"}
+    known = {arm: numbers(row["finished [%]"])[0] for arm, row in arms.items()}
+    agent = known["default"]
+    text = " ".join(PAGE.read_text(encoding="utf-8").split())
+    said = re.search(
+        rf"({NUMBER}) points more than the best blind rule, ({NUMBER}) fewer than the best slip on "
+        rf"the identified soil, ({NUMBER}) fewer than on the true soil",
+        text,
+    )
+    assert [float(x) for x in said.groups()] == [
+        round(agent - max(known["constant"], known["soft_start"])),
+        round(known["best_slip_identified"] - agent),
+        round(known["best_slip_true"] - agent),
+    ]
+    (slow,) = (
+        row for row in rows if (row["scenario"], row["arm"]) == ("field_vehicle", "constant")
+    )
+    ended = sum(numbers(slow[f"{end} [%]"])[0] for end in ("finished", "immobilised"))
+    said = re.search(rf"too slow for ({NUMBER}) % of the courses", text)
+    assert float(said[1]) == round(100.0 - ended)
 
 
 def test_identification():

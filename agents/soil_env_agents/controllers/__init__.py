@@ -3,8 +3,8 @@
 
 They work on batches of observations [n, D] in their units and know the wheel of the scenario
 (radius, motor, weight). The true soil is an input of `best_slip_true` alone. All but
-`full_throttle` and `constant_torque` set a rim speed; the drive follows it with any action of the
-scenario. docs/guide/controllers.md has their table and laws.
+`full_throttle`, `constant_torque` and `best_route` set a rim speed; the drive follows it with any
+action of the scenario. docs/guide/controllers.md has their table and laws.
 """
 
 from collections.abc import Mapping
@@ -28,6 +28,7 @@ __all__ = [
 _ALL = (
     wheel.FullThrottle,
     wheel.ConstantTorque,
+    wheel.BestRoute,
     wheel.ConstantSpeed,
     wheel.SoftStart,
     wheel.FixedSlip,

@@ -35,6 +35,22 @@ class ConstantTorque(FullThrottle):
     bounds = {"share": Setting(0.4, "of the highest action", "the command", (0.05, 1.0), high=1.0)}
 
 
+class BestRoute(Controller):
+    """A constant command, on the route with the larger margin as identified."""
+
+    name = "best_route"
+    variant = "identified"
+    bounds = {"share": ConstantTorque.bounds["share"]._replace(default=0.3)}
+
+    def rim_speed(self, observation, state):
+        """No rim speed is followed."""
+        return np.zeros(len(observation))
+
+    def command(self, batch, rim_speed, state):
+        """The share of the largest action, [n, 1]."""
+        return np.full((len(batch), 1), self.settings["share"], dtype=np.float32)
+
+
 class ConstantSpeed(Controller):
     """A constant rim speed."""
 
