@@ -196,7 +196,7 @@ def test_the_json_of_a_spec_makes_the_environment_again(name, options):
 @ALL
 def test_a_copy_goes_on_as_the_original(make, drawn, copied):
     if drawn and make not in (SoilWheelEnv, SoilRoverEnv):
-        return
+        pytest.skip("a vector of environments draws nothing")
     env = make(course={"length": 2.0}, **({"render_mode": "rgb_array"} if drawn else {}))
     env.reset(seed=3)
     env.step(np.full(env.action_space.shape, 0.3))

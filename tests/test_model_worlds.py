@@ -77,6 +77,8 @@ def test_numbers_of_the_wheel_that_are_given_are_taken():
         SoilWheelEnv("mixed", model=MODEL, wheel="planetary_rover")
     with pytest.raises(ParameterError, match="scatter"):
         SoilWheelEnv("mixed", model=MODEL, scatter="no")
+    with pytest.raises(ParameterError, match="expected a `model`"):
+        SoilWheelEnv("mixed", scatter=True)
 
 
 def test_a_rover_has_the_wheels_of_the_model():

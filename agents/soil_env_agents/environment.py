@@ -54,7 +54,9 @@ def normalised(
     shares = np.diff(np.linspace(0, config.num_envs, len(worlds) + 1).astype(int))
     kind = SoilRoverVecEnv if isinstance(scenario, RoverScenario) else SoilWheelVecEnv
     parts = [
-        kind(share, scenario, observation, threads=config.threads, model=one, scatter=True)
+        kind(
+            share, scenario, observation, threads=config.threads, model=one, scatter=one is not None
+        )
         for share, one in zip(shares, worlds, strict=True)
     ]
     return side_by_side(parts, config, seed)

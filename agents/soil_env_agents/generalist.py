@@ -133,7 +133,11 @@ class Generalist(Checked):
                 *np.diff(np.linspace(0, some, len(hidden) + 1).astype(int)).tolist(),
             )
             for k, (share, world) in enumerate(zip(shares, [None, *hidden], strict=True)):
-                options = {"threads": self.ppo.threads, "model": world, "scatter": True}
+                options = {
+                    "threads": self.ppo.threads,
+                    "model": world,
+                    "scatter": world is not None,
+                }
                 parts.append(CommonVecEnv(share, scenario, teachers[name, k], **options))
         return ppo.learner(side_by_side(parts, self.ppo, self.seed), self.ppo, self.seed)
 

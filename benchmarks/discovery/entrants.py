@@ -1,7 +1,6 @@
 """Entrants: functions from (data.csv, setup.yaml) to an `Answer`.
 
-`workflow` is the discovery workflow of soil_env. The least-squares fits that docs/results.md
-compares it with are at commit 723d8c2d.
+`workflow` is the discovery workflow of soil_env.
 """
 
 from __future__ import annotations

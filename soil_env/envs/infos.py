@@ -99,6 +99,14 @@ def _numbers(info: Mapping[str, Any]) -> dict[str, np.number]:
     }
 
 
+def _whole(info: Mapping[str, np.ndarray]) -> Info:
+    """Arrays of a flat info with truth values, causes and statuses as int64, as of one vehicle."""
+    return {
+        name: values if values.dtype.kind == "f" else values.astype(np.int64)
+        for name, values in info.items()
+    }
+
+
 class VehicleInfos:
     """Infos of the vehicles of one simulation, of a `kind` of `INFOS`."""
 
@@ -116,10 +124,10 @@ class VehicleInfos:
         terms = self._terms()
         if self.kind == "short":
             short = dict(zip(_TERMS, terms.values(), strict=True))
-            return info | {"x": worlds.state["x"].copy()} | short
+            return _whole(info | {"x": worlds.state["x"].copy()} | short)
         every = np.ones(worlds.cause.size, dtype=np.bool_)
         full = info | {"reward_terms": terms} | self._groups(every, asks(self.kind))
-        return full if self.kind != "numeric" else flat(full)
+        return full if self.kind != "numeric" else _whole(flat(full))
 
     def final(self, ended: np.ndarray) -> Info:
         """Info of the vehicles that have `ended` [vehicles] bool, before a reset; 0 for all others,

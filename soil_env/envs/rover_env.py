@@ -161,7 +161,7 @@ class SoilRoverEnv(CourseEnv):
     identifiers run, and are compiled, only if observation, `info` or reward asks for them.
 
     ## Arguments
-    `rover`: name, path of a YAML file, or `vehicle.RoverScenario`; `observation`; `action`;
+    `rover`: name, path of a YAML file, or `RoverScenario`; `observation`; `action`;
     `repeat`; `render_mode`: "rgb_array" or "human"; `info`; `scaled`; any field of `RoverScenario`
     as a keyword, merged over the rover's, e.g. `course={"length": 20}` or `vehicle={"mass": 12}`.
     The wheels carry the vehicle's mass in equal shares, so `wheel={"body_mass": ...}` is refused,

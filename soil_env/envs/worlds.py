@@ -31,11 +31,13 @@ def with_model(
     identifier stays.
 
     Without a model, or with `scatter`, the scenario stays as it is; with `scatter` its spread is
-    about the soil of the model. Raises ParameterError for a radius or width in `changes` that is
-    not the model's, and for a wheel or soil that the scenario cannot have.
+    about the soil of the model. Raises ParameterError for `scatter` without a model, a radius or
+    width in `changes` that is not the model's, and a wheel or soil that the scenario cannot have.
     """
     if not isinstance(scatter, (bool, np.bool_)):
         raise ParameterError(f"scatter = {scatter!r:.60}: expected True or False")
+    if model is None and scatter:
+        raise ParameterError("scatter = True: expected a `model` whose soil it scatters about")
     if model is None or scatter:
         return scenario
     wheel = scenario.wheel

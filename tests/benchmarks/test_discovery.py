@@ -361,9 +361,7 @@ def test_interrupt_ends_the_processes_at_once():
 
 
 def test_the_workflow_answers_that_errors_of_the_shear_stress_along_the_arc_are_no_effect():
-    """Case none-rich-10-008, seed 104001, commit c3060ce7, of which an earlier workflow was sure of
-    shear softening.
-    """
+    """A table of this benchmark, of which an earlier workflow was sure of shear softening."""
     answer = entrant("workflow")(DATA / "law_error.csv", DATA / "law_error.setup.yaml")
     assert answer.verdict != "error" and {*answer.probabilities} <= {*CATALOGUE, *INSTRUMENTS}
     assert not answer.named and max(answer.probabilities.values()) < 0.5

@@ -79,6 +79,17 @@ def test_a_guess_where_only_the_slip_varies_is_told(planted):
     assert "It guesses at slip 0.9 (drawbar pull " in told and "not to learn what is" in told
 
 
+@pytest.mark.parametrize(("errors", "said"), [((1.8, 3.1), 1), ((3.1, 1.8), 0), ((0.5, 0.9), 0)])
+def test_it_is_told_where_the_base_model_predicts_better(planted, errors, said):
+    """Not where both err by less than the noise."""
+    (way, *_) = planted.outlook.left_out
+    base, corrected = errors
+    over = way.over_noise._replace(base=base, corrected=corrected)
+    outlook = planted.outlook._replace(left_out=(way._replace(over_noise=over),))
+    told = sentences.foreseen(dataclasses.replace(planted, outlook=outlook))
+    assert told.count("the base model predicts better than model.yaml") == said
+
+
 @pytest.mark.parametrize(
     ("form", "simulated", "words"),
     [

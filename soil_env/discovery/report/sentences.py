@@ -418,6 +418,8 @@ def foreseen(report: Report) -> str:
             f"Leaving {_level(way.what)} out, the base model errs by {figure(over.base)} times the "
             f"noise, the corrected one by {figure(over.corrected)}{curve}."
         )
+        if over.corrected > max((1.0 + WORSE) * over.base, 1.0):
+            parts.append("So there the base model predicts better than model.yaml.")
     guess = report.guess
     if guess is not None and guess.times > GUESSED:
         name = "drawbar_pull" if "drawbar_pull" in report.channels else report.channels[0]
