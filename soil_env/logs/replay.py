@@ -35,6 +35,7 @@ DIFFERS = 0.5  # probability from which the ground behind a border counts as ano
 _LEARNT = 0.8  # sd over prior sd, below which something was learnt
 _LEAST_LOAD = 1e-9  # [N] for which a margin is computed: that of a lifted wheel reads 0 or less
 _CONTRADICTS = 0.1  # share of the steps with status MISFIT, beyond which the report says so
+_MOSTLY = 0.5  # the same, beyond which it says so first
 #: [border lengths] before the place where the identifier found a border. The border may have begun
 #: there, so estimates in it are not those of the ground before.
 _LEFT = 1.2
@@ -367,7 +368,14 @@ def findings(found: Replay, log: Aligned) -> list[str]:
         )
     current_share = 100.0 * np.mean(found.status == Status.CONVERGED)
     lines.append(f"The estimate was current in {current_share:.0f} % of the steps.")
-    misfit = np.mean(found.status == Status.MISFIT)
-    if misfit > _CONTRADICTS:
-        lines.append(_MISFIT.format(100.0 * misfit))
     return lines
+
+
+def contradiction(found: Replay) -> tuple[str, bool]:
+    """(sentence on the share of the steps in which the readings contradict the model, True if it is
+    most of them); ("", False) where it is little.
+    """
+    misfit = float(np.mean(found.status == Status.MISFIT))
+    if misfit <= _CONTRADICTS:
+        return "", False
+    return _MISFIT.format(100.0 * misfit), misfit > _MOSTLY

@@ -15,7 +15,7 @@ from soil_env.online import Status
 
 from .align import Aligned
 from .mapping import LogMap, si_unit
-from .replay import SD_OF, Replay, findings
+from .replay import SD_OF, Replay, contradiction, findings
 from .steady import Ground, Steady, advice, cell, commands, files, grounds
 
 ALWAYS = ("report.html", "log.json", "estimates.csv", "estimates.png", "readings.png")
@@ -52,11 +52,13 @@ def report_of(
     """
     parts = grounds(found, steady)
     length = log.time[-1] - log.time[0]
+    contradicts, first = contradiction(found)
+    said = [contradicts] if contradicts else []
     values: dict[str, Any] = {
         "recording": recording,
-        "doubts": log.doubts,
+        "doubts": log.doubts + (said if first else []),
         "notes": log.notes,
-        "findings": findings(found, log),
+        "findings": findings(found, log) + ([] if first else said),
         "warnings": found.warnings,
     }
     facts = values | {

@@ -186,6 +186,21 @@ def test_a_motor_torque_without_inertia_is_left_out(log_map):
     assert not any("wheel.inertia" in line for line in findings(found, motor))
 
 
+@pytest.mark.parametrize(("share", "place"), [(0.05, None), (0.3, "- "), (0.9, "check first: ")])
+def test_readings_that_contradict_the_model_are_told_first_where_most_do(log_map, share, place):
+    log = made(log_map, VARIED, noise=1.0)
+    log.channels.update({n: Channel(n) for n in log.readings})
+    found = replay(log, log_map)
+    status = np.full(len(found.status), Status.CONVERGED)
+    status[: round(share * status.size)] = Status.MISFIT
+    found = dataclasses.replace(found, status=status)
+    steady = steady_windows(log, log_map, found.ground)
+    text = report_of("a.csv", log, log_map, found, steady)[1]
+    said = [line for line in text.splitlines() if "% of the steps the readings contra" in line]
+    assert len(said) == (place is not None)
+    assert all(line.startswith(place) for line in said)
+
+
 @pytest.mark.parametrize(("name", "value"), [("shear_modulus", 1e300), ("cohesion", math.inf)])
 def test_an_estimate_of_no_soil_is_refused_in_one_line(log_map, monkeypatch, name, value):
     """In the middle of a log and at its end: no picture, table or file has it."""

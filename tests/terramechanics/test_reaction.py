@@ -252,7 +252,7 @@ DEEP = soils()["lunar_simulant_hit_lss1"].state(R)
 @settings(deadline=None, max_examples=150)
 @given(
     soil=any_soil,
-    depth=st.sampled_from([0.0, 1e-12, 1.0, 1.5]) | st.floats(0.0, 1.5),
+    depth=st.sampled_from([0.0, 1e-12, 1.0, 1.5]) | st.floats(1e-12, 1.5),
     v=speeds,
     u=speeds,
     load=st.sampled_from([0.0, 1e-9]) | st.floats(0.0, 1e4),
