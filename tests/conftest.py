@@ -6,6 +6,7 @@ import signal
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 TESTS = Path(__file__).resolve().parent
 ROOT = TESTS.parent
@@ -20,6 +21,12 @@ for name, value in (
 for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     # Matrices and networks are small, and as many tests run as there are cores.
     os.environ.setdefault(name, "1")
+
+# The same examples on every machine; `--hypothesis-profile default` draws others.
+settings.register_profile(
+    "same", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("same")
 
 # A shell starts what runs in the background with Ctrl-C ignored, and processes started from here
 # would inherit that.

@@ -19,7 +19,7 @@ from soil_env.parameters import Belief, SoilState, load_scenario, soils
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause, layout
 from soil_env.simulation.task.scaling import Scaling
-from soil_env.simulation.wheels import SAMPLE, Setting, _observe, _sense
+from soil_env.simulation.wheels import SAMPLE, ThreadRecords, _observe, _sense
 from soil_env.simulation.world.camera import Sight
 from soil_env.simulation.world.sensors import NO_ERRORS, READING
 from soil_env.simulation.world.wheel import World
@@ -84,7 +84,9 @@ def test_all_variants_share_the_first_entries(variant):
 def _write(worlds, sample, setting, rows, sensed):
     own = setting[0]
     world = World(own.rig[0], BASE, own.nodes[0])
-    records = Setting(world, own.task[0], own.sensors[0], NO_ERRORS, own.camera[0], own.normals[0])
+    records = ThreadRecords(
+        world, own.task[0], own.sensors[0], NO_ERRORS, own.camera[0], own.normals[0]
+    )
     for i in range(len(rows)):
         if sensed:
             _sense(worlds.state[0], sample[0], worlds.courses[0], records)
