@@ -70,7 +70,7 @@ def test_agents_and_rules():
         rule, difference = row[list(row)[7]].split(" ", 1)
         value, low, high = ahead[ground, rule.strip("`")]
         assert numbers(difference) == [-value, -high, -low], ground
-        blind = ("constant", "soft_start", "best_route", "best_slip_identified")
+        blind = ("constant_torque", "soft_start", "best_route", "best_slip_identified")
         assert known[ground, rule.strip("`")] == max(known[ground, arm] for arm in blind)
 
 
@@ -99,16 +99,21 @@ def test_what_is_said_of_agent_and_rules():
         text,
     )
     assert [float(x) for x in said.groups()] == [
-        round(agent - max(known["constant"], known["soft_start"])),
+        round(agent - max(known["constant_torque"], known["soft_start"])),
         round(known["best_slip_identified"] - agent),
         round(known["best_slip_true"] - agent),
     ]
-    (slow,) = (
-        row for row in rows if (row["scenario"], row["arm"]) == ("field_vehicle", "constant")
-    )
-    ended = sum(numbers(slow[f"{end} [%]"])[0] for end in ("finished", "immobilised"))
-    said = re.search(rf"too slow for ({NUMBER}) % of the courses", text)
-    assert float(said[1]) == round(100.0 - ended)
+    (rows,) = tables(RESULTS / "agents.md").values()
+    for world in ("grousers", "shear_softening", "bulldozing"):
+        ours = [row for row in rows if row["scenario"] == world]
+        rules = [row for row in ours if row["arm"] not in ("default", "best_slip_true")]
+        best = max(rules, key=lambda row: numbers(row["finished [%]"])[0])
+        value, low, high = numbers(best["finished - default [points]"])
+        more = (-value, -high, -low) if value < 0 else (value, low, high)
+        said = re.search(
+            rf"({NUMBER}) \[({NUMBER}), ({NUMBER})\](?: points more| fewer) with `{world}`", text
+        )
+        assert tuple(float(x) for x in said.groups()) == more
 
 
 def test_identification():
