@@ -171,7 +171,12 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
         worlds = [config.world, *hidden_worlds(scenario, config.hidden_worlds, config.seed)]
     task = scenario, config.observation, config.ppo, config.seed, folder / "tensorboard", worlds
     if checkpoint.is_file():
-        model = ppo.resume(checkpoint, *task)
+        try:
+            model = ppo.resume(checkpoint, *task)
+        except ParameterError as error:
+            raise ParameterError(
+                f"{error}; without this file the run begins again from step 0"
+            ) from None
         show(f"Resuming at {model.num_timesteps:,} of {config.timesteps:,} steps.")
     else:
         model = ppo.build(*task)

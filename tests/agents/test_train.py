@@ -252,6 +252,12 @@ def test_a_training_that_was_stopped_is_resumed(capsys, tmp_path, monkeypatch, e
     reached = read_info(folder / "checkpoint.zip").timesteps
     assert not (folder / "model.zip").exists()
     assert reached == 2 * ROLLOUT if end is Killed else 2 * ROLLOUT < reached < 3 * ROLLOUT
+    checkpoint = folder / "checkpoint.zip"
+    whole = checkpoint.read_bytes()
+    checkpoint.write_bytes(whole[: len(whole) // 2])
+    code, _, err = run(capsys, "--resume", folder)
+    assert code == 2 and "without this file the run begins again" in err, err
+    checkpoint.write_bytes(whole)
     code, out, err = run(capsys, "--resume", folder)
     assert code == 0, err
     assert f"Resuming at {reached} of 512 steps" in out and load_agent(folder).timesteps >= 512

@@ -474,6 +474,6 @@ def rule() -> str:
 def validity(report: Report) -> str:
     """Conditions that the corrected model has seen."""
     return (
-        f"Fitted to {in_words(report.model.validity)}; beyond, model.yaml is an extrapolation and "
-        "warns of it."
+        f"Fitted to {in_words(report.model.validity)}; beyond, model.yaml is an extrapolation, of "
+        "which `predict` warns."
     )

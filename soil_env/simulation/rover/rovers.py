@@ -227,7 +227,7 @@ def lay_rovers(worlds, numbers, orders, scratch, first, end):
 
 
 class Setting(NamedTuple):
-    """Constants and scratch of a thread as records, see `simulation.wheels.Setting`."""
+    """Constants and scratch of a thread as records, see `simulation.wheels.ThreadRecords`."""
 
     world: RoverWorld
     task: Any  # `TASK`
