@@ -226,7 +226,7 @@ def lay_rovers(worlds, numbers, orders, scratch, first, end):
     return failed
 
 
-class Setting(NamedTuple):
+class ThreadRecords(NamedTuple):
     """Constants and scratch of a thread as records, see `simulation.wheels.ThreadRecords`."""
 
     world: RoverWorld
@@ -309,7 +309,7 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
     `lay_rovers` has drawn their courses before.
     """
     world = RoverWorld(numbers.rig[0], numbers.acting, numbers.suspension[0], scratch.stage[0])
-    setting = Setting(
+    setting = ThreadRecords(
         world, numbers.task[0], numbers.sensors[0], numbers.errors, scratch.normals[0]
     )
     recorded = worlds.samples.shape[0] > 0
