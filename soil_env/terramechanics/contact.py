@@ -30,6 +30,10 @@ LEAST_COSINE = 0.01
 # [of the entry angle] above which soil flows up along a locked rim, fitted here (benchmarks.rigs):
 # at 1 locked wheels sink and drag 1.5 times as much as measured, and more
 RISING_FROM = 0.75
+# [radii] sinkage at which half of the bound of `most_carried` is left. Own assumption: soil that is
+# not there cannot flow. Wheels of the rigs sink by 0.01 or more, and say little about it
+FLOWING_DEPTH = 0.05
+LEAST_SQUARE = 1e-24  # [radii^2] square of that sinkage, at least: a wheel in the air has none
 PEAK_MARGIN = 0.05  # [of the arc] least distance of the stress peak from its ends; own choice
 _x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
 # [-] u^2, distance of a node from the end of the arc over the zone's length
@@ -333,24 +337,37 @@ def _cosine_of_rise(arc):
 
 
 @compiled
+def _flowing(arc):
+    """Share x^2/(x^2 + x_f^2) of the soil that can flow at a sinkage of x radii, above 0; x_f =
+    `FLOWING_DEPTH`.
+    """
+    s = half_sin(arc.theta1)
+    square = max(4.0 * s * s * s * s, LEAST_SQUARE)
+    return square / (square + FLOWING_DEPTH * FLOWING_DEPTH)
+
+
+@compiled
 def most_carried(arc):
     """Bound on the share of the travel speed at which soil is carried along the rim.
 
     It is the speed of a locked rim along itself, over V, at `RISING_FROM` of the entry angle: the
     cosine of that angle. Soil in front of a locked wheel rises as in front of a blade. Above that
     angle it overtakes the rim and lifts it, below that angle it drags the rim back. The bound is
-    smoothed to stay above 0 where the axle is below the ground.
+    smoothed to stay above 0 where the axle is below the ground. On hard ground, where a wheel
+    hardly sinks, it falls to 0 (`_flowing`).
     """
     cosine, _ = _cosine_of_rise(arc)
-    return 0.5 * (cosine + math.sqrt(cosine * cosine + LEAST_COSINE))
+    rising = 0.5 * (cosine + math.sqrt(cosine * cosine + LEAST_COSINE))
+    return rising * _flowing(arc)
 
 
 @compiled
 def most_by_angle(arc):
     """Derivative of `most_carried` by the entry angle [1/rad]."""
     cosine, half_sine = _cosine_of_rise(arc)
-    change = -2.0 * RISING_FROM * half_sine
-    return change * most_carried(arc) / math.sqrt(cosine * cosine + LEAST_COSINE)
+    rising = -2.0 * RISING_FROM * half_sine / math.sqrt(cosine * cosine + LEAST_COSINE)
+    flowing = 2.0 * (1.0 - _flowing(arc)) * half_cos(arc.theta1) / half_sin(arc.theta1)
+    return (rising + flowing) * most_carried(arc)
 
 
 @compiled

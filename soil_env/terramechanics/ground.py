@@ -6,6 +6,7 @@ from soil_env.parameters import SoilState
 
 FIELDS = SoilState._fields
 SOIL = record(*FIELDS)  # a soil
+LEAST_COVER = 1e-3  # [m] depth of firm ground below a rut, at least; own choice
 
 
 @compiled
@@ -32,6 +33,14 @@ def soil_of(owner):
 def stiffened(soil, factor):
     """`soil` with a sinkage coefficient that is `factor` times as large."""
     return SoilState(*soil[:3], factor * soil.sinkage_coefficient, *soil[4:])
+
+
+@compiled
+def lowered(soil, depth):
+    """`soil` as it lies below a rut of a `depth` [m]: firm ground is nearer, `LEAST_COVER` [m] deep
+    at least.
+    """
+    return SoilState(*soil[:-1], max(soil.layer_depth - depth, LEAST_COVER))
 
 
 @compiled

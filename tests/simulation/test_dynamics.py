@@ -234,10 +234,10 @@ def test_reverse_mirrors_forward_on_level_ground(mode):
     np.testing.assert_allclose(backward, forward * [-1, -1, -1, -1, -1, 1], rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize(("law", "most"), [(EQUATION_10, 1.3), ({}, 2.0 ** (1.0 - COMPACTION))])
-def test_rolling_out_and_back_keeps_the_rut(law, most):
-    """A rut does not heal: the second pass deepens it by 2^(1 - q) at most."""
-    soil = soils()["grenville_loam"].state(0.15)._replace(**law)
+@pytest.mark.parametrize("law", [EQUATION_10, {}], ids=["equation 10", "flow"])
+def test_rolling_out_and_back_keeps_the_rut(law):
+    """A rut does not heal: the second pass deepens it by 2^(1 - q). Slip would dig more."""
+    soil = soils()["grenville_loam"].state(0.15)._replace(dig_gain=0.0, **law)
     wheels = on_uniform_ground(soil, 0.0, "wheel_speed")
     out = wheels.drive([0.4] * 60)
     assert out[-1, 0] > 0.5
@@ -250,7 +250,7 @@ def test_rolling_out_and_back_keeps_the_rut(law, most):
     assert back[-1, 0] < out[-1, 0] - 0.3
     there = np.interp(0.4, out[:, 0], out[:, 1])
     again = np.interp(0.4, back[::-1, 0], back[::-1, 1])
-    assert 0.97 * there < again < most * there
+    assert again / there == pytest.approx(2.0 ** (1.0 - COMPACTION), rel=2e-3)
 
 
 @pytest.mark.parametrize("amplitude", [0.003, 0.02])
@@ -278,7 +278,7 @@ def test_rocking_on_the_spot_heals_nothing(amplitude):
 
 @pytest.mark.parametrize(
     ("grade_deg", "law", "error"),
-    [(0.0, EQUATION_10, 0.05), (6.0, EQUATION_10, 0.15), (0.0, {}, 0.06), (6.0, {}, 0.18)],
+    [(0.0, EQUATION_10, 0.01), (6.0, EQUATION_10, 0.05), (0.0, {}, 0.01), (6.0, {}, 0.05)],
 )
 def test_passes_leave_the_rut_of_the_law_and_loosen_nothing(grade_deg, law, error):
     """There and back over fresh soil, four passes: z_N = z_1 N^(1 - q), less what flows back. Up
@@ -305,7 +305,6 @@ def test_passes_leave_the_rut_of_the_law_and_loosen_nothing(grade_deg, law, erro
     assert np.all(np.diff(depths) >= 0.0)
 
 
-@pytest.mark.xfail(strict=True, reason="6.6 and 7.6 N m: the contact begins above the rut")
 def test_a_wheel_rolls_more_easily_in_its_own_rut():
     """Level and steady, so that pull is 0 and the torque is that of the resistance."""
     soil = soils()["dry_sand"].state(0.15)
@@ -318,6 +317,15 @@ def test_a_wheel_rolls_more_easily_in_its_own_rut():
             torque.append(abs(wheels.now().torque))
         torques.append(np.mean(torque[50:90]))
     assert torques[1] < torques[0]
+
+
+def test_passes_do_not_roll_a_rut_into_rock():
+    """Rock below 2 cm of sand: four passes end on it."""
+    cover = 0.02
+    soil = soils()["dry_sand"].state(0.15)._replace(layer_gain=1e5, layer_depth=cover)
+    wheels = on_uniform_ground(soil, mode="wheel_speed", payload=0.0)
+    depths = [wheels.drive([command] * 110)[80, 1] for command in (0.3, -0.3, 0.3, -0.3)]
+    assert depths[0] < depths[1] < 1.1 * cover and depths[-1] < 1.1 * cover
 
 
 def test_spinning_digs_a_wheel_in_for_good():

@@ -273,17 +273,6 @@ def test_presets_are_drawn_by_weight():
     assert np.mean(cohesions == 1040.0) == pytest.approx(0.75, abs=0.03)
 
 
-def test_passes_deepen_a_rut_by_their_number_to_the_power_of_the_law(scenario):
-    cells = terrain.new_courses(1, scenario)["cells"][0]
-    assert terrain.depth_to_come(cells[0]) == 0.0
-    terrain.leave_rut(cells[0], 0.02)
-    for n in range(2, 10):
-        to_come = terrain.depth_to_come(cells[0])
-        assert to_come == pytest.approx(0.02 * n ** (1.0 - COMPACTION), rel=1e-5)
-        terrain.leave_rut(cells[0], to_come)
-    assert cells[0].passes == 9.0
-
-
 def test_passes_are_continuous_and_those_of_a_cell_in_its_middle(scenario):
     cells = terrain.new_courses(1, scenario)["cells"][0]
     cells["passes"] = np.random.default_rng(0).integers(0, 4, cells.size)

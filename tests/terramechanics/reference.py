@@ -50,11 +50,12 @@ def travel_over_rim(slip):
 
 def carried(slip, flow, tan_phi, theta1):
     """Speed of soil carried along the rim over the travel speed: `flow` tan(phi) (1 - i)^3, held
-    below cos(0.75 theta1).
+    below cos(0.75 theta1), and by the sinkage below that on hard ground.
     """
     share = flow * tan_phi * (1.0 - slip) ** 3
     slowest = math.cos(0.75 * theta1)
-    most = 0.5 * (slowest + math.hypot(slowest, 0.1))
+    depth = 1.0 - math.cos(theta1)  # [radii]
+    most = 0.5 * (slowest + math.hypot(slowest, 0.1)) / (1.0 + (0.05 / depth) ** 2)
     return share * (1.0 + (share / most) ** 4) ** -0.25
 
 

@@ -17,6 +17,7 @@ from soil_env.simulation.world.dynamics import (
     steps_for,
 )
 from soil_env.simulation.world.newton import Motion
+from soil_env.simulation.world.terrain import rut_at
 from soil_env.simulation.world.wheel import (
     Drive,
     Ground,
@@ -32,7 +33,7 @@ from soil_env.terramechanics.ground import put_soil, soil_of
 
 from .body import set_pitch
 from .newton import EXTRA, FOOTING, equation_of, foresee, reaction_of, solve_speeds
-from .ruts import copy_rut_behind, floor_at
+from .ruts import copy_rut_behind
 
 
 @compiled_finite
@@ -47,6 +48,7 @@ def _keep_stand(foot, at):
     """Write a `Stand` into a `FOOT`; its load follows from the suspension."""
     put_soil(foot, at.ground.soil)
     foot.sinkage = at.ground.sinkage
+    foot.rolled = at.ground.rolled
     foot.grade = at.ground.grade
     foot.along = at.along
     put_fields(foot, at.footing, FOOTING)
@@ -84,12 +86,13 @@ def _solve_stage(rover, course, ruts, number, h, forced, world):
         axle = rover.axles[a]
         stage = _stage_of(number, h, wheel, foot, rig)
         end = Motion(speed, scratch.found[a].rim, reaction_of(scratch.found[a]), converged)
-        under = Ground(soil_of(foot), foot.sinkage, foot.lift, foot.unfelt, foot.grade)
+        soil = soil_of(foot)
+        under = Ground(soil, foot.sinkage, foot.rolled, foot.lift, foot.unfelt, foot.grade)
         # each part of the way climbs the grade that its speed was solved on, for the energy balance
         rise = stage.first * wheel.speed * sin_cos(wheel.grade)[0]
         move(wheel, end, stage, under, foot, rig)
         axle.height += rise + stage.last * speed * sin_cos(foot.grade)[0]
-        axle.floor = floor_at(ruts, a, wheel.x)
+        axle.floor = rut_at(ruts[a], wheel.x)[0]
     set_pitch(rover, world.suspension)
     for a in range(axles):
         wheel = rover.wheels[a]

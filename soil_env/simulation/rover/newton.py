@@ -54,6 +54,7 @@ FOOT = record(
     "asked",  # at the end of the control period
     "before",  # at its beginning
     "sinkage",  # [m] that the arc is laid at
+    "rolled",  # [m] depth of the rut of earlier passes, where the contact begins
     "grade",  # [rad]
     "along",  # [N] weight along the grade
     *Footing._fields,

@@ -8,7 +8,7 @@ where the rover reverses. It does not meet the ruts of the wheels behind it.
 import numpy as np
 
 from soil_env._compiled.flags import compiled_finite
-from soil_env.simulation.world.terrain import RUT, between_cells, clear
+from soil_env.simulation.world.terrain import RUT, clear
 
 
 def new_ruts(rovers: int, axles: int, cells: int) -> np.ndarray:
@@ -21,16 +21,6 @@ def clear_ruts(cells):
     """Make all rut cells of a wheel undisturbed ground."""
     for i in range(cells.size):
         clear(cells[i])
-
-
-@compiled_finite
-def floor_at(ruts, a, x):
-    """Depth [m] at x [m] of the rut of the wheels ahead of axle a, linear between the middles of
-    the cells.
-    """
-    i, way = between_cells(ruts.shape[1], x)
-    here = ruts[a, i].floor
-    return here + way * (ruts[a, i + 1].floor - here)
 
 
 @compiled_finite

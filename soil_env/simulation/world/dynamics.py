@@ -12,6 +12,7 @@ from soil_env._compiled.elementary import sin_cos, smoothed_sign
 from soil_env._compiled.flags import compiled_finite, inlined
 from soil_env.slip import braked_share
 from soil_env.terramechanics.effects.multipass import in_rut
+from soil_env.terramechanics.ground import lowered
 from soil_env.terramechanics.motor import motor_torque
 from soil_env.terramechanics.reaction import (
     REST_SPEED,
@@ -29,6 +30,7 @@ from .terrain import (
     in_cell,
     pass_at,
     piece_at,
+    rut_at,
     soil_on,
 )
 from .wheel import (
@@ -58,6 +60,9 @@ REFINED_FOUR_TIMES = 0.6
 REFINED_EIGHT_TIMES = 1.2
 OVER = 1e-9  # [of a step] time left that counts as none
 LEAST_SINKAGE = 1e-15  # [m] below which a wheel counts as in the air: powers of it have no digits
+# [of the sinkage] below the rut of earlier passes that a wheel has at least; own choice: it falls
+# to the floor of the rut within some milliseconds
+LEAST_BELOW = 1e-2
 LARGEST_CHANGE = 0.1  # [of the sinkage] that is foreseen in a stage, up or down; own choice
 
 
@@ -132,19 +137,24 @@ def ground_ahead(wheel, stage, course, cells, border, fx):
     soil = soil_on(course.patches, x, wheel.patch, border)
     grade = grade_on(course.slopes, x, wheel.slope, border)
     passes = pass_at(cells, x)
-    return Ahead(in_rut(soil, passes, fx), grade, passes)
+    floor, rolled = rut_at(cells, x)
+    if floor + rolled > 0.0:
+        soil = lowered(soil, floor + rolled)
+    return Ahead(in_rut(soil, passes, fx), grade, passes, rolled)
 
 
 @inlined
-def foreseen_sinkage(wheel, duration):
-    """Sinkage [m] at the end of a stage if it goes on at the rate of the stage before.
+def foreseen_sinkage(wheel, duration, rolled):
+    """Sinkage [m] below the rut of earlier passes, `rolled` [m] deep, at the end of a stage, if it
+    goes on at the rate of the stage before.
 
     The change is at most `LARGEST_CHANGE` of the sinkage. In the air the sinkage is 0.
     """
     if wheel.sinkage < LEAST_SINKAGE:
         return 0.0
     most = LARGEST_CHANGE * wheel.sinkage
-    return wheel.sinkage + min(max(duration * wheel.sinking, -most), most)
+    ahead = wheel.sinkage + min(max(duration * wheel.sinking, -most), most)
+    return max(ahead - rolled, LEAST_BELOW * wheel.sinkage)
 
 
 @inlined
@@ -216,14 +226,14 @@ def stand(wheel, stage, ahead, load, world):
     rig = world.rig
     sine, cosine = sin_cos(ahead.grade)
     weight = rig.gravity * wheel.mass
-    sinkage = foreseen_sinkage(wheel, stage.duration)
+    sinkage = foreseen_sinkage(wheel, stage.duration, ahead.rolled)
     rim = rig.radius * wheel.wheel_speed
     # braking that the piled soil answers to; 0 where the pile lies behind
     piled = max(wheel.braked * smoothed_sign(wheel.speed, REST_SPEED)[0], 0.0)
     standing = Standing(sinkage, wheel.speed, rim, weight, sine, ahead.passes, piled, load)
     soil, arc, extra = ground_under(standing, ahead.soil, rig, world.acting)
     footing = lay_footing(world.nodes, arc, soil, weight * cosine)
-    ground = Ground(soil, sinkage, extra.lift, extra.unfelt, ahead.grade)
+    ground = Ground(soil, sinkage, ahead.rolled, extra.lift, extra.unfelt, ahead.grade)
     return Stand(ground, footing, extra, weight * sine)
 
 

@@ -9,7 +9,6 @@ from soil_env._compiled.cache import kept
 from soil_env._compiled.elementary import smooth_step
 from soil_env._compiled.flags import HUGE, compiled, record
 from soil_env.parameters import MOST_CLASSES, Scenario, SoilState
-from soil_env.terramechanics.effects.multipass import COMPACTION, rut_growth
 from soil_env.terramechanics.ground import SOIL, blend, put_soil, soil_of
 
 CELL = 0.05  # [m] length of one cell of the rut
@@ -194,24 +193,24 @@ def pass_at(cells, x):
 
 
 @compiled
+def rut_at(cells, x):
+    """(depth of the ruts of the wheels ahead, depth below it of the own rut) [m] at x [m].
+
+    Both are linear between the middles of the cells, and 0 on fresh ground.
+    """
+    i, way = between_cells(cells.size, x)
+    here = cells[i]
+    after = cells[i + 1]
+    floor = here.floor + way * (after.floor - here.floor)
+    return floor, here.depth + way * (after.depth - here.depth)
+
+
+@compiled
 def clear(cell):
     """Make a cell of the rut undisturbed ground."""
     cell.passes = 0.0
     cell.floor = 0.0
     cell.depth = 0.0
-
-
-@compiled
-def depth_to_come(cell):
-    """Depth [m] below its floor to which a wheel that comes onto this cell rolls the rut.
-
-    The whole rut, floor included, grows with one more pass (`rut_growth`). It is 0 where the wheel
-    has not been, since its own sinkage then makes the rut.
-    """
-    if cell.depth == 0.0 or cell.passes == 0.0:
-        return 0.0
-    whole = cell.floor + cell.depth
-    return whole * rut_growth(cell.passes + 1.0, COMPACTION) - cell.floor
 
 
 @compiled

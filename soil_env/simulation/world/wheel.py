@@ -34,7 +34,6 @@ from .sensors import READING
 from .terrain import (
     cell_after,
     cell_at,
-    depth_to_come,
     grade_on,
     leave_rut,
     piece_at,
@@ -74,7 +73,6 @@ WHEEL = record(
     # [of the travel] slid by a braked wheel, as soil piled ahead answers to it; negative: behind
     "braked",
     "rut_depth",  # [m] of the ground under the wheel where it has been before
-    "rut_to_come",  # [m] depth to which this pass rolls the rut of earlier ones, `depth_to_come`
     # of the last stage
     "mass",  # [kg]
     "available_torque",  # [N m] of the motor at this wheel speed, in the direction asked for
@@ -82,7 +80,7 @@ WHEEL = record(
     "pull_by_rim",  # dDP/d(r w)
     "torque_by_speed",  # dT/dV [N s]
     "torque_by_rim",  # dT/d(r w)
-    "bearing_sinkage",  # z_w [m]
+    "bearing_sinkage",  # z_w [m] below the undisturbed surface
     "unfelt",  # [m] sinkage of a residual law, which is read beyond z
     # of the last control period
     "motor_work",  # [J] in the last control period
@@ -168,7 +166,8 @@ class Ground(NamedTuple):
     """The ground under a wheel in a stage of a step."""
 
     soil: SoilState  # as the wheel meets it
-    sinkage: float  # [m] that the arc is laid at
+    sinkage: float  # [m] that the arc is laid at, below the rut of earlier passes
+    rolled: float  # [m] depth of that rut, where the contact begins
     lift: float  # [m] of z_w beyond the depth that carries
     unfelt: float  # [m] as in `WHEEL`
     grade: float  # [rad]
@@ -180,6 +179,7 @@ class Ahead(NamedTuple):
     soil: SoilState  # stiffened by earlier passes, but for the effect multipass (`in_rut`)
     grade: float  # [rad]
     passes: float  # 1 = fresh soil
+    rolled: float  # [m] depth of the wheel's own rut (`rut_at`)
 
 
 class Path(NamedTuple):
@@ -296,13 +296,14 @@ def sink(wheel, ground, mobilised, path, rig):
     """Move a wheel along its `Path` in a stage on `Ground`: set its place, sinkage and rut.
 
     z_w (`bearing`) is the depth at which undisturbed soil carries the pressure under the wheel,
-    `mobilised` z^n at z = `ground.sinkage`, and `ground.lift` more where effects dig. The
-    coefficient `mobilised` [N/m^(n+2)] is what the load took in the stage.
+    `mobilised` z^n at z = `ground.sinkage`, and `ground.lift` more where effects dig. Both begin at
+    the floor of the wheel's own rut, `ground.rolled`. The coefficient `mobilised` [N/m^(n+2)] is
+    what the load took in the stage.
 
-    Travel leads the sinkage `onto` z_w on fresh ground, beyond the furthest places of the wheel.
-    Elsewhere it leads onto the rut, which each pass deepens; on a way over both, onto the mean by
-    length. The sinkage stays between `SHALLOWEST` and `DEEPEST`. `rut_depth` grows where the wheel
-    sinks and not where it climbs out of its hole.
+    Travel leads the sinkage `onto` z_w on fresh ground, beyond the furthest places of the wheel,
+    and on ground that it has passed. In the hole where it stands travel leads onto the depth of
+    that hole; on a way over both, onto the mean by length. The sinkage stays between `SHALLOWEST`
+    and `DEEPEST`. `rut_depth` grows where the wheel sinks and not where it climbs out of its hole.
     """
     soil = ground.soil
     exponent = max(soil.sinkage_exponent, LEAST_EXPONENT)
@@ -314,8 +315,10 @@ def sink(wheel, ground, mobilised, path, rig):
     x = wheel.x + path.moved
     beyond = onto_fresh(x, wheel.lowest_x, wheel.best_x)
     fresh = min(beyond / max(abs(path.moved), STANDING), 1.0)
-    onto = fresh * bearing + (1.0 - fresh) * max(wheel.rut_depth, wheel.rut_to_come)
-    relaxed = relax_sinkage(wheel.sinkage, bearing, onto, path, soil, rig.relaxation)
+    rut = max(wheel.rut_depth - ground.rolled, bearing if ground.rolled > 0.0 else 0.0)
+    onto = fresh * bearing + (1.0 - fresh) * rut
+    below = wheel.sinkage - ground.rolled
+    relaxed = relax_sinkage(below, bearing, onto, path, soil, rig.relaxation) + ground.rolled
     depth = min(max(relaxed, SHALLOWEST * rig.radius), DEEPEST * rig.radius)
     wheel.sinking = (depth - wheel.sinkage) / path.duration
     if wheel.sinkage < depth:
@@ -324,7 +327,7 @@ def sink(wheel, ground, mobilised, path, rig):
     wheel.best_x = max(x, wheel.best_x)
     wheel.lowest_x = min(x, wheel.lowest_x)
     wheel.sinkage = depth
-    wheel.bearing_sinkage = bearing
+    wheel.bearing_sinkage = bearing + ground.rolled
 
 
 @inlined
@@ -379,17 +382,16 @@ def leave_ruts(wheel, cells):
     """Mark the cells that a wheel has left in a stage as passed, and enter the next ones.
 
     A cell is left once the wheel reaches the middle of the next (`cell_after`). It keeps the
-    deeper one of `rut_depth` and the rut to come, so far as the present sinkage reaches that. In a
-    cell that is entered for the first time the rut begins at the present sinkage.
+    deeper one of `rut_depth` and z_w, so far as the present sinkage reaches that. In a cell that is
+    entered for the first time the rut begins at the present sinkage.
     """
     after = cell_after(cells.size, wheel.cell, wheel.x)
     while wheel.cell != after:
-        rolled = min(wheel.rut_to_come, wheel.sinkage)
+        rolled = min(wheel.bearing_sinkage, wheel.sinkage)
         leave_rut(cells[wheel.cell], max(wheel.rut_depth, rolled))
         wheel.cell += 1 if after > wheel.cell else -1
         depth = cells[wheel.cell].depth
         wheel.rut_depth = depth if depth > 0.0 else wheel.sinkage
-        wheel.rut_to_come = depth_to_come(cells[wheel.cell])
 
 
 @inlined

@@ -29,14 +29,6 @@ def _part_of_pass(number, compaction):
 
 
 @compiled
-def rut_growth(passes, compaction):
-    """Depth of the rut after N >= 2 passes over its depth after N - 1: (N/(N - 1))^(1 - q), with q
-    = `compaction`.
-    """
-    return power(passes / (passes - 1.0), 1.0 - compaction)
-
-
-@compiled
 def rut_stiffness(passes, exponent, compaction):
     """Sinkage coefficient of the floor of a rut over that of fresh soil, for pass N; at least 1.
 
