@@ -185,8 +185,8 @@ class WheelSoilModel(Checked):
         for unknown or missing names and for values that are not finite or out of range. The speed
         and the pass that an effect or the residual law depends on (`needed`) are missing unless
         given in every row. Without the effect `grade`, `grade_deg` changes nothing: the load counts
-        as normal to the ground, and the pull as beyond the weight along it. Warns once for each model (`OutsideValidity`) of conditions outside
-        `validity`.
+        as normal to the ground, and the pull as beyond the weight along it. Warns once for each
+        model (`OutsideValidity`) of conditions outside `validity`.
         """
         if self.soil is None:
             raise ParameterError("WheelSoilModel: no soil: expected one, to predict with")

@@ -11,7 +11,6 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 from soil_env._compiled.flags import HUGE
 from soil_env.parameters import SoilState, load_scenario, soils
 from soil_env.simulation.world import courses as drawing, terrain
-from soil_env.terramechanics.effects.multipass import COMPACTION
 from soil_env.terramechanics.ground import soil_of
 from soil_env.terramechanics.steady import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
