@@ -153,6 +153,7 @@ def test_a_line_touches_curved_strength(stress):
     ("kind", "changes", "words"),
     [
         ("soil", {"cohesoin": 1.0}, ["cohesoin", "did you mean 'cohesion'"]),
+        ("soil", {"phi": 30.0}, ["'phi'", "did you mean 'friction_angle_deg'"]),
         ("soil", {"cohesion": math.nan}, ["cohesion", "nan"]),
         ("soil", {"cohesion": True}, ["cohesion", "True"]),
         ("soil", {"k_c": 1.0, "k_phi": 1.0}, ["sinkage_coefficient", "k_c"]),

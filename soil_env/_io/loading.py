@@ -162,11 +162,24 @@ class UnknownKeyword(ParameterError, TypeError):
         super().__init__(text if known else key)  # copying and unpickling pass the message alone
 
 
+#: Keys of quantities that are often written by their symbol.
+SYMBOLS = {
+    "phi": "friction_angle_deg",
+    "K": "shear_modulus",
+    "S": "sinkage_coefficient",
+    "c": "cohesion",
+    "n": "sinkage_exponent",
+    "r": "radius",
+    "b": "width",
+}
+
+
 def nearest(name, known) -> str:
     """'; did you mean ...?' with the known name that is most like `name`; "" where none is like
     it.
     """
-    near = difflib.get_close_matches(str(name), [str(k) for k in known], n=1)
+    name = SYMBOLS.get(str(name), str(name))
+    near = difflib.get_close_matches(name, [str(k) for k in known], n=1)
     return f"; did you mean {near[0]!r}?" if near else ""
 
 
