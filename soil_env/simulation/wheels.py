@@ -27,18 +27,9 @@ from .task.observation import (
     write_soil_under,
     write_truth,
 )
-from .task.rules import (
-    RUNNING,
-    TASK,
-    begin_step,
-    judge_period,
-    task_of,
-)
+from .task.rules import RUNNING, TASK, begin_step, judge_period, task_of
 from .world.camera import CAMERA, IMAGE, Sight, camera_of, sight_of, take_image
-from .world.courses import (
-    extend_course,
-    start_course,
-)
+from .world.courses import extend_course, start_course
 from .world.dynamics import control_period
 from .world.sensors import (
     READING,
@@ -91,13 +82,14 @@ class WheelNumbers(NamedTuple):
 def wheel_numbers(
     scenario: Scenario, variant: str, model: WheelSoilModel | None = None
 ) -> WheelNumbers:
-    """Pack a scenario; `model` gives the effects that are on in this world."""
-    entries = layout(variant, scenario.course)
+    """Pack a scenario with an observation `variant`; `model` gives the effects that act in this
+    world, on the wheel and on its sensors.
+    """
     return WheelNumbers(
         rig_of(scenario, model),
         acting_in(model),
         task_of(scenario, variant),
-        bounds_of(entries),
+        bounds_of(layout(variant, scenario.course)),
         sensors_of(scenario),
         sensor_errors(model),
         camera_of(scenario),
@@ -173,12 +165,11 @@ def start_drivable(course, owner, numbers, scratch):
 
     Where no soil is found, try another seed, at most `ATTEMPTS` times; then return -1.
     """
-    mass = -1.0
-    attempts = 0
-    while mass < 0.0 and attempts < ATTEMPTS:
+    for _ in range(ATTEMPTS):
         mass = start_course(course, owner, numbers, scratch)
-        attempts += 1
-    return mass
+        if mass >= 0.0:
+            return mass
+    return -1.0
 
 
 @kept

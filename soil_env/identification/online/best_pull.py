@@ -1,7 +1,7 @@
 """Best steady drawbar pull of the ground under the wheel, of the load, with its standard deviation.
 
-At each `SLIP` the steady sinkage z is the root of the condition ln s(z) + n ln q - ln S. Here s is
-the sinkage coefficient that the load mobilises, and q the ratio of slip-sinkage. One step of
+At each `SLIP` the steady sinkage z is the root of the condition ln s(z) + n ln q - ln S = 0. Here s
+is the sinkage coefficient that the load mobilises, and q the ratio of slip-sinkage. One step of
 Newton's method at each renewal follows the root. Friction, cohesion, K and stiffness err together,
 so the pull is known better than any of them: its variance is by their whole covariance.
 """
@@ -12,25 +12,8 @@ from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
 from soil_env.terramechanics.steady import DEEPEST
 
-from .forces import (
-    BY_SINKAGE,
-    LEAST_COEFFICIENT,
-    LN_S,
-    OF_GROUND,
-    PULL,
-    TORQUE,
-    reaction,
-)
-from .memory import (
-    BEST_PULL,
-    EXPONENT,
-    GAIN,
-    LOAD_GAIN,
-    PRESSURE,
-    SLIP,
-    SLIPS,
-    SOIL,
-)
+from .forces import BY_SINKAGE, LEAST_COEFFICIENT, LN_S, OF_GROUND, PULL, TORQUE, reaction
+from .memory import BEST_PULL, EXPONENT, GAIN, LOAD_GAIN, PRESSURE, SLIP, SLIPS, SOIL
 from .residuals import ground_of
 
 # ln of a mobilised coefficient that counts as none: twice the floor of `forces.reaction`
@@ -53,6 +36,7 @@ def _newton(x, slip, load, memory, setting, work):
     by a whole `LARGEST_STEP`. z stays within `SHALLOWEST` and `DEEPEST`.
     """
     u = memory.soil
+    n = u[EXPONENT]
     contact = work.contact[0]
     ground = ground_of(u, setting)
     z = math.exp(x)
@@ -60,10 +44,9 @@ def _newton(x, slip, load, memory, setting, work):
     ln_s = contact.value[LN_S]
     gain = setting.dig_gain * math.exp(u[GAIN])
     ratio = slip_sinkage_ratio(slip, gain, setting.dig_recovery)
-    n = u[EXPONENT]
     ln_S = u[PRESSURE] + memory.compaction * (n + 0.5) - n * math.log(setting.depth)
     slope = min(contact.by[LN_S, BY_SINKAGE] * z, FLATTEST)
-    step = -(ln_s + u[EXPONENT] * math.log(ratio) - ln_S) / slope
+    step = -(ln_s + n * math.log(ratio) - ln_S) / slope
     if ln_s <= FLOORED:  # cohesion alone carries the load
         step = -LARGEST_STEP
     after = x + min(max(step, -LARGEST_STEP), LARGEST_STEP)
@@ -76,11 +59,11 @@ def _newton(x, slip, load, memory, setting, work):
 def _pull_slopes(deeper, slope, ratio, memory, setting, work):
     """Write the slopes of the steady pull [N] by the unknowns of the soil into `work.step`.
 
-    The steady sinkage changes with the soil so that the condition still holds. `deeper`: slope of
-    the pull by ln z at a given soil; `slope`: that of the condition.
+    The steady sinkage changes with the soil so that the condition still holds. `deeper` [N]: slope
+    of the pull by ln z at a given soil; `slope`: that of the condition; `ratio`: q.
     """
     by = work.contact[0].by
-    through = -deeper / slope
+    through = -deeper / slope  # [N] slope of the pull by the condition, through the sinkage
     for i in range(OF_GROUND):
         work.step[i] = by[PULL, i] + through * by[LN_S, i]
     of_exponent = math.log(ratio) + math.log(setting.depth) - memory.compaction
@@ -91,8 +74,8 @@ def _pull_slopes(deeper, slope, ratio, memory, setting, work):
 
 @compiled
 def renew_best_pull(memory, load, setting, work):
-    """Renew the fresh best pull, its standard deviation and the steady sinkages under a measured
-    `load` [N].
+    """Renew the best pull [of load] in `fresh`, its standard deviation and the steady sinkages,
+    under a measured `load` [N].
 
     Slips at which the torque exceeds the motor's are left out. The pull is at least -1 of load.
     Where no slip is left it is -1 with a standard deviation of 1, and the sinkages start anew.
@@ -125,5 +108,4 @@ def renew_best_pull(memory, load, setting, work):
     else:
         memory.fresh[BEST_PULL] = -1.0
         memory.fresh_sd[BEST_PULL] = 1.0
-        for k in range(SLIPS):
-            memory.steady[k] = 0.0
+        memory.steady[:] = 0.0

@@ -8,14 +8,7 @@ from soil_env._compiled.flags import compiled
 
 from .best_pull import renew_best_pull
 from .linear import invert_whole
-from .memory import (
-    HERE,
-    OLD,
-    PLACE,
-    PUBLISHED,
-    QUANTITIES,
-    SOIL,
-)
+from .memory import HERE, OLD, PLACE, PUBLISHED, QUANTITIES, SOIL
 from .residuals import share_at
 
 # [border lengths] standard deviation of the place of a border that forces show, own choice: its
@@ -125,7 +118,8 @@ def put_on_border(memory, cell, setting):
 def blend_estimates(into, memory, setting):
     """Publish the blend of the old and the fresh estimate of the record `into` on a border.
 
-    `memory` gives the place on it. Its variance adds to those of both estimates.
+    `memory` gives the place of the wheel and of the border, whose variance adds to those of both
+    estimates.
     """
     share, slope = share_at(memory.place - memory.border, setting.border)
     rest = 1.0 - share

@@ -44,7 +44,7 @@ def _joint_variance(a, b, share):
 
 @compiled
 def _merge(into, cell):
-    """Average a cell into another.
+    """Average a `cell` into another.
 
     One share, by the precision of the slip, serves all `MEANS`, so that they stay those of one
     condition. Places are averaged by the number of readings, `OF_CHANGES` by that of changes.
@@ -70,8 +70,8 @@ def _merge(into, cell):
 
 @compiled
 def _apart(a, b):
-    """Squared distance of two cells: `_distance` if neither is on a border, by their places if both
-    are, infinite if one is.
+    """Squared distance by which cells are kept apart: `_distance` if neither is on a border, by
+    their places if both are, infinite if one is.
     """
     if a.place_error > 0.0 and b.place_error > 0.0:
         return ON_BORDER * ((a.place - b.place) ** 2 + NEAREST)

@@ -2,8 +2,8 @@
 standard deviations.
 
 A patch of a class counts with the last estimate made on it, away from its borders as the camera
-sees them. Each of these estimates holds the prior, which counts once: of posteriors (m_i, s_i) and
-the prior (m_0, s_0) the class has
+sees them. Each of these estimates holds the prior, which counts once. From posteriors (m_i, s_i)
+and the prior (m_0, s_0) the class gets
 
     s^-2 = s_0^-2 + sum (s_i^-2 - s_0^-2),    s^-2 m = s_0^-2 m_0 + sum (s_i^-2 m_i - s_0^-2 m_0),
 
@@ -45,8 +45,8 @@ def forget_classes(classes, setting):
 
 @compiled
 def remember_class(classes, c, patch, memory, setting):
-    """Renew class c by the estimate that a `memory` has on a `patch`; an earlier estimate from the
-    same patch is replaced.
+    """Renew class c by the estimate that the identifier's `memory` has on the patch of this number;
+    an earlier estimate from the same patch is replaced.
 
     A quantity that is not better known than by the prior changes nothing.
     """
@@ -64,7 +64,7 @@ def remember_class(classes, c, patch, memory, setting):
         sd = memory.sd[i] * (WIDER if i == BEST_PULL else 1.0)
         own = max(sd, LEAST_SD) ** -2.0
         prior = max(setting.prior_sd[i], LEAST_SD) ** -2.0
-        more = own - prior
+        more = own - prior  # precision by the readings on this patch
         if more > 0.0:
             total = precision[i] + more
             news = own * value - prior * setting.prior[i]

@@ -22,12 +22,7 @@ from .memory import (
     TANGENT,
     TORQUE,
 )
-from .residuals import (
-    LEAST_TANGENT,
-    WEIGHT,
-    residuals,
-    weigh_unknowns,
-)
+from .residuals import LEAST_TANGENT, WEIGHT, residuals, weigh_unknowns
 
 # Steps of Gauss-Newton for a point, at most, own choice; with one the errors of ln K grow by a
 # tenth. What two leave at the first point widens the form error, which holds where the laws err.
@@ -78,8 +73,8 @@ def _write_prior(memory, setting, work, size):
 
 @compiled
 def _normal_equations(memory, setting, work, size):
-    """Write normal matrix and gradient of prior and cells at `size` unknowns into `work`; returns
-    chi-squared (of the forces, of the law of sinkage, of the other residuals).
+    """Write normal matrix and gradient of prior and cells at `size` unknowns into `work`; return
+    chi-squared (of the forces, of the law of sinkage, of the residuals in further rows).
 
     Only residuals of cells on a border depend on its place and on the old soil.
     """
@@ -118,7 +113,7 @@ def _normal_equations(memory, setting, work, size):
 
 @compiled
 def _apply_step(memory, setting, work, size):
-    """Add `work.step` to the unknowns; the share of it that is taken.
+    """Add `work.step` to the unknowns; return the share of it that is taken.
 
     It is shortened until no unknown moves by more than its prior standard deviation. Then both
     soils are held within `FARTHEST`, and tan phi at `LEAST_TANGENT` or above.
@@ -140,8 +135,8 @@ def _apply_step(memory, setting, work, size):
 
 @compiled
 def _fall(work, size, length, share):
-    """Fall of chi-squared of the cells over a share of `work.step`, as the normal equations predict
-    it: that of cells and prior together, less that of the prior.
+    """Fall of chi-squared of the cells over a `share` of `work.step`, as the normal equations
+    predict it: that of cells and prior together, less that of the prior.
 
     `length`: step times gradient, the squared length of the whole step in standard deviations.
     """
@@ -165,9 +160,6 @@ def renew(memory, setting, work):
     # Behind a border the soil before it and the place of the border are unknowns too.
     size = ALL if memory.behind > 0 else HERE
     weigh_unknowns(memory, setting, work)
-    left = 1.0  # of chi-squared after the step
-    forces = 0.0
-    sinkage = 0.0
     for _ in range(STEPS):
         forces, sinkage, others = _normal_equations(memory, setting, work, size)
         factorise(work.normal, size, memory.factor)
@@ -177,6 +169,7 @@ def renew(memory, setting, work):
             length += work.step[i] * work.gradient[i]
         share = _apply_step(memory, setting, work, size)
         before = max(forces + sinkage + others, LEAST_CHI_SQUARED)
+        # chi-squared after the step [of that before]
         left = max(1.0 - _fall(work, size, length, share) / before, 0.0)
         if share == 1.0 and length < SETTLED:
             break

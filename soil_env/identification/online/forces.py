@@ -52,9 +52,9 @@ class Ground(NamedTuple):
 
     tan_phi: float
     cohesion: float  # [Pa]
-    exponent: float
-    ln_K: float  # of m
-    rim_flow: float  # to `shear_length` as in `Soil`
+    exponent: float  # n of the pressure S z^n
+    ln_K: float  # ln of K [m]
+    rim_flow: float  # this and those below as in `Soil`
     braked_peak: float
     shear_growth: float
     shear_length: float  # [m]
@@ -84,8 +84,10 @@ CONTACT = record(
 
 @compiled_sums
 def _lay_depths(contact, theta1, exponent, r):
-    """Write what derivatives of the stress need of each node: its depth below the entry point, by
-    the node in front with the same stress, which sets it.
+    """Write the depth of each node below the entry point, which derivatives of its normal stress
+    need; `theta1` [rad]: entry angle, r [m]: radius.
+
+    A node of the rear zone has the stress of a node in front (Eq. (8)), and so the depth of that.
     """
     nodes = contact.arc[0]
     sine = half_sin(theta1)
@@ -108,17 +110,17 @@ class _Sums(NamedTuple):
     p_sin: float  # of Int p sin
     cos: float  # of Int tau cos
     sin: float  # of Int tau sin
-    one: float  # of Int tau
+    one: float  # of Int tau, from which the torque follows
 
 
 class _State(NamedTuple):
     """What the derivatives by all quantities have in common."""
 
-    S: float
-    b: float  # [m]
+    S: float  # [N/m^(n+2)] that carries the load
+    b: float  # [m] width
     arc: Arc
-    rim: float  # motion of the sheared soil, as in `contact`
-    travel: float
+    rim: float  # [-] of the motion in `contact`: 1, and more by soil carried along the rim
+    travel: float  # [-] of the motion: V/(r w)
     modulus: float  # [m] K at this length of contact
     by_S: Forces  # derivatives of the forces by S
     rates: ShearRates  # derivatives of the integrals of tau by the motion
@@ -129,7 +131,9 @@ def _sums_by(contact, ground, state, by_entry, by_peak, by_exponent):
     """`_Sums` by a quantity on which entry angle, angle of the stress peak and exponent depend;
     `by_entry`, `by_peak` and `by_exponent` are their derivatives by it.
 
-    The nodes move with the arc, and their weights grow with the lengths of its zones.
+    The nodes move with the arc, and their weights grow with the lengths of its zones. Changes of a
+    node in the loop: `moved` of its angle [rad], `sunk` of its depth below the entry point [radii],
+    `slid` of its shear displacement [m], and `wider` of its weight, relative.
     """
     nodes = contact.arc[0]
     arc = state.arc
@@ -166,19 +170,20 @@ def _sums_by(contact, ground, state, by_entry, by_peak, by_exponent):
 
 
 @compiled
-def _derive(contact, i, sums, rim, travel, state):
+def _derive(contact, i, sums, rim_change, travel_change, state):
     """Write the derivatives of pull, torque and ln S by quantity i into `contact.by`, while S
     changes so that the load stays.
 
-    `sums`: by the quantity at a given S; `rim`, `travel`: derivatives of the motion by it.
+    `sums`: by the quantity at a given S; `rim_change`, `travel_change`: derivatives by it of the
+    motion (`_State.rim`, `_State.travel`).
     """
     S = state.S
     rates = state.rates
     by_S = state.by_S
     rb = state.arc.radius * state.b
-    tau_cos = sums.cos + rim * rates.cos_rim + travel * rates.cos_travel
-    tau_sin = sums.sin + rim * rates.sin_rim + travel * rates.sin_travel
-    tau = sums.one + rim * rates.one_rim + travel * rates.one_travel
+    tau_cos = sums.cos + rim_change * rates.cos_rim + travel_change * rates.cos_travel
+    tau_sin = sums.sin + rim_change * rates.sin_rim + travel_change * rates.sin_travel
+    tau = sums.one + rim_change * rates.one_rim + travel_change * rates.one_travel
     stiffer = -rb * (S * sums.p_cos + tau_sin) / by_S.load
     contact.by[PULL, i] = rb * (tau_cos - S * sums.p_sin) + stiffer * by_S.drawbar_pull
     contact.by[TORQUE, i] = state.arc.radius * rb * tau + stiffer * by_S.torque
@@ -199,6 +204,7 @@ def reaction(contact, ground, sinkage, slip, load, r, b):
     braked = max(-slip, 0.0)
     shift = braked_shift(braked, ground)
     arc = smooth_arc(sinkage, r, shift)
+    # soil carried along the rim: its share for rim_flow tan(phi) = 1, then the share of this ground
     free, _, free_by_travel = carried_share(1.0, travel, 0.0)
     carry = ground.rim_flow * t
     share, by_share, by_most = held_below(carry * free, most_carried(arc))
@@ -222,15 +228,15 @@ def reaction(contact, ground, sinkage, slip, load, r, b):
     _derive(contact, COHESION, _Sums(0.0, 0.0, q.e_cos, q.e_sin, q.e), 0.0, 0.0, state)
     _derive(contact, EXPONENT, _sums_by(contact, ground, state, 0.0, 0.0, 1.0), 0.0, 0.0, state)
     _derive(contact, LN_K, none, -rim, -travel, state)
-    theta1 = 1.0 / (r * max(contact.sin1, LEAST_SINE))
-    by_z = _sums_by(contact, ground, state, theta1, (0.5 + shift) * theta1, 0.0)
-    growth = ground.shear_growth / arc.theta1 * theta1
-    rim_by_z = travel * by_most * most_by_angle(arc) * theta1
+    entry_by_z = 1.0 / (r * max(contact.sin1, LEAST_SINE))
+    by_z = _sums_by(contact, ground, state, entry_by_z, (0.5 + shift) * entry_by_z, 0.0)
+    growth = ground.shear_growth / arc.theta1 * entry_by_z  # [1/m] of ln K
+    rim_by_z = travel * by_most * most_by_angle(arc) * entry_by_z
     _derive(contact, BY_SINKAGE, by_z, rim_by_z - growth * rim, -growth * travel, state)
-    slower = -1.0 if slip >= 0.0 else -travel * travel
+    travel_by_i = -1.0 if slip >= 0.0 else -travel * travel
     by_i = none
     if braked > 0.0 and ground.braked_peak > 0.0:
-        peak = -ground.braked_peak / (1.0 + braked) ** 2 * arc.theta1
-        by_i = _sums_by(contact, ground, state, 0.0, peak, 0.0)
-    rim_by_i = (share + travel * by_share * carry * free_by_travel) * slower
-    _derive(contact, BY_SLIP, by_i, rim_by_i, slower, state)
+        peak_by_i = -ground.braked_peak / (1.0 + braked) ** 2 * arc.theta1
+        by_i = _sums_by(contact, ground, state, 0.0, peak_by_i, 0.0)
+    rim_by_i = (share + travel * by_share * carry * free_by_travel) * travel_by_i
+    _derive(contact, BY_SLIP, by_i, rim_by_i, travel_by_i, state)

@@ -79,5 +79,6 @@ def assess_ground(
     pitch [rad]; `setting` is `SETTING` [1]. Columns of `out` are those of `Traversability`: best
     slip, drawbar margin and its sd [of load], torques required and available [N m], 1 if passable.
     """
-    arrays = (np.ascontiguousarray(estimate), np.ascontiguousarray(sd), seen)
-    _assess(rows, *arrays, setting, np.zeros(1, ARC_NODES), out)
+    estimate = np.ascontiguousarray(estimate)
+    sd = np.ascontiguousarray(sd)
+    _assess(rows, estimate, sd, seen, setting, np.zeros(1, ARC_NODES), out)

@@ -9,13 +9,7 @@ from soil_env._compiled.flags import compiled
 from soil_env.identification.status import Status
 
 from .best_pull import renew_best_pull
-from .borders import (
-    begin_soil,
-    blend_estimates,
-    feel_border,
-    put_on_border,
-    take_fresh,
-)
+from .borders import begin_soil, blend_estimates, feel_border, put_on_border, take_fresh
 from .cells import remember
 from .fit import CONTRADICTS, renew
 from .forces import LN_S, reaction
@@ -101,7 +95,8 @@ DEEPEST = 2.0  # [radii] largest bearing sinkage that S is published at, own cho
 
 @compiled
 def _surprise(memory, setting, work):
-    """Chi-squared of pull and torque of the newest cell under the soil so far.
+    """Chi-squared of pull and torque of the newest cell under the soil so far [-], two degrees of
+    freedom.
 
     Their covariance is that of the residuals, with a larger error of the laws, and that of the
     unknowns of the last fit. An old soil behind a border counts as known.
@@ -134,7 +129,8 @@ def _find_bearing(memory, reading, setting, work):
     """Renew the bearing sinkage under the wheel: the depth at which undisturbed ground, or the
     floor of a rut, carries its present pressure.
 
-    Where it is due, also renews the best pull, and widens its standard deviation.
+    With every point at first and on borders, then with every third (`OFTEN`), also renew the best
+    pull, and widen its standard deviation.
     """
     u = memory.soil
     r = setting.radius
@@ -146,6 +142,7 @@ def _find_bearing(memory, reading, setting, work):
     contact = work.contact[0]
     reaction(contact, ground, z, slip, corrected, r, setting.width)
     n = u[EXPONENT]
+    # deeper: bearing sinkage over z, (s/S)^(1/n); `PRESSURE` is ln of S depth^n
     stronger = contact.value[LN_S] - u[PRESSURE] - memory.compaction * (n + 0.5)
     deeper = setting.depth * math.exp(stronger / n)
     bearing = min(max(z * min(deeper, DEEPER), LEAST_SINKAGE * r), DEEPEST * r)
@@ -208,8 +205,8 @@ def status_of(known, contradicted, setting):
         return Status.MISFIT.value
     of_phi = known.sd[PUBLISHED_PHI] / setting.prior_sd[PUBLISHED_PHI]
     of_modulus = known.sd[PUBLISHED_LN_K] / setting.prior_sd[PUBLISHED_LN_K]
-    left = max(of_phi, of_modulus)
-    return Status.CONVERGED.value if left <= LEARNT else Status.NOT_EXCITED.value
+    learnt = max(of_phi, of_modulus) <= LEARNT
+    return Status.CONVERGED.value if learnt else Status.NOT_EXCITED.value
 
 
 @compiled
@@ -226,16 +223,16 @@ def _complete(memory, reading, alone, setting, work):
     """Close the open point and take it into account, in one of three ways.
 
     Where the sum of excesses shows another soil, or a soil that had fitted contradicts the laws, a
-    border begins here and the point is dropped. That is asked only off borders, if `alone`. An
-    outlier is left out, and the published standard deviations grow by `DOUBT`. To any other point
-    the soil is fitted, and published.
+    border begins here and the point is dropped. That is asked only off borders, of a wheel that is
+    `alone` as in `observe`. An outlier is left out, and the published standard deviations grow by
+    `DOUBT`. To any other point the soil is fitted, and published.
     """
     cell = memory.cells[memory.cells_kept]
     close(memory, cell, setting)
     if setting.border > 0.0:
         put_on_border(memory, cell, setting)
     memory.points += 1
-    alone = alone and memory.crossing == 0.0
+    alone = alone and setting.border > 0.0 and memory.crossing == 0.0
     contradicted = _contradicted(memory, setting)
     surprise = 0.0
     if alone and not contradicted and memory.points >= SETTLED_POINTS:
@@ -286,7 +283,6 @@ def observe(memories, k, reading, alone, setting, work):
     set to the prior.
     """
     memory = memories[k]
-    alone = alone and setting.border > 0.0
     if setting.off > 0:
         return HELD
     if not is_sound(reading, setting):
@@ -299,13 +295,13 @@ def observe(memories, k, reading, alone, setting, work):
     point = memory.open[0]
     error = slip_error(reading, setting)
     steady = is_steady(reading, error, turned, setting)
-    most = READINGS
+    wanted = READINGS
     if memory.crossing > 0.0:
-        most = READINGS_ON_BORDER
+        wanted = READINGS_ON_BORDER
     elif memory.points < FIRST_POINTS:
-        most = FIRST_READINGS
+        wanted = FIRST_READINGS
     outcome = HELD
-    if point.readings > 0.0 and (not steady or ends_point(point, reading, error, most, setting)):
+    if point.readings > 0.0 and (not steady or ends_point(point, reading, error, wanted, setting)):
         _complete(memory, reading, alone, setting, work)
         outcome = RENEWED
         if not _is_finite(memory):  # readings that no soil explains
@@ -319,8 +315,8 @@ def observe(memories, k, reading, alone, setting, work):
         if memory.place > memory.border + 0.5 * setting.border:
             memory.crossing = 0.0
             # what it grew on the border is of the blend of two soils, not of the laws
-            most = max(memory.old_form_error, LARGE_FORM_ERROR * setting.model_error)
-            memory.form_error = min(memory.form_error, most)
+            largest = max(memory.old_form_error, LARGE_FORM_ERROR * setting.model_error)
+            memory.form_error = min(memory.form_error, largest)
             take_fresh(memory)
     return outcome
 
@@ -349,11 +345,9 @@ def instruments(memory, setting, work, out):
     one = memory[0]
     scratch = work[0]
     weigh_unknowns(one, setting[0], scratch)
+    out[0, :] = one.u[SOIL:HERE]
+    out[1, :] = scratch.sd[SOIL:HERE]
     if one.points > 0:
         invert(one.factor, HERE, scratch.scratch, scratch.inverse)
-    for i in range(SOIL, HERE):
-        sd = scratch.sd[i]
-        if one.points > 0:
-            sd = math.sqrt(scratch.inverse[i, i])
-        out[0, i - SOIL] = one.u[i]
-        out[1, i - SOIL] = sd
+        for i in range(SOIL, HERE):
+            out[1, i - SOIL] = math.sqrt(scratch.inverse[i, i])

@@ -133,17 +133,17 @@ class Network(NamedTuple):
     first: np.ndarray  # [inputs, a]
     first_bias: np.ndarray  # [a]
     second: np.ndarray  # [a, b]
-    second_bias: np.ndarray
+    second_bias: np.ndarray  # [b]
     last: np.ndarray  # [b, 2]
-    last_bias: np.ndarray
+    last_bias: np.ndarray  # [2]
 
 
 def warning_setting(scenario: Scenario) -> np.ndarray:
     """Pack `WARNING_SETTING` [1] of a scenario."""
-    numbers = np.zeros(1, WARNING_SETTING)
-    numbers["no_load_speed"] = scenario.wheel.no_load_speed
-    numbers["shares"] = shares_of(scenario.control.period)
-    return numbers
+    warning = np.zeros(1, WARNING_SETTING)
+    warning["no_load_speed"] = scenario.wheel.no_load_speed
+    warning["shares"] = shares_of(scenario.control.period)
+    return warning
 
 
 def shares_of(period: float) -> list[float]:
@@ -174,8 +174,8 @@ def _channels(reading, numbers, warning):
 
 @compiled
 def begin_averages(recent, reading, numbers, warning):
-    """Set all moving averages to the first readings of a wheel, at rest at the start of a course,
-    and its seconds of driving to 0.
+    """Set all moving averages in `recent` [MEMORY] to the first readings of a wheel, at rest at the
+    start of a course, and its seconds of driving to 0.
     """
     values = _channels(reading, numbers, warning)
     for i in range(_AVERAGES):
@@ -185,10 +185,11 @@ def begin_averages(recent, reading, numbers, warning):
 
 @compiled
 def average(recent, reading, halted, numbers, warning):
-    """Take the readings of a control period into the averages and add it to the seconds of driving.
+    """Take the readings of a control period into the averages of `recent` [MEMORY], and add the
+    period to the seconds of driving.
 
     In a halt the averages stay as they are, and the seconds begin anew. `numbers`: `SETTING` of the
-    identifier.
+    identifier; `warning`: `WARNING_SETTING`.
     """
     if halted > 0.0:
         recent[_AVERAGES] = 0.0
@@ -201,8 +202,8 @@ def average(recent, reading, halted, numbers, warning):
 
 @compiled
 def _margin(known, tangent, seen):
-    """(margin of a class over the `tangent` of a grade, patches it was met on up to `_MOST_MET`);
-    both 0 where `seen` is 0.
+    """(margin [of load] of a `CLASS` over the `tangent` of a grade, patches it was met on up to
+    `_MOST_MET`); both 0 where `seen` is 0.
     """
     margin = seen * (known.estimate[BEST_PULL] - tangent)
     return margin, seen * min(float(known.patches), _MOST_MET)
@@ -210,10 +211,11 @@ def _margin(known, tangent, seen):
 
 @compiled
 def see(recent, image, classes, sight, numbers):
-    """Store the `View` of a control period, by an `Image` and the `CLASSES` of a wheel.
+    """Store the `View` of a control period in `recent` [MEMORY], by an `Image` and the `CLASSES` of
+    a wheel.
 
-    The grade under the wheel is that of its pitch, averaged over 2 s; `sight` [m]: range of the
-    camera, at which the distance to the next border is cut.
+    The grade under the wheel is that of its pitch, averaged over 2 s. `sight` [m]: range of the
+    camera, at which the distance to the next border is cut; `numbers`: `SETTING`.
     """
     sine = recent[_PITCH]
     route = classes.of[int(image.label_0)]
@@ -241,11 +243,10 @@ def see(recent, image, classes, sight, numbers):
 
 @compiled
 def _write_inputs(recent, x, sd, numbers, out):
-    """Write the `INPUTS` of a wheel into `out`, by its averages `recent` [MEMORY], its estimate x
-    and sd [6]; the load is the average over 2 s.
+    """Write the `INPUTS` of a wheel into `out`: by its averages and view in `recent` [MEMORY], its
+    estimate x [6] and the standard deviations sd [6]. The load is the average over 2 s.
     """
-    for i in range(_AVERAGES):
-        out[i] = recent[i]
+    out[:_AVERAGES] = recent[:_AVERAGES]
     out[_AVERAGES] = math.log(_SHORTEST + recent[_AVERAGES])
     load = recent[_LOAD] * numbers.weight
     area = numbers.radius * numbers.width
@@ -262,8 +263,7 @@ def _write_inputs(recent, x, sd, numbers, out):
     )
     for i in range(len(ground)):
         out[_SEEN + i] = ground[i]
-    for i in range(_SEEN, MEMORY):
-        out[len(ground) + i] = recent[i]
+    out[BLIND:] = recent[_SEEN:]
 
 
 class Assessed(NamedTuple):
@@ -312,7 +312,7 @@ class ImmobilisationWarning:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self.setting: np.ndarray = setting_of(scenario)
+        self.setting = setting_of(scenario)
         self._net = shipped_network()
 
     def assess(self, rows: np.ndarray, *known: np.ndarray) -> Assessed:
@@ -320,9 +320,9 @@ class ImmobilisationWarning:
 
         `known`: averages [wheels, MEMORY], estimates and their sd [wheels, 6].
         """
-        known = tuple(map(np.ascontiguousarray, known))  # views would be compiled anew
         assessed = Assessed(
             np.empty((len(rows), len(INPUTS))), np.empty((len(rows), len(HORIZONS)))
         )
-        _assess(rows, *known, self.setting, self._net, assessed)
+        whole = map(np.ascontiguousarray, known)  # views would be compiled anew
+        _assess(rows, *whole, self.setting, self._net, assessed)
         return assessed

@@ -22,14 +22,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env.identification.published import Traversability, published, soil_of_numbers
 from soil_env.identification.status import Status
-from soil_env.parameters import (
-    Belief,
-    Control,
-    Noise,
-    Scenario,
-    Soil,
-    Wheel,
-)
+from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, Wheel
 from soil_env.parameters.readings import largest_readings, reading_units
 from soil_env.parameters.sensors import SENSORS, Readings
 from soil_env.slip import rim_speeds, slips, travel_speeds
@@ -37,12 +30,7 @@ from soil_env.terramechanics.steady import steady_state
 
 from .ground import assess_ground
 from .identifier import HELD, instruments, observe_all
-from .memory import (
-    MEMORY,
-    READING,
-    WORK,
-    Instruments,
-)
+from .memory import MEMORY, READING, WORK, Instruments
 from .prior import setting_of
 
 __all__ = [
@@ -337,7 +325,8 @@ class OnlineIdentifier:
         return rim, speed
 
     def _put(self, r: Readings, rim: float, speed: float) -> None:
-        """Store readings and the white noise of each.
+        """Store readings and the white noise of each in the arrays that the identifier reads; `rim`
+        and `speed` [m/s] as `_speeds` returns them.
 
         A missing pitch is 0, a missing slip that of both speeds; slips are cut to [-1, 1]. Any
         other missing reading has the noise `UNMEASURED` and a substitute: the sinkage at rest, the
@@ -358,8 +347,7 @@ class OnlineIdentifier:
             measured = getattr(r, name)
             missing = measured != measured
             reading[name] = instead.get(name, 0.0) if missing else measured
-            unknown = UNMEASURED * getattr(self._units, name)
-            white[name] = unknown if missing else self._white[name]
+            white[name] = UNMEASURED * getattr(self._units, name) if missing else self._white[name]
 
     def _published(self, renewed: bool) -> Estimate:
         """The `Estimate` of the memory, with the instruments as identified."""

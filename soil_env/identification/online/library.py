@@ -9,14 +9,7 @@ import math
 
 from soil_env._compiled.flags import compiled
 
-from .linear import (
-    add_gaussian,
-    factorise,
-    invert,
-    invert_whole,
-    solve,
-    solve_half,
-)
+from .linear import add_gaussian, factorise, invert, invert_whole, solve, solve_half
 from .memory import SOIL
 
 # [of the likeliest] weight below which a soil of the library counts as excluded, own choice: left
@@ -38,10 +31,11 @@ def write_information(memory, work):
 
 @compiled
 def join(known, u, mean, precision, work):
-    """Join what the readings say at the soil u with a Gaussian of a `mean` and a `precision`.
+    """Multiply the likelihood of the readings by a Gaussian of a `mean` and a `precision`.
 
-    Writes the factor of the precision of their product into `work.factor`, the gradient of its
-    log-density at u into `work.gradient`; `known`: a record with `information` and `gradient`.
+    Write the factor of the precision of the product into `work.factor`, the gradient of its
+    log-density at the soil u into `work.gradient`. `known`: a record with the `information` of the
+    readings and the `gradient` of their log-likelihood at u.
     """
     work.normal[:SOIL, :SOIL] = known.information
     work.gradient[:SOIL] = known.gradient
@@ -77,7 +71,7 @@ def _log_weight(known, u, setting, work, k):
 @compiled
 def mix(known, u, setting, work):
     """Write mean and covariance of the mixture into `soil` and `spread` of `known`, by its
-    `information` and `gradient` at the soil u; the weights of the library into `work.weights`.
+    `information` and `gradient` at the soil u. The weights of the library go into `work.weights`.
 
     Sums are taken over the likeliest weight so far, so that none overflows. Soils below `UNLIKELY`
     have the weight 0.
@@ -118,8 +112,8 @@ def mix(known, u, setting, work):
 
 @compiled
 def lean(memory, setting, work):
-    """Give the next fit the prior of one Gaussian, with the moments of the library's soils under
-    `work.weights`, so that it is linearised near those that are left.
+    """Give the next fit one Gaussian as prior: the moments of the library's soils under
+    `work.weights`. So it is linearised near the soils that are left.
     """
     mean = memory.prior_mean
     mean[:] = 0.0

@@ -13,7 +13,7 @@ LEAST_PIVOT = 1e-12  # [of the diagonal] to which a smaller pivot is raised: a s
 
 @compiled
 def factorise(a, n, factor):
-    """Write U into `factor`, by the upper triangle of a [n, n]."""
+    """Write the U of a [n, n] into `factor`; only the upper triangle of a is read."""
     for back in range(n):
         j = n - 1 - back
         pivot = a[j, j]
@@ -81,8 +81,8 @@ def invert_whole(a, n, work, inverse):
 
 @compiled
 def add_gaussian(precision, mean, u, share, n, normal, gradient):
-    """Add a share of a Gaussian of n unknowns to a normal matrix, and of the gradient of its
-    log-density at u to `gradient`; a negative share takes it away.
+    """Add a share of a Gaussian of n unknowns: of its `precision` to the `normal` matrix, of the
+    gradient of its log-density at the unknowns u to `gradient`. A negative share takes it away.
     """
     for i in range(n):
         for j in range(n):

@@ -10,14 +10,7 @@ from soil_env._compiled.flags import record
 from soil_env.parameters import FLOW_LAW
 from soil_env.parameters.sensors import SensorReading
 
-from .forces import (
-    COHESION,
-    CONTACT,
-    EXPONENT,
-    LN_K,
-    OF_GROUND,
-    TANGENT,
-)
+from .forces import COHESION, CONTACT, EXPONENT, LN_K, OF_GROUND, TANGENT
 
 #: Unknowns of the soil: tan phi, c [Pa], n, ln of K [m], ln of the pressure S d^n [Pa] at the depth
 #: of `SETTING`. The last is ln of the gain of slip-sinkage over the nominal one.
@@ -166,7 +159,7 @@ MEMORY = record(
     "old_form_error",  # [of load] the same before the last border
     "misfit",  # chi-squared of the forces over the number of their residuals
     "law_misfit",  # the same of the law of sinkage
-    "compaction",  # of the floor of the rut under the wheel: ln S_N/S over n + 1/2
+    "compaction",  # of the floor of the rut under the wheel: ln(S_N/S)/(n + 1/2)
     "widening",  # of standard deviations, while points in a row are outliers
     "rest_pull",  # [of weight] mean pull beyond that of the slope, standing
     "rests",  # readings that this is the mean of
@@ -179,13 +172,13 @@ MEMORY = record(
     cells_kept=("i8",),
     settled=("i8",),  # 1: this soil has fitted
     behind=("i8",),  # 1 behind a border: the old soil is unknown too
-    u=("f8", ALL),
+    u=("f8", ALL),  # unknowns of the last fit, by the indices above
     factor=("f8", (ALL, ALL)),  # of the normal matrix of the unknowns u
     covariance=("f8", (SOIL, SOIL)),  # of the soil
     prior_mean=("f8", SOIL),  # of the next fit
     prior_precision=("f8", (SOIL, SOIL)),
     **KNOWLEDGE,
-    old_mean=("f8", SOIL),
+    old_mean=("f8", SOIL),  # of the soil before the last border, the prior of its unknowns
     old_precision=("f8", (SOIL, SOIL)),
     **ESTIMATES,
     steady=("f8", SLIPS),  # ln of the steady sinkages [m] at each `SLIP`; 0: none is known
@@ -212,11 +205,11 @@ SETTING = record(
     "model_error",  # [of load] of the laws
     load_varies=("i8",),  # 1: the load on the wheel changes from point to point
     off=("i8",),  # 1: nothing is identified
-    white=(READING, 1),
+    white=(READING, 1),  # standard deviations of the white noise, zeros and gains of the sensors
     zero=(READING, 1),
     gain=(READING, 1),
     largest=(READING, 1),  # of sound readings
-    soil_mean=("f8", SOIL),
+    soil_mean=("f8", SOIL),  # of the prior as one Gaussian
     soil_sd=("f8", SOIL),
     soil_precision=("f8", (SOIL, SOIL)),
     soil_covariance=("f8", (SOIL, SOIL)),
@@ -225,7 +218,7 @@ SETTING = record(
     library_mean=("f8", (MOST_SOILS, SOIL)),
     library_covariance=("f8", (MOST_SOILS, SOIL, SOIL)),
     library_precision=("f8", (MOST_SOILS, SOIL, SOIL)),
-    prior=_EACH,
+    prior=_EACH,  # published before any reading
     prior_sd=_EACH,
     blank=(MEMORY, 1),  # of a wheel before its first reading
 )
@@ -243,6 +236,6 @@ WORK = record(
     sd=("f8", ALL),  # of the prior
     soil=("f8", SOIL),  # blended
     weights=("f8", MOST_SOILS),  # of the soils of the library
-    slopes=("f8", (RESIDUALS, ALL)),
+    slopes=("f8", (RESIDUALS, ALL)),  # of what is predicted: minus those of the residuals
     contact=(CONTACT, 1),
 )

@@ -20,17 +20,8 @@ from soil_env.parameters.vehicle import MOST_AXLES
 from soil_env.terramechanics.effects.multipass import COMPACTION, rut_stiffness
 
 from .borders import see_border
-from .class_memory import (
-    CLASSES,
-    clear_of_borders,
-    forget_classes,
-    remember_class,
-)
-from .identifier import (
-    HELD,
-    RENEWED,
-    observe,
-)
+from .class_memory import CLASSES, clear_of_borders, forget_classes, remember_class
+from .identifier import HELD, RENEWED, observe
 from .immobilisation import (
     MEMORY as AVERAGES,
     WARNING_SETTING,
@@ -52,13 +43,7 @@ from .memory import (
     SETTING,
     WORK,
 )
-from .pooling import (
-    POOL,
-    forget_pool,
-    hand_over_border,
-    keep_knowledge,
-    pool_with,
-)
+from .pooling import POOL, forget_pool, hand_over_border, keep_knowledge, pool_with
 from .prior import setting_of
 
 CONVERGED = Status.CONVERGED.value
@@ -126,33 +111,36 @@ def board_setting(scenario: Scenario, shown: Shown, warns: bool) -> np.ndarray:
     `MOST_ENTRIES`.
     """
     setting = np.zeros(1, BOARD_SETTING)
-    setting["information"] = scenario.reward.information
-    setting["discount"] = scenario.reward.information_discount
-    setting["sight"] = scenario.camera.range
-    setting["border_sd"] = math.sqrt(2.0) * scenario.camera.border_noise
-    setting["axles"] = 1
-    setting["warns"] = warns
-    setting["shown"] = shown.on
-    setting["first"] = shown.first
-    setting["camera"] = scenario.course.classes
-    setting["lines"] = scenario.course.lines
+    board = setting[0]
+    board.information = scenario.reward.information
+    board.discount = scenario.reward.information_discount
+    board.sight = scenario.camera.range
+    # error of a border and error of the wheel's place in an image, each of this size
+    board.border_sd = math.sqrt(2.0) * scenario.camera.border_noise
+    board.axles = 1
+    board.warns = warns
+    board.shown = shown.on
+    board.first = shown.first
+    board.camera = scenario.course.classes
+    board.lines = scenario.course.lines
     entries = len(shown.low)
     if entries > MOST_ENTRIES:
         raise ValueError(f"observation of {entries} entries: expected at most {MOST_ENTRIES}")
-    setting["bounds"][0, :, :entries] = shown.low, shown.high
-    setting["identifier"] = setting_of(scenario)
+    board.bounds[:, :entries] = shown.low, shown.high
+    board.identifier = setting_of(scenario)
     if isinstance(scenario, RoverScenario):
-        setting["pooled"] = 1
-        setting["axles"] = scenario.axles
-        setting["places"][0, : scenario.axles] = scenario.vehicle.axles
-        setting["compaction"] = compactions()
-        limit_to_wheel(setting["identifier"][0, 0], scenario)
-    setting["warning"] = warning_setting(scenario)
+        board.pooled = 1
+        board.axles = scenario.axles
+        board.places[: scenario.axles] = scenario.vehicle.axles
+        board.compaction = compactions()
+        limit_to_wheel(board.identifier[0], scenario)
+    board.warning = warning_setting(scenario)
     return setting
 
 
 def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
-    """Leave out what the sensors of the body do not measure of one wheel.
+    """Give no weight, in the `SETTING` of one wheel, to what sensors of the body do not measure of
+    it.
 
     The accelerometer says nothing of it, and the load on a wheel changes with the pull. Nor does
     the torque of a motor whose speed loop turns the wheel faster or slower: that at the end of a
@@ -165,9 +153,7 @@ def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
 
 
 def compactions() -> list[float]:
-    """ln S_N/S over n + 1/2 of the floor of a rut, for 0, 1, ... wheels ahead; the same for all
-    n.
-    """
+    """ln(S_N/S)/(n + 1/2) of the floor of a rut, for 0, 1, ... wheels ahead; the same for all n."""
     exponent = 0.5  # with which n + 1/2 is 1
     stiffness = uncompiled(rut_stiffness)
     return [math.log(stiffness(1.0 + k, exponent, COMPACTION)) for k in range(MOST_AXLES)]
@@ -190,8 +176,11 @@ class OnBoard:
         self._work: dict[int, np.ndarray] = {}  # work space of each thread
 
     def views(self) -> dict[str, Any]:
-        """What others read: all; of wheels published estimates, averages for warnings, what has
-        changed, classes; of rovers estimates [rovers x axles] of each wheel, alone and pooled.
+        """What others read, by name.
+
+        `on_board`: all memory. Of wheels also `ids`: published estimates, `changed`: by the last
+        step, `recent`: averages for warnings, `memory`: classes. Of rovers also estimates
+        [rovers, axles], `ids`: by a wheel's own readings, `known`: by those of all.
         """
         own = self.setting[0]
         memory = self.memory
@@ -319,7 +308,9 @@ def _show_ahead(vehicle, sample, board, out):
 
 @compiled
 def show_estimate(vehicle, sample, board, out):
-    """Fill what is identified into the observation of a vehicle, each entry cut to its bounds."""
+    """Fill what is identified into the observation `out` [D] of a vehicle; all entries are cut to
+    their bounds.
+    """
     gain = board.identifier[0].dig_gain
     for a in range(board.axles):
         own = out[board.first + OF_SOIL * a :]
@@ -335,7 +326,7 @@ def show_estimate(vehicle, sample, board, out):
 
 @compiled
 def _see_ahead(vehicle, sample, board):
-    """Store the view for the warning, where camera and warning are both in use."""
+    """Store the `View` for the warning, where camera and warning are both in use."""
     if board.camera > 0 and board.warns > 0:
         see(vehicle.recent, sample, vehicle.classes[0], board.sight, board.identifier[0])
 
@@ -352,17 +343,6 @@ def _restart(vehicle, sample, board):
     if board.warns > 0:
         begin_averages(vehicle.recent, sample, numbers, board.warning[0])
     _see_ahead(vehicle, sample, board)
-
-
-@compiled
-def _pool(vehicle, renewed, board, work):
-    """Renew what the wheels of a rover know together: of every wheel if one was `renewed`, else of
-    those on a border.
-    """
-    for a in range(board.axles):
-        memory = vehicle.identifier[a]
-        if renewed or memory.crossing > 0.0:
-            pool_with(vehicle.pools, board.axles, a, memory, board.identifier[0], work)
 
 
 @compiled
@@ -393,7 +373,7 @@ def _take_period(vehicle, samples, period, board, work):
         average(vehicle.recent, front, front.halted, numbers, board.warning[0])
     if board.camera > 0:
         see_border(memory, front, board.border_sd, numbers, work)
-    furthest = HELD
+    furthest = HELD  # largest outcome of all wheels
     for a in range(board.axles):
         if a > 0:
             wheel = vehicle.identifier[a]
@@ -411,7 +391,11 @@ def _take_period(vehicle, samples, period, board, work):
             remember_class(known, int(front.here), int(front.patch), memory, numbers)
         _see_ahead(vehicle, front, board)
     if board.pooled > 0:
-        _pool(vehicle, furthest == RENEWED, board, work)
+        # after a new point what all know of the ground under every wheel, else on borders only
+        for a in range(board.axles):
+            wheel = vehicle.identifier[a]
+            if furthest == RENEWED or wheel.crossing > 0.0:
+                pool_with(vehicle.pools, board.axles, a, wheel, numbers, work)
 
 
 @kept

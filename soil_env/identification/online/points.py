@@ -76,6 +76,7 @@ def slip_error(reading, setting):
 def advance(memory, reading, turned, setting):
     """Advance place and clocks by a period, with the means of the speeds at its beginning and end.
 
+    The clocks count relaxation lengths: of travel, of sliding, and of changes of the rim speed.
     `turned` [m/s]: change of the rim speed in the period, without sign.
     """
     step = setting.period / setting.length
@@ -105,14 +106,14 @@ def is_steady(reading, error, turned, setting):
 
 
 @compiled
-def ends_point(point, reading, error, most, setting):
+def ends_point(point, reading, error, wanted, setting):
     """True if the open point has enough readings or is too long, or the slip of this reading is
     unlike that of its first.
 
-    Enough are `most` readings and a slip as sharp as `SHARPEST_SLIP`, or `MOST_READINGS`. `error`:
-    standard deviation of the slip of the reading.
+    Enough are `wanted` readings and a slip as sharp as `SHARPEST_SLIP`, or `MOST_READINGS`.
+    `error`: standard deviation of the slip of the reading.
     """
-    enough = point.readings >= most and (
+    enough = point.readings >= wanted and (
         point.slip_weight * SHARPEST_SLIP**2 >= 1.0 or point.readings >= MOST_READINGS
     )
     long = abs(reading.speed) * setting.period * point.readings > LONGEST * setting.radius
@@ -174,7 +175,6 @@ def combined_pull(memory, reading, setting):
     weight = setting.weight
     mass = memory.mass
     typical = TYPICAL_PULL * weight
-    of_mass = typical * math.hypot(gain.load, gain.acceleration)
     return _combine(
         Sensor(
             reading.drawbar_pull,
@@ -186,7 +186,7 @@ def combined_pull(memory, reading, setting):
             mass * reading.acceleration,
             mass * white.acceleration,
             mass * zero.acceleration,
-            of_mass,
+            typical * math.hypot(gain.load, gain.acceleration),
         ),
         weight,
     )

@@ -20,12 +20,7 @@ from soil_env.identification.status import Status
 from .borders import begin_border, blend_estimates, take_fresh
 from .identifier import publish, status_of
 from .library import join, mix, solve_joined
-from .linear import (
-    add_gaussian,
-    factorise,
-    invert_whole,
-    solve_half,
-)
+from .linear import add_gaussian, factorise, invert_whole, solve_half
 from .memory import (
     BEST_PULL,
     ESTIMATES,
@@ -97,11 +92,12 @@ def keep_knowledge(pool, memory, setting, work):
 
 @compiled
 def hand_over_border(front, memory, behind, setting, work):
-    """Begin the next border where the front wheel, `behind` [m] ahead of this one, found it: half a
-    border length before its middle.
+    """Begin the next border of a wheel that runs `behind` [m] behind the front one, at the place
+    where that one found it: half a border length before its middle.
 
-    Nothing begins on a border, or if the front wheel has not found the next one or has dropped it.
-    A border whose soil it has forgotten for later ones is passed over.
+    `front`: `POOL` of the front wheel; `memory`: of this one. Nothing begins on a border, or if the
+    front wheel has not found the next one or has dropped it. A border whose soil it has forgotten
+    for later ones is passed over.
     """
     number = memory.borders + 1
     while front.borders[number % SOILS] > number:
@@ -117,9 +113,10 @@ def hand_over_border(front, memory, behind, setting, work):
 
 @compiled
 def _disagreement(memory, other, s, work):
-    """Chi-squared, over its degrees of freedom, of the difference between what a wheel knows of the
-    shared unknowns and what `other` has kept of the soil in place s of its ring of `SOILS`.
-    Overwrites scratch in `work`.
+    """Chi-squared, over its degrees of freedom, by which two wheels differ in the shared unknowns.
+
+    One knows what its `memory` has, the other what its `POOL` `other` has kept of the soil in its
+    place s of `SOILS`.
     """
     for i in range(SHARED):
         work.gradient[i] = other.shared[s, i] - memory.soil[i]
@@ -166,9 +163,12 @@ def pool_with(pools, axles, own, memory, setting, work):
     mix(pool, u, setting, work)
     publish(pool.soil, pool.spread, pool, memory, setting)
     sd = pool.fresh_sd
-    sd[PUBLISHED_PHI] = math.hypot(sd[PUBLISHED_PHI], ANGLE_ERROR)
-    sd[PUBLISHED_LN_K] = math.hypot(sd[PUBLISHED_LN_K], MODULUS_ERROR)
-    sd[PUBLISHED_COHESION] = math.hypot(sd[PUBLISHED_COHESION], COHESION_ERROR)
+    for i, error in (
+        (PUBLISHED_PHI, ANGLE_ERROR),
+        (PUBLISHED_LN_K, MODULUS_ERROR),
+        (PUBLISHED_COHESION, COHESION_ERROR),
+    ):
+        sd[i] = math.hypot(sd[i], error)
     if memory.crossing > 0.0:
         blend_estimates(pool, memory, setting)
     else:

@@ -63,8 +63,9 @@ def plain(scenario: Scenario) -> Gaussian:
     b = scenario.belief
     w = scenario.wheel
     tangent = math.tan(math.radians(b.friction_angle_deg))
-    y = math.log(b.sinkage_coefficient) + b.sinkage_exponent * math.log(depth_of(scenario))
-    mean = np.array([tangent, b.cohesion, b.sinkage_exponent, math.log(b.shear_modulus), y, 0.0])
+    n = b.sinkage_exponent
+    ln_pressure = math.log(b.sinkage_coefficient) + n * math.log(depth_of(scenario))
+    mean = np.array([tangent, b.cohesion, n, math.log(b.shear_modulus), ln_pressure, 0.0])
     sd = np.array(
         [
             (1.0 + tangent**2) * math.radians(b.friction_sd_deg),
@@ -92,12 +93,14 @@ def of_library(scenario: Scenario) -> list[Gaussian]:
     """A Gaussian for each soil of the belief's library, with the scatter of `Belief.spread`, or of
     the courses where that is None.
 
-    The soils are those of the scenario's gravity. K, S and gain scatter as log-normals with these
-    means. The pressure is that of `depth_of`, so it scatters with the exponent too.
+    The soils are those of the scenario's gravity. K, S and gain scatter as log-normals whose means
+    are the numbers of the soil. The pressure is that of `depth_of`, so it scatters with the
+    exponent too.
     """
     b = scenario.belief
-    spread = scenario.belief.spread or scenario.spread
+    spread = b.spread or scenario.spread
     found = []
+    # standard deviations of ln K, ln of the pressure and ln of the gain
     logs = np.sqrt(np.log1p(np.square([spread.shear_modulus, spread.stiffness, spread.dig_gain])))
     r = np.eye(SIZE)
     r[np.ix_(_OF_SPREAD, _OF_SPREAD)] = spread.factor() @ spread.factor().T
@@ -108,9 +111,10 @@ def of_library(scenario: Scenario) -> list[Gaussian]:
         soil = scenario.beneath(scenario.library[name])
         tangent = soil.tan_phi
         n = soil.sinkage_exponent
-        y = math.log(soil.sinkage_coefficient) + n * math.log(spread.reference_sinkage)
+        ln_pressure = math.log(soil.sinkage_coefficient) + n * math.log(spread.reference_sinkage)
         gain = math.log(max(soil.dig_gain, LEAST_GAIN) / max(b.dig_gain, LEAST_GAIN))
-        mean = np.array([tangent, soil.cohesion, n, math.log(soil.shear_modulus), y, gain])
+        ln_K = math.log(soil.shear_modulus)
+        mean = np.array([tangent, soil.cohesion, n, ln_K, ln_pressure, gain])
         mean[LN_K:] -= 0.5 * logs**2  # the scatter keeps the mean, not the median
         friction = (1.0 + tangent**2) * math.atan(tangent) * spread.friction
         sd = np.maximum(
@@ -121,7 +125,7 @@ def of_library(scenario: Scenario) -> list[Gaussian]:
 
 
 def moments(gaussians: list[Gaussian]) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and covariance of a mixture."""
+    """Mean [SIZE] and covariance [SIZE, SIZE] of a mixture."""
     weights, means, covariances = (np.array(part) for part in zip(*gaussians, strict=True))
     apart = np.cov(means.T, aweights=weights, ddof=0)
     mean = np.average(means, axis=0, weights=weights)
@@ -135,15 +139,16 @@ def widths(gaussians: list[Gaussian]) -> np.ndarray:
     weights, means, covariances = (np.array(part) for part in zip(*gaussians, strict=True))
     mean, covariance = moments(gaussians)
     sd = np.sqrt(np.diag(covariance))
+    # [Gaussians, SIZE] means and standard deviations of the Gaussians in the unit of a width
     off = (means - mean) / sd
     own = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)) / sd
 
-    def beyond(width: float, i: int) -> float:
+    def excess(width: float, i: int) -> float:
         """Probability of unknown i within `width` of the mean, less that of one sigma."""
         held = ndtr((width - off[:, i]) / own[:, i]) - ndtr((-width - off[:, i]) / own[:, i])
         return float(np.average(held, weights=weights)) - _ONE_SIGMA
 
-    return np.array([brentq(beyond, 0.0, _WIDEST, args=(i,)) for i in range(SIZE)])
+    return np.array([brentq(excess, 0.0, _WIDEST, args=(i,)) for i in range(SIZE)])
 
 
 def _gaussians(scenario: Scenario) -> list[Gaussian]:
@@ -197,31 +202,29 @@ def setting_of(scenario: Scenario) -> np.ndarray:
     white, zero, gain = reading_errors(scenario)
     least = LEAST_SD * np.array(reading_units(scenario))
     least[0] = 0.0  # without a slip sensor
-    setting["white"] = np.maximum(white, least).view(READING)
-    setting["zero"] = zero.view(READING)
-    setting["gain"] = gain.view(READING)
-    setting["largest"] = np.array(largest_sensed(wheel, scenario.gravity)).view(READING)
+    s.white = np.maximum(white, least).view(READING)
+    s.zero = zero.view(READING)
+    s.gain = gain.view(READING)
+    s.largest = largest_sensed(wheel, scenario.gravity)
     mean, covariance = prior_of_belief(scenario)
-    setting["soil_mean"] = mean
-    setting["soil_sd"] = np.sqrt(np.diag(covariance))
-    setting["soil_covariance"] = covariance
-    setting["soil_precision"] = np.linalg.inv(covariance)
+    s.soil_mean = mean
+    s.soil_sd = np.sqrt(np.diag(covariance))
+    s.soil_covariance = covariance
+    s.soil_precision = np.linalg.inv(covariance)
     soils = _gaussians(scenario)
     if len(soils) > 1:  # against soils that are like none of the library
         soils.append((STRANGE * sum(weight for weight, _, _ in soils), mean, covariance))
     if len(soils) > MOST_SOILS:
         raise ParameterError(f"belief.soils: expected at most {MOST_SOILS - 1} soils")
-    setting["library"] = len(soils)
+    s.library = len(soils)
     for k, (weight, center, spread) in enumerate(soils):
-        setting["library_mean"][0, k] = center
-        setting["library_covariance"][0, k] = spread
-        setting["library_precision"][0, k] = np.linalg.inv(spread)
-        setting["library_log"][0, k] = math.log(weight) - 0.5 * np.linalg.slogdet(spread)[1]
+        s.library_mean[k] = center
+        s.library_covariance[k] = spread
+        s.library_precision[k] = np.linalg.inv(spread)
+        s.library_log[k] = math.log(weight) - 0.5 * np.linalg.slogdet(spread)[1]
     # `start` takes the published prior from the setting and adds the best pull of the prior
-    prior, sd = published_prior(scenario)
-    setting["prior"][0, :PUBLISHED] = prior
-    setting["prior_sd"][0, :PUBLISHED] = sd
-    start(setting["blank"][0], setting, np.zeros(1, WORK))
-    setting["prior"] = s.blank[0].estimate
-    setting["prior_sd"] = s.blank[0].sd
+    s.prior[:PUBLISHED], s.prior_sd[:PUBLISHED] = published_prior(scenario)
+    start(s.blank, setting, np.zeros(1, WORK))
+    s.prior = s.blank[0].estimate
+    s.prior_sd = s.blank[0].sd
     return setting

@@ -11,14 +11,7 @@ from typing import NamedTuple
 from soil_env._compiled.elementary import smooth_step
 from soil_env._compiled.flags import compiled
 
-from .forces import (
-    BY_SINKAGE,
-    BY_SLIP,
-    LN_S,
-    OF_GROUND,
-    Ground,
-    reaction,
-)
+from .forces import BY_SINKAGE, BY_SLIP, LN_S, OF_GROUND, Ground, reaction
 from .memory import (
     COHESION,
     EXPONENT,
@@ -84,8 +77,8 @@ WEIGHT = RESIDUALS + 1
 
 @compiled
 def share_at(behind, length):
-    """(share of the new soil, its slope [1/m] by the distance) `behind` [m] the middle of a border
-    of a `length` [m].
+    """(share of the new soil, its slope [1/m] by the distance) at `behind` [m] past the middle of a
+    border of this `length` [m].
     """
     share, slope = smooth_step(behind / length + 0.5)
     return share, slope / length
@@ -93,15 +86,14 @@ def share_at(behind, length):
 
 @compiled
 def _blend(cell, memory, setting, work):
-    """Write the soil under a cell into `work.soil`; (share of the new soil, its slope [1/m] by the
-    place of the border).
+    """Write the soil under a cell into `work.soil`; return (share of the new soil, its slope [1/m]
+    by the place of the border).
 
     On a border the share is the mean of those at both ends of the cell's places, one sd from their
     mean. Elsewhere it is 1.
     """
     u = memory.u
-    for j in range(SOIL):
-        work.soil[j] = u[j]
+    work.soil[:] = u[:SOIL]
     if cell.place_error == 0.0:
         return 1.0, 0.0
     length = setting.border
@@ -115,10 +107,10 @@ def _blend(cell, memory, setting, work):
 
 @compiled
 def _over_border(row, share, by_place, memory, work):
-    """Share the slopes of a residual by the soil among new soil, old soil and place of the border,
-    in `work.slopes`; returns the slope by that place.
+    """Split the slopes of a residual by the soil, in `work.slopes`, into those by new soil, by old
+    soil and by the place of the border; return the last.
 
-    `share`: of the new soil; `by_place` [1/m]: its slope by the place.
+    `row`: of the residual; `share`: of the new soil; `by_place` [1/m]: its slope by the place.
     """
     u = memory.u
     slopes = work.slopes
@@ -127,8 +119,9 @@ def _over_border(row, share, by_place, memory, work):
         change += slopes[row, j] * (u[j] - u[OLD + j])
         slopes[row, OLD + j] = (1.0 - share) * slopes[row, j]
         slopes[row, j] *= share
-    slopes[row, PLACE] = by_place * change
-    return slopes[row, PLACE]
+    slope = by_place * change
+    slopes[row, PLACE] = slope
+    return slope
 
 
 @compiled
@@ -150,14 +143,14 @@ def ground_of(unknowns, setting):
 
 @compiled
 def slip_slope(slip, setting):
-    """Change of the slip for a relative error of the speeds: 1 - |slip|, 0 with a slip sensor."""
+    """Slope of the slip by a relative error of the speeds: 1 - |slip|, 0 with a slip sensor."""
     return 0.0 if setting.white[0].slip > 0.0 else 1.0 - abs(slip)
 
 
 @compiled
 def residuals(cell, memory, setting, work):
-    """`Residuals` of a cell at the unknowns; writes minus their slopes by them into `work.slopes`,
-    and renews the most likely slip of the cell.
+    """`Residuals` of a cell at the unknowns. Also write minus their slopes by the unknowns into
+    `work.slopes`, and renew the most likely slip of the cell.
 
     Forces are computed at the most likely slip and extended to the measured one by their slopes.
     """
@@ -179,7 +172,7 @@ def residuals(cell, memory, setting, work):
     pull = contact.value[PULL] * to_pull
     torque = contact.value[TORQUE] / (W * r)
     faster = slip_slope(slip, setting)
-    off = cell.slip + u[SPEED_GAIN] * faster - slip
+    off = cell.slip + u[SPEED_GAIN] * faster - slip  # from `slip` to the corrected measured one
     p_slip = by[PULL, BY_SLIP] * to_pull
     t_slip = by[TORQUE, BY_SLIP] * to_torque
     p_depth = by[PULL, BY_SINKAGE] * to_pull
@@ -206,6 +199,7 @@ def residuals(cell, memory, setting, work):
         form += BORDER_ERROR**2
         p_place = _over_border(PULL, share, by_place, memory, work)
         t_place = _over_border(TORQUE, share, by_place, memory, work)
+    # covariance of pull and torque: noise, form error, and what both owe to slip, sinkage and place
     pp = cell.pull_variance + form
     pt = 0.0
     tt = cell.torque_variance + form
@@ -218,22 +212,25 @@ def residuals(cell, memory, setting, work):
         pt += p_by * t_by * variance
         tt += t_by * t_by * variance
     det = max(pp * tt - pt * pt, SINGULAR * pp * tt)
-    pp, pt, tt = tt / det, -pt / det, pp / det
-    likely = (
-        slip + off + cell.slip_variance * (p_slip * (pp * p + pt * t) + t_slip * (pt * p + tt * t))
-    )
+    pull_weight = tt / det
+    joint_weight = -pt / det
+    torque_weight = pp / det
+    by_pull = p_slip * (pull_weight * p + joint_weight * t)
+    by_torque = t_slip * (joint_weight * p + torque_weight * t)
+    likely = slip + off + cell.slip_variance * (by_pull + by_torque)
     cell.most_likely_slip = min(max(likely, cell.slip - FARTHEST_SLIP), cell.slip + FARTHEST_SLIP)
     s, weight = _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work)
-    return Residuals(p, t, s, pp, pt, tt, weight)
+    return Residuals(p, t, s, pull_weight, joint_weight, torque_weight, weight)
 
 
 @compiled
 def _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work):
-    """(residual [m] of the law of slip-sinkage, its weight); both 0 without a change of sinkage.
+    """(residual [m] of the law of slip-sinkage, its weight [1/m2]); both 0 without a change of
+    sinkage.
 
     The law is z' - z = come (B z_b - A z) from point to point, with come = (1 - exp(-A))/A. A and B
-    are integrals over the way, z_b is the bearing sinkage. Takes the forces at `sinkage` [m] from
-    `work.contact`, with S extended to the middle of the way.
+    are integrals over the way, z_b is the bearing sinkage. `work.contact` has the forces at
+    `sinkage` [m]; their S is extended to the middle of the way.
     """
     u = memory.u
     J = work.slopes
@@ -253,7 +250,7 @@ def _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work):
     b = a + gain * cell.slide
     come = -math.expm1(-a) / a if a > 0.0 else 1.0
     residual = cell.rise - come * (b * bearing - a * (middle - 0.5 * cell.rise))
-    less = come * b * bearing / n
+    less = come * b * bearing / n  # [m] fall of the predicted change by ln of the soil's S
     for j in range(OF_GROUND):
         J[SINKAGE, j] = less * by[LN_S, j]
     J[SINKAGE, EXPONENT] -= less * (stronger / n + cell.compaction)
@@ -303,7 +300,7 @@ def weigh_unknowns(memory, setting, work):
     zero = setting.zero[0]
     gain = setting.gain[0]
     weight = setting.weight
-    twist = weight * setting.radius
+    torque_unit = weight * setting.radius
     payload = PAYLOAD if memory.weighings == 0.0 else 0.0
     of_force = math.hypot(zero.drawbar_pull / weight, TYPICAL_PULL * gain.drawbar_pull)
     of_mass = math.hypot(memory.mass * zero.acceleration / weight, TYPICAL_PULL * gain.acceleration)
@@ -311,7 +308,7 @@ def weigh_unknowns(memory, setting, work):
     sd[LOAD_GAIN] = math.hypot(gain.load, math.hypot(zero.load / weight, payload))
     sd[PULL_ZERO] = math.hypot((1.0 - inertial) * of_force, inertial * of_mass)
     sd[TORQUE_GAIN] = math.hypot(rest * gain.torque, motor * gain.motor_torque)
-    sd[TORQUE_ZERO] = math.hypot(rest * zero.torque, motor * zero.motor_torque) / twist
+    sd[TORQUE_ZERO] = math.hypot(rest * zero.torque, motor * zero.motor_torque) / torque_unit
     sd[SINKAGE_ZERO] = zero.sinkage
     sd[SPEED_GAIN] = math.hypot(gain.speed, gain.rim_speed)
     for i in range(SOIL, HERE):

@@ -90,7 +90,8 @@ def suspension_of(scenario: RoverScenario) -> np.ndarray:
 
 @compiled_finite
 def _two_loads(together, moment, arm, other_arm, least):
-    """Loads [N] at two arms [m] that add up to `together` [N] and balance a `moment` [N m].
+    """Loads [N] at two arms [m] that add up to `together` [N] and balance a `moment` [N m], which
+    counts front up.
 
     Each is cut to at least `least`; the moment is then not balanced.
     """
@@ -123,6 +124,7 @@ def axle_loads(forces, weight, s):
     if b < 0:
         front, rear = _two_loads(weight, moment, s.arms[0], s.arms[1], least)
         return front, rear, 0.0
+    # [N m] of both wheels of the bogie about its pivot
     about = _moment(forces[b], s.pivot_height) + _moment(forces[b + 1], s.pivot_height)
     single = 2 if b == 0 else 0
     alone, pair = _two_loads(weight, moment - about, s.arms[single], s.pivot_arm, least)
@@ -154,6 +156,7 @@ def set_pitch(rover, s):
     length = s.wheelbase
     b = s.bogie
     if b >= 0:
+        # weight of the bogie's rear wheel in the height of the pivot
         on_rear = (s.arms[b] - s.pivot_arm) / (s.arms[b] - s.arms[b + 1])
         pivot = (1.0 - on_rear) * _height_of(rover, b) + on_rear * _height_of(rover, b + 1)
         if b == 0:

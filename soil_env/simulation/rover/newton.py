@@ -182,11 +182,10 @@ def foresee(rover, at, world):
 def _begin(rover, at, weight, world):
     """First V to try in a stage [m/s]; `trial` gets the rim speeds to try, `feet` the axle loads.
 
-    They are the foreseen speeds where all foreseen changes are a `SHORT` way, else the present
+    The speeds are the foreseen ones where all foreseen changes are a `SHORT` way, else the present
     ones. The loads balance the forces foreseen there.
     """
     s = world.suspension
-    feet = world.stage.feet
     found = world.stage.found
     trial = world.stage.trial
     dv = foresee(rover, at, world)
@@ -203,7 +202,7 @@ def _begin(rover, at, weight, world):
             trial[a].rim += f.change
     loads = axle_loads(found, weight, s)
     for a in range(s.axles):
-        feet[a].load = loads[a]
+        world.stage.feet[a].load = loads[a]
     speed = rover.wheels[0].speed
     return speed + dv if short else speed
 
@@ -314,7 +313,6 @@ def solve_speeds(rover, at, world):
     """
     weight = weight_of(rover, world.rig.gravity)
     v = _begin(rover, at, weight, world)
-    converged = False
     for turn in range(TURNS):
         v, converged = _iterate(v, at, world)
         if turn == TURNS - 1 or not converged or not _renew_loads(weight, world):

@@ -32,7 +32,7 @@ from soil_env.simulation.world.sensors import (
     sensor_errors,
     sensors_of,
 )
-from soil_env.simulation.world.terrain import new_courses
+from soil_env.simulation.world.terrain import RUT, new_courses
 from soil_env.simulation.world.wheel import World, acting_in, rig_of, settle_at
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.reaction import Acting
@@ -40,7 +40,7 @@ from soil_env.terramechanics.reaction import Acting
 from .body import ROVER, set_pitch, suspension_of
 from .dynamics import control_period
 from .newton import STAGE, RoverWorld
-from .ruts import clear_ruts, new_ruts
+from .ruts import clear_ruts
 from .task import (
     BODY,
     ENTRIES_OF_AXLE,
@@ -112,14 +112,15 @@ class RoverNumbers(NamedTuple):
 def rover_numbers(
     scenario: RoverScenario, variant: str, model: WheelSoilModel | None = None
 ) -> RoverNumbers:
-    """Pack a scenario; `model` gives the effects that are on in this world."""
-    entries = rover_layout(variant, scenario.axles)
+    """Pack a scenario with an observation `variant`; `model` gives the effects that act in this
+    world, on the wheels and on their sensors.
+    """
     return RoverNumbers(
         rig_of(scenario, model),
         acting_in(model),
         suspension_of(scenario),
         task_of(scenario, variant),
-        bounds_of(entries),
+        bounds_of(rover_layout(variant, scenario.axles)),
         sensors_of(scenario),
         sensor_errors(model),
     )
@@ -155,7 +156,7 @@ def new_rover_worlds(
     kept_rovers = rovers if recorded else 0
     return RoverWorlds(
         np.zeros(rovers, ROVER),
-        new_ruts(rovers, axles, courses["cells"].shape[1]),
+        np.zeros((rovers, axles, courses["cells"].shape[1]), RUT),
         courses,
         np.zeros((kept_rovers, axles, periods), SAMPLE),
         np.zeros((kept_rovers, periods), ROVER_SAMPLE),

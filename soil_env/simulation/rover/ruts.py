@@ -5,20 +5,13 @@ contact begins there. Each wheel keeps its own rut, as a wheel by itself does, a
 where the rover reverses. It does not meet the ruts of the wheels behind it.
 """
 
-import numpy as np
-
 from soil_env._compiled.flags import compiled_finite
-from soil_env.simulation.world.terrain import RUT, clear
-
-
-def new_ruts(rovers: int, axles: int, cells: int) -> np.ndarray:
-    """Undisturbed ground, `RUT` [rovers, axles, cells]."""
-    return np.zeros((rovers, axles, cells), RUT)
+from soil_env.simulation.world.terrain import clear
 
 
 @compiled_finite
 def clear_ruts(cells):
-    """Make all rut cells of a wheel undisturbed ground."""
+    """Make all rut `cells` of a wheel undisturbed ground."""
     for i in range(cells.size):
         clear(cells[i])
 

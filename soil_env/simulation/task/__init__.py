@@ -1,15 +1,6 @@
 """Task: observation layout, reward, causes of an episode's end."""
 
-from .layout import (
-    AXLES,
-    ROUTES,
-    VARIANTS,
-    VERSION,
-    ObservedNumber,
-    check_version,
-    layout,
-    truth,
-)
+from .layout import AXLES, ROUTES, VARIANTS, VERSION, ObservedNumber, check_version, layout, truth
 from .rules import REWARD_TERMS, Cause
 
 __all__ = [

@@ -34,6 +34,7 @@ class ObservedNumber:
 
 
 def _flag(name: str) -> ObservedNumber:
+    """An entry that is 0 or 1."""
     return ObservedNumber(name, "0 or 1", 0.0, 1.0)
 
 

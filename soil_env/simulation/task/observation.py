@@ -91,10 +91,10 @@ def write_truth(out, wheel, course, border, camera):
 
 @compiled
 def write_soils_ahead(out, course, sight, camera):
-    """Fill `out` [routes x 8] with the true soil of each route ahead and its margin: the best pull
-    [of load] less the tangent of the grade that the camera sees.
+    """Fill `out` [routes x 8] with the true soil of each route ahead and its margin.
 
-    Entries of a route that is out of sight or not there are 0.
+    That is the best pull [of load] less the tangent of the grade that the camera sees. Entries of a
+    route that is out of sight or not there are 0.
     """
     ahead = patch_ahead(course, sight, camera)
     for number in range(camera.lines):

@@ -61,22 +61,22 @@ def task_of(scenario: Scenario, variant: str) -> np.ndarray:
         raise ParameterError(
             "belief.method = 'none': expected 'filter' for observation 'identified'"
         )
-    w = scenario.wheel
-    task = np.zeros(1, TASK)
-    task["weight"] = scenario.weight
-    task["gravity"] = scenario.gravity
-    task["radius"] = w.radius
-    task["units"] = observed_units(scenario)
-    task["length"] = scenario.course.length
-    task["period"] = scenario.control.period
+    packed = np.zeros(1, TASK)
+    task = packed[0]
+    task.units = observed_units(scenario)
+    task.weight = scenario.weight
+    task.gravity = scenario.gravity
+    task.radius = scenario.wheel.radius
+    task.length = scenario.course.length
+    task.period = scenario.control.period
     for part in (scenario.limits, scenario.reward):
         for f in fields(part):
             task[f.name] = getattr(part, f.name)
-    task["variant"] = VARIANTS.index(variant)
-    task["periods"] = scenario.periods
-    task["action_periods"] = scenario.control.action_periods
-    task["seen"] = len(layout(variant))
-    return task
+    task.variant = VARIANTS.index(variant)
+    task.periods = scenario.periods
+    task.action_periods = scenario.control.action_periods
+    task.seen = len(layout(variant))
+    return packed
 
 
 @compiled_finite

@@ -15,13 +15,12 @@ from soil_env._io.loading import ParameterError
 
 from .layout import ROUTES, ObservedNumber, bounds_of
 
-_OF_ROUTES = tuple(f"{route}_" for route in ROUTES)
 _ALWAYS = "log10_sinkage_coefficient"  # entry of a route that is 0 only out of sight
 
 
 class Scaling:
-    """Scaling of observations [..., D] with these entries to order one and back; unchanged if not
-    `scaled`.
+    """Scaling of observations [..., D] with these entries to order one and back; without `scaled`
+    they stay as they are.
 
     Entries of a route ahead are 0 while it is out of sight, on either side of the scaling.
     """
@@ -29,26 +28,23 @@ class Scaling:
     def __init__(self, entries: Iterable[ObservedNumber], scaled: bool = True) -> None:
         if not isinstance(scaled, (bool, np.bool_)):
             raise ParameterError(f"scaled = {scaled!r}: expected True or False")
-        self.entries: tuple[ObservedNumber, ...] = tuple(entries)
-        self.scaled: bool = bool(scaled)
+        self.entries = tuple(entries)
+        self.scaled = bool(scaled)
         names = [e.name for e in self.entries]
-        self.centre: NDArray[np.float32] = np.array(
-            [e.centre for e in self.entries], dtype=np.float32
-        )
-        self.scale: NDArray[np.float32] = np.array(
-            [e.scale for e in self.entries], dtype=np.float32
-        )
+        self.centre = np.array([e.centre for e in self.entries], dtype=np.float32)
+        self.scale = np.array([e.scale for e in self.entries], dtype=np.float32)
         # for each entry the index of one that is 0 if its route is out of sight
         self._mark = np.arange(len(names))
         # for each entry 0 if it is set to 0 then, else 1
         self._kept = np.ones(len(names), dtype=np.float32)
         self._routes = []  # of each route, indices of the entries whose centre is not 0
-        for route in _OF_ROUTES:
-            if route + _ALWAYS in names:
+        for route in ROUTES:
+            prefix = f"{route}_"
+            if prefix + _ALWAYS in names:
                 columns = [
-                    k for k, n in enumerate(names) if n.startswith(route) and self.centre[k] != 0.0
+                    k for k, n in enumerate(names) if n.startswith(prefix) and self.centre[k] != 0.0
                 ]
-                self._mark[columns] = names.index(route + _ALWAYS)
+                self._mark[columns] = names.index(prefix + _ALWAYS)
                 self._kept[columns] = 0.0
                 self._routes.append(columns)
 
@@ -86,7 +82,7 @@ class Scaling:
             )
         if not self.scaled:
             return given
-        out: NDArray[np.float32] = given * self.scale + self.centre
+        out = given * self.scale + self.centre
         for columns in self._routes:  # all 0: out of sight, since in sight not all are at centres
             out[..., columns] = np.where(
                 (given[..., columns] == 0.0).all(axis=-1, keepdims=True), 0.0, out[..., columns]

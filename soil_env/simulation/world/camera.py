@@ -37,14 +37,18 @@ class Sight(NamedTuple):
 
 
 def camera_of(scenario: Scenario) -> np.ndarray:
-    """One `CAMERA`; it sees no routes where there are no terrain classes."""
-    camera = np.zeros(1, CAMERA)
-    camera["sight"] = scenario.camera.range
-    camera["border"] = scenario.course.border
-    camera["border_noise"] = scenario.camera.border_noise
-    camera["classes"] = scenario.course.classes
-    camera["lines"] = scenario.course.lines if scenario.course.classes else 0
-    return camera
+    """Pack the camera of a scenario, `CAMERA` [1]; it sees no routes where there are no terrain
+    classes.
+    """
+    course = scenario.course
+    packed = np.zeros(1, CAMERA)
+    camera = packed[0]
+    camera.sight = scenario.camera.range
+    camera.border = course.border
+    camera.border_noise = scenario.camera.border_noise
+    camera.classes = course.classes
+    camera.lines = course.lines if course.classes else 0
+    return packed
 
 
 @compiled

@@ -2,7 +2,7 @@
 (docs/physics/wheel.md).
 
 A course has a random stream of its own, and its patches are drawn from it in order, each with the
-slopes over it as the wheel comes near: what they are like does not depend on how far or in how many
+slopes over it as the wheel comes near. What they are like does not depend on how far or in how many
 pieces the course is drawn. Ground of terrain classes and with two routes is drawn by `routes`.
 
 Slopes have lengths and grades of their own. So a grade changes inside a soil, a soil on a slope,
@@ -84,12 +84,11 @@ def course_distribution(
         spread.exponent,
     )
     spec.factor = spread.factor()
-    presets = _presets(scenario, model)
-    return CourseDistribution(spec, presets)
+    return CourseDistribution(spec, _presets(scenario, model))
 
 
 def _presets(scenario: Scenario, model: WheelSoilModel | None) -> np.ndarray:
-    """The mixture of soils, `PRESET` [soils]: that of the scenario, or the soil of a `model` alone
+    """Mixture of soils, `PRESET` [soils]: that of the scenario, or the soil of a `model` alone
     where it has one.
     """
     if model is not None and model.soil is not None:
@@ -171,11 +170,10 @@ def _draw_soil(course, load, numbers, nodes):
     Where none is found, return False and repeat the soil of the patch before, if there is one.
     """
     p = course.drawn
-    patch = course.patches[p]
     found, soil = draw_ground(course, load, numbers, nodes)
     if not found and p > 0:
         soil = soil_of(course.patches[p - 1])
-    put_soil(patch, soil)
+    put_soil(course.patches[p], soil)
     return found
 
 

@@ -25,14 +25,7 @@ from soil_env.terramechanics.reaction import (
 
 from .newton import Stage, foreseen, solve_speeds
 from .routes import choosing, plan_halt, set_route
-from .terrain import (
-    grade_on,
-    in_cell,
-    pass_at,
-    piece_at,
-    rut_at,
-    soil_on,
-)
+from .terrain import grade_on, in_cell, pass_at, piece_at, rut_at, soil_on
 from .wheel import (
     Ahead,
     Ground,
@@ -77,8 +70,8 @@ class Stand(NamedTuple):
 
 @inlined
 def steps_for(change):
-    """Number of steps in place of one of the usual length: 1, 2, 4 or 8, the more the larger the
-    foreseen `change` of a speed [of the top rim speed].
+    """Number of steps in place of one of the usual length: 1, 2, 4 or 8, more for a larger foreseen
+    `change` of a speed [of the top rim speed].
     """
     if change <= REFINED_TWICE:
         return 1
@@ -89,8 +82,8 @@ def steps_for(change):
 
 @inlined
 def loop_change(du, wheel, drive, rig):
-    """Size [m/s] of a foreseen change `du` of the rim speed; with a speed loop at most the way to
-    its command, where it stops.
+    """Size [m/s] of a foreseen change `du` [m/s] of the rim speed; with a speed loop at most the
+    difference to its command, where the change stops.
     """
     if not drive.by_speed:
         return abs(du)
@@ -125,11 +118,11 @@ def stage_of(number, h, speed, rim, speed_before, rim_before):
 
 
 @compiled_finite
-def ground_ahead(wheel, stage, course, cells, border, fx):
+def ground_ahead(wheel, stage, course, cells, border, effects):
     """Ground `Ahead` at the middle of the way of a wheel in a stage, foreseen by its present speed.
 
-    `cells`: of its rut; `border` [m] as in `soil_on`. The wheel's patch and slope become those
-    there.
+    `cells`: `RUT` of the wheel; `border` [m] as in `soil_on`; `effects`: those that act. The
+    wheel's patch and slope become those there.
     """
     x = wheel.x + 0.5 * stage.duration * wheel.speed
     wheel.patch = piece_at(course.patches, x, wheel.patch)
@@ -140,7 +133,7 @@ def ground_ahead(wheel, stage, course, cells, border, fx):
     floor, rolled = rut_at(cells, x)
     if floor + rolled > 0.0:
         soil = lowered(soil, floor + rolled)
-    return Ahead(in_rut(soil, passes, fx), grade, passes, rolled)
+    return Ahead(in_rut(soil, passes, effects), grade, passes, rolled)
 
 
 @inlined
@@ -159,12 +152,13 @@ def foreseen_sinkage(wheel, duration, rolled):
 
 @inlined
 def account(wheel, end, stage, drive, rig):
-    """Add the work [J] of motor, soil and integrator in a stage, from the present speeds to its
-    `end`, to the sums of the period; set the torque of the motor at the end.
+    """Add the work [J] of motor, soil and integrator in a stage to the sums of the period, and set
+    the torque of the motor at its end.
 
-    The stage begins at V* and ends at V'; d = V' - V*, and e = V* - V is the lead over the present
-    speed. The integrator takes m (d^2 - e^2)/2, and J/r^2 times the like of the rim speed. So much
-    is missing between the work of the forces and the gain of kinetic energy.
+    The work is that from the present speeds to the `Motion` `end`. The stage begins at V* and ends
+    at V'; d = V' - V*, and e = V* - V is the lead over the present speed. The integrator takes
+    m (d^2 - e^2)/2, and J/r^2 times the like of the rim speed. So much is missing between the work
+    of the forces and the gain of kinetic energy.
     """
     r = rig.radius
     turning = wheel.wheel_speed
@@ -273,12 +267,11 @@ def drive_period(wheel, drive, course, world):
         forced = h <= longest / FINEST
         speed_before = wheel.speed
         rim_before = rig.radius * wheel.wheel_speed
-        done = True
         for number in range(2):
             rim = rig.radius * wheel.wheel_speed
             stage = stage_of(number, h, wheel.speed, rim, speed_before, rim_before)
-            fx = world.acting.effects
-            ahead = ground_ahead(wheel, stage, course, course.cells, rig.border, fx)
+            effects = world.acting.effects
+            ahead = ground_ahead(wheel, stage, course, course.cells, rig.border, effects)
             now = at_time(drive, 1.0 - (left - stage.duration) / rig.period)
             done = solve_stage(wheel, stage, ahead, now, forced, world)
             if not done:

@@ -119,20 +119,22 @@ def solve_speeds(wheel, stage, footing, along, drive, world, extra):
     Not converged: `PASSES` evaluations were not enough, or no shorter step reduces a residual that
     is not `near_enough`. The motion is then the best one found. `along` [N]: the weight along the
     grade.
+
+    In the loop v, u are the best speeds so far and `norm` their residual [m/s]; `before` is the
+    residual of those before. `share` is how much of a step is tried.
     """
     rig = world.rig
     r = rig.radius
     cv = stage.implicit / wheel.mass
     cu = stage.implicit * r / rig.inertia
-    v = wheel.speed
-    u = r * wheel.wheel_speed
-    dv, du = foreseen(wheel, drive, v - stage.speed, u - stage.rim, stage.implicit, along, rig)
-    if max(abs(dv), abs(du)) < SHORT * (abs(u) + REST_SPEED):
-        try_v = v + dv
-        try_u = u + du
-    else:
-        try_v = v
-        try_u = u
+    try_v = wheel.speed
+    try_u = r * wheel.wheel_speed
+    back_v = try_v - stage.speed
+    back_u = try_u - stage.rim
+    dv, du = foreseen(wheel, drive, back_v, back_u, stage.implicit, along, rig)
+    if max(abs(dv), abs(du)) < SHORT * (abs(try_u) + REST_SPEED):
+        try_v += dv
+        try_u += du
     # change of shear over that of speed
     curvature = 1.0 + r * footing.theta1 / footing.shear_modulus
 

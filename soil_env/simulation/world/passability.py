@@ -94,7 +94,8 @@ def scattered(mean, share, owner, spec):
     `CUT`.
 
     Stiffness is the pressure at `reference_sinkage`, so a change of the exponent turns the curve
-    about that point. Recovery and the fields after it stay.
+    about that point. Recovery and the fields after it stay. Rows of `factor` and entries of
+    `variation` are in the order of `DISTRIBUTION`.
     """
     z = normal_pair(owner) + normal_pair(owner) + normal_pair(owner)
     rows = spec.factor
@@ -179,14 +180,13 @@ def capacity(load, soil, numbers, nodes):
 def draw_ground(owner, load, numbers, nodes):
     """Draw soils until one leaves this wheel `least_pull` on level ground: (found, the last one).
 
-    None of `REDRAWS` soils may do. Slopes do not count, since they are drawn without looking at
-    soils. With a least pull of -1 the last soil is taken, even if the wheel would be bogged at its
-    best pull.
+    Not found: none of `REDRAWS` soils does. With a least pull of -1 the last one is then taken all
+    the same, even if the wheel would be bogged at its best pull. Slopes do not count, since they
+    are drawn without looking at soils.
     """
     least = numbers.drawn.spec.least_pull
-    soil = draw_soil(owner, numbers.drawn)
-    for _ in range(REDRAWS - 1):
+    for _ in range(REDRAWS):
+        soil = draw_soil(owner, numbers.drawn)
         if capacity(load, soil, numbers, nodes) >= least:
             return True, soil
-        soil = draw_soil(owner, numbers.drawn)
-    return least <= -1.0 or capacity(load, soil, numbers, nodes) >= least, soil
+    return least <= -1.0, soil

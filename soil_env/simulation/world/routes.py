@@ -24,7 +24,7 @@ def draw_classes(course, load, numbers, nodes):
 
 @compiled
 def _other_class(owner, classes, one):
-    """Random class other than `one`, each as likely."""
+    """Random one of so many `classes`, but not the class `one`; each is as likely."""
     other = int(uniform(owner) * (classes - 1))
     return other + 1 if other >= one else other
 
@@ -47,7 +47,9 @@ def _unused_class(course, p, classes):
 
 @compiled
 def _draw_route(course, route, load, numbers, nodes):
-    """Draw the soil of a `ROUTE`, about the soil of its class, and compute its best pull."""
+    """Draw the soil of a `ROUTE`, about the soil of its class, and compute its best pull under a
+    `load` [N].
+    """
     spec = numbers.drawn.spec
     mean = soil_of(course.library[route.terrain])
     soil = scattered(mean, spec.class_scatter, course, spec)
@@ -85,7 +87,7 @@ def draw_routes(course, load, numbers, nodes):
 
 @inlined
 def _draw_camera_errors(course, p, spec):
-    """Draw the errors of the camera in patch p, and how far before it the wheel is halted."""
+    """Draw the errors of the camera in patch p, and how far [m] before it the wheel is halted."""
     fork = course.forks[p]
     for i in range(2):
         route = course.routes[p, i]
@@ -95,8 +97,7 @@ def _draw_camera_errors(course, p, spec):
     a, b = normal_pair(course)
     course.routes[p, 0].grade_error = spec.grade_noise * a
     course.routes[p, 1].grade_error = spec.grade_noise * b
-    a, b = normal_pair(course)
-    fork.border_error = spec.border_noise * a
+    fork.border_error = spec.border_noise * normal_pair(course)[0]
     fork.halt = -within(course, spec.halt_before)
 
 

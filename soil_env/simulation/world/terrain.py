@@ -59,7 +59,7 @@ LEAST_CELLS = 2048  # that a course has room for: 100 m, enough for any shipped 
 
 
 def course_dtype(patches: int, slopes: int, cells: int) -> np.dtype[Any]:
-    """Dtype of a course with room for so many patches, slopes and cells.
+    """Dtype of a course with room for at least so many patches, slopes and cells.
 
     Only the first `drawn` patches are drawn, the slopes over them, and the cells below them
     cleared. Room is a power of two, since compiled code is compiled anew for each dtype.
@@ -106,7 +106,9 @@ def new_courses(wheels: int, scenario: Scenario) -> np.ndarray:
 
 @compiled
 def piece_at(pieces, x, piece):
-    """Index of the patch or slope at x [m], from a first guess; those not drawn begin at `HUGE`."""
+    """Index of the patch or slope at x [m], sought from the index `piece`; those not drawn begin at
+    `HUGE`.
+    """
     while piece + 1 < pieces.size and x >= pieces[piece + 1].start:
         piece += 1
     while piece > 0 and x < pieces[piece].start:
@@ -174,13 +176,13 @@ def place_in_cells(x):
 
 
 @compiled
-def between_cells(cells, x):
+def between_cells(count, x):
     """(index of a cell, share of the way from its middle to the middle of the next) at x [m].
 
-    x is cut to the middles of the first and the last of so many `cells`.
+    x is cut to the middles of the first and the last of `count` cells.
     """
-    place = min(max(place_in_cells(x), 0.0), cells - 1.0)
-    i = min(int(place), cells - 2)
+    place = min(max(place_in_cells(x), 0.0), count - 1.0)
+    i = min(int(place), count - 2)
     return i, place - i
 
 

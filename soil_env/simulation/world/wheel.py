@@ -31,14 +31,7 @@ from soil_env.terramechanics.reaction import BASE, REST_SPEED, Acting, acting_on
 from soil_env.terramechanics.steady import DEEPEST, Conditions, Point, rim_of, steady_at
 
 from .sensors import READING
-from .terrain import (
-    cell_after,
-    cell_at,
-    grade_on,
-    leave_rut,
-    piece_at,
-    soil_on,
-)
+from .terrain import cell_after, cell_at, grade_on, leave_rut, piece_at, soil_on
 
 SHALLOWEST = 1e-4  # [radii] least sinkage of a wheel
 # [of the top rim speed] that rim acceleration can command backwards, to back out of a hole
@@ -198,7 +191,8 @@ def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarra
     """
     w = scenario.wheel
     c = scenario.control
-    rig = np.zeros(1, RIG)
+    packed = np.zeros(1, RIG)
+    rig = packed[0]
     for name in (
         "radius",
         "width",
@@ -210,29 +204,27 @@ def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarra
         "no_load_speed",
     ):
         rig[name] = getattr(w, name)
-    rig["gravity"] = scenario.gravity
+    rig.gravity = scenario.gravity
     if model is not None:
         refuse_lugs_on_tyre(model.wheel.grouser_height, w.tyre)
-        rig["grouser_height"] = model.wheel.grouser_height
-        rig["unit_weight"] = model.density * scenario.gravity
+        rig.grouser_height = model.wheel.grouser_height
+        rig.unit_weight = model.density * scenario.gravity
     effects = acting_in(model).effects
-    r = uncompiled(contact_radius)(rig[0], effects)
-    ratio = uncompiled(shear_radius_ratio)(rig[0], effects)
-    rig["shear_ratio"] = ratio
-    rig["rim_ratio"] = ratio * r / w.radius
-    rig["relaxation"] = scenario.relaxation * w.radius
-    rig["border"] = scenario.course.border
-    rig["halt_low"], rig["halt_high"] = scenario.course.halt_interval
-    rig["halt_time"] = scenario.course.halt_time
-    rig["period"] = c.period
-    rig["substeps"] = math.ceil(c.period / c.substep - ROUNDING)
-    rig["speed_command"] = c.action != "torque"
-    top = w.radius * w.no_load_speed
+    rig.shear_ratio = uncompiled(shear_radius_ratio)(rig, effects)
+    rig.rim_ratio = rig.shear_ratio * uncompiled(contact_radius)(rig, effects) / w.radius
+    rig.relaxation = scenario.relaxation * w.radius
+    rig.border = scenario.course.border
+    rig.halt_low, rig.halt_high = scenario.course.halt_interval
+    rig.halt_time = scenario.course.halt_time
+    rig.period = c.period
+    rig.substeps = math.ceil(c.period / c.substep - ROUNDING)
+    rig.speed_command = c.action != "torque"
+    top = w.radius * w.no_load_speed  # [m/s] rim speed
     if c.action == "rim_acceleration":
-        rig["rim_step"] = c.rim_acceleration * c.period / top
-    rig["halt_step"] = c.halt_deceleration * c.period / top
-    rig["sight"] = scenario.camera.range
-    return rig
+        rig.rim_step = c.rim_acceleration * c.period / top
+    rig.halt_step = c.halt_deceleration * c.period / top
+    rig.sight = scenario.camera.range
+    return packed
 
 
 def acting_in(model: WheelSoilModel | None) -> Acting:
@@ -295,15 +287,16 @@ def begin_period(wheel):
 def sink(wheel, ground, mobilised, path, rig):
     """Move a wheel along its `Path` in a stage on `Ground`: set its place, sinkage and rut.
 
-    z_w (`bearing`) is the depth at which undisturbed soil carries the pressure under the wheel,
+    z_w [m] (`bearing`) is the depth at which undisturbed soil carries the pressure under the wheel,
     `mobilised` z^n at z = `ground.sinkage`, and `ground.lift` more where effects dig. Both begin at
     the floor of the wheel's own rut, `ground.rolled`. The coefficient `mobilised` [N/m^(n+2)] is
     what the load took in the stage.
 
-    Travel leads the sinkage `onto` z_w on fresh ground, beyond the furthest places of the wheel,
-    and on ground that it has passed. In the hole where it stands travel leads onto the depth of
-    that hole; on a way over both, onto the mean by length. The sinkage stays between `SHALLOWEST`
-    and `DEEPEST`. `rut_depth` grows where the wheel sinks and not where it climbs out of its hole.
+    Travel leads the sinkage `onto` a depth [m]. On fresh ground, beyond the furthest places of the
+    wheel, that is z_w. In the hole where the wheel stands it is the depth of that hole, and where
+    an earlier pass has left a rut, z_w if that is deeper. On a way over both it is the mean by
+    length. The sinkage stays between `SHALLOWEST` and `DEEPEST`. `rut_depth` grows where the wheel
+    sinks and not where it climbs out of its hole.
     """
     soil = ground.soil
     exponent = max(soil.sinkage_exponent, LEAST_EXPONENT)
@@ -347,7 +340,7 @@ def pile_up(wheel, braked, moved, rig):
 
 @inlined
 def _dug(path, soil):
-    """Sinkage over that without slip, to which the motion of a `Path` leads; 1 at rest."""
+    """Sinkage over that without slip to which the slip along a `Path` leads [-]; 1 at rest."""
     moved = abs(path.moved)
     slid = abs(path.slid)
     if moved + slid < STANDING:
@@ -367,13 +360,13 @@ def relax_sinkage(sinkage, bearing, onto, path, soil, length):
     speed = abs(path.moved) / path.duration
     sliding = abs(path.slid) / path.duration
     a, b = excavation_rate(speed, sliding, soil.dig_gain, soil.dig_recovery, length)
-    rut = speed * (onto - bearing) / length
+    to_rut = speed * (onto - bearing) / length  # [m/s]
     if sinkage < bearing:
         a += 1.0 / SETTLING_TIME
         b += 1.0 / SETTLING_TIME
     if a * path.duration < STANDING:
         return sinkage
-    goal = (b * bearing + rut) / a
+    goal = (b * bearing + to_rut) / a
     return goal + (sinkage - goal) * exp(-a * path.duration)
 
 
@@ -430,8 +423,8 @@ def settle_at(wheel, x, mass, course, world):
     grade = grade_on(course.slopes, x, wheel.slope, rig.border)
     load = mass * rig.gravity * math.cos(grade)
     at_rest = Conditions(0.0, 1.0, math.sin(grade))
-    point = Point(0.0, load, 0.0)
-    rest = steady_at(world.nodes, point, soil, rim_of(rig), at_rest, world.acting.effects)
+    effects = world.acting.effects
+    rest = steady_at(world.nodes, Point(0.0, load, 0.0), soil, rim_of(rig), at_rest, effects)
     wheel.x = x
     wheel.best_x = x
     wheel.lowest_x = x

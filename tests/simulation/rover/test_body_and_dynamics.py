@@ -25,8 +25,8 @@ from soil_env.simulation.rover.rovers import (
     rover_numbers,
     step_rovers,
 )
-from soil_env.simulation.rover.ruts import copy_rut_behind, new_ruts
-from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND
+from soil_env.simulation.rover.ruts import copy_rut_behind
+from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND, RUT
 from soil_env.terramechanics.effects.multipass import COMPACTION, in_rut, rut_stiffness
 from soil_env.terramechanics.steady import DEEPEST, Rim, steady_state, steady_with
 from tests.simulation.wheels import set_soil
@@ -397,7 +397,7 @@ def test_no_wheel_loosens_the_ground_for_those_behind(grade_deg):
 
 
 def test_what_is_left_is_passed_on_to_all_wheels_behind():
-    ruts = new_ruts(1, 3, 6)[0]
+    ruts = np.zeros((3, 6), RUT)
     ruts["depth"][0, 2:4] = (0.02, 0.03)
     ruts["passes"][0, 2:4] = (1.0, 3.0)
     copy_rut_behind(ruts, 0, 2, 4)
