@@ -24,12 +24,7 @@ from soil_env.parameters.readings import RESTART, STEP, Image, Shown, Stepped
 from soil_env.parameters.sensors import SensorReading
 from soil_env.simulation.task import layout
 from soil_env.simulation.task.observation import clip, write_sensors
-from soil_env.simulation.wheels import (
-    SAMPLE,
-    new_setting,
-    new_wheel_worlds,
-    wheel_numbers,
-)
+from soil_env.simulation.wheels import SAMPLE, new_setting, new_wheel_worlds, wheel_numbers
 from soil_env.simulation.world.camera import write_view
 from soil_env.simulation.world.sensors import NO_ERRORS, read_slip, roll_odometer
 from soil_env.simulation.world.wheel import commanded

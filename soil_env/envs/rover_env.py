@@ -11,13 +11,7 @@ from soil_env.parameters.rover import RoverLike
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.terramechanics.model import ModelLike
 
-from .course_env import (
-    OF_MANY,
-    OWN,
-    CourseEnv,
-    CourseVectorEnv,
-    scenario_changes,
-)
+from .course_env import OF_MANY, OWN, CourseEnv, CourseVectorEnv, scenario_changes
 from .infos import asks, checked
 from .rover_infos import RoverInfos
 from .rovers import RoverSimulation

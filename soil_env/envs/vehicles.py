@@ -11,16 +11,7 @@ import numpy as np
 from soil_env._compiled.random_streams import seed_stream
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
-from soil_env.parameters.readings import (
-    AHEAD,
-    COMPLETE,
-    IDLE,
-    RESTART,
-    STEP,
-    TRY,
-    Shown,
-    Stepped,
-)
+from soil_env.parameters.readings import AHEAD, COMPLETE, IDLE, RESTART, STEP, TRY, Shown, Stepped
 
 TRIAL_COURSES = 8  # drawn before a scenario is accepted
 CHUNKS = 4  # of the vehicles, for each thread: a thread that is done early takes another chunk

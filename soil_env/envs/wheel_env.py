@@ -8,25 +8,13 @@ from gymnasium.vector import AutoresetMode
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.published import published, soil_of_numbers
-from soil_env.parameters import (
-    DEFAULT_SCENARIO,
-    CourseSpec,
-    Scenario,
-    Soil,
-    load_scenario,
-)
+from soil_env.parameters import DEFAULT_SCENARIO, CourseSpec, Scenario, Soil, load_scenario
 from soil_env.parameters.scenario import ScenarioLike
 from soil_env.simulation.task import layout
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.terramechanics.model import ModelLike
 
-from .course_env import (
-    OF_MANY,
-    OWN,
-    CourseEnv,
-    CourseVectorEnv,
-    scenario_changes,
-)
+from .course_env import OF_MANY, OWN, CourseEnv, CourseVectorEnv, scenario_changes
 from .infos import IMMOBILISED, Infos, asks, checked
 from .wheels import Simulation
 

@@ -25,14 +25,7 @@ from soil_env._io.loading import (
     to_dict,
     unknown_key,
 )
-from soil_env.parameters import (
-    EARTH_GRAVITY,
-    FLOW_LAW,
-    LARGEST_WHEEL,
-    Soil,
-    Tyre,
-    check_lugs,
-)
+from soil_env.parameters import EARTH_GRAVITY, FLOW_LAW, LARGEST_WHEEL, Soil, Tyre, check_lugs
 from soil_env.parameters.wheel import OnTyre, refuse_lugs_on_tyre
 
 from .effects import CATALOGUE, Effects, pack_effects

@@ -31,22 +31,11 @@ from .contact import (
     shear_integrals,
     shear_rates,
 )
-from .effects import (
-    NO_EFFECTS,
-    Effects,
-    drive_friction,
-    grousers,
-    soil_in_contact,
-    soil_resistance,
-)
+from .effects import NO_EFFECTS, Effects, drive_friction, grousers, soil_in_contact, soil_resistance
 from .effects.entry import Passage
 from .effects.shear_softening import mobilisation, shear_length_ratio
 from .effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
-from .residual import (
-    WorkingPoint,
-    residual_law,
-    residual_under,
-)
+from .residual import WorkingPoint, residual_law, residual_under
 from .steady import LEAST_DIGGING, arc_of
 
 # [m/s] below this speed slip and resistance fade out, so that a wheel can stand still

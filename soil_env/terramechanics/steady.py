@@ -39,14 +39,7 @@ from .contact import (
     smooth_arc,
     substitute_radius,
 )
-from .effects import (
-    Effects,
-    arc_ends,
-    drive_torque,
-    soil_in_contact,
-    soil_resistance,
-    switched_on,
-)
+from .effects import Effects, arc_ends, drive_torque, soil_in_contact, soil_resistance, switched_on
 from .effects.entry import Passage
 from .effects.grade import weight_on_slope
 from .effects.grousers import (

@@ -18,15 +18,7 @@ from .contact import ARC_NODES
 from .effects import Effects
 from .effects.slip_sinkage import digging, slip_sinkage_ratio
 from .ground import SOIL, soil_of
-from .steady import (
-    DEEPEST,
-    LEVEL,
-    Conditions,
-    Point,
-    Rim,
-    floats,
-    steady_at,
-)
+from .steady import DEEPEST, LEVEL, Conditions, Point, Rim, floats, steady_at
 
 #: [-] Slips at which the drawbar pull is compared.
 SLIPS = np.array([0.05, 0.1, 0.15, 0.2, 0.26, 0.33, 0.41, 0.5, 0.6, 0.72, 0.85, 0.97])

@@ -5,14 +5,7 @@ from typing import NamedTuple
 from soil_env._compiled.elementary import smoothed_sign
 from soil_env._compiled.flags import compiled
 
-from .entry import (
-    TORQUE,
-    Bench,
-    Effect,
-    EffectParameter as P,
-    Form,
-    Priors,
-)
+from .entry import TORQUE, Bench, Effect, EffectParameter as P, Form, Priors
 
 SLOWEST_TURNING = 1e-6  # [rad/s] wheel speed that a prior is divided by, at least; own choice
 

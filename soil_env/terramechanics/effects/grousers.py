@@ -6,13 +6,7 @@ from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.ground import with_strength
 
 from .bulldozing import passive_coefficient
-from .entry import (
-    Bench,
-    Effect,
-    EffectParameter as P,
-    Form,
-    Priors,
-)
+from .entry import Bench, Effect, EffectParameter as P, Form, Priors
 
 BLADE_SLIP = 0.015  # [-] slip over which the thrust of the lugs comes in; own choice
 

@@ -6,11 +6,7 @@ from soil_env._compiled.elementary import exp, power
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.ground import stiffened, with_strength
 
-from .entry import (
-    Effect,
-    EffectParameter as P,
-    Form,
-)
+from .entry import Effect, EffectParameter as P, Form
 
 #: [-] q = 1 - 1/a of the ruts of the simulated world. The rut of N passes is z_1 N^(1/a), with
 #: a = 2 to 3 on loose soil or under a light load (Saarilahti 1991, second-hand): the middle.

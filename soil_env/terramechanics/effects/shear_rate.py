@@ -4,12 +4,7 @@ from soil_env._compiled.elementary import log
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.ground import with_strength
 
-from .entry import (
-    Bench,
-    Effect,
-    EffectParameter as P,
-    Form,
-)
+from .entry import Bench, Effect, EffectParameter as P, Form
 from .penetration_rate import LEAST_FACTOR, rate_factor
 
 
