@@ -16,8 +16,6 @@ from .infos import asks, checked
 from .rover_infos import RoverInfos
 from .rovers import RoverSimulation
 
-__all__ = ["SoilRoverEnv", "SoilRoverVectorEnv", "build_rover", "rover_action_space"]
-
 _OWN = ("rover", *OWN)
 _OWN_OF_MANY = (*OF_MANY, *_OWN)
 

@@ -311,11 +311,11 @@ class SoilWheelEnv(CourseEnv):
 
     def estimate(self) -> Soil:
         """The identified soil, with the belief's exponent and recovery of digging."""
-        if self.simulation.worlds.ids is None:
+        ids = self.simulation.worlds.ids
+        if ids is None:
             raise ParameterError(
                 "estimate: nothing is identified; expected observation='identified' or info='full'"
             )
-        ids = self.simulation.worlds.ids
         belief = self.scenario.belief
         numbers = published(ids.estimate[0].tolist(), ids.sd[0].tolist(), belief.dig_gain)
         return soil_of_numbers(numbers, belief, self.scenario.gravity)

@@ -30,11 +30,9 @@ def sheared_fast(soil, passage, fx):
 
 def _neutral(bench: Bench) -> dict[str, float]:
     """The mean sliding speed of the table as reference and, to begin with, as onset speed."""
-    return (
-        {"reference_speed": bench.sliding, "onset_speed": bench.sliding}
-        if bench.sliding > 0.0
-        else {}
-    )
+    if bench.sliding > 0.0:
+        return {"reference_speed": bench.sliding, "onset_speed": bench.sliding}
+    return {}
 
 
 def _hidden(bench: Bench) -> str:
