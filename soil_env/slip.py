@@ -90,10 +90,10 @@ def rim_speeds(travel_speed: float | np.ndarray, slip: float | np.ndarray) -> np
 
 def slips(rim_speed: np.ndarray, speed: np.ndarray, slow: float = SLOWEST) -> np.ndarray:
     """Slip [N] in [-1, 1] of rim and travel speeds [N] in m/s: (r w - V)/(r w) driving, (r w - V)/V
-    braking; positive for a wheel that drives, in reverse too.
+    braking.
 
-    It is divided by at least `slow` [m/s], so that a wheel at rest has slip 0. Unlike in
-    `slip_ratio`, reverse begins at r w + V < -`slow`.
+    It is positive for a wheel that drives, in reverse too. It is divided by at least `slow` [m/s],
+    so that a wheel at rest has slip 0. Unlike in `slip_ratio`, reverse begins at r w + V < -`slow`.
     """
     scale = np.maximum(np.maximum(np.abs(rim_speed), np.abs(speed)), slow)
     slip = (rim_speed - speed) / scale

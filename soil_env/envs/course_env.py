@@ -34,8 +34,9 @@ if TYPE_CHECKING:
 OWN = ("observation", "action", "repeat", "render_mode", "model", "scatter", "info", "scaled")
 OF_MANY = ("num_envs", "autoreset_mode", "max_episode_steps", "threads")  # vector environments
 _RUNNING = Cause.RUNNING.value
-_ONLY = np.ones(1, dtype=np.bool_)  # of one course: it is meant,
-_NONE = np.zeros(1, dtype=np.bool_)  # it is not
+# masks of the single course, as `infos` takes them: the course, and no course
+_ONLY = np.ones(1, dtype=np.bool_)
+_NONE = np.zeros(1, dtype=np.bool_)
 
 
 def check_count(name: str, count: object) -> None:
@@ -397,11 +398,7 @@ class CourseVectorEnv(
     def step(
         self, actions: ArrayLike
     ) -> tuple[
-        NDArray[np.float32],
-        NDArray[np.float64],
-        NDArray[np.bool_],
-        NDArray[np.bool_],
-        Info,
+        NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info
     ]:
         """One action for each course.
 

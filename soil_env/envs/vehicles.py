@@ -234,8 +234,7 @@ class Vehicles:
         check_laid(sum(run(run_chunk, chunks)))
 
     def _draw(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> int:
-        """Draw the ground that the orders ask for. Return for how many vehicles no soil was found.
-        """
+        """Draw the ground that the orders ask for; return how many vehicles found no soil."""
         return self._lay(self._world, self.course_numbers, orders, scratch, first, end)
 
     def _drive(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> int:

@@ -367,11 +367,6 @@ class SoilWheelVectorEnv(CourseVectorEnv):
             and observation == "identified"
         )
         self.simulation: Simulation = Simulation(
-            self.num_envs,
-            self.scenario,
-            observation,
-            threads,
-            self.model,
-            finals or asks(info),
+            self.num_envs, self.scenario, observation, threads, self.model, finals or asks(info)
         )
         self.infos: Infos = Infos(self.simulation, info)

@@ -62,9 +62,7 @@ def rover_names() -> list[str]:
 
 
 def load_rover(
-    which: RoverLike = DEFAULT_ROVER,
-    changes: Keys | None = None,
-    place: str = "changes",
+    which: RoverLike = DEFAULT_ROVER, changes: Keys | None = None, place: str = "changes"
 ) -> RoverScenario:
     """A rover's scenario by name, by path of a YAML file, as a mapping or as it is, with `changes`
     merged over it.

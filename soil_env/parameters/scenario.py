@@ -115,9 +115,7 @@ def scenario_names() -> list[str]:
 
 
 def load_scenario(
-    which: ScenarioLike = DEFAULT_SCENARIO,
-    changes: Keys | None = None,
-    place: str = "changes",
+    which: ScenarioLike = DEFAULT_SCENARIO, changes: Keys | None = None, place: str = "changes"
 ) -> Scenario:
     """A scenario by name, by path of a YAML file, as a mapping or as it is, with `changes` merged
     over it.
@@ -196,11 +194,7 @@ def _given(
 
 
 def _on_base(
-    kind: type[Scenario],
-    folder: str,
-    mapping: Keys,
-    where: str,
-    above: tuple[Path, ...],
+    kind: type[Scenario], folder: str, mapping: Keys, where: str, above: tuple[Path, ...]
 ) -> Keys:
     """The mapping of a scenario, without the key `base`: where it has one, merged over the scenario
     that `base` names, but for the `name` of that. `above` as in `_given`.

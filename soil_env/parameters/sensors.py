@@ -161,12 +161,7 @@ class Sensor(NamedTuple):
 
 
 def _of_force(
-    name: str,
-    unit: str,
-    size: str,
-    centre: float,
-    scale: float,
-    usual: tuple[float, float, float],
+    name: str, unit: str, size: str, centre: float, scale: float, usual: tuple[float, float, float]
 ) -> Sensor:
     """A sensor of a force or a torque, which have the same bounds as multiples of their `size`."""
     return Sensor(name, unit, (100.0, size), (size, -10.0, 10.0, centre, scale), usual=usual)

@@ -411,8 +411,8 @@ def _groups(rows, felt, soil, gravity, fx):
 
 @kept
 def _add_residual(law, groups, rows, out, sd):
-    """Add to the predictions `out` [N, 3] of `Rows` what the `RESIDUAL` law adds at their `GROUPS`
-    [N, 7], and write the standard deviations of its table into `sd` [N, 3]. Both are in SI units.
+    """Add what the `RESIDUAL` law gives at the `GROUPS` [N, 7] of `Rows` to their predictions `out`
+    [N, 3]. Write the standard deviations of its table into `sd` [N, 3]. Both are in SI units.
     """
     for k in range(rows.slip.size):
         radius = rows.wheels[k, 0]

@@ -18,10 +18,7 @@ def sheared_fast(soil, passage, fx):
         faster = log(1.0 + passage.slide / fx.shear_rate_onset_speed)
         cohesion *= max(1.0 + fx.shear_rate_cohesion * faster, LEAST_FACTOR)
     strength = rate_factor(
-        passage.slide,
-        fx.shear_rate_reference_speed,
-        fx.shear_rate_exponent,
-        fx.shear_rate_slope,
+        passage.slide, fx.shear_rate_reference_speed, fx.shear_rate_exponent, fx.shear_rate_slope
     )
     return with_strength(
         soil, soil.tan_phi * strength, cohesion * strength, soil.shear_modulus, soil.rim_flow
