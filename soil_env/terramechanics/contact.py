@@ -381,7 +381,7 @@ def held_below(share, most):
     """(smooth minimum of `share` >= 0 and `most` > 0, its derivatives by `share` and by `most`).
 
     share (1 + (share/most)^4)^(-1/4) is always below `most`. A share of a third of `most` changes
-    by 0.3 %. Both may have any one unit.
+    by 0.3 %. `share` and `most` have one unit.
     """
     ratio = share / most
     fourth = ratio * ratio * (ratio * ratio)

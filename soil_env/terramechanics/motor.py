@@ -2,8 +2,8 @@
 
 from soil_env._compiled.flags import compiled
 
-# [-] torque by error of wheel speed of the speed loop, over the slope of the torque-speed line; a
-# stiff loop, own choice
+# [-] torque over error of the wheel speed in the speed loop, in slopes of the torque-speed line: a
+# stiff loop; own choice
 LOOP_GAIN = 10.0
 
 
