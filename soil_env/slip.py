@@ -1,8 +1,8 @@
 """The slip of a wheel, (r w - V)/(r w) driving and (r w - V)/V braking, and what follows from its
 definition.
 
-r w is the speed of the rim, V the travel speed. Compiled functions take numbers, those in the
-plural arrays of numpy.
+r w is the speed of the rim, V the travel speed, both in m/s. Compiled functions take numbers; those
+whose name is in the plural take arrays of numpy.
 """
 
 import numpy as np
@@ -21,8 +21,9 @@ def signed_slip(rim_speed, travel_speed, floor):
     """Slip (r w - V)/max(|r w|, |V|, floor), cut to [-1, 1], and its derivatives by the speed of
     the rim and of travel [s/m].
 
-    Its sign is that of r w - V, forward and in reverse. `floor` [m/s] gives a wheel at rest the
-    slip 0. At -1 and 1 (locked, spinning on the spot, rim against travel) the derivatives are 0.
+    Its sign is that of r w - V, forward and in reverse. The `floor` [m/s] of the denominator gives
+    a wheel at rest the slip 0. At -1 and 1 (locked, spinning on the spot, rim against travel) the
+    derivatives are 0.
     """
     u = abs(rim_speed)
     v = abs(travel_speed)
@@ -44,8 +45,8 @@ def signed_slip(rim_speed, travel_speed, floor):
 def slip_ratio(rim_speed, travel_speed, floor):
     """Slip in [-1, 1]: (r w - V)/(r w) when driving, (r w - V)/V when braking.
 
-    It is `signed_slip` with the sign turned in reverse (r w + V < 0), so that a wheel that drives
-    has a positive slip in both directions.
+    It is `signed_slip`, with its `floor`, and with the sign turned in reverse (r w + V < 0). So a
+    wheel that drives has a positive slip in both directions.
     """
     slip = signed_slip(rim_speed, travel_speed, floor)[0]
     return -slip if rim_speed + travel_speed < 0.0 else slip
@@ -64,11 +65,10 @@ def braked_share(rim_speed, travel_speed, floor):
 
 @compiled
 def motion_from_slip(slip):
-    """Speeds (rim, travel) over that of the rim, of a wheel that travels forward at a slip in
-    [-1, 1].
+    """(1, V/(r w)): speeds of rim and travel over that of the rim, of a wheel that travels forward
+    at a slip in [-1, 1].
 
-    The rim is always 1. Travel is 0 at the slip 1 (spinning on the spot), and 1/`LEAST_ROLLING`
-    at -1 (locked).
+    Travel is 0 at the slip 1 (spinning on the spot), and 1/`LEAST_ROLLING` at -1 (locked).
     """
     if slip < 0.0:
         return 1.0, 1.0 / max(1.0 + slip, LEAST_ROLLING)
@@ -90,10 +90,10 @@ def rim_speeds(travel_speed: float | np.ndarray, slip: float | np.ndarray) -> np
 
 def slips(rim_speed: np.ndarray, speed: np.ndarray, slow: float = SLOWEST) -> np.ndarray:
     """Slip [N] in [-1, 1] of rim and travel speeds [N] in m/s: (r w - V)/(r w) driving, (r w - V)/V
-    braking; positive for a wheel that drives, in reverse too.
+    braking.
 
-    It is divided by at least `slow` [m/s], so that a wheel at rest has slip 0. Reverse is where
-    r w + V < -`slow`.
+    It is positive for a wheel that drives, in reverse too. It is divided by at least `slow` [m/s],
+    so that a wheel at rest has slip 0. Unlike in `slip_ratio`, reverse begins at r w + V < -`slow`.
     """
     scale = np.maximum(np.maximum(np.abs(rim_speed), np.abs(speed)), slow)
     slip = (rim_speed - speed) / scale
@@ -121,9 +121,10 @@ def sliding_speed(slip, travel_speed):
 
 @compiled
 def slip_of_radius(slip, scale):
-    """Slip in [-1, 1] after V/(r w) is multiplied by `scale`, as when another radius is meant.
+    """Slip in [-1, 1] of the same motion by another wheel radius r', where `scale` is r/r' > 0.
 
-    A driving wheel may become a braked one. A locked wheel (-1) stays locked.
+    It multiplies V/(r w). A driving wheel may become a braked one. A locked wheel (-1) stays
+    locked.
     """
     if slip <= -1.0 or scale == 1.0:
         return slip

@@ -86,14 +86,13 @@ class Kept:
     def __init__(self, function: Callable[..., Any]) -> None:
         update_wrapper(self, function)
         self.py_func = function
-        self._opened = False
-        self._threads = threading.Lock()
-        self._versions = 0  # compiled ones that the checksums hold
+        self._opened = False  # the first call is over
+        self._threads = threading.Lock()  # lets one thread make the first call
+        self._versions = 0  # number of compiled ones that the checksums hold
         _compilations.of.add(function)
         root = folder()
-        self._folder = None
-        if root is not None:
-            self._folder = root / f"{function.__module__}.{function.__qualname__}"
+        name = f"{function.__module__}.{function.__qualname__}"
+        self._folder = None if root is None else root / name
         self._function = _compiled(function, self._folder)
 
     def __call__(self, *arguments: Any) -> Any:
@@ -111,8 +110,8 @@ class Kept:
     def _first_call(self, arguments: tuple[Any, ...]) -> Any:
         """Check the files, call the function, and write the checksums of new files.
 
-        Files that are whole and that numba cannot load all the same are dropped. Errors of the
-        function itself are raised, as by any call.
+        Files that are whole but that numba cannot load are dropped. Errors of the function itself
+        are raised, as by any call.
         """
         with self._threads:
             if self._opened:  # by another thread
@@ -206,7 +205,7 @@ class Kept:
                 partial.replace(found)
 
     def _checksums(self) -> dict[str, str] | None:
-        """Checksums by name of the files when numba had written them, from the file `CHECKSUMS`.
+        """{file name: checksum} of the files as numba wrote them, read from the file `CHECKSUMS`.
 
         Empty where that file is missing, None where it cannot be read.
         """
@@ -220,7 +219,7 @@ class Kept:
         return known if isinstance(known, dict) else None
 
     def _checksums_now(self) -> dict[str, str]:
-        """Checksums of the files that are there, by name."""
+        """{file name: checksum} of the files that are there."""
         assert self._folder is not None
         files = sorted(self._folder.rglob("*.nb[ci]"))
         return {f.name: hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
@@ -268,6 +267,7 @@ def tell(line: str) -> None:
 
 
 def _say(line: str) -> None:
+    """Print a line on stderr, as one of this package."""
     print(f"soil_env: {line}", file=sys.stderr, flush=True)
 
 

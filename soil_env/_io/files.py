@@ -135,6 +135,7 @@ def _manifest(folder: Path) -> dict[str, list[str]]:
 
 
 def _digest(content: bytes) -> str:
+    """SHA-256 of the content of a file, in hexadecimal digits."""
     return hashlib.sha256(content).hexdigest()
 
 
@@ -206,7 +207,7 @@ def make_folder(folder: str | Path) -> None:
 
 
 def check_outputs(folder: str | Path, names: Iterable[str] = ()) -> None:
-    """Raise OSError where files of these names could not be written into `folder`; make nothing.
+    """Raise OSError where files of these `names` could not be written into `folder`; make nothing.
 
     Of a folder that does not exist the nearest one above is tried, by a temporary file. A name may
     have one folder in it, "plots/a.png". Existing files may be replaced, folders not.

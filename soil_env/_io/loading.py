@@ -76,19 +76,21 @@ def _of_python(value: typing.Any) -> typing.Any:
 
 
 def _said(value: object) -> str:
-    """A value for an error: a whole number beyond `_MOST_SHOWN` rounded to six digits."""
+    """A value as an error writes it: its `repr`, but a whole number beyond `_MOST_SHOWN` rounded to
+    six digits.
+    """
     if type(value) is int and abs(value) > _MOST_SHOWN:
         return f"{Context(prec=6).create_decimal(value).normalize():e}"
     return repr(value)
 
 
 def _bound(x: float) -> str:
-    """A bound for an error: to six digits, but a whole number that has more of them in full."""
+    """A bound as an error writes it: to six digits, but a longer whole number in full."""
     short = f"{x:g}"
     return str(x) if isinstance(x, int) and float(short) != x else short
 
 
-_hints = functools.cache(typing.get_type_hints)  # of the fields of a class
+_hints = functools.cache(typing.get_type_hints)  # {field: type} of a class
 
 
 class Checked:
@@ -103,12 +105,13 @@ class Checked:
         own: typing.Any = type(self)
         for f in dataclasses.fields(own):
             hint = _hints(own)[f.name]
+            items = typing.get_args(hint)
             value = getattr(self, f.name)
-            if typing.get_origin(hint) is typing.Literal and value not in typing.get_args(hint):
-                raise FieldError(self, f.name, str(unknown_value(value, typing.get_args(hint))))
+            if typing.get_origin(hint) is typing.Literal and value not in items:
+                raise FieldError(self, f.name, str(unknown_value(value, items)))
             if "unit" in f.metadata:
                 _check_quantity(self, f, value)
-                if value is not None and float in (hint, *typing.get_args(hint)):
+                if value is not None and float in (hint, *items):
                     plain = tuple(map(float, value)) if isinstance(value, tuple) else float(value)
                     object.__setattr__(self, f.name, plain)
         self._check_together()
@@ -130,8 +133,9 @@ def _check_quantity(owner: Checked, f: dataclasses.Field, value: typing.Any) -> 
         if x is not None and not (is_number and low <= x <= high and math.isfinite(x)):
             limits = f"[{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
             means = f" ({doc})" if (doc := f.metadata["doc"]) else ""
-            said = f" = {_said(value)}: expected a number in {limits}{means}"
-            raise FieldError(owner, f.name, said)
+            raise FieldError(
+                owner, f.name, f" = {_said(value)}: expected a number in {limits}{means}"
+            )
     if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
         raise FieldError(owner, f.name, f" = {list(value)}: expected the smaller number first")
 
@@ -209,11 +213,12 @@ def below_title(path: Path, lines: Iterable[Sequence[str]], names: Iterable[str]
 
 
 def _sorted(known) -> str:
+    """Known names for an error, in alphabetical order."""
     return ", ".join(sorted(map(str, known)))
 
 
 def load(cls, mapping, where: str = ""):
-    """Build dataclass `cls` from a mapping; nested dataclasses from nested mappings.
+    """Build dataclass `cls` from a mapping of its fields; nested dataclasses from nested mappings.
 
     Raises `ParameterError` for unknown or missing keys, wrong types and values out of range. The
     message begins with `where` the mapping came from, a file as a rule, and the path of keys in it:
@@ -223,7 +228,7 @@ def load(cls, mapping, where: str = ""):
     names = {f.name: f for f in dataclasses.fields(cls) if f.init}
     if not isinstance(mapping, dict):
         raise ParameterError(f"{where}: expected a mapping of {', '.join(names)}, got {mapping!r}")
-    hints = typing.get_type_hints(cls)
+    hints = _hints(cls)
     for key in mapping:
         if key not in names:
             raise unknown_key(key, (*names, *getattr(cls, "more_keys", ())), where)
@@ -311,7 +316,8 @@ def number(kind: type, value, where: str):
         try:
             found = float(value)
             # 1e400 stays text and is refused: as a float it would be infinite without being meant.
-            value = found if math.isfinite(found) or value.strip(" +-")[:1] in "iInN" else value
+            if math.isfinite(found) or value.strip(" +-")[:1] in "iInN":
+                value = found
         except ValueError:
             pass
     value = _of_python(value)

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 OWN = ("observation", "action", "repeat", "render_mode", "model", "scatter", "info", "scaled")
 OF_MANY = ("num_envs", "autoreset_mode", "max_episode_steps", "threads")  # vector environments
 _RUNNING = Cause.RUNNING.value
+# masks of the single course, as `infos` takes them: the course, and no course
 _ONLY = np.ones(1, dtype=np.bool_)
 _NONE = np.zeros(1, dtype=np.bool_)
 
@@ -100,7 +101,7 @@ def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
         return a
     finite = np.isfinite(a)
     if not finite.all():
-        # The first that is wrong.
+        # of many actions [courses, ...] the first course with a wrong one
         row = () if len(shape) == 1 else np.argwhere(~finite)[0, :1].tolist()
         raise ValueError(
             f"{what}{row or ''} = {a[*row].tolist()!r:.80}: expected finite numbers in [-1, 1]"
@@ -168,11 +169,11 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
             )
         self.scenario = scenario
         self.observation_variant = variant
-        self.observation_names: tuple[str, ...] = tuple(e.name for e in entries)
+        self.observation_names = tuple(e.name for e in entries)
         self.scaling = Scaling(entries, scaled)
         self.observation_space: gymnasium.spaces.Box = self.scaling.space
         self.action_space: gymnasium.spaces.Box = actions
-        self._shape: tuple[int, ...] = actions.shape
+        self._shape = actions.shape
         self.render_mode = render_mode
         self.metadata = {
             **self.metadata,
@@ -305,8 +306,8 @@ class CourseVectorEnv(
             raise ParameterError(
                 f"autoreset_mode = {autoreset_mode!r}: expected one of {known}"
             ) from None
-        self.num_envs: int = int(num_envs)
-        self.metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": mode}
+        self.num_envs = int(num_envs)
+        self.metadata = {"render_modes": [], "autoreset_mode": mode}
         self.autoreset_mode = mode
         self._most_steps = max_episode_steps
         self._rngs: list[np.random.Generator | None] | None = None
@@ -318,20 +319,17 @@ class CourseVectorEnv(
         """Set the spaces from these entries and actions, and the length of an episode from
         `scenario`, which is set before.
         """
-        self.observation_names: tuple[str, ...] = tuple(e.name for e in entries)
+        self.observation_names = tuple(e.name for e in entries)
         self.scaling = Scaling(entries, scaled)
         self.single_observation_space: gymnasium.spaces.Box = self.scaling.space
         self.single_action_space: gymnasium.spaces.Box = actions
-        self.observation_space: gymnasium.Space[Any] = batch_space(
-            self.single_observation_space, self.num_envs
-        )
-        self.action_space: gymnasium.Space[Any] = batch_space(
-            self.single_action_space, self.num_envs
-        )
-        self._shape: tuple[int, ...] = (self.num_envs, *actions.shape)
-        held = self.scenario.control.action_periods
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(actions, self.num_envs)
+        self._shape = (self.num_envs, *actions.shape)
         # [control periods] after which an episode is truncated
-        self._longest = np.inf if self._most_steps is None else self._most_steps * held
+        self._longest = np.inf
+        if self._most_steps is not None:
+            self._longest = self._most_steps * self.scenario.control.action_periods
 
     def reset(
         self,
@@ -400,11 +398,7 @@ class CourseVectorEnv(
     def step(
         self, actions: ArrayLike
     ) -> tuple[
-        NDArray[np.float32],
-        NDArray[np.float64],
-        NDArray[np.bool_],
-        NDArray[np.bool_],
-        Info,
+        NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info
     ]:
         """One action for each course.
 

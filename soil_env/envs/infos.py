@@ -44,12 +44,13 @@ _TERMS_END = _TERMS_AT + len(REWARD_TERMS)
 assert names_of(WHEEL)[: len(STATE)] == STATE
 Info = dict[str, Any]  # of a vehicle, or arrays of many
 _COLUMNS = Traversability._fields
+# places of load and pitch in an observation
 _SEEN = [[e.name for e in layout("blind")].index(name) for name in ("load", "pitch")]
 
 
 def checked(kind: object, observation: str = "identified") -> str:
-    """`kind` if it is one of `INFOS`; for None "full" with an observation "identified", else
-    "state". ParameterError otherwise.
+    """The keyword `info` as one of `INFOS`: None stands for "full" with an observation
+    "identified", for "state" with the others. ParameterError for any other value.
     """
     if kind is None:
         return "full" if observation == "identified" else "state"
@@ -67,7 +68,7 @@ def flat(nested: Mapping[str, Any], prefix: str = "") -> Info:
     """All numbers of a full info without nesting; causes and statuses in words become numbers.
 
     Keys: `reward_NAME`, `estimate_NAME`, `NAME` of state and traversability; `AXLE_NAME`,
-    `AXLE_estimate_NAME` of an axle.
+    `AXLE_estimate_NAME` of an axle. Each begins with `prefix`.
     """
     prefixes = {
         "reward_terms": "reward_",
@@ -111,8 +112,8 @@ class VehicleInfos:
     """Infos of the vehicles of one simulation, of a `kind` of `INFOS`."""
 
     def __init__(self, simulation: Any, kind: str) -> None:
-        self.scenario: Any = simulation.scenario
-        self.kind: str = kind
+        self.scenario = simulation.scenario
+        self.kind = kind
         self._simulation = simulation
 
     def many(self) -> Info:
@@ -151,8 +152,8 @@ class VehicleInfos:
 class Infos(VehicleInfos):
     """Infos of the wheels of one `Simulation`.
 
-    `traversability` is that of the last change of the estimate: see `renew`; its probabilities of
-    immobilisation are of now.
+    The group `traversability` is that of the last change of the estimate (`renew`), but for its
+    probabilities of immobilisation, which are of now.
     """
 
     def __init__(self, simulation: Simulation, kind: str) -> None:
@@ -216,8 +217,8 @@ class Infos(VehicleInfos):
             only = np.array([k])
             ground = dict(zip(_COLUMNS, self._renewed(worlds, only)[k].tolist(), strict=True))
             foreseen = self._foreseen(worlds, only)[0].tolist()
-            info["traversability"] = ground | {"passable": ground["passable"] > 0.0}
-            info["traversability"] |= dict(zip(FORESEEN, foreseen, strict=True))
+            ground["passable"] = ground["passable"] > 0.0
+            info["traversability"] = ground | dict(zip(FORESEEN, foreseen, strict=True))
         info["state"] = dict(zip(STATE, numbers[: len(STATE)].tolist()))  # noqa: B905 (hot)
         return info if self.kind != "numeric" else _numbers(flat(info))
 
@@ -236,7 +237,7 @@ class Infos(VehicleInfos):
         rows = rows[self._stale[rows]]
         if rows.size:
             ids = worlds.ids
-            assert self._simulation.belief is not None and self._assess is not None
+            assert self._assess is not None
             setting = self._simulation.belief
             self._assess(rows, ids.estimate, ids.sd, self._seen, setting, self._traversability)
             self._stale[rows] = False
@@ -275,7 +276,9 @@ class Infos(VehicleInfos):
 
 
 def estimates(known: Any, scenario: Scenario) -> dict[str, np.ndarray]:
-    """Estimates of the soil under each wheel, arrays [wheels] or [rovers, axles], of `known`."""
+    """Estimates of the soil under each wheel, arrays [wheels] or [rovers, axles], of `known`: `ids`
+    or `known` of `Worlds`.
+    """
     mean, sd = (np.moveaxis(array, -1, 0).copy() for array in (known.estimate, known.sd))
     found = published(mean, sd, scenario.belief.dig_gain, np)
     return found | {"status": known.status.copy()}

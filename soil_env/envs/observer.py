@@ -24,12 +24,7 @@ from soil_env.parameters.readings import RESTART, STEP, Image, Shown, Stepped
 from soil_env.parameters.sensors import SensorReading
 from soil_env.simulation.task import layout
 from soil_env.simulation.task.observation import clip, write_sensors
-from soil_env.simulation.wheels import (
-    SAMPLE,
-    new_setting,
-    new_wheel_worlds,
-    wheel_numbers,
-)
+from soil_env.simulation.wheels import SAMPLE, new_setting, new_wheel_worlds, wheel_numbers
 from soil_env.simulation.world.camera import write_view
 from soil_env.simulation.world.sensors import NO_ERRORS, read_slip, roll_odometer
 from soil_env.simulation.world.wheel import commanded
@@ -41,8 +36,9 @@ from .course_env import actions_of
 def write_reading(state, samples, observation, setting, begun, slips, chooses):
     """Fill `observation` [1, D] of a wheel by its `SAMPLE` [1, 1], but for what is identified.
 
-    `begun`: its action has acted since the last readings; `slips`: the slip follows from the two
-    speeds; `chooses`: the action chooses a route now.
+    `state` [1] and `setting` [1] are those of a simulated wheel. `begun`: its action has acted
+    since the last readings; `slips`: the slip follows from the two speeds; `chooses`: the action
+    chooses a route now.
     """
     own = setting[0]
     task = own.task[0]
@@ -73,8 +69,8 @@ class _Reader(OnlineIdentifier):
         return self._checked(readings)[0]
 
     def read(self, r: Readings, period: float, last: SensorReading) -> tuple[bool, np.ndarray]:
-        """(True if both speeds are known, `READING`), at a time `period` [s] after the last if the
-        readings have none.
+        """(True if both speeds are known, `READING` of the readings `r`), at a time `period` [s]
+        after the last ones if `r` has none.
 
         A speed that is not known is that of `last`; for other missing readings stands what
         `OnlineIdentifier` puts there.
@@ -118,8 +114,8 @@ class Observer:
         self._board = OnBoard(1, scenario, shown, True)
         self._views = self._board.views()
         self._warning = ImmobilisationWarning(scenario)
+        # [m/s2] rate of a commanded rim speed
         self._change = float(self._setting["rig"]["rim_step"][0, 0]) / scenario.control.period
-        self.held: dict[str, int] = {}
         self.reset()
 
     def reset(self) -> None:
@@ -131,7 +127,7 @@ class Observer:
         self._read: set[str] = set()  # names of readings that there have been
         self._image: Image | None = None
         self._begun = False
-        self.held = {}
+        self.held: dict[str, int] = {}
 
     def observe(
         self,
@@ -155,12 +151,12 @@ class Observer:
         self._read_image(image)
         self._set_period(period)
         known = self._read_sensors(readings, period)
-        wheel = self._worlds.state[0]
-        sample = self._worlds.samples[0, 0]
-        sample.halted = 1.0 if halted else 0.0
-        wheel.action = acted[0]
+        self._worlds.samples[0, 0].halted = 1.0 if halted else 0.0
+        self._worlds.state[0].action = acted[0]
         write_reading(
-            *(self._worlds.state, self._worlds.samples, self._worlds.observation),
+            self._worlds.state,
+            self._worlds.samples,
+            self._worlds.observation,
             self._setting,
             self._begun,
             readings.slip != readings.slip,
@@ -215,9 +211,10 @@ class Observer:
         """
         known, reading = self._reader.read(readings, period, self._last)
         values = SensorReading(*reading.tolist())
+        # NaN, for a reading that is missing, is unequal to itself
         measured = {name for name, given in readings._asdict().items() if given == given}
         for name in Readings._fields:
-            own = "rim_speed" if name == "wheel_speed" else name
+            own = "rim_speed" if name == "wheel_speed" else name  # its name in a `SensorReading`
             if name in measured or own in ("slip", "time") or (own.endswith("speed") and known):
                 continue
             if name in self._read:

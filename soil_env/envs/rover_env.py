@@ -11,18 +11,10 @@ from soil_env.parameters.rover import RoverLike
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.terramechanics.model import ModelLike
 
-from .course_env import (
-    OF_MANY,
-    OWN,
-    CourseEnv,
-    CourseVectorEnv,
-    scenario_changes,
-)
+from .course_env import OF_MANY, OWN, CourseEnv, CourseVectorEnv, scenario_changes
 from .infos import asks, checked
 from .rover_infos import RoverInfos
 from .rovers import RoverSimulation
-
-__all__ = ["SoilRoverEnv", "SoilRoverVectorEnv", "build_rover", "rover_action_space"]
 
 _OWN = ("rover", *OWN)
 _OWN_OF_MANY = (*OF_MANY, *_OWN)
@@ -54,7 +46,7 @@ class SoilRoverEnv(CourseEnv):
     A planar rover on two or three axles has to cross a course of unknown soils and grades without
     getting stuck. Its two sides are alike, and every wheel has a motor. Each wheel meets the ground
     as that of `SoilWheelEnv` does (Hutangkabodee et al. 2006, Eqs. (1)-(10), with slip-sinkage), on
-    its own place of the same course: those behind run in the ruts of those ahead, on ground that
+    its own place of the same course. Those behind run in the ruts of those ahead, on ground that
     each pass compacts. Two axles are fixed to the body; of three, two hang on a bogie that turns
     freely (rocker-bogie). The load of each wheel follows from the equilibrium of body and bogie
     with centre of mass, pitch, pulls and torques of all wheels. At commanded halts the drives
@@ -119,9 +111,9 @@ class SoilRoverEnv(CourseEnv):
     motors, and knowledge the mean of what is known of the soils under the axles.
 
     ## Starting state
-    At rest with the rear axle at the start of a new random course, x = 0, and every wheel settled
-    under its share of the weight at rest on level ground, with a random payload that the axles
-    share as they do the weight.
+    At rest with the rear axle at the start of a new random course, x = 0. Every wheel is settled
+    under its share of the weight on level ground, with a random payload that the axles share as
+    they do the weight.
 
     ## Episode end
     Terminated when the course is finished, the rover is immobilised, or time is up; `info["cause"]`

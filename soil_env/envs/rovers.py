@@ -21,7 +21,7 @@ from .vehicles import Vehicles, asks_for_estimates
 
 
 class RoverSimulation(Vehicles):
-    """`rovers` rovers under one scenario with one observation variant.
+    """`rovers` rovers under one scenario with one observation `variant`, in the world of a `model`.
 
     `estimates`: identify the soil, even if neither the observation nor the reward asks for it.
     """

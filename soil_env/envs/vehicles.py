@@ -11,16 +11,7 @@ import numpy as np
 from soil_env._compiled.random_streams import seed_stream
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
-from soil_env.parameters.readings import (
-    AHEAD,
-    COMPLETE,
-    IDLE,
-    RESTART,
-    STEP,
-    TRY,
-    Shown,
-    Stepped,
-)
+from soil_env.parameters.readings import AHEAD, COMPLETE, IDLE, RESTART, STEP, TRY, Shown, Stepped
 
 TRIAL_COURSES = 8  # drawn before a scenario is accepted
 CHUNKS = 4  # of the vehicles, for each thread: a thread that is done early takes another chunk
@@ -56,21 +47,21 @@ class Worlds(NamedTuple):
     (`identification.online.on_board.OnBoard.views`). None stands for what a vehicle has not.
     """
 
-    state: np.ndarray
-    courses: np.ndarray
-    samples: np.ndarray
-    observation: np.ndarray
+    state: np.ndarray  # [vehicles]
+    courses: np.ndarray  # [vehicles]
+    samples: np.ndarray  # [vehicles, periods]
+    observation: np.ndarray  # [vehicles, D] float32
     terms: np.ndarray  # [vehicles, 4] of the reward
     reward: np.ndarray  # [vehicles]
     cause: np.ndarray  # [vehicles] `Cause`
     ruts: Any = None  # of rovers
     readings: Any = None  # of rovers
-    on_board: Any = None
-    ids: Any = None
-    memory: Any = None  # of wheels
-    changed: Any = None  # of wheels
-    recent: Any = None  # of wheels
-    known: Any = None  # of rovers
+    on_board: Any = None  # memory of the estimators
+    ids: Any = None  # estimates of each wheel by its own readings
+    memory: Any = None  # of wheels: what was learnt of each terrain class
+    changed: Any = None  # of wheels: > 0 where the last step changed the estimate
+    recent: Any = None  # of wheels: averages for the warning of an immobilisation
+    known: Any = None  # of rovers: estimates of each wheel by the readings of all
 
 
 class Vehicles:
@@ -87,12 +78,11 @@ class Vehicles:
 
     def __init__(self, count: int, scenario: Any, threads: int | None) -> None:
         self.scenario = scenario
-        self.count: int = count
+        self.count = count
         self._threads = threads or processors()
-        chunk = count
+        self._chunk = count  # vehicles that a thread takes at a time
         if self._threads > 1:
-            chunk = max(-(-count // (CHUNKS * self._threads)), LEAST)
-        self._chunk = chunk
+            self._chunk = max(-(-count // (CHUNKS * self._threads)), LEAST)
         self._orders = np.full(count, IDLE)
 
     def _begin(
@@ -111,7 +101,7 @@ class Vehicles:
         """
         self._lay, self._step = functions
         self._world = worlds
-        self._heads = worlds.state
+        self._heads = worlds.state  # records of the vehicles
         self.course_numbers, self._ahead = courses
         self._scratch = scratch
         self._on_board = on_board
@@ -134,13 +124,13 @@ class Vehicles:
         A copy calls it again, since copied views would be arrays of their own.
         """
         heads = self._heads
-        self._x = heads["x"]
-        self._ready = self._world.courses["ready"]
+        self._x = heads["x"]  # [m]
+        self._ready = self._world.courses["ready"]  # [m] place up to which the ground is final
         samples = getattr(self._world, self._sampled_by)
         self._sampled = Stepped(heads, samples, self._world.observation)
         results = {name: heads[name] for name in ("terms", "reward", "cause")}
         known = {} if self._on_board is None else self._on_board.views()
-        self.worlds: Worlds = Worlds(**self._world._asdict(), **results, **known)
+        self.worlds = Worlds(**self._world._asdict(), **results, **known)
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the views, which `__setstate__` makes anew."""
@@ -244,7 +234,7 @@ class Vehicles:
         check_laid(sum(run(run_chunk, chunks)))
 
     def _draw(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> int:
-        """Draw the ground that the orders ask for; return for how many no soil was found."""
+        """Draw the ground that the orders ask for; return how many vehicles found no soil."""
         return self._lay(self._world, self.course_numbers, orders, scratch, first, end)
 
     def _drive(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> int:

@@ -8,25 +8,13 @@ from gymnasium.vector import AutoresetMode
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.published import published, soil_of_numbers
-from soil_env.parameters import (
-    DEFAULT_SCENARIO,
-    CourseSpec,
-    Scenario,
-    Soil,
-    load_scenario,
-)
+from soil_env.parameters import DEFAULT_SCENARIO, CourseSpec, Scenario, Soil, load_scenario
 from soil_env.parameters.scenario import ScenarioLike
 from soil_env.simulation.task import layout
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.terramechanics.model import ModelLike
 
-from .course_env import (
-    OF_MANY,
-    OWN,
-    CourseEnv,
-    CourseVectorEnv,
-    scenario_changes,
-)
+from .course_env import OF_MANY, OWN, CourseEnv, CourseVectorEnv, scenario_changes
 from .infos import IMMOBILISED, Infos, asks, checked
 from .wheels import Simulation
 
@@ -323,11 +311,11 @@ class SoilWheelEnv(CourseEnv):
 
     def estimate(self) -> Soil:
         """The identified soil, with the belief's exponent and recovery of digging."""
-        if self.simulation.worlds.ids is None:
+        ids = self.simulation.worlds.ids
+        if ids is None:
             raise ParameterError(
                 "estimate: nothing is identified; expected observation='identified' or info='full'"
             )
-        ids = self.simulation.worlds.ids
         belief = self.scenario.belief
         numbers = published(ids.estimate[0].tolist(), ids.sd[0].tolist(), belief.dig_gain)
         return soil_of_numbers(numbers, belief, self.scenario.gravity)
@@ -379,11 +367,6 @@ class SoilWheelVectorEnv(CourseVectorEnv):
             and observation == "identified"
         )
         self.simulation: Simulation = Simulation(
-            self.num_envs,
-            self.scenario,
-            observation,
-            threads,
-            self.model,
-            finals or asks(info),
+            self.num_envs, self.scenario, observation, threads, self.model, finals or asks(info)
         )
         self.infos: Infos = Infos(self.simulation, info)

@@ -25,7 +25,7 @@ from .vehicles import Vehicles, asks_for_estimates
 
 
 class Simulation(Vehicles):
-    """`wheels` wheels under one scenario with one observation variant.
+    """`wheels` wheels under one scenario with one observation `variant`, in the world of a `model`.
 
     The soil is identified if the observation or the reward asks for it. `warnings`: identify in any
     case, and keep `worlds.recent` for `identification.online.immobilisation`.
@@ -44,6 +44,7 @@ class Simulation(Vehicles):
         identifies = warnings or asks_for_estimates(scenario, variant)
         self.numbers: WheelNumbers = wheel_numbers(scenario, variant, model)
         chunks = -(-wheels // self._chunk)
+        # shape of the samples: of every wheel and period only where the identifier reads them
         samples = (wheels, scenario.control.action_periods) if identifies else (chunks, 1)
         worlds = new_wheel_worlds(wheels, scenario, self.numbers, samples)
         self._added = Additions(self.numbers.acting, self.numbers.errors)
@@ -67,7 +68,7 @@ class Simulation(Vehicles):
 
     def _move(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:
         """Follow the orders in the world, where a wheel's order is in its record."""
-        if end - first == 1:
+        if end - first == 1:  # a slice of one takes longer
             self._order[first] = orders[first]
         else:
             self._order[first:end] = orders[first:end]

@@ -23,7 +23,8 @@ _EXACT = SoilSpread(
 def with_model(
     scenario: Any, model: WheelSoilModel | None, scatter: object, changes: Mapping[str, Any]
 ) -> Any:
-    """The scenario with radius, width and tyre of the model, and its soil alone, if it has one.
+    """The scenario with radius, width, tyre and grip of the model, and its soil alone, if it has
+    one. `changes`: the keyword arguments that the scenario was changed by.
 
     Mass and drive stay those of the scenario, behind a gear that keeps force and speed of the rim,
     but for numbers in `changes["wheel"]`, which are taken as they are. A soil of the model does not
@@ -49,11 +50,9 @@ def with_model(
                 f"wheel.{name} = {given[name]:g}: the wheel of `model` has {size:g} m: expected "
                 "that, or scatter=True for a wheel of your own on soils about that of the model"
             )
-    own = {name: given[name] for name in given if name not in sizes}
-    tyre = {"tyre": model.wheel.tyre, "grip": model.wheel.grip}
+    tyre: dict[str, Any] = {"tyre": model.wheel.tyre, "grip": model.wheel.grip}
     try:
-        own_wheel: dict[str, Any] = {**sizes, **tyre, **own}
-        fitted = {"wheel": replace(geared(wheel, sizes["radius"]), **own_wheel)}
+        fitted = {"wheel": replace(geared(wheel, sizes["radius"]), **sizes | tyre | given)}
         if model.soil is None:
             return replace(scenario, **fitted)
         belief = scenario.belief

@@ -10,12 +10,7 @@ from .belief import Belief, refuse_idle_prior
 from .course import MOST_CLASSES, Camera, CourseSpec
 from .readings import sensor_noise
 from .rover import DEFAULT_ROVER, RoverScenario, load_rover, rover_names
-from .scenario import (
-    DEFAULT_SCENARIO,
-    Scenario,
-    load_scenario,
-    scenario_names,
-)
+from .scenario import DEFAULT_SCENARIO, Scenario, load_scenario, scenario_names
 from .sensors import Noise, SensorReading
 from .soil import (
     EARTH_GRAVITY,
@@ -31,15 +26,7 @@ from .soil import (
 )
 from .task import ACTION_PERIODS, Control, Limits, RewardWeights
 from .vehicle import MOST_AXLES, Vehicle, mass_of_wheel
-from .wheel import (
-    LARGEST_WHEEL,
-    Tyre,
-    Wheel,
-    check_lugs,
-    geared,
-    wheels,
-    with_preset,
-)
+from .wheel import LARGEST_WHEEL, Tyre, Wheel, check_lugs, geared, wheels, with_preset
 
 __all__ = [
     "DEFAULT_ROVER",

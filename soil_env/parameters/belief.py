@@ -33,10 +33,11 @@ class Belief(Checked):
 
     Where `soils` names a library, the prior has the mean and the covariance of its soils instead,
     each with the scatter of `spread`. Of the prior's numbers only `dig_gain` and `sinkage_exponent`
-    count then: the gain is estimated relative to the one, S is stated at the other. `dig_recovery`
-    and `rim_flow` to `shear_length` have one value for all soils, those of a library included; by
-    default it is that of the presets of loose ground. With `method` "none" nothing is identified
-    and nothing of the observation may ask for it: a step costs about half.
+    count then: the gain is estimated relative to `dig_gain`, S is stated at `sinkage_exponent`.
+
+    `dig_recovery` and `rim_flow` to `shear_length` have one value for all soils, those of a library
+    included; by default it is that of the presets of loose ground. With `method` "none" nothing is
+    identified and nothing of the observation may ask for it: a step costs about half.
     """
 
     friction_angle_deg: float = quantity("deg", 1.0, 60.0, default=30.0)
@@ -70,12 +71,13 @@ class Belief(Checked):
     border: float = quantity(
         "m", 0.01, 10.0, default=0.3, doc="length over which one soil passes into the next"
     )
-    # library of soils that may come, with weights
+    # name of a soil that may come -> weight; {}: no library
     soils: dict[str, float] = field(default_factory=dict)
     # of the soils of that library; None: as those of the courses
     spread: SoilSpread | None = None
 
     def _check_together(self) -> None:
+        # refuses correlations of friction, cohesion, S and K that contradict each other
         correlation_factor(
             self,
             4,

@@ -95,11 +95,12 @@ class CourseSpec(Checked):
         low, high = self.halt_before
         most = self.patch_length[0] - self.border
         if low < self.border or high > most:
-            expected = (
-                f"expected between the border, {self.border} m, "
-                f"and the shortest patch less the border, {most:g} m; a shorter border leaves more"
+            raise FieldError(
+                self,
+                "halt_before",
+                f" = {self.halt_before}: expected between the border, {self.border} m, and the "
+                f"shortest patch less the border, {most:g} m; a shorter border leaves more",
             )
-            raise FieldError(self, "halt_before", f" = {self.halt_before}: {expected}")
 
 
 @dataclass(frozen=True)

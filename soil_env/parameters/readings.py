@@ -1,4 +1,6 @@
-"""Orders to a vehicle, the image of its camera, and errors and units of its readings."""
+"""What world and estimators of a vehicle hand to each other: orders, images, records, and the
+errors and units of readings.
+"""
 
 from dataclasses import fields
 from typing import NamedTuple
@@ -54,8 +56,8 @@ class Stepped(NamedTuple):
     """Records of vehicles as a step of the world has left them."""
 
     state: np.ndarray  # [vehicles]
-    samples: np.ndarray  # [vehicles, axles, periods]
-    observation: np.ndarray  # [vehicles, entries]
+    samples: np.ndarray  # [vehicles, axles, control periods]
+    observation: np.ndarray  # [vehicles, D] float32
 
 
 def largest_readings(wheel: Wheel, gravity: float = 9.81) -> Readings:

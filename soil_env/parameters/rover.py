@@ -32,16 +32,20 @@ class RoverScenario(Scenario):
             )
         least = 2.0 * self.wheel.radius
         if self.vehicle.nearest < least:
-            given = f" = {self.vehicle.axles!r}"
-            apart = f"axles at least {least:g} m behind each other"
-            expected = f"expected wheels of {self.wheel.radius:g} m radius apart, {apart}"
-            raise FieldError(self, "vehicle.axles", f"{given}: {expected}")
+            raise FieldError(
+                self,
+                "vehicle.axles",
+                f" = {self.vehicle.axles!r}: expected wheels of {self.wheel.radius:g} m radius "
+                f"apart, axles at least {least:g} m behind each other",
+            )
         share = mass_of_wheel(self.vehicle)
         if not math.isclose(self.wheel.body_mass, share, rel_tol=_ROUNDING):
-            expected = (
-                f"expected none, or the vehicle's mass over its number of wheels, {share:g} kg"
+            raise FieldError(
+                self,
+                "wheel.body_mass",
+                f" = {self.wheel.body_mass:g}: expected none, or the vehicle's mass over its "
+                f"number of wheels, {share:g} kg",
             )
-            raise FieldError(self, "wheel.body_mass", f" = {self.wheel.body_mass:g}: {expected}")
 
     @property
     def axles(self) -> int:
@@ -58,9 +62,7 @@ def rover_names() -> list[str]:
 
 
 def load_rover(
-    which: RoverLike = DEFAULT_ROVER,
-    changes: Keys | None = None,
-    place: str = "changes",
+    which: RoverLike = DEFAULT_ROVER, changes: Keys | None = None, place: str = "changes"
 ) -> RoverScenario:
     """A rover's scenario by name, by path of a YAML file, as a mapping or as it is, with `changes`
     merged over it.
@@ -82,7 +84,7 @@ def load_rover(
 
 
 def _with_mass(mapping: Keys) -> Keys:
-    """The mapping of a scenario with the mass on a wheel, the vehicle's mass over its wheels.
+    """The mapping of a scenario, with the vehicle's mass over its wheels as mass on a wheel.
 
     A mapping or a vehicle that is wrong passes: `load` refuses it later, naming the key.
     """

@@ -1,6 +1,7 @@
 """A complete task of one wheel, and the scenarios of configs/scenarios."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar
@@ -114,9 +115,7 @@ def scenario_names() -> list[str]:
 
 
 def load_scenario(
-    which: ScenarioLike = DEFAULT_SCENARIO,
-    changes: Keys | None = None,
-    place: str = "changes",
+    which: ScenarioLike = DEFAULT_SCENARIO, changes: Keys | None = None, place: str = "changes"
 ) -> Scenario:
     """A scenario by name, by path of a YAML file, as a mapping or as it is, with `changes` merged
     over it.
@@ -144,14 +143,13 @@ def load_scenario_as(
     `complete` adds to the mapping what follows from the rest of it. With `changes` the scenario is
     first loaded without them: where that succeeds, an error lies in the changes and names `place`.
     """
-    mapping, where = _given(kind, folder, which, changes or {})
+    changes = changes or {}
+    mapping, where = _given(kind, folder, which, changes)
     if changes:
-        try:
+        with suppress(ParameterError):
             load(kind, complete(_merged(mapping, {}, where)), where)
             where = place  # all that can be wrong now is in the changes
-        except ParameterError:
-            pass
-    return load(kind, complete(_merged(mapping, changes or {}, where)), where)
+    return load(kind, complete(_merged(mapping, changes, where)), where)
 
 
 def _given(
@@ -163,8 +161,9 @@ def _given(
 ) -> tuple[Keys, str]:
     """(the mapping of a scenario without `changes`, the place it comes from for messages).
 
-    The changes serve only to tell a rover from a wheel. `above`: the files that led here by their
-    `base`, the nearest last; a path is relative to that one, and none of them may be named again.
+    `kind`, `folder`, `which`: as in `load_scenario_as`. The changes serve only to tell a rover from
+    a wheel. `above`: the files that led here by their `base`, the nearest last; a path is relative
+    to that one, and none of them may be named again.
     """
     singular = folder.removesuffix("s")
     if isinstance(which, dict):
@@ -177,8 +176,10 @@ def _given(
         _check_kind(mapping, {}, folder, where)
         return mapping, where
     if not isinstance(which, (str, Path)) or which == "":
-        expected = f"expected a name or the path of a YAML file, or a {kind.__name__}"
-        raise ParameterError(f"{singular} = {which!r:.60}: {expected}")
+        raise ParameterError(
+            f"{singular} = {which!r:.60}: expected a name or the path of a YAML file, or a "
+            f"{kind.__name__}"
+        )
     path = Path(which)
     if path.suffix not in (".yaml", ".yml"):
         path = _shipped_file(folder, which)
@@ -193,22 +194,20 @@ def _given(
 
 
 def _on_base(
-    kind: type[Scenario],
-    folder: str,
-    mapping: Keys,
-    where: str,
-    above: tuple[Path, ...],
+    kind: type[Scenario], folder: str, mapping: Keys, where: str, above: tuple[Path, ...]
 ) -> Keys:
-    """The mapping of a scenario; one with the key `base` is merged over the scenario named there,
-    whose `name` it does not take. `above` as in `_given`.
+    """The mapping of a scenario, without the key `base`: where it has one, merged over the scenario
+    that `base` names, but for the `name` of that. `above` as in `_given`.
     """
     if "base" not in mapping:
         return dict(mapping)
     own = dict(mapping)
     base = own.pop("base")
     if not isinstance(base, str) or not base:
-        expected = "expected the name of a scenario or the path of its YAML file"
-        raise ParameterError(f"{where}: base = {base!r:.60}: {expected}")
+        raise ParameterError(
+            f"{where}: base = {base!r:.60}: expected the name of a scenario or the path of its "
+            "YAML file"
+        )
     try:
         given, _ = _given(kind, folder, base, own, above)
     except ParameterError as error:
@@ -298,5 +297,5 @@ def _plain(value: Any) -> Any:
 
 
 def _mapping(value: Any) -> Keys:
-    """The value if it is a mapping, else an empty one: `load` refuses it later."""
+    """The value if it is a mapping, else an empty one: `load` refuses such a value later."""
     return value if isinstance(value, dict) else {}

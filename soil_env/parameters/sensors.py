@@ -155,20 +155,15 @@ class Sensor(NamedTuple):
     of_body: bool = False  # a rover has one, and not one for each axle
     #: (quantile, least, most): where the vehicle of a log drives, this quantile of |reading| over
     #: the size in `observed` is usually between the two, else the log is doubted. A quantile, since
-    #: a force may be small for a while; None: not compared. A size by the motor is huge where a map
-    #: tells none: its least is 0.
+    #: a force may be small for a while. None: not compared, as speeds, whose size is that of a
+    #: motor which the map of a log need not tell.
     usual: tuple[float, float, float] | None = None
 
 
 def _of_force(
-    name: str,
-    unit: str,
-    size: str,
-    centre: float,
-    scale: float,
-    usual: tuple[float, float, float],
+    name: str, unit: str, size: str, centre: float, scale: float, usual: tuple[float, float, float]
 ) -> Sensor:
-    """A sensor of a force or a torque, which are alike over their `size`."""
+    """A sensor of a force or a torque, which have the same bounds as multiples of their `size`."""
     return Sensor(name, unit, (100.0, size), (size, -10.0, 10.0, centre, scale), usual=usual)
 
 

@@ -1,7 +1,4 @@
-"""Parameters of a soil, how soils of a kind scatter, and the presets of configs/soils.yaml.
-
-`SoilState` is the plain tuple of floats in which compiled code takes a soil.
-"""
+"""Parameters of a soil, how soils of a kind scatter, and the presets of configs/soils.yaml."""
 
 import math
 import warnings
@@ -18,8 +15,8 @@ from .presets import library
 #: [m/s2] of Earth, where a soil counts as measured that does not say otherwise.
 EARTH_GRAVITY = 9.81
 _STEEPEST_LINE = 89.0  # [deg] of a line that touches a curved strength, within the bounds of Soil
-#: [-] Share of the pressure of a flat plate at which the line touches: the stress that the shear
-#: of a slipping wheel is felt at. Chosen on the curved law itself.
+#: [-] Share of the pressure of a flat plate at which the line of `Soil.under` touches: a stress
+#: where the shear of a slipping wheel counts. Own choice, by results with the curved law.
 _FELT = 0.6
 
 
@@ -83,8 +80,8 @@ class Soil(Checked):
     `dig_gain` is given there is no slip-sinkage, as in the base model of Eqs. (1)-(10). The presets
     of configs/soils.yaml have it, and 1.5 is Lyasko (2010).
 
-    Moduli hold at `gravity_measured`; `at` has the law by which they change with gravity. With a
-    `reference_stress` the strength is curved below it (`strength`).
+    Moduli hold at `gravity_measured`, and `at` has the law by which they change with gravity. With
+    a `reference_stress` the strength is curved below it (`strength`).
 
     `rim_flow`, `braked_peak` and `shear_growth` widen the shear law of Eq. (10), which it is with
     the default 0 of each (docs/physics/contact.md, "Soil that flows along the rim"). Their form
@@ -179,10 +176,10 @@ class Soil(Checked):
         and the slope of the straight line, so m = reference tan(phi)/tau_r.
         """
         reference = self.reference_stress
-        there = self.cohesion + reference * self.tan_phi
-        if stress >= reference or there == 0.0:
+        tau_r = self.cohesion + reference * self.tan_phi
+        if stress >= reference or tau_r == 0.0:
             return self.cohesion + stress * self.tan_phi
-        return float(there * (stress / reference) ** (reference * self.tan_phi / there))
+        return float(tau_r * (stress / reference) ** (reference * self.tan_phi / tau_r))
 
     def line_at(self, stress: float) -> "Soil":
         """The soil with the Mohr-Coulomb line that touches its strength at a normal stress [Pa].
@@ -193,8 +190,8 @@ class Soil(Checked):
         if stress >= self.reference_stress:
             return self
         strength = self.strength(stress)
-        there = self.cohesion + self.reference_stress * self.tan_phi
-        cohesive = self.cohesion / there if there > 0.0 else 1.0  # 1 - m
+        tau_r = self.cohesion + self.reference_stress * self.tan_phi
+        cohesive = self.cohesion / tau_r if tau_r > 0.0 else 1.0  # 1 - m
         slope = math.degrees(math.atan2((1.0 - cohesive) * strength, stress))
         return replace(
             self,
@@ -204,8 +201,8 @@ class Soil(Checked):
         )
 
     def under(self, radius: float, width: float, load: float, gravity: float) -> SoilState:
-        """The soil as compiled code takes it, at a gravity [m/s2] under a wheel [m] with a load
-        [N].
+        """The soil as compiled code takes it, at a gravity [m/s2] under a wheel of this radius and
+        width [m] with a load [N].
 
         A curved strength counts as the line that touches it at `_FELT` times the pressure of a flat
         plate. The plate is as long as the contact, sqrt(2 r z), with z at most the radius. The
@@ -236,11 +233,11 @@ class Soil(Checked):
     @classmethod
     def within(cls, numbers: Mapping[str, float]) -> "Soil":
         """The soil of these numbers by field, each cut to its bounds; other names are ignored."""
-        limits = {f.name: f.metadata for f in fields(cls) if f.name in numbers}
         return cls(
             **{
-                name: min(max(numbers[name], limit["low"]), limit["high"])
-                for name, limit in limits.items()
+                f.name: min(max(numbers[f.name], f.metadata["low"]), f.metadata["high"])
+                for f in fields(cls)
+                if f.name in numbers
             }
         )
 

@@ -39,9 +39,12 @@ class Vehicle(Checked):
         if not 2 <= count <= MOST_AXLES:
             raise FieldError(self, "axles", f"{given}: expected 2 or 3 axles")
         if self.axles[0] != 0.0 or self.nearest <= 0.0:
-            expected = "metres behind the front axle, front to rear"
-            order = "0 first, each larger than the last"
-            raise FieldError(self, "axles", f"{given}: expected {expected}: {order}")
+            raise FieldError(
+                self,
+                "axles",
+                f"{given}: expected metres behind the front axle, front to rear: 0 first, each "
+                "larger than the last",
+            )
         super().__post_init__()
         if (self.bogie == "none") != (count == 2):
             known = "'none' with two axles" if count == 2 else "'front' or 'rear' with three axles"
@@ -52,10 +55,13 @@ class Vehicle(Checked):
                 expected = f"expected between the axles of the bogie, {low} and {high}"
                 raise FieldError(self, "pivot", f" = {self.pivot}: {expected}")
         if min(self.shares) < LEAST_SHARE:
-            least = f"each carries at least {100 * LEAST_SHARE:g} % of the weight"
-            expected = f"expected between the axles, so that {least}"
             carried = ", ".join(f"{s:.3g}" for s in self.shares)
-            raise FieldError(self, "centre", f" = {self.centre}: {expected}; they carry {carried}")
+            raise FieldError(
+                self,
+                "centre",
+                f" = {self.centre}: expected between the axles, so that each carries at least "
+                f"{100 * LEAST_SHARE:g} % of the weight; they carry {carried}",
+            )
 
     @property
     def first_on_bogie(self) -> int:
@@ -83,7 +89,8 @@ class Vehicle(Checked):
         first = self.first_on_bogie
         fixed = self.axles[2 if self.bogie == "front" else 0]
         low, high = self.axles[first : first + 2]
-        alone = (self.pivot - self.centre) / (self.pivot - fixed)  # moments about the pivot
+        # share of the axle that is not on the bogie, by moments about the pivot
+        alone = (self.pivot - self.centre) / (self.pivot - fixed)
         on_rear = (self.pivot - low) / (high - low)  # of the load of the bogie
         pair = ((1.0 - alone) * (1.0 - on_rear), (1.0 - alone) * on_rear)
         return (*pair, alone) if self.bogie == "front" else (alone, *pair)

@@ -36,9 +36,12 @@ class Tyre(Checked):
 
     def _check_together(self) -> None:
         if (self.deflection > 0.0) == (self.stiffness > 0.0):
-            given = f" = {self.deflection:g} and stiffness = {self.stiffness:g}"
-            expected = "exactly one of the two > 0; 0 turns off what a preset or base gives"
-            raise FieldError(self, "deflection", f"{given}: expected {expected}")
+            raise FieldError(
+                self,
+                "deflection",
+                f" = {self.deflection:g} and stiffness = {self.stiffness:g}: expected exactly one "
+                "of the two > 0; 0 turns off what a preset or base gives",
+            )
 
 
 class OnTyre:
@@ -65,10 +68,14 @@ class OnTyre:
         """Raise `FieldError` for a given deflection above `MOST_DEFLECTION` of the radius. A
         deflection by stiffness is cut there in `substitute_radius`.
         """
-        if self.tyre_deflection > MOST_DEFLECTION * self.radius:
-            most = MOST_DEFLECTION * self.radius
-            given = f" = {self.tyre_deflection:g}: expected at most {most:g} m"
-            raise FieldError(self, "tyre.deflection", f"{given}, {MOST_DEFLECTION:g} of the radius")
+        most = MOST_DEFLECTION * self.radius
+        if self.tyre_deflection > most:
+            raise FieldError(
+                self,
+                "tyre.deflection",
+                f" = {self.tyre_deflection:g}: expected at most {most:g} m, {MOST_DEFLECTION:g} of "
+                "the radius",
+            )
 
 
 @dataclass(frozen=True)
@@ -113,15 +120,19 @@ class Wheel(Checked, OnTyre):
         self.check_tyre()
         least = LEAST_INERTIA * self.body_mass * self.radius**2
         if self.inertia < least:
-            share = f"{100 * LEAST_INERTIA:g} % of body_mass radius^2"
-            problem = f" = {self.inertia:g}: expected at least {least:g} kg m2, {share}"
-            raise FieldError(self, "inertia", problem)
+            raise FieldError(
+                self,
+                "inertia",
+                f" = {self.inertia:g}: expected at least {least:g} kg m2, {100 * LEAST_INERTIA:g} "
+                "% of body_mass radius^2",
+            )
 
     def _complete(self) -> None:
         """Fill in mass, inertia and motor that were left out, by the preset `USUAL`.
 
-        The mass gives its ground pressure, over radius times width. Its drive is geared for the
-        radius and scaled with the mass. A wrong radius, width or mass is left for the checks.
+        The mass gives the ground pressure of the preset, weight over radius times width. The drive
+        of the preset is geared for the radius and scaled with the mass. A wrong radius, width or
+        mass is left for the checks.
         """
         left = [name for name in _DRIVE if getattr(self, name) is _LEFT_OUT]
         if not left or not (_positive(self.radius) and _positive(self.width)):

@@ -18,7 +18,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._compiled.elementary import asin_root, exp, half_cos, half_sin, power, smoothed_sign
+from soil_env._compiled.elementary import (
+    asin_root,
+    exp,
+    half_cos,
+    half_sin,
+    power,
+    sin_cos,
+    smoothed_sign,
+)
 from soil_env._compiled.flags import compiled, compiled_sums, inlined, put_fields, record
 from soil_env.parameters.wheel import MOST_DEFLECTION
 
@@ -33,7 +41,7 @@ RISING_FROM = 0.75
 # [radii] sinkage at which half of the bound of `most_carried` is left. Own assumption: soil that is
 # not there cannot flow. Wheels of the rigs sink by 0.01 or more, and say little about it
 FLOWING_DEPTH = 0.05
-LEAST_SQUARE = 1e-24  # [radii^2] square of that sinkage, at least: a wheel in the air has none
+LEAST_SQUARE = 1e-24  # [radii^2] least square of a sinkage in `_flowing`; 0 of a wheel in the air
 PEAK_MARGIN = 0.05  # [of the arc] least distance of the stress peak from its ends; own choice
 _x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
 # [-] u^2, distance of a node from the end of the arc over the zone's length
@@ -84,12 +92,12 @@ class Arc(NamedTuple):
 ARC = Arc._fields
 _OF_NODE = (
     "stress",  # [m^n rad] normal stress for S = 1, times the weight of the node
-    "weight",  # [rad] of the node
-    "sin",
+    "weight",  # [rad] of the node in an integral over the arc
+    "sin",  # of the node's angle
     "cos",
-    "by_rim",  # [m] dj/d(rim)
+    "by_rim",  # [m] dj/d(rim), j the shear displacement
     "by_travel",  # [m] dj/d(travel)
-    "rate",  # [1/m] de/dj
+    "rate",  # [1/m] de/dj, e the mobilised share of the shear strength
 )
 #: Nodes of an arc that is split where the shear displacement changes sign, as in `ARC_NODES`.
 SPLIT_ARC = record(**dict.fromkeys(_OF_NODE, ("f8", SPLIT_NODES)))
@@ -106,11 +114,11 @@ ARC_NODES = record(
 
 
 class ShearLaw(NamedTuple):
-    """Mobilised share of the shear strength with a peak and a residual.
+    """Numbers of a law for the mobilised share e of the shear strength, with a peak and a residual.
 
-    e(j) = (1 - x)(a + b x + c y), with the sign of j. x = exp(-|j|/K), and y = exp(-(|j| -
-    onset)/length) beyond the onset, 1 before it. Functions that take a law take None for Eq. (10),
-    the law of Janosi & Hanamoto.
+    e(j) = (1 - x)(a + b x + c y), with the sign of the shear displacement j [m]. x = exp(-|j|/K),
+    and y = exp(-(|j| - onset)/length) beyond the onset, 1 before it. Functions that take a law take
+    None for Eq. (10), the law of Janosi & Hanamoto.
     """
 
     a: float
@@ -229,11 +237,12 @@ def layer_firmness(depth, soil):
 @compiled
 def layered_depth(depth, lift, ratio, soil):
     """Depth z_w [m] at which a soil with firm ground below carries the pressure that its cover
-    alone carries at `depth` [m], under a wheel that digs itself in to `ratio` (z_w + `lift`) [m].
+    alone carries at `depth` [m].
 
-    Firm ground is felt at the depth of the wheel. Bisection in ln z_w between `depth` and depth/(1
-    + G)^(1/n), as if all of the ground were firm. The exponent n counts as at least
-    `LEAST_LAYERED`, so that the bracket stays finite.
+    The wheel itself is deeper by digging, at ratio (z_w + lift): `ratio` is that of slip-sinkage,
+    `lift` [m] that of `ExtraForces`. Firm ground is felt at that depth. Bisection in ln z_w between
+    `depth` and depth/(1 + G)^(1/n), as if all of the ground were firm. The exponent n counts as at
+    least `LEAST_LAYERED`, so that the bracket stays finite.
     """
     n = max(soil.sinkage_exponent, LEAST_LAYERED)
     goal = n * math.log(depth)
@@ -310,7 +319,7 @@ def carried_share(rim, travel, floor):
     if square == 0.0:
         return 0.0, 0.0, 0.0
     if abs(rim) >= abs(travel):
-        w, slope = _complement_fast_rim(travel / rim)
+        w, slope = _complement_fast_rim(travel / rim)  # w = 1 - i
         by_travel = slope / rim
         by_rim = -by_travel * (travel / rim)
     else:
@@ -321,11 +330,7 @@ def carried_share(rim, travel, floor):
     moving = square / rest
     fading = 2.0 * w * w * w * (floor / rest) * (floor / rest)
     by_w = 3.0 * w * w * moving
-    return (
-        w * w * w * moving,
-        by_w * by_rim + fading * rim,
-        by_w * by_travel + fading * travel,
-    )
+    return w * w * w * moving, by_w * by_rim + fading * rim, by_w * by_travel + fading * travel
 
 
 @compiled
@@ -338,11 +343,11 @@ def _cosine_of_rise(arc):
 
 @compiled
 def _flowing(arc):
-    """Share x^2/(x^2 + x_f^2) of the soil that can flow at a sinkage of x radii, above 0; x_f =
-    `FLOWING_DEPTH`.
+    """Share above 0 of the soil carried along the rim that is there to flow: x^2/(x^2 + x_f^2) at a
+    sinkage of x radii, with x_f = `FLOWING_DEPTH`.
     """
     s = half_sin(arc.theta1)
-    square = max(4.0 * s * s * s * s, LEAST_SQUARE)
+    square = max(4.0 * s * s * s * s, LEAST_SQUARE)  # x^2, with x = 1 - cos(theta1) = 2 s^2
     return square / (square + FLOWING_DEPTH * FLOWING_DEPTH)
 
 
@@ -366,16 +371,17 @@ def most_by_angle(arc):
     """Derivative of `most_carried` by the entry angle [1/rad]."""
     cosine, half_sine = _cosine_of_rise(arc)
     rising = -2.0 * RISING_FROM * half_sine / math.sqrt(cosine * cosine + LEAST_COSINE)
+    # both are derivatives of the logarithm of a factor of `most_carried`
     flowing = 2.0 * (1.0 - _flowing(arc)) * half_cos(arc.theta1) / half_sin(arc.theta1)
     return (rising + flowing) * most_carried(arc)
 
 
 @compiled
 def held_below(share, most):
-    """(smooth minimum of `share` and `most` > 0, its derivatives by `share` and by `most`).
+    """(smooth minimum of `share` >= 0 and `most` > 0, its derivatives by `share` and by `most`).
 
     share (1 + (share/most)^4)^(-1/4) is always below `most`. A share of a third of `most` changes
-    by 0.3 %.
+    by 0.3 %. `share` and `most` have one unit.
     """
     ratio = share / most
     fourth = ratio * ratio * (ratio * ratio)
@@ -398,10 +404,10 @@ def motion_from_speeds(rim_speed, travel_speed, floor):
 
 @compiled
 def relative_stress(theta, cos1, n, r):
-    """Normal stress for S = 1 at an angle of the front zone, Eq. (7): its depth [m] below the entry
-    point, to the power n.
+    """Normal stress for S = 1 [m^n] at the angle `theta` of the front zone, Eq. (7): its depth
+    below the entry point, to the power n.
 
-    cos1 = cos(theta1). Above the entry point the depth counts as 0.
+    cos1 = cos(theta1), and r [m] is the radius. Above the entry point the depth counts as 0.
     """
     depth = r * (math.cos(theta) - cos1)
     if depth > 0.0:
@@ -442,7 +448,7 @@ def mobilised(j, K, law):
 
 @inlined  # else LLVM leaves it out of loops over nodes, which it then cannot vectorise
 def _mobilised_by(law, j, K):
-    """`mobilised` by a `ShearLaw`."""
+    """`mobilised` by a `ShearLaw`: 1 - decay is its first factor, `share` the second one."""
     distance = abs(j)
     rate = 1.0 / K
     decay = exp(-rate * distance)
@@ -470,7 +476,7 @@ def lay_nodes(nodes, arc, n):
     rear = arc.thetam - arc.theta2
     sine = half_sin(arc.theta1)
     rise1 = sine * sine  # (1 - cos(theta1))/2
-    sheared_sin = 2.0 * half_sin(arc.sheared_from) * half_cos(arc.sheared_from)
+    sheared_sin, _ = sin_cos(arc.sheared_from)
     for k in range(NODES):
         theta = arc.theta1 - front * FRONT_AHEAD[k] - rear * REAR_AHEAD[k]
         s = half_sin(theta)
@@ -496,10 +502,10 @@ def lay_nodes(nodes, arc, n):
 @compiled
 def _mean_cos(theta, end):
     """(mean of cos over [theta, end], its derivative by theta), angles in rad."""
-    h = max(0.5 * (end - theta), LEAST_HALF)
-    s = half_sin(theta)
+    h = max(0.5 * (end - theta), LEAST_HALF)  # half of the interval
     mean = half_cos(end + theta) * half_sin(2.0 * h) / h
-    return mean, 0.5 * (mean - (1.0 - 2.0 * s * s)) / h
+    _, cosine = sin_cos(theta)
+    return mean, 0.5 * (mean - cosine) / h
 
 
 @compiled
@@ -511,9 +517,9 @@ def turning_angle(nodes, rim, travel):
     Newton's method starts from the series of that mean to second order.
     """
     end = nodes.sheared_from
-    s = half_sin(end)
+    _, cosine = sin_cos(end)
     # rim/travel must lie between cos(0) and cos(end), as the mean does
-    if (rim - travel) * (rim - travel * (1.0 - 2.0 * s * s)) >= 0.0:
+    if (rim - travel) * (rim - travel * cosine) >= 0.0:
         return nodes.theta1
     goal = rim / travel
     theta = 0.5 * (math.sqrt(max(24.0 * (1.0 - goal) - 3.0 * end * end, 0.0)) - end)
@@ -544,7 +550,7 @@ def _lay_split(nodes, turn):
     mirrored = (theta1 - thetam) / (thetam - theta2)
     sine = half_sin(theta1)
     rise1 = sine * sine
-    sheared_sin = 2.0 * half_sin(sheared_from) * half_cos(sheared_from)
+    sheared_sin, _ = sin_cos(sheared_from)
     front_zone = theta1 - max(turn, thetam)
     middle_zone = abs(turn - thetam)
     rear_zone = min(turn, thetam) - theta2
@@ -555,7 +561,7 @@ def _lay_split(nodes, turn):
             + rear_zone * SPLIT_AHEAD[2, k]
         )
         theta = theta1 - ahead
-        as_stressed = theta1 - (theta - theta2) * mirrored  # Eq. (8)
+        as_stressed = theta1 - (theta - theta2) * mirrored  # as `mirror_angle`, without a branch
         as_stressed = theta if theta >= thetam else as_stressed
         f = half_sin(as_stressed)
         s = half_sin(theta)
@@ -615,9 +621,9 @@ def _split_integrals(nodes, p, motion, K, law):
 
 @compiled_sums
 def _integrals_under(nodes, p, motion, K, law, split):
-    """`shear_integrals` with a `law` that is None or a `ShearLaw`; each is compiled on its own.
+    """`shear_integrals` by exactly this `law`, None or a `ShearLaw`, each compiled on its own.
 
-    `nodes.turned` says afterwards whether the arc was split.
+    It leaves in `nodes.turned` whether the arc was split.
     """
     nodes.turned = 0
     if split:
@@ -679,8 +685,9 @@ def shear_rates(nodes, st, c):
 
 @compiled
 def forces(q, S, tan_phi, c, r, b, direction):
-    """`Forces` from `ArcIntegrals` q on a circle of radius r and width b [m]: Eqs. (1)-(3), with
-    the resistance of Eq. (11), not (12).
+    """`Forces` from `ArcIntegrals` q on a circle of radius r and width b [m], on soil of sinkage
+    coefficient S [N/m^(n+2)] and cohesion c [Pa]: Eqs. (1)-(3), with the resistance of Eq. (11),
+    not (12).
 
     `direction` is the smoothed sign of the travel speed, 1 in a steady forward run. In reverse the
     horizontal part of the normal stress and the vertical part of the shear stress change sign.
@@ -696,15 +703,15 @@ def forces(q, S, tan_phi, c, r, b, direction):
 
 @compiled
 def bearing_share(q, tan_phi, direction):
-    """Load carried by the normal stress and by the friction in proportion to it, over S r b [m^n];
-    Eq. (1).
+    """Load over S r b [m^n] that normal stress and friction carry: the terms of Eq. (1) in
+    proportion to S.
     """
     return q.p_cos + direction * tan_phi * q.pe_sin
 
 
 @compiled
 def bounded_bearing(q, tan_phi, direction):
-    """(`bearing_share` cut from below, True if the cut holds) [m^n].
+    """(`bearing_share` cut from below [m^n], True if it is cut).
 
     The cut is at `LEAST_BEARING` of the load that the normal stress carries by itself.
     """

@@ -1,12 +1,14 @@
-"""Soils as compiled code changes them: stiffer, stronger, between two on their border."""
+"""`SoilState` in compiled code: copies with another stiffness, strength or digging, and the soil on
+the border of two. Copies are made of slices, since numba has no `_replace`.
+"""
 
 from soil_env._compiled.elementary import exp, log
 from soil_env._compiled.flags import compiled, put_fields, record
 from soil_env.parameters import SoilState
 
 FIELDS = SoilState._fields
-SOIL = record(*FIELDS)  # a soil
-LEAST_COVER = 1e-3  # [m] depth of firm ground below a rut, at least; own choice
+SOIL = record(*FIELDS)  # a `SoilState` as a record
+LEAST_COVER = 1e-3  # [m] depth of firm ground below the floor of a rut, at least; own choice
 
 
 @compiled
@@ -37,15 +39,15 @@ def stiffened(soil, factor):
 
 @compiled
 def lowered(soil, depth):
-    """`soil` as it lies below a rut of a `depth` [m]: firm ground is nearer, `LEAST_COVER` [m] deep
-    at least.
+    """`soil` below the floor of a rut that is `depth` [m] deep: firm ground is nearer by that, and
+    at least `LEAST_COVER` away.
     """
     return SoilState(*soil[:-1], max(soil.layer_depth - depth, LEAST_COVER))
 
 
 @compiled
 def with_strength(soil, tan_phi, cohesion, shear_modulus, rim_flow):
-    """`soil` with these numbers of its shear law, K [m] as `shear_modulus`."""
+    """`soil` with these numbers of its shear law: cohesion [Pa], K [m] as `shear_modulus`."""
     return SoilState(tan_phi, cohesion, shear_modulus, *soil[3:7], rim_flow, *soil[8:])
 
 

@@ -25,14 +25,7 @@ from soil_env._io.loading import (
     to_dict,
     unknown_key,
 )
-from soil_env.parameters import (
-    EARTH_GRAVITY,
-    FLOW_LAW,
-    LARGEST_WHEEL,
-    Soil,
-    Tyre,
-    check_lugs,
-)
+from soil_env.parameters import EARTH_GRAVITY, FLOW_LAW, LARGEST_WHEEL, Soil, Tyre, check_lugs
 from soil_env.parameters.wheel import OnTyre, refuse_lugs_on_tyre
 
 from .effects import CATALOGUE, Effects, pack_effects
@@ -210,22 +203,22 @@ class WheelSoilModel(Checked):
         law = self.law
         fx = self.numbers
         carried = 0
-        # rows of one `footing` share the numbers of the soil, which S = k_c/b + k_phi is one of
-        footing = c.wheels[:, 1:2]
+        # what the `SoilState` depends on: the width by S = k_c/b + k_phi
+        bearing = c.wheels[:, 1:2]
         if self.soil.reference_stress > 0.0:  # strength depends on the pressure
-            footing = np.column_stack([c.wheels[:, :2], c.load])
-        for one in np.unique(footing, axis=0):
-            here = np.all(footing == one, axis=1)
+            bearing = np.column_stack([c.wheels[:, :2], c.load])
+        for one in np.unique(bearing, axis=0):
+            here = np.all(bearing == one, axis=1)  # rows of one `SoilState`
             rows = Rows(*(column[here] for column in c))
             values = np.empty((np.count_nonzero(here), 3))
             radius, width = rows.wheels[0, :2].tolist()
             soil = self.soil.under(radius, width, float(rows.load[0]), self.gravity)
-            weight = self.soil.density * self.gravity
             guess = np.zeros(len(values))
-            carried += predict_rows(rows, soil, weight, fx, guess, values)
+            unit_weight = self.soil.density * self.gravity
+            carried += predict_rows(rows, soil, unit_weight, fx, guess, values)
             if self.residual or self.remainder is not None:
                 deviations = np.empty_like(values)
-                groups = _groups(rows, guess, floats(soil), float(self.gravity), fx)
+                groups = _groups(rows, guess, floats(soil), self.gravity, fx)
                 _add_residual(law, groups, rows, values, deviations)
                 if self.remainder is not None:
                     sd[here] = deviations
@@ -241,7 +234,7 @@ class WheelSoilModel(Checked):
                 name: {k: float(v) for k, v in values.items()}
                 for name, values in self.effects.items()
             },
-            "gravity": float(self.gravity),
+            "gravity": self.gravity,
         }
         if self.soil is not None:
             content["soil"] = {
@@ -320,8 +313,8 @@ _RANGES = (
 
 
 def _numbers(name: str, value) -> np.ndarray:
-    """A condition as an array of N numbers or of one; NaN stands for one not given, except in slip
-    and load, where it is refused.
+    """The `value` of the condition `name` as an array of N numbers or of one; NaN stands for one
+    not given, except in slip and load, where it is refused.
     """
     try:
         a = np.atleast_1d(np.asarray(value, dtype=float))
@@ -402,8 +395,8 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
 
 @kept
 def _groups(rows, felt, soil, gravity, fx):
-    """`GROUPS` [N, 7] of rows at the sinkages `felt` [N], which `predict_rows` found, and at their
-    true slips.
+    """`GROUPS` [N, 7] of `Rows` at the sinkages `felt` [m], [N], which `predict_rows` found, and at
+    their true slips; gravity in m/s2.
     """
     groups = np.empty((rows.slip.size, len(GROUPS)))
     for k in range(rows.slip.size):
@@ -418,8 +411,8 @@ def _groups(rows, felt, soil, gravity, fx):
 
 @kept
 def _add_residual(law, groups, rows, out, sd):
-    """Add to predictions `out` [N, 3] what the `RESIDUAL` law adds at these `GROUPS` [N, 7], and
-    write the standard deviations of its table into `sd` [N, 3]. Both are in SI units.
+    """Add what the `RESIDUAL` law gives at the `GROUPS` [N, 7] of `Rows` to their predictions `out`
+    [N, 3]. Write the standard deviations of its table into `sd` [N, 3]. Both are in SI units.
     """
     for k in range(rows.slip.size):
         radius = rows.wheels[k, 0]

@@ -2,23 +2,24 @@
 
 from soil_env._compiled.flags import compiled
 
-# [-] of the speed loop, over the slope of the torque-speed line: a stiff loop; own choice
+# [-] torque over error of the wheel speed in the speed loop, in slopes of the torque-speed line: a
+# stiff loop; own choice
 LOOP_GAIN = 10.0
 
 
 @compiled
 def motor_torque(command, by_speed, wheel_speed, motor):
-    """(torque, d torque/dw, available): motor torque [N m] for a command in [-1, 1] at a wheel
-    speed w [rad/s].
+    """(torque [N m], d torque/dw [N m s], available [N m]) of the motor for a command in [-1, 1] at
+    a wheel speed w [rad/s].
 
     The command is a share of the stall torque or, with `by_speed`, of the no-load speed w_0, which
     a stiff speed loop then follows. Either way the torque stays between the lines of full voltage
     forward and backward, +-T_stall - T_stall w/w_0, and within +-T_stall: faster than w_0 the motor
-    brakes. `available` is the largest torque [N m] in the direction of the torque asked for.
+    brakes. `available` is the largest size of a torque in the direction of the one asked for.
     `motor` has `stall_torque` [N m] and `no_load_speed` [rad/s].
     """
     stall = motor.stall_torque
-    line = stall / motor.no_load_speed
+    line = stall / motor.no_load_speed  # [N m s] steepness of the torque-speed line
     drop = line * wheel_speed
     high = min(max(stall - drop, -stall), stall)
     low = min(max(-stall - drop, -stall), stall)

@@ -31,23 +31,12 @@ from .contact import (
     shear_integrals,
     shear_rates,
 )
-from .effects import (
-    NO_EFFECTS,
-    Effects,
-    drive_friction,
-    grousers,
-    soil_in_contact,
-    soil_resistance,
-)
+from .effects import NO_EFFECTS, Effects, drive_friction, grousers, soil_in_contact, soil_resistance
 from .effects.entry import Passage
 from .effects.shear_softening import mobilisation, shear_length_ratio
-from .effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
-from .residual import (
-    WorkingPoint,
-    residual_law,
-    residual_under,
-)
-from .steady import LEAST_DIGGING, arc_of
+from .effects.slip_sinkage import excavated_depth
+from .residual import WorkingPoint, residual_law, residual_under
+from .steady import arc_of, dug_ratio
 
 # [m/s] below this speed slip and resistance fade out, so that a wheel can stand still
 REST_SPEED = 0.001
@@ -79,10 +68,10 @@ class Standing(NamedTuple):
     sinkage: float  # [m]
     speed: float  # V [m/s]
     rim_speed: float  # r w [m/s]
-    weight: float  # [N] with the share of the body, along the vertical
+    weight: float  # [N] of the wheel with its share of the body, along the vertical
     sin_grade: float  # uphill positive
     passes: float  # 1 = fresh soil
-    braked: float  # [of its travel] sliding of a braked wheel to which the soil piled ahead belongs
+    braked: float  # [of its travel] sliding that the soil piled ahead of a braked wheel answers to
     load: float  # [N] normal to the ground, for tyre and grip
 
 
@@ -98,8 +87,8 @@ class ExtraForces(NamedTuple):
 
 
 class Footing(NamedTuple):
-    """What a wheel stands on during a step: integrals of the normal stress over its arc, the soil
-    as it is sheared, the load.
+    """What a wheel stands on during a step: integrals of the normal stress over its arc, the
+    strength of the soil that it shears, the load.
     """
 
     theta1: float  # [rad] entry angle
@@ -114,15 +103,18 @@ class Footing(NamedTuple):
 
 
 class Reaction(NamedTuple):
-    """Soil reaction at one motion, with its derivatives by travel speed V and rim speed u = r w."""
+    """Soil reaction at one motion, with its derivatives by travel speed V and rim speed u = r w.
 
-    load: float
-    drawbar_pull: float
-    torque: float
+    Suffixes _v and _u stand for these derivatives, here and below.
+    """
+
+    load: float  # [N], as in `Forces`
+    drawbar_pull: float  # [N]
+    torque: float  # [N m]
     sinkage_coefficient: float  # mobilised sinkage coefficient S [N/m^(n+2)]
-    pull_v: float
+    pull_v: float  # [N s/m]
     pull_u: float
-    torque_v: float
+    torque_v: float  # [N s]
     torque_u: float
     sinkage_coefficient_v: float
     sinkage_coefficient_u: float
@@ -182,7 +174,8 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
     """`Reaction` of the contact alone at travel speed V and rim speed u [m/s]: Eqs. (1)-(3).
 
     Eq. (1) is solved for S at the present sinkage, so that the load stays what it is. `nodes` and
-    `footing` are of `lay_footing`; `law` is a `ShearLaw`, or None for Eq. (10).
+    `footing` are of `lay_footing`; `law` is a `ShearLaw`, or None for Eq. (10). rim, travel and
+    direction are those of `motion_from_speeds`, with soil that is carried along the rim.
     """
     r = nodes.radius
     lever = wheel.radius if on_tyre(wheel) else r  # the tread of a tyre moves at its own r w
@@ -263,13 +256,14 @@ def _gripped(soil, arc, load, wheel):
     The share of soil carried along the rim stays.
     """
     share = 1.0 if wheel.grip == 0.0 else gripping_share(soil, arc, load, wheel)
+    # here only the change of the strength by a factor is meant, and no radius
     return grousers.at_shear_radius(soil, share, soil.shear_modulus)
 
 
 @compiled
 def _soil_and_arc(at, slip, soil, wheel, fx):
     """(`SoilState` as it is sheared, `Arc`, lift, bulldozing, blades), the last three as in
-    `ExtraForces`, 0 without effects.
+    `ExtraForces`, 0 without effects. `at` is a `Standing`.
     """
     shift = braked_shift(at.braked, soil)
     if fx is None:
@@ -280,14 +274,13 @@ def _soil_and_arc(at, slip, soil, wheel, fx):
         passage = Passage(soil, slip, abs(at.speed), slide, at.passes, at.sin_grade)
         ground = soil_in_contact(soil, passage, fx)
         arc = arc_of(at.sinkage, slip, shift, at.load, fx, wheel)
-        dug = max(slip_sinkage_ratio(slip, ground.dig_gain, ground.dig_recovery), LEAST_DIGGING)
         shear_ratio = wheel.shear_ratio
         modulus = ground.shear_modulus * shear_length_ratio(fx) / shear_ratio
         sheared = grousers.at_shear_radius(ground, shear_ratio, modulus)
         return (
             _gripped(sheared, arc, at.load, wheel),
             arc,
-            excavated_depth(slip, fx) / dug,  # z = dug z_w + depth, so the depth lies in z_w too
+            excavated_depth(slip, fx) / dug_ratio(slip, ground),  # z = ratio (z_w + lift)
             soil_resistance(at.sinkage, ground, wheel, fx),
             grousers.blade_thrust(arc.theta1, at.sinkage, ground, wheel, fx),
         )
@@ -309,8 +302,8 @@ def _at_the_axle(f, extra, speed, rim_speed, wheel, fx):
     """`Reaction` at the axle of the contact's reaction `f`, whose rim speed and torque are those at
     the radius where lugs shear the soil.
 
-    Without effects it is `f`. With them blades, bulldozing, residual forces and friction are added;
-    blades push at half the height of the lugs.
+    Without effects it is `f`. With them blades, bulldozing, residual forces and friction are added:
+    `ExtraForces`, and `drive_friction`. Blades push at half the height of the lugs.
     """
     if fx is None:
         return f

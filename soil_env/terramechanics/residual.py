@@ -154,7 +154,7 @@ def residual_law(
         packed.axes = len(table.axes)
         packed.axis[: packed.axes] = [GROUPS.index(name) for name in table.axes]
         packed.count[: packed.axes] = [len(nodes) for nodes in table.axes.values()]
-        nodes = np.concatenate([np.asarray(nodes) for nodes in table.axes.values()])
+        nodes = np.concatenate(list(table.axes.values()))
         packed.nodes[: nodes.size] = nodes
         columns = table.columns
         packed.table[: len(columns)] = columns
@@ -205,9 +205,9 @@ def residual_at(law, groups):
         for g in range(len(groups)):
             p = law.powers[k, g]
             if p != 0.0:
-                x = abs(groups[g]) if g == 0 else groups[g]
+                x = abs(groups[g]) if g == 0 else groups[g]  # 0: slip
                 value *= _raised(min(max(x, law.low[k, g]), law.high[k, g]), p)
-        if law.channel[k] == 0:
+        if law.channel[k] == 0:  # as in `CHANNELS`
             sinkage += value
         elif law.channel[k] == 1:
             pull += value
@@ -230,7 +230,8 @@ def interpolated(law, groups, first):
     """Three columns of the table from `first` on, 0 for values and 3 for standard deviations.
 
     They are linear in each group between the nodes about `groups`, and constant beyond the first
-    and the last node. Three zeros without a table.
+    and the last node. Three zeros without a table. Bit a of a `corner` of the cell about `groups`
+    says whether the corner has the upper node of axis a.
     """
     sinkage = 0.0
     pull = 0.0

@@ -39,14 +39,7 @@ from .contact import (
     smooth_arc,
     substitute_radius,
 )
-from .effects import (
-    Effects,
-    arc_ends,
-    drive_torque,
-    soil_in_contact,
-    soil_resistance,
-    switched_on,
-)
+from .effects import Effects, arc_ends, drive_torque, soil_in_contact, soil_resistance, switched_on
 from .effects.entry import Passage
 from .effects.grade import weight_on_slope
 from .effects.grousers import (
@@ -72,7 +65,7 @@ MOST_LIFT = 0.9  # [of `DEEPEST`] depth excavated whatever the load, at most; ow
 ABOVE_LIFT = 1.0001  # [-] least sinkage over the excavated depth, below which nothing carries
 LEAST_MISFIT = -2.0  # [-] cut of `_misfit`, so that a secant from it stays of use; own choice
 MOST_MISFIT = 50.0  # [-] the upper cut; own choice
-UNCARRIED = 2.0  # [-] misfit where no soil could carry the load: deeper; own choice
+UNCARRIED = 2.0  # [-] misfit where no S carries the load, > 0 for a deeper wheel; own choice
 MOST_STEPS = 60  # of the secant
 LEAST_SLOPE = 0.05  # [-] least steepness of the secant: misfit over ln z, which falls
 SMALLEST_STEP = 1e-6  # [ln m] step after which the secant ends
@@ -90,13 +83,13 @@ class Steady(NamedTuple):
     sinkage: float  # [m]
     drawbar_pull: float  # [N]
     torque: float  # [N m]
-    #: False if the soil does not carry the load down to `DEEPEST` radii, where `sinkage` then ends.
+    #: False if the soil does not carry the load down to `DEEPEST` radii, which `sinkage` then is.
     supported: bool
 
 
 class Rim(NamedTuple):
-    """The wheel as it meets the soil, and what that weighs. Records of a simulated wheel have the
-    same fields.
+    """The sizes of a wheel that meet the soil, and the unit weight of the soil. Records of a
+    simulated wheel have the same fields.
     """
 
     radius: float  # [m]
@@ -110,8 +103,15 @@ class Rim(NamedTuple):
     @classmethod
     def of(cls, wheel: Any) -> "Rim":
         """The rim of a wheel with its tyre and grip, without lugs and unit weight."""
-        tyre = wheel.tyre_deflection, wheel.tyre_compliance
-        return cls(wheel.radius, wheel.width, 0.0, 0.0, *tyre, wheel.grip)
+        return cls(
+            wheel.radius,
+            wheel.width,
+            0.0,
+            0.0,
+            wheel.tyre_deflection,
+            wheel.tyre_compliance,
+            wheel.grip,
+        )
 
 
 @inlined
@@ -186,8 +186,14 @@ def arc_of(sinkage, slip, shift, load, fx, wheel):
         return Arc(theta1, theta2, thetam, sheared_from, r)
 
 
+@compiled
+def dug_ratio(slip, soil):
+    """`slip_sinkage_ratio` on a `SoilState`, at least `LEAST_DIGGING`."""
+    return max(slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery), LEAST_DIGGING)
+
+
 class _Balance(NamedTuple):
-    """What Eq. (1) at one point takes beside the sinkage, for which it is solved."""
+    """What Eq. (1) at one point takes beside the sinkage z, for which it is solved."""
 
     slip: float  # true
     rim: float  # motion of the rim that shears the soil, as in `contact`
@@ -198,9 +204,10 @@ class _Balance(NamedTuple):
     along: float  # [N] weight along the slope
     ground: SoilState  # in contact, with all effects on soil
     soil: SoilState  # `ground` as the rim shears it, with lugs
-    strength: float  # ln of S over the slip-sinkage ratio to the n: what dug soil offers
+    #: ln of S over the slip-sinkage ratio to the power n: of the coefficient that dug soil offers
+    strength: float
     lift: float  # [m] depth excavated whatever the load
-    apparent: float  # measured sinkage over the one of the balance
+    apparent: float  # measured sinkage over z, 1 unless the effect digs only `apparent`ly
     law: ShearLaw
 
 
@@ -221,8 +228,8 @@ def _balance(slip, load, soil, wheel, conditions, fx):
     rim, travel = motion_from_slip(slip)
     shift = braked_shift(max(-slip, 0.0), soil)
     if fx is None:
-        ratio = max(slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery), LEAST_DIGGING)
-        strength = math.log(soil.sinkage_coefficient) - soil.sinkage_exponent * math.log(ratio)
+        strength = math.log(soil.sinkage_coefficient)
+        strength -= soil.sinkage_exponent * math.log(dug_ratio(slip, soil))
         carried = _carried(soil, rim, travel)
         return _Balance(
             slip,
@@ -231,12 +238,12 @@ def _balance(slip, load, soil, wheel, conditions, fx):
             carried,
             shift,
             load,
-            0.0,
+            0.0,  # along
             soil,
             soil,
             strength,
-            0.0,
-            1.0,
+            0.0,  # lift
+            1.0,  # apparent
             JANOSI,
         )
     else:
@@ -254,7 +261,7 @@ def _balance(slip, load, soil, wheel, conditions, fx):
             modulus *= wider
         else:
             modulus /= q
-        ratio = max(slip_sinkage_ratio(slip, ground.dig_gain, ground.dig_recovery), LEAST_DIGGING)
+        ratio = dug_ratio(slip, ground)
         apparent = ratio if fx.slip_sinkage_apparent > 0.0 else 1.0
         strength = math.log(ground.sinkage_coefficient)
         strength -= ground.sinkage_exponent * math.log(ratio / apparent)
@@ -308,7 +315,6 @@ def _misfit(nodes, x, p, wheel, fx):
     z = math.exp(x)
     soil = p.soil
     b = wheel.width
-    n = soil.sinkage_exponent
     arc = arc_of(z, p.slip, p.shift, p.load, fx, wheel)
     q = _integrals(nodes, arc, p, fx)
     tan_phi = soil.tan_phi
@@ -318,21 +324,21 @@ def _misfit(nodes, x, p, wheel, fx):
         tan_phi *= share
         c *= share
     s = mobilised_sinkage_coefficient(q, p.load, tan_phi, c, arc.radius, b, 1.0)
-    available = p.strength
+    available = p.strength  # ln of the coefficient
     if p.lift != 0.0:
-        available += n * math.log(1.0 - p.lift / z)
+        available += soil.sinkage_exponent * math.log(1.0 - p.lift / z)
     if soil.layer_gain > 0.0:
         available += math.log(layer_firmness(z, soil))
-    f = min(max(math.log(max(s, TINIEST)) - available, LEAST_MISFIT), MOST_MISFIT)
+    misfit = min(max(math.log(max(s, TINIEST)) - available, LEAST_MISFIT), MOST_MISFIT)
     _, bounded = bounded_bearing(q, tan_phi, 1.0)
     if bounded and p.load / (arc.radius * b) > c * q.e_sin:
-        f = UNCARRIED  # friction takes more than the normal stress gives: no S carries the load
+        misfit = UNCARRIED  # friction takes more than the normal stress gives
     coefficient = math.exp(available)
     if on_tyre(wheel):
         # hard ground carries no more than the load; the tread moves at the wheel's own r w
         w = forces(q, min(coefficient, s), tan_phi, c, arc.radius, b, 1.0)
-        return f, Forces(w.load, w.drawbar_pull, wheel.radius / arc.radius * w.torque)
-    return f, forces(q, coefficient, tan_phi, c, arc.radius, b, 1.0)
+        return misfit, Forces(w.load, w.drawbar_pull, wheel.radius / arc.radius * w.torque)
+    return misfit, forces(q, coefficient, tan_phi, c, arc.radius, b, 1.0)
 
 
 @inlined
@@ -344,8 +350,9 @@ def _first_guess(p, wheel, guess):
     """
     if guess > 0.0:
         return math.log(guess)
-    pressure = math.log(p.load / (wheel.width * math.sqrt(2.0 * wheel.radius))) - p.strength
-    x = pressure / (p.soil.sinkage_exponent + 0.5)
+    # S z^n = load / (width sqrt(2 r z)), as logarithms
+    power = math.log(p.load / (wheel.width * math.sqrt(2.0 * wheel.radius))) - p.strength
+    x = power / (p.soil.sinkage_exponent + 0.5)
     return math.log(math.exp(min(x, math.log(DEEPEST * wheel.radius))) + max(p.lift, 0.0))
 
 
@@ -356,6 +363,7 @@ def _solve_balance(nodes, p, wheel, fx, guess):
     A secant in x = ln z within the bracket (low, high); a step out of the bracket is replaced by
     its middle. The last step of a secant that has converged is not evaluated: sinkage, pull and
     torque are extrapolated by it. A wheel whose search ends at `DEEPEST` radii is not carried.
+    w are the `Forces` at x, and x_old, misfit_old, w_old belong to the step before.
     """
     deepest = math.log(DEEPEST * wheel.radius)
     shallowest = SHALLOWEST_TYRE if on_tyre(wheel) else SHALLOWEST
@@ -364,31 +372,31 @@ def _solve_balance(nodes, p, wheel, fx, guess):
     x = min(max(_first_guess(p, wheel, guess), low), high)
     slope = -(p.soil.sinkage_exponent + 0.5)
     x_old = 0.0
-    f_old = 0.0
+    misfit_old = 0.0
     w_old = Forces(0.0, 0.0, 0.0)
     supported = False
     for k in range(MOST_STEPS):
-        f, w = _misfit(nodes, x, p, wheel, fx)
-        if f > 0.0:
+        misfit, w = _misfit(nodes, x, p, wheel, fx)
+        if misfit > 0.0:
             low = max(low, x)
         else:
             high = min(high, x)
         moved = x - x_old
         if k > 0 and moved != 0.0:
-            slope = min((f - f_old) / moved, -LEAST_SLOPE)
-        step = -f / slope
+            slope = min((misfit - misfit_old) / moved, -LEAST_SLOPE)
+        step = -misfit / slope
         if k > 0 and abs(step * moved) < SECANT_ERROR and low < x + step < high:
             share = step / moved  # along the secant that gave the step; the load stays
             pull = w.drawbar_pull + share * (w.drawbar_pull - w_old.drawbar_pull)
             torque = w.torque + share * (w.torque - w_old.torque)
             return x + step, Forces(w.load, pull, torque), True
         x_old = x
-        f_old = f
+        misfit_old = misfit
         w_old = w
         supported = x < deepest
         if abs(step) < SMALLEST_STEP or low >= high:
             break
-        x = x + step
+        x += step
         if x >= deepest and high == deepest:
             x = deepest
         elif not low < x < high:
@@ -401,15 +409,15 @@ def _as_measured(w, z, p, speed, wheel, fx):
     """(sinkage [m], drawbar pull [N], torque [N m]) that instruments read where the contact has the
     `Forces` w and the `_Balance` p the sinkage z [m].
 
-    With effects `fx`: lugs as blades, bulldozing, weight along the slope, friction of the
-    drivetrain and the zero of the sinkage. An unknown `speed` [m/s] of 0 counts as `LEAST_SPEED`.
+    Effects `fx` add lugs as blades, bulldozing, weight along the slope, friction of the drivetrain
+    and the zero of the sinkage. An unknown `speed` [m/s] of 0 counts as `LEAST_SPEED`.
     """
     sinkage = min(p.apparent * z, DEEPEST * wheel.radius)
     if fx is None:
         return sinkage, w.drawbar_pull, w.torque
     else:
         theta1 = entry_angle(z, contact_radius(wheel, fx))
-        blade = blades_at(blade_thrust(theta1, z, p.ground, wheel, fx), p.slip)[0]
+        blade, _ = blades_at(blade_thrust(theta1, z, p.ground, wheel, fx), p.slip)
         pull = w.drawbar_pull + blade - soil_resistance(z, p.ground, wheel, fx) - p.along
         torque = shear_radius_ratio(wheel, fx) * w.torque
         torque += blade * (wheel.radius + 0.5 * wheel.grouser_height)
@@ -424,10 +432,12 @@ def _as_measured(w, z, p, speed, wheel, fx):
 def steady_at(nodes, point, soil, wheel, conditions, fx):
     """`Steady` sinkage, drawbar pull and torque as they are measured at a `Point`.
 
-    `nodes` is a scratch record of `ARC_NODES`; `wheel` a `Rim`; `fx` `Effects` or None. Eq. (1) is
+    `nodes` is a scratch record of `ARC_NODES`; `soil` the undisturbed `SoilState`; `wheel` a `Rim`;
+    `conditions` a `Conditions`; `fx` `Effects` or None. Eq. (1) is
     solved for the sinkage, then Eqs. (2) and (3) follow. Digging deepens the hole at the same
-    bearing pressure: s z^n = S z_w^n with z = k(i) z_w + l(i). So z carries the load when the
-    coefficient s(z) that the load mobilises is S ((z - l)/(k z))^n. The root of the difference of
+    bearing pressure: s z^n = S z_w^n with z = k z_w + l. Here k is the slip-sinkage ratio and l the
+    depth excavated whatever the load. So z carries the load when the coefficient s(z) that the load
+    mobilises is S ((z - l)/(k z))^n. The root of the difference of
     the two logarithms is found by a bracketed secant in ln z, in which that difference is nearly
     straight.
     """
@@ -485,8 +495,13 @@ def _predict_rows(rows, soil, factors, unit_weight, fx, guess, out):
         tyre = (w[3], w[4], w[5]) if w.size > 3 else (0.0, 0.0, 0.0)
         wheel = Rim(w[0], w[1], w[2], unit_weight, *tyre)
         f = factors[k]
-        strength = f[0] * soil.tan_phi, f[1] * soil.cohesion, f[2] * soil.shear_modulus
-        ground = with_strength(stiffened(soil, f[3]), *strength, soil.rim_flow)
+        ground = with_strength(
+            stiffened(soil, f[3]),
+            f[0] * soil.tan_phi,
+            f[1] * soil.cohesion,
+            f[2] * soil.shear_modulus,
+            soil.rim_flow,
+        )
         s = steady_at(nodes[0], point, ground, wheel, Conditions(c[0], c[1], c[2]), fx)
         out[k, 0] = s.sinkage
         out[k, 1] = s.drawbar_pull

@@ -1,9 +1,9 @@
-"""Can this wheel pass this soil? Torque required against torque available, and the slip of the best
-drawbar pull.
+"""Traversability: whether a wheel can pass a soil, by the torque required and available and by the
+highest drawbar pull with its slip.
 
 Criterion of the source paper (its Section 6): the ground is impassable where the torque that the
-soil takes exceeds what the motor has. So it is where no slip gives a positive drawbar pull in
-excess of the grade.
+soil takes exceeds what the motor has. It is also impassable where no slip gives a positive drawbar
+pull in excess of the grade.
 """
 
 from typing import NamedTuple
@@ -18,15 +18,7 @@ from .contact import ARC_NODES
 from .effects import Effects
 from .effects.slip_sinkage import digging, slip_sinkage_ratio
 from .ground import SOIL, soil_of
-from .steady import (
-    DEEPEST,
-    LEVEL,
-    Conditions,
-    Point,
-    Rim,
-    floats,
-    steady_at,
-)
+from .steady import DEEPEST, LEVEL, Conditions, Point, Rim, floats, steady_at
 
 #: [-] Slips at which the drawbar pull is compared.
 SLIPS = np.array([0.05, 0.1, 0.15, 0.2, 0.26, 0.33, 0.41, 0.5, 0.6, 0.72, 0.85, 0.97])
@@ -54,8 +46,8 @@ def best_point_at(nodes, load, soil, wheel, conditions, fx, torque_available):
     best = Best(SLIPS[0], -np.inf, 0.0, 0.0)
     n = soil.sinkage_exponent
     gain, recovery = digging(soil, fx)
-    power = n / (n + 0.5)
-    middle = 0.0
+    power = n / (n + 0.5)  # of the slip-sinkage ratio, to which sinkage is proportional
+    middle = 0.0  # [m] sinkage at the slip `MIDDLE`
     for direction in (1, -1):
         i = MIDDLE if direction > 0 else MIDDLE - 1
         guess = middle
@@ -63,7 +55,6 @@ def best_point_at(nodes, load, soil, wheel, conditions, fx, torque_available):
         while 0 <= i < SLIPS.size:
             slip = SLIPS[i]
             if guess > 0.0:
-                # at the same load the ratio of sinkages is the ratio of slip-sinkage, to a power
                 deeper = slip_sinkage_ratio(slip, gain, recovery)
                 deeper /= slip_sinkage_ratio(last, gain, recovery)
                 guess = min(guess * deeper**power, DEEPEST * wheel.radius)

@@ -1,5 +1,5 @@
-"""The conditions that a fitted model has seen: {condition: (lowest, highest)} in the units of a
-measurement table.
+"""Validity of a fitted model: the conditions that it has seen, {condition: (lowest, highest)} in
+the units of a measurement table.
 """
 
 import math
@@ -8,7 +8,6 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from soil_env._io.loading import ParameterError, number, unknown_key
 
@@ -50,7 +49,7 @@ def checked(validity: Mapping[str, Any], where: str = "validity") -> dict[str, t
 
 
 def seen(
-    slip: ArrayLike, load: ArrayLike, conditions: np.ndarray
+    slip: np.ndarray, load: np.ndarray, conditions: np.ndarray
 ) -> dict[str, tuple[float, float]]:
     """{condition: (lowest, highest)} of slips [N], loads [N] and `conditions` [N, 3]: travel speed
     [m/s], pass, sine of the grade.
@@ -70,8 +69,8 @@ def seen(
 
 def outside(
     validity: Mapping[str, tuple[float, float]],
-    slip: ArrayLike,
-    load: ArrayLike,
+    slip: np.ndarray,
+    load: np.ndarray,
     conditions: np.ndarray,
 ) -> str:
     """In words, each condition whose range over all rows leaves that of `validity`, with both
@@ -84,10 +83,11 @@ def outside(
     for name, (low, high) in validity.items():
         if name not in asked:
             continue
-        a, b = asked[name]
+        lowest, highest = asked[name]
         near = max(NEAR * (high - low), ROUNDING * max(abs(low), abs(high)))
-        if a < low - near or b > high + near:
-            out.append(f"{name} {_span(a, b, '')} (fitted to {_span(low, high, CONDITIONS[name])})")
+        if lowest < low - near or highest > high + near:
+            fitted = _span(low, high, CONDITIONS[name])
+            out.append(f"{name} {_span(lowest, highest, '')} (fitted to {fitted})")
     return ", ".join(out)
 
 

@@ -5,14 +5,7 @@ from typing import NamedTuple
 from soil_env._compiled.elementary import smoothed_sign
 from soil_env._compiled.flags import compiled
 
-from .entry import (
-    TORQUE,
-    Bench,
-    Effect,
-    EffectParameter as P,
-    Form,
-    Priors,
-)
+from .entry import TORQUE, Bench, Effect, EffectParameter as P, Form, Priors
 
 SLOWEST_TURNING = 1e-6  # [rad/s] wheel speed that a prior is divided by, at least; own choice
 
@@ -30,20 +23,20 @@ def friction_at(torque, wheel_speed, floor, fx):
     """`Friction` against the turning: Coulomb friction, a share of the |torque| [N m] at the axle,
     and viscous friction. The sign of the wheel speed [rad/s] is smoothed below `floor` [rad/s].
     """
-    turning, turn = smoothed_sign(wheel_speed, floor)
+    direction, direction_slope = smoothed_sign(wheel_speed, floor)
     share = fx.drivetrain_friction_share
     viscous = fx.drivetrain_friction_viscous
     size = fx.drivetrain_friction_constant + share * abs(torque)
     return Friction(
-        turning * size + viscous * wheel_speed,
-        turning * (-share if torque < 0.0 else share),
-        turn * size + viscous,
+        direction * size + viscous * wheel_speed,
+        direction * (-share if torque < 0.0 else share),
+        direction_slope * size + viscous,
     )
 
 
 def _priors(bench: Bench) -> Priors:
-    """Priors in proportion to 0.3 of load times radius, about the torque of a driven wheel; own
-    choice.
+    """Priors of constant and viscous friction, in proportion to 0.3 of load times radius, about the
+    torque of a driven wheel; own choice.
     """
     torque = 0.3 * bench.load * bench.radius
     turning = max(bench.median_speed / bench.radius, SLOWEST_TURNING)

@@ -21,7 +21,7 @@ class EffectParameter:
 
     name: str
     symbol: str  # in the equations
-    low: float
+    low: float  # in `unit`
     high: float
     #: Prior standard deviation, relative where `centre` is given; 0 where `Effect.priors` gives it
     #: or the parameter is not fitted.
@@ -58,7 +58,7 @@ class Bench(NamedTuple):
     median_speed: float  # [m/s]
     highest_speed: float  # [m/s], 0 = not known
     sliding: float  # [m/s] geometric mean of the sliding speed, 0 = not known
-    lowest_slip: float
+    lowest_slip: float  # of the table, < 0 braked
     lugs: int | None  # around the rim, None = not known
     smooth: bool  # no lugs on any wheel
 
@@ -118,7 +118,7 @@ class Passage(NamedTuple):
     speed: float  # [m/s] travel, >= 0
     slide: float  # [m/s] |r w - V|
     passes: float  # 1 = fresh soil
-    sin_grade: float
+    sin_grade: float  # uphill positive
 
 
 #: Symbols that the equations of several effects share, in the order of a legend.

@@ -6,11 +6,7 @@ from soil_env._compiled.elementary import asin_root, power
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.ground import stiffened
 
-from .entry import (
-    Effect,
-    EffectParameter as P,
-    Form,
-)
+from .entry import Effect, EffectParameter as P, Form
 
 LEAST_FRICTION = 1e-3  # [rad] friction angle that a grade is divided by, at least; own choice
 LEAST_LEFT = 0.02  # [-] of 1 - |b|/phi, so that S stays > 0 on the steepest slopes; own choice

@@ -6,13 +6,7 @@ from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.ground import with_strength
 
 from .bulldozing import passive_coefficient
-from .entry import (
-    Bench,
-    Effect,
-    EffectParameter as P,
-    Form,
-    Priors,
-)
+from .entry import Bench, Effect, EffectParameter as P, Form, Priors
 
 BLADE_SLIP = 0.015  # [-] slip over which the thrust of the lugs comes in; own choice
 
@@ -36,14 +30,13 @@ def shear_radius_ratio(wheel, fx):
     if fx is None:
         return 1.0
     else:
-        r = wheel.radius + fx.grousers_radius_share * wheel.grouser_height
-        return 1.0 + fx.grousers_shear_share * wheel.grouser_height / r
+        return 1.0 + fx.grousers_shear_share * wheel.grouser_height / contact_radius(wheel, fx)
 
 
 @compiled
 def at_shear_radius(soil, q, shear_modulus):
-    """The soil that, sheared at the contact radius r, gives the shear forces that `soil` gives at
-    q r: its strength is q times as large. The longer lever of the torque is left to the caller.
+    """`soil` with q times its strength: sheared at the contact radius r it gives the shear forces
+    that `soil` gives at q r. The longer lever of the torque is left to the caller.
 
     K [m] becomes `shear_modulus`. The share of soil carried along the rim, which is proportional to
     tan(phi), stays, so `rim_flow` is divided by q.
@@ -82,11 +75,9 @@ def _priors(bench: Bench) -> Priors:
     """Prior of `blades`, normal about 0: the standard deviation is the lugs of the wheel a radian,
     the bound twice that. Own choice: the soil between two lugs is shared by them.
     """
-    return (
-        {}
-        if bench.lugs is None
-        else {"blades": (bench.lugs / (2.0 * math.pi), 0.0, bench.lugs / math.pi)}
-    )
+    if bench.lugs is None:
+        return {}
+    return {"blades": (bench.lugs / (2.0 * math.pi), 0.0, bench.lugs / math.pi)}
 
 
 _DING = "Ding et al. (2011), J. Terramechanics 48:27-45"

@@ -6,11 +6,7 @@ from soil_env._compiled.elementary import exp, power
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.ground import stiffened, with_strength
 
-from .entry import (
-    Effect,
-    EffectParameter as P,
-    Form,
-)
+from .entry import Effect, EffectParameter as P, Form
 
 #: [-] q = 1 - 1/a of the ruts of the simulated world. The rut of N passes is z_1 N^(1/a), with
 #: a = 2 to 3 on loose soil or under a light load (Saarilahti 1991, second-hand): the middle.
@@ -22,7 +18,7 @@ LEAST_FACTOR = 0.05  # [-] of the gains of `pass_factor` together, so that S sta
 @compiled
 def _part_of_pass(number, compaction):
     """Depth by which pass `number` sinks below the floor of the rut, over the depth of the first
-    pass; at least `LEAST_PART`.
+    pass: N^(1 - q) - (N - 1)^(1 - q) with q = `compaction`; at least `LEAST_PART`.
     """
     grown = power(number, 1.0 - compaction) - power(number - 1.0, 1.0 - compaction)
     return max(grown, LEAST_PART)
@@ -32,15 +28,15 @@ def _part_of_pass(number, compaction):
 def rut_stiffness(passes, exponent, compaction):
     """Sinkage coefficient of the floor of a rut over that of fresh soil, for pass N; at least 1.
 
-    The rut of N passes of a wheel is z_1 N^(1 - q) deep, with q = `compaction`. So pass N sinks
-    N^(1 - q) - (N - 1)^(1 - q) of z_1 below the floor. Sinkage is proportional to S^(-2/(2n + 1))
-    (Bekker 1969), with the sinkage `exponent` n. Between whole numbers of passes, as between cells
+    The rut of N passes of a wheel is z_1 N^(1 - q) deep, with q = `compaction`, so pass N sinks
+    `_part_of_pass` of z_1 below its floor. Sinkage is proportional to S^(-2/(2n + 1)) (Bekker
+    1969), with the sinkage `exponent` n. Between whole numbers of passes, as between cells
     of a rut, the factor is linear.
     """
     if passes <= 1.0 or compaction == 0.0:
         return 1.0
     whole = math.floor(passes)
-    h = -(exponent + 0.5)
+    h = -(exponent + 0.5)  # S is proportional to this power of the sinkage
     low = power(_part_of_pass(whole, compaction), h)
     if whole == passes:
         return low
@@ -61,8 +57,8 @@ def bearing_goes_with_passes(fx):
 
 @compiled
 def in_rut(soil, passes, fx):
-    """`soil` as the rut of the simulated world changes it for a wheel on so many passes, this one
-    counted.
+    """`soil` as the rut of the simulated world changes it for a wheel whose pass over it is number
+    `passes`; 1 = fresh soil.
 
     It is unchanged where the effect `multipass` changes S: `passed_over` applies that effect later.
     """
@@ -77,8 +73,9 @@ def pass_factor(passes, slip, exponent, fx):
     """Sinkage coefficient on pass N > 1 over that of fresh soil, where all earlier passes had the
     same slip i.
 
-    N^a [1 + g (1 - exp(-(N - 1)/d)) + s (1 - exp(-|i|/k1)) + p (N - 1)], times `rut_stiffness`. The
-    bracket is at least `LEAST_FACTOR`. On fresh soil, N = 1, `passed_over` does not apply it.
+    N^a [1 + g (1 - exp(-(N - 1)/d)) + s (1 - exp(-|i|/k1)) + p (N - 1)], times `rut_stiffness`, in
+    the symbols of `EFFECT`. The bracket is at least `LEAST_FACTOR`. On fresh soil, N = 1,
+    `passed_over` does not apply it.
     """
     more = passes - 1.0
     gain = fx.multipass_gain * (1.0 - exp(-more / fx.multipass_passes))

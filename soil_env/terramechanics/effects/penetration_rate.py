@@ -4,12 +4,7 @@ from soil_env._compiled.elementary import exp, log
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.ground import stiffened
 
-from .entry import (
-    Bench,
-    Effect,
-    EffectParameter as P,
-    Form,
-)
+from .entry import Bench, Effect, EffectParameter as P, Form
 
 LEAST_RATE = 0.02  # [of the reference speed] below which soil counts as loaded at rest; own choice
 LEAST_FACTOR = 0.1  # [-] of a strength by its rate, where the logarithm would end it; own choice

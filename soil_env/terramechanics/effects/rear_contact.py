@@ -2,11 +2,7 @@
 
 from soil_env._compiled.flags import compiled
 
-from .entry import (
-    Effect,
-    EffectParameter as P,
-    Form,
-)
+from .entry import Effect, EffectParameter as P, Form
 
 
 @compiled

@@ -4,12 +4,7 @@ from soil_env._compiled.elementary import log
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.ground import with_strength
 
-from .entry import (
-    Bench,
-    Effect,
-    EffectParameter as P,
-    Form,
-)
+from .entry import Bench, Effect, EffectParameter as P, Form
 from .penetration_rate import LEAST_FACTOR, rate_factor
 
 
@@ -23,10 +18,7 @@ def sheared_fast(soil, passage, fx):
         faster = log(1.0 + passage.slide / fx.shear_rate_onset_speed)
         cohesion *= max(1.0 + fx.shear_rate_cohesion * faster, LEAST_FACTOR)
     strength = rate_factor(
-        passage.slide,
-        fx.shear_rate_reference_speed,
-        fx.shear_rate_exponent,
-        fx.shear_rate_slope,
+        passage.slide, fx.shear_rate_reference_speed, fx.shear_rate_exponent, fx.shear_rate_slope
     )
     return with_strength(
         soil, soil.tan_phi * strength, cohesion * strength, soil.shear_modulus, soil.rim_flow
@@ -35,11 +27,9 @@ def sheared_fast(soil, passage, fx):
 
 def _neutral(bench: Bench) -> dict[str, float]:
     """The mean sliding speed of the table as reference and, to begin with, as onset speed."""
-    return (
-        {"reference_speed": bench.sliding, "onset_speed": bench.sliding}
-        if bench.sliding > 0.0
-        else {}
-    )
+    if bench.sliding > 0.0:
+        return {"reference_speed": bench.sliding, "onset_speed": bench.sliding}
+    return {}
 
 
 def _hidden(bench: Bench) -> str:

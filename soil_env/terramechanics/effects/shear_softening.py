@@ -3,13 +3,7 @@
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.contact import ShearLaw
 
-from .entry import (
-    Bench,
-    Effect,
-    EffectParameter as P,
-    Form,
-    Priors,
-)
+from .entry import Bench, Effect, EffectParameter as P, Form, Priors
 
 #: Eq. (10) as a `ShearLaw`.
 JANOSI = ShearLaw(1.0, 0.0, 0.0, 1.0, 0.0)

@@ -2,14 +2,7 @@
 
 from soil_env._compiled.flags import compiled
 
-from .entry import (
-    SINKAGE,
-    Bench,
-    Effect,
-    EffectParameter as P,
-    Form,
-    Priors,
-)
+from .entry import SINKAGE, Bench, Effect, EffectParameter as P, Form, Priors
 
 
 @compiled

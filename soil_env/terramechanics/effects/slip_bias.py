@@ -3,11 +3,7 @@
 from soil_env._compiled.flags import compiled
 from soil_env.slip import slip_of_radius
 
-from .entry import (
-    Effect,
-    EffectParameter as P,
-    Form,
-)
+from .entry import Effect, EffectParameter as P, Form
 
 
 @compiled

@@ -3,13 +3,7 @@
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.ground import with_digging
 
-from .entry import (
-    Bench,
-    Effect,
-    EffectParameter as P,
-    Form,
-    Priors,
-)
+from .entry import Bench, Effect, EffectParameter as P, Form, Priors
 
 LEAST_WAY = 1e-6  # [unit of `way`] way + recovery slid in `digging_ratio`, at least
 MOST_SLIP = 0.95  # [-] slip above which `excavated_depth` grows no more; own choice

@@ -2,13 +2,7 @@
 
 from soil_env._compiled.flags import compiled
 
-from .entry import (
-    Bench,
-    Effect,
-    EffectParameter as P,
-    Form,
-    Priors,
-)
+from .entry import Bench, Effect, EffectParameter as P, Form, Priors
 
 
 @compiled

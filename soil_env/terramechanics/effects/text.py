@@ -48,11 +48,11 @@ def used(form: Form) -> list[str]:
 
 
 def legend(effect: Effect, form: Form) -> dict[str, str]:
-    """{symbol: meaning} of the symbols in a form's equation that are no parameters."""
+    """{symbol: meaning} of the symbols in a form's equation, but for its parameters."""
     words = set(_WORD.findall(_PARAMETER.sub("", form.equation)))
     return {
         symbol: meaning
-        for symbol, meaning in ({**SYMBOLS, **effect.symbols}).items()
+        for symbol, meaning in {**SYMBOLS, **effect.symbols}.items()
         if symbol in words
     }
 
