@@ -445,7 +445,9 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
     at = problem.data.conditions | problem.data.elapsed
     moved = Law(problem, fit.choices, problem.sinkage_guess(fit)).stresses(fit.u, fit.output)
     sizes = [np.broadcast_to(problem.size * unit, fit.output.shape) for unit in np.eye(3)]
-    channels = {CHANNELS[j]: sizes[j] for j in range(3) if problem.used[:, j].any()}
+    channels: dict[str, np.ndarray] = {
+        CHANNELS[j]: sizes[j] for j in range(3) if problem.used[:, j].any()
+    }
     alone = [n for n in LENGTHS if n in at and np.ptp(at[n]) > 0.0]
     alone_with_slip = Process.over(at, of=("slip",), most=_FUNCTIONS).at_points
     out = {}

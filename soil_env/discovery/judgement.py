@@ -118,7 +118,7 @@ def gaps(problem: Problem, before: np.ndarray, after: np.ndarray) -> dict[str, G
     """`Gap` by measured channel of held-out predictions `before` and `after` [N, 3], over the
     values in use.
     """
-    out = {}
+    out: dict[str, Gap] = {}
     for j, name in enumerate(CHANNELS):
         used = problem.used[:, j]
         if used.any():

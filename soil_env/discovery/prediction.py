@@ -520,7 +520,7 @@ def _errors(problem: Problem, split: str, what: tuple[str, ...], held: np.ndarra
         base, full, curve = np.sqrt(np.mean(values**2, axis=1))
         return Errors(float(base), float(full), float(curve), noise)
 
-    errors = {
+    errors: dict[str, Errors] = {
         name: size(off[:, used, j], float(problem.noise[j]))
         for j, (name, used) in enumerate(zip(CHANNELS, problem.used.T, strict=True))
         if used.any()

@@ -118,7 +118,7 @@ def _bins(x: np.ndarray) -> list[np.ndarray]:
     # (-extent, count, rows) of the bins that may be cut; the count orders bins of equal extent.
     heap = [(-_extent(x), 0, np.arange(len(x)))]
     few = max(1, len(x) // (_PART * MOST))
-    done = []
+    done: list[np.ndarray] = []
     count = 1
     while heap and len(heap) + len(done) < MOST:
         width, _, rows = heapq.heappop(heap)

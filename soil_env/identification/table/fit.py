@@ -384,7 +384,8 @@ def _parameters(
         prior_sd = math.sqrt(by_u @ by_u)
         known = prior_sd == 0.0
         shrunk = math.nan if known else half / reach / prior_sd
-        out[name] = Parameter(*estimate, unit, known, shrunk, at_bound)
+        value, low, high = estimate
+        out[name] = Parameter(value, low, high, unit, known, shrunk, at_bound)
     return out
 
 

@@ -121,7 +121,9 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
     A reading is left out where the table cannot show it, or where it would be impossible.
     """
     out = []
-    known = {name: bool(np.any(np.isfinite(getattr(table, name)))) for name in CHANNELS}
+    known: dict[str, bool] = {
+        name: bool(np.any(np.isfinite(getattr(table, name)))) for name in CHANNELS
+    }
 
     def add(
         name: str,
