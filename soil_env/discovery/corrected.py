@@ -1,9 +1,9 @@
 """Models that are simulated: `WheelSoilModel` of a fit, and of the prediction with all effects.
 
 The latter has the laws of the world and a table of the remainder, with the standard deviations of a
-run. The remainder is what these laws do not have: the smooth remainder of each channel, soil that
-goes with the load, and what an error of the rig could be as well. Errors of the rig that are named,
-and the tilt of the setup, are in neither.
+run. The table has what these laws do not: the smooth remainder of each channel, soil that goes
+with the load, and what may be an error of the rig. Errors of the rig that are named, and the
+tilt of the setup, are in neither.
 """
 
 from __future__ import annotations
@@ -89,8 +89,10 @@ def model_of(problem: Problem, choices: Sequence[Choice], values: Values) -> Whe
 
 
 def parameters(problem: Problem, choice: Choice, values: Values) -> dict[str, float]:
-    """Parameters of an effect by name (without that of the effect), cut to their bounds: those that
-    its form frees, those that the form sets, and the reference speed, which the table sets.
+    """Parameters of an effect, cut to their bounds; names are without that of the effect.
+
+    They are those that its form frees, those that the form sets, and the reference speed, which the
+    table sets.
     """
     numbers = problem.effects((choice,), dict(values))._asdict() | dict(values)
     out = {}

@@ -1,7 +1,7 @@
 """Evidence of a model: its probability of the table, with the sizes of the form errors
 marginalised.
 
-About a fit the model is linear in the unknowns and in the form errors, all with unit priors, so
+About a fit the model is linear in the unknowns and in the form errors, all with unit priors. So
 under given sizes the table has a normal density (Laplace; `form_error.marginals`). Sizes are on a
 grid with the priors below. Noise that is estimated from few values has its own scale on the grid. A
 strength that may not be negative has a truncated prior, and its evidence the ratio of the posterior
@@ -11,9 +11,10 @@ Beside a fitted model there may be an *anonymous contribution*, which no catalog
 kinds are equally probable.
 
 * *Smooth*: a function of all conditions and of the time in one channel or more.
-* *Patterns*: a function of one condition, or of one and the slip, in a single place: one channel,
-  or one of the stresses (`form_error.stress_changes`), as most mechanisms work, or a value for each
-  bed of soil. A stress may not change with what the base law knows, which is its form error.
+* *Patterns*: a function of one condition, or of one and the slip, in a single place, as most
+  mechanisms work. The place is one channel, or one of the stresses (`form_error.stress_changes`).
+  A stress may also have a value for each bed of soil. It may not change with what the base law
+  knows, which is its form error.
 * *Scatter*: every value by itself, as where each row has its own soil.
 """
 
@@ -104,11 +105,12 @@ class Grid(NamedTuple):
 
 @cache
 def grid(names: Names) -> tuple[list[Sizes], np.ndarray, np.ndarray]:
-    """(S sizes of the form errors of a model with these effects, their log prior [S], the same
-    sizes as an array [S, K] with columns for the rig, effects and each span of the base law).
+    """(S sizes of the form errors of a model with these effects, their log prior [S], an array of
+    the same sizes [S, K]).
 
-    Errors of the instrument follow their law nearly exactly, so that the smallest size is the only
-    one of their form error. Without effects that size is 0.
+    The K columns are the rig, the effects and each span of the base law. Errors of the instrument
+    follow their law nearly exactly, so that the smallest size is the only one of their form error.
+    Without effects that size is 0.
     """
     effect = [*zip(EFFECT_SIZES, EFFECT_PRIOR, strict=True)]
     if {*names} <= {*INSTRUMENT}:
@@ -282,8 +284,10 @@ class _Further:
         self.parts: dict[tuple[int, float], _Part] = {}
 
     def under(self, sizes: Sizes) -> tuple[float, np.ndarray, np.ndarray]:
-        """(log evidence of the model alone, normal [K, K], pull [K]) under the size and span of the
-        law's error and the scatter of `sizes`; other sizes are those of the model.
+        """(log evidence of the model alone, normal [K, K], pull [K]) under `sizes`.
+
+        Of these count the size and span of the law's error and the scatter. Other sizes are those
+        of the model.
         """
         key = sizes.span, sizes.scatter
         if key not in self.parts:
@@ -340,8 +344,10 @@ def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[f
 
 
 def _gains(normal: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> np.ndarray:
-    """[S] gain of log evidence by K further unknowns with unit priors, of `normal` [S, K, K] and
-    `pull` [S, K]; those that are `one_sided` [K] stay at 0 where they would be negative.
+    """[S] gain of log evidence by K further unknowns with unit priors; `normal` [S, K, K] and
+    `pull` [S, K] as in `_Further`.
+
+    Unknowns that are `one_sided` [K] stay at 0 where they would be negative.
     """
     whole = normal + np.eye(len(one_sided))
     solved = np.linalg.solve(whole, pull[:, :, None])[:, :, 0]

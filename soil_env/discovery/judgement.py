@@ -152,10 +152,10 @@ def closed_interval(
     of the draws have a gap.
 
     Values of one slip share the error of that slip, and values of one combination of the other
-    conditions share another: both are drawn with replacement, and a row counts as often as its slip
-    times as often as its combination (pigeonhole bootstrap, Owen 2007, Ann. Appl. Stat. 1:386-411;
-    conservative). The models are not refitted, since each value was predicted without its own
-    group.
+    conditions share another. Slips and combinations are drawn with replacement; a row counts as
+    often as its slip times as often as its combination. This is the pigeonhole bootstrap (Owen
+    2007, Ann. Appl. Stat. 1:386-411), which is conservative. The models are not refitted, since
+    each value was predicted without its own group.
     """
     weight = np.ones((_CLOSED_DRAWS, problem.data.rows.slip.size))
     for way in folds(problem.data):

@@ -7,9 +7,9 @@ statistic of a box is standard normal
 
     t = v'e / sqrt(v'P v),    e = P n,    P = I - A (A'A)^-1 A',    n ~ N(0, I),
 
-v being 1 in the box, e the whitened residuals, n the noise that they come from and A the Jacobian
-of the fit, all with the priors as further rows. The p value is that of the largest |t| over all
-boxes and channels; its null distribution is simulated through P.
+v being 1 in the box, e the whitened residuals, n their noise and A the Jacobian of the fit. All
+have the priors as further rows. The p value is that of the largest |t| over all boxes and channels;
+its null distribution is simulated through P.
 """
 
 import math
@@ -131,8 +131,8 @@ def structure(problem: Problem, model: Evidence, seed: int = 0) -> float:
     other conditions; 1 where none is significant.
 
     A posterior predictive check: noise, laws that are off by `LAW` and effects whose form is off by
-    `EFFECT` (or by their most probable size, if that is larger) explain no such pattern. Unlike the
-    evidence, the check needs no other model to compare with.
+    `EFFECT` explain no such pattern. If their most probable size is larger than `EFFECT`, that
+    counts. Unlike the evidence, the check needs no other model to compare with.
     """
     effect = max(model.sizes.effect, EFFECT) if model.fit.choices else 0.0
     sizes = Sizes(LAW, effect, span=model.sizes.span, scatter=model.sizes.scatter, rig=1.0)

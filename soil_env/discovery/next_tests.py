@@ -7,10 +7,10 @@ to give about the candidates i of probability P_i is at least
     I = -sum_i P_i ln sum_j P_j exp(-B_ij)
 
 (Kolchinsky & Tracey 2017, Entropy 19:361). B_ij is the Bhattacharyya distance between the joint
-predictions of these runs by i and j. If i is right, exp(-B_ij) is also the factor by which the odds
-of j against i are expected to change under the square root of the evidence; `search` tempers the
-evidence a little less. Runs are chosen one after the other, each by the information that it adds to
-those before it for its cost.
+predictions of these runs by i and j. exp(-B_ij) is also the factor by which the odds of j against i
+are expected to change if i is right. That holds under the square root of the evidence; `search`
+tempers the evidence a little less. Runs are chosen one after the other, each by the information
+that it adds to those before it for its cost.
 """
 
 import math
@@ -157,8 +157,10 @@ class Candidates(NamedTuple):
     own: np.ndarray  # [K, G, C] further variance of every value by itself, the noise with it
 
     def joint(self, chosen: Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
-        """Joint predictions (mean [K, G, m], covariance [K, G, m, m]) of the n chosen runs together
-        with each run of the grid, which is the last of them: m = (n + 1) C.
+        """Joint predictions (mean [K, G, m], covariance [K, G, m, m]) of the n chosen runs with
+        each run of the grid, m = (n + 1) C.
+
+        That run is the last of them.
         """
         chosen = list(chosen)
         mean, own = (_behind(x[:, chosen], x) for x in (self.mean, self.own))
@@ -168,8 +170,9 @@ class Candidates(NamedTuple):
 
 
 def _behind(first: np.ndarray, each: np.ndarray) -> np.ndarray:
-    """[K, G, (n + 1) C, ..]: values of the `first` runs [K, n, C, ..], repeated for each of the G
-    runs, and behind them those of that run (`each` [K, G, C, ..]).
+    """[K, G, (n + 1) C, ..] values of the `first` runs [K, n, C, ..], repeated for each of G runs.
+
+    Behind them are the values of that run, from `each` [K, G, C, ..].
     """
     known = first.reshape(len(first), 1, -1, *each.shape[3:])
     known = np.broadcast_to(known, (*each.shape[:2], *known.shape[2:]))

@@ -66,13 +66,13 @@ def _conditions(there: Problem) -> dict[str, np.ndarray]:
 def predicted(
     problem: Problem, there: Problem, candidate: Evidence
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(mean [G, 3], root [G, 3, R], own variance [G, 3], feasible [G, bool]) of a candidate at the
-    G rows of `there`, which is from `problem_at`; in units of the noise.
+    """(mean [G, 3], root [G, 3, R], own variance [G, 3], feasible [G, bool]) of a candidate at
+    other rows, in units of the noise.
 
-    The joint covariance of the values is root root'. Beside it each value has a variance of its
-    own: the noise with its scatter, and what the functions of an effect's form error leave out.
-    Form errors have their typical sizes. A run is feasible if the wheel sinks, but less than
-    `DEEPEST`.
+    The G rows are those of `there`, which is from `problem_at`. The joint covariance of the values
+    is root root'. Beside it each value has a variance of its own: the noise with its scatter, and
+    what the functions of an effect's form error leave out. Form errors have their typical sizes. A
+    run is feasible if the wheel sinks, but less than `DEEPEST`.
     """
     fit = candidate.fit
     p = fit.u.size
@@ -131,11 +131,11 @@ def predicted(
 def _within_bounds(
     fit: Fit, off: np.ndarray, covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(mean [k] less the fit, covariance [k, k]) of unknowns and form errors once each unknown is
-    known to be within its bounds; `off` [k] and `covariance` are those without bounds.
+    """(mean [k] less the fit, covariance [k, k]) of unknowns and form errors, given that each
+    unknown is within its bounds.
 
-    The unknowns are truncated one after the other, each as a normal variable, and the others follow
-    by their covariance with it.
+    Those without bounds are `off` [k] and `covariance` [k, k]. The unknowns are truncated one after
+    the other, each as a normal variable, and the others follow by their covariance with it.
     """
     for k, unknown in enumerate(fit.unknowns):
         mean = fit.u[k] + off[k]

@@ -251,8 +251,9 @@ class Finding:
 
     @property
     def blind(self) -> bool:
-        """True if a listed effect, had one been missing, would more probably have been overlooked
-        than seen: the mean power is at most `NAMED`, or no effect could be seen at all.
+        """True if a missing listed effect would more probably have been overlooked than seen.
+
+        Then the mean power is at most `NAMED`, or no effect could be seen at all.
         """
         return sum(d.power for d in self.detectable.values()) <= NAMED * len(self.detectable)
 

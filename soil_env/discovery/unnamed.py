@@ -2,8 +2,8 @@
 
 A mechanism that nobody has listed is likelier to have few numbers than to be a free function of the
 conditions (`evidence.patterns`). So a name must explain a table better than these laws do. W, z0
-and V0 are the middle load, sinkage and speed of the table, W_row is the load of a row and N the
-pass number; every parameter is a pure number:
+and V0 are the middle load, sinkage and speed of the table. W_row is the load of a row, N the pass
+number; every parameter is a pure number:
 
     force                     DP - a W (z/z0)^m,  T + b W r (z/z0)^m  soil beside or on the wheel
     rut_force                 the same times 1 - 1/N                  the same in a rut
@@ -41,7 +41,9 @@ def _p(
     name: str, sd: float, low: float, high: float, centre: float | None = None
 ) -> EffectParameter:
     """A pure number with a normal prior of mean 0 and standard deviation `sd`, within `low` and
-    `high`; with a `centre`, `sd` is that of the logarithm of a log-normal prior about it.
+    `high`.
+
+    With a `centre` the prior is log-normal about it, and `sd` that of the logarithm.
     """
     return EffectParameter(name, "", low, high, sd, "", "", centre or 0.0, centre)
 

@@ -47,10 +47,10 @@ def run(
     """Find where table and model disagree, name the missing effect, add it, and report how far the
     gap closes.
 
-    Parameters: `table` and `setup`, read or as files; `out`, a folder for report.json, report.html
-    and model.yaml, written at the end, all of them or none; `seed` of the simulated null
-    distributions; `next_runs`, how many are proposed, with the `goal` to "name" what is missing or
-    to "predict"; `progress` is called with the text of each stage, "stage" or "stage: step".
+    `table` and `setup` are read ones or files. `out` is a folder for report.json, report.html and
+    model.yaml, which are written at the end, all of them or none. `seed` is that of the simulated
+    null distributions. `next_runs` is how many are proposed, with the `goal` to "name" what is
+    missing or to "predict". `progress` receives the text of each stage, "stage" or "stage: step".
 
     Raises `ParameterError` with one line for bad input, and where `out` cannot be written.
     """
@@ -227,12 +227,12 @@ def _probable_forms(problem: Problem, own: Evidence) -> Iterator[Evidence]:
 
 
 def _fits_under_noise(problem: Problem, finding: Finding, own: Evidence) -> Fits:
-    """Fits under noise alone, with the scatter of `own`: of the base model, of each of two named
-    effects alone in its best form, and of all named effects in the forms of `own`.
+    """Fits under noise alone, with the scatter of `own`.
 
-    Names and intervals follow from fits with form errors. Predictions are made by the laws alone,
-    without form errors, and for these a fit under noise alone is the best (White 1982, Econometrica
-    50:1-25).
+    They are of the base model, of all named effects in the forms of `own` and, where two are named,
+    of each alone in its best form. Names and intervals follow from fits with form errors.
+    Predictions are made by the laws alone, without form errors, and for these a fit under noise
+    alone is the best (White 1982, Econometrica 50:1-25).
     """
     noise_alone = EXACT._replace(scatter=own.sizes.scatter)
     near: Fits = {(n,): finding.best(n).evidence.fit for n in finding.names}

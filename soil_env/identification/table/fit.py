@@ -345,11 +345,11 @@ def _soil(problem: TableProblem, u: np.ndarray) -> Soil:
 def _parameters(
     problem: TableProblem, u: np.ndarray, covariance: np.ndarray, scaling: np.ndarray
 ) -> dict[str, Parameter]:
-    """Estimates at u and 95 % intervals from the `covariance` [p, p] of u, cut at the bounds of the
-    unknowns; those of K, S and p_ref = S z_ref^n are computed in the logarithm.
+    """Estimates at u and 95 % intervals from the `covariance` [p, p] of u.
 
-    `scaling` [6, p]: derivatives as from `_scaling`. Where noise is estimated, Student's t has the
-    degrees of freedom of the channel with the fewest.
+    Intervals are cut at the bounds of the unknowns. Those of K, S and p_ref = S z_ref^n are
+    computed in the logarithm. `scaling` [6, p]: derivatives as from `_scaling`. Where noise is
+    estimated, Student's t has the degrees of freedom of the channel with the fewest.
     """
     freedom = max(1.0, float(np.min(problem.freedom)))
     reach = float(ndtri(0.975) if math.isinf(freedom) else stdtrit(freedom, 0.975))
@@ -597,8 +597,8 @@ def _misfit(
 
 
 def _predicts_badly(plain: _Plain, fits: dict[str, ChannelFit]) -> str:
-    """Sentence on the channel in which the soil of the `fits` misses the table most beyond what
-    exact laws would leave; "" where that is less than `MUCH_WORSE` times as much.
+    """Sentence on the channel in which the soil of the `fits` misses the table worst, relative to
+    the fit with exact laws; "" below `MUCH_WORSE`.
     """
     rms, least = (
         {n: float(np.sqrt(np.nanmean((f.measured - f.fitted) ** 2))) for n, f in there.items()}

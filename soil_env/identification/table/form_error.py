@@ -1,8 +1,8 @@
 """Form error: the laws of a model are approximations, and what they miss is a smooth function of
 the conditions.
 
-What is measured is y = f(u) + sum_k s_k B_k w_k + noise, w_k ~ N(0, 1), where the columns B_k span
-a Gaussian process over the conditions and s_k is the unknown size of a kind of form error
+What is measured is y = f(u) + sum_k s_k B_k w_k + noise, w_k ~ N(0, 1). The columns B_k span a
+Gaussian process over the conditions, and s_k is the unknown size of a kind of form error
 (docs/physics/discovery.md). A process is written in its leading eigenfunctions at the rows of the
 table (Karhunen-Loeve), so that its covariance becomes ordinary linear unknowns with unit prior.
 """
@@ -219,14 +219,15 @@ def by_stresses(
 
 
 def stress_changes(soil: Mapping[str, float], h: float, sinkage: float) -> tuple[StressChange, ...]:
-    """Five changes of the stresses, each by a form error of the relative size h: normal stress,
-    shear stress, place of the normal stress, its spread, place of the shear stress.
+    """Five changes of the stresses, each by a form error of the relative size h.
 
-    The first two make a stress larger all along the arc. The others are errors that change along
-    the arc. They move the peak of the normal stress, and spread that stress by another sinkage
-    exponent at the same mean pressure. They move the resultant of the shear stress by another shear
-    deformation modulus, at about the same mean. Their sizes are those of errors that are correlated
-    over half of the arc. `soil`: parameters by the names of a setup. `sinkage` [m]: a typical one.
+    They are of the normal stress, the shear stress, the place and the spread of the normal stress,
+    and the place of the shear stress. The first two make a stress larger all along the arc. The
+    others are errors that change along the arc. They move the peak of the normal stress, and spread
+    that stress by another sinkage exponent at the same mean pressure. They move the resultant of
+    the shear stress by another shear deformation modulus, at about the same mean. Their sizes are
+    those of errors that are correlated over half of the arc. `soil`: parameters by the names of a
+    setup. `sinkage` [m]: a typical one.
     """
     more = _SPREAD * h
     depth = _MEAN_DEPTH * max(sinkage, _LEAST_SINKAGE)

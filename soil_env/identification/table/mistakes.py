@@ -7,8 +7,8 @@ better. What only an effect that the base model lacks would explain is no mistak
 reading may err by so much. The noise is that of a smooth surface (`noise`), so that a
 table that no reading fits is not compared by its misfit.
 
-What a wheel pulls and turns with rises with slip by what soil can bear, and by about the same in
-both: a resistance is in their difference, and changes little. This is evidence beside that of the
+Drawbar pull and torque/radius rise with slip by what soil can bear, and both by about the same:
+their difference is the resistance, which changes little. This is evidence beside that of the
 model, since a large error of its laws could take up a factor of the unit.
 """
 
@@ -549,8 +549,9 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
 
     The best of the `sure` readings is a doubt, with those nearly as good. `ParameterError` if the
     table also breaks a physical limit that goes with this reading. Without a sure reading the first
-    limit that is broken is a doubt: the pull falls with slip while its turned sign fits no worse,
-    the wheel gains power, pulls with more than its torque, or with all of it. The best reading with
+    limit that is broken is a doubt. The limits: the pull falls with slip while its turned sign fits
+    no worse, the wheel gains power, pulls with more than its torque, or with all of it. The best
+    reading with
     a gain of `MAYBE` and a better fit (`LESS`) is a caution then.
     """
     others = _other_readings(start)
@@ -703,10 +704,10 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
     """Sentence on a wrong row and on which of its cells to check, by the fit to the `others`; "" if
     the row is not sure to be wrong.
 
-    It is sure if a value is off by `least` [noise and law error], and if the `gain` reaches `SURE`:
-    the log evidence of the other rows without this one, less what a wrong row costs. The cost is
-    that one value, or all of them, may be anywhere. The cell to check is the only value that is
-    off, else the load or slip with which all values fit, else every one. `sd` [3]: noise.
+    It is sure if a value is off by `least` [noise and law error] and the `gain`, less what a wrong
+    row costs, reaches `SURE`. The gain is of the log evidence of the other rows without this one.
+    The cost is that one value, or all of them, may be anywhere. The cell to check is the only value
+    that is off, else the load or slip with which all values fit, else every one. `sd` [3]: noise.
     """
     table = data.table
     here = Rows(*(column[row : row + 1] for column in data.rows))

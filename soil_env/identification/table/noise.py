@@ -59,9 +59,11 @@ class NoiseEstimate:
 
 
 def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
-    """`NoiseEstimate` of each channel: from the setup or a column of standard deviations, else from
-    repeats with at least `FEWEST_REPEATS` degrees of freedom, else from the scatter about the
-    surface through the data.
+    """`NoiseEstimate` of the channels.
+
+    The noise of each is from the setup or a column of standard deviations. Else it is from repeats
+    with at least `FEWEST_REPEATS` degrees of freedom, else from the scatter about the surface
+    through the data.
 
     `model` [N, 3]: the calibrated base model, to which the surface adds polynomials. Outliers from
     the surface are left out one after the other, and count in no noise. None is sought with fewer
@@ -338,8 +340,8 @@ def _surface(basis: np.ndarray, e: np.ndarray, keep: np.ndarray) -> tuple[np.nda
     """(residual [N], leverage [N]) of all values `e` [N] about the least-squares surface of the
     functions `basis` [N, B] through those to `keep` [N, bool].
 
-    Leverage is how much a value moves the surface at its own row, at most 1 for values that are
-    kept; for others it is the variance of the surface there over that of the noise.
+    Leverage is the variance of the surface at a row over that of the noise. For a value that is
+    kept it is also how much the value moves the surface there, at most 1.
     """
     coefficients, *_ = np.linalg.lstsq(basis[keep], e[keep], rcond=1e-10)
     inverse = np.linalg.pinv(basis[keep].T @ basis[keep], rcond=1e-12)
