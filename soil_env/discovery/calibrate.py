@@ -50,7 +50,6 @@ from soil_env.identification.table.problem import (
     Last,
     differences,
     most_probable,
-    side_by_side,
 )
 from soil_env.identification.table.rig import predict_table
 from soil_env.slip import sliding_speeds
@@ -71,9 +70,9 @@ from .instrument import (
 from .unnamed import changed, factors, loaded
 
 PRIOR_WIDTH = 1.5  # factor of the sd of the setup's priors
-#: Form error of an effect that is named by its place, in all channels alike, over that of others.
+#: Size of the form error of an effect with `Effect.any_form` over that of other effects.
 ANY_FORM = 10.0
-AT_BOUND = 1e-4  # [prior sd] of an unknown from a bound, within which it does not move
+AT_BOUND = 1e-4  # [prior sd] distance of an unknown from a bound, within which it does not move
 USUAL_DENSITY = 1500.0  # [kg/m3] of the soil where the setup gives none; own choice
 #: Lower bound of a parameter with a log-normal prior, over its centre, where its own bound is lower
 #: (0 has no logarithm); own choice.
@@ -81,42 +80,40 @@ LEAST_OF_CENTRE = 1e-3
 #: Noise of a first fit over the standard deviation of the channel, where the setup gives none; own
 #: choice.
 ROUGH_NOISE = 0.05
-LEAST_NOISE = 1e-12  # [m, N, N m] the same of a channel whose values are all equal
-#: [prior sd] of a start from a bound, and of two starts, within which derivatives are the same.
+LEAST_NOISE = 1e-12  # [m, N, N m] of a first fit, if all values of the channel are equal
+#: [prior sd] distance of a start from a bound; also that of two starts that are taken as the same.
 _SAME = 1e-6
 _OFF_NEUTRAL = 0.3  # [prior sd] start of a strength whose bound is its neutral value; own choice
 _NO_VALUE = 1e3  # [noise] residual where the model has no value
-_LAW = 24  # most functions of the process of the base law's error
-_EFFECT = 24  # most functions of the process of an effect's form error
-_FREE = 40  # most functions of an anonymous contribution
+_LAW_FUNCTIONS = 24  # most functions of the process of the base law's error
+_EFFECT_FUNCTIONS = 24  # most functions of the process of an effect's form error
+_FREE_FUNCTIONS = 40  # most functions of an anonymous contribution
 #: Correlation lengths of the error of the base law, one as probable as another. The shortest is
 #: about the step between two slips of a table, for laws that are right at some slips alone: soil
 #: flows in two zones below a driven wheel, and in one at large slip (Wong 1967, J. Agric. Eng. Res.
 #: 12:257-269).
 ALL_LAW_LENGTHS = (*form_error.LAW_LENGTHS, LENGTHS | {"slip": 0.1})
-#: Correlation lengths of an anonymous contribution of all conditions over those of a form error.
+#: Correlation lengths of a smooth anonymous contribution over those of a form error.
 _LONGER = 1.6
 
 
 class Sizes(NamedTuple):
-    """Sizes of the form errors."""
+    """Sizes of the form errors and of an anonymous contribution (`evidence`)."""
 
-    law: float = 0.0  # alpha, relative, of the stresses of the base law
-    effect: float = 0.0  # beta, relative to what an effect adds
-    #: Of an anonymous contribution, relative to the channel's rms.
+    law: float = 0.0  # alpha: error of the stresses of the base law, relative
+    effect: float = 0.0  # beta: form error of an effect, relative to what it adds
+    #: Smooth anonymous contribution to each channel, relative to the channel's rms.
     free: tuple[float, float, float] = (0.0, 0.0, 0.0)
     span: int = 0  # index in `ALL_LAW_LENGTHS`: correlation lengths of the base law's error
-    #: Of every value by itself about the model, over the noise: more than 1 if soils vary by row.
+    #: sd of the values about the model over the noise: more than 1 if soils vary by row.
     scatter: float = 1.0
-    #: Anonymous contributions of one condition in one place (`evidence.patterns`), and their
-    #: relative sizes.
-    patterns: tuple[tuple[str, float], ...] = ()
-    rig: float = 0.0  # of the nuisances of the instrument, over their standard deviations
+    patterns: tuple[tuple[str, float], ...] = ()  # (name in `evidence.patterns`, relative size)
+    rig: float = 0.0  # nuisances of the instrument, over their standard deviations
 
     @property
     def law_sizes(self) -> tuple[float, ...]:
-        """`law` at the index `span`, 0 elsewhere: a size for each of `ALL_LAW_LENGTHS`, by which
-        `Fit.columns` multiplies the blocks of `Fit.law`.
+        """Size of each block of `Fit.law`, one for each of `ALL_LAW_LENGTHS`: `law` at the index
+        `span`, 0 elsewhere.
         """
         return tuple(self.law if k == self.span else 0.0 for k in range(len(ALL_LAW_LENGTHS)))
 
@@ -126,22 +123,26 @@ EXACT = Sizes()
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted model. Whitened quantities: residuals in noise sd, unknowns in prior sd."""
+    """A fitted model: N rows, M values in use, p unknowns.
+
+    Whitened are residuals by the noise, unknowns by their priors. A form error of size 1 is the sum
+    of its R columns with standard normal coefficients; R differs between form errors.
+    """
 
     choices: Choices
     unknowns: tuple[Unknown, ...]
-    u: np.ndarray  # [p]
-    output: np.ndarray  # [N, 3] model values
+    u: np.ndarray  # [p] whitened
+    output: np.ndarray  # [N, 3] model values [m, N, N m]
     added: tuple[np.ndarray, ...]  # [N, 3] what each effect adds to them
     residual: np.ndarray  # [M] whitened (y - f) of the values in use
     jacobian: np.ndarray  # [M, p] d(f)/d(u), whitened
-    #: [M, R] whitened form error of the base law at the size 1, over each of the spans.
+    #: [M, R] whitened form error of the base law at the size 1, for each of `ALL_LAW_LENGTHS`.
     law: tuple[np.ndarray, ...]
-    effect: np.ndarray  # [M, R] of the effects
-    free: tuple[np.ndarray, ...]  # [M, R] of an anonymous contribution to each channel
+    effect: np.ndarray  # [M, R] the same of the effects
+    free: tuple[np.ndarray, ...]  # [M, R] of a smooth anonymous contribution to each channel
     rig: np.ndarray  # [M, R] of the nuisances of the instrument
     converged: bool
-    sizes: Sizes = EXACT  # that the unknowns are most probable under
+    sizes: Sizes = EXACT  # under which the unknowns are most probable
 
     def parameters(self) -> dict[str, float]:
         """Values of the unknowns by name, in their own units."""
@@ -156,7 +157,7 @@ class Fit:
     def columns(self, sizes: Sizes) -> np.ndarray:
         """[M, R] whitened form errors and nuisances at these sizes, side by side.
 
-        Those of size 0 are left out, and patterns, which no fit is made with.
+        Those of size 0 are left out. So are patterns, since no fit is made with one.
         """
         blocks = zip(
             (*self.law, self.effect, *self.free, self.rig),
@@ -170,9 +171,9 @@ class Fit:
     def linearised(self) -> tuple[np.ndarray, np.ndarray]:
         """(A [M + p + R, k], e [M + p + R]): the whitened least squares |A x - e| about the fit.
 
-        The first M rows are the values, the others the priors of the p unknowns and of R form
-        errors. The columns are the unknowns and then the form errors, at the sizes of the fit.
-        Unknowns at a bound have no column, since they do not move.
+        The first M rows are the values, the others the priors of the p unknowns and of the R
+        columns of form errors. x are changes of the unknowns and then the coefficients of the form
+        errors, at the sizes of the fit. Unknowns at a bound have no column, since they do not move.
         """
         extra = self.columns(self.sizes)
         free = np.concatenate([self.free_unknowns, np.ones(extra.shape[1], dtype=bool)])
@@ -188,30 +189,28 @@ class Problem:
     """Table, unknowns of the soil, noise and values in use, which all fits to one table share."""
 
     data: Data
-    noise: np.ndarray  # [3]
+    noise: np.ndarray  # [3] standard deviation [m, N, N m]
     used: np.ndarray  # [N, 3] bool, measured and not an outlier
     freedom: float = math.inf  # degrees of freedom that the noise is known to
 
     def __post_init__(self) -> None:
         setup = self.data.setup
-        self.soil: tuple[Unknown, ...]
-        self.known: dict[str, float]
         self.soil, self.known = soil_unknowns(
             setup, self.data.rows.load, self.data.y[:, 0], PRIOR_WIDTH
         )
         given = setup.soil.density
-        self.density: float = USUAL_DENSITY if given is None else given.value
-        self.laws: dict[str, float] = given_laws(setup)
-        self.bench: Bench = self._bench()
-        #: Prior (sd, low, high) and neutral value or centre of the parameters for which the rig
-        #: sets them.
+        self.density = USUAL_DENSITY if given is None else given.value
+        self.laws = given_laws(setup)
+        self.bench = self._bench()
+        #: Prior (sd, low, high) of the parameters for which the rig sets it.
         self.scales = {
             f"{e.name}_{k}": v for e in LISTED.values() for k, v in e.priors(self.bench).items()
         }
+        #: Neutral value or centre of the parameters for which the rig sets it.
         self.centres = {
             f"{e.name}_{k}": v for e in LISTED.values() for k, v in e.neutral(self.bench).items()
         }
-        self.neutral: Effects = NO_EFFECTS._replace(**self.centres)
+        self.neutral = NO_EFFECTS._replace(**self.centres)
         self._lay_form_errors()
 
     def _lay_form_errors(self) -> None:
@@ -219,23 +218,23 @@ class Problem:
         each channel.
 
         The form error of the base law has a process for each of `ALL_LAW_LENGTHS`. That of effects
-        has one for each set of conditions that some effect depends on. `free_functions` [N, R] are
-        of all conditions, for an anonymous contribution.
+        has one for each set of conditions that some effect depends on. `free_functions` [N, R], for
+        a smooth anonymous contribution, depend on all conditions.
         """
         at = self.data.conditions | self.data.elapsed
-        self.law_processes: list[Process] = [
-            Process.over(at, of=INPUTS, most=_LAW, lengths=x) for x in ALL_LAW_LENGTHS
+        self.law_processes = [
+            Process.over(at, of=INPUTS, most=_LAW_FUNCTIONS, lengths=x) for x in ALL_LAW_LENGTHS
         ]
-        own = {e.conditions for e in LAWS.values()}
-        self.effect_processes: dict[tuple[str, ...], Process] = {
-            more: Process.over(at, of=(*INPUTS, *more), most=_EFFECT) for more in own
+        self.effect_processes = {
+            more: Process.over(at, of=(*INPUTS, *more), most=_EFFECT_FUNCTIONS)
+            for more in {e.conditions for e in LAWS.values()}
         }
         lengths = {k: _LONGER * v for k, v in LENGTHS.items()}
-        self.free_functions: np.ndarray = Process.over(
-            at, additive=True, most=_FREE, lengths=lengths
+        self.free_functions = Process.over(
+            at, additive=True, most=_FREE_FUNCTIONS, lengths=lengths
         ).at_points
         square = np.sum(self.data.y**2, axis=0, where=self.used)
-        self.size: np.ndarray = np.sqrt(square / np.maximum(self.used.sum(axis=0), 1))
+        self.size = np.sqrt(square / np.maximum(self.used.sum(axis=0), 1))
 
     def _bench(self) -> Bench:
         """Sizes of this rig, which priors of effects scale with.
@@ -275,22 +274,22 @@ class Problem:
         """
         out = list(self.soil)
         for choice in choices:
-            for full in choice.free:
-                p = LAWS[choice.effect].parameter(full.removeprefix(f"{choice.effect}_"))
+            for name in choice.free:
+                p = LAWS[choice.effect].parameter(name.removeprefix(f"{choice.effect}_"))
                 if p.centre is not None:
-                    centre = self.centres.get(full, p.centre)
+                    centre = self.centres.get(name, p.centre)
                     low = math.log(max(p.low, LEAST_OF_CENTRE * centre))
                     high = math.log(p.high)
-                    out.append(Unknown(full, math.log(centre), p.scale, low, high, True))
+                    out.append(Unknown(name, math.log(centre), p.scale, low, high, True))
                     continue
-                sd, low, high = self.scales.get(full, (p.scale, p.low, p.high))
-                mean = self.laws["dig_gain"] if full == "slip_sinkage_gain" else p.neutral
-                out.append(Unknown(full, mean, sd, max(low, p.low), min(high, p.high), False))
+                sd, low, high = self.scales.get(name, (p.scale, p.low, p.high))
+                mean = self.laws["dig_gain"] if name == "slip_sinkage_gain" else p.neutral
+                out.append(Unknown(name, mean, sd, max(low, p.low), min(high, p.high), False))
         return tuple(out)
 
     def effects(self, choices: Choices, values: dict[str, float]) -> Effects:
-        """`Effects` of the world under parameters `values`: of the `choices` in the catalogue, all
-        else neutral.
+        """`Effects` of the world: those of the `choices` that are in the catalogue, with parameters
+        `values` by name; all else neutral.
         """
         numbers: dict[str, float] = {}
         for choice in (c for c in choices if c.effect in CATALOGUE):
@@ -305,44 +304,46 @@ class Problem:
         rows: Rows | None = None,
         more: Mapping[str, float] | None = None,
     ) -> np.ndarray:
-        """What the rig reads, by the model with these effects: [N, 3], NaN where it has no value.
+        """What the rig reads by the model with these effects: sinkage [m], pull [N] and torque
+        [N m], [N, 3]; NaN where the model has no value.
 
-        `values`: fitted parameters by name. `guess` [N]: sinkages to start from, overwritten by the
-        solution. `rows`: those of the table if None. `more` is added to parameters of effects.
-        Errors of the rig and laws without a name act before and after the laws of the world.
+        `values`: fitted parameters by name. `guess` [N]: sinkages [m] to start from, overwritten by
+        the solution. `rows`: those of the table if None. `more`: amounts that are added to
+        parameters of effects. Errors of the rig and laws without a name change the rows before the
+        laws of the world, and the outcome after them.
         """
         fx = self.effects(choices, values)
         if more:
             fx = fx._replace(**{k: getattr(fx, k) + v for k, v in more.items()})
         soil = self.known | values
-        weight = self.density * self.data.setup.gravity
-        wrong = {
+        unit_weight = self.density * self.data.setup.gravity
+        # Parameters of errors of the rig and of laws without a name.
+        outside = {
             name: values[name] for c in choices if c.effect not in CATALOGUE for name in c.free
         }
-        if "tilt_angle_deg" in wrong:
-            soil["tilt_deg"] = wrong["tilt_angle_deg"]
-        rows = true_rows(rows or self.data.rows, wrong)
-        by_row = factors(rows, wrong, self.bench)
+        if "tilt_angle_deg" in outside:
+            soil["tilt_deg"] = outside["tilt_angle_deg"]
+        rows = true_rows(rows or self.data.rows, outside)
+        by_row = factors(rows, outside, self.bench)
 
-        def balanced(under: Rows) -> np.ndarray:
-            return predict_table(self.data.setup, under, soil, weight, fx, guess, by_row)
+        def outcome(under: Rows) -> np.ndarray:
+            """Steady values [N, 3] by the laws of the world."""
+            return predict_table(self.data.setup, under, soil, unit_weight, fx, guess, by_row)
 
-        out = in_balance(loaded(rows, wrong, self.bench.load), wrong, balanced)
-        return reading(changed(out, rows, wrong, self.bench), wrong, rows.wheels[:, 0])
+        out = in_balance(loaded(rows, outside, self.bench.load), outside, outcome)
+        return reading(changed(out, rows, outside, self.bench), outside, rows.wheels[:, 0])
 
     def sinkage_guess(self, fit: Fit) -> np.ndarray:
-        """[N] sinkages to start a prediction from."""
+        """[N] sinkages [m] of a fit, from which a prediction starts."""
         return np.maximum(fit.output[:, 0], 0.0)
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
-        """[M, ..] of an array [N, 3, ..]: the values in use, each over its noise."""
+        """[M, ..] the values in use of an array [N, 3, ..], each over its noise."""
         scale = self.noise * self.data.relative_sd
         return (values.T / scale.T).T[self.used]
 
     def without(self, rows: np.ndarray) -> Problem:
-        """A copy of the problem in which the values of the rows that are True [N] are not in
-        use.
-        """
+        """A copy of the problem that does not use the values of `rows` [N, bool]."""
         rest = copy.copy(self)
         rest.used = self.used & ~rows[:, None]
         return rest
@@ -356,7 +357,7 @@ class Problem:
     ) -> Fit:
         """Most probable parameters of the model with the given effects.
 
-        `start`: parameters by name; effects that it does not name start a little off neutral.
+        `start`: parameters by name; others start at their prior mean or a little off (`_start_of`).
         `near`: a fit to the same table, whose form errors at these `sizes` are in the covariance.
         Without it the covariance is that of the noise times the scatter, and no other size counts.
         """
@@ -370,10 +371,10 @@ class Problem:
         )
         off_bound = _SAME * np.minimum(high - low, 1.0)
         u = np.clip(u, low + off_bound, high - off_bound)
-        known = None if near is None else compressed(near.columns(sizes) / sizes.scatter)
+        form_error = None if near is None else compressed(near.columns(sizes) / sizes.scatter)
         if near is not None and near.choices == choices and np.allclose(u, near.u, 0.0, _SAME):
             law.derivatives.know(u, near.jacobian)
-        u, converged = law.fitted(u, lambda values: whitened(known, values / sizes.scatter))
+        u, converged = law.fitted(u, lambda values: whitened(form_error, values / sizes.scatter))
         used = sizes if near is not None else EXACT._replace(scatter=sizes.scatter)
         output = law.output(u)
         residual = self.whiten(self.data.y) - self.whiten(output)
@@ -408,8 +409,8 @@ class Problem:
         return _OFF_NEUTRAL if bounded else 0.0
 
     def effect_process(self, choice: Choice) -> Process:
-        """Process of the form error of an effect: a function of what the base law depends on, and
-        of the conditions that the effect depends on.
+        """Process of the form error of an effect, over what the base law depends on and the
+        conditions that the effect depends on.
         """
         return self.effect_processes[LAWS[choice.effect].conditions]
 
@@ -417,8 +418,8 @@ class Problem:
 class Law:
     """The model of a table with some effects as a function of the whitened unknowns u [p].
 
-    `guess` [N]: sinkages that a prediction starts from; every `output` overwrites them with its
-    own.
+    `guess` [N]: sinkages [m] that a prediction starts from; every `output` overwrites them with
+    its own.
     """
 
     def __init__(self, problem: Problem, choices: Choices, guess: np.ndarray | None = None) -> None:
@@ -427,7 +428,7 @@ class Law:
         self.unknowns = problem.unknowns(choices)
         self.bounds = bounds_of(self.unknowns)
         self.guess = np.zeros(problem.data.rows.slip.size) if guess is None else guess
-        #: [M, p] of the whitened output by whitened unknowns (forward differences).
+        #: [M, p] derivatives of the whitened output by the whitened unknowns (differences).
         self.derivatives = Last(self._derivatives)
 
     def values(self, u: np.ndarray) -> dict[str, float]:
@@ -448,12 +449,11 @@ class Law:
             guess = OFF_GUESS * self.guess
             return self.problem.whiten(self.problem.predict(self.values(x), self.choices, guess))
 
-        base = model(u)
-        return side_by_side(differences(model, u, self.unknowns, base), base.size)
+        return differences(model, u, self.unknowns)
 
     def added(self, u: np.ndarray, output: np.ndarray) -> tuple[np.ndarray, ...]:
-        """[N, 3] by effect: the `output` at u less that of the same parameters without the effect;
-        0 where the model has no value.
+        """What each effect adds [N, 3]: the `output` at u less that of the same parameters without
+        the effect; 0 where the model has no value.
         """
         values = self.values(u)
         rest = (self.choices[:k] + self.choices[k + 1 :] for k in range(len(self.choices)))
@@ -463,8 +463,8 @@ class Law:
         )
 
     def stresses(self, u: np.ndarray, output: np.ndarray) -> list[np.ndarray]:
-        """[N, 3] derivative of the output at u by the relative size of each of `stress_changes`;
-        `output` gives their typical sinkage.
+        """Derivatives [N, 3] of the output at u by the relative size of each of the
+        `form_error.stress_changes`; the `output` at u gives their typical sinkage.
         """
         values = self.values(u)
         sinkage = float(np.nanmedian(output[:, 0]))
@@ -483,30 +483,30 @@ class Law:
         added: Sequence[np.ndarray],
         at: Conditions | None = None,
     ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
-        """Form errors at u at the size 1: (of the base law by span, of the effects, nuisances of
-        the instrument), each [N, 3, R].
+        """(form errors of the base law for each of `ALL_LAW_LENGTHS`, form errors of the effects,
+        nuisances of the instrument), each [N, 3, R], at u and at the size 1.
 
-        The error of the base law acts on the stresses. That of an effect is a factor of its own on
-        what it has `added` to each channel; for an effect that is named in any form, one factor on
-        all channels, `ANY_FORM` times as large. `output`: that at u. `at`: conditions of the rows,
+        The error of the base law acts on the stresses. That of an effect is a factor on what it has
+        `added`, of its own for each channel. For an effect with `any_form` it is one factor for all
+        channels, `ANY_FORM` times as large. `output`: that at u. `at`: conditions of the rows,
         where they are not those of the processes.
         """
         problem = self.problem
 
-        def functions(process: Process) -> np.ndarray:
+        def functions_of(process: Process) -> np.ndarray:
             return process.at_points if at is None else process.at(at)
 
         stresses = np.stack(self.stresses(u, output), axis=2)
         laws = [
-            (stresses[..., None] * own[:, None, None, :]).reshape(*output.shape, -1)
-            for own in map(functions, problem.law_processes)
+            (stresses[..., None] * functions[:, None, None, :]).reshape(*output.shape, -1)
+            for functions in map(functions_of, problem.law_processes)
         ]
         blocks = [np.zeros((*output.shape, 0))]
         for choice, factor in zip(self.choices, added, strict=True):
-            own = functions(problem.effect_process(choice))
+            functions = functions_of(problem.effect_process(choice))
             moved = np.array([name in LAWS[choice.effect].moves for name in CHANNELS])
             units = [ANY_FORM * moved] if LAWS[choice.effect].any_form else np.eye(3)[moved]
-            blocks += [_in_channel(own, factor * unit) for unit in units]
+            blocks += [_in_channel(functions, factor * unit) for unit in units]
         named = tuple(c.effect for c in self.choices)
         data = problem.data
         rig = nuisances(data.setup, problem.bench, data.rows, finite(output), named)
@@ -517,10 +517,10 @@ class Law:
 
         `whiten` turns values over the noise into values that are independent under a covariance.
         """
-        whole = self.problem.whiten
+        over_noise = self.problem.whiten
         u, _, converged = most_probable(
-            whiten(whole(self.problem.data.y)),
-            lambda x: whiten(whole(self.output(x))),
+            whiten(over_noise(self.problem.data.y)),
+            lambda x: whiten(over_noise(self.output(x))),
             lambda x: whiten(self.derivatives(x)),
             start,
             self.bounds,
@@ -530,11 +530,12 @@ class Law:
 
 
 def _geometric_mean(values: np.ndarray) -> float:
+    """Geometric mean of positive values."""
     return math.exp(float(np.mean(np.log(values))))
 
 
 def _in_channel(functions: np.ndarray, factor: np.ndarray) -> np.ndarray:
-    """[N, 3, R] of functions [N, R] times a factor [3] or [N, 3]."""
+    """[N, 3, R] functions [N, R] times a factor [3] or [N, 3] for the channels."""
     return functions[:, None, :] * np.broadcast_to(factor, (len(functions), 3))[:, :, None]
 
 
@@ -556,10 +557,9 @@ def calibrate(data: Data) -> tuple[Problem, NoiseEstimate]:
     fit = first.fit()
 
     def base(rows: Rows) -> np.ndarray:
+        """Values [N, 3] of the calibrated base model."""
         return first.predict(fit.parameters(), (), first.sinkage_guess(fit), rows)
 
     data, counted = with_noise_of_conditions(data, base)
     noise = dataclasses.replace(find_noise(data, fit.output), of_conditions=counted)
-    known = [f for f, o in zip(noise.freedom, noise.origin, strict=True) if o]
-    problem = Problem(data, noise.sd, noise.used, float(min(known)))
-    return problem, noise
+    return Problem(data, noise.sd, noise.used, float(np.min(noise.freedom))), noise

@@ -1,9 +1,9 @@
 """Models that are simulated: `WheelSoilModel` of a fit, and of the prediction with all effects.
 
-What the laws of the world do not have, the table of the remainder has: the smooth remainder of each
-channel, soil that goes with the load, and what an error of the rig could be as well, with the
-standard deviations of a run. Errors of the rig that are named, and the tilt of the setup, are in
-neither.
+The latter has the laws of the world and a table of the remainder, with the standard deviations of a
+run. The table has what these laws do not: the smooth remainder of each channel, soil that goes
+with the load, and what may be an error of the rig. Errors of the rig that are named, and the
+tilt of the setup, are in neither.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from .prediction import Prediction, independent
 from .predictive import DEEPEST
 from .unnamed import OF_LOAD
 
-#: [-] that the table goes beyond the measured slips; it begins at 0 where no row is braked.
+#: Slip by which the table goes beyond the measured ones; it begins at 0 where no row is braked.
 BEYOND_SLIP = 0.1
 MOST_SLIP = 0.95  # [-] of either sign, where the table ends even if a row is beyond; own choice
 BEYOND_LOAD = 2.0  # factor by which the table goes beyond the measured loads
@@ -89,8 +89,10 @@ def model_of(problem: Problem, choices: Sequence[Choice], values: Values) -> Whe
 
 
 def parameters(problem: Problem, choice: Choice, values: Values) -> dict[str, float]:
-    """Parameters of an effect by name, cut to their bounds: those that its form frees, those that
-    the form sets, and the reference speed, which the table sets.
+    """Parameters of an effect, cut to their bounds; names are without that of the effect.
+
+    They are those that its form frees, those that the form sets, and the reference speed, which the
+    table sets.
     """
     numbers = problem.effects((choice,), dict(values))._asdict() | dict(values)
     out = {}
@@ -112,14 +114,14 @@ def corrected(found: Prediction, named: Sequence[str] = ()) -> WheelSoilModel:
     """
     problem = found.problem
     left = [name for name in (*INSTRUMENT, *OF_LOAD, *SENSED) if name not in {*named} & {*SENSED}]
-    kept = tuple(c for c in found.law.choices if c.effect not in left)
-    output = problem.predict(found.values, kept, np.maximum(found.output[:, 0], 0.0))
-    for name in dict.fromkeys(c.effect for c in kept):
-        fewer = tuple(c for c in kept if c.effect != name)
+    choices = tuple(c for c in found.law.choices if c.effect not in left)
+    output = problem.predict(found.values, choices, np.maximum(found.output[:, 0], 0.0))
+    for name in dict.fromkeys(c.effect for c in choices):
+        fewer = tuple(c for c in choices if c.effect != name)
         there = problem.predict(found.values, fewer, np.maximum(output[:, 0], 0.0))
         if np.max(np.abs(there - output) / problem.noise) < LITTLE:
-            kept = fewer
-    model = model_of(problem, kept, found.values)
+            choices = fewer
+    model = model_of(problem, choices, found.values)
     coarse = 1.0
     while math.prod(x.size for x in _nodes(found, coarse).values()) > MOST:
         coarse *= COARSER
@@ -134,16 +136,17 @@ def _remainder(
     nodes: Conditions,
     without: Sequence[str],
 ) -> ResidualTable:
-    """The table of a prediction less `model`, at all combinations of `nodes` (by condition, true
-    slips): sinkage over radius, pull over load, torque over both, and their standard deviations.
+    """The table of a prediction less `model`, at all combinations of the `nodes` of each condition:
+    sinkage over radius, pull over load, torque over both, and their standard deviations.
 
-    `without`: errors of the rig that the prediction leaves out.
+    The slips of the nodes are true ones. `without`: errors of the rig that the prediction leaves
+    out.
     """
     grid = np.stack(np.meshgrid(*nodes.values(), indexing="ij"), axis=-1).reshape(-1, len(nodes))
     at = _medians(found.problem, ("load", "speed", "pass"), len(grid))
     at |= dict(zip(nodes, grid.T, strict=True))
     bias = {"offset": 0.0, "radius_error": 0.0} | model.effects.get("slip_bias", {})
-    # The model and the prediction take the slip as it is measured.
+    # Model and prediction take the slip as the rig measures it: from true to measured slips.
     scale = np.full(len(grid), 1.0 / (1.0 - bias["radius_error"]))
     at["slip"] = np.clip(slips_of_radius(at["slip"] - bias["offset"], scale), -1.0, 1.0)
     law = np.stack(replace(model, validity={}).predict(at)[:3], axis=1)
@@ -161,9 +164,7 @@ def _remainder(
 
 
 def _medians(problem: Problem, names: Sequence[str], count: int) -> dict[str, np.ndarray]:
-    """Median in the table of each of the conditions `names`, `count` times: values of conditions
-    that have no nodes.
-    """
+    """Median in the table of each of the conditions `names`, as arrays of `count` equal values."""
     conditions = problem.data.conditions
     return {name: np.full(count, np.median(conditions[name])) for name in names}
 
@@ -171,8 +172,8 @@ def _medians(problem: Problem, names: Sequence[str], count: int) -> dict[str, np
 class Guess(NamedTuple):
     """Conditions about those of the table at which a prediction is least sure."""
 
-    conditions: dict[str, float]
-    mean: np.ndarray  # [3]
+    conditions: dict[str, float]  # by the columns of a table
+    mean: np.ndarray  # [3] predicted sinkage [m], pull [N], torque [N m]
     sd: np.ndarray  # [3]
     #: sd over the largest sd at the conditions of the table, mean of the channels in use.
     times: float
@@ -243,8 +244,9 @@ def groups_at(point: WorkingPoint, soil: SoilState, rim: Rim, gravity: float) ->
 
 
 def _groups(model: WheelSoilModel, name: str, values: np.ndarray) -> list[float]:
-    """Values of the dimensionless group (`residual.GROUPS`) that goes with a condition `name`, at
-    `values` in units of a measurement table.
+    """Values of the dimensionless group (`residual.GROUPS`) that belongs to a condition.
+
+    `name`: the condition, `values` of it in units of a measurement table.
     """
     assert model.soil is not None
     wheel = model.wheel

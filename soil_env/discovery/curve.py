@@ -1,5 +1,5 @@
-"""Generic curve of a channel over slip and load: what anybody would draw through a table without a
-law of soils.
+"""Generic curve of a channel y over slip i and load W: what anybody would draw through a table
+without a law of soils.
 
     y = (W/W0)^p a + (W/W0)^q b [1 - exp(-|i| / (k (W/W0)^m))]        i >= 0, b of its own for i < 0
 
@@ -14,8 +14,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 SLIP_SCALES = np.geomspace(0.03, 3.0, 25)  # [-] k that are tried
-POWERS = np.array([1.0, 1.0, 0.0])  # p, q, m where the loads do not show them
-POWER_SD = 0.5  # of p, q and m about these
+POWERS = np.array([1.0, 1.0, 0.0])  # p, q, m where the loads do not show them, and prior means
+POWER_SD = 0.5  # prior sd of p, q and m
 LEAST_SPAN = 0.25  # of ln W, from which the loads show the powers
 BRAKED = -0.02  # [-] slip below which a row is braked
 FEWEST_BRAKED = 2  # braked rows, from which they have an amplitude of their own
@@ -29,11 +29,11 @@ class Curve(NamedTuple):
     load: float  # [N] W0
     scale: float  # [-] k
     powers: np.ndarray  # [3] p, q, m
-    amplitudes: np.ndarray  # a, b and, of braked rows, b
-    braked: bool
+    amplitudes: np.ndarray  # [2 or 3] a, b and, if `braked`, b of braked rows
+    braked: bool  # braked rows have a b of their own
 
     def at(self, slip: np.ndarray, load: np.ndarray) -> np.ndarray:
-        """[N] values."""
+        """[N] values of the channel at slips [N] and loads [N]."""
         x = np.log(load / self.load)
         return _basis(slip, x, self.scale, self.powers, self.braked) @ self.amplitudes
 
@@ -41,8 +41,9 @@ class Curve(NamedTuple):
 def _basis(
     slip: np.ndarray, x: np.ndarray, scale: float, powers: np.ndarray, braked: bool
 ) -> np.ndarray:
-    """[N, 2 or 3] functions that the amplitudes a, b and, if `braked`, b of braked rows multiply; x
-    = ln(W/W0), `scale` k, `powers` p, q, m.
+    """[N, 2 or 3] functions that the `Curve.amplitudes` multiply.
+
+    `x` [N]: ln(W/W0); `scale`: k; `powers`: p, q, m; `braked`: braked rows have a b of their own.
     """
     grown = -np.expm1(-np.abs(slip) / (scale * np.exp(powers[2] * x)))
     side = np.exp(powers[1] * x) * grown
@@ -53,10 +54,10 @@ def _basis(
 
 
 def fit_curve(slip: np.ndarray, load: np.ndarray, y: np.ndarray, sd: np.ndarray | float) -> Curve:
-    """The curve through values y [N] with standard deviations sd: k the best on the grid; k and the
-    powers fitted from there if the loads span more than `LEAST_SPAN`.
+    """The curve through values y [N] with standard deviations `sd`.
 
-    Braked rows have an amplitude of their own if there are `FEWEST_BRAKED`.
+    k is the best on the grid. Where the loads span more than `LEAST_SPAN`, k and the powers are
+    fitted from there. Braked rows have an amplitude of their own if there are `FEWEST_BRAKED`.
     """
     middle = float(np.exp(np.mean(np.log(load))))
     x = np.log(load / middle)
@@ -74,6 +75,7 @@ def fit_curve(slip: np.ndarray, load: np.ndarray, y: np.ndarray, sd: np.ndarray 
     scale = min(SLIP_SCALES, key=lambda k: float(np.sum(fitted(k, POWERS)[1] ** 2)))
     powers = POWERS
     if np.ptp(x) > LEAST_SPAN:
+        # Unknowns: p, q, m, ln k.
         found = least_squares(
             lambda p: np.append(fitted(math.exp(p[3]), p[:3])[1], (p[:3] - POWERS) / POWER_SD),
             [*POWERS, math.log(scale)],

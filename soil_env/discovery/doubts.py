@@ -23,12 +23,12 @@ FEW = 20
 def of_lone_rows(
     problem: Problem, noise: NoiseEstimate, finding: Finding, say: Say
 ) -> tuple[str, ...]:
-    """Return a doubt, as a sentence, where rows that stand alone in their conditions decide what is
-    named; else nothing.
+    """Return a doubt, as a sentence, if rows that stand alone in their conditions decide what is
+    named; else ().
 
-    The search is made again without these rows, and decides otherwise if the verdict or the names
-    differ. It is left out where no row stands alone, or more than one in `FEW`, and where too
-    little would be left.
+    They do if a search without them has another verdict or other names than the `finding`. There is
+    no such search where no row stands alone, or more than one in `FEW`, and where too little would
+    be left.
     """
     table = problem.data.table
     alone = np.flatnonzero(noise.alone)

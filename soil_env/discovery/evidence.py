@@ -1,7 +1,7 @@
 """Evidence of a model: its probability of the table, with the sizes of the form errors
 marginalised.
 
-About a fit the model is linear in the unknowns and in the form errors, all with unit priors, so
+About a fit the model is linear in the unknowns and in the form errors, all with unit priors. So
 under given sizes the table has a normal density (Laplace; `form_error.marginals`). Sizes are on a
 grid with the priors below. Noise that is estimated from few values has its own scale on the grid. A
 strength that may not be negative has a truncated prior, and its evidence the ratio of the posterior
@@ -11,9 +11,10 @@ Beside a fitted model there may be an *anonymous contribution*, which no catalog
 kinds are equally probable.
 
 * *Smooth*: a function of all conditions and of the time in one channel or more.
-* *Patterns*: a function of one condition, or of one and the slip, in a single place: one channel,
-  or one of the stresses (`form_error.stress_changes`), as most mechanisms work, or a value for each
-  bed of soil. A stress may not change with what the base law knows, which is its form error.
+* *Patterns*: a function of one condition, or of one and the slip, in a single place, as most
+  mechanisms work. The place is one channel, or one of the stresses (`form_error.stress_changes`).
+  A stress may also have a value for each bed of soil. It may not change with what the base law
+  knows, which is its form error.
 * *Scatter*: every value by itself, as where each row has its own soil.
 """
 
@@ -54,12 +55,13 @@ _NOISE_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of estimated noise, equally prob
 ALIKE_SIZES = (0.6, 1.0)  # of what resembles an effect and is not it
 _ROUNDS = 2  # of fit and sizes in turn
 _SLIGHT = 1e-3  # posterior share below which a size of the form error does not count
-_LITTLE = 0.05  # [prior sd] strength at which an effect's first order is taken
-_FIRST_LAW = 0.05  # most of the size of the law's error in the first of these fits; own choice
+_LITTLE = 0.05  # [prior sd] step of a strength, for the difference that gives its first order
+_FIRST_LAW = 0.05  # largest size of the law's error in the first of these fits; own choice
 _SETTLED = 0.1  # [nat] change of the log evidence below which fit and sizes are settled; own choice
 _APART = 1e-12  # least difference of the logarithms of two probabilities: of 0 there is none
-_INVISIBLE = 1e-12  # least normal of a strength, which it is divided by
-_TIE = 1e-9  # weight of a small strength beside its power, where the powers of forms are equal
+_INVISIBLE = 1e-12  # least normal of a strength, since it divides
+#: Weight of 1/(least visible strength) beside the power, which decides where powers are equal.
+_TIE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,16 +69,17 @@ class Evidence:
     """A fitted model and how probable it makes the table."""
 
     fit: Fit
-    log: float  # log evidence, up to what all models of the table share
+    log: float  # log evidence, up to a constant that all models of the table share
     sizes: Sizes  # most probable
-    share: dict[Sizes, float]  # posterior of the sizes
+    share: dict[Sizes, float]  # posterior probability of sizes
     mean: np.ndarray  # [p] of the whitened unknowns, over the sizes
     covariance: np.ndarray  # [p, p] of them
-    by_law: dict[float, float]  # log evidence under a size of the law's error, over that of all
+    by_law: dict[float, float]  # by size of the law's error: log evidence under it, less `log`
 
     def if_laws_err(self, size: float) -> float:
-        """Log evidence if the base law has an error of this size, less that over all sizes: of the
-        size on the grid whose ratio to it is nearest to 1.
+        """Log evidence if the base law has an error of this size, less that over all sizes.
+
+        The size on the grid is taken whose ratio to the given one is nearest to 1.
         """
         return self.by_law[min(self.by_law, key=lambda x: abs(math.log(x / size)))]
 
@@ -102,11 +105,12 @@ class Grid(NamedTuple):
 
 @cache
 def grid(names: Names) -> tuple[list[Sizes], np.ndarray, np.ndarray]:
-    """(all sizes of the form errors of a model with these effects, log prior [S], the sizes [S, K]
-    by rig, effects and each span of the base law).
+    """(S sizes of the form errors of a model with these effects, their log prior [S], an array of
+    the same sizes [S, K]).
 
-    Errors of the instrument follow their law nearly exactly: the smallest size is the only one.
-    Without effects the size of their form error is 0.
+    The K columns are the rig, the effects and each span of the base law. Errors of the instrument
+    follow their law nearly exactly, so that the smallest size is the only one of their form error.
+    Without effects that size is 0.
     """
     effect = [*zip(EFFECT_SIZES, EFFECT_PRIOR, strict=True)]
     if {*names} <= {*INSTRUMENT}:
@@ -128,8 +132,8 @@ def plain_grid(fit: Fit) -> Grid:
 
 
 def noise_scales(freedom: float) -> np.ndarray:
-    """Equally probable values of the noise over its estimate, which has so many degrees of freedom;
-    1 alone where the noise is known.
+    """Equally probable values of the true noise over its estimate, which has `freedom` degrees of
+    freedom; 1 alone where the noise is known.
     """
     if not math.isfinite(freedom):
         return np.ones(1)
@@ -138,8 +142,8 @@ def noise_scales(freedom: float) -> np.ndarray:
 
 
 def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
-    """`Evidence` of a fit, linearised about it: marginal over the sizes of the grid (`plain_grid`
-    where none is given) and over the scales of a noise that is estimated.
+    """`Evidence` of a fit, linearised about it, marginal over the sizes of the grid `over`
+    (`plain_grid` where none is given) and over the scales of a noise that is estimated.
     """
     sizes, log_prior, errors, table, first = over or plain_grid(fit)
     scatter = np.array([s.scatter for s in sizes])
@@ -147,12 +151,12 @@ def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
     scales = noise_scales(problem.freedom)
     normal = NormalEquations.of(fit.jacobian, errors, fit.residual)
     log, mean, covariance = (
-        np.empty((len(scales), len(sizes), *more)) for more in ((), (p,), (p, p))
+        np.empty((len(scales), len(sizes), *shape)) for shape in ((), (p,), (p, p))
     )
     for k, noise in enumerate(scales):
-        for more in np.unique(scatter):
-            at = scatter == more
-            sd = noise * more
+        for over_noise in np.unique(scatter):
+            at = scatter == over_noise
+            sd = noise * over_noise
             found = marginals(normal, table[at], fit.u, first, sd)
             log[k, at] = (
                 found[0]
@@ -179,8 +183,10 @@ def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
 
 
 def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """[S] log of the posterior over the prior probability that every unknown is within its bounds,
-    as if unknowns were independent; `mean` [S, p], `covariance` [S, p, p] without bounds.
+    """[S] log of the ratio of two probabilities that every unknown is within its bounds: posterior
+    over prior, as if unknowns were independent.
+
+    `mean` [S, p] and `covariance` [S, p, p] are those of the unknowns without bounds.
     """
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     out = np.zeros(len(mean))
@@ -192,11 +198,11 @@ def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 
 def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """log(Phi(b) - Phi(a)), a < b."""
+    """log(Phi(b) - Phi(a)) with the standard normal distribution function Phi, a < b."""
     # There both values of Phi are nearly 1, and their difference would be lost in rounding.
     turn = a > 0.0
-    upper: np.ndarray = log_ndtr(np.where(turn, -a, b))
-    lower: np.ndarray = log_ndtr(np.where(turn, -b, a))
+    upper = log_ndtr(np.where(turn, -a, b))
+    lower = log_ndtr(np.where(turn, -b, a))
     between: np.ndarray = upper + np.log1p(-np.exp(np.minimum(lower - upper, -_APART)))
     return between
 
@@ -210,18 +216,17 @@ def settle(
     """Evidence of a model that is fitted under its most probable sizes of form errors, and
     linearised there.
 
-    Fit and sizes are found in turn, at most `_ROUNDS` times after a first fit. `near`: a model of
-    the same table, from which the first fit takes its form errors, and its start where that is not
-    given. Without it the first fit is under the noise alone.
+    Fit and sizes are found in turn, at most `_ROUNDS` times after a first fit. `start`: parameters
+    by name. `near`: a model of the same table, from which the first fit takes its form errors, and
+    its start where that is not given. Without it the first fit is under the noise alone.
     """
-    first = (
-        Sizes()
-        if near is None
-        else Sizes(min(near.sizes.law, _FIRST_LAW), span=near.sizes.span, rig=1.0)
-    )
-    if start is None and near is not None:
-        start = near.fit.parameters()
-    best = weigh(problem, problem.fit(choices, start, first, None if near is None else near.fit))
+    if near is None:
+        first = problem.fit(choices, start)
+    else:
+        sizes = Sizes(min(near.sizes.law, _FIRST_LAW), span=near.sizes.span, rig=1.0)
+        start = near.fit.parameters() if start is None else start
+        first = problem.fit(choices, start, sizes, near.fit)
+    best = weigh(problem, first)
     for _ in range(_ROUNDS):
         sizes = best.sizes
         now = weigh(problem, problem.fit(choices, best.fit.parameters(), sizes, best.fit))
@@ -233,13 +238,13 @@ def settle(
 
 
 class _Part(NamedTuple):
-    """What `_Further.under` computes every size of the law's error over one span from: log
-    evidence, `normal` and `pull` without an error of the law, and that error in its eigenvectors.
+    """What `_Further.under` needs for every size of the law's error over one span: results without
+    an error of the law, and that error in its eigenvectors.
     """
 
-    log: float
-    normal: np.ndarray  # [K, K]
-    pull: np.ndarray  # [K]
+    log: float  # log evidence of the model alone
+    normal: np.ndarray  # [K, K] as in `_Further`
+    pull: np.ndarray  # [K] as in `_Further`
     values: np.ndarray  # [R] eigenvalues of the normal matrix of the law's error
     turned: np.ndarray  # [R, 1 + K] pulls of the residual and of the strengths on that error
 
@@ -248,9 +253,10 @@ class _Further:
     """K strengths of further effects as linear unknowns beside a fitted model, under each size of
     the law's error.
 
-    A strength is a parameter that is not fitted in its logarithm. `columns` [M, K] are the changes
-    of the whitened values by it. Under the covariance of noise and form errors, and with the
-    unknowns of the model free, the strengths x add x'pull - x'normal x / 2 to the log likelihood.
+    A strength is a parameter that is not fitted in its logarithm. `columns` [M, K] are derivatives
+    of the whitened values by the strengths; `owner` gives the index of the choice of each. Under
+    the covariance of noise and form errors, and with the unknowns of the model free, the strengths
+    x add x'pull - x'normal x / 2 to the log likelihood.
     """
 
     def __init__(self, problem: Problem, first: Evidence, choices: list[Choice]) -> None:
@@ -263,13 +269,12 @@ class _Further:
         guess = problem.sinkage_guess(first.fit)
         for k, choice in enumerate(choices):
             own = [u for u in problem.unknowns((choice,)) if u.name in choice.free]
+            beside = (*first.fit.choices, choice)
             for moved in (u for u in own if not u.log):
                 trial = {u.name: u.value(0.0) for u in own} | {moved.name: moved.value(_LITTLE)}
                 values = first.fit.parameters() | trial
-                all_ = (*first.fit.choices, choice)
-                columns.append(
-                    (problem.whiten(problem.predict(values, all_, guess.copy())) - base) / _LITTLE
-                )
+                output = problem.predict(values, beside, guess.copy())
+                columns.append((problem.whiten(output) - base) / _LITTLE)
                 self.unknowns.append(moved)
                 self.owner.append(k)
         self.columns = side_by_side(columns, base.size)
@@ -279,8 +284,10 @@ class _Further:
         self.parts: dict[tuple[int, float], _Part] = {}
 
     def under(self, sizes: Sizes) -> tuple[float, np.ndarray, np.ndarray]:
-        """(log evidence of the model alone, normal [K, K], pull [K]) under a size and span of the
-        law's error and a scatter; other sizes are those of the model.
+        """(log evidence of the model alone, normal [K, K], pull [K]) under `sizes`.
+
+        Of these count the size and span of the law's error and the scatter. Other sizes are those
+        of the model.
         """
         key = sizes.span, sizes.scatter
         if key not in self.parts:
@@ -293,16 +300,15 @@ class _Further:
         return log, part.normal - by_law[1:, 1:], part.pull - by_law[1:, 0]
 
     def _part(self, span: int, noise: float) -> _Part:
-        """What all sizes of the law's error over a span share; `noise` is over that of the
-        table.
-        """
+        """`_Part` of a span of the law's error; `noise` is over that of the table."""
         fit = self.fit
+        # Unknowns and form errors of the model itself, but for that of the law: eliminated first.
         blocks = (fit.jacobian, self.effect * fit.effect, fit.rig)
-        known = np.concatenate(blocks, axis=1) / noise
+        model = np.concatenate(blocks, axis=1) / noise
         law = fit.law[span] / noise
         right = np.column_stack([fit.residual / noise, self.columns / noise, law])
-        factor = cholesky(known.T @ known + np.eye(known.shape[1]), lower=True)
-        pulls = known.T @ right
+        factor = cholesky(model.T @ model + np.eye(model.shape[1]), lower=True)
+        pulls = model.T @ right
         pulls[: fit.u.size, 0] -= fit.u
         half = solve_triangular(factor, pulls, lower=True)
         count = self.columns.shape[1] + 1
@@ -321,10 +327,10 @@ class _Further:
 
 
 def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[float]:
-    """Log evidence of the model of `first` with each of the `choices` added by itself.
+    """Log evidence of the model of `first` with each of the `choices` added by itself, to first
+    order in the strengths of the added effect.
 
-    It is to first order in the strengths of the added effect, and over all sizes of the base law's
-    error.
+    It is marginal over the sizes and spans of the base law's error.
     """
     further = _Further(problem, first, choices)
     one_sided = np.array([u.low >= u.mean for u in further.unknowns])
@@ -332,19 +338,22 @@ def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[f
     sizes, log_prior, _ = grid(())
     log, normal, pull = map(np.array, zip(*map(further.under, sizes), strict=True))
     gains = [_gains(normal[:, k[:, None], k], pull[:, k], one_sided[k]) for k in of]
-    out = np.stack(gains, axis=1)
-    found: list[float] = log_sum(out + (log + log_prior)[:, None], axis=0).tolist()
+    without = (log + log_prior)[:, None]
+    found: list[float] = log_sum(np.stack(gains, axis=1) + without, axis=0).tolist()
     return found
 
 
 def _gains(normal: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> np.ndarray:
-    """[S] gain of log evidence by K further unknowns with unit priors, of `normal` [S, K, K] and
-    `pull` [S, K]; those that are `one_sided` [K] stay at 0 where they would be negative.
+    """[S] gain of log evidence by K further unknowns with unit priors; `normal` [S, K, K] and
+    `pull` [S, K] as in `_Further`.
+
+    Unknowns that are `one_sided` [K] stay at 0 where they would be negative.
     """
     whole = normal + np.eye(len(one_sided))
     solved = np.linalg.solve(whole, pull[:, :, None])[:, :, 0]
     out: np.ndarray = 0.5 * (np.sum(pull * solved, axis=1) - np.linalg.slogdet(whole)[1])
     wrong = one_sided & (solved < 0.0)
+    # There the gain is that of the other unknowns alone.
     for k in np.flatnonzero(wrong.any(axis=1)):
         free = ~wrong[k]
         out[k] = _gains(normal[None, k, free][..., free], pull[None, k, free], one_sided[free])[0]
@@ -355,8 +364,8 @@ class Detectable(NamedTuple):
     """The smallest strength of an effect that a table would have shown."""
 
     size: float  # in the unit of the parameter
-    parameter: str
-    form: str
+    parameter: str  # name of the strength
+    form: str  # name of the form
     power: float  # probability that the strength is larger, by its prior
 
 
@@ -365,11 +374,12 @@ def detectable(
 ) -> Detectable:
     """`Detectable` of an effect, in the form among `choices` that shows most probably.
 
-    Under the form errors of the base model a strength of x prior standard deviations has the normal
-    n. It is expected to gain x^2 n/2 - ln(1 + n)/2 nats, and is seen where this exceeds the
-    `threshold` [nat], which outweighs the prior odds against the effect.
+    Let n be the `normal` of a strength under the form errors of the base model. A strength of x
+    prior standard deviations is expected to gain x^2 n/2 - ln(1 + n)/2 nats. It is seen where this
+    exceeds the `threshold` [nat], which outweighs the prior odds against the effect.
     """
     further = _Further(problem, base, choices)
+    # [K] means over the sizes of the form errors.
     normal = sum(
         p * np.maximum(np.diag(further.under(s)[1]), _INVISIBLE)
         for s, p in base.share.items()
@@ -387,8 +397,8 @@ def detectable(
 
 
 def _beyond(unknown: Unknown, x: float) -> float:
-    """Prior probability that a strength, which is within its bounds, is more than x standard
-    deviations from its mean on either side.
+    """Prior probability that a strength is more than x standard deviations from its mean on either
+    side, given that it is within its bounds.
     """
     low, high = unknown.bounds
     inside = ndtr(high) - ndtr(low)
@@ -426,16 +436,17 @@ MOST_BEDS = 60  # the same; where there are more, scatter of the rows says it be
 ROWS_OF_BED = 3  # rows for each bed, on average, in such a table; own choice
 _FUNCTIONS = 12  # of a pattern, at most
 _LIKELY = 2  # most probable sizes of the other form errors, beside which a contribution is tried
-_COARSE = (0.02, 0.1)  # further sizes of the law's error, beside which a contribution is tried
+_FURTHER_LAW = (0.02, 0.1)  # sizes of the law's error, beside which a contribution is tried too
 
 
 def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
-    """Patterns of size 1 about a fit, [M, R] by name: whitened changes of the M measurements.
+    """Patterns of size 1 about a fit by name, each [M, R]: whitened changes of the M values in use,
+    one column for each function.
 
-    A pattern is a systematic error of a channel, or of a stress, that goes smoothly with one named
-    condition, or with it and the slip; its R columns are basis functions. Left out are patterns
-    that a listed effect owns (`_OWNED`), and patterns of a stress with what the base law knows. In
-    a table of several beds a stress may have a value for each bed.
+    A pattern is a systematic error of a channel, or of a stress, that goes smoothly with one
+    condition, or with it and the slip. Left out are patterns that a listed effect owns (`_OWNED`),
+    and patterns of a stress with what the base law knows. In a table of several beds a stress may
+    have a value for each bed.
     """
     at = problem.data.conditions | problem.data.elapsed
     moved = Law(problem, fit.choices, problem.sinkage_guess(fit)).stresses(fit.u, fit.output)
@@ -477,25 +488,26 @@ def anonymous_grid(
     problem: Problem, plain: Evidence, fit: Fit, beside: Pattern | None = None
 ) -> Grid:
     """`Grid` of an anonymous contribution about a fit: its sizes in each of the three kinds, beside
-    the sizes of the other form errors that are most probable in `plain`.
+    the most probable sizes of the other form errors.
 
-    With `beside`, a pattern and its size, every point has this pattern and beside it a second one
-    or a smooth contribution.
+    `plain`: evidence without a contribution, which gives these sizes. With `beside`, a pattern and
+    its size, every point has this pattern, and beside it a second one or a smooth contribution.
     """
     likely = sorted(plain.share, key=lambda s: -plain.share[s])
     likely = list(
         dict.fromkeys(
-            [*likely[:_LIKELY], *(s._replace(law=law) for s in likely[:1] for law in _COARSE)]
+            [*likely[:_LIKELY], *(s._replace(law=law) for s in likely[:1] for law in _FURTHER_LAW)]
         )
     )
     usual = plain_grid(fit)
     prior = dict(zip(usual.sizes, usual.log_prior, strict=True))
     before = np.array([prior[s] for s in likely])
+    # Every combination of sizes of a smooth contribution to the channels in use, but for none.
     options = [(0.0, *FREE_SIZES) if used.any() else (0.0,) for used in problem.used.T]
     free = [f for f in product(*options) if any(f)]
     by = patterns(problem, fit)
     first = () if beside is None else (beside,)
-    # (sizes, log of their probability up to a constant).
+    # By kind: (fields of `Sizes`, log of their probability up to a constant).
     kinds: list[list[tuple[dict[str, Any], float]]] = [
         [
             ({"free": f, "patterns": first}, -math.log(len(FREE_SIZES)) * np.count_nonzero(f))
@@ -526,12 +538,12 @@ def anonymous_grid(
 def in_place_of_effects(problem: Problem, plain: Evidence) -> Evidence:
     """Evidence that an unlisted law, and not the effects of `plain`, made what they explain.
 
-    The effects stay in the fit as a stand-in for that law, with a form error of `ALIKE_SIZES`, each
-    as probable: 60 or 100 % of what they add. So the law moves the same channels by about as much,
+    The effects stay in the fit as a stand-in for that law, with a form error of 60 or 100 % of what
+    they add (`ALIKE_SIZES`, equally probable). So the law moves the same channels by about as much,
     in a shape that no published form has. `plain` has at least one effect.
     """
     usual = plain_grid(plain.fit)
-    # one row for each size and length of the errors of the laws, with the error of the effects new
+    # One row for each size and span of the base law's error; the error of the effects is replaced.
     rows = [k for k, s in enumerate(usual.sizes) if s.effect == EFFECT_SIZES[0]]
     sizes = [usual.sizes[k]._replace(effect=x) for x in ALIKE_SIZES for k in rows]
     table = np.array([(s.rig, s.effect, *s.law_sizes) for s in sizes])
@@ -546,10 +558,10 @@ def in_place_of_effects(problem: Problem, plain: Evidence) -> Evidence:
 def anonymous(problem: Problem, plain: Evidence) -> Evidence:
     """Evidence of the model of `plain` with an anonymous contribution.
 
-    Where scatter is most probable the model is fitted anew: without scatter its parameters are bent
-    to explain the scatter, and lie far from those under it. The more probable of both is returned.
-    Otherwise a second contribution is tried beside the most probable pattern, with a prior of one
-    half: two patterns may explain what no single one does.
+    Where scatter is most probable the model is fitted anew, since a fit without scatter bends the
+    parameters to explain it. The more probable of both is returned. Otherwise a second contribution
+    is tried beside the most probable pattern, with a prior of one half: two patterns may explain
+    what no single one does.
     """
     free = weigh(problem, plain.fit, anonymous_grid(problem, plain, plain.fit))
     if free.sizes.scatter > 1.0:

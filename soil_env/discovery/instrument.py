@@ -1,10 +1,10 @@
 """Errors of the rig and its sensors: candidates beside the effects of the catalogue, and nuisances
 of every table.
 
-A rig is level, its wheel measured and its sensors calibrated to the standard deviations of
-`Setup.calibration`. Errors of that size are in the covariance of every fit (`nuisances`), so that
-no effect is named for them. A larger one is a candidate with a name, in `INSTRUMENT`. The simulated
-world has none of these, and model.yaml holds none.
+`Setup.calibration` states how well a rig is levelled, its wheel measured and its sensors
+calibrated, as standard deviations. Errors of that size are in the covariance of every fit
+(`nuisances`), so that no effect is named for them. A larger one is a candidate with a name, in
+`INSTRUMENT`. The simulated world has none of these, and model.yaml holds none.
 """
 
 import math
@@ -34,17 +34,18 @@ from soil_env.terramechanics.model import Rows
 
 from .unnamed import OF_LOAD, UNNAMED
 
-#: Standard deviation of a zero error that is a candidate: of the pull, over the median load of the
-#: table; of the torque, over that load times the radius.
+#: Standard deviation of a zero error that is a candidate: that of the pull over the median load of
+#: the table, that of the torque over this load times the radius.
 OFFSET = 0.05
 #: The same of a zero error that is a nuisance, where the setup states none.
 LEAST_OFFSET = 0.003
 #: Standard deviation [median load over the radius] of a spring rate that is a nuisance, where the
 #: setup states none; own choice.
 LEAST_SPRING = 0.1
-PRESSED = (0.2, 3.0)  # of the stated load, within which the true one is sought; own choice
-#: Second change of the load over the first, cut to these. The load is extrapolated by 0.2 to 5
-#: times the second change: a series that hardly converges is not followed to its end; own choice.
+PRESSED = (0.2, 3.0)  # [stated load] least and largest true load that is sought; own choice
+#: Limits of the second change of the load over the first. With them the load is extrapolated by 0.2
+#: to 5 times the second change: a series that hardly converges is not followed to its end; own
+#: choice.
 GROWTH = (-4.0, 0.8)
 STEADY = 1e-9  # [stated load] change of the load below which it is not extrapolated
 
@@ -58,8 +59,9 @@ def _entry(
     equation: str,
     priors=lambda bench: {},
 ) -> Effect:
-    """An error of the rig as an effect of one parameter `p` and one form; `priors` where its size
-    goes with the rig.
+    """An error of the rig as an effect of one parameter `p` and one form.
+
+    `priors` is given where the prior depends on the rig, such as on its load.
     """
     form = Form("constant", (p.name,), equation, "calibration of the rig")
     symbols = {
@@ -76,8 +78,10 @@ def _entry(
 
 
 def _p(name: str, symbol: str, unit: str, most: float, sd: float, doc: str) -> EffectParameter:
-    """A parameter within `most` of 0. Where `_within` sets the prior, `sd` is 0 and `most` so large
-    that it does not count.
+    """A parameter with a prior of mean 0 and standard deviation `sd`, and bounds -`most` and
+    `most`.
+
+    Where `_within` sets the prior, `sd` is 0 and `most` so large that it does not count.
     """
     return EffectParameter(name, symbol, -most, most, sd, doc, unit)
 
@@ -85,8 +89,9 @@ def _p(name: str, symbol: str, unit: str, most: float, sd: float, doc: str) -> E
 def _within(
     name: str, sd: float, most: float, size: Callable[[Bench], float]
 ) -> Callable[[Bench], dict]:
-    """Function of a rig that returns the prior (sd, low, high) of the parameter `name`: `sd` and
-    the bounds -`most` and `most` in units of a size of the rig.
+    """Function for `Effect.priors`: the prior (sd, low, high) of the parameter `name` for a rig.
+
+    `sd` and the bounds -`most` and `most` are in units of the `size` of the rig.
     """
     return lambda bench: {name: (sd * size(bench), -most * size(bench), most * size(bench))}
 
@@ -231,17 +236,17 @@ LAWS: Mapping[str, Effect] = MappingProxyType({**LISTED, **UNNAMED, **OF_LOAD})
 class Choice(NamedTuple):
     """One effect in one of its published forms."""
 
-    effect: str
-    form: int
+    effect: str  # name in `LAWS`
+    form: int  # index in `Effect.forms`
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Parameters of the form, `<effect>_<parameter>`."""
+        """Names `<effect>_<parameter>` of the parameters that the form leaves to be fitted."""
         return _free(self)
 
     @property
     def fixed(self) -> dict[str, float]:
-        """Parameters that the form sets."""
+        """Parameters that the form sets, by the same names."""
         return {f"{self.effect}_{p}": v for p, v in LAWS[self.effect].forms[self.form].fixed}
 
 
@@ -251,27 +256,29 @@ Names = tuple[str, ...]  # a set of effects
 
 @cache
 def _free(choice: Choice) -> tuple[str, ...]:
-    """`Choice.free`, made once for each choice, since fits ask for it often."""
+    """`Choice.free`, cached since fits ask for it often."""
     return tuple(f"{choice.effect}_{p}" for p in LAWS[choice.effect].forms[choice.form].free)
 
 
-def _stated(sd: Calibration) -> dict[str, float | None]:
-    """Standard deviation by name of each error of a rig, as the setup states it; None where it goes
-    with the load.
+def _stated(calibration: Calibration) -> dict[str, float | None]:
+    """Standard deviation by name of each error of a rig, as the setup states it; None where its
+    default depends on the load.
     """
-    return {name: getattr(sd, "tilt_deg" if name == "tilt" else name) for name in INSTRUMENT}
+    return {
+        name: getattr(calibration, "tilt_deg" if name == "tilt" else name) for name in INSTRUMENT
+    }
 
 
-def _sd_of_nuisances(sd: Calibration, bench: Bench) -> dict[str, float]:
-    """Standard deviation by name of each error of a rig as a nuisance: `_stated`, with the usual
-    share of the load where that is None.
+def _sd_of_nuisances(calibration: Calibration, bench: Bench) -> dict[str, float]:
+    """Standard deviation by name of each error of a rig as a nuisance: as `_stated`, else the usual
+    share of the load.
     """
     usual = {
         "force_offset": LEAST_OFFSET * bench.load,
         "torque_offset": LEAST_OFFSET * bench.load * bench.radius,
         "spring_load": LEAST_SPRING * bench.load / bench.radius,
     }
-    return {name: usual[name] if x is None else x for name, x in _stated(sd).items()}
+    return {name: usual[name] if x is None else x for name, x in _stated(calibration).items()}
 
 
 def exact(setup: Setup) -> dict[str, str]:
@@ -303,8 +310,8 @@ def odds(setup: Setup, bench: Bench) -> dict[str, float]:
     most 1.
 
     A rig that is known five times better than usual is wrong a fifth as often, since somebody
-    looked. Raises `ParameterError` for a stated zero error above the median load, or of the torque
-    above that times the radius.
+    looked. Raises `ParameterError` for a stated zero error of the pull above the median load, or of
+    the torque above this load times the radius.
     """
     own = _sd_of_nuisances(setup.calibration, bench)
     usual = _sd_of_nuisances(Calibration(), bench)
@@ -320,8 +327,8 @@ def odds(setup: Setup, bench: Bench) -> dict[str, float]:
 
 
 def true_rows(rows: Rows, values: Values) -> Rows:
-    """Rows with the true wheel radius and with the true slip: the recorded slip was computed with
-    the stated radius.
+    """Rows with the true wheel radius, and with the slip that follows from it: the recorded slip
+    was computed with the stated radius.
     """
     error = values.get("wheel_radius_error", 0.0)
     if error == 0.0:
@@ -337,7 +344,7 @@ def in_balance(rows: Rows, values: Values, outcome: Callable[[Rows], np.ndarray]
     """Sinkage, pull and torque [N, 3], by `outcome`, at the load that really presses on the wheel.
 
     An arm adds a share of torque/radius to the stated load, a spring takes its rate times the
-    sinkage, so load and outcome depend on each other. The load is extrapolated once from three
+    sinkage off, so load and outcome depend on each other. The load is extrapolated once from three
     loads, the stated one and two updates (Aitken 1926, Proc. R. Soc. Edinb. 46:289-305). It stays
     within `PRESSED`.
     """
@@ -350,6 +357,7 @@ def in_balance(rows: Rows, values: Values, outcome: Callable[[Rows], np.ndarray]
         return out
 
     def load_from(out: np.ndarray) -> np.ndarray:
+        """Load [N] under an outcome, within `PRESSED`."""
         z, _, torque = np.nan_to_num(out).T
         return np.clip(start + arm * torque / r - spring * z, *np.outer(PRESSED, start))
 
@@ -362,8 +370,8 @@ def in_balance(rows: Rows, values: Values, outcome: Callable[[Rows], np.ndarray]
 
 
 def reading(out: np.ndarray, values: Values, radius: np.ndarray) -> np.ndarray:
-    """Readings [N, 3] of the sensors of true values `out` [N, 3], under the gains, offsets and
-    crosstalk among `values`; `radius` [N]. The sinkage is read as it is.
+    """Readings [N, 3] of the sensors for true values `out` [N, 3], with the gains, offsets and
+    crosstalk among `values`; `radius` [N] in m. The sinkage is read as it is.
     """
     if not any(name.startswith(("force_", "torque_")) for name in values):
         return out
@@ -378,11 +386,11 @@ def reading(out: np.ndarray, values: Values, radius: np.ndarray) -> np.ndarray:
 def nuisances(
     setup: Setup, bench: Bench, rows: Rows, output: np.ndarray, named: Names
 ) -> np.ndarray:
-    """[N, 3, R] change of the readings by one standard deviation of each error of the rig that is a
-    nuisance; `output` [N, 3]: the model values.
+    """[N, 3, R] change of the readings by one standard deviation of each of R errors of the rig;
+    `output` [N, 3]: model values.
 
-    These are the tilt and the errors of a single sensor, unless they are `named` or the setup rules
-    them out. Errors that move all channels work through the model, and are candidates only.
+    Nuisances are the tilt and the errors of a single sensor, unless they are `named` or the setup
+    rules them out. Errors that move all channels act through the model, and are candidates only.
     """
     spread = _sd_of_nuisances(setup.calibration, bench)
     out = []

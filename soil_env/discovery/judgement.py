@@ -1,6 +1,6 @@
 """Statistics of a finding: intervals, the gap on held-out data and shares of it.
 
-All are linearised about the fits of the search and need no further ones.
+All follow from models linearised about given fits; nothing is fitted here.
 """
 
 import math
@@ -33,9 +33,9 @@ class Interval(NamedTuple):
 class Gap(NamedTuple):
     """Root mean square of measured - predicted on held-out data [unit of the channel]."""
 
-    before: float
-    after: float
-    noise_floor: float
+    before: float  # of the base model
+    after: float  # with the named effects
+    noise_floor: float  # standard deviation of the noise
 
     @property
     def over_noise(self) -> tuple[float, float]:
@@ -44,10 +44,10 @@ class Gap(NamedTuple):
 
     @property
     def remainder(self) -> tuple[float, float | None]:
-        """(error after [unit of the channel], noise taken off in the mean square; that mean square
-        over the one before).
+        """(error after [unit of the channel], without the noise; its mean square over that before).
 
-        An error below the noise counts as 0. The share is None if the error before is below.
+        The variance of the noise is taken off each mean square, which is 0 at least. The ratio is
+        None if nothing is left before.
         """
         before, after = (max(x**2 - self.noise_floor**2, 0.0) for x in (self.before, self.after))
         return math.sqrt(after), after / before if before > 0.0 else None
@@ -56,7 +56,7 @@ class Gap(NamedTuple):
 def intervals(finding: Finding, own: Evidence) -> dict[str, Interval]:
     """Posterior mean and 95 % interval of every unknown, from the same posterior as the names.
 
-    The soil's are of the mixture of all hypotheses and sizes of form errors, each with its
+    Those of the soil are of the mixture of all hypotheses and sizes of form errors, each with its
     probability. Those of the effects are of `own`, the model of the named effects, over the sizes.
     An unknown that is fitted in its logarithm is normal there. No end is beyond a bound.
     """
@@ -94,15 +94,17 @@ def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
     a, e = fit.linearised()
     ways = folds(problem.data)
     rows = np.nonzero(problem.used)[0]
-    top = a[: fit.residual.size]
+    jacobian = a[: fit.residual.size]
     normal = a.T @ a
-    r = e[: fit.residual.size]
-    laws = int(fit.free_unknowns.sum())
-    error = np.zeros(r.size)
+    residual = e[: fit.residual.size]
+    laws = int(fit.free_unknowns.sum())  # the columns after these are form errors
+    error = np.zeros(residual.size)  # [noise] measured less predicted
     for out in (group[rows] for way in ways for group in way):
-        j = top[out]
-        moved = np.linalg.solve(normal - j.T @ j, a.T @ e - j.T @ r[out])
-        error[out] += fit.sizes.scatter * (r[out] - j[:, :laws] @ moved[:laws]) / len(ways)
+        j = jacobian[out]
+        r = residual[out]
+        # Solution of the normal equations without the values that are held out.
+        moved = np.linalg.solve(normal - j.T @ j, a.T @ e - j.T @ r)
+        error[out] += fit.sizes.scatter * (r - j[:, :laws] @ moved[:laws]) / len(ways)
     predicted = np.full(problem.used.shape, math.nan)
     scale = problem.noise * problem.data.relative_sd
     predicted[problem.used] = (
@@ -113,7 +115,9 @@ def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
 
 
 def gaps(problem: Problem, before: np.ndarray, after: np.ndarray) -> dict[str, Gap]:
-    """`Gap` by measured channel of two held-out predictions [N, 3], over the values in use."""
+    """`Gap` by measured channel of held-out predictions `before` and `after` [N, 3], over the
+    values in use.
+    """
     out: dict[str, Gap] = {}
     for j, name in enumerate(CHANNELS):
         used = problem.used[:, j]
@@ -125,10 +129,11 @@ def gaps(problem: Problem, before: np.ndarray, after: np.ndarray) -> dict[str, G
 
 
 def closed(problem: Problem, gap: dict[str, Gap]) -> float | None:
-    """Share of the gap that is closed: of the held-out mean square above the noise, summed over the
-    channels by their number of values.
+    """Share of the gap that is closed, by `gap` of each channel.
 
-    Negative where the error has grown. None where no channel had an error above the noise.
+    The gap is the held-out mean square above the noise, summed over the channels with their numbers
+    of values as weights. The share is negative where the error has grown. None where no channel had
+    an error above the noise.
     """
     before, after = (
         sum(
@@ -147,17 +152,17 @@ def closed_interval(
     of the draws have a gap.
 
     Values of one slip share the error of that slip, and values of one combination of the other
-    conditions share another: both are drawn with replacement, and a row counts as often as its slip
-    times as often as its combination (pigeonhole bootstrap, Owen 2007, Ann. Appl. Stat. 1:386-411;
-    conservative). The models are not refitted, since each value was predicted without its own
-    group.
+    conditions share another. Slips and combinations are drawn with replacement; a row counts as
+    often as its slip times as often as its combination. This is the pigeonhole bootstrap (Owen
+    2007, Ann. Appl. Stat. 1:386-411), which is conservative. The models are not refitted, since
+    each value was predicted without its own group.
     """
     weight = np.ones((_CLOSED_DRAWS, problem.data.rows.slip.size))
     for way in folds(problem.data):
         group = np.argmax(np.stack(way), axis=0)
         equal = np.full(len(way), 1.0 / len(way))
         weight *= rng.multinomial(len(way), equal, size=_CLOSED_DRAWS)[:, group]
-    total = []
+    total = []  # [draws] gap before, gap after
     for held in (before, after):
         square = np.where(problem.used, ((problem.data.y - held) / problem.noise) ** 2, 0.0)
         count = weight @ problem.used  # [draws, 3]
@@ -179,7 +184,7 @@ def shares(problem: Problem, held: dict[Names, np.ndarray]) -> dict[str, float |
     value).
     """
     full = max(held, key=len)
-    closes: dict[Names, float] = {}
+    closes = {}
     for names, after in held.items():
         share = closed(problem, gaps(problem, held[()], after))
         if share is None:  # there is no gap, whatever is added

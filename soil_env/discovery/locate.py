@@ -7,8 +7,9 @@ statistic of a box is standard normal
 
     t = v'e / sqrt(v'P v),    e = P n,    P = I - A (A'A)^-1 A',    n ~ N(0, I),
 
-v being 1 in the box and A the Jacobian of the fit with its priors as further rows. The p value is
-that of the largest |t| over all boxes and channels; its null distribution is simulated through P.
+v being 1 in the box, e the whitened residuals, n their noise and A the Jacobian of the fit. All
+have the priors as further rows. The p value is that of the largest |t| over all boxes and channels;
+its null distribution is simulated through P.
 """
 
 import math
@@ -25,13 +26,13 @@ from .evidence import Evidence
 
 SIGNIFICANT = 0.01  # p value above which a disagreement is not reported
 LAW = 0.1  # relative error of the laws that `structure` allows
-EFFECT = 0.12  # relative error of an effect's form that it allows
+EFFECT = 0.12  # relative error of an effect's form that `structure` allows
 MOST = 4  # disagreements reported
-LEAST_VALUES = 3  # in a box
-_DRAWS = 400  # of the noise, for the distribution of the largest |t|
+LEAST_VALUES = 3  # of a channel in a box
+_DRAWS = 400  # draws of the noise, for the distribution of the largest |t|
 #: Quantile of the simulated maxima at which the number of independent looks is read off.
 _TAIL = 0.95
-#: Least |t| of the mean residual of a box, without projection: what the reader of a report sees.
+#: Least |t| of the mean residual of a box without the projection, which a reader of a report sees.
 _SHOWS = 2.0
 _OPEN = 0.02  # share of a box's variance that the parameters must leave for it to be looked at
 
@@ -45,16 +46,17 @@ class Disagreement:
     region: dict[str, tuple[float, float]]
     size: float  # [m, N or N m] mean of measured - model in the box
     size_sd: float  # the same in standard deviations of the noise of one value
-    p_value: float  # of anything as large anywhere
+    p_value: float  # of as large a |t| in any box and channel
 
 
 Limits = dict[str, tuple[int, int]]  # condition -> (first, last) level
 
 
 def boxes(problem: Problem) -> tuple[tuple[Limits, ...], np.ndarray]:
-    """(limits [R], rows inside [R, N] bool) of all boxes: the whole table, intervals of levels of
-    one condition, half-lines of two. Boxes with less than `LEAST_VALUES` rows are left out, and so
-    is a second box with the same rows.
+    """(limits of each of R boxes, [R, N] bool, True for the rows inside).
+
+    The boxes are the whole table, intervals of levels of one condition, half-lines of two. Boxes
+    with less than `LEAST_VALUES` rows are left out, and so is a second box with the same rows.
     """
     varied = problem.data.varied
     limits: list[Limits] = [{}]
@@ -75,8 +77,8 @@ def boxes(problem: Problem) -> tuple[tuple[Limits, ...], np.ndarray]:
 
 
 def _half_lines(levels: int) -> list[tuple[int, int]]:
-    """(first, last) level of every interval that begins at the first level or ends at the last, but
-    for all levels.
+    """(first, last) level of every interval that begins at the first level or ends at the last; not
+    that of all levels.
     """
     return [(0, k) for k in range(levels - 1)] + [(k, levels - 1) for k in range(1, levels)]
 
@@ -86,18 +88,18 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
     explains the table.
 
     After each, the box is given to the model as a further parameter, so that the next one says
-    something new; in one channel the boxes do not overlap. `fit` gives the form errors that the
-    model may have; `seed` is of the simulated null distribution.
+    something new; in one channel the boxes do not overlap. The form errors that the model may have
+    are those of the `fit`, at its sizes. `seed`: of the simulated null distribution.
     """
     limits, member = boxes(problem)
     a, e = fit.linearised()
     q = np.linalg.qr(a)[0]  # directions that the parameters absorb
     row, channel = np.nonzero(problem.used)
     inside = member[:, row] & (channel == np.arange(3)[:, None])[:, None]
-    where = np.argwhere(inside.sum(axis=2) >= LEAST_VALUES)  # channel, box
+    where = np.argwhere(inside.sum(axis=2) >= LEAST_VALUES)  # [R, 2] channel, box
     if not where.size:
         return ()
-    raw = np.zeros((len(q), len(where)))
+    raw = np.zeros((len(q), len(where)))  # v of the module's docstring, a column for each
     raw[: row.size] = inside[tuple(where.T)].T
     total = np.sqrt(raw.sum(axis=0))
     v, left = _project(raw, q, total)
@@ -105,7 +107,7 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
     # A box must show in the residual without projection as well, with the same sign.
     plain = (raw[: row.size].T @ fit.residual) / total
     out: list[Disagreement] = []
-    taken: list[tuple[int, np.ndarray]] = []
+    taken: list[tuple[int, np.ndarray]] = []  # (channel, values inside [N, bool])
     allowed = left & (np.abs(plain) > _SHOWS)
     while len(out) < MOST and allowed.any():
         t = v.T @ e
@@ -129,8 +131,8 @@ def structure(problem: Problem, model: Evidence, seed: int = 0) -> float:
     other conditions; 1 where none is significant.
 
     A posterior predictive check: noise, laws that are off by `LAW` and effects whose form is off by
-    `EFFECT` (or by their most probable size, if that is larger) explain no such pattern. Unlike the
-    evidence, the check needs no other model to compare with.
+    `EFFECT` explain no such pattern. If their most probable size is larger than `EFFECT`, that
+    counts. Unlike the evidence, the check needs no other model to compare with.
     """
     effect = max(model.sizes.effect, EFFECT) if model.fit.choices else 0.0
     sizes = Sizes(LAW, effect, span=model.sizes.span, scatter=model.sizes.scatter, rig=1.0)
@@ -141,8 +143,10 @@ def structure(problem: Problem, model: Evidence, seed: int = 0) -> float:
 
 
 def _project(v: np.ndarray, q: np.ndarray, total: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(columns of v [M, R] without the orthonormal directions q, of length 1; [R] True for those
-    that keep `_OPEN` of the square of their length `total`). Others become 0.
+    """(columns of v [M, R] without the orthonormal directions q [M, K], scaled to the length 1;
+    [R] bool, True for those that keep the share `_OPEN` of their variance).
+
+    `total` [R]: lengths before any projection. Columns that keep less become 0.
     """
     v = v - q @ (q.T @ v)
     length = np.sqrt(np.einsum("mr,mr->r", v, v))
@@ -153,11 +157,11 @@ def _project(v: np.ndarray, q: np.ndarray, total: np.ndarray) -> tuple[np.ndarra
 def _independent_looks(
     v: np.ndarray, channel: np.ndarray, freedom: float, rng: np.random.Generator
 ) -> float:
-    """Number of independent looks whose largest |t| has the quantile `_TAIL` of the largest |t|
-    over the columns of v, which is simulated under the null; at least 1.
+    """Number of independent looks, at least 1, that is equivalent to the columns of v [M, R].
 
-    `channel`: that of each column. Noise that is known to `freedom` degrees has an error for each
-    channel.
+    The largest |t| of so many looks has the same quantile `_TAIL` as the largest |t| over the
+    columns, which is simulated under the null. `channel` [R]: that of each column. Noise that is
+    known to `freedom` degrees has an error of its own in each channel.
     """
     t = np.abs(rng.standard_normal((_DRAWS, v.shape[0]), dtype=np.float32) @ v.astype(np.float32))
     if math.isfinite(freedom):
@@ -181,8 +185,9 @@ def _p_value(t: float, looks: float, freedom: float) -> float:
 def _disagreement(
     problem: Problem, fit: Fit, channel: str, box: Limits, member: np.ndarray, p: float
 ) -> Disagreement:
-    """`Disagreement` of a box with the rows `member` [N] bool: its limits as values of the table,
-    and the mean residual of the values in use.
+    """`Disagreement` in a box with the rows `member` [N, bool] and the p value p.
+
+    Limits are values of the table; the size is the mean residual of the values in use.
     """
     j = CHANNELS.index(channel)
     varied = problem.data.varied

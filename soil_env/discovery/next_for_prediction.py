@@ -17,7 +17,7 @@ from .evidence import Evidence
 from .next_tests import MOST, conditions, costs
 from .prediction import Prediction
 
-LARGEST = 300  # runs to choose from
+LARGEST = 300  # most runs to choose from
 
 
 class SurerRun(NamedTuple):
@@ -53,12 +53,12 @@ class Uncertainty:
         return self.mean_sd(self._gained(g))
 
     def make(self, g: int) -> None:
-        """Make run g."""
+        """Lower the covariance by what run g tells."""
         gained = self._gained(g)
         self.covariance = self.covariance - (gained.T @ gained).reshape(self.covariance.shape)
 
     def _gained(self, g: int) -> np.ndarray:
-        """L [C, G C] of run g: once it is made, the covariance is less by L'L."""
+        """L [C, G C] of run g: making it lowers the covariance by L'L."""
         root = cholesky(self.covariance[g, :, g] + self.noise, lower=True)
         across = self.covariance[g].reshape(self.noise.shape[0], -1)
         return solve_triangular(root, across, lower=True)

@@ -6,11 +6,11 @@ to give about the candidates i of probability P_i is at least
 
     I = -sum_i P_i ln sum_j P_j exp(-B_ij)
 
-(Kolchinsky & Tracey 2017, Entropy 19:361). B_ij is the Bhattacharyya distance of what i and j
-predict there together. exp(-B_ij) is also the factor by which the odds of j
-against i are expected to change if i is right, under the square root of the evidence; `search`
-tempers it a little less. Runs are chosen one after the other, each by the information that it adds
-to those before it for its cost.
+(Kolchinsky & Tracey 2017, Entropy 19:361). B_ij is the Bhattacharyya distance between the joint
+predictions of these runs by i and j. exp(-B_ij) is also the factor by which the odds of j against i
+are expected to change if i is right. That holds under the square root of the evidence; `search`
+tempers the evidence a little less. Runs are chosen one after the other, each by the information
+that it adds to those before it for its cost.
 """
 
 import math
@@ -30,12 +30,12 @@ from .predictive import predicted, problem_at
 from .search import ODDS, Finding, forms
 
 MOST = 4  # runs proposed
-LEAST = 1e-3  # [nat] of information below which no run is proposed
-#: [nat] of information below which no check is asked for: what finding a candidate of 5 % is worth.
+LEAST = 1e-3  # [nat] information below which no run is proposed
+#: [nat] information below which no check is asked for: what finding a candidate of 5 % is worth.
 LEAST_OF_CHECK = 0.2
 WITHIN_REACH = 0.01  # least probability of a candidate
-CANDIDATES = 14  # at most, the most probable ones
-#: Of the runs to choose from, where the setup says nothing of the rig.
+CANDIDATES = 14  # most candidates: the most probable ones
+#: Slips of the runs to choose from, where the setup says nothing of the rig.
 SLIPS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 #: Factors on the least and the largest load and speed of the table: the ends of the runs to choose
 #: from, where the setup says nothing of the rig; own choice.
@@ -43,8 +43,8 @@ LOAD_FACTORS = (0.7, 1.4)
 SPEED_FACTORS = (0.5, 2.0)
 ENOUGH = 0.995  # probability of the right candidate from which no further run is proposed
 BASE = "base model"
-_LARGEST = 3000  # points of a grid
-_LEAST_SUM = 1e-300  # of probabilities, which they are divided by: all may be 0
+_LARGEST = 3000  # most runs of a grid
+_LEAST_SUM = 1e-300  # least sum of probabilities, since it divides: all may be 0
 _SAME = 1e-6  # relative difference of a condition below which no price is paid for a change
 _WIDE = 1.1  # largest over least value, from which a middle between them is a level of its own
 
@@ -55,8 +55,8 @@ class Check(NamedTuple):
     """
 
     name: str
-    work: str  # to do
-    decides: Names
+    work: str  # what to do, in words
+    decides: Names  # errors of the rig
 
 
 #: Beginning of the work of a check, and what each error that it decides adds to that.
@@ -115,9 +115,9 @@ def _listed(parts: Collection[str]) -> str:
 class Predicted(NamedTuple):
     """A candidate at one run: its probability before it, and what it predicts, with noise."""
 
-    name: str
+    name: str  # of its effects, with " and " between them
     probability: float
-    mean: list[float]  # as CHANNELS, SI; NaN where not measured
+    mean: list[float]  # in the order of `CHANNELS` [m, N, N m]; NaN where not measured
     sd: list[float]
 
 
@@ -128,37 +128,39 @@ class NextTest:
     conditions: dict[str, float]  # slip, load [N] and what else matters, as the columns of a table
     predicted: tuple[Predicted, ...]  # by every candidate, the most probable first
     separates: tuple[str, str]  # candidates that it separates most
-    channel: str  # in which
+    channel: str  # in which it separates them most
     expected_sigma: float  # difference of their predictions there over its standard deviation
     #: Least probability of the right candidate, on average, once this run and those before it are
     #: made.
     sure: float
-    cost: float
+    cost: float  # in the unit of the prices of the setup; a run costs 1 by default
     information: float  # [nat] expected at least, beyond the runs before it
-    repeat: bool = False  # of the run that the model misses most
+    repeat: bool = False  # it repeats the run that the model misses most
 
 
 class Grid(NamedTuple):
     """Conditions [G] that could be run."""
 
-    value: dict[str, np.ndarray]  # by column
-    asked: tuple[str, ...]  # columns that matter
+    value: dict[str, np.ndarray]  # [G] by column of a table
+    asked: tuple[str, ...]  # columns that a proposal names
 
 
 class Candidates(NamedTuple):
-    """Candidates and their joint predictions [G, C] of the measured channels on a grid, in units of
-    the noise.
+    """K candidates and their joint predictions of the C measured channels at the G runs of a grid,
+    in units of the noise.
     """
 
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # [K]
     share: np.ndarray  # [K] probability
     mean: np.ndarray  # [K, G, C]
-    root: tuple[np.ndarray, ...]  # K of [G, C, R], (root root') is the covariance
+    root: tuple[np.ndarray, ...]  # [K] of [G, C, R]: root root' is the covariance
     own: np.ndarray  # [K, G, C] further variance of every value by itself, the noise with it
 
     def joint(self, chosen: Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
-        """Joint predictions (mean [K, G, m], covariance [K, G, m, m]) of the n chosen runs together
-        with each run of the grid, which is the last of them: m = (n + 1) C.
+        """Joint predictions (mean [K, G, m], covariance [K, G, m, m]) of the n chosen runs with
+        each run of the grid, m = (n + 1) C.
+
+        That run is the last of them.
         """
         chosen = list(chosen)
         mean, own = (_behind(x[:, chosen], x) for x in (self.mean, self.own))
@@ -168,8 +170,9 @@ class Candidates(NamedTuple):
 
 
 def _behind(first: np.ndarray, each: np.ndarray) -> np.ndarray:
-    """[K, G, (n + 1) C, ..]: values of the `first` runs [K, n, C, ..], repeated for each of the G
-    runs, and behind them those of that run (`each` [K, G, C, ..]).
+    """[K, G, (n + 1) C, ..] values of the `first` runs [K, n, C, ..], repeated for each of G runs.
+
+    Behind them are the values of that run, from `each` [K, G, C, ..].
     """
     known = first.reshape(len(first), 1, -1, *each.shape[3:])
     known = np.broadcast_to(known, (*each.shape[:2], *known.shape[2:]))
@@ -186,11 +189,7 @@ def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[Ne
     """
     share = _shares(finding)
     found = {h.names: h.evidence for h in finding.hypotheses if not h.free}
-    unseen = [
-        e.name
-        for e in LISTED.values()
-        if e.name in finding.untestable and _could_show(problem, e.name)
-    ]
+    unseen = [n for n in LISTED if n in finding.untestable and _could_show(problem, n)]
     for name in unseen if share[()] * ODDS >= WITHIN_REACH else ():
         share[name,] = share[()] * ODDS
         found[name,] = settle(problem, (forms(problem, name)[0],))
@@ -211,8 +210,9 @@ def next_checks(
     """
     least = max((t.information for t in runs), default=0.0)
     share = {s: p for s, p in _shares(finding).items() if p > 0.0}
+    # The last candidate is what is in no catalogue: no check decides that.
     names = [*share, ()]
-    p = np.array([*share.values(), finding.unlisted])  # no check knows what is in no catalogue
+    p = np.array([*share.values(), finding.unlisted])
     left = list(open_checks(known))
     out = []
     before = 0.0
@@ -232,8 +232,8 @@ def next_checks(
 
 
 def sure_of(finding: Finding) -> float:
-    """Probability that the right set of effects has on average: sum of P^2, with P the
-    probabilities of the sets that predict something, scaled to the sum 1.
+    """Average probability of the right set of effects: sum of P^2, with P the probabilities of the
+    sets that predict something, scaled to the sum 1.
     """
     share = np.array([*_shares(finding).values()])
     return float(np.sum(share**2) / max(np.sum(share), _LEAST_SUM) ** 2)
@@ -263,12 +263,13 @@ def proposed(
 
     Each is the feasible run of the grid with most information for its cost beyond the runs before
     it. They end where it has less than `LEAST`, or where the right candidate has `ENOUGH`. With
-    `repeat`, the run of the table that the first candidate misses most comes first. Without it, one
-    candidate needs no run.
+    `repeat`, the run of the table that the first candidate misses most comes first. Without it, no
+    run is proposed for a single candidate.
     """
     if len(evidence) < 2 and not repeat:
         return ()
     grid = conditions(problem, evidence)
+    # The run of the table that is missed most is the last of the grid.
     missed = np.nan_to_num(np.abs(problem.data.y - evidence[0].fit.output) / problem.noise)
     worst = int(np.argmax(missed.max(axis=1)))
     last = grid.value["slip"].size
@@ -317,8 +318,8 @@ def _described(
 ) -> tuple[tuple[Predicted, ...], tuple[str, str], str, float]:
     """What `NextTest` says of run g: (predicted, separates, channel, expected_sigma).
 
-    `own` [K, C]: standard deviations of the run. The rival of the first candidate is the one that
-    differs most from it, weighted with its probability.
+    `own` [K, C]: standard deviations of the predictions of this run. The rival of the first
+    candidate is the one that differs most from it, weighted with its probability.
     """
     seen = problem.used.any(axis=0)
     mean = np.full((len(of.names), 3), np.nan)
@@ -335,7 +336,7 @@ def _described(
 
 def overlaps(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
     """[K, K, G] exp(-B), with B the Bhattacharyya distance between the normal predictions of two
-    candidates, `mean` [K, G, m], `cov` [K, G, m, m]: 1 where they predict the same.
+    candidates: 1 where they predict the same. `mean` [K, G, m], `cov` [K, G, m, m].
     """
     count, points = mean.shape[:2]
     out = np.ones((count, count, points))
@@ -354,24 +355,24 @@ def overlaps(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
 
 
 def information(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
-    """[G] least information [nat] about which of K candidates is right, by the formula above;
-    `overlap` [K, K, G].
+    """[G] least information [nat] about which of K candidates is right: I of the module's
+    docstring; `share` [K], `overlap` [K, K, G].
     """
     out: np.ndarray = -share @ np.log(np.einsum("j,ijg->ig", share, overlap))
     return out
 
 
 def sureness(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
-    """[G] least probability that the right candidate has afterwards, on average (by Jensen's
-    inequality).
+    """[G] least average probability of the right candidate after a run (by Jensen's inequality);
+    `share` [K], `overlap` [K, K, G].
     """
     out: np.ndarray = share**2 @ (1.0 / np.einsum("j,ijg->ig", share, overlap))
     return out
 
 
 def decided(names: Sequence[Names], check: Check) -> np.ndarray:
-    """[K, K] overlap after a check: 0 for two sets of effects that differ in what it decides, 1 for
-    others.
+    """[K, K] overlap of sets of effects under a check: 0 for two that differ in what it decides,
+    else 1.
     """
     of = [{*check.decides} & {*n} for n in names]
     return np.array([[float(a == b) for b in of] for a in of])
@@ -381,8 +382,9 @@ def costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
     """[G] cost of each run, by the prices of the setup's rig: of a run, and of each condition that
     differs from the run before.
 
-    That is the last chosen run, or the last row of the table. A change of any size of the wheel is
-    one change. A pass costs for each pass that has to be made before it on fresh soil.
+    The run before is the last of the `chosen` runs (indices of the grid), or the last row of the
+    table. A change of any sizes of the wheel is one change. A pass costs for each pass that has to
+    be made before it on fresh soil.
     """
     prices = {"run": 1.0} | problem.data.setup.rig.cost
     table = problem.data.conditions
@@ -392,7 +394,6 @@ def costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
     }
     counted["run"] = np.ones(grid.value["slip"].size)
     counted["wheel"] = np.any([counted[n] for n in WHEEL], axis=0)
-    # The passes before it have to be made first.
     counted["pass"] = np.maximum(grid.value["pass"] - 1.0, 0.0)
     out: np.ndarray = np.sum([price * counted[name] for name, price in prices.items()], axis=0)
     return out
@@ -403,20 +404,20 @@ def _of_rig(problem: Problem) -> dict[str, Sequence[float]]:
     none; no speeds where the table has none.
     """
     rig = problem.data.setup.rig
-    timed = problem.bench.speed > 0.0
     return {
         "slip": rig.slips,
         "load": rig.loads,
-        "speed": rig.speeds if timed else (),
+        "speed": rig.speeds if problem.bench.speed > 0.0 else (),
         "pass": rig.passes,
         "grade_deg": rig.grades_deg,
     }
 
 
 def _levels(problem: Problem) -> dict[str, list[float]]:
-    """Values of each condition but the wheel: those of the rig, else around those of the table.
+    """Values of each condition but the wheel: those of the rig, else values around those of the
+    table.
 
-    Around them are `SLIPS`, loads and speeds by `_around`, passes to one more than the table has,
+    The latter are `SLIPS`, loads and speeds by `_around`, passes up to one more than the table has,
     and its least and largest grade.
     """
     column = problem.data.conditions
@@ -444,16 +445,17 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
     """Runs to choose from: all combinations of slips, loads, wheels, and of the speeds, passes and
     grades that a candidate depends on, at most `_LARGEST` of them.
 
-    Where no candidate depends on a condition, it has one value: the median speed, the least pass,
-    or the grade nearest to 0 in the range of the table, or what the rig has nearest to that.
+    A condition on which no candidate depends has one value: the median speed, the least pass, the
+    grade nearest to 0 in the range of the table. If the rig lists values, it is the nearest of
+    these.
     """
     column = problem.data.conditions
     rig = problem.data.setup.rig
     grade = column["grade_deg"]
     choices = [choice for c in candidates for choice in c.fit.choices]
-    known = {"slip", "load"} | {LISTED[c.effect].varies for c in choices}
+    needed = {LISTED[c.effect].varies for c in choices}
     if any("drivetrain_friction_viscous" in c.free for c in choices):
-        known.add("speed")
+        needed.add("speed")
     usual = {
         "speed": float(np.median(column["speed"])),
         "pass": float(column["pass"].min()),
@@ -461,7 +463,7 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
     }
     levels = _levels(problem)
     of_rig = _of_rig(problem)
-    for name in usual.keys() - known:
+    for name in usual.keys() - needed:
         nearest = min(of_rig[name] or [usual[name]], key=lambda x: abs(x - usual[name]))
         levels[name] = [float(nearest)]
     wheels = np.unique(problem.data.rows.wheels, axis=0)
@@ -481,8 +483,10 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
 
 
 def _around(x: np.ndarray, below: float, above: float) -> list[float]:
-    """Ascending levels: the least value times `below`, the least, the middle, the largest, and that
-    times `above`. Levels that the table does not have are rounded to two digits.
+    """Ascending levels: the least value of x times `below`, the least, the geometric middle, the
+    largest, and this times `above`; the middle only if they differ (`_WIDE`).
+
+    Levels that the table does not have are rounded to two digits.
     """
     low = float(x.min())
     high = float(x.max())

@@ -4,11 +4,11 @@ smooth remainder of each channel.
     y = f(u; conditions) + g + noise,    u ~ N(0, 1),    g ~ GP(0, a^2 s^2 k)
 
 The unknowns u are the soil and the parameters of all effects, whitened by their priors, which
-shrink each effect to its published size. g is a Gaussian process of each channel over the
-conditions, of the relative size a of the channel's scale s; its sizes and lengths and the noise are
-those of the largest marginal likelihood, linearised about the fit (Kennedy & O'Hagan 2001, J. R.
-Stat. Soc. B 63:425-464). Which effect is there is another question (`search`): effects that the
-table cannot tell apart predict the same.
+shrink each effect to its published size. g is the remainder, a Gaussian process of each channel
+over the conditions with a correlation k; a is its size relative to the scale s of the channel. Its
+sizes and lengths and the noise are those of the largest marginal likelihood, linearised about the
+fit (Kennedy & O'Hagan 2001, J. R. Stat. Soc. B 63:425-464). Which effect is there is another
+question (`search`): effects that the table cannot tell apart predict the same.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from .instrument import LISTED, Choice, Choices
 from .search import candidates, forms
 from .unnamed import OF_LOAD
 
-#: Forms of each effect that are fitted together; the first of the others.
+#: Forms of an effect that are fitted together; of effects that are not here, the first form.
 FORMS = {"slip_sinkage": ("ratio", "exponent"), "grousers": ("shear_radius", "blades")}
 #: Errors of the rig that soil and remainder absorb, and that cost further balances.
 LEFT_OUT = (
@@ -53,14 +53,14 @@ LEFT_OUT = (
 )
 ROUNDS = 2  # of fitting the unknowns and learning the remainder, in turn
 OFF_BOUND = 0.3  # [prior sd] least distance of the start from a bound; own choice
-IMPOSSIBLE = 1e10  # -ln of the likelihood of what has none
+IMPOSSIBLE = 1e10  # -ln of the likelihood where it cannot be computed
 FORCE_SCALE = 0.3  # of the load: scale of pull, and of torque over the radius; own choice
 LEAST_SINKAGE = 0.004  # [radii] least scale of the sinkage; own choice
-#: Widening of the standard deviations, measured on rigs: linearised intervals held too rarely.
+#: Factor on the standard deviations, measured on rigs: linearised intervals held too rarely.
 WIDER = 1.35
-FEWEST_GROUPS = 3  # levels of a condition, from which they are left out in turn
-FEWEST = 4  # values of a channel, for a curve
-FAR = 12.0  # logarithm of a size or length, of either sign, at which its search ends
+FEWEST_GROUPS = 3  # levels or combinations, from which they are left out in turn
+FEWEST = 4  # values of a channel, from which it has a curve
+FAR = 12.0  # largest |logarithm| of a size or length that is tried
 STEPS_TO_LEARN = 25  # most steps of the search for sizes and lengths; own choice
 
 
@@ -68,22 +68,22 @@ class Learnt(NamedTuple):
     """What is learnt of the remainder and of the noise."""
 
     size: np.ndarray  # [3] a of each channel
-    lengths: dict[str, float]  # of the slip and of ln W
-    beyond: np.ndarray  # [3] noise beyond the stated, over it
+    lengths: dict[str, float]  # correlation lengths of the slip and of ln W
+    beyond: np.ndarray  # [3] sd of further noise of each channel, over the stated one
 
     @classmethod
     def from_logarithms(cls, logarithms: np.ndarray) -> Learnt:
-        """From natural logarithms [8] of three sizes, two lengths (slip, load) and three noises."""
+        """Inverse of `logarithms`."""
         size, lengths, beyond = np.split(np.exp(logarithms), (3, 5))
         return cls(size, dict(zip(USUAL.lengths, lengths.tolist(), strict=True)), beyond)
 
     @property
     def logarithms(self) -> np.ndarray:
-        """[8], in the order of the fields."""
+        """[8] natural logarithms of three sizes, two lengths (slip, load) and three noises."""
         return np.log([*self.size, *self.lengths.values(), *self.beyond])
 
 
-#: Medians, and standard deviations `SPREAD` of the logarithm, before the table is seen: own
+#: Medians of the log-normal priors; `SPREAD` are standard deviations of the logarithms. Own
 #: assumptions.
 USUAL = Learnt(np.full(3, 0.1), {"slip": 0.4, "load": 1.0}, np.full(3, 0.5))
 NO_REMAINDER = Learnt(np.zeros(3), USUAL.lengths, np.zeros(3))  # and the stated noise alone
@@ -101,20 +101,20 @@ class Predicted(NamedTuple):
 
 class Errors(NamedTuple):
     """Root mean square of measured less predicted values of rows that were left out [unit of the
-    channel]; NaN where no curve knows the conditions.
+    channel], by each kind of prediction, and the noise.
     """
 
-    base: float
+    base: float  # by the base model
     corrected: float  # by all effects and a remainder
-    curve: float
+    curve: float  # by a generic curve; NaN where the curve does not know the conditions
     noise: float
 
 
 class LeftOut(NamedTuple):
     """Predictions of what was left out, one level of a condition after the other."""
 
-    split: str  # slip, load, or condition: a combination of all but the slip
-    what: tuple[str, ...]  # conditions, which share a level
+    split: str  # "slip", "load", or "condition": a combination of all conditions but the slip
+    what: tuple[str, ...]  # conditions whose levels, or combinations, are left out in turn
     errors: dict[str, Errors]  # by measured channel
     over_noise: Errors  # of all channels, over their noise
 
@@ -122,7 +122,7 @@ class LeftOut(NamedTuple):
 class Outlook(NamedTuple):
     """What can be predicted, and how well."""
 
-    model: Prediction
+    model: Prediction  # fitted to all rows
     left_out: tuple[LeftOut, ...]
 
 
@@ -187,7 +187,7 @@ class _Remainder:
         return (x[:, None] - x) ** 2
 
     def correlation(self, points: np.ndarray, others: np.ndarray, learnt: Learnt) -> np.ndarray:
-        """[N, P] correlation of the remainder at points [N, D] with that at others [P, D]."""
+        """[N, P] correlation k of the remainder at points [N, D] with that at others [P, D]."""
         lengths = LENGTHS | learnt.lengths
         off = (points[:, None, :] - others) / np.array([lengths[n] for n in self.names])
         return np.exp(-0.5 * np.sum(off**2, axis=2))
@@ -225,18 +225,18 @@ class _Channel(NamedTuple):
     """Covariance of remainder and noise of the m values of a channel."""
 
     places: np.ndarray  # [m] among all M values
-    root: np.ndarray  # [m, m] lower Cholesky factor
-    remainder: np.ndarray  # [m, m]
-    noise: np.ndarray  # [m] variance
+    root: np.ndarray  # [m, m] lower Cholesky factor of the sum of both
+    remainder: np.ndarray  # [m, m] covariance of the remainder
+    noise: np.ndarray  # [m] variance of the noise
 
 
 class _Covariance(NamedTuple):
-    """Covariance of remainder and noise of M values over the noise: channels are independent."""
+    """Covariance of remainder and noise of M values over the noise; channels are independent."""
 
     channels: list[_Channel]
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
-        """C^-1/2 v of values v [M] or [M, B] with this covariance C: independent, of variance 1."""
+        """C^-1/2 v of values v [M] or [M, B] with this covariance C."""
         out = np.empty_like(values, dtype=float)
         for channel in self.channels:
             out[channel.places] = solve_triangular(channel.root, values[channel.places], lower=True)
@@ -255,13 +255,13 @@ class Prediction:
     """
 
     law: Law
-    u: np.ndarray  # [p]
+    u: np.ndarray  # [p] unknowns
     remainder: _Remainder
     learnt: Learnt
-    output: np.ndarray  # [N, 3] of the law
-    residual: np.ndarray  # [M]
-    jacobian: np.ndarray  # [M, p]
-    covariance: _Covariance
+    output: np.ndarray  # [N, 3] values of the law alone
+    residual: np.ndarray  # [M] measured less these values
+    jacobian: np.ndarray  # [M, p] their derivatives by u
+    covariance: _Covariance  # of the M values
 
     @property
     def problem(self) -> Problem:
@@ -289,13 +289,13 @@ class Prediction:
 
     @property
     def variance_of_run(self) -> np.ndarray:
-        """[3] variance of the values of a run by themselves, over the variance of the noise: stated
-        noise and what was learnt beyond it.
+        """[3] variance of the noise of a run, over that of the stated noise: this and what was
+        learnt beyond it.
         """
         return 1.0 + self.learnt.beyond**2
 
     def joint_at(self, conditions: Conditions) -> np.ndarray:
-        """[N, 3, N, 3] covariance of the values at conditions, without noise, over the noise."""
+        """[N, 3, N, 3] covariance of the true values at conditions, over the noise."""
         there = at_conditions(self.problem, conditions)
         _, law, across = self._means(there)
         top, known, shared = self._covariance_factors(there, law, across)
@@ -309,11 +309,12 @@ class Prediction:
     def _covariance_factors(
         self, there: Problem, law: np.ndarray, across: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """T [p, 3 N], A [M, 3 N], B [p, 3 N], for the covariance of the values at N rows given the
-        M values of the table.
+        """(T [p, 3 N], A [M, 3 N], B [p, 3 N]), which give the covariance of the values at N rows
+        given the M values of the table.
 
-        It is T'T - A'A + B'B plus the prior covariance of the remainder: what the unknowns spread
-        before the table, less what the table tells. `law` and `across` are those of `_means`.
+        It is T'T - A'A + B'B plus the prior covariance of the remainder. T'T is that by the prior
+        of the unknowns, and A'A - B'B is what the table tells. `law` and `across` are those of
+        `_means`.
         """
         top = Law(there, self.law.choices, np.maximum(law[:, 0], 0.0)).derivatives(self.u)
         # The values are known through the unknowns and through the remainder: with J whitened,
@@ -324,7 +325,7 @@ class Prediction:
         return top.T, known, solve_triangular(root, j.T @ known, lower=True)
 
     def mean_at(self, conditions: Conditions) -> np.ndarray:
-        """[N, 3] predicted values alone."""
+        """[N, 3] predicted values at conditions [N], without standard deviations."""
         return self._means(at_conditions(self.problem, conditions))[0]
 
     def _means(
@@ -333,8 +334,8 @@ class Prediction:
         """(predicted values [N, 3], values of the law alone [N, 3], covariance [M, 3 N]) at N other
         rows.
 
-        The covariance is of the remainder there with the M values of the table, whitened by the
-        covariance of these.
+        The covariance is that of the remainder there with the M values of the table, whitened by
+        the covariance of the latter.
         """
         values = self.values
         if "tilt_deg" in without:
@@ -363,8 +364,8 @@ def fit_prediction(
     """The fit of the effects that the table can carry, or of `choices`, with a remainder.
 
     Unknowns and remainder are found in turn. If not `smooth`, there is no remainder and the fit is
-    under the noise alone. With `near`, a fit to a table with more values in use, the fit has its
-    effects, starts from its unknowns, and keeps what was learnt of the remainder.
+    under the noise alone. `near` is a fit to a table with more values in use. The fit then has the
+    effects of `near`, starts from its unknowns, and keeps what it learnt of the remainder.
     """
     if near is not None:
         law = Law(problem, near.law.choices)
@@ -388,8 +389,8 @@ def fit_prediction(
 def _fitted(law: Law, start: np.ndarray, learnt: Learnt) -> Prediction:
     """The `Prediction` with the most probable unknowns.
 
-    They are sought from `start` under a covariance whose scales are those of the output there. The
-    covariance that is returned has the scales of the output that was found.
+    They are sought from `start` [p] under a covariance with the scales of the output at `start`.
+    The covariance of the result has the scales of the output that was found.
     """
     problem = law.problem
     remainder = _Remainder(problem)
@@ -402,8 +403,10 @@ def _fitted(law: Law, start: np.ndarray, learnt: Learnt) -> Prediction:
 
 
 def _learn(fit: Prediction, start: Learnt) -> Learnt:
-    """Sizes and lengths of the remainder and further noise of the largest marginal likelihood, with
-    their priors, linearised about a fit; sought from `start`.
+    """Sizes and lengths of the remainder, and further noise, that are most probable under their
+    priors; sought from `start`.
+
+    The marginal likelihood is linearised about the fit.
     """
     remainder = fit.remainder
     used = fit.problem.used
@@ -413,8 +416,10 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
     square = {name: remainder.square(name) for name in USUAL.lengths if name in remainder.names}
 
     def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
-        """-ln of the likelihood and its derivatives: with a = K^-1 e of the covariance K of the
-        values, (tr(K^-1 dK) - a'dK a)/2.
+        """(-ln of likelihood times prior, its derivatives [8]) at logarithms x [8].
+
+        With the covariance K of the values and a = K^-1 e, the derivative of the likelihood's part
+        is (tr(K^-1 dK) - a'dK a)/2.
         """
         if np.any(np.abs(x) > FAR):
             return IMPOSSIBLE, np.zeros(x.size)
@@ -432,6 +437,7 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
         value = 0.5 * (v @ a + off @ off) + c.log_size + log_diagonal(of_unknowns)
         slope = off / SPREAD
         for k, (at, root, alike, noise) in enumerate(c.channels):
+            # g = (K^-1 - a a')/2 within the channel.
             inverse = solve_triangular(root, np.eye(at.size), lower=True)
             beside = inverse.T @ np.column_stack([b[at], a[at]])
             g = 0.5 * (inverse.T @ inverse - beside @ beside.T)
@@ -444,17 +450,17 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
                     slope[n] += np.sum(g * square[name][use]) / length**2
         return float(value), slope
 
-    # What the table does not show has no slope but that of its prior, and stays usual.
+    # What the table does not show has only the slope of its prior, and stays at its usual value.
     options = {"maxiter": STEPS_TO_LEARN}
     found = minimize(cost, start.logarithms, jac=True, method="L-BFGS-B", options=options)
     return Learnt.from_logarithms(found.x)
 
 
 def curve_at(problem: Problem, conditions: Conditions) -> np.ndarray | None:
-    """[N, 3] values at conditions of the generic curve (`curve`) through the values in use.
+    """[N, 3] values, at conditions [N], of the generic curves (`curve`) through the values in use.
 
-    None where anything but slip and load varies in the table, which the curve does not know. NaN
-    for a channel with less than `FEWEST` values.
+    None where a condition varies in the table that a curve does not know: any but slip and load.
+    NaN for a channel with less than `FEWEST` values.
     """
     if set(independent(problem)) - {"slip", "load"}:
         return None
@@ -481,13 +487,14 @@ def outlook(problem: Problem) -> Outlook:
     splits: dict[str, tuple[str, ...]] = {"slip": ("slip",)}
     if "load" in others:
         splits["load"] = ("load",)
-    if others not in ((), ("load",)):
+    if {*others} - {"load"}:
         splits["condition"] = others
     out = []
     for split, what in splits.items():
         groups = combinations_of([problem.data.varied[name].level for name in what])
         if groups.max() + 1 < FEWEST_GROUPS:
             continue
+        # By base model, all effects with the remainder, curve.
         held = np.full((3, *problem.used.shape), np.nan)
         for k in range(groups.max() + 1):
             group = groups == k
@@ -509,6 +516,7 @@ def _errors(problem: Problem, split: str, what: tuple[str, ...], held: np.ndarra
     off = held - problem.data.y
 
     def size(values: np.ndarray, noise: float) -> Errors:
+        """`Errors` of deviations [3, m]."""
         base, full, curve = np.sqrt(np.mean(values**2, axis=1))
         return Errors(float(base), float(full), float(curve), noise)
 

@@ -21,14 +21,14 @@ from .instrument import LISTED
 from .prediction import at_conditions
 
 DEEPEST = 0.6  # [radii] deepest sinkage of a feasible run; own choice
-_BEYOND = 30.0  # [sd] from which a normal density is none
-_FUNCTIONS = 60  # of a form error over table and other rows, at most
-_NEAR = 4.0  # [sd] distance of a bound above which it changes nothing
-#: [sd] distance beyond a bound from which an unknown is put on it: inside there is no probability
-#: left to compute with.
+_BEYOND = 30.0  # [sd] distance from which a normal density counts as 0
+_FUNCTIONS = 60  # most functions of the process of a form error over table and other rows
+_NEAR = 4.0  # [sd] distance of a mean from a bound, above which the bound changes nothing
+#: [sd] distance of a mean outside a bound, from which the unknown is put on the bound: inside there
+#: is no probability left to compute with.
 _OUTSIDE = 8.0
 _LEAST_LEFT = 1e-4  # least share of its variance that a bounded unknown keeps
-_JITTER = 1e-12  # of a unit variance, with which rounding leaves a covariance positive
+_JITTER = 1e-12  # variance that is added so that rounding leaves a covariance positive
 
 
 def problem_at(problem: Problem, conditions: Conditions) -> Problem:
@@ -43,6 +43,7 @@ def problem_at(problem: Problem, conditions: Conditions) -> Problem:
     both = {n: np.concatenate([x, ours[n]]) for n, x in table.items()}
 
     def over(names: Sequence[str], lengths: Mapping[str, float] = LENGTHS) -> Process:
+        """Process over these conditions at all different rows of both."""
         known = [n for n in both if n in names or (n == "slip" and "log_slip" in names)]
         unique = np.unique(np.stack([both[n] for n in known]), axis=1)
         return Process.over(
@@ -55,8 +56,8 @@ def problem_at(problem: Problem, conditions: Conditions) -> Problem:
 
 
 def _conditions(there: Problem) -> dict[str, np.ndarray]:
-    """Conditions of the rows of `there`; if the table has times, all are at the end of the
-    campaign.
+    """Conditions [G] of the rows of `there` by name; if the table has times, all rows are at the
+    end of the campaign.
     """
     ended = {n: np.ones(there.data.rows.slip.size) for n in there.data.elapsed}
     return there.data.conditions | ended
@@ -65,26 +66,30 @@ def _conditions(there: Problem) -> dict[str, np.ndarray]:
 def predicted(
     problem: Problem, there: Problem, candidate: Evidence
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(mean [G, 3], root [G, 3, R], own variance [G, 3], feasible [G]) of a candidate at the rows
-    of `there`, which is from `problem_at`; in units of the noise.
+    """(mean [G, 3], root [G, 3, R], own variance [G, 3], feasible [G, bool]) of a candidate at
+    other rows, in units of the noise.
 
-    The joint covariance is root root'. Beside it each value has a variance of its own: the noise
-    with its scatter, and what the functions of an effect's form error leave out. Form errors have
-    their typical sizes. A run is feasible if the wheel sinks, but less than `DEEPEST`.
+    The G rows are those of `there`, which is from `problem_at`. The joint covariance of the values
+    is root root'. Beside it each value has a variance of its own: the noise with its scatter, and
+    what the functions of an effect's form error leave out. Form errors have their typical sizes. A
+    run is feasible if the wheel sinks, but less than `DEEPEST`.
     """
     fit = candidate.fit
-    p = candidate.fit.u.size
+    p = fit.u.size
     sizes = candidate.sizes._replace(
         law=candidate.typical("law"), effect=candidate.typical("effect")
     )
 
     def errors(law, u, output, added, at):
-        """Whitened form errors of the law and of effects, and nuisances, at their sizes."""
+        """Form errors of the law, those of effects, and nuisances, at their sizes; each [M, R],
+        whitened.
+        """
         of_law, effect, rig = law.form_errors(u, output, added, at)
         blocks = (sizes.law * of_law[sizes.span], sizes.effect * effect, sizes.rig * rig)
         return map(law.problem.whiten, blocks)
 
     table = problem.data.conditions | problem.data.elapsed
+    # The table with the functions that it shares with the other rows.
     ours = copy.copy(problem)
     ours.law_processes = there.law_processes
     ours.effect_processes = there.effect_processes
@@ -97,6 +102,7 @@ def predicted(
     )
     a = np.concatenate([fit.jacobian, *known], axis=1) / sizes.scatter
     start = np.concatenate([fit.u, np.zeros(a.shape[1] - p)])
+    # Posterior of unknowns and coefficients of form errors, less the fit.
     covariance = np.linalg.inv(np.eye(start.size) + a.T @ a)
     off, covariance = _within_bounds(
         fit, covariance @ (a.T @ fit.residual / sizes.scatter - start), covariance
@@ -125,11 +131,11 @@ def predicted(
 def _within_bounds(
     fit: Fit, off: np.ndarray, covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(mean [k] less the fit, covariance [k, k]) of unknowns and form errors once each unknown is
-    known to be within its bounds; `off` and `covariance` are those without bounds.
+    """(mean [k] less the fit, covariance [k, k]) of unknowns and form errors, given that each
+    unknown is within its bounds.
 
-    The unknowns are truncated one after the other, each as a normal variable, and the others follow
-    by their covariance with it.
+    Those without bounds are `off` [k] and `covariance` [k, k]. The unknowns are truncated one after
+    the other, each as a normal variable, and the others follow by their covariance with it.
     """
     for k, unknown in enumerate(fit.unknowns):
         mean = fit.u[k] + off[k]
@@ -149,13 +155,14 @@ def _within_bounds(
 
 
 def _truncated(low: float, high: float) -> tuple[float, float]:
-    """(mean, variance) of a standard normal variable between two bounds."""
+    """(mean, variance) of a standard normal variable that is known to be between two bounds."""
     # There both values of ndtr are nearly 1, and their difference would be lost in rounding.
     if low > 0.0:
         mean, variance = _truncated(-high, -low)
         return -mean, variance
     inside = float(ndtr(high) - ndtr(low))
-    low, high = max(low, -_BEYOND), min(high, _BEYOND)
+    low = max(low, -_BEYOND)
+    high = min(high, _BEYOND)
     at_low, at_high = (math.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi) for x in (low, high))
     mean = (at_low - at_high) / inside
     return mean, 1.0 + (low * at_low - high * at_high) / inside - mean**2

@@ -28,9 +28,9 @@ class EffectFound:
     """A named effect as it is fitted."""
 
     name: str
-    form: str
+    form: str  # name of the form
     parameters: dict[str, Interval]  # low = high = value where the form or the table sets it
-    probability: float
+    probability: float  # that it is missing
     share: float | None  # of the gap above the noise that it closes; None where there is none
     alternatives: tuple[str, ...]  # that these data cannot separate from it
 
@@ -39,8 +39,8 @@ class EffectFound:
 class Settings:
     """Inputs of a run."""
 
-    data: str
-    setup: str
+    data: str  # path of the table
+    setup: str  # path of the setup, "" where no file was read
     seed: int
     data_sha256: str | None  # None where no file was read
     setup_sha256: str | None
@@ -53,11 +53,12 @@ class Report:
     finding: Finding
     problem: Problem
     noise: NoiseEstimate
-    where: tuple[Disagreement, ...]
-    effects: tuple[EffectFound, ...]
-    soil: dict[str, Interval]
-    gap: dict[str, Gap]
-    closed: float | None  # by the named effects; None where none is named
+    where: tuple[Disagreement, ...]  # between the table and the base model
+    effects: tuple[EffectFound, ...]  # that are named
+    soil: dict[str, Interval]  # by parameter
+    gap: dict[str, Gap]  # by measured channel
+    #: Share of the gap that the named effects close; None where none is named or there is no gap.
+    closed: float | None
     closed_interval: tuple[float, float] | None  # 95 %
     outlook: Outlook  # what can be predicted, whatever is missing
     guess: Guess | None  # where the prediction is least sure
@@ -65,7 +66,7 @@ class Report:
     next_tests: tuple[NextTest, ...]  # that tell what is missing
     surer_runs: tuple[SurerRun, ...]  # that serve the prediction, where this is the goal
     fit: Fit  # of the named effects, under the noise alone
-    base: Fit  # of none
+    base: Fit  # the same of the base model
     model: WheelSoilModel  # corrected by all effects and a remainder, whatever is named
     #: [N, 3] held-out predictions of the base model, NaN where no value is in use.
     held_out_before: np.ndarray

@@ -45,8 +45,8 @@ RIG_ODDS = 0.04  # of the instrument
 UNLISTED_ODDS = 0.05
 #: Prior odds of each anonymous law of few numbers (`unnamed`), half of those of a listed effect.
 UNNAMED_ODDS = 0.03
-#: Odds, for each effect of a set, that what moves its channels under its conditions is not it, but
-#: resembles it (`evidence.in_place_of_effects`).
+#: Odds, for each effect of a set, that an unlisted law that moves the same channels under the same
+#: conditions is missing instead (`evidence.in_place_of_effects`).
 ALIKE = 0.17
 #: Log evidences are divided by this. The form errors have assumed shapes and lengths, which no soil
 #: keeps to, so that evidence is less certain than it says (generalised Bayes: Grunwald & van Ommen
@@ -54,16 +54,17 @@ ALIKE = 0.17
 #: `benchmarks.discovery`; between 1 and 2.5 hardly a share of its answers moves.
 TEMPERATURE = 1.75
 NAMED = 0.5  # probability from which an answer is given, such as a name
-#: Probability from which a name is sure, where the laws err by the largest of `LAW_ERRORS`; below
+#: Probability, if the laws err by the largest of `LAW_ERRORS`, from which a name is sure; otherwise
 #: it is likely.
 SURE = 0.8
-LAW_ERRORS = (0.03, 0.1)  # of the base law, for which probabilities are given beside these
+#: Relative errors of the base law, for which probabilities are given beside those over all sizes.
+LAW_ERRORS = (0.03, 0.1)
 REPORTED = 0.05  # least probability of an alternative
-_LEAST_SUM = 1e-300  # of probabilities, which they are divided by: all may be 0
-_FIRST = 8  # single effects, the best, beside which a second one is sought
-_PAIRS = 10  # pairs refitted after the screen
-_FORMS = 3  # of them, the best, in all their forms
-_FREE = 3  # best sets of effects that are tried with an anonymous contribution too
+_LEAST_SUM = 1e-300  # least sum of probabilities, since it divides: all may be 0
+_FIRST = 8  # number of best single effects, beside which a second one is sought
+_PAIRS = 10  # number of pairs that are fitted after the screen
+_FORMS = 3  # number of best pairs that are fitted in all their forms
+_FREE = 3  # number of best sets that are tried with an anonymous contribution too
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +76,9 @@ class Hypothesis:
     probability: float
     score: float  # log evidence less that of the base model, without priors
     evidence: Evidence  # in the most probable of the forms
-    #: Listed effects that an anonymous law resembles: in channels and conditions, not in form.
+    #: Listed effects that its anonymous law resembles: in channels and conditions, not in form.
     like: Names = ()
-    if_laws_err: tuple[float, ...] = ()  # its probability where they err by `LAW_ERRORS`
+    if_laws_err: tuple[float, ...] = ()  # its probability if the laws err by each of `LAW_ERRORS`
 
     @property
     def law(self) -> str:
@@ -89,11 +90,10 @@ class Rank(NamedTuple):
     """One effect among the candidates."""
 
     name: str
-    #: Log odds of the data for the best hypothesis with it against the best without a listed
-    #: effect.
+    #: Log evidence of the best hypothesis with it, less that of the best without a listed effect.
     score: float
     probability: float
-    if_laws_err: tuple[float, ...]  # probability where the laws err by `LAW_ERRORS`
+    if_laws_err: tuple[float, ...]  # probability if the laws err by each of `LAW_ERRORS`
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +101,8 @@ class Finding:
     """The hypotheses, the most probable first, and what follows from them."""
 
     hypotheses: tuple[Hypothesis, ...]
-    untestable: dict[str, str]
-    detectable: dict[str, Detectable]
+    untestable: dict[str, str]  # reason by name of the listed effects that were not tried
+    detectable: dict[str, Detectable]  # by name of the effects of soil and drive that were tried
     #: Sets of effects that held-out rows or a pattern speak against.
     refuted: tuple[Names, ...] = ()
 
@@ -112,17 +112,16 @@ class Finding:
 
         All sets with these effects are left out. With `alone`, only the set of exactly these
         effects is refuted: sets with more may explain what it leaves. It stays as a hypothesis with
-        the probability 0, since others are compared with it. Without names the base model alone is
-        refuted.
+        the probability 0, since others are compared with it. Without names only the base model
+        without an anonymous contribution is refuted.
         """
         alone = alone or not names
 
         def refuted(h: Hypothesis) -> bool:
-            return (
-                ({*h.names} == {*names} and bool(names or not h.free))
-                if alone
-                else {*names} <= {*h.names}
-            )
+            """True if a hypothesis is refuted with the names."""
+            if alone:
+                return {*h.names} == {*names} and bool(names or not h.free)
+            return {*names} <= {*h.names}
 
         left = [h for h in self.hypotheses if alone or not refuted(h)]
         share = np.array(
@@ -144,7 +143,7 @@ class Finding:
         return replace(self, hypotheses=tuple(kept))
 
     def share(self, *names: str, without: Names = ()) -> float:
-        """Probability that these effects are missing, alone or with others, and none of
+        """Probability that these effects are missing, alone or with others, and none of those in
         `without`.
         """
         return sum(
@@ -154,7 +153,7 @@ class Finding:
         )
 
     def if_laws_err(self, name: str) -> tuple[float, ...]:
-        """Probabilities that an effect is missing where the laws err by `LAW_ERRORS`."""
+        """Probability that an effect is missing if the laws err, for each of `LAW_ERRORS`."""
         with_it = [h.if_laws_err for h in self.hypotheses if name in h.names]
         return tuple(map(sum, zip(*with_it, strict=True)))
 
@@ -190,10 +189,10 @@ class Finding:
 
     @cached_property
     def names(self) -> Names:
-        """Effects that are stated, as missing.
+        """Effects that are stated to be missing.
 
-        In the order of their probabilities, each is stated that is missing together with those
-        stated before it with a probability of `NAMED`.
+        They are taken in the order of their probabilities. One is stated if it and those stated
+        before it are missing together with a probability of `NAMED`.
         """
         named: Names = ()
         for name in sorted(self.tried, key=lambda n: -self.share(n)):
@@ -241,8 +240,8 @@ class Finding:
     def verdict(self) -> str:
         """named, partly, ambiguous, unlisted, none or undetermined, by what has `NAMED` or more.
 
-        A name is "partly" if a further effect or an anonymous contribution has as much. "none" is
-        "undetermined" if the table is `blind`.
+        It is "partly" instead of "named" if a further effect or an anonymous contribution has as
+        much. It is "undetermined" instead of "none" if the table is `blind`.
         """
         if self.names:
             return "partly" if max(self.remainder, self.more) >= NAMED else "named"
@@ -252,15 +251,17 @@ class Finding:
 
     @property
     def blind(self) -> bool:
-        """True if a listed effect, had one been missing, would more probably have been overlooked
-        than seen: the mean power is at most `NAMED`, or no effect could be seen at all.
+        """True if a missing listed effect would more probably have been overlooked than seen.
+
+        Then the mean power is at most `NAMED`, or no effect could be seen at all.
         """
         return sum(d.power for d in self.detectable.values()) <= NAMED * len(self.detectable)
 
     def alternatives(self, name: str) -> Names:
-        """Rivals of the stated effect `name`, the most probable first: effects that are not stated,
-        and that the model lacks while it does not lack `name`, with a probability of `REPORTED` or
-        more.
+        """Rivals of the stated effect `name`, the most probable first.
+
+        They are effects that are not stated. The probability that one of them is missing while
+        `name` is not is `REPORTED` or more.
         """
         return _reported(
             {n: self.share(n, without=(name,)) for n in self.tried if n not in self.names}
@@ -284,7 +285,7 @@ class Finding:
 
     def best(self, *names: str, free: bool = False) -> Hypothesis:
         """The hypothesis with exactly these listed effects, and with an anonymous contribution if
-        `free`; none that resembles an effect.
+        `free`; no law that resembles an effect.
         """
         return next(
             h for h in self.hypotheses if {*h.names} == {*names} and h.free == free and not h.like
@@ -327,15 +328,15 @@ def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
 
 
 def forms(problem: Problem, name: str) -> list[Choice]:
-    """Forms of an effect that this table can be fitted with: where a row has no speed, those that
-    need none.
+    """Forms of an effect that can be fitted to this table: if a row has no speed, those that need
+    none.
     """
     speed = problem.bench.speed > 0.0
     return [Choice(name, k) for k, f in enumerate(LISTED[name].forms) if speed or not f.needs_speed]
 
 
 Say = Callable[[str], None]  # receives the progress, "stage: step"
-#: Hypothesis before its probability is known: effects, effects that it resembles, True with an
+#: Hypothesis before its probability is known: effects, effects that it resembles, True for an
 #: anonymous contribution, evidence in the best form, log evidence over the forms, log prior odds.
 Entry = tuple[Names, Names, bool, Evidence, float, float]
 
@@ -360,8 +361,8 @@ class _Sets:
         return max(self.found[tuple(sorted(names))].values(), key=lambda e: e.log)
 
     def log(self, names: Names) -> float:
-        """Log evidence of a set of effects, over all combinations of their forms, equally probable
-        before the table; those that were not tried count as 0.
+        """Log evidence of a set of effects, over all combinations of their forms, which are equally
+        probable before the table; combinations that were not tried have no evidence.
         """
         count = math.prod(len(forms(self.problem, n)) for n in names)
         return float(log_sum([e.log for e in self.found[names].values()])) - math.log(count)
@@ -370,9 +371,9 @@ class _Sets:
 def search(problem: Problem, say: Say = lambda text: None) -> Finding:
     """Return the `Finding` of a table; `say` receives the progress.
 
-    The hypotheses are no effect, each effect and the best pairs. Some of these are also tried with
-    an anonymous contribution, each set except no effect against anonymous laws that resemble it,
-    and anonymous laws of few numbers by themselves.
+    The hypotheses are no effect, each effect and the best pairs, and some of these with an
+    anonymous contribution. For each set of effects there is an anonymous law that resembles it.
+    Anonymous laws of few numbers are tried by themselves.
     """
     names, untestable = candidates(problem)
     prior = partial(log_prior, of_rig=odds(problem.data.setup, problem.bench))
@@ -412,8 +413,8 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
     )
     total = np.array(
         [
-            [(log + x) / TEMPERATURE + odds_of for x in (0.0, *map(e.if_laws_err, LAW_ERRORS))]
-            for _, _, _, e, log, odds_of in entries
+            [(log + x) / TEMPERATURE + log_odds for x in (0.0, *map(e.if_laws_err, LAW_ERRORS))]
+            for _, _, _, e, log, log_odds in entries
         ]
     )
     share = np.exp(total - log_sum(total, axis=0)).tolist()
@@ -435,7 +436,8 @@ def _unnamed(problem: Problem, base: Evidence, nearest: Names) -> list[Entry]:
     """Entries of the anonymous laws of few numbers whose condition varies and whose channels are
     measured.
 
-    `nearest`: the listed effect that explains most, which they resemble; without it there are none.
+    `nearest`: the listed effect that explains most, which they are said to resemble; without it
+    there are no entries.
     """
     seen = {k for k, used in zip(CHANNELS, problem.used.T, strict=True) if used.any()}
     laws = [
@@ -448,10 +450,10 @@ def _unnamed(problem: Problem, base: Evidence, nearest: Names) -> list[Entry]:
 
 
 def log_prior(names: Names, free: bool = False, *, of_rig: Mapping[str, float]) -> float:
-    """Log prior odds of a set of effects, with an anonymous contribution or without, against the
-    base model.
+    """Log prior odds of a set of effects against the base model; `free`: with an anonymous
+    contribution.
 
-    `of_rig`: odds of errors of the instrument over the usual ones.
+    `of_rig`: odds of errors of the instrument over the usual ones, by name (`instrument.odds`).
     """
     of = {name: RIG_ODDS * of_rig.get(name, 1.0) if name in INSTRUMENT else ODDS for name in names}
     return sum(map(math.log, of.values())) + free * math.log(UNLISTED_ODDS)
@@ -461,8 +463,8 @@ def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Say) -> None:
     """Add pairs of effects to `sets`.
 
     Every effect beside each of the `_FIRST` best single ones is screened to first order. The
-    `_PAIRS` most promising pairs of forms, and as many pairs of effects, are fitted. The `_FORMS`
-    best pairs are fitted with each of the two effects in all its forms.
+    `_PAIRS` most promising pairs of forms are fitted, and the most promising forms of as many pairs
+    of effects. The `_FORMS` best pairs are fitted with each of the two effects in all its forms.
     """
     say("screening pairs")
     promise: dict[Choices, float] = {}
@@ -477,7 +479,7 @@ def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Say) -> None:
     for pair in order:
         in_form.setdefault(tuple(c.effect for c in pair), pair)
     tried = list(in_form)[:_PAIRS]
-    # Forms of one pair leave place for other pairs, and the first order does not choose a form.
+    # Many forms of one pair must not crowd out other pairs, and the first order chooses no form.
     for pair in (*order[:_PAIRS], *(in_form[s] for s in tried)):
         say(f"with {' and '.join(LISTED[c.effect].title for c in pair)}")
         sets.add(pair, max((sets.best((c.effect,)) for c in pair), key=lambda e: e.log))

@@ -1,9 +1,9 @@
-"""Anonymous laws with few numbers: laws of no catalogue that listed effects are held against.
+"""Anonymous laws with few numbers: laws of no catalogue with which listed effects are compared.
 
 A mechanism that nobody has listed is likelier to have few numbers than to be a free function of the
 conditions (`evidence.patterns`). So a name must explain a table better than these laws do. W, z0
-and V0 are the middle load, sinkage and speed of the table, N is the pass number; every parameter is
-a pure number:
+and V0 are the middle load, sinkage and speed of the table. W_row is the load of a row, N the pass
+number; every parameter is a pure number:
 
     force                     DP - a W (z/z0)^m,  T + b W r (z/z0)^m  soil beside or on the wheel
     rut_force                 the same times 1 - 1/N                  the same in a rut
@@ -40,7 +40,11 @@ from soil_env.terramechanics.model import Rows
 def _p(
     name: str, sd: float, low: float, high: float, centre: float | None = None
 ) -> EffectParameter:
-    """A pure number with a normal prior about 0, or a log-normal one about `centre`."""
+    """A pure number with a normal prior of mean 0 and standard deviation `sd`, within `low` and
+    `high`.
+
+    With a `centre` the prior is log-normal about it, and `sd` that of the logarithm.
+    """
     return EffectParameter(name, "", low, high, sd, "", "", centre or 0.0, centre)
 
 
@@ -56,6 +60,7 @@ def _law(
     return Effect(name, title, p, (form,), moves, varies=varies)
 
 
+# Own choices: widths, bounds and centres of the parameters.
 _BOTH: tuple[Channel, ...] = (PULL, TORQUE)
 _FORCE = _p("pull", 0.15, -3.0, 3.0), _p("torque", 0.15, -3.0, 3.0)
 _POWER = _p("power", 0.35, 0.3, 4.0, 1.5)
@@ -81,7 +86,7 @@ _SOIL = _ANONYMOUS | _PRESSED
 TORQUE_SCALE = 0.5  # [load times radius] y0 of `torque_curve`; own choice
 PULL_SCALE = 0.2  # [load] y0 of `pull_curve`; own choice
 LEAST_DIVISOR = 0.1  # of these curves, which would change the sign of a reading below 0; own choice
-#: Laws of sensors, for which no law goes into a model.
+#: Laws of sensors: a simulated wheel has none of them.
 OF_SENSORS = ("torque_curve", "pull_curve")
 _NAMELESS = (
     _law(
@@ -140,13 +145,15 @@ def _slip_share(rows: Rows, scale: float) -> np.ndarray:
 
 
 def _radius_factor(rows: Rows, gain: float, load: float) -> np.ndarray:
-    """[N] factor on the radius of a wheel that its load deforms; `load`: the middle one."""
+    """[N] factor on the radius of a wheel that its load deforms, 1 + a W_row/W; `gain` a, `load`
+    W.
+    """
     return 1.0 + gain * rows.load / load
 
 
 def loaded(rows: Rows, values: Values, load: float) -> Rows:
-    """Rows with the load under `slip_load` or the wheel radius under `soft_wheel`, where `values`
-    hold the parameters of one of them; `load`: the middle one.
+    """Rows with the load that `slip_load` makes, or the wheel radius that `soft_wheel` makes, if
+    `values` hold the parameters of one of them; `load`: the middle one [N].
     """
     if "soft_wheel_gain" in values:
         wheels = rows.wheels.copy()
@@ -161,7 +168,7 @@ def loaded(rows: Rows, values: Values, load: float) -> Rows:
 
 
 def factors(rows: Rows, values: Values, bench: Bench) -> np.ndarray | None:
-    """Factors [N, 4] on the soil parameters `BY_ROW` (of the friction angle, its tangent) by the
+    """Factors [N, 4] on the soil parameters `BY_ROW` (on the tangent of the friction angle), by the
     laws of soil whose power is among `values`; None without such a law.
     """
     laws = [name for name in _SOIL if f"{name}_power" in values]
@@ -173,18 +180,20 @@ def factors(rows: Rows, values: Values, bench: Bench) -> np.ndarray | None:
 
 
 def _factor(rows: Rows, by: str, bench: Bench) -> np.ndarray:
-    """[N] condition `by` of which a power multiplies a soil parameter: load or speed over its
-    middle, or the pass number.
+    """[N] base of the power that multiplies a soil parameter: load or speed over the middle one, or
+    the pass number; `by`: "load", "speed" or "pass".
     """
     if by == "load":
         return rows.load / bench.load
-    column: np.ndarray = rows.conditions[:, _COLUMNS[by]]
+    column = rows.conditions[:, _COLUMNS[by]]
     return column / bench.speed if by == "speed" else column
 
 
 def changed(out: np.ndarray, rows: Rows, values: Values, bench: Bench) -> np.ndarray:
-    """Sinkage, pull and torque [N, 3] with what the anonymous laws among `values` change of `out`,
-    the outcome on loaded rows: added forces, the lever of a soft wheel, curved sensors.
+    """Sinkage, pull and torque [N, 3] after the anonymous laws among `values`: added forces, the
+    lever of a soft wheel, curved sensors.
+
+    `out` [N, 3]: the outcome on `loaded` rows.
     """
     if not values:
         return out

@@ -47,10 +47,10 @@ def run(
     """Find where table and model disagree, name the missing effect, add it, and report how far the
     gap closes.
 
-    Parameters: `table` and `setup`, read or as files; `out`, a folder for report.json, report.html
-    and model.yaml, written at the end, all of them or none; `seed` of the simulated null
-    distributions; `next_runs`, how many are proposed, with the `goal` to "name" what is missing or
-    to "predict"; `progress` is called with the text of each stage, "stage" or "stage: step".
+    `table` and `setup` are read ones or files. `out` is a folder for report.json, report.html and
+    model.yaml, which are written at the end, all of them or none. `seed` is that of the simulated
+    null distributions. `next_runs` is how many are proposed, with the `goal` to "name" what is
+    missing or to "predict". `progress` receives the text of each stage, "stage" or "stage: step".
 
     Raises `ParameterError` with one line for bad input, and where `out` cannot be written.
     """
@@ -97,8 +97,8 @@ def _conclude(
 ) -> Report:
     """Go through all stages of the workflow, and return what they found.
 
-    With the `goal` "name" the next runs tell what is missing, with "predict" they make the
-    prediction surer; there are none of the other kind.
+    `next_runs`: how many are proposed. With the `goal` "name" they tell what is missing, with
+    "predict" they make the prediction surer; there are none of the other kind.
     """
     say("looking for mistakes")
     table, setup, dense = binned(table, setup)
@@ -155,33 +155,36 @@ def _conclude(
     )
 
 
-STRUCTURED = 1e-3  # p value of a pattern below which a model does not explain the table
-#: [sd of the setup's prior] distance of a soil parameter from the setup's value, beyond which it is
-#: another soil; own choice.
+STRUCTURED = 1e-3  # p value of a pattern, below which a model does not explain the table
+#: [sd of the setup's prior] distance of a soil parameter from the setup's value, beyond which a
+#: model is refuted; own choice.
 FAR = 8.0
 Fits = dict[Names, Fit]  # by set of effects
 Held = dict[Names, np.ndarray]  # held-out predictions [N, 3] by set of effects
 
 
 def _without_refuted(problem: Problem, finding: Finding, seed: int) -> tuple[Finding, Fits, Held]:
-    """(finding without refuted sets of effects, fits, held-out predictions): the latter of the base
-    model, of the named effects and, where two are named, of each alone.
+    """(finding without refuted sets of effects, fits, held-out predictions).
+
+    Fits and predictions are those of the base model, of the named effects and, where two are named,
+    of each alone.
 
     Evidence is as certain as the shapes that form errors are assumed to have. Where the law errs in
     another way, evidence may be sure of effects that are not there. So the named effects are
     examined until none is refuted:
 
-    1. The most probable set with these names is refuted, and no set with more, on either of two
-       grounds. It needs a soil far from the setup's (`_far`). Or it leaves a pattern in a channel
-       (`structure`), and is no more probable than the base model with an anonymous contribution.
-       Without a name, and with the verdict "none" or "undetermined", the base model is refuted by
-       such a soil or by a pattern.
+    1. The most probable set with these names is refuted alone on either of two grounds; sets with
+       more effects stay. It needs a soil far from the setup's (`_far`). Or it leaves a pattern in a
+       channel (`structure`), and is no more probable than the base model with an anonymous
+       contribution. Without a name, and with the verdict "none" or "undetermined", the base model
+       is refuted by such a soil or by a pattern.
     2. The names, and all sets with them, are refuted if the base model, or one of two effects
        alone, predicts held-out rows better (`_worse`). This must hold in all probable forms.
     """
     while True:
         own = finding.stated.evidence
         names = finding.names
+        # The most probable set with the names, which may have an effect that is not stated.
         behind = (
             next(h.names for h in finding.hypotheses if {*names} <= {*h.names}) if names else ()
         )
@@ -224,12 +227,12 @@ def _probable_forms(problem: Problem, own: Evidence) -> Iterator[Evidence]:
 
 
 def _fits_under_noise(problem: Problem, finding: Finding, own: Evidence) -> Fits:
-    """Fits under noise alone, with the scatter of `own`: of the base model, of each of two named
-    effects alone in its best form, and of all named effects in the forms of `own`.
+    """Fits under noise alone, with the scatter of `own`.
 
-    Names and intervals follow from fits with form errors. What predicts best with a law as it is,
-    without the form error that this table shows, is its fit under noise alone (White 1982,
-    Econometrica 50:1-25).
+    They are of the base model, of all named effects in the forms of `own` and, where two are named,
+    of each alone in its best form. Names and intervals follow from fits with form errors.
+    Predictions are made by the laws alone, without form errors, and for these a fit under noise
+    alone is the best (White 1982, Econometrica 50:1-25).
     """
     noise_alone = EXACT._replace(scatter=own.sizes.scatter)
     near: Fits = {(n,): finding.best(n).evidence.fit for n in finding.names}

@@ -34,7 +34,7 @@ LEAST = 1e-3  # probability below which a hypothesis is not listed
 
 def check_folder(folder: Path, inputs: Iterable[Path]) -> None:
     """Raise `ParameterError` where report files could not be written into `folder`, or would
-    replace one of the user's; creates nothing.
+    replace a file of the user, such as one of the `inputs`; create nothing.
     """
     try:
         check_own(folder, FILES, inputs)
@@ -43,8 +43,8 @@ def check_folder(folder: Path, inputs: Iterable[Path]) -> None:
 
 
 def write(report: Report, folder: Path) -> None:
-    """Write report.json, report.html and model.yaml into `folder`: all are made before the first is
-    written.
+    """Write report.json, report.html and model.yaml into `folder`, all of them composed before the
+    first is written.
 
     `ParameterError` where a file cannot be written, or would replace one that soil-env did not
     write or that was changed since.

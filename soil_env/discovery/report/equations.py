@@ -10,6 +10,7 @@ from soil_env.terramechanics.effects.text import fitted, legend, plain, publishe
 
 from .sentences import SOIL
 
+#: Symbol of each soil parameter in the equations.
 _SYMBOLS = {
     "friction_angle_deg": "phi",
     "cohesion": "c",
@@ -24,8 +25,8 @@ class Block(NamedTuple):
 
     heading: str
     equation: list[str]  # as published, in symbols
-    fitted: list[str]  # with the numbers in
-    numbers: list[tuple[str, str]]  # ("l", " = 0.0061 m (95 % interval ...): meaning")
+    fitted: list[str]  # the same with the fitted numbers
+    numbers: list[tuple[str, str]]  # of each parameter: ("l", " = 0.0061 m (95 % ...): meaning")
     where: dict[str, str]  # meaning of the other symbols
     source: str
 
@@ -45,9 +46,7 @@ def blocks(report: Report) -> list[Block]:
 
 
 def _of_effect(report: Report, e: EffectFound) -> Block:
-    """`Block` of a named effect; soil, wheel and unit weight stand with their numbers in the
-    legend.
-    """
+    """`Block` of a named effect; its legend gives the numbers of soil, wheel and unit weight."""
     effect = LISTED[e.name]
     wheel = report.model.wheel
     form = effect.form(e.form)

@@ -22,11 +22,11 @@ AFTER = "#1f6f8b"
 MEASURED = "#222222"
 MANY = 1200  # points of a plot above which they are drawn as an image
 CURVES = 4  # groups of rows whose curves over slip are drawn
-FEWEST_SLIPS = 3  # in such a group, or all slips of the table if it has less
+FEWEST_SLIPS = 3  # least number of slips in such a group, or all slips of the table if it has less
 POINTS = 60  # of a curve
 WIDTH = 3.5  # [in] of a plot
 HEIGHT = 2.1  # [in] of a row of plots over slip
-BELOW = 1.0  # [in] of their axis labels and legend
+BELOW = 1.0  # [in] height of the axis labels and the legend below these rows
 CAPTIONS = {
     "predicted": "Held-out predictions against the measured values; grey: twice the noise.",
     "slip": (
@@ -47,7 +47,7 @@ _STYLE = {
 
 
 def pictures(report: Report) -> dict[str, bytes]:
-    """{name: SVG} of "predicted" and "slip"."""
+    """SVG by name of the plots "predicted" and "slip" (`CAPTIONS`)."""
     with matplotlib.rc_context(_STYLE):
         return {"predicted": _saved(_predicted(report)), "slip": _saved(_slip(report))}
 
@@ -110,8 +110,8 @@ def _predicted(report: Report) -> Figure:
 
 
 def groups(report: Report) -> list[tuple[str, np.ndarray]]:
-    """At most `CURVES` groups of rows that differ in slip alone, (what they share, rows sorted by
-    slip).
+    """At most `CURVES` groups of rows that differ in slip alone: (what they share in words, indices
+    of the rows sorted by slip).
 
     Of all groups with `FEWEST_SLIPS`, they are picked evenly in the order of the base model's
     held-out error over the noise, from the least to the largest.
@@ -119,7 +119,7 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
     data = report.problem.data
     varied = data.varied
     others = [c for name, c in varied.items() if name != "slip"]
-    found = []
+    found = []  # (mean square error over the noise, number, rows)
     for k, rows in enumerate(data.groups):
         if np.unique(varied["slip"].level[rows]).size >= min(FEWEST_SLIPS, varied["slip"].levels):
             off = (data.y - report.held_out_before)[rows] / report.problem.noise
@@ -141,7 +141,10 @@ def _value(name: str, x: float) -> str:
 
 def curves(report: Report, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(slips [P], values [P, 3] of the base model, values [P, 3] of the corrected one), as the rig
-    measures them: at `POINTS` slips over a group of rows, and at the means of its other conditions.
+    measures them.
+
+    They are at P = `POINTS` slips over the range of a group of rows, and at the means of its other
+    conditions.
     """
     data = report.problem.data
     at: dict[str, Any] = {
@@ -169,15 +172,17 @@ def _slip(report: Report) -> Figure:
             (base, BEFORE, "base model"),
             (corrected, AFTER, "corrected model"),
         ]
+        measured_slip = data.rows.slip[rows]
         for name, ax in zip(report.channels, line, strict=True):
             j = CHANNELS.index(name)
             scale = UNITS[name][1]
             used = report.problem.used[rows, j]
+            measured = scale * data.y[rows, j]
             for p, color, text in lines:
                 ax.plot(slip, scale * p[:, j], color=color, lw=1.4, label=text)
             ax.errorbar(
-                data.rows.slip[rows],
-                scale * data.y[rows, j],
+                measured_slip,
+                measured,
                 2.0 * scale * report.problem.noise[j],
                 fmt="o",
                 ms=3,
@@ -185,9 +190,7 @@ def _slip(report: Report) -> Figure:
                 color=MEASURED,
                 label="measured, 2 sd of noise",
             )
-            ax.plot(
-                data.rows.slip[rows][~used], scale * data.y[rows, j][~used], "x", color="red", ms=6
-            )
+            ax.plot(measured_slip[~used], measured[~used], "x", color="red", ms=6)
         if label:
             line[0].set_ylabel(
                 plot_text(label.replace(", ", "\n")),

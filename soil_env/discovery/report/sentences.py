@@ -30,16 +30,18 @@ from soil_env.measurement.doubts import one_load
 from soil_env.terramechanics.steady import DEEPEST
 from soil_env.terramechanics.validity import in_words
 
-GUESSED = 1.5  # sd of a prediction over those within the table, from which it is a guess
+GUESSED = 1.5  # sd of a prediction over the largest within the table, from which it is a guess
 MENTIONED = 0.05  # least probability of a remainder beside a name that is mentioned
 LITTLE = 0.02  # rise of the probability of the right candidate below which runs would hardly help
 SCATTERED = 1.2  # [noise] scatter of the values that is worth a caution
 FAR = 3.0  # [sd of the setup] from the setup's value at which a soil parameter is worth a caution
-FEW = 6  # conditions below which a table shows hardly any misfit
-ORDINARY = 3.0  # [noise] residual by the final model up to which an outlier would be ordinary
-WITH_OUTLIERS = 1.2  # rise of a channel's residual by its outliers, from which both are stated
-SUNK = 0.999  # of `DEEPEST`, at which the prediction of a buried wheel ends: rounding
-TINY = 1e-6  # [unit of the parameter] what a bound at 0 leaves of a soil parameter
+FEW = 6  # different conditions, below which a table shows hardly any misfit
+ORDINARY = 3.0  # [noise] residual under the final model up to which an outlier would be ordinary
+#: rms residual of a channel with its outliers over that without, from which both are stated.
+WITH_OUTLIERS = 1.2
+SUNK = 0.999  # share of `DEEPEST` from which a wheel is buried, since the prediction ends there
+TINY = 1e-6  # [unit of the parameter] largest value of a parameter that is at a bound of 0
+#: (label, unit) of each soil parameter.
 SOIL = {
     "friction_angle_deg": ("friction angle", "deg"),
     "cohesion": ("cohesion c", "Pa"),
@@ -49,8 +51,10 @@ SOIL = {
     "density": ("density", "kg/m3"),
     "tilt_deg": ("tilt of the rig", "deg"),
 }
+#: (unit that is shown, factor on the SI value) of each channel.
 UNITS = {"sinkage": ("mm", 1e3), "drawbar_pull": ("N", 1.0), "torque": ("N m", 1.0)}
 TITLES = {"sinkage": "sinkage", "drawbar_pull": "drawbar pull", "torque": "torque"}
+#: (label, unit with a leading space) of each condition.
 CONDITIONS = {
     "slip": ("slip", ""),
     "load": ("load", " N"),
@@ -65,6 +69,7 @@ IN_MODEL = (
     "model.yaml has all effects together, each shrunk to its published size, and a table of what "
     "they leave: its soil and effects predict best so, and are other than these."
 )
+#: How measured values are that exceed the model's, or fall short of them.
 _MORE = {
     "sinkage": ("deeper", "shallower"),
     "drawbar_pull": ("higher", "lower"),
@@ -73,7 +78,7 @@ _MORE = {
 
 
 def figure(x: float) -> str:
-    """Two digits; a number of three digits or more as a whole number, without an exponent."""
+    """A number with two digits; from 99.5 on as a whole number, without an exponent."""
     return f"{x:.2g}" if abs(x) < 99.5 else f"{x:.0f}"
 
 
@@ -88,7 +93,9 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def times(log: float) -> str:
-    """A factor of which the natural logarithm is given; a power of ten below 0.01 and from 1000."""
+    """A factor of which the natural logarithm `log` is given; below 0.01 and from 1000 on it is a
+    power of ten.
+    """
     decades = log / math.log(10.0)
     return f"{figure(10.0**decades)} times" if -2.0 <= decades < 3.0 else f"10^{decades:.0f} times"
 
@@ -128,7 +135,7 @@ def title(names: str) -> str:
 
 
 def amount(channel: str, value: float, digits: int = 2) -> str:
-    """A value of a channel in its unit."""
+    """A value of a channel, given in SI units, with the unit that is shown."""
     unit, scale = UNITS[channel]
     return f"{figure(scale * value) if digits == 2 else figures(scale * value, digits)} {unit}"
 
@@ -139,7 +146,9 @@ def not_tiny(value: float) -> float:
 
 
 def disagreement(report: Report, d: Disagreement) -> str:
-    """Region where the base model leaves the table, and the size of the difference."""
+    """Clause on the region where the base model leaves the table, and on the size of the
+    difference.
+    """
     varied = report.problem.data.varied
     parts = [_limit(name, limits, varied[name].value) for name, limits in d.region.items()]
     others = [CONDITIONS[name][0] for name in varied if name not in d.region]
@@ -181,8 +190,8 @@ def next_test(report: Report, t: NextTest) -> str:
 
 
 def right_now(report: Report) -> float:
-    """Probability that the right candidate has on average, before the next runs, of which there has
-    to be one: sum of P^2.
+    """Average probability of the right candidate before the next runs: sum of P^2. There has to be
+    a next run.
     """
     return sum(p.probability**2 for p in report.next_tests[0].predicted)
 
@@ -207,8 +216,8 @@ def after_next(report: Report) -> str:
 
 
 def _place(point: Mapping[str, float]) -> str:
-    """Conditions of a test or a prediction in words, as far as `point` has them; the first pass and
-    level ground are not said.
+    """Conditions of a run in words, as far as `point` has them by the columns of a table; the first
+    pass and level ground are not said.
     """
     formats = {
         "load": "load {:.4g} N",
@@ -263,13 +272,15 @@ def summary(report: Report) -> str:
 
 
 def likely(report: Report) -> bool:
-    """True if a named effect is likely and not sure."""
+    """True if a named effect is only likely, not sure."""
     return not all(report.finding.is_sure(e.name) for e in report.effects)
 
 
 def simulated(report: Report) -> str:
-    """What model.yaml simulates of each named effect: forms whose parameters it has all, which may
-    be others than the stated one; only the table; or, of an error of the rig, nothing.
+    """Sentences on what model.yaml simulates of each named effect.
+
+    That is the forms of which it has all parameters, and which may be others than the stated one,
+    or else only its table. Of an error of the rig it is nothing.
     """
     said = []
     for e in report.effects:
@@ -289,6 +300,7 @@ def simulated(report: Report) -> str:
 
 
 def _quoted(form: str) -> str:
+    """Name of a form in quotation marks, with spaces."""
     return f'"{form.replace("_", " ")}"'
 
 
@@ -308,10 +320,9 @@ def _rendered(template: str, report: Report, values: Mapping[str, object]) -> st
 
 
 def unseen(report: Report) -> list[str]:
-    """Effects that the table cannot show; not those that the setup rules out."""
-    return [
-        title(n) for n in report.finding.untestable if n not in exact(report.problem.data.setup)
-    ]
+    """Titles of the effects that the table cannot show; not those that the setup rules out."""
+    ruled_out = exact(report.problem.data.setup)
+    return [title(n) for n in report.finding.untestable if n not in ruled_out]
 
 
 def cautions(report: Report) -> list[str]:
@@ -331,14 +342,15 @@ def cautions(report: Report) -> list[str]:
         if not free:
             bounds.append((label, not_tiny(value)))
         elif getattr(setup.soil, unknown.name, None) is not None:
+            # Distance in sd of the setup's prior, which the fit widened.
             far = abs(PRIOR_WIDTH * widened[unknown.name].at(value))
             off_prior += [(label, far)] if far > FAR else []
-    far = np.abs(problem.data.y - fit.output) / problem.noise
+    residual = np.abs(problem.data.y - fit.output) / problem.noise
     dropped = problem.data.measured & ~problem.used
     worse_with = []
     for j in np.flatnonzero(dropped.any(axis=0)):
         kept, whole = (
-            math.sqrt(float(np.mean(far[rows[:, j], j] ** 2)))
+            math.sqrt(float(np.mean(residual[rows[:, j], j] ** 2)))
             for rows in (problem.used, problem.data.measured)
         )
         if whole > WITH_OUTLIERS * kept:
@@ -356,7 +368,7 @@ def cautions(report: Report) -> list[str]:
                 if noise.origin[j] == "scatter"
             ],
             "left_out": [f"{TITLES[name]} in row {row}" for row, name in report.left_out],
-            "ordinary": int(np.sum(far[dropped] <= ORDINARY)),
+            "ordinary": int(np.sum(residual[dropped] <= ORDINARY)),
             "worse_with": worse_with,
             "at_bound": bounds,
             "off_prior": off_prior,
@@ -387,13 +399,13 @@ def rises(report: Report) -> list[str]:
 
 
 def added(report: Report) -> str:
-    """Names of the named effects."""
+    """Titles of the named effects, joined."""
     return joined(title(e.name) for e in report.effects)
 
 
 def if_laws_err(report: Report) -> str:
-    """The most probable effects, and which is most probable if the laws err by the largest of
-    `LAW_ERRORS`; empty where no effect is `MENTIONED`.
+    """Sentence on the most probable effects, and on which is most probable if the laws err by the
+    largest of `LAW_ERRORS`; "" where no effect is `MENTIONED`.
     """
     ranks = [r for r in report.finding.ranking if r.probability >= MENTIONED][:3]
     if not ranks:
@@ -407,8 +419,8 @@ def if_laws_err(report: Report) -> str:
 
 
 def foreseen(report: Report) -> str:
-    """How well runs that were not made are predicted: errors of what was left out, and where the
-    corrected model guesses.
+    """Sentences on how well runs that were not made are predicted: errors of what was left out, and
+    where the corrected model guesses.
     """
     parts = []
     for way in report.outlook.left_out:
@@ -434,8 +446,8 @@ def foreseen(report: Report) -> str:
 
 
 def _to_predict(report: Report) -> str:
-    """Where to measure next to predict better: at the first of `Report.surer_runs`, or else at the
-    guess that was just said.
+    """End of a sentence on where to measure next to predict better: at the first of
+    `Report.surer_runs`, or else at the guess that was just said.
     """
     runs = report.surer_runs
     where = f"at {_place(runs[0].conditions)}, the first of the runs below," if runs else "there"
@@ -443,7 +455,7 @@ def _to_predict(report: Report) -> str:
 
 
 def _level(conditions: tuple[str, ...]) -> str:
-    """Level of a condition, or a combination of several, in words."""
+    """A level of one condition, or a combination of several `conditions`, in words."""
     names = joined(CONDITIONS[name][0] for name in conditions)
     return f"a {names}" if len(conditions) == 1 else f"a combination of {names}"
 
@@ -459,7 +471,7 @@ def probabilities(report: Report) -> str:
 
 
 def rule() -> str:
-    """Prior odds behind the probabilities."""
+    """Sentences on the prior odds behind the probabilities."""
     listed, rig, law, other = (
         f"1 to {1.0 / odds:.0f}" for odds in (ODDS, RIG_ODDS, UNNAMED_ODDS, UNLISTED_ODDS)
     )
@@ -472,7 +484,7 @@ def rule() -> str:
 
 
 def validity(report: Report) -> str:
-    """Conditions that the corrected model has seen."""
+    """Sentence on the conditions that the corrected model has seen."""
     return (
         f"Fitted to {in_words(report.model.validity)}; beyond, model.yaml is an extrapolation, of "
         "which `predict` warns."

@@ -29,12 +29,12 @@ from .sentences import (
 
 
 def effects(report: Report) -> Table:
-    """Every parameter of the named effects; the first row of each has its name, its alternatives
-    and the share of the gap that it closes.
+    """Every parameter of the named effects; the first row of an effect has its name, its
+    alternatives and the share of the gap that it closes.
     """
     rows = []
     for e in report.effects:
-        label = title(e.name)
+        label = title(e.name)  # in the first row of the effect
         label += f", or {', '.join(title(a) for a in e.alternatives)}" if e.alternatives else ""
         label += "" if e.share is None else f" (closes {percent(e.share)})"
         for name, p in e.parameters.items():
@@ -90,8 +90,8 @@ def left_out(report: Report) -> Table:
 
 
 def ranking(report: Report, most: int | None = None) -> Table:
-    """The candidates, the first `most` of them; evidence as a factor over the best hypothesis
-    without a listed effect.
+    """The effects that were tried, the first `most` of them; evidence as a factor over the best
+    hypothesis without a listed effect.
     """
     rows = [
         (title(r.name), times(r.score), *(fixed(p, 3) for p in (r.probability, *r.if_laws_err)))
@@ -114,8 +114,8 @@ def surer_runs(report: Report) -> Table:
 
 
 def _runs(runs: Sequence[NextTest | SurerRun], last: str, said: Sequence[str]) -> Table:
-    """Table of runs, at least one: number, conditions, cost, and a column `last` of the texts
-    `said`.
+    """Table of at least one run: number, conditions, cost, and a last column with the heading
+    `last` and the texts `said`.
     """
     names = list(runs[0].conditions)
     head = [

@@ -9,7 +9,7 @@ from .sentences import filled, runs_help, title
 
 #: The page on which every effect has its equations and sources.
 PAGE = "docs/physics/effects.md"
-LIKELY = 0.1  # least probability of what is named as possible, and of what a check would find
+LIKELY = 0.1  # least probability of what is mentioned as possible, and of what a check would find
 
 
 def base_misses(report: Report) -> bool:

@@ -1,7 +1,7 @@
-"""Dense tables: rows of a run at a high rate, in bins of about the same conditions.
+"""Dense tables: rows that a run recorded at a high rate, averaged in bins of similar conditions.
 
-Errors of such rows go on from one row to the next, so that they are not as many independent values
-as there are rows. The mean of a bin counts as one value, and its noise is the scatter of the means.
+Errors of such rows are correlated from one row to the next, so that there are fewer independent
+values than rows. The mean of a bin counts as one value, and its noise is the scatter of the means.
 """
 
 import dataclasses
@@ -18,16 +18,17 @@ from .form_error import LENGTHS, coordinate
 from .noise import SD_OF_MEDIAN
 
 DENSE = 240  # rows above which every table is binned
-#: Rows above which a table at few conditions is binned: `FEWEST` or more rows a bin.
+#: Rows above which a table is binned if its bins have `FEWEST` or more rows on average.
 REPEATED = 100
 MOST = 120  # bins
-FINE = 0.04  # extent of a bin that is not cut further, in correlation lengths of a form error
-JUMP = 0.25  # share of the extent of a bin, from which a gap between its values parts them
+FINE = 0.04  # [correlation lengths of a form error] extent of a bin that is not cut further
+JUMP = 0.25  # share of the extent of a bin, above which a gap between values is where it is cut
 FEWEST = 8  # values of a bin, of which one may be an outlier
 FAR = 8.0  # [sd] from the median of a bin, beyond which a value is an outlier
-#: Times fewer rows than the mean of `MOST` bins, that a part of a cut may have; own choice.
+#: Rows of a bin if all `MOST` were equal, over the fewest that a part of a cut may have; own
+#: choice.
 _PART = 4
-_WIDE = 1.0  # [correlation lengths] extent of a bin that is cut however small a part is
+_WIDE = 1.0  # [correlation lengths] extent from which a bin is cut, however small a part is
 # Correlation lengths of the coordinates in which rows are compared.
 _LENGTHS = {name: LENGTHS[name] for name in LENGTHS if name != "elapsed"} | {"log_slip": 0.8}
 _APART = 10.0  # correlation lengths between rows whose channels or overrides differ
@@ -84,10 +85,10 @@ def binned(table: Table, setup: Setup) -> Binned:
 
 
 def _coordinates(table: Table, setup: Setup) -> np.ndarray:
-    """Conditions [N, d] in correlation lengths of a form error, those alone that vary.
+    """The D conditions that vary, [N, D], in correlation lengths of a form error.
 
-    Rows that lack a condition or a channel lie `_APART` from those that have it, so that the two
-    are parted before anything else is.
+    Rows that lack a condition or a channel lie `_APART` from those that have it, so that the first
+    cuts part the two.
     """
     conditions = {
         "slip": table.slip,
@@ -109,14 +110,13 @@ def _coordinates(table: Table, setup: Setup) -> np.ndarray:
 
 
 def _bins(x: np.ndarray) -> list[np.ndarray]:
-    """Rows of each bin, by their first row: the widest bin is cut in two until all are `FINE`, or
-    there are `MOST`.
+    """Row numbers of each bin of the coordinates x [N, D], in the order of their first rows.
 
-    A bin stays whole, too, if a part of it would have too few rows (`_PART`); but not if it is
-    wider than `_WIDE`.
+    The widest bin is cut in two until all are `FINE`, or there are `MOST`. A bin that is narrower
+    than `_WIDE` also stays whole if a part of it would have too few rows (`_PART`).
     """
-    first = np.arange(len(x))
-    heap = [(-_extent(x), 0, first)]
+    # (-extent, count, rows) of the bins that may be cut; the count orders bins of equal extent.
+    heap = [(-_extent(x), 0, np.arange(len(x)))]
     few = max(1, len(x) // (_PART * MOST))
     done: list[np.ndarray] = []
     count = 1
@@ -136,15 +136,15 @@ def _bins(x: np.ndarray) -> list[np.ndarray]:
 
 
 def _extent(x: np.ndarray) -> float:
-    """Range of the rows `x` [N, d] along the coordinate where it is largest."""
+    """Range of the rows x [N, D] along the coordinate where it is largest."""
     return float(np.max(np.ptp(x, axis=0)))
 
 
 def _cut(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two parts of the rows, cut along the coordinate where their range is largest.
+    """Two parts of the `rows` of x [N, D], cut along the coordinate where their range is largest.
 
-    The cut is at the widest gap if that is more than `JUMP` of the range. Else it is in the middle
-    of their number, or at the nearest change of the value beside it.
+    The cut is at the widest gap if that is more than `JUMP` of the range. Else it is at the median,
+    or at the change of value that is nearest to it.
     """
     here = x[rows]
     value = here[:, int(np.argmax(np.ptp(here, axis=0)))]
@@ -160,12 +160,8 @@ def _cut(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _merged(values: np.ndarray) -> Any:
-    """One value for those of a bin: the first of texts and whole numbers (line, pass), else their
-    mean.
-    """
-    if values.dtype.kind != "f":
-        return values[0]
-    return np.mean(values)
+    """One value for those of a bin: the mean of floats, the first of anything else (line, pass)."""
+    return np.mean(values) if values.dtype.kind == "f" else values[0]
 
 
 def _spread(values: np.ndarray) -> float:
@@ -176,9 +172,9 @@ def _spread(values: np.ndarray) -> float:
 def _without_outliers(values: np.ndarray, usual: float) -> tuple[float, int]:
     """(mean without outliers, number of outliers) of the values of a bin.
 
-    Outliers are beyond `FAR` sd from the median. The sd is that of a normal distribution with the
-    `_spread` of the bin, or with that of a `usual` bin if it is larger. Fewer than `FEWEST` values
-    have no outliers.
+    Outliers are beyond `FAR` sd from the median. The sd is that of a normal distribution whose
+    `_spread` is that of the bin or, if this is larger, `usual`: the median over all bins. Fewer
+    than `FEWEST` values have no outliers.
     """
     if values.size < FEWEST:
         return float(np.mean(values)), 0

@@ -17,13 +17,16 @@ CHANNELS = MEASURED  # sinkage, drawbar_pull, torque
 UNKNOWN_HEIGHT = 0.08  # [radii] lug height where the setup gives none
 LEAST_PRESSURE = 20.0  # [Pa] load over radius times width, below which its unit is wrong
 MOST_PRESSURE = 1e7  # [Pa] load over radius times width, above which its unit is wrong
-MOST_FORCE = 5.0  # pull over load, torque over load times radius, beyond which the unit is wrong
+#: Pull over load, or torque over load times radius, beyond which the unit is wrong.
+MOST_FORCE = 5.0
 LOAD_SPAN = 0.05  # range of the loads over their mean, from which sinkage is compared with load
 SURELY_DRIVEN = 0.05  # slip above which a wheel needs a positive torque
 #: Conditions that are compared by their ratio.
 LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width")
 TERMS = ("speed", "pass", "grade_deg")  # conditions that the base law does not know
-OWN = 0.1  # share of a condition's sd that others do not explain, below which it follows from them
+#: Share of a condition's sd that the other conditions do not explain, below which it follows from
+#: them.
+OWN = 0.1
 WHEEL = ("wheel_radius", "wheel_width", "grouser_height")
 #: Difference below which two values of a condition are one level; relative where it is compared by
 #: its ratio.
@@ -36,7 +39,7 @@ _SAME = {
 }
 _SAME_RATIO = 0.02  # relative difference, likewise, of conditions that `_SAME` does not name
 _SAME_SHARE = 0.02  # of the range of a condition: a smaller step parts no levels either
-_CHAIN = 6.0  # gaps, beyond which a level of values is a continuum
+_CHAIN = 6.0  # [least step between levels] width of a level beyond which it is a continuum
 # Own choices. A condition with more levels than both of these is a continuum:
 _MOST_LEVELS = 12
 _ROWS_OF_LEVEL = 4  # rows of the table over its levels
@@ -47,16 +50,12 @@ _ROWS_OF_BIN = 6
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """A condition of the table: its values [N], its levels [N] int from 0 in their order, its
-    values scaled to [-1, 1] (0 where it does not vary).
+    """A condition of the table; `LOGARITHMIC` ones are scaled in the logarithm."""
 
-    The `LOGARITHMIC` ones are scaled in the logarithm.
-    """
-
-    name: str
-    value: np.ndarray
-    level: np.ndarray
-    scaled: np.ndarray
+    name: str  # column of a table
+    value: np.ndarray  # [N] in the unit of the column
+    level: np.ndarray  # [N] int, number of the row's level: 0 for the lowest values
+    scaled: np.ndarray  # [N] value scaled to [-1, 1]; 0 where the condition does not vary
 
     @property
     def levels(self) -> int:
@@ -74,9 +73,9 @@ class Data:
     setup: Setup
     wheel: ModelWheel
     rows: Rows
-    y: np.ndarray  # [N, 3] measured, nan where not
+    y: np.ndarray  # [N, 3] measured values [m, N, N m]; nan where not measured
     varied: dict[str, Factor]  # conditions that vary by themselves; slip first
-    cell: np.ndarray  # [N] int, rows of one cell are repeats
+    cell: np.ndarray  # [N] int, combination of levels; rows of one cell are repeats
     #: [N, 3] noise of a value over that of its channel; [1, 3] ones where no row has its own.
     relative_sd: np.ndarray
 
@@ -95,27 +94,24 @@ class Data:
     def groups(self) -> list[np.ndarray]:
         """Indices of the rows of each combination of the conditions other than slip."""
         others = [c.level for name, c in self.varied.items() if name != "slip"]
-        if not others:
-            return [np.arange(self.rows.slip.size)]
-        label = combinations_of(others)
+        label = combinations_of(others or [np.zeros_like(self.cell)])
         return [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
 
     @property
     def beds(self) -> np.ndarray:
-        """[N] number of the bed of soil of each row.
+        """[N] number of the bed of soil of each row, from 0.
 
         A row on fresh soil is on the bed of its `run`, a later pass on that of the last fresh row
         above it.
         """
         fresh = np.where(self.rows.conditions[:, 1] <= 1.0, np.arange(len(self.table)), 0)
         runs = self.table.run[np.maximum.accumulate(fresh)]
-        _, number = np.unique(runs, return_inverse=True)
-        return number.ravel()
+        return np.unique(runs, return_inverse=True)[1]
 
     @property
     def elapsed(self) -> dict[str, np.ndarray]:
-        """{"elapsed": time [N] over its span}; empty where the table does not have it or it does
-        not vary.
+        """{"elapsed": time [N] since the earliest row, over the span of the times}; empty where a
+        time is missing or all are the same.
         """
         time = self.table.time
         known = "time" in self.table.given and np.all(np.isfinite(time)) and np.ptp(time) > 0.0
@@ -123,7 +119,9 @@ class Data:
 
 
 def combinations_of(levels: Sequence[np.ndarray]) -> np.ndarray:
-    """[N] number of the combination of levels in each row; `levels`: [N] of each condition."""
+    """[N] number from 0 of the combination of levels in each row; `levels`: those of each condition
+    [N].
+    """
     return np.unique(np.stack(levels), axis=1, return_inverse=True)[1].ravel()
 
 
@@ -157,18 +155,17 @@ def prepare(table: Table, setup: Setup) -> Data:
     rows = rows_of(table, wheel)._replace(slip=table.rim_slip(setup).copy())
     bare = np.isnan(table.grouser_height)
     if height is None and np.any(bare) and not np.all(bare):
-        k = int(np.flatnonzero(bare)[0])
         raise ParameterError(
-            f"{table.source}: row {table.row[k]}, grouser_height is empty: expected it in every "
-            "row, or wheel.grouser_height in the setup"
+            f"{table.source}: row {table.row[bare][0]}, grouser_height is empty: expected it in "
+            "every row, or wheel.grouser_height in the setup"
         )
+    no_speed = np.isnan(table.speed)
     if "speed" not in table.given or not np.any(np.isfinite(table.speed)):
         rows.conditions[:, 0] = 0.0
-    elif np.any(np.isnan(table.speed)):
-        k = int(np.flatnonzero(np.isnan(table.speed))[0])
+    elif np.any(no_speed):
         raise ParameterError(
-            f"{table.source}: row {table.row[k]}, speed is empty: expected it in every row or in "
-            "none"
+            f"{table.source}: row {table.row[no_speed][0]}, speed is empty: expected it in every "
+            "row or in none"
         )
     y = np.stack([getattr(table, name) for name in CHANNELS], axis=1)
     _refuse_units(table, rows, y)
@@ -188,14 +185,15 @@ def prepare(table: Table, setup: Setup) -> Data:
 
 
 def _one_to_one(a: Factor, b: Factor) -> bool:
-    """True if the levels of two factors part the rows in the same way."""
+    """True if the levels of two factors divide the rows into the same groups."""
     pairs = np.unique(np.stack([a.level, b.level]), axis=1).shape[1]
     return bool(pairs == a.levels == b.levels)
 
 
 def _follows(factor: Factor, others: Mapping[str, Factor]) -> bool:
-    """True if the other factors leave less than `OWN` of the sd of a factor unexplained, by least
-    squares with a free value for each level of each other factor.
+    """True if a factor follows from the others: they leave less than `OWN` of its sd unexplained.
+
+    The fit is a sum of functions of one other factor each, with a free value at every level.
     """
     value = factor.scaled
     constant = np.ones((value.size, 1))
@@ -217,8 +215,8 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
             raise ParameterError(f"{table.source}: {text}")
 
     load = rows.load
-    size = rows.wheels[:, 0]
-    pressure = float(np.median(load / (size * rows.wheels[:, 1])))
+    radius = rows.wheels[:, 0]
+    pressure = float(np.median(load / (radius * rows.wheels[:, 1])))
     shown = (
         f"load is {np.median(load):.3g} N in the middle of the rows, {pressure:.3g} Pa on radius "
         "times width"
@@ -228,7 +226,7 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
     small = "newton millimetres or centimetres, divide by 1000 or 100"
     for column, name, unit, times, over, otherwise in (
         (1, "drawbar_pull", "newtons", "the load", load, "millinewtons, divide by 1000"),
-        (2, "torque", "newton metres", "load times radius", load * size, small),
+        (2, "torque", "newton metres", "load times radius", load * radius, small),
     ):
         ratio = np.abs(y[:, column]) / over
         ratio = ratio[np.isfinite(ratio)]
@@ -263,10 +261,10 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
 def _factor(name: str, value: np.ndarray, log: bool) -> Factor:
     """`Factor` of a condition; with `log` its values are compared by their ratio.
 
-    Sorted values are one level as long as their steps are within a gap: `_SAME_SHARE` of the range,
-    but at least what is no difference of this condition (`_SAME`). Values of slip, load, speed or
-    grade whose steps chain into a level wider than `_CHAIN` gaps, or that have too many levels, are
-    a continuum. They are cut into bins of equal count.
+    A step between sorted values that is larger than a gap parts two levels. The gap is
+    `_SAME_SHARE` of the range, but at least the difference that does not count (`_SAME`). Slip,
+    load, speed and grade are a continuum if they have too many levels, or one that is wider than
+    `_CHAIN` gaps. Bins of equal count are the levels of a continuum.
     """
     x = np.log(np.maximum(value, 1e-9)) if log else value
     span = float(np.ptp(x))
@@ -282,7 +280,6 @@ def _factor(name: str, value: np.ndarray, log: bool) -> Factor:
     widest = float(np.max(x[order][ends] - x[order][starts]))
     many = level.max() > max(_MOST_LEVELS, x.size // _ROWS_OF_LEVEL)
     if name in ("slip", "load", "speed", "grade_deg") and (many or widest > _CHAIN * gap):
-        # a continuum of values: cut it into bins of equal count
         bins = min(_MOST_BINS, x.size // _ROWS_OF_BIN)
         level[order] = np.arange(x.size) * max(bins, 2) // x.size
     scaled = (x - 0.5 * (x.min() + x.max())) / (0.5 * span) if span > gap else np.zeros_like(x)
@@ -290,11 +287,11 @@ def _factor(name: str, value: np.ndarray, log: bool) -> Factor:
 
 
 def folds(data: Data) -> list[list[np.ndarray]]:
-    """Cross-validation folds: ways to cut the table into groups that are held out one at a time,
-    each [N] bool.
+    """Cross-validation folds: one or two ways to cut the table into groups [N, bool], which are
+    held out one at a time.
 
-    One way holds out every slip; where other conditions vary too, a second holds out every
-    combination of those.
+    The groups of the first way are the levels of slip. Those of the second are the combinations of
+    the other conditions, where there are more than two.
     """
     slip = data.varied["slip"]
     ways = [[slip.level == k for k in range(slip.levels)]]

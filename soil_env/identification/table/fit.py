@@ -30,8 +30,9 @@ from .noise import NoiseEstimate
 from .priors import LARGEST_LOG, given_laws
 from .problem import LAW_ERRORS, LEAST_FREEDOM, SOURCES, TableProblem
 
-PHI, LN_K, LN_S, EXPONENT, COHESION, TILT = range(6)  # in these coordinates, the angles in degrees
-#: Parameters in that order.
+#: Indices of the six parameters in their coordinates: phi [deg], ln K, ln S, n, c [Pa], tilt [deg].
+PHI, LN_K, LN_S, EXPONENT, COHESION, TILT = range(6)
+#: Their labels in sentences, in that order, by the names of a setup.
 LABELS = {
     "friction_angle_deg": "friction angle",
     "shear_modulus": "shear deformation modulus",
@@ -44,7 +45,9 @@ SYMBOLS = dict(zip(LABELS.values(), ("phi", "K", "S z^n", "n", "c", "tilt"), str
 OFF_PRIOR = 3.0  # [prior sd] from the prior, beyond which a solution under noise alone is doubted
 FAR_OFF_PRIOR = 5.0  # [prior sd] from which that is to be checked first where the base model fits
 LEAST_SD = 1e-12  # [unit of the channel] of a residual, since it divides
-MUCH_WORSE = 2.0  # times the residual under exact laws, from which a fit that allows for errors is
+#: Residual of a fit that allows for errors of the laws, over that of a fit with exact laws, from
+#: which its soil predicts badly.
+MUCH_WORSE = 2.0
 EDGE = 1e-6  # of the range or the prior sd of an unknown, within which it is at a bound
 UNDETERMINED = 0.7  # share of the prior sd above which a parameter is not determined by the data
 TIED = 0.98  # correlation above which two parameters are tied
@@ -64,10 +67,10 @@ _PASSES = 80  # of an iteration at most
 _SETTLED = 1e-4  # [prior sd] change of the solution, below which the iteration ends
 _SETTLED_NOISE = 1e-3  # relative change of the noise, for the same
 # Where the change hardly falls (`_STALLED`) after a quarter of the passes, moves are cut:
-_STALLED = 0.9  # change over the one before
-_CUT = 0.6  # factor of the share of a move that is taken
-_LEAST_MOVE = 0.2  # of this share
-_FORM_PASSES = 2  # of the form error of the base law and the solution in turn
+_STALLED = 0.9  # change over that of the pass before
+_CUT = 0.6  # factor on the share of a move that is taken
+_LEAST_MOVE = 0.2  # least share of a move
+_FORM_PASSES = 2  # in which form error of the base law and solution are renewed in turn
 
 
 @dataclass(frozen=True)
@@ -80,7 +83,7 @@ class Parameter:
     low: float
     high: float
     unit: str
-    known: bool
+    known: bool  # given by the setup, not fitted
     sd_over_prior: float  # sd after the data over that of the prior; nan if known
     #: low, high: ends of the interval that are bounds of the admissible range, not of the data.
     at_bound: tuple[str, ...] = ()
@@ -88,13 +91,13 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """One channel: measured and fitted values [N] at the most probable slip and load, and its
-    noise.
+    """One channel: measured and fitted values [N] in its `unit`, at the most probable slip and
+    load, and its noise.
     """
 
     measured: np.ndarray  # nan where not measured
     fitted: np.ndarray
-    noise: float  # 1-sigma
+    noise: float  # standard deviation
     relative: np.ndarray  # [N] noise of the value in a row over `noise`
     estimated: bool  # the noise is estimated from the scatter
     #: Probability of residuals so large were the laws exact; nan if the noise is estimated.
@@ -124,8 +127,8 @@ class TableEstimate:
     fits: dict[str, ChannelFit]  # sinkage, drawbar_pull, torque, and load if it has noise
     row: np.ndarray  # [N] lines of the table
     slip: np.ndarray  # [N]
-    load: np.ndarray  # [N]
-    values: int  # measured values
+    load: np.ndarray  # [N] in newtons
+    values: int  # number of measured values
     exact: tuple[str, ...]  # of slip and load, what the setup gives no noise for
     converged: bool
     law_error: float  # relative error of the stress laws that the table suggests, root mean square
@@ -137,8 +140,8 @@ class TableEstimate:
     def model(self, wheel: Any) -> WheelSoilModel:
         """The base model of a wheel with a smooth rim on this soil, as the environments take it.
 
-        `wheel`: any with `radius` and `width` [m], that of the setup for one. Each line of
-        `check_first`, and the misfit, is a warning, for nothing shows it in a drive.
+        `wheel`: any with `radius` and `width` [m], such as that of the setup. Each line of
+        `check_first`, and the misfit, is raised as a warning, since a drive would not show it.
         """
         for doubt in filter(None, (*self.check_first, self.misfit)):
             warn(doubt, stacklevel=2)
@@ -195,8 +198,8 @@ def _with_whole_speeds(table: Table) -> Table:
 
 
 def _as_examined(examined: Examined) -> Table:
-    """The examined table with outliers as not measured, and without rows that have nothing else;
-    as it is where it was not examined.
+    """The examined table with outliers turned into values not measured, without rows that are left
+    empty; as it is where it was not examined.
     """
     if examined.noise is None:
         return examined.table
@@ -207,18 +210,20 @@ def _as_examined(examined: Examined) -> Table:
 class _Plain(NamedTuple):
     """The solution under noise alone, which shows whether the base model is enough."""
 
-    u: np.ndarray
+    u: np.ndarray  # [p]
     fits: dict[str, ChannelFit]
 
 
-def _settle(problem: TableProblem, u: np.ndarray, guess: bool = True) -> tuple[np.ndarray, bool]:
-    """(solution, True if converged) from u: least squares, slip and load, and the noise with
-    `guess`, renewed in turn until solution and noise settle.
+def _settle(
+    problem: TableProblem, u: np.ndarray, with_noise: bool = True
+) -> tuple[np.ndarray, bool]:
+    """(solution u [p], True if converged), sought from u in at most `_PASSES`.
 
-    The problem is left with what was renewed last. There are `_PASSES` at most. If the moves of the
-    solution hardly become smaller, they are cut.
+    A pass is a least-squares fit, new noise for channels whose noise is estimated (only
+    `with_noise`), and new most probable slips and loads. The problem keeps those of the last pass.
+    If the moves of the solution hardly become smaller, they are cut.
     """
-    guessed = problem.estimated & guess
+    renewed = problem.estimated & with_noise
     converged = False
     share = 1.0  # of each move; cut where moves go in circles, as when the model does not fit
     last = math.inf  # change of the iteration before
@@ -231,12 +236,12 @@ def _settle(problem: TableProblem, u: np.ndarray, guess: bool = True) -> tuple[n
         share = max(_LEAST_MOVE, _CUT * share) if stalled else share
         last = size
         u = u + share * move
-        if guess:
+        if with_noise:
             problem.update_noise(u)
         problem.correct(u)
         converged = bool(
             size < _SETTLED
-            and np.all(np.abs(problem.noise - noise)[guessed] < _SETTLED_NOISE * noise[guessed])
+            and np.all(np.abs(problem.noise - noise)[renewed] < _SETTLED_NOISE * noise[renewed])
         )
         if converged:
             break
@@ -244,7 +249,9 @@ def _settle(problem: TableProblem, u: np.ndarray, guess: bool = True) -> tuple[n
 
 
 def _scaling(problem: TableProblem) -> tuple[np.ndarray, np.ndarray]:
-    """(d(phi [deg], ln K, ln S, n, c, tilt)/du [6, p], [6] bool: which of the six are fitted)."""
+    """(derivatives [6, p] of the six parameters, in their coordinates, by u; [6] bool, True for
+    those that are fitted).
+    """
     order = list(LABELS)
     out = np.zeros((len(order), len(problem.unknowns)))
     for j, unknown in enumerate(problem.unknowns):
@@ -263,8 +270,9 @@ def _summary(
 ) -> TableEstimate:
     """The estimate from the solution u, with its intervals over all `LAW_ERRORS` and its warnings.
 
-    `plain`: the solution under noise alone, `missed`: channels that it misses, `dense`: words on
-    bins. The value is u; the covariance is about u, since the means under other sizes differ.
+    `plain`: the solution under noise alone; `missed`: misfit of the channels that it misses
+    (`_missed`); `dense`: words on bins. The estimate is u and the covariance is about u, since the
+    means under other sizes of the form error differ.
     """
     scaling, free = _scaling(problem)
     # (phi [rad], ln K, ln S z_ref^n, n, c, tilt) by (phi [deg], ln K, ln S, n, c, tilt).
@@ -337,11 +345,11 @@ def _soil(problem: TableProblem, u: np.ndarray) -> Soil:
 def _parameters(
     problem: TableProblem, u: np.ndarray, covariance: np.ndarray, scaling: np.ndarray
 ) -> dict[str, Parameter]:
-    """Estimates at u and 95 % intervals from the `covariance` [p, p] of u, cut at the bounds of the
-    unknowns; those of K, S and p_ref = S z_ref^n are computed in the logarithm.
+    """Estimates at u and 95 % intervals from the `covariance` [p, p] of u.
 
-    `scaling` as from `_scaling`. Where noise is estimated, Student's t has the degrees of freedom
-    of the channel with the fewest.
+    Intervals are cut at the bounds of the unknowns. Those of K, S and p_ref = S z_ref^n are
+    computed in the logarithm. `scaling` [6, p]: derivatives as from `_scaling`. Where noise is
+    estimated, Student's t has the degrees of freedom of the channel with the fewest.
     """
     freedom = max(1.0, float(np.min(problem.freedom)))
     reach = float(ndtri(0.975) if math.isinf(freedom) else stdtrit(freedom, 0.975))
@@ -368,22 +376,24 @@ def _parameters(
         high = min(float(value + half), most)
         ends = zip(("low", "high"), (low == least, high == most), strict=True)
         at_bound = tuple(end for end, there in ends if there and half > 0.0)
-        bounds = [float(value), low, high]
+        estimate = [float(value), low, high]
         if name in ("shear_modulus", "sinkage_coefficient", "reference_pressure"):
-            bounds = [math.exp(min(b, LARGEST_LOG)) for b in bounds]
-        elif name != "tilt_deg":
-            bounds[0] = 0.0 if abs(bounds[0]) < _ZERO * half else bounds[0]
+            estimate = [math.exp(min(x, LARGEST_LOG)) for x in estimate]
+        elif name != "tilt_deg" and abs(value) < _ZERO * half:
+            estimate[0] = 0.0
         prior_sd = math.sqrt(by_u @ by_u)
-        shrunk = half / reach / prior_sd if prior_sd > 0.0 else math.nan
         known = prior_sd == 0.0
-        out[name] = Parameter(bounds[0], bounds[1], bounds[2], unit, known, shrunk, at_bound)
+        shrunk = math.nan if known else half / reach / prior_sd
+        value, low, high = estimate
+        out[name] = Parameter(value, low, high, unit, known, shrunk, at_bound)
     return out
 
 
 def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
     """`ChannelFit` of each measured channel, and of the load if it has noise, at the solution u.
 
-    The probabilities are chi-squared, with as many degrees of freedom as the fit leaves the errors.
+    The probabilities are those of chi-squared, with the degrees of freedom that the fit leaves to
+    the errors.
     """
     errors, left = problem.errors(u)
     variances = problem.variances
@@ -392,27 +402,29 @@ def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
     for name in ("sinkage", "load", "drawbar_pull", "torque"):
         j = SOURCES.index(name)
         if name == "load":
-            k = np.full(len(out), problem.noise[j] > 0.0)
+            rows = np.full(len(out), problem.noise[j] > 0.0)
             columns = (problem.rows.load, problem.corrected.load)
             relative = np.ones(len(out))
         else:
-            k = problem.measured[:, j - 2]
+            rows = problem.measured[:, j - 2]
             columns = (problem.y[:, j - 2], out[:, j - 2])
             relative = problem.relative[:, j - 2]
-        if not np.any(k):
+        if not np.any(rows):
             continue
         noise = float(problem.noise[j])
-        p = math.nan
-        low = math.nan
-        if not problem.estimated[j]:
+        estimated = bool(problem.estimated[j])
+        p_value = math.nan
+        too_small = math.nan
+        if not estimated:
+            variance = variances[rows, j]
             freedom = max(
-                float(np.sum(np.maximum(left[k, j] / variances[k, j], _LEAST_SHARE))), LEAST_FREEDOM
+                float(np.sum(np.maximum(left[rows, j] / variance, _LEAST_SHARE))), LEAST_FREEDOM
             )
-            square = float(np.sum(errors[k, j] ** 2 / variances[k, j]))
-            p = float(chdtrc(freedom, square))
-            low = float(chdtr(freedom, square)) if square < SMALL**2 * freedom else 1.0
+            square = float(np.sum(errors[rows, j] ** 2 / variance))
+            p_value = float(chdtrc(freedom, square))
+            too_small = float(chdtr(freedom, square)) if square < SMALL**2 * freedom else 1.0
         fits[name] = ChannelFit(
-            *columns, noise, relative, bool(problem.estimated[j]), p, low, UNITS[name]
+            *columns, noise, relative, estimated, p_value, too_small, UNITS[name]
         )
     return fits
 
@@ -430,16 +442,16 @@ def _units(
     """
     words = []
     load = float(np.median(problem.rows.load))
-    S = parameters["sinkage_coefficient"]
+    stiffness = parameters["sinkage_coefficient"]
     if load < LIGHT:
         words.append(
             f"The median load is {load:.3g} N: expected newtons; if it is kN, multiply it by 1000, "
             "and forces and torque where they are in kN too."
         )
-    elif S.high < SOFT and not S.known:
+    elif stiffness.high < SOFT and not stiffness.known:
         words.append(
-            f"The sinkage coefficient came out as {S.value:.3g} {S.unit}, softer than any soil: "
-            "expected newtons and metres in the table."
+            f"The sinkage coefficient came out as {stiffness.value:.3g} {stiffness.unit}, softer "
+            "than any soil: expected newtons and metres in the table."
         )
     for name, fit in fits.items():
         if fit.too_small < TOO_SMALL / len(fits):
@@ -500,7 +512,7 @@ def _doubts(
     """
     words = []
     setup = problem.setup
-    (low, high) = problem.bounds
+    low, high = problem.bounds
     edge = EDGE * np.minimum(1.0, high - low)
     at_end = [
         LABELS[k.name]
@@ -529,12 +541,12 @@ def _doubts(
 
 
 def _missed(problem: TableProblem, plain: _Plain, noise: NoiseEstimate | None) -> dict[str, float]:
-    """Channels that the base model misses by more than chance (`MISSED`, `FOLLOWS`), with its
-    misfit over their noise.
+    """Misfit over the noise of each channel that the base model misses by more than chance
+    (`MISSED`, `FOLLOWS`).
 
-    With a given noise the residuals are compared with it. An estimated noise has taken up the
-    misfit. So it is compared with the scatter about a smooth surface, `noise` (F test), where the
-    table was examined. The residuals must not follow slip and load either.
+    A given noise is compared with the residuals. An estimated noise has taken up the misfit. So it
+    is compared with the scatter about a smooth surface, `noise` (F test), where the table was
+    examined. A channel is also missed if its residuals follow slip and load.
     """
     out = {}
     for name, fit in plain.fits.items():
@@ -563,9 +575,10 @@ def _misfit(
     law_error: float,
     fits: dict[str, ChannelFit],
 ) -> str:
-    """Sentences that the base model does not fit, by how much it misses which channels, what the
-    intervals then hold, and that the soil of these `fits` predicts badly (`MUCH_WORSE`); "" where
-    no channel is `missed`.
+    """Sentences on a base model that does not fit; "" where no channel is `missed`.
+
+    They say which channels it misses by how much, what the intervals then hold, and whether the
+    soil of these `fits` predicts badly (`MUCH_WORSE`).
     """
     if not missed:
         return ""
@@ -584,8 +597,8 @@ def _misfit(
 
 
 def _predicts_badly(plain: _Plain, fits: dict[str, ChannelFit]) -> str:
-    """Sentence on the channel in which the soil of the `fits` misses the table most beyond what
-    exact laws would leave; "" where that is less than `MUCH_WORSE` times as much.
+    """Sentence on the channel in which the soil of the `fits` misses the table worst, relative to
+    the fit with exact laws; "" below `MUCH_WORSE`.
     """
     rms, least = (
         {n: float(np.sqrt(np.nanmean((f.measured - f.fitted) ** 2))) for n, f in there.items()}
@@ -648,22 +661,24 @@ def _not_modelled(problem: TableProblem) -> list[str]:
 
 
 def _follows_conditions(slip: np.ndarray, load: np.ndarray, residual: np.ndarray) -> bool:
-    """True if a smooth function of slip and load [N] explains more of the residuals [N] than chance
-    does (F test, `FOLLOWS`).
+    """True if a smooth function of slip and load explains more of the residuals than chance does (F
+    test, `FOLLOWS`); arrays are [N].
 
-    It has up to the second power of slip, the logarithm of the load and its product with slip.
-    False where residuals are hardly more than its terms.
+    Its terms are 1, slip, its square, the logarithm of the load, and this times slip. False where
+    there are hardly more residuals than terms.
     """
     kept = np.isfinite(residual)
     e = residual[kept]
     i = slip[kept]
-    w = np.log(load[kept])
+    log_load = np.log(load[kept])
     # A table of one load has no terms of the load.
-    w = w - np.mean(w) if np.ptp(w) > SAME_LOG_LOAD else np.zeros_like(w)
+    varies = np.ptp(log_load) > SAME_LOG_LOAD
+    w = log_load - np.mean(log_load) if varies else np.zeros_like(i)
     basis = np.stack([np.ones_like(i), i, i * i, w, i * w], axis=1)
     solution, _, rank, _ = np.linalg.lstsq(basis, e, rcond=1e-9)
-    explained = np.sum((basis @ solution) ** 2)
-    rest = np.sum((e - basis @ solution) ** 2)
+    fitted = basis @ solution
+    explained = np.sum(fitted**2)
+    rest = np.sum((e - fitted) ** 2)
     spare = e.size - rank
     return bool(
         spare > 1 and fdtrc(rank, spare, explained / rank * spare / max(rest, 1e-300)) < FOLLOWS

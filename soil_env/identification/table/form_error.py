@@ -1,8 +1,8 @@
 """Form error: the laws of a model are approximations, and what they miss is a smooth function of
 the conditions.
 
-What is measured is y = f(u) + sum_k s_k B_k w_k + noise, w_k ~ N(0, 1), where the columns B_k span
-a Gaussian process over the conditions and s_k is the unknown size of a kind of form error
+What is measured is y = f(u) + sum_k s_k B_k w_k + noise, w_k ~ N(0, 1). The columns B_k span a
+Gaussian process over the conditions, and s_k is the unknown size of a kind of form error
 (docs/physics/discovery.md). A process is written in its leading eigenfunctions at the rows of the
 table (Karhunen-Loeve), so that its covariance becomes ordinary linear unknowns with unit prior.
 """
@@ -43,7 +43,7 @@ LITTLE_SLIP = 0.05  # of `log_slip`: above it the logarithm counts, below it the
 LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width", "grouser_height")
 #: What the base law depends on, and so its error: what goes with anything else is a missing effect.
 INPUTS = ("slip", "log_slip", "load", "wheel_radius", "wheel_width", "grouser_height")
-_LEFT = 1e-3  # share of the variance that may be left out of a basis
+_LEFT = 1e-3  # share of the variance that the functions of a process may leave out
 _NUGGET = 1e-9  # of the largest eigenvalue, below which a function is rounding
 #: Correlation length of a contribution of all conditions over that of one condition alone.
 _SHORTER = 3.0
@@ -60,9 +60,9 @@ _STRONGER = 0.45  # relative change of the strength per ln K that keeps the mean
 _UNSEEN = 1e-10
 _STEP = 1e-3  # relative change of a stress, for differences
 _VARIES = 1e-6  # range of a coordinate from which its condition varies
-_LUG = 1e-3  # [m] added to the height of a lug: a smooth rim has a logarithm, too
+_LUG = 1e-3  # [m] added to the height of a lug, so that a smooth rim has a logarithm
 _LEAST_VALUE = 1e-6  # of any other condition in a logarithm; 0 is a speed that is not known
-_LEAST_SINKAGE = 1e-6  # [m] in a power
+_LEAST_SINKAGE = 1e-6  # [m] of which a power is taken
 
 #: Relative size alpha of the error of the stress laws, and its prior: a tenth for a law that is
 #: exact, else log-normal about 5 %, 1 to 25 % within two standard deviations. Fits of Bekker's and
@@ -83,19 +83,20 @@ Conditions = Mapping[str, np.ndarray]  # [N] by the columns of a table
 
 @dataclass(frozen=True, eq=False)
 class Process:
-    """A Gaussian process of unit variance over the conditions, in its leading functions at the rows
-    of a table.
+    """A Gaussian process of unit variance over the conditions, written in R functions: its leading
+    eigenfunctions at the P rows of a table, whose coefficients are standard normal.
 
     Its covariance is exp(-d^2/2), d the distance in correlation lengths. Where it is `additive`,
     half of the variance goes with all conditions together, over these lengths. The other half goes
     with each condition on its own, over lengths that are `_SHORTER` times shorter.
     """
 
-    names: tuple[str, ...]  # of the coordinates
-    lengths: np.ndarray  # [d] correlation lengths
+    names: tuple[str, ...]  # of the D coordinates
+    lengths: np.ndarray  # [D] correlation lengths
     additive: bool
-    points: np.ndarray  # [P, d] coordinates of the rows of the table
-    weights: np.ndarray  # [P, R] of the covariance with the points, in each function
+    points: np.ndarray  # [P, D] coordinates of the rows of the table
+    #: [P, R] a function is the sum of covariances with the points, with these weights.
+    weights: np.ndarray
 
     @classmethod
     def over(
@@ -119,8 +120,8 @@ class Process:
         empty = cls(
             names, np.array([lengths[n] for n in names]), additive, points, np.zeros((0, 0))
         )
-        values, vectors = np.linalg.eigh(empty._covariance(empty.points))
-        values = values[::-1]
+        values, vectors = np.linalg.eigh(empty._covariance(points))
+        values = values[::-1]  # the largest first
         vectors = vectors[:, ::-1]
         left = values.sum() - np.cumsum(values)
         keep = min(
@@ -131,7 +132,7 @@ class Process:
         return replace(empty, weights=vectors[:, :keep] / np.sqrt(values[:keep]))
 
     def _covariance(self, x: np.ndarray) -> np.ndarray:
-        """Covariance [N, P] of coordinates x [N, d] with the points of the table."""
+        """Covariance [N, P] of the process at coordinates x [N, D] with that at the points."""
         square = ((x[:, None, :] - self.points[None, :, :]) / self.lengths) ** 2
         common = np.exp(-0.5 * square.sum(axis=2))
         if self.additive and self.names:
@@ -148,8 +149,8 @@ class Process:
         return self._covariance(self.points) @ self.weights
 
     def left(self, conditions: Conditions) -> np.ndarray:
-        """Share [N] of the variance at conditions [N] that the functions lack: 1 far from the
-        table.
+        """Share [N] of the process's variance at conditions [N] that the functions lack; 1 far from
+        the table.
         """
         return np.clip(1.0 - np.sum(self.at(conditions) ** 2, axis=1), 0.0, 1.0)
 
@@ -168,17 +169,13 @@ def coordinate(name: str, conditions: Conditions) -> np.ndarray:
     value = conditions[_condition(name)]
     if name == "log_slip":
         return np.copysign(np.log1p(np.abs(value) / LITTLE_SLIP), value)
-    if name not in LOGARITHMIC:
-        return value
-    return (
-        np.log(value + _LUG)
-        if name == "grouser_height"
-        else np.log(np.maximum(value, _LEAST_VALUE))
-    )
+    if name == "grouser_height":
+        return np.log(value + _LUG)
+    return np.log(np.maximum(value, _LEAST_VALUE)) if name in LOGARITHMIC else value
 
 
 def coordinates(conditions: Conditions, names: tuple[str, ...]) -> np.ndarray:
-    """The coordinates [N, d] with these names, each as `coordinate`; [N, 0] without names."""
+    """The coordinates [N, D] with these names, each as `coordinate`; [N, 0] without names."""
     size = np.size(next(iter(conditions.values())))
     return (
         np.stack([coordinate(n, conditions) for n in names], axis=1)
@@ -192,7 +189,7 @@ def finite(values: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(values), values, 0.0)
 
 
-Compression = tuple[np.ndarray, np.ndarray]  # (U, share) of `compressed`
+Compression = tuple[np.ndarray, np.ndarray]  # (U [M, R], share [R]) of `compressed`
 
 
 class StressChange(NamedTuple):
@@ -204,6 +201,9 @@ class StressChange(NamedTuple):
     effects: dict[str, float]  # by the fields of `Effects`
 
 
+UNCHANGED = StressChange({}, {})
+
+
 def by_stresses(
     outcome: Callable[[StressChange], np.ndarray], soil: Mapping[str, float], sinkage: float
 ) -> list[np.ndarray]:
@@ -212,21 +212,22 @@ def by_stresses(
 
     `outcome`: values [N, 3] under a change. `sinkage` [m]: a typical one.
     """
-    base = outcome(StressChange({}, {}))
-    changes = stress_changes(soil, _STEP, sinkage)
-    return [finite((outcome(change) - base) / _STEP) for change in changes]
+    base = outcome(UNCHANGED)
+    return [
+        finite((outcome(change) - base) / _STEP) for change in stress_changes(soil, _STEP, sinkage)
+    ]
 
 
 def stress_changes(soil: Mapping[str, float], h: float, sinkage: float) -> tuple[StressChange, ...]:
-    """Changes of the stresses by a form error of the relative size h, each for itself; `sinkage`
-    [m], a typical one.
+    """Five changes of the stresses, each by a form error of the relative size h.
 
-    The normal stress can be larger all along the arc; so can the shear stress. Where the error of
-    the normal stress changes along the arc, the stress moves and is more or less concentrated. An
-    error of a parabola of stress that is correlated over half of the arc sets the size of both.
-    They are written as a shift of the peak and as a change of the sinkage exponent at the same mean
-    pressure. The resultant of the shear stress moves as well, written as a change of the shear
-    deformation modulus at about the same mean shear stress.
+    They are of the normal stress, the shear stress, the place and the spread of the normal stress,
+    and the place of the shear stress. The first two make a stress larger all along the arc. The
+    others are errors that change along the arc. They move the peak of the normal stress, and spread
+    that stress by another sinkage exponent at the same mean pressure. They move the resultant of
+    the shear stress by another shear deformation modulus, at about the same mean. Their sizes are
+    those of errors that are correlated over half of the arc. `soil`: parameters by the names of a
+    setup. `sinkage` [m]: a typical one.
     """
     more = _SPREAD * h
     depth = _MEAN_DEPTH * max(sinkage, _LEAST_SINKAGE)
@@ -245,7 +246,9 @@ def stress_changes(soil: Mapping[str, float], h: float, sinkage: float) -> tuple
 
 
 def _stronger(soil: Mapping[str, float], share: float) -> dict[str, float]:
-    """Cohesion and friction angle of a soil whose shear strength is larger by a share."""
+    """Cohesion [Pa] and friction angle [deg] of a soil whose shear strength is larger by a
+    `share`.
+    """
     tangent = (1.0 + share) * math.tan(math.radians(soil["friction_angle_deg"]))
     return {
         "cohesion": (1.0 + share) * soil["cohesion"],
@@ -276,16 +279,18 @@ def whitened(compression: Compression | None, v: np.ndarray) -> np.ndarray:
 class NormalEquations(NamedTuple):
     """Products of a whitened linear problem: residuals e [M], A = (Jacobian, form errors)."""
 
-    gram: np.ndarray  # A'A
-    along: np.ndarray  # A'e
+    gram: np.ndarray  # [Q, Q] A'A
+    along: np.ndarray  # [Q] A'e
     square: float  # e'e
-    width: tuple[int, ...]  # columns of the Jacobian, and of each form error
+    width: tuple[int, ...]  # numbers of columns of the Jacobian and of each form error, sum Q
 
     @classmethod
     def of(
         cls, jacobian: np.ndarray, errors: Sequence[np.ndarray], residual: np.ndarray
     ) -> "NormalEquations":
-        """The products for residual [M], jacobian [M, p] and K form errors [M, R] of size 1."""
+        """The products for residual [M], jacobian [M, p] and K form errors [M, R] of size 1; R may
+        differ.
+        """
         # What counts of an error B is B B': no more columns than values.
         errors = [qr(b.T, mode="r")[0].T if b.shape[1] > len(b) else b for b in errors]
         a = np.concatenate([jacobian, *errors], axis=1)
@@ -293,8 +298,8 @@ class NormalEquations(NamedTuple):
         return cls(a.T @ a, a.T @ residual, float(residual @ residual), width)
 
     def where(self, used: np.ndarray, noise: float) -> "NormalEquations":
-        """The products with the form errors `used` [K, bool] alone, if all noise were `noise` times
-        as large.
+        """The products without the form errors that are not `used` [K, bool], if all noise were
+        `noise` times as large.
         """
         width = tuple(w for w, some in zip(self.width, (True, *used), strict=True) if some)
         at = np.flatnonzero(np.repeat((True, *used), self.width))
@@ -313,9 +318,9 @@ def marginals(
     """(log evidence [S], mean [S, p], covariance [S, p, p] of the unknowns) under each row of sizes
     [S, K] of the K form errors.
 
-    The problem is linear about u [p]; the priors of the unknowns are N(0, 1). `noise` multiplies
-    the noise of the problem. With A the Jacobian and the form errors, and D their sizes (1 for the
-    Jacobian),
+    The problem is linear about u [p]; unknowns and coefficients of form errors have the prior
+    N(0, 1). `noise` multiplies the noise of the problem. With A the Jacobian and the form errors,
+    and D their sizes (1 for the Jacobian),
 
         ln p = -(e'e + |u|^2 - h'N^-1 h)/2 - ln|N|/2,    N = I + D A'A D,    h = D A'e - u.
 
@@ -324,11 +329,11 @@ def marginals(
     """
     used = np.any(sizes != 0.0, axis=0)
     used[:first] = True
-    gram, along, power, width = problem.where(used, noise)
+    gram, along, square_sum, width = problem.where(used, noise)
     sizes = sizes[:, used]
     p = u.size
     start = np.concatenate([u, np.zeros(along.size - p)])
-    power = power + float(u @ u)
+    square_sum += float(u @ u)
     log = np.empty(len(sizes))
     mean = np.empty((len(sizes), p))
     covariance = np.empty((len(sizes), p, p))
@@ -349,7 +354,7 @@ def marginals(
         of_data = half[:, 0]
         of_unknowns = half[:, 1 : 1 + p]
         rest = half[:, 1 + p :]
-        base = -0.5 * (power - of_data @ of_data) - log_diagonal(factor)
+        base = -0.5 * (square_sum - of_data @ of_data) - log_diagonal(factor)
         centre = u + of_unknowns.T @ of_data
         narrow = of_unknowns.T @ of_unknowns
         pulls = np.column_stack([along[outer.size :] - rest.T @ of_data, rest.T @ of_unknowns])
@@ -386,7 +391,7 @@ def marginals(
 
 
 def _alike(rows: np.ndarray) -> list[np.ndarray]:
-    """Numbers of the rows [N, K] that are equal, one array for each different row."""
+    """Groups of equal rows of an array [N, K]: the indices of each group."""
     found: dict[bytes, list[int]] = {}
     for k, row in enumerate(rows):
         found.setdefault(row.tobytes(), []).append(k)
@@ -416,8 +421,9 @@ def log_diagonal(factor: np.ndarray) -> float:
 
 
 def _solved(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """factor^-1 right, of the lower triangle of `factor` [R, R]; LAPACK at once, for systems this
-    small.
+    """factor^-1 right, with the lower triangle of `factor` [R, R] and `right` [R, B].
+
+    It calls LAPACK directly, since the checks of SciPy take longer than systems this small.
     """
     return lapack.dtrtrs(factor, right, lower=1)[0] if len(right) else right
 

@@ -7,8 +7,8 @@ better. What only an effect that the base model lacks would explain is no mistak
 reading may err by so much. The noise is that of a smooth surface (`noise`), so that a
 table that no reading fits is not compared by its misfit.
 
-What a wheel pulls and turns with rises with slip by what soil can bear, and by about the same in
-both: a resistance is in their difference, and changes little. This is evidence beside that of the
+Drawbar pull and torque/radius rise with slip by what soil can bear, and both by about the same:
+their difference is the resistance, which changes little. This is evidence beside that of the
 model, since a large error of its laws could take up a factor of the unit.
 """
 
@@ -47,7 +47,7 @@ LESS = 0.97  # times the misfit of the table as it is, below which a reading is 
 MAYBE = 4.5  # log of the evidence, from which another reading is mentioned as a possible one
 #: Times smaller that the mean square above the noise gets under a reading that is told.
 BETTER = 1.5
-CORRECTIONS = 4  # of slip and load that have noise, and fits in turn
+CORRECTIONS = 4  # fits, each after slip and load that have noise were corrected
 FEWEST_ROWS = 3  # that have to agree against a wrong one
 SMALL = 8  # rows up to which a table is small: every row is tried as the wrong one
 CANDIDATES = 2  # rows of a larger table that are tried, those furthest off a robust fit; own choice
@@ -55,30 +55,33 @@ SHARED = 0.5  # share of a row's deviation, from which rows beside it that have 
 MOST_WRONG = 0.04  # share of the rows that may be wrong, but one may always be
 ALIKE = 1.5  # largest over least load of rows whose loads are alike
 APART = 5.0  # ratio of a load to the nearest of these, from which it stands alone
-LONE = 1.0  # ranges of the other values, by which an outlier that is told first is off all of them
+#: Distance of an outlier from every other value, over the range of these, above which it is told
+#: first.
+LONE = 1.0
 CLEAR = 3.0  # [noise and law error] within which a row fits with another load or slip
 WRONG = 4.0  # [noise and law error] from which a row is wrong
-GROSS = 6.0  # [noise and law error] from which it is in a small table whose noise is not known
-LAW_ERROR = 0.1  # relative error of the laws in `CLEAR`, `WRONG` and `GROSS`
+GROSS = 6.0  # the same in a small table whose noise is not known
+LAW_ERROR = 0.1  # relative error of the laws in the unit of `CLEAR`, `WRONG` and `GROSS`
 NO_VALUE = 1e3  # [noise and law error] residual where the model has no value
 ROUGH = 0.05  # of the spread of a channel: its noise where none is known yet
 LEAST_SD = 1e-12  # [unit of the channel] of this noise, since it divides
-# In place of a wrong load or slip others are tried: least, largest, number. Own choices.
+# Values tried in place of a wrong load or slip: least, largest, number. Own choices.
 LOADS_TRIED = (0.01, 100.0, 401)  # over the load in the table
 SLIPS_TRIED = (-0.95, 0.95, 191)
 LEAST_RADIUS = 0.01  # [m] of a wheel in a setup: none is halved below it
 CERTAIN = 0.999  # probability from which words give no number
-#: Student's t of the logarithms of a rise over the load and of pull over torque/radius: of 2000
-#: tables of `benchmarks.sound_tables` (seed 5001).
+#: Student's t distributions [2] of two logarithms: of the rise of a force with slip over the load,
+#: and of the rise of the pull over that of torque/radius. Fitted to 2000 tables of
+#: `benchmarks.sound_tables` (seed 5001).
 FREEDOM = np.array([5.0, 1.5])
 CENTRE = np.log([0.19, 1.0])
 SCALE = np.array([0.385, 0.106])
-#: Resistance over the load, as a multiple of the root of sinkage over radius, with its standard
-#: deviation; Student's t below and above it. Of 800 tables of `benchmarks.sound_tables` (9001).
+#: Usual resistance over the load, as a multiple of sqrt(sinkage/radius), and the scale of its
+#: Student's t distribution. Fitted to 800 tables of `benchmarks.sound_tables` (seed 9001).
 HELD = 0.72
 HELD_SD = 0.056
-LESS_FREEDOM = 8.0
-MORE_FREEDOM = 2.0
+LESS_FREEDOM = 8.0  # degrees of freedom of that distribution below the usual resistance
+MORE_FREEDOM = 2.0  # and above it
 NONE_HELD = 5.0  # [`HELD_SD`] of the usual resistance, from which none at all is doubted
 MOST_HELD = 0.1  # of the usual resistance, up to which there is none
 ALONE = 4.5  # log of the evidence by rises, from which a reading is told whatever the model says
@@ -90,7 +93,7 @@ FALLS = 0.8  # share of the groups of rows in which the pull has to fall with sl
 FALL_SD = 3.0  # [noise] by which the pull of a group has to fall; own choice
 LOW_SLIP = 0.2  # slip up to which a group must begin for a rise or fall to say anything
 LOWEST_SLIP = -0.05  # slip from which it must begin, so that it is not of a braked wheel
-LEAST_SPAN = 0.15  # of the slips of a group, for the same
+LEAST_SPAN = 0.15  # least range of its slips, for the same
 FEWEST_VALUES = 4  # of a channel, from which it can be found constant or too weak
 #: Largest force of a table over the load, below which its unit is another: rolling takes more.
 WEAK = 2e-3
@@ -108,8 +111,8 @@ class Reading(NamedTuple):
     remedy: str  # what was expected in the table
     table: Table
     setup: Setup
-    scale: np.ndarray  # [3] size of the channels over that in the table as it is
-    source: tuple[int, ...] = (0, 1, 2)  # channel of the table as it is, from which each is taken
+    scale: np.ndarray  # [3] factor on each channel of the table as it is
+    source: tuple[int, ...] = (0, 1, 2)  # channel of the table as it is that each one is taken from
 
 
 def readings(table: Table, setup: Setup) -> list[Reading]:
@@ -207,11 +210,11 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """A reading of the table and its most probable soil u."""
+    """A reading of the table and its most probable soil."""
 
     reading: Reading
     problem: TableProblem
-    u: np.ndarray
+    u: np.ndarray  # [p] whitened unknowns
     cost: float  # sum of the squares of residuals over their noise, and of u
     rms: float  # root mean square of these residuals
 
@@ -276,8 +279,9 @@ def _fit(
 def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
     """Noise of the channels of the table as it is, about the surface of the `fit` of any reading.
 
-    For the table as it is, given noise of slip and load widens what is no outlier, but not the
-    noise. Where the values do not show their noise it is `_rough`, and all values are used.
+    For the table as it is, a given noise of slip and load lets values lie further off before they
+    are outliers, but does not enter the noise. Where the values do not show their noise it is
+    `_rough`, and all values are used.
     """
 
     def surface(rows: Rows) -> np.ndarray:
@@ -304,8 +308,8 @@ def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
 
 
 def _rough(data: Data, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
-    """[3] noise of the channels before any fit: as given, else `ROUGH` of the sd of the values in
-    `rows` (all by default).
+    """[3] noise of the channels before any fit: as given, else `ROUGH` times the sd of the values
+    in `rows` (bool or a slice; all by default).
     """
     out = np.full(len(CHANNELS), ROUGH)
     for j, name in enumerate(CHANNELS):
@@ -332,8 +336,9 @@ class Better(NamedTuple):
     def sure(self) -> bool:
         """True if the reading is to be told.
 
-        Rises of `ALONE` are enough. Else the gain must be `SURE`, and the base model must fit
-        better: by `BETTER`, or at all where rises speak for it. Rises of `WITH` make up for that.
+        Evidence of `ALONE` by the rises is enough. Else the gain must be `SURE`, and the base model
+        must fit better: by `BETTER`, or at all where the rises speak for the reading. It need not
+        fit better where they do so by `WITH`.
         """
         fits = self.rms < self.rms_before and (
             self.by_rises > 0.0 or BETTER * (self.rms**2 - 1.0) < self.rms_before**2 - 1.0
@@ -381,41 +386,40 @@ def _other_readings(start: _AsIs) -> list[Better]:
     """The other readings, that with the largest gain first; none where the table is not `suspect`
     and the rises of its forces speak for no reading (`ALONE`).
 
-    All are fitted under one noise: the smallest about the surface of any reading, as a wrong one
-    leaves more about its own. If a reading may be better, the table as it is gets a fit by search.
+    All are fitted under one noise: the smallest that any reading leaves about its surface, as a
+    wrong reading leaves more. If a reading may be better, the table as it is gets a fit by search.
     """
     data, noise, first = start
     plain = first.reading
     rough = _rough(data)
     others = readings(data.table, data.setup)
     rises = _rises(data, noise)
-    by_rises = {other.name: _by_rises(rises, data, other) for other in others}
-    held = _by_resistance(data, noise, plain)
-    by_resistance = {o.name: _by_resistance(data, noise, o) - held for o in others}
-    if not start.suspect and max(by_rises.values(), default=0.0) < ALONE:
+    by_rises = [_by_rises(rises, data, other) for other in others]
+    if not start.suspect and max(by_rises, default=0.0) < ALONE:
         return []
-    at = {other.name: _fit(other, rough) for other in others}
-    # A wrong reading leaves more about its surface.
-    noises = [_noise(data, fit) for name, fit in at.items() if name != "columns"]
+    as_it_is = _by_resistance(data, noise, plain)
+    by_resistance = [_by_resistance(data, noise, other) - as_it_is for other in others]
+    at = [_fit(other, rough) for other in others]
+    noises = [_noise(data, fit) for fit in at if fit.reading.name != "columns"]
     noise = min(noise, *noises, key=lambda there: np.sum(np.log(there.sd)))
     base = first if noise is start.noise else _fit(plain, noise.sd, noise.used, first.u)
-    fits = [_fit(other, noise.sd, noise.used, at[other.name].u) for other in others]
+    fits = [_fit(fit.reading, noise.sd, noise.used, fit.u) for fit in at]
     if max(f.evidence for f in fits) - base.evidence > MAYBE:
         searched = _fit(plain, noise.sd, noise.used, search=True)
         base = max(base, searched, key=lambda f: f.evidence)
     found = [
-        Better(f.reading, f.evidence - base.evidence + more + held_back, f.rms, base.rms, more)
-        for f, more, held_back in zip(fits, by_rises.values(), by_resistance.values(), strict=True)
+        Better(f.reading, f.evidence - base.evidence + rise + held, f.rms, base.rms, rise)
+        for f, rise, held in zip(fits, by_rises, by_resistance, strict=True)
     ]
     return sorted(found, key=lambda f: -f.gain)
 
 
 def _rises(data: Data, noise: NoiseEstimate) -> np.ndarray:
-    """[2] change with slip of pull and torque/radius over the load, the median of the groups that
+    """[2] rises with slip of pull and of torque/radius, over the load: medians of the groups that
     begin at low slip.
 
-    Its size is the range within a group, its sign that of the last row less the first. nan where
-    a force was not measured, does not change, or no group begins at low slip.
+    The size of a rise is the range of the force within a group, its sign that of the last row less
+    the first. nan where a force was not measured, does not change, or no group begins at low slip.
     """
     forces = data.y[:, 1:] / data.rows.load[:, None]
     forces[:, 1] /= data.rows.wheels[:, 0]
@@ -427,10 +431,10 @@ def _rises(data: Data, noise: NoiseEstimate) -> np.ndarray:
 
 
 def _by_rises(rises: np.ndarray, data: Data, other: Reading) -> float:
-    """Log evidence for a reading over the table as it is, from its `_rises`.
+    """Log evidence for the reading `other` over the table as it is, by the `rises` of the latter.
 
-    Only the sizes of the rises are compared. 0 where the reading changes none, for columns that
-    were exchanged (their rises are not), and where no rise is known. -inf where this evidence is
+    Only sizes of rises are compared. 0 where the reading changes none, where no rise is known, and
+    for exchanged columns, whose rises are not exchanged here. -inf where this evidence is
     below `UNLIKE`, or where the reading turns the sign of pull or slip although the pull rises.
     """
     # a reading multiplies all loads by one factor, which the first row gives
@@ -442,11 +446,11 @@ def _by_rises(rises: np.ndarray, data: Data, other: Reading) -> float:
 
 
 def _of_soils(rises: np.ndarray) -> float:
-    """Logarithm of the probability density of the `rises` [2] on soils, but for a constant; signs
-    do not count, nor does what is nan.
+    """Log probability density of the `rises` [2] of a wheel on soil, but for a constant; signs do
+    not count, nor does what is nan.
 
-    The rise over the load (of the pull, else of torque/radius) and the ratio of the two are
-    independent (`CENTRE`).
+    The rise of the pull (else of torque/radius) and the ratio of the two are independent
+    (`CENTRE`).
     """
     pull, torque = np.log(np.abs(rises))
     off = (np.array([torque if math.isnan(pull) else pull, pull - torque]) - CENTRE) / SCALE
@@ -454,24 +458,37 @@ def _of_soils(rises: np.ndarray) -> float:
 
 
 def _by_resistance(data: Data, noise: NoiseEstimate, reading: Reading) -> float:
-    """Logarithm of the probability, but for a constant, of the resistance to the wheel under a
-    reading, as the median of rows with all three channels beyond `LOW_SLIP`.
+    """Log probability density, but for a constant, of the resistance to the wheel under a reading:
+    of its median over the `_resisted` rows.
 
-    Resistance is torque/radius less the pull, at any slip. The vertical stress over the arc of
-    contact makes it about W/2 times the sine sqrt(2 z/r) of the entry angle. 0 for less than
-    `FEWEST_ROWS` such rows on the level, and for readings under which other rows are driven.
+    0 for less than `FEWEST_ROWS` such rows, and for readings under which other rows are driven.
     """
-    table = reading.table
-    radius = table.radius(reading.setup.wheel)
-    level = np.abs(data.rows.conditions[:, 2]) < LEVEL
-    rows = np.all(noise.used, axis=1) & (data.rows.slip > LOW_SLIP) & level & (table.sinkage > 0.0)
+    rows = _resisted(data, noise)
     if rows.sum() < FEWEST_ROWS or reading.name in ("slip", "slip_ratio"):
         return 0.0
-    share = (table.torque / radius - table.drawbar_pull) / table.load
-    root = np.sqrt(np.maximum(table.sinkage, 0.0) / radius)
-    off = float(np.median((share - HELD * root)[rows])) / HELD_SD
+    share, usual = _resistance(reading.table, reading.setup)
+    off = float(np.median((share - usual)[rows])) / HELD_SD
     freedom = LESS_FREEDOM if off < 0.0 else MORE_FREEDOM
     return -0.5 * (freedom + 1.0) * math.log1p(off**2 / freedom)
+
+
+def _resisted(data: Data, noise: NoiseEstimate) -> np.ndarray:
+    """[N] bool, True for rows that show the resistance to the wheel: on the level, beyond
+    `LOW_SLIP`, with a sinkage above 0 and both forces, none of them an outlier.
+    """
+    level = np.abs(data.rows.conditions[:, 2]) < LEVEL
+    return np.all(noise.used, axis=1) & (data.rows.slip > LOW_SLIP) & level & (data.y[:, 0] > 0.0)
+
+
+def _resistance(table: Table, setup: Setup) -> tuple[np.ndarray, np.ndarray]:
+    """([N] resistance to the wheel over the load, [N] its usual value `HELD` sqrt(z/r)).
+
+    Resistance is torque/radius less the pull, at any slip. The vertical stress over the arc of
+    contact makes it about W/2 times the sine sqrt(2 z/r) of the entry angle.
+    """
+    radius = table.radius(setup.wheel)
+    share = (table.torque / radius - table.drawbar_pull) / table.load
+    return share, HELD * np.sqrt(np.maximum(table.sinkage, 0.0) / radius)
 
 
 class Examined(NamedTuple):
@@ -532,8 +549,9 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
 
     The best of the `sure` readings is a doubt, with those nearly as good. `ParameterError` if the
     table also breaks a physical limit that goes with this reading. Without a sure reading the first
-    limit that is broken is a doubt: the pull falls with slip while its turned sign fits no worse,
-    the wheel gains power, pulls with more than its torque, or with all of it. The best reading with
+    limit that is broken is a doubt. The limits: the pull falls with slip while its turned sign fits
+    no worse, the wheel gains power, pulls with more than its torque, or with all of it. The best
+    reading with
     a gain of `MAYBE` and a better fit (`LESS`) is a caution then.
     """
     others = _other_readings(start)
@@ -602,11 +620,11 @@ def _without_wrong_rows(start: _AsIs) -> tuple[_AsIs, list[str]]:
 def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
     """(table without the wrong row, a sentence on it), None where no row is found wrong.
 
-    The row is that without which the others fit best. Tried are all rows of a `SMALL` table, else
-    the `CANDIDATES` furthest off and those at the ends of slip and load. The row is kept if others
-    at its slip share the deviation, if the trend of its neighbours leads to it, or if the evidence
-    is too little (`_words_on`). A table that is not `suspect` is searched only if its noise was
-    taken from the scatter: a wrong row is in that noise.
+    The row is that without which the others fit best. All rows of a `SMALL` table are tried, else
+    the `CANDIDATES` furthest off and those at the ends of slip and load. The row is kept in three
+    cases: others at its slip share the deviation, the trend of its neighbours leads to it
+    (`_goes_on`), or the evidence is too little (`_words_on`). A table that is not `suspect` is
+    searched only if its noise was taken from the scatter: a wrong row is in that noise.
     """
     data, noise, fit = start
     hidden = "scatter" in noise.origin or not any(noise.origin)  # noise that a wrong row enlarges
@@ -626,7 +644,7 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
         # The least rough noise without any one row: without the wrong one, whichever it is.
         sd = np.min([sd, *(_rough(data, rows != row) for row in rows)], axis=0)
 
-    def left(row: int) -> float:
+    def cost_without(row: int) -> float:
         """Cost of the fit to all other rows, over the number of their values; inf if too few."""
         there = _plain(data.table.only(rows != row), data.setup)
         try:
@@ -636,7 +654,7 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
         return found.cost / int(found.problem.measured.sum())
 
     few = rows if len(rows) <= SMALL else np.argsort(-square)[:CANDIDATES]
-    worst = min({int(k) for k in (*few, *ends)}, key=left)
+    worst = min({int(k) for k in (*few, *ends)}, key=cost_without)
     kept = rows != worst
     # A deviation that the others at its slip share is no mistake of one row.
     level = data.varied["slip"].level
@@ -686,10 +704,10 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
     """Sentence on a wrong row and on which of its cells to check, by the fit to the `others`; "" if
     the row is not sure to be wrong.
 
-    Sure is a distance of `least` [noise and law error] and a `gain` of `SURE`, of the evidence of
-    the other rows without it. From the gain is taken what a wrong row costs: a value, or all
-    of them, may be anywhere. To check is the only value that is off, else the load or slip with
-    which all values fit, else everything.
+    It is sure if a value is off by `least` [noise and law error] and the `gain`, less what a wrong
+    row costs, reaches `SURE`. The gain is of the log evidence of the other rows without this one.
+    The cost is that one value, or all of them, may be anywhere. The cell to check is the only value
+    that is off, else the load or slip with which all values fit, else every one. `sd` [3]: noise.
     """
     table = data.table
     here = Rows(*(column[row : row + 1] for column in data.rows))
@@ -746,8 +764,10 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
 
 
 def _outliers(data: Data, noise: NoiseEstimate) -> tuple[list[str], list[str]]:
-    """Sentences on the values that leave the surface through the others, and again on those among
-    them that are to be checked first: further off each other value than their range (`LONE`).
+    """(sentences on the outliers, those of them that are to be checked first).
+
+    An outlier leaves the smooth surface through the other values. It is to be checked first if it
+    is further from every other value than their range (`LONE`).
     """
     cells = []
     gross = []
@@ -902,19 +922,16 @@ def _outpulls_the_rim(data: Data, noise: NoiseEstimate) -> str:
 
 
 def _no_resistance(data: Data, noise: NoiseEstimate) -> str:
-    """Clause that torque over radius is the pull, as if the soil did not hold the wheel back where
-    it stands deep in it; "" else.
+    """Clause that torque over radius equals the pull, as if the soil did not hold back a wheel that
+    is deep in it; "" else.
 
-    The pull is the whole thrust then. The usual resistance (`HELD`) must be clear of 0 by
-    `NONE_HELD`, and what is measured far below it (`MOST_HELD`).
+    The pull is the whole thrust then. The usual resistance must be clear of 0 by `NONE_HELD`, and
+    what is measured far below it (`MOST_HELD`).
     """
-    level = np.abs(data.rows.conditions[:, 2]) < LEVEL
-    radius = data.rows.wheels[:, 0]
-    rows = np.all(noise.used, axis=1) & (data.rows.slip > LOW_SLIP) & level & (data.y[:, 0] > 0.0)
+    rows = _resisted(data, noise)
     if rows.sum() < FEWEST_ROWS:
         return ""
-    share = float(np.median(((data.y[:, 2] / radius - data.y[:, 1]) / data.rows.load)[rows]))
-    usual = float(np.median(HELD * np.sqrt(np.maximum(data.y[:, 0], 0.0) / radius)[rows]))
+    share, usual = (float(np.median(x[rows])) for x in _resistance(data.table, data.setup))
     if usual < NONE_HELD * HELD_SD or abs(share) > MOST_HELD * usual:
         return ""
     return (
@@ -928,14 +945,14 @@ def _over_the_axle(data: Data, noise: NoiseEstimate, speed: np.ndarray, words: s
     """`words` with the median of DP `speed`/(T/r) over the driven rows on the level, if it exceeds
     1 by more than noise (`SURE_GAIN`) and errors of gains (`GAINED`); "" else.
 
-    `speed` [N] is a share of that of the rim, 1 to compare forces. Three rows are needed, and a
-    positive torque.
+    `speed` [N]: travel speed over that of the rim to compare powers, 1 to compare forces. `words`
+    has a place for the number. Three rows are needed, and a positive torque.
     """
     level = np.abs(data.rows.conditions[:, 2]) < LEVEL
     both = noise.used[:, 1] & noise.used[:, 2] & (data.rows.slip > 0.0) & level
     radius = data.rows.wheels[:, 0]
-    taken = data.y[:, 2] / radius
-    given = data.y[:, 1] * speed
+    taken = data.y[:, 2] / radius  # by the axle
+    given = data.y[:, 1] * speed  # by the pull
     sd = np.hypot(noise.sd[2] / radius, noise.sd[1] * speed)
     gain = (given - GAINED * taken - SURE_GAIN * sd)[both]
     if gain.size < 3 or np.median(gain) <= 0.0 or np.median(taken[both]) <= 0.0:

@@ -54,12 +54,15 @@ class NoiseEstimate:
     origin: tuple[str, ...]  # [3] "setup", "repeats", "scatter" or "" where not measured
     used: np.ndarray  # [N, 3] bool, measured values that are no outliers
     alone: np.ndarray  # [N] bool, rows whose values no other row comes near enough to check
-    of_conditions: tuple[str, ...] = ()  # of slip and load: whose noise is in that of the channels
+    #: Those of slip and load whose noise is included in that of the channels.
+    of_conditions: tuple[str, ...] = ()
 
 
 def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
-    """`NoiseEstimate` of each channel: from the setup or a column of standard deviations, else from
-    repeats with `FEWEST_REPEATS` degrees of freedom, else from the scatter about the surface
+    """`NoiseEstimate` of the channels.
+
+    The noise of each is from the setup or a column of standard deviations. Else it is from repeats
+    with at least `FEWEST_REPEATS` degrees of freedom, else from the scatter about the surface
     through the data.
 
     `model` [N, 3]: the calibrated base model, to which the surface adds polynomials. Outliers from
@@ -114,7 +117,8 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
 
 
 def given_noise(data: Data) -> list[float | None]:
-    """[3] noise of the channels as the setup or the rows give it, else None.
+    """Noise of each of the three channels as the setup or the rows give it, None where neither
+    does.
 
     `ParameterError` where it is less than `LEAST_GIVEN` of the root mean square of the values.
     """
@@ -144,8 +148,8 @@ def with_noise_of_conditions(
     base model at rows.
     """
     noise = {name: getattr(data.setup.noise, name) for name in STEPS}
-    known = given_noise(data)
-    if not any(noise.values()) or all(sd is None for sd in known):
+    given = given_noise(data)
+    if not any(noise.values()) or all(sd is None for sd in given):
         return data, ()
     more = np.zeros(data.y.shape)
     for name, sd in noise.items():
@@ -154,7 +158,7 @@ def with_noise_of_conditions(
     columns: dict[str, Any] = {}
     levels: dict[str, None] = dict.fromkeys(STEPS)  # from here on they are exact
     for j, channel in enumerate(CHANNELS):
-        own = known[j]
+        own = given[j]
         if own is not None:
             columns[f"{channel}_sd"] = np.sqrt((own * data.relative_sd[:, j]) ** 2 + more[:, j])
             levels[channel] = None
@@ -167,10 +171,10 @@ def with_noise_of_conditions(
 
 
 def _derivatives(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -> np.ndarray:
-    """Derivatives [N, 3] of the smooth surface by the condition `name`, slip or load [N].
+    """Derivatives [N, 3] of the smooth surface by the condition `name`, slip or load.
 
-    The surface is the base model and polynomials that are fitted to the rest; these count only if
-    the condition varies. 0 where the model has no value.
+    The surface is the base model and polynomials that are fitted to what it leaves; these count
+    only if the condition varies. 0 where the model has no value.
     """
     value = getattr(data.rows, name)
     step = STEPS[name] * (value if name in LOGARITHMIC else np.ones_like(value))
@@ -179,6 +183,7 @@ def _derivatives(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -
     if name in data.varied:
         factor = data.varied[name]
         scale = np.log(value) if name in LOGARITHMIC else value
+        # d(scaled condition) / d(condition)
         per_unit = (
             (1.0 / value if name in LOGARITHMIC else 1.0) * np.ptp(factor.scaled) / np.ptp(scale)
         )
@@ -199,14 +204,16 @@ def _derivatives(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -
 def _without_outliers(
     basis: np.ndarray, e: np.ndarray, used: np.ndarray, sd: float | None, slip: np.ndarray
 ) -> np.ndarray:
-    """[N] bool, which of the values `used` of a channel stay; their noise is `sd`, or taken from
-    their scatter for None.
+    """[N] bool, True for the values `used` [N, bool] of a channel that are no outliers.
 
-    `e` [N]: values less the model. The value furthest from the surface is left out, one after the
-    other, while it is beyond `OUTLIER` and there are not more than `MOST_OUTLIERS`. A value that no
-    other checks (`ALONE`) stays. With a given `sd` values come back that a larger outlier had moved
-    the surface away from. A value also comes back if two or more others at its level of `slip` [N]
-    leave the surface the same way (`COMMON`).
+    `basis` [N, B]: functions of the surface; `e` [N]: values less the model; `sd`: their noise,
+    None to take it from their scatter; `slip` [N]: levels. The value furthest from the surface is
+    left out, one after the other, while it is beyond `OUTLIER`, and up to `MOST_OUTLIERS`. A value
+    that no other checks (`ALONE`) stays.
+
+    With a given `sd` values come back that a larger outlier had moved the surface away from. A
+    value also comes back if two or more others at its slip leave the surface the same way
+    (`COMMON`).
     """
     keep = used.copy()
     for _ in range(max(1, int(MOST_OUTLIERS * keep.sum())) + 1):
@@ -237,10 +244,11 @@ def _without_outliers(
 def _studentised(spread: np.ndarray, square: float, freedom: int) -> np.ndarray:
     """Distances [N] in sd of values from the surface through all others, with the noise of these.
 
-    So a single large value cannot hide by drawing the surface to itself or by raising the noise. It
-    is the externally studentised residual (Belsley, Kuh & Welsch 1980, Eq. 2.26), as the distance
-    of the same probability under a known noise. `spread` [N]: residuals over sqrt(1 - leverage);
-    `square`: the sum of squared residuals; `freedom`: of the others.
+    So a single large value cannot hide by drawing the surface to itself or by raising the noise.
+    This is the externally studentised residual (Belsley, Kuh & Welsch 1980, Eq. 2.26), turned into
+    the distance that has the same probability under a known noise. `spread` [N]: residuals over
+    sqrt(1 - leverage); `square`: sum of squared residuals; `freedom`: degrees of freedom of the
+    others.
     """
     rest = np.maximum(square - spread**2, 1e-12 * square)
     t = np.abs(spread) / np.sqrt(rest / freedom)
@@ -249,8 +257,10 @@ def _studentised(spread: np.ndarray, square: float, freedom: int) -> np.ndarray:
 
 
 def _refuse_no_scatter(data: Data, used: np.ndarray, sd: np.ndarray, origin: list[str]) -> None:
-    """`ParameterError` where noise `sd` was taken from values that are rounded or computed: it is
-    at most `LEAST_NOISE` of their root mean square, or all are the same.
+    """Raise `ParameterError` where noise `sd` [3] was taken from values that are rounded or
+    computed.
+
+    Then it is at most `LEAST_NOISE` of their root mean square, or all values are the same.
     """
     for j, name in enumerate(CHANNELS):
         if origin[j] not in ("repeats", "scatter"):
@@ -264,13 +274,13 @@ def _refuse_no_scatter(data: Data, used: np.ndarray, sd: np.ndarray, origin: lis
 
 
 def smooth_basis(data: Data) -> np.ndarray:
-    """[N, B] polynomials of the varied conditions: up to the third power of slip, second of the
-    others, and products.
+    """Functions [N, B] of the smooth surface: polynomials of the varied conditions, up to the third
+    power of slip and the second of the others, and products of two.
 
     A square needs three levels of its condition, the cube five. Sizes of the wheel multiply all of
-    these columns: two wheels have a surface each. Of the columns with sizes none is taken that
-    those before it make up. Only the first columns are taken, up to half as many as cells, but two
-    at least.
+    these columns, so that two wheels have a surface each. A column with a size is left out if those
+    before it make it up. Only the first columns are taken, up to half as many as there are cells,
+    but two at least.
     """
     s = data.varied["slip"].scaled
     columns = [np.ones_like(s), s]
@@ -327,8 +337,11 @@ def repeat_noise(data: Data, model: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _surface(basis: np.ndarray, e: np.ndarray, keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(residual [N], leverage [N]) of all values `e` from the least-squares surface through those
-    to `keep` [N, bool]; leverage is cut at 1 for these.
+    """(residual [N], leverage [N]) of all values `e` [N] about the least-squares surface of the
+    functions `basis` [N, B] through those to `keep` [N, bool].
+
+    Leverage is the variance of the surface at a row over that of the noise. For a value that is
+    kept it is also how much the value moves the surface there, at most 1.
     """
     coefficients, *_ = np.linalg.lstsq(basis[keep], e[keep], rcond=1e-10)
     inverse = np.linalg.pinv(basis[keep].T @ basis[keep], rcond=1e-12)

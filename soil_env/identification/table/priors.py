@@ -30,9 +30,8 @@ BROAD = MappingProxyType(
 USUAL_SINKAGE = 0.08  # [radii] where none was measured
 LARGEST_LOG = 700.0  # an exponential of more overflows
 _LEAST_VALUE = 1e-12  # of a prior whose logarithm is taken
-_SHALLOWEST = 0.01  # [radii] sinkage of a plate at least; a radius at most
-#: Share of the chord sqrt(2 r z) from the entry to the lowest point that a plate is as long as; own
-#: choice.
+_SHALLOWEST = 0.01  # [radii] least sinkage of the plate of `plate_coefficient`; the most is 1
+#: Length of that plate over the chord sqrt(2 r z) from the entry to the lowest point; own choice.
 _PLATE = 0.6
 #: Smallest standard deviations of priors that are given, in the coordinate of the fit.
 _LEAST_SD = {
@@ -48,14 +47,16 @@ Values = Mapping[str, float]  # parameters by name
 
 
 class Unknown(NamedTuple):
-    """One unknown in the coordinate it is fitted in: itself, or its logarithm."""
+    """One unknown with its prior and bounds, in the coordinate in which it is fitted: the parameter
+    itself or its logarithm.
+    """
 
-    name: str
-    mean: float
+    name: str  # of the parameter
+    mean: float  # of the normal prior
     sd: float
-    low: float
+    low: float  # bound
     high: float
-    log: bool
+    log: bool  # the coordinate is the logarithm
 
     def value(self, u: float) -> float:
         """The parameter in its unit at the whitened unknown u."""
@@ -73,7 +74,7 @@ class Unknown(NamedTuple):
 
 
 def parameters_at(unknowns: Sequence[Unknown], u: np.ndarray) -> dict[str, float]:
-    """Parameters by name at whitened unknowns."""
+    """Parameters by name, in their units, at whitened unknowns u [p]."""
     return {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
 
 
@@ -90,8 +91,9 @@ def soil_unknowns(
     sinkages [N], nan where not measured.
 
     A parameter without a prior in the setup has that of `BROAD`. The setup's prior is taken in the
-    coordinate of the fit, and the bounds are widened to include its value. `widened` multiplies its
-    standard deviation. If the setup gives `tilt_deg`, that is the last of the unknowns, or known.
+    coordinate of the fit, and the bounds are widened to include its value. Its standard deviation
+    is multiplied by `widened`. If the setup gives `tilt_deg`, that is the last of the unknowns, or
+    known.
     """
     unknowns = []
     known = {}
@@ -130,10 +132,11 @@ def soil_unknowns(
 def plate_coefficient(
     setup: Setup, load: np.ndarray, sinkage: np.ndarray, exponent: float
 ) -> float:
-    """S [N/m^(n+2)] of a flat plate in place of the wheel's contact that carries the median load
-    at the median sinkage.
+    """S [N/m^(n+2)] with which a flat plate, in place of the wheel's contact, carries the median
+    load at the median sinkage.
 
-    Without any measured sinkage it is `USUAL_SINKAGE`. `exponent`: n.
+    `load` [N] in N, `sinkage` [N] in m, nan where not measured; without any it is `USUAL_SINKAGE`.
+    `exponent`: n.
     """
     r = setup.wheel.radius
     z = float(np.nanmedian(sinkage)) if np.any(np.isfinite(sinkage)) else USUAL_SINKAGE * r

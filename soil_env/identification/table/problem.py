@@ -5,9 +5,10 @@ With the unknowns whitened by their priors (`priors`), the most probable ones mi
 
     J(u) = e' V^-1 e + |u|^2,    e = y - f(u) - F (q - q^)
 
-over the measured sinkage, drawbar pull and torque y of all rows, with the covariance V of a row,
-F = df/dq and the corrected condition q^ of docs/physics/estimation.md. Noise that the setup leaves
-out is estimated with the soil.
+over the measured sinkage, drawbar pull and torque y of all rows. f is the steady model at the
+corrected conditions q^, which are the most probable slip and load of a row; q are the measured ones
+and F = df/dq. V is the covariance of a row (docs/physics/estimation.md). Noise that the setup
+leaves out is estimated with the soil.
 """
 
 import math
@@ -39,19 +40,20 @@ from .priors import (
 from .rig import predict_table
 
 SOURCES = ("slip", "load", *MEASURED)  # of error; the last three are the channels
-STEP = 1e-3  # of a whitened unknown, for differences
-#: Factor of the sinkages from which a balance starts, for differences: from its solution it ends at
-#: once, and what a small step changes is lost in its tolerance.
+STEP = 1e-3  # [prior sd] of an unknown, for differences
+#: Factor on the sinkages from which the balance of the load starts, for differences. From its own
+#: solution the balance ends at once, and what a small step changes is lost in its tolerance.
 OFF_GUESS = 1.001
 _FAR = 1e3  # [sd] residual where the model has no value
+#: Options of `scipy.optimize.least_squares` for a fit that counts.
 FINE = MappingProxyType({"xtol": 1e-9, "ftol": 1e-11, "gtol": 1e-9, "max_nfev": 100})
-#: To compare fits whose costs are far apart.
+#: The same to compare fits whose costs are far apart.
 COARSE = MappingProxyType({"xtol": 1e-4, "ftol": 1e-5, "gtol": 1e-4, "max_nfev": 25})
 _STARTS = 8  # of the least squares; the first is the prior mean
-_INSIDE = 1e-9  # of the range of an unknown, by which a start is within the bounds
+_INSIDE = 1e-9  # least distance of a start from a bound, over the range of the unknown
 _CONDITION_STEP = 1e-4  # of the slip, and of the load as a share, for differences
 # Own choices: noise before the first fit, for channels that the setup gives none for.
-_GUESS_SLIP = 0.03  # only for the least that may be given
+_GUESS_SLIP = 0.03  # sets only the least that may be given: slip without noise counts as exact
 _GUESS_FORCE = 0.03  # of the median load; times the radius for torque
 _GUESS_SINKAGE = 0.05  # of the reference sinkage
 _LEAST_GIVEN = 1e-7  # of these guesses: less noise in the setup leaves no digits to fit with
@@ -59,7 +61,7 @@ _FLOOR = 1e-4  # of these guesses: least noise that is estimated
 LEAST_FREEDOM = 0.5  # degrees of freedom of an estimated noise: it is divided by them
 _LEAST_LOAD = 0.2  # of the measured load, to which the corrected one may fall; own choice
 _MOST_LOAD = 5.0  # of the measured load, to which the corrected one may rise; own choice
-_FUNCTIONS = 24  # of the form error at most
+_FUNCTIONS = 24  # most functions of the process of a form error
 #: Relative error of each channel by itself over that of the stresses, equally probable.
 CHANNELS_OWN = (0.0, 1.0)
 
@@ -67,7 +69,7 @@ CHANNELS_OWN = (0.0, 1.0)
 class LawError(NamedTuple):
     """A form error of the base law."""
 
-    span: int  # of `form_error.LAW_LENGTHS`
+    span: int  # index in `form_error.LAW_LENGTHS`
     own: float  # of `CHANNELS_OWN`: error of each channel by itself over that of the stresses
     size: float  # of `form_error.SIZES`: relative error of the stresses
 
@@ -79,7 +81,7 @@ LAW_ERRORS = [
 _NO_WEIGHT = 0.0  # [N/m3] unit weight of the soil: the base model does not use it
 
 
-ArrayFunction = Callable[[np.ndarray], np.ndarray]
+ArrayFunction = Callable[[np.ndarray], np.ndarray]  # of the whitened unknowns u [p]
 
 
 def most_probable(
@@ -90,7 +92,8 @@ def most_probable(
     bounds: tuple[np.ndarray, np.ndarray],
     **options: Any,
 ) -> tuple[np.ndarray, float, bool]:
-    """(u, J, whether it converged): the least |target - model(u)|^2 + |u|^2 within the bounds.
+    """(u [p], J, True if converged): minimum of J = |target - model(u)|^2 + |u|^2 within the
+    `bounds` (lower [p], upper [p]) of u.
 
     `target` [M] and the values [M] and derivatives [M, p] of the model are whitened. A residual
     where the model has no value is `_FAR`. Trust-region reflective method; `options` are those of
@@ -110,32 +113,30 @@ def most_probable(
     return found.x, 2.0 * found.cost, found.status > 0
 
 
-def differences(
-    model: ArrayFunction,
-    u: np.ndarray,
-    unknowns: Sequence[Unknown],
-    base: np.ndarray,
-) -> list[np.ndarray]:
-    """Derivatives of the model's values by each unknown, one array for each: forward differences
-    from `base`, the values at u; backward at an upper bound.
+def differences(model: ArrayFunction, u: np.ndarray, unknowns: Sequence[Unknown]) -> np.ndarray:
+    """Derivatives [M, p] of the model's values [M] by the whitened unknowns, at u; 0 where it has
+    no value.
+
+    Differences are forward, but backward at an upper bound.
     """
+    base = model(u)
     columns = []
     for k, unknown in enumerate(unknowns):
         step = STEP if unknown.mean + unknown.sd * (u[k] + STEP) < unknown.high else -STEP
         moved = u.copy()
         moved[k] += step
         columns.append((model(moved) - base) / step)
-    return columns
+    return side_by_side(columns, base.size)
 
 
 def side_by_side(columns: list[np.ndarray], size: int) -> np.ndarray:
-    """[size, p] with the p columns [size], 0 where the model has no value; [size, 0] for none."""
+    """Array [size, p] of the p columns [size], with 0 for nan and inf; [size, 0] for no column."""
     return finite(np.stack(columns, axis=1) if columns else np.zeros((size, 0)))
 
 
 class Last:
-    """A function of unknowns u [p] that keeps its last value: asked again at the same u, it does
-    not compute.
+    """A function of unknowns u [p] that keeps its last value and does not compute again at the
+    same u.
     """
 
     def __init__(self, compute: ArrayFunction) -> None:
@@ -144,7 +145,7 @@ class Last:
         self._value = np.empty(0)
 
     def know(self, u: np.ndarray, value: np.ndarray) -> None:
-        """Keep `value` as that at u, where it was computed elsewhere."""
+        """Keep `value`, computed elsewhere, as the function's value at u."""
         self._at = u.copy()
         self._value = value
 
@@ -158,53 +159,50 @@ class TableProblem:
     """The soil of one table as a weighted least-squares problem, with the state that its weights
     are computed from: noise, corrected slip and load, form error.
 
-    `correct`, `update_noise`, `take_noise` and `allow_form_error` change this state. `use` [N,
-    bool]: rows of the table that take part, None for all that can. `ParameterError` if all
-    parameters are known, or if the values are fewer than what is to be found and not `scarce`.
+    `correct`, `update_noise`, `take_noise` and `allow_form_error` change this state. `use` [bool]:
+    rows of the table that take part, None for all that can; these are the N rows of all arrays.
+    `ParameterError` if all parameters are known. So too if there are fewer values than unknowns and
+    noises to estimate, unless `scarce`.
     """
 
     def __init__(
         self, table: Table, setup: Setup, use: np.ndarray | None = None, *, scarce: bool = False
     ) -> None:
         use = _usable(table, setup) if use is None else use
-        count = int(use.sum())
         wheels = np.stack(
             [table.radius(setup.wheel), table.width(setup.wheel), np.zeros(len(table))], axis=1
         )
         # No speed: the base model does not depend on it, nor on the pass.
         level = np.zeros(len(table))
         grade = np.sin(np.radians(np.nan_to_num(table.grade_deg)))
-        self.table: Table = table
-        self.setup: Setup = setup
-        self.use: np.ndarray = use
+        self.table = table
+        self.setup = setup
+        self.use = use
         rows = (
             table.rim_slip(setup),
             table.load,
             wheels,
             np.stack([level, level + 1.0, grade], axis=1),
         )
-        self.rows: Rows = Rows(*(column[use] for column in rows))
+        self.rows = Rows(*(column[use] for column in rows))
         self._take_conditions(self.rows)
-        # [N, 3] measured values, nan where not; noise of each over that of its channel.
-        self.y: np.ndarray = np.stack([getattr(table, name)[use] for name in MEASURED], axis=1)
-        self.measured: np.ndarray = np.isfinite(self.y)
-        self.relative: np.ndarray = np.broadcast_to(
-            table.relative_sd(setup), table.slip.shape + (3,)
-        )[use]
+        #: [N, 3] measured sinkage [m], drawbar pull [N] and torque [N m]; nan where not measured.
+        self.y = np.stack([getattr(table, name)[use] for name in MEASURED], axis=1)
+        self.measured = np.isfinite(self.y)
+        #: [N, 3] noise of a value over that of its channel.
+        self.relative = np.broadcast_to(table.relative_sd(setup), table.slip.shape + (3,))[use]
         seen = self.measured[:, 0]
-        # [m] Reference sinkage, the median.
-        self.z_ref: float = (
+        #: [m] reference sinkage: the median of the measured ones.
+        self.z_ref = (
             float(np.median(self.y[seen, 0])) if seen.any() else USUAL_SINKAGE * setup.wheel.radius
         )
-        self.unknowns: tuple[Unknown, ...]
-        self.known: dict[str, float]
         self.unknowns, self.known = soil_unknowns(setup, self.rows.load, self.y[:, 0])
         if not self.unknowns:
             raise ParameterError(
                 f"{setup.source}: soil: every parameter is known: expected at least one to "
                 "identify, left out or as {value: ..., sd: ...}"
             )
-        self.bounds: tuple[np.ndarray, np.ndarray] = bounds_of(self.unknowns)
+        self.bounds = bounds_of(self.unknowns)
         self._set_noise()
         values = int(self.measured.sum())
         needed = len(self.unknowns)
@@ -217,14 +215,14 @@ class TableProblem:
                 f"{table.source}: {plural(values, 'measured value')} (sinkage, drawbar_pull, "
                 f"torque) for {plural(needed, 'parameter')}{unknown}: expected at least {least}"
             )
-        #: Of the base law, beside the noise; None as long as it is not known.
+        #: Form error of the base law that is in the weights beside the noise; None for none.
         self.form_error: form_error.Compression | None = None
-        self.weigh(np.zeros((count, 3, 2)))
+        self.weigh(np.zeros((*self.y.shape, 2)))
 
     def _take_conditions(self, corrected: Rows) -> None:
         """Take the most probable slip and load, and forget what was computed at other ones."""
-        self.corrected: Rows = corrected
-        #: [N, 3, p] of the model by the whitened unknowns.
+        self.corrected = corrected
+        #: [N, 3, p] derivatives of the model by the whitened unknowns.
         self.by_unknowns = Last(self._differences)
         self._by_stresses = Last(self._changed_stresses)
         self._processes: list[Process] | None = None
@@ -233,12 +231,11 @@ class TableProblem:
         """Set the standard deviations `noise` [5] of `SOURCES`: slip, load, sinkage, pull, torque.
 
         Slip and load have that of the setup, else 0. A measured channel has that of the setup, else
-        the median of its column of standard deviations, else a first guess. Of each, `estimated` is
-        True for a channel that has a guess only, `floor` the least that an estimate may be.
-        `ParameterError` for a given one so small that no digits are left to fit with.
+        the median of its column of standard deviations, else a first guess. `estimated` [5] is True
+        for channels with a guess only; `floor` [5] is the least that an estimate may be.
+        `ParameterError` for a given noise so small that no digits are left to fit with.
         """
-        size = float(np.median(self.rows.load))
-        pull = _GUESS_FORCE * size
+        pull = _GUESS_FORCE * float(np.median(self.rows.load))
         guess = np.array(
             [_GUESS_SLIP, pull, _GUESS_SINKAGE * self.z_ref, pull, pull * self.rows.wheels[0, 0]]
         )
@@ -254,17 +251,17 @@ class TableProblem:
                 )
         left_out = np.array([sd is None for sd in given])
         measured = np.concatenate([[False, False], self.measured.any(axis=0)])
-        self.estimated: np.ndarray = left_out & measured
-        self.floor: np.ndarray = _FLOOR * guess
+        self.estimated = left_out & measured
+        self.floor = _FLOOR * guess
         guess[:2] = 0.0  # slip and load count as exact
         pairs = zip(given, guess, strict=True)
-        self.noise: np.ndarray = np.array([usual if sd is None else sd for sd, usual in pairs])
-        # Degrees of freedom behind each; infinite until the noise is estimated.
-        self.freedom: np.ndarray = np.full(5, math.inf)
+        self.noise = np.array([usual if sd is None else sd for sd, usual in pairs])
+        #: [5] degrees of freedom behind each noise; infinite until the noise is estimated.
+        self.freedom = np.full(5, math.inf)
 
     @property
     def processes(self) -> list[Process]:
-        """Form errors over the corrected conditions, one for each of `LAW_LENGTHS`.
+        """Processes of the form error over the corrected conditions, one for each of `LAW_LENGTHS`.
 
         The measured conditions would not do: their errors are in the residuals too, and the two
         together look like an error of the laws.
@@ -287,27 +284,24 @@ class TableProblem:
         return np.where(self.measured, self.steady(u, rows or self.corrected), 0.0)
 
     def steady(
-        self, u: np.ndarray, rows: Rows, changed: form_error.StressChange | None = None
+        self, u: np.ndarray, rows: Rows, change: form_error.StressChange = form_error.UNCHANGED
     ) -> np.ndarray:
-        """Sinkage, drawbar pull and torque [N, 3] at any `rows`, measured or not; `changed`: with
-        other stresses.
+        """Sinkage [m], drawbar pull [N] and torque [N m], [N, 3], at any `rows`, measured or not;
+        under a `change` of the stresses.
         """
-        soil = self.values(u)
-        fx = NO_EFFECTS
-        if changed is not None:
-            soil = {**soil, **changed.soil}
-            fx = fx._replace(**changed.effects)
+        soil = self.values(u) | change.soil
+        fx = NO_EFFECTS._replace(**change.effects)
         return predict_table(self.setup, rows, soil, _NO_WEIGHT, fx, np.zeros(rows.slip.size))
 
     def by_conditions(self, u: np.ndarray) -> np.ndarray:
-        """Derivatives [N, 3, 2] of the model by slip and load at the corrected conditions; 0 by a
+        """Derivatives F [N, 3, 2] of the model by slip and load at the corrected conditions; 0 by a
         condition that is exact.
         """
         out = np.zeros((*self.y.shape, 2))
         at = self.corrected
         for k, (name, step) in enumerate(
             (
-                ("slip", np.full(at.slip.size, _CONDITION_STEP)),
+                ("slip", _CONDITION_STEP),
                 ("load", _CONDITION_STEP * at.load),
             )
         ):
@@ -315,7 +309,7 @@ class TableProblem:
                 column = getattr(at, name)
                 low = column - step
                 high = column + step
-                if name == "slip":
+                if name == "slip":  # its definition ends there
                     low = np.maximum(low, -1.0)
                     high = np.minimum(high, 1.0)
                 up, down = (self.predict(u, at._replace(**{name: x})) for x in (high, low))
@@ -323,8 +317,8 @@ class TableProblem:
         return out
 
     def weigh(self, by_conditions: np.ndarray) -> None:
-        """Set the derivatives F [N, 3, 2] `by_conditions`, and with them the covariance V [N, 3, 3]
-        of the rows under the present noise.
+        """Set the derivatives F [N, 3, 2] to `by_conditions`, and with them the covariance V
+        [N, 3, 3] of the rows under the present noise.
 
         A value that was not measured has the variance 1; its residual is 0.
         """
@@ -369,10 +363,8 @@ class TableProblem:
 
     def _differences(self, u: np.ndarray) -> np.ndarray:
         """Derivatives [N, 3, p] of the model by the whitened unknowns, 0 where not measured."""
-        flat = differences(
-            lambda x: self.predict(x).ravel(), u, self.unknowns, self.predict(u).ravel()
-        )
-        return side_by_side(flat, self.y.size).reshape(*self.y.shape, -1)
+        flat = differences(lambda x: self.predict(x).ravel(), u, self.unknowns)
+        return flat.reshape(*self.y.shape, -1)
 
     def covariance(self, u: np.ndarray) -> np.ndarray:
         """Covariance [p, p] of the whitened unknowns, linearised at u: inverse of the normal matrix
@@ -382,8 +374,8 @@ class TableProblem:
         return np.linalg.inv(np.eye(u.size) + j.T @ j)
 
     def law_errors(self, u: np.ndarray, span: int) -> tuple[np.ndarray, np.ndarray]:
-        """Form errors at the size 1, whitened by the noise: (of the stresses [3 N, R], of the
-        channels [3 N, Q]). `span`: of `LAW_LENGTHS`.
+        """(form errors of the stresses [3 N, R], form errors of the channels [3 N, Q]), of size 1
+        and whitened by the noise; `span`: index in `LAW_LENGTHS`.
 
         Errors of the stresses reach the three channels together. Channels that err by themselves
         stand for all that the model does not contain, such as a rig that bends.
@@ -401,12 +393,10 @@ class TableProblem:
         """Derivatives [N, 3, C] of the model by the relative size of each of the C
         `stress_changes`; 0 where not measured.
         """
-
-        def outcome(change: form_error.StressChange) -> np.ndarray:
-            return self.steady(u, self.corrected, change)
-
         sinkage = float(np.median(self.steady(u, self.corrected)[:, 0]))
-        moved = form_error.by_stresses(outcome, self.values(u), sinkage)
+        moved = form_error.by_stresses(
+            lambda change: self.steady(u, self.corrected, change), self.values(u), sinkage
+        )
         return np.stack(moved, axis=2) * self.measured[:, :, None]
 
     def by_size(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -424,6 +414,7 @@ class TableProblem:
         e = self.by_noise(self.residual(u))
         blocks = [block for span in range(len(LAW_LENGTHS)) for block in self.law_errors(u, span)]
         sizes = np.zeros((len(LAW_ERRORS), len(blocks)))
+        # Each span has two blocks: of the stresses, and of the channels.
         for row, of in zip(sizes, LAW_ERRORS, strict=True):
             row[2 * of.span : 2 * of.span + 2] = of.size, of.own * of.size
         log, mean, covariance = form_error.marginals(
@@ -433,7 +424,7 @@ class TableProblem:
         return log - self._widening(), mean, covariance
 
     def _widening(self) -> float:
-        """Half of ln|V| less half of that without errors of slip and load.
+        """Half of ln|V| less half of ln|V| without errors of slip and load, summed over the rows.
 
         It is subtracted from the evidence: errors that explain more make each value less probable.
         """
@@ -451,8 +442,8 @@ class TableProblem:
         )
 
     def minimise(self, u: np.ndarray, **options: Any) -> tuple[np.ndarray, float]:
-        """(u, J) of the least squares from u at the present weights; `options` replace those of
-        `FINE`.
+        """(u [p], J) at the minimum of J that is found from u at the present weights; `options`
+        replace those of `FINE`.
         """
         low, high = self.bounds
         start = np.clip(u, low + _INSIDE * (high - low), high - _INSIDE * (high - low))
@@ -467,7 +458,7 @@ class TableProblem:
         return found[:2]
 
     def search(self) -> np.ndarray:
-        """The best solution u of least squares from `_STARTS` starts; the weights are set at it.
+        """Best least-squares solution u [p] from `_STARTS` starts; the weights are set at it.
 
         The first start is the prior mean, the others are random within one standard deviation of
         it. There S follows n, so that S z_ref^n stays within a factor e of that of the prior mean:
@@ -510,9 +501,10 @@ class TableProblem:
         Slip stays in [-1, 1], load within `_LEAST_LOAD` and `_MOST_LOAD` times the measured one.
         """
         if np.any(self.noise[:2] > 0.0):
-            half = self.whiten(self.residual(u))
-            half = form_error.whitened(self.form_error, half).reshape(-1, 3)
-            solved = np.einsum("kdc,kd->kc", self._whitener, half)
+            # The inverse of the whole covariance times e: each factor acts twice.
+            whitened = self.whiten(self.residual(u))
+            twice = form_error.whitened(self.form_error, whitened).reshape(-1, 3)
+            solved = np.einsum("kdc,kd->kc", self._whitener, twice)
             slip, load = (self.noise[:2] ** 2 * np.einsum("kcj,kc->kj", self.F, solved)).T
             load = np.clip(
                 self.rows.load + load, _LEAST_LOAD * self.rows.load, _MOST_LOAD * self.rows.load
@@ -530,10 +522,10 @@ class TableProblem:
         errors, left = self.errors(u)
         variances = self.variances
         for j in np.flatnonzero(self.estimated):
-            k = self.measured[:, j - 2]
-            self.freedom[j] = max(float(np.sum(left[k, j] / variances[k, j])), LEAST_FREEDOM)
+            rows = self.measured[:, j - 2]
+            self.freedom[j] = max(float(np.sum(left[rows, j] / variances[rows, j])), LEAST_FREEDOM)
             # No row has an sd of its own here.
-            variance = float(np.sum(errors[k, j] ** 2)) / self.freedom[j]
+            variance = float(np.sum(errors[rows, j] ** 2)) / self.freedom[j]
             self.noise[j] = max(math.sqrt(variance), self.floor[j])
 
     def take_noise(self, noise: NoiseEstimate) -> None:
@@ -546,7 +538,8 @@ class TableProblem:
 
 
 def _usable(table: Table, setup: Setup) -> np.ndarray:
-    """[N] bool, rows with a sinkage, both forces, or one force where S has a prior.
+    """[N] bool, True for rows that can take part: with a sinkage, with both forces, or with one
+    force where S has a prior.
 
     `ParameterError` where no row is left, where none of those has a force, and where a sinkage is
     impossible. A pull of 0 on every grade is refused for a load that is normal to the ground.

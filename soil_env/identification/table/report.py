@@ -14,9 +14,9 @@ from .fit import SYMBOLS, TableEstimate
 SEPARABLE = 1e3  # condition number beyond which parameters are hardly separable
 SAME_LOAD = 0.1  # step of the logarithm of the load that parts two groups
 MOST_GROUPS = 6  # groups of load with a colour and a line each
-ONE_SLIP = 1e-3  # steps of slip up to which a line through a group would zigzag
+ONE_SLIP = 1e-3  # step of slip up to which rows are at one slip: a line would zigzag
 HALF_WIDTH = 1.96  # [sd] of a 95 % interval
-LEAST_REACH = 3.5  # [noise] of the axis of residuals
+LEAST_REACH = 3.5  # [noise] least limit of the axis of residuals
 
 LABELS = {
     "friction_angle_deg": "friction angle",
@@ -97,7 +97,7 @@ def _channel_table(estimate: TableEstimate) -> Table:
 
 
 def _rms(off: np.ndarray) -> float:
-    """Root mean square, without values that are nan (not measured)."""
+    """Root mean square of the values that are not nan."""
     return math.sqrt(float(np.nanmean(off**2)))
 
 

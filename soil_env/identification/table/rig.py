@@ -13,8 +13,8 @@ from soil_env.terramechanics.steady import predict_rows
 
 from .priors import Values, given_laws, soil_state
 
-#: Parameters that may differ from row to row, by the names of a setup: columns of the factors of
-#: `predict_rows`; of the friction angle the tangent.
+#: Parameters that may differ from row to row, by the names of a setup, in the order of the factors
+#: of `predict_rows`; the factor of the friction angle multiplies its tangent.
 BY_ROW = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient")
 
 
@@ -27,11 +27,12 @@ def predict_table(
     guess: np.ndarray,
     factors: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Sinkage, drawbar pull and torque [N, 3] of the soil with the parameters `values` by name and
-    the laws of the setup.
+    """Sinkage [m], drawbar pull [N] and torque [N m], [N, 3], on soil with the parameters `values`
+    by name and the laws of the setup.
 
-    `guess` [N]: sinkages that the balance of the load starts from, 0 for none; it gets those that
-    were found. `factors` [N, 4] multiply the `BY_ROW` parameters; None is 1. `unit_weight` [N/m3].
+    `unit_weight` [N/m3] of the soil. `fx`: effects. `guess` [N]: sinkages [m] from which the
+    balance of the load starts, 0 for none; those that are found overwrite it. `factors` [N, 4]
+    multiply the `BY_ROW` parameters; None is 1.
 
     A force W of the rig that stands on ground inclined by b against it presses with W cos(b) on the
     ground and acts with W sin(b) against the pull. b is the tilt of the rig (`tilt_deg` of
