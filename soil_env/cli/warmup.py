@@ -8,6 +8,7 @@ import gc
 import multiprocessing
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 from typing import Any
 
 import click
@@ -86,16 +87,9 @@ def _with_effects() -> WheelSoilModel:
     )
 
 
-def _wheels() -> None:
-    _drive_wheels(**BLIND)
-
-
 def _wheels_with_effects() -> None:
+    """Compile what wheels need in a world with an effect."""
     _drive_wheels(model=_with_effects(), **BLIND)
-
-
-def _rovers() -> None:
-    _drive("SoilRover-v0", 0.4, **BLIND)
 
 
 def _identifier() -> None:
@@ -141,8 +135,8 @@ def _predictions() -> None:
 #: once, so everything that identifies is one part, whose drives load what other parts compiled.
 PARTS = {
     "wheels with effects": _wheels_with_effects,
-    "rovers": _rovers,
+    "rovers": partial(_drive, "SoilRover-v0", 0.4, **BLIND),
     "identifier": _identifier,
-    "wheels": _wheels,
+    "wheels": partial(_drive_wheels, **BLIND),
     "predictions, tables, logs": _predictions,
 }
