@@ -31,9 +31,9 @@ except ImportError:  # reported in one line where a model is loaded
     torch = None
     saved = None  # type: ignore[assignment]
 
-#: (module of the policy starts with, keys the zip must hold, module and class of the algorithm);
-#: the first that fits.
-_ALGORITHMS: tuple[tuple[str, set[str], tuple[str, str]], ...] = (
+#: (beginning of the module of the policy, keys that the zip must hold, (module, class) of the
+#: algorithm); the first that fits is taken.
+_ALGORITHMS = (
     ("sb3_contrib.common.recurrent", set(), ("sb3_contrib", "RecurrentPPO")),
     ("sb3_contrib.tqc", set(), ("sb3_contrib", "TQC")),
     ("sb3_contrib.crossq", set(), ("sb3_contrib", "CrossQ")),
@@ -57,10 +57,10 @@ def load_model(path: Path, scenario: Scenario):
     `LineAction`, but not with VecNormalize.
     """
     path = Path(path)
-    if path.suffix in (".onnx", ".npz"):
-        return (
-            _exported(path, scenario) if path.suffix == ".onnx" else DefaultPolicy(scenario, path)
-        )
+    if path.suffix == ".onnx":
+        return _exported(path, scenario)
+    if path.suffix == ".npz":
+        return DefaultPolicy(scenario, path)
     if saved is None:
         raise ParameterError(
             f"controllers: {path}: models need Stable-Baselines3: pip install 'soil_env[train]'"
@@ -93,6 +93,10 @@ def _check_action(path: Path, own: Control, scenario: Scenario) -> None:
 
 
 def _exported(path: Path, scenario: Scenario) -> ExportedAgent:
+    """The agent of a policy.onnx; ParameterError where it does not fit the scenario.
+
+    One that reads constants of another wheel (`CommonScaling.added`) gets a warning.
+    """
     try:
         agent = ExportedAgent(path)
     except ParameterError as error:
@@ -176,6 +180,7 @@ def _warn(line: str) -> None:
 
 
 def _variant(model, path: Path, course: CourseSpec) -> tuple[str, Scaling]:
+    """(Variant, scaling) of the observation whose space is that of a model of SB3."""
     for variant in VARIANTS:
         for scaled in (True, False):
             scaling = Scaling(layout(variant, course), scaled)
