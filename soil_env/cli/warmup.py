@@ -8,7 +8,6 @@ import gc
 import multiprocessing
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from functools import partial
 from typing import Any
 
 import click
@@ -87,9 +86,17 @@ def _with_effects() -> WheelSoilModel:
     )
 
 
+# Functions of their own: a process finds its part by the name.
+def _wheels() -> None:
+    _drive_wheels(**BLIND)
+
+
 def _wheels_with_effects() -> None:
-    """Compile what wheels need in a world with an effect."""
     _drive_wheels(model=_with_effects(), **BLIND)
+
+
+def _rovers() -> None:
+    _drive("SoilRover-v0", 0.4, **BLIND)
 
 
 def _identifier() -> None:
@@ -135,8 +142,8 @@ def _predictions() -> None:
 #: once, so everything that identifies is one part, whose drives load what other parts compiled.
 PARTS = {
     "wheels with effects": _wheels_with_effects,
-    "rovers": partial(_drive, "SoilRover-v0", 0.4, **BLIND),
+    "rovers": _rovers,
     "identifier": _identifier,
-    "wheels": partial(_drive_wheels, **BLIND),
+    "wheels": _wheels,
     "predictions, tables, logs": _predictions,
 }

@@ -395,8 +395,8 @@ def _remarks(found: Aligned, log_map: LogMap, limits: dict[str, float]) -> list[
             )
     jumps = np.flatnonzero(np.diff(found.time) > log_map.max_gap)
     if jumps.size:
-        gaps = plural(jumps.size, "gap")
         lines.append(
-            f"The recording has {gaps} of more than {log_map.max_gap:g} s without any reading."
+            f"The recording has {plural(jumps.size, 'gap')} of more than {log_map.max_gap:g} s "
+            "without any reading."
         )
     return lines

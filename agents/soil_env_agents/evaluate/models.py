@@ -34,16 +34,16 @@ except ImportError:  # reported in one line where a model is loaded
 #: (beginning of the module of the policy, keys that the zip must hold, (module, class) of the
 #: algorithm); the first that fits is taken.
 _ALGORITHMS = (
-    ("sb3_contrib.common.recurrent", set(), ("sb3_contrib", "RecurrentPPO")),
-    ("sb3_contrib.tqc", set(), ("sb3_contrib", "TQC")),
-    ("sb3_contrib.crossq", set(), ("sb3_contrib", "CrossQ")),
-    ("sb3_contrib.ars", set(), ("sb3_contrib", "ARS")),
-    ("stable_baselines3.sac", set(), ("stable_baselines3", "SAC")),
-    ("stable_baselines3.td3", set(), ("stable_baselines3", "TD3")),  # DDPG is a TD3
-    ("stable_baselines3.common.policies", {"cg_max_steps"}, ("sb3_contrib", "TRPO")),
-    ("stable_baselines3.common.policies", {"clip_range"}, ("stable_baselines3", "PPO")),
-    ("stable_baselines3.common.policies", set(), ("stable_baselines3", "A2C")),
-    ("soil_env_agents.agent", {"clip_range"}, ("stable_baselines3", "PPO")),
+    ("sb3_contrib.common.recurrent", (), ("sb3_contrib", "RecurrentPPO")),
+    ("sb3_contrib.tqc", (), ("sb3_contrib", "TQC")),
+    ("sb3_contrib.crossq", (), ("sb3_contrib", "CrossQ")),
+    ("sb3_contrib.ars", (), ("sb3_contrib", "ARS")),
+    ("stable_baselines3.sac", (), ("stable_baselines3", "SAC")),
+    ("stable_baselines3.td3", (), ("stable_baselines3", "TD3")),  # DDPG is a TD3
+    ("stable_baselines3.common.policies", ("cg_max_steps",), ("sb3_contrib", "TRPO")),
+    ("stable_baselines3.common.policies", ("clip_range",), ("stable_baselines3", "PPO")),
+    ("stable_baselines3.common.policies", (), ("stable_baselines3", "A2C")),
+    ("soil_env_agents.agent", ("clip_range",), ("stable_baselines3", "PPO")),
 )
 
 
@@ -132,7 +132,7 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
     fitting = [
         made_by
         for prefix, keys, made_by in _ALGORITHMS
-        if module.startswith(prefix) and keys <= set(data)
+        if module.startswith(prefix) and set(keys) <= set(data)
     ]
     if not fitting:
         raise ParameterError(

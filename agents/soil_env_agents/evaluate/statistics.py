@@ -111,7 +111,7 @@ def difference_bounds(a: np.ndarray, b: np.ndarray, samples: np.ndarray) -> dict
 def mean(scores: np.ndarray) -> float:
     """Mean over all members and courses, NaN left out; NaN where there is nothing."""
     known = np.isfinite(scores)
-    return float(scores[known].mean()) if known.any() else float("nan")
+    return float(scores[known].mean()) if known.any() else math.nan
 
 
 def mean_samples(scores: np.ndarray, members: np.ndarray, courses: np.ndarray) -> np.ndarray:
