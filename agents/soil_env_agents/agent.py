@@ -58,9 +58,10 @@ class Info(Checked):
     observation_names: tuple[str, ...]
     ppo: PPOConfig
     timesteps: int
-    mean: tuple[float, ...]  # of the network's input, history included
+    # Running moments of the network's input, history included, then of the discounted return.
+    mean: tuple[float, ...]
     var: tuple[float, ...]
-    count: float
+    count: float  # of samples
     return_mean: float
     return_var: float
     return_count: float
@@ -92,6 +93,9 @@ def entries_of(scenario: Scenario | RoverScenario, variant: str) -> tuple[Observ
 class ChoosingExtractor(MlpExtractor):
     """Hidden layers of the value network and of the drive, and one network that gives each route a
     score.
+
+    `choice`: column of the observation that is 1 where an action chooses a route. `routes`: columns
+    of the route ahead and of that beside (`columns_of_routes`). The other arguments are SB3's.
     """
 
     def __init__(
@@ -111,8 +115,8 @@ class ChoosingExtractor(MlpExtractor):
         self.line_net = nn.Sequential(*hidden, nn.Linear(net_arch[-1], 1, device=device))
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        """Last hidden layer of the drive, difference of the scores, and the entry `choice`, for [n,
-        D].
+        """[n, hidden + 2] for features [n, D]: last hidden layer of the drive, difference of the
+        scores, and the entry `choice`.
 
         The scores are learned apart (`choice`), so no gradient goes to them.
         """
@@ -134,14 +138,17 @@ class ChoosingPolicy(ActorCriticPolicy):
         super().__init__(*args, **kwargs)
 
     def _build_mlp_extractor(self) -> None:
-        arguments = self.net_arch, self.activation_fn, self.device
         self.mlp_extractor: nn.Module = ChoosingExtractor(
-            self.features_dim, self.of_choice["choice"], self.of_choice["routes"], *arguments
+            self.features_dim,
+            net_arch=self.net_arch,
+            activation_fn=self.activation_fn,
+            device=self.device,
+            **self.of_choice,
         )
 
     def _get_action_dist_from_latent(self, latent_pi: torch.Tensor):
         hidden, difference, choosing = latent_pi.split([latent_pi.shape[1] - 2, 1, 1], dim=1)
-        # Normalised: above its mean.
+        # The entry is normalised: where it is 1 it is above its mean, else below.
         mean = torch.where(choosing > 0.0, difference, self.action_net(hidden))
         return self.action_dist.proba_distribution(mean, self.log_std)
 
@@ -202,7 +209,6 @@ def read_info(path: Path) -> Info:
     """The checked soil_env.json of a model; ParameterError if the file is missing, broken or of
     another program.
     """
-    path = Path(path)
     mapping = read_mapping(path, INFO)
     if mapping is None:
         raise ParameterError(f"{path}: not a model saved by train.py (it has no {INFO})")
@@ -279,7 +285,8 @@ def load_agent(path: str | Path) -> Agent:
     path = Path(path) / "model.zip" if Path(path).is_dir() else Path(path)
     info = read_info(path)
     box = Scaling(entries_of(info.task, info.observation)).space
-    box = info.history.space(box) if info.history else box
+    if info.history:
+        box = info.history.space(box)
     cls, arguments = network(info.ppo, info.observation_names)
     policy = cls(
         box,
@@ -313,6 +320,7 @@ class Agent(inputs.Observing):
         self.timesteps = self.info.timesteps
         self.history = self.info.history
         self.mean = np.array(self.info.mean)
+        # The number is `epsilon` of SB3's VecNormalize, by which the agent was trained.
         self.sd = np.sqrt(np.array(self.info.var) + 1e-8)
         self.clip = self.info.clip
         self.name = NAMES[self.variant]

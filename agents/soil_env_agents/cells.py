@@ -72,14 +72,13 @@ def code_version() -> str:
 
 
 def is_begun(study, folder: Path, ignored: Collection[str] = ()) -> bool:
-    """True if `folder` holds this study (a dataclass) already; `ignored` fields and the version of
-    the code may differ.
+    """True if `folder` holds this study (a dataclass) already; a new folder is made.
 
-    Makes the folder.
+    `ignored` fields and the version of the code may differ.
 
     ParameterError where it holds another study or other files.
     """
-    path = Path(folder) / STUDY
+    path = folder / STUDY
     if not path.exists():
         if not is_unused(folder):
             raise ParameterError(f"{folder}: is not empty and holds no study; give another --out")
@@ -104,16 +103,17 @@ def is_begun(study, folder: Path, ignored: Collection[str] = ()) -> bool:
 
 def save_study(study, folder: Path) -> None:
     """Write the study.yaml of a study."""
-    replace_file(Path(folder) / STUDY, yaml.safe_dump(to_dict(study), sort_keys=False))
+    replace_file(folder / STUDY, yaml.safe_dump(to_dict(study), sort_keys=False))
 
 
 def load_study(cls, folder: Path, check: Callable[[dict, str], None] | None = None):
-    """The study of a folder, of dataclass `cls`; begun with other code, it is `renewed`, and said.
+    """The study of a folder, of dataclass `cls`. One that was begun with other code is `renewed`,
+    with a line of output.
 
     `check` receives the content and the path of its file before anything is made of it.
     """
-    path = Path(folder) / STUDY
-    if not Path(folder).is_dir():
+    path = folder / STUDY
+    if not folder.is_dir():
         raise ParameterError(
             f"{path}: no such folder; expected that of a begun {cls.__name__.lower()}"
         )
@@ -132,14 +132,14 @@ def load_study(cls, folder: Path, check: Callable[[dict, str], None] | None = No
 
 def clear(folder: Path) -> None:
     """Forget the study of a folder and its finished cells; other files stay."""
-    for path in (Path(folder) / "cells").glob("*.json"):
+    for path in (folder / "cells").glob("*.json"):
         path.unlink()
-    (Path(folder) / STUDY).unlink()
+    (folder / STUDY).unlink()
 
 
 def cell_file(folder: Path, cell: Hashable) -> Path:
     """File of a finished cell."""
-    return Path(folder) / "cells" / f"{str(cell).replace('/', '-')}.json"
+    return folder / "cells" / f"{str(cell).replace('/', '-')}.json"
 
 
 def read_cell(folder: Path, cell: Hashable, parse: Callable):
@@ -174,10 +174,12 @@ def fill(
 ) -> None:
     """Do the cells without a file, and those made from something else than `needs` says now.
 
-    `progress` receives every finished cell; those that were there already go to `found`, if given.
+    `work` gives the content of a cell's file, a mapping, and `needs` the plain values on which it
+    depends. `progress` receives every finished cell; those that were there already go to `found`,
+    if given.
     """
     missing = []
-    stale = 0
+    stale = 0  # cells that have a file and are done again
     made_from = {}
     for cell in cells:
         made_from[cell] = _digest(needs(cell))
@@ -191,7 +193,7 @@ def fill(
             "Finished parts that are damaged, or made from what has changed since, are done again: "
             f"{stale}."
         )
-    (Path(folder) / "cells").mkdir(parents=True, exist_ok=True)
+    (folder / "cells").mkdir(parents=True, exist_ok=True)
     with contextlib.closing(engine(work, missing)) as results:
         for cell, content in results:
             kept = {MADE_FROM: made_from[cell], **content}
@@ -215,8 +217,7 @@ def _made_from(path: Path) -> str | None:
     none.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        return content.get(MADE_FROM)
+        return json.loads(path.read_text(encoding="utf-8")).get(MADE_FROM)
     except (ValueError, AttributeError):
         return None
 
@@ -242,7 +243,7 @@ def choose(engine: str, workers: int | None = None, address: str | None = None) 
 
 
 def in_process(work: Callable, cells: Iterable) -> Generator[tuple, None, None]:
-    """One cell after the other in this process."""
+    """Engine that does one cell after the other in this process."""
     for cell in cells:
         yield cell, work(cell)
 
@@ -251,7 +252,7 @@ class _Worker:
     """State of a worker process."""
 
     work: Callable
-    busy = False
+    busy = False  # with a cell, so that SIGTERM interrupts it
 
 
 def _begin(work: Callable) -> None:
@@ -271,6 +272,7 @@ def _begin(work: Callable) -> None:
 
 
 def _call(cell):
+    """Result of a cell, in a worker process."""
     _Worker.busy = True
     try:
         return _Worker.work(cell)
@@ -279,7 +281,7 @@ def _call(cell):
 
 
 def processes(work: Callable, cells: Iterable, *, workers: int) -> Generator[tuple, None, None]:
-    """`workers` processes of this machine, each single-threaded."""
+    """Engine of `workers` processes of this machine, each single-threaded."""
     for name in _SINGLE_THREADED:
         os.environ.setdefault(name, "1")  # of the processes to come
     left = deque(cells)
@@ -338,8 +340,8 @@ def _check_ray(address: str | None) -> None:
 def on_ray(
     work: Callable, cells: Iterable, *, address: str | None = None, workers: int | None = None
 ) -> Generator[tuple, None, None]:
-    """Tasks of Ray Core on the cluster at `address`, else on that of RAY_ADDRESS, else on one
-    started here.
+    """Engine of Ray Core tasks on the cluster at `address`, else on that of RAY_ADDRESS, else on
+    one started here.
 
     Every node needs this version of soil_env, and the modules of controllers given as module:Class.
     Each cell takes one CPU. `workers` limits the CPUs of a cluster started here.
@@ -388,6 +390,7 @@ def on_ray(
 
 
 def _on_node(work: Callable, version: str, cell):
+    """Result of a cell, in a task of Ray; ParameterError where the node has another `version`."""
     if version != code_version():
         raise ParameterError(f"a worker has soil_env {code_version()}, the study {version}")
     return work(cell)

@@ -15,23 +15,30 @@ from torch.nn import functional
 
 KEPT = 400_000  # newest choices that are learned from
 BATCH = 2048  # choices of an update
-RATE = 2e-3  # learning rate of Adam at the start, chosen; falls to a fiftieth
+RATE = 2e-3  # learning rate of Adam at the start, chosen
+LEAST_RATE = 0.02  # of `RATE`
 PASSES = 20  # over the choices that are new, drawn from all that are kept
 
 
 class ChoiceVecEnv(VecEnvWrapper):
-    """A vector environment that keeps the routes taken, and whether the wheel came over them."""
+    """A vector environment that keeps the routes taken, and whether the wheel came over them.
+
+    `choice`: column of the observation that is 1 where the next action chooses a route. `routes`:
+    columns of the route ahead and of that beside.
+    """
 
     def __init__(self, venv: VecEnv, choice: int, routes: list[list[int]]):
         super().__init__(venv)
         self.choice = choice
         self.routes = routes
+        # Entries of the routes, and 1 where the wheel came over it; the oldest are replaced first.
         self.taken = np.zeros((KEPT, len(routes[0])), dtype=np.float32)
         self.passed = np.zeros(KEPT, dtype=np.float32)
         self.count = 0  # of the choices whose end is known
         self.seen = np.zeros((self.num_envs, *venv.observation_space.shape), dtype=np.float32)
         # The route that each wheel took last.
         self.on = np.zeros((self.num_envs, len(routes[0])), dtype=np.float32)
+        # [wheels] on a route whose end is not known; chose with their last action.
         self.under_way, self.chose = np.zeros((2, self.num_envs), dtype=bool)
 
     @property
@@ -64,6 +71,7 @@ class ChoiceVecEnv(VecEnvWrapper):
         return self.seen, rewards, dones, infos
 
     def _keep(self, wheels: np.ndarray, passed) -> None:
+        """Keep the routes of the `wheels` [n] (indices), 1 in `passed` if they came over."""
         rows = np.arange(self.count, self.count + wheels.size) % KEPT
         self.taken[rows] = self.on[wheels]
         self.passed[rows] = passed
@@ -116,7 +124,7 @@ class Chooser(BaseCallback):
         moments = self.normalised.obs_rms
         mean = moments.mean[env.routes[0]]
         sd = np.sqrt(moments.var[env.routes[0]] + self.normalised.epsilon)
-        self.optimizer.param_groups[0]["lr"] = RATE * max(left, 0.02)
+        self.optimizer.param_groups[0]["lr"] = RATE * max(left, LEAST_RATE)
         for _ in range(int(passes * (env.count - self.learned) / BATCH)):
             at = self.rng.integers(min(env.count, KEPT), size=BATCH)
             routes = np.clip(

@@ -186,7 +186,9 @@ def _has_work(folder: Path) -> bool:
 
 
 def again(subcommand: str, *arguments: object) -> str:
-    """The line that runs a subcommand of this program, which is called as the user called it."""
+    """The command line that runs a subcommand of this program, in the way the user started it:
+    `soil-env`, a script of that name elsewhere, `python -m soil_env.cli` or `python train.py`.
+    """
     script = Path(sys.argv[0])
     interpreter = (sys.orig_argv or [sys.executable])[0]
     of_package = [interpreter, "-m", "soil_env.cli", subcommand]
@@ -201,22 +203,15 @@ def again(subcommand: str, *arguments: object) -> str:
     return shlex.join([*program, *map(str, arguments)])
 
 
-def lacks_training(error: ImportError) -> bool:
-    """True if an import failed because a package of the extra `train` is missing."""
-    return (
-        isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in _PACKAGES
-    )
-
-
 @contextmanager
 def needing_training() -> Iterator[None]:
-    """Around imports of the training: ParameterError with the installation line if its packages are
-    missing.
+    """Around imports of the training: ParameterError with the installation line if a package of the
+    extra `train` is missing.
     """
     try:
         yield
     except ModuleNotFoundError as error:
-        if not lacks_training(error):
+        if (error.name or "").partition(".")[0] not in _PACKAGES:
             raise
         raise ParameterError("needs Stable-Baselines3: pip install 'soil_env[train]'") from None
 

@@ -34,11 +34,12 @@ UNREAD = frozenset(SensorReading._fields) - frozenset(READ)
 COMMON = tuple(
     e for e in layout("identified", CourseSpec(classes=3, lines=2)) if e.name not in UNREAD
 )
-#: Entries after those: change of the rim command by an action of 1, stall torque [of weight x
-#: radius], radius [m].
+#: Entries after those: 1 with a camera, change of the rim command by an action of 1 [of top rim
+#: speed], stall torque [of weight x radius], radius [m].
 ADDED = ("camera", "command_change", "stall_torque", "radius")
-EDGES = (0.1, 0.25, 0.5, 0.8)  # slip from which each band counts
-WIDTH = 0.05  # slip over which a band begins
+EDGES = (0.1, 0.25, 0.5, 0.8)  # slip at which each band begins
+WIDTH = 0.05  # slip over which the share in a band rises from 0 to 1
+LEAST_LOAD = 0.3  # [of weight] by which a pull is divided at least
 NAMES = (
     *(e.name for e in COMMON),
     *ADDED,
@@ -50,6 +51,8 @@ NAMES = (
 class CommonScaling(Scaling):
     """Scaled observations in the common layout from the values of a scenario's own layout
     `identified`.
+
+    ParameterError for a scenario that the common layout does not fit.
     """
 
     def __init__(self, scenario: Scenario):
@@ -77,6 +80,7 @@ class CommonScaling(Scaling):
         camera = float(scenario.course.classes > 0)
         self.added = np.array([*unseen, camera, change, stall, wheel.radius], dtype=np.float32)
         names = [e.name for e in own]
+        # Of those that are read.
         self.columns = [
             [names.index(name)] for name in ("slip", "drawbar_pull", "load", "best_pull")
         ]
@@ -87,9 +91,10 @@ class CommonScaling(Scaling):
         box = Scaling(COMMON).space
         count = len(NAMES) - len(COMMON)
         low, high = (
-            np.append(side, [x] * count) for side, x in ((box.low, -100.0), (box.high, 100.0))
+            np.append(side, [x] * count).astype(np.float32)
+            for side, x in ((box.low, -100.0), (box.high, 100.0))
         )
-        return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+        return spaces.Box(low, high, dtype=np.float32)
 
     def __call__(self, values):
         """Observations [n, D] from values [n, d] in their units, in the order of `NAMES`: scaled
@@ -101,9 +106,10 @@ class CommonScaling(Scaling):
         seen = super().__call__(values)
         # 0 times an entry: a column as long as the batch and of its type, in an ONNX graph too.
         slip, pull, load, best = (0.0 * seen[:, [0]] + values[:, column] for column in self.columns)
+        # Share of the slip beyond each edge; a band has what its next does not have.
         begun = [np.clip((slip - edge) / WIDTH, 0.0, 1.0) for edge in EDGES]
         bands = [*(a - b for a, b in zip(begun, begun[1:], strict=False)), begun[-1]]
-        misfit = np.clip(pull / np.maximum(load, 0.3) - best, -1.0, 1.0)
+        misfit = np.clip(pull / np.maximum(load, LEAST_LOAD) - best, -1.0, 1.0)
         return np.concatenate(
             [seen, 0.0 * seen[:, [0] * self.added.size] + self.added, misfit, *bands], axis=1
         )

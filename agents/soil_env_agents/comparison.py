@@ -31,8 +31,8 @@ def compare(
     """Evaluate every controller and the agent on the held-out courses, in a folder of the run
     folder.
     """
-    folder = Path(run) / FOLDER
-    model = str(Path(run) / "model.zip")
+    folder = run / FOLDER
+    model = str(run / "model.zip")
     controllers = [Contestant(name, 0, "classical", name) for name in controllers_of(scenario)[0]]
     with suppress(ParameterError):  # of a scenario that the policy of the package cannot drive
         DefaultPolicy(scenario)

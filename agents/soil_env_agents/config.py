@@ -66,8 +66,7 @@ class PPOConfig(Checked):
         "", 1, 256, default=2, doc="threads of the environment; the result is the same"
     )
 
-    def __post_init__(self):
-        super().__post_init__()
+    def _check_together(self) -> None:
         rollout = self.num_envs * self.n_steps
         if rollout % self.batch_size:
             problem = f" = {self.batch_size}: expected a divisor of num_envs x n_steps = {rollout}"
@@ -75,7 +74,9 @@ class PPOConfig(Checked):
 
 
 def check_oracle(config: Checked, driven: int | None, courses: int) -> None:
-    """FieldError of a `config` if the oracle is to drive more than the courses compared."""
+    """FieldError of a `config` if the oracle is to drive more courses (`driven`) than are compared
+    (`courses`).
+    """
     if (driven or 0) > courses:
         problem = f" = {driven}: expected at most {courses}, the courses compared"
         raise FieldError(config, "oracle_courses", problem)

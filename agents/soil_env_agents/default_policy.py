@@ -51,13 +51,9 @@ class DefaultPolicy(inputs.Observing):
             self.mean = arrays["mean"]
             self.sd = arrays["sd"]
             self.layers = [(arrays[f"{name}_weight"], arrays[f"{name}_bias"]) for name in LAYERS]
-            good = (
-                all(np.isfinite(values).all() for values in arrays.values())
-                and (self.sd > 0.0).all()
-            )
-            if not good or not self.mean.shape == self.sd.shape == (
-                len(names) + self.history.size,
-            ):
+            finite = all(np.isfinite(values).all() for values in arrays.values())
+            size = (len(names) + self.history.size,)
+            if not (finite and (self.sd > 0.0).all() and self.mean.shape == self.sd.shape == size):
                 raise ValueError
         except OSError as error:
             raise ParameterError(
@@ -110,7 +106,10 @@ class DefaultPolicy(inputs.Observing):
 
 
 def _network(layers, x):
-    """Output of hidden layers with rectified units and of a last, linear one."""
+    """Output [n, out] of hidden layers with rectified units and of a last, linear one, for [n, in].
+
+    `layers`: (weight [out, in], bias [out]) of each.
+    """
     *hidden, (last, bias) = layers
     for weight, b in hidden:
         x = np.maximum(x @ weight.T + b, np.float32(0.0))

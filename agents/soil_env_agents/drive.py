@@ -113,15 +113,14 @@ def command(
         make = partial(
             gymnasium.make, "soil_env:SoilRover-v0", rover=task, repeat=1, scaled=False, info="full"
         )
-    video = out is not None and out.suffix != ".png"
+    film_every = every if out is not None and out.suffix != ".png" else 0
     films = {}
     for name, driver in drivers.items():
         control = getattr(driver, "drives", {})
         env = make(observation=driver.variant, render_mode="rgb_array" if out else None, **control)
         held = replace(task.control, **control).action_periods
-        shot = every if video else 0
         with controllers_as(option):
-            frames, info, steps = _drive(env, name, driver, held, seed, frame, shot)
+            frames, info, steps = _drive(env, name, driver, held, seed, frame, film_every)
         films[name] = frames or ([env.render()] if out else [])
         env.close()
         early = f", before --frame {frame}" if frame is not None and steps < frame else ""
@@ -158,10 +157,11 @@ def _side_by_side(films: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
 def _drive(
     env: gymnasium.Env, name: str, driver: Any, held: int, seed: int, last: int | None, every: int
 ) -> tuple[list, dict, int]:
-    """Frames (one in `every` periods; none if 0), the last info and the number of periods, at most
-    `last`.
+    """(frames, last info, number of control periods driven) of a drive on the course of `seed`.
 
-    An action of the driver is held for so many control periods, as in the scenario.
+    A frame is taken every `every` periods and at the end; none if 0. `last`: most periods, None: to
+    the end of the course. `held`: periods for which an action of the driver is held, as in the
+    scenario. `name` is that of the driver, for messages.
     """
     observation, info = env.reset(seed=seed)
     frames = []
@@ -179,7 +179,7 @@ def _drive(
                 raise ParameterError(f"{name}: predict gave {given}: expected finite numbers")
         observation, _, terminated, truncated, info = env.step(action[0])
         over = terminated or truncated
-        steps = steps + 1
+        steps += 1
         if every and (steps % every == 0 or over):
             frames.append(env.render())
     return frames, info, steps

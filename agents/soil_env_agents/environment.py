@@ -47,8 +47,10 @@ def normalised(
     seed: int,
     world: World = None,
 ) -> VecNormalize:
-    """The vector environment of `config.num_envs` wheels with running normalisation of observations
-    and rewards.
+    """The vector environment of `config.num_envs` wheels, or rovers, with running normalisation of
+    observations and rewards.
+
+    `observation`: variant. Several worlds share the wheels equally. Wheel k has seed `seed` + k.
     """
     worlds = list(world) if isinstance(world, Sequence) else [world]
     shares = np.diff(np.linspace(0, config.num_envs, len(worlds) + 1).astype(int))
@@ -78,8 +80,8 @@ def side_by_side(parts: Sequence[CourseVecEnv], config: PPOConfig, seed: int) ->
 
 
 class CommonVecEnv(SoilWheelVecEnv):
-    """Wheels whose observation `identified` has the common layout; `teacher`: settings of theirs
-    (`teachers`).
+    """Wheels whose observation `identified` has the common layout; `teacher`: settings of their
+    teacher (`teachers.SETTINGS`).
     """
 
     def __init__(self, num_envs: int, scenario: Scenario, teacher: dict[str, float], **options):
@@ -151,7 +153,7 @@ class TeacherPenalty(VecEnvWrapper):
     def __init__(self, venv: VecEnv):
         super().__init__(venv)
         self.penalty_weight = 0.0
-        self.penalty = 0.0
+        self.penalty = 0.0  # of the step under way, [wheels] if the weight is not 0
 
     def penalise(self, weight: float) -> None:
         """Set the weight, of the actions to come."""
@@ -160,7 +162,7 @@ class TeacherPenalty(VecEnvWrapper):
 
     def reset(self) -> np.ndarray:
         self.teachers = Teachers(self.unwrapped)
-        self.fresh = np.ones(self.num_envs, dtype=bool)
+        self.fresh = np.ones(self.num_envs, dtype=bool)  # a course begins
         return self.venv.reset()
 
     def step_async(self, actions: np.ndarray) -> None:
@@ -182,7 +184,7 @@ class HistoryVecEnv(VecEnvWrapper):
     def __init__(self, venv: VecEnv, history: History):
         super().__init__(venv, history.space(venv.observation_space))
         self.history = history
-        self.kept = np.zeros((self.num_envs, history.kept), dtype=np.float32)
+        self.kept = np.zeros((self.num_envs, history.kept), dtype=np.float32)  # `History.observe`
 
     def reset(self) -> np.ndarray:
         out, self.kept[:] = self.history.observe(
@@ -219,6 +221,7 @@ def hidden_worlds(
 
 
 def _drawn(scenario: Scenario, effect: Effect, rng: np.random.Generator) -> WheelSoilModel:
+    """World with this effect, in a form and of a size that are drawn."""
     form = effect.forms[rng.integers(len(effect.forms))]
     values = {name: _size(effect.parameter(name), rng) for name in form.free} | dict(form.fixed)
     wheel = ModelWheel.of(scenario.wheel)
@@ -228,6 +231,10 @@ def _drawn(scenario: Scenario, effect: Effect, rng: np.random.Generator) -> Whee
 
 
 def _size(p: EffectParameter, rng: np.random.Generator) -> float:
+    """Value of a parameter, drawn evenly within one standard deviation of its prior.
+
+    That is of the logarithm about a `centre`, else about `neutral`, at which the effect is off.
+    """
     share = rng.uniform(-1.0, 1.0)
     if p.centre is not None:
         return float(np.clip(p.centre * np.exp(p.scale * share), p.low, p.high))

@@ -15,7 +15,7 @@ from . import inputs
 POLICY = "policy.onnx"  # file in the folder of an export
 FORMAT = "soil_env policy 1"  # first entry of its description
 MOST_BYTES = 2**26  # of the file
-MOST_VALUES = 10**7  # numbers of a value of the graph, of one observation
+MOST_VALUES = 10**7  # numbers in a tensor of the graph, for one observation
 #: Of the graphs that `export` makes; none loops, or makes much of little.
 OPERATORS = frozenset(
     "Add Sub Mul Div MatMul Gemm Max Min Equal Greater Where Concat Gather Unsqueeze Cast Identity "
@@ -110,6 +110,6 @@ class ExportedAgent(inputs.Observing):
             action, memory = self.policy.act(batch)
         else:
             fresh = inputs.starts(episode_start, len(batch), state is None)
-            kept = None if state is None else inputs.memory(state, (len(batch), self.policy.kept))
+            kept = inputs.memory(state, (len(batch), self.policy.kept))
             action, memory = self.policy.act(batch, kept, fresh)
         return (action[0] if np.ndim(observation) == 1 else action), memory

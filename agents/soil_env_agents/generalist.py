@@ -82,8 +82,7 @@ class Generalist(Checked):
     effects: tuple[str, ...] = HIDDEN  # of these worlds, in turn
     ppo: PPOConfig = PPOConfig()  # but for its num_envs
 
-    def __post_init__(self):
-        super().__post_init__()
+    def _check_together(self) -> None:
         for name in self.effects:
             if name not in HIDDEN:
                 raise unknown_value(name, HIDDEN, "effects")
@@ -118,27 +117,30 @@ class Generalist(Checked):
 
         The engine chooses the teachers; `progress` receives the number of those that are chosen.
         """
-        cells = self.cells()
         teachers: dict[tuple[str, int], dict[str, float]] = {}
         choose_one = partial(self.teacher, threads=None if engine is in_process else 1)
-        for cell, settings in engine(choose_one, cells):
+        for cell, settings in engine(choose_one, self.cells()):
             teachers[cell] = settings
             progress(len(teachers))
         parts = []
         for name, own in self.grounds.items():
             scenario, hidden = self.ground(name)
-            some = round(own.hidden * own.wheels) if hidden else 0
+            in_hidden = round(own.hidden * own.wheels) if hidden else 0
+            # Wheels in the world without an effect, then in each hidden one.
             shares = (
-                own.wheels - some,
-                *np.diff(np.linspace(0, some, len(hidden) + 1).astype(int)).tolist(),
+                own.wheels - in_hidden,
+                *np.diff(np.linspace(0, in_hidden, len(hidden) + 1).astype(int)).tolist(),
             )
             for k, (share, world) in enumerate(zip(shares, [None, *hidden], strict=True)):
-                options = {
-                    "threads": self.ppo.threads,
-                    "model": world,
-                    "scatter": world is not None,
-                }
-                parts.append(CommonVecEnv(share, scenario, teachers[name, k], **options))
+                part = CommonVecEnv(
+                    share,
+                    scenario,
+                    teachers[name, k],
+                    threads=self.ppo.threads,
+                    model=world,
+                    scatter=world is not None,
+                )
+                parts.append(part)
         return ppo.learner(side_by_side(parts, self.ppo, self.seed), self.ppo, self.seed)
 
     def cells(self) -> list[tuple[str, int]]:
@@ -159,11 +161,10 @@ def chosen(
     Talwalkar 2016, AISTATS). All settings drive the same courses.
     """
     own = teacher_settings(scenario)
-    first = 0
-    scaled = product(ACCELERATIONS, SHARES)
+    first = 0  # course of a round; every world of it has courses of its own
     tried = [
         own | {"acceleration": a * own["acceleration"], "share": b * own["share"]}
-        for a, b in scaled
+        for a, b in product(ACCELERATIONS, SHARES)
     ]
     tried.append(own | SOFT_START)
     for courses, left in rounds:
@@ -180,7 +181,9 @@ def chosen(
 
 
 def weights_of(model: PPO, history: int, made: dict) -> dict[str, np.ndarray]:
-    """The content of the weights' file of a trained model; `made` says how it was trained."""
+    """The content of the weights' file of a trained model; `made` says how it was trained,
+    `history` is the number of past steps that it sees.
+    """
     env = model.get_vec_normalize_env()
     policy = model.policy
     modules = [
@@ -219,7 +222,7 @@ def command(config: Path | None, out: Path, workers: int | None) -> None:
             model.learn(asked.improved, callback=[ppo.Schedules(asked.ppo), chooser, watch])
     stream = io.BytesIO()
     made = {"soil_env": soil_env.__version__, "config": to_dict(asked)}
-    stored: dict[str, Any] = {**weights_of(model, asked.ppo.history, made)}
+    stored: dict[str, Any] = weights_of(model, asked.ppo.history, made)
     np.savez_compressed(stream, **stored)
     replace_file(out, stream.getvalue())
     show(f"Written: {out} ({len(stream.getvalue()) / 1024:.0f} KiB)")

@@ -82,10 +82,11 @@ class History:
         holds. All are arrays, or values of an ONNX graph (`export`).
         """
         m = len(self.columns)
-        moved = np.concatenate([seen[:, self.columns], kept[:, [*range(0, self.past)]]], axis=1)
+        moved = np.concatenate([seen[:, self.columns], kept[:, [*range(self.past)]]], axis=1)
+        # What is kept: present and past readings, then for each average its sums and its weight.
         now = [np.where(fresh[:, None], seen[:, self.columns * (self.steps + 1)], moved)]
         driving = 1.0 - seen[:, [self.halted]]
-        first = m + self.past
+        first = m + self.past  # column of an average in `kept`
         for column, averaged, share in self.averages:
             size = len(averaged) + 1
             known = np.where(
@@ -103,9 +104,10 @@ class History:
             sum(seen[:, [c]] * sums for c, sums in zip(route, of_classes, strict=True))
             for route in self.routes
         ]
-        for felt, size in [(x, m) for x in routes] + [(x, 1) for x in of_bands]:
-            share = felt[:, [size]]
-            history += [felt[:, [*range(0, size)]] / np.maximum(share, 1e-6), share]
+        # Sums over their weight are the averages; an average that nothing has entered is 0.
+        for sums, size in [(x, m) for x in routes] + [(x, 1) for x in of_bands]:
+            weight = sums[:, [size]]
+            history += [sums[:, [*range(size)]] / np.maximum(weight, 1e-6), weight]
         return np.concatenate([seen, *history], axis=1), kept
 
     def space(self, box: spaces.Box) -> spaces.Box:

@@ -36,6 +36,7 @@ class Layout:
         )
         self._least = low - _ROUNDING * (high - low)
         self._most = high + _ROUNDING * (high - low)
+        # Columns of the entries that are 0 at the start, and what they have there if scaled.
         self._begin = [k for k, e in enumerate(self.entries) if e.name.endswith(_BEGIN)]
         zeros = np.zeros(len(self.entries), dtype=np.float32)
         self._scaled = Scaling(self.entries)(zeros)[self._begin]
@@ -98,8 +99,8 @@ class Observing:
 
 
 def starts(episode_start, count: int, default: bool) -> np.ndarray:
-    """Mask of the courses that begin, [count] bool; ParameterError for another number of them, and
-    for text.
+    """Mask of the courses that begin, [count] bool, all `default` where `episode_start` is None;
+    ParameterError for another number of them, and for text.
     """
     flags = np.full(count, default) if episode_start is None else np.asarray(episode_start)
     if flags.dtype.kind not in "biuf":

@@ -22,7 +22,7 @@ from .agent import INFO, OPTIMIZER, WEIGHTS, Info, load_weights, network, read_i
 from .config import PPOConfig
 from .environment import World, normalised
 
-#: Named as in SB3.
+#: Keys of `PPOConfig` that are arguments of SB3's PPO by the same name.
 _SAME = ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "clip_range", "ent_coef")
 
 

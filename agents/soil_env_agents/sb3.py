@@ -28,7 +28,7 @@ class NativeVecEnv(VecEnv):
     render_mode = None
 
     def owners(self, indices=None) -> list[VecEnv]:
-        """The object that has the attributes of each of these courses."""
+        """For each of these courses the vector environment that has its attributes."""
         return [self for _ in self._get_indices(indices)]
 
     def close(self) -> None:

@@ -25,23 +25,30 @@ ROUND = 64  # steps of each wheel
 KEPT = 800_000  # newest steps that are learnt from, unless asked otherwise
 PASSES = 7  # over the steps of a round, drawn from all that are kept
 BATCH = 2048  # steps of an update
-RATE = 2e-3  # learning rate of Adam at the start, chosen; falls to a fiftieth
+RATE = 2e-3  # learning rate of Adam at the start, chosen
 NOISE = 0.2  # sd of the noise of the action
 MEMORY = 0.8  # correlation of that noise from step to step
 FLIPPED = 0.1  # least share of the choices turned round, so that dead ends are met; half at first
+LAST_UPDATES = 4  # times as many updates after the last round
+LAST_RATE = 0.3  # of `RATE`, from which the learning rate then falls
+LEAST_RATE = 0.02  # of `RATE`
 VALUE_STEPS = 600  # of the value network
 VALUE_PASSES = 30  # over the steps whose return is known, at most, of these steps
 
 
 class Lessons:
-    """The last steps of all wheels: arrays [steps, wheels], the oldest replaced first."""
+    """The last steps of all wheels: arrays [steps, wheels], the oldest replaced first.
+
+    `seen` [..., entries] is the observation, `action` [..., actions] that of the teacher. `weight`
+    is 0 where it is not learnt from. `done`: the course ended with the step.
+    """
 
     def __init__(self, wheels: int, entries: int, steps: int, actions: int = 1):
         self.seen = np.zeros((steps, wheels, entries), dtype=np.float32)
         self.action = np.zeros((steps, wheels, actions), dtype=np.float32)
         self.weight, self.reward = np.zeros((2, steps, wheels), dtype=np.float32)
         self.done = np.zeros((steps, wheels), dtype=bool)
-        self.count = 0
+        self.count = 0  # of steps since the start
 
     def add(self, **row: np.ndarray) -> None:
         """Keep a step."""
@@ -52,21 +59,25 @@ class Lessons:
     def drawn(
         self, rng: np.random.Generator, among: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Indices (step, wheel) of a batch of steps, or `among` [n] numbers of steps."""
+        """Indices (step, wheel) [BATCH] each of a random batch of all steps that are kept.
+
+        With `among` [n] only of those: numbers step x wheels + wheel, as `returns` gives them.
+        """
         wheels = self.seen.shape[1]
         last = min(self.count, len(self.seen)) * wheels
         picked = rng.integers(last if among is None else len(among), size=BATCH)
         return np.divmod(picked if among is None else among[picked], wheels)
 
     def returns(self, gamma: float) -> tuple[np.ndarray, np.ndarray]:
-        """(discounted returns [steps, wheels], numbers of the steps whose course has ended
-        since).
+        """(returns discounted by `gamma` [steps, wheels], numbers of the steps whose course has
+        ended since).
         """
         steps = len(self.seen)
         out = np.zeros_like(self.reward)
         known = np.zeros(self.done.shape, dtype=bool)
-        following = np.zeros_like(out[0])
-        ends = np.zeros_like(self.done[0])
+        following = np.zeros_like(out[0])  # return after the step, of each wheel
+        ends = np.zeros_like(self.done[0])  # True once its course has ended
+        # From the newest step back.
         for k in (np.arange(self.count, self.count - min(self.count, steps), -1) - 1) % steps:
             ends |= self.done[k]
             following = self.reward[k] + gamma * np.where(self.done[k], 0.0, following)
@@ -88,7 +99,6 @@ def teach(
     It learns from the newest steps, at `most` so many.
     """
     env = model.get_vec_normalize_env()
-    assert env is not None
     policy = model.policy
     rng = np.random.default_rng([seed, 11])
     wheels = env.num_envs
@@ -96,7 +106,7 @@ def teach(
     teachers = Teachers(env.unwrapped)
     fresh = np.ones(wheels, dtype=bool)
     seen = env.reset()
-    wander = np.zeros((wheels, *env.action_space.shape))
+    wander = np.zeros((wheels, *env.action_space.shape))  # noise over `NOISE`, of variance 1
     kept = Lessons(
         wheels,
         seen.shape[1],
@@ -120,17 +130,16 @@ def teach(
             seen, _, fresh, _ = env.step(action.astype(np.float32))
             kept.add(**row, reward=env.get_original_reward(), done=fresh)
         last = k == rounds - 1
-        updates = int(PASSES * ROUND * wheels / BATCH * (4 if last else 1)) + 1
+        updates = int(PASSES * ROUND * wheels / BATCH * (LAST_UPDATES if last else 1)) + 1
         for i in range(updates):
-            share = 0.3 * (1.0 - i / updates) if last else 1.0 - k / rounds
-            optimizer.param_groups[0]["lr"] = RATE * max(share, 0.02)
+            share = LAST_RATE * (1.0 - i / updates) if last else 1.0 - k / rounds
+            optimizer.param_groups[0]["lr"] = RATE * max(share, LEAST_RATE)
             _descend(optimizer, _lesson_loss(policy, env, kept, kept.drawn(rng)))
         chooser.learn(1.0 - k / rounds)
         progress((k + 1) * ROUND * wheels)
     returns, ended = kept.returns(model.gamma)
     returns /= np.sqrt(env.ret_rms.var + env.epsilon)
-    most = math.ceil(VALUE_PASSES * ended.size / BATCH)
-    for _ in range(min(VALUE_STEPS, most)):
+    for _ in range(min(VALUE_STEPS, math.ceil(VALUE_PASSES * ended.size / BATCH))):
         at = kept.drawn(rng, ended)
         value = policy.predict_values(torch.from_numpy(env.normalize_obs(kept.seen[at])))[:, 0]
         _descend(optimizer, functional.mse_loss(value, torch.from_numpy(returns[at])))
@@ -138,7 +147,7 @@ def teach(
 
 
 def _lesson_loss(policy, env: VecNormalize, kept: Lessons, at) -> torch.Tensor:
-    """Squared errors of the accelerations."""
+    """Mean squared error of the mean actions at the steps `at` of `Lessons.drawn`, by weight."""
     action, weight = (torch.from_numpy(x[at]) for x in (kept.action, kept.weight))
     mean = policy.get_distribution(
         torch.from_numpy(env.normalize_obs(kept.seen[at]))
@@ -147,6 +156,7 @@ def _lesson_loss(policy, env: VecNormalize, kept: Lessons, at) -> torch.Tensor:
 
 
 def _descend(optimizer: torch.optim.Optimizer, loss: torch.Tensor) -> None:
+    """Make one step of gradient descent."""
     optimizer.zero_grad()
     loss.backward()
     optimizer.step()

@@ -29,8 +29,8 @@ class Manner(NamedTuple):
     start: float = 0.3  # [of the top rim speed]
     speed: float = 0.8  # [of the top rim speed]
     acceleration: float = 0.3  # [m/s2]
-    #: Limit of the slip of each axle over the best slip on its fresh soil; wheels behind run in
-    #: stiffer ruts.
+    #: Limit of the slip of each axle over the best slip on its fresh soil, from the front; wheels
+    #: behind run in stiffer ruts.
     shares: tuple[float, ...] = (1.0,)
 
 
@@ -55,8 +55,8 @@ class Teacher(BestSlipTrue):
         """The state of `BestSlipTrue`, with the ramp where the rim is commanded to be."""
         state = super().state_for(batch, state, fresh)
         name = "rim_command" if self.action == "rim_acceleration" else "rim_speed"
-        droop = batch[:, self.column["torque"]] * self.weight_torque / (10.0 * self.stall)
-        state["ramp"] = np.maximum(batch[:, self.column[name]] - droop, 0.0) * self.top_speed
+        rim = batch[:, self.column[name]] - self.droop(batch)
+        state["ramp"] = np.maximum(rim, 0.0) * self.top_speed
         return state
 
     def target_slip(self, observation, state):
@@ -64,7 +64,7 @@ class Teacher(BestSlipTrue):
 
 
 class _OfWheels(Teacher):
-    """The teacher of the wheels of a rover."""
+    """The teacher of the wheels of a rover, with a share of the best slip for each axle."""
 
     shares: tuple[float, ...] = (1.0,)
 
@@ -110,7 +110,9 @@ class Teachers:
         self.starts = np.cumsum([part.num_envs for part, _ in self.parts])[:-1]
 
     def lesson(self, fresh: np.ndarray) -> tuple[np.ndarray, ...]:
-        """(actions, weights) of all wheels or rovers [n]; `fresh` [n]: a course begins.
+        """(actions [n, 1] or [n, axles], weights [n]) of all wheels or rovers.
+
+        `fresh` [n] bool: a course begins.
 
         A row of weight 0, as at a halt, is not learnt from.
         """

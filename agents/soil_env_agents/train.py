@@ -70,7 +70,7 @@ def command(config: Path | None, resume: Path | None, keys: tuple[str, ...]) -> 
         if config is not None or changes:
             raise ParameterError("--resume takes no other option: the run folder has its config")
         folder = resume
-        (settings, scenario) = training.open_run(resume)
+        settings, scenario = training.open_run(resume)
     else:
         mapping = {}
         where = "command line"

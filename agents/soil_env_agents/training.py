@@ -31,7 +31,10 @@ _STUCK = [cause.name for cause in IMMOBILISED]
 
 
 class _Watch(BaseCallback):
-    """Progress bar, rates of the recent courses on TensorBoard, and checkpoints."""
+    """Progress bar, rates of the recent courses on TensorBoard, and checkpoints.
+
+    A checkpoint is saved every `every` environment steps, before the next rollout.
+    """
 
     def __init__(self, folder: Path, every: int, bar: Bar):
         super().__init__()
@@ -114,13 +117,8 @@ def make_run_folder(config: TrainConfig, scenario: Scenario | RoverScenario) -> 
 
 def open_run(folder: Path) -> tuple[TrainConfig, Scenario | RoverScenario]:
     """Config and scenario of an existing run folder."""
-    folder = Path(folder)
     if not folder.is_dir():
-        near = (
-            sorted(p.parent.name for p in folder.parent.glob("*/config.yaml"))
-            if folder.parent.is_dir()
-            else []
-        )
+        near = sorted(p.parent.name for p in folder.parent.glob("*/config.yaml"))
         raise ParameterError(
             f"{folder}: no such run folder" + (f" (found: {', '.join(near)})" if near else "")
         )
@@ -155,7 +153,6 @@ def differences(old: dict, new: dict, prefix: str = "") -> list[str]:
 
 def train(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario) -> Agent:
     """Train in `folder`, from its checkpoint if there is one, and save model.zip."""
-    folder = Path(folder)
     if not (folder / MODEL).is_file():
         _learn(folder, config, scenario)
     # A kill may have left them beside the model.
@@ -165,6 +162,7 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario)
 
 
 def _learn(folder: Path, config: TrainConfig, scenario) -> None:
+    """Train as a student of the teacher, then by PPO, what is left to train; save model.zip."""
     checkpoint = folder / CHECKPOINT
     worlds: World = config.world
     if config.hidden_worlds:

@@ -57,12 +57,14 @@ BLOCK = 300  # courses driven side by side
 FALSE = 0.05  # share of the driving time on finished courses under alarm
 # [s] before the last progress of a course cut by the time limit, from where its outcome is unknown
 UNKNOWN = 5.0
-HIDDEN = (64, 32)
-RATE = 1e-2
-DECAY = 1e-3
-BATCH = 4096
+# Of the network and its training; chosen.
+HIDDEN = (64, 32)  # units
+RATE = 1e-2  # largest learning rate of AdamW
+DECAY = 1e-3  # of the weights
+BATCH = 4096  # rows of an update
 AT_ONCE = 100.0  # [m/s2]: no ramp
 BACKWARDS = 0.1  # share of the speeds drawn at random
+BACK = -0.4  # [of the top rim speed, or of the stall torque] backwards
 _STUCK = [cause.value for cause in IMMOBILISED]
 
 
@@ -77,13 +79,16 @@ class Sizes:
 
 
 class Random(Controller):
-    """Rim speeds drawn anew every 0.3 to 5 s on average; with `throttle` torques."""
+    """Rim speeds drawn anew every 0.3 to 5 s on average; with `throttle` torques.
+
+    `count`: courses driven side by side, each with a mean time of its own.
+    """
 
     def __init__(self, scenario: Scenario, rng: np.random.Generator, count: int, throttle: bool):
         super().__init__(scenario)
         self.rng = rng
         self.throttle = throttle
-        self.level = rng.uniform(0.0, 1.0, count)
+        self.level = rng.uniform(0.0, 1.0, count)  # of the top rim speed, or of the stall torque
         self.mean = np.exp(rng.uniform(np.log(0.3), np.log(5.0), count))  # [s]
 
     def prefers_other_route(self, batch):
@@ -93,7 +98,7 @@ class Random(Controller):
     def rim_speed(self, observation, state):
         """The level of this control period, of the top rim speed."""
         backwards, new, change = self.rng.random((3, len(self.level)))
-        drawn = np.where(backwards < BACKWARDS, -0.4, new)
+        drawn = np.where(backwards < BACKWARDS, BACK, new)
         self.level = np.where(change < self.period / self.mean, drawn, self.level)
         return self.level * self.top_speed
 
@@ -145,13 +150,16 @@ class Drives:
     least_progress: float  # [m] that the wheel has to get further within the limit of no progress
 
     def since(self, period: np.ndarray) -> np.ndarray:
-        """Time spent driving [s] from the periods `period` [courses] to each period."""
+        """Time spent driving [s] from the period `period` [courses] of each course to every period,
+        [periods, courses]; negative before.
+        """
         clock = np.cumsum(self.driving, axis=0) * self.period
         return clock - np.take_along_axis(clock, period[None], axis=0)
 
     @property
     def ahead(self) -> np.ndarray:
         """Seconds of driving until the wheel stops for good; +inf where it never does."""
+        # Periods in which the wheel gets on, and the last of each course.
         mobile = self.driving & (np.diff(self.best, axis=0, prepend=0.0) >= self.least)
         last = np.where(mobile.any(axis=0), len(mobile) - 1 - np.argmax(mobile[::-1], axis=0), 0)
         return np.where(np.isin(self.cause, _STUCK), -self.since(last), np.inf)
@@ -159,12 +167,16 @@ class Drives:
     @property
     def known(self) -> np.ndarray:
         """Periods whose outcome is known: not the last of a course that the time limit cut."""
+        # First period from which the wheel makes no progress that counts.
         near = np.argmax(self.driving & (self.best >= self.best[-1] - self.least_progress), axis=0)
         cut = self.cause == Cause.TIME_LIMIT.value
         return self.alive & ~(cut & (self.since(near) > -UNKNOWN))
 
     def false(self, probability: np.ndarray, threshold: float) -> tuple[float, float]:
-        """(time under alarm [s], time driven [s]) on finished courses."""
+        """(time under alarm, all of it false, and time driven) [s] on finished courses.
+
+        `probability` [periods, courses]: within the longer horizon.
+        """
         passed = self.cause == Cause.FINISHED.value
         alarms = Alarms(len(passed), self.period, threshold)
         under = 0
@@ -212,6 +224,7 @@ def fit(inputs: np.ndarray, ahead: np.ndarray, epochs: int, seed: int = 0) -> Ne
     mean = inputs.mean(axis=0)
     scale = 1.0 / (inputs.std(axis=0) + 1e-6)
     x = torch.from_numpy(np.clip((inputs - mean) * scale, -LARGEST, LARGEST).astype(np.float32))
+    # 1 where the wheel is immobilised within the first horizon, and within the second.
     early, late = (torch.from_numpy((ahead <= h).astype(np.float32)) for h in HORIZONS)
     sizes = (x.shape[1], *HIDDEN, len(HORIZONS))
     layers = [torch.nn.Linear(a, b) for a, b in zip(sizes[:-1], sizes[1:], strict=True)]
@@ -251,10 +264,13 @@ def probabilities(network: Network, found: Drives) -> np.ndarray:
 
 
 def threshold(scores: Sequence[np.ndarray], found: Sequence[Drives]) -> float:
-    """The lowest threshold, to a thousandth, of an alarm that is false for at most `FALSE`."""
+    """The lowest threshold, to a thousandth, of an alarm that is false for at most `FALSE`.
+
+    `scores`: `probabilities` of each of the `found` drives.
+    """
     low = 0.0
     high = 1.0
-    for _ in range(10):
+    for _ in range(10):  # halves the bracket to a thousandth
         middle = 0.5 * (low + high)
         times = [d.false(s, middle) for s, d in zip(scores, found, strict=True)]
         under, driven = np.sum(times, axis=0)

@@ -73,8 +73,8 @@ def keys_of(cls: type, above: str = "") -> Iterator[str]:
 
 
 def _class_in(hint: Any) -> type | None:
-    """The dataclass that a hint names, alone, as one of several, or as the values of a mapping;
-    None without one.
+    """The dataclass that a type hint names, alone, as one of several, or as the values of a
+    mapping; None without one.
     """
     kinds = (hint, *typing.get_args(hint))
     return next((k for k in kinds if isinstance(k, type) and dataclasses.is_dataclass(k)), None)
@@ -93,7 +93,7 @@ def _range(f: Any) -> str:
 
 
 def _kind(hint: Any) -> str:
-    """Values that a hint admits, in words, without None; "value" for a type not listed here."""
+    """Values that a type hint admits but None, in words; "value" for a type not listed here."""
     if typing.get_origin(hint) is typing.Literal:
         return " | ".join(map(str, typing.get_args(hint)))
     parts = [h for h in typing.get_args(hint) if h is not types.NoneType]

@@ -133,7 +133,7 @@ def _stoppable(received: list[int]) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    usual: dict[int, Callable[[int, FrameType | None], object] | signal.Handlers] = {
+    usual: dict[int, Any] = {  # handlers that Python and the system set
         signal.SIGINT: signal.default_int_handler,
         signal.SIGTERM: signal.SIG_DFL,
     }

@@ -86,6 +86,7 @@ def _with_effects() -> WheelSoilModel:
     )
 
 
+# Functions of their own: a process finds its part by the name.
 def _wheels() -> None:
     _drive_wheels(**BLIND)
 

@@ -32,8 +32,7 @@ class Channel:
     unusable: int = 0  # out of any range
     interpolated: float = 0.0  # share of the steps
     missing: float = 0.0  # share of the steps
-    #: [ns] of usable readings. While a recording is read: places of their stamps in its topic or
-    #: table.
+    #: [ns] of usable readings. While a recording is read: indices of their stamps in `Stamps`.
     times: array = field(default_factory=lambda: array("q"), repr=False)
     values: array = field(default_factory=lambda: array("d"), repr=False)
 
@@ -89,23 +88,24 @@ def align(
 
     `constants` are readings in SI units that hold at every step, by name. Steps at which nothing
     was measured are left out. The shares `interpolated` and `missing` of each measured channel are
-    set. The wheel speed needs a reading.
+    set. `period` and `max_gap` are in s. The wheel speed needs a reading.
     """
-    ns = round(period * 1e9)
+    period_ns = round(period * 1e9)
     measured = {n: c for n, c in channels.items() if n not in constants}
-    turning = np.frombuffer(channels["wheel_speed"].times, np.int64)
-
-    origin = int(turning.min())
+    origin = int(np.frombuffer(channels["wheel_speed"].times, np.int64).min())
+    # By channel: number of the step that is nearest to each reading; origin is step 0.
     steps = {
-        n: (np.frombuffer(c.times, np.int64) - origin + ns // 2) // ns for n, c in measured.items()
+        n: (np.frombuffer(c.times, np.int64) - origin + period_ns // 2) // period_ns
+        for n, c in measured.items()
     }
+    # Numbers of the steps of the axis.
     grid = _bridged(np.unique(np.concatenate(list(steps.values()))), round(max_gap / period))
     kept = (grid >= 0) & (grid <= steps["wheel_speed"].max())
     readings = {}
     for name, channel in measured.items():
-        at = np.searchsorted(grid, steps[name])
-        counts = np.bincount(at, minlength=grid.size)
-        sums = np.bincount(at, np.frombuffer(channel.values), grid.size)
+        on_grid = np.searchsorted(grid, steps[name])
+        counts = np.bincount(on_grid, minlength=grid.size)
+        sums = np.bincount(on_grid, np.frombuffer(channel.values), grid.size)
         means = np.divide(sums, counts, out=np.full(grid.size, math.nan), where=counts > 0)
         values, filled = interpolated(grid * period, means, max_gap)
         readings[name] = values[kept]
@@ -129,6 +129,7 @@ def _bridged(steps: np.ndarray, most: int) -> np.ndarray:
             f"period: the recording has {count.sum() + 1} steps of it: expected at most "
             f"{MOST_STEPS}; take a longer one, or a part of the recording"
         )
+    # 0, 1, ... from each of `steps` to the number before the next.
     within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     return np.append(np.repeat(steps[:-1], count) + within, steps[-1:])
 

@@ -126,8 +126,8 @@ class _Decoder:
     def __init__(self, definitions: Mapping[str, str]) -> None:
         from rosbags.typesys import Stores, get_typestore
 
-        self._known = get_typestore(Stores.LATEST)
-        self._own = get_typestore(Stores.EMPTY)
+        self._known = get_typestore(Stores.LATEST)  # types of ROS 2
+        self._own = get_typestore(Stores.EMPTY)  # types of the map and of the file
         self._unread: dict[str, Exception] = {}  # why a definition cannot be read, by type
         for kind, text in definitions.items():
             self.define(kind, text)
@@ -207,7 +207,7 @@ def _mcap_records(file: Path, notes: Notes) -> Iterator[Any]:
     from mcap.stream_reader import StreamReader, breakup_chunk
 
     size = file.stat().st_size
-    last = None
+    last = None  # [ns] recording of the last message
     record = None
     with file.open("rb") as stream:
         records = StreamReader(stream, emit_chunks=True, record_size_limit=max(size, 1)).records
@@ -276,6 +276,7 @@ def _mcap(file: Path, wanted: set[str], notes: Notes, decoder: _Decoder) -> Iter
 def _decoding(decoder: _Decoder, where: str, channel, schema) -> Callable[[bytes], Any]:
     """Return the function that decodes the bytes of a message of an MCAP channel.
 
+    `channel` and `schema` are records of the library `mcap`, `schema` None where there is none.
     Objects of JSON become `SimpleNamespace`, so that fields are attributes as in CDR. A definition
     in the schema is handed to the decoder. `ParameterError` for another encoding.
     """
@@ -454,9 +455,10 @@ def _wrong(message: Any, said: str) -> ValueError:
 
 
 def _item(message: Any, values: Any, step: str | int, where: str) -> Any:
-    """Element of the list `values` by its index, or by its "[name]" in the message's list of names.
+    """Element of the list `values` of a message, by the index or the "[name]" in `step`.
 
-    `NotHere` for an index or a name that is not there, `_wrong` where there is no list at all.
+    A name has its place in the message's list of names (`_LISTS_OF_NAMES`). `NotHere` for an index
+    or a name that is not there, `_wrong` where there is no list at all.
     """
     if not hasattr(values, "__len__") or isinstance(values, str):
         raise _wrong(message, f"{where}: {step} of something that is no list: {_kind(values)}")

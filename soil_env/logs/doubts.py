@@ -31,9 +31,9 @@ _USUAL = (2e-3, 2.0)  # [s] between rows, usual
 _SHORT = 10.0  # [s] length of a short table
 
 
-# Rim speed over travel speed, between which another unit has to bring the ratio; own choice.
-_HELD = 0.7  # [-] of a wheel that holds back downhill
-_SPUN = 2.0  # [-] at a slip of one half
+# Range of rim speed over travel speed into which another unit has to bring it; own choice.
+_HELD = 0.7  # [-] least: of a wheel that holds back downhill
+_SPUN = 2.0  # [-] greatest: at a slip of one half
 _FREE_SHARE = 0.1  # of the steps: those with the least slip
 _LEAST_DIVISOR = 1e-9  # in place of the 0 of a sensor that reads nothing
 _TINIEST = 1e-300  # [m2/s4] keeps a correlation with a constant 0 finite
@@ -41,7 +41,8 @@ _TINIEST = 1e-300  # [m2/s4] keeps a correlation with a constant 0 finite
 #: Rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long.
 _RIM = (0.65, 6.0)
 _FREEST = (0.4, 3.2)  # the same at the quantile `_FREE_SHARE`, where the wheel slips least
-#: Sensors whose readings are compared with sizes of the wheel, the load before the other forces.
+#: (Reading, its SI unit, size of the wheel that it is divided by or a unit, `Sensor.usual`) of the
+#: readings that `_sizes` compares, the load before the other forces.
 _SIZED = sorted(
     ((s.name, s.unit, s.observed[0], s.usual) for s in SENSORS if s.usual is not None),
     key=lambda sized: ("weight" in sized[2], sized[0] != "load"),
@@ -115,12 +116,10 @@ class _Doubts:
     def _place(self, name: str) -> str:
         return f"{name} ({self.map.channels[name].place})"
 
-    def _is_sensed(self, name: str) -> bool:
-        """False for a constant of the map."""
-        return self.map.channels[name].constant is None
-
     def _doubt(self, name: str, said: str, expected: str, reason: str) -> None:
-        """Add the line of a doubt on the reading `name`."""
+        """Add the line of a doubt on the reading `name`: what it reads (`said`), what was
+        `expected`, and what may be the `reason`.
+        """
         self.lines.append(
             f"{self._place(name)} reads {said}, expected {expected}. Perhaps {reason}."
         )
@@ -161,7 +160,7 @@ class _Doubts:
         both = moves if moves.sum() >= _LEAST else both
         if both.sum() < _LEAST:
             return True
-        over = _median(np.abs(rim[both])) / max(_median(np.abs(speed[both])), _LEAST_DIVISOR)
+        ratio = _median(np.abs(rim[both])) / max(_median(np.abs(speed[both])), _LEAST_DIVISOR)
 
         turns = moves & (np.abs(rim) > self.slowest)
         known = turns.sum() >= _LEAST
@@ -169,23 +168,24 @@ class _Doubts:
         freest = float(np.quantile(ratios, _FREE_SHARE)) if known else 1.0
         low, high = _RIM
         free, freer = _FREEST
-        if over < low or not free <= freest <= freer or (over > high and not known):
-            if over >= low and known:
-                over = freest
+        if ratio < low or not free <= freest <= freer or (ratio > high and not known):
+            if ratio >= low and known:
+                ratio = freest
                 low, high = _FREEST
-            least = max(over, _LEAST_DIVISOR)
+            divisor = max(ratio, _LEAST_DIVISOR)
+            # Least and greatest factor on a reading that bring the ratio between _HELD and _SPUN.
             limits = {
-                "wheel_speed": (_HELD / least, _SPUN / least),
-                "speed": (over / _SPUN, over / _HELD),
+                "wheel_speed": (_HELD / divisor, _SPUN / divisor),
+                "speed": (ratio / _SPUN, ratio / _HELD),
             }
             units = [
                 f"{name} in {u}" for name, of in limits.items() for u in self._units(name, *of)
             ]
             reason = (
                 " or ".join(units)
-                or f"another unit or gear{', or a wheel that hardly gets on' * (over > 1.0)}"
+                or f"another unit or gear{', or a wheel that hardly gets on' * (ratio > 1.0)}"
             )
-            said = f"a rim speed of {over:.3g} times the travel speed of {self._place('speed')}"
+            said = f"a rim speed of {ratio:.3g} times the travel speed of {self._place('speed')}"
             self._doubt("wheel_speed", said, f"{low:g} to {high:g}", reason)
             return False
         if _median(np.sign(rim * speed)[both]) < 0.0:
@@ -193,6 +193,7 @@ class _Doubts:
             self._doubt("wheel_speed", said, "the same direction", "another sign of one of the two")
             return False
         of_speeds = slips(rim, speed)[both]
+        # How far the slip is off, as it reads and with the opposite sign.
         slip = self.log.get("slip")[both]
         away, opposite = (_median(np.abs(slip - sign * of_speeds)) for sign in (1.0, -1.0))
         if away > _SLIP_OFF or away > max(_SLIP_TURNED, _FITS_BETTER * opposite):
@@ -253,8 +254,8 @@ class _Doubts:
         felt = felt - np.nan_to_num(np.gradient(self.speed, log.time))
         expected = gravity * np.sin(log.get("pitch"))
         known = ~np.isnan(expected + felt)
-        x = expected[known]
-        y = felt[known]
+        x = expected[known]  # [m/s2] gravity along the course, by the pitch
+        y = felt[known]  # [m/s2] the same, by the other sensor
         if x.size < _LEAST or math.sqrt(float(x @ x) / x.size) < _HILL * gravity:
             return
         slope = float(x @ y) / float(x @ x)
@@ -270,11 +271,10 @@ class _Doubts:
         """
         for name in ("wheel_speed", "speed", "sinkage", "drawbar_pull", "torque", "motor_torque"):
             values = self._driven(self.log.get(name))
-            if values.size >= _LEAST and np.ptp(values) == 0.0 and self._is_sensed(name):
-                unit = si_unit(name)
-                said = f"{values[0]:.3g} {unit} in all {values.size} steps that drive"
-                reason = "a stuck sensor, or a command"
-                self._doubt(name, said, "the noise of a sensor", reason)
+            stuck = values.size >= _LEAST and np.ptp(values) == 0.0
+            if stuck and self.map.channels[name].constant is None:
+                said = f"{values[0]:.3g} {si_unit(name)} in all {values.size} steps that drive"
+                self._doubt(name, said, "the noise of a sensor", "a stuck sensor, or a command")
 
 
 def _median(values: np.ndarray) -> float:

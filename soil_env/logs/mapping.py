@@ -23,7 +23,7 @@ from soil_env.measurement.setup import setup_of
 from soil_env.parameters import Belief, Noise, Wheel, refuse_idle_prior, with_preset
 from soil_env.parameters.sensors import SENSORS, sizes_of
 
-#: Other units of a reading by its SI unit, in that.
+#: Other units by the SI unit of a reading, each with its value in SI.
 _OTHERS = {
     "m": {"cm": 1e-2, "mm": 1e-3},
     "m/s": {"cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6},
@@ -34,9 +34,9 @@ _OTHERS = {
     "rad": {"deg": math.pi / 180.0, "quaternion": 1.0},
     "m/s2": {"g": 9.80665},
 }
-#: SI unit of the reading that is made of a unit by more than a factor: of the current of a motor,
-#: and of the orientation of the body, x forward and z up as in ROS (REP 103), of which the uphill
-#: pitch is taken.
+#: Units that take more than a factor, each with the SI unit of the reading that is made of it. A
+#: torque is made of the current of a motor. The uphill pitch is made of the orientation of the
+#: body, x forward and z up as in ROS (REP 103).
 _CONVERTED = {"A": "N m", "quaternion": "rad"}
 #: Units of each reading, the first being the one that readings are turned into.
 UNITS: dict[str, dict[str, float]] = {
@@ -220,14 +220,16 @@ class LogMap(Checked):
         weight. `FieldError` for one beyond the range there.
         """
         sizes = sizes_of(self.wheel, self.gravity)
-        of = {f.name: f.metadata for f in fields(Noise)}
+        limits = {f.name: f.metadata for f in fields(Noise)}
         sd = {}
         for name, source in self.channels.items():
             if source.sd is not None:
-                unit = sizes.get(of[name]["unit"], 1.0) / abs(factor(name, source))
+                most = limits[name]["high"]
+                # One of the unit of `Noise`, in the unit of the source.
+                unit = sizes.get(limits[name]["unit"], 1.0) / abs(factor(name, source))
                 sd[name] = source.sd / unit
-                if sd[name] > of[name]["high"]:
-                    expected = f"expected at most {of[name]['high'] * unit:g}, in its unit"
+                if sd[name] > most:
+                    expected = f"expected at most {most * unit:g}, in its unit"
                     raise FieldError(self, f"channels.{name}.sd", f" = {source.sd:g}: {expected}")
         return Noise(**sd)
 

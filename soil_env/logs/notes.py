@@ -34,11 +34,11 @@ class Faults:
     """Count of the messages, rows or cells of one place, and of those that cannot be read."""
 
     def __init__(self, place: str, things: str) -> None:
-        self.place = place
-        self.things = things  # plural
+        self.place = place  # file, topic, column or field, for messages
+        self.things = things  # what is counted, plural
         self.count = 0
-        self.wrong = 0
-        self.first = ""
+        self.wrong = 0  # of the count
+        self.first = ""  # fault
 
     def add(self, where: str, reason: object) -> None:
         """Count a fault; `where`, the message or row, and `reason` are kept of the first one."""

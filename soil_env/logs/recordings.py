@@ -99,7 +99,7 @@ class _Reader:
         self.length = 0.0  # [s] from the first to the last row
         #: `max_gap` and `restart_gap` [ns].
         self._gaps = round(log_map.max_gap * 1e9), round(log_map.restart_gap * 1e9)
-        self._left = MOST_READINGS
+        self._left = MOST_READINGS  # that may still come
         for name, source in log_map.channels.items():
             if source.constant is None:
                 self.sources[name] = source
@@ -190,7 +190,7 @@ class _Reader:
         notes = self.notes
         topics = {s.topic: _Topic(s.topic) for s in self.sources.values()}
         for name, source in self.sources.items():
-            topics[source.topic].channels[name] = _Field(name, source)
+            topics[source.topic].fields[name] = _Field(name, source)
         file = ""
         for message in bags.messages(set(topics), notes, self.map.messages):
             topic = topics[message.topic]
@@ -201,17 +201,17 @@ class _Reader:
             content, stamp = topic.decoded(message)
             if stamp is None:
                 continue
-            for name, place in topic.channels.items():
-                value = place.number(content, message.kind, topic.faults.count)
+            for name, field in topic.fields.items():
+                value = field.number(content, message.kind, topic.faults.count)
                 if value is not None:
                     self._add(name, len(topic.stamps), value)
             topic.stamps.add(stamp, topic.faults.count, message.time)
         self._check_found(topics)
-        delays = {}
+        delays = {}  # [s] mean, by topic with header stamps
         for of, topic in topics.items():
             by_header = self.map.clock == "header" and any(topic.stamps.times)
             times, kept = topic.sound_times(by_header, self._gaps, notes)
-            for name in topic.channels:
+            for name in topic.fields:
                 self._finish(name, times, kept)
             if by_header:
                 recorded = np.frombuffer(topic.stamps.recorded, np.int64)
@@ -234,10 +234,10 @@ class _Reader:
                 raise ParameterError(str(unknown).replace("key", "topic") + cut)
         for topic in topics.values():
             topic.faults.settle(notes)
-            for name, channel in topic.channels.items():
-                channel.faults.settle(notes)
-                if channel.lacking and not self.channels[name].values:
-                    raise ParameterError(f"{path}: {channel.lacking}, in all messages")
+            for name, field in topic.fields.items():
+                field.faults.settle(notes)
+                if field.lacking and not self.channels[name].values:
+                    raise ParameterError(f"{path}: {field.lacking}, in all messages")
 
 
 def _spread(times: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -247,16 +247,16 @@ def _spread(times: np.ndarray, values: np.ndarray) -> np.ndarray:
     """
     order = np.argsort(times, kind="stable")
     first = np.unique(times[order], return_index=True)[1]
-    there = values[order]
-    found: np.ndarray = np.maximum.reduceat(there, first) - np.minimum.reduceat(there, first)
+    grouped = values[order]
+    found: np.ndarray = np.maximum.reduceat(grouped, first) - np.minimum.reduceat(grouped, first)
     return found[found > 0.0]
 
 
 class _Topic:
-    """A topic while its messages come: its channels, the stamps, and counts of faults."""
+    """A topic while its messages come: its fields that are read, stamps, and counts of faults."""
 
     def __init__(self, name: str) -> None:
-        self.channels: dict[str, _Field] = {}
+        self.fields: dict[str, _Field] = {}  # by channel
         self.stamps = Stamps(f"topic {name}", "message")
         self.faults = Faults(f"topic {name}", "messages")
 
@@ -395,8 +395,8 @@ def _remarks(found: Aligned, log_map: LogMap, limits: dict[str, float]) -> list[
             )
     jumps = np.flatnonzero(np.diff(found.time) > log_map.max_gap)
     if jumps.size:
-        gaps = plural(jumps.size, "gap")
         lines.append(
-            f"The recording has {gaps} of more than {log_map.max_gap:g} s without any reading."
+            f"The recording has {plural(jumps.size, 'gap')} of more than {log_map.max_gap:g} s "
+            "without any reading."
         )
     return lines

@@ -143,14 +143,14 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     names = set(log.readings)
     if log_map.wheel.inertia == UNKNOWN_INERTIA:
         names.discard("motor_torque")
-    before = 0
-    last = math.nan
+    borders_before = 0  # found before the last restart
+    last = math.nan  # [s] of the last step
     margin = _NO_MARGIN
     for k, t in enumerate(log.time.tolist()):
         if t - last > log_map.restart_gap:
-            before += identifier.estimate.borders
+            borders_before += identifier.estimate.borders
             identifier.reset()
-            restarts = restarts + 1
+            restarts += 1
             margin = _NO_MARGIN
         reading = Readings(**{n: float(log.readings[n][k]) for n in names}, time=t)
         e = identifier.update(reading)
@@ -162,7 +162,7 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
         status[k] = e.status
         renewed[k] = e.renewed
         on_border[k] = identifier.on_border
-        found[k] = before + e.borders
+        found[k] = borders_before + e.borders
         last = t
     values = {name: table[:, i] for i, name in enumerate(COLUMNS)}
     warnings = []
@@ -237,21 +237,22 @@ def _grounds(
     border = log_map.belief.border
     gap = np.diff(log.time, append=math.inf) > log_map.restart_gap
     out = np.zeros(len(log), np.int64)
-    begins = 0
-    before = None
+    begins = 0  # first step of the part
+    before = None  # estimate of the ground before, None after a gap
     differs = []
+    # Last step of each part.
     for end in np.flatnonzero((np.diff(found, append=found[-1:] + 1) != 0) | gap).tolist():
-        settled = end
+        settled = end  # last step whose estimate is of this part alone
         if not gap[end]:
             if where[end] - where[begins] < _LEAST_PART * border:
                 continue
             settled = int(np.searchsorted(where, where[end] - _LEFT * border, side="right")) - 1
         here = _last_known(values, status, begins, max(settled, begins), prior)
-        two = math.nan if before is None else _probability_of_two(before, here)
-        if before is not None and two < DIFFERS:
+        probability = math.nan if before is None else _probability_of_two(before, here)
+        if before is not None and probability < DIFFERS:
             here = _pooled(before, here)
         else:
-            differs.append(two)
+            differs.append(probability)
         out[begins : end + 1] = len(differs)
         begins = end + 1
         before = None if gap[end] else here
@@ -260,7 +261,7 @@ def _grounds(
 
 def _last_known(
     values: dict[str, np.ndarray], status: np.ndarray, first: int, last: int, prior: Estimate
-):
+) -> np.ndarray:
     """Last estimate of the steps `first` to `last` relative to the prior [2, 4], for `_COMPARED`.
 
     The first row has deviations from the prior in its sds, of the logarithm where the sd is
@@ -283,7 +284,7 @@ def _last_known(
 
 
 def _probability_of_two(one: np.ndarray, other: np.ndarray) -> float:
-    """Probability that the soils of two estimates (`_last_known`) differ; before it is `_SEEN`.
+    """Probability that the soils of two estimates (`_last_known`) differ; `_SEEN` before them.
 
     Soils have variance 1 about the prior. An estimate with the variance v of its error has 1 - v,
     since it is drawn towards the prior. The difference of two estimates (v, w) of one soil has the

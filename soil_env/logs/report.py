@@ -52,7 +52,7 @@ def report_of(
     """
     parts = grounds(found, steady)
     length = log.time[-1] - log.time[0]
-    contradicts, first = contradiction(found)
+    contradicts, first = contradiction(found)  # a sentence, and whether it comes first
     said = [contradicts] if contradicts else []
     values: dict[str, Any] = {
         "recording": recording,
@@ -70,7 +70,7 @@ def report_of(
             for name, channel in log.channels.items()
         },
         "learnt": found.learnt(),
-        "estimate": {name: float(values[-1]) for name, values in found.values.items()},
+        "estimate": {name: float(column[-1]) for name, column in found.values.items()},
         "status": Status(found.status[-1]).name,
         "steady_points": len(steady.rows),
         "borders": found.borders,
@@ -135,8 +135,8 @@ def _channel_table(log: Aligned) -> Table:
     for name, c in log.channels.items():
         counted = ["", "", "", ""]
         if c.readings:
-            rate = f"{c.readings / length:.1f}"
-            counted = [str(c.readings), rate, f"{c.interpolated:.0%}", f"{c.missing:.0%}"]
+            shares = (f"{c.interpolated:.0%}", f"{c.missing:.0%}")
+            counted = [str(c.readings), f"{c.readings / length:.1f}", *shares]
         known = log.readings[name][np.isfinite(log.readings[name])]
         span = "-"
         if known.size:
@@ -147,8 +147,9 @@ def _channel_table(log: Aligned) -> Table:
 
 
 def _soil_table(found: Replay, exponent: float) -> Table:
-    """Table of the last estimate ("refused" where it is NaN) and of `Replay.learnt`. S is that of
-    the `exponent` of the belief.
+    """Table of the last estimate, "refused" where it is NaN, and of `Replay.learnt`.
+
+    `exponent` [-]: n of the belief, with which S was identified.
     """
     learnt = found.learnt()
     rows = []
@@ -236,6 +237,5 @@ def _readings_picture(log: Aligned, steady: Steady, log_map: LogMap) -> bytes:
         for row in steady.rows:
             end = row["start"] + log_map.windows.duration
             axis.axvspan(row["start"], end, color="C1", alpha=0.25, lw=0)
-        unit = si_unit(name)
-        axis.set_ylabel(f"{name.replace('_', ' ')}\n[{unit or '-'}]", fontsize=8)
+        axis.set_ylabel(f"{name.replace('_', ' ')}\n[{si_unit(name) or '-'}]", fontsize=8)
     return picture_of(figure, dpi=110)

@@ -30,7 +30,7 @@ class Stamps:
         self.thing = thing  # row or message
         self.times = array("q")  # [ns]
         self.recorded = array("q")  # [ns] of the recording of a message
-        self.numbers = array("q")
+        self.numbers = array("q")  # of rows or messages, by which notes name them
         self._files = [0]  # stamps before each file
 
     def __len__(self) -> int:
@@ -130,15 +130,16 @@ class Stamps:
 def sound(times: np.ndarray, slack: int, restart: int) -> np.ndarray:
     """True [N] for the stamps `times` [N] in ns that can be right.
 
-    These are the largest set that never goes back, without those alone or of another clock
-    (`_together`), and stamps at most `slack` [ns] outside their two neighbours in that set. Before
-    its first and behind its last stamp they may be `restart` [ns] outside.
+    Right is the largest set that never goes back, less stamps that are alone or of another clock
+    (`_together`). Right are also stamps at most `slack` [ns] outside their two neighbours in that
+    set, and stamps at most `restart` [ns] before its first or behind its last.
     """
     if times.size == 0:
         return np.zeros(0, bool)
     rising = _longest_rising(times)
     rising = rising[_together(times[rising], restart)]
     known = times[rising]
+    # Of each stamp: how many of the set come no later in the recording.
     place = np.searchsorted(rising, np.arange(times.size), side="right")
     # Of a stamp before the first of the set, or behind the last, only one side is known.
     before = known[np.maximum(place - 1, 0)]
@@ -168,7 +169,7 @@ def _longest_rising(times: np.ndarray) -> np.ndarray:
 
 
 def _together(times: np.ndarray, restart: int) -> np.ndarray:
-    """True [N] of rising stamps [ns], but for those alone and those of another clock.
+    """True [N] for rising stamps `times` [N] in ns, False for those alone or of another clock.
 
     Stamps are parted where a gap is longer than `restart` [ns] and `_ALONE` median intervals. The
     largest part stays. Another is left out if it has one stamp, or is further than `_FAR` away.

@@ -101,34 +101,35 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
     where = log.travelled(log_map.wheel.radius)
     ground = np.ones(len(log), np.int64) if ground is None else ground
     runs = _drives(log, columns["rim"], log_map)
-    n = round(log_map.windows.duration / log.period)
+    n = round(log_map.windows.duration / log.period)  # steps of a window
     borders = where[1:][np.diff(ground) != 0]
-    between = np.all(np.abs(where[:, None] - borders) > log_map.belief.border, axis=1)
+    far_from_borders = np.all(np.abs(where[:, None] - borders) > log_map.belief.border, axis=1)
     rows = []
-    residuals: dict[str, list[float]] = {n: [] for n in (*MEASURED, "slip", "load")}
-    at = 0
-    while at + n <= len(log):
-        here = slice(at, at + n)
-        last = at + n - 1
-        part = {name: values[here] for name, values in columns.items()}
+    # By column, the scatter within each window.
+    scatters: dict[str, list[float]] = {name: [] for name in (*MEASURED, "slip", "load")}
+    first = 0
+    while first + n <= len(log):
+        window = slice(first, first + n)
+        last = first + n - 1
+        part = {name: values[window] for name, values in columns.items()}
         one_drive = (
-            runs[at] >= 0
-            and runs[at] == runs[last]
-            and between[here].all()
-            and ground[at] == ground[last]
+            runs[first] >= 0
+            and runs[first] == runs[last]
+            and far_from_borders[window].all()
+            and ground[first] == ground[last]
         )
         if not (one_drive and is_steady(part, log.period, log_map)):
-            at += max(1, n // _STARTS)
+            first += max(1, n // _STARTS)
             continue
-        row = _row(part, float(log.time[at]), log.period)
+        row = _row(part, float(log.time[first]), log.period)
         if any(row[name] == row[name] for name in MEASURED) and row["load"] > 0.0:
-            run = f"ground{ground[at]}.drive{runs[at]}"
-            rows.append(row | {"run": run, "ground": int(ground[at])})
-            for name, scatter in residuals.items():
+            run = f"ground{ground[first]}.drive{runs[first]}"
+            rows.append(row | {"run": run, "ground": int(ground[first])})
+            for name, scatter in scatters.items():
                 scatter.append(_scatter(part[name]))
-        at += n
+        first += n
     noise = {}
-    for name, scatter in residuals.items():
+    for name, scatter in scatters.items():
         known = np.isfinite(scatter)
         pooled = math.sqrt(np.mean(np.square(scatter)[known])) if known.any() else 0.0
         if pooled > _LEAST_SD and (name != "load" or "load" in log.readings):
@@ -187,6 +188,7 @@ def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bo
     n = part["slip"].size
     if np.isnan([part["slip"], part["speed"]]).any() or np.mean(part["speed"]) < 0.0:
         return False
+    # [m/s] means of |r w|, |V| and the sliding |r w - V|.
     rim, speed, slid = (
         np.mean(np.abs(v)) for v in (part["rim"], part["speed"], part["rim"] - part["speed"])
     )
@@ -217,7 +219,7 @@ def _change(values: np.ndarray) -> float:
 
 
 def _scatter(values: np.ndarray) -> float:
-    """Standard deviation about a straight line; NaN where a value is missing."""
+    """Standard deviation of `values` [n] about a straight line in time; NaN if one is missing."""
     if np.isnan(values).any():
         return math.nan
     x = np.linspace(-1.0, 1.0, values.size)
@@ -283,8 +285,8 @@ def files(
 ) -> dict[str, str]:
     """Texts of tables and setups by file name; none where there is no table (`steady.reason`).
 
-    One pair has all points, and where there are several grounds one each has those of a ground with
-    points enough. Only the setup of one ground has its estimate.
+    The pair steady.csv and setup.yaml has all points. Of several grounds, each with points enough
+    has a pair of its own. Only the setup of a single ground has the online estimate.
     """
     if steady.reason:
         return {}

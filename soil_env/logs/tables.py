@@ -136,13 +136,14 @@ def _csv(stamps: str, columns: dict[str, str], notes: Notes, faults: Faults) -> 
     """
     path = notes.path
     notes.size = path.stat().st_size
-    short: tuple[str, ...] = ()
-    count = 0
+    short: tuple[str, ...] = ()  # fault of a row with a wrong count of cells, until the next row
+    count = 0  # of whole rows
     try:
         with path.open("rb") as raw:
-            # The header has to be UTF-8; below it a damaged byte spoils no more than its cell.
-            lenient = ["strict"]
-            reader = csv.reader((line.decode("utf-8", lenient[0]) for line in raw), strict=True)
+            # The header has to be UTF-8; below it a damaged byte spoils no more than its cell. A
+            # list, since the lines are decoded one by one after this is set.
+            errors = ["strict"]
+            reader = csv.reader((line.decode("utf-8", errors[0]) for line in raw), strict=True)
             lines = (
                 cells
                 for cells in reader
@@ -163,8 +164,8 @@ def _csv(stamps: str, columns: dict[str, str], notes: Notes, faults: Faults) -> 
             if stamps not in header:
                 below_title(path, [header, *islice(lines, TITLES)], (stamps, *columns))
             _check_columns(path, header, stamps, columns)
-            lenient[0] = "replace"
-            at = header.index(stamps)
+            errors[0] = "replace"
+            stamp_column = header.index(stamps)
             places = [header.index(c) for c in columns]
             for cells in lines:
                 if short:
@@ -178,7 +179,7 @@ def _csv(stamps: str, columns: dict[str, str], notes: Notes, faults: Faults) -> 
                     short = (f"row {reader.line_num}", said)
                     continue
                 count += 1
-                yield reader.line_num, cells[at], [cells[p] for p in places]
+                yield reader.line_num, cells[stamp_column], [cells[p] for p in places]
                 if count % _BATCH == 0:
                     notes.report(raw.tell())
     except UnicodeDecodeError as error:

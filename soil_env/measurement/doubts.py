@@ -29,22 +29,23 @@ def load_doubt(table: Table, setup: Setup) -> str:
     """
     radius = table.radius(setup.wheel)
     driven = table.rim_slip(setup) > DRIVEN
-    usual = np.where(np.isnan(table.sinkage), USUAL_SINKAGE * radius, table.sinkage)
-    depth = np.clip(usual, 0.0, radius)
+    sinkage = np.where(np.isnan(table.sinkage), USUAL_SINKAGE * radius, table.sinkage)
+    depth = np.clip(sinkage, 0.0, radius)
     # Arc of contact up to the lowest point, times the width [m2].
     area = table.width(setup.wheel) * radius * np.arccos(1.0 - depth / radius)
     prior = setup.soil.cohesion
     cohesion = 0.0 if prior is None else max(prior.value - COHESION_SDS * prior.sd, 0.0)
+    # [-] force over load that the soil may give in each row.
     most = np.maximum(MOST_GRIP, cohesion * area / table.load + FRICTION)
     forces = {"torque/radius": table.torque / radius, "drawbar_pull": table.drawbar_pull}
     for name, force in forces.items():
         share = force / table.load
         known = np.isfinite(force)
         if np.any(driven & known):
-            middle = np.median(share[driven & known])
-            if middle > np.median(most[driven]):
+            median = np.median(share[driven & known])
+            if median > np.median(most[driven]):
                 return (
-                    f"{name} is {middle:.2g} times the load in the middle of the rows with slip "
+                    f"{name} is {median:.2g} times the load in the middle of the rows with slip "
                     f"above {DRIVEN:g}, more than soil gives: expected load in newtons (if it is "
                     "in kilograms or kgf, multiply it by 9.81)."
                 )

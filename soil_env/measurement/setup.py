@@ -35,8 +35,8 @@ COSTS = ("run", "slip", "load", "speed", "grade_deg", "wheel", "pass")
 STEEPEST_TILT = 20.0  # [deg] of a rig that is not level
 LEAST_SD = 1e-6  # of a prior, as a share of its value; below it the value is as good as known
 MOST_SINKAGE_NOISE = 0.5  # [radii] a larger noise of the sinkage is taken for millimetres
-# Below these soil parameters look like another unit: parameter, limit, its unit, what it looks
-# like, factor
+# (Soil parameter, value below which it looks like another unit, its unit, that other unit, factor
+# from the other unit to its own)
 _OTHER_UNITS = (
     ("friction_angle_deg", 1.0, "deg", "radians", 57.3),
     ("cohesion", 50.0, "Pa", "kPa", 1e3),
@@ -120,15 +120,18 @@ class SoilPriors(Checked):
                     f"a number in [{limit['low']:g}, {limit['high']:g}] {limit['unit']}".rstrip()
                 )
                 raise ParameterError(f"{name} = {prior.value:g}: expected {expected}")
-        plain = dict.fromkeys(FLOW_LAW, "it is given, not fitted")
-        digs = "digging that is not known is an effect to find"
-        for name, why in (plain | {"dig_gain": digs, "dig_recovery": digs}).items():
+        # Why a parameter has no prior, by name.
+        reasons = dict.fromkeys(FLOW_LAW, "it is given, not fitted")
+        reasons |= dict.fromkeys(
+            ("dig_gain", "dig_recovery"), "digging that is not known is an effect to find"
+        )
+        for name, why in reasons.items():
             if name in given and not given[name].known:
                 raise ParameterError(f"{name}: expected a plain number; {why}")
         if self.dig_recovery is not None and self.dig_gain is None:
             raise ParameterError("dig_recovery: expected only with dig_gain")
-        of_plates = {"k_c", "k_phi", "sinkage_coefficient"} & given.keys()
-        if of_plates not in ({"k_c", "k_phi"}, {"sinkage_coefficient"}, set()):
+        coefficients = {"k_c", "k_phi", "sinkage_coefficient"} & given.keys()
+        if coefficients not in ({"k_c", "k_phi"}, {"sinkage_coefficient"}, set()):
             raise ParameterError(
                 "expected either sinkage_coefficient, or both k_c and k_phi, or none of them"
             )
@@ -268,11 +271,11 @@ class Setup(Checked):
     def doubts(self) -> list[str]:
         """Values of the soil that are admissible but look like another unit, one sentence each."""
         words = []
-        for name, limit, unit, looks, factor in _OTHER_UNITS:
+        for name, limit, unit, other, factor in _OTHER_UNITS:
             prior = getattr(self.soil, name)
             if prior is not None and 0.0 < prior.value < limit:
                 words.append(
-                    f"soil.{name} = {prior.value:g} {unit} looks like {looks}; if it is, multiply "
+                    f"soil.{name} = {prior.value:g} {unit} looks like {other}; if it is, multiply "
                     f"it (and its sd) by {factor:g}."
                 )
         return words

@@ -122,7 +122,9 @@ class Table:
         )
 
     def with_values(self, used: np.ndarray) -> "Table":
-        """The table with the values that are `used` [N, 3] alone; others count as not measured."""
+        """The table with the values that are `used` alone, [N, 3] bool with a column for each of
+        `MEASURED`; others count as not measured.
+        """
         values: dict[str, Any] = {
             name: np.where(used[:, j], getattr(self, name), math.nan)
             for j, name in enumerate(MEASURED)
@@ -153,8 +155,9 @@ class Table:
         return known if known is not None or np.all(np.isnan(own)) else float(np.nanmedian(own))
 
     def relative_sd(self, setup: Setup) -> np.ndarray:
-        """1-sigma of each value over the `channel_sd` of its channel [N, 3], 1 where a row gives
-        none; [1, 3] ones where no row gives any.
+        """1-sigma of each value over the `channel_sd` of its channel [N, 3], as `MEASURED`.
+
+        It is 1 where a row gives none, and [1, 3] ones where no row gives any.
         """
         own = np.stack([getattr(self, name) for name in NOISE], axis=1)
         if np.all(np.isnan(own)):
@@ -373,6 +376,7 @@ def _check_rows(
     """
 
     def refuse(name: str, wrong: np.ndarray, expected: str) -> None:
+        """Raise `ParameterError` for the first row where the column `name` is `wrong` [N] bool."""
         if np.any(wrong):
             k = int(np.flatnonzero(wrong)[0])
             text = _texts(name, header, rows)[k]

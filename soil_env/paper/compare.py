@@ -79,14 +79,17 @@ def as_shown(value: float, form: str) -> float:
 
 
 def field(soil: Any, e: Equations = AS_PRINTED) -> tuple[tuple[float, float, float], Equations]:
-    """((phi [deg], K [m], S) of a `Sand` or a `Soil`, the equations `e` with its c and n)."""
+    """((phi [deg], K [m], S) of a `Sand` or a `Soil`, the equations `e` with its c and n).
+
+    The two arguments by which `forces` describes a soil.
+    """
     S = lumped_coefficient(soil.k_c, soil.k_phi, e.width)
     e = e._replace(cohesion=soil.cohesion, exponent=soil.sinkage_exponent)
     return (soil.friction_angle_deg, soil.shear_modulus, S), e
 
 
 def pulls(e: Equations, sand: Sand, slip: ArrayLike) -> np.ndarray:
-    """DP [N] by slip, at the entry angle of the working point."""
+    """DP [N] at each slip, [M] or a number, with the entry angle of the working point."""
     own, e = field(sand, e)
     sinkage = e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg)))
     return forces(own, slip, sinkage, e)[:, 0]
@@ -245,7 +248,7 @@ def table_4(backtracking: bool) -> list[Row]:
     one side gives its end, marked in `Row.beyond`.
     """
     rows = []
-    scans = (
+    scans = (  # guesses of phi [deg], K [m] and S
         np.linspace(0.5, 89.5, 891),
         np.linspace(1e-4, 0.2, 1000),
         np.geomspace(1e3, 1e14, 441),
@@ -356,14 +359,16 @@ def pull_misfits() -> list[float]:
 
 
 def sinkages(soil: ArrayLike, slip: np.ndarray, e: Equations) -> np.ndarray:
-    """Sinkage [m] at each slip at which (1) carries `WONG_REECE_LOAD`, by bisection; NaN where none
-    up to `BURIED` radii does.
+    """Sinkage [m] at which (1) carries `WONG_REECE_LOAD`, for each slip [M], by bisection.
+
+    NaN where no sinkage up to `BURIED` radii does. `soil` is (phi [deg], K [m], S).
     """
     low = np.zeros(slip.shape)
     high = np.full(slip.shape, BURIED * e.radius)
     buried = forces(soil, slip, high, e)[:, 1] < WONG_REECE_LOAD
     for _ in range(40):  # halves the bracket to 1e-12 m
         middle = 0.5 * (low + high)
+        # True where the soil carries less than the load.
         short = forces(soil, slip, middle, e)[:, 1] < WONG_REECE_LOAD
         low = np.where(short, middle, low)
         high = np.where(short, high, middle)

@@ -109,9 +109,12 @@ def forces(soil: ArrayLike, slip: ArrayLike, sinkage: ArrayLike, e: Equations) -
     rear = (e.peak + e.peak_by_slip * slip) * theta1  # length of the zone, theta2 = 0
     ahead = theta1 - (theta1 - rear) * place
     theta = np.concatenate([ahead, rear * place], axis=1)
+    # Area of the rim that each node stands for [m2].
     w = r * b * np.concatenate([(theta1 - rear) * weight, rear * weight], axis=1)
+    # Normal stress over S, Eqs. (7) and (8), and shear displacement [m].
     p = np.tile(np.maximum(r * (np.cos(ahead) - np.cos(theta1)), 0.0) ** n, (1, 2))
     j = r * (theta1 - theta - travel_speeds(1.0, slip) * (np.sin(theta1) - np.sin(theta)))
+    # Shares of the shear strength that are not mobilised and mobilised, Eq. (10).
     left = np.exp(-np.abs(j) / K)
     share = np.copysign(1.0 - left, j)
     strength = c + S * p * tan_phi
@@ -120,8 +123,9 @@ def forces(soil: ArrayLike, slip: ArrayLike, sinkage: ArrayLike, e: Equations) -
     if e.compaction:
         resistance = b * z[:, 0] ** (n + 1.0) / (n + 1.0)  # Eq. (12)
     shear = strength * share
+    # Of the shear stress by phi.
     by_phi = S * p * (1.0 + tan_phi * tan_phi) * share
-    columns = (
+    columns = (  # what is integrated, in the order of the result
         shear * cos,
         S * p * cos + shear * np.sin(theta),
         r * shear,
@@ -162,7 +166,7 @@ def newton_raphson(
     x = np.array(np.atleast_2d(guess), dtype=float)
     slip, sinkage, pull = (np.broadcast_to(v, x.shape) for v in points)
     out = np.full(x.shape, np.nan)
-    going = np.arange(len(x))
+    going = np.arange(len(x))  # searches under way
 
     def misfit(who: np.ndarray, soil: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(measured less predicted pulls [N] of the searches `who` at their soils, the Jacobian of
@@ -180,6 +184,7 @@ def newton_raphson(
             residual = residual[solvable]
             step = np.linalg.solve(jacobian[solvable], residual[:, :, None])[:, :, 0]
             step *= _DEGREES
+            # Of the searches under way, those whose step has not been accepted.
             worse = np.flatnonzero(~_small(step, x[going]) & backtracking)
             for _ in range(_HALVINGS):
                 if not worse.size:

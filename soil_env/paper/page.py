@@ -36,7 +36,7 @@ from .compare import (
     sets,
 )
 
-READINGS = "equations as printed", "with Wong & Reece's peak"
+READINGS = "equations as printed", "with Wong & Reece's peak"  # of the paper, as `MODELS`
 
 
 def write(results: Results, folder: Path, command: str) -> None:
@@ -61,6 +61,7 @@ def markdown(results: Results, command: str) -> str:
         "noise": _noise(results),
     }
     own, printed, _ = sets(1).values()
+    # [%] by which the torques of the printed parameters are too low.
     low = 100.0 * (1.0 - prediction(*printed)[:, 1] / prediction(*own)[:, 1])
     fits = [*rows["fig3"][:-1], *rows["fig4"]]
     misses = np.abs([np.subtract(row.ours, row.printed) for row in fits])
@@ -198,9 +199,9 @@ def _along(figure: Figure, label: str, name: str, position: int = 111) -> Axes:
     values = np.array([value for _, value, _ in points])
     margin = 0.3 * np.ptp(values)
     wide = np.linspace(values.min() - margin, values.max() + margin, 60)
-    for e, style, label in zip(MODELS, ("C0--", "C1-"), READINGS, strict=True):
+    for e, style, reading in zip(MODELS, ("C0--", "C1-"), READINGS, strict=True):
         pull = [compare.pull(e, replace(SAND, **{name: float(v)})) for v in wide]
-        axes.plot(wide, pull, style, label=label)
+        axes.plot(wide, pull, style, label=reading)
     for mark, (where, value, row) in zip("v^>s", points, strict=False):
         axes.plot([value], [row.printed], f"k{mark}", label=f"printed, {where}")
     return axes

@@ -67,7 +67,7 @@ class Canvas:
         self._texts: list[tuple[pygame.Surface, np.ndarray]] = []  # with their places
 
     def _at(self, points):
-        """Numbers of a place, places or a box in pixels of the large picture, as lists."""
+        """A place, places or a box, in pixels of the large picture, as lists of numbers."""
         return (2.0 * np.asarray(points)).tolist()
 
     def _width(self, width):

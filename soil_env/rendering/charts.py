@@ -46,11 +46,12 @@ def draw_charts(
     _draw_axes(c, chart, "slip, sinkage / radius (broad) [-]")
     _draw_lines(c, chart, time, sinkage, pale, _BROAD)
     _draw_lines(c, chart, time, slip, dark, _NARROW)
-    for i, name in enumerate(_SOIL):
+    for i, name in enumerate(_SOIL):  # phi, K, S; the last two on logarithmic axes
         estimate, sd, true = (wheels[:, k + i] for k in (2, 5, 8))
         low, high, estimate, true = (
             _in_shown_units(v, i) for v in (estimate - sd, estimate + sd, estimate, true)
         )
+        # Least and greatest value [samples], of one wheel only.
         band = (low[0], high[0]) if identified and len(colours) == 1 else ()
         shown = np.concatenate([true, *(band or estimate if identified else ())], axis=None)
         chart = _Chart(i + 1, end, _limits(shown, i > 0), i > 0)
@@ -108,7 +109,7 @@ def _draw_axes(c: Canvas, chart: _Chart, name: str) -> None:
 def _draw_lines(
     c: Canvas, chart: _Chart, time: np.ndarray, lines: np.ndarray, colours: Any, width: float
 ) -> None:
-    """Draw the values [wheels, samples] over `time` [s], a line for each wheel in its colour."""
+    """Draw `lines`, values [wheels, samples] over `time` [s], one for each wheel in its colour."""
     for values, colour in zip(lines, colours, strict=True):
         c.lines(chart.at(time, values), colour, width)
 

@@ -99,7 +99,8 @@ def draw_ground(
     least: float,
     bounds: tuple[float, float],
 ) -> None:
-    """Draw the soil below its surface, the heights `now` [m] at x [m] along the course.
+    """Draw the soil below its present surface, heights `now` [n] in m at `x` [n] in m along the
+    course.
 
     Where the untouched profile is higher by more than `least` [m] it is drawn as a dashed line.
     `bounds` [deg] of the colours as in `soil_colour`.
@@ -128,8 +129,9 @@ def draw_scale_bar(c: Canvas, scene: Scene) -> None:
     right = scene.box[0] + scene.box[2] - 14
     y = scene.box[1] + 22
     left = right - bar * scene.scale
-    for low, high in (((left, y), (right, y)), *(((x, y - 4), (x, y + 4)) for x in (left, right))):
-        c.lines([low, high], INK, 2)
+    c.lines([(left, y), (right, y)], INK, 2)
+    for x in (left, right):
+        c.lines([(x, y - 4), (x, y + 4)], INK, 2)
     c.text(0.5 * (left + right), y - 12, f"{bar:g} m", 15, align=0.5)
 
 

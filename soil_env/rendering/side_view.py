@@ -165,8 +165,9 @@ def draw_side_view(
 ) -> None:
     """Draw vehicle j with its `shown_wheels` in a camera that moves with it, its readings above.
 
-    `angles` [wheels] in rad: what the wheels have turned; `bounds` of the colours in deg. The
-    surface is lower by the ruts that are left (depths normal to the ground) and by the wheels.
+    `angles` [wheels] in rad: what the wheels have turned. `bounds`: (least, greatest) phi [deg]
+    that the soil colours span. The surface is lower by the ruts that are left (depths normal to
+    the ground) and by the wheels.
     """
     worlds = simulation.worlds
     width = width_of(simulation)
@@ -174,12 +175,12 @@ def draw_side_view(
     hubs = hubs_of(simulation, wheels, profile)
     if isinstance(simulation.scenario, RoverScenario):
         body = by_name(worlds.state[j])
-        left = (worlds.ruts["floor"][j] + worlds.ruts["depth"][j]).max(axis=0)
+        rut_depth = (worlds.ruts["floor"][j] + worlds.ruts["depth"][j]).max(axis=0)
         vehicle = simulation.scenario.vehicle
         posture = posture_of(vehicle, hubs, float(body["pitch"]))
     else:
         body = wheels[0] | {"pitch": wheels[0]["grade"]}
-        left = worlds.courses["cells"]["depth"][j]
+        rut_depth = worlds.courses["cells"]["depth"][j]
     middle = 0.5 * (wheels[0]["x"] + wheels[-1]["x"])
     place = np.add(SCENE[:2], np.multiply(AT, SCENE[2:]))
     scene = Scene(SCENE, SCENE[2] / width, place, np.array(profile.at(middle)))
@@ -187,14 +188,14 @@ def draw_side_view(
     x = middle + (np.linspace(0.0, 1.0, 261) - AT[0]) * 1.2 * width
     across, height = profile.at(x)
     # The gradient is the cosine of the grade: a vertical depth is longer than a normal one.
-    surface = height - depth_of_ruts(x, left) / np.gradient(across, x)
+    surface = height - depth_of_ruts(x, rut_depth) / np.gradient(across, x)
     task = simulation.numbers.task[0]
     r = radius_of(simulation)
     wheel_width = float(simulation.numbers.rig["width"][0])
     size = r * scene.scale
     stresses = [drawing.stresses_under(w, r, wheel_width) for w in wheels]
     # [px per Pa]; the mean pressure of the weight on half a radius times the width is drawn 0.45
-    # radii long.
+    # radii long. Own choice.
     per_pascal = 0.45 * size * 0.5 * r * wheel_width / task.weight
     c.clip(scene.box)
     c.box(scene.box, canvas.SKY)
@@ -220,7 +221,10 @@ def draw_side_view(
 
 
 def _draw_body(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) -> None:
-    """Draw the body about the centre of mass, with a slanted front; `r`: wheel radius [m]."""
+    """Draw the body about the centre of mass, with a slanted front; `r`: wheel radius [m].
+
+    Its height and its overhang are drawn as it looks well: a `Vehicle` has none.
+    """
     low = vehicle.centre_height - 0.55 * r
     top = vehicle.centre_height + 0.55 * r
     front = 0.02 * vehicle.base
@@ -232,7 +236,8 @@ def _draw_body(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) 
 
 
 def _draw_suspension(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) -> None:
-    """Draw rocker and bogie, or the beam between two axles, and the centre of mass.
+    """Draw rocker and bogie, or the beam between two axles, and the centre of mass; `r`: wheel
+    radius [m].
 
     They are drawn last, in front of body and wheels. The rocker bends above the axle that is not on
     the bogie.
@@ -272,7 +277,7 @@ def _draw_readings(c: Canvas, simulation: Any, body, cause: Cause) -> None:
 
 def draw_table(c: Canvas, wheels: list[State], bounds, identified: bool) -> None:
     """Draw the table of the `shown_wheels` below the side view: state, rut, true soil, and status
-    of the estimate, "none" where nothing is `identified`.
+    of the estimate, "none" where nothing is `identified`. `bounds` as of `draw_side_view`.
     """
     heads = "wheel", "slip", "sinkage", "rut", "load", "pull", "torque", "soil under it", "estimate"
     # [px] Left ends of the first and the last two columns, right ends of the others.

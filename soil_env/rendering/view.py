@@ -32,8 +32,8 @@ class CourseView:
     """
 
     def __init__(self, scenario: Scenario, mode: str) -> None:
-        self.scenario: Scenario = scenario
-        self.mode: str = mode
+        self.scenario = scenario
+        self.mode = mode
         self._canvas: Canvas | None = None
         self._window: pygame.Window | None = None
         self._clock: pygame.time.Clock | None = None

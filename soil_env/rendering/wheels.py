@@ -86,8 +86,8 @@ def _stresses(nodes, wheel, soil, angle, normal, shear):
 
 
 def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
-    """`Stresses` under a wheel of radius r and width b [m] with the state `w`, as it moves and is
-    loaded.
+    """`Stresses` under a wheel of radius r and width b [m], as it moves and is loaded by its state
+    `w` (`side_view.shown_wheels`).
 
     The sinkage coefficient is not the soil's: it is the one that carries the load at this sinkage.
     So the stresses carry the load in a rut, too, where the soil's own coefficient does not hold.
@@ -107,6 +107,7 @@ def draw_wheel(c: Canvas, centre: np.ndarray, size: float, angle: float, hub: Co
     """
 
     def at(radius: float, a: float) -> np.ndarray:
+        """Place [px] of a point of the wheel: its radius over that of the rim, angle [rad]."""
         return centre + radius * size * np.array([math.cos(a), math.sin(a)])
 
     c.circle(centre, size, WHEEL)
@@ -133,7 +134,7 @@ def draw_stresses(
     of a stress, at most `_LONGEST`. An arrow in the band shows where the largest shear stress
     pulls.
     """
-    a = grade + side * stresses.angle
+    a = grade + side * stresses.angle  # [rad] from straight down
     outward = np.stack([np.sin(a), np.cos(a)], axis=1)
     normal, shear = (np.minimum(np.abs(s) * scale, _LONGEST * size)[:, None] for s in stresses[1:])
     rim = hub + outward * size

@@ -10,6 +10,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout
+from soil_env.terramechanics.motor import LOOP_GAIN
 
 from ..inputs import Layout, Observing, starts
 
@@ -61,13 +62,13 @@ class Controller(Observing):
     def __init__(self, scenario: Scenario, **settings: float):
         wheel = scenario.wheel
         self.scenario = scenario
-        self.radius = wheel.radius
-        self.top_speed = wheel.radius * wheel.no_load_speed
-        self.stall = wheel.stall_torque
-        self.weight_torque = scenario.weight * wheel.radius
+        self.radius = wheel.radius  # [m]
+        self.top_speed = wheel.radius * wheel.no_load_speed  # [m/s] of the rim
+        self.stall = wheel.stall_torque  # [N m]
+        self.weight_torque = scenario.weight * wheel.radius  # [N m]; observed torque is over it
         self.action = scenario.control.action
         self.period = scenario.control.duration  # [s] between two actions
-        # Of command by an action of 1.
+        # Of the rim command [of top rim speed] by an action of 1.
         self.change = scenario.control.rim_acceleration * self.period / self.top_speed
         # [N m s]: a free wheel is on speed after one period.
         self.gain = wheel.inertia / self.period
@@ -95,12 +96,13 @@ class Controller(Observing):
         batch = np.atleast_2d(self.layout.observed(observation)).astype(np.float64)
         fresh = starts(episode_start, len(batch), state is None)
         state = self.state_for(batch, state, fresh)
-        action = self.chosen(
-            batch,
-            self.command(batch, self.rim_speed(batch, state), state),
-            self.prefers_other_route(batch),
-        )
+        action = self.act(batch, state)
         return (action[0] if np.ndim(observation) == 1 else action), state
+
+    def act(self, batch: np.ndarray, state: dict) -> np.ndarray:
+        """Actions [n, 1] for checked observations [n, D]; advances `state`."""
+        action = self.command(batch, self.rim_speed(batch, state), state)
+        return self.chosen(batch, action, self.prefers_other_route(batch))
 
     def prefers_other_route(self, batch: np.ndarray) -> np.ndarray:
         """Mask [n] of the rows where the route beside is better than the one ahead.
@@ -114,7 +116,10 @@ class Controller(Observing):
         return batch[:, self.column["beside_grade"]] < batch[:, self.column["ahead_grade"]]
 
     def chosen(self, batch: np.ndarray, action: np.ndarray, other: np.ndarray) -> np.ndarray:
-        """Actions [n, 1]; their sign chooses a route at the halts before a fork."""
+        """The `action` [n, 1], but at the halts before a fork one whose sign chooses the route.
+
+        It is below 0 where the `other` one, beside, is better ([n] bool).
+        """
         if "choice" not in self.column:
             return action
         sign = np.where(other, np.float32(-_CHOICE), np.maximum(action[:, 0], np.float32(_CHOICE)))
@@ -127,9 +132,7 @@ class Controller(Observing):
         if self.action == "torque":
             action = self._torque(batch, rim_speed, state) / self.stall
         else:
-            # Of the drive's loop.
-            droop = batch[:, self.column["torque"]] * self.weight_torque / (10.0 * self.stall)
-            action = rim_speed / self.top_speed + droop
+            action = rim_speed / self.top_speed + self.droop(batch)
             if self.action == "rim_acceleration":
                 action = (action - batch[:, self.column["rim_command"]]) / self.change
         return np.clip(action, -1.0, 1.0).astype(np.float32)[:, None]
@@ -164,11 +167,19 @@ class Controller(Observing):
         """Mask [n] of the wheels at a commanded halt."""
         return batch[:, self.column["halted"]] > 0.5
 
+    def droop(self, batch):
+        """Share of the top rim speed [n] by which the rim lags behind the drive's own loop."""
+        return batch[:, self.column["torque"]] * self.weight_torque / (LOOP_GAIN * self.stall)
+
     def _feed_forward(self, batch):
+        """Torque [N m] that grade and motion resistance take, [n]."""
         demand = np.sin(batch[:, self.column["pitch"]]) + self.rolling
         return np.clip(demand, 0.0, 1.0) * self.weight_torque
 
     def _torque(self, batch, target, state):
+        """Torque [N m] of the PI loop that follows the rim speed `target` [m/s], [n]; advances the
+        integral in `state`, but for one that would wind up.
+        """
         error = (target - batch[:, self.column["rim_speed"]] * self.top_speed) / self.radius
         torque = self.gain * error + state["integral"]
         windup = (np.abs(torque) > self.stall) & (torque * error > 0.0)

@@ -26,6 +26,7 @@ from soil_env.parameters.readings import IDLE, STEP
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import WheelSoilModel
 
+from ..inputs import starts
 from .base import Ramped
 from .cloning import clone
 
@@ -42,6 +43,10 @@ DEEP = 3.0  # [m] penalty of a wheel at the limit of sinkage
 VARIED = 10  # plans that vary the best one so far
 DRAWN = 14  # plans drawn anew
 COUNT = 1 + VARIED + len(FIXED) + DRAWN  # plans of a wheel, with that which it follows
+# Of the score; chosen.
+PATIENCE = 0.3  # of the time limit of no progress, up to which waiting costs nothing
+WAITING = 0.5  # [m] penalty by the share of that limit beyond
+FAILED = 100.0  # [m] penalty
 _FAILED = (Cause.ENTRAPPED.value, Cause.STALLED.value, Cause.BOGGED.value, Cause.TIME_LIMIT.value)
 _RUNNING = Cause.RUNNING.value
 _FINISHED = Cause.FINISHED.value
@@ -89,14 +94,6 @@ class _Driver(Ramped):
     def prefers_other_route(self, batch):
         return self.plans.other_route
 
-    def act(self, batch, state) -> np.ndarray:
-        """Actions [n, 1]; advances the plans and the `state`."""
-        return self.chosen(
-            batch,
-            self.command(batch, self.rim_speed(batch, state), state),
-            self.prefers_other_route(batch),
-        )
-
 
 class Oracle:
     """The planner with `predict`; `attach` gives it the simulation in which it plans."""
@@ -106,8 +103,9 @@ class Oracle:
     def __init__(self, scenario: Scenario, horizon: float = HORIZON):
         self.scenario = scenario
         self.variant = _Driver.variant
-        self.driver = _Driver(scenario)
-        self.dreamer = _Driver(scenario)
+        self.driver = _Driver(scenario)  # of the wheels
+        self.dreamer = _Driver(scenario)  # of their clones
+        # In actions: between two plans, and to the horizon.
         self.every, self.steps = (max(1, round(t / self.driver.period)) for t in (EVERY, horizon))
         self.settings: dict[str, float] = {}
         self.simulation: Simulation | None = None
@@ -134,11 +132,7 @@ class Oracle:
             )
         batch = np.asarray(observation, dtype=np.float64)
         memory, since = (None, 0) if state is None else state
-        fresh = (
-            np.full(len(batch), state is None)
-            if episode_start is None
-            else np.asarray(episode_start, dtype=bool)
-        )
+        fresh = starts(episode_start, len(batch), state is None)
         memory = self.driver.state_for(batch, memory, fresh)
         if since % self.every == 0:
             w = self.simulation.worlds
@@ -165,6 +159,7 @@ class Oracle:
             now[due] = values[np.arange(due.size), best]
 
     def _soft_starts(self, shape, acceleration, share) -> Plans:
+        """Plans [shape] that ramp with an acceleration [m/s2] to a share of the top rim speed."""
         zero = np.zeros(shape)
         a = zero + acceleration
         v = zero + np.asarray(share) * self.driver.top_speed
@@ -194,18 +189,17 @@ class Oracle:
             u,
             rng.random((d, DRAWN)) < 0.5,
         )
-        low = SPEEDS[0] * top
-        high = SPEEDS[1] * top
-        same = [x[:, None] for x in now]
+        speeds = np.multiply(SPEEDS, top)
+        same = Plans(*(x[:, None] for x in now))
         noise = rng.standard_normal((6, d, VARIED))
         varied = Plans(
-            same[0] + 0.0 * noise[0],
-            np.maximum(same[1] + 1.0 * noise[1], 0.0),
-            np.clip(same[2] * np.exp(0.4 * noise[2]), *ACCELERATIONS),
-            np.clip(same[3] * np.exp(0.3 * noise[3]), low, high),
-            np.clip(same[4] * np.exp(0.4 * noise[4]), *ACCELERATIONS),
-            np.clip(same[5] * np.exp(0.3 * noise[5]), low, high),
-            same[6] ^ (rng.random((d, VARIED)) < 0.3),
+            same.back + 0.0 * noise[0],
+            np.maximum(same.left + 1.0 * noise[1], 0.0),
+            np.clip(same.first * np.exp(0.4 * noise[2]), *ACCELERATIONS),
+            np.clip(same.speed * np.exp(0.3 * noise[3]), *speeds),
+            np.clip(same.second * np.exp(0.4 * noise[4]), *ACCELERATIONS),
+            np.clip(same.later_speed * np.exp(0.3 * noise[5]), *speeds),
+            same.other_route ^ (rng.random((d, VARIED)) < 0.3),
         )
         return Plans(
             *(
@@ -215,13 +209,15 @@ class Oracle:
         )
 
     def _tried(self, batch, state) -> np.ndarray:
-        """Score [n] of clones driven to the horizon."""
+        """Score [n] of clones driven to the horizon, from the observations `batch` [n, D] and the
+        `state` of their controller.
+        """
         w = self.clones.worlds
         n = len(batch)
         what = np.full(w.cause.size, IDLE)
         what[:n] = STEP
         commands = np.zeros(w.cause.size)
-        done = np.full(n, float(self.steps))
+        done = np.full(n, float(self.steps))  # step of the end, the horizon without one
         for step in range(self.steps):
             if step:
                 batch = w.observation[:n].astype(np.float64)
@@ -240,10 +236,11 @@ class Oracle:
         saved by a finish.
         """
         w = self.clones.worlds
-        s = self.clones.worlds.state
+        s = w.state
         waited = s["idle_time"][:n] / self.scenario.limits.no_progress_time
         spare = (self.steps - done) * self.driver.period * self.driver.top_speed
         depth = s["sinkage"][:n] / (self.scenario.limits.bogged_sinkage * self.driver.radius)
-        score = s["best_x"][:n] - 0.5 * np.maximum(waited - 0.3, 0.0) - DEEP * depth * depth
+        penalty = WAITING * np.maximum(waited - PATIENCE, 0.0)
+        score = s["best_x"][:n] - penalty - DEEP * depth * depth
         score = np.where(w.cause[:n] == _FINISHED, self.scenario.course.length + spare, score)
-        return np.where(np.isin(w.cause[:n], _FAILED), score - 100.0, score)
+        return np.where(np.isin(w.cause[:n], _FAILED), score - FAILED, score)

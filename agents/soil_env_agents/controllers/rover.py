@@ -34,8 +34,9 @@ _TIME = 0.5  # [s] in which torque_by_load makes up for a lack of speed
 
 
 class RoverController:
-    """The controller `of_wheel` for each wheel; `own` is that controller, `drives` changes of the
-    control.
+    """The controller `of_wheel` for each wheel.
+
+    `own` is that controller. `drives` are keys of the scenario's control that it needs otherwise.
     """
 
     drives: dict[str, Any] = {}
@@ -49,6 +50,7 @@ class RoverController:
         entries = rover_layout(self.variant, self.axles)
         self.column = {e.name: i for i, e in enumerate(entries)}
         self.layout = Layout(entries, self.variant)
+        # [axles, entries of a wheel]: their columns; an entry of the rover is that of each wheel.
         self._columns = np.array(
             [
                 [
@@ -71,8 +73,8 @@ class RoverController:
         return (action[0] if np.ndim(observation) == 1 else action), state
 
     def command(self, batch: np.ndarray, wheels: np.ndarray, state: dict) -> np.ndarray:
-        """Actions of all wheels [n x axles], for observations of rovers and of wheels; advances
-        `state`.
+        """Actions of all wheels [n x axles], for observations of rovers (`batch` [n, D]) and of
+        `wheels` [n x axles, entries]; advances `state`.
         """
         return self.own.command(wheels, self.rim_speeds(batch, wheels, state), state)
 
@@ -93,13 +95,14 @@ class VelocitySync(RoverController):
     def __init__(self, scenario: RoverScenario, of_wheel: str = "soft_start", **settings: float):
         super().__init__(scenario, of_wheel, **settings)
         v = scenario.vehicle
-        self.arms = v.centre - np.array(v.axles)
+        self.arms = v.centre - np.array(v.axles)  # [m] of the axles ahead of the centre
 
     def rim_speeds(self, batch, wheels, state):
         """The ramp, less for the slower axles."""
         pitch = batch[:, self.column["pitch"]]
         fresh = state["begun"]
         before = np.where(fresh, pitch, state.get("pitch", pitch))
+        # [rad/s], mean over the last readings.
         rate = np.where(fresh, 0.0, state.get("rate", 0.0 * pitch))
         rate = rate + _RATE_SHARE * ((pitch - before) / self.own.period - rate)
         state["pitch"] = pitch
@@ -127,8 +130,10 @@ class TorqueByLoad(RoverController):
         target = own.rim_speed(wheels, state).reshape(-1, axles)[:, 0]
         speed = batch[:, self.column["speed"]] * own.top_speed
         halted = batch[:, self.column["halted"]] > 0.5
+        # [kg m] mass that the wheels of a side carry, times their radius.
         mass_arm = self.scenario.wheel.body_mass * axles * own.radius
         slope = np.sin(batch[:, self.column["pitch"]]) + own.rolling
+        # [m] by which the rover is behind, limited to 1 m.
         kept = np.where(state["begun"] | halted, 0.0, state.get("lack", 0.0 * speed))
         lack = np.clip(kept + (target - speed) * own.period, -1.0, 1.0)
         state["lack"] = lack

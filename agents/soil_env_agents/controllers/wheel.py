@@ -117,7 +117,7 @@ class FixedSlip(Controller):
         top = self.settings["speed"]
         error = self.settings["slip"] - observation[:, self.column["slip"]]
         rest = self.halted(observation)
-        gain = np.clip(
+        gain = np.clip(  # [m/s2] acceleration of the rim
             np.where(rest, 0.0, state["gain"] + self.step * error), -self.most, self.most
         )
         rim = np.where(rest, 0.0, np.maximum(state["rim"], start)) + gain * self.period
@@ -175,9 +175,10 @@ class ExtremumSeeking(SlipFollower):
         """The estimate with its swing, [n]; advances both."""
         driving = ~(self.halted(observation) | state["fresh"])
         slip, pull = (observation[:, self.column[name]] for name in ("slip", "drawbar_pull"))
-        share = np.where(driving, self.period / self.memory_time, 0.0)
+        share = np.where(driving, self.period / self.memory_time, 0.0)  # weight of the newest
         a = slip - state["slip_mean"]
         b = pull - state["pull_mean"]
+        # Means, variance of the slip (power) and its covariance with the pull (product).
         state["slip_mean"] = state["slip_mean"] + share * a
         state["pull_mean"] = state["pull_mean"] + share * b
         state["power"] = state["power"] + share * (a * a - state["power"])
@@ -221,7 +222,7 @@ class BestSlipIdentified(SlipFollower):
         ]
 
     def soils(self, observation) -> np.ndarray:
-        """`SoilState` rows [n, 13] read from the observation."""
+        """Rows [n, entries of `SoilState`] read from the observation."""
         return np.column_stack(
             [np.broadcast_to(x, len(observation)) for x in self.soil_columns(observation)]
         )
@@ -236,7 +237,7 @@ class BestSlipIdentified(SlipFollower):
         """
         soils = self.soils(observation)
         load = self.load(observation)
-        known = state["known"]
+        known = state["known"]  # [n, entries + 1] soil and load of the slip that is kept
         now = np.column_stack([soils, load])
         rows = np.flatnonzero((np.abs(now - known) > CHANGE * np.abs(known)).any(axis=1))
         state["slip"][rows] = best_points(soils[rows], load[rows], self.scenario.wheel)[0]

@@ -216,8 +216,10 @@ def _asked(options: SimpleNamespace, keys: tuple[str, ...]) -> Evaluation:
 
 
 def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
-    """`asked` with settings of the classical controllers that have none by --settings, under their
-    own name, and of classes, again where their source has changed.
+    """`asked` with tuned settings of the controllers that have none by --settings.
+
+    These are classical ones under their own name, and classes with `bounds`. A class is tuned again
+    where its source has changed.
     """
     if not asked.tuning_courses:
         return asked

@@ -33,6 +33,8 @@ def comparison(
 ) -> dict:
     """The comparison of controllers; `runs`: for each the runs of each training seed.
 
+    `seed` is that of the courses and of the bootstrap. The result is
+
     {"scenario", "courses", "seed", "settings", "members": {name: number of training seeds},
     "metrics": {metric: {...}}, "controllers": {name: {metric: {"value", "low", "high"}}},
     "by_seed": {name: {metric: [mean of each training seed]}}, "iqm": {name: interquartile mean of
@@ -41,10 +43,11 @@ def comparison(
     first courses. Intervals are 95 % (`statistics`); None where a value is not defined.
     """
     first = next(iter(runs.values()))[0]
-    names = first.names
+    names = first.names  # of metrics
     courses = first.cause.size
     drawn = st.draws(seed, courses, resamples)
     members = {name: drawn.members(name, len(own)) for name, own in runs.items()}
+    # By controller and metric, [members, courses] and the means of bootstrap draws [resamples].
     scores = {
         name: {m: np.array([r.metric(m) for r in own]) for m in names} for name, own in runs.items()
     }
@@ -55,6 +58,7 @@ def comparison(
     }
 
     def difference(a: str, b: str, m: str) -> dict:
+        """Bounds of a - b for the metric `m`."""
         x = scores[a][m]
         y = scores[b][m]
         drawn_ones = samples[a][m] - samples[b][m]
@@ -96,6 +100,9 @@ def comparison(
 
 
 def _metric(name: str, scores: np.ndarray, samples: np.ndarray) -> dict:
+    """{"value", "low", "high"} of a metric with `scores` [members, courses] and its bootstrap
+    `samples` [resamples].
+    """
     known = int(np.isfinite(scores).sum())
     if known == 0:
         return _UNDEFINED
@@ -145,7 +152,7 @@ def table(result: Mapping) -> tuple[Table, str]:
 
 
 def other_world(result: Mapping) -> str:
-    """What acts in a world of `--model`; empty without one."""
+    """Words for what acts in a world of `--model`, after the scenario's name; "" without one."""
     model = result.get("model") or {}
     acting = [*model.get("effects", {}), *(k for k in ("residual", "remainder") if model.get(k))]
     return f" in a world with {', '.join(acting) or 'no effect'}" if model else ""

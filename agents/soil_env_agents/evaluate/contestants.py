@@ -134,7 +134,7 @@ def parse(
 
 
 def _sources(spec: str, classical: Collection[str]) -> tuple[str, list[str]]:
-    """Kind and sources of one entry."""
+    """(`Contestant.kind`, `Contestant.source` of each member) of one entry without its NAME=."""
     if spec in classical:
         return "classical", [spec]
     if spec in SHIPPED:
@@ -163,6 +163,7 @@ def _sources(spec: str, classical: Collection[str]) -> tuple[str, list[str]]:
 
 
 def _is_model(path: Path) -> bool:
+    """True for the file of a model, by its name, and for a folder that holds one."""
     return path.suffix in MODELS or _file_of(path).is_file()
 
 
@@ -175,6 +176,7 @@ def _file_of(path: Path) -> Path:
 
 
 def _default_name(kind: str, source: str) -> str:
+    """Name of an entry without NAME=: that of the controller, or of a model's folder or file."""
     if kind != "model":
         return SHIPPED[0] if source == SHIPPED_CLASS else source
     path = Path(source)

@@ -86,12 +86,12 @@ class Runs:
     """One controller on many courses; arrays [courses]."""
 
     cause: np.ndarray  # of the end, `Cause`
-    distance: np.ndarray  # [m]
+    distance: np.ndarray  # [m] furthest point
     time: np.ndarray  # [s]
-    energy: np.ndarray  # [J]
-    slip: np.ndarray  # mean
-    sinkage: np.ndarray  # mean [m]
-    returns: np.ndarray
+    energy: np.ndarray  # [J] work of all motors
+    slip: np.ndarray  # [-] mean
+    sinkage: np.ndarray  # [m] mean
+    returns: np.ndarray  # [-] sum of rewards
     #: Further metrics in their units, NaN where not defined.
     more: dict[str, np.ndarray] = field(default_factory=dict)
 
@@ -276,7 +276,7 @@ def _commands(
     action, alive: np.ndarray, scenario: Scenario, when: str, courses: range
 ) -> np.ndarray:
     """The `action` of a controller as commands [count] or [count, axles]; ParameterError for an
-    unsuitable one.
+    unsuitable one, with `when` and the course in its text.
     """
     action = np.asarray(action, dtype=np.float64)
     axles = scenario.axles if isinstance(scenario, RoverScenario) else 1
@@ -302,6 +302,7 @@ class _Totals:
         self.state = sim.worlds.state  # of the wheels, or of rovers
         self.scenario = scenario
         self.count = count
+        # [count] each: [J], [-], control periods not at a halt, [m], [-], control periods.
         self.energy, self.slip, self.driving, self.sinkage, self.returns, self.steps = np.zeros(
             (6, count)
         )
@@ -348,6 +349,7 @@ class _OfRovers(_Totals):
     def __init__(self, sim, scenario: RoverScenario, count: int):
         super().__init__(sim, scenario, count)
         self.axles = scenario.axles
+        # Sums of shares: see `further_metrics`.
         self.fighting, self.force = np.zeros((2, count))
 
     def work(self) -> np.ndarray:
@@ -381,7 +383,7 @@ class _Detailed(_Totals):
     def __init__(self, sim, scenario: Scenario, count: int):
         super().__init__(sim, scenario, count)
         self.foresight = Foresight(scenario, count)
-        # [J] where a wheel pulls
+        # [count] each: [J] by the drawbar pull and by the motor, where a wheel pulls.
         self.drawbar_work, self.drive_work = np.zeros((2, count))
         # [courses] of each control period: slip, sinkage [mm], True while driving
         self.slips: list[np.ndarray] = []
@@ -426,8 +428,8 @@ def _totals(sim, scenario: Scenario | RoverScenario, count: int, detailed: bool)
 
 
 def _percentiles(series, mask):
-    """Median and 95th percentile [2, courses] of the columns of `series` [periods, courses] where
-    `mask`.
+    """Median and 95th percentile [2, courses] of the columns of `series` where `mask`, both
+    [periods, courses]; NaN of nothing.
     """
     columns = (x[chosen] for x, chosen in zip(series.T, mask.T, strict=True))
     return np.array(
@@ -436,4 +438,5 @@ def _percentiles(series, mask):
 
 
 def _ratio(a, b):
+    """a over b [courses], NaN where b is 0."""
     return np.divide(a, b, out=np.full(len(a), math.nan), where=b > 0.0)

@@ -45,8 +45,7 @@ class Evaluation(OfTask):
     detailed: bool = True  # with the metrics `DETAILED` of a wheel
     version: str = field(default_factory=code_version)
 
-    def __post_init__(self):
-        super().__post_init__()
+    def _check_together(self) -> None:
         check_oracle(self, self.oracle_courses, self.courses)
 
     def renewed(self, version: str) -> Evaluation:
@@ -153,6 +152,7 @@ class Job:
         }
 
     def _controller(self, key: str):
+        """The loaded controller of a `Contestant.key`, or the oracle."""
         if key == ORACLE:
             return Oracle(self.asked.scenario)
         contestant = self.controllers[key]
@@ -184,6 +184,7 @@ def run(asked: Evaluation, folder: Path, engine: Engine, job: Job) -> dict:
         fill(job, blocks, folder, engine, progress, job.needs, found)
 
     def of(key: str) -> Runs:
+        """All blocks of a controller."""
         own = [b for b in asked.blocks() if b.controller == key]
         return Runs.join(
             [read_cell(folder, b, partial(Runs.from_columns, courses=b.count)) for b in own]

@@ -47,6 +47,9 @@ def load(contestant: Contestant, scenario: Scenario, content: bytes | None = Non
 
 
 def _from_class(contestant: Contestant, scenario: Scenario):
+    """The controller of a `module:Thing`, wrapped (`_Wrapped`); ParameterError for an unsuitable
+    one.
+    """
     spec = contestant.source
     name = contestant.name
     try:
@@ -65,7 +68,9 @@ def _from_class(contestant: Contestant, scenario: Scenario):
 
 
 class _Wrapped:
-    """A controller from elsewhere; an exception in it is an error of one line."""
+    """A controller from elsewhere (`thing`, of `module:Thing` in `spec`); an exception in it is an
+    error of one line.
+    """
 
     def __init__(self, thing, variant: str, spec: str, axles: int):
         self.thing = thing

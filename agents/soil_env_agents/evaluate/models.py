@@ -31,19 +31,19 @@ except ImportError:  # reported in one line where a model is loaded
     torch = None
     saved = None  # type: ignore[assignment]
 
-#: (module of the policy starts with, keys the zip must hold, module and class of the algorithm);
-#: the first that fits.
-_ALGORITHMS: tuple[tuple[str, set[str], tuple[str, str]], ...] = (
-    ("sb3_contrib.common.recurrent", set(), ("sb3_contrib", "RecurrentPPO")),
-    ("sb3_contrib.tqc", set(), ("sb3_contrib", "TQC")),
-    ("sb3_contrib.crossq", set(), ("sb3_contrib", "CrossQ")),
-    ("sb3_contrib.ars", set(), ("sb3_contrib", "ARS")),
-    ("stable_baselines3.sac", set(), ("stable_baselines3", "SAC")),
-    ("stable_baselines3.td3", set(), ("stable_baselines3", "TD3")),  # DDPG is a TD3
-    ("stable_baselines3.common.policies", {"cg_max_steps"}, ("sb3_contrib", "TRPO")),
-    ("stable_baselines3.common.policies", {"clip_range"}, ("stable_baselines3", "PPO")),
-    ("stable_baselines3.common.policies", set(), ("stable_baselines3", "A2C")),
-    ("soil_env_agents.agent", {"clip_range"}, ("stable_baselines3", "PPO")),
+#: (beginning of the module of the policy, keys that the zip must hold, (module, class) of the
+#: algorithm); the first that fits is taken.
+_ALGORITHMS = (
+    ("sb3_contrib.common.recurrent", (), ("sb3_contrib", "RecurrentPPO")),
+    ("sb3_contrib.tqc", (), ("sb3_contrib", "TQC")),
+    ("sb3_contrib.crossq", (), ("sb3_contrib", "CrossQ")),
+    ("sb3_contrib.ars", (), ("sb3_contrib", "ARS")),
+    ("stable_baselines3.sac", (), ("stable_baselines3", "SAC")),
+    ("stable_baselines3.td3", (), ("stable_baselines3", "TD3")),  # DDPG is a TD3
+    ("stable_baselines3.common.policies", ("cg_max_steps",), ("sb3_contrib", "TRPO")),
+    ("stable_baselines3.common.policies", ("clip_range",), ("stable_baselines3", "PPO")),
+    ("stable_baselines3.common.policies", (), ("stable_baselines3", "A2C")),
+    ("soil_env_agents.agent", ("clip_range",), ("stable_baselines3", "PPO")),
 )
 
 
@@ -57,10 +57,10 @@ def load_model(path: Path, scenario: Scenario):
     `LineAction`, but not with VecNormalize.
     """
     path = Path(path)
-    if path.suffix in (".onnx", ".npz"):
-        return (
-            _exported(path, scenario) if path.suffix == ".onnx" else DefaultPolicy(scenario, path)
-        )
+    if path.suffix == ".onnx":
+        return _exported(path, scenario)
+    if path.suffix == ".npz":
+        return DefaultPolicy(scenario, path)
     if saved is None:
         raise ParameterError(
             f"controllers: {path}: models need Stable-Baselines3: pip install 'soil_env[train]'"
@@ -93,6 +93,10 @@ def _check_action(path: Path, own: Control, scenario: Scenario) -> None:
 
 
 def _exported(path: Path, scenario: Scenario) -> ExportedAgent:
+    """The agent of a policy.onnx; ParameterError where it does not fit the scenario.
+
+    One that reads constants of another wheel (`CommonScaling.added`) gets a warning.
+    """
     try:
         agent = ExportedAgent(path)
     except ParameterError as error:
@@ -128,7 +132,7 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
     fitting = [
         made_by
         for prefix, keys, made_by in _ALGORITHMS
-        if module.startswith(prefix) and keys <= set(data)
+        if module.startswith(prefix) and set(keys) <= set(data)
     ]
     if not fitting:
         raise ParameterError(
@@ -176,6 +180,7 @@ def _warn(line: str) -> None:
 
 
 def _variant(model, path: Path, course: CourseSpec) -> tuple[str, Scaling]:
+    """(Variant, scaling) of the observation whose space is that of a model of SB3."""
     for variant in VARIANTS:
         for scaled in (True, False):
             scaling = Scaling(layout(variant, course), scaled)

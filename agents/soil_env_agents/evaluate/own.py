@@ -33,11 +33,7 @@ def imported(spec: str) -> Any:
         ) from None
     for part in attribute.split("."):
         if not hasattr(thing, part):
-            known = (
-                [n for n in vars(thing) if not n.startswith("_")]
-                if hasattr(thing, "__dict__")
-                else []
-            )
+            known = [n for n in getattr(thing, "__dict__", {}) if not n.startswith("_")]
             raise ParameterError(
                 f"controllers: {spec}: {module_name} has no {part!r}{nearest(part, known)}"
             )
@@ -85,7 +81,8 @@ def maker(source: str, scenario: Scenario) -> Callable[..., Any]:
 
 def made(source: str, scenario: Scenario, settings: dict, where: str) -> Any:
     """The object of `module:Thing`; a class with `bounds` is called with the scenario and its
-    `settings`, any other with the scenario where it takes one argument.
+    `settings`, any other with the scenario where it takes one argument. `where`: place of the
+    settings, for messages.
     """
     thing = imported(source)
     known = bounds_of_settings(source, scenario)
@@ -105,6 +102,7 @@ def made(source: str, scenario: Scenario, settings: dict, where: str) -> Any:
 
 
 def _takes_one(thing) -> bool:
+    """True for something that can be called with one argument."""
     try:
         inspect.signature(thing).bind(None)
     except (TypeError, ValueError):

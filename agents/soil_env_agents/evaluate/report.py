@@ -63,12 +63,12 @@ def settings(result: Mapping) -> list[str]:
 
 
 def _values(values: Mapping[str, float]) -> str:
+    """Settings in one line."""
     return ", ".join(f"{key} {value:.4g}" for key, value in values.items())
 
 
 def write(result: Mapping, runs: Mapping[str, list[Runs]], folder: Path) -> list[str]:
     """Write evaluation.json and .md, courses.csv and metrics.png; returns their names."""
-    folder = Path(folder)
     write_json(folder / "evaluation.json", result)
     save_csv(folder / "courses.csv", _courses(runs, list(result["metrics"])))
     panels = [m for m in _PANELS if m in result["metrics"]]
@@ -116,9 +116,10 @@ def page(result: Mapping) -> str:
     metrics.append(["interquartile mean of return", "", *iqm])
     shown = ("immobilised", "finished", "return")
     paired = []
-    for a, b in ((a, b) for i, a in enumerate(names) for b in names[:i]):
-        cells = (difference(m, result["paired"][a][b][m]) for m in shown)
-        paired.append([f"`{a}` - `{b}`", *cells, cell(result["improvement"][a][b])])
+    for i, a in enumerate(names):
+        for b in names[:i]:
+            cells = (difference(m, result["paired"][a][b][m]) for m in shown)
+            paired.append([f"`{a}` - `{b}`", *cells, cell(result["improvement"][a][b])])
     parts = [
         f"# Controllers on scenario {result['scenario']}{comparing.other_world(result)}",
         (

@@ -44,6 +44,7 @@ def draws(seed: int, courses: int, resamples: int = 2000) -> Draws:
 
 
 def _counts(rng, resamples, n):
+    """How often each of `n` is drawn in n draws with replacement, [resamples, n]."""
     return rng.multinomial(n, np.full(n, 1.0 / n), size=resamples).astype(float)
 
 
@@ -95,6 +96,7 @@ def difference_bounds(a: np.ndarray, b: np.ndarray, samples: np.ndarray) -> dict
     Theirs (2005, Statistics in Medicine 24:729, Wald + 2) is no point where no course differs.
     """
     n = a.shape[1] + 2.0
+    # Shares of the courses on which a and b alone succeed, with half a course added to each.
     won, lost = (
         ((x[:, None] > y[None]).mean(axis=(0, 1)).sum() + 0.5) / n for x, y in ((a, b), (b, a))
     )
@@ -109,11 +111,13 @@ def difference_bounds(a: np.ndarray, b: np.ndarray, samples: np.ndarray) -> dict
 def mean(scores: np.ndarray) -> float:
     """Mean over all members and courses, NaN left out; NaN where there is nothing."""
     known = np.isfinite(scores)
-    return float(scores[known].mean()) if known.any() else float("nan")
+    return float(scores[known].mean()) if known.any() else math.nan
 
 
 def mean_samples(scores: np.ndarray, members: np.ndarray, courses: np.ndarray) -> np.ndarray:
-    """`mean` of each bootstrap draw [resamples]."""
+    """`mean` of each bootstrap draw [resamples], for counts of the draws of `members` [resamples,
+    members] and `courses` [resamples, courses].
+    """
     known = np.isfinite(scores)
     total = ((courses @ np.where(known, scores, 0.0).T) * members).sum(axis=1)
     count = ((courses @ known.T.astype(float)) * members).sum(axis=1)
@@ -128,15 +132,17 @@ def iqm(scores: np.ndarray) -> float:
 
 
 def iqm_samples(scores: np.ndarray, members: np.ndarray, courses: np.ndarray) -> np.ndarray:
-    """`iqm` of each bootstrap draw [resamples]; every draw holds scores.size scores."""
+    """`iqm` of each bootstrap draw [resamples], arguments as of `mean_samples`; every draw holds
+    scores.size scores.
+    """
     n = scores.size
     ordered = np.sort(scores, axis=None)
-    cut = n // 4
+    cut = n // 4  # scores that are left out on either side
     out = []
     m, c = np.unravel_index(np.argsort(scores, axis=None, kind="stable"), scores.shape)
     for start in range(0, len(courses), _CHUNK):
         part = slice(start, start + _CHUNK)
-        # Scores up to each of `ordered`.
+        # Scores of the draw up to each of `ordered`.
         up_to = np.cumsum(members[part][:, m] * courses[part][:, c], axis=1)
         out.append(np.diff(np.clip(up_to, cut, n - cut), axis=1, prepend=cut) @ ordered)
     return np.concatenate(out) / (n - 2 * cut)
@@ -160,7 +166,10 @@ def probability_of_improvement(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def improvement_samples(a, b, members_a, members_b, courses) -> np.ndarray:
-    """`probability_of_improvement` of each bootstrap draw [resamples]."""
+    """`probability_of_improvement` of each bootstrap draw [resamples].
+
+    `members_a`, `members_b` and `courses` are counts of draws, as of `mean_samples`.
+    """
     wins = _wins(a, b)
     n, m, k = wins.shape
     by_pair = (courses @ wins.reshape(n * m, k).T).reshape(-1, n, m)

@@ -20,8 +20,8 @@ class Column(NamedTuple):
 
     metric: str
     heading: str
-    factor: float = 1.0
-    digits: int = 2
+    factor: float = 1.0  # from the unit of the metric to that of the heading
+    digits: int = 2  # behind the point
     bounds: bool = True  # with the interval
 
 
@@ -70,11 +70,10 @@ def metric_table(
     entries: Mapping[str, Mapping], columns: Sequence[Column], caption: str = ""
 ) -> Table:
     """A row for each controller, of {controller: {metric: {"value", "low", "high"}}}."""
-    rows = []
-    for name, metrics in entries.items():
-        rows.append(
-            [name, *(cell(metrics[c.metric], c.factor, c.digits, bounds=c.bounds) for c in columns)]
-        )
+    rows = [
+        [name, *(cell(metrics[c.metric], c.factor, c.digits, bounds=c.bounds) for c in columns)]
+        for name, metrics in entries.items()
+    ]
     return Table(["controller", *(c.heading for c in columns)], rows, caption)
 
 

@@ -95,10 +95,12 @@ def tuned_settings(
         return {}
     shipped = {} if anew else shipped_settings(scenario, courses, model)
     known, _ = controllers_of(scenario)
-    every = {
-        name: bounds_of_settings(name, scenario) for name in (known if names is None else names)
+    # Settings to tune, by controller.
+    spaces = {
+        name: space
+        for name in (known if names is None else names)
+        if (space := bounds_of_settings(name, scenario))
     }
-    spaces = {name: space for name, space in every.items() if space}
     names = list(spaces)
     chosen = {name: shipped[name] for name in names if name in shipped}
     missing = [name for name in names if name not in shipped]
@@ -114,6 +116,9 @@ def tuned_settings(
 def tried(name, space, scenario, courses, model, log, bar) -> list[dict]:
     """{**settings, "finished": share, "return": mean} of each trial of a controller, in their
     order.
+
+    `space`: {setting: `Setting`} of the controller `name`; `bar` shows the progress. The others are
+    arguments of `tuned_settings`.
     """
     optuna = _optuna()
     make = maker(name, scenario)
@@ -121,6 +126,7 @@ def tried(name, space, scenario, courses, model, log, bar) -> list[dict]:
     bounds = {
         key: tuple(x * (top if s.rim_speed else 1.0) for x in s.tuned) for key, s in space.items()
     }
+    # All that the trials depend on: a log may hold other studies.
     task = json.dumps(
         [
             name,
@@ -157,8 +163,11 @@ def tried(name, space, scenario, courses, model, log, bar) -> list[dict]:
             seed=int(np.random.SeedSequence([number]).generate_state(1)[0])
         )
         if number == 0:
-            defaults = {key: s.default * (top if s.rim_speed else 1.0) for key, s in space.items()}
-            study.enqueue_trial({key: float(np.clip(defaults[key], *bounds[key])) for key in space})
+            defaults = {
+                key: float(np.clip(s.default * (top if s.rim_speed else 1.0), *bounds[key]))
+                for key, s in space.items()
+            }
+            study.enqueue_trial(defaults)
         trial = study.ask()
         settings = {
             key: trial.suggest_float(key, *bounds[key], log=s.log) for key, s in space.items()

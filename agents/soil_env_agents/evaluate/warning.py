@@ -26,8 +26,8 @@ KEPT = 0.5  # of the threshold: an alarm that is on stays on over that
 
 
 def least_progress(scenario: Scenario) -> float:
-    """Way [m] of a control period in which a wheel is mobile: at the least mean speed that the task
-    asks for.
+    """Least way [m] in a control period of a wheel that counts as mobile: that at the least mean
+    speed that the task asks for.
     """
     limits = scenario.limits
     return limits.no_progress_distance / limits.no_progress_time * scenario.control.period
@@ -64,8 +64,9 @@ class Foresight:
         self.period = scenario.control.period
         self.alarms = Alarms(count, self.period, float(shipped()["alarm"]))
         self.probability = np.zeros(count)
-        # [s] under alarm, of all driving, of all.
+        # [s] since the start: driving under alarm, driving, and in all.
         self.under, self.driven, self.time = np.zeros((3, count))
+        # [s], [m] at which the last alarm came on.
         self.start_time, self.start_x = np.zeros((2, count))
         self.least = least_progress(scenario)
         self.furthest = np.zeros(count)  # [m] a control period ago
@@ -91,6 +92,7 @@ class Foresight:
         self.mobile_lead[mobile] = self._lead(worlds)[mobile]
 
     def _lead(self, worlds):
+        """[count, 2]: distance [m] and time [s] since the alarm came on, NaN where it is off."""
         lead = np.stack(
             [worlds.state["best_x"] - self.start_x, self.time - self.start_time], axis=1
         )

@@ -81,7 +81,7 @@ def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
         raise ParameterError(str(error).removeprefix("controllers: ")) from None
     name = path.resolve().parent.name if path.stem == "model" else path.stem
     description = policy.describe(agent, name, task, world)
-    course = policy.recorded(agent, task, steps, world)
+    course: dict[str, Any] = policy.recorded(agent, task, steps, world)
     model = policy.onnx_model(agent, description)
     onnx.checker.check_model(model, full_check=True)
     content = model.SerializeToString()
@@ -101,8 +101,7 @@ def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
         "latency_us": {"median": median, "p99": p99},
     }
     stream = io.BytesIO()
-    stored: dict[str, Any] = {**course}
-    np.savez_compressed(stream, **stored)
+    np.savez_compressed(stream, **course)
     write_own(
         out,
         {
@@ -119,7 +118,9 @@ def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
 
 
 def _asked(run: Path, scenario: str | None) -> tuple[Path, Scenario, WheelSoilModel | None]:
-    """(the zip, its scenario, the model of its world)."""
+    """(file of the agent RUN, its scenario, model of its world); ParameterError for an agent of
+    which no export is made.
+    """
     if str(run) in SHIPPED:
         return WEIGHTS, load_scenario(scenario or DEFAULT_SCENARIO), None
     from ..agent import INFO, read_info, read_member

@@ -41,8 +41,9 @@ class Graph:
 
     def __init__(self):
         self.nodes: list = []
+        #: (name, value) by type, shape and bytes.
         self.constants: dict[tuple, tuple[str, np.ndarray]] = {}
-        self.names = 0
+        self.names = 0  # given so far
 
     def name(self) -> str:
         """A new name."""
@@ -64,7 +65,8 @@ class Graph:
         self, op: str, *inputs, dtype=None, outputs: Sequence[str] | None = None, **attributes
     ) -> Traced:
         """The first output of a new node; inputs that are no `Traced` become constants of the type
-        of the others.
+        of the others. `op` and `attributes` are those of ONNX, `dtype` that of the output, by
+        default that of the inputs.
         """
         known = next(
             (x.dtype for x in inputs if isinstance(x, Traced) and x.dtype != bool),

@@ -83,12 +83,9 @@ def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None)
     control = scenario.control
     shipped = isinstance(agent, DefaultPolicy)
     history = getattr(agent, "history", None)
-    kept = {
-        "name": "history",
-        "size": history.kept if history else 0,
-        "first": 0.0,
-        "output": "next_history",
-    }
+    states = []
+    if history is not None:
+        states = [{"name": "history", "size": history.kept, "first": 0.0, "output": "next_history"}]
     return {
         "format": FORMAT,
         "name": name,
@@ -110,7 +107,7 @@ def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None)
             "top rim speed": {"value": wheel.radius * wheel.no_load_speed, "unit": "m/s"},
             "course length": {"value": scenario.course.length, "unit": "m"},
         },
-        "states": [] if history is None else [kept],
+        "states": states,
         "output": {"name": "action", "low": -1.0, "high": 1.0, **_output(wheel, control)},
         "rate": {"period": round(control.duration, 9), "unit": "s"},
         "scenario": to_dict(scenario),

@@ -94,9 +94,8 @@ class Study(Checked):
     resamples: int = quantity("of the bootstrap", 10, 100_000, default=2000)
     version: str = field(default_factory=code_version)
 
-    def __post_init__(self):
-        super().__post_init__()
-        sources = [name for name, target in self.targets.items() if not target.trained_on]
+    def _check_together(self) -> None:
+        sources = self.sources
         for name in (*self.targets, *self.arms):
             if "-" in name or "/" in name:
                 raise ParameterError(
@@ -136,12 +135,17 @@ class Study(Checked):
             raise unknown_value(
                 arm.controller, (*known, *SHIPPED, "module:Class"), f"arms.{name}: controller"
             )
-        if arm.controller in CONTROLLERS and known is CONTROLLERS:
+        elif known is CONTROLLERS:
             checked_settings(arm.controller, scenario, arm.settings, f"arms.{name}.settings")
 
     def renewed(self, version: str) -> Study:
         """This study by other code."""
         return dataclasses.replace(self, version=version)
+
+    @property
+    def sources(self) -> list[str]:
+        """The targets that arms are made on."""
+        return [name for name, target in self.targets.items() if not target.trained_on]
 
     @property
     def compared_with(self) -> str:
@@ -158,7 +162,7 @@ class Study(Checked):
         """All cells: the arms without a training, then seed by seed every agent on every
         scenario without `trained_on`.
         """
-        sources = [name for name, target in self.targets.items() if not target.trained_on]
+        sources = self.sources
         once = [Cell(s, a, 0) for s in sources for a, arm in self.arms.items() if arm.controller]
         agents = [name for name, arm in self.arms.items() if not arm.controller]
         return once + [
@@ -243,29 +247,31 @@ def read_config(path: Path, changes: dict | None = None) -> Study:
 
 @dataclass(frozen=True)
 class _Scenario(Checked):
-    """Entry of `scenarios` in the file; see above."""
+    """Entry of `scenarios` in the file, from which a `Target` is made."""
 
-    scenario: str = ""
-    rover: str = ""
-    changes: dict = field(default_factory=dict)
-    trained_on: str = ""
-    model: str = ""
+    scenario: str = ""  # name or file; empty: that of the entry's name
+    rover: str = ""  # the same of a rover, in place of a scenario
+    changes: dict = field(default_factory=dict)  # merged over it
+    trained_on: str = ""  # as in `Target`
+    model: str = ""  # file of its world's effects
 
 
 def _target(path: Path, name: str, entry, common: dict) -> dict:
-    """The mapping of a `Target` of an entry of `scenarios` in the file `path`."""
+    """The mapping of a `Target` of an entry of `scenarios` in the file `path`; `common`: changes of
+    all scenarios.
+    """
     where = f"{path}: scenarios.{name}"
     entry = load(_Scenario, entry, where)
     if entry.scenario and entry.rover:
         raise ParameterError(f"{where}: expected scenario or rover, not both")
-    of, which = (
+    load_task, which = (
         (load_rover, entry.rover) if entry.rover else (load_scenario, entry.scenario or name)
     )
     try:
-        of(which)
+        load_task(which)  # for its errors, which are none of the changes
     except ParameterError as error:
         raise ParameterError(f"{where}: {error}") from None
-    scenario = of(which, merge(common, entry.changes), f"{where}.changes")
+    scenario = load_task(which, merge(common, entry.changes), f"{where}.changes")
     model = _model(path, entry.model, scenario) if entry.model else {}
     return {"task": to_dict(scenario), "trained_on": entry.trained_on, "model": model}
 
@@ -276,7 +282,7 @@ def _model(path: Path, name: str, scenario: Scenario | None = None) -> dict:
 
     Without a scenario, of a fitted model only the effects: what they leave belongs to its soil.
     """
-    file = Path(name) if Path(name).is_file() else Path(path).parent / name
+    file = Path(name) if Path(name).is_file() else path.parent / name
     model = WheelSoilModel.load(file)
     if scenario is None and model.soil is not None:
         model = WheelSoilModel(model.wheel, None, model.effects, (), model.gravity)

@@ -62,9 +62,8 @@ def table(content: dict, bounds: bool = True) -> Table:
             iqm = cell(entry["iqm"][arm], bounds=bounds)
             rows.append([name, arm, entry["members"][arm], *rates, iqm, difference, probability])
     caption = f"{content['courses']} held-out courses of each scenario; 95 % intervals"
-    header: tuple[str, ...]
     if bounds:
-        header = (
+        wide = (
             "scenario",
             "arm",
             "seeds",
@@ -74,10 +73,10 @@ def table(content: dict, bounds: bool = True) -> Table:
             f"finished - {base} [points]",
             "P(return higher)",
         )
-        return Table(header, rows, caption)
-    header = ("scenario", "arm", "seeds", "stuck [%]", "finished [%]", "IQM", "difference")
+        return Table(wide, rows, caption)
+    narrow = ("scenario", "arm", "seeds", "stuck [%]", "finished [%]", "IQM", "difference")
     return Table(
-        header,
+        narrow,
         [row[:-1] for row in rows],
         f"{caption}; IQM of the return; difference: finished - {base}",
     )
@@ -85,7 +84,6 @@ def table(content: dict, bounds: bool = True) -> Table:
 
 def write(content: dict, folder: Path) -> list[str]:
     """Write study.json, study.md and study.png; returns their names."""
-    folder = Path(folder)
     write_json(folder / FILES[0], content)
     found = [
         f"World `{name}`: {effects or 'no effects'}." for name, effects in content["worlds"].items()

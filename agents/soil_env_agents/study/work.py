@@ -40,7 +40,6 @@ def begin(study: Study, folder: Path) -> None:
 
 def fill(study: Study, folder: Path, engine: cells.Engine, elsewhere: bool) -> None:
     """Do all cells that are not done; `elsewhere`: on machines that do not share `folder`."""
-    folder = Path(folder)
     todo = study.cells()
     left = len(todo)
 
@@ -50,6 +49,7 @@ def fill(study: Study, folder: Path, engine: cells.Engine, elsewhere: bool) -> N
         show(f"{cell}: done, {left} of {len(todo)} cells left")
 
     def kept(work, missing):
+        """The engine, which also puts the files of run folders into this one."""
         for cell, content in engine(work, missing):
             if files := content.pop("files", {}):
                 replace_files(folder / "trained" / str(cell), files)
@@ -96,13 +96,13 @@ class Work:
             }
 
     def _done(self, cell: Cell, folder: Path) -> dict:
+        """Train or tune the arm of a cell in `folder` and drive it; {"settings", "driven"}."""
         study = self.study
-        arm = self.study.arms[cell.arm]
-        source = self.study.targets[cell.source]
+        arm = study.arms[cell.arm]
+        source = study.targets[cell.source]
         model = (study.worlds[arm.world] if arm.world else source).world
         settings: dict = {}
-        kind = "class"
-        made = arm.controller
+        made = arm.controller  # `Contestant.source`
         if not arm.controller:
             from .. import training  # needs the extra `train`, which --help does not
 
@@ -133,7 +133,10 @@ class Work:
         return {"settings": settings, "driven": driven}
 
     def _tuned(self, cell: Cell, scenario: Scenario, model, folder: Path) -> dict[str, float]:
-        """Settings of a classical controller, tuned where it is made."""
+        """Settings of the controller of a cell, tuned on the scenario in the world of `model`.
+
+        {} for a controller that has none.
+        """
         name = self.study.arms[cell.arm].controller
         log = folder / "tuned" / f"{cell}.log"
         log.parent.mkdir(parents=True, exist_ok=True)
