@@ -7,8 +7,8 @@
     W       = m g cos(grade)         Eq. (1), met at every instant
 
 z_w is the depth at which undisturbed soil carries the same pressure as the wheel now has under it
-(`sink`). On ground that the wheel has touched before, travel takes the sinkage to the depth of the
-rut instead.
+(`sink`). Where the wheel has been before, its contact begins at the floor of the rut that it
+rolled, and z_w is reached from there.
 """
 
 import math
