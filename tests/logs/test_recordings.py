@@ -20,6 +20,7 @@ from tests.logs.bags import example, write_json_mcap, write_map, write_mcap
 from tests.refusals import refused
 
 NS = 1_000_000_000
+APART = 0.05  # [sd] of estimates whose fits end a step apart
 pytest.importorskip("mcap")
 pytest.importorskip("rosbags")
 
@@ -53,13 +54,17 @@ def test_the_identifier_on_the_bag_gives_what_it_gave_online(drives, storage):
     """
     folder, log_map, online = drives
     found = replay(read_recording(folder / storage, log_map), log_map)
-    for name, near in (
-        ("friction_angle_deg", 2e-4),
-        ("shear_modulus", 2e-4),
-        ("sinkage_coefficient", 2e-4),
-        ("friction_angle_sd_deg", 1e-3),
+    for name, sd, logarithmic in (
+        ("friction_angle_deg", "friction_angle_sd_deg", False),
+        ("shear_modulus", "shear_modulus_relative_sd", True),
+        ("sinkage_coefficient", "sinkage_coefficient_relative_sd", True),
     ):
-        assert found.values[name] == pytest.approx([e[name] for e in online], rel=near)
+        after = found.values[name]
+        before, spread = (np.array([e[key] for e in online]) for key in (name, sd))
+        apart = np.log(after / before) if logarithmic else after - before
+        apart = np.abs(apart) / spread
+        assert np.max(apart) < APART and np.mean(apart < 1e-3) > 0.9
+        assert found.values[sd] == pytest.approx(spread, rel=1e-2)
     assert [s for s in found.status] == [type(found.prior.status)[e["status"]] for e in online]
     learnt = found.learnt(current=True)
     assert learnt["friction_angle_deg"] < 0.6 and learnt["shear_modulus"] < 0.3
