@@ -68,7 +68,11 @@ def test_a_preset_is_sized_for_its_weight(name, tmp_path):
         ({"vehicle": {"axles": [0.0]}}, "vehicle.axles = (0.0,): expected 2 or 3 axles"),
         (
             {"vehicle": {"axles": [0.33, 0]}},
-            "vehicle.axles = (0.33, 0.0): expected metres behind the front axle",
+            "vehicle.axles = [0.33, 0.0]: expected the smaller number first",
+        ),
+        (
+            {"vehicle": {"axles": [0.0, 0.3, 0.2]}},
+            "vehicle.axles = (0.0, 0.3, 0.2): expected metres behind the front axle",
         ),
         ({"vehicle": {"bogie": "rear"}}, "vehicle.bogie = 'rear': expected 'none' with two axles"),
         (

@@ -110,6 +110,8 @@ class Checked:
             if typing.get_origin(hint) is typing.Literal and value not in items:
                 raise FieldError(self, f.name, str(unknown_value(value, items)))
             if "unit" in f.metadata:
+                if typing.get_origin(hint) is tuple and not isinstance(value, tuple):
+                    raise FieldError(self, f.name, f" = {_said(value)}: expected a tuple")
                 _check_quantity(self, f, value)
                 if value is not None and float in (hint, *items):
                     plain = tuple(map(float, value)) if isinstance(value, tuple) else float(value)
@@ -173,8 +175,6 @@ SYMBOLS = {
     "S": "sinkage_coefficient",
     "c": "cohesion",
     "n": "sinkage_exponent",
-    "r": "radius",
-    "b": "width",
 }
 
 

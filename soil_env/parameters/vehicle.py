@@ -33,7 +33,7 @@ class Vehicle(Checked):
     )
     source: str = ""
 
-    def __post_init__(self) -> None:
+    def _check_together(self) -> None:
         count = len(self.axles)
         given = f" = {self.axles!r}"
         if not 2 <= count <= MOST_AXLES:
@@ -45,7 +45,6 @@ class Vehicle(Checked):
                 f"{given}: expected metres behind the front axle, front to rear: 0 first, each "
                 "larger than the last",
             )
-        super().__post_init__()
         if (self.bogie == "none") != (count == 2):
             known = "'none' with two axles" if count == 2 else "'front' or 'rear' with three axles"
             raise FieldError(self, "bogie", f" = {self.bogie!r}: expected {known}")

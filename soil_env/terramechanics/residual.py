@@ -81,9 +81,10 @@ class ResidualTable(Checked):
         for group, nodes in self.axes.items():
             if group not in AXES:
                 raise unknown_key(group, AXES, "axes")
-            if len(nodes) < 2 or not np.all(np.diff(nodes) > 0.0):
+            steps = np.diff(nodes)
+            if len(nodes) < 2 or not np.all((steps > 0.0) & (steps < math.inf)):
                 raise ParameterError(
-                    f"axes: {group} = {list(nodes)[:4]}: expected at least two numbers, ascending"
+                    f"axes: {group} = {list(nodes)[:4]}: expected two finite numbers or more, rising"
                 )
         count = math.prod(map(len, self.axes.values()))
         if not 2 <= count <= MOST_NODES:

@@ -281,7 +281,8 @@ def _factor(name: str, value: np.ndarray, log: bool) -> Factor:
     many = level.max() > max(_MOST_LEVELS, x.size // _ROWS_OF_LEVEL)
     if name in ("slip", "load", "speed", "grade_deg") and (many or widest > _CHAIN * gap):
         bins = min(_MOST_BINS, x.size // _ROWS_OF_BIN)
-        level[order] = np.arange(x.size) * max(bins, 2) // x.size
+        first = np.searchsorted(x[order], x[order])  # equal values stay together
+        level[order] = np.unique(first * max(bins, 2) // x.size, return_inverse=True)[1]
     scaled = (x - 0.5 * (x.min() + x.max())) / (0.5 * span) if span > gap else np.zeros_like(x)
     return Factor(name, value, level, scaled)
 

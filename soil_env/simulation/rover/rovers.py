@@ -32,7 +32,7 @@ from soil_env.simulation.world.sensors import (
     sensor_errors,
     sensors_of,
 )
-from soil_env.simulation.world.terrain import RUT, new_courses
+from soil_env.simulation.world.terrain import CELL, RUT, grade_on, new_courses, piece_at
 from soil_env.simulation.world.wheel import World, acting_in, rig_of, settle_at
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.reaction import Acting
@@ -172,6 +172,18 @@ def _with_front(scenario: RoverScenario) -> RoverScenario:
 
 
 @compiled
+def _height_at(course, x, border):
+    """Height [m] of the ground at x >= 0 [m] above that at 0, by the midpoint rule."""
+    steps = math.ceil(x / CELL)
+    height = 0.0
+    for k in range(steps):
+        middle = (k + 0.5) / steps * x
+        slope = piece_at(course.slopes, middle, 0)
+        height += x / steps * math.sin(grade_on(course.slopes, middle, slope, border))
+    return height
+
+
+@compiled
 def _settle(rover, mass, course, ruts, numbers, nodes):
     """Put a rover, whose record is blank but for its stream, at rest at the start of its course.
 
@@ -186,7 +198,7 @@ def _settle(rover, mass, course, ruts, numbers, nodes):
         wheel.stream = word(rover)
         ahead = s.wheelbase - s.places[a]
         settle_at(wheel, ahead, rover.mass * s.shares[a], course, world)
-        rover.axles[a].height = ahead * math.sin(wheel.grade)
+        rover.axles[a].height = _height_at(course, ahead, rig.border)
         clear_ruts(ruts[a])
     rover.next_halt = between(rover, rig.halt_low, rig.halt_high)
     rover.converged = 1

@@ -15,7 +15,7 @@ from soil_env.parameters.sensors import SENSORS
 from soil_env.simulation.task import AXLES, ObservedNumber, layout
 from soil_env.simulation.task.observation import ENTRIES_OF_SOIL, write_soil
 from soil_env.simulation.world.sensors import NAMES
-from soil_env.simulation.world.terrain import soil_on
+from soil_env.simulation.world.terrain import piece_at, soil_on
 
 # Names of the readings of the body and of an axle.
 BODY = tuple(sensor.name for sensor in SENSORS if sensor.of_body)
@@ -80,5 +80,6 @@ def write_true_soils(out, rover, axles, course, border):
     """Fill `out` [axles x 7] with the true soil under each axle of a rover."""
     for a in range(axles):
         wheel = rover.wheels[a]
-        soil = soil_on(course.patches, wheel.x, wheel.patch, border)
+        patch = piece_at(course.patches, wheel.x, wheel.patch)
+        soil = soil_on(course.patches, wheel.x, patch, border)
         write_soil(out[a * ENTRIES_OF_SOIL :], soil)
