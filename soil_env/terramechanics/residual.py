@@ -84,7 +84,7 @@ class ResidualTable(Checked):
             steps = np.diff(nodes)
             if len(nodes) < 2 or not np.all((steps > 0.0) & (steps < math.inf)):
                 raise ParameterError(
-                    f"axes: {group} = {list(nodes)[:4]}: expected two finite numbers or more, rising"
+                    f"axes: {group} = {list(nodes)[:4]}: expected at least two numbers, ascending"
                 )
         count = math.prod(map(len, self.axes.values()))
         if not 2 <= count <= MOST_NODES:

@@ -109,6 +109,7 @@ def test_a_table_is_linear_between_its_nodes_and_held_at_its_ends():
     [
         ({"slip": [0.1]}, {}, "at least two numbers, ascending"),
         ({"slip": [0.1, 0.1]}, {}, "at least two numbers, ascending"),
+        ({"slip": [0.1, math.inf]}, {}, "at least two numbers, ascending"),
         ({"grip": [0.1, 0.2]}, {}, "axes: unknown key 'grip'"),
         ({"slip": list(range(4097))}, {}, "4097 combinations of nodes: expected 2 to 4096"),
         ({"slip": [0.1, 0.2]}, {"torq": "1 2"}, "did you mean 'torque'"),
