@@ -77,12 +77,14 @@ def command(
     names = None
     if controllers is not None:
         with controllers_as("--controllers"):
-            names = [c.source for c in parse(controllers).values() if c.kind != "model"]
-            if not any(bounds_of_settings(source, asked) for source in names):
-                raise ParameterError(
-                    f"controllers: {controllers}: nothing to tune: expected a controller with "
-                    "settings, or a class with `bounds`"
-                )
+            parsed = parse(controllers).values()
+            names = [c.source for c in parsed]
+            for c in parsed:
+                if c.kind == "model" or not bounds_of_settings(c.source, asked):
+                    raise ParameterError(
+                        f"controllers: {c.source}: nothing to tune: expected a controller with "
+                        "settings, or a class with `bounds`"
+                    )
     for action in actions.split(","):
         if action not in ACTIONS:
             raise unknown_value(action, ACTIONS, "--actions")
