@@ -256,7 +256,7 @@ class _Further:
     A strength is a parameter that is not fitted in its logarithm. `columns` [M, K] are derivatives
     of the whitened values by the strengths; `owner` gives the index of the choice of each. Under
     the covariance of noise and form errors, and with the unknowns of the model free, the strengths
-    x add x'pull - x'normal x / 2 to the log likelihood.
+    x add x'pull - x'normal x / 2 to the log likelihood. `pull` is its gradient at x = 0.
     """
 
     def __init__(self, problem: Problem, first: Evidence, choices: list[Choice]) -> None:
@@ -279,6 +279,7 @@ class _Further:
                 self.owner.append(k)
         self.columns = side_by_side(columns, base.size)
         self.effect = first.sizes.effect
+        # Products of the columns with themselves and with the residuals.
         self.own_gram = self.columns.T @ self.columns
         self.own_along = self.columns.T @ first.fit.residual
         self.parts: dict[tuple[int, float], _Part] = {}
@@ -300,9 +301,13 @@ class _Further:
         return log, part.normal - by_law[1:, 1:], part.pull - by_law[1:, 0]
 
     def _part(self, span: int, noise: float) -> _Part:
-        """`_Part` of a span of the law's error; `noise` is over that of the table."""
+        """`_Part` under the law's error of one `span`, an index of `fit.law`; `noise` is over that
+        of the table.
+
+        Unknowns and form errors of the model are eliminated by a Schur complement.
+        """
         fit = self.fit
-        # Unknowns and form errors of the model itself, but for that of the law: eliminated first.
+        # Those of the model itself, but for the law's error, which `under` adds in any size.
         blocks = (fit.jacobian, self.effect * fit.effect, fit.rig)
         model = np.concatenate(blocks, axis=1) / noise
         law = fit.law[span] / noise

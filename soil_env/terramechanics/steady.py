@@ -163,9 +163,10 @@ def arc_of(sinkage, slip, shift, load, fx, wheel):
     """`Arc` of a wheel at a given sinkage [m], slip and load [N], with the effects that shape it
     and a forward `shift` of the stress peak [of theta1].
 
-    The shifted peak stays `PEAK_MARGIN` of the arc behind the entry. The tips of the lugs, at q
-    times the radius, enter the soil and begin to shear it at cos = cos(theta1)/q (Ding et al.
-    2011).
+    The arc is that of the `contact_radius` r, on a tyre of its substitute circle under the load.
+    The shifted peak stays `PEAK_MARGIN` of the arc behind the entry. With lugs soil is sheared at
+    the radius q r (`shear_radius_ratio`), from cos = cos(theta1)/q on, where that circle enters it
+    (Ding et al. 2011).
     """
     r = contact_radius(wheel, fx)
     if on_tyre(wheel):

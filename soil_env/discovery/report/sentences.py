@@ -179,10 +179,12 @@ def _limit(name: str, limits: tuple[float, float], values: np.ndarray) -> str:
 
 
 def next_test(report: Report, t: NextTest) -> str:
-    """A test in a sentence."""
+    """A sentence with the conditions of a test and the two candidates that it separates by so many
+    standard deviations, or that it repeats a run that the model misses.
+    """
     at = _place(t.conditions)
     if t.repeat:
-        return f"{at}, again: the model misses most here, which may be a slip of the rig"
+        return f"{at}, again: the model misses most here, which may be a mistake of the rig"
     against = f"{title(t.separates[0])} against {title(t.separates[1])}"
     return (
         f"{at}: {against}, expected to differ by {t.expected_sigma:.1f} sd in {TITLES[t.channel]}"

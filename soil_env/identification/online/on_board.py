@@ -83,7 +83,8 @@ BOARD_SETTING = record(
     camera=("i8",),  # number of terrain classes that it sees; 0: none
     lines=("i8",),  # number of routes over the patch ahead
     places=("f8", MOST_AXLES),  # [m] behind the front axle
-    compaction=("f8", MOST_AXLES),  # of the floors of ruts, by the number of wheels ahead
+    # ln(S_N/S)/(n + 1/2) of the floors of ruts, by the number of wheels ahead
+    compaction=("f8", MOST_AXLES),
     bounds=("f4", (2, MOST_ENTRIES)),  # least and greatest value of each entry
     identifier=(SETTING, 1),
     warning=(WARNING_SETTING, 1),
@@ -347,9 +348,11 @@ def _restart(vehicle, sample, board):
 
 @compiled
 def _compaction(memory, a, board):
-    """Compaction of the floor under the wheel of axle a, by the wheels ahead that have run there.
+    """ln(S_N/S)/(n + 1/2) of the floor under the wheel of axle a, after the wheels ahead that have
+    run there; 0 on fresh ground.
 
-    A course begins on fresh ground: a wheel ahead counts from where it started.
+    A course begins on fresh ground: a wheel ahead counts from where it started. `memory.place` [m]
+    is how far the wheel has come since, `board.places` [m] lie behind the front axle.
     """
     before = 0
     for b in range(a):

@@ -461,7 +461,8 @@ def _by_resistance(data: Data, noise: NoiseEstimate, reading: Reading) -> float:
     """Log probability density, but for a constant, of the resistance to the wheel under a reading:
     of its median over the `_resisted` rows.
 
-    0 for less than `FEWEST_ROWS` such rows, and for readings under which other rows are driven.
+    0 for less than `FEWEST_ROWS` such rows, and for readings that change the slip, since with them
+    other rows would be `_resisted`.
     """
     rows = _resisted(data, noise)
     if rows.sum() < FEWEST_ROWS or reading.name in ("slip", "slip_ratio"):
@@ -481,7 +482,8 @@ def _resisted(data: Data, noise: NoiseEstimate) -> np.ndarray:
 
 
 def _resistance(table: Table, setup: Setup) -> tuple[np.ndarray, np.ndarray]:
-    """([N] resistance to the wheel over the load, [N] its usual value `HELD` sqrt(z/r)).
+    """(resistance to the wheel over the load, its usual value `HELD` sqrt(z/r)), both [-], one a
+    row.
 
     Resistance is torque/radius less the pull, at any slip. The vertical stress over the arc of
     contact makes it about W/2 times the sine sqrt(2 z/r) of the entry angle.

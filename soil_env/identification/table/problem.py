@@ -67,7 +67,9 @@ CHANNELS_OWN = (0.0, 1.0)
 
 
 class LawError(NamedTuple):
-    """A form error of the base law."""
+    """A form error: relative error of the stresses of the base law, which changes slowly with slip,
+    load and angle (`form_error`).
+    """
 
     span: int  # index in `form_error.LAW_LENGTHS`
     own: float  # of `CHANNELS_OWN`: error of each channel by itself over that of the stresses
@@ -434,11 +436,15 @@ class TableProblem:
         alone = 0.5 * np.sum(np.log(self.variances[:, 2:][self.measured]))
         return float(whole - alone)
 
-    def allow_form_error(self, u: np.ndarray, of: LawError) -> None:
-        """Take the form error `of`, linearised at u, into the weights in place of any before."""
-        stresses, channels = self.law_errors(u, of.span)
+    def allow_form_error(self, u: np.ndarray, error: LawError) -> None:
+        """Let the base law err by a `LawError` at the whitened unknowns u [p].
+
+        Its columns B [3 N, R] (`law_errors`) add B B' to the covariance of all values, which
+        `whiten` then uses by its `Compression`. It replaces any error set before.
+        """
+        stresses, channels = self.law_errors(u, error.span)
         self.form_error = form_error.compressed(
-            of.size * np.concatenate([stresses, of.own * channels], axis=1)
+            error.size * np.concatenate([stresses, error.own * channels], axis=1)
         )
 
     def minimise(self, u: np.ndarray, **options: Any) -> tuple[np.ndarray, float]:

@@ -187,7 +187,8 @@ def _height_at(course, x, border):
 def _settle(rover, mass, course, ruts, numbers, nodes):
     """Put a rover, whose record is blank but for its stream, at rest at the start of its course.
 
-    `mass` [kg] is the mean on its wheels.
+    `mass` [kg] is the mean on its wheels. The record holds the mass of one side of the vehicle. The
+    rear axle stands at 0 of the course, the others ahead of it.
     """
     rig = numbers.rig
     s = numbers.suspension

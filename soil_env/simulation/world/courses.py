@@ -106,8 +106,9 @@ def start_course(course, owner, numbers, nodes):
     """Start a new course with a seed from the stream of `owner`; return the mass [kg] on the wheel
     with payload, or -1.
 
-    -1 means that no soil was found that leaves this wheel the least pull. Only as much is drawn as
-    a wheel at the start needs; `extend_course` draws the rest.
+    -1 means that no soil was found on which this wheel can pull as much as the course requires
+    (`least_pull`). Only as much is drawn as a wheel at the start needs; `extend_course` draws the
+    rest.
     """
     _clear(course.patches, course.drawn)
     _clear(course.slopes, course.sloped)
