@@ -113,8 +113,8 @@ METHODS = [f"{name}: {how}" for name in READINGS for how in ("plain", "with back
 
 
 def _ranges(r: Results) -> Table:
-    """Table 4: least and largest starting guess of phi [deg], K [m] and S [N/m^(n+2)] from which the
-    search reaches the root (`compare.table_4`), printed and by each of `METHODS`.
+    """Table 4: least and largest starting guess of phi [deg], K [m] and S [N/m^(n+2)] from which
+    the search reaches the root (`compare.table_4`), printed and by each of `METHODS`.
     """
     rows = []
     for plain, other in zip(r.rows["table4"], r.rows["table4_backtracking"], strict=True):

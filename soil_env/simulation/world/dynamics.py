@@ -236,8 +236,9 @@ def solve_stage(wheel, stage, ahead, drive, forced, world):
     """Take a wheel through a `Stage` on the ground `Ahead` under a `Drive`, the command to its
     motor; return True.
 
-    `move` changes place, sinkage, speeds and forces of the wheel. Where Newton's method fails, return False and leave the wheel where it was, or, if `forced`, go
-    on with the best speeds found.
+    `move` changes place, sinkage, speeds and forces of the wheel. Where Newton's method fails,
+    return False and leave the wheel where it was, or, if `forced`, go on with the best speeds
+    found.
     """
     load = world.rig.gravity * wheel.mass * sin_cos(ahead.grade)[1]
     at = stand(wheel, stage, ahead, load, world)
