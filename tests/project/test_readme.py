@@ -25,8 +25,10 @@ def test_it_has_at_most_600_words():
 
 
 def test_blocks_that_are_not_run_say_why():
-    """Shell that is run elsewhere: make by .ci/run, pip by the Makefile, discover by test_pages."""
-    run = ("make ", "pip install ", "soil-env warmup", "soil-env discover ")
+    """Shell that is run elsewhere: make by .ci/run, venv and pip by the Makefile, discover by
+    test_pages.
+    """
+    run = ("make ", "python -m venv ", "pip install ", "soil-env warmup", "soil-env discover ")
     for block in blocks(README, "sh"):
         lines = block["code"].replace("\\\n", " ").splitlines()
         assert block["reason"] or all(line.startswith(run) for line in lines), block["code"]
