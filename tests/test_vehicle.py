@@ -40,6 +40,10 @@ def test_shares_are_those_of_statics(vehicle):
         assert shares[on] @ (axles[on] - vehicle.pivot) == pytest.approx(0.0, abs=1e-12)
 
 
+def test_axles_are_a_tuple():
+    refused(lambda: Vehicle(8.0, 0.5, 0.2, 0.1), "Vehicle.axles = 0.5: expected a tuple")
+
+
 @pytest.mark.parametrize("name", rover_names())
 def test_a_preset_is_sized_for_its_weight(name, tmp_path):
     """Wheels carried equal masses on average, the motors turn them under their weight, and the file

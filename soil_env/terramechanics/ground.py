@@ -38,7 +38,7 @@ def stiffened(soil, factor):
 
 
 @compiled
-def lowered(soil, depth):
+def below_rut(soil, depth):
     """`soil` below the floor of a rut that is `depth` [m] deep: firm ground is nearer by that, and
     at least `LEAST_COVER` away.
     """

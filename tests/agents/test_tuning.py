@@ -169,6 +169,9 @@ def test_controllers_without_settings_are_refused(tmp_path, capsys):
     asked = ["tune", "--controllers=full_throttle", f"--out={tmp_path / 'out'}"]
     assert soil_env(asked) == 2
     assert "--controllers: full_throttle: nothing to tune" in capsys.readouterr().err
+    asked[1] = "--controllers=soft_start,full_throttle"
+    assert soil_env(asked) == 2
+    assert "--controllers: full_throttle: nothing to tune" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

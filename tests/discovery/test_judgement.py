@@ -1,5 +1,7 @@
 """Worth of a finding: intervals, the share of the gap that is closed, shares of it, the ranking."""
 
+import copy
+import dataclasses
 import math
 from types import SimpleNamespace
 
@@ -104,6 +106,17 @@ def test_it_holds_the_share_and_is_the_same_for_the_same_seed(problem):
     low, high = closed_interval(problem, before, after, np.random.default_rng(0))
     assert low < share < high <= 1.0 and 0.02 < high - low < 0.6
     assert closed_interval(problem, before, after, np.random.default_rng(0)) == (low, high)
+
+
+def test_noise_of_single_rows_is_no_gap(problem):
+    """Errors as large as the noise of each row, which differs by ten between rows."""
+    rng = np.random.default_rng(3)
+    relative = 10.0 ** rng.uniform(-0.5, 0.5, problem.data.y.shape)
+    own = copy.copy(problem)
+    own.data = dataclasses.replace(problem.data, relative_sd=relative)
+    as_noise = own.data.y + relative * NOISE * rng.normal(size=relative.shape)
+    for gap in judgement.gaps(own, as_noise, as_noise).values():
+        assert gap.over_noise[0] == pytest.approx(1.0, abs=0.25)
 
 
 def test_one_bad_group_widens_it(problem):

@@ -100,6 +100,19 @@ def test_a_misfit_is_not_taken_for_noise(tmp_path):
     assert p.low <= world({}).soil.friction_angle_deg <= p.high and p.high - p.low > 2.0
 
 
+def test_repeats_of_a_slip_stay_together(tmp_path):
+    """Fifteen slips, which are a continuum, three times each: equal ones are in one fold."""
+    text = "slip,load,drawbar_pull\n" + "".join(
+        f"{slip:.3f},100,{30.0 * slip + repeat:.3f}\n"
+        for slip in np.linspace(0.0, 0.7, 15)
+        for repeat in range(3)
+    )
+    slip = data_of(tmp_path, text).varied["slip"]
+    for value in np.unique(slip.value):
+        assert np.ptp(slip.level[slip.value == value]) == 0
+    assert set(slip.level) == set(range(slip.levels))
+
+
 @pytest.mark.parametrize("count", [180, 240])
 def test_random_slips_have_levels(tmp_path, count):
     """Values within 2 % chain into one level, which is none."""

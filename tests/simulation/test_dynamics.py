@@ -253,6 +253,19 @@ def test_rolling_out_and_back_keeps_the_rut(law):
     assert again / there == pytest.approx(2.0 ** (1.0 - COMPACTION), rel=2e-3)
 
 
+@pytest.mark.parametrize("law", [EQUATION_10, {}], ids=["equation 10", "flow"])
+def test_slip_digs_a_second_pass_in_a_little(law):
+    """By less than a twentieth beyond the law of the rut, at the slip of a level drive."""
+    soil = soils()["grenville_loam"].state(0.15)._replace(**law)
+    assert soil.dig_gain > 0.0
+    wheels = on_uniform_ground(soil, 0.0, "wheel_speed")
+    there, again = (
+        np.interp(0.4, *rows[np.argsort(rows[:, 0]), :2].T)
+        for rows in (wheels.drive([0.4] * 60), wheels.drive([-0.4] * 50))
+    )
+    assert 1.0 < again / there / 2.0 ** (1.0 - COMPACTION) < 1.05
+
+
 @pytest.mark.parametrize("amplitude", [0.003, 0.02])
 def test_rocking_on_the_spot_heals_nothing(amplitude):
     """A wheel in a hole of 10 cm that rocks by some mm stays in it: what moves under it is the

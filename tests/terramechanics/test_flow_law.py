@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings, strategies as st
+from scipy.optimize import brentq
 
 from soil_env.parameters import SoilState, soils
 from soil_env.slip import braked_share, motion_from_slip
@@ -54,6 +55,24 @@ def test_on_hard_ground_a_wheel_rolls_freely_without_slip(law):
     hard = soil._replace(sinkage_coefficient=1e9, cohesion=0.0, dig_gain=0.0, **law)
     at = steady_state(-0.03, LOAD, hard, R, R)
     assert at.sinkage < 0.005 * R and at.torque < 0.0
+
+
+@pytest.mark.parametrize(
+    ("depth", "flow", "plain"),
+    [(0.003, -0.005, -0.002), (0.01, -0.043, -0.005), (0.03, -0.084, -0.016)],
+)
+def test_the_slip_of_free_rolling_grows_with_the_sinkage(depth, flow, plain):
+    """Slip without torque at a sinkage of `depth` radii, as docs/physics/contact.md has it."""
+    soil = soils()["dry_sand"].state(R)._replace(cohesion=0.0, dig_gain=0.0)
+
+    def at(slip, exponent, law):
+        firm = soil._replace(sinkage_coefficient=10.0**exponent, **law)
+        return steady_state(slip, LOAD, firm, R, R)
+
+    exponent = brentq(lambda e: at(-0.01, e, {}).sinkage / R - depth, 5.0, 12.0)
+    with_flow = brentq(lambda i: at(i, exponent, {}).torque, -0.3, 0.1)
+    without = brentq(lambda i: at(i, exponent, EQUATION_10).torque, -0.3, 0.1)
+    assert (with_flow, without) == pytest.approx((flow, plain), abs=6e-4)
 
 
 @settings(max_examples=60, deadline=None)

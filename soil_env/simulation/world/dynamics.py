@@ -12,7 +12,7 @@ from soil_env._compiled.elementary import sin_cos, smoothed_sign
 from soil_env._compiled.flags import compiled_finite, inlined
 from soil_env.slip import braked_share
 from soil_env.terramechanics.effects.multipass import in_rut
-from soil_env.terramechanics.ground import lowered
+from soil_env.terramechanics.ground import below_rut
 from soil_env.terramechanics.motor import motor_torque
 from soil_env.terramechanics.reaction import (
     REST_SPEED,
@@ -132,7 +132,7 @@ def ground_ahead(wheel, stage, course, cells, border, effects):
     passes = pass_at(cells, x)
     floor, rolled = rut_at(cells, x)
     if floor + rolled > 0.0:
-        soil = lowered(soil, floor + rolled)
+        soil = below_rut(soil, floor + rolled)
     return Ahead(in_rut(soil, passes, effects), grade, passes, rolled)
 
 

@@ -9,6 +9,7 @@ from soil_env.envs.rover_env import SoilRoverEnv
 from soil_env.identification.online.memory import PUBLISHED
 from soil_env.parameters import SoilState, rover_names
 from soil_env.simulation.rover.task import axle_names
+from soil_env.simulation.world.terrain import places_on
 from soil_env.slip import signed_slip
 
 
@@ -91,6 +92,24 @@ def test_readings_are_the_state_with_noise(rover):
         assert max(map(abs, values)) < 6.0 and 0.5 < np.std(values) < 1.6, name
     sinks = [np.array(worst[f"{axle}_sinkage"]) for axle in axle_names(s.axles)]
     assert abs(np.corrcoef(sinks[0], sinks[-1])[0, 1]) < 0.6  # every wheel has sensors of its own
+
+
+@pytest.mark.parametrize("rover", rover_names())
+def test_a_rover_starts_on_its_slopes(rover):
+    """Height of each axle above the rear one: the integral of the slopes between, each shorter than
+    the wheelbase.
+    """
+    env = SoilRoverEnv(rover, course={"slope_length": [0.2, 0.25], "border": 0.05})
+    env.reset(seed=4)
+    axles = env.scenario.axles
+    worlds = env.simulation.worlds
+    places = worlds.state["wheels"]["x"][0, :axles]
+    x = np.linspace(0.0, places[0], 20_001)
+    slope = np.sin(places_on(worlds.courses, 0, x, 0.05)["grade"])
+    height = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(x))])
+    found = worlds.state["axles"]["height"][0, :axles]
+    assert np.ptp(slope) > 0.02
+    np.testing.assert_allclose(found, np.interp(places, x, height), atol=2e-3)
 
 
 @pytest.mark.parametrize("rover", rover_names())
