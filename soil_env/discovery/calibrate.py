@@ -337,10 +337,21 @@ class Problem:
         """[N] sinkages [m] of a fit, from which a prediction starts."""
         return np.maximum(fit.output[:, 0], 0.0)
 
+    @property
+    def sd(self) -> np.ndarray:
+        """[N, 3] standard deviation of the noise of each value [m, N, N m]."""
+        return np.broadcast_to(self.noise * self.data.relative_sd, self.used.shape)
+
+    @property
+    def channel_sd(self) -> np.ndarray:
+        """[3] root mean square of `sd` over the values in use, or `noise` where none is in use."""
+        square = np.where(self.used, self.sd**2, 0.0).sum(axis=0)
+        count = self.used.sum(axis=0)
+        return np.where(count > 0, np.sqrt(square / np.maximum(count, 1)), self.noise)
+
     def whiten(self, values: np.ndarray) -> np.ndarray:
         """[M, ..] the values in use of an array [N, 3, ..], each over its noise."""
-        scale = self.noise * self.data.relative_sd
-        return (values.T / scale.T).T[self.used]
+        return (values.T / self.sd.T).T[self.used]
 
     def without(self, rows: np.ndarray) -> Problem:
         """A copy of the problem that does not use the values of `rows` [N, bool]."""

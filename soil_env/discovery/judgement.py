@@ -106,11 +106,8 @@ def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
         moved = np.linalg.solve(normal - j.T @ j, a.T @ e - j.T @ r)
         error[out] += fit.sizes.scatter * (r - j[:, :laws] @ moved[:laws]) / len(ways)
     predicted = np.full(problem.used.shape, math.nan)
-    scale = problem.noise * problem.data.relative_sd
-    predicted[problem.used] = (
-        problem.data.y[problem.used]
-        - error * np.broadcast_to(scale, problem.used.shape)[problem.used]
-    )
+    used = problem.used
+    predicted[used] = problem.data.y[used] - error * problem.sd[used]
     return predicted
 
 
@@ -124,17 +121,8 @@ def gaps(problem: Problem, before: np.ndarray, after: np.ndarray) -> dict[str, G
         if used.any():
             y = problem.data.y[used, j]
             old, new = (float(np.sqrt(np.mean((y - p[used, j]) ** 2))) for p in (before, after))
-            out[name] = Gap(old, new, float(_noise(problem)[j]))
+            out[name] = Gap(old, new, float(problem.channel_sd[j]))
     return out
-
-
-def _noise(problem: Problem) -> np.ndarray:
-    """[3] root mean square of the noise of the values in use, by channel; that of the channel where
-    none is in use.
-    """
-    square = np.where(problem.used, problem.data.relative_sd**2, 0.0).sum(axis=0)
-    count = problem.used.sum(axis=0)
-    return problem.noise * np.sqrt(np.where(count > 0, square / np.maximum(count, 1), 1.0))
 
 
 def closed(problem: Problem, gap: dict[str, Gap]) -> float | None:
@@ -173,7 +161,7 @@ def closed_interval(
         weight *= rng.multinomial(len(way), equal, size=_CLOSED_DRAWS)[:, group]
     total = []  # [draws] gap before, gap after
     for held in (before, after):
-        square = np.where(problem.used, ((problem.data.y - held) / _noise(problem)) ** 2, 0.0)
+        square = np.where(problem.used, ((problem.data.y - held) / problem.channel_sd) ** 2, 0.0)
         count = weight @ problem.used  # [draws, 3]
         mean = (weight @ square) / np.maximum(count, 1.0)
         total.append(np.sum(count * np.maximum(mean - 1.0, 0.0), axis=1))

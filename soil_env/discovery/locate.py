@@ -197,4 +197,4 @@ def _disagreement(
     for name, (a, b) in box.items():
         value = varied[name].value[(varied[name].level >= a) & (varied[name].level <= b)]
         region[name] = (float(value.min()), float(value.max()))
-    return Disagreement(channel, region, size, float(size / problem.noise[j]), p)
+    return Disagreement(channel, region, size, float(size / np.mean(problem.sd[inside, j])), p)

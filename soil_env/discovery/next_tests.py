@@ -270,7 +270,7 @@ def proposed(
         return ()
     grid = conditions(problem, evidence)
     # The run of the table that is missed most is the last of the grid.
-    missed = np.nan_to_num(np.abs(problem.data.y - evidence[0].fit.output) / problem.noise)
+    missed = np.nan_to_num(np.abs(problem.data.y - evidence[0].fit.output) / problem.sd)
     worst = int(np.argmax(missed.max(axis=1)))
     last = grid.value["slip"].size
     grid = grid._replace(

@@ -470,7 +470,7 @@ def curve_at(problem: Problem, conditions: Conditions) -> np.ndarray | None:
     for j, use in enumerate(problem.used.T):
         if use.sum() >= FEWEST:
             y = problem.data.y[use, j]
-            curve = fit_curve(rows.slip[use], rows.load[use], y, problem.noise[j])
+            curve = fit_curve(rows.slip[use], rows.load[use], y, problem.sd[use, j])
             out[:, j] = curve.at(there.slip, there.load)
     return out
 
@@ -521,8 +521,8 @@ def _errors(problem: Problem, split: str, what: tuple[str, ...], held: np.ndarra
         return Errors(float(base), float(full), float(curve), noise)
 
     errors: dict[str, Errors] = {
-        name: size(off[:, used, j], float(problem.noise[j]))
+        name: size(off[:, used, j], float(problem.channel_sd[j]))
         for j, (name, used) in enumerate(zip(CHANNELS, problem.used.T, strict=True))
         if used.any()
     }
-    return LeftOut(split, what, errors, size((off / problem.noise)[:, problem.used], 1.0))
+    return LeftOut(split, what, errors, size((off / problem.sd)[:, problem.used], 1.0))

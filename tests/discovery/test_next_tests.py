@@ -207,6 +207,11 @@ def test_who_is_left():
     q.used = p.used & (y == p.data.y)  # left out as an outlier
     outlier = proposed(q, (settle(q, ()),), (1.0,), repeat=True)[0].conditions
     assert (outlier["slip"], outlier["load"]) == (p.data.rows.slip[3], p.data.rows.load[3])
+    noisy = np.ones_like(y)
+    noisy[3, 1] = 100.0  # that value is known to be 100 times as uncertain: not missed
+    q.data = dataclasses.replace(q.data, relative_sd=noisy)
+    other = proposed(q, (settle(q, ()),), (1.0,), repeat=True)[0].conditions
+    assert (other["slip"], other["load"]) != (outlier["slip"], outlier["load"])
     # The table has one pass: an effect that no pass could show has its prior odds, and runs of
     # another pass.
     unseen = next_tests(p, finding(0.1, 0.0, 0.0, 0.9, untestable=("multipass", "grade")))

@@ -86,8 +86,8 @@ def test_it_is_told_where_the_base_model_predicts_better(planted, errors, said):
     base, corrected = errors
     over = way.over_noise._replace(base=base, corrected=corrected)
     outlook = planted.outlook._replace(left_out=(way._replace(over_noise=over),))
-    told = sentences.foreseen(dataclasses.replace(planted, outlook=outlook))
-    assert told.count("the base model predicts better than model.yaml") == said
+    told = words.next_step(dataclasses.replace(planted, outlook=outlook))
+    assert told.count("for a slip that you have not measured, with the soil of") == said
 
 
 @pytest.mark.parametrize(

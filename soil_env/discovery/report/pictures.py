@@ -122,7 +122,7 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
     found = []  # (mean square error over the noise, number, rows)
     for k, rows in enumerate(data.groups):
         if np.unique(varied["slip"].level[rows]).size >= min(FEWEST_SLIPS, varied["slip"].levels):
-            off = (data.y - report.held_out_before)[rows] / report.problem.noise
+            off = (data.y - report.held_out_before)[rows] / report.problem.sd[rows]
             found.append((float(np.nanmean(off**2)) if np.isfinite(off).any() else 0.0, k, rows))
     found.sort(key=lambda f: f[:2])
     evenly = np.linspace(0, len(found) - 1, min(CURVES, len(found))).round().astype(int)
@@ -183,7 +183,7 @@ def _slip(report: Report) -> Figure:
             ax.errorbar(
                 measured_slip,
                 measured,
-                2.0 * scale * report.problem.noise[j],
+                2.0 * scale * report.problem.sd[rows, j],
                 fmt="o",
                 ms=3,
                 lw=0.8,

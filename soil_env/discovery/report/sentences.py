@@ -347,7 +347,7 @@ def cautions(report: Report) -> list[str]:
             # Distance in sd of the setup's prior, which the fit widened.
             far = abs(PRIOR_WIDTH * widened[unknown.name].at(value))
             off_prior += [(label, far)] if far > FAR else []
-    residual = np.abs(problem.data.y - fit.output) / problem.noise
+    residual = np.abs(problem.data.y - fit.output) / problem.sd
     dropped = problem.data.measured & ~problem.used
     worse_with = []
     for j in np.flatnonzero(dropped.any(axis=0)):
@@ -432,8 +432,6 @@ def foreseen(report: Report) -> str:
             f"Leaving {_level(way.what)} out, the base model errs by {figure(over.base)} times the "
             f"noise, the corrected one by {figure(over.corrected)}{curve}."
         )
-        if over.corrected > max((1.0 + WORSE) * over.base, 1.0):
-            parts.append("So there the base model predicts better than model.yaml.")
     guess = report.guess
     if guess is not None and guess.times > GUESSED:
         name = "drawbar_pull" if "drawbar_pull" in report.channels else report.channels[0]
@@ -445,6 +443,21 @@ def foreseen(report: Report) -> str:
     elif report.surer_runs:
         parts.append(f"It guesses nowhere{_to_predict(report)}.")
     return " ".join(parts)
+
+
+def simulate(report: Report) -> str:
+    """Clause on what to simulate with: model.yaml, but the base model for what it predicted better
+    when that was left out.
+    """
+    better = [
+        _level(way.what)
+        for way in report.outlook.left_out
+        if way.over_noise.corrected > max((1.0 + WORSE) * way.over_noise.base, 1.0)
+    ]
+    if not better:
+        return "simulate with model.yaml"
+    new = f"for {joined(better)} that you have not measured"
+    return f"simulate with model.yaml; {new}, with the soil of `soil-env identify` alone"
 
 
 def _to_predict(report: Report) -> str:
