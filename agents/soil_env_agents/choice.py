@@ -98,7 +98,7 @@ class Chooser(BaseCallback):
 
     @property
     def choosing(self) -> np.ndarray:
-        """Mask [wheels, 1] of those whose next action chooses a route."""
+        """Mask [wheels, 1] of those whose next action chooses a route; none without routes."""
         return (
             np.zeros((self.normalised.num_envs, 1), bool)
             if self.env is None

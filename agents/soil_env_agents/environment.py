@@ -231,9 +231,9 @@ def _drawn(scenario: Scenario, effect: Effect, rng: np.random.Generator) -> Whee
 
 
 def _size(p: EffectParameter, rng: np.random.Generator) -> float:
-    """Value of a parameter, drawn evenly within one standard deviation of its prior.
+    """Value of a parameter, drawn evenly within one standard deviation of its prior, [low, high].
 
-    That is of the logarithm about a `centre`, else about `neutral`, at which the effect is off.
+    Evenly in the logarithm about `centre` where it has one, else about `neutral`, where it is off.
     """
     share = rng.uniform(-1.0, 1.0)
     if p.centre is not None:

@@ -94,9 +94,12 @@ def teach(
     most: int = KEPT,
 ) -> None:
     """Let an untrained `model` learn from the teacher for `steps` of its environment, or up to a
-    round more.
+    round more, so that PPO can go on from it.
 
-    It learns from the newest steps, at `most` so many.
+    In the first round the teacher drives, then the model (DAgger). After each round the policy is
+    fitted to the teacher's actions in the newest `most` steps of all wheels, at least one round,
+    without halts, which have the weight 0. The `Chooser` learns from the routes taken. At the end
+    the value network is fitted to the returns of courses that ended.
     """
     env = model.get_vec_normalize_env()
     policy = model.policy
@@ -135,7 +138,7 @@ def teach(
             share = LAST_RATE * (1.0 - i / updates) if last else 1.0 - k / rounds
             optimizer.param_groups[0]["lr"] = RATE * max(share, LEAST_RATE)
             _descend(optimizer, _lesson_loss(policy, env, kept, kept.drawn(rng)))
-        chooser.learn(1.0 - k / rounds)
+        chooser.learn(1.0 - k / rounds)  # the share of the training that is left
         progress((k + 1) * ROUND * wheels)
     returns, ended = kept.returns(model.gamma)
     returns /= np.sqrt(env.ret_rms.var + env.epsilon)

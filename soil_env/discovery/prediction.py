@@ -416,10 +416,12 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
     square = {name: remainder.square(name) for name in USUAL.lengths if name in remainder.names}
 
     def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
-        """(-ln of likelihood times prior, its derivatives [8]) at logarithms x [8].
+        """(-ln of likelihood times prior, its derivatives [8]) at x [8], `Learnt.logarithms`:
+        three sizes, two lengths, three noises.
 
         With the covariance K of the values and a = K^-1 e, the derivative of the likelihood's part
-        is (tr(K^-1 dK) - a'dK a)/2.
+        is (tr(K^-1 dK) - a'dK a)/2. `IMPOSSIBLE` with the slope 0 beyond `FAR`, and where the
+        covariance without unknowns is not positive definite.
         """
         if np.any(np.abs(x) > FAR):
             return IMPOSSIBLE, np.zeros(x.size)
@@ -436,13 +438,16 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
         off = (x - usual) / SPREAD
         value = 0.5 * (v @ a + off @ off) + c.log_size + log_diagonal(of_unknowns)
         slope = off / SPREAD
-        for k, (at, root, alike, noise) in enumerate(c.channels):
+        for k, (places, root, of_remainder, noise) in enumerate(c.channels):
             # g = (K^-1 - a a')/2 within the channel.
-            inverse = solve_triangular(root, np.eye(at.size), lower=True)
-            beside = inverse.T @ np.column_stack([b[at], a[at]])
+            inverse = solve_triangular(root, np.eye(places.size), lower=True)
+            beside = inverse.T @ np.column_stack([b[places], a[places]])
             g = 0.5 * (inverse.T @ inverse - beside @ beside.T)
+            # noise = 1 + beyond^2, by ln(beyond) 2 beyond^2; the remainder, as
+            # size^2 exp(-square/(2 length^2)), by ln(size) 2 and by ln(length) square/length^2
+            # times itself.
             slope[5 + k] += 2.0 * np.diag(g) @ (noise - 1.0)
-            g *= alike
+            g *= of_remainder
             slope[k] += 2.0 * np.sum(g)
             use = np.ix_(used[:, k], used[:, k])
             for n, (name, length) in enumerate(learnt.lengths.items(), start=3):

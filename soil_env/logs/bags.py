@@ -55,7 +55,8 @@ class Message(NamedTuple):
 
 
 def bag_files(path: Path) -> list[Path]:
-    """Files of a bag in the order of recording: as metadata.yaml lists them, else by name.
+    """Files of a bag in the order of recording: as metadata.yaml lists them, whatever folders it
+    names, else by name.
 
     A recording that was killed has no metadata.yaml. Files that it lists may be missing.
     `ParameterError` for a folder without files of a bag, and for compressed ones. A path to a file
@@ -483,7 +484,7 @@ def _item(message: Any, values: Any, step: str | int, where: str) -> Any:
 
 def uphill(x: float, y: float, z: float, w: float) -> float:
     """Pitch [rad] of a body with axes x forward and z up (REP 103), uphill positive; NaN for no
-    orientation.
+    orientation. x, y, z, w are a quaternion of any length.
     """
     norm = x * x + y * y + z * z + w * w
     if norm < _LEAST_NORM:

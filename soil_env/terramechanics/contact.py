@@ -463,8 +463,10 @@ def _mobilised_by(law, j, K):
 @compiled_sums
 def lay_nodes(nodes, arc, n):
     """Lay the nodes of an `Arc` into the scratch `nodes` (`ARC_NODES`), for a sinkage exponent n.
-    Return (Int p cos, Int p sin).
+    Return (Int p cos, Int p sin) [m^n rad] over the arc, with the normal stress p of S = 1.
 
+    `stress` is p times the weight of the node. The shear displacement of Eq. (10) is
+    rim `by_rim` + travel `by_travel` [m], with rim and travel as on top of this module.
     Gauss-Legendre nodes are at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam -
     theta2) u^2 behind. That removes the singularity (theta1 - theta)^n at both ends. By Eq. (8) the
     front node and the rear node of one u have the same normal stress.

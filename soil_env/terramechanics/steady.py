@@ -364,7 +364,9 @@ def _solve_balance(nodes, p, wheel, fx, guess):
     A secant in x = ln z within the bracket (low, high); a step out of the bracket is replaced by
     its middle. The last step of a secant that has converged is not evaluated: sinkage, pull and
     torque are extrapolated by it. A wheel whose search ends at `DEEPEST` radii is not carried.
-    w are the `Forces` at x, and x_old, misfit_old, w_old belong to the step before.
+
+    `p` is the `_Balance`, `guess` a sinkage [m] to start from, 0 for none, `fx` `Effects` or None,
+    `nodes` scratch. w are the `Forces` at x; x_old, misfit_old, w_old belong to the step before.
     """
     deepest = math.log(DEEPEST * wheel.radius)
     shallowest = SHALLOWEST_TYRE if on_tyre(wheel) else SHALLOWEST

@@ -67,12 +67,17 @@ class Work:
         self.folder = folder
 
     def needs(self, cell: Cell) -> dict:
-        """All that a cell depends on, as plain values."""
+        """All that the result of a cell depends on beside its name, as plain values: where they
+        have changed since it was stored, the cell is done again.
+
+        `targets`: the one that it learns on, then those that it is driven on.
+        """
         study = self.study
         arm = study.arms[cell.arm]
         targets = [study.targets[name] for name in (cell.source, *study.fed_by(cell.source))]
         return {
             "arm": to_dict(arm),
+            # of a user's controller, given as "module:Class"
             "code": code_digest(arm.controller) if ":" in arm.controller else "",
             "world": to_dict(study.worlds[arm.world]) if arm.world else {},
             "targets": [to_dict(target) for target in targets],

@@ -437,8 +437,10 @@ def _exact_conditions(problem: TableProblem) -> tuple[str, ...]:
 def _units(
     problem: TableProblem, parameters: dict[str, Parameter], fits: dict[str, ChannelFit]
 ) -> list[str]:
-    """Warnings of a wrong unit in setup or table: a tiny load, a soil softer than any, residuals
-    far below a given noise. `fits`: under noise alone.
+    """Warnings of a wrong unit in setup or table: a tiny load, or else a soil that is softer than
+    any to the upper end of its 95 % interval, and residuals far below a given noise.
+
+    `fits`: under noise alone; their `too_small` is a p value.
     """
     words = []
     load = float(np.median(problem.rows.load))
@@ -507,8 +509,8 @@ def _off_prior(problem: TableProblem, plain: _Plain) -> list[tuple[float, str]]:
 def _doubts(
     problem: TableProblem, u: np.ndarray, off_prior: list[str], converged: bool
 ) -> list[str]:
-    """Warnings on the solution u: bounds, priors (`off_prior`), scarce noise, a single load, what
-    is not modelled, weights that have not settled.
+    """Warnings on the solution u [prior sd]: bounds, priors (`off_prior`), scarce noise, a single
+    load, what is not modelled, weights that have not settled.
     """
     words = []
     setup = problem.setup

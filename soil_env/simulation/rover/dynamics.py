@@ -104,8 +104,10 @@ def _solve_stage(rover, course, ruts, number, h, forced, world):
 
 @inlined
 def _command_at(left, world):
-    """Set the commands of all axles to those at the time when `left` seconds of the control period
-    remain.
+    """Set the commands of all axles, shares of the stall torque or of the top rim speed, to those
+    at the time when `left` seconds of the control period remain.
+
+    A speed goes evenly from `before` to `asked` within the period; a torque is constant.
     """
     share = 1.0 - left / world.rig.period
     for a in range(world.suspension.axles):
