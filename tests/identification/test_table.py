@@ -24,7 +24,7 @@ from soil_env.identification.table.problem import TableProblem
 from soil_env.identification.table.report import text_of
 from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors
 from soil_env.measurement.table import read_table
-from soil_env.parameters import Soil
+from soil_env.parameters import Soil, soils
 from soil_env.terramechanics.model import WheelSoilModel
 from tests.terramechanics import reference
 
@@ -412,6 +412,22 @@ def test_a_given_shear_law_is_that_of_the_soil(tmp_path):
     assert {name: getattr(e.soil, name) for name in law} == law
     with pytest.raises(ParameterError, match="rim_flow: expected a plain number"):
         setup_of(THREE, rim_flow=Prior(0.1, 0.02))
+
+
+def test_a_soil_that_flows_has_a_smaller_modulus_by_equation_10(tmp_path):
+    """By a quarter to a third, for driving rows of a soil of the library, as docs/guide/tables.md says."""
+    sand = soils()["dry_sand"]
+    slip, load = np.meshgrid((0.05, 0.1, 0.2, 0.35, 0.5, 0.7), (60.0, 100.0, 160.0))
+    slip, load = slip.ravel(), load.ravel()
+    still = replace(sand, dig_gain=0.0)
+    found = WheelSoilModel(WHEEL, still).predict({"slip": slip, "load": load})
+    table = table_of(tmp_path, np.column_stack([slip, load, *found[:3]]).tolist())
+    known = {"rim_flow": Prior(0.1, 0.0), "braked_peak": Prior(0.25, 0.0)}
+    own, short = (
+        identify_table(table, setup_of(THREE, **law)).soil.shear_modulus for law in (known, {})
+    )
+    assert own == pytest.approx(sand.shear_modulus, rel=0.03)  # cohesion is pulled to its prior
+    assert short / sand.shear_modulus == pytest.approx(0.71, abs=0.06)
 
 
 def test_intervals_from_few_points_at_one_load(tmp_path):
