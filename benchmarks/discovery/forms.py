@@ -330,6 +330,36 @@ def bingham(contact, s, side):
     contact.tangential.append(hook)
 
 
+@_form(
+    "pressure_dependent_friction",
+    "angle that is lost at large stress [rad]",
+    0.35,
+    side=lambda rng, bench: {"pressure": bench.pressure * rng.uniform(0.3, 1.5)},
+)
+def curved_envelope(contact, s, side):
+    """An angle that falls with the local stress, phi + s/(1 + sigma/p), after Maksimovic (1989)."""
+
+    def hook(limit, sigma, theta):
+        more = s / (1.0 + np.maximum(sigma, 0.0) / side["pressure"])
+        return limit + np.maximum(sigma, 0.0) * (np.tan(contact.phi + more) - contact.tan_phi)
+
+    contact.strength.append(hook)
+
+
+@_form(
+    "pressure_dependent_modulus",
+    "gain of K at twice the mean load [-]",
+    1.5,
+    side=drawn("load"),
+)
+def longer_under_load(contact, s, side):
+    """K that grows in proportion to the load, K [1 + s (W/W0 - 1)], after the K of Wong (2010) at
+    several pressures.
+    """
+    gain = 1.0 + s * (contact.load / side["load"] - 1.0)
+    contact.shear_modulus = contact.shear_modulus * np.maximum(gain, 0.1)
+
+
 def _along_the_slope(contact):
     """The component along the slope of the weight whose normal part is the load of the table."""
     take = (contact.load * np.tan(contact.grade))[:, 0]

@@ -253,9 +253,11 @@ class Problem:
             middle = _geometric_mean(speed)
             slide = sliding_speeds(speed, rows.slip)
             sliding = _geometric_mean(slide[slide > 0.0]) if np.any(slide > 0.0) else middle
+        load = float(np.median(rows.load))
         return Bench(
             radius=r,
-            load=float(np.median(rows.load)),
+            load=load,
+            pressure=load / (r * self.data.wheel.width),
             sinkage=sinkage,
             speed=middle,
             median_speed=float(np.median(speed)),

@@ -41,7 +41,6 @@ from .calibrate import Problem
 from .instrument import INSTRUMENT, LISTED, Choice
 from .prediction import Prediction, independent
 from .predictive import DEEPEST
-from .unnamed import OF_LOAD
 
 #: Slip by which the table goes beyond the measured ones; it begins at 0 where no row is braked.
 BEYOND_SLIP = 0.1
@@ -91,14 +90,14 @@ def model_of(problem: Problem, choices: Sequence[Choice], values: Values) -> Whe
 def parameters(problem: Problem, choice: Choice, values: Values) -> dict[str, float]:
     """Parameters of an effect, cut to their bounds; names are without that of the effect.
 
-    They are those that its form frees, those that the form sets, and the reference speed, which the
+    They are those that its form frees, those that the form sets, and the references, which the
     table sets.
     """
     numbers = problem.effects((choice,), dict(values))._asdict() | dict(values)
     out = {}
     for p in LISTED[choice.effect].parameters:
         full = f"{choice.effect}_{p.name}"
-        if full in choice.free or full in choice.fixed or p.name == "reference_speed":
+        if full in choice.free or full in choice.fixed or p.name.startswith("reference_"):
             out[p.name] = min(max(float(numbers[full]), p.low), p.high)
     return out
 
@@ -107,13 +106,13 @@ def corrected(found: Prediction, named: Sequence[str] = ()) -> WheelSoilModel:
     """The model of a prediction that can be simulated: its soil, its effects, and the rest as a
     table.
 
-    In the rest are errors of the rig, soil that goes with the load, effects that only sensors feel
-    (`SENSED`), and effects that together change no value by `LITTLE`. Exceptions: a `SENSED` effect
-    that is `named` stays an effect. A named error of the rig and the tilt of the setup are in
-    neither, since the world is no rig.
+    In the rest are errors of the rig, effects that only sensors feel (`SENSED`), and effects that
+    together change no value by `LITTLE`. Exceptions: a `SENSED` effect that is `named` stays an
+    effect. A named error of the rig and the tilt of the setup are in neither, since the world is no
+    rig.
     """
     problem = found.problem
-    left = [name for name in (*INSTRUMENT, *OF_LOAD, *SENSED) if name not in {*named} & {*SENSED}]
+    left = [name for name in (*INSTRUMENT, *SENSED) if name not in {*named} & {*SENSED}]
     choices = tuple(c for c in found.law.choices if c.effect not in left)
     output = problem.predict(found.values, choices, np.maximum(found.output[:, 0], 0.0))
     for name in dict.fromkeys(c.effect for c in choices):

@@ -32,7 +32,7 @@ from soil_env.terramechanics.effects.entry import (
 )
 from soil_env.terramechanics.model import Rows
 
-from .unnamed import OF_LOAD, UNNAMED
+from .unnamed import UNNAMED
 
 #: Standard deviation of a zero error that is a candidate: that of the pull over the median load of
 #: the table, that of the torque over this load times the radius.
@@ -230,7 +230,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
 #: Everything that can be named.
 LISTED: Mapping[str, Effect] = MappingProxyType({**CATALOGUE, **INSTRUMENT})
 #: Everything that can be named, and the laws without a name (`unnamed`).
-LAWS: Mapping[str, Effect] = MappingProxyType({**LISTED, **UNNAMED, **OF_LOAD})
+LAWS: Mapping[str, Effect] = MappingProxyType({**LISTED, **UNNAMED})
 
 
 class Choice(NamedTuple):

@@ -34,9 +34,8 @@ from soil_env.terramechanics.model import rows_of
 
 from .calibrate import Law, Problem
 from .curve import LEAST_SPAN, fit_curve
-from .instrument import LISTED, Choice, Choices
+from .instrument import LISTED, Choices
 from .search import candidates, forms
-from .unnamed import OF_LOAD
 
 #: Forms of an effect that are fitted together; of effects that are not here, the first form.
 FORMS = {"slip_sinkage": ("ratio", "exponent"), "grousers": ("shear_radius", "blades")}
@@ -131,8 +130,7 @@ def effects_to_fit(problem: Problem) -> Choices:
 
     They are the candidates of the search, less `LEFT_OUT` and effects whose condition does not vary
     by itself. An effect of `FORMS` has the forms named there, any other its first form; a form that
-    needs a speed is left out where a row has none. Where the load varies by itself, friction and K
-    that change with the load (`OF_LOAD`) are among them.
+    needs a speed is left out where a row has none.
     """
     out = []
     varied = independent(problem)
@@ -142,8 +140,6 @@ def effects_to_fit(problem: Problem) -> Choices:
         published = LISTED[name].forms
         names = FORMS.get(name, (published[0].name,))
         out += [c for c in forms(problem, name) if published[c.form].name in names]
-    if "load" in varied:
-        out += [Choice(name, 0) for name in OF_LOAD]
     return tuple(out)
 
 
@@ -475,7 +471,7 @@ def curve_at(problem: Problem, conditions: Conditions) -> np.ndarray | None:
     for j, use in enumerate(problem.used.T):
         if use.sum() >= FEWEST:
             y = problem.data.y[use, j]
-            curve = fit_curve(rows.slip[use], rows.load[use], y, problem.sd[use, j])
+            curve = fit_curve(rows.slip[use], rows.load[use], y, problem.noise[j])
             out[:, j] = curve.at(there.slip, there.load)
     return out
 

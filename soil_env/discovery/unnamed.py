@@ -77,12 +77,6 @@ _ANONYMOUS = {
     )
     for condition in _COLUMNS
 }
-#: The same of soil that goes with the load.
-_PRESSED = {
-    "friction_load": ("friction_angle_deg", "load"),
-    "modulus_load": ("shear_modulus", "load"),
-}
-_SOIL = _ANONYMOUS | _PRESSED
 TORQUE_SCALE = 0.5  # [load times radius] y0 of `torque_curve`; own choice
 PULL_SCALE = 0.2  # [load] y0 of `pull_curve`; own choice
 LEAST_DIVISOR = 0.1  # of these curves, which would change the sign of a reading below 0; own choice
@@ -125,20 +119,6 @@ _NAMELESS = (
 UNNAMED: Mapping[str, Effect] = MappingProxyType({law.name: law for law in _NAMELESS})
 
 
-#: Laws of soil that goes with the pressure, which predict (`prediction`) and are not named.
-#: Friction: curved strength envelopes at low stress (Baker 2004, Can. Geotech. J. 41:367-382).
-#: K: grows with the contact length, and so with load (fitted here).
-OF_LOAD: Mapping[str, Effect] = MappingProxyType(
-    {
-        name: _law(name, f"a soil whose {name.split('_')[0]} goes with the load", CHANNELS, power)
-        for name, power in (
-            ("friction_load", _p("power", 0.12, -1.0, 1.0)),
-            ("modulus_load", _p("power", 0.6, -3.0, 3.0)),
-        )
-    }
-)
-
-
 def _slip_share(rows: Rows, scale: float) -> np.ndarray:
     """[N] q = 1 - exp(-i/k) with k the `scale` of slip; 0 where braked."""
     return -np.expm1(-np.maximum(rows.slip, 0.0) / scale)
@@ -171,20 +151,18 @@ def factors(rows: Rows, values: Values, bench: Bench) -> np.ndarray | None:
     """Factors [N, 4] on the soil parameters `BY_ROW` (on the tangent of the friction angle), by the
     laws of soil whose power is among `values`; None without such a law.
     """
-    laws = [name for name in _SOIL if f"{name}_power" in values]
+    laws = [name for name in _ANONYMOUS if f"{name}_power" in values]
     out = np.ones((rows.slip.size, len(BY_ROW)))
     for name in laws:
-        parameter, by = _SOIL[name]
+        parameter, by = _ANONYMOUS[name]
         out[:, BY_ROW.index(parameter)] *= _factor(rows, by, bench) ** values[f"{name}_power"]
     return out if laws else None
 
 
 def _factor(rows: Rows, by: str, bench: Bench) -> np.ndarray:
-    """[N] base of the power that multiplies a soil parameter: load or speed over the middle one, or
-    the pass number; `by`: "load", "speed" or "pass".
+    """[N] base of the power that multiplies a soil parameter: the speed over the middle one, or the
+    pass number; `by`: "speed" or "pass".
     """
-    if by == "load":
-        return rows.load / bench.load
     column = rows.conditions[:, _COLUMNS[by]]
     return column / bench.speed if by == "speed" else column
 

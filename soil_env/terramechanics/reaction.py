@@ -271,7 +271,8 @@ def _soil_and_arc(at, slip, soil, wheel, fx):
         return _gripped(soil, arc, at.load, wheel), arc, 0.0, 0.0, 0.0
     else:
         slide = abs(at.rim_speed - at.speed)
-        passage = Passage(soil, slip, abs(at.speed), slide, at.passes, at.sin_grade)
+        pressure = at.load / (wheel.width * wheel.radius)
+        passage = Passage(soil, slip, abs(at.speed), slide, at.passes, at.sin_grade, pressure)
         ground = soil_in_contact(soil, passage, fx)
         arc = arc_of(at.sinkage, slip, shift, at.load, fx, wheel)
         shear_ratio = wheel.shear_ratio

@@ -250,7 +250,9 @@ def _balance(slip, load, soil, wheel, conditions, fx):
     else:
         sine = conditions.sin_grade
         slide = sliding_speed(slip, conditions.speed)
-        passage = Passage(soil, slip, conditions.speed, slide, conditions.passes, sine)
+        normal, along = weight_on_slope(load, sine, fx)
+        pressure = normal / (wheel.width * wheel.radius)
+        passage = Passage(soil, slip, conditions.speed, slide, conditions.passes, sine, pressure)
         ground = soil_in_contact(soil, passage, fx)
         # Shear at the radius q r stretches j, thrust and torque: K/q here, and strength times q.
         # Where slip was taken at the rim of radius R, the tips of the lugs move faster by r/R.
@@ -267,7 +269,6 @@ def _balance(slip, load, soil, wheel, conditions, fx):
         strength = math.log(ground.sinkage_coefficient)
         strength -= ground.sinkage_exponent * math.log(ratio / apparent)
         sheared = at_shear_radius(ground, q, modulus)
-        normal, along = weight_on_slope(load, sine, fx)
         return _Balance(
             slip,
             rim,

@@ -415,7 +415,7 @@ def test_a_given_shear_law_is_that_of_the_soil(tmp_path):
 
 
 def test_a_soil_that_flows_has_a_smaller_modulus_by_equation_10(tmp_path):
-    """By a quarter to a third, for driving rows of a soil of the library, as docs/guide/tables.md says."""
+    """By a quarter to a third for driving rows, as docs/guide/tables.md says."""
     sand = soils()["dry_sand"]
     slip, load = np.meshgrid((0.05, 0.1, 0.2, 0.35, 0.5, 0.7), (60.0, 100.0, 160.0))
     slip, load = slip.ravel(), load.ravel()

@@ -62,6 +62,17 @@ SIZES = {
         "onset_speed": (0.005, 0.1),
         "reference_speed": (0.005, 0.1),
     },
+    "pressure_dependent_friction": {
+        "exponent": (-0.3, 0.2),
+        "slope": (-0.2, 0.2),
+        "reference_pressure": (3e3, 3e4),
+    },
+    "pressure_dependent_modulus": {
+        "exponent": (-0.5, 1.5),
+        "growth": (-0.5, 2.0),
+        "reference_pressure": (3e3, 3e4),
+        "reference_length": (0.05, 0.2),
+    },
     "shear_softening": {
         "sharpness": (1, 8),
         "drop": (0, 0.6),
@@ -88,7 +99,9 @@ def values(name, form, at=lambda low, high: low + 0.6 * (high - low)):
     """Parameters of one form of an effect, by default at 0.6 of their range."""
     sizes = SIZES[name]
     drawn = {
-        p: float(at(*sizes[p])) for p in (*form.free, "reference_speed", "onset") if p in sizes
+        p: float(at(*sizes[p]))
+        for p in sizes
+        if p in form.free or p == "onset" or p.startswith("reference_")
     }
     return {name: drawn | dict(form.fixed)}
 

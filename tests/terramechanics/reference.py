@@ -217,6 +217,8 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
             "penetration_rate",
             "shear_rate",
             "shear_softening",
+            "pressure_dependent_friction",
+            "pressure_dependent_modulus",
             "grade",
             "drivetrain_friction",
             "slip_bias",
@@ -245,6 +247,10 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
     done = site.passes - 1.0
     tan_phi = math.tan(math.radians(soil.friction_angle_deg))
     c = soil.cohesion
+    normal = load * (1.0 - fx["grade"].get("share", 0.0) * (1.0 - math.cos(site.grade)))
+    pressure = normal / (site.b * site.r)
+    rubs = fx["pressure_dependent_friction"]
+    stretch = fx["pressure_dependent_modulus"]
     S *= (1.0 - abs(site.grade) / math.atan(tan_phi)) ** (2.0 * fx["grade"].get("weakening", 0.0))
     S *= site.passes ** track.get("hardening", 0.0)
     if done > 0.0:
@@ -271,6 +277,9 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
         rate.get("slope", 0.0),
     )
     tan_phi = tan_phi * strength * site.passes ** track.get("strength", 0.0)
+    by_pressure = rubs.get("exponent", 0.0), rubs.get("slope", 0.0)
+    tan_phi *= rate_law(pressure, rubs.get("reference_pressure", 1e4), *by_pressure)
+    K *= (pressure / stretch.get("reference_pressure", 1e4)) ** stretch.get("exponent", 0.0)
     c = c * strength
     c *= max(
         1.0 + rate.get("cohesion", 0.0) * math.log(1.0 + sliding / rate.get("onset_speed", 0.02)),
@@ -285,7 +294,6 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
     R = site.r + lugs.get("radius_share", 0.0) * site.lug  # carries the normal stress
     Q = R + lugs.get("shear_share", 0.0) * site.lug  # shears the soil
     lag = ahead * (site.r if lugs.get("slip_at_rim", 0.0) else Q)  # V/w
-    normal = load * (1.0 - fx["grade"].get("share", 0.0) * (1.0 - math.cos(site.grade)))
 
     def arc(z):
         theta1 = math.acos(1.0 - z / R)
@@ -304,6 +312,8 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
         """Int (sigma, tau) . shape(theta) over the arc, for each shape [Pa]."""
         theta1, theta2, thetam = arc(z)
         undisturbed = z if dig.get("apparent", 0.0) else (z - extra) / k
+        length = R * theta1 / stretch.get("reference_length", 0.1)
+        longer = length ** stretch.get("growth", 0.0)
         ground = soil._replace(sinkage_coefficient=S * (undisturbed / z) ** n, sinkage_exponent=n)
         points = {theta2, thetam, theta1}
         if displacement(theta2, theta1) * displacement(theta1 - 1e-6, theta1) < 0.0:
@@ -312,9 +322,8 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
         def stresses(theta):
             sigma = normal_stress(theta, ground, R, theta1, theta2, thetam)
             j = displacement(theta, theta1)
-            return sigma, math.copysign(
-                (c + sigma * tan_phi) * mobilised_share(abs(j), K, fx["shear_softening"]), j
-            )
+            share = mobilised_share(abs(j), K * longer, fx["shear_softening"])
+            return sigma, math.copysign((c + sigma * tan_phi) * share, j)
 
         return [
             integrate(lambda theta, f=f: f(theta, *stresses(theta)), sorted(points), 1e-7)

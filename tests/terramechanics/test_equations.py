@@ -7,7 +7,7 @@ import pytest
 
 from soil_env.parameters import SoilState
 from soil_env.terramechanics import effects
-from soil_env.terramechanics.contact import mobilised
+from soil_env.terramechanics.contact import grown_modulus, mobilised, smooth_arc
 from soil_env.terramechanics.effects import (
     bulldozing,
     grade,
@@ -51,6 +51,7 @@ AT = {
     "DP_0": 0.0,
     "w": 0.7,
     "W": 120.0,
+    "p": 120.0 / (WIDTH * RADIUS),
     "i_measured": 0.25,
     "Kp": math.tan(math.pi / 4 + math.atan(0.6) / 2) ** 2,
     "X": math.pi / 4 - math.atan(0.6) / 2,
@@ -87,7 +88,7 @@ def model(name, form, values):
     """{left side: value} by the compiled laws."""
     fx = pack_effects({name: values})
     at = AT
-    passage = effects.entry.Passage(SOIL, at["i"], at["V"], at["v"], at["N"], 0.0)
+    passage = effects.entry.Passage(SOIL, at["i"], at["V"], at["v"], at["N"], 0.0, at["p"])
     ground = effects.soil_in_contact(SOIL, passage, fx)
     if name == "slip_sinkage":
         ratio = slip_sinkage.slip_sinkage_ratio(at["i"], *slip_sinkage.digging(SOIL, fx))
@@ -121,6 +122,11 @@ def model(name, form, values):
         return {"S_V": ground.sinkage_coefficient}
     if name == "shear_rate":
         return {"c_v": ground.cohesion, "tan(phi_v)": ground.tan_phi}
+    if name == "pressure_dependent_friction":
+        return {"tan(phi_p)": ground.tan_phi}
+    if name == "pressure_dependent_modulus":
+        arc = smooth_arc(RADIUS * (1.0 - math.cos(at["theta1"])), RADIUS, 0.0)
+        return {"K_p": grown_modulus(ground.shear_modulus, ground, arc)}
     if name == "shear_softening":
         K = at["K"] * shear_softening.shear_length_ratio(fx)
         law = shear_softening.mobilisation(fx)
@@ -156,7 +162,11 @@ def test_the_printed_equation_is_what_the_model_computes(effect, form):
 @of_every_form
 def test_an_equation_has_all_that_its_form_frees_and_every_symbol_is_explained(effect, form):
     used = text.used(form)
-    assert set(form.free) <= set(used) <= set(form.free) | {"reference_speed"}
+    assert (
+        set(form.free)
+        <= set(used)
+        <= {*form.free, *(p.name for p in effect.parameters if p.scale == 0.0)}
+    )
     printed = text.published(effect, form)
     assert "{" not in printed + text.fitted(
         effect, form, CASES[f"{effect.name}-{form.name}"][effect.name]

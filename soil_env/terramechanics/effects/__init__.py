@@ -7,14 +7,14 @@ How to add an effect, in two files here and one of the benchmark, beside tests a
    published form its equation as text and its source. In the text a space multiplies and names
    have no dash. `explained` is a sentence for readers of a report. Set `moves` where it leaves a
    channel as it is, and `varies` to the condition that shows the effect.
-   A constant of the source that is not fitted is a parameter `reference_speed` with scale 0.
+   A constant of the source that is not fitted is a parameter `reference_...` with scale 0.
    Another form of a listed mechanism is a `Form`, no effect.
 2. Write its law there as a function under `@compiled`. `fx.<name>_<parameter>` are its
    numbers; at the neutral values the law changes nothing.
 3. Add the module to `_MODULES` below. Add the law to the function below that composes the laws of
    its place:
 
-   - `soil_in_contact`: strength and bearing under the wheel, by slip, speeds, pass and grade;
+   - `soil_in_contact`: strength and bearing under the wheel, by `Passage`;
    - `arc_ends`: exit angle and stress peak, by entry angle and slip;
    - `soil_resistance`: force against the travel, by sinkage, soil and wheel;
    - `drive_friction`: between motor and axle, by torque and wheel speed.
@@ -61,6 +61,8 @@ from . import (
     grousers,
     multipass,
     penetration_rate,
+    pressure_dependent_friction,
+    pressure_dependent_modulus,
     rear_contact,
     shear_rate,
     shear_softening,
@@ -83,6 +85,8 @@ _MODULES = (
     penetration_rate,
     shear_rate,
     shear_softening,
+    pressure_dependent_friction,
+    pressure_dependent_modulus,
     grade,
     drivetrain_friction,
     slip_bias,
@@ -163,6 +167,8 @@ def soil_in_contact(soil, passage, fx):
     if fx is None:
         return soil
     else:
+        soil = pressure_dependent_friction.rubbed_under_pressure(soil, passage, fx)
+        soil = pressure_dependent_modulus.stretched_under_pressure(soil, passage, fx)
         soil = slip_sinkage.dug(soil, passage, fx)
         soil = multipass.passed_over(soil, passage, fx)
         soil = penetration_rate.loaded_fast(soil, passage, fx)

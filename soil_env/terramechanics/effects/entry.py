@@ -53,6 +53,7 @@ class Bench(NamedTuple):
 
     radius: float  # [m]
     load: float  # [N] median
+    pressure: float  # [Pa] `Passage.pressure` of that load
     sinkage: float  # [m] median
     speed: float  # [m/s] geometric mean of the travel speed, 0 = not known in every row
     median_speed: float  # [m/s]
@@ -97,7 +98,7 @@ class Effect:
     @property
     def conditions(self) -> tuple[str, ...]:
         """Columns that the effect depends on, or may, beside slip, load and wheel."""
-        return tuple(name for name in (self.varies, self.beside) if name is not None)
+        return tuple(name for name in (self.varies, self.beside) if name not in (None, "load"))
 
     def parameter(self, name: str) -> EffectParameter:
         """Return the parameter of that name."""
@@ -119,6 +120,7 @@ class Passage(NamedTuple):
     slide: float  # [m/s] |r w - V|
     passes: float  # 1 = fresh soil
     sin_grade: float  # uphill positive
+    pressure: float  # [Pa] load over width and radius of the wheel
 
 
 #: Symbols that the equations of several effects share, in the order of a legend.
