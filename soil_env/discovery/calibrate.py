@@ -347,9 +347,9 @@ class Problem:
     @property
     def channel_sd(self) -> np.ndarray:
         """[3] root mean square of `sd` over the values in use, or `noise` where none is in use."""
-        square = np.where(self.used, self.sd**2, 0.0).sum(axis=0)
+        square = np.where(self.used, self.data.relative_sd**2, 0.0).sum(axis=0)
         count = self.used.sum(axis=0)
-        return np.where(count > 0, np.sqrt(square / np.maximum(count, 1)), self.noise)
+        return self.noise * np.sqrt(np.where(count > 0, square / np.maximum(count, 1), 1.0))
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
         """[M, ..] the values in use of an array [N, 3, ..], each over its noise."""

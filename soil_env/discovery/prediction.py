@@ -526,4 +526,4 @@ def _errors(problem: Problem, split: str, what: tuple[str, ...], held: np.ndarra
         for j, (name, used) in enumerate(zip(CHANNELS, problem.used.T, strict=True))
         if used.any()
     }
-    return LeftOut(split, what, errors, size((off / problem.sd)[:, problem.used], 1.0))
+    return LeftOut(split, what, errors, size((off / problem.channel_sd)[:, problem.used], 1.0))

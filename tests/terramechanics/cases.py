@@ -63,7 +63,7 @@ SIZES = {
         "reference_speed": (0.005, 0.1),
     },
     "pressure_dependent_friction": {
-        "exponent": (-0.3, 0.2),
+        "exponent": (-0.3, 0.1),
         "slope": (-0.2, 0.2),
         "reference_pressure": (3e3, 3e4),
     },
