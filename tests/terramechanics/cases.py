@@ -64,13 +64,10 @@ SIZES = {
     },
     "pressure_dependent_friction": {
         "exponent": (-0.3, 0.1),
-        "slope": (-0.2, 0.2),
         "reference_pressure": (3e3, 3e4),
     },
     "pressure_dependent_modulus": {
-        "exponent": (-0.5, 1.5),
         "growth": (-0.5, 2.0),
-        "reference_pressure": (3e3, 3e4),
         "reference_length": (0.05, 0.2),
     },
     "shear_softening": {

@@ -277,9 +277,7 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
         rate.get("slope", 0.0),
     )
     tan_phi = tan_phi * strength * site.passes ** track.get("strength", 0.0)
-    by_pressure = rubs.get("exponent", 0.0), rubs.get("slope", 0.0)
-    tan_phi *= rate_law(pressure, rubs.get("reference_pressure", 1e4), *by_pressure)
-    K *= (pressure / stretch.get("reference_pressure", 1e4)) ** stretch.get("exponent", 0.0)
+    tan_phi *= (pressure / rubs.get("reference_pressure", 1e4)) ** rubs.get("exponent", 0.0)
     c = c * strength
     c *= max(
         1.0 + rate.get("cohesion", 0.0) * math.log(1.0 + sliding / rate.get("onset_speed", 0.02)),

@@ -126,7 +126,7 @@ def model(name, form, values):
         return {"tan(phi_p)": ground.tan_phi}
     if name == "pressure_dependent_modulus":
         arc = smooth_arc(RADIUS * (1.0 - math.cos(at["theta1"])), RADIUS, 0.0)
-        return {"K_p": grown_modulus(ground.shear_modulus, ground, arc)}
+        return {"K_l": grown_modulus(ground.shear_modulus, ground, arc)}
     if name == "shear_softening":
         K = at["K"] * shear_softening.shear_length_ratio(fx)
         law = shear_softening.mobilisation(fx)

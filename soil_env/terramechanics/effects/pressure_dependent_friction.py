@@ -1,21 +1,19 @@
 """Pressure-dependent friction: a strength envelope that is curved."""
 
+from soil_env._compiled.elementary import power
 from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.ground import with_strength
 
 from .entry import Bench, Effect, EffectParameter as P, Form
-from .penetration_rate import rate_factor
+
+LEAST_PRESSURE = 1e-3  # [of the reference] below which friction changes no more; own choice
 
 
 @compiled
 def rubbed_under_pressure(soil, passage, fx):
-    """`soil` with tan(phi) times the `rate_factor` of the pressure p in place of a speed."""
-    factor = rate_factor(
-        passage.pressure,
-        fx.pressure_dependent_friction_reference_pressure,
-        fx.pressure_dependent_friction_exponent,
-        fx.pressure_dependent_friction_slope,
-    )
+    """`soil` with tan(phi) times a power of the pressure p."""
+    ratio = passage.pressure / fx.pressure_dependent_friction_reference_pressure
+    factor = power(max(ratio, LEAST_PRESSURE), fx.pressure_dependent_friction_exponent)
     return with_strength(
         soil, factor * soil.tan_phi, soil.cohesion, soil.shear_modulus, soil.rim_flow
     )
@@ -31,7 +29,6 @@ EFFECT = Effect(
     "friction that changes with pressure",
     (
         P("exponent", "m", -1.0, 1.0, 0.12, "power of the pressure"),
-        P("slope", "a", -0.6, 0.6, 0.12, "change by a factor e of the pressure"),
         P("reference_pressure", "p0", 1.0, 1e7, 0.0, "reference pressure", "Pa", 1e4),
     ),
     (
@@ -40,12 +37,6 @@ EFFECT = Effect(
             ("exponent",),
             "tan(phi_p) = tan(phi) (p/{reference_pressure})^{exponent}; p = W/(b r)",
             "Baker (2004), Can. Geotech. J. 41:367-382, strength as a power of the stress",
-        ),
-        Form(
-            "logarithmic",
-            ("slope",),
-            "tan(phi_p) = tan(phi) [1 + {slope} ln(p/{reference_pressure})]; p = W/(b r)",
-            "after Bolton (1986), Geotechnique 36:65-78, angle linear in ln p",
         ),
     ),
     varies="load",
