@@ -136,9 +136,11 @@ def _remainder(
     without: Sequence[str],
 ) -> ResidualTable:
     """The table of a prediction less `model`, at all combinations of the `nodes` of each condition:
-    sinkage over radius, pull over load, torque over both, and their standard deviations.
+    sinkage over radius, pull over load, torque over load times radius, and their standard
+    deviations. It is 0 where the model has no value.
 
-    The slips of the nodes are true ones. `without`: errors of the rig that the prediction leaves
+    Conditions that are no node are at their medians, the ground level. The slips of the nodes are
+    true ones. `without`: errors of the rig that the prediction leaves
     out.
     """
     grid = np.stack(np.meshgrid(*nodes.values(), indexing="ij"), axis=-1).reshape(-1, len(nodes))

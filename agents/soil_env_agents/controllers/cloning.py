@@ -27,8 +27,9 @@ def clone(
     """Make wheel `places[i]` of `target` a clone of wheel `wheels[i]` of `source`.
 
     Both simulations are of one scenario, observation and model; reward and time limit may differ. A
-    wheel may be cloned to many places. Raises `ParameterError` where the numbers of wheels and
-    places differ, or the simulations' courses or memories.
+    wheel may be cloned to many places. An estimator that only one of them has is left as it is.
+    Raises `ParameterError` where the numbers of wheels and places, the courses or the shapes of
+    what is `KEPT` differ.
     """
     wheels = np.asarray(wheels, dtype=np.intp)
     places = np.asarray(places, dtype=np.intp)

@@ -134,7 +134,12 @@ def parse(
 
 
 def _sources(spec: str, classical: Collection[str]) -> tuple[str, list[str]]:
-    """(`Contestant.kind`, `Contestant.source` of each member) of one entry without its NAME=."""
+    """(`Contestant.kind`, `Contestant.source` of each member) of one entry without its NAME=.
+
+    The first that fits: a classical controller, the shipped policy, module:Class, a pattern of
+    models, the path of one. A path need not exist: who reads it says that it is missing. Raises
+    `ParameterError` for anything else.
+    """
     if spec in classical:
         return "classical", [spec]
     if spec in SHIPPED:

@@ -391,6 +391,9 @@ class _Detailed(_Totals):
         self.drove: list[np.ndarray] = []
 
     def add(self, alive: np.ndarray) -> np.ndarray:
+        """As that of `_Totals`, and what `further_metrics` are of: of a period the work of the
+        motor [J] and that of the pull at its end, slip, sinkage [mm], alarms.
+        """
         on = super().add(alive)
         s = self.state
         pulling = on & (s["drawbar_pull"] > 0.0) & (s["motor_work"] > 0.0)
@@ -405,7 +408,7 @@ class _Detailed(_Totals):
         return on
 
     def further_metrics(self) -> dict[str, np.ndarray]:
-        """The metrics `DETAILED`."""
+        """[courses] of each of the metrics `DETAILED`, NaN where a course has none."""
         stuck = np.isin(self.worlds.cause, _STUCK)
         bogged = self.worlds.cause == Cause.BOGGED.value
         alarm = self.foresight

@@ -114,7 +114,8 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
     of the rows sorted by slip).
 
     Of all groups with `FEWEST_SLIPS`, they are picked evenly in the order of the base model's
-    held-out error over the noise, from the least to the largest.
+    held-out error over the noise, from the least to the largest. It is that of the values in use, 0
+    without any.
     """
     data = report.problem.data
     varied = data.varied

@@ -807,10 +807,7 @@ def _load_alone(table: Table) -> list[str]:
 
 
 def _grades_doubted(data: Data) -> list[str]:
-    """[doubt] where the grade of the table looks like whole degrees in radians, else [].
-
-    Several different ones that look so were refused when the table was read.
-    """
+    """[doubt] where the grades of the table look like whole degrees in radians, else []."""
     grades = data.table.grade_deg[data.table.grade_deg != 0.0]
     if not look_like_radians([repr(float(g)) for g in grades]):
         return []

@@ -116,7 +116,8 @@ def check_version(found: object, where: object) -> None:
 
 
 def layout(variant: str, course: CourseSpec | None = None) -> tuple[ObservedNumber, ...]:
-    """Entries of an observation variant; the first ones are those of `blind` in every variant.
+    """Entries of an observation variant: those of `blind`, then its own. `ParameterError` for an
+    unknown one.
 
     On a `course` with terrain classes the entries of the camera follow, then, but for `blind`,
     those of the soil of each route ahead.
@@ -137,7 +138,7 @@ def layout(variant: str, course: CourseSpec | None = None) -> tuple[ObservedNumb
 
 
 def bounds_of(entries: Iterable[ObservedNumber]) -> np.ndarray:
-    """Lowest and highest values of an observation, [2, D] float32."""
+    """Lowest and highest values of an observation in its units, unscaled, [2, D] float32."""
     return np.array([(e.low, e.high) for e in entries], dtype=np.float32).T.copy()
 
 
