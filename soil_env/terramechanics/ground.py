@@ -52,12 +52,6 @@ def with_strength(soil, tan_phi, cohesion, shear_modulus, rim_flow):
 
 
 @compiled
-def with_growing_modulus(soil, shear_modulus, growth):
-    """`soil` with this K [m] at its `shear_length`, which grows by this power of the length."""
-    return SoilState(*soil[:2], shear_modulus, *soil[3:9], growth, *soil[10:])
-
-
-@compiled
 def with_digging(soil, exponent, gain, recovery):
     """`soil` with this sinkage exponent, and this gain and recovery of slip-sinkage."""
     return SoilState(*soil[:4], exponent, gain, recovery, *soil[7:])

@@ -67,8 +67,8 @@ SIZES = {
         "reference_pressure": (3e3, 3e4),
     },
     "pressure_dependent_modulus": {
-        "growth": (-0.5, 2.0),
-        "reference_length": (0.05, 0.2),
+        "exponent": (-0.5, 1.5),
+        "reference_pressure": (3e3, 3e4),
     },
     "shear_softening": {
         "sharpness": (1, 8),

@@ -278,6 +278,7 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
     )
     tan_phi = tan_phi * strength * site.passes ** track.get("strength", 0.0)
     tan_phi *= (pressure / rubs.get("reference_pressure", 1e4)) ** rubs.get("exponent", 0.0)
+    K *= (pressure / stretch.get("reference_pressure", 1e4)) ** stretch.get("exponent", 0.0)
     c = c * strength
     c *= max(
         1.0 + rate.get("cohesion", 0.0) * math.log(1.0 + sliding / rate.get("onset_speed", 0.02)),
@@ -310,8 +311,6 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
         """Int (sigma, tau) . shape(theta) over the arc, for each shape [Pa]."""
         theta1, theta2, thetam = arc(z)
         undisturbed = z if dig.get("apparent", 0.0) else (z - extra) / k
-        length = R * theta1 / stretch.get("reference_length", 0.1)
-        longer = length ** stretch.get("growth", 0.0)
         ground = soil._replace(sinkage_coefficient=S * (undisturbed / z) ** n, sinkage_exponent=n)
         points = {theta2, thetam, theta1}
         if displacement(theta2, theta1) * displacement(theta1 - 1e-6, theta1) < 0.0:
@@ -320,8 +319,9 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
         def stresses(theta):
             sigma = normal_stress(theta, ground, R, theta1, theta2, thetam)
             j = displacement(theta, theta1)
-            share = mobilised_share(abs(j), K * longer, fx["shear_softening"])
-            return sigma, math.copysign((c + sigma * tan_phi) * share, j)
+            return sigma, math.copysign(
+                (c + sigma * tan_phi) * mobilised_share(abs(j), K, fx["shear_softening"]), j
+            )
 
         return [
             integrate(lambda theta, f=f: f(theta, *stresses(theta)), sorted(points), 1e-7)

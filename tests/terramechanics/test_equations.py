@@ -7,7 +7,7 @@ import pytest
 
 from soil_env.parameters import SoilState
 from soil_env.terramechanics import effects
-from soil_env.terramechanics.contact import grown_modulus, mobilised, smooth_arc
+from soil_env.terramechanics.contact import mobilised
 from soil_env.terramechanics.effects import (
     bulldozing,
     grade,
@@ -125,8 +125,7 @@ def model(name, form, values):
     if name == "pressure_dependent_friction":
         return {"tan(phi_p)": ground.tan_phi}
     if name == "pressure_dependent_modulus":
-        arc = smooth_arc(RADIUS * (1.0 - math.cos(at["theta1"])), RADIUS, 0.0)
-        return {"K_l": grown_modulus(ground.shear_modulus, ground, arc)}
+        return {"K_p": ground.shear_modulus}
     if name == "shear_softening":
         K = at["K"] * shear_softening.shear_length_ratio(fx)
         law = shear_softening.mobilisation(fx)

@@ -133,7 +133,7 @@ def test_units_do_not_matter(seed, length, force, speed):
         "penetration_rate": {"reference_speed": speed},
         "shear_rate": {"reference_speed": speed, "onset_speed": speed},
         "pressure_dependent_friction": {"reference_pressure": pressure},
-        "pressure_dependent_modulus": {"reference_length": length},
+        "pressure_dependent_modulus": {"reference_pressure": pressure},
         "drivetrain_friction": {
             "constant": force * length,
             "viscous": force * length * length / speed,

@@ -168,7 +168,7 @@ def soil_in_contact(soil, passage, fx):
         return soil
     else:
         soil = pressure_dependent_friction.rubbed_under_pressure(soil, passage, fx)
-        soil = pressure_dependent_modulus.stretched_under_load(soil, fx)
+        soil = pressure_dependent_modulus.stretched_under_pressure(soil, passage, fx)
         soil = slip_sinkage.dug(soil, passage, fx)
         soil = multipass.passed_over(soil, passage, fx)
         soil = penetration_rate.loaded_fast(soil, passage, fx)

@@ -6,20 +6,29 @@ from soil_env.terramechanics.ground import with_strength
 
 from .entry import Bench, Effect, EffectParameter as P, Form
 
-LEAST_PRESSURE = 1e-3  # [of the reference] below which friction changes no more; own choice
+LEAST_PRESSURE = 1e-3  # [of the reference] below which soil changes no more; own choice
+
+
+@compiled
+def pressure_factor(pressure, reference, exponent):
+    """A power of `pressure` over `reference` [Pa], which counts as at least `LEAST_PRESSURE`."""
+    return power(max(pressure / reference, LEAST_PRESSURE), exponent)
 
 
 @compiled
 def rubbed_under_pressure(soil, passage, fx):
     """`soil` with tan(phi) times a power of the pressure p."""
-    ratio = passage.pressure / fx.pressure_dependent_friction_reference_pressure
-    factor = power(max(ratio, LEAST_PRESSURE), fx.pressure_dependent_friction_exponent)
+    factor = pressure_factor(
+        passage.pressure,
+        fx.pressure_dependent_friction_reference_pressure,
+        fx.pressure_dependent_friction_exponent,
+    )
     return with_strength(
         soil, factor * soil.tan_phi, soil.cohesion, soil.shear_modulus, soil.rim_flow
     )
 
 
-def _neutral(bench: Bench) -> dict[str, float]:
+def middle_pressure(bench: Bench) -> dict[str, float]:
     """The middle pressure of the table as reference pressure, which is not fitted."""
     return {"reference_pressure": bench.pressure}
 
@@ -41,6 +50,6 @@ EFFECT = Effect(
     ),
     varies="load",
     symbols={"phi_p": "friction angle at the pressure p", "p": "mean pressure, of the load"},
-    neutral=_neutral,
+    neutral=middle_pressure,
     explained="Soil that is pressed harder has a smaller (or larger) angle of friction.",
 )

@@ -1,47 +1,45 @@
-"""Pressure-dependent modulus: a shear deformation modulus K that goes with the contact length, and
-so with the load.
-"""
+"""Pressure-dependent modulus: a shear deformation modulus K that changes with the load."""
 
-from soil_env._compiled.elementary import power
 from soil_env._compiled.flags import compiled
-from soil_env.terramechanics.ground import with_growing_modulus
+from soil_env.terramechanics.ground import with_strength
 
-from .entry import Bench, Effect, EffectParameter as P, Form
+from .entry import Effect, EffectParameter as P, Form
+from .pressure_dependent_friction import middle_pressure, pressure_factor
 
 
 @compiled
-def stretched_under_load(soil, fx):
-    """`soil` with K times (l/l0)^g, with the contact length l that `contact.grown_modulus` knows.
-
-    g is added to `shear_growth`, and K taken from the length l0 to `shear_length`.
-    """
-    growth = fx.pressure_dependent_modulus_growth
-    factor = power(soil.shear_length / fx.pressure_dependent_modulus_reference_length, growth)
-    return with_growing_modulus(soil, factor * soil.shear_modulus, soil.shear_growth + growth)
-
-
-def _neutral(bench: Bench) -> dict[str, float]:
-    """A contact length of the table as reference length, which is not fitted."""
-    return {"reference_length": (2.0 * bench.radius * bench.sinkage) ** 0.5}
+def stretched_under_pressure(soil, passage, fx):
+    """`soil` with K times a power of the pressure p."""
+    factor = pressure_factor(
+        passage.pressure,
+        fx.pressure_dependent_modulus_reference_pressure,
+        fx.pressure_dependent_modulus_exponent,
+    )
+    return with_strength(
+        soil, soil.tan_phi, soil.cohesion, factor * soil.shear_modulus, soil.rim_flow
+    )
 
 
 EFFECT = Effect(
     "pressure_dependent_modulus",
     "shear modulus that changes with pressure",
     (
-        P("growth", "g", -1.0, 3.0, 0.7, "power of the contact length"),
-        P("reference_length", "l0", 1e-4, 10.0, 0.0, "reference length", "m", 0.1),
+        P("exponent", "m", -3.0, 3.0, 0.6, "power of the pressure"),
+        P("reference_pressure", "p0", 1.0, 1e7, 0.0, "reference pressure", "Pa", 1e4),
     ),
     (
         Form(
-            "contact_length",
-            ("growth",),
-            "K_l = K (r theta1/{reference_length})^{growth}",
-            "own assumption, fitted on rigs: the law of the simulated world",
+            "power",
+            ("exponent",),
+            "K_p = K (p/{reference_pressure})^{exponent}; p = W/(b r)",
+            "own assumption, fitted on rigs",
         ),
     ),
     varies="load",
-    symbols={"K_l": "shear deformation modulus at the contact length"},
-    neutral=_neutral,
-    explained="Soil under a larger or heavier contact needs more way until its strength is there.",
+    symbols={
+        "K_p": "shear deformation modulus at the pressure p",
+        "p": "mean pressure, of the load",
+    },
+    neutral=middle_pressure,
+    explained="Soil under a heavier wheel needs more way until its strength is there.",
 )
