@@ -59,6 +59,13 @@ def test_a_law_error_of_ten_per_cent_is_no_effect():
     assert finding.names == ()
 
 
+def test_a_modulus_that_goes_with_the_load_is_named():
+    effect = {"pressure_dependent_modulus": {"exponent": 0.8}}
+    data = table(effect, (0.05, 0.15, 0.3, 0.45, 0.6), (60.0, 100.0, 160.0, 250.0))
+    finding = search(problem(data, np.random.default_rng(1)))
+    assert finding.names == tuple(effect)
+
+
 @pytest.mark.parametrize("effect", [{"multipass": {"hardening": 0.3}}, {"grade": {"share": 1.0}}])
 def test_an_effect_is_named_under_a_law_error(effect):
     data = table(
