@@ -65,7 +65,9 @@ def test_noise_of_slip_and_load_is_noise_of_the_channels_by_their_slopes(effects
 
 
 def test_slips_that_were_read_with_noise_are_no_effect_where_that_is_told():
-    assert run(*noisy(0, 0.03)).verdict == "none"
+    """Nothing is named; so much noise would hide many effects, so the verdict is not "none"."""
+    told = run(*noisy(0, 0.03))
+    assert told.verdict == "undetermined" and told.finding.none > 0.5 and not told.effects
     assert run(*noisy(0, 0.03, stated=False)).verdict == "unlisted"
 
 
