@@ -345,7 +345,7 @@ class Problem:
         return np.broadcast_to(self.noise * self.data.relative_sd, self.used.shape)
 
     @property
-    def channel_sd(self) -> np.ndarray:
+    def rms_noise(self) -> np.ndarray:
         """[3] root mean square of `sd` over the values in use, or `noise` where none is in use."""
         square = np.where(self.used, self.data.relative_sd**2, 0.0).sum(axis=0)
         count = self.used.sum(axis=0)

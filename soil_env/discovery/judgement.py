@@ -121,7 +121,7 @@ def gaps(problem: Problem, before: np.ndarray, after: np.ndarray) -> dict[str, G
         if used.any():
             y = problem.data.y[used, j]
             old, new = (float(np.sqrt(np.mean((y - p[used, j]) ** 2))) for p in (before, after))
-            out[name] = Gap(old, new, float(problem.channel_sd[j]))
+            out[name] = Gap(old, new, float(problem.rms_noise[j]))
     return out
 
 
@@ -161,7 +161,7 @@ def closed_interval(
         weight *= rng.multinomial(len(way), equal, size=_CLOSED_DRAWS)[:, group]
     total = []  # [draws] gap before, gap after
     for held in (before, after):
-        square = np.where(problem.used, ((problem.data.y - held) / problem.channel_sd) ** 2, 0.0)
+        square = np.where(problem.used, ((problem.data.y - held) / problem.rms_noise) ** 2, 0.0)
         count = weight @ problem.used  # [draws, 3]
         mean = (weight @ square) / np.maximum(count, 1.0)
         total.append(np.sum(count * np.maximum(mean - 1.0, 0.0), axis=1))

@@ -522,8 +522,8 @@ def _errors(problem: Problem, split: str, what: tuple[str, ...], held: np.ndarra
         return Errors(float(base), float(full), float(curve), noise)
 
     errors: dict[str, Errors] = {
-        name: size(off[:, used, j], float(problem.channel_sd[j]))
+        name: size(off[:, used, j], float(problem.rms_noise[j]))
         for j, (name, used) in enumerate(zip(CHANNELS, problem.used.T, strict=True))
         if used.any()
     }
-    return LeftOut(split, what, errors, size((off / problem.channel_sd)[:, problem.used], 1.0))
+    return LeftOut(split, what, errors, size((off / problem.rms_noise)[:, problem.used], 1.0))

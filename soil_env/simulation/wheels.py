@@ -85,9 +85,10 @@ def wheel_numbers(
     """Pack a scenario with an observation `variant`; `model` gives the effects that act in this
     world, on the wheel and on its sensors.
     """
+    rig = rig_of(scenario, model)
     return WheelNumbers(
-        rig_of(scenario, model),
-        acting_in(model),
+        rig,
+        acting_in(model, rig[0].shear_ratio),
         task_of(scenario, variant),
         bounds_of(layout(variant, scenario.course)),
         sensors_of(scenario),

@@ -128,6 +128,12 @@ class ShearLaw(NamedTuple):
     onset: float  # [m]
 
 
+@compiled
+def stretched(law, factor):
+    """A `ShearLaw` for shear displacements that count `factor` times as large."""
+    return ShearLaw(law.a, law.b, law.c, factor * law.length, factor * law.onset)
+
+
 class ArcIntegrals(NamedTuple):
     """Integrals over the contact arc [theta2, theta1], for S = 1 [m^n] or without stress [-].
 

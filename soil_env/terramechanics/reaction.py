@@ -30,6 +30,7 @@ from .contact import (
     on_tyre,
     shear_integrals,
     shear_rates,
+    stretched,
 )
 from .effects import NO_EFFECTS, Effects, drive_friction, grousers, soil_in_contact, soil_resistance
 from .effects.entry import Passage
@@ -72,7 +73,7 @@ class Standing(NamedTuple):
     sin_grade: float  # uphill positive
     passes: float  # 1 = fresh soil
     braked: float  # [of its travel] sliding that the soil piled ahead of a braked wheel answers to
-    load: float  # [N] normal to the ground, for tyre and grip
+    load: float  # [N] normal to the ground, for tyre, grip and the pressure of `Passage`
 
 
 class ExtraForces(NamedTuple):
@@ -123,16 +124,19 @@ class Reaction(NamedTuple):
 NO_REACTION = Reaction(*[0.0] * len(Reaction._fields))
 
 
-def acting_on(effects: Effects | None, residual: np.record | None = None) -> Acting:
+def acting_on(
+    effects: Effects | None, residual: np.record | None = None, shear_ratio: float = 1.0
+) -> Acting:
     """Pack effects and a residual law (a record `RESIDUAL`): `BASE` where both are None.
 
-    Where one of them is None, the other comes with neutral effects or a law without terms.
+    Where one of them is None, the other comes with neutral effects or a law without terms. Lengths
+    of the shear law are over `shear_ratio`, that of the wheel, as K is in `ground_under`.
     """
     if effects is None and residual is None:
         return BASE
     effects = NO_EFFECTS if effects is None else effects
     packed = np.array(effects, EFFECTS)[()]
-    law = uncompiled(mobilisation)(effects)
+    law = uncompiled(stretched)(uncompiled(mobilisation)(effects), 1.0 / shear_ratio)
     return Acting(packed, law, residual_law() if residual is None else residual)
 
 

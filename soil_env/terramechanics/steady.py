@@ -37,6 +37,7 @@ from .contact import (
     on_tyre,
     shear_integrals,
     smooth_arc,
+    stretched,
     substitute_radius,
 )
 from .effects import Effects, arc_ends, drive_torque, soil_in_contact, soil_resistance, switched_on
@@ -254,16 +255,15 @@ def _balance(slip, load, soil, wheel, conditions, fx):
         pressure = normal / (wheel.width * wheel.radius)
         passage = Passage(soil, slip, conditions.speed, slide, conditions.passes, sine, pressure)
         ground = soil_in_contact(soil, passage, fx)
-        # Shear at the radius q r stretches j, thrust and torque: K/q here, and strength times q.
+        # Shear at the radius q r stretches j, thrust and torque: K and other lengths of the shear
+        # law over q here, and strength times q.
         # Where slip was taken at the rim of radius R, the tips of the lugs move faster by r/R.
         q = shear_radius_ratio(wheel, fx)
-        modulus = ground.shear_modulus * shear_length_ratio(fx)
+        stretch = 1.0 / q
         if fx.grousers_slip_at_rim > 0.0:
-            wider = contact_radius(wheel, fx) / wheel.radius
-            rim *= wider * q
-            modulus *= wider
-        else:
-            modulus /= q
+            stretch = contact_radius(wheel, fx) / wheel.radius
+            rim *= stretch * q
+        modulus = stretch * ground.shear_modulus * shear_length_ratio(fx)
         ratio = dug_ratio(slip, ground)
         apparent = ratio if fx.slip_sinkage_apparent > 0.0 else 1.0
         strength = math.log(ground.sinkage_coefficient)
@@ -282,7 +282,7 @@ def _balance(slip, load, soil, wheel, conditions, fx):
             strength,
             min(excavated_depth(slip, fx), MOST_LIFT * DEEPEST * wheel.radius),
             apparent,
-            mobilisation(fx),
+            stretched(mobilisation(fx), stretch),
         )
 
 

@@ -65,10 +65,18 @@ def test_noise_of_slip_and_load_is_noise_of_the_channels_by_their_slopes(effects
 
 
 def test_slips_that_were_read_with_noise_are_no_effect_where_that_is_told():
-    """Nothing is named; so much noise would hide many effects, so the verdict is not "none"."""
     told = run(*noisy(0, 0.03))
-    assert told.verdict == "undetermined" and told.finding.none > 0.5 and not told.effects
+    assert told.verdict in ("none", "undetermined") and told.finding.none > 0.5
+    assert not told.effects
     assert run(*noisy(0, 0.03, stated=False)).verdict == "unlisted"
+
+
+@pytest.mark.xfail(
+    reason="friction that goes with the pressure would be overlooked under so much noise",
+    strict=True,
+)
+def test_with_slips_of_known_noise_nothing_is_missing():
+    assert run(*noisy(0, 0.03)).verdict == "none"
 
 
 def test_a_dip_at_one_slip_of_every_load_is_no_row_of_outliers():

@@ -115,9 +115,10 @@ def rover_numbers(
     """Pack a scenario with an observation `variant`; `model` gives the effects that act in this
     world, on the wheels and on their sensors.
     """
+    rig = rig_of(scenario, model)
     return RoverNumbers(
-        rig_of(scenario, model),
-        acting_in(model),
+        rig,
+        acting_in(model, rig[0].shear_ratio),
         suspension_of(scenario),
         task_of(scenario, variant),
         bounds_of(rover_layout(variant, scenario.axles)),

@@ -41,10 +41,11 @@ def course_numbers(scenario: Scenario, model: WheelSoilModel | None) -> CourseNu
     """Pack what `start_course` and `extend_course` draw from; a `model` gives effects, lugs and,
     where it has one, the soil.
     """
+    rig = rig_of(scenario, model)[0]
     return CourseNumbers(
         course_distribution(scenario, model),
-        rig_of(scenario, model)[0],
-        acting_in(model),
+        rig,
+        acting_in(model, rig.shear_ratio),
     )
 
 

@@ -213,9 +213,9 @@ def stand(wheel, stage, ahead, load, world):
     """Stand a wheel on the ground `Ahead` for a stage: return its `Stand`, and lay the nodes of its
     arc into `world.nodes`.
 
-    The contact bears the weight normal to the grade. `load` [N] only deflects the tyre and bounds
-    the grip; a rover passes that of its last stage. The sinkage is that foreseen for the end of the
-    stage, slip and extra forces are those at its beginning.
+    The contact bears the weight normal to the grade. `load` [N] deflects the tyre, bounds the grip
+    and sets the pressure that effects know; a rover passes that of its last stage. The sinkage is
+    that foreseen for the end of the stage, slip and extra forces are those at its beginning.
     """
     rig = world.rig
     sine, cosine = sin_cos(ahead.grade)

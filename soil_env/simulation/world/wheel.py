@@ -209,7 +209,7 @@ def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarra
         refuse_lugs_on_tyre(model.wheel.grouser_height, w.tyre)
         rig.grouser_height = model.wheel.grouser_height
         rig.unit_weight = model.density * scenario.gravity
-    effects = acting_in(model).effects
+    effects = acting_in(model, 1.0).effects
     rig.shear_ratio = uncompiled(shear_radius_ratio)(rig, effects)
     rig.rim_ratio = rig.shear_ratio * uncompiled(contact_radius)(rig, effects) / w.radius
     rig.relaxation = scenario.relaxation * w.radius
@@ -227,14 +227,14 @@ def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarra
     return packed
 
 
-def acting_in(model: WheelSoilModel | None) -> Acting:
+def acting_in(model: WheelSoilModel | None, shear_ratio: float) -> Acting:
     """Effects and residual law of a `model` that act on its wheels, not on its sensors; `BASE`
-    where nothing does.
+    where nothing does. `shear_ratio` as in `RIG`.
     """
     if model is None:
         return BASE
     law = model.law if model.residual or model.remainder else None
-    return acting_on(acting_effects(model.numbers), law)
+    return acting_on(acting_effects(model.numbers), law, shear_ratio)
 
 
 @inlined
