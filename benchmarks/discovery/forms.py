@@ -353,9 +353,7 @@ def curved_envelope(contact, s, side):
     side=drawn("load"),
 )
 def longer_under_load(contact, s, side):
-    """K that grows in proportion to the load, K [1 + s (W/W0 - 1)], after the K of Wong (2010) at
-    several pressures.
-    """
+    """K that grows in proportion to the load, K [1 + s (W/W0 - 1)], own assumption."""
     gain = 1.0 + s * (contact.load / side["load"] - 1.0)
     contact.shear_modulus = contact.shear_modulus * np.maximum(gain, 0.1)
 
