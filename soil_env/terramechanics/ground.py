@@ -52,6 +52,12 @@ def with_strength(soil, tan_phi, cohesion, shear_modulus, rim_flow):
 
 
 @compiled
+def with_flow(soil, rim_flow, braked_peak):
+    """`soil` with these constants of the soil that flows along the rim."""
+    return SoilState(*soil[:7], rim_flow, braked_peak, *soil[9:])
+
+
+@compiled
 def with_digging(soil, exponent, gain, recovery):
     """`soil` with this sinkage exponent, and this gain and recovery of slip-sinkage."""
     return SoilState(*soil[:4], exponent, gain, recovery, *soil[7:])

@@ -269,8 +269,8 @@ def _soil_and_arc(at, slip, soil, wheel, fx):
     """(`SoilState` as it is sheared, `Arc`, lift, bulldozing, blades), the last three as in
     `ExtraForces`, 0 without effects. `at` is a `Standing`.
     """
-    shift = braked_shift(at.braked, soil)
     if fx is None:
+        shift = braked_shift(at.braked, soil)
         arc = arc_of(at.sinkage, slip, shift, at.load, None, wheel)
         return _gripped(soil, arc, at.load, wheel), arc, 0.0, 0.0, 0.0
     else:
@@ -278,6 +278,7 @@ def _soil_and_arc(at, slip, soil, wheel, fx):
         pressure = at.load / (wheel.width * wheel.radius)
         passage = Passage(soil, slip, abs(at.speed), slide, at.passes, at.sin_grade, pressure)
         ground = soil_in_contact(soil, passage, fx)
+        shift = braked_shift(at.braked, ground)
         arc = arc_of(at.sinkage, slip, shift, at.load, fx, wheel)
         shear_ratio = wheel.shear_ratio
         modulus = ground.shear_modulus * shear_length_ratio(fx) / shear_ratio

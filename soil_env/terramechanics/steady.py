@@ -228,7 +228,7 @@ def _balance(slip, load, soil, wheel, conditions, fx):
     `soil` is undisturbed, `conditions` a `Conditions`, `fx` `Effects` or None for the base model.
     """
     rim, travel = motion_from_slip(slip)
-    shift = braked_shift(max(-slip, 0.0), soil)
+    braked = max(-slip, 0.0)
     if fx is None:
         strength = math.log(soil.sinkage_coefficient)
         strength -= soil.sinkage_exponent * math.log(dug_ratio(slip, soil))
@@ -238,7 +238,7 @@ def _balance(slip, load, soil, wheel, conditions, fx):
             rim,
             travel,
             carried,
-            shift,
+            braked_shift(braked, soil),
             load,
             0.0,  # along
             soil,
@@ -274,7 +274,7 @@ def _balance(slip, load, soil, wheel, conditions, fx):
             rim,
             travel,
             _carried(sheared, rim, travel),
-            shift,
+            braked_shift(braked, ground),
             normal,
             along,
             ground,

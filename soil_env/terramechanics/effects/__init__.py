@@ -69,6 +69,7 @@ from . import (
     sinkage_offset,
     slip_bias,
     slip_sinkage,
+    soil_flow,
     stress_peak_shift,
 )
 from .drivetrain_friction import Friction, friction_at
@@ -79,6 +80,7 @@ _MODULES = (
     slip_sinkage,
     rear_contact,
     stress_peak_shift,
+    soil_flow,
     grousers,
     bulldozing,
     multipass,
@@ -167,6 +169,7 @@ def soil_in_contact(soil, passage, fx):
     if fx is None:
         return soil
     else:
+        soil = soil_flow.flowing(soil, fx)
         soil = pressure_dependent_friction.rubbed_under_pressure(soil, passage, fx)
         soil = pressure_dependent_modulus.stretched_under_pressure(soil, passage, fx)
         soil = slip_sinkage.dug(soil, passage, fx)
