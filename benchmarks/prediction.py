@@ -7,15 +7,16 @@ particles.
 
 The wheels are those of `benchmarks.rigs` and `benchmarks.continuum`, as measurement tables with the
 setups that a user would write. Rows are left out by rim speed, slip or load, and predicted by the
-base model, by it with a remainder, by all effects in one fit with a remainder, by a generic curve,
-and by a Gaussian process over slip and load that knows no law of soils.
+base model, by it with a remainder, by all effects in one fit with a remainder, by this averaged
+with a generic curve, by the curve alone, and by a Gaussian process over slip and load that knows no
+law of soils.
 """
 
 import math
 import tempfile
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
@@ -33,10 +34,11 @@ from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import PATH, leave, run
 from soil_env.discovery.calibrate import Problem, calibrate
-from soil_env.discovery.prediction import curve_at, fit_prediction
+from soil_env.discovery.prediction import at_curves, fit_prediction, outlook
 from soil_env.identification.table.data import prepare
 from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_setup
 from soil_env.measurement.table import MEASURED, Table, read_table
+from soil_env.terramechanics.model import rows_of
 
 NAME = "prediction"
 DRIVEN = -0.01  # [-] slip from which a row drives
@@ -46,11 +48,19 @@ PARTICLES = Setup(
     SoilPriors(cohesion=Prior(0.0, 0.0), density=Prior(1600.0, 0.0)),
     NoiseLevels(sinkage=0.0005, drawbar_pull=0.2, torque=0.022),
 )
-METHODS = ("base model", "base and remainder", "all effects", "curve", "Gaussian process")
+METHODS = (
+    "base model",
+    "base and remainder",
+    "all effects",
+    "with the curve",
+    "curve",
+    "Gaussian process",
+)
 TEXT = (
     "Root mean square of predicted less measured values of rows that were left out. All effects: "
-    "every effect that the table can carry in one fit, with a smooth remainder. The last columns: "
-    "share of the values within one and two stated standard deviations of all effects."
+    "every effect that the table can carry in one fit, with a smooth remainder. With the curve: "
+    "these averaged with it, as `soil-env discover` predicts. The last columns: share of the "
+    "values within one and two standard deviations that it states."
 )
 
 
@@ -112,20 +122,21 @@ def figures(case: Case, folds: int | None = None) -> dict:
         conditions["slip"] = case.table.rim_slip(case.setup)[out]
         base = fit_prediction(problem, (), smooth=False).at(conditions)
         near = fit_prediction(problem, ()).at(conditions)
-        full = fit_prediction(problem).at(conditions)
-        curve = curve_at(problem, conditions)
-        if curve is None:
+        model = outlook(problem).model
+        if model.average is None:
             raise ParameterError(f"{case.name}: conditions vary that no curve knows")
-        sd[out] = full.sd
+        full = replace(model, average=None).at(conditions)
+        averaged = model.at(conditions)
+        curve = at_curves(model.average.curves, rows_of(conditions, problem.data.wheel))
+        sd[out] = averaged.sd
+        of_laws = (base.mean, near.mean, full.mean, averaged.mean)
         for name, values in zip(
-            METHODS,
-            (base.mean, near.mean, full.mean, curve, _without_law(problem, conditions)),
-            strict=True,
+            METHODS, (*of_laws, curve, _without_law(problem, conditions)), strict=True
         ):
             found[name][out] = values
     off = {name: np.where(np.isfinite(y), values - y, np.nan) for name, values in found.items()}
     left = np.any(np.stack(case.groups[:folds]), axis=0)
-    scaled = np.abs(off["all effects"] / sd)[left]
+    scaled = np.abs(off["with the curve"] / sd)[left]
     scaled = scaled[np.isfinite(scaled)]
     return {
         "case": case.name,

@@ -18,6 +18,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -432,13 +433,23 @@ class Law:
     """The model of a table with some effects as a function of the whitened unknowns u [p].
 
     `guess` [N]: sinkages [m] that a prediction starts from; every `output` overwrites them with
-    its own.
+    its own. `priors`: (mean, sd) by name of unknowns that have another than by
+    `Problem.unknowns`.
     """
 
-    def __init__(self, problem: Problem, choices: Choices, guess: np.ndarray | None = None) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        choices: Choices,
+        guess: np.ndarray | None = None,
+        priors: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+    ) -> None:
         self.problem = problem
         self.choices = choices
-        self.unknowns = problem.unknowns(choices)
+        self.unknowns = tuple(
+            k._replace(mean=priors[k.name][0], sd=priors[k.name][1]) if k.name in priors else k
+            for k in problem.unknowns(choices)
+        )
         self.bounds = bounds_of(self.unknowns)
         self.guess = np.zeros(problem.data.rows.slip.size) if guess is None else guess
         #: [M, p] derivatives of the whitened output by the whitened unknowns (differences).

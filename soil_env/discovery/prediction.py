@@ -9,6 +9,9 @@ over the conditions with a correlation k; a is its size relative to the scale s 
 sizes and lengths and the noise are those of the largest marginal likelihood, linearised about the
 fit (Kennedy & O'Hagan 2001, J. R. Stat. Soc. B 63:425-464). Which effect is there is another
 question (`search`): effects that the table cannot tell apart predict the same.
+
+`outlook` averages the fit with a generic curve (`curve`), as far as the curve predicted what was
+left out of the table.
 """
 
 from __future__ import annotations
@@ -31,9 +34,10 @@ from soil_env.identification.table.form_error import (
     log_diagonal,
 )
 from soil_env.terramechanics.model import rows_of
+from soil_env.terramechanics.steady import Rows
 
 from .calibrate import Law, Problem
-from .curve import LEAST_SPAN, fit_curve
+from .curve import LEAST_SPAN, Curve, fit_curve
 from .instrument import LISTED, Choices
 from .search import candidates, forms
 
@@ -50,6 +54,10 @@ LEFT_OUT = (
     "arm_load",
     "spring_load",
 )
+#: {parameter of `soil_flow`: (mean, sd) of its prior}: it was measured on rigs, and driven wheels
+#: hardly show it. Means of docs/physics/contact.md; sd are own choices, on docs/results/
+#: prediction.md.
+FLOW = {"rim_flow": (0.1, 0.02), "braked_peak": (0.25, 0.12)}
 ROUNDS = 2  # of fitting the unknowns and learning the remainder, in turn
 OFF_BOUND = 0.3  # [prior sd] least distance of the start from a bound; own choice
 IMPOSSIBLE = 1e10  # -ln of the likelihood where it cannot be computed
@@ -59,6 +67,9 @@ LEAST_SINKAGE = 0.004  # [radii] least scale of the sinkage; own choice
 WIDER = 1.35
 FEWEST_GROUPS = 3  # levels or combinations, from which they are left out in turn
 FEWEST = 4  # values of a channel, from which it has a curve
+#: Largest weight of the curve in an average: it knows no soil. Own choice, on docs/results/
+#: prediction.md.
+MOST_OF_CURVE = 0.5
 FAR = 12.0  # largest |logarithm| of a size or length that is tried
 STEPS_TO_LEARN = 25  # most steps of the search for sizes and lengths; own choice
 
@@ -98,13 +109,20 @@ class Predicted(NamedTuple):
     sd: np.ndarray
 
 
+class Average(NamedTuple):
+    """Generic curves that a prediction is averaged with."""
+
+    weight: np.ndarray  # [3] of the curve of each channel
+    curves: list[Curve | None]  # None for a channel with too few values
+
+
 class Errors(NamedTuple):
     """Root mean square of measured less predicted values of rows that were left out [unit of the
     channel], by each kind of prediction, and the noise.
     """
 
     base: float  # by the base model
-    corrected: float  # by all effects and a remainder
+    corrected: float  # by all effects and a remainder, averaged with the curve
     curve: float  # by a generic curve; NaN where the curve does not know the conditions
     noise: float
 
@@ -258,6 +276,7 @@ class Prediction:
     residual: np.ndarray  # [M] measured less these values
     jacobian: np.ndarray  # [M, p] their derivatives by u
     covariance: _Covariance  # of the M values
+    average: Average | None = None  # with curves; None: the fit alone
 
     @property
     def problem(self) -> Problem:
@@ -273,6 +292,9 @@ class Prediction:
         """Predicted values at conditions [N] by the columns of a table, and their standard
         deviations with the noise of a run, widened by `WIDER`.
 
+        Where the fit is averaged with a curve, the variance is that of a mixture of both, the curve
+        as uncertain as the fit.
+
         `without`: errors of the rig that the mean leaves out, "tilt_deg" for the tilt of the setup.
         """
         there = at_conditions(self.problem, conditions)
@@ -281,7 +303,18 @@ class Prediction:
         own = (self.learnt.size * _scales(there, law)) ** 2
         variance = np.sum(top**2, axis=0) - np.sum(known**2, axis=0) + np.sum(shared**2, axis=0)
         sd = np.sqrt(np.maximum(variance.reshape(law.shape) + own, 0.0) + self.variance_of_run)
-        return Predicted(mean, WIDER * sd * self.problem.noise)
+        shift, apart = self._towards_curves(self._means(there)[0] if without else mean, there)
+        return Predicted(mean + shift, np.hypot(WIDER * sd * self.problem.noise, apart))
+
+    def _towards_curves(self, mean: np.ndarray, there: Problem) -> tuple[np.ndarray, np.ndarray]:
+        """(what the average with the curves adds to the `mean` [N, 3] of the fit, standard
+        deviation [N, 3] of a mixture of both values).
+        """
+        if self.average is None:
+            return np.zeros(mean.shape), np.zeros(mean.shape)
+        weight = self.average.weight
+        apart = np.where(weight > 0.0, at_curves(self.average.curves, there.data.rows) - mean, 0.0)
+        return weight * apart, np.sqrt(weight * (1.0 - weight)) * np.abs(apart)
 
     @property
     def variance_of_run(self) -> np.ndarray:
@@ -291,7 +324,9 @@ class Prediction:
         return 1.0 + self.learnt.beyond**2
 
     def joint_at(self, conditions: Conditions) -> np.ndarray:
-        """[N, 3, N, 3] covariance of the true values at conditions, over the noise."""
+        """[N, 3, N, 3] covariance of the true values at conditions, over the noise, by the fit
+        alone.
+        """
         there = at_conditions(self.problem, conditions)
         _, law, across = self._means(there)
         top, known, shared = self._covariance_factors(there, law, across)
@@ -312,7 +347,8 @@ class Prediction:
         of the unknowns, and A'A - B'B is what the table tells. `law` and `across` are those of
         `_means`.
         """
-        top = Law(there, self.law.choices, np.maximum(law[:, 0], 0.0)).derivatives(self.u)
+        guess = np.maximum(law[:, 0], 0.0)
+        top = law_of(there, self.law.choices, guess).derivatives(self.u)
         # The values are known through the unknowns and through the remainder: with J whitened,
         # (C + J J')^-1 = C^-1 - C^-1 J (I + J'J)^-1 J' C^-1.
         j = self.covariance.whiten(self.jacobian)
@@ -322,7 +358,9 @@ class Prediction:
 
     def mean_at(self, conditions: Conditions) -> np.ndarray:
         """[N, 3] predicted values at conditions [N], without standard deviations."""
-        return self._means(at_conditions(self.problem, conditions))[0]
+        there = at_conditions(self.problem, conditions)
+        mean = self._means(there)[0]
+        return mean + self._towards_curves(mean, there)[0]
 
     def _means(
         self, there: Problem, without: Collection[str] = ()
@@ -364,10 +402,10 @@ def fit_prediction(
     effects of `near`, starts from its unknowns, and keeps what it learnt of the remainder.
     """
     if near is not None:
-        law = Law(problem, near.law.choices)
+        law = law_of(problem, near.law.choices)
         law.derivatives.know(near.u, near.jacobian[problem.used[near.problem.used]])
         return _fitted(law, near.u, near.learnt)
-    law = Law(problem, effects_to_fit(problem) if choices is None else choices)
+    law = law_of(problem, effects_to_fit(problem) if choices is None else choices)
     low, high = law.bounds
     # Off the bounds: a start on a bound would stay there.
     u = np.clip(np.zeros(low.size), low + OFF_BOUND, high - OFF_BOUND)
@@ -380,6 +418,15 @@ def fit_prediction(
         u = found.u
         learnt = _learn(found, learnt)
     return _fitted(law, u, learnt)
+
+
+def law_of(problem: Problem, choices: Choices, guess: np.ndarray | None = None) -> Law:
+    """The `Law` of a prediction: soil flows as on rigs (`FLOW`), with the flow that the setup gives
+    as a part of it.
+    """
+    given = problem.laws
+    priors = {f"soil_flow_{k}": (max(mean - given[k], 0.0), sd) for k, (mean, sd) in FLOW.items()}
+    return Law(problem, choices, guess, priors)
 
 
 def _fitted(law: Law, start: np.ndarray, learnt: Learnt) -> Prediction:
@@ -457,57 +504,107 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
     return Learnt.from_logarithms(found.x)
 
 
-def curve_at(problem: Problem, conditions: Conditions) -> np.ndarray | None:
-    """[N, 3] values, at conditions [N], of the generic curves (`curve`) through the values in use.
+def curves_of(problem: Problem) -> list[Curve | None] | None:
+    """The generic curves (`curve`) through the values in use, by channel.
 
-    None where a condition varies in the table that a curve does not know: any but slip and load.
-    NaN for a channel with less than `FEWEST` values.
+    None where a condition varies in the table that a curve does not know: any but slip and load. A
+    channel with less than `FEWEST` values has None.
     """
     if set(independent(problem)) - {"slip", "load"}:
         return None
-    there = rows_of(conditions, problem.data.wheel)
     rows = problem.data.rows
-    out = np.full((there.slip.size, len(CHANNELS)), np.nan)
-    for j, use in enumerate(problem.used.T):
-        if use.sum() >= FEWEST:
-            y = problem.data.y[use, j]
-            curve = fit_curve(rows.slip[use], rows.load[use], y, problem.noise[j])
-            out[:, j] = curve.at(there.slip, there.load)
-    return out
+    return [
+        fit_curve(rows.slip[use], rows.load[use], problem.data.y[use, j], problem.noise[j])
+        if use.sum() >= FEWEST
+        else None
+        for j, use in enumerate(problem.used.T)
+    ]
+
+
+def at_curves(curves: list[Curve | None], rows: Rows) -> np.ndarray:
+    """[N, 3] values of the curves at rows; NaN for a channel without one."""
+    nothing = np.full(rows.slip.size, np.nan)
+    values = [nothing if curve is None else curve.at(rows.slip, rows.load) for curve in curves]
+    return np.stack(values, axis=1)
 
 
 def outlook(problem: Problem) -> Outlook:
-    """The fit of all effects, and the errors of predictions of what is left out of the table.
+    """The fit of all effects, averaged with a curve, and the errors of predictions of what is left
+    out of the table.
 
     Left out one after the other are the levels of the slip, those of the load, and the combinations
     of all conditions but the slip, where there are `FEWEST_GROUPS`. Unknowns are fitted anew to the
     rest; the remainder keeps what was learnt from all rows.
     """
     models = (fit_prediction(problem, (), smooth=False), fit_prediction(problem))
+    curves = curves_of(problem)
     others = tuple(name for name in independent(problem) if name != "slip")
     splits: dict[str, tuple[str, ...]] = {"slip": ("slip",)}
     if "load" in others:
         splits["load"] = ("load",)
     if {*others} - {"load"}:
         splits["condition"] = others
-    out = []
+    left = {}
     for split, what in splits.items():
         groups = combinations_of([problem.data.varied[name].level for name in what])
-        if groups.max() + 1 < FEWEST_GROUPS:
-            continue
-        # By base model, all effects with the remainder, curve.
-        held = np.full((3, *problem.used.shape), np.nan)
+        if groups.max() + 1 >= FEWEST_GROUPS:
+            left[split] = (groups, _left_out(problem, models, groups))
+    out = []
+    for split, (groups, held) in left.items():
+        averaged = held.copy()
         for k in range(groups.max() + 1):
-            group = groups == k
-            rest = problem.without(group)
-            at = {name: x[group] for name, x in problem.data.conditions.items()}
-            for j, model in enumerate(models):
-                held[j, group] = fit_prediction(rest, near=model).mean_at(at)
-            curve = curve_at(rest, at)
-            if curve is not None:
-                held[2, group] = curve
-        out.append(_errors(problem, split, what, held))
-    return Outlook(models[1], tuple(out))
+            # The weight for a group is that of the other rows.
+            weight = curve_weight(problem, [by for _, by in left.values()], groups != k)
+            mixed = held[1] + weight * np.where(weight > 0.0, held[2] - held[1], 0.0)
+            averaged[1, groups == k] = mixed[groups == k]
+        out.append(_errors(problem, split, splits[split], averaged))
+    full = models[1]
+    if curves is not None and left:
+        weight = curve_weight(problem, [by for _, by in left.values()])
+        full = dataclasses.replace(full, average=Average(weight, curves))
+    return Outlook(full, tuple(out))
+
+
+def _left_out(
+    problem: Problem, models: tuple[Prediction, Prediction], groups: np.ndarray
+) -> np.ndarray:
+    """[3, N, 3] predictions of the rows of each group by fits to the rest: by the base model, by
+    all effects, by the curve. NaN where there is no curve.
+    """
+    held = np.full((3, *problem.used.shape), np.nan)
+    for k in range(groups.max() + 1):
+        group = groups == k
+        rest = problem.without(group)
+        at = {name: x[group] for name, x in problem.data.conditions.items()}
+        for j, model in enumerate(models):
+            held[j, group] = fit_prediction(rest, near=model).mean_at(at)
+        curves = curves_of(rest)
+        if curves is not None:
+            held[2, group] = at_curves(curves, at_conditions(rest, at).data.rows)
+    return held
+
+
+def curve_weight(
+    problem: Problem, left_out: list[np.ndarray], rows: np.ndarray | slice = slice(None)
+) -> np.ndarray:
+    """[3] weight of the curve in the average with all effects, by channel.
+
+    For each kind of rows that were left out, stacking has the weight of the least squared error
+    (Breiman 1996, Machine Learning 24:49-64). The weight is the geometric mean of these, at most
+    `MOST_OF_CURVE`: 0 where the curve does not help with each kind.
+
+    `left_out`: for each kind, values [3, N, 3] as by `_left_out`; `rows`: those to judge by.
+    """
+    weight = np.ones(len(CHANNELS))
+    for held in left_out:
+        full, curve = ((values - problem.data.y) / problem.sd for values in held[1:])
+        known = problem.used & np.isfinite(full) & np.isfinite(curve)
+        off = np.where(known, full, 0.0)[rows]
+        apart = np.where(known, full - curve, 0.0)[rows]
+        size = np.sum(apart**2, axis=0)
+        least = np.sum(off * apart, axis=0) / np.where(size > 0.0, size, 1.0)
+        weight *= np.clip(least, 0.0, 1.0) ** (1.0 / len(left_out))
+    return np.minimum(weight, MOST_OF_CURVE)
 
 
 def _errors(problem: Problem, split: str, what: tuple[str, ...], held: np.ndarray) -> LeftOut:

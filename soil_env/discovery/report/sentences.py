@@ -432,6 +432,14 @@ def foreseen(report: Report) -> str:
             f"Leaving {_level(way.what)} out, the base model errs by {figure(over.base)} times the "
             f"noise, the corrected one by {figure(over.corrected)}{curve}."
         )
+    average = report.outlook.model.average
+    if average is not None and average.weight.any():
+        said = joined(
+            f"{percent(weight)} of the {TITLES[name]}"
+            for name, weight in zip(CHANNELS, average.weight, strict=True)
+            if weight > 0.0
+        )
+        parts.append(f"The corrected one is averaged with the curve, which has {said}.")
     guess = report.guess
     if guess is not None and guess.times > GUESSED:
         name = "drawbar_pull" if "drawbar_pull" in report.channels else report.channels[0]

@@ -28,7 +28,8 @@ EFFECT = Effect(
         Form(
             "carried",
             ("rim_flow", "braked_peak"),
-            "kappa = {rim_flow} tan(phi) (1 - i)^3; thetam = [1/2 + {braked_peak} s/(1 + s)] theta1",
+            "kappa = {rim_flow} tan(phi) (1 - i)^3; "
+            "thetam = [1/2 + {braked_peak} s/(1 + s)] theta1",
             "after Wong & Reece (1967), J. Terramechanics 4(2):7-25, part II; own form",
         ),
     ),
