@@ -99,6 +99,14 @@ def shift_saturating(contact, s, side):
     contact.peak_shift.append(lambda entry: s * -np.expm1(-_slip(contact) / side["slip"]) * entry)
 
 
+@_form("soil_flow", "speed of the carried soil over the travel speed [-]", 0.15)
+def front_zone(contact, s, side):
+    """Soil in front that is carried forward at a share s (1 - i) of the travel speed, after the
+    front flow zone of Wong & Reece (1967, part II).
+    """
+    contact.carried = contact.carried + s * (1.0 - _slip(contact))
+
+
 @_late(
     "grousers",
     "lug height [m]",

@@ -126,6 +126,7 @@ class Contact:
     tan_phi: np.ndarray = field(init=False)
     shear_modulus: np.ndarray = field(init=False)  # K [m]
     shear_radius: np.ndarray = field(init=False)  # where the shear stress acts [m]
+    carried: np.ndarray = field(init=False)  # speed of soil along the rim, of the travel speed
     #: (theta1, r) -> theta2 <= 0.
     exit_angle: Callable = field(default=lambda entry, radius: 0.0 * entry)
     mobilised: Callable = field(default=lambda ratio: -np.expm1(-ratio))  # of j/K >= 0
@@ -146,6 +147,7 @@ class Contact:
         self.radius = column(self.wheel.radius, n)
         self.width = column(self.wheel.width, n)
         self.shear_radius = self.radius.copy()
+        self.carried = np.zeros((n, 1))
         self.slip = column(self.rows.slip, n)
         self.load = column(self.rows.load, n)
         self.stiffness = column(ground.sinkage_coefficient, n)
@@ -229,7 +231,9 @@ class Contact:
         sigma = arc.sigma
         # Entry unless lugs reach further.
         start = np.arccos(np.clip((self.radius * np.cos(arc.entry)) / r, -1.0, 1.0))
-        j = r * ((start - theta) - (1.0 - self.slip) * (np.sin(start) - np.sin(theta)))
+        travel = 1.0 - self.slip  # over the rim speed
+        rim = 1.0 + self.carried * travel
+        j = r * (rim * (start - theta) - travel * (np.sin(start) - np.sin(theta)))
         limit = self.cohesion + sigma * self.tan_phi
         for hook in self.strength:
             limit = hook(limit, sigma, theta)

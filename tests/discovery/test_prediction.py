@@ -1,5 +1,6 @@
 """Predictions with all effects: curves, remainders, held-out rows and stated deviations."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -9,21 +10,37 @@ from soil_env._io.loading import ParameterError
 from soil_env.discovery.calibrate import calibrate
 from soil_env.discovery.curve import fit_curve
 from soil_env.discovery.prediction import (
+    FLOW,
+    MOST_OF_CURVE,
     WIDER,
-    curve_at,
+    at_conditions,
+    at_curves,
+    curve_weight,
+    curves_of,
     effects_to_fit,
     fit_prediction,
     independent,
     outlook,
 )
 from soil_env.discovery.search import candidates
-from tests.discovery.files import NOISE, PLANTED, changed, data_of, table_text, with_column, world
+from soil_env.parameters import soils
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from tests.discovery.files import (
+    NOISE,
+    PLANTED,
+    SETUP,
+    changed,
+    data_of,
+    table_text,
+    with_column,
+    world,
+)
 
 LOADS = (80.0, 120.0, 180.0)
 
 
-def problem_of(folder, text):
-    return calibrate(data_of(folder, text))[0]
+def problem_of(folder, text, setup=SETUP):
+    return calibrate(data_of(folder, text, setup))[0]
 
 
 def truth(effects, slip, load):
@@ -133,8 +150,7 @@ def test_what_follows_from_slip_is_no_condition_of_its_own(tmp_path):
     assert list(problem.data.varied) == independent(problem) == ["slip", "load"]
     assert "penetration_rate" in candidates(problem)[1]
     assert not {"penetration_rate", "shear_rate"} & {c.effect for c in effects_to_fit(problem)}
-    rows = problem.data.rows
-    assert curve_at(problem, {"slip": rows.slip, "load": rows.load}) is not None
+    assert curves_of(problem) is not None
 
 
 def test_a_grade_by_a_latin_square_of_load_and_speed_is_a_condition_of_its_own(tmp_path):
@@ -177,8 +193,10 @@ def test_a_table_of_one_level_of_slip_and_of_load_is_refused_in_a_line(tmp_path)
 def test_no_curve_is_drawn_over_conditions_that_it_does_not_know(tmp_path):
     text = table_text({}, loads=(100.0,), **{"pass": (1, 2, 3)})
     problem = problem_of(tmp_path, text)
-    assert curve_at(problem, {"slip": np.array([0.2]), "load": np.array([100.0])}) is None
-    passes = outlook(problem).left_out[-1]
+    assert curves_of(problem) is None
+    found = outlook(problem)
+    assert found.model.average is None
+    passes = found.left_out[-1]
     assert passes.what == ("pass",) and math.isnan(passes.over_noise.curve)
 
 
@@ -203,3 +221,94 @@ def test_a_table_of_one_channel_is_predicted(tmp_path):
     y = truth(PLANTED, [0.25], [120.0])
     assert abs(found.mean[0, 1] - y[0, 1]) < 2.0
     assert np.all(np.isfinite(found.mean)) and np.all(found.sd > 0.0)
+
+
+def test_the_curve_has_the_weight_with_which_the_average_errs_least(planted):
+    y = planted.data.y
+    sd = planted.sd
+    rng = np.random.default_rng(0)
+    off = rng.normal(size=(2, *y.shape)) * sd
+    full = y + off[0]
+    held = np.stack([y, full, y + 3.0 * off[1]])
+    weight = curve_weight(planted, [held])
+
+    def error(at):
+        return np.sum(((1.0 - at) * (full - y) + at * (held[2] - y)) ** 2 / sd**2, axis=0)
+
+    assert np.all((0.0 < weight) & (weight < 0.3))
+    for other in (weight - 0.02, weight + 0.02):
+        assert np.all(error(weight) < error(other))
+    curve_right = np.stack([y, full, y])
+    assert curve_weight(planted, [curve_right]) == pytest.approx(MOST_OF_CURVE)
+    full_right = np.stack([y, y, full])
+    assert curve_weight(planted, [full_right]).tolist() == [0.0] * 3
+    assert curve_weight(planted, [full_right, curve_right]).tolist() == [0.0] * 3
+    unknown = np.stack([y, full, np.full(y.shape, np.nan)])
+    assert curve_weight(planted, [unknown]).tolist() == [0.0] * 3
+
+
+def averaged(problem, weight):
+    """The prediction of a problem with a given weight [3] of its curves."""
+    model = outlook(problem).model
+    assert model.average is not None
+    average = model.average._replace(weight=np.array(weight))
+    return dataclasses.replace(model, average=average)
+
+
+def test_an_average_lies_between_fit_and_curve_and_is_less_sure(planted):
+    weight = np.array([0.3, 0.1, 0.0])
+    model = averaged(planted, weight)
+    at = {"slip": np.array([0.08, 0.3, 0.5]), "load": np.array([100.0, 150.0, 240.0])}
+    alone = dataclasses.replace(model, average=None).at(at)
+    both = model.at(at)
+    apart = at_curves(model.average.curves, at_conditions(planted, at).data.rows) - alone.mean
+    assert both.mean == pytest.approx(alone.mean + weight * apart)
+    assert model.mean_at(at) == pytest.approx(both.mean)
+    spread = np.sqrt(weight * (1.0 - weight)) * np.abs(apart)
+    assert both.sd == pytest.approx(np.hypot(alone.sd, spread))
+
+
+def test_an_error_of_the_rig_that_is_left_out_does_not_come_back_by_the_curve(tmp_path):
+    """Prediction with and without a tilt differ by its pull, averaged with a curve or not."""
+    text = table_text(PLANTED, loads=LOADS)
+    problem = problem_of(tmp_path, text, SETUP + "tilt_deg: {value: 0, sd: 1}\n")
+    model = averaged(problem, [0.5, 0.5, 0.5])
+    at = {"slip": np.array([0.1, 0.4]), "load": np.array([120.0, 200.0])}
+    alone = dataclasses.replace(model, average=None)
+    level, level_alone = (m.at(at, ["tilt_deg"]).mean for m in (model, alone))
+    assert model.at(at).mean - level == pytest.approx(alone.at(at).mean - level_alone)
+
+
+def test_braked_rows_are_predicted_from_driven_ones_where_soil_flows(tmp_path):
+    """By the constants of the rigs; the base model errs by half of the pull."""
+    sand = dataclasses.replace(soils()["dry_sand"], dig_gain=0.0)
+    model = WheelSoilModel(ModelWheel(0.15, 0.12, 0.0), sand)
+
+    def values(slips, loads):
+        slip, load = (x.ravel() for x in np.meshgrid(slips, loads))
+        return slip, load, np.stack(model.predict({"slip": slip, "load": load})[:3], axis=1)
+
+    slip, load, y = values((0.05, 0.1, 0.2, 0.35, 0.5, 0.7), (60.0, 100.0, 160.0))
+    rows = np.column_stack([slip, load, y]).tolist()
+    text = "slip,load,sinkage,drawbar_pull,torque\n"
+    text += "".join(",".join(f"{x:.6g}" for x in row) + "\n" for row in rows)
+    problem = problem_of(
+        tmp_path,
+        text,
+        "wheel: {radius: 0.15, width: 0.12, grouser_height: 0}\n"
+        "noise: {sinkage: 0.0003, drawbar_pull: 0.7, torque: 0.1}\n",
+    )
+    slip, load, true = values((-0.4, -0.2), (100.0,))
+    at = {"slip": slip, "load": load}
+    off = np.abs(fit_prediction(problem).mean_at(at) - true)
+    base = np.abs(fit_prediction(problem, (), smooth=False).mean_at(at) - true)
+    assert np.all(off[:, 1] < 2.0) and np.all(base[:, 1] > 15.0)
+    assert np.all(off[:, 2] < 0.3) and np.all(base[:, 2] > 2.0)
+
+
+def test_flow_that_the_setup_states_is_not_added_again(tmp_path):
+    setup = SETUP.replace("soil:\n", "soil:\n  rim_flow: 0.1\n  braked_peak: 0.25\n")
+    problem = problem_of(tmp_path, table_text({}, loads=LOADS), setup)
+    prior = {k.name: (k.mean, k.sd) for k in fit_prediction(problem).law.unknowns}
+    assert prior["soil_flow_rim_flow"] == (0.0, FLOW["rim_flow"][1])
+    assert prior["soil_flow_braked_peak"] == (0.0, FLOW["braked_peak"][1])

@@ -36,6 +36,7 @@ SIZES = {
     },
     "rear_contact": {"ratio": (0, 0.8)},
     "stress_peak_shift": {"offset": (-0.15, 0.15), "slope": (-0.3, 0.5)},
+    "soil_flow": {"rim_flow": (0, 0.12), "braked_peak": (0, 0.6)},
     "grousers": {"shear_share": (0, 1.2), "radius_share": (0, 1.2), "blades": (0, 8)},
     "bulldozing": {"rankine": (0, 2), "hegedus": (0, 2)},
     "multipass": {

@@ -48,12 +48,13 @@ def travel_over_rim(slip):
     return 1.0 - slip if slip >= 0.0 else 1.0 / (1.0 + slip)
 
 
-def carried(slip, flow, tan_phi, theta1):
+def carried(slip, flow, tan_phi, theta1, sheared_from=None):
     """Speed of soil carried along the rim over the travel speed: `flow` tan(phi) (1 - i)^3, held
-    below cos(0.75 theta1), and by the sinkage below that on hard ground.
+    below the cosine of 0.75 of the angle where shear begins, and by the sinkage below that on hard
+    ground.
     """
     share = flow * tan_phi * (1.0 - slip) ** 3
-    slowest = math.cos(0.75 * theta1)
+    slowest = math.cos(0.75 * (theta1 if sheared_from is None else sheared_from))
     depth = 1.0 - math.cos(theta1)  # [radii]
     most = 0.5 * (slowest + math.hypot(slowest, 0.1)) / (1.0 + (0.05 / depth) ** 2)
     return share * (1.0 + (share / most) ** 4) ** -0.25
@@ -211,6 +212,7 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
             "slip_sinkage",
             "rear_contact",
             "stress_peak_shift",
+            "soil_flow",
             "grousers",
             "bulldozing",
             "multipass",
@@ -289,6 +291,7 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
     # the wheel
     lugs = fx["grousers"]
     shift = fx["stress_peak_shift"]
+    flow = fx["soil_flow"]
     rear = fx["rear_contact"]
     R = site.r + lugs.get("radius_share", 0.0) * site.lug  # carries the normal stress
     Q = R + lugs.get("shear_share", 0.0) * site.lug  # shears the soil
@@ -300,12 +303,17 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
         middle = 0.5 * (theta1 + (theta2 if rear.get("peak_follows", 1.0) else 0.0))
         middle += (shift.get("offset", 0.0) + shift.get("slope", 0.0) * size) * theta1
         margin = 0.05 * (theta1 - theta2)
-        return theta1, theta2, min(max(middle, theta2 + margin), theta1 - margin)
+        middle = min(max(middle, theta2 + margin), theta1 - margin)
+        braked = max(-i, 0.0)
+        middle += flow.get("braked_peak", 0.0) * braked / (1.0 + braked) * theta1
+        return theta1, theta2, min(middle, theta1 - margin)
 
     def displacement(theta, theta1):
         # where the lug tips enter, Ding et al. (2011)
         start = math.acos(min(R * math.cos(theta1) / Q, 1.0))
-        return Q * (start - theta) - lag * (math.sin(start) - math.sin(theta))
+        tips = 1.0 - lag / Q if lag <= Q else Q / lag - 1.0  # their slip
+        share = carried(tips, flow.get("rim_flow", 0.0), tan_phi, theta1, start)
+        return (Q + share * lag) * (start - theta) - lag * (math.sin(start) - math.sin(theta))
 
     def sums(z, *shapes):
         """Int (sigma, tau) . shape(theta) over the arc, for each shape [Pa]."""

@@ -40,9 +40,11 @@ RIG = {
     ("drivetrain_friction", "viscous"): 2.0,
     ("sinkage_offset", "offset"): 0.003,
     ("shear_softening", "onset"): 0.02,
+    ("soil_flow", "braked_peak"): 0.25,
 }
-#: Parameters of a law that change nothing alone, beside those with a centre of their own.
-NUISANCES = {("shear_softening", "onset")}
+#: Parameters of a law that change nothing alone under a driven wheel, beside those with a centre of
+#: their own.
+NUISANCES = {("shear_softening", "onset"), ("soil_flow", "braked_peak")}
 #: Forms that reach fewer channels than their effect does: lugs as blades add a thrust, but no lift;
 #: apparent slip-sinkage is by its meaning one of the sinkage alone.
 NARROWER = {("grousers", "blades"): {PULL, TORQUE}, ("slip_sinkage", "apparent"): {SINKAGE}}

