@@ -64,7 +64,7 @@ IMPOSSIBLE = 1e10  # -ln of the likelihood where it cannot be computed
 FORCE_SCALE = 0.3  # of the load: scale of pull, and of torque over the radius; own choice
 LEAST_SINKAGE = 0.004  # [radii] least scale of the sinkage; own choice
 #: Factor on the standard deviations, measured on rigs: linearised intervals held too rarely.
-WIDER = 1.35
+WIDER = 1.15
 FEWEST_GROUPS = 3  # levels or combinations, from which they are left out in turn
 FEWEST = 4  # values of a channel, from which it has a curve
 #: Largest weight of the curve in an average: it knows no soil. Own choice, on docs/results/
