@@ -79,6 +79,22 @@ def test_a_guess_where_only_the_slip_varies_is_told(planted):
     assert "It guesses at slip 0.9 (drawbar pull " in told and "not to learn what is" in told
 
 
+def test_the_share_of_the_curve_in_the_corrected_model_is_told(planted):
+    average = planted.outlook.model.average
+
+    def told(*weight):
+        model = dataclasses.replace(
+            planted.outlook.model, average=average._replace(weight=np.array(weight))
+        )
+        report = dataclasses.replace(planted, outlook=planted.outlook._replace(model=model))
+        assert sentences.curve_shares(report) == dict(zip(report.channels, weight, strict=True))
+        return sentences.foreseen(report)
+
+    shares = "averaged with the curve, which has 25 % of the sinkage and 7 % of the torque."
+    assert shares in told(0.25, 0.004, 0.07)
+    assert "averaged" not in told(0.0, 0.0, 0.0)
+
+
 @pytest.mark.parametrize(("errors", "said"), [((1.8, 3.1), 1), ((3.1, 1.8), 0), ((0.5, 0.9), 0)])
 def test_it_is_told_where_the_base_model_predicts_better(planted, errors, said):
     """Not where both err by less than the noise."""

@@ -162,7 +162,8 @@ def test_predictions():
     names = {
         "Base model": "base model",
         "with a remainder": "base and remainder",
-        "all effects in one fit with a remainder": "all effects",
+        "all effects in one fit": "all effects",
+        "averaged with the curve": "with the curve",
         "Gaussian process": "Gaussian process",
     }
     text = " ".join(PAGE.read_text(encoding="utf-8").split())

@@ -146,6 +146,7 @@ def content(report: Report) -> dict[str, Any]:
             },
             "closed": report.closed,
             "prediction": {way.split: way.errors for way in report.outlook.left_out},
+            "curve_weight": sentences.curve_shares(report),
             "foreseen": sentences.foreseen(report),
             "if_laws_err": sentences.if_laws_err(report),
             "guess": report.guess,

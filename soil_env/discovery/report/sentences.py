@@ -31,6 +31,7 @@ from soil_env.terramechanics.steady import DEEPEST
 from soil_env.terramechanics.validity import in_words
 
 GUESSED = 1.5  # sd of a prediction over the largest within the table, from which it is a guess
+LEAST_SHARE = 0.01  # weight of the generic curve that is mentioned
 MENTIONED = 0.05  # least probability of a remainder beside a name that is mentioned
 LITTLE = 0.02  # rise of the probability of the right candidate below which runs would hardly help
 SCATTERED = 1.2  # [noise] scatter of the values that is worth a caution
@@ -420,6 +421,15 @@ def if_laws_err(report: Report) -> str:
     return f"Most probable: {said}; if the laws err by {percent(LAW_ERRORS[-1])}, {most}."
 
 
+def curve_shares(report: Report) -> dict[str, float]:
+    """Weight of the generic curve in the corrected model, by measured channel; empty without it."""
+    average = report.outlook.model.average
+    if average is None:
+        return {}
+    weights = dict(zip(CHANNELS, average.weight.tolist(), strict=True))
+    return {name: weights[name] for name in report.channels}
+
+
 def foreseen(report: Report) -> str:
     """Sentences on how well runs that were not made are predicted: errors of what was left out, and
     where the corrected model guesses.
@@ -432,14 +442,13 @@ def foreseen(report: Report) -> str:
             f"Leaving {_level(way.what)} out, the base model errs by {figure(over.base)} times the "
             f"noise, the corrected one by {figure(over.corrected)}{curve}."
         )
-    average = report.outlook.model.average
-    if average is not None and average.weight.any():
-        said = joined(
-            f"{percent(weight)} of the {TITLES[name]}"
-            for name, weight in zip(CHANNELS, average.weight, strict=True)
-            if weight > 0.0
-        )
-        parts.append(f"The corrected one is averaged with the curve, which has {said}.")
+    shares = [
+        f"{percent(weight)} of the {TITLES[name]}"
+        for name, weight in curve_shares(report).items()
+        if weight >= LEAST_SHARE
+    ]
+    if shares:
+        parts.append(f"The corrected one is averaged with the curve, which has {joined(shares)}.")
     guess = report.guess
     if guess is not None and guess.times > GUESSED:
         name = "drawbar_pull" if "drawbar_pull" in report.channels else report.channels[0]
