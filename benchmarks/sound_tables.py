@@ -147,9 +147,9 @@ def _effects(
     rng: np.random.Generator, torque: float, sinkage: float
 ) -> dict[str, dict[str, float]]:
     """None to two effects in one of their forms, 0.5 to 3 times the usual size, in a table of slips
-    and loads.
+    and loads. Soils of the library flow along the rim by themselves.
     """
-    names = [e.name for e in CATALOGUE.values() if e.varies is None]
+    names = [e.name for e in CATALOGUE.values() if e.varies is None and e.name != "soil_flow"]
     out = {}
     for name in rng.choice(names, int(rng.integers(0, 3)), replace=False):
         effect = CATALOGUE[str(name)]
