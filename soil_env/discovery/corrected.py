@@ -137,19 +137,21 @@ def _remainder(
 ) -> ResidualTable:
     """The table of a prediction less `model`, at all combinations of the `nodes` of each condition:
     sinkage over radius, pull over load, torque over load times radius, and their standard
-    deviations. It is 0 where the model has no value.
+    deviations. The values, but not the deviations, are 0 where the model has none. Its axes are the
+    nodes as dimensionless groups (`residual.GROUPS`).
 
-    Conditions that are no node are at their medians, the ground level. The slips of the nodes are
-    true ones. `without`: errors of the rig that the prediction leaves
-    out.
+    Conditions that are no node are at their medians, the ground level; slip always is one, and its
+    nodes are true slips. `without`: errors of the rig that the prediction leaves out.
     """
     grid = np.stack(np.meshgrid(*nodes.values(), indexing="ij"), axis=-1).reshape(-1, len(nodes))
     at = _medians(found.problem, ("load", "speed", "pass"), len(grid))
     at |= dict(zip(nodes, grid.T, strict=True))
     bias = {"offset": 0.0, "radius_error": 0.0} | model.effects.get("slip_bias", {})
-    # Model and prediction take the slip as the rig measures it: from true to measured slips.
+    # Model and prediction take the slip as the rig measures it: from true to measured slips, as by
+    # `slip_bias.measured_slip`.
     scale = np.full(len(grid), 1.0 / (1.0 - bias["radius_error"]))
     at["slip"] = np.clip(slips_of_radius(at["slip"] - bias["offset"], scale), -1.0, 1.0)
+    # No range of validity: the nodes go beyond it, which is nothing to warn of.
     law = np.stack(replace(model, validity={}).predict(at)[:3], axis=1)
     radius = model.wheel.radius
     size = np.stack([np.full(len(grid), radius), at["load"], at["load"] * radius], axis=1)

@@ -129,8 +129,9 @@ def acting_on(
 ) -> Acting:
     """Pack effects and a residual law (a record `RESIDUAL`): `BASE` where both are None.
 
-    Where one of them is None, the other comes with neutral effects or a law without terms. Lengths
-    of the shear law are over `shear_ratio`, that of the wheel, as K is in `ground_under`.
+    Where one of them is None, the other comes with neutral effects or a law without terms.
+    `shear_ratio`: radius at which soil is sheared over that of the contact. Lengths of the shear
+    law are divided by it, as K is in `_soil_and_arc`.
     """
     if effects is None and residual is None:
         return BASE

@@ -622,29 +622,65 @@ def _without_wrong_rows(start: _AsIs) -> tuple[_AsIs, list[str]]:
 def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
     """(table without the wrong row, a sentence on it), None where no row is found wrong.
 
-    The row is that without which the others fit best. All rows of a `SMALL` table are tried, else
-    the `CANDIDATES` furthest off and those at the ends of slip and load. The row is kept in three
-    cases: others at its slip share the deviation, the trend of its neighbours leads to it
-    (`_goes_on`), or the evidence is too little (`_words_on`). A table that is not `suspect` is
-    searched only if its noise was taken from the scatter: a wrong row is in that noise.
+    The row is that without which the others fit best (`_worst_row`). It is kept where others at its
+    slip share the deviation (`_is_shared`), the trend of its neighbours leads to it (`_goes_on`),
+    the evidence is too little (`_words_on`), or the rest are too few for a fit. A table that is not
+    `suspect` is searched only if its noise is not known otherwise: taken from the scatter, it
+    hides a wrong row. Tables of `FEWEST_ROWS` are not searched.
     """
     data, noise, fit = start
-    hidden = "scatter" in noise.origin or not any(noise.origin)  # noise that a wrong row enlarges
+    hidden = "scatter" in noise.origin or not any(noise.origin)
     if len(data.table) <= FEWEST_ROWS or not (start.suspect or hidden):
         return None
+    off = _robust_deviations(fit)
+    row = _worst_row(data, off, _noise_without_a_row(data, noise.sd) if hidden else noise.sd)
+    if _is_shared(data, row, off):
+        return None
+    try:
+        rest = _as_is(prepare(data.table.only(np.arange(len(data.table)) != row), data.setup))
+    except ParameterError:  # too little is left
+        return None
+    if _goes_on(data, row, rest):
+        return None
+    # Both fits under the noise of the rest; the row itself counts again in the first.
+    sd = rest.noise.sd
+    used = np.insert(rest.noise.used, row, data.measured[row], axis=0)
+    gain = rest.fit.evidence - _fit(fit.reading, sd, used).evidence
+    gain -= math.log(len(data.table))  # prior: any row may be the wrong one
+    # Few rows under a noise that is taken from them need more evidence.
+    least = GROSS if hidden and len(data.table) <= SMALL else WRONG
+    words = _words_on(data, row, rest.fit, sd, gain, least)
+    return (rest, words) if words else None
+
+
+def _robust_deviations(fit: _Fit) -> np.ndarray:
+    """[N, 3] residuals over the noise of a robust fit, which single rows hardly draw to themselves;
+    0 where not measured.
+    """
     problem = fit.problem
     robust = problem.minimise(fit.u, loss="cauchy", f_scale=CLEAR, **COARSE)[0]
-    e = np.where(problem.measured, problem.by_noise(problem.residual(robust)).reshape(-1, 3), 0.0)
-    square = np.sum(e**2, axis=1) / np.maximum(problem.measured.sum(axis=1), 1)
+    off = problem.by_noise(problem.residual(robust)).reshape(-1, 3)
+    return np.where(problem.measured, off, 0.0)
+
+
+def _noise_without_a_row(data: Data, sd: np.ndarray) -> np.ndarray:
+    """[3] the least of the noise `sd` and of the rough noises without any one row: without the
+    wrong one, whichever it is.
+    """
+    rows = np.arange(len(data.table))
+    return np.min([sd, *(_rough(data, rows != row) for row in rows)], axis=0)
+
+
+def _worst_row(data: Data, off: np.ndarray, sd: np.ndarray) -> int:
+    """The row without which the others fit best under the noise `sd` [3], by their cost over the
+    number of their values.
+
+    All rows of a `SMALL` table are tried, else the `CANDIDATES` whose deviations `off` [N, 3] are
+    largest, and those at the ends of slip and load, which draw the fit to themselves.
+    """
     slip = data.table.slip
     load = data.table.load
-    # A row far from the others draws the fit to itself.
-    ends = [np.argmin(slip), np.argmax(slip), np.argmin(load), np.argmax(load)]
     rows = np.arange(len(slip))
-    sd = noise.sd
-    if hidden:
-        # The least rough noise without any one row: without the wrong one, whichever it is.
-        sd = np.min([sd, *(_rough(data, rows != row) for row in rows)], axis=0)
 
     def cost_without(row: int) -> float:
         """Cost of the fit to all other rows, over the number of their values; inf if too few."""
@@ -655,28 +691,21 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
             return math.inf
         return found.cost / int(found.problem.measured.sum())
 
+    square = np.sum(off**2, axis=1) / np.maximum(data.measured.sum(axis=1), 1)
     few = rows if len(rows) <= SMALL else np.argsort(-square)[:CANDIDATES]
-    worst = min({int(k) for k in (*few, *ends)}, key=cost_without)
-    kept = rows != worst
-    # A deviation that the others at its slip share is no mistake of one row.
+    ends = [np.argmin(slip), np.argmax(slip), np.argmin(load), np.argmax(load)]
+    return min({int(k) for k in (*few, *ends)}, key=cost_without)
+
+
+def _is_shared(data: Data, row: int, off: np.ndarray) -> bool:
+    """True if the others at the slip of a row share its largest deviation of `off` [N, 3], so that
+    it is no mistake of one row.
+    """
     level = data.varied["slip"].level
-    channel = int(np.argmax(np.abs(e[worst])))
-    beside = e[kept & (level == level[worst]) & data.measured[:, channel], channel]
-    if beside.size > 1 and np.median(beside) / e[worst, channel] > SHARED:
-        return None
-    try:
-        rest = _as_is(prepare(data.table.only(kept), data.setup))
-    except ParameterError:  # too little is left
-        return None
-    if _goes_on(data, worst, rest):
-        return None
-    sd = rest.noise.sd
-    used = np.insert(rest.noise.used, worst, data.measured[worst], axis=0)
-    before = _fit(fit.reading, sd, used)
-    gain = rest.fit.evidence - before.evidence - math.log(len(data.table))
-    least = GROSS if hidden and len(rows) <= SMALL else WRONG
-    words = _words_on(data, worst, rest.fit, sd, gain, least)
-    return (rest, words) if words else None
+    channel = int(np.argmax(np.abs(off[row])))
+    others = (level == level[row]) & (np.arange(len(level)) != row)
+    beside = off[others & data.measured[:, channel], channel]
+    return beside.size > 1 and bool(np.median(beside) / off[row, channel] > SHARED)
 
 
 def _goes_on(data: Data, row: int, rest: _AsIs) -> bool:
