@@ -124,7 +124,7 @@ def figures(case: Case, folds: int | None = None) -> dict:
         near = fit_prediction(problem, ()).at(conditions)
         model = outlook(problem).model
         if model.average is None:
-            raise ParameterError(f"{case.name}: conditions vary that no curve knows")
+            raise ParameterError(f"{case.name}: no curve is averaged in")
         full = replace(model, average=None).at(conditions)
         averaged = model.at(conditions)
         curve = at_curves(model.average.curves, rows_of(conditions, problem.data.wheel))

@@ -108,14 +108,14 @@ def corrected(found: Prediction, named: Sequence[str] = ()) -> WheelSoilModel:
 
     In the rest are errors of the rig, effects that only sensors feel (`SENSED`), and effects that
     together change no value by `LITTLE`. Exceptions: a `SENSED` effect that is `named` stays an
-    effect. A named error of the rig and the tilt of the setup are in neither, since the world is no
-    rig.
+    effect, and so does `soil_flow`, which braked wheels would show. A named error of the rig and
+    the tilt of the setup are in neither, since the world is no rig.
     """
     problem = found.problem
     left = [name for name in (*INSTRUMENT, *SENSED) if name not in {*named} & {*SENSED}]
     choices = tuple(c for c in found.law.choices if c.effect not in left)
     output = problem.predict(found.values, choices, np.maximum(found.output[:, 0], 0.0))
-    for name in dict.fromkeys(c.effect for c in choices):
+    for name in dict.fromkeys(c.effect for c in choices if c.effect != "soil_flow"):
         fewer = tuple(c for c in choices if c.effect != name)
         there = problem.predict(found.values, fewer, np.maximum(output[:, 0], 0.0))
         if np.max(np.abs(there - output) / problem.noise) < LITTLE:

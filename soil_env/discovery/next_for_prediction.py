@@ -1,9 +1,10 @@
 """Design of the next runs for prediction: those that leave least uncertainty over all that the rig
 can do.
 
-What `prediction` says of all runs is jointly normal, with a covariance that does not depend on what
-will be measured. So runs can be chosen before any is made: each is the one that lowers the mean
-standard deviation most for its cost (Cohn 1996, Neural Networks 9:1071-1083).
+What the fit of all effects (`prediction`) says of all runs is jointly normal, with a covariance
+that does not depend on what will be measured. So runs can be chosen before any is made: each is the
+one that lowers the mean standard deviation most for its cost (Cohn 1996, Neural Networks
+9:1071-1083).
 """
 
 from typing import NamedTuple

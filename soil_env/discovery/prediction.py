@@ -31,13 +31,14 @@ from soil_env.identification.table.form_error import (
     LENGTHS,
     Conditions,
     coordinates,
+    finite,
     log_diagonal,
 )
 from soil_env.terramechanics.model import rows_of
 from soil_env.terramechanics.steady import Rows
 
 from .calibrate import Law, Problem
-from .curve import LEAST_SPAN, Curve, fit_curve
+from .curve import BRAKED, LEAST_SPAN, Curve, fit_curve
 from .instrument import LISTED, Choices
 from .search import candidates, forms
 
@@ -146,14 +147,15 @@ class Outlook(NamedTuple):
 def effects_to_fit(problem: Problem) -> Choices:
     """Effects that the prediction fits together.
 
-    They are the candidates of the search, less `LEFT_OUT` and effects whose condition does not vary
-    by itself. An effect of `FORMS` has the forms named there, any other its first form; a form that
-    needs a speed is left out where a row has none.
+    They are the candidates of the search, less `LEFT_OUT`, effects whose condition does not vary by
+    itself, and `soil_flow` where the setup states it. An effect of `FORMS` has the forms named
+    there, any other its first form; a form that needs a speed is left out where a row has none.
     """
     out = []
     varied = independent(problem)
+    stated = ("soil_flow",) if problem.data.setup.soil.rim_flow is not None else ()
     for name in candidates(problem)[0]:
-        if name in LEFT_OUT or LISTED[name].varies not in (None, *varied):
+        if name in (*LEFT_OUT, *stated) or LISTED[name].varies not in (None, *varied):
             continue
         published = LISTED[name].forms
         names = FORMS.get(name, (published[0].name,))
@@ -312,8 +314,9 @@ class Prediction:
         """
         if self.average is None:
             return np.zeros(mean.shape), np.zeros(mean.shape)
-        weight = self.average.weight
-        apart = np.where(weight > 0.0, at_curves(self.average.curves, there.data.rows) - mean, 0.0)
+        apart = finite(at_curves(self.average.curves, there.data.rows) - mean)
+        known = _known_to_curves(self.problem.data.rows, there.data.rows)
+        weight = self.average.weight * known[:, None]
         return weight * apart, np.sqrt(weight * (1.0 - weight)) * np.abs(apart)
 
     @property
@@ -421,12 +424,8 @@ def fit_prediction(
 
 
 def law_of(problem: Problem, choices: Choices, guess: np.ndarray | None = None) -> Law:
-    """The `Law` of a prediction: soil flows as on rigs (`FLOW`), with the flow that the setup gives
-    as a part of it.
-    """
-    given = problem.laws
-    priors = {f"soil_flow_{k}": (max(mean - given[k], 0.0), sd) for k, (mean, sd) in FLOW.items()}
-    return Law(problem, choices, guess, priors)
+    """The `Law` of a prediction: soil flows as on rigs (`FLOW`)."""
+    return Law(problem, choices, guess, {f"soil_flow_{k}": prior for k, prior in FLOW.items()})
 
 
 def _fitted(law: Law, start: np.ndarray, learnt: Learnt) -> Prediction:
@@ -508,7 +507,8 @@ def curves_of(problem: Problem) -> list[Curve | None] | None:
     """The generic curves (`curve`) through the values in use, by channel.
 
     None where a condition varies in the table that a curve does not know: any but slip and load. A
-    channel with less than `FEWEST` values has None.
+    channel with less than `FEWEST` values has None. All rows count alike, whatever noise they
+    state: a curve misses a table by more than noise.
     """
     if set(independent(problem)) - {"slip", "load"}:
         return None
@@ -528,9 +528,26 @@ def at_curves(curves: list[Curve | None], rows: Rows) -> np.ndarray:
     return np.stack(values, axis=1)
 
 
+def _known_to_curves(table: Rows, there: Rows) -> np.ndarray:
+    """[N] True at rows `there` of which the curves through a `table` may tell: with its wheel, and
+    where it has braked rows if they are braked, driven ones if they are driven. What is constant in
+    it is the same there.
+    """
+    sides = [bool(np.any(side)) for side in (table.slip < BRAKED, table.slip >= BRAKED)]
+    known = np.where(there.slip < BRAKED, *sides)
+    wide = np.concatenate([table.wheels, table.conditions], axis=1)
+    other = np.concatenate([there.wheels, there.conditions], axis=1)
+    constant = np.ptp(wide, axis=0) == 0.0
+    same = np.isclose(other, wide[0]) | np.isnan(other)  # what was not asked for is the same
+    return known & np.all(same[:, constant], axis=1)
+
+
 def outlook(problem: Problem) -> Outlook:
     """The fit of all effects, averaged with a curve, and the errors of predictions of what is left
     out of the table.
+
+    The curve is averaged in where predictions of every condition that varies, slip and load, could
+    be judged.
 
     Left out one after the other are the levels of the slip, those of the load, and the combinations
     of all conditions but the slip, where there are `FEWEST_GROUPS`. Unknowns are fitted anew to the
@@ -555,11 +572,11 @@ def outlook(problem: Problem) -> Outlook:
         for k in range(groups.max() + 1):
             # The weight for a group is that of the other rows.
             weight = curve_weight(problem, [by for _, by in left.values()], groups != k)
-            mixed = held[1] + weight * np.where(weight > 0.0, held[2] - held[1], 0.0)
+            mixed = held[1] + weight * finite(held[2] - held[1])
             averaged[1, groups == k] = mixed[groups == k]
         out.append(_errors(problem, split, splits[split], averaged))
     full = models[1]
-    if curves is not None and left:
+    if curves is not None and len(left) == len(splits):
         weight = curve_weight(problem, [by for _, by in left.values()])
         full = dataclasses.replace(full, average=Average(weight, curves))
     return Outlook(full, tuple(out))
@@ -608,8 +625,8 @@ def curve_weight(
 
 
 def _errors(problem: Problem, split: str, what: tuple[str, ...], held: np.ndarray) -> LeftOut:
-    """`LeftOut` of predictions [3, N, 3] of values that were left out: by the base model, by all
-    effects with the remainder, and by the curve.
+    """`LeftOut` of predictions [3, N, 3] of values that were left out: by the base model, by the
+    average, and by the curve.
     """
     off = held - problem.data.y
 

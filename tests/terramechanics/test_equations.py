@@ -178,3 +178,15 @@ def test_an_equation_has_all_that_its_form_frees_and_every_symbol_is_explained(e
     words = set(re.findall(r"[A-Za-z][A-Za-z0-9]*(?:_[A-Za-z0-9]+)?", printed))
     known = {*text.legend(effect, form), *(p.symbol for p in effect.parameters)}
     assert words - known - set(FUNCTIONS) - {"D1", "D2", "x", "k"} == set()
+
+
+def test_soil_is_carried_faster_under_a_braked_wheel():
+    """(1 - i)^3 with a signed i; 1 - i is 2 - r w/V there."""
+    effect = effects.CATALOGUE["soil_flow"]
+    values = CASES["soil_flow-carried"]["soil_flow"]
+    printed = evaluated(effect, effect.forms[0], values, i=-0.4)["kappa"]
+    fx = pack_effects({"soil_flow": values})
+    passage = effects.entry.Passage(SOIL, -0.4, 0.08, 0.04, 1.0, 0.0, AT["p"])
+    ground = effects.soil_in_contact(SOIL, passage, fx)
+    share = carried_share(1.0 - 0.4, 1.0, 0.0)[0]
+    assert ground.rim_flow * ground.tan_phi * share == pytest.approx(printed)

@@ -5,8 +5,8 @@ from soil_env.terramechanics.ground import with_flow
 
 from .entry import Effect, EffectParameter as P, Form
 
-MOST_FLOW = 0.12  # [-] of `Soil.rim_flow`, beyond which braked wheels gain power
-MOST_PEAK = 0.9  # [of theta1] of `Soil.braked_peak`
+MOST_FLOW = 0.12  # [-] the limit of `Soil.rim_flow`
+MOST_PEAK = 0.9  # [of theta1] that of `Soil.braked_peak`
 
 
 @compiled
@@ -34,6 +34,7 @@ EFFECT = Effect(
         ),
     ),
     symbols={
+        "i": "slip, below 0 where the wheel is braked",
         "kappa": "speed of the soil along the rim over the travel speed, below its bound",
         "s": "share of its travel that a braked wheel slides, -i below 0",
     },
