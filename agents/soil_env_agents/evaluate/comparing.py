@@ -17,7 +17,7 @@ RESAMPLES = 2000  # of the bootstraps
 ORACLE = "oracle"  # its name in tables; no contestant may have it
 #: Courses that it drives side by side: it is slow, and a block is what an interruption loses.
 ORACLE_BLOCK = 10
-#: Differences on the same courses; the last three of rovers.
+#: Metrics that are compared course by course; the last two are of rovers.
 PAIRED = ("immobilised", "finished", "return", "energy_per_metre", "fighting", "wheel_force")
 _UNDEFINED = {"value": None, "low": None, "high": None}
 BY_SEED = ("immobilised", "finished", "return")
@@ -33,14 +33,16 @@ def comparison(
 ) -> dict:
     """The comparison of controllers; `runs`: for each the runs of each training seed.
 
-    `seed` is that of the courses and of the bootstrap. The result is
+    `seed` is that of the courses and of the bootstrap; `settings`, {name: settings} of controllers
+    that have some, are passed on. The result is
 
     {"scenario", "courses", "seed", "settings", "members": {name: number of training seeds},
     "metrics": {metric: {...}}, "controllers": {name: {metric: {"value", "low", "high"}}},
     "by_seed": {name: {metric: [mean of each training seed]}}, "iqm": {name: interquartile mean of
     the return}, "paired": {a: {b: {metric: a - b on the same courses}}}, "improvement": {a: {b:
     probability of the higher return}}}; "limit" (see `_limit`) where the `oracle` has driven the
-    first courses. Intervals are 95 % (`statistics`); None where a value is not defined.
+    first courses. Each value but those "by_seed" is a {"value", "low", "high"} with a 95 % interval
+    (`statistics`); in "controllers" and "limit" it is None where it is not defined.
     """
     first = next(iter(runs.values()))[0]
     names = first.names  # of metrics

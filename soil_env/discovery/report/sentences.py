@@ -493,7 +493,7 @@ def _level(conditions: tuple[str, ...]) -> str:
 
 
 def probabilities(report: Report) -> str:
-    """Probabilities of answers other than an effect, in a sentence."""
+    """Clause with the probabilities of answers other than an effect."""
     finding = report.finding
     return (
         f"probability that nothing is missing {fixed(finding.none, 3)}, that something is missing "

@@ -258,8 +258,9 @@ def close(memory, cell, setting):
     """Write the means of the open point into `cell`, with the change of sinkage since the point
     before, and open an empty one.
 
-    The first point, and one before which the wheel has stopped, shows no change. Where the load on
-    the wheel does not vary, it is that of the mean mass.
+    `memory`: `MEMORY` of a wheel, `cell`: `CELL`, `setting`: `SETTING`. The first point, and one
+    before which the wheel has stopped, has `changes` 0: its change does not count. Where the load
+    [N] does not vary, it is that of `memory.mass` at the mean slope of the point.
     """
     point = memory.open[0]
     n = point.readings

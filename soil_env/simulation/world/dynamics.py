@@ -40,7 +40,7 @@ from .wheel import (
     sink,
 )
 
-GAMMA = 1.0 - math.sqrt(0.5)  # [-] duration of a stage over that of the step
+GAMMA = 1.0 - math.sqrt(0.5)  # [-] duration of the implicit Euler in a stage over that of the step
 # [-] (1 - GAMMA)/GAMMA - 1: how far the second stage begins beyond the end of the first
 LEAD = math.sqrt(2.0)
 # [-] a step that fails is halved until it has at most 1/FINEST of its length, where it is taken
@@ -121,8 +121,10 @@ def stage_of(number, h, speed, rim, speed_before, rim_before):
 def ground_ahead(wheel, stage, course, cells, border, effects):
     """Ground `Ahead` at the middle of the way of a wheel in a stage, foreseen by its present speed.
 
-    `cells`: `RUT` of the wheel; `border` [m] as in `soil_on`; `effects`: those that act. The
-    wheel's patch and slope become those there.
+    The soil there is undisturbed, between two patches blended within `border` [m]; in a rut its
+    firm ground is nearer by the depth of all ruts, those of wheels ahead and its own (`rolled`),
+    and the passes stiffen it. `cells`: `RUT` of the wheel; `effects`: `Effects` that act in the
+    world, or None. `wheel.patch` and `wheel.slope` are set to the indices there.
     """
     x = wheel.x + 0.5 * stage.duration * wheel.speed
     wheel.patch = piece_at(course.patches, x, wheel.patch)
