@@ -34,7 +34,7 @@ from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import PATH, leave, run
 from soil_env.discovery.calibrate import Problem, calibrate
-from soil_env.discovery.prediction import at_curves, fit_prediction, outlook
+from soil_env.discovery.prediction import at_curves, curves_of, fit_prediction, outlook
 from soil_env.identification.table.data import prepare
 from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_setup
 from soil_env.measurement.table import MEASURED, Table, read_table
@@ -122,12 +122,13 @@ def figures(case: Case, folds: int | None = None) -> dict:
         conditions["slip"] = case.table.rim_slip(case.setup)[out]
         base = fit_prediction(problem, (), smooth=False).at(conditions)
         near = fit_prediction(problem, ()).at(conditions)
+        curves = curves_of(problem)
+        if curves is None:
+            raise ParameterError(f"{case.name}: conditions vary that no curve knows")
         model = outlook(problem).model
-        if model.average is None:
-            raise ParameterError(f"{case.name}: no curve is averaged in")
         full = replace(model, average=None).at(conditions)
         averaged = model.at(conditions)
-        curve = at_curves(model.average.curves, rows_of(conditions, problem.data.wheel))
+        curve = at_curves(curves, rows_of(conditions, problem.data.wheel))
         sd[out] = averaged.sd
         of_laws = (base.mean, near.mean, full.mean, averaged.mean)
         for name, values in zip(
