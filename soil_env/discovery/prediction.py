@@ -566,19 +566,20 @@ def outlook(problem: Problem) -> Outlook:
         groups = combinations_of([problem.data.varied[name].level for name in what])
         if groups.max() + 1 >= FEWEST_GROUPS:
             left[split] = (groups, _left_out(problem, models, groups))
+    full = models[1]
+    of_kinds = [held for _, held in left.values()]
+    if curves is not None and len(left) == len(splits):
+        average = Average(curve_weight(problem, of_kinds), curves)
+        full = dataclasses.replace(full, average=average)
     out = []
     for split, (groups, held) in left.items():
         averaged = held.copy()
-        for k in range(groups.max() + 1):
+        for k in range(groups.max() + 1 if full.average else 0):
             # The weight for a group is that of the other rows.
-            weight = curve_weight(problem, [by for _, by in left.values()], groups != k)
+            weight = curve_weight(problem, of_kinds, groups != k)
             mixed = held[1] + weight * finite(held[2] - held[1])
             averaged[1, groups == k] = mixed[groups == k]
         out.append(_errors(problem, split, splits[split], averaged))
-    full = models[1]
-    if curves is not None and len(left) == len(splits):
-        weight = curve_weight(problem, [by for _, by in left.values()])
-        full = dataclasses.replace(full, average=Average(weight, curves))
     return Outlook(full, tuple(out))
 
 

@@ -341,16 +341,14 @@ def test_an_average_is_of_what_the_curves_know(planted):
 
 
 def test_errors_of_the_outlook_are_those_of_the_average(tmp_path):
-    """The torque is that of a curve, which no effect gives; each level of a condition has the
-    weight of the other rows. A level without a curve has the fit alone.
-    """
+    """The torque is that of a curve; each level of a condition has the weight of the other rows."""
     text = with_column(
         table_text({}, loads=LOADS),
         "torque",
-        lambda row: row["torque"] + 3.0 * math.cos(8.0 * row["slip"]) * row["load"] / 120.0,
+        lambda row: row["load"] * (0.09 - 0.08 * math.exp(-row["slip"] / 0.3)),
     )
     found = outlook(problem_of(tmp_path, text))
-    assert found.model.average is not None
+    assert found.model.average is not None and found.model.average.weight[2] > 0.0
     assert all(math.isfinite(way.over_noise.corrected) for way in found.left_out)
     problem = found.model.problem
     (slips, loads) = found.left_out
@@ -387,3 +385,22 @@ def test_few_values_of_a_channel_leave_its_fit_alone(tmp_path):
     for way in outlook(problem).left_out:
         assert math.isfinite(way.errors["torque"].corrected)
         assert math.isfinite(way.over_noise.corrected)
+
+
+def test_no_curve_is_averaged_in_where_its_loads_cannot_be_judged(tmp_path):
+    """Two loads: neither is left out, so the errors are those of the fit alone, though the curve is
+    exact for the torque.
+    """
+    text = with_column(
+        table_text({}, loads=(80.0, 180.0)),
+        "torque",
+        lambda row: row["load"] * (0.09 - 0.08 * math.exp(-row["slip"] / 0.3)),
+    )
+    problem = problem_of(tmp_path, text)
+    found = outlook(problem)
+    assert found.model.average is None and [way.split for way in found.left_out] == ["slip"]
+    models = (fit_prediction(problem, (), smooth=False), fit_prediction(problem))
+    held = _left_out(problem, models, problem.data.varied["slip"].level)
+    off = (held[1] - problem.data.y)[problem.used[:, 2], 2]
+    assert found.left_out[0].errors["torque"].corrected == pytest.approx(np.sqrt(np.mean(off**2)))
+    assert curve_weight(problem, [held])[2] > 0.0
