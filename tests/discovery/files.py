@@ -1,6 +1,7 @@
 """Small synthetic tables with a planted effect, for the tests of the discovery workflow."""
 
 import csv
+import dataclasses
 import itertools
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from soil_env.identification.table.data import Data, prepare
 from soil_env.measurement.setup import read_setup
 from soil_env.measurement.table import read_table
-from soil_env.parameters import Soil
+from soil_env.parameters import Soil, soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 NOISE = {"sinkage": 0.0006, "drawbar_pull": 0.8, "torque": 0.1}
@@ -85,3 +86,29 @@ def changed(text: str, name: str, change) -> str:
     if callable(change):
         return with_column(text, name, lambda row: change(row[name]))
     return with_column(text, name, lambda row: change * row[name])
+
+
+#: Wheel of `sand_text`.
+SAND_SETUP = """\
+wheel: {radius: 0.15, width: 0.12, grouser_height: 0}
+soil: {cohesion: 1000, friction_angle_deg: {value: 30, sd: 3}}
+noise: {sinkage: 0.0003, drawbar_pull: 0.7, torque: 0.1}
+"""
+
+
+def on_sand(slips, loads):
+    """(slip, load, [N, 3] values) at all combinations, on `dry_sand` without digging."""
+    slip, load = (x.ravel() for x in np.meshgrid(slips, loads))
+    sand = dataclasses.replace(soils()["dry_sand"], dig_gain=0.0)
+    model = WheelSoilModel(ModelWheel(0.15, 0.12, 0.0), sand)
+    found = model.predict({"slip": slip, "load": load})
+    return slip, load, np.stack(found[:3], axis=1)
+
+
+def sand_text(slips, noise=0.0):
+    """Table of `on_sand` under three loads, with `noise` times that of `SAND_SETUP`."""
+    slip, load, y = on_sand(slips, (60.0, 100.0, 160.0))
+    y = y + noise * np.random.default_rng(5).normal(size=y.shape) * [3e-4, 0.7, 0.1]
+    rows = np.column_stack([slip, load, y]).tolist()
+    lines = (",".join(f"{x:.6g}" for x in row) + "\n" for row in rows)
+    return "slip,load,sinkage,drawbar_pull,torque\n" + "".join(lines)

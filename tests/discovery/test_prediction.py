@@ -25,15 +25,16 @@ from soil_env.discovery.prediction import (
     outlook,
 )
 from soil_env.discovery.search import candidates
-from soil_env.parameters import soils
-from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.validity import OutsideValidity
 from tests.discovery.files import (
     NOISE,
     PLANTED,
+    SAND_SETUP,
     SETUP,
     changed,
     data_of,
+    on_sand,
+    sand_text,
     table_text,
     with_column,
     world,
@@ -290,24 +291,11 @@ def test_braked_rows_are_predicted_from_driven_ones_where_soil_flows(tmp_path, s
     """By the constants of the rigs, also in model.yaml where driven rows hardly show the flow; the
     base model errs by half of the pull.
     """
-    sand = dataclasses.replace(soils()["dry_sand"], dig_gain=0.0)
-    model = WheelSoilModel(ModelWheel(0.15, 0.12, 0.0), sand)
-
-    def values(slips, loads):
-        slip, load = (x.ravel() for x in np.meshgrid(slips, loads))
-        return slip, load, np.stack(model.predict({"slip": slip, "load": load})[:3], axis=1)
-
-    slip, load, y = values(slips, (60.0, 100.0, 160.0))
-    rows = np.column_stack([slip, load, y]).tolist()
-    text = "slip,load,sinkage,drawbar_pull,torque\n"
-    text += "".join(",".join(f"{x:.6g}" for x in row) + "\n" for row in rows)
-    problem = problem_of(
-        tmp_path,
-        text,
-        "wheel: {radius: 0.15, width: 0.12, grouser_height: 0}\n"
-        "noise: {sinkage: 0.0003, drawbar_pull: 0.7, torque: 0.1}\n",
+    setup = SAND_SETUP.replace(
+        "soil: {cohesion: 1000, friction_angle_deg: {value: 30, sd: 3}}\n", ""
     )
-    slip, load, true = values((-0.4, -0.2), (100.0,))
+    problem = problem_of(tmp_path, sand_text(slips), setup)
+    slip, load, true = on_sand((-0.4, -0.2), (100.0,))
     at = {"slip": slip, "load": load}
     found = outlook(problem).model
     with pytest.warns(OutsideValidity):

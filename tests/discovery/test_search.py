@@ -11,7 +11,7 @@ from soil_env.discovery import judgement
 from soil_env.discovery.calibrate import Problem, calibrate
 from soil_env.discovery.evidence import Detectable
 from soil_env.discovery.search import Finding, Hypothesis, candidates, search
-from tests.discovery.files import SETUP, data_of
+from tests.discovery.files import SAND_SETUP, SETUP, data_of, sand_text
 from tests.discovery.tables import NOISE as NOISE_SD, problem, table
 
 SMALL = SETUP.split("noise:")[0].replace("grouser_height: 0.01", "grouser_height: 0")
@@ -64,6 +64,14 @@ def test_a_modulus_that_goes_with_the_load_is_named():
     data = table(effect, (0.05, 0.15, 0.3, 0.45, 0.6), (60.0, 100.0, 160.0, 250.0))
     finding = search(problem(data, np.random.default_rng(1)))
     assert finding.names == tuple(effect)
+
+
+@pytest.mark.parametrize(("slips", "sure"), [((-0.5, -0.3, -0.15, -0.05), True), ((), False)])
+def test_flow_of_a_soil_of_the_library_is_named(tmp_path, slips, sure):
+    """Surely from braked rows beside driven ones, else likely, as docs/guide/tables.md says."""
+    text = sand_text((*slips, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7), noise=1.0)
+    finding = search(calibrate(data_of(tmp_path, text, SAND_SETUP))[0])
+    assert finding.names == ("soil_flow",) and finding.is_sure("soil_flow") == sure
 
 
 @pytest.mark.parametrize("effect", [{"multipass": {"hardening": 0.3}}, {"grade": {"share": 1.0}}])
