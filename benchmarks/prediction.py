@@ -34,7 +34,9 @@ from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import PATH, leave, run
 from soil_env.discovery.calibrate import Problem, calibrate
-from soil_env.discovery.prediction import at_curves, curves_of, fit_prediction, outlook
+from soil_env.discovery.curve import at_curves
+from soil_env.discovery.outlook import curves_of, outlook
+from soil_env.discovery.prediction import fit_prediction
 from soil_env.identification.table.data import prepare
 from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_setup
 from soil_env.measurement.table import MEASURED, Table, read_table

@@ -10,8 +10,7 @@ sizes and lengths and the noise are those of the largest marginal likelihood, li
 fit (Kennedy & O'Hagan 2001, J. R. Stat. Soc. B 63:425-464). Which effect is there is another
 question (`search`): effects that the table cannot tell apart predict the same.
 
-`outlook` averages the fit with a generic curve (`curve`), as far as the curve predicted what was
-left out of the table.
+Where `outlook` has found a generic curve to predict well, the prediction is an average with it.
 """
 
 from __future__ import annotations
@@ -26,19 +25,16 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize
 
-from soil_env.identification.table.data import CHANNELS, combinations_of
 from soil_env.identification.table.form_error import (
     LENGTHS,
     Conditions,
     coordinates,
-    finite,
     log_diagonal,
 )
 from soil_env.terramechanics.model import rows_of
-from soil_env.terramechanics.steady import Rows
 
 from .calibrate import Law, Problem
-from .curve import BRAKED, LEAST_SPAN, Curve, fit_curve
+from .curve import LEAST_SPAN, Average
 from .instrument import LISTED, Choices
 from .search import candidates, forms
 
@@ -66,11 +62,6 @@ FORCE_SCALE = 0.3  # of the load: scale of pull, and of torque over the radius; 
 LEAST_SINKAGE = 0.004  # [radii] least scale of the sinkage; own choice
 #: Factor on the standard deviations, measured on rigs: linearised intervals held too rarely.
 WIDER = 1.15
-FEWEST_GROUPS = 3  # levels or combinations, from which they are left out in turn
-FEWEST = 4  # values of a channel, from which it has a curve
-#: Largest weight of the curve in an average: it knows no soil. Own choice, on docs/results/
-#: prediction.md.
-MOST_OF_CURVE = 0.5
 FAR = 12.0  # largest |logarithm| of a size or length that is tried
 STEPS_TO_LEARN = 25  # most steps of the search for sizes and lengths; own choice
 
@@ -108,40 +99,6 @@ class Predicted(NamedTuple):
 
     mean: np.ndarray
     sd: np.ndarray
-
-
-class Average(NamedTuple):
-    """Generic curves that a prediction is averaged with."""
-
-    weight: np.ndarray  # [3] of the curve of each channel
-    curves: list[Curve | None]  # None for a channel with too few values
-
-
-class Errors(NamedTuple):
-    """Root mean square of measured less predicted values of rows that were left out [unit of the
-    channel], by each kind of prediction, and the noise.
-    """
-
-    base: float  # by the base model
-    corrected: float  # by all effects and a remainder, averaged with the curve
-    curve: float  # by a generic curve; NaN where the curve does not know the conditions
-    noise: float
-
-
-class LeftOut(NamedTuple):
-    """Predictions of what was left out, one level of a condition after the other."""
-
-    split: str  # "slip", "load", or "condition": a combination of all conditions but the slip
-    what: tuple[str, ...]  # conditions whose levels, or combinations, are left out in turn
-    errors: dict[str, Errors]  # by measured channel
-    over_noise: Errors  # of all channels, over their noise
-
-
-class Outlook(NamedTuple):
-    """What can be predicted, and how well."""
-
-    model: Prediction  # fitted to all rows
-    left_out: tuple[LeftOut, ...]
 
 
 def effects_to_fit(problem: Problem) -> Choices:
@@ -309,15 +266,10 @@ class Prediction:
         return Predicted(mean + shift, np.hypot(WIDER * sd * self.problem.noise, apart))
 
     def _towards_curves(self, mean: np.ndarray, there: Problem) -> tuple[np.ndarray, np.ndarray]:
-        """(what the average with the curves adds to the `mean` [N, 3] of the fit, standard
-        deviation [N, 3] of a mixture of both values).
-        """
+        """`Average.shift` of the `mean` [N, 3] of the fit at the rows of `there`; 0 without one."""
         if self.average is None:
             return np.zeros(mean.shape), np.zeros(mean.shape)
-        apart = finite(at_curves(self.average.curves, there.data.rows) - mean)
-        known = _known_to_curves(self.problem.data.rows, there.data.rows)
-        weight = self.average.weight * known[:, None]
-        return weight * apart, np.sqrt(weight * (1.0 - weight)) * np.abs(apart)
+        return self.average.shift(mean, there.data.rows)
 
     @property
     def variance_of_run(self) -> np.ndarray:
@@ -501,144 +453,3 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
     options = {"maxiter": STEPS_TO_LEARN}
     found = minimize(cost, start.logarithms, jac=True, method="L-BFGS-B", options=options)
     return Learnt.from_logarithms(found.x)
-
-
-def curves_of(problem: Problem) -> list[Curve | None] | None:
-    """The generic curves (`curve`) through the values in use, by channel.
-
-    None where a condition varies in the table that a curve does not know: any but slip and load. A
-    channel with less than `FEWEST` values has None. All rows count alike, whatever noise they
-    state: a curve misses a table by more than noise.
-    """
-    if set(independent(problem)) - {"slip", "load"}:
-        return None
-    rows = problem.data.rows
-    return [
-        fit_curve(rows.slip[use], rows.load[use], problem.data.y[use, j], problem.noise[j])
-        if use.sum() >= FEWEST
-        else None
-        for j, use in enumerate(problem.used.T)
-    ]
-
-
-def at_curves(curves: list[Curve | None], rows: Rows) -> np.ndarray:
-    """[N, 3] values of the curves at rows; NaN for a channel without one."""
-    nothing = np.full(rows.slip.size, np.nan)
-    values = [nothing if curve is None else curve.at(rows.slip, rows.load) for curve in curves]
-    return np.stack(values, axis=1)
-
-
-def _known_to_curves(table: Rows, there: Rows) -> np.ndarray:
-    """[N] True at rows `there` of which the curves through a `table` may tell: with its wheel, and
-    where it has braked rows if they are braked, driven ones if they are driven. What is constant in
-    it is the same there.
-    """
-    sides = [bool(np.any(side)) for side in (table.slip < BRAKED, table.slip >= BRAKED)]
-    known = np.where(there.slip < BRAKED, *sides)
-    wide = np.concatenate([table.wheels, table.conditions], axis=1)
-    other = np.concatenate([there.wheels, there.conditions], axis=1)
-    constant = np.ptp(wide, axis=0) == 0.0
-    same = np.isclose(other, wide[0]) | np.isnan(other)  # what was not asked for is the same
-    return known & np.all(same[:, constant], axis=1)
-
-
-def outlook(problem: Problem) -> Outlook:
-    """The fit of all effects, averaged with a curve, and the errors of predictions of what is left
-    out of the table.
-
-    The curve is averaged in where predictions of every condition that varies, slip and load, could
-    be judged.
-
-    Left out one after the other are the levels of the slip, those of the load, and the combinations
-    of all conditions but the slip, where there are `FEWEST_GROUPS`. Unknowns are fitted anew to the
-    rest; the remainder keeps what was learnt from all rows.
-    """
-    models = (fit_prediction(problem, (), smooth=False), fit_prediction(problem))
-    curves = curves_of(problem)
-    others = tuple(name for name in independent(problem) if name != "slip")
-    splits: dict[str, tuple[str, ...]] = {"slip": ("slip",)}
-    if "load" in others:
-        splits["load"] = ("load",)
-    if {*others} - {"load"}:
-        splits["condition"] = others
-    left = {}
-    for split, what in splits.items():
-        groups = combinations_of([problem.data.varied[name].level for name in what])
-        if groups.max() + 1 >= FEWEST_GROUPS:
-            left[split] = (groups, _left_out(problem, models, groups))
-    full = models[1]
-    of_kinds = [held for _, held in left.values()]
-    if curves is not None and len(left) == len(splits):
-        average = Average(curve_weight(problem, of_kinds), curves)
-        full = dataclasses.replace(full, average=average)
-    out = []
-    for split, (groups, held) in left.items():
-        averaged = held.copy()
-        for k in range(groups.max() + 1 if full.average else 0):
-            # The weight for a group is that of the other rows.
-            weight = curve_weight(problem, of_kinds, groups != k)
-            mixed = held[1] + weight * finite(held[2] - held[1])
-            averaged[1, groups == k] = mixed[groups == k]
-        out.append(_errors(problem, split, splits[split], averaged))
-    return Outlook(full, tuple(out))
-
-
-def _left_out(
-    problem: Problem, models: tuple[Prediction, Prediction], groups: np.ndarray
-) -> np.ndarray:
-    """[3, N, 3] predictions of the rows of each group by fits to the rest: by the base model, by
-    all effects, by the curve. NaN where there is no curve.
-    """
-    held = np.full((3, *problem.used.shape), np.nan)
-    for k in range(groups.max() + 1):
-        group = groups == k
-        rest = problem.without(group)
-        at = {name: x[group] for name, x in problem.data.conditions.items()}
-        for j, model in enumerate(models):
-            held[j, group] = fit_prediction(rest, near=model).mean_at(at)
-        curves = curves_of(rest)
-        if curves is not None:
-            held[2, group] = at_curves(curves, at_conditions(rest, at).data.rows)
-    return held
-
-
-def curve_weight(
-    problem: Problem, left_out: list[np.ndarray], rows: np.ndarray | slice = slice(None)
-) -> np.ndarray:
-    """[3] weight of the curve in the average with all effects, by channel.
-
-    For each kind of rows that were left out, stacking has the weight of the least squared error
-    (Breiman 1996, Machine Learning 24:49-64). The weight is the geometric mean of these, at most
-    `MOST_OF_CURVE`: 0 where the curve does not help with each kind.
-
-    `left_out`: for each kind, values [3, N, 3] as by `_left_out`; `rows`: those to judge by.
-    """
-    weight = np.ones(len(CHANNELS))
-    for held in left_out:
-        full, curve = ((values - problem.data.y) / problem.sd for values in held[1:])
-        known = problem.used & np.isfinite(full) & np.isfinite(curve)
-        off = np.where(known, full, 0.0)[rows]
-        apart = np.where(known, full - curve, 0.0)[rows]
-        size = np.sum(apart**2, axis=0)
-        least = np.sum(off * apart, axis=0) / np.where(size > 0.0, size, 1.0)
-        weight *= np.clip(least, 0.0, 1.0) ** (1.0 / len(left_out))
-    return np.minimum(weight, MOST_OF_CURVE)
-
-
-def _errors(problem: Problem, split: str, what: tuple[str, ...], held: np.ndarray) -> LeftOut:
-    """`LeftOut` of predictions [3, N, 3] of values that were left out: by the base model, by the
-    average, and by the curve.
-    """
-    off = held - problem.data.y
-
-    def size(values: np.ndarray, noise: float) -> Errors:
-        """`Errors` of deviations [3, m]."""
-        base, full, curve = np.sqrt(np.mean(values**2, axis=1))
-        return Errors(float(base), float(full), float(curve), noise)
-
-    errors: dict[str, Errors] = {
-        name: size(off[:, used, j], float(problem.rms_noise[j]))
-        for j, (name, used) in enumerate(zip(CHANNELS, problem.used.T, strict=True))
-        if used.any()
-    }
-    return LeftOut(split, what, errors, size((off / problem.rms_noise)[:, problem.used], 1.0))

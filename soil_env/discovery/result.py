@@ -16,7 +16,7 @@ from .judgement import Gap, Interval
 from .locate import Disagreement
 from .next_for_prediction import SurerRun
 from .next_tests import Check, NextTest
-from .prediction import Outlook
+from .outlook import Outlook
 from .search import Finding
 
 WORSE = 0.1  # relative rise of a held-out error by the named effects, above which it is stated

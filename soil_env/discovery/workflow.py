@@ -28,7 +28,7 @@ from .judgement import Interval, held_out_predictions
 from .locate import locate, structure
 from .next_for_prediction import surer_runs
 from .next_tests import MOST, next_checks, next_tests
-from .prediction import outlook
+from .outlook import outlook
 from .report import check_folder, write
 from .result import EffectFound, Report, Settings
 from .search import REPORTED, TEMPERATURE, Finding, Say, forms, search

@@ -3,7 +3,7 @@
 import pytest
 
 from soil_env.discovery import run
-from tests.discovery.files import PLANTED, table_text, write_files
+from tests.discovery.files import LOADS, PLANTED, problem_of, table_text, write_files
 
 
 @pytest.fixture(scope="session")
@@ -25,3 +25,9 @@ def nothing(tmp_path_factory):
     folder = tmp_path_factory.mktemp("nothing") / "<b>&"
     folder.mkdir()
     return run(*write_files(folder, table_text({}, loads=(100, 200))))
+
+
+@pytest.fixture(scope="session")
+def planted_problem(tmp_path_factory):
+    """Calibrated problem of a table with slip-sinkage."""
+    return problem_of(tmp_path_factory.mktemp("problem"), table_text(PLANTED, loads=LOADS))

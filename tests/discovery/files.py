@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 
+from soil_env.discovery.calibrate import Problem, calibrate
 from soil_env.identification.table.data import Data, prepare
 from soil_env.measurement.setup import read_setup
 from soil_env.measurement.table import read_table
@@ -26,6 +27,7 @@ noise: {sinkage: 0.0006, drawbar_pull: 0.8, torque: 0.1}
 """
 PLANTED = {"slip_sinkage": {"gain": 1.5}}
 SLIPS = (0.05, 0.12, 0.2, 0.3, 0.42, 0.55)
+LOADS = (80.0, 120.0, 180.0)
 
 
 def world(effects: dict) -> WheelSoilModel:
@@ -112,3 +114,8 @@ def sand_text(slips, noise=0.0):
     rows = np.column_stack([slip, load, y]).tolist()
     lines = (",".join(f"{x:.6g}" for x in row) + "\n" for row in rows)
     return "slip,load,sinkage,drawbar_pull,torque\n" + "".join(lines)
+
+
+def problem_of(folder, text: str, setup: str = SETUP) -> Problem:
+    """The calibrated problem of a table."""
+    return calibrate(data_of(folder, text, setup))[0]

@@ -10,7 +10,8 @@ import pytest
 
 from soil_env.discovery.calibrate import calibrate
 from soil_env.discovery.corrected import MOST, corrected, least_sure
-from soil_env.discovery.prediction import fit_prediction, outlook
+from soil_env.discovery.outlook import outlook
+from soil_env.discovery.prediction import fit_prediction
 from soil_env.parameters import Noise
 from tests.discovery.files import NOISE, PLANTED, SETUP, changed, data_of, table_text
 from tests.simulation import wheels

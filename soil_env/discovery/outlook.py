@@ -1,0 +1,174 @@
+"""How well the runs of a table are predicted by the others, and the average with a generic curve
+that follows from it.
+
+Levels of slip and load, and combinations of all conditions but the slip, are left out one after the
+other. What is left predicts them: the base model, the fit of all effects (`prediction`) and a curve
+(`curve`). The better the curve does, the larger is its weight in the average.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env.identification.table.data import CHANNELS, combinations_of
+from soil_env.identification.table.form_error import finite
+
+from .calibrate import Problem
+from .curve import Average, Curve, at_curves, fit_curve
+from .prediction import Prediction, at_conditions, fit_prediction, independent
+
+FEWEST_GROUPS = 3  # levels or combinations, from which they are left out in turn
+FEWEST = 4  # values of a channel, from which it has a curve
+#: Largest weight of the curve in an average: it knows no soil. Own choice, on docs/results/
+#: prediction.md.
+MOST_OF_CURVE = 0.5
+
+
+class Errors(NamedTuple):
+    """Root mean square of measured less predicted values of rows that were left out [unit of the
+    channel], by each kind of prediction, and the noise.
+    """
+
+    base: float  # by the base model
+    corrected: float  # by all effects and a remainder, averaged with the curve
+    curve: float  # by a generic curve; NaN where the curve does not know the conditions
+    noise: float
+
+
+class LeftOut(NamedTuple):
+    """Predictions of what was left out, one level of a condition after the other."""
+
+    split: str  # "slip", "load", or "condition": a combination of all conditions but the slip
+    what: tuple[str, ...]  # conditions whose levels, or combinations, are left out in turn
+    errors: dict[str, Errors]  # by measured channel
+    over_noise: Errors  # of all channels, over their noise
+
+
+class Outlook(NamedTuple):
+    """What can be predicted, and how well."""
+
+    model: Prediction  # fitted to all rows
+    left_out: tuple[LeftOut, ...]
+
+
+def curves_of(problem: Problem) -> list[Curve | None] | None:
+    """The generic curves (`curve`) through the values in use, by channel.
+
+    None where a condition varies in the table that a curve does not know: any but slip and load. A
+    channel with less than `FEWEST` values has None. All rows count alike, whatever noise they
+    state: a curve misses a table by more than noise.
+    """
+    if set(independent(problem)) - {"slip", "load"}:
+        return None
+    rows = problem.data.rows
+    return [
+        fit_curve(rows.slip[use], rows.load[use], problem.data.y[use, j], problem.noise[j])
+        if use.sum() >= FEWEST
+        else None
+        for j, use in enumerate(problem.used.T)
+    ]
+
+
+def outlook(problem: Problem) -> Outlook:
+    """The fit of all effects, averaged with a curve, and the errors of predictions of what is left
+    out of the table.
+
+    The curve is averaged in where predictions of every condition that varies, slip and load, could
+    be judged.
+
+    Left out one after the other are the levels of the slip, those of the load, and the combinations
+    of all conditions but the slip, where there are `FEWEST_GROUPS`. Unknowns are fitted anew to the
+    rest; the remainder keeps what was learnt from all rows.
+    """
+    models = (fit_prediction(problem, (), smooth=False), fit_prediction(problem))
+    curves = curves_of(problem)
+    others = tuple(name for name in independent(problem) if name != "slip")
+    splits: dict[str, tuple[str, ...]] = {"slip": ("slip",)}
+    if "load" in others:
+        splits["load"] = ("load",)
+    if {*others} - {"load"}:
+        splits["condition"] = others
+    left = {}
+    for split, what in splits.items():
+        groups = combinations_of([problem.data.varied[name].level for name in what])
+        if groups.max() + 1 >= FEWEST_GROUPS:
+            left[split] = (groups, _left_out(problem, models, groups))
+    full = models[1]
+    of_kinds = [held for _, held in left.values()]
+    if curves is not None and len(left) == len(splits):
+        average = Average(curve_weight(problem, of_kinds), curves, problem.data.rows)
+        full = dataclasses.replace(full, average=average)
+    out = []
+    for split, (groups, held) in left.items():
+        averaged = held.copy()
+        for k in range(groups.max() + 1 if full.average else 0):
+            # The weight for a group is that of the other rows.
+            weight = curve_weight(problem, of_kinds, groups != k)
+            mixed = held[1] + weight * finite(held[2] - held[1])
+            averaged[1, groups == k] = mixed[groups == k]
+        out.append(_errors(problem, split, splits[split], averaged))
+    return Outlook(full, tuple(out))
+
+
+def _left_out(
+    problem: Problem, models: tuple[Prediction, Prediction], groups: np.ndarray
+) -> np.ndarray:
+    """[3, N, 3] predictions of the rows of each group by fits to the rest: by the base model, by
+    all effects, by the curve. NaN where there is no curve.
+    """
+    held = np.full((3, *problem.used.shape), np.nan)
+    for k in range(groups.max() + 1):
+        group = groups == k
+        rest = problem.without(group)
+        at = {name: x[group] for name, x in problem.data.conditions.items()}
+        for j, model in enumerate(models):
+            held[j, group] = fit_prediction(rest, near=model).mean_at(at)
+        curves = curves_of(rest)
+        if curves is not None:
+            held[2, group] = at_curves(curves, at_conditions(rest, at).data.rows)
+    return held
+
+
+def curve_weight(
+    problem: Problem, left_out: list[np.ndarray], rows: np.ndarray | slice = slice(None)
+) -> np.ndarray:
+    """[3] weight of the curve in the average with all effects, by channel.
+
+    For each kind of rows that were left out, stacking has the weight of the least squared error
+    (Breiman 1996, Machine Learning 24:49-64). The weight is the geometric mean of these, at most
+    `MOST_OF_CURVE`: 0 where the curve does not help with each kind.
+
+    `left_out`: for each kind, values [3, N, 3] as by `_left_out`; `rows`: those to judge by.
+    """
+    weight = np.ones(len(CHANNELS))
+    for held in left_out:
+        full, curve = ((values - problem.data.y) / problem.sd for values in held[1:])
+        known = problem.used & np.isfinite(full) & np.isfinite(curve)
+        off = np.where(known, full, 0.0)[rows]
+        apart = np.where(known, full - curve, 0.0)[rows]
+        size = np.sum(apart**2, axis=0)
+        least = np.sum(off * apart, axis=0) / np.where(size > 0.0, size, 1.0)
+        weight *= np.clip(least, 0.0, 1.0) ** (1.0 / len(left_out))
+    return np.minimum(weight, MOST_OF_CURVE)
+
+
+def _errors(problem: Problem, split: str, what: tuple[str, ...], held: np.ndarray) -> LeftOut:
+    """`LeftOut` of predictions [3, N, 3] of values that were left out: by the base model, by the
+    average, and by the curve.
+    """
+    off = held - problem.data.y
+
+    def size(values: np.ndarray, noise: float) -> Errors:
+        """`Errors` of deviations [3, m]."""
+        base, full, curve = np.sqrt(np.mean(values**2, axis=1))
+        return Errors(float(base), float(full), float(curve), noise)
+
+    errors: dict[str, Errors] = {
+        name: size(off[:, used, j], float(problem.rms_noise[j]))
+        for j, (name, used) in enumerate(zip(CHANNELS, problem.used.T, strict=True))
+        if used.any()
+    }
+    return LeftOut(split, what, errors, size((off / problem.rms_noise)[:, problem.used], 1.0))
