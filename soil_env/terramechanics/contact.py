@@ -522,7 +522,7 @@ def turning_angle(nodes, rim, travel):
     theta1 if there is none.
 
     j = 0 where the mean of cos, from that angle to the one where shear begins, is rim/travel.
-    Newton's method starts from the series of that mean to second order.
+    Newton's method, kept within the arc, starts from the series of that mean to second order.
     """
     end = nodes.sheared_from
     _, cosine = sin_cos(end)
@@ -531,12 +531,14 @@ def turning_angle(nodes, rim, travel):
         return nodes.theta1
     goal = rim / travel
     theta = 0.5 * (math.sqrt(max(24.0 * (1.0 - goal) - 3.0 * end * end, 0.0)) - end)
+    inside = min(max(theta, nodes.theta2), nodes.theta1)
     for _ in range(TURNS):
-        theta = min(max(theta, nodes.theta2), nodes.theta1)
-        mean, slope = _mean_cos(theta, end)
-        step = (goal - mean) / slope
-        theta += step
-        if abs(step) < TURN_STEP:
+        before = inside
+        mean, slope = _mean_cos(before, end)
+        theta = before + (goal - mean) / slope
+        inside = min(max(theta, nodes.theta2), nodes.theta1)
+        # also where the root lies beyond an end of the arc, at which `inside` stays
+        if abs(inside - before) < TURN_STEP:
             break
     return theta if nodes.theta2 < theta < nodes.theta1 else nodes.theta1
 
