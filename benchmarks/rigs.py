@@ -1,13 +1,14 @@
 """Base model, and soil that flows along the rim, against wheels that neither was made from.
 
-    python -m benchmarks.rigs                a minute; writes docs/results/rigs.json and .md
+    python -m benchmarks.rigs                minutes; writes docs/results/rigs.json and .md
     python -m benchmarks.rigs --data DIR     folder of the measurements, else $SOIL_ENV_DATA
     python -m benchmarks.rigs --smoke --out X   every part in seconds, numbers without meaning
 
 The wheels: the smooth and the lugged one of the Carnegie Mellon rig (Pavlov & Johnson; one load, no
-torque), a smooth one on a three-dimensional continuum (material point method; five loads) and a
-lugged one on particles (discrete elements after Nakanishi 2020; one load). A lugged wheel counts as
-a smooth one on a soil of its own.
+torque), a smooth one on a three-dimensional continuum (material point method; five loads), a
+lugged one on particles (discrete elements after Nakanishi 2020; one load), and five of three
+published papers (benchmarks/measured; one load, driving). A lugged wheel counts as a smooth one on
+a soil of its own.
 
 A soil is fitted to rows by least squares with Gaussian priors and predicts rows that it was not
 fitted to. Sinkage weighs 1 % of the radius, pull 2 % of the load, torque 2 % of the load times the
@@ -15,12 +16,15 @@ radius. Locked wheels (slip -1) are predicted and never fitted.
 
 The constants of soil that flows along the rim are chosen on one rig and judged on the others, both
 ways: those with which soils from driving rows predict that rig best.
+
+For two wheels a shear test gave K as well. It is compared with K as `soil-env identify` finds it
+from the drive, where the rest of the soil is known from plates and shear tests.
 """
 
 import csv
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,6 +37,9 @@ from soil_env._io.document import Table
 from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import PATH, leave, run
+from soil_env.identification.table.fit import identify_table
+from soil_env.measurement.setup import Prior, Setup, SoilPriors, read_setup
+from soil_env.measurement.table import Table as Measurements, read_table
 from soil_env.parameters import SoilState, soils
 from soil_env.terramechanics.steady import steady_state
 
@@ -40,6 +47,7 @@ NAME = "rigs"
 #: Folder of the measurements where the environment names none, as for the tests.
 BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
 DATA = Path(os.environ.get("SOIL_ENV_DATA") or BESIDE)
+PUBLISHED = Path(__file__).resolve().parent / "measured"  # tables and setups, with their sources
 LOCKED = -0.9  # [-] slip below which a wheel counts as locked
 BRAKED = -0.05  # [-] slip below which a wheel counts as braked
 TRAINING_LOADS = (40.0, 80.0, 150.0)  # [N] of the continuum; the others are predicted
@@ -62,6 +70,18 @@ LENGTH = 0.45  # [radii] contact length that K belongs to: that at `DEPTH`
 FLOW_ERROR = 5e-4  # [-] of a
 #: Rigs that constants are chosen on, with their wheels.
 CHOSEN_ON = {"continuum": ("continuum",), "CMU": ("CMU smooth", "CMU lugged")}
+#: Wheels of `PUBLISHED` on the soil of Ding et al. (2011), J. Terramechanics 48:27-45, Table 2:
+#: plates and shear tests. Standard deviations are own assumptions.
+DING = ("ding_smooth", "ding_lugged")
+DING_SOIL = SoilPriors(
+    friction_angle_deg=Prior(31.9, 2.0),
+    cohesion=Prior(250.0, 150.0),
+    k_c=Prior(15.6e3, 3e3),
+    k_phi=Prior(2407.4e3, 500e3),
+    sinkage_exponent=Prior(1.10, 0.1),
+    density=Prior(1605.0, 0.0),
+)
+DING_MODULUS = "9.7 to 13.1"  # [mm] K of the shear tests
 TEXT = (
     "Eq. (10) and soil that flows along the rim, both with slip-sinkage: a soil fitted to some "
     "rows and others predicted. Rows that were fitted are among the predicted ones where driving "
@@ -70,8 +90,8 @@ TEXT = (
     "rows predict its rows best; `flow, presets` has those of the presets of soils, whose "
     "K does not grow. What counts are the rows of the other rig. The angle from which soil rises "
     "along a locked rim and the peak's shift were set by hand on the CMU wheels. On the particles "
-    "soil that flows is worse; friction and exponent are at their bounds there already with "
-    "Eq. (10)."
+    "and on the wheels of Ding et al. (2011) soil that flows is worse; friction and exponent are "
+    "at their bounds on the particles already with Eq. (10)."
 )
 STARTS = tuple((phi, math.log(k)) for phi in (28.0, 38.0) for k in (0.05, 0.2))
 
@@ -130,7 +150,18 @@ def read_rigs(folder: Path) -> dict[str, Rig]:
     rigs["continuum"] = Rig(0.15, 0.1, 0.0, False, *_columns(continuum, *plain))
     particles = _rows(folder / "dem_kyoto" / "lugged_wheel.csv")
     rigs["particles"] = Rig(0.11, 0.1, 0.00125, False, *_columns(particles, *plain))
+    for name in sorted(path.stem for path in PUBLISHED.glob("*.csv")):
+        table, setup = published(name)
+        values = np.stack([table.sinkage, table.drawbar_pull, table.torque], axis=1)
+        wheel = setup.wheel
+        rigs[name] = Rig(wheel.radius, wheel.width, 0.0, True, table.slip, table.load, values)
     return rigs
+
+
+def published(name: str) -> tuple[Measurements, Setup]:
+    """A table of `PUBLISHED` and its setup."""
+    setup = read_setup(PUBLISHED / f"{name}.setup.yaml")
+    return read_table(PUBLISHED / f"{name}.csv", setup.wheel), setup
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
@@ -217,7 +248,7 @@ def splits(rig: Rig) -> list[tuple[str, list[tuple[np.ndarray, np.ndarray]]]]:
     rows = np.arange(rig.slip.size)
     driving = rig.slip > BRAKED
     trained = np.isin(rig.load, TRAINING_LOADS)
-    if trained.any():
+    if trained.any() and not trained.all():
         others = rows[~trained]
         return [
             ("driving rows of other loads", [(rows[trained & driving], others)]),
@@ -303,6 +334,29 @@ def all_figures(
     return out
 
 
+def moduli(laws: dict[str, Law]) -> list[dict]:
+    """K [mm] with its 95 % interval, as `identify` finds it on the wheels of `DING` by each law."""
+    out = []
+    for name in DING:
+        table, setup = published(name)
+        for label, law in laws.items():
+            flow = {key: Prior(value, 0.0) for key, value in law._asdict().items()}
+            known = replace(setup, soil=replace(DING_SOIL, **flow))
+            found = identify_table(table, known).parameters["shear_modulus"]
+            k, low, high = (1e3 * x for x in (found.value, found.low, found.high))
+            out.append({"wheel": name, "law": label, "K_mm": k, "low": low, "high": high})
+    return out
+
+
+def moduli_of(rows: list[dict]) -> Table:
+    """The rows of `moduli` as a page shows them."""
+    cells = [
+        [r["wheel"], r["law"], f"{r['K_mm']:.1f} [{r['low']:.1f}, {r['high']:.1f}]", DING_MODULUS]
+        for r in rows
+    ]
+    return Table(["wheel", "law", "K [mm] from the drive", "K [mm] from shear tests"], cells)
+
+
 def constants_of(laws: dict[str, Law]) -> Table:
     """Constants of the laws as a page shows them."""
     head = ["law", "rim_flow", "braked_peak", "shear_growth"]
@@ -351,12 +405,19 @@ def command(data: Path, smoke: bool, out: Path) -> None:
     preset = soils()["dry_sand"]
     laws["flow, presets"] = Law(preset.rim_flow, preset.braked_peak, preset.shear_growth)
     rows = all_figures(rigs, laws, *((1, 1) if smoke else (len(STARTS), None)))
+    known = moduli({name: laws[name] for name in ("Eq. (10)", "flow, presets")})
     chosen = {name: law._asdict() for name, law in laws.items()}
-    content = {"command": f"python -m benchmarks.{NAME}", "laws": chosen, "rows": rows}
+    content = {
+        "command": f"python -m benchmarks.{NAME}",
+        "laws": chosen,
+        "rows": rows,
+        "moduli": known,
+    }
     write_json(path, short(content))
     tables = {
         "Constants": constants_of(laws),
         "Root mean square of predicted less measured": table_of(rows),
+        "Shear deformation modulus on the soil of Ding et al. (2011)": moduli_of(known),
     }
     write(out, NAME, "Rigs", TEXT, tables)
 

@@ -24,8 +24,16 @@ def test_a_load_left_out_of_a_table_of_the_model_is_predicted(tmp_path):
         "mean": 1.0,
         "worst": over["curve"] / min(over["curve"], over["base model"]),
     }
-    pages = prediction.tables_of([found], ratios)
-    assert "| own |" in next(iter(pages.values())).markdown()
+    parts = ("chosen", "fresh")
+    pages = prediction.tables_of(dict.fromkeys(parts, [found]), dict.fromkeys(parts, ratios))
+    assert len(pages) == 3 and "| own |" in next(iter(pages.values())).markdown()
+
+
+def test_published_wheels_leave_each_slip_out_and_the_largest():
+    cases = list(prediction.fresh_cases())
+    assert [len(c.groups) for c in cases] == [6, 1, 6, 1, 5, 1, 5, 1, 5, 1]
+    assert cases[0].name == "ding, lugged, a slip out"
+    assert all(np.all(np.diff(c.table.slip) > 0.0) for c in cases)
 
 
 @measured

@@ -9,6 +9,7 @@ import pytest
 from benchmarks import rigs
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import run
+from soil_env.parameters import soils
 
 measured = pytest.mark.skipif(not rigs.DATA.is_dir(), reason=f"no measured data in {rigs.DATA}")
 
@@ -49,9 +50,21 @@ def test_a_missing_folder_is_one_line(tmp_path):
 @measured
 def test_every_rig_has_its_rows(tmp_path):
     assert run(rigs.command, ["--smoke", "--out", str(tmp_path)], "rigs") == 0
-    rows = json.loads((tmp_path / "rigs.json").read_text(encoding="utf-8"))["rows"]
+    found = json.loads((tmp_path / "rigs.json").read_text(encoding="utf-8"))
+    rows = found["rows"]
     laws = {"Eq. (10)", "flow, continuum", "flow, CMU", "flow, presets"}
     assert {r["law"] for r in rows} == laws
-    assert {r["rig"] for r in rows} == {"CMU smooth", "CMU lugged", "continuum", "particles"}
+    computed = {"CMU smooth", "CMU lugged", "continuum", "particles"}
+    of_papers = {"ding_lugged", "ding_smooth", "kls1_lugged", "kls1_smooth", "rashid_lugged"}
+    assert {r["rig"] for r in rows} == computed | of_papers
     assert all(0.0 < r["sinkage_mm"] < 50.0 for r in rows)
     assert (tmp_path / "rigs.md").exists()
+    assert [r["wheel"] for r in found["moduli"]] == [w for w in rigs.DING for _ in range(2)]
+
+
+def test_the_modulus_of_a_shear_test_is_found_from_the_drive():
+    """9.7 to 13.1 mm by shear tests (Ding et al. 2011); with soil that flows, from both wheels."""
+    preset = soils()["dry_sand"]
+    flow = rigs.Law(preset.rim_flow, preset.braked_peak, preset.shear_growth)
+    for found in rigs.moduli({"flow": flow}):
+        assert 9.7 < found["K_mm"] < 13.1 and found["low"] < 9.7 < 13.1 < found["high"]
