@@ -26,7 +26,7 @@ def test_a_load_left_out_of_a_table_of_the_model_is_predicted(tmp_path):
     }
     parts = ("chosen", "fresh")
     pages = prediction.tables_of(dict.fromkeys(parts, [found]), dict.fromkeys(parts, ratios))
-    assert len(pages) == 3 and "| own |" in next(iter(pages.values())).markdown()
+    assert len(pages) == 4 and "| own |" in next(iter(pages.values())).markdown()
 
 
 def test_published_wheels_leave_each_slip_out_and_the_largest():

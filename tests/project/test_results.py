@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, binomtest
 
+from benchmarks.prediction import PARTS
 from soil_env_agents.cells import code_version
 
 from .test_pages import DOCS, ROOT, tables
@@ -156,9 +157,6 @@ def test_braked_wheels():
 
 
 def test_predictions():
-    rows = {
-        row["method"]: row for row in tables(RESULTS / "prediction.md")["Errors over the noise"]
-    }
     names = {
         "Base model": "base model",
         "with a remainder": "base and remainder",
@@ -167,9 +165,19 @@ def test_predictions():
         "Gaussian process": "Gaussian process",
     }
     text = " ".join(PAGE.read_text(encoding="utf-8").split())
+    pages = tables(RESULTS / "prediction.md")
+    known = {
+        part: {row["method"]: row for row in pages[f"Errors over the noise, wheels {title}"]}
+        for part, title in PARTS.items()
+    }
     for words, name in names.items():
         said = re.search(rf"{words} ({NUMBER}) \((?:worst )?({NUMBER})\)", text)
-        assert list(said.groups()) == list(rows[name].values())[1:], name
+        assert list(said.groups()) == list(known["chosen"][name].values())[1:], name
+    (fresh,) = re.findall(r"nothing was chosen, likewise: (.*?)\*\*", text)
+    said = re.findall(rf"({NUMBER}) \(({NUMBER})\)", fresh)
+    assert [list(pair) for pair in said] == [
+        list(known["fresh"][name].values())[1:] for name in names.values()
+    ]
 
 
 TARGETS = {
