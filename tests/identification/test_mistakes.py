@@ -6,6 +6,7 @@ import itertools
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from soil_env.cli import main
 from soil_env.identification.table import identify_table, mistakes
 from soil_env.identification.table.mistakes import examine
 from soil_env.measurement.doubts import load_doubt
-from soil_env.measurement.setup import Prior, Setup, SetupWheel, SoilPriors
+from soil_env.measurement.setup import Prior, Setup, SetupWheel, SoilPriors, read_setup
 from soil_env.measurement.table import read_table
 from tests.discovery.files import (
     PLANTED,
@@ -301,6 +302,19 @@ def test_a_row_with_a_wrong_condition_is_named_and_left_out(tmp_path, effects, n
     assert len(found.table) == 17 and 9 not in found.table.row
     assert re.match("Row 9 .* contradicts all others", found.said[0])
     assert effects or re.search(words, found.said[0])
+
+
+def test_a_row_at_the_end_of_the_slips_is_kept_once_it_is_repeated(tmp_path):
+    """Pull of a measured wheel (Wang & Han 2016), halved at the largest slip."""
+    folder = Path(__file__).parents[2] / "benchmarks" / "measured"
+    setup = read_setup(folder / "kls1_lugged.setup.yaml")
+    once = folder / "kls1_lugged.csv"
+    (said,) = examine(read_table(once, setup.wheel), setup).said
+    assert said.startswith("Row 6 ") and "repeat it: what comes again" in said
+    twice = tmp_path / "twice.csv"
+    twice.write_text(once.read_text() + "0.5,58.86,0.0131,6.9,2.9\n")
+    found = examine(read_table(twice, setup.wheel), setup)
+    assert found.said == () and len(found.table) == 6
 
 
 @pytest.mark.parametrize("name", ["load", "sinkage"])

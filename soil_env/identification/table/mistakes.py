@@ -788,6 +788,9 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
     )
     if gain < SURE:
         return ""
+    if table.slip[row] in (table.slip.min(), table.slip.max()):
+        # No row beyond it tells a mistake from a wheel that behaves otherwise from there on.
+        check += " If it is right, repeat it: what comes again at the end of the slips is kept."
     return (
         f"Row {table.row[row]} (slip {table.slip[row]:g}, load {table.load[row]:g} N) contradicts "
         f"all others ({_sure(gain)}) and is left out: {check}"
