@@ -58,7 +58,9 @@ TEXT = (
 
 
 def at_slips(soil: Soil, load: float, gravity: float) -> list[float]:
-    """The quantities of `MEASURED` in their order."""
+    """The quantities of `MEASURED` [-] in their order, of a soil under a load [N] at a gravity
+    [m/s2].
+    """
     wheel = wheels()["planetary_rover"]
     state = soil.under(wheel.radius, wheel.width, load, gravity)
     found = [steady_state(slip, load, state, wheel.radius, wheel.width) for slip in SLIPS]

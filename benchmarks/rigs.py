@@ -40,6 +40,9 @@ NAME = "rigs"
 #: Folder of the measurements where the environment names none, as for the tests.
 BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
 DATA = Path(os.environ.get("SOIL_ENV_DATA") or BESIDE)
+data_option = click.option(
+    "--data", type=PATH, default=DATA, metavar="DIR", help="Folder of the measurements."
+)
 LOCKED = -0.9  # [-] slip below which a wheel counts as locked
 BRAKED = -0.05  # [-] slip below which a wheel counts as braked
 TRAINING_LOADS = (40.0, 80.0, 150.0)  # [N] of the continuum; the others are predicted
@@ -98,7 +101,7 @@ class Rig:
 
     @property
     def scale(self) -> np.ndarray:
-        """Weights [N, 3] of the channels."""
+        """Errors [N, 3] of sinkage [m], pull [N] and torque [N m] that weigh 1 in a fit."""
         force = FORCE_SD * self.load
         return np.stack(
             [np.full(self.load.size, SINKAGE_SD * self.radius), force, force * self.radius], axis=1
@@ -134,6 +137,7 @@ def read_rigs(folder: Path) -> dict[str, Rig]:
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
+    """Rows of a CSV file by column."""
     if not path.is_file():
         raise ParameterError(f"{path}: no such file: expected a folder of measurements, --data DIR")
     with path.open(encoding="utf-8", newline="") as stream:
@@ -165,7 +169,9 @@ def priors(rig: Rig) -> np.ndarray:
 
 
 def soil_of(x: np.ndarray, rig: Rig, law: Law) -> SoilState:
-    """Soil of the unknowns: phi [deg], ln K/r, ln of the pressure, n, gain, ln c, zero [m]."""
+    """Soil of the unknowns `x` [7]: phi [deg], ln K/r, ln of the pressure [Pa] at `DEPTH`, n, gain
+    of slip-sinkage, ln c, and the zero of the sinkage [m], which is none of the soil's.
+    """
     n = float(x[3])
     return SoilState(
         math.tan(math.radians(x[0])),
@@ -181,7 +187,9 @@ def soil_of(x: np.ndarray, rig: Rig, law: Law) -> SoilState:
 
 
 def predict(x: np.ndarray, rig: Rig, rows: np.ndarray, law: Law) -> np.ndarray:
-    """Sinkage, pull and torque [N, 3] of rows by the unknowns."""
+    """Sinkage [m], pull [N] and torque [N m], [N, 3], of `rows` (N indices) by the unknowns `x` of
+    `soil_of`.
+    """
     soil = soil_of(x, rig, law)
     out = np.empty((rows.size, 3))
     for k, row in enumerate(rows):
@@ -191,7 +199,7 @@ def predict(x: np.ndarray, rig: Rig, rows: np.ndarray, law: Law) -> np.ndarray:
 
 
 def fit(rig: Rig, rows: np.ndarray, law: Law, starts: int = len(STARTS)) -> np.ndarray:
-    """Unknowns [7] that fit rows best, from several starting values."""
+    """Unknowns [7] that fit the `rows` (indices) best, from the first `starts` of `STARTS`."""
     mean, sd, low, high = priors(rig).T
     scale = rig.scale[rows]
 
@@ -200,15 +208,13 @@ def fit(rig: Rig, rows: np.ndarray, law: Law, starts: int = len(STARTS)) -> np.n
         return np.concatenate([misfit[np.isfinite(misfit)], (x - mean) / sd])
 
     pressure = math.log(np.median(rig.load) / (rig.width * rig.radius))
-    best = None
-    for phi, ln_modulus in STARTS[:starts]:
-        start = mean.copy()
-        start[:3] = phi, ln_modulus, pressure
-        found = least_squares(residuals, start, bounds=(low, high), x_scale=sd.clip(max=1.0))
-        if best is None or found.cost < best.cost:
-            best = found
-    assert best is not None
-    return best.x
+    found = [
+        least_squares(
+            residuals, [*start, pressure, *mean[3:]], bounds=(low, high), x_scale=sd.clip(max=1.0)
+        )
+        for start in STARTS[:starts]
+    ]
+    return min(found, key=lambda fitted: fitted.cost).x
 
 
 def splits(rig: Rig) -> list[tuple[str, list[tuple[np.ndarray, np.ndarray]]]]:
@@ -230,7 +236,9 @@ def splits(rig: Rig) -> list[tuple[str, list[tuple[np.ndarray, np.ndarray]]]]:
 
 
 def choose(rigs: list[Rig], starts: int, growths: tuple[float, ...] = GROWTHS) -> Law:
-    """The law with which soils of the first split of each rig predict its rows best."""
+    """The law with which soils of the first split of each rig predict its rows best, those of
+    locked wheels left out; its flow is sought for each of the `growths`.
+    """
 
     def misfit(flow: float, growth: float) -> float:
         law = Law(flow, PEAK, growth)
@@ -253,7 +261,10 @@ def choose(rigs: list[Rig], starts: int, growths: tuple[float, ...] = GROWTHS) -
 
 
 def figures(name: str, rig: Rig, law: Law, starts: int, folds: int | None) -> list[dict]:
-    """Rows of the table of a rig: rms of the predictions of each channel, by how it moves."""
+    """Rows of the table of a rig: rms of the predictions of each channel, by how it moves.
+
+    `starts` as of `fit`; only the first `folds` of each split, None: all.
+    """
     out = []
     motions = {
         "driving": rig.slip > BRAKED,
@@ -339,7 +350,7 @@ def table_of(rows: list[dict]) -> Table:
 
 @click.command(NAME)
 @study_options(NAME)
-@click.option("--data", type=PATH, default=DATA, metavar="DIR", help="Folder of the measurements.")
+@data_option
 def command(data: Path, smoke: bool, out: Path) -> None:
     """Errors of the base model and of soil that flows along the rim on measured wheels."""
     path = ready(out, NAME)

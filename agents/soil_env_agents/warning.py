@@ -79,7 +79,7 @@ class Sizes:
 
 
 class Random(Controller):
-    """Rim speeds drawn anew every 0.3 to 5 s on average; with `throttle` torques.
+    """Rim speeds drawn anew after 0.3 to 5 s on average; with `throttle` torques.
 
     `count`: courses driven side by side, each with a mean time of its own.
     """

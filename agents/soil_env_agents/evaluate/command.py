@@ -11,7 +11,7 @@ from click.core import ParameterSource
 from soil_env._io.files import alone, check_outputs, is_unused
 from soil_env._io.loading import ParameterError, to_dict
 from soil_env.cli.running import PATH, WholeNumber
-from soil_env.parameters import DEFAULT_SCENARIO, Scenario, load_scenario
+from soil_env.parameters import Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .. import cells
@@ -26,6 +26,7 @@ from ..cli import (
     engine_options,
     keys_argument,
     overrides,
+    scenario_option,
     unknown_option,
 )
 from ..progress import show
@@ -45,12 +46,7 @@ _TUNING = "tuning.log"  # trials of a tuning that is not finished
 @click.option(
     "--resume", type=PATH, metavar="OUT", help="Continue; only the engine may be given beside it."
 )
-@click.option(
-    "--scenario",
-    metavar="NAME",
-    default=DEFAULT_SCENARIO,
-    help=f"Or YAML (default {DEFAULT_SCENARIO}).",
-)
+@scenario_option
 @click.option(
     "--model", metavar="YAML", default="", help="model.yaml with the effects of this world."
 )
