@@ -38,7 +38,7 @@ class Evaluation(OfTask):
     tuning_courses: int = quantity("0: not tuned", 0, 10**6, default=0)
     oracle_courses: int = quantity("of them, that the oracle drives too", 0, 100_000, default=0)
     #: {classical controller: settings that tuning has found}.
-    tuned: dict = field(default_factory=dict)
+    tuned: dict[str, dict] = field(default_factory=dict)
     codes: dict = field(default_factory=dict)  # {class: digest of its source, as it was tuned}
     #: Content of the model.yaml of the world's effects; empty = none.
     model: dict = field(default_factory=dict)
