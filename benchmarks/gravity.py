@@ -74,6 +74,7 @@ def fitted(weight: float, cohesion: float) -> Soil:
     middle = np.array([np.mean(earth) for earth, _ in MEASURED.values()])
 
     def soil_of(x: np.ndarray) -> Soil:
+        """Soil of the logarithms of the four unknowns, in the order of `UNKNOWNS`."""
         phi, modulus, stiffness, gain = np.exp(x).tolist()
         moduli = {"sinkage_coefficient": stiffness, "gravity_measured": EARTH_GRAVITY}
         return Soil(phi, cohesion, modulus, EXPONENT, dig_gain=gain, **moduli)

@@ -241,6 +241,7 @@ def choose(rigs: list[Rig], starts: int, growths: tuple[float, ...] = GROWTHS) -
     """
 
     def misfit(flow: float, growth: float) -> float:
+        """Sum of the squared errors over `Rig.scale` with a law of these constants."""
         law = Law(flow, PEAK, growth)
         total = 0.0
         for rig in rigs:

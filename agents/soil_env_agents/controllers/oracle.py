@@ -92,6 +92,7 @@ class _Driver(Ramped):
         return np.where(back, BACK * self.top_speed, state["ramp"])
 
     def prefers_other_route(self, batch):
+        """As the plans say, [n] bool."""
         return self.plans.other_route
 
 
@@ -227,8 +228,10 @@ class Oracle:
         return self._value(n, done)
 
     def _value(self, n: int, done: np.ndarray) -> np.ndarray:
-        """Score [n]: distance [m], less penalties for failure, waiting and sinkage, plus the time
-        saved by a finish.
+        """Score [n] in m: distance, less penalties for failure, waiting and sinkage.
+
+        A finish scores the course's length and the way at the top rim speed in the time that is
+        left to the horizon; `done` [n]: step of the end.
         """
         w = self.clones.worlds
         s = w.state

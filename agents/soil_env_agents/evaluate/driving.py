@@ -363,6 +363,9 @@ class _OfRovers(_Totals):
         return 2.0 * self.state["motor_work"]  # of both sides
 
     def add(self, alive: np.ndarray) -> np.ndarray:
+        """As that of `_Totals`, and over the weight: the pull that wheels lose against each other,
+        and the largest force of a wheel times their number.
+        """
         driving = super().add(alive)
         wheels = self.state["wheels"][:, : self.axles]
         pull = wheels["drawbar_pull"]

@@ -113,6 +113,7 @@ class Job:
         self._loaded: dict[str, object] = {}
 
     def __getstate__(self):
+        """All but the loaded controllers, which each process loads for itself."""
         return {**self.__dict__, "_loaded": {}}
 
     def __call__(self, block: Block) -> dict[str, list]:
