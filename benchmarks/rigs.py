@@ -17,7 +17,6 @@ The constants of soil that flows along the rim are chosen on one rig and judged 
 ways: those with which soils from driving rows predict that rig best.
 """
 
-import csv
 import math
 import os
 from dataclasses import dataclass
@@ -111,10 +110,10 @@ class Rig:
 def read_rigs(folder: Path) -> dict[str, Rig]:
     """Rigs by name from a folder of measurements. Raises `ParameterError` where one is missing."""
     cmu = _rows(folder / "cmu_single_wheel" / "cmu_wheel_means_of_3.csv")
-    straight = [r for r in cmu if float(r["slip_angle_deg"]) == 0.0]
+    straight = cmu[cmu["slip_angle_deg"] == 0.0]
     rigs = {}
     for name, label in (("smooth", "CMU smooth"), ("grouser", "CMU lugged")):
-        rows = [r for r in straight if r["wheel"] == name]
+        rows = straight[straight["wheel"] == name]
         rigs[label] = Rig(
             0.058,
             0.05,
@@ -136,17 +135,18 @@ def read_rigs(folder: Path) -> dict[str, Rig]:
     return rigs
 
 
-def _rows(path: Path) -> list[dict[str, str]]:
-    """Rows of a CSV file by column."""
+def _rows(path: Path) -> np.ndarray:
+    """Rows of a CSV file, as records with its columns."""
     if not path.is_file():
         raise ParameterError(f"{path}: no such file: expected a folder of measurements, --data DIR")
-    with path.open(encoding="utf-8", newline="") as stream:
-        return list(csv.DictReader(stream))
+    return np.genfromtxt(
+        path, dtype=None, comments=None, delimiter=",", names=True, encoding="utf-8"
+    )
 
 
-def _columns(rows: list[dict[str, str]], *columns: tuple[str, float]) -> tuple[np.ndarray, ...]:
+def _columns(rows: np.ndarray, *columns: tuple[str, float]) -> tuple[np.ndarray, ...]:
     """(slip, load, measured [N, 3]) in SI units from (name, factor) of each column."""
-    values = np.array([[float(r[name]) * factor for name, factor in columns] for r in rows])
+    values = np.stack([rows[name] * factor for name, factor in columns], axis=1)
     measured = np.full((len(values), 3), math.nan)
     measured[:, : values.shape[1] - 2] = values[:, 2:]
     return values[:, 0], values[:, 1], measured

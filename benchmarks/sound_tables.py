@@ -85,7 +85,7 @@ class Sound:
 
 
 def sound_tables(count: int, seed: int) -> Iterator[Sound]:
-    """Sound tables, some with effects that the base model lacks."""
+    """`count` sound tables, some with effects that the base model lacks."""
     rng = np.random.default_rng(seed)
     names = list(soils())
     made = 0

@@ -101,7 +101,7 @@ class Runs:
         return [*METRICS, *self.more]
 
     def metric(self, name: str) -> np.ndarray:
-        """Value of a metric for each course [courses]."""
+        """Values of a metric in its unit (`MEANINGS`) [courses]."""
         if name in self.more:
             return self.more[name]
         if name == "immobilised":

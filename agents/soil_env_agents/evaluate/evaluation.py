@@ -185,8 +185,8 @@ def run(asked: Evaluation, folder: Path, engine: Engine, job: Job) -> dict:
         fill(job, blocks, folder, engine, progress, job.needs, found)
 
     def of(key: str) -> Runs:
-        """All blocks of a controller."""
-        own = [b for b in asked.blocks() if b.controller == key]
+        """Runs of all blocks of a `Contestant.key`, or of `ORACLE`."""
+        own = [b for b in blocks if b.controller == key]
         return Runs.join(
             [read_cell(folder, b, partial(Runs.from_columns, courses=b.count)) for b in own]
         )
