@@ -81,7 +81,8 @@ class History:
 
         The history comes after the D entries of the layout, newest step first. On a new course,
         `fresh` [n] bool, the present readings stand in for the past, whatever `kept` [n, self.kept]
-        holds. All are arrays, or values of an ONNX graph (`export`).
+        holds: readings, newest first, then of each average its weighted sums and its weight. All
+        are arrays, or values of an ONNX graph (`export`).
         """
         m = len(self.columns)
         moved = np.concatenate([seen[:, self.columns], kept[:, [*range(self.past)]]], axis=1)

@@ -8,6 +8,7 @@ interruptions give the same files.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -61,14 +62,10 @@ class Evaluation(OfTask):
 
     def blocks(self) -> list[Block]:
         """All cells; block by block, so that an interrupted evaluation has all controllers."""
-        firsts = range(0, self.courses, self.block)
-        own = [
-            Block(key, f, min(self.block, self.courses - f))
-            for f in firsts
-            for key in self.controllers
+        return [
+            *_cut(self.courses, self.block, self.controllers),
+            *_cut(self.oracle_courses, ORACLE_BLOCK, [ORACLE]),
         ]
-        firsts = range(0, self.oracle_courses, ORACLE_BLOCK)
-        return own + [Block(ORACLE, f, min(ORACLE_BLOCK, self.oracle_courses - f)) for f in firsts]
 
 
 @dataclass(frozen=True)
@@ -83,6 +80,15 @@ class Block:
 
     def __str__(self) -> str:
         return f"{self.controller}-{self.first}"
+
+
+def _cut(courses: int, size: int, controllers: Collection[str]) -> list[Block]:
+    """Blocks of at most `size` of the first `courses`, each for all `controllers`."""
+    return [
+        Block(controller, first, min(size, courses - first))
+        for first in range(0, courses, size)
+        for controller in controllers
+    ]
 
 
 def check_controllers(asked: Evaluation) -> None:
