@@ -19,6 +19,8 @@ from soil_env._io.document import Table
 from soil_env._io.files import check_outputs, make_folder, plain, replace_files
 from soil_env._io.loading import ParameterError, one_line
 from soil_env.cli.running import PATH
+from soil_env.measurement.setup import Setup, read_setup
+from soil_env.measurement.table import Table as MeasuredTable, read_table
 
 RESULTS = Path(__file__).resolve().parent.parent / "docs" / "results"
 
@@ -36,8 +38,14 @@ def read_json(path: Path) -> dict:
     return content
 
 
+def read_rig(folder: Path, name: str) -> tuple[MeasuredTable, Setup]:
+    """The measurement table NAME.csv of a folder and its NAME.setup.yaml."""
+    setup = read_setup(folder / f"{name}.setup.yaml")
+    return read_table(folder / f"{name}.csv", setup.wheel), setup
+
+
 def spread(values) -> dict[str, float]:
-    """Median, lowest and highest of rounds."""
+    """{median, low, high} of the values of rounds."""
     return {
         "median": float(np.median(values)),
         "low": float(np.min(values)),

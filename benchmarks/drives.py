@@ -34,14 +34,14 @@ SWING_PERIOD = 4.0  # [s]
 ERROR_SEED = 5  # of zeros and gains
 
 
-def _grounds(courses: np.ndarray, x: np.ndarray, border: float) -> np.ndarray:
-    """Soil at x [courses, n] m, number of the patch, distance behind its beginning [m]."""
+def _soils(courses: np.ndarray, x: np.ndarray, border: float) -> np.ndarray:
+    """Entries of `SoilState` of the ground, [courses, n, entries], at x [courses, n] in m; `border`
+    [m] as in `places_on`.
+    """
     rows = []
     for k, at in enumerate(x):
         places = places_on(courses, k, at, border)
-        behind = at - courses["patches"]["start"][k, places["patch"]]
-        soils = [places[name] for name in SoilState._fields]
-        rows.append(np.column_stack([*soils, places["patch"], behind]))
+        rows.append(np.column_stack([places[name] for name in SoilState._fields]))
     return np.array(rows)
 
 
@@ -117,13 +117,16 @@ class Shadow:
         self.slow = float(sensors_of(believed)["slow"][0])
         self.missing = missing
         rng = np.random.default_rng(ERROR_SEED)
-        self.errors = {n: size * sd * rng.normal(size=(courses, 1)) for n, sd in ERRORS.items()}
-        self.errors = {name: error[:, None] for name, error in self.errors.items()}
+        # [courses] of each of `ERRORS`.
+        self.errors = {n: size * sd * rng.normal(size=courses) for n, sd in ERRORS.items()}
         self.drifts = drifts
         self.begun = False
 
     def update(self, sim: Any, alive: np.ndarray, share: float) -> None:
-        """Read the sensors of a control period, at a `share` of the longest drive."""
+        """Read the sensors of a control period of `sim`, at a `share` of the longest drive.
+
+        Only the identifiers of courses that are `alive` [courses] go on.
+        """
         readings = sim._sampled.samples
         misread = self._misread(readings, 2.0 * share if self.drifts else 1.0)
         world = sim._sampled._replace(samples=misread)
@@ -171,6 +174,28 @@ def published(known: Known) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return known.estimate.copy(), known.sd.copy(), known.status.copy()
 
 
+def _log_known(
+    log: dict[str, list[np.ndarray]],
+    own: Known,
+    shadows: dict[str, Shadow],
+    sim: Any,
+    alive: np.ndarray,
+    share: float,
+    count: int = len(QUANTITIES),
+) -> None:
+    """Update the `shadows` (arguments as of `Shadow.update`) and add to the log what they and the
+    simulation's `own` identifiers know of the first `count` of `QUANTITIES`.
+    """
+    known = {OWN: published(own)}
+    for name, shadow in shadows.items():
+        shadow.update(sim, alive, share)
+        known[name] = shadow.known()
+    for name, (estimate, sd, status) in known.items():
+        found = estimate[..., :count], sd[..., :count], status
+        for what, values in zip(KNOWN, found, strict=True):
+            log[f"{name} {what}"].append(values)
+
+
 def record(
     controller: Any,
     scenario: Scenario,
@@ -183,28 +208,21 @@ def record(
 
     "truth" [6]: `QUANTITIES` of the ground under the wheel, ln S at the exponent of the belief and
     the true bearing sinkage; "driven": neither ended nor in a halt; "alive"; "readings", a record;
-    of each shadow, and of the
-    simulation's own identifiers as `OWN`, "NAME estimate", "NAME sd" [6] and "NAME status".
+    of each shadow, and of the simulation's own identifiers as `OWN`, "NAME estimate", "NAME sd" [6]
+    and "NAME status".
     """
     log: dict[str, list[np.ndarray]] = defaultdict(list)
     for t, (sim, alive) in enumerate(
         drive(controller, scenario, seed, range(courses), model=model, warnings=True)
     ):
         w = sim.worlds
-        ground = _grounds(w.courses, w.state["x"][:, None], scenario.course.border)
-        soil = ground[:, 0, : len(SoilState._fields)]
+        soil = _soils(w.courses, w.state["x"][:, None], scenario.course.border)[:, 0]
         load = np.array(w.state["mass"]) * scenario.gravity
         log["truth"].append(truth(soil, np.array(w.state["bearing_sinkage"]), load, scenario))
         log["driven"].append(alive & (w.state["halt_left"] == 0.0))
         log["alive"].append(alive.copy())
         log["readings"].append(sim._sampled.samples[:, 0, 0].copy())
-        known = {OWN: published(w.ids)}
-        for name, shadow in shadows.items():
-            shadow.update(sim, alive, t / scenario.periods)
-            known[name] = shadow.known()
-        for name, found in known.items():
-            for what, values in zip(KNOWN, found, strict=True):
-                log[f"{name} {what}"].append(values)
+        _log_known(log, w.ids, shadows, sim, alive, t / scenario.periods)
     return {name: np.array(rows) for name, rows in log.items()}
 
 
@@ -217,15 +235,15 @@ def prior_of(scenario: Scenario) -> np.ndarray:
 def truth(
     soil: np.ndarray, bearing: np.ndarray, load: np.ndarray, scenario: Scenario
 ) -> np.ndarray:
-    """`QUANTITIES` [T, 6] of soils [T, 11], in SI units and rad, at true bearing sinkages [m] and
-    loads [N].
+    """`QUANTITIES` [n, 6], in SI units and rad, of soils [n, entries of `SoilState`], at true
+    bearing sinkages [n] in m and loads [n] in N.
     """
     _, pull = best_points(soil, load, scenario.wheel)
     return np.column_stack([true_soil(soil, bearing, scenario), np.maximum(pull / load, -1.0)])
 
 
 def true_soil(soil: np.ndarray, bearing: np.ndarray, scenario: Scenario) -> np.ndarray:
-    """`QUANTITIES` [..., OF_SOIL] of soils [..., 11], as `truth`."""
+    """`QUANTITIES` [..., OF_SOIL] of soils [..., entries of `SoilState`], as `truth`."""
     belief = scenario.belief
     tan_phi, cohesion, shear_modulus, coefficient, exponent, gain = np.moveaxis(soil, -1, 0)[:6]
     depth = np.log(np.maximum(bearing, 1e-4))
@@ -275,16 +293,20 @@ def constant_speeds(scenario: RoverScenario) -> Callable[[np.ndarray], np.ndarra
 
 
 def record_rover(
+    control_of: Callable[[RoverScenario], Callable[[np.ndarray], np.ndarray]],
     scenario: RoverScenario,
     courses: int,
     seed: int,
-    control: Any,
     shadows: dict[str, Shadow],
     model: WheelSoilModel | None = None,
 ) -> dict[str, np.ndarray]:
-    """Drive courses of a seed as `record`; arrays [T, courses, axles, ...], "truth"
-    [OF_SOIL].
+    """Drive courses of a seed as `record`; arrays [T, courses, axles, ...], "truth", "NAME
+    estimate" and "NAME sd" [OF_SOIL].
+
+    `control_of` a scenario gives rim speeds [courses, axles] for measured speeds [courses], both of
+    the highest rim speed.
     """
+    control = control_of(scenario)
     simulation = RoverSimulation(courses, scenario, "blind", 2, model=model, estimates=True)
     for j in range(courses):
         simulation.seed(j, np.random.default_rng([seed, j]))
@@ -296,19 +318,12 @@ def record_rover(
     while going.any():
         simulation.step_all(control(w.observation[:, 0].astype(float)), np.where(going, STEP, IDLE))
         places = w.state["wheels"]["x"][:, : scenario.axles]
-        soil = _grounds(w.courses, places, scenario.course.border)
+        soil = _soils(w.courses, places, scenario.course.border)
         bearing = w.state["wheels"]["bearing_sinkage"][:, : scenario.axles]
         log["truth"].append(true_soil(soil, bearing, scenario))
         driven = going & (w.state["halt_left"] == 0.0)
         log["driven"].append(np.repeat(driven[:, None], scenario.axles, 1))
-        known = {OWN: published(w.known)}
-        for name, shadow in shadows.items():
-            shadow.update(simulation, going, t / scenario.periods)
-            known[name] = shadow.known()
-        for name, (estimate, sd, status) in known.items():
-            of_soil = estimate[..., :OF_SOIL], sd[..., :OF_SOIL], status
-            for what, values in zip(KNOWN, of_soil, strict=True):
-                log[f"{name} {what}"].append(values)
+        _log_known(log, w.known, shadows, simulation, going, t / scenario.periods, OF_SOIL)
         going = going & (w.cause == Cause.RUNNING.value)
         t += 1
     return {name: np.array(rows) for name, rows in log.items()}

@@ -58,7 +58,9 @@ TEXT = (
 
 
 def at_slips(soil: Soil, load: float, gravity: float) -> list[float]:
-    """The quantities of `MEASURED` in their order."""
+    """The quantities of `MEASURED` [-] in their order, of a soil under a load [N] at a gravity
+    [m/s2].
+    """
     wheel = wheels()["planetary_rover"]
     state = soil.under(wheel.radius, wheel.width, load, gravity)
     found = [steady_state(slip, load, state, wheel.radius, wheel.width) for slip in SLIPS]
@@ -72,6 +74,7 @@ def fitted(weight: float, cohesion: float) -> Soil:
     middle = np.array([np.mean(earth) for earth, _ in MEASURED.values()])
 
     def soil_of(x: np.ndarray) -> Soil:
+        """Soil of the logarithms of the four unknowns, in the order of `UNKNOWNS`."""
         phi, modulus, stiffness, gain = np.exp(x).tolist()
         moduli = {"sinkage_coefficient": stiffness, "gravity_measured": EARTH_GRAVITY}
         return Soil(phi, cohesion, modulus, EXPONENT, dig_gain=gain, **moduli)

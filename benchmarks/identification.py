@@ -14,7 +14,9 @@ at all steps but halts, whatever the status of the estimate.
 """
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -99,37 +101,38 @@ def cases() -> dict[str, Case]:
 
 
 def measure(case: Case, courses: int, seed: int) -> dict[str, Any]:
-    """Drive and judge a row by `QUANTITIES`, of a rover those of the soil by all wheels."""
-    units = drives.UNITS
+    """Drive and judge a row: plain values of the case, its "steps", "prior_rms", and the
+    `statistics` of `SHIPPED` and of each of the identifiers beside it.
+
+    They are of `drives.QUANTITIES`, of a rover of those of the soil, by all wheels.
+    """
+    scenario: Any
+    record: Callable[..., dict[str, np.ndarray]]
+    kinds = dict(SENSORS)
+    count = len(drives.QUANTITIES)
     if case.scenario in ROVERS:
-        rover = drives.rover_scenario(case.scenario)
+        scenario = drives.rover_scenario(case.scenario)
         effects = {"multipass": {"compaction": RUTS[case.world]}} if case.world else {}
-        world = WheelSoilModel(rover.wheel, None, effects) if effects else None
-        units = units[: drives.OF_SOIL]
-        shadows = {name: drives.Shadow(rover, courses, **kind) for name, kind in SENSORS.items()}
-        logs = [
-            drives.record_rover(
-                driven, courses, seed, ROVER_DRIVES[case.drive](driven), beside, world
-            )
-            for driven, beside in ((rover, {}), (_calibrated(rover), shadows))
-        ]
-        prior = drives.prior_of(rover)[: drives.OF_SOIL]
+        model = WheelSoilModel(scenario.wheel, None, effects) if effects else None
+        count = drives.OF_SOIL
+        record = partial(drives.record_rover, ROVER_DRIVES[case.drive])
     else:
         changes = dict(ONE) if case.scenario == ONE_SOIL else {}
         if case.action:
             changes["control"] = {"action": case.action}
         scenario = load_scenario("mixed" if case.scenario == ONE_SOIL else case.scenario, changes)
         model = load_model(config_dir() / "worlds" / f"{case.world}.yaml") if case.world else None
-        kinds = dict(SENSORS)
         if case.scenario == "mixed" and not case.world and not case.action:
             kinds |= {name: {"missing": missing} for name, missing in SUBSETS.items()}
-        shadows = {name: drives.Shadow(scenario, courses, **kind) for name, kind in kinds.items()}
-        controller = drives.controller_of(case.drive, scenario)
-        logs = [
-            drives.record(controller, driven, courses, seed, beside, model)
-            for driven, beside in ((scenario, {}), (_calibrated(scenario), shadows))
-        ]
-        prior = drives.prior_of(scenario)
+        record = partial(drives.record, drives.controller_of(case.drive, scenario))
+    shadows = {name: drives.Shadow(scenario, courses, **kind) for name, kind in kinds.items()}
+    exact = replace(scenario, noise=calibrated(scenario.noise))  # sensors without zeros and gains
+    logs = [
+        record(driven, courses, seed, beside, model)
+        for driven, beside in ((scenario, {}), (exact, shadows))
+    ]
+    prior = drives.prior_of(scenario)[:count]
+    units = drives.UNITS[:count]
     row: dict[str, Any] = case._asdict() | {"courses": courses}
     for log, names in zip(logs, ({drives.OWN: SHIPPED}, {n: n for n in shadows}), strict=True):
         here = log["driven"]
@@ -142,13 +145,13 @@ def measure(case: Case, courses: int, seed: int) -> dict[str, Any]:
     return short(row)
 
 
-def _calibrated(scenario: Any) -> Any:
-    """The scenario with sensors without zeros and gains."""
-    return replace(scenario, noise=calibrated(scenario.noise))
-
-
 def statistics(true, estimate, sd, status, course, units) -> dict[str, Any]:
-    """Statistics of errors and standard deviations [N, q]; `course` [N] numbers the courses."""
+    """Statistics of errors and standard deviations over N steps: arrays [q] of the quantities in
+    `units` [q] (multiples of those of the estimates), and shares in percent.
+
+    `true`, `estimate` and `sd` [N, q]; `status` [N]; `course` [N] numbers the courses. The error of
+    a share takes the steps of a course as one sample.
+    """
     error = estimate - true
     z = np.abs(error) / sd
     held = z < 1.0
@@ -169,11 +172,13 @@ def statistics(true, estimate, sd, status, course, units) -> dict[str, Any]:
 
 
 def _triple(values: list[Any], form: str) -> str:
+    """Medians of the `JUDGED` quantities over drives, of `values` [drives][quantities]."""
     middle = np.median(np.array(values), axis=0)
     return " / ".join(format(v, form) for v in middle[:JUDGED])
 
 
 def _by_scenario(rows: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    """The rows of each scenario, and of each scenario with an effect."""
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         name = " with ".join(filter(None, (row["scenario"], row["world"])))

@@ -7,8 +7,7 @@
 Half of the rows of a table, drawn at random, are held out. Of the others three are measured, and
 then one after the other: those that `discovery.next_for_prediction` chooses, random ones, or those
 furthest from what was measured (a design that fills the space). After each, all effects are fitted
-anew and predict the held-out rows. The same command goes on where it
-was interrupted.
+anew and predict the held-out rows. The same command goes on where it was interrupted.
 """
 
 import dataclasses
@@ -20,10 +19,10 @@ import numpy as np
 
 from benchmarks.common import read_json, ready, short, study_options, write
 from benchmarks.prediction import Case, cases
-from benchmarks.rigs import DATA
+from benchmarks.rigs import data_option
 from soil_env._io.document import Table as Page
 from soil_env._io.files import write_json
-from soil_env.cli.running import PATH, leave, run
+from soil_env.cli.running import leave, run
 from soil_env.discovery.calibrate import Problem, calibrate
 from soil_env.discovery.next_for_prediction import Uncertainty
 from soil_env.discovery.prediction import Prediction, fit_prediction
@@ -56,7 +55,9 @@ def tables(folder: Path) -> dict[str, Case]:
 
 def errors(case: Case, way: str, draw: int, most: int = MOST) -> list[float]:
     """Errors of the held-out rows over the noise, after the first runs and each further one, while
-    there is a choice.
+    there is a choice and for `most` further runs.
+
+    `way`: one of `WAYS`; `draw` numbers the draws of the held-out and the first rows.
     """
     rng = np.random.default_rng([SEED, draw])
     order = rng.permutation(case.table.slip.size)
@@ -86,12 +87,14 @@ def errors(case: Case, way: str, draw: int, most: int = MOST) -> list[float]:
 
 
 def _at(problem: Problem, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Conditions of rows of a table."""
+    """Conditions of `rows` (indices) of a table, by name."""
     return {name: x[rows] for name, x in problem.data.conditions.items()}
 
 
 def _surest(model: Prediction, whole: Problem, left: list[int]) -> int:
-    """Which of the rows `left` lowers the mean standard deviation of all of them most."""
+    """Place in `left` (rows) of the one that lowers the mean standard deviation of all of them
+    most.
+    """
     seen = whole.used.any(axis=0)
     joint = model.joint_at(_at(whole, np.array(left)))[:, seen][:, :, :, seen]
     uncertain = Uncertainty(joint, model.variance_of_run[seen])
@@ -99,7 +102,7 @@ def _surest(model: Prediction, whole: Problem, left: list[int]) -> int:
 
 
 def _furthest(whole: Problem, made: list[int], left: list[int]) -> int:
-    """Which of the rows `left` is furthest from the nearest of those `made`."""
+    """Place in `left` (rows) of the one that is furthest from the nearest of those `made`."""
     rows = whole.data.rows
     places = np.stack([rows.slip, np.log(rows.load)], axis=1)
     places = places / np.maximum(np.ptp(places, axis=0), 1e-6)
@@ -122,7 +125,7 @@ def needed(chosen: np.ndarray, random: np.ndarray) -> float:
 
 
 def tables_of(found: dict[str, dict[str, list[list[float]]]]) -> dict[str, Page]:
-    """The table of the page."""
+    """The table of the page, of {table: {way: `errors` of each draw}}."""
     lines = []
     for name, of in found.items():
         mean = {way: np.exp(np.mean(np.log(of[way]), axis=0)) for way in WAYS}
@@ -138,7 +141,7 @@ def tables_of(found: dict[str, dict[str, list[list[float]]]]) -> dict[str, Page]
 
 @click.command(NAME)
 @study_options(NAME)
-@click.option("--data", type=PATH, default=DATA, metavar="DIR", help="Folder of the measurements.")
+@data_option
 def command(smoke: bool, out: Path, data: Path) -> None:
     """Runs chosen for prediction against runs drawn at random."""
     file = ready(out, NAME)

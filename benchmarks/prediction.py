@@ -25,20 +25,20 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
-from benchmarks.common import ready, short, study_options, write
+from benchmarks.common import read_rig, ready, short, study_options, write
 from benchmarks.continuum import rig
-from benchmarks.rigs import DATA, TRAINING_LOADS
+from benchmarks.rigs import TRAINING_LOADS, data_option
 from examples.cmu_rig import convert
 from soil_env._io.document import Table as Page
 from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
-from soil_env.cli.running import PATH, leave, run
+from soil_env.cli.running import leave, run
 from soil_env.discovery.calibrate import Problem, calibrate
 from soil_env.discovery.curve import at_curves
 from soil_env.discovery.outlook import curves_of, outlook
 from soil_env.discovery.prediction import fit_prediction
 from soil_env.identification.table.data import prepare
-from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_setup
+from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors
 from soil_env.measurement.table import MEASURED, Table, read_table
 from soil_env.terramechanics.model import rows_of
 
@@ -89,12 +89,10 @@ def cases(folder: Path) -> Iterator[Case]:
     with tempfile.TemporaryDirectory() as made:
         convert(folder / "cmu_single_wheel", Path(made))
         for name, label in (("smooth", "CMU smooth"), ("grouser", "CMU lugged")):
-            setup = read_setup(Path(made) / f"{name}.setup.yaml")
-            table = read_table(Path(made) / f"{name}.csv", setup.wheel)
+            table, setup = read_rig(Path(made), name)
             rims = np.array([run.rpartition(" #")[0] for run in table.run])
             yield Case(f"{label}, a rim speed out", table, setup, _each(rims))
-    setup = read_setup(folder / "continuum_3d" / "smooth_wheel.setup.yaml")
-    table = read_table(folder / "continuum_3d" / "smooth_wheel.csv", setup.wheel)
+    table, setup = read_rig(folder / "continuum_3d", "smooth_wheel")
     driving = table.only(table.slip > DRIVEN)
     for label, rows in (("driving", driving), ("all slips", table)):
         others = ~np.isin(rows.load, TRAINING_LOADS)
@@ -119,8 +117,7 @@ def _both_out(folder: Path, name: str, condition: str) -> Iterator[Case]:
     """Cases of the table `name` of a folder, with its setup beside it: each level of a condition
     left out in turn, and the largest one alone.
     """
-    setup = read_setup(folder / f"{name}.setup.yaml")
-    table = read_table(folder / f"{name}.csv", setup.wheel)
+    table, setup = read_rig(folder, name)
     levels = getattr(table, condition)
     label = name.replace("_", ", ")
     yield Case(f"{label}, a {condition} out", table, setup, _each(levels))
@@ -129,11 +126,17 @@ def _both_out(folder: Path, name: str, condition: str) -> Iterator[Case]:
 
 
 def _each(values: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Groups of the rows with one value each, [N] bool."""
     return tuple(values == v for v in np.unique(values))
 
 
 def figures(case: Case, folds: int | None = None) -> dict:
-    """Errors by method, over the rows that were left out."""
+    """Row of the page of a case: errors by method, of sinkage [m], pull [N] and torque [N m], over
+    the rows that were left out; of all of them over the noise; shares of the values within one and
+    two of the stated standard deviations.
+
+    Only the first `folds` of the groups are left out, None: all.
+    """
     y = np.stack([getattr(case.table, name) for name in MEASURED], axis=1)
     found = {name: np.full(y.shape, math.nan) for name in METHODS}
     sd = np.full(y.shape, math.nan)
@@ -175,7 +178,9 @@ def figures(case: Case, folds: int | None = None) -> dict:
 
 
 def _without_law(problem: Problem, conditions: dict[str, np.ndarray]) -> np.ndarray:
-    """[N, 3] of a Gaussian process of each channel over slip and ln W, forces over the load."""
+    """Sinkage [m], pull [N] and torque [N m] at N conditions, [N, 3], by a Gaussian process of each
+    channel over slip and ln W, forces over the load; NaN of a channel that was not measured.
+    """
     table = problem.data.conditions
 
     def points(at: dict[str, np.ndarray]) -> np.ndarray:
@@ -199,7 +204,9 @@ def _without_law(problem: Problem, conditions: dict[str, np.ndarray]) -> np.ndar
 
 
 def _rms(off: np.ndarray, axis: int | None = 0) -> np.ndarray:
-    """Root mean square of what was measured; NaN of a channel that was not."""
+    """Root mean square of the errors `off` [N, 3] of each channel, or of all for the axis None; NaN
+    where nothing was measured.
+    """
     known = np.isfinite(off)
     count = known.sum(axis=axis)
     square = np.where(known, off, 0.0) ** 2
@@ -257,7 +264,7 @@ def tables_of(rows: dict[str, list[dict]], over: dict[str, dict]) -> dict[str, P
 
 @click.command(NAME)
 @study_options(NAME)
-@click.option("--data", type=PATH, default=DATA, metavar="DIR", help="Folder of the measurements.")
+@data_option
 def command(data: Path, smoke: bool, out: Path) -> None:
     """Errors of predictions on measured wheels."""
     path = ready(out, NAME)

@@ -21,7 +21,6 @@ For two wheels a shear test gave K as well. It is compared with K as `soil-env i
 from the drive, where the rest of the soil is known from plates and shear tests.
 """
 
-import csv
 import math
 import os
 from dataclasses import dataclass, replace
@@ -32,14 +31,13 @@ import click
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
-from benchmarks.common import ready, short, study_options, write
+from benchmarks.common import read_rig, ready, short, study_options, write
 from soil_env._io.document import Table
 from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import PATH, leave, run
 from soil_env.identification.table.fit import identify_table
-from soil_env.measurement.setup import Prior, Setup, SoilPriors, read_setup
-from soil_env.measurement.table import Table as Measurements, read_table
+from soil_env.measurement.setup import Prior, SoilPriors
 from soil_env.parameters import SoilState, soils
 from soil_env.terramechanics.steady import steady_state
 
@@ -48,6 +46,9 @@ NAME = "rigs"
 BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
 DATA = Path(os.environ.get("SOIL_ENV_DATA") or BESIDE)
 PUBLISHED = Path(__file__).resolve().parent / "measured"  # tables and setups, with their sources
+data_option = click.option(
+    "--data", type=PATH, default=DATA, metavar="DIR", help="Folder of the measurements."
+)
 LOCKED = -0.9  # [-] slip below which a wheel counts as locked
 BRAKED = -0.05  # [-] slip below which a wheel counts as braked
 TRAINING_LOADS = (40.0, 80.0, 150.0)  # [N] of the continuum; the others are predicted
@@ -118,7 +119,7 @@ class Rig:
 
     @property
     def scale(self) -> np.ndarray:
-        """Weights [N, 3] of the channels."""
+        """Errors [N, 3] of sinkage [m], pull [N] and torque [N m] that weigh 1 in a fit."""
         force = FORCE_SD * self.load
         return np.stack(
             [np.full(self.load.size, SINKAGE_SD * self.radius), force, force * self.radius], axis=1
@@ -128,10 +129,10 @@ class Rig:
 def read_rigs(folder: Path) -> dict[str, Rig]:
     """Rigs by name from a folder of measurements. Raises `ParameterError` where one is missing."""
     cmu = _rows(folder / "cmu_single_wheel" / "cmu_wheel_means_of_3.csv")
-    straight = [r for r in cmu if float(r["slip_angle_deg"]) == 0.0]
+    straight = cmu[cmu["slip_angle_deg"] == 0.0]
     rigs = {}
     for name, label in (("smooth", "CMU smooth"), ("grouser", "CMU lugged")):
-        rows = [r for r in straight if r["wheel"] == name]
+        rows = straight[straight["wheel"] == name]
         rigs[label] = Rig(
             0.058,
             0.05,
@@ -151,29 +152,25 @@ def read_rigs(folder: Path) -> dict[str, Rig]:
     particles = _rows(folder / "dem_kyoto" / "lugged_wheel.csv")
     rigs["particles"] = Rig(0.11, 0.1, 0.00125, False, *_columns(particles, *plain))
     for name in sorted(path.stem for path in PUBLISHED.glob("*.csv")):
-        table, setup = published(name)
+        table, setup = read_rig(PUBLISHED, name)
         values = np.stack([table.sinkage, table.drawbar_pull, table.torque], axis=1)
         wheel = setup.wheel
         rigs[name] = Rig(wheel.radius, wheel.width, 0.0, True, table.slip, table.load, values)
     return rigs
 
 
-def published(name: str) -> tuple[Measurements, Setup]:
-    """A table of `PUBLISHED` and its setup."""
-    setup = read_setup(PUBLISHED / f"{name}.setup.yaml")
-    return read_table(PUBLISHED / f"{name}.csv", setup.wheel), setup
-
-
-def _rows(path: Path) -> list[dict[str, str]]:
+def _rows(path: Path) -> np.ndarray:
+    """Rows of a CSV file, as records with its columns."""
     if not path.is_file():
         raise ParameterError(f"{path}: no such file: expected a folder of measurements, --data DIR")
-    with path.open(encoding="utf-8", newline="") as stream:
-        return list(csv.DictReader(stream))
+    return np.genfromtxt(
+        path, dtype=None, comments=None, delimiter=",", names=True, encoding="utf-8"
+    )
 
 
-def _columns(rows: list[dict[str, str]], *columns: tuple[str, float]) -> tuple[np.ndarray, ...]:
+def _columns(rows: np.ndarray, *columns: tuple[str, float]) -> tuple[np.ndarray, ...]:
     """(slip, load, measured [N, 3]) in SI units from (name, factor) of each column."""
-    values = np.array([[float(r[name]) * factor for name, factor in columns] for r in rows])
+    values = np.stack([rows[name] * factor for name, factor in columns], axis=1)
     measured = np.full((len(values), 3), math.nan)
     measured[:, : values.shape[1] - 2] = values[:, 2:]
     return values[:, 0], values[:, 1], measured
@@ -196,7 +193,9 @@ def priors(rig: Rig) -> np.ndarray:
 
 
 def soil_of(x: np.ndarray, rig: Rig, law: Law) -> SoilState:
-    """Soil of the unknowns: phi [deg], ln K/r, ln of the pressure, n, gain, ln c, zero [m]."""
+    """Soil of the unknowns `x` [7]: phi [deg], ln K/r, ln of the pressure [Pa] at `DEPTH`, n, gain
+    of slip-sinkage, ln c, and the zero of the sinkage [m], which is none of the soil's.
+    """
     n = float(x[3])
     return SoilState(
         math.tan(math.radians(x[0])),
@@ -212,7 +211,9 @@ def soil_of(x: np.ndarray, rig: Rig, law: Law) -> SoilState:
 
 
 def predict(x: np.ndarray, rig: Rig, rows: np.ndarray, law: Law) -> np.ndarray:
-    """Sinkage, pull and torque [N, 3] of rows by the unknowns."""
+    """Sinkage [m], pull [N] and torque [N m], [N, 3], of `rows` (N indices) by the unknowns `x` of
+    `soil_of`.
+    """
     soil = soil_of(x, rig, law)
     out = np.empty((rows.size, 3))
     for k, row in enumerate(rows):
@@ -222,7 +223,7 @@ def predict(x: np.ndarray, rig: Rig, rows: np.ndarray, law: Law) -> np.ndarray:
 
 
 def fit(rig: Rig, rows: np.ndarray, law: Law, starts: int = len(STARTS)) -> np.ndarray:
-    """Unknowns [7] that fit rows best, from several starting values."""
+    """Unknowns [7] that fit the `rows` (indices) best, from the first `starts` of `STARTS`."""
     mean, sd, low, high = priors(rig).T
     scale = rig.scale[rows]
 
@@ -231,15 +232,13 @@ def fit(rig: Rig, rows: np.ndarray, law: Law, starts: int = len(STARTS)) -> np.n
         return np.concatenate([misfit[np.isfinite(misfit)], (x - mean) / sd])
 
     pressure = math.log(np.median(rig.load) / (rig.width * rig.radius))
-    best = None
-    for phi, ln_modulus in STARTS[:starts]:
-        start = mean.copy()
-        start[:3] = phi, ln_modulus, pressure
-        found = least_squares(residuals, start, bounds=(low, high), x_scale=sd.clip(max=1.0))
-        if best is None or found.cost < best.cost:
-            best = found
-    assert best is not None
-    return best.x
+    found = [
+        least_squares(
+            residuals, [*start, pressure, *mean[3:]], bounds=(low, high), x_scale=sd.clip(max=1.0)
+        )
+        for start in STARTS[:starts]
+    ]
+    return min(found, key=lambda fitted: fitted.cost).x
 
 
 def splits(rig: Rig) -> list[tuple[str, list[tuple[np.ndarray, np.ndarray]]]]:
@@ -261,9 +260,12 @@ def splits(rig: Rig) -> list[tuple[str, list[tuple[np.ndarray, np.ndarray]]]]:
 
 
 def choose(rigs: list[Rig], starts: int, growths: tuple[float, ...] = GROWTHS) -> Law:
-    """The law with which soils of the first split of each rig predict its rows best."""
+    """The law with which soils of the first split of each rig predict its rows best, those of
+    locked wheels left out; its flow is sought for each of the `growths`.
+    """
 
     def misfit(flow: float, growth: float) -> float:
+        """Sum of the squared errors over `Rig.scale` with a law of these constants."""
         law = Law(flow, PEAK, growth)
         total = 0.0
         for rig in rigs:
@@ -284,7 +286,10 @@ def choose(rigs: list[Rig], starts: int, growths: tuple[float, ...] = GROWTHS) -
 
 
 def figures(name: str, rig: Rig, law: Law, starts: int, folds: int | None) -> list[dict]:
-    """Rows of the table of a rig: rms of the predictions of each channel, by how it moves."""
+    """Rows of the table of a rig: rms of the predictions of each channel, by how it moves.
+
+    `starts` as of `fit`; only the first `folds` of each split, None: all.
+    """
     out = []
     motions = {
         "driving": rig.slip > BRAKED,
@@ -338,7 +343,7 @@ def moduli(laws: dict[str, Law]) -> list[dict]:
     """K [mm] with its 95 % interval, as `identify` finds it on the wheels of `DING` by each law."""
     out = []
     for name in DING:
-        table, setup = published(name)
+        table, setup = read_rig(PUBLISHED, name)
         for label, law in laws.items():
             flow = {key: Prior(value, 0.0) for key, value in law._asdict().items()}
             known = replace(setup, soil=replace(DING_SOIL, **flow))
@@ -393,7 +398,7 @@ def table_of(rows: list[dict]) -> Table:
 
 @click.command(NAME)
 @study_options(NAME)
-@click.option("--data", type=PATH, default=DATA, metavar="DIR", help="Folder of the measurements.")
+@data_option
 def command(data: Path, smoke: bool, out: Path) -> None:
     """Errors of the base model and of soil that flows along the rim on measured wheels."""
     path = ready(out, NAME)

@@ -92,7 +92,7 @@ def cases() -> dict[str, Case]:
 
 
 def misread(reading: SensorReading, case: Case, sign: float, scenario: Scenario) -> SensorReading:
-    """A reading with the error of a row, or without a sensor."""
+    """A reading with the error of a row, up (`sign` 1) or down (-1), or without a sensor (NaN)."""
     if case.dead:
         return reading._replace(**{case.dead: math.nan})
     if not case.error:
@@ -106,7 +106,9 @@ def misread(reading: SensorReading, case: Case, sign: float, scenario: Scenario)
 
 
 def driven(case: Case, driver: str, courses: int) -> np.ndarray:
-    """[courses] whether a driver finishes each course."""
+    """Whether the driver of this name finishes each course, [courses] bool, with the changes of
+    the case.
+    """
     known = load_scenario(GROUND, OTHER_WHEEL if case.other else {})
     true = known
     if case.smaller:
@@ -114,10 +116,8 @@ def driven(case: Case, driver: str, courses: int) -> np.ndarray:
     controller = DefaultPolicy(known) if driver == DRIVERS[0] else make_controller(driver, known)
     stepped = replace(true, control=replace(true.control, repeat=1))
     world = load_model(config_dir() / "worlds" / f"{case.world}.yaml") if case.world else None
-    sim = simulate(courses, stepped, controller.variant, 1, world)
-    for k in range(courses):
-        sim.seed(k, course_rng(SEED, k))
-    sim.restart_where(np.ones(courses, dtype=bool))
+    rngs = [course_rng(SEED, k) for k in range(courses)]
+    sim = simulate(rngs, stepped, controller.variant, 1, world)
     observers = [Observer(known, controller.variant) for _ in range(courses)]
     choice = [e.name for e in layout(controller.variant, known.course)].index("choice")
     worlds = sim.worlds

@@ -41,6 +41,7 @@ LEAST_PRESSURE = 1e3  # [Pa] below it
 MOST_PRESSURE = 5e6  # [Pa] below it: no rig presses a wheel into asphalt
 MOST_GRIP = 1.2  # largest pull, or torque over radius, over the load that soil gives
 OFF = 2.0  # [sd] of an estimate, from which a mistake matters
+INTERVAL = 3.92  # [sd] from end to end of an interval of 95 %
 #: Largest strengths of effects that go with the size of the values: share of the torque, of the
 #: sinkage.
 SIZES = {"drivetrain_friction_constant": 0.1, "sinkage_offset_offset": 0.25}
@@ -70,7 +71,7 @@ class Sound:
 
     columns: dict[str, np.ndarray]
     setup: Setup
-    what: str
+    what: str  # soil, wheel, effects and errors in words
     wrong_row: int = 0  # line of the file, 0 if none is wrong
 
     def table(self) -> Table:
@@ -84,7 +85,7 @@ class Sound:
 
 
 def sound_tables(count: int, seed: int) -> Iterator[Sound]:
-    """Sound tables, some with effects that the base model lacks."""
+    """`count` sound tables, some with effects that the base model lacks."""
     rng = np.random.default_rng(seed)
     names = list(soils())
     made = 0
@@ -117,13 +118,9 @@ def _draw(rng: np.random.Generator, name: str) -> Sound | None:
     except ParameterError:
         return None
     y = np.stack(found[:3], axis=1)
-    if not LEAST_PRESSURE < stiffness * z**n < MOST_PRESSURE:
+    if not LEAST_PRESSURE < stiffness * z**n < MOST_PRESSURE or middle < LIGHTEST:
         return None
-    if middle < LIGHTEST or not np.all(found.supported):
-        return None
-    if np.max(y[:, 0]) > 0.6 * r or np.min(y[:, 0]) < 0.005 * r:
-        return None
-    if max(np.max(np.abs(y[:, 1])), np.max(np.abs(y[:, 2])) / r) > MOST_GRIP * np.max(loads):
+    if not np.all(found.supported) or not of_a_rig(y, r, np.max(loads)):
         return None
     s = (at[:, 1] - slips.mean()) / np.ptp(slips)
     w = np.log(at[:, 0] / middle)
@@ -143,11 +140,23 @@ def _draw(rng: np.random.Generator, name: str) -> Sound | None:
     return Sound(columns, setup, what)
 
 
+def of_a_rig(y: np.ndarray, r: float, load: float) -> bool:
+    """True if a rig could measure `y` [N, 3], sinkage [m], pull [N] and torque [N m], with a wheel
+    of radius r [m] under loads up to `load` [N].
+    """
+    sinkage, pull, torque = y.T
+    grip = max(np.max(np.abs(pull)), np.max(np.abs(torque)) / r) / load
+    return bool(grip <= MOST_GRIP and np.min(sinkage) >= 0.005 * r and np.max(sinkage) <= 0.6 * r)
+
+
 def _effects(
     rng: np.random.Generator, torque: float, sinkage: float
 ) -> dict[str, dict[str, float]]:
-    """None to two effects in one of their forms, 0.5 to 3 times the usual size, in a table of slips
-    and loads. Soils of the library flow along the rim by themselves.
+    """{effect: {parameter: value}} of none to two effects, each in one of its forms, 0.5 to 3 times
+    the usual size, in a table of slips and loads.
+
+    `torque` [N m] and `sinkage` [m]: typical values of the table, for the sizes that go with them.
+    Soils of the library flow along the rim by themselves.
     """
     names = [e.name for e in CATALOGUE.values() if e.varies is None and e.name != "soil_flow"]
     out = {}
@@ -169,7 +178,10 @@ def _effects(
 
 
 def _priors(rng: np.random.Generator, soil: Soil, chosen: dict[str, float]) -> SoilPriors:
-    """Priors about the truth."""
+    """Priors about the truth, off by their standard deviations times N(0, 1); the density is known.
+
+    `chosen`: an entry of `PRIORS`.
+    """
     out = {"density": Prior(soil.density, 0.0)}
     limits = {f.name: f.metadata for f in dataclasses.fields(Soil)}
     for name, relative in chosen.items():
@@ -185,32 +197,30 @@ def _priors(rng: np.random.Generator, soil: Soil, chosen: dict[str, float]) -> S
     return SoilPriors(**out)
 
 
-def _changed(name: str, change: Callable) -> Callable[[Sound], Sound | None]:
+def _changed(name: str, change: Callable, one: bool = False) -> Callable[[Sound], Sound | None]:
+    """A mistake that changes the values [N] of a column, or only `one`, in a row that follows from
+    the table.
+    """
+
     def wrong(t: Sound) -> Sound | None:
         if name not in t.columns:
             return None
-        return replace(t, columns=t.columns | {name: change(t.columns[name])})
+        values = t.columns[name]
+        changed = change(values)
+        line = 0
+        if one:
+            k = int(1e6 * abs(values.sum())) % values.size
+            changed = np.where(np.arange(values.size) == k, changed, values)
+            line = k + 2  # behind the header, from 1
+        return replace(t, columns=t.columns | {name: changed}, wrong_row=line)
 
     return wrong
 
 
 def _diameter(t: Sound) -> Sound:
+    """The table with the diameter of the wheel stated as its radius."""
     wheel = replace(t.setup.wheel, radius=2.0 * t.setup.wheel.radius)
     return replace(t, setup=replace(t.setup, wheel=wheel))
-
-
-def _one(name: str, change: Callable) -> Callable[[Sound], Sound | None]:
-    """One value of a column is wrong, in a row that follows from the table."""
-
-    def once(t: Sound) -> Sound | None:
-        if name not in t.columns:
-            return None
-        values = t.columns[name]
-        k = int(1e6 * abs(values.sum())) % values.size
-        wrong = np.where(np.arange(values.size) == k, change(values), values)
-        return replace(t, columns=t.columns | {name: wrong}, wrong_row=k + 2)
-
-    return once
 
 
 #: What is wrong with a table, by name; None where the table has no such column.
@@ -223,8 +233,8 @@ MISTAKES: dict[str, Callable[[Sound], Sound | None]] = {
     "sign of the slip": _changed("slip", lambda x: -x),
     "slip over the travel speed": _changed("slip", lambda x: x / (1.0 - x)),
     "diameter for the radius": _diameter,
-    "one load ten times too large": _one("load", lambda x: 10.0 * x),
-    "one sinkage ten times too large": _one("sinkage", lambda x: 10.0 * x),
+    "one load ten times too large": _changed("load", lambda x: 10.0 * x, one=True),
+    "one sinkage ten times too large": _changed("sinkage", lambda x: 10.0 * x, one=True),
 }
 
 
@@ -257,7 +267,7 @@ def matters(sound: Sound, wrong: Sound) -> bool:
     if right is None or off is None:
         return False
     return any(
-        abs(off[name].value - p.value) > OFF * (off[name].high - off[name].low) / 3.92
+        abs(off[name].value - p.value) > OFF * (off[name].high - off[name].low) / INTERVAL
         for name, p in right.items()
         if not p.known
     )

@@ -69,17 +69,20 @@ def runner(name: str, size: int, threads: int) -> Runner:
 
 
 def _held_actions(shape: tuple[int, ...], count: int) -> Any:
+    """Endless actions of a shape: `count` random ones, each `HELD` times, over and over."""
     draws = np.random.default_rng(0).uniform(0.0, 0.8, (count, *shape)).astype(np.float32)
     return itertools.cycle(np.repeat(draws, HELD, axis=0))
 
 
 def _vector(env: Any) -> Runner:
+    """Runner of a vector environment, which resets by itself."""
     env.reset(seed=0)
     actions = _held_actions(env.action_space.shape, 16)
     return Runner(env.num_envs, lambda: env.step(next(actions)))
 
 
 def _single(env: Any) -> Runner:
+    """Runner of one environment, which is reset at each end of an episode."""
     env.reset(seed=0)
     actions = _held_actions(env.action_space.shape, 512)
 
@@ -92,7 +95,7 @@ def _single(env: Any) -> Runner:
 
 
 def rate(runner: Runner, seconds: float) -> float:
-    """Steps a second in about so many seconds."""
+    """Steps of single environments a second, measured over about so many seconds."""
     steps = 0
     start = time.perf_counter()
     while time.perf_counter() - start < seconds:

@@ -55,7 +55,10 @@ class Checkout:
         self.root = root
 
     def start(self, size: int, threads: int, seconds: float) -> None:
-        """Start the worker and wait until all of it is compiled."""
+        """Start the worker and wait until all of it is compiled.
+
+        `size`: environments in a vector environment; `seconds` of a measurement of each.
+        """
         numbers = (str(size), str(threads), str(seconds))
         self.worker = subprocess.Popen(
             [self.python, str(WORKER), *numbers, *ENVIRONMENTS],
@@ -69,6 +72,7 @@ class Checkout:
             raise RuntimeError(f"the worker in {self.root} has ended")
 
     def _answer(self) -> str:
+        """The next line of the worker, "" if it has ended."""
         assert self.worker.stdout is not None
         return self.worker.stdout.readline().strip()
 
@@ -101,7 +105,11 @@ class Checkout:
 
 
 def compared(rounds: list[dict[str, list[float]]], names: list[str]) -> dict[str, Any]:
-    """Spread of the rates, and of the ratios if two checkouts were measured."""
+    """{environment: {checkout: spread of its steps a second}}, with the "ratio" of the first to the
+    second if two were measured.
+
+    `rounds`: {checkout: rates of the environments `names`} of each round.
+    """
     sides = list(rounds[0])
     out: dict[str, Any] = {}
     for i, name in enumerate(names):
@@ -143,6 +151,7 @@ def command(smoke: bool, out: Path, against: Path | None) -> None:
 
 
 def _speeds(results: dict[str, Any]) -> Table:
+    """Table of the page, of what `compared` gives."""
     two = "ratio" in next(iter(results.values()))
     heads = ("environment", "1000 steps/s", "lowest", "highest")
     heads += ("ratio to the other", "lowest ratio", "highest ratio") if two else ()

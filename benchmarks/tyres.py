@@ -21,8 +21,8 @@ from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 SLIP = 0.2
 STIFFNESS = 10.0 ** np.arange(5.0, 13.1, 0.25)  # S [N/m^(n+2)] with n = 1
-ROCK = 1e10
-POINTS = 200
+ROCK = 1e10  # S of rock, in the same unit
+POINTS = 200  # of the contact arc
 
 
 def ground(stiffness: float) -> Soil:
@@ -54,7 +54,7 @@ def stresses(wheel: ModelWheel, load: float) -> tuple[np.ndarray, np.ndarray, np
 
 
 def figure() -> tuple[Figure, dict[str, Any]]:
-    """The picture and its numbers."""
+    """(the picture, {wheel: its drawbar pull over the load on the grounds `STIFFNESS`})."""
     husky = wheels()["husky"]
     load = husky.body_mass * EARTH_GRAVITY
     tyre = ModelWheel.of(husky)

@@ -147,6 +147,9 @@ class ChoosingPolicy(ActorCriticPolicy):
         )
 
     def _get_action_dist_from_latent(self, latent_pi: torch.Tensor):
+        """Distribution of the actions, of what `ChoosingExtractor.forward_actor` gives
+        [n, hidden + 2].
+        """
         hidden, difference, choosing = latent_pi.split([latent_pi.shape[1] - 2, 1, 1], dim=1)
         # The entry is normalised: where it is 1 it is above its mean, else below.
         mean = torch.where(choosing > 0.0, difference, self.action_net(hidden))

@@ -307,7 +307,8 @@ def processes(work: Callable, cells: Iterable, *, workers: int) -> Generator[tup
             for cell in left:
                 if deaths[cell] >= ATTEMPTS:
                     raise ParameterError(
-                        f"--workers: {cell}: its process died {ATTEMPTS} times"
+                        f"{cell}: its process died {ATTEMPTS} times (memory?): expected fewer "
+                        "processes, with the same command"
                     ) from None
         finally:
             if running:

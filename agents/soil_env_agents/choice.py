@@ -53,6 +53,9 @@ class ChoiceVecEnv(VecEnvWrapper):
         return self.seen
 
     def step_async(self, actions: np.ndarray) -> None:
+        """Note the routes that `actions` [wheels, 1] choose; a wheel that comes to its next choice
+        has come over its last route.
+        """
         choosing = self.choosing
         self._keep(np.flatnonzero(choosing & ~self.chose & self.under_way), 1.0)
         ahead, beside = (self.seen[:, columns] for columns in self.routes)
@@ -63,6 +66,7 @@ class ChoiceVecEnv(VecEnvWrapper):
         self.venv.step_async(actions)
 
     def step_wait(self):
+        """Results of the step; a wheel whose course ended came over its route if it finished."""
         self.seen, rewards, dones, infos = self.venv.step_wait()
         ended = np.flatnonzero(dones & self.under_way)
         self._keep(ended, [float(infos[k]["cause"] == "FINISHED") for k in ended])

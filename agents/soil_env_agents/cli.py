@@ -23,6 +23,7 @@ from soil_env._io.loading import (
     read_yaml,
 )
 from soil_env.cli.running import WholeNumber
+from soil_env.parameters import DEFAULT_SCENARIO
 
 #: Settings of a click command that takes --KEY VALUE beside its options, as the argument `keys`.
 WITH_KEYS = {"ignore_unknown_options": True}
@@ -45,6 +46,15 @@ def allow_code_option(command: Callable) -> Callable:
     return click.option(
         "--allow-code", is_flag=True, help="Import the modules that the study's file names."
     )(command)
+
+
+#: --scenario, with a default.
+scenario_option = click.option(
+    "--scenario",
+    metavar="NAME",
+    default=DEFAULT_SCENARIO,
+    help=f"Or YAML (default {DEFAULT_SCENARIO}).",
+)
 
 
 def engine_options(command: Callable) -> Callable:

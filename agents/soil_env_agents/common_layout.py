@@ -80,7 +80,7 @@ class CommonScaling(Scaling):
         camera = float(scenario.course.classes > 0)
         self.added = np.array([*unseen, camera, change, stall, wheel.radius], dtype=np.float32)
         names = [e.name for e in own]
-        # Of those that are read.
+        # Columns, each in a list, among the entries that are read.
         self.columns = [
             [names.index(name)] for name in ("slip", "drawbar_pull", "load", "best_pull")
         ]

@@ -17,10 +17,10 @@ from click.core import ParameterSource
 from soil_env._io.files import check_own, write_own
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import PATH, WholeNumber, seed_option
-from soil_env.parameters import DEFAULT_SCENARIO, load_rover, load_scenario
+from soil_env.parameters import load_rover, load_scenario
 from soil_env.rendering.side_view import SCENE
 
-from .cli import controllers_as
+from .cli import controllers_as, scenario_option
 from .controllers.rover import controllers_of
 from .evaluate.contestants import parse
 from .evaluate.loading import load
@@ -36,12 +36,7 @@ _SUFFIXES = (".png", ".gif", ".mp4")
 @click.option(
     "--policy", metavar="NAME", help="default, a run folder, .npz, .onnx or m:Class; or several."
 )
-@click.option(
-    "--scenario",
-    metavar="NAME",
-    default=DEFAULT_SCENARIO,
-    help=f"Or YAML (default {DEFAULT_SCENARIO}).",
-)
+@scenario_option
 @click.option("--rover", metavar="NAME", help="A rover or its YAML, in place of a scenario.")
 @seed_option("the course")
 @click.option(

@@ -193,6 +193,7 @@ class HistoryVecEnv(VecEnvWrapper):
         return out
 
     def step_wait(self):
+        """Results of the step; terminal observations have a history too."""
         observation, rewards, dones, infos = self.venv.step_wait()
         ended = np.flatnonzero(dones)
         if ended.size:

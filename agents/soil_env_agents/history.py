@@ -34,6 +34,8 @@ class History:
         names = list(names)
         self.steps = steps
         self.entries = len(names)
+        # Columns of the observation: of the readings, of `halted`, of the terrain classes under the
+        # wheel, of those ahead on each route, and of the bands of slip.
         self.columns: list[int] = []
         for name in READINGS:  # of a wheel, or of each axle of a rover
             own = {name, *(f"{axle}_{name}" for axle in AXLES)}.intersection(names)
@@ -54,7 +56,7 @@ class History:
         self.averages = [(k, self.columns, SHARE) for k in self.classes] + [
             (k, misfit, BAND_SHARE) for k in self.bands
         ]
-        self.past = steps * len(self.columns)
+        self.past = steps * len(self.columns)  # numbers of the past readings
         #: Numbers added to the observation.
         self.size = self.past + len(self.routes) * (len(self.columns) + 1) + 2 * len(self.bands)
 
@@ -79,7 +81,8 @@ class History:
 
         The history comes after the D entries of the layout, newest step first. On a new course,
         `fresh` [n] bool, the present readings stand in for the past, whatever `kept` [n, self.kept]
-        holds. All are arrays, or values of an ONNX graph (`export`).
+        holds: readings, newest first, then of each average its weighted sums and its weight. All
+        are arrays, or values of an ONNX graph (`export`).
         """
         m = len(self.columns)
         moved = np.concatenate([seen[:, self.columns], kept[:, [*range(self.past)]]], axis=1)

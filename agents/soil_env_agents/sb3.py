@@ -64,6 +64,9 @@ class CourseVecEnv(NativeVecEnv):
     t} and `cause`; all others share one empty dict, which must not be written to. The time limit of
     the scenario ends an episode as being stuck does; what `max_episode_steps` or a wrapper of `env`
     truncates is truncated here.
+
+    `kind` makes the environment; `task`, its scenario or rover, `observation`, `model` and the
+    `options` are its arguments.
     """
 
     def __init__(

@@ -66,9 +66,10 @@ class Teacher(BestSlipTrue):
 class _OfWheels(Teacher):
     """The teacher of the wheels of a rover, with a share of the best slip for each axle."""
 
-    shares: tuple[float, ...] = (1.0,)
+    shares: tuple[float, ...] = (1.0,)  # of each axle from the front, or one for all
 
     def target_slip(self, observation, state):
+        """Best slip times the share of its axle [rovers x axles]."""
         best = BestSlipTrue.target_slip(self, observation, state)
         return best * np.tile(self.shares, len(best) // len(self.shares))
 

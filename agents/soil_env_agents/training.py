@@ -139,7 +139,7 @@ def _tell_edits(folder: Path) -> None:
 
 
 def differences(old: dict, new: dict, prefix: str = "") -> list[str]:
-    """Keys whose values differ, as "key old -> new"; nested ones with dots."""
+    """Keys whose values differ, as "key old -> new"; nested ones with dots, behind the `prefix`."""
     out = []
     for key in {**old, **new}:
         a = old.get(key)

@@ -9,11 +9,11 @@ import yaml
 from soil_env._io.files import alone, check_own, write_own
 from soil_env._io.loading import ParameterError, unknown_value
 from soil_env.cli.running import PATH, WholeNumber
-from soil_env.parameters import DEFAULT_SCENARIO, Control, load_scenario
+from soil_env.parameters import Control, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .cells import code_version
-from .cli import continued_by, controllers_as
+from .cli import continued_by, controllers_as, scenario_option
 from .evaluate.contestants import parse
 from .evaluate.driving import TUNING_SET
 from .evaluate.own import bounds_of_settings
@@ -25,12 +25,7 @@ ACTIONS = get_args(get_type_hints(Control)["action"])
 
 @click.command("tune")
 @click.option("--out", type=PATH, metavar="OUT", required=True, help="Folder, made if missing.")
-@click.option(
-    "--scenario",
-    metavar="NAME",
-    default=DEFAULT_SCENARIO,
-    help=f"Or YAML (default {DEFAULT_SCENARIO}).",
-)
+@scenario_option
 @click.option(
     "--controllers", metavar="LIST", help="Names, my.module:Class (default: the shipped ones)."
 )
@@ -85,13 +80,14 @@ def command(
                         f"controllers: {c.source}: nothing to tune: expected a controller with "
                         "settings, or a class with `bounds`"
                     )
-    for action in actions.split(","):
+    chosen_actions = actions.split(",")
+    for action in chosen_actions:
         if action not in ACTIONS:
             raise unknown_value(action, ACTIONS, "--actions")
     settings = {}
     check_own(out, (f"{name}.yaml",))
     with alone(out), continued_by("the same command", out):
-        for action in actions.split(","):
+        for action in chosen_actions:
             task = load_scenario(scenario, {"control": {"action": action}})
             log = out / f"trials-{action}.log"
             chosen = tuned_settings(task, courses, names, world, log, anew=True)

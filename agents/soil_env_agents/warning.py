@@ -79,7 +79,7 @@ class Sizes:
 
 
 class Random(Controller):
-    """Rim speeds drawn anew every 0.3 to 5 s on average; with `throttle` torques.
+    """Rim speeds drawn anew after 0.3 to 5 s on average; with `throttle` torques.
 
     `count`: courses driven side by side, each with a mean time of its own.
     """
@@ -96,14 +96,14 @@ class Random(Controller):
         return self.rng.random(len(batch)) < 0.5
 
     def rim_speed(self, observation, state):
-        """The level of this control period, of the top rim speed."""
+        """Rim speed of this control period [m/s], [n]: the level, which is drawn anew by chance."""
         backwards, new, change = self.rng.random((3, len(self.level)))
         drawn = np.where(backwards < BACKWARDS, BACK, new)
         self.level = np.where(change < self.period / self.mean, drawn, self.level)
         return self.level * self.top_speed
 
     def command(self, batch, rim_speed, state):
-        """Actions that follow the rim speed, or the level itself."""
+        """Actions [n, 1] float32 that follow the rim speed, with `throttle` the level itself."""
         if self.throttle:
             return (rim_speed / self.top_speed).astype(np.float32)[:, None]
         return super().command(batch, rim_speed, state)

@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 import gymnasium
 import numpy as np
 
+from benchmarks.common import read_rig
 from benchmarks.continuum.soil import GRAVITY, Bed
 from benchmarks.continuum.wheel import Rig, Shape
 from soil_env.discovery import Report, run
-from soil_env.measurement.setup import read_setup
-from soil_env.measurement.table import MEASURED, read_table
+from soil_env.measurement.table import MEASURED
 from soil_env.online import Observer, Readings
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.parameters.sensors import Noise
@@ -56,8 +56,7 @@ def learn(table: Path) -> tuple[Report, dict[str, list[float]]]:
     Errors are root mean squares of sinkage [m], drawbar pull [N] and torque [N m], of the base
     model and of the corrected one.
     """
-    setup = read_setup(table.with_suffix(".setup.yaml"))
-    rows = read_table(table, setup.wheel)
+    rows, setup = read_rig(table.parent, table.stem)
     learnt = np.isin(rows.load, LEARNT)
     report = run(rows.only(learnt), setup)
     left = rows.only(~learnt)
@@ -113,8 +112,8 @@ def task(shape: Shape, grade: float, model: WheelSoilModel) -> gymnasium.Env:
 
 
 def _drive(scenario: Scenario, step: Callable, observation: np.ndarray) -> Drive:
-    """Let the rule drive; `step` takes an action and returns the next observation, the place [m],
-    the slip and the sinkage [m].
+    """Let the rule drive from an `observation` [D]; `step` takes an action [1] and returns the next
+    observation, the place [m], the slip and the sinkage [m].
     """
     controller = make_controller(CONTROLLER, scenario, speed=SPEED, acceleration=ACCELERATION)
     memory = None

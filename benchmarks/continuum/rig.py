@@ -116,6 +116,9 @@ def piling(cell: tuple[str, float], bed: Bed = TRACK) -> float:
 
 
 def _settling(travel: np.ndarray, end: float, change: float, length: float) -> np.ndarray:
+    """Torque [N m] that comes to `end` from `change` above it, over `travel` [m] with `length`
+    [m].
+    """
     return end + change * np.exp(-travel / length)
 
 

@@ -86,10 +86,12 @@ class Particles(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """Mass and momentum of the nodes, zero between two steps' uses."""
+    """Mass and momentum of the nodes [nodes along, nodes up]; `velocities` makes the momentum a
+    velocity.
+    """
 
-    mass: np.ndarray
-    along: np.ndarray
+    mass: np.ndarray  # [kg/m]
+    along: np.ndarray  # [kg/s], then [m/s]
     up: np.ndarray
 
 
@@ -97,14 +99,14 @@ class Step(NamedTuple):
     """What every step of a bed needs."""
 
     time: float  # [s] length of the step
-    spacing: float
+    spacing: float  # [m] of the grid
     mass: float  # [kg/m] of a particle
     reach: float  # [m] of a particle around its middle
     swollen: float  # [m2] largest volume of a particle per metre of width
     gravity_along: float  # [m/s2]
-    gravity_up: float
+    gravity_up: float  # [m/s2]
     length: float  # [m] of the bed
-    friction: float
+    friction: float  # these as of `Material`
     cohesion: float
     shear: float
     bulk: float
@@ -167,7 +169,9 @@ def cell(x, spacing):
 
 @njit(**FAST)
 def within(x, nodes, spacing):
-    """A coordinate [m], no further than the grid: grains that lugs throw stop at its edge."""
+    """A coordinate [m], no further than a grid of so many `nodes`: grains that lugs throw stop at
+    its edge.
+    """
     low = (1.0 - EDGE) * spacing
     high = (nodes - 3.0 - EDGE) * spacing
     if not x > low:  # nor is it NaN
@@ -183,7 +187,9 @@ def weights(d):
 
 @njit(**FAST)
 def scatter(grid, particles, q, push_along, push_up, step):
-    """Add a particle's mass and momentum, with its stress and a force [N/m] on it, to the grid."""
+    """Add the mass and momentum of particle q, with its stress and a force on it (`push_along`,
+    `push_up`) [N/m], to the grid.
+    """
     i, dx = cell(particles.position[q, 0], step.spacing)
     j, dz = cell(particles.position[q, 1], step.spacing)
     across = weights(dx)
@@ -230,7 +236,7 @@ def velocities(grid, step):
 
 @njit(**FAST)
 def gather(grid, particles, q, step):
-    """Move a particle with the grid, whose velocity and its gradient it takes."""
+    """Move particle q with the grid, whose velocity and its gradient it takes."""
     i, dx = cell(particles.position[q, 0], step.spacing)
     j, dz = cell(particles.position[q, 1], step.spacing)
     across = weights(dx)
@@ -271,7 +277,7 @@ def gather(grid, particles, q, step):
 
 @njit(**FAST)
 def strain(particles, q, step):
-    """Strain a particle by its velocity gradient: elastic, then back to the strength."""
+    """Strain particle q by its velocity gradient: elastic, then back to the strength."""
     gradient = particles.gradient[q]
     stress = particles.stress[q]
     volume = step.time * (gradient[0, 0] + gradient[1, 1])

@@ -116,7 +116,9 @@ def outline(x, z, angle, shape):
 
 @njit(**FAST)
 def push(particles, q, wheel, shape, step, stiffness):
-    """(along, up) force [N/m] of the wheel on a particle, whose elastic slip goes on."""
+    """(along, up) force [N/m] of the wheel on particle q, whose elastic slip goes on; `stiffness`
+    [N/m2] of the contact.
+    """
     x = particles.position[q, 0] - wheel.x
     z = particles.position[q, 1] - wheel.z
     far = shape.radius + shape.lug_height + step.reach

@@ -14,19 +14,14 @@ generator.
 """
 
 import hashlib
-import os
 import re
 import shutil
-import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial, reduce
-from multiprocessing import active_children, get_context
 from pathlib import Path
 
 import click
@@ -39,11 +34,11 @@ from benchmarks.discovery.cases import GROUPS, draw_case, generator, task_of, ta
 from benchmarks.discovery.entrants import ENTRANTS, Answer, entrant
 from soil_env._io.files import make_folder, write_json
 from soil_env._io.loading import ParameterError
-from soil_env.cli.running import PATH, WholeNumber, end_with_parent, leave, run
+from soil_env.cli.running import PATH, WholeNumber, leave, run
+from soil_env_agents.cells import in_process, processes
 
 NAME = "benchmarks.discovery"
 FIRST = 100000  # seed of development
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 def begin(folder: Path, seed: int) -> None:
@@ -53,9 +48,9 @@ def begin(folder: Path, seed: int) -> None:
 
 
 def describe(folder: Path, label: str, who: str) -> None:
-    """Keep the entrant and the hashed sources of soil_env beside its answers.
+    """Keep the entrant `who` and the hashed sources of soil_env beside the answers of a `label`.
 
-    Raises `ParameterError` for others.
+    Raises `ParameterError` where the answers are by another entrant or other sources.
     """
     sources = sorted(Path(soil_env.__file__).parent.rglob("*.py"))
     digest = hashlib.sha256(b"".join(f.read_bytes() for f in sources)).hexdigest()[:12]
@@ -64,6 +59,9 @@ def describe(folder: Path, label: str, who: str) -> None:
 
 
 def _agree(path: Path, about: dict, option: str) -> None:
+    """Keep `about` in a JSON file; `ParameterError`, which asks for another `option`, where it has
+    something else already.
+    """
     known = read_json(path) if path.exists() else about
     if known != about:
         raise ParameterError(f"{path}: of {known}, asked {about}: expected another {option}")
@@ -98,42 +96,19 @@ def ask(who: str, label: str, seed: int, folder: Path, name: str) -> None:
     write_json(file, asdict(answer) | {"seconds": seconds})
 
 
-def each(work: Callable[[str], object], names: Iterable[str], jobs: int) -> None:
+def each(work: Callable[[str], object], names: Sequence[str], jobs: int) -> None:
     """Call `work` with every name in `jobs` processes; an interrupt loses only the cases in
     work.
     """
-    names = list(names)
-    if jobs == 1:
-        for done, name in enumerate(names, start=1):
-            work(name)
-            print(f"{done}/{len(names)} {name}", file=sys.stderr, flush=True)
-        return
-    for name in THREADS:
-        os.environ.setdefault(name, "1")  # of the workers, which take the cores
-    pool = ProcessPoolExecutor(jobs, get_context("spawn"), _begin)
-    try:
-        waiting = {pool.submit(work, name): name for name in names}
-        for done, future in enumerate(as_completed(waiting), start=1):
-            future.result()
-            print(f"{done}/{len(names)} {waiting[future]}", file=sys.stderr, flush=True)
-    except BrokenProcessPool:
-        raise ParameterError(
-            "a process died (memory?): expected fewer --jobs, with the same command"
-        ) from None
-    except BaseException:
-        for process in active_children():
-            process.kill()  # answers are written whole or not at all
-        raise
-    pool.shutdown()
-
-
-def _begin() -> None:
-    """Begin a worker process, which only its parent interrupts."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with_parent()
+    engine = in_process if jobs == 1 else partial(processes, workers=jobs)
+    for done, (name, _) in enumerate(engine(work, names), start=1):
+        print(f"{done}/{len(names)} {name}", file=sys.stderr, flush=True)
 
 
 def _names(limit: int | None, groups: tuple[str, ...], held_out: bool) -> list[str]:
+    """Names of the cases that the options choose: those of `tasks`, of the `groups` if there are
+    some.
+    """
     held = [g for g in groups if GROUPS[g].sort == "held"]
     if held and not held_out:
         raise ParameterError(
@@ -166,6 +141,7 @@ def command() -> None:
 
 
 def _of_cases(work: Callable) -> Callable:
+    """Add the options of both subcommands: folders, and the cases that are chosen."""
     options = (
         click.option(
             "--out",

@@ -30,9 +30,9 @@ CALIBRATED = {"largest": 0.10, "mean": 0.03}  # deviation of stated probabilitie
 class Record(NamedTuple):
     """Case with its answer."""
 
-    truth: dict
+    truth: dict  # content of its truth.json
     answer: Answer
-    seconds: float
+    seconds: float  # that the answer took
 
     @property
     def there(self) -> list[str]:
@@ -91,11 +91,11 @@ def wrong(r: Record) -> bool:
 class Target(NamedTuple):
     """Share that is asked of an entrant."""
 
-    key: str
-    words: str
-    kind: str
-    value: Callable[[Record], bool]
-    bound: float
+    key: str  # in discovery.json
+    words: str  # in the table
+    kind: str  # of the cases that it is about (`cases.Group.kind`)
+    value: Callable[[Record], bool]  # True for an answer that counts in the share
+    bound: float  # of the share
     least: bool  # at least the bound, else at most
 
 
@@ -180,7 +180,9 @@ def targets(records: Iterable[Record]) -> dict[str, dict]:
 
 
 def figures(records: list[Record]) -> dict:
-    """All figures of one entrant as plain values."""
+    """All figures of one entrant as plain values: shares of `TARGETS` over the cases that count, by
+    group, by hidden effect and over all cases, calibration, and times [s].
+    """
     counting = [r for r in records if r.truth["counts"]]
     groups = sorted({r.truth["case"].rpartition("-")[0] for r in records})
     hidden = {"-".join(r.there) for r in records if len(r.there) == 1}
@@ -220,7 +222,9 @@ def _all(records: list[Record]) -> list[tuple[float, bool]]:
 
 
 def reliability(pairs: list[tuple[float, bool]]) -> dict:
-    """Stated against observed: bins, the largest deviation of a well-filled bin, the mean one."""
+    """Stated against observed, of pairs (probability, true if it came true): {"of": their number,
+    "bins", "largest" deviation of a well-filled bin, "mean" one}, the last two None of nothing.
+    """
     bins = []
     for low, high in zip(BINS[:-1], BINS[1:], strict=True):
         inside = [(p, x) for p, x in pairs if low <= p < high or (high == 1.0 and p >= 1.0)]

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 Colour: TypeAlias = tuple[int, ...]
 Point: TypeAlias = Sequence[float] | np.ndarray
 Points: TypeAlias = Sequence[Point] | np.ndarray
-Box: TypeAlias = tuple[float, float, float, float]  # left, top, width, height
+Box: TypeAlias = tuple[float, float, float, float]  # left, top, width, height [px]
 
 SIZE = (960, 540)  # [px]
 # Colours: Okabe & Ito, distinct with every kind of colour vision; soil runs from light to dark with

@@ -7,12 +7,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.ticker import LogLocator, MaxNLocator
 
-from .canvas import GREY, GRID, LIGHT_BLUE, WHITE, Canvas, Colour
+from .canvas import GREY, GRID, LIGHT_BLUE, WHITE, Box, Canvas, Colour
 
 SPAN = 30.0  # [s] shown by the charts
 #: Numbers of a wheel in a sample: slip, sinkage [radii], estimate [3], its sd [3] and truth [3] of
 #: phi, ln K and ln S.
 QUANTITIES = 11
+#: Boxes of the charts from the top: left, top, width, height [px].
 CHARTS = tuple((622, 28 + 120 * i, 322, 90) for i in range(4))
 _SOIL = "friction angle φ [deg]", "shear modulus K [mm]", "sinkage coefficient S [MN/m^(n+2)]"
 _BROAD = 5.0  # [px] width of a line behind another
@@ -42,19 +43,19 @@ def draw_charts(
     slip = wheels[:, 0]
     sinkage = wheels[:, 1]
     lowest = -1.0 if slip.min(initial=0.0) < _LOWEST_SLIP else _LOWEST_SLIP
-    chart = _Chart(0, end, (lowest, 1.0))
+    chart = _Chart(CHARTS[0], end, (lowest, 1.0))
     _draw_axes(c, chart, "slip, sinkage / radius (broad) [-]")
     _draw_lines(c, chart, time, sinkage, pale, _BROAD)
     _draw_lines(c, chart, time, slip, dark, _NARROW)
     for i, name in enumerate(_SOIL):  # phi, K, S; the last two on logarithmic axes
-        estimate, sd, true = (wheels[:, k + i] for k in (2, 5, 8))
+        estimate, sd, true = (wheels[:, k + i] for k in (2, 5, 8))  # as `QUANTITIES` says
         low, high, estimate, true = (
             _in_shown_units(v, i) for v in (estimate - sd, estimate + sd, estimate, true)
         )
         # Least and greatest value [samples], of one wheel only.
         band = (low[0], high[0]) if identified and len(colours) == 1 else ()
         shown = np.concatenate([true, *(band or estimate if identified else ())], axis=None)
-        chart = _Chart(i + 1, end, _limits(shown, i > 0), i > 0)
+        chart = _Chart(CHARTS[i + 1], end, _limits(shown, i > 0), i > 0)
         _draw_axes(c, chart, f"{name}: {'estimate, true (broad)' if identified else 'true'}")
         if band and time.size > 1:
             lower, upper = (chart.at(time, values) for values in band)
@@ -65,18 +66,20 @@ def draw_charts(
 
 
 class _Chart(NamedTuple):
-    """A strip chart: its `place` in `CHARTS`, the `SPAN` seconds up to `end` [s], and the least and
-    greatest value; `log`: the axis of values is logarithmic.
+    """A strip chart in a `box`: the `SPAN` seconds up to `end` [s], and the least and greatest
+    value; `log`: the axis of values is logarithmic.
     """
 
-    place: int
+    box: Box
     end: float
     limits: tuple[float, float]
     log: bool = False
 
     def at(self, t: np.ndarray, values: Any) -> np.ndarray:
-        """Places in the picture [n, 2] of values at times t [s]; values are cut to the limits."""
-        left, top, width, height = CHARTS[self.place]
+        """Places in the picture [n, 2] in px of values [n] at times t [n] in s; values are cut to
+        the limits.
+        """
+        left, top, width, height = self.box
         of = np.log if self.log else np.asarray
         low, high = of(self.limits)
         share = (of(values) - low) / (high - low)
@@ -86,11 +89,11 @@ class _Chart(NamedTuple):
 
 def _draw_axes(c: Canvas, chart: _Chart, name: str) -> None:
     """Draw an empty chart with its name, grid and numbers; only the last one has those of time."""
-    left, top, width, height = CHARTS[chart.place]
+    left, top, width, height = chart.box
     limits = chart.limits
     span = np.array([chart.end - SPAN, chart.end])
-    is_last = chart.place == len(CHARTS) - 1
-    c.box(CHARTS[chart.place], WHITE)
+    is_last = chart.box == CHARTS[-1]
+    c.box(chart.box, WHITE)
     c.text(left, top - 11, name, 16)
     for t in ticks(chart.end - SPAN, chart.end, 6):
         line = chart.at(np.array([t, t]), limits)

@@ -2,12 +2,12 @@
 whole course.
 """
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
-from soil_env.parameters import Scenario
 from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND, places_on
 
 from .canvas import GREY, INK, RIM, Box, Canvas, soil_colour
@@ -32,9 +32,15 @@ class Profile(NamedTuple):
     height: np.ndarray  # [points] [m]
     friction: np.ndarray  # [points] phi [deg]
 
-    def at(self, x: Any) -> tuple[Any, Any]:
-        """(horizontal place, height) [m] at x [m] along the course."""
-        return np.interp(x, self.x, self.across), np.interp(x, self.x, self.height)
+    def at(self, x: Any) -> np.ndarray:
+        """Points of the surface (horizontal place, height) [m], [..., 2], at x [...] in m along the
+        course.
+        """
+        return np.stack([np.interp(x, self.x, own) for own in (self.across, self.height)], axis=-1)
+
+    def friction_between(self, x: np.ndarray) -> np.ndarray:
+        """Phi [deg], [n - 1], midway between neighbours of the places x [n] in m."""
+        return np.interp(0.5 * (x[1:] + x[:-1]), self.x, self.friction)
 
 
 def profile_of(courses: np.ndarray, k: int, border: float, before: float, beyond: float) -> Profile:
@@ -49,8 +55,8 @@ def profile_of(courses: np.ndarray, k: int, border: float, before: float, beyond
     friction = np.degrees(np.arctan(places["tan_phi"]))
 
     def from_start(slope):
-        """Integral of `slope` along the course (trapezoids), 0 at its start."""
-        total = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(x))])
+        """Integral of `slope` [points] along the course (trapezoids), 0 at its start."""
+        total = cumulative_trapezoid(slope, x, initial=0.0)
         return total - np.interp(0.0, x, total)
 
     return Profile(x, from_start(np.cos(grade)), from_start(np.sin(grade)), friction)
@@ -64,11 +70,11 @@ class Scene(NamedTuple):
     place: np.ndarray  # [px] where in the picture `centre` is
     centre: np.ndarray  # horizontal place and height [m]
 
-    def at(self, x: Any, y: Any) -> np.ndarray:
-        """Places in the picture [n, 2] of points of the world: across `x` [m], height `y` [m]."""
-        across = self.scale * (x - self.centre[0])
-        up = self.scale * (y - self.centre[1])
-        return np.stack([self.place[0] + across, self.place[1] - up], axis=-1)
+    def at(self, points: Any) -> np.ndarray:
+        """Places in the picture [..., 2] in px, downward, of `points` of the world [..., 2]:
+        (horizontal place, height) [m].
+        """
+        return self.place + self.scale * (points - self.centre) * (1.0, -1.0)
 
 
 def depth_of_ruts(x: np.ndarray, cells: np.ndarray) -> np.ndarray:
@@ -78,16 +84,16 @@ def depth_of_ruts(x: np.ndarray, cells: np.ndarray) -> np.ndarray:
     return np.interp(x, (np.arange(cells.size) - CELLS_BEHIND + 0.5) * CELL, cells, left=0.0)
 
 
-def press_down(across: np.ndarray, surface: np.ndarray, hubs: np.ndarray, r: float) -> None:
-    """Lower a `surface`, heights [m] at horizontal places `across` [m], in place, to the rims of
-    wheels of radius r [m].
+def press_down(surface: np.ndarray, hubs: np.ndarray, r: float) -> None:
+    """Lower the heights of a `surface` in place to the rims of wheels of radius r [m].
 
-    `hubs` [wheels, 2]: horizontal place and height [m].
+    `surface` [n, 2] and `hubs` [wheels, 2]: horizontal place and height [m].
     """
+    across, heights = surface.T
     for x, height in hubs:
         under = np.abs(across - x) < r
         rim = height - np.sqrt(r * r - (across[under] - x) ** 2)
-        surface[under] = np.minimum(surface[under], rim)
+        heights[under] = np.minimum(heights[under], rim)
 
 
 def draw_ground(
@@ -95,20 +101,20 @@ def draw_ground(
     scene: Scene,
     x: np.ndarray,
     profile: Profile,
-    now: np.ndarray,
+    surface: np.ndarray,
     least: float,
     bounds: tuple[float, float],
 ) -> None:
-    """Draw the soil below its present surface, heights `now` [n] in m at `x` [n] in m along the
-    course.
+    """Draw the soil below its present `surface` [n, 2], points (horizontal place, height) [m] at
+    `x` [n] in m along the course.
 
     Where the untouched profile is higher by more than `least` [m] it is drawn as a dashed line.
     `bounds` [deg] of the colours as in `soil_colour`.
     """
-    across, before = profile.at(x)
-    friction = np.interp(0.5 * (x[1:] + x[:-1]), profile.x, profile.friction)
-    c.soil(scene.at(across, now), scene.box[1] + scene.box[3], friction, bounds)
-    untouched = scene.at(across, before)[before - now > least]
+    bottom = scene.box[1] + scene.box[3]
+    c.soil(scene.at(surface), bottom, profile.friction_between(x), bounds)
+    before = profile.at(x)
+    untouched = scene.at(before)[before[:, 1] - surface[:, 1] > least]
     for i in range(0, len(untouched) - 2, 4):  # of four points a dash of three
         c.lines(untouched[i : i + 3], GREY, 1.2)
 
@@ -124,7 +130,9 @@ def draw_flag(c: Canvas, scene: Scene, foot: np.ndarray) -> None:
 
 
 def draw_scale_bar(c: Canvas, scene: Scene) -> None:
-    """A bar of a round length, about a quarter of the scene's width, in its upper right corner."""
+    """Draw a bar of a round length, about a quarter of the scene's width, into its upper right
+    corner.
+    """
     bar = ticks(0.0, 0.25 * scene.box[2] / scene.scale, 2)[-1]
     right = scene.box[0] + scene.box[2] - 14
     y = scene.box[1] + 22
@@ -136,23 +144,23 @@ def draw_scale_bar(c: Canvas, scene: Scene) -> None:
 
 
 def draw_course(
-    c: Canvas, profile: Profile, length: float, places: Iterable[float], bounds: tuple[float, float]
+    c: Canvas, profile: Profile, length: float, places: Sequence[float], bounds: tuple[float, float]
 ) -> None:
     """Draw a whole course of `length` [m] from the side into `COURSE`, and the key to its colours.
 
     Heights are stretched to fill `_TALL` of the strip, at most `_MAGNIFIED` times. Dots are the
-    wheels at `places` [m] along it, those beyond its ends at the end.
+    wheels at `places` [m] along it, those beyond its ends at the end. `bounds` [deg] of the colours
+    as in `soil_colour`.
     """
     left, top, width, height = COURSE
     x = np.linspace(0.0, length, 257)
     h = np.interp(x, profile.x, profile.height)
     magnified = min(_TALL * height / max(np.ptp(h), _FLAT), _MAGNIFIED * width / length)
     y = top + 0.62 * height - magnified * (h - 0.5 * (h.max() + h.min()))
-    friction = np.interp(0.5 * (x[1:] + x[:-1]), profile.x, profile.friction)
-    c.soil(np.stack([left + width * x / length, y], axis=1), top + height, friction, bounds)
-    for place in places:
-        wheel = min(max(float(place), 0.0), length)
-        c.circle((left + width * wheel / length, float(np.interp(wheel, x, y)) - 5), 5, RIM)
+    surface = np.stack([left + width * x / length, y], axis=1)
+    c.soil(surface, top + height, profile.friction_between(x), bounds)
+    for wheel in np.clip(places, 0.0, length):
+        c.circle((left + width * wheel / length, np.interp(wheel, x, y) - 5), 5, RIM)
     for tick in ticks(0.0, length, 5):
         c.text(left + width * tick / length, top + height + 10, f"{tick:g} m", 14, GREY, 0.5)
     c.text(14, 434, "course", 15, GREY)
@@ -162,12 +170,12 @@ def draw_course(
         c.box((430 + 2 * i, 429, 2.5, 10), colour)
 
 
-def friction_range(scenario: Scenario, simulation: Any) -> tuple[float, float]:
+def friction_range(simulation: Any) -> tuple[float, float]:
     """(least, greatest) phi [deg] that the soil colours span.
 
-    It is the range of the scenario's presets, widened on both sides by `_SPREADS` standard
-    deviations of the scatter of soils (relative) and `_LEAST_SPREAD`.
+    It is the range of the presets of the simulated courses, widened on both sides by `_SPREADS`
+    standard deviations of the scatter of soils (relative) and `_LEAST_SPREAD`.
     """
     phi = np.degrees(np.arctan(simulation.course_numbers.drawn.presets["tan_phi"]))
-    spread = _SPREADS * scenario.spread.friction + _LEAST_SPREAD
+    spread = _SPREADS * simulation.scenario.spread.friction + _LEAST_SPREAD
     return float(phi.min() * (1.0 - spread)), float(phi.max() * (1.0 + spread))

@@ -1,13 +1,14 @@
 """Side view of a wheel or a rover: stresses under every wheel, ruts, body and suspension, and a
 table of its wheels.
 
-The picture is laid out for 960 x 540 pixels and scaled to the size asked for. Nothing physical is
-computed here: places, loads and pitch are the state of the simulation, terrain and stresses come
-from its own compiled functions. The course is drawn in true lengths, and distance along it is that
-along the slope.
+Places on the picture are in pixels of `canvas.SIZE`. Nothing physical is computed here: places,
+loads and pitch are the state of the simulation, terrain and stresses come from its own compiled
+functions. The course is drawn in true lengths, and distance along it is that along the slope.
 """
 
 import math
+from collections.abc import Sequence
+from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.terramechanics.steady import sinkage_coefficient_at
 
 from . import canvas, wheels as drawing
-from .canvas import GREY, INK, Canvas, soil_colour
+from .canvas import GREY, INK, Canvas, Colour, soil_colour
 from .ground import (
     Profile,
     Scene,
@@ -43,7 +44,7 @@ _THINNEST = 3.0  # [px] of a beam of the suspension
 _BODY = (206, 198, 184)  # colours of the parts of a rover
 _BEAM = (86, 90, 100)
 _BOGIE = (120, 124, 134)
-State = dict[str, Any]  # of a wheel, by name
+State = dict[str, Any]  # of a wheel or a rover, by the names of its record
 COLOURS = {  # dark, pale
     "front": (canvas.PURPLE, canvas.LIGHT_PURPLE),
     "middle": (canvas.AMBER, canvas.LIGHT_AMBER),
@@ -55,38 +56,35 @@ COLOURS = {  # dark, pale
 def shown_wheels(simulation: Any, j: int) -> list[State]:
     """State of each wheel of vehicle j by name, the front one first.
 
-    Added to the state of the simulation are the `name` of the axle and the undisturbed `soil` under
-    it. `rut` [m] is the depth that wheels ahead left, 0 for a single wheel. `estimate`,
-    `sd` and `status` are the identifier's, None where nothing is identified.
+    Added to the state of the simulation are the `name` of the axle, or "wheel", and the undisturbed
+    `soil` under it. `rut` [m] is the depth that wheels ahead left, 0 for a single wheel.
+    `estimate`, `sd` and `status` are the identifier's, None where nothing is identified.
     """
     worlds = simulation.worlds
+    scenario = simulation.scenario
     state = worlds.state[j]
-    if isinstance(simulation.scenario, RoverScenario):
+    if isinstance(scenario, RoverScenario):
         known = worlds.known
-        names = axle_names(simulation.scenario.axles)
-        places: list[Any] = [(j, a) for a in range(len(names))]
-        records = state["wheels"]
+        own: Any = j  # rows [axles, ...] of `known`
+        names = axle_names(scenario.axles)
+        records = state["wheels"]  # rows for the most axles that a rover has
         ruts = state.axles["floor"].tolist()
     else:
         known = worlds.ids
+        own = [j]  # rows [1, ...] of `known`
         names = ("wheel",)
-        places = [j]
         records = [state]
         ruts = [0.0]
-    border = float(simulation.numbers.rig["border"][0])
+    if scenario.belief.method == "none":
+        known = None  # estimators that are there nevertheless keep to the prior
     wheels = []
-    for name, place, record, rut in zip(names, places, records, ruts, strict=False):
+    for a, (name, record, rut) in enumerate(zip(names, records, ruts, strict=False)):
         w = by_name(record) | {"name": name, "rut": rut}
-        w["soil"] = soil_at(worlds.courses, j, w["x"], border)
+        w["soil"] = soil_at(worlds.courses, j, w["x"], scenario.course.border)
         for key in ("estimate", "sd", "status"):
-            w[key] = None if known is None else getattr(known, key)[place]
+            w[key] = None if known is None else getattr(known, key)[own][a]
         wheels.append(w)
     return wheels
-
-
-def radius_of(simulation: Any) -> float:
-    """Radius of the wheels [m]."""
-    return float(simulation.numbers.rig["radius"][0])
 
 
 def sample_of(simulation: Any, w: State, exponent: float) -> tuple[float, ...]:
@@ -100,7 +98,7 @@ def sample_of(simulation: Any, w: State, exponent: float) -> tuple[float, ...]:
     known = (math.nan,) * 6 if w["status"] is None else (*w["estimate"][:3], *w["sd"][:3])
     same = sinkage_coefficient_at(soil, exponent, w["bearing_sinkage"])
     truth = math.atan(soil.tan_phi), math.log(soil.shear_modulus), math.log(same)
-    return w["slip"], w["sinkage"] / radius_of(simulation), *known, *truth
+    return w["slip"], w["sinkage"] / simulation.scenario.wheel.radius, *known, *truth
 
 
 def hubs_of(simulation: Any, wheels: list[State], profile: Profile) -> np.ndarray:
@@ -108,7 +106,7 @@ def hubs_of(simulation: Any, wheels: list[State], profile: Profile) -> np.ndarra
 
     Normal to the untouched ground a hub is a radius above it, less the sinkage and the rut.
     """
-    r = radius_of(simulation)
+    r = simulation.scenario.wheel.radius
     hubs = []
     for w in wheels:
         grade = w["grade"]
@@ -155,13 +153,19 @@ def posture_of(v: Vehicle, hubs: np.ndarray, pitch: float) -> Posture:
 
 def width_of(simulation: Any) -> float:
     """Width of the side view [m]: `_WIDTH` times a rover, at least `_LEAST_WIDTH` wheel radii."""
-    r = radius_of(simulation)
+    r = simulation.scenario.wheel.radius
     vehicle = getattr(simulation.scenario, "vehicle", None)
     return max(_WIDTH * ((vehicle.base if vehicle else 0.0) + 2.0 * r), _LEAST_WIDTH * r)
 
 
 def draw_side_view(
-    c: Canvas, simulation: Any, j: int, wheels, profile: Profile, bounds, angles
+    c: Canvas,
+    simulation: Any,
+    j: int,
+    wheels: list[State],
+    profile: Profile,
+    bounds: tuple[float, float],
+    angles: np.ndarray,
 ) -> None:
     """Draw vehicle j with its `shown_wheels` in a camera that moves with it, its readings above.
 
@@ -170,39 +174,38 @@ def draw_side_view(
     the ground) and by the wheels.
     """
     worlds = simulation.worlds
+    scenario = simulation.scenario
     width = width_of(simulation)
-    posture = None
+    r = scenario.wheel.radius
+    posture = None  # of a rover
     hubs = hubs_of(simulation, wheels, profile)
-    if isinstance(simulation.scenario, RoverScenario):
+    if isinstance(scenario, RoverScenario):
         body = by_name(worlds.state[j])
         rut_depth = (worlds.ruts["floor"][j] + worlds.ruts["depth"][j]).max(axis=0)
-        vehicle = simulation.scenario.vehicle
+        vehicle = scenario.vehicle
         posture = posture_of(vehicle, hubs, float(body["pitch"]))
     else:
         body = wheels[0] | {"pitch": wheels[0]["grade"]}
         rut_depth = worlds.courses["cells"]["depth"][j]
     middle = 0.5 * (wheels[0]["x"] + wheels[-1]["x"])
     place = np.add(SCENE[:2], np.multiply(AT, SCENE[2:]))
-    scene = Scene(SCENE, SCENE[2] / width, place, np.array(profile.at(middle)))
+    scene = Scene(SCENE, SCENE[2] / width, place, profile.at(middle))
     # Along the slope, and wider than the view, since a slope is shorter across.
     x = middle + (np.linspace(0.0, 1.0, 261) - AT[0]) * 1.2 * width
-    across, height = profile.at(x)
+    surface = profile.at(x)
     # The gradient is the cosine of the grade: a vertical depth is longer than a normal one.
-    surface = height - depth_of_ruts(x, rut_depth) / np.gradient(across, x)
-    task = simulation.numbers.task[0]
-    r = radius_of(simulation)
-    wheel_width = float(simulation.numbers.rig["width"][0])
+    surface[:, 1] -= depth_of_ruts(x, rut_depth) / np.gradient(surface[:, 0], x)
+    press_down(surface, hubs, r)
     size = r * scene.scale
-    stresses = [drawing.stresses_under(w, r, wheel_width) for w in wheels]
+    stresses = [drawing.stresses_under(w, r, scenario.wheel.width) for w in wheels]
     # [px per Pa]; the mean pressure of the weight on half a radius times the width is drawn 0.45
     # radii long. Own choice.
-    per_pascal = 0.45 * size * 0.5 * r * wheel_width / task.weight
+    per_pascal = 0.45 * size * 0.5 * r * scenario.wheel.width / scenario.weight
     c.clip(scene.box)
     c.box(scene.box, canvas.SKY)
-    press_down(across, surface, hubs, r)
     draw_ground(c, scene, x, profile, surface, _LEAST_RUT * r, bounds)
-    draw_flag(c, scene, scene.at(*profile.at(task.length)))
-    places = [scene.at(*hub) for hub in hubs]
+    draw_flag(c, scene, scene.at(profile.at(scenario.course.length)))
+    places = scene.at(hubs)
     if posture is not None:
         _draw_body(c, scene, vehicle, posture, r)
     for w, place, angle in zip(wheels, places, angles, strict=True):
@@ -230,7 +233,7 @@ def _draw_body(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) 
     front = 0.02 * vehicle.base
     rear = 0.98 * vehicle.base
     corners = (front, low), (front + 0.3 * r, top), (rear, top), (rear, low), (front, low)
-    outline = [scene.at(*p.on_body(behind, above)) for behind, above in corners]
+    outline = scene.at([p.on_body(behind, above) for behind, above in corners])
     c.polygon(outline, _BODY)
     c.lines(outline, _BEAM, 1.8)
 
@@ -242,27 +245,30 @@ def _draw_suspension(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: f
     They are drawn last, in front of body and wheels. The rocker bends above the axle that is not on
     the bogie.
     """
-    hubs = [scene.at(*hub) for hub in p.hubs]
+    hubs = scene.at(p.hubs)
     width = max(0.12 * r * scene.scale, _THINNEST)
     if vehicle.bogie == "none":
         c.lines(hubs, _BEAM, width)
     else:
         first = vehicle.first_on_bogie
         alone = 2 if vehicle.bogie == "front" else 0
-        pivot = scene.at(*p.pivot)
-        knee = scene.at(*p.on_body(vehicle.axles[alone], vehicle.pivot_height))
+        pivot = scene.at(p.pivot)
+        knee = scene.at(p.on_body(vehicle.axles[alone], vehicle.pivot_height))
         c.lines([hubs[first], pivot, hubs[first + 1]], _BOGIE, width)
         c.lines([pivot, knee, hubs[alone]], _BEAM, width)
         c.circle(pivot, 0.8 * width, canvas.RIM)
-    centre = scene.at(*p.on_body(vehicle.centre, vehicle.centre_height))
+    centre = scene.at(p.on_body(vehicle.centre, vehicle.centre_height))
     c.circle(centre, 6.0, canvas.WHITE)
     c.circle(centre, 6.0, INK, 1.2)
     c.circle(centre, 2.0, INK)
 
 
-def _draw_readings(c: Canvas, simulation: Any, body, cause: Cause) -> None:
+def _draw_readings(c: Canvas, simulation: Any, body: State, cause: Cause) -> None:
     """Write distance, speed and pitch of the wheel, or of the rover as a whole, above the side
-    view, and the state of the episode.
+    view, and the state of the episode into a coloured field.
+
+    `body`: state by name. The field has the name of the `cause`, and "halted" at a commanded halt
+    of a running episode.
     """
     cells = (
         ("distance", f"{body['x']:.2f} of {simulation.scenario.course.length:g} m"),
@@ -272,22 +278,29 @@ def _draw_readings(c: Canvas, simulation: Any, body, cause: Cause) -> None:
     for x, (name, value) in zip((14, 190, 280), cells, strict=True):
         c.text(x, 14, name, 15, GREY)
         c.text(x, 32, value, 20)
-    drawing.draw_cause(c, cause, body["halt_left"] > 0.0)
+    colour = {Cause.RUNNING: GREY, Cause.FINISHED: canvas.GREEN}.get(cause, canvas.ORANGE)
+    words = _words(cause)
+    if cause == Cause.RUNNING and body["halt_left"] > 0.0:
+        colour = canvas.AMBER
+        words = "halted"
+    c.box((474, 8, 88, 22), colour)
+    c.text(518, 19, words, 17, canvas.WHITE, 0.5)
 
 
-def draw_table(c: Canvas, wheels: list[State], bounds, identified: bool) -> None:
+def _words(member: Enum) -> str:
+    """Name of a member of an enumeration in words, as "time limit"."""
+    return member.name.lower().replace("_", " ")
+
+
+def draw_table(c: Canvas, wheels: list[State], bounds: tuple[float, float]) -> None:
     """Draw the table of the `shown_wheels` below the side view: state, rut, true soil, and status
-    of the estimate, "none" where nothing is `identified`. `bounds` as of `draw_side_view`.
+    of the estimate, "none" where nothing is identified. `bounds` as of `draw_side_view`.
     """
     heads = "wheel", "slip", "sinkage", "rut", "load", "pull", "torque", "soil under it", "estimate"
-    # [px] Left ends of the first and the last two columns, right ends of the others.
-    places = (28, 106, 162, 216, 270, 324, 392, 402, 500)
-    for i, (x, words) in enumerate(zip(places, heads, strict=True)):
-        c.text(x, 364, words, 14, GREY, 1.0 if 0 < i < 7 else 0.0)
+    _write_row(c, 364, heads, GREY, 402)
     for row, w in enumerate(wheels):
         y = 380 + 16 * row
         soil = w["soil"]
-        known = identified and w["status"] is not None
         phi = math.degrees(math.atan(soil.tan_phi))
         values = (
             w["name"],
@@ -298,10 +311,18 @@ def draw_table(c: Canvas, wheels: list[State], bounds, identified: bool) -> None
             f"{w['drawbar_pull']:.1f} N",
             f"{w['motor_torque']:.2f} N m",
             f"φ {phi:.0f}°  K {1e3 * soil.shear_modulus:.0f} mm",
-            Status(int(w["status"])).name.lower().replace("_", " ") if known else "none",
+            "none" if w["status"] is None else _words(Status(int(w["status"]))),
         )
         c.circle((20, y), 5, COLOURS[w["name"]][0])
-        for i, (x, words) in enumerate(zip(places, values, strict=True)):
-            # The soil has a box of its colour before it.
-            c.text(x + 12 * (i == 7), y, words, 14, INK, 1.0 if 0 < i < 7 else 0.0)
         c.box((402, y - 5, 8, 10), soil_colour([phi], bounds)[0], GREY)
+        _write_row(c, y, values, INK, 414)  # behind the box of the soil
+
+
+def _write_row(c: Canvas, y: float, cells: Sequence[str], colour: Colour, soil: float) -> None:
+    """Write a row of the table with its middle line at y [px]; `soil` [px]: left end of the soil's
+    cell.
+    """
+    # [px] Left ends of the first and the last two columns, right ends of the others.
+    places = (28, 106, 162, 216, 270, 324, 392, soil, 500)
+    for i, (x, words) in enumerate(zip(places, cells, strict=True)):
+        c.text(x, y, words, 14, colour, 1.0 if 0 < i < 7 else 0.0)

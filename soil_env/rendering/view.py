@@ -11,14 +11,7 @@ from soil_env.parameters import Scenario
 from .canvas import SIZE, Canvas
 from .charts import QUANTITIES, SPAN, draw_charts
 from .ground import draw_course, friction_range, profile_of
-from .side_view import (
-    COLOURS,
-    draw_side_view,
-    draw_table,
-    sample_of,
-    shown_wheels,
-    width_of,
-)
+from .side_view import COLOURS, draw_side_view, draw_table, sample_of, shown_wheels, width_of
 
 if TYPE_CHECKING:
     import pygame
@@ -29,6 +22,8 @@ _POINTS = 600  # samples of the history over the `SPAN` of the charts, at most
 class CourseView:
     """Draws one course of a simulation of wheels or rovers: `clear` at a reset, `record` after it
     and after each step, `draw` a frame.
+
+    `mode`: "rgb_array" returns pictures, "human" shows them in a window.
     """
 
     def __init__(self, scenario: Scenario, mode: str) -> None:
@@ -38,7 +33,6 @@ class CourseView:
         self._window: pygame.Window | None = None
         self._clock: pygame.time.Clock | None = None
         self._step = scenario.control.duration  # [s] from record to record
-        self._identified = scenario.belief.method != "none"  # else there is no estimate to show
         self._every = max(1, math.ceil(SPAN / self._step / _POINTS))  # records per sample
         self._history: deque[list[float]] = deque(maxlen=_POINTS + 2)
         self._angles: Any = 0.0  # [rad] that the wheels have turned
@@ -71,14 +65,14 @@ class CourseView:
         length = self.scenario.course.length
         border = self.scenario.course.border
         profile = profile_of(simulation.worlds.courses, k, border, width, length + 2.0 * width)
-        bounds = friction_range(self.scenario, simulation)
+        bounds = friction_range(simulation)
         angles = np.broadcast_to(self._angles, len(wheels))  # 0 before the first record
         draw_side_view(canvas, simulation, k, wheels, profile, bounds, angles)
-        draw_table(canvas, wheels, bounds, self._identified)
+        draw_table(canvas, wheels, bounds)
         draw_course(canvas, profile, length, [w["x"] for w in wheels], bounds)
         colours = [COLOURS[w["name"]] for w in wheels]
         history = np.reshape(self._history, (-1, 1 + QUANTITIES * len(wheels))).T
-        draw_charts(canvas, history, colours, self._identified and wheels[0]["status"] is not None)
+        draw_charts(canvas, history, colours, identified=wheels[0]["status"] is not None)
 
     def draw(self, simulation: Any, k: int) -> np.ndarray | None:
         """Picture of vehicle k as uint8 [height, width, 3]; in mode "human" it goes to the window,

@@ -1,4 +1,4 @@
-"""Wheels in a picture with the stresses under them, and the state of an episode."""
+"""Wheels in a picture with the stresses under them."""
 
 import math
 from typing import Any, NamedTuple
@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soil_env._compiled.cache import kept
-from soil_env.simulation.task import Cause
 from soil_env.terramechanics import contact
 from soil_env.terramechanics.reaction import (
     REST_SPEED,
@@ -16,17 +15,13 @@ from soil_env.terramechanics.reaction import (
 )
 
 from .canvas import (
-    AMBER,
     BLUE,
-    GREEN,
-    GREY,
     LIGHT_BLUE,
     LIGHT_ORANGE,
     ORANGE,
     RIM,
     SPOKE,
     WHEEL,
-    WHITE,
     Box,
     Canvas,
     Colour,
@@ -94,7 +89,7 @@ def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
     """
     braked = max(math.copysign(1.0, w["speed"]) * w["braked"], 0.0)
     wheel = _Wheel(r, b, w["sinkage"], w["load"], w["speed"], w["wheel_speed"] * r, braked)
-    stresses = Stresses(np.empty(ARC_POINTS), np.empty(ARC_POINTS), np.empty(ARC_POINTS))
+    stresses = Stresses(*np.empty((3, ARC_POINTS)))
     _stresses(np.zeros(1, contact.ARC_NODES), wheel, w["soil"], *stresses)
     return stresses
 
@@ -156,29 +151,16 @@ def draw_stresses(
         c.arrow(middle - forward, middle + forward, ORANGE, 2.2)
 
 
-def draw_stress_key(c: Canvas, box: Box, wheels: list[Stresses]) -> None:
+def draw_stress_key(c: Canvas, box: Box, of_wheels: list[Stresses]) -> None:
     """Write the key of the stresses into the upper left corner of a box: colour, name, and the
     peak [kPa] under each of the wheels, with its sign.
     """
     keys = (
-        ("normal stress σ", BLUE, LIGHT_BLUE),
-        ("shear stress τ", ORANGE, LIGHT_ORANGE),
+        ("normal stress σ", "normal", BLUE, LIGHT_BLUE),
+        ("shear stress τ", "shear", ORANGE, LIGHT_ORANGE),
     )
-    for row, (name, edge, fill) in enumerate(keys):
-        peaks = (1e-3 * s[row + 1][np.argmax(np.abs(s[row + 1]))] for s in wheels)
+    for row, (name, stress, edge, fill) in enumerate(keys):
+        peaks = (1e-3 * max(getattr(s, stress), key=abs) for s in of_wheels)
         y = box[1] + 16 + 18 * row
         c.box((box[0] + 12, y - 6, 18, 12), fill, edge)
         c.text(box[0] + 38, y, f"{name}: peak {', '.join(f'{p:.1f}' for p in peaks)} kPa", 16)
-
-
-def draw_cause(c: Canvas, cause: Cause, halted: bool) -> None:
-    """Write the state of the episode into a coloured field: "halted" where the vehicle of a running
-    episode is `halted`, else the name of the cause.
-    """
-    colour = {Cause.RUNNING: GREY, Cause.FINISHED: GREEN}.get(cause, ORANGE)
-    words = cause.name.lower().replace("_", " ")
-    if halted and cause == Cause.RUNNING:
-        colour = AMBER
-        words = "halted"
-    c.box((474, 8, 88, 22), colour)
-    c.text(518, 19, words, 17, WHITE, 0.5)

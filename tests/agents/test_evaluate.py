@@ -14,6 +14,7 @@ import pytest
 import yaml
 from scipy import stats
 
+from soil_env._io.loading import load, to_dict
 from soil_env.cli import main as soil_env
 from soil_env.envs.wheels import Simulation
 from soil_env.parameters import load_scenario
@@ -32,6 +33,7 @@ from soil_env_agents.evaluate.driving import (
 from soil_env_agents.evaluate.evaluation import Evaluation
 from soil_env_agents.evaluate.statistics import wilson
 from tests.agents.drivers import Counting, Half
+from tests.refusals import refused, refused_command
 
 ROOT = Path(__file__).resolve().parents[2]
 DRIVERS = "tests.agents.drivers"
@@ -281,6 +283,21 @@ def test_a_kill_and_processes_give_the_same_table(tmp_path, monkeypatch, importa
     )
     assert main(*asked, f"--out={calm}") == 0
     same(out, calm)
+
+
+@pytest.mark.parametrize("controllers", [["a"], {"a": 3}, None])
+def test_a_damaged_study_is_refused_in_one_line(controllers, tmp_path, capsys):
+    (tmp_path / cells.STUDY).write_text(yaml.safe_dump({"controllers": controllers}))
+    said = refused_command(
+        capsys, "soil-env evaluate", lambda given: main(*given), "--resume", tmp_path
+    )
+    assert f"{cells.STUDY}: controllers" in said.err
+
+
+def test_tuned_settings_that_are_no_mapping_are_refused():
+    task = to_dict(load_scenario("mixed"))
+    content = {"task": task, "controllers": {}, "tuned": {"soft_start": 3}}
+    refused(lambda: load(Evaluation, content, "study.yaml"), "tuned.soft_start = 3", "a mapping")
 
 
 def test_ray_gives_what_one_process_gives(cluster, everyone, done, tmp_path):

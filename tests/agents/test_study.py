@@ -291,6 +291,10 @@ def test_the_shipped_configs_can_be_read(name):
         ),
         ({"arms": {"a": {"controller": "nomod:Thing"}}}, "nomod:Thing: cannot be imported"),
         ({"sead": 1}, "study.yaml: unknown key 'sead'; did you mean 'seeds'"),
+        ({"controllers": 5}, "study.yaml: controllers = 5: expected a list of names"),
+        ({"controllers": None}, "study.yaml: controllers = None: expected a list of names"),
+        ({"controllers": [{}]}, "study.yaml: controllers = [{}]: expected a list of names"),
+        ({"arms": {"a": {"train": 3}}}, "study.yaml: arms.a.train = 3: expected a mapping"),
     ],
 )
 def test_a_bad_config_is_refused_in_one_line(tmp_path, capsys, changes, said):

@@ -55,7 +55,7 @@ def ground(simulation):
 
 
 def hubs(simulation):
-    """Places [axles, 2] (column, row) of the hubs in a picture of the design's size, and its units
+    """Places [axles, 2] (column, row) of the hubs in a picture, and its pixels
     per metre.
     """
     left, top, width, height = SCENE

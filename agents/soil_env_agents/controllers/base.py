@@ -27,7 +27,7 @@ class Setting(NamedTuple):
     log: bool = False  # drawn evenly in the logarithm
     high: float = math.inf
     zero: bool = False  # 0 is allowed
-    rim_speed: bool = False
+    rim_speed: bool = False  # a speed of the rim; it has no use for `high`
 
 
 SPEED = Setting(1.0, "m/s", "highest rim speed", (0.1, 1.0), rim_speed=True)
@@ -68,9 +68,9 @@ class Controller(Observing):
         self.weight_torque = scenario.weight * wheel.radius  # [N m]; observed torque is over it
         self.action = scenario.control.action
         self.period = scenario.control.duration  # [s] between two actions
-        # Of the rim command [of top rim speed] by an action of 1.
+        # [of top rim speed] change of the rim command by an action of 1.
         self.change = scenario.control.rim_acceleration * self.period / self.top_speed
-        # [N m s]: a free wheel is on speed after one period.
+        # [N m s] proportional gain: a free wheel is on speed after one period.
         self.gain = wheel.inertia / self.period
         self.integral_gain = 0.68 * self.weight_torque  # [N m] per rad
         #: Values of the settings.

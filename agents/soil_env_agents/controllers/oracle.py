@@ -57,10 +57,10 @@ class Plans(NamedTuple):
 
     back: np.ndarray  # [s] left of going back
     left: np.ndarray  # [s] left of the first ramp
-    first: np.ndarray  # [m/s2] its acceleration
-    speed: np.ndarray  # [m/s] its top speed
-    second: np.ndarray  # of the ramp after it
-    later_speed: np.ndarray
+    first: np.ndarray  # [m/s2] acceleration of the rim in the first ramp
+    speed: np.ndarray  # [m/s] its top rim speed
+    second: np.ndarray  # [m/s2] acceleration in the second ramp
+    later_speed: np.ndarray  # [m/s] its top rim speed
     other_route: np.ndarray  # bool: at the next fork, the route beside
 
     def at(self, where) -> Plans:
@@ -92,6 +92,7 @@ class _Driver(Ramped):
         return np.where(back, BACK * self.top_speed, state["ramp"])
 
     def prefers_other_route(self, batch):
+        """As the plans say, [n] bool."""
         return self.plans.other_route
 
 
@@ -168,32 +169,27 @@ class Oracle:
         )
 
     def _candidates(self, now: Plans) -> Plans:
-        """Plans [d, COUNT] to try, the first as `now` [d]."""
+        """Plans [d, COUNT] to try in the place of `now` [d]: itself, `VARIED` of it, `FIXED` soft
+        starts, and `DRAWN` at random.
+        """
         d = now.back.size
         top = self.driver.top_speed
         rng = self.rng
         fixed = self._soft_starts((d, len(FIXED)), *np.array(FIXED).T)
         fixed = fixed._replace(other_route=rng.random((d, len(FIXED))) < 0.5)
         low, high = np.log(ACCELERATIONS)
-        a, b = (np.exp(rng.uniform(low, high, (d, DRAWN))) for _ in range(2))
-        v, u = (rng.uniform(*SPEEDS, (d, DRAWN)) * top for _ in range(2))
-        back = np.where(
-            rng.random((d, DRAWN)) < BACKING_SHARE, rng.uniform(*BACKING, (d, DRAWN)), 0.0
-        )
-        drawn = Plans(
-            back,
-            rng.uniform(0.0, 0.6 * HORIZON, (d, DRAWN)),
-            a,
-            v,
-            b,
-            u,
-            rng.random((d, DRAWN)) < 0.5,
-        )
+        shape = (d, DRAWN)
+        first, second = (np.exp(rng.uniform(low, high, shape)) for _ in range(2))
+        speed, later_speed = (rng.uniform(*SPEEDS, shape) * top for _ in range(2))
+        back = np.where(rng.random(shape) < BACKING_SHARE, rng.uniform(*BACKING, shape), 0.0)
+        left = rng.uniform(0.0, 0.6 * HORIZON, shape)
+        other_route = rng.random(shape) < 0.5
+        drawn = Plans(back, left, first, speed, second, later_speed, other_route)
         speeds = np.multiply(SPEEDS, top)
         same = Plans(*(x[:, None] for x in now))
-        noise = rng.standard_normal((6, d, VARIED))
+        noise = rng.standard_normal((6, d, VARIED))  # the first is not used
         varied = Plans(
-            same.back + 0.0 * noise[0],
+            np.repeat(same.back, VARIED, axis=1),
             np.maximum(same.left + 1.0 * noise[1], 0.0),
             np.clip(same.first * np.exp(0.4 * noise[2]), *ACCELERATIONS),
             np.clip(same.speed * np.exp(0.3 * noise[3]), *speeds),
@@ -232,8 +228,10 @@ class Oracle:
         return self._value(n, done)
 
     def _value(self, n: int, done: np.ndarray) -> np.ndarray:
-        """Score [n]: distance [m], less penalties for failure, waiting and sinkage, plus the time
-        saved by a finish.
+        """Score [n] in m: distance, less penalties for failure, waiting and sinkage.
+
+        A finish scores the course's length and the way at the top rim speed in the time that is
+        left to the horizon; `done` [n]: step of the end.
         """
         w = self.clones.worlds
         s = w.state

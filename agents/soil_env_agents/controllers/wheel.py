@@ -4,7 +4,7 @@ its soil.
 
 import numpy as np
 
-from soil_env.parameters import FLOW_LAW, NO_LAYER, SoilState
+from soil_env.parameters import FLOW_LAW, SoilState
 from soil_env.slip import rim_speeds, travel_speeds
 from soil_env.terramechanics.traversability import best_points
 
@@ -13,7 +13,7 @@ from .base import SPEED, START, Controller, Ramped, Setting
 MOST_SLIP = 0.95  # largest slip to hold: the rim speed for a slip i is V/(1 - i)
 _CREEP = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so that speed can build up
 _SLIP = Setting(0.3, "-", "slip to hold, or not to exceed", (0.02, 0.9), high=MOST_SLIP, zero=True)
-#: Relative change of soil and load that recomputes the best slip.
+#: Relative changes of the entries of `SoilState` and of the load that recompute the best slip.
 CHANGE = np.array([0.01] * len(SoilState._fields) + [0.1])
 
 
@@ -23,6 +23,9 @@ class FullThrottle(Controller):
     name = "full_throttle"
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
+        """The command of each observation, [n, 1] float32 (or [1] for one), and the `state` as it
+        is.
+        """
         seen = self.layout.observed(observation)
         shape = (1,) if seen.ndim == 1 else (len(seen), 1)
         return np.full(shape, self.settings.get("share", 1.0), dtype=np.float32), state
@@ -200,29 +203,28 @@ class BestSlipIdentified(SlipFollower):
     variant = "identified"
     memory = {**SlipFollower.memory, "known": len(SoilState._fields) + 1, "slip": 0}
 
-    def soil_columns(self, observation) -> list:
-        """The columns of `SoilState` read from the observation or the belief, each [n] or one
+    def soil_columns(self, observation) -> SoilState:
+        """Soils read from the observation, the rest from the belief: each entry an array [n] or one
         number.
         """
 
-        def read(name: str) -> np.ndarray:
+        def read(name: str):
             return observation[:, self.column[name]]
 
         belief = self.scenario.belief
-        return [
-            np.tan(np.clip(read("friction_angle"), 0.02, 1.4)),
-            1000.0 * read("cohesion"),
-            10.0 ** read("log10_shear_modulus"),
-            10.0 ** read("log10_sinkage_coefficient"),
-            belief.sinkage_exponent,
-            read("dig_gain"),
-            belief.dig_recovery,
-            *(getattr(belief, name) for name in FLOW_LAW),
-            *NO_LAYER,
-        ]
+        return SoilState(
+            tan_phi=np.tan(np.clip(read("friction_angle"), 0.02, 1.4)),
+            cohesion=1000.0 * read("cohesion"),
+            shear_modulus=10.0 ** read("log10_shear_modulus"),
+            sinkage_coefficient=10.0 ** read("log10_sinkage_coefficient"),
+            sinkage_exponent=belief.sinkage_exponent,
+            dig_gain=read("dig_gain"),
+            dig_recovery=belief.dig_recovery,
+            **{name: getattr(belief, name) for name in FLOW_LAW},
+        )
 
     def soils(self, observation) -> np.ndarray:
-        """Rows [n, entries of `SoilState`] read from the observation."""
+        """`soil_columns` as rows [n, entries of `SoilState`]."""
         return np.column_stack(
             [np.broadcast_to(x, len(observation)) for x in self.soil_columns(observation)]
         )
@@ -232,8 +234,8 @@ class BestSlipIdentified(SlipFollower):
         return np.clip(observation[:, self.column["load"]], 0.3, 3.0) * self.scenario.weight
 
     def target_slip(self, observation, state):
-        """Best slip; computed again only for rows whose soil has changed by more than 1 % or whose
-        load by 10 %.
+        """Best slip [n]; computed again only for rows whose soil or load has changed by more than
+        `CHANGE`.
         """
         soils = self.soils(observation)
         load = self.load(observation)
@@ -246,14 +248,13 @@ class BestSlipIdentified(SlipFollower):
 
 
 class BestSlipTrue(BestSlipIdentified):
-    """The same on the true soil."""
+    """`BestSlipIdentified` on the true soil."""
 
     name = "best_slip_true"
     variant = "true_soil"
 
     def soil_columns(self, observation):
-        """The columns of `SoilState` read from the observation; `FLOW_LAW` is the belief's."""
-        out = super().soil_columns(observation)
-        for i, name in ((4, "sinkage_exponent"), (6, "dig_recovery")):
-            out[i] = observation[:, self.column[name]]
-        return out
+        """Soils read from the observation; `FLOW_LAW` is the belief's."""
+        read_too = ("sinkage_exponent", "dig_recovery")
+        true = {name: observation[:, self.column[name]] for name in read_too}
+        return super().soil_columns(observation)._replace(**true)

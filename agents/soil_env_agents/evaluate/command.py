@@ -11,7 +11,7 @@ from click.core import ParameterSource
 from soil_env._io.files import alone, check_outputs, is_unused
 from soil_env._io.loading import ParameterError, to_dict
 from soil_env.cli.running import PATH, WholeNumber
-from soil_env.parameters import DEFAULT_SCENARIO, Scenario, load_scenario
+from soil_env.parameters import Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .. import cells
@@ -26,6 +26,7 @@ from ..cli import (
     engine_options,
     keys_argument,
     overrides,
+    scenario_option,
     unknown_option,
 )
 from ..progress import show
@@ -45,12 +46,7 @@ _TUNING = "tuning.log"  # trials of a tuning that is not finished
 @click.option(
     "--resume", type=PATH, metavar="OUT", help="Continue; only the engine may be given beside it."
 )
-@click.option(
-    "--scenario",
-    metavar="NAME",
-    default=DEFAULT_SCENARIO,
-    help=f"Or YAML (default {DEFAULT_SCENARIO}).",
-)
+@scenario_option
 @click.option(
     "--model", metavar="YAML", default="", help="model.yaml with the effects of this world."
 )
@@ -136,7 +132,10 @@ def command(
         if keys or any(source(name) is not ParameterSource.DEFAULT for name in given):
             raise ParameterError(f"--resume takes only the engine; {resume} has the rest")
         folder = resume
-        asked = cells.load_study(Evaluation, resume, None if allow_code else _refuse_code)
+        check = None if allow_code else contestants.refuse_code
+        asked = cells.load_study(Evaluation, resume, check)
+        if not allow_code:
+            _refuse_foreign(asked, resume / cells.STUDY)
     evaluation.check_controllers(asked)
     code = ["--allow-code"] if contestants.code_in(to_dict(asked)) else []
     with begun_in(folder, is_unused(folder), not folder.exists()), alone(folder):
@@ -146,16 +145,17 @@ def command(
             carry_out(asked, folder, chosen, ship=engine == "ray")
 
 
-def _refuse_code(content: dict, where: str) -> None:
-    """ParameterError where the study of a folder would run code of others."""
-    contestants.refuse_code(content, where)
-    for contestant in content.get("controllers", {}).values():
-        if contestant.get("kind") == "model" and str(contestant.get("source")).endswith(".zip"):
+def _refuse_foreign(asked: Evaluation, where: Path) -> None:
+    """ParameterError where the study of the file `where` has a model of another program, whose code
+    would be run.
+    """
+    for contestant in asked.controllers.values():
+        if contestant.kind == "model" and contestant.source.endswith(".zip"):
             from ..agent import INFO, read_member  # with torch
 
-            if read_member(Path(contestant["source"]), INFO) is None:
+            if read_member(Path(contestant.source), INFO) is None:
                 raise ParameterError(
-                    f"{where}: {contestant['source']}: a model of another program, which is "
+                    f"{where}: {contestant.source}: a model of another program, which is "
                     "unpickled: expected --allow-code too, if you trust it"
                 )
 

@@ -60,7 +60,7 @@ def comparison(
     }
 
     def difference(a: str, b: str, m: str) -> dict:
-        """Bounds of a - b for the metric `m`."""
+        """Bounds of a - b of the metric `m` on the same courses."""
         x = scores[a][m]
         y = scores[b][m]
         drawn_ones = samples[a][m] - samples[b][m]
@@ -71,10 +71,12 @@ def comparison(
         )
 
     def iqm(name: str) -> dict:
+        """Bounds of the interquartile mean of the return."""
         own = scores[name]["return"]
         return st.bounds(st.iqm(own), st.iqm_samples(own, members[name], drawn.courses))
 
     def improvement(a: str, b: str) -> dict:
+        """Bounds of the probability that a has a higher return than b."""
         x = scores[a]["return"]
         y = scores[b]["return"]
         drawn_ones = st.improvement_samples(x, y, members[a], members[b], drawn.courses)

@@ -101,7 +101,7 @@ class Runs:
         return [*METRICS, *self.more]
 
     def metric(self, name: str) -> np.ndarray:
-        """Value of a metric for each course [courses]."""
+        """Values of a metric in its unit (`MEANINGS`) [courses]."""
         if name in self.more:
             return self.more[name]
         if name == "immobilised":
@@ -203,17 +203,26 @@ def run_block(
 
 
 def simulate(
-    count: int,
+    rngs: Sequence[np.random.Generator],
     scenario: Scenario,
     variant: str,
     threads: int | None = None,
-    model=None,
+    model: WheelSoilModel | None = None,
     warnings: bool = False,
 ) -> Simulation | RoverSimulation:
-    """The simulation of `count` wheels, or rovers, of a scenario."""
-    if isinstance(scenario, RoverScenario):
-        return RoverSimulation(count, scenario, variant, threads, model)
-    return Simulation(count, scenario, variant, threads, model, warnings)
+    """The simulation of wheels, or rovers, of a scenario, each at the start of the course that its
+    Generator of `rngs` draws.
+    """
+    count = len(rngs)
+    sim = (
+        RoverSimulation(count, scenario, variant, threads, model)
+        if isinstance(scenario, RoverScenario)
+        else Simulation(count, scenario, variant, threads, model, warnings)
+    )
+    for k, rng in enumerate(rngs):
+        sim.seed(k, rng)
+    sim.restart_where(np.ones(count, dtype=bool))
+    return sim
 
 
 def drive(
@@ -242,10 +251,8 @@ def drive(
         control=replace(control, repeat=1),
     )
     count = len(courses)
-    sim = simulate(count, stepped, controller.variant, threads, model, warnings)
-    for k, course in enumerate(courses):
-        sim.seed(k, course_rng(seed, course))
-    sim.restart_where(np.ones(count, dtype=bool))
+    rngs = [course_rng(seed, course) for course in courses]
+    sim = simulate(rngs, stepped, controller.variant, threads, model, warnings)
     if hasattr(controller, "attach"):  # a planner, which tries plans on clones of the world
         controller.attach(sim, threads, model)
     worlds = sim.worlds
@@ -356,6 +363,9 @@ class _OfRovers(_Totals):
         return 2.0 * self.state["motor_work"]  # of both sides
 
     def add(self, alive: np.ndarray) -> np.ndarray:
+        """As that of `_Totals`, and over the weight: the pull that wheels lose against each other,
+        and the largest force of a wheel times their number.
+        """
         driving = super().add(alive)
         wheels = self.state["wheels"][:, : self.axles]
         pull = wheels["drawbar_pull"]

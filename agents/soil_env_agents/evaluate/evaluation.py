@@ -8,6 +8,7 @@ interruptions give the same files.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -38,7 +39,7 @@ class Evaluation(OfTask):
     tuning_courses: int = quantity("0: not tuned", 0, 10**6, default=0)
     oracle_courses: int = quantity("of them, that the oracle drives too", 0, 100_000, default=0)
     #: {classical controller: settings that tuning has found}.
-    tuned: dict = field(default_factory=dict)
+    tuned: dict[str, dict] = field(default_factory=dict)
     codes: dict = field(default_factory=dict)  # {class: digest of its source, as it was tuned}
     #: Content of the model.yaml of the world's effects; empty = none.
     model: dict = field(default_factory=dict)
@@ -61,14 +62,10 @@ class Evaluation(OfTask):
 
     def blocks(self) -> list[Block]:
         """All cells; block by block, so that an interrupted evaluation has all controllers."""
-        firsts = range(0, self.courses, self.block)
-        own = [
-            Block(key, f, min(self.block, self.courses - f))
-            for f in firsts
-            for key in self.controllers
+        return [
+            *_cut(self.courses, self.block, self.controllers),
+            *_cut(self.oracle_courses, ORACLE_BLOCK, [ORACLE]),
         ]
-        firsts = range(0, self.oracle_courses, ORACLE_BLOCK)
-        return own + [Block(ORACLE, f, min(ORACLE_BLOCK, self.oracle_courses - f)) for f in firsts]
 
 
 @dataclass(frozen=True)
@@ -83,6 +80,15 @@ class Block:
 
     def __str__(self) -> str:
         return f"{self.controller}-{self.first}"
+
+
+def _cut(courses: int, size: int, controllers: Collection[str]) -> list[Block]:
+    """Blocks of at most `size` of the first `courses`, each for all `controllers`."""
+    return [
+        Block(controller, first, min(size, courses - first))
+        for first in range(0, courses, size)
+        for controller in controllers
+    ]
 
 
 def check_controllers(asked: Evaluation) -> None:
@@ -113,6 +119,7 @@ class Job:
         self._loaded: dict[str, object] = {}
 
     def __getstate__(self):
+        """All but the loaded controllers, which each process loads for itself."""
         return {**self.__dict__, "_loaded": {}}
 
     def __call__(self, block: Block) -> dict[str, list]:
@@ -184,8 +191,8 @@ def run(asked: Evaluation, folder: Path, engine: Engine, job: Job) -> dict:
         fill(job, blocks, folder, engine, progress, job.needs, found)
 
     def of(key: str) -> Runs:
-        """All blocks of a controller."""
-        own = [b for b in asked.blocks() if b.controller == key]
+        """Runs of all blocks of a `Contestant.key`, or of `ORACLE`."""
+        own = [b for b in blocks if b.controller == key]
         return Runs.join(
             [read_cell(folder, b, partial(Runs.from_columns, courses=b.count)) for b in own]
         )

@@ -125,13 +125,13 @@ def _checked(answer, shape: tuple[int, int], who: str) -> tuple[np.ndarray, obje
 def check(contestant: Contestant, scenario: Scenario, model: WheelSoilModel | None = None) -> None:
     """Load a contestant and have it act once on three wheels; ParameterError if it cannot."""
     controller = load(contestant, scenario)
-    sim = simulate(3, scenario, controller.variant, 1, model)
-    for k in range(3):
-        sim.seed(k, np.random.default_rng(k))
-    fresh = np.ones(3, dtype=bool)
-    sim.restart_where(fresh)
+    rngs = [np.random.default_rng(k) for k in range(3)]
+    sim = simulate(rngs, scenario, controller.variant, 1, model)
     answer = controller.predict(
-        sim.worlds.observation, state=None, episode_start=fresh, deterministic=True
+        sim.worlds.observation,
+        state=None,
+        episode_start=np.ones(3, dtype=bool),
+        deterministic=True,
     )
     action, _ = _checked(answer, (3, getattr(scenario, "axles", 1)), contestant.label)
     wrong = np.flatnonzero(~np.isfinite(action))

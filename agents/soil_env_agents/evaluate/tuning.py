@@ -9,7 +9,7 @@ own, so that a tuning that goes on from its log ends as one without a break.
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from soil_env.parameters import Scenario, load_scenario, scenario_names
 from soil_env.terramechanics.model import WheelSoilModel
 
 from ..cells import code_version
-from ..controllers import checked_settings
+from ..controllers import Setting, checked_settings
 from ..controllers.rover import controllers_of
 from ..progress import Bar
 from .driving import TUNING_SET, run_courses
@@ -113,18 +113,27 @@ def tuned_settings(
     return {name: chosen[name] for name in names}
 
 
-def tried(name, space, scenario, courses, model, log, bar) -> list[dict]:
+def tried(
+    name: str,
+    space: Mapping[str, Setting],
+    scenario: Scenario,
+    courses: int,
+    model: WheelSoilModel | None,
+    log: Path | None,
+    bar: Bar,
+) -> list[dict]:
     """{**settings, "finished": share, "return": mean} of each trial of a controller, in their
     order.
 
-    `space`: {setting: `Setting`} of the controller `name`; `bar` shows the progress. The others are
+    `space`: the settings of the controller `name`; `bar` shows the progress. The others are
     arguments of `tuned_settings`.
     """
     optuna = _optuna()
     make = maker(name, scenario)
     top = scenario.wheel.radius * scenario.wheel.no_load_speed
+    # [low, high] of each setting in its unit.
     bounds = {
-        key: tuple(x * (top if s.rim_speed else 1.0) for x in s.tuned) for key, s in space.items()
+        key: np.multiply(s.tuned, top if s.rim_speed else 1.0).tolist() for key, s in space.items()
     }
     # All that the trials depend on: a log may hold other studies.
     task = json.dumps(
@@ -139,18 +148,13 @@ def tried(name, space, scenario, courses, model, log, bar) -> list[dict]:
         ],
         sort_keys=True,
     )
-    storage = None
-    if log is not None:
-        drop_torn_line(log)
-        journal = optuna.storages.journal
-        lock = journal.JournalFileSymlinkLock(str(log), grace_period=_LOCKED)
-        storage = optuna.storages.JournalStorage(
-            journal.JournalFileBackend(str(log), lock_obj=lock)
-        )
     digest = hashlib.sha256(task.encode()).hexdigest()
     state = optuna.trial.TrialState
     study = optuna.create_study(
-        storage=storage, study_name=digest, direction="maximize", load_if_exists=True
+        storage=None if log is None else _journal(optuna, log),
+        study_name=digest,
+        direction="maximize",
+        load_if_exists=True,
     )
     for trial in study.get_trials(states=(state.RUNNING,)):  # of a process that was killed
         study.tell(trial.number, state=state.FAIL)
@@ -183,6 +187,14 @@ def tried(name, space, scenario, courses, model, log, bar) -> list[dict]:
         bar.update(advance=courses, note=name, part=name)
     found = study.get_trials(states=(state.COMPLETE,))[:trials]
     return [{**trial.params, **trial.user_attrs} for trial in found]
+
+
+def _journal(optuna, log: Path):
+    """Storage of Optuna in the file `log`, which a killed process may have left torn or locked."""
+    drop_torn_line(log)
+    journal = optuna.storages.journal
+    lock = journal.JournalFileSymlinkLock(str(log), grace_period=_LOCKED)
+    return optuna.storages.JournalStorage(journal.JournalFileBackend(str(log), lock_obj=lock))
 
 
 def _optuna():

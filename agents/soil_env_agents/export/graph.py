@@ -118,6 +118,7 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
         self.dtype = np.dtype(dtype)
 
     def __array_ufunc__(self, ufunc, method, *inputs, **keywords):
+        """The value of a new node for one of `_UFUNCS`; numpy raises TypeError for any other."""
         if method != "__call__" or keywords or ufunc not in _UFUNCS:
             return NotImplemented
         return self.graph.node(
@@ -125,6 +126,9 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
         )
 
     def __array_function__(self, function, types, args, keywords):
+        """The value of new nodes for `np.where`, `np.clip` and `np.concatenate`; numpy raises
+        TypeError for any other function.
+        """
         if function is np.where:
             return self.graph.where(*args)
         if function is np.clip:

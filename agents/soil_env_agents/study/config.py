@@ -223,11 +223,14 @@ def read_config(path: Path, changes: dict | None = None) -> Study:
     targets = {name: _target(path, name, entry or {}, common) for name, entry in scenarios.items()}
     rovers = any("vehicle" in target["task"] for target in targets.values())
     chosen = content.pop("controllers", list(ROVER_CONTROLLERS if rovers else CONTROLLERS))
+    if not isinstance(chosen, list) or not all(isinstance(name, str) for name in chosen):
+        raise ParameterError(f"{path}: controllers = {chosen!r:.60}: expected a list of names")
     shared = content.pop("train", None) or {}
     arms = {name: {"controller": name} for name in chosen}
     for name, arm in (content.get("arms") or {}).items():
         if isinstance(arm, dict) and "controller" not in arm:
-            arm = {**arm, "train": merge(shared, arm.get("train") or {})}
+            own = arm.get("train") or {}
+            arm = {**arm, "train": merge(shared, own) if isinstance(own, dict) else own}
         elif isinstance(arm, dict) and arm["controller"] in SHIPPED:
             arm = {**arm, "controller": SHIPPED_CLASS}
         arms[name] = arm

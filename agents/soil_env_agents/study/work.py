@@ -156,6 +156,7 @@ def driven(study: Study, folder: Path) -> tuple[dict[str, dict[str, list[Runs]]]
     """
 
     def parse(content: dict) -> dict:
+        """Content of a cell with `Runs` in place of their columns."""
         own = {
             t: Runs.from_columns(columns, study.courses) for t, columns in content["driven"].items()
         }
