@@ -19,7 +19,7 @@ from soil_env.discovery.judgement import Gap
 from soil_env.discovery.next_for_prediction import SurerRun
 from soil_env.discovery.next_tests import open_checks
 from soil_env.discovery.prediction import fit_prediction
-from soil_env.discovery.report import equations, sentences, words
+from soil_env.discovery.report import equations, sentences, tables, words
 from soil_env.discovery.report.pictures import curves
 from soil_env.identification.table import identify_table
 from soil_env.identification.table.data import CHANNELS
@@ -93,6 +93,18 @@ def test_the_share_of_the_curve_in_the_corrected_model_is_told(planted):
     shares = "averaged with the curve, which has 25 % of the sinkage and 7 % of the torque."
     assert shares in told(0.25, 0.004, 0.07)
     assert "averaged" not in told(0.0, 0.0, 0.0)
+
+
+def test_a_strength_that_no_effect_may_have_is_no_smallest_one(planted):
+    """The largest `rim_flow` is 0.12; a table that would show 0.84 shows none."""
+
+    def smallest(size):
+        found = planted.finding.detectable["soil_flow"]._replace(parameter="rim_flow", size=size)
+        finding = dataclasses.replace(planted.finding, detectable={"soil_flow": found})
+        ((_, _, told, *_),) = tables.detectable(dataclasses.replace(planted, finding=finding)).rows
+        return told
+
+    assert smallest(0.84) == "none up to 0.12" and smallest(0.08) == "0.08"
 
 
 @pytest.mark.parametrize(("errors", "said"), [((1.8, 3.1), 1), ((3.1, 1.8), 0), ((0.5, 0.9), 0)])

@@ -161,8 +161,9 @@ def detectable(report: Report) -> Table:
     """
     rows = []
     for name, d in report.finding.detectable.items():
-        unit = LISTED[name].parameter(d.parameter).unit
-        rows.append(
-            (title(name), d.parameter.replace("_", " "), figures(d.size, 2), unit, percent(d.power))
-        )
+        parameter = LISTED[name].parameter(d.parameter)
+        most = max(abs(parameter.low), abs(parameter.high))
+        smallest = figures(d.size, 2) if d.size <= most else f"none up to {most:g}"
+        seen = (smallest, parameter.unit, percent(d.power))
+        rows.append((title(name), d.parameter.replace("_", " "), *seen))
     return Table(("effect", "parameter", "smallest", "unit", "chance of a larger one"), rows)
