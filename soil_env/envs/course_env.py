@@ -310,7 +310,7 @@ class CourseVectorEnv(
         self.metadata = {"render_modes": [], "autoreset_mode": mode}
         self.autoreset_mode = mode
         self._most_steps = max_episode_steps
-        self._rngs: list[np.random.Generator | None] | None = None
+        self._seeded = False  # no vehicle has a random stream yet
         self._done = np.ones(self.num_envs, dtype=np.bool_)
 
     def _set_spaces(
@@ -343,13 +343,11 @@ class CourseVectorEnv(
         """
         mask = self._mask(options)
         seeds = self._seeds(seed)
-        if self._rngs is None:
-            self._rngs = [None] * self.num_envs
-        for k in np.flatnonzero(mask).tolist():
-            if seeds[k] is not None or self._rngs[k] is None:
-                rng, _ = gymnasium.utils.seeding.np_random(seeds[k])
-                self.simulation.seed(k, rng)
-                self._rngs[k] = rng
+        for k, own in enumerate(seeds):
+            # at first also those that this reset leaves out, which a step may restart
+            if not self._seeded or (own is not None and mask[k]):
+                self.simulation.seed(k, gymnasium.utils.seeding.np_random(own)[0])
+        self._seeded = True
         self.simulation.restart_where(mask)
         self._done[mask] = False
         self.infos.renew(mask)
@@ -405,7 +403,7 @@ class CourseVectorEnv(
         A course that has ended is reset in this step or the next, or refused, as `autoreset_mode`
         says. Returns (observations, rewards, terminations, truncations, info).
         """
-        if self._rngs is None:
+        if not self._seeded:
             raise gymnasium.error.ResetNeeded("step() before reset()")
         commands = actions_of(actions, self._shape)
         worlds = self.simulation.worlds
