@@ -88,7 +88,9 @@ def rim_speeds(travel_speed: float | np.ndarray, slip: float | np.ndarray) -> np
     return np.where(slip < 0.0, travel_speed * (1.0 + slip), travel_speed / (1.0 - slip))
 
 
-def slips(rim_speed: np.ndarray, speed: np.ndarray, slow: float = SLOWEST) -> np.ndarray:
+def slips(
+    rim_speed: float | np.ndarray, speed: float | np.ndarray, slow: float = SLOWEST
+) -> np.ndarray:
     """Slip [N] in [-1, 1] of rim and travel speeds [N] in m/s: (r w - V)/(r w) driving, (r w - V)/V
     braking.
 
@@ -100,23 +102,22 @@ def slips(rim_speed: np.ndarray, speed: np.ndarray, slow: float = SLOWEST) -> np
     return np.clip(np.where(rim_speed + speed < -slow, -slip, slip), -1.0, 1.0)
 
 
-def sliding_speeds(travel_speed: np.ndarray, slip: np.ndarray) -> np.ndarray:
-    """`sliding_speed` for arrays [N]: |r w - V| [m/s] at travel speeds V >= 0 and slips in
-    [-1, 1].
-    """
-    slide = travel_speed * np.abs(slip)
-    return np.where(slip < 0.0, slide, slide / np.maximum(1.0 - slip, LEAST_TRAVEL_RATIO))
-
-
 @compiled
 def sliding_speed(slip, travel_speed):
     """|r w - V| [m/s] of a wheel that travels at V >= 0 [m/s] with a slip in [-1, 1].
 
-    The rim speed is V/(1 - slip) when driving; `LEAST_TRAVEL_RATIO` bounds it near a slip of 1. At
-    V = 0 it is 0, also of a wheel that spins: the slip does not tell its rim speed.
+    It is V |slip| of a braked wheel and V slip/(1 - slip) of a driving one, whose divisor is at
+    least `LEAST_TRAVEL_RATIO`. At V = 0 it is 0, also of a wheel that spins: the slip does not tell
+    its rim speed.
     """
-    slide = travel_speed * abs(slip)
-    return slide if slip < 0.0 else slide / max(1.0 - slip, LEAST_TRAVEL_RATIO)
+    return travel_speed * abs(slip) / min(max(1.0 - slip, LEAST_TRAVEL_RATIO), 1.0)
+
+
+def sliding_speeds(slip: np.ndarray, travel_speed: np.ndarray) -> np.ndarray:
+    """`sliding_speed` for arrays: |r w - V| [m/s], [N], at slips [N] and travel speeds [N] V >= 0
+    [m/s].
+    """
+    return travel_speed * np.abs(slip) / np.clip(1.0 - slip, LEAST_TRAVEL_RATIO, 1.0)
 
 
 @compiled
@@ -133,7 +134,9 @@ def slip_of_radius(slip, scale):
 
 
 def slips_of_radius(slip: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """`slip_of_radius` of arrays [N]."""
+    """`slip_of_radius` for arrays: slips [N] by the radius r', from slips [N] by the radius r and
+    r/r' [N].
+    """
     ratio = scale * travel_speeds(1.0, slip)
     with np.errstate(divide="ignore"):  # 1/0 of the other branch
         scaled = np.where(ratio <= 1.0, 1.0 - ratio, 1.0 / ratio - 1.0)

@@ -332,3 +332,16 @@ def test_stepping_wheels_that_were_never_reset_is_refused(mode):
         return
     assert np.all(np.isfinite(observations))
     assert env.simulation.worlds.courses["drawn"][1] > 0  # or it was reset by the step
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+@KINDS
+def test_vehicles_that_the_first_reset_leaves_out_are_seeded_too(kind, mode):
+    """The step that restarts them gives each the course of its own seed."""
+    env = kind.many(3, observation="blind", autoreset_mode=mode)
+    env.reset(seed=7, options={"reset_mask": np.array([True, False, False])})
+    restarted = env.step(np.full((3, kind.motors), 0.3))[0]
+    np.testing.assert_array_equal(
+        restarted[1:], kind.many(3, observation="blind").reset(seed=7)[0][1:]
+    )
+    assert not np.array_equal(restarted[1], restarted[2])

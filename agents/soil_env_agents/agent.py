@@ -30,7 +30,6 @@ from soil_env._io.loading import (
     one_line,
     quantity,
 )
-from soil_env.envs.rover_env import rover_action_space
 from soil_env.envs.wheel_env import action_space
 from soil_env.parameters import RoverScenario, Scenario
 from soil_env.simulation.rover.task import rover_layout
@@ -293,11 +292,7 @@ def load_agent(path: str | Path) -> Agent:
     cls, arguments = network(info.ppo, info.observation_names)
     policy = cls(
         box,
-        (
-            rover_action_space(info.task.axles)
-            if isinstance(info.task, RoverScenario)
-            else action_space()
-        ),
+        action_space(info.task.axles if isinstance(info.task, RoverScenario) else 1),
         lambda _: 0.0,
         **arguments,
     )

@@ -252,7 +252,7 @@ class Problem:
         sliding = 0.0
         if np.all(speed > 0.0):
             middle = _geometric_mean(speed)
-            slide = sliding_speeds(speed, rows.slip)
+            slide = sliding_speeds(rows.slip, speed)
             sliding = _geometric_mean(slide[slide > 0.0]) if np.any(slide > 0.0) else middle
         load = float(np.median(rows.load))
         return Bench(

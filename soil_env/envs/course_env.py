@@ -39,17 +39,18 @@ _ONLY = np.ones(1, dtype=np.bool_)
 _NONE = np.zeros(1, dtype=np.bool_)
 
 
-def check_count(name: str, count: object) -> None:
-    """ParameterError unless `count` is a whole number of at least one."""
-    if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
-        raise ParameterError(f"{name} = {count!r}: expected a whole number >= 1")
+def _whole_number(name: str, given: object, least: int) -> int:
+    """`given` as int; ParameterError, with this `name`, unless it is a whole number of at least
+    `least`.
+    """
+    if not isinstance(given, Integral) or isinstance(given, bool) or given < least:
+        raise ParameterError(f"{name} = {given!r:.80}: expected a whole number >= {least}")
+    return int(given)
 
 
-def _checked_seed(name: str, seed: object) -> int:
-    """`seed` as int; ParameterError unless it is a whole number of at least zero."""
-    if not isinstance(seed, Integral) or isinstance(seed, bool) or seed < 0:
-        raise ParameterError(f"{name} = {seed!r:.80}: expected a whole number >= 0")
-    return int(seed)
+def action_space(motors: int = 1) -> gymnasium.spaces.Box:
+    """Box(-1, 1, (motors,), float32): a number for the motors of each axle."""
+    return gymnasium.spaces.Box(-1.0, 1.0, (motors,), np.float32)
 
 
 def scenario_changes(
@@ -71,8 +72,7 @@ def scenario_changes(
         if key not in fields:
             raise UnknownKeyword(key, (*own, *fields))
     if repeat is not None:
-        check_count("repeat", repeat)
-        repeat = int(repeat)
+        repeat = _whole_number("repeat", repeat, 1)
     given = {
         name: value for name, value in (("action", action), ("repeat", repeat)) if value is not None
     }
@@ -87,7 +87,12 @@ def scenario_changes(
 
 
 def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Actions of this shape, cut to [-1, 1]; ValueError unless they are finite numbers of it."""
+    """`actions` as float64 of this `shape`, cut to [-1, 1]; ValueError unless they are finite
+    numbers of that shape.
+
+    [motors] is the shape of one vehicle, [vehicles, motors] that of many; the message names the
+    first vehicle with a wrong action.
+    """
     what = "action" if len(shape) == 1 else "actions"
     try:
         a = np.asarray(actions, dtype=np.float64)
@@ -101,7 +106,7 @@ def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
         return a
     finite = np.isfinite(a)
     if not finite.all():
-        # of many actions [courses, ...] the first course with a wrong one
+        # index of the first vehicle with a wrong action, of many
         row = () if len(shape) == 1 else np.argwhere(~finite)[0, :1].tolist()
         raise ValueError(
             f"{what}{row or ''} = {a[*row].tolist()!r:.80}: expected finite numbers in [-1, 1]"
@@ -145,8 +150,12 @@ class _Common:
 
 
 class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
-    """Base of the environments of one course; a subclass sets `simulation` and `infos`, and makes
-    the view.
+    """Base of the environments of one course; a subclass sets `simulation`, of one vehicle, and
+    `infos`.
+
+    `entries`: of the observation `variant`, in order; `actions`: the space of actions; `scaled`:
+    observations are scaled to order one (`Scaling`). Raises ParameterError for a `render_mode` that
+    is not in `metadata`.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
@@ -246,7 +255,7 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
         return Soil.of_state(soil, self.scenario.gravity)
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the window: a copy opens its own."""
+        """All attributes, with no view: a copy makes its own, and opens its own window."""
         return {**self.__dict__, "_renderer": None}
 
     def close(self) -> None:
@@ -276,7 +285,10 @@ class CourseVectorEnv(
     _Common, gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]
 ):
     """Base of the environments of many courses; a subclass sets `scenario`, `simulation` and
-    `infos`.
+    `infos`, and calls `_set_spaces`.
+
+    Raises ParameterError for a count that is no whole number >= 1, any `render_mode`, and an
+    unknown `autoreset_mode`.
     """
 
     simulation: Vehicles
@@ -291,10 +303,10 @@ class CourseVectorEnv(
         threads: int | None,
         render_mode: str | None,
     ) -> None:
-        check_count("num_envs", num_envs)
+        self.num_envs = _whole_number("num_envs", num_envs, 1)
         for name, count in (("max_episode_steps", max_episode_steps), ("threads", threads)):
             if count is not None:
-                check_count(name, count)
+                _whole_number(name, count, 1)
         if render_mode is not None:
             raise ParameterError(
                 "render_mode: the vector env does not render; use a single environment"
@@ -306,11 +318,10 @@ class CourseVectorEnv(
             raise ParameterError(
                 f"autoreset_mode = {autoreset_mode!r}: expected one of {known}"
             ) from None
-        self.num_envs = int(num_envs)
         self.metadata = {"render_modes": [], "autoreset_mode": mode}
         self.autoreset_mode = mode
         self._most_steps = max_episode_steps
-        self._rngs: list[np.random.Generator | None] | None = None
+        self._seeded = False  # no vehicle has a random stream yet
         self._done = np.ones(self.num_envs, dtype=np.bool_)
 
     def _set_spaces(
@@ -343,13 +354,11 @@ class CourseVectorEnv(
         """
         mask = self._mask(options)
         seeds = self._seeds(seed)
-        if self._rngs is None:
-            self._rngs = [None] * self.num_envs
-        for k in np.flatnonzero(mask).tolist():
-            if seeds[k] is not None or self._rngs[k] is None:
-                rng, _ = gymnasium.utils.seeding.np_random(seeds[k])
-                self.simulation.seed(k, rng)
-                self._rngs[k] = rng
+        for k, own in enumerate(seeds):
+            # at first also those that this reset leaves out, which a step may restart
+            if not self._seeded or (own is not None and mask[k]):
+                self.simulation.seed(k, gymnasium.utils.seeding.np_random(own)[0])
+        self._seeded = True
         self.simulation.restart_where(mask)
         self._done[mask] = False
         self.infos.renew(mask)
@@ -385,7 +394,7 @@ class CourseVectorEnv(
         if seed is None:
             return [None] * self.num_envs
         if isinstance(seed, Integral):
-            first = _checked_seed("seed", seed)
+            first = _whole_number("seed", seed, 0)
             return [first + k for k in range(self.num_envs)]
         if isinstance(seed, str) or not isinstance(seed, Sequence | np.ndarray):
             raise ParameterError(
@@ -393,7 +402,9 @@ class CourseVectorEnv(
             )
         if len(seed) != self.num_envs:
             raise ParameterError(f"seed: expected {plural(self.num_envs, 'seed')}, got {len(seed)}")
-        return [None if s is None else _checked_seed(f"seed[{k}]", s) for k, s in enumerate(seed)]
+        return [
+            None if s is None else _whole_number(f"seed[{k}]", s, 0) for k, s in enumerate(seed)
+        ]
 
     def step(
         self, actions: ArrayLike
@@ -405,7 +416,7 @@ class CourseVectorEnv(
         A course that has ended is reset in this step or the next, or refused, as `autoreset_mode`
         says. Returns (observations, rewards, terminations, truncations, info).
         """
-        if self._rngs is None:
+        if not self._seeded:
             raise gymnasium.error.ResetNeeded("step() before reset()")
         commands = actions_of(actions, self._shape)
         worlds = self.simulation.worlds
@@ -434,7 +445,13 @@ class CourseVectorEnv(
         )
 
     def _finals(self) -> Info:
-        """Last observations and infos of the courses that have ended, before they are reset."""
+        """Last observations and infos of the courses that have ended, before they are reset, as
+        Gymnasium names them.
+
+        `final_obs` [N] objects: an observation [D], None where a course goes on; `final_info`: see
+        `VehicleInfos.final`, absent where infos are "none". `_final_obs` and `_final_info` [N] bool
+        say which have ended.
+        """
         worlds = self.simulation.worlds
         ended = self._done.copy()
         final = np.full(self.num_envs, None, dtype=object)

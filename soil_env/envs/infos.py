@@ -25,7 +25,6 @@ STUCK = np.array([cause in IMMOBILISED for cause in Cause])  # [causes] bool, by
 _STUCK = STUCK.tolist()
 _CAUSES = tuple(cause.name for cause in Cause)
 _TERMS = tuple(f"reward_{name}" for name in REWARD_TERMS)
-STATUS = {status.value: status.name for status in Status}
 STATE = (
     "x",
     "speed",
@@ -88,15 +87,14 @@ def flat(nested: Mapping[str, Any], prefix: str = "") -> Info:
 
 
 def _numbers(info: Mapping[str, Any]) -> dict[str, np.number]:
-    """Numpy numbers of a flat info, for readers that ask for a dtype: float64, but int64 for the
-    causes, statuses and truth values named below.
+    """Numpy numbers of a flat info, for readers that ask for a dtype: float64, but int64 for
+    causes, statuses and truth values.
 
     True is 1, since the vector environments of gymnasium would gather `np.bool_` as objects.
     """
-    out = dict(zip(info, np.array(list(info.values())), strict=True))
-    return out | {
-        name: np.int64(info[name])
-        for name in ("cause", "immobilised", "estimate_status", "passable")
+    return {
+        name: np.float64(value) if isinstance(value, float) else np.int64(value)
+        for name, value in info.items()
     }
 
 
@@ -159,6 +157,8 @@ class Infos(VehicleInfos):
     def __init__(self, simulation: Simulation, kind: str) -> None:
         super().__init__(simulation, kind)
         wheels = simulation.count
+        averages = simulation.worlds.recent
+        self._shows_ground = averages is not None and len(averages) > 0  # infos may have it
         self._assess = None
         self._foresight = None
         if simulation.belief is not None:
@@ -174,11 +174,10 @@ class Infos(VehicleInfos):
 
     def after_step(self, reset: np.ndarray) -> None:
         """Mark traversabilities as out of date whose estimate a step has changed, or whose wheel it
-        has reset, `reset` [wheels] bool. Nothing where no estimate is asked for.
+        has reset, `reset` [wheels] bool. Nothing where no info needs them.
         """
-        changed = self._simulation.worlds.changed
-        if changed is not None and (asks(self.kind) or len(self._simulation.worlds.recent)):
-            which = (changed > 0) | reset
+        if self._shows_ground:
+            which = (self._simulation.worlds.changed > 0) | reset
             if which.any():
                 self.renew(which)
 
@@ -191,7 +190,9 @@ class Infos(VehicleInfos):
         self._stale |= which
 
     def one(self, k: int) -> Info:
-        """Info of wheel k."""
+        """Info of wheel k: in words and numbers of Python with "full" and "state", else numbers of
+        numpy.
+        """
         if self.kind == "none":
             return {}
         worlds = self._simulation.worlds
@@ -213,7 +214,7 @@ class Infos(VehicleInfos):
             ids = worlds.ids
             gain = self.scenario.belief.dig_gain
             known = published(ids.estimate[k].tolist(), ids.sd[k].tolist(), gain)
-            info["estimate"] = known | {"status": STATUS[ids.status.item(k)]}
+            info["estimate"] = known | {"status": Status(ids.status.item(k)).name}
             only = np.array([k])
             ground = dict(zip(_COLUMNS, self._renewed(worlds, only)[k].tolist(), strict=True))
             foreseen = self._foreseen(worlds, only)[0].tolist()
@@ -248,10 +249,9 @@ class Infos(VehicleInfos):
 
         It is that of `kind`, with the groups of "full" if something is identified, else of "state".
         """
-        worlds = self._simulation.worlds
-        identified = worlds.recent is not None and len(worlds.recent) > 0
-        info = self.many() | {"reward_terms": self._terms(), "x": worlds.state["x"].copy()}
-        return masked(info | self._groups(ended, identified), ended)
+        x = self._simulation.worlds.state["x"].copy()
+        info = self.many() | {"reward_terms": self._terms(), "x": x}
+        return masked(info | self._groups(ended, self._shows_ground), ended)
 
     def _groups(self, which: np.ndarray, identified: bool) -> Info:
         """State, and if `identified` estimate and traversability, arrays [wheels].
@@ -276,8 +276,10 @@ class Infos(VehicleInfos):
 
 
 def estimates(known: Any, scenario: Scenario) -> dict[str, np.ndarray]:
-    """Estimates of the soil under each wheel, arrays [wheels] or [rovers, axles], of `known`: `ids`
-    or `known` of `Worlds`.
+    """`published` estimates of the soil under each wheel with their `status`, arrays [wheels] or
+    [rovers, axles].
+
+    `known`: `ids` or `known` of `Worlds`.
     """
     mean, sd = (np.moveaxis(array, -1, 0).copy() for array in (known.estimate, known.sd))
     found = published(mean, sd, scenario.belief.dig_gain, np)
@@ -285,7 +287,9 @@ def estimates(known: Any, scenario: Scenario) -> dict[str, np.ndarray]:
 
 
 def masked(info: Info, which: np.ndarray) -> Info:
-    """Arrays with 0 where `which` is false, and beside each key `_key` with `which`."""
+    """An info of arrays [vehicles, ...] or dicts of them: with 0 where `which` [vehicles] bool is
+    False, and beside each key `_key` with `which`.
+    """
     out: Info = {}
     for key, value in info.items():
         out[key] = (

@@ -83,7 +83,9 @@ class _Reader(OnlineIdentifier):
 
     @property
     def white(self) -> np.ndarray:
-        """White noise of the last readings, very large for a missing one, which has no weight."""
+        """White noise of the last readings, a record `READING` of standard deviations; very large
+        for a missing reading, which has no weight.
+        """
         return self._setting["white"][0, 0]
 
 
@@ -199,9 +201,7 @@ class Observer:
                 f"image: scenario {self.scenario.name!r} has terrain classes: expected the Image "
                 "of a camera"
             )
-        sample = self._worlds.samples[0, 0]
-        for name, value in self._image._asdict().items():
-            sample[name] = value
+        self._worlds.samples[list(Image._fields)] = tuple(self._image)
 
     def _read_sensors(self, readings: Readings, period: float) -> bool:
         """Store readings, with the last ones in place of missing ones, and count these as held;
@@ -222,9 +222,7 @@ class Observer:
                 self.held[own] = self.held.get(own, 0) + 1
         self._read |= measured
         self._last = values
-        sample = self._worlds.samples[0, 0]
-        for name, value in values._asdict().items():
-            sample[name] = value
+        self._worlds.samples[list(SensorReading._fields)] = tuple(values)
         if known:
             self._board.setting["identifier"]["white"][0, 0, 0] = self._reader.white
         return bool(known)

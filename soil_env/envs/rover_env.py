@@ -2,8 +2,6 @@
 
 from typing import Any
 
-import gymnasium
-import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from soil_env.parameters import DEFAULT_ROVER, RoverScenario, Soil, load_rover
@@ -11,7 +9,14 @@ from soil_env.parameters.rover import RoverLike
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.terramechanics.model import ModelLike
 
-from .course_env import OF_MANY, OWN, CourseEnv, CourseVectorEnv, scenario_changes
+from .course_env import (
+    OF_MANY,
+    OWN,
+    CourseEnv,
+    CourseVectorEnv,
+    action_space,
+    scenario_changes,
+)
 from .infos import asks, checked
 from .rover_infos import RoverInfos
 from .rovers import RoverSimulation
@@ -33,11 +38,6 @@ def build_rover(
     return load_rover(
         rover, scenario_changes(changes, action, repeat, own, RoverScenario), "keyword"
     )
-
-
-def rover_action_space(axles: int) -> gymnasium.spaces.Box:
-    """Box(-1, 1, (axles,), float32)."""
-    return gymnasium.spaces.Box(-1.0, 1.0, (axles,), np.float32)
 
 
 class SoilRoverEnv(CourseEnv):
@@ -186,7 +186,7 @@ class SoilRoverEnv(CourseEnv):
         )
         entries = rover_layout(observation, scenario.axles)
         super().__init__(
-            scenario, entries, observation, rover_action_space(scenario.axles), render_mode, scaled
+            scenario, entries, observation, action_space(scenario.axles), render_mode, scaled
         )
         info = checked(info, observation)
         self.simulation: RoverSimulation = RoverSimulation(
@@ -233,7 +233,7 @@ class SoilRoverVectorEnv(CourseVectorEnv):
         scenario = build_rover(rover, action, repeat, changes, _OWN_OF_MANY)
         self.scenario: RoverScenario = self._in_world(scenario, model, scatter, changes)
         axles = self.scenario.axles
-        self._set_spaces(rover_layout(observation, axles), rover_action_space(axles), scaled)
+        self._set_spaces(rover_layout(observation, axles), action_space(axles), scaled)
         info = checked(info)
         self.simulation: RoverSimulation = RoverSimulation(
             self.num_envs, self.scenario, observation, threads, self.model, asks(info)

@@ -38,7 +38,7 @@ class RoverInfos(VehicleInfos):
         """States of body and axles, and if `identified` the estimate of each axle; all rovers."""
         w = self._simulation.worlds
         info: Info = {"state": {name: w.state[name].copy() for name in _OF_BODY}}
-        known = estimates(w.known, self.scenario) if identified and w.known is not None else {}
+        known = estimates(w.known, self.scenario) if identified else {}
         for a, axle in enumerate(self._axles):
             wheels = w.state["wheels"][:, a]
             info[axle] = {"state": {name: wheels[name].copy() for name in _OF_WHEEL}}

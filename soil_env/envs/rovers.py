@@ -52,7 +52,9 @@ class RoverSimulation(Vehicles):
         self._check_drivable(new_rover_worlds(1, scenario, self.numbers, False))
 
     def true_soil(self) -> np.ndarray:
-        """Observations of the variant `true_soil` now, in its units [rovers, D] float32."""
+        """Observations of the variant `true_soil` now, in its units [rovers, D] float32, whatever
+        variant is observed.
+        """
         entries = rover_layout("true_soil", self.scenario.axles)
         sensed = first_soil(self.scenario.axles)
         soils = np.empty((self.count, len(entries) - sensed), dtype=np.float32)

@@ -141,9 +141,11 @@ class Vehicles:
         self._view()
 
     def _check_drivable(self, trial: Any) -> None:
-        """Refuse a scenario whose soils are too weak for this vehicle, before a training begins.
+        """Refuse a scenario whose soils are too weak for this vehicle, before a training begins:
+        ParameterError.
 
-        `trial`: the arrays of one vehicle, in which `TRIAL_COURSES` courses are started.
+        `trial`: the arrays of one vehicle, in which `TRIAL_COURSES` courses are started. Each
+        leaves the mass in its reward, or -1 if no soil was found.
         """
         vehicles = trial.state
         vehicles["stream"] = 1
@@ -172,7 +174,7 @@ class Vehicles:
         self._one(k, COMPLETE, self._draw)
 
     def step(self, k: int, action: Any) -> None:
-        """One step of vehicle k: the control periods of an action."""
+        """One step of vehicle k: the control periods of an `action`, one number or one a motor."""
         self._actions[k] = action
         if self._ready.item(k) < self._x.item(k) + self._ahead:
             self._one(k, AHEAD, self._draw)
@@ -234,7 +236,9 @@ class Vehicles:
         check_laid(sum(run(run_chunk, chunks)))
 
     def _draw(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> int:
-        """Draw the ground that the orders ask for; return how many vehicles found no soil."""
+        """Draw the ground that the orders of vehicles `first` to `end` - 1 ask for; return for how
+        many of them no soil was found.
+        """
         return self._lay(self._world, self.course_numbers, orders, scratch, first, end)
 
     def _drive(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> int:
@@ -248,11 +252,11 @@ class Vehicles:
         return 0
 
     def _move(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:
-        """Follow the orders in the world."""
+        """Follow the orders of vehicles `first` to `end` - 1 in the world."""
         self._step(self._world, self.numbers, self._actions, orders, scratch, first, end)
 
 
 def check_laid(failed: int) -> None:
-    """RuntimeError if no soil was found for a course."""
+    """RuntimeError if there are vehicles, `failed` of them, for whose course no soil was found."""
     if failed:
         raise RuntimeError("no soil found that leaves this vehicle course.least_pull")

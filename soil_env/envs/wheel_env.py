@@ -3,7 +3,6 @@
 from typing import Any
 
 import gymnasium
-import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from soil_env._io.loading import ParameterError
@@ -14,7 +13,14 @@ from soil_env.simulation.task import layout
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.terramechanics.model import ModelLike
 
-from .course_env import OF_MANY, OWN, CourseEnv, CourseVectorEnv, scenario_changes
+from .course_env import (
+    OF_MANY,
+    OWN,
+    CourseEnv,
+    CourseVectorEnv,
+    action_space,
+    scenario_changes,
+)
 from .infos import IMMOBILISED, Infos, asks, checked
 from .wheels import Simulation
 
@@ -51,11 +57,6 @@ def observation_space(
 ) -> gymnasium.spaces.Box:
     """Box of the observation variant on such a `course`, float32."""
     return Scaling(layout(variant, course), scaled).space
-
-
-def action_space() -> gymnasium.spaces.Box:
-    """Box(-1, 1, (1,), float32)."""
-    return gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
 
 
 class SoilWheelEnv(CourseEnv):
@@ -310,7 +311,9 @@ class SoilWheelEnv(CourseEnv):
         self.infos: Infos = Infos(self.simulation, info)
 
     def estimate(self) -> Soil:
-        """The identified soil, with the belief's exponent and recovery of digging."""
+        """The identified soil, with the belief's exponent and recovery of digging, each number
+        within its bounds; ParameterError where nothing is identified.
+        """
         ids = self.simulation.worlds.ids
         if ids is None:
             raise ParameterError(

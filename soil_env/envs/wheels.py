@@ -67,7 +67,7 @@ class Simulation(Vehicles):
         self._order = self._heads["order"]
 
     def _move(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:
-        """Follow the orders in the world, where a wheel's order is in its record."""
+        """Follow the orders as `Vehicles._move`; a wheel's order and action are in its record."""
         if end - first == 1:  # a slice of one takes longer
             self._order[first] = orders[first]
         else:

@@ -191,7 +191,7 @@ def hand_over_border(pools, a, memory, behind, setting, work):
 
 @kept
 def follow_averages(recent, readings, halted, setting, warning):
-    """Averages [MEMORY] of `readings` [T], the first of them at the start of a course."""
+    """Averages [RECENT] of `readings` [T], the first of them at the start of a course."""
     immobilisation.begin_averages(recent, readings[0], setting[0], warning[0])
     for k in range(1, len(readings)):
         immobilisation.average(recent, readings[k], halted[k], setting[0], warning[0])

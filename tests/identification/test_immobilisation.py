@@ -18,10 +18,10 @@ READING = SensorReading(0.3, 0.03, 10.0, 150.0, 5.0, 0.1, 0.15, 0.1, 6.0, 1.2)
 
 
 def follow(readings, halted=None, scenario=SCENARIO):
-    """Memory of one wheel [MEMORY] after the first of `readings` at the start and the others in a
+    """Memory of one wheel [RECENT] after the first of `readings` at the start and the others in a
     period each.
     """
-    recent = np.zeros(im.MEMORY)
+    recent = np.zeros(im.RECENT)
     stands = np.zeros(len(readings)) if halted is None else np.array([0.0, *map(float, halted)])
     settings = setting_of(scenario), im.warning_setting(scenario)
     follow_averages(recent, readings_of(readings), stands, *settings)
@@ -43,7 +43,7 @@ def test_the_compiled_network_is_the_one_of_matrices():
     warning = im.ImmobilisationWarning(SCENARIO)
     rng = np.random.default_rng(1)
     k = np.arange(200)
-    recent = np.abs(rng.normal(size=(200, im.MEMORY)))
+    recent = np.abs(rng.normal(size=(200, im.RECENT)))
     estimate = 0.3 * rng.normal(size=(200, 6))
     sd = np.abs(rng.normal(size=(200, 6)))
     found = warning.assess(k, recent, estimate, sd)

@@ -29,8 +29,8 @@ FLATTEST = -0.1
 
 @compiled
 def _newton(x, slip, load, memory, setting, work):
-    """One step of Newton's method from x = ln z: (ln z after it, slope of the condition by ln z at
-    x, ratio q of slip-sinkage).
+    """One step of Newton's method for the steady sinkage z [m] at a `slip` under a `load` [N], from
+    x = ln z. Return (ln z after it, slope of the condition by ln z at x, ratio q of slip-sinkage).
 
     Leaves the forces at x in `work.contact`. Where cohesion alone carries the load the wheel rises
     by a whole `LARGEST_STEP`. z stays within `SHALLOWEST` and `DEEPEST`.
@@ -57,10 +57,12 @@ def _newton(x, slip, load, memory, setting, work):
 
 @compiled
 def _pull_slopes(deeper, slope, ratio, memory, setting, work):
-    """Write the slopes of the steady pull [N] by the unknowns of the soil into `work.step`.
+    """Write the slopes of the steady pull [N] by the unknowns of the soil into `work.step`, from
+    the forces in `work.contact`.
 
     The steady sinkage changes with the soil so that the condition still holds. `deeper` [N]: slope
-    of the pull by ln z at a given soil; `slope`: that of the condition; `ratio`: q.
+    of the pull by ln z at a given soil; `slope`: that of the condition by ln z; `ratio`: q of
+    slip-sinkage.
     """
     by = work.contact[0].by
     through = -deeper / slope  # [N] slope of the pull by the condition, through the sinkage
@@ -74,8 +76,8 @@ def _pull_slopes(deeper, slope, ratio, memory, setting, work):
 
 @compiled
 def renew_best_pull(memory, load, setting, work):
-    """Renew the best pull [of load] in `fresh`, its standard deviation and the steady sinkages,
-    under a measured `load` [N].
+    """Renew the best pull [of load] in `fresh`, its standard deviation in `fresh_sd` and `steady`,
+    the ln of the steady sinkages, under a measured `load` [N].
 
     Slips at which the torque exceeds the motor's are left out. The pull is at least -1 of load.
     Where no slip is left it is -1 with a standard deviation of 1, and the sinkages start anew.

@@ -106,8 +106,8 @@ def feel_border(memory, setting, work):
 
 @compiled
 def put_on_border(memory, cell, setting):
-    """Set the error of the place of a new cell, if it lies before the end of the last border; its
-    soil is then a blend.
+    """Set `place_error` [m] of a new cell, if it lies before the end of the last border or the
+    wheel is on one; its soil is then a blend.
     """
     before_its_end = memory.borders > 0 and cell.place <= memory.border + 0.5 * setting.border
     if before_its_end or memory.crossing > 0.0:
@@ -116,10 +116,11 @@ def put_on_border(memory, cell, setting):
 
 @compiled
 def blend_estimates(into, memory, setting):
-    """Publish the blend of the old and the fresh estimate of the record `into` on a border.
+    """Publish, in `estimate` and `sd` of the record `into`, the blend of its old and its fresh
+    estimate on a border.
 
-    `memory` gives the place of the wheel and of the border, whose variance adds to those of both
-    estimates.
+    `memory`: `MEMORY` of the wheel, by its place and that of the border; the variance of the latter
+    adds to those of both estimates.
     """
     share, slope = share_at(memory.place - memory.border, setting.border)
     rest = 1.0 - share

@@ -23,8 +23,8 @@ NEAREST = 1e-6  # [m2] added to the square of the distance of their places
 
 @compiled
 def _distance(a, b):
-    """Squared distance of two cells by pull, slip and sinkage; unit of each: the one above with the
-    noise of both.
+    """Squared distance [-] of two cells by pull, slip and sinkage. The unit of each is the root of
+    `PULL_UNIT`, `SLIP_UNIT` or `SINKAGE_UNIT` squared plus the variances of both.
     """
     pull = PULL_UNIT**2 + a.pull_variance + b.pull_variance
     slip = SLIP_UNIT**2 + a.slip_variance + b.slip_variance
@@ -44,7 +44,7 @@ def _joint_variance(a, b, share):
 
 @compiled
 def _merge(into, cell):
-    """Average a `cell` into another.
+    """Average a `cell` into the cell `into`.
 
     One share, by the precision of the slip, serves all `MEANS`, so that they stay those of one
     condition. Places are averaged by the number of readings, `OF_CHANGES` by that of changes.
@@ -70,8 +70,8 @@ def _merge(into, cell):
 
 @compiled
 def _apart(a, b):
-    """Squared distance by which cells are kept apart: `_distance` if neither is on a border, by
-    their places if both are, infinite if one is.
+    """Squared distance [-] by which cells are kept apart: `_distance` if neither is on a border,
+    by their places (`ON_BORDER`) if both are, infinite if one is.
     """
     if a.place_error > 0.0 and b.place_error > 0.0:
         return ON_BORDER * ((a.place - b.place) ** 2 + NEAREST)

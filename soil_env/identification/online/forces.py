@@ -10,6 +10,7 @@ import numpy as np
 
 from soil_env._compiled.elementary import half_cos, half_sin, log
 from soil_env._compiled.flags import compiled, compiled_sums, record
+from soil_env.slip import motion_from_slip
 from soil_env.terramechanics.contact import (
     ARC_NODES,
     FRONT_AHEAD,
@@ -119,8 +120,8 @@ class _State(NamedTuple):
     S: float  # [N/m^(n+2)] that carries the load
     b: float  # [m] width
     arc: Arc
-    rim: float  # [-] of the motion in `contact`: 1, and more by soil carried along the rim
-    travel: float  # [-] of the motion: V/(r w)
+    rim: float  # [of r w] of the motion in `contact`: 1, and more by soil carried along the rim
+    travel: float  # [of r w] of that motion: the travel speed
     modulus: float  # [m] K at this length of contact
     by_S: Forces  # derivatives of the forces by S
     rates: ShearRates  # derivatives of the integrals of tau by the motion
@@ -192,7 +193,8 @@ def _derive(contact, i, sums, rim_change, travel_change, state):
 
 @compiled
 def reaction(contact, ground, sinkage, slip, load, r, b):
-    """Write forces and their derivatives into `value` and `by` of a `CONTACT`.
+    """Write pull [N], torque [N m] and ln S into `value` of a `CONTACT`, and their derivatives by
+    the unknowns of the ground, sinkage and slip into `by`, at a load that stays.
 
     The wheel has radius r and width b [m], and stands under a `load` [N] on a `Ground`, at a
     `sinkage` [m] and a `slip` [-] above -1. S is the one that carries the load at this
@@ -200,7 +202,7 @@ def reaction(contact, ground, sinkage, slip, load, r, b):
     """
     nodes = contact.arc[0]
     t = ground.tan_phi
-    travel = 1.0 - slip if slip >= 0.0 else 1.0 / (1.0 + slip)
+    travel = motion_from_slip(slip)[1]
     braked = max(-slip, 0.0)
     shift = braked_shift(braked, ground)
     arc = smooth_arc(sinkage, r, shift)

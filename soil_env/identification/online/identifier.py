@@ -126,8 +126,8 @@ def _surprise(memory, setting, work):
 
 @compiled
 def _find_bearing(memory, reading, setting, work):
-    """Renew the bearing sinkage under the wheel: the depth at which undisturbed ground, or the
-    floor of a rut, carries its present pressure.
+    """Renew `ln_bearing`, of the bearing sinkage under the wheel: the depth at which undisturbed
+    ground, or the floor of a rut, carries its present pressure.
 
     With every point at first and on borders, then with every third (`OFTEN`), also renew the best
     pull, and widen its standard deviation.
@@ -165,8 +165,8 @@ def widening(memory, setting):
 
 @compiled
 def publish(u, V, into, memory, setting):
-    """Write `fresh` and `fresh_sd` of the record `into`, but for the best pull, by a soil u and its
-    covariance V.
+    """Write `fresh` and `fresh_sd` of the record `into`, but for the best pull, by the unknowns u
+    [SOIL] of a soil and their covariance V [SOIL, SOIL].
 
     S gives, with the exponent of the belief, the same pressure at the bearing sinkage. Standard
     deviations are at most those of the prior, then widened after an outlier.
@@ -269,7 +269,7 @@ def _complete(memory, reading, alone, setting, work):
 
 @compiled
 def _is_finite(memory):
-    """True if all that is published is a number."""
+    """True if form error, unknowns and all estimates with their standard deviations are finite."""
     known = memory.estimate.sum() + memory.sd.sum() + memory.fresh.sum() + memory.fresh_sd.sum()
     return math.isfinite(memory.form_error + known + memory.u.sum())
 

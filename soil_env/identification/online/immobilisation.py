@@ -110,10 +110,10 @@ INPUTS = (
 BLIND = len(INPUTS) - len(View._fields)  # inputs that need no camera, the first ones
 _CHANNELS = len(Channels._fields)
 _AVERAGES = _CHANNELS * len(SCALES)  # number of averages, and index of the seconds behind them
-_SEEN = _AVERAGES + 1  # index behind these: of the view in `MEMORY`, of `Estimated` in `INPUTS`
+_SEEN = _AVERAGES + 1  # index behind these: of the view in `RECENT`, of `Estimated` in `INPUTS`
 #: Numbers kept of each wheel: moving averages, seconds of driving since the start or a halt, what
 #: is seen now.
-MEMORY = _SEEN + len(View._fields)
+RECENT = _SEEN + len(View._fields)
 # Indices of the averages over 2 s, the third scale.
 _PITCH, _LOAD = (2 * _CHANNELS + Channels._fields.index(name) for name in ("pitch", "load"))
 
@@ -174,7 +174,7 @@ def _channels(reading, numbers, warning):
 
 @compiled
 def begin_averages(recent, reading, numbers, warning):
-    """Set all moving averages in `recent` [MEMORY] to the first readings of a wheel, at rest at the
+    """Set all moving averages in `recent` [RECENT] to the first readings of a wheel, at rest at the
     start of a course, and its seconds of driving to 0.
     """
     values = _channels(reading, numbers, warning)
@@ -185,7 +185,7 @@ def begin_averages(recent, reading, numbers, warning):
 
 @compiled
 def average(recent, reading, halted, numbers, warning):
-    """Take the readings of a control period into the averages of `recent` [MEMORY], and add the
+    """Take the readings of a control period into the averages of `recent` [RECENT], and add the
     period to the seconds of driving.
 
     In a halt the averages stay as they are, and the seconds begin anew. `numbers`: `SETTING` of the
@@ -211,7 +211,7 @@ def _margin(known, tangent, seen):
 
 @compiled
 def see(recent, image, classes, sight, numbers):
-    """Store the `View` of a control period in `recent` [MEMORY], by an `Image` and the `CLASSES` of
+    """Store the `View` of a control period in `recent` [RECENT], by an `Image` and the `CLASSES` of
     a wheel.
 
     The grade under the wheel is that of its pitch, averaged over 2 s. `sight` [m]: range of the
@@ -243,7 +243,7 @@ def see(recent, image, classes, sight, numbers):
 
 @compiled
 def _write_inputs(recent, x, sd, numbers, out):
-    """Write the `INPUTS` of a wheel into `out`: by its averages and view in `recent` [MEMORY], its
+    """Write the `INPUTS` of a wheel into `out`: by its averages and view in `recent` [RECENT], its
     estimate x [6] and the standard deviations sd [6]. The load is the average over 2 s.
     """
     out[:_AVERAGES] = recent[:_AVERAGES]
@@ -318,7 +318,7 @@ class ImmobilisationWarning:
     def assess(self, rows: np.ndarray, *known: np.ndarray) -> Assessed:
         """Inputs and probabilities of the wheels `rows` [n] int64.
 
-        `known`: averages [wheels, MEMORY], estimates and their sd [wheels, 6].
+        `known`: averages [wheels, RECENT], estimates and their sd [wheels, 6].
         """
         assessed = Assessed(
             np.empty((len(rows), len(INPUTS))), np.empty((len(rows), len(HORIZONS)))

@@ -257,8 +257,8 @@ class OnlineIdentifier:
         return found._replace(passable=found.passable > 0.0)
 
     def _checked(self, readings: Readings) -> tuple[float, float, float]:
-        """(time [s] since the last readings, rim speed, travel speed [m/s]), checked. A missing
-        speed follows from the slip, else it is NaN.
+        """Check readings; return (time [s] since the last ones, rim speed, travel speed [m/s]). A
+        missing speed follows from the slip, else it is NaN.
 
         Warns of an unusual time since the last readings. Raises TypeError for anything but
         `Readings` of numbers, ValueError for a reading or a time that cannot be; see `update`.
@@ -335,7 +335,7 @@ class OnlineIdentifier:
         pitch = 0.0 if r.pitch != r.pitch else r.pitch
         slip = r.slip
         if slip != slip:
-            slip = float(slips(np.array([rim]), np.array([speed]))[0])
+            slip = float(slips(rim, speed))
         reading = self._reading[0]
         reading.slip = min(max(slip, -1.0), 1.0)
         reading.speed = speed
@@ -372,7 +372,7 @@ def _finite(given: object) -> bool:
 
 
 def _bearing_sinkage(scenario: Scenario) -> float:
-    """Sinkage [m] of the wheel at rest under its weight on the soil of the belief."""
+    """Steady sinkage [m] of the wheel at the slip 0 under its weight on the soil of the belief."""
     wheel = scenario.wheel
     soil = soil_of_numbers(vars(scenario.belief), scenario.belief, scenario.gravity)
     state = soil.state(wheel.width)

@@ -70,8 +70,9 @@ def _log_weight(known, u, setting, work, k):
 
 @compiled
 def mix(known, u, setting, work):
-    """Write mean and covariance of the mixture into `soil` and `spread` of `known`, by its
-    `information` and `gradient` at the soil u. The weights of the library go into `work.weights`.
+    """Write mean and covariance of the soil under the whole library into `soil` and `spread` of
+    `known`, by its `information` and `gradient` at the soil u. The weights of the library, whose
+    sum is 1, go into `work.weights`.
 
     Sums are taken over the likeliest weight so far, so that none overflows. Soils below `UNLIKELY`
     have the weight 0.

@@ -30,7 +30,9 @@ def factorise(a, n, factor):
 
 @compiled
 def solve_half(factor, n, right, x):
-    """Write x [n] with U x = right; its square x' x is right' A^-1 right."""
+    """Write x [n] with U x = `right` [n], by the U of `factorise`; x' x is then right' A^-1
+    right.
+    """
     for back in range(n):
         i = n - 1 - back
         rest = right[i]
@@ -41,7 +43,7 @@ def solve_half(factor, n, right, x):
 
 @compiled
 def solve(factor, n, right, x):
-    """Write x [n] with A x = right."""
+    """Write x [n] with A x = `right` [n], by the `factor` U of A."""
     solve_half(factor, n, right, x)
     for i in range(n):
         rest = x[i]
@@ -53,7 +55,7 @@ def solve(factor, n, right, x):
 @compiled
 def invert(factor, m, scratch, inverse):
     """Write the first m rows and columns of A^-1 into `inverse`, both triangles, and those of U^-1
-    into `scratch`.
+    into `scratch`, its upper triangle; by the `factor` U of A.
     """
     for j in range(m):
         scratch[j, j] = 1.0 / factor[j, j]

@@ -23,7 +23,7 @@ from .borders import see_border
 from .class_memory import CLASSES, clear_of_borders, forget_classes, remember_class
 from .identifier import HELD, RENEWED, observe
 from .immobilisation import (
-    MEMORY as AVERAGES,
+    RECENT,
     WARNING_SETTING,
     average,
     begin_averages,
@@ -62,7 +62,7 @@ OF_BODY = 1e6
 ON_WHEEL, ON_ROVER = (
     record(
         changed=("i8",),  # 1 if the last step changed the estimate
-        recent=("f8", AVERAGES),  # for warnings: averages and view
+        recent=("f8", RECENT),  # for warnings: averages and view
         identifier=(MEMORY, axles),
         pools=(POOL, axles),
         classes=(CLASSES, 1),
@@ -220,7 +220,7 @@ def knowledge(known, setting):
 
 @compiled
 def _mean_knowledge(vehicle, board):
-    """Mean of `knowledge` over the axles of a vehicle."""
+    """Mean of `knowledge` [nat] over the axles of a vehicle; of a rover by all its wheels."""
     total = 0.0
     for a in range(board.axles):
         if board.pooled > 0:
@@ -241,7 +241,7 @@ def reward_information(vehicle, before, after, board):
     left = board.discount * after if vehicle.cause == RUNNING else 0.0
     terms = vehicle.terms
     terms[INFORMATION] += board.information * (left - before)
-    vehicle.reward = terms[0] + terms[1] + terms[2] + terms[INFORMATION]
+    vehicle.reward = terms.sum()
 
 
 @compiled
@@ -292,8 +292,9 @@ def write_estimate(out, known, dig_gain):
 def _show_ahead(vehicle, sample, board, out):
     """Fill what is known of the classes on the routes ahead into the last entries of `out`.
 
-    Each route has `OF_SOIL` entries. They are 0 where it is out of sight, and of the second route
-    where there is one. The flag is 1 if the class of the route has been met.
+    Each route has `OF_SOIL` entries: estimate and margin over the grade that is seen. They are 0
+    where the route is out of sight, and those of the second where this patch has only one. The flag
+    is 1 if the class of the route has been met.
     """
     for route in range(board.lines):
         ahead = out[out.size - (board.lines - route) * OF_SOIL :]
@@ -309,8 +310,8 @@ def _show_ahead(vehicle, sample, board, out):
 
 @compiled
 def show_estimate(vehicle, sample, board, out):
-    """Fill what is identified into the observation `out` [D] of a vehicle; all entries are cut to
-    their bounds.
+    """Fill what is identified into the observation `out` [D] of a vehicle: of each axle from the
+    entry `board.first` on, then of the classes ahead. All of `out` is cut to its bounds.
     """
     gain = board.identifier[0].dig_gain
     for a in range(board.axles):
@@ -327,7 +328,7 @@ def show_estimate(vehicle, sample, board, out):
 
 @compiled
 def _see_ahead(vehicle, sample, board):
-    """Store the `View` for the warning, where camera and warning are both in use."""
+    """Store the `View` of a `SAMPLE` for the warning, where camera and warning are both in use."""
     if board.camera > 0 and board.warns > 0:
         see(vehicle.recent, sample, vehicle.classes[0], board.sight, board.identifier[0])
 

@@ -49,7 +49,7 @@ TYPICAL_PULL = 0.2  # [of weight]
 
 @compiled
 def is_sound(reading, setting):
-    """True if all readings are numbers that a wheel can give."""
+    """True if all of a `READING` are numbers that a wheel can give: at most `SETTING.largest`."""
     largest = setting.largest[0]
     sound = True
     for name in literal_unroll(NAMES):
@@ -59,7 +59,8 @@ def is_sound(reading, setting):
 
 @compiled
 def slip_error(reading, setting):
-    """Standard deviation of the slip: that of a slip sensor, or by the white noise of both speeds.
+    """Standard deviation of the slip [-]: that of a slip sensor where there is one (white noise
+    above 0), else by the white noise of both speeds.
 
     Rim speeds below `SLOWEST` count as `SLOWEST`. Braked, the slip is rim over travel speed less 1.
     """
@@ -150,8 +151,8 @@ class Sensor(NamedTuple):
 
 @compiled
 def _combine(one, other, unit):
-    """(mean of two sensors, variance of its white noise, share of the other sensor in it), the
-    first two in a `unit`.
+    """(mean of two sensors `one` and `other`, variance of its white noise, share of the other in
+    it); the mean in a `unit`, the variance in its square.
 
     Sensors count by their precision: 1 over the sum of the variances of all three errors.
     """
@@ -165,7 +166,8 @@ def _combine(one, other, unit):
 
 @compiled
 def combined_pull(memory, reading, setting):
-    """`_combine` of force sensor and accelerometer, in units of the weight.
+    """Pull by force sensor and accelerometer: (mean [of weight], its variance, share of the
+    accelerometer), as of `_combine`.
 
     The accelerometer reads acceleration and g sin(grade): times the mass on the wheel, the pull.
     """
@@ -194,7 +196,8 @@ def combined_pull(memory, reading, setting):
 
 @compiled
 def _combined_torque(reading, turned, setting):
-    """`_combine` of torque sensor and motor torque, in units of weight x radius.
+    """Torque by its sensor and the motor's: (mean [of weight x radius], its variance, share of the
+    motor), as of `_combine`.
 
     A change `turned` [m/s] of the rim speed in the period takes a torque of the motor. `SPIN_ERROR`
     times that torque counts as white noise of the motor's, less what noise of the rim speed shows.

@@ -156,27 +156,28 @@ def residuals(cell, memory, setting, work):
     """
     u = memory.u
     J = work.slopes
-    r = setting.radius
-    W = setting.weight
+    radius = setting.radius
+    weight = setting.weight
     share, by_place = _blend(cell, memory, setting, work)
     soil = work.soil
     ground = ground_of(soil, setting)
-    sinkage = max(cell.sinkage - u[SINKAGE_ZERO], SHALLOWEST * r)
+    sinkage = max(cell.sinkage - u[SINKAGE_ZERO], SHALLOWEST * radius)
     load = cell.load * (1.0 - u[LOAD_GAIN])
     slip = min(cell.most_likely_slip, MOST_SLIP)
     contact = work.contact[0]
-    reaction(contact, ground, sinkage, slip, load, r, setting.width)
+    reaction(contact, ground, sinkage, slip, load, radius, setting.width)
     by = contact.by
-    to_pull = 1.0 / W
-    to_torque = (1.0 + u[TORQUE_GAIN]) / (W * r)
+    to_pull = 1.0 / weight
+    to_torque = (1.0 + u[TORQUE_GAIN]) / (weight * radius)
     pull = contact.value[PULL] * to_pull
-    torque = contact.value[TORQUE] / (W * r)
+    torque = contact.value[TORQUE] / (weight * radius)
     faster = slip_slope(slip, setting)
     off = cell.slip + u[SPEED_GAIN] * faster - slip  # from `slip` to the corrected measured one
     p_slip = by[PULL, BY_SLIP] * to_pull
     t_slip = by[TORQUE, BY_SLIP] * to_torque
     p_depth = by[PULL, BY_SINKAGE] * to_pull
     t_depth = by[TORQUE, BY_SINKAGE] * to_torque
+    # residuals of pull and torque; `pull` and `torque` are those of the soil
     p = cell.pull - pull * (1.0 + cell.inertial * u[LOAD_GAIN]) - u[PULL_ZERO] - p_slip * off
     t = cell.torque - torque * (1.0 + u[TORQUE_GAIN]) - u[TORQUE_ZERO] - t_slip * off
     for j in range(OF_GROUND):
@@ -219,8 +220,8 @@ def residuals(cell, memory, setting, work):
     by_torque = t_slip * (joint_weight * p + torque_weight * t)
     likely = slip + off + cell.slip_variance * (by_pull + by_torque)
     cell.most_likely_slip = min(max(likely, cell.slip - FARTHEST_SLIP), cell.slip + FARTHEST_SLIP)
-    s, weight = _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work)
-    return Residuals(p, t, s, pull_weight, joint_weight, torque_weight, weight)
+    s, sinkage_weight = _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work)
+    return Residuals(p, t, s, pull_weight, joint_weight, torque_weight, sinkage_weight)
 
 
 @compiled
