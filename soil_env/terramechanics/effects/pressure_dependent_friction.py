@@ -23,9 +23,7 @@ def rubbed_under_pressure(soil, passage, fx):
         fx.pressure_dependent_friction_reference_pressure,
         fx.pressure_dependent_friction_exponent,
     )
-    return with_strength(
-        soil, factor * soil.tan_phi, soil.cohesion, soil.shear_modulus, soil.rim_flow
-    )
+    return with_strength(soil, factor * soil.tan_phi, soil.cohesion, soil.shear_modulus)
 
 
 def middle_pressure(bench: Bench) -> dict[str, float]:

@@ -15,9 +15,7 @@ def stretched_under_pressure(soil, passage, fx):
         fx.pressure_dependent_modulus_reference_pressure,
         fx.pressure_dependent_modulus_exponent,
     )
-    return with_strength(
-        soil, soil.tan_phi, soil.cohesion, factor * soil.shear_modulus, soil.rim_flow
-    )
+    return with_strength(soil, soil.tan_phi, soil.cohesion, factor * soil.shear_modulus)
 
 
 EFFECT = Effect(
