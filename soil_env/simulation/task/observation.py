@@ -104,5 +104,4 @@ def write_soils_ahead(out, course, sight, camera):
             write_soil(entries, soil_of(route))
             entries[ENTRIES_OF_SOIL] = route.capacity - math.tan(seen_grade(course, ahead, number))
         else:
-            for i in range(ENTRIES_AHEAD):
-                entries[i] = 0.0
+            entries[:ENTRIES_AHEAD] = 0.0

@@ -12,7 +12,7 @@ from soil_env.terramechanics.effects import depends_on_speed
 from soil_env.terramechanics.ground import soil_of
 from soil_env.terramechanics.reaction import Acting
 from soil_env.terramechanics.residual import WorkingPoint, residual_under
-from soil_env.terramechanics.steady import Conditions, Point, rim_of, steady_at
+from soil_env.terramechanics.steady import LEVEL, Conditions, Point, rim_of, steady_at
 from soil_env.terramechanics.traversability import best_point_at
 
 REDRAWS = 200  # attempts at a soil
@@ -158,8 +158,7 @@ def capacity(load, soil, numbers, nodes):
     rim = rim_of(rig)
     effects = numbers.acting.effects
     deepest = SAFE_SINKAGE * spec.bogged_sinkage
-    at_rest = Conditions(0.0, 1.0, 0.0)
-    rest = steady_at(nodes, Point(0.0, load, 0.0), soil, rim, at_rest, effects)
+    rest = steady_at(nodes, Point(0.0, load, 0.0), soil, rim, LEVEL, effects)
     if rest.sinkage > deepest or not rest.supported:
         return IMPASSABLE
     least = HUGE

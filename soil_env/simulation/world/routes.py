@@ -111,8 +111,8 @@ def set_route(course, p, route):
 
 @compiled
 def next_fork(wheel, course, border):
-    """Index of the patch after the wheel's if it has two routes and the wheel has not been within
-    its `border` [m] yet, else -1.
+    """Index of the patch after the wheel's if it has two routes and the wheel has never been at the
+    border before it, else -1. That border begins half of `border` [m] before the patch.
     """
     ahead = wheel.patch + 1
     if ahead >= course.drawn or course.forks[ahead].routes < 2:

@@ -237,7 +237,7 @@ def cell_after(count, cell, x):
 
 @compiled
 def leave_rut(cell, depth):
-    """Mark a cell as driven over once more, with a rut of `depth` [m] below its floor."""
+    """Mark a cell as driven over once more, with a rut at least `depth` [m] below its floor."""
     cell.passes += 1.0
     cell.depth = max(cell.depth, depth)
 
