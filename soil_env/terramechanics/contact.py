@@ -446,7 +446,8 @@ def shear_displacement(theta, theta1, sin1, rim, travel, r):
 @compiled
 def mobilised(j, K, law):
     """(e, de/dj [1/m]): mobilised share of the shear strength at a displacement j [m], with its
-    sign, by a `ShearLaw`, or by Eq. (10) where `law` is None.
+    sign, by a `ShearLaw`, or by Eq. (10) where `law` is None; K [m] is the shear deformation
+    modulus.
     """
     if law is None:
         rate = 1.0 / K
@@ -723,7 +724,7 @@ def bounded_bearing(q, tan_phi, direction):
     """(load over S r b [m^n] that normal stress and friction carry, cut from below, True if cut).
 
     These are the terms of Eq. (1) in proportion to S. The cut is at `LEAST_BEARING` of the load
-    that the normal stress carries by itself.
+    that the normal stress carries by itself. Arguments are as in `forces`.
     """
     share = q.p_cos + direction * tan_phi * q.pe_sin
     least = LEAST_BEARING * q.p_cos
@@ -737,7 +738,7 @@ def mobilised_sinkage_coefficient(q, load, tan_phi, c, r, b, direction):
 
     Eq. (1) is linear in S, so at a given sinkage the coefficient that the load mobilises has a
     closed form. It is 0 where cohesion alone carries more than the load. Where `bounded_bearing` is
-    cut, S is too small to carry the load.
+    cut, S is too small to carry the load. Arguments are as in `forces`.
     """
     bearing, _ = bounded_bearing(q, tan_phi, direction)
     rest = load / (r * b) - direction * c * q.e_sin

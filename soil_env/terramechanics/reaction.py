@@ -299,7 +299,8 @@ def reaction(nodes, footing, speed, rim_speed, wheel, extra, acting):
     """`Reaction` at the axle at travel speed V and rim speed u [m/s], with `ExtraForces` and the
     friction of the drivetrain.
 
-    `wheel.rim_ratio` is the radius at which soil is sheared over that of the rim.
+    `nodes` and `footing` are of `lay_footing`, `acting` is an `Acting`. `wheel.rim_ratio` is the
+    radius at which soil is sheared over that of the rim.
     """
     f = soil_reaction(nodes, footing, speed, wheel.rim_ratio * rim_speed, wheel, acting.law)
     return _at_the_axle(f, extra, speed, rim_speed, wheel, acting.effects)

@@ -90,8 +90,8 @@ def suspension_of(scenario: RoverScenario) -> np.ndarray:
 
 @compiled_finite
 def _two_loads(together, moment, arm, other_arm, least):
-    """Loads [N] at two arms [m] that add up to `together` [N] and balance a `moment` [N m], which
-    counts front up.
+    """Loads [N] at the arms `arm` and `other_arm` [m], forward positive, that add up to `together`
+    [N] and balance a `moment` [N m], which counts front up.
 
     Each is cut to at least `least`; the moment is then not balanced.
     """
@@ -141,7 +141,7 @@ def axle_loads(forces, weight, suspension):
 
 @compiled_finite
 def _height_of(rover, a):
-    """Height [m] of the lowest point of the wheel of an axle."""
+    """Height [m] of the lowest point of the wheel of axle a."""
     axle = rover.axles[a]
     return axle.height - axle.floor - rover.wheels[a].sinkage
 
@@ -151,7 +151,7 @@ def set_pitch(rover, suspension):
     """Set the pitch of a rover's body from the heights of its wheels.
 
     It is the slope of the line through both axles, or through the bogie's pivot and the other
-    axle; its sine is cut to `STEEPEST`.
+    axle; its sine is cut to `STEEPEST`. `suspension`: `SUSPENSION`.
     """
     front = _height_of(rover, 0)
     rear = _height_of(rover, suspension.axles - 1)

@@ -1,6 +1,8 @@
 """One control period of a rover: stages, soil and ruts of `simulation.world`, axle by axle.
 
-All wheels of a rover run over the same course, each leaving its rut to those behind it.
+All wheels of a rover run over the same course, each leaving its rut to those behind it: `ruts`
+[axles, cells] are the `RUT`s as each wheel meets them. `world` is a `RoverWorld`, `foot` the `FOOT`
+of an axle.
 """
 
 from soil_env._compiled.elementary import sin_cos
@@ -121,7 +123,8 @@ def _solve_step(rover, course, ruts, h, left, forced, world):
     """Drive a step of h seconds in two stages, with `left` seconds of the period to go; return the
     time [s] that was driven.
 
-    That is h, or where Newton's method fails the duration of the stages before, 0 or one stage.
+    That is h, or where Newton's method fails the duration of the stages before, 0 or one stage;
+    `forced` as in `_solve_stage`.
     """
     for a in range(world.suspension.axles):
         foot = world.stage.feet[a]

@@ -5,8 +5,9 @@ The equation of each axle has its own rim speed and V only. A step of Newton's m
 therefore the elimination of all rim speeds, at a cost that is linear in the axles. Stages and
 reaction are those of `simulation.world`.
 
-`world` is a `RoverWorld`, `equation` the `Equation` of the travel of the whole rover. What a
-function leaves in `feet`, `found` and `trial` it leaves in `world.stage` (`STAGE`).
+`world` is a `RoverWorld`, `equation` the `Equation` of the stage, `weight` [N] that of one side,
+normal to the body. What a function leaves in `feet`, `found` and `trial` it leaves in `world.stage`
+(`STAGE`).
 """
 
 from typing import Any, NamedTuple
@@ -213,7 +214,9 @@ def _evaluate(v, equation, world):
 
 @inlined
 def _largest_change(v, equation, world):
-    """Largest change of a speed since the beginning of the stage [m/s]."""
+    """Largest change [m/s] of a speed since the beginning of the stage, at V = `v` [m/s] and the
+    rim speeds in `found`.
+    """
     change = abs(v - equation.speed)
     for a in range(world.suspension.axles):
         change = max(change, abs(world.stage.found[a].rim - world.stage.feet[a].rim_start))

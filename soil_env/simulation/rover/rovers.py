@@ -174,7 +174,9 @@ def _with_front(scenario: RoverScenario) -> RoverScenario:
 
 @compiled
 def _height_at(course, x, border):
-    """Height [m] of the ground at x >= 0 [m] above that at 0, by the midpoint rule."""
+    """Height [m] of the ground at x >= 0 [m] above that at 0, by the midpoint rule; `border` [m] as
+    in `grade_on`.
+    """
     steps = math.ceil(x / CELL)
     height = 0.0
     for k in range(steps):

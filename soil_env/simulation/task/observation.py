@@ -1,4 +1,7 @@
-"""Entries of the observation: sensors, camera, true soil."""
+"""Entries of the observation: sensors, camera, true soil.
+
+`task` is a `TASK`; `border` [m] is the length over which one patch passes into the next.
+"""
 
 import math
 

@@ -3,6 +3,8 @@
 The method: `newton` and docs/physics/wheel.md. A wheel whose speeds are about to change takes 2, 4
 or 8 steps where others take one. Where its iteration fails, the step is halved, down to the
 `FINEST` part.
+
+`drive` is a `Drive`, `stage` a `Stage`, `rig` a `RIG` and `world` a `World` throughout.
 """
 
 import math

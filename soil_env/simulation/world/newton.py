@@ -3,7 +3,7 @@
     V = V* + h/m (DP - m g sin(grade)),   u = u* + h r/J (T_motor - T),   u = r w
 
 with the analytic derivatives of the reaction; V* and u* of the two stages: docs/physics/wheel.md
-(Alexander 1977).
+(Alexander 1977). `drive` is a `wheel.Drive`, `rig` a `wheel.RIG`, `world` a `wheel.World`.
 """
 
 from typing import Any, NamedTuple
@@ -122,7 +122,7 @@ def solve_speeds(wheel, stage, footing, along, drive, world, extra):
 
     Not converged: `PASSES` evaluations were not enough, or no shorter step reduces a residual that
     is not `near_enough`. The motion is then the best one found. `along` [N]: the weight along the
-    grade.
+    grade; `footing`, `extra`: `Footing` and `ExtraForces` of the wheel in this stage.
 
     In the loop v, u are the best speeds so far and `norm` their residual [m/s]; `before` is the
     residual of those before. `share` is how much of a step is tried.

@@ -79,7 +79,7 @@ def within(owner, bounds):
 @compiled
 def draw_soil(owner, drawn):
     """Random soil from the stream of `owner`: a preset by its share of the mixture, scattered by
-    the whole `SoilSpread`.
+    the whole `SoilSpread`. `drawn`: `CourseDistribution`.
     """
     pick = uniform(owner)
     i = 0
@@ -95,7 +95,7 @@ def scattered(mean, share, owner, spec):
 
     Stiffness is the pressure at `reference_sinkage`, so a change of the exponent turns the curve
     about that point. Recovery and the fields after it stay. Rows of `factor` and entries of
-    `variation` are in the order of `DISTRIBUTION`.
+    `variation` are in the order of `DISTRIBUTION`, which `spec` is.
     """
     z = normal_pair(owner) + normal_pair(owner) + normal_pair(owner)
     rows = spec.factor
@@ -177,7 +177,8 @@ def capacity(load, soil, numbers, nodes):
 
 @compiled
 def draw_ground(owner, load, numbers, nodes):
-    """Draw soils until one leaves this wheel `least_pull` on level ground: (found, the last one).
+    """Draw soils until one leaves this wheel `least_pull` on level ground under a `load` [N]:
+    (True if found, the last `SoilState`).
 
     Not found: none of `REDRAWS` soils does. With a least pull of -1 the last one is then taken all
     the same, even if the wheel would be bogged at its best pull. Slopes do not count, since they

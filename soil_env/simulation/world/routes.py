@@ -1,7 +1,8 @@
 """Terrain classes, and the routes between which a wheel may choose (docs/physics/wheel.md).
 
 Two routes over a patch have soils of different classes and the same slopes, which are drawn without
-looking at the soils: both routes may be passable, or one, or none.
+looking at the soils: both routes may be passable, or one, or none. Arguments are named as in
+`courses`; p is the index of a patch.
 """
 
 from soil_env._compiled.flags import compiled, inlined

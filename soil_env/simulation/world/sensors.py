@@ -91,7 +91,9 @@ def _scatter(out, sd, wheel, normals):
 
 @compiled_finite
 def mount_sensors(wheel, normals, sensors):
-    """Draw zeros and gains, which are 0 before, of the sensors of a wheel for a course."""
+    """Draw zeros and gains, which are 0 before, of the sensors of a wheel for a course; `sensors`:
+    `SENSOR_NOISE`.
+    """
     _scatter(wheel.zero[0], sensors.zero[0], wheel, normals)
     _scatter(wheel.gain[0], sensors.gain[0], wheel, normals)
 
@@ -121,7 +123,8 @@ def sense(wheel, reading, normals, sensors, errors, radius):
     """Fill the record `reading` (`READING`) with readings of a wheel of `radius` [m]: the truth,
     then gain, zero and white noise as `Noise` says.
 
-    Its slip gets the white noise only, and `read_slip` completes it. `normals` is scratch.
+    Its slip gets the white noise only, and `read_slip` completes it. `sensors`: `SENSOR_NOISE`,
+    `errors`: `SensorErrors`; `normals` is scratch.
     """
     reading.slip = 0.0  # its sensor has neither gain nor zero
     reading.sinkage = _seen_sinkage(wheel.slip, wheel.sinkage, errors) + wheel.unfelt
@@ -146,7 +149,7 @@ def read_slip(wheel, reading, sensors, errors):
     """Add the slip to that of a `reading`, which is white noise so far, and cut it to [-1, 1].
 
     With noise of a slip sensor it is the true slip, else the slip of the two speeds that were read.
-    Either is biased as the `errors` say.
+    Either is biased as the `errors` say (`SensorErrors`).
     """
     slip = wheel.slip
     if sensors.white[0].slip == 0.0:

@@ -9,7 +9,7 @@ from .pressure_dependent_friction import middle_pressure, pressure_factor
 
 @compiled
 def stretched_under_pressure(soil, passage, fx):
-    """`soil` with K times a power of the pressure p."""
+    """`soil` with K times the `pressure_factor` of the pressure of a `Passage`."""
     factor = pressure_factor(
         passage.pressure,
         fx.pressure_dependent_modulus_reference_pressure,
