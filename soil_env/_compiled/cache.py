@@ -88,7 +88,7 @@ class Kept:
         self.py_func = function
         self._opened = False  # the first call is over
         self._threads = threading.Lock()  # lets one thread make the first call
-        self._versions = 0  # number of compiled ones that the checksums hold
+        self._versions = 0  # compiled versions whose files have their checksums written
         _compilations.of.add(function)
         root = folder()
         name = f"{function.__module__}.{function.__qualname__}"
@@ -99,7 +99,7 @@ class Kept:
         if not self._opened:
             return self._first_call(arguments)
         result = self._call(arguments)
-        if len(self._function.overloads) != self._versions:
+        if len(self._function.overloads) != self._versions:  # it met other types than before
             with self._alone():
                 self._write_checksums()
         return result
@@ -158,9 +158,9 @@ class Kept:
             yield
 
     def _check(self) -> bool:
-        """True if there are whole files to load; drop all if one is damaged.
+        """True if numba has whole files to load; drop all if one is damaged, and say so.
 
-        Says so, and where there is no folder that each process compiles anew.
+        Without a folder, say that each process compiles anew.
         """
         if self._folder is None:
             tell("compiling in each process anew: compiled code cannot be kept without a folder")
@@ -298,7 +298,7 @@ class _Compilations(Listener):
         if function in self.of and _speaks():
             self._done.clear()
             waiting = function, self._done, self._patience
-            self._watcher = threading.Thread(target=_count, args=waiting, daemon=True)
+            self._watcher = threading.Thread(target=_explain, args=waiting, daemon=True)
             self._watcher.start()
             self._patience = PATIENCE
 
@@ -313,7 +313,7 @@ _compilations = _Compilations()
 register("numba:compile", _compilations)
 
 
-def _count(function: Callable[..., Any], done: threading.Event, patience: float) -> None:
+def _explain(function: Callable[..., Any], done: threading.Event, patience: float) -> None:
     """Say that compiling `function` takes longer than `patience` [s]; return at once if `done` is
     set before.
 

@@ -51,13 +51,15 @@ def uniform(owner):
 
 @compiled
 def between(owner, low, high):
-    """Next number, uniform in [low, high)."""
+    """Next number of the stream of `owner`, uniform in [low, high)."""
     return low + (high - low) * uniform(owner)
 
 
 @compiled
 def normal_pair(owner):
-    """Two independent standard normal numbers (Box & Muller 1958), from two words of the stream."""
+    """Two independent standard normal numbers (Box & Muller 1958), from two words of the stream of
+    `owner`.
+    """
     radius = math.sqrt(-2.0 * math.log(1.0 - uniform(owner)))
     angle = 2.0 * math.pi * uniform(owner)
     return radius * math.cos(angle), radius * math.sin(angle)

@@ -14,9 +14,9 @@ from soil_env.simulation.wheels import (
     lay_wheels,
     new_setting,
     new_wheel_worlds,
+    observe_true_soils,
     step_wheels,
     wheel_numbers,
-    write_true_soils,
 )
 from soil_env.simulation.world.courses import course_numbers
 from soil_env.terramechanics.model import WheelSoilModel
@@ -82,5 +82,5 @@ class Simulation(Vehicles):
         """Entries of `true_soil` that `blind` does not have, of each wheel [wheels, D] float32."""
         entries = truth(self.scenario.course)
         out = np.empty((self.count, len(entries)), dtype=np.float32)
-        write_true_soils(self._world.state, self._world.courses, self._scratch[0], out)
+        observe_true_soils(self._world.state, self._world.courses, self._scratch[0], out)
         return np.clip(out, *bounds_of(entries))

@@ -243,10 +243,11 @@ def _expected(folder: str) -> str:
 
 
 def _check_kind(mapping: Keys, changes: Keys, folder: str, where: str) -> None:
-    """Raise `ParameterError` for a rover where a wheel's scenario is asked for, or the reverse.
+    """Raise `ParameterError` for a rover where a wheel's scenario is asked for (`folder`
+    "scenarios"), or the reverse ("rovers").
 
     A rover has `vehicle`. A mapping without it, of keys that are all known, is the scenario of a
-    wheel.
+    wheel. The message begins with `where`.
     """
     known = {f.name for f in fields(Scenario)}
     if folder == "scenarios" and "vehicle" in mapping:

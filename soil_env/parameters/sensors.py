@@ -163,7 +163,9 @@ class Sensor(NamedTuple):
 def _of_force(
     name: str, unit: str, size: str, centre: float, scale: float, usual: tuple[float, float, float]
 ) -> Sensor:
-    """A sensor of a force or a torque, which have the same bounds as multiples of their `size`."""
+    """A sensor of a force or a torque, which have the same bounds as multiples of their `size`;
+    `centre` and `scale` are those of its entry of the observation, the rest is as in `Sensor`.
+    """
     return Sensor(name, unit, (100.0, size), (size, -10.0, 10.0, centre, scale), usual=usual)
 
 

@@ -36,8 +36,8 @@ from .world.sensors import (
     SENSOR_NOISE,
     SensorErrors,
     mount_sensors,
+    read_place,
     read_slip,
-    roll_odometer,
     sense,
     sensor_errors,
     sensors_of,
@@ -54,7 +54,8 @@ ATTEMPTS = 100  # at a course in the middle of a run, where nobody can change th
 SAMPLE = record("halted", "place", *READING.names, *IMAGE.names)
 
 
-NOWHERE = Sight(0, 0.0, 0.0)  # place of a wheel that no image has shown
+#: Stands for the `Sight` of a wheel without a camera; nothing reads it.
+NOWHERE = Sight(0, 0.0, 0.0)
 
 
 class WheelWorlds(NamedTuple):
@@ -161,13 +162,14 @@ class ThreadRecords(NamedTuple):
 
 
 @inlined
-def start_drivable(course, owner, numbers, scratch):
-    """Start a course with a seed from the stream of `owner`; return the mass [kg] with payload.
+def start_drivable(course, owner, numbers, nodes):
+    """Start a course by `start_course`, whose arguments these are; return the mass [kg] on the
+    wheel with payload.
 
     Where no soil is found, try another seed, at most `ATTEMPTS` times; then return -1.
     """
     for _ in range(ATTEMPTS):
-        mass = start_course(course, owner, numbers, scratch)
+        mass = start_course(course, owner, numbers, nodes)
         if mass >= 0.0:
             return mass
     return -1.0
@@ -182,7 +184,8 @@ def lay_wheels(worlds, numbers, orders, setting, first, end):
     RESTART starts a new course and puts the wheel, whose record is blank but for its stream, at
     rest at its start. TRY draws the start of a course; the wheel's `reward` is then the mass on it,
     or -1 if no soil was found. AHEAD draws the ground that the next step needs, COMPLETE the rest.
-    `numbers`: `CourseNumbers`.
+    `worlds`: `WheelWorlds`, `numbers`: `CourseNumbers`, `setting`: `SETTING` [1], whose nodes are
+    scratch.
     """
     rig = numbers.rig
     nodes = setting[0].nodes[0]
@@ -210,64 +213,63 @@ def lay_wheels(worlds, numbers, orders, setting, first, end):
 
 
 @compiled_finite
-def _sense(wheel, sample, course, setting):
-    """Fill the `SAMPLE` of a wheel after a control period; return its camera's `Sight`."""
-    task = setting.task
-    sense(wheel, sample, setting.normals, setting.sensors, setting.errors, task.radius)
-    read_slip(wheel, sample, setting.sensors, setting.errors)
-    if wheel.steps > 0:  # not at the start of a course
-        roll_odometer(wheel, sample.speed, task.period)
-    sample.halted = 1.0 if wheel.halt_left > 0.0 else 0.0
-    sample.place = wheel.odometer
-    if setting.camera.lines == 0:
+def _sense(wheel, sample, course, records):
+    """Fill the `SAMPLE` of a wheel after a control period; return its camera's `Sight`, `NOWHERE`
+    where no image is taken. `records`: `ThreadRecords`, here and below.
+    """
+    task = records.task
+    sense(wheel, sample, records.normals, records.sensors, records.errors, task.radius)
+    read_slip(wheel, sample, records.sensors, records.errors)
+    read_place(wheel, sample, task.period)
+    if records.camera.lines == 0:
         return NOWHERE
-    sight = sight_of(wheel, course, setting.camera)
-    take_image(sample, wheel, course, sight, setting.camera)
+    sight = sight_of(wheel, course, records.camera)
+    take_image(sample, wheel, course, sight, records.camera)
     return sight
 
 
 @inlined
-def _observe(wheel, sample, course, setting, sight, out):
+def _observe(wheel, sample, course, records, sight, out):
     """Fill the observation `out` [D] of a wheel, but for the entries that are identified."""
-    task = setting.task
+    task = records.task
     write_sensors(out, wheel, sample, task)
     truth = task.variant == TRUE_SOIL
     if truth:
-        write_soil_under(out[ENTRIES_OF_WHEEL:], wheel, course, setting.world.rig.border)
-    if setting.camera.lines > 0:
-        write_seen(out[task.seen :], wheel, sample, course, sight, setting.camera, truth)
+        write_soil_under(out[ENTRIES_OF_WHEEL:], wheel, course, records.world.rig.border)
+    if records.camera.lines > 0:
+        write_seen(out[task.seen :], wheel, sample, course, sight, records.camera, truth)
 
 
 @compiled_finite
-def _restart(wheel, sample, course, setting, out):
+def _restart(wheel, sample, course, records, out):
     """Begin the episode of a wheel that rests at the start of its course: draw the errors of its
     sensors, read them and observe.
     """
-    mount_sensors(wheel, setting.normals, setting.sensors)
+    mount_sensors(wheel, records.normals, records.sensors)
     wheel.cause = RUNNING
     wheel.periods = 1
-    sight = _sense(wheel, sample, course, setting)
-    _observe(wheel, sample, course, setting, sight, out)
+    sight = _sense(wheel, sample, course, records)
+    _observe(wheel, sample, course, records, sight, out)
 
 
 @compiled_finite
-def _step(wheel, action, course, setting, samples, out):
+def _step(wheel, action, course, records, samples, out):
     """Take a wheel through the control periods of an action, until its episode ends: drive, sense,
     judge, reward; then observe.
 
     `samples` [periods]: of all periods, or [1] of the last.
     """
-    task = setting.task
+    task = records.task
     sample = samples[0]
     sight = NOWHERE
     begin_step(wheel)
     while wheel.periods < task.action_periods and wheel.cause == RUNNING:
-        control_period(wheel, action, course, setting.world)
+        control_period(wheel, action, course, records.world)
         sample = samples[min(wheel.periods, samples.size - 1)]
-        sight = _sense(wheel, sample, course, setting)
+        sight = _sense(wheel, sample, course, records)
         judge_period(wheel, task)
     wheel.reward = wheel.terms.sum()
-    _observe(wheel, sample, course, setting, sight, out)
+    _observe(wheel, sample, course, records, sight, out)
 
 
 @kept
@@ -303,8 +305,11 @@ def step_wheels(state, courses, samples, observation, setting, added, span):
 
 
 @kept
-def write_true_soils(state, courses, setting, out):
-    """Fill `out` [wheels, D] with the entries of `layout.truth`."""
+def observe_true_soils(state, courses, setting, out):
+    """Fill `out` [wheels, D] with the entries of `layout.truth` of each wheel.
+
+    `state`, `courses`, `setting` as in `step_wheels`.
+    """
     own = setting[0]
     border = own.rig[0].border
     for k in range(len(out)):

@@ -130,7 +130,9 @@ class ShearLaw(NamedTuple):
 
 @compiled
 def stretched(law, factor):
-    """A `ShearLaw` for shear displacements that count `factor` times as large."""
+    """`ShearLaw` with lengths `factor` times as long. With K so much longer, too, it mobilises at
+    the displacement factor j what `law` mobilises at j.
+    """
     return ShearLaw(law.a, law.b, law.c, factor * law.length, factor * law.onset)
 
 
@@ -236,8 +238,8 @@ def layer_firmness(depth, soil):
         return 1.0
     square = (depth / soil.layer_depth) ** 2
     eighth = square * square * (square * square)
-    x = eighth * eighth
-    return power(1.0 + soil.layer_gain, x / (1.0 + x))
+    sixteenth = eighth * eighth
+    return power(1.0 + soil.layer_gain, sixteenth / (1.0 + sixteenth))
 
 
 @compiled
@@ -349,8 +351,8 @@ def _cosine_of_rise(arc):
 
 @compiled
 def _flowing(arc):
-    """Share above 0 of the soil carried along the rim that is there to flow: x^2/(x^2 + x_f^2) at a
-    sinkage of x radii, with x_f = `FLOWING_DEPTH`.
+    """Factor in (0, 1) on `most_carried`, small where a wheel hardly sinks and little soil is there
+    to flow: x^2/(x^2 + x_f^2) at a sinkage of x radii, with x_f = `FLOWING_DEPTH`.
     """
     s = half_sin(arc.theta1)
     square = max(4.0 * s * s * s * s, LEAST_SQUARE)  # x^2, with x = 1 - cos(theta1) = 2 s^2
@@ -374,7 +376,9 @@ def most_carried(arc):
 
 @compiled
 def most_by_angle(arc):
-    """Derivative of `most_carried` by the entry angle [1/rad]."""
+    """Derivative of `most_carried` by the entry angle [1/rad], on an arc without lugs, where shear
+    begins at that angle.
+    """
     cosine, half_sine = _cosine_of_rise(arc)
     rising = -2.0 * RISING_FROM * half_sine / math.sqrt(cosine * cosine + LEAST_COSINE)
     # both are derivatives of the logarithm of a factor of `most_carried`
@@ -442,7 +446,8 @@ def shear_displacement(theta, theta1, sin1, rim, travel, r):
 @compiled
 def mobilised(j, K, law):
     """(e, de/dj [1/m]): mobilised share of the shear strength at a displacement j [m], with its
-    sign, by a `ShearLaw`, or by Eq. (10) where `law` is None.
+    sign, by a `ShearLaw`, or by Eq. (10) where `law` is None; K [m] is the shear deformation
+    modulus.
     """
     if law is None:
         rate = 1.0 / K
@@ -594,7 +599,8 @@ def _shear_sums(nodes, count, p, motion, K, law):
     """`ArcIntegrals` over the first `count` nodes at a `motion` (rim, travel); de/dj of each goes
     to `nodes.rate`.
 
-    `p`: (Int p cos, Int p sin), which do not depend on the motion.
+    `nodes`: `ARC_NODES` or `SPLIT_ARC`. `p`: (Int p cos, Int p sin), which do not depend on the
+    motion.
     """
     rim = motion[0]
     travel = motion[1]
@@ -621,11 +627,11 @@ def _shear_sums(nodes, count, p, motion, K, law):
 
 
 @compiled
-def _split_integrals(nodes, p, motion, K, law):
-    """`shear_integrals` of an arc split at the angle `motion[2]` [rad], where the shear
-    displacement changes sign.
+def _split_integrals(nodes, p, motion, turn, K, law):
+    """`shear_integrals` of an arc split at the angle `turn` [rad], where the shear displacement
+    changes sign.
     """
-    _lay_split(nodes, motion[2])
+    _lay_split(nodes, turn)
     return _shear_sums(nodes.split[0], SPLIT_NODES, p, motion, K, law)
 
 
@@ -640,7 +646,7 @@ def _integrals_under(nodes, p, motion, K, law, split):
         turn = turning_angle(nodes, motion[0], motion[1])
         if turn < nodes.theta1:
             nodes.turned = 1
-            return _split_integrals(nodes, p, (motion[0], motion[1], turn), K, law)
+            return _split_integrals(nodes, p, motion, turn, K, law)
     return _shear_sums(nodes, NODES, p, motion, K, law)
 
 
@@ -663,7 +669,9 @@ def shear_integrals(nodes, p, motion, K, law, split):
 
 @compiled_sums
 def _rate_sums(nodes, count, st, c):
-    """`ShearRates` over the first `count` nodes, with st = S tan(phi) and cohesion c [Pa]."""
+    """`ShearRates` over the first `count` nodes of `ARC_NODES` or `SPLIT_ARC`, with st = S tan(phi)
+    and cohesion c [Pa].
+    """
     cos_rim = 0.0
     sin_rim = 0.0
     one_rim = 0.0
@@ -712,20 +720,13 @@ def forces(q, S, tan_phi, c, r, b, direction):
 
 
 @compiled
-def bearing_share(q, tan_phi, direction):
-    """Load over S r b [m^n] that normal stress and friction carry: the terms of Eq. (1) in
-    proportion to S.
-    """
-    return q.p_cos + direction * tan_phi * q.pe_sin
-
-
-@compiled
 def bounded_bearing(q, tan_phi, direction):
-    """(`bearing_share` cut from below [m^n], True if it is cut).
+    """(load over S r b [m^n] that normal stress and friction carry, cut from below, True if cut).
 
-    The cut is at `LEAST_BEARING` of the load that the normal stress carries by itself.
+    These are the terms of Eq. (1) in proportion to S. The cut is at `LEAST_BEARING` of the load
+    that the normal stress carries by itself. Arguments are as in `forces`.
     """
-    share = bearing_share(q, tan_phi, direction)
+    share = q.p_cos + direction * tan_phi * q.pe_sin
     least = LEAST_BEARING * q.p_cos
     return max(share, least), share <= least
 
@@ -737,7 +738,7 @@ def mobilised_sinkage_coefficient(q, load, tan_phi, c, r, b, direction):
 
     Eq. (1) is linear in S, so at a given sinkage the coefficient that the load mobilises has a
     closed form. It is 0 where cohesion alone carries more than the load. Where `bounded_bearing` is
-    cut, S is too small to carry the load.
+    cut, S is too small to carry the load. Arguments are as in `forces`.
     """
     bearing, _ = bounded_bearing(q, tan_phi, direction)
     rest = load / (r * b) - direction * c * q.e_sin

@@ -46,15 +46,25 @@ def below_rut(soil, depth):
 
 
 @compiled
-def with_strength(soil, tan_phi, cohesion, shear_modulus, rim_flow):
+def with_strength(soil, tan_phi, cohesion, shear_modulus):
     """`soil` with these numbers of its shear law: cohesion [Pa], K [m] as `shear_modulus`."""
-    return SoilState(tan_phi, cohesion, shear_modulus, *soil[3:7], rim_flow, *soil[8:])
+    return SoilState(tan_phi, cohesion, shear_modulus, *soil[3:])
 
 
 @compiled
 def with_flow(soil, rim_flow, braked_peak):
     """`soil` with these constants of the soil that flows along the rim."""
     return SoilState(*soil[:7], rim_flow, braked_peak, *soil[9:])
+
+
+@compiled
+def strengthened(soil, factor, shear_modulus):
+    """`soil` with tan(phi) and cohesion times `factor`, and with K = `shear_modulus` [m].
+
+    The share of soil carried along the rim, `rim_flow` tan(phi), stays as it is.
+    """
+    stronger = with_strength(soil, factor * soil.tan_phi, factor * soil.cohesion, shear_modulus)
+    return with_flow(stronger, soil.rim_flow / factor, soil.braked_peak)
 
 
 @compiled

@@ -36,6 +36,7 @@ from .effects import NO_EFFECTS, Effects, drive_friction, grousers, soil_in_cont
 from .effects.entry import Passage
 from .effects.shear_softening import mobilisation, shear_length_ratio
 from .effects.slip_sinkage import excavated_depth
+from .ground import strengthened
 from .residual import WorkingPoint, residual_law, residual_under
 from .steady import arc_of, dug_ratio
 
@@ -261,8 +262,7 @@ def _gripped(soil, arc, load, wheel):
     The share of soil carried along the rim stays.
     """
     share = 1.0 if wheel.grip == 0.0 else gripping_share(soil, arc, load, wheel)
-    # here only the change of the strength by a factor is meant, and no radius
-    return grousers.at_shear_radius(soil, share, soil.shear_modulus)
+    return strengthened(soil, share, soil.shear_modulus)
 
 
 @compiled
@@ -283,7 +283,8 @@ def _soil_and_arc(at, slip, soil, wheel, fx):
         arc = arc_of(at.sinkage, slip, shift, at.load, fx, wheel)
         shear_ratio = wheel.shear_ratio
         modulus = ground.shear_modulus * shear_length_ratio(fx) / shear_ratio
-        sheared = grousers.at_shear_radius(ground, shear_ratio, modulus)
+        # stronger by the larger radius at which it is sheared; `_at_the_axle` has the longer lever
+        sheared = strengthened(ground, shear_ratio, modulus)
         return (
             _gripped(sheared, arc, at.load, wheel),
             arc,
@@ -298,7 +299,8 @@ def reaction(nodes, footing, speed, rim_speed, wheel, extra, acting):
     """`Reaction` at the axle at travel speed V and rim speed u [m/s], with `ExtraForces` and the
     friction of the drivetrain.
 
-    `wheel.rim_ratio` is the radius at which soil is sheared over that of the rim.
+    `nodes` and `footing` are of `lay_footing`, `acting` is an `Acting`. `wheel.rim_ratio` is the
+    radius at which soil is sheared over that of the rim.
     """
     f = soil_reaction(nodes, footing, speed, wheel.rim_ratio * rim_speed, wheel, acting.law)
     return _at_the_axle(f, extra, speed, rim_speed, wheel, acting.effects)

@@ -44,7 +44,6 @@ from .effects import Effects, arc_ends, drive_torque, soil_in_contact, soil_resi
 from .effects.entry import Passage
 from .effects.grade import weight_on_slope
 from .effects.grousers import (
-    at_shear_radius,
     blade_thrust,
     blades_at,
     contact_radius,
@@ -54,7 +53,7 @@ from .effects.shear_softening import JANOSI, mobilisation, shear_length_ratio
 from .effects.sinkage_offset import sinkage_zero
 from .effects.slip_bias import true_slip
 from .effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
-from .ground import stiffened, with_strength
+from .ground import stiffened, strengthened, with_strength
 
 DEEPEST = 1.5  # [radii] sinkage beyond which a wheel counts as buried
 LEAST_DIGGING = 1e-3  # [-] least slip-sinkage ratio that anything is divided by
@@ -228,26 +227,15 @@ def _balance(slip, load, soil, wheel, conditions, fx):
     `soil` is undisturbed, `conditions` a `Conditions`, `fx` `Effects` or None for the base model.
     """
     rim, travel = motion_from_slip(slip)
-    braked = max(-slip, 0.0)
     if fx is None:
-        strength = math.log(soil.sinkage_coefficient)
-        strength -= soil.sinkage_exponent * math.log(dug_ratio(slip, soil))
-        carried = _carried(soil, rim, travel)
-        return _Balance(
-            slip,
-            rim,
-            travel,
-            carried,
-            braked_shift(braked, soil),
-            load,
-            0.0,  # along
-            soil,
-            soil,
-            strength,
-            0.0,  # lift
-            1.0,  # apparent
-            JANOSI,
-        )
+        ground = soil
+        sheared = soil
+        normal = load
+        along = 0.0
+        lift = 0.0
+        law = JANOSI
+        ratio = dug_ratio(slip, soil)
+        apparent = 1.0
     else:
         sine = conditions.sin_grade
         slide = sliding_speed(slip, conditions.speed)
@@ -264,76 +252,78 @@ def _balance(slip, load, soil, wheel, conditions, fx):
             stretch = contact_radius(wheel, fx) / wheel.radius
             rim *= stretch * q
         modulus = stretch * ground.shear_modulus * shear_length_ratio(fx)
+        sheared = strengthened(ground, q, modulus)
+        law = stretched(mobilisation(fx), stretch)
+        lift = min(excavated_depth(slip, fx), MOST_LIFT * DEEPEST * wheel.radius)
         ratio = dug_ratio(slip, ground)
         apparent = ratio if fx.slip_sinkage_apparent > 0.0 else 1.0
-        strength = math.log(ground.sinkage_coefficient)
-        strength -= ground.sinkage_exponent * math.log(ratio / apparent)
-        sheared = at_shear_radius(ground, q, modulus)
-        return _Balance(
-            slip,
-            rim,
-            travel,
-            _carried(sheared, rim, travel),
-            braked_shift(braked, ground),
-            normal,
-            along,
-            ground,
-            sheared,
-            strength,
-            min(excavated_depth(slip, fx), MOST_LIFT * DEEPEST * wheel.radius),
-            apparent,
-            stretched(mobilisation(fx), stretch),
-        )
+    strength = math.log(ground.sinkage_coefficient)
+    strength -= ground.sinkage_exponent * math.log(ratio / apparent)
+    return _Balance(
+        slip,
+        rim,
+        travel,
+        _carried(sheared, rim, travel),
+        braked_shift(max(-slip, 0.0), ground),
+        normal,
+        along,
+        ground,
+        sheared,
+        strength,
+        lift,
+        apparent,
+        law,
+    )
 
 
 @compiled
-def _integrals(nodes, arc, p, fx):
-    """`ArcIntegrals` of an `Arc` at the motion of a `_Balance` p; overwrites the scratch `nodes`.
+def _integrals(nodes, arc, balance, fx):
+    """`ArcIntegrals` of an `Arc` at the motion of a `_Balance`; overwrites the scratch `nodes`.
 
     Soil that is carried along adds to the rim speed. An arc in which the shear displacement then
     changes its sign is split there.
     """
-    normal = lay_nodes(nodes, arc, p.soil.sinkage_exponent)
-    rim = p.rim
-    flows = p.carried > 0.0
+    normal = lay_nodes(nodes, arc, balance.soil.sinkage_exponent)
+    rim = balance.rim
+    flows = balance.carried > 0.0
     if flows:
-        rim += held_below(p.carried, most_carried(arc))[0] * p.travel
-    motion = (rim, p.travel)
-    modulus = grown_modulus(p.soil.shear_modulus, p.soil, arc)
+        rim += held_below(balance.carried, most_carried(arc))[0] * balance.travel
+    motion = (rim, balance.travel)
+    modulus = grown_modulus(balance.soil.shear_modulus, balance.soil, arc)
     if fx is None:  # a literal None, with which numba leaves out other laws
         return shear_integrals(nodes, normal, motion, modulus, None, flows)
     else:
-        return shear_integrals(nodes, normal, motion, modulus, p.law, flows)
+        return shear_integrals(nodes, normal, motion, modulus, balance.law, flows)
 
 
 @inlined
-def _misfit(nodes, x, p, wheel, fx):
-    """(misfit of the `_Balance` p at the sinkage e^x [m], `Forces` there).
+def _misfit(nodes, x, balance, wheel, fx):
+    """(misfit of a `_Balance` at the sinkage e^x [m], `Forces` there).
 
     The misfit is ln(s/available): s is the sinkage coefficient that the load mobilises, the other
     the one that the dug soil offers. Where it is positive the wheel sinks deeper. Forces are those
     of the available coefficient.
     """
     z = math.exp(x)
-    soil = p.soil
+    soil = balance.soil
     b = wheel.width
-    arc = arc_of(z, p.slip, p.shift, p.load, fx, wheel)
-    q = _integrals(nodes, arc, p, fx)
+    arc = arc_of(z, balance.slip, balance.shift, balance.load, fx, wheel)
+    q = _integrals(nodes, arc, balance, fx)
     tan_phi = soil.tan_phi
     c = soil.cohesion
     if wheel.grip > 0.0:
-        share = gripping_share(soil, arc, p.load, wheel)
+        share = gripping_share(soil, arc, balance.load, wheel)
         tan_phi *= share
         c *= share
-    s = mobilised_sinkage_coefficient(q, p.load, tan_phi, c, arc.radius, b, 1.0)
-    available = p.strength  # ln of the coefficient
-    if p.lift != 0.0:
-        available += soil.sinkage_exponent * math.log(1.0 - p.lift / z)
+    s = mobilised_sinkage_coefficient(q, balance.load, tan_phi, c, arc.radius, b, 1.0)
+    available = balance.strength  # ln of the coefficient
+    if balance.lift != 0.0:
+        available += soil.sinkage_exponent * math.log(1.0 - balance.lift / z)
     if soil.layer_gain > 0.0:
         available += math.log(layer_firmness(z, soil))
     misfit = min(max(math.log(max(s, TINIEST)) - available, LEAST_MISFIT), MOST_MISFIT)
     _, bounded = bounded_bearing(q, tan_phi, 1.0)
-    if bounded and p.load / (arc.radius * b) > c * q.e_sin:
+    if bounded and balance.load / (arc.radius * b) > c * q.e_sin:
         misfit = UNCARRIED  # friction takes more than the normal stress gives
     coefficient = math.exp(available)
     if on_tyre(wheel):
@@ -344,7 +334,7 @@ def _misfit(nodes, x, p, wheel, fx):
 
 
 @inlined
-def _first_guess(p, wheel, guess):
+def _first_guess(balance, wheel, guess):
     """ln of the sinkage [m] to start from: `guess` [m] where it is > 0, else a rough one.
 
     That is the sinkage of a flat plate of the length sqrt(2 r z), plus the depth excavated whatever
@@ -352,35 +342,36 @@ def _first_guess(p, wheel, guess):
     """
     if guess > 0.0:
         return math.log(guess)
-    # S z^n = load / (width sqrt(2 r z)), as logarithms
-    power = math.log(p.load / (wheel.width * math.sqrt(2.0 * wheel.radius))) - p.strength
-    x = power / (p.soil.sinkage_exponent + 0.5)
-    return math.log(math.exp(min(x, math.log(DEEPEST * wheel.radius))) + max(p.lift, 0.0))
+    # S z^(n + 1/2) = load / (width sqrt(2 r)), as logarithms
+    per_length = balance.load / (wheel.width * math.sqrt(2.0 * wheel.radius))
+    x = (math.log(per_length) - balance.strength) / (balance.soil.sinkage_exponent + 0.5)
+    return math.log(math.exp(min(x, math.log(DEEPEST * wheel.radius))) + max(balance.lift, 0.0))
 
 
 @inlined
-def _solve_balance(nodes, p, wheel, fx, guess):
+def _solve_balance(nodes, balance, wheel, fx, guess):
     """(ln of the sinkage, `Forces` there, True if the soil carries the load): root of `_misfit`.
 
     A secant in x = ln z within the bracket (low, high); a step out of the bracket is replaced by
     its middle. The last step of a secant that has converged is not evaluated: sinkage, pull and
     torque are extrapolated by it. A wheel whose search ends at `DEEPEST` radii is not carried.
 
-    `p` is the `_Balance`, `guess` a sinkage [m] to start from, 0 for none, `fx` `Effects` or None,
-    `nodes` scratch. w are the `Forces` at x; x_old, misfit_old, w_old belong to the step before.
+    `balance` is a `_Balance`, `guess` a sinkage [m] to start from, 0 for none, `fx` `Effects` or
+    None, `nodes` scratch. w are the `Forces` at x; x_old, misfit_old, w_old belong to the step
+    before.
     """
     deepest = math.log(DEEPEST * wheel.radius)
     shallowest = SHALLOWEST_TYRE if on_tyre(wheel) else SHALLOWEST
-    low = math.log(max(shallowest * wheel.radius, ABOVE_LIFT * p.lift))
+    low = math.log(max(shallowest * wheel.radius, ABOVE_LIFT * balance.lift))
     high = deepest
-    x = min(max(_first_guess(p, wheel, guess), low), high)
-    slope = -(p.soil.sinkage_exponent + 0.5)
+    x = min(max(_first_guess(balance, wheel, guess), low), high)
+    slope = -(balance.soil.sinkage_exponent + 0.5)
     x_old = 0.0
     misfit_old = 0.0
     w_old = Forces(0.0, 0.0, 0.0)
     supported = False
     for k in range(MOST_STEPS):
-        misfit, w = _misfit(nodes, x, p, wheel, fx)
+        misfit, w = _misfit(nodes, x, balance, wheel, fx)
         if misfit > 0.0:
             low = max(low, x)
         else:
@@ -409,25 +400,26 @@ def _solve_balance(nodes, p, wheel, fx, guess):
 
 
 @compiled
-def _as_measured(w, z, p, speed, wheel, fx):
+def _as_measured(w, z, balance, speed, wheel, fx):
     """(sinkage [m], drawbar pull [N], torque [N m]) that instruments read where the contact has the
-    `Forces` w and the `_Balance` p the sinkage z [m].
+    `Forces` w and the `_Balance` the sinkage z [m].
 
     Effects `fx` add lugs as blades, bulldozing, weight along the slope, friction of the drivetrain
     and the zero of the sinkage. An unknown `speed` [m/s] of 0 counts as `LEAST_SPEED`.
     """
-    sinkage = min(p.apparent * z, DEEPEST * wheel.radius)
+    sinkage = min(balance.apparent * z, DEEPEST * wheel.radius)
     if fx is None:
         return sinkage, w.drawbar_pull, w.torque
     else:
         theta1 = entry_angle(z, contact_radius(wheel, fx))
-        blade, _ = blades_at(blade_thrust(theta1, z, p.ground, wheel, fx), p.slip)
-        pull = w.drawbar_pull + blade - soil_resistance(z, p.ground, wheel, fx) - p.along
+        blade, _ = blades_at(blade_thrust(theta1, z, balance.ground, wheel, fx), balance.slip)
+        resistance = soil_resistance(z, balance.ground, wheel, fx)
+        pull = w.drawbar_pull + blade - resistance - balance.along
         torque = shear_radius_ratio(wheel, fx) * w.torque
         torque += blade * (wheel.radius + 0.5 * wheel.grouser_height)
         speed = max(speed, LEAST_SPEED)
-        slide = sliding_speed(p.slip, speed)
-        wheel_speed = (speed + (slide if p.slip > 0.0 else -slide)) / wheel.radius
+        slide = sliding_speed(balance.slip, speed)
+        wheel_speed = (speed + (slide if balance.slip > 0.0 else -slide)) / wheel.radius
         torque = drive_torque(torque, wheel_speed, LEAST_TURNING, fx)
         return sinkage + sinkage_zero(fx), pull, torque
 
@@ -446,9 +438,9 @@ def steady_at(nodes, point, soil, wheel, conditions, fx):
     straight.
     """
     slip = true_slip(point.slip, fx)
-    p = _balance(slip, point.load, soil, wheel, conditions, fx)
-    x, w, supported = _solve_balance(nodes, p, wheel, fx, point.guess)
-    sinkage, pull, torque = _as_measured(w, math.exp(x), p, conditions.speed, wheel, fx)
+    balance = _balance(slip, point.load, soil, wheel, conditions, fx)
+    x, w, supported = _solve_balance(nodes, balance, wheel, fx, point.guess)
+    sinkage, pull, torque = _as_measured(w, math.exp(x), balance, conditions.speed, wheel, fx)
     return Steady(sinkage, pull, torque, supported)
 
 
@@ -504,7 +496,6 @@ def _predict_rows(rows, soil, factors, unit_weight, fx, guess, out):
             f[0] * soil.tan_phi,
             f[1] * soil.cohesion,
             f[2] * soil.shear_modulus,
-            soil.rim_flow,
         )
         s = steady_at(nodes[0], point, ground, wheel, Conditions(c[0], c[1], c[2]), fx)
         out[k, 0] = s.sinkage

@@ -90,8 +90,8 @@ def suspension_of(scenario: RoverScenario) -> np.ndarray:
 
 @compiled_finite
 def _two_loads(together, moment, arm, other_arm, least):
-    """Loads [N] at two arms [m] that add up to `together` [N] and balance a `moment` [N m], which
-    counts front up.
+    """Loads [N] at the arms `arm` and `other_arm` [m], forward positive, that add up to `together`
+    [N] and balance a `moment` [N m], which counts front up.
 
     Each is cut to at least `least`; the moment is then not balanced.
     """
@@ -109,29 +109,31 @@ def _moment(force, height):
 
 
 @compiled_finite
-def axle_loads(forces, weight, s):
+def axle_loads(forces, weight, suspension):
     """Loads [N] of the axles, front to rear, in equilibrium with the torques and drawbar pulls of
-    `forces` [axles].
+    `forces` [axles]: three numbers, the last 0 with two axles.
 
     `weight` [N] is normal to the body. None is less than `LEAST_LOAD` of the mean, and they add up
-    to the weight all the same. With two axles the third load is 0.
+    to the weight all the same. `suspension`: `SUSPENSION`.
     """
-    least = LEAST_LOAD / s.axles * weight
+    least = LEAST_LOAD / suspension.axles * weight
     moment = 0.0
-    for a in range(s.axles):
-        moment += _moment(forces[a], s.height)
-    b = s.bogie
+    for a in range(suspension.axles):
+        moment += _moment(forces[a], suspension.height)
+    b = suspension.bogie
     if b < 0:
-        front, rear = _two_loads(weight, moment, s.arms[0], s.arms[1], least)
+        front, rear = _two_loads(weight, moment, suspension.arms[0], suspension.arms[1], least)
         return front, rear, 0.0
+    height = suspension.pivot_height
     # [N m] of both wheels of the bogie about its pivot
-    about = _moment(forces[b], s.pivot_height) + _moment(forces[b + 1], s.pivot_height)
+    about = _moment(forces[b], height) + _moment(forces[b + 1], height)
     single = 2 if b == 0 else 0
-    alone, pair = _two_loads(weight, moment - about, s.arms[single], s.pivot_arm, least)
+    arm = suspension.pivot_arm
+    _, pair = _two_loads(weight, moment - about, suspension.arms[single], arm, least)
     pair = max(pair, 2.0 * least)
     alone = weight - pair
-    front_arm = s.arms[b] - s.pivot_arm
-    front, rear = _two_loads(pair, about, front_arm, s.arms[b + 1] - s.pivot_arm, least)
+    front_arm = suspension.arms[b] - arm
+    front, rear = _two_loads(pair, about, front_arm, suspension.arms[b + 1] - arm, least)
     if b == 0:
         return front, rear, alone
     return alone, front, rear
@@ -139,32 +141,33 @@ def axle_loads(forces, weight, s):
 
 @compiled_finite
 def _height_of(rover, a):
-    """Height [m] of the lowest point of the wheel of an axle."""
+    """Height [m] of the lowest point of the wheel of axle a."""
     axle = rover.axles[a]
     return axle.height - axle.floor - rover.wheels[a].sinkage
 
 
 @compiled_finite
-def set_pitch(rover, s):
+def set_pitch(rover, suspension):
     """Set the pitch of a rover's body from the heights of its wheels.
 
     It is the slope of the line through both axles, or through the bogie's pivot and the other
-    axle; its sine is cut to `STEEPEST`.
+    axle; its sine is cut to `STEEPEST`. `suspension`: `SUSPENSION`.
     """
     front = _height_of(rover, 0)
-    rear = _height_of(rover, s.axles - 1)
-    length = s.wheelbase
-    b = s.bogie
+    rear = _height_of(rover, suspension.axles - 1)
+    length = suspension.wheelbase
+    b = suspension.bogie
     if b >= 0:
         # weight of the bogie's rear wheel in the height of the pivot
-        on_rear = (s.arms[b] - s.pivot_arm) / (s.arms[b] - s.arms[b + 1])
+        front_arm = suspension.arms[b]
+        on_rear = (front_arm - suspension.pivot_arm) / (front_arm - suspension.arms[b + 1])
         pivot = (1.0 - on_rear) * _height_of(rover, b) + on_rear * _height_of(rover, b + 1)
         if b == 0:
             front = pivot
-            length = s.pivot_arm - s.arms[2]
+            length = suspension.pivot_arm - suspension.arms[2]
         else:
             rear = pivot
-            length = s.arms[0] - s.pivot_arm
+            length = suspension.arms[0] - suspension.pivot_arm
     sine = min(max((front - rear) / length, -STEEPEST), STEEPEST)
     angle = asin_root(sine * sine)
     rover.pitch = -angle if sine < 0.0 else angle

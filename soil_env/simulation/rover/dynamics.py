@@ -1,6 +1,8 @@
 """One control period of a rover: stages, soil and ruts of `simulation.world`, axle by axle.
 
-All wheels of a rover run over the same course, each leaving its rut to those behind it.
+All wheels of a rover run over the same course, each leaving its rut to those behind it: `ruts`
+[axles, cells] are the `RUT`s as each wheel meets them. `world` is a `RoverWorld`, `foot` the `FOOT`
+of an axle.
 """
 
 from soil_env._compiled.elementary import sin_cos
@@ -32,15 +34,14 @@ from soil_env.simulation.world.wheel import (
 from soil_env.terramechanics.ground import put_soil, soil_of
 
 from .body import set_pitch
-from .newton import EXTRA, FOOTING, equation_of, foresee, reaction_of, solve_speeds
+from .newton import EXTRA, FOOTING, equation_of, foresee, solve_speeds
 from .ruts import copy_rut_behind
 
 
 @compiled_finite
 def _stage_of(number, h, wheel, foot, rig):
     """`Stage` of this `number` (0 or 1) of a step of h seconds, of the wheel of an axle."""
-    rim = rig.radius * wheel.wheel_speed
-    return stage_of(number, h, wheel.speed, rim, foot.speed_before, foot.rim_before)
+    return stage_of(number, h, wheel, foot.speed_before, foot.rim_before, rig)
 
 
 @inlined
@@ -76,8 +77,8 @@ def _solve_stage(rover, course, ruts, number, h, forced, world):
         at = stand(wheel, stage, ahead, wheel.load, own)  # tyre and grip by the last stage's load
         _keep_stand(foot, at)
     stage = _stage_of(number, h, rover.wheels[0], scratch.feet[0], rig)
-    at_end = equation_of(stage.speed, stage.implicit, rover.mass, rig)
-    speed, converged = solve_speeds(rover, at_end, world)
+    equation = equation_of(stage.speed, stage.implicit, rover.mass, rig)
+    speed, converged = solve_speeds(rover, equation, world)
     if not (converged or forced):
         return False
     for a in range(axles):
@@ -85,7 +86,8 @@ def _solve_stage(rover, course, ruts, number, h, forced, world):
         foot = scratch.feet[a]
         axle = rover.axles[a]
         stage = _stage_of(number, h, wheel, foot, rig)
-        end = Motion(speed, scratch.found[a].rim, reaction_of(scratch.found[a]), converged)
+        found = scratch.found[a]
+        end = Motion(speed, found.rim, found, converged)
         soil = soil_of(foot)
         under = Ground(soil, foot.sinkage, foot.rolled, foot.lift, foot.unfelt, foot.grade)
         # each part of the way climbs the grade that its speed was solved on, for the energy balance
@@ -121,7 +123,8 @@ def _solve_step(rover, course, ruts, h, left, forced, world):
     """Drive a step of h seconds in two stages, with `left` seconds of the period to go; return the
     time [s] that was driven.
 
-    That is h, or where Newton's method fails the duration of the stages before, 0 or one stage.
+    That is h, or where Newton's method fails the duration of the stages before, 0 or one stage;
+    `forced` as in `_solve_stage`.
     """
     for a in range(world.suspension.axles):
         foot = world.stage.feet[a]

@@ -4,6 +4,10 @@ axle.
 The equation of each axle has its own rim speed and V only. A step of Newton's method is
 therefore the elimination of all rim speeds, at a cost that is linear in the axles. Stages and
 reaction are those of `simulation.world`.
+
+`world` is a `RoverWorld`, `equation` the `Equation` of the stage, `weight` [N] that of one side,
+normal to the body. What a function leaves in `feet`, `found` and `trial` it leaves in `world.stage`
+(`STAGE`).
 """
 
 from typing import Any, NamedTuple
@@ -13,12 +17,12 @@ from soil_env._compiled.flags import HUGE, compiled_finite, inlined, put_fields,
 from soil_env.parameters import MOST_AXLES, SoilState
 from soil_env.simulation.world.newton import (
     LEAST_GAIN,
-    LEAST_PIVOT,
     PASSES,
     SHORT,
     SHORTER,
     TOLERANCE,
     TRIES,
+    divisor,
     last_force,
     near_enough,
 )
@@ -93,11 +97,11 @@ class RoverWorld(NamedTuple):
 
 
 class Equation(NamedTuple):
-    """Implicit Euler at the end of a stage: where V begins and what a force changes."""
+    """Implicit Euler at the end of a stage: where V begins, and changes of speed by forces."""
 
     speed: float  # V* [m/s]
-    by_pull: float  # h/M [s/kg]
-    by_torque: float  # h r/J [1/(N s)]
+    by_pull: float  # h/M [s/kg], change of V by a pull on the rover
+    by_torque: float  # h r/J [1/(N s)], change of u = r w by a torque on an axle
 
 
 @compiled_finite
@@ -109,30 +113,7 @@ def equation_of(speed, duration, mass, rig):
 
 
 @compiled_finite
-def reaction_of(row):
-    """The `Reaction` that a record holds."""
-    return Reaction(
-        row.load,
-        row.drawbar_pull,
-        row.torque,
-        row.sinkage_coefficient,
-        row.pull_v,
-        row.pull_u,
-        row.torque_v,
-        row.torque_u,
-        row.sinkage_coefficient_v,
-        row.sinkage_coefficient_u,
-    )
-
-
-@compiled_finite
-def _divisor(x):
-    """`x`, or `LEAST_PIVOT` where its size is less: a number to divide by."""
-    return x if abs(x) > LEAST_PIVOT else LEAST_PIVOT
-
-
-@compiled_finite
-def newton_step(residual, at, world):
+def newton_step(residual, equation, world):
     """dV [m/s] of a step of Newton's method from the speeds in `found`; each axle of `found` gets
     the `change` of its rim speed.
 
@@ -144,26 +125,26 @@ def newton_step(residual, at, world):
     slope = 1.0
     for a in range(world.suspension.axles):
         f = found[a]
-        per_pivot = 1.0 / _divisor(1.0 + at.by_torque * (f.torque_u - f.motor_slope / r))
+        per_pivot = 1.0 / divisor(1.0 + equation.by_torque * (f.torque_u - f.motor_slope / r))
         f.change = -f.residual * per_pivot
-        f.change_v = -at.by_torque * f.torque_v * per_pivot
-        slope -= at.by_pull * (f.pull_v + f.pull_u * f.change_v)
-        residual -= at.by_pull * f.pull_u * f.change
-    dv = -residual / _divisor(slope)
+        f.change_v = -equation.by_torque * f.torque_v * per_pivot
+        slope -= equation.by_pull * (f.pull_v + f.pull_u * f.change_v)
+        residual -= equation.by_pull * f.pull_u * f.change
+    dv = -residual / divisor(slope)
     for a in range(world.suspension.axles):
         found[a].change += found[a].change_v * dv
     return dv
 
 
 @compiled_finite
-def foresee(rover, at, world):
+def foresee(rover, equation, world):
     """dV [m/s] of a rover in a stage, by the reactions of the last stage to first order.
 
-    `found` gets those reactions and the `change` of u of each axle. The stage begins at V* of the
-    `Equation` `at` and at `rim_start` of each axle.
+    `found` gets those reactions and the `change` of u of each axle. The stage begins at V* of
+    `equation` and at `rim_start` of each axle.
     """
     rig = world.rig
-    residual = rover.wheels[0].speed - at.speed
+    residual = rover.wheels[0].speed - equation.speed
     for a in range(world.suspension.axles):
         wheel = rover.wheels[a]
         foot = world.stage.feet[a]
@@ -171,15 +152,15 @@ def foresee(rover, at, world):
         put_fields(found, last_force(wheel), FORCES)
         torque, slope, _ = motor_torque(foot.command, foot.by_speed > 0, wheel.wheel_speed, rig)
         found.rim = rig.radius * wheel.wheel_speed
-        found.residual = found.rim - foot.rim_start - at.by_torque * (torque - wheel.torque)
+        found.residual = found.rim - foot.rim_start - equation.by_torque * (torque - wheel.torque)
         found.motor_slope = slope
         along = rig.gravity * wheel.mass * sin_cos(wheel.grade)[0]
-        residual -= at.by_pull * (wheel.drawbar_pull - along)
-    return newton_step(residual, at, world)
+        residual -= equation.by_pull * (wheel.drawbar_pull - along)
+    return newton_step(residual, equation, world)
 
 
 @inlined
-def _begin(rover, at, weight, world):
+def _begin(rover, equation, weight, world):
     """First V to try in a stage [m/s]; `trial` gets the rim speeds to try, `feet` the axle loads.
 
     The speeds are the foreseen ones where all foreseen changes are a `SHORT` way, else the present
@@ -188,7 +169,7 @@ def _begin(rover, at, weight, world):
     s = world.suspension
     found = world.stage.found
     trial = world.stage.trial
-    dv = foresee(rover, at, world)
+    dv = foresee(rover, equation, world)
     short = True
     for a in range(s.axles):
         change = max(abs(dv), abs(found[a].change))
@@ -208,7 +189,7 @@ def _begin(rover, at, weight, world):
 
 
 @inlined
-def _evaluate(v, at, world):
+def _evaluate(v, equation, world):
     """(residual of travel, largest residual) [m/s] at V = `v` and the rim speeds in `trial`.
 
     `trial` gets the reaction and the residual of each axle there.
@@ -223,25 +204,27 @@ def _evaluate(v, at, world):
         force = reaction(world.stage.nodes[a], foot, v, u, rig, foot, world.acting)
         torque, slope, _ = motor_torque(foot.command, foot.by_speed > 0, u / rig.radius, rig)
         put_fields(trial, force, FORCES)
-        trial.residual = u - foot.rim_start - at.by_torque * (torque - force.torque)
+        trial.residual = u - foot.rim_start - equation.by_torque * (torque - force.torque)
         trial.motor_slope = slope
         pull += force.drawbar_pull - foot.along
         largest = max(largest, abs(trial.residual))
-    residual = v - at.speed - at.by_pull * pull
+    residual = v - equation.speed - equation.by_pull * pull
     return residual, max(largest, abs(residual))
 
 
 @inlined
-def _largest_change(v, at, world):
-    """Largest change of a speed since the beginning of the stage [m/s]."""
-    change = abs(v - at.speed)
+def _largest_change(v, equation, world):
+    """Largest change [m/s] of a speed since the beginning of the stage, at V = `v` [m/s] and the
+    rim speeds in `found`.
+    """
+    change = abs(v - equation.speed)
     for a in range(world.suspension.axles):
         change = max(change, abs(world.stage.found[a].rim - world.stage.feet[a].rim_start))
     return change
 
 
 @inlined
-def _iterate(v, at, world):
+def _iterate(v, equation, world):
     """(V, True if converged) by Newton's method at the present loads, from `v` and the rim speeds
     in `trial`.
 
@@ -257,7 +240,7 @@ def _iterate(v, at, world):
     share = 1.0
     tries = 0
     for _ in range(PASSES):
-        residual, reached = _evaluate(try_v, at, world)
+        residual, reached = _evaluate(try_v, equation, world)
         last = tries == TRIES - 1
         if reached < norm * (1.0 if last else 1.0 - LEAST_GAIN * share):
             v = try_v
@@ -268,9 +251,9 @@ def _iterate(v, at, world):
                 found[a] = trial[a]
             if norm < TOLERANCE:
                 return v, True
-            dv = newton_step(residual, at, world)
+            dv = newton_step(residual, equation, world)
         elif last:
-            return v, near_enough(norm, _largest_change(v, at, world))
+            return v, near_enough(norm, _largest_change(v, equation, world))
         else:
             share *= SHORTER
             tries += 1
@@ -304,7 +287,7 @@ def _renew_loads(weight, world):
 
 
 @compiled_finite
-def solve_speeds(rover, at, world):
+def solve_speeds(rover, equation, world):
     """(V [m/s], True if converged) at the end of a stage; `found` gets the rim speeds and the
     reactions.
 
@@ -312,9 +295,9 @@ def solve_speeds(rover, at, world):
     `TURNS` times.
     """
     weight = weight_of(rover, world.rig.gravity)
-    v = _begin(rover, at, weight, world)
+    v = _begin(rover, equation, weight, world)
     for turn in range(TURNS):
-        v, converged = _iterate(v, at, world)
+        v, converged = _iterate(v, equation, world)
         if turn == TURNS - 1 or not converged or not _renew_loads(weight, world):
             break
     return v, converged

@@ -25,8 +25,8 @@ from soil_env.simulation.world.passability import CourseDistribution
 from soil_env.simulation.world.sensors import (
     SensorErrors,
     mount_sensors,
+    read_place,
     read_slip,
-    roll_odometer,
     sense,
     sense_body,
     sensor_errors,
@@ -174,7 +174,9 @@ def _with_front(scenario: RoverScenario) -> RoverScenario:
 
 @compiled
 def _height_at(course, x, border):
-    """Height [m] of the ground at x >= 0 [m] above that at 0, by the midpoint rule."""
+    """Height [m] of the ground at x >= 0 [m] above that at 0, by the midpoint rule; `border` [m] as
+    in `grade_on`.
+    """
     steps = math.ceil(x / CELL)
     height = 0.0
     for k in range(steps):
@@ -214,7 +216,8 @@ def lay_rovers(worlds, numbers, orders, scratch, first, end):
 
     RESTART starts a new course and puts the rover at rest at its start. TRY draws the start of a
     course; the rover's `reward` is then the mean mass on a wheel, or -1 if no soil was found. AHEAD
-    draws the ground that the next step needs, COMPLETE the rest. `numbers`: `RoverCourseNumbers`.
+    draws the ground that the next step needs, COMPLETE the rest. `worlds`: `RoverWorlds`,
+    `numbers`: `RoverCourseNumbers`, `scratch`: `RoverScratch`.
     """
     nodes = scratch.stage[0].nodes[0]
     s = numbers.suspension
@@ -252,68 +255,67 @@ class ThreadRecords(NamedTuple):
 
 
 @compiled_finite
-def _sense(rover, readings, sample, period, setting):
-    """Fill `readings` [axles, periods] of a control period and its `ROVER_SAMPLE`.
+def _sense(rover, readings, sample, period, records):
+    """Fill the column `period` of `readings` [axles, periods], `SAMPLE`, and `sample`, the
+    `ROVER_SAMPLE` of that control period.
 
-    Readings of sensors of the body are the same for all axles.
+    Readings of sensors of the body are the same for all axles. `records`: `ThreadRecords`, here and
+    below.
     """
-    task = setting.task
-    sense_body(rover, sample, setting.sensors)
-    if rover.steps > 0:  # not at the start of a course
-        roll_odometer(rover, sample.speed, task.period)
-    for a in range(setting.world.suspension.axles):
+    task = records.task
+    sense_body(rover, sample, records.sensors)
+    read_place(rover, sample, task.period)
+    for a in range(records.world.suspension.axles):
         wheel = rover.wheels[a]
         reading = readings[a, period]
-        sense(wheel, reading, setting.normals, setting.sensors, setting.errors, task.radius)
+        sense(wheel, reading, records.normals, records.sensors, records.errors, task.radius)
         for name in literal_unroll(BODY):
             reading[name] = sample[name]
-        read_slip(wheel, reading, setting.sensors, setting.errors)
-    sample.halted = 1.0 if rover.halt_left > 0.0 else 0.0
-    sample.place = rover.odometer
+        read_slip(wheel, reading, records.sensors, records.errors)
 
 
 @compiled_finite
-def _restart(rover, readings, samples, setting):
+def _restart(rover, readings, samples, records):
     """Begin the episode of a rover that rests at the start of its course: draw the errors of its
     sensors, and read them.
     """
-    set_pitch(rover, setting.world.suspension)
-    for a in range(setting.world.suspension.axles):
-        mount_sensors(rover.wheels[a], setting.normals, setting.sensors)
+    set_pitch(rover, records.world.suspension)
+    for a in range(records.world.suspension.axles):
+        mount_sensors(rover.wheels[a], records.normals, records.sensors)
     rover.cause = RUNNING
     rover.periods = 1
-    _sense(rover, readings, samples[0], 0, setting)
+    _sense(rover, readings, samples[0], 0, records)
 
 
 @compiled_finite
-def _step(rover, commands, course, ruts, readings, samples, setting):
+def _step(rover, commands, course, ruts, readings, samples, records):
     """Take a rover through the control periods of an action, until its episode ends: drive, sense,
     judge, reward.
 
     `readings` [axles, periods], `samples` [periods]: of all periods, or one column of the last.
     """
-    task = setting.task
+    task = records.task
     begin_step(rover)
     while rover.periods < task.action_periods and rover.cause == RUNNING:
-        control_period(rover, commands, course, ruts, setting.world)
+        control_period(rover, commands, course, ruts, records.world)
         period = min(rover.periods, samples.size - 1)
-        _sense(rover, readings, samples[period], period, setting)
+        _sense(rover, readings, samples[period], period, records)
         judge_period(rover, task)
     rover.reward = rover.terms.sum()
 
 
 @inlined
-def _observe(rover, readings, course, setting, out):
+def _observe(rover, readings, course, records, out):
     """Fill the observation `out` [D] of a rover, but for the entries that are identified."""
-    task = setting.task
-    axles = setting.world.suspension.axles
+    task = records.task
+    axles = records.world.suspension.axles
     last = min(rover.periods, readings.shape[1]) - 1
     write_body(out, rover, readings[0, last], task)
     for a in range(axles):
         write_axle(out, a, rover.wheels[a], readings[a, last], task)
     if task.variant == TRUE_SOIL:
         soils = out[ENTRIES_OF_BODY + axles * ENTRIES_OF_AXLE :]
-        write_true_soils(soils, rover, axles, course, setting.world.rig.border)
+        write_true_soils(soils, rover, axles, course, records.world.rig.border)
 
 
 @kept
@@ -321,10 +323,11 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
     """Follow the `orders` [rovers] STEP and RESTART for the rovers `first` to `end` - 1; `actions`
     [rovers, axles].
 
-    `lay_rovers` has drawn their courses before.
+    `lay_rovers` has drawn their courses before. `worlds`: `RoverWorlds`, `numbers`:
+    `RoverNumbers`, `scratch`: `RoverScratch`.
     """
     world = RoverWorld(numbers.rig[0], numbers.acting, numbers.suspension[0], scratch.stage[0])
-    setting = ThreadRecords(
+    records = ThreadRecords(
         world, numbers.task[0], numbers.sensors[0], numbers.errors, scratch.normals[0]
     )
     recorded = worlds.samples.shape[0] > 0
@@ -337,17 +340,17 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
         readings = worlds.readings[j] if recorded else scratch.readings
         samples = worlds.samples[j] if recorded else scratch.sample
         if order == STEP:
-            _step(rover, actions[j], course, worlds.ruts[j], readings, samples, setting)
+            _step(rover, actions[j], course, worlds.ruts[j], readings, samples, records)
         else:
-            _restart(rover, readings, samples, setting)
+            _restart(rover, readings, samples, records)
         out = worlds.observation[j]
-        _observe(rover, readings, course, setting, out)
+        _observe(rover, readings, course, records, out)
         clip(out, numbers.bounds)
 
 
 @kept
 def observe_true_soils(worlds, numbers, out):
-    """Fill `out` [rovers, axles x 7] with the true soils under the axles."""
+    """Fill `out` [rovers, axles x 7] with the true soils under the axles (`write_true_soils`)."""
     border = numbers.rig[0].border
     axles = numbers.suspension[0].axles
     for j in range(len(out)):

@@ -95,7 +95,7 @@ AXLES = ("front", "middle", "rear")  # of a rover, which has its own entries for
 
 
 def _seen(classes: int, routes: int) -> list[ObservedNumber]:
-    """Entries of the camera for so many terrain classes and routes."""
+    """Entries of the camera for so many terrain classes and routes, as `write_view` fills them."""
     entries = [ObservedNumber("border_distance", "m", 0.0, 100.0, 1.0, 0.5)]
     entries += [_flag(f"here_class_{c + 1}") for c in range(classes)]
     for route in ROUTES[:routes]:

@@ -1,4 +1,7 @@
-"""Entries of the observation: sensors, camera, true soil."""
+"""Entries of the observation: sensors, camera, true soil.
+
+`task` is a `TASK`; `border` [m] is the length over which one patch passes into the next.
+"""
 
 import math
 
@@ -104,5 +107,4 @@ def write_soils_ahead(out, course, sight, camera):
             write_soil(entries, soil_of(route))
             entries[ENTRIES_OF_SOIL] = route.capacity - math.tan(seen_grade(course, ahead, number))
         else:
-            for i in range(ENTRIES_AHEAD):
-                entries[i] = 0.0
+            entries[:ENTRIES_AHEAD] = 0.0

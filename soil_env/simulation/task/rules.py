@@ -112,8 +112,7 @@ def judge(vehicle, task):
 @compiled_finite
 def begin_step(vehicle):
     """Set the reward terms of a vehicle to 0 and its control periods to none, before a step."""
-    for i in range(4):
-        vehicle.terms[i] = 0.0
+    vehicle.terms[:] = 0.0
     vehicle.periods = 0
     vehicle.cause = RUNNING
 

@@ -8,7 +8,9 @@ pieces the course is drawn. Ground of terrain classes and with two routes is dra
 Slopes have lengths and grades of their own. So a grade changes inside a soil, a soil on a slope,
 and some slopes are too steep for their soil: such courses are kept.
 
-Functions take a `Course`, `CourseNumbers` and the scratch `nodes` of an arc (`contact.ARC_NODES`).
+Functions take a course (`terrain.course_dtype`), `CourseNumbers` and the scratch `nodes` of an arc
+(`contact.ARC_NODES`). `spec` is the `DISTRIBUTION` of the numbers, `load` [N] the weight of the
+wheel on level ground.
 """
 
 import numpy as np

@@ -3,6 +3,8 @@
 The method: `newton` and docs/physics/wheel.md. A wheel whose speeds are about to change takes 2, 4
 or 8 steps where others take one. Where its iteration fails, the step is halved, down to the
 `FINEST` part.
+
+`drive` is a `Drive`, `stage` a `Stage`, `rig` a `RIG` and `world` a `World` throughout.
 """
 
 import math
@@ -102,14 +104,15 @@ def change_ahead(wheel, drive, rig):
 
 
 @inlined
-def stage_of(number, h, speed, rim, speed_before, rim_before):
-    """`Stage` of this `number`, 0 or 1, of a step of h seconds.
+def stage_of(number, h, wheel, speed_before, rim_before, rig):
+    """`Stage` of this `number`, 0 or 1, of a step of h seconds, at whose beginning the `wheel` is.
 
-    `speed`, `rim` [m/s] are those at its beginning, `speed_before`, `rim_before` those at the
-    beginning of the step. V* and u* of stage 1 lie `LEAD` times the change in stage 0 beyond its
-    end (docs/physics/wheel.md).
+    `speed_before`, `rim_before` [m/s]: V and u = r w at the beginning of the step. V* and u* of
+    stage 1 lie `LEAD` times the change in stage 0 beyond its end (docs/physics/wheel.md).
     """
     g = GAMMA * h
+    speed = wheel.speed
+    rim = rig.radius * wheel.wheel_speed
     if number == 0:
         return Stage(g, 0.0, g, g, speed, rim)
     ahead_v = speed + LEAD * (speed - speed_before)
@@ -272,8 +275,7 @@ def drive_period(wheel, drive, course, world):
         speed_before = wheel.speed
         rim_before = rig.radius * wheel.wheel_speed
         for number in range(2):
-            rim = rig.radius * wheel.wheel_speed
-            stage = stage_of(number, h, wheel.speed, rim, speed_before, rim_before)
+            stage = stage_of(number, h, wheel, speed_before, rim_before, rig)
             effects = world.acting.effects
             ahead = ground_ahead(wheel, stage, course, course.cells, rig.border, effects)
             now = at_time(drive, 1.0 - (left - stage.duration) / rig.period)

@@ -3,10 +3,10 @@
     V = V* + h/m (DP - m g sin(grade)),   u = u* + h r/J (T_motor - T),   u = r w
 
 with the analytic derivatives of the reaction; V* and u* of the two stages: docs/physics/wheel.md
-(Alexander 1977).
+(Alexander 1977). `drive` is a `wheel.Drive`, `rig` a `wheel.RIG`, `world` a `wheel.World`.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from soil_env._compiled.flags import HUGE, compiled_finite, inlined
 from soil_env.terramechanics.motor import motor_torque
@@ -27,7 +27,7 @@ OF_CHANGE = 0.1  # [-]
 # [of the first residual] taken for the residual before it, so that its fall predicts nothing
 BEFORE_FIRST = 0.1
 SHORT = 0.1  # [of the rim speed] foreseen change up to which the first try is the foreseen speed
-LEAST_PIVOT = 1e-12  # [-] determinant that a step is divided by, at least
+LEAST_PIVOT = 1e-12  # [-] size of a number that a step is divided by, at least
 
 
 class Stage(NamedTuple):
@@ -46,8 +46,14 @@ class Motion(NamedTuple):
 
     speed: float  # [m/s]
     rim: float  # [m/s]
-    force: Reaction
+    force: Any  # `Reaction`, or of a rover a `TURNING`, which has its fields
     converged: bool
+
+
+@compiled_finite
+def divisor(x):
+    """`x`, or `LEAST_PIVOT` where its size is less: a number to divide by."""
+    return x if abs(x) > LEAST_PIVOT else LEAST_PIVOT
 
 
 @compiled_finite
@@ -60,9 +66,7 @@ def newton_step(f1, f2, cv, cu, force, net_u):
     a12 = -cv * force.pull_u
     a21 = cu * force.torque_v
     a22 = 1.0 + cu * net_u
-    determinant = a11 * a22 - a12 * a21
-    if abs(determinant) <= LEAST_PIVOT:
-        determinant = LEAST_PIVOT
+    determinant = divisor(a11 * a22 - a12 * a21)
     return -(a22 * f1 - a12 * f2) / determinant, -(a11 * f2 - a21 * f1) / determinant
 
 
@@ -118,7 +122,7 @@ def solve_speeds(wheel, stage, footing, along, drive, world, extra):
 
     Not converged: `PASSES` evaluations were not enough, or no shorter step reduces a residual that
     is not `near_enough`. The motion is then the best one found. `along` [N]: the weight along the
-    grade.
+    grade; `footing`, `extra`: `Footing` and `ExtraForces` of the wheel in this stage.
 
     In the loop v, u are the best speeds so far and `norm` their residual [m/s]; `before` is the
     residual of those before. `share` is how much of a step is tried.

@@ -12,7 +12,7 @@ from soil_env.terramechanics.effects import depends_on_speed
 from soil_env.terramechanics.ground import soil_of
 from soil_env.terramechanics.reaction import Acting
 from soil_env.terramechanics.residual import WorkingPoint, residual_under
-from soil_env.terramechanics.steady import Conditions, Point, rim_of, steady_at
+from soil_env.terramechanics.steady import LEVEL, Conditions, Point, rim_of, steady_at
 from soil_env.terramechanics.traversability import best_point_at
 
 REDRAWS = 200  # attempts at a soil
@@ -79,7 +79,7 @@ def within(owner, bounds):
 @compiled
 def draw_soil(owner, drawn):
     """Random soil from the stream of `owner`: a preset by its share of the mixture, scattered by
-    the whole `SoilSpread`.
+    the whole `SoilSpread`. `drawn`: `CourseDistribution`.
     """
     pick = uniform(owner)
     i = 0
@@ -95,7 +95,7 @@ def scattered(mean, share, owner, spec):
 
     Stiffness is the pressure at `reference_sinkage`, so a change of the exponent turns the curve
     about that point. Recovery and the fields after it stay. Rows of `factor` and entries of
-    `variation` are in the order of `DISTRIBUTION`.
+    `variation` are in the order of `DISTRIBUTION`, which `spec` is.
     """
     z = normal_pair(owner) + normal_pair(owner) + normal_pair(owner)
     rows = spec.factor
@@ -158,8 +158,7 @@ def capacity(load, soil, numbers, nodes):
     rim = rim_of(rig)
     effects = numbers.acting.effects
     deepest = SAFE_SINKAGE * spec.bogged_sinkage
-    at_rest = Conditions(0.0, 1.0, 0.0)
-    rest = steady_at(nodes, Point(0.0, load, 0.0), soil, rim, at_rest, effects)
+    rest = steady_at(nodes, Point(0.0, load, 0.0), soil, rim, LEVEL, effects)
     if rest.sinkage > deepest or not rest.supported:
         return IMPASSABLE
     least = HUGE
@@ -178,7 +177,8 @@ def capacity(load, soil, numbers, nodes):
 
 @compiled
 def draw_ground(owner, load, numbers, nodes):
-    """Draw soils until one leaves this wheel `least_pull` on level ground: (found, the last one).
+    """Draw soils until one leaves this wheel `least_pull` on level ground under a `load` [N]:
+    (True if found, the last `SoilState`).
 
     Not found: none of `REDRAWS` soils does. With a least pull of -1 the last one is then taken all
     the same, even if the wheel would be bogged at its best pull. Slopes do not count, since they

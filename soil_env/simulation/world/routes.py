@@ -1,7 +1,8 @@
 """Terrain classes, and the routes between which a wheel may choose (docs/physics/wheel.md).
 
 Two routes over a patch have soils of different classes and the same slopes, which are drawn without
-looking at the soils: both routes may be passable, or one, or none.
+looking at the soils: both routes may be passable, or one, or none. Arguments are named as in
+`courses`; p is the index of a patch.
 """
 
 from soil_env._compiled.flags import compiled, inlined
@@ -111,8 +112,8 @@ def set_route(course, p, route):
 
 @compiled
 def next_fork(wheel, course, border):
-    """Index of the patch after the wheel's if it has two routes and the wheel has not been within
-    its `border` [m] yet, else -1.
+    """Index of the patch after the wheel's if it has two routes and the wheel has never been at the
+    border before it, else -1. That border begins half of `border` [m] before the patch.
     """
     ahead = wheel.patch + 1
     if ahead >= course.drawn or course.forks[ahead].routes < 2:

@@ -78,20 +78,22 @@ def sensors_of(scenario: Scenario) -> np.ndarray:
 
 @compiled_finite
 def _scatter(out, sd, wheel, normals):
-    """Fill the record `out` with random normal numbers, whose standard deviations the record `sd`
-    has, from the stream of a wheel; `normals` is scratch.
+    """Add random normal numbers, whose standard deviations the record `sd` has, to the fields of
+    the record `out`, from the stream of a wheel; `normals` is scratch. Both are `READING`s.
     """
     draw_normals(wheel, normals, PAIRS)
     i = 0
     for name in literal_unroll(NAMES):
         k = i // 2
-        out[name] = sd[name] * (normals.first[k] if i % 2 == 0 else normals.second[k])
+        out[name] += sd[name] * (normals.first[k] if i % 2 == 0 else normals.second[k])
         i += 1
 
 
 @compiled_finite
 def mount_sensors(wheel, normals, sensors):
-    """Draw zeros and gains of the sensors of a wheel for a course."""
+    """Draw zeros and gains, which are 0 before, of the sensors of a wheel for a course; `sensors`:
+    `SENSOR_NOISE`.
+    """
     _scatter(wheel.zero[0], sensors.zero[0], wheel, normals)
     _scatter(wheel.gain[0], sensors.gain[0], wheel, normals)
 
@@ -106,27 +108,40 @@ def roll_odometer(vehicle, speed, period):
 
 
 @compiled_finite
-def sense(wheel, reading, normals, sensors, errors, radius):
-    """Fill the record `reading` (`READING`) with readings of a wheel of `radius` [m].
-
-    Its slip gets the white noise only, and `read_slip` completes it. `normals` is scratch.
+def read_place(vehicle, sample, period):
+    """Fill place [m] and halt of a `sample` whose speed is read: odometry after a control `period`
+    [s], as it was at the start of a course.
     """
+    if vehicle.steps > 0:  # not at the start of a course
+        roll_odometer(vehicle, sample.speed, period)
+    sample.place = vehicle.odometer
+    sample.halted = 1.0 if vehicle.halt_left > 0.0 else 0.0
+
+
+@compiled_finite
+def sense(wheel, reading, normals, sensors, errors, radius):
+    """Fill the record `reading` (`READING`) with readings of a wheel of `radius` [m]: the truth,
+    then gain, zero and white noise as `Noise` says.
+
+    Its slip gets the white noise only, and `read_slip` completes it. `sensors`: `SENSOR_NOISE`,
+    `errors`: `SensorErrors`; `normals` is scratch.
+    """
+    reading.slip = 0.0  # its sensor has neither gain nor zero
+    reading.sinkage = _seen_sinkage(wheel.slip, wheel.sinkage, errors) + wheel.unfelt
+    reading.drawbar_pull = wheel.drawbar_pull
+    reading.load = wheel.load
+    reading.torque = wheel.torque
+    reading.speed = wheel.speed
+    reading.rim_speed = wheel.wheel_speed * radius
+    reading.pitch = wheel.grade
+    reading.motor_torque = wheel.motor_torque
+    # dV/dt + g sin(grade), as an accelerometer reads
+    reading.acceleration = wheel.drawbar_pull / wheel.mass
     zero = wheel.zero[0]
     gain = wheel.gain[0]
-    sinkage = _seen_sinkage(wheel.slip, wheel.sinkage, errors) + wheel.unfelt
-    pull = wheel.drawbar_pull
-    rim = wheel.wheel_speed * radius
+    for name in literal_unroll(NAMES):
+        reading[name] = (1.0 + gain[name]) * reading[name] + zero[name]
     _scatter(reading, sensors.white[0], wheel, normals)
-    reading.sinkage += (1.0 + gain.sinkage) * sinkage + zero.sinkage
-    reading.drawbar_pull += (1.0 + gain.drawbar_pull) * pull + zero.drawbar_pull
-    reading.load += (1.0 + gain.load) * wheel.load + zero.load
-    reading.torque += (1.0 + gain.torque) * wheel.torque + zero.torque
-    reading.speed += (1.0 + gain.speed) * wheel.speed + zero.speed
-    reading.rim_speed += (1.0 + gain.rim_speed) * rim + zero.rim_speed
-    reading.pitch += (1.0 + gain.pitch) * wheel.grade + zero.pitch
-    reading.motor_torque += (1.0 + gain.motor_torque) * wheel.motor_torque + zero.motor_torque
-    # DP/m = dV/dt + g sin(grade), as an accelerometer reads
-    reading.acceleration += (1.0 + gain.acceleration) * pull / wheel.mass + zero.acceleration
 
 
 @compiled_finite
@@ -134,7 +149,7 @@ def read_slip(wheel, reading, sensors, errors):
     """Add the slip to that of a `reading`, which is white noise so far, and cut it to [-1, 1].
 
     With noise of a slip sensor it is the true slip, else the slip of the two speeds that were read.
-    Either is biased as the `errors` say.
+    Either is biased as the `errors` say (`SensorErrors`).
     """
     slip = wheel.slip
     if sensors.white[0].slip == 0.0:

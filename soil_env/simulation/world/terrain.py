@@ -179,7 +179,8 @@ def place_in_cells(x):
 def between_cells(count, x):
     """(index of a cell, share of the way from its middle to the middle of the next) at x [m].
 
-    x is cut to the middles of the first and the last of `count` cells.
+    x is cut to the middles of the first and the last of `count` cells; the index is that of the
+    last but one at most.
     """
     place = min(max(place_in_cells(x), 0.0), count - 1.0)
     i = min(int(place), count - 2)
@@ -237,7 +238,7 @@ def cell_after(count, cell, x):
 
 @compiled
 def leave_rut(cell, depth):
-    """Mark a cell as driven over once more, with a rut of `depth` [m] below its floor."""
+    """Mark a cell as driven over once more, with a rut at least `depth` [m] below its floor."""
     cell.passes += 1.0
     cell.depth = max(cell.depth, depth)
 

@@ -181,8 +181,8 @@ def soil_in_contact(soil, passage, fx):
 
 @compiled
 def arc_ends(theta1, slip, fx):
-    """(exit angle theta2, angle thetam of the stress peak) [rad]; the peak stays `PEAK_MARGIN` of
-    the arc away from both ends.
+    """(exit angle theta2, angle thetam of the stress peak) [rad] at an entry angle theta1 [rad] and
+    a slip; the peak stays `PEAK_MARGIN` of the arc away from both ends.
     """
     if fx is None:
         return 0.0, 0.5 * theta1
@@ -215,7 +215,9 @@ def drive_friction(torque, wheel_speed, floor, fx):
 
 @compiled
 def drive_torque(torque, wheel_speed, floor, fx):
-    """Torque [N m] at the motor for a torque at the axle, with `drive_friction`."""
+    """Torque [N m] at the motor for a torque at the axle: that and `drive_friction`, with the same
+    arguments.
+    """
     return torque + drive_friction(torque, wheel_speed, floor, fx).torque
 
 

@@ -3,7 +3,6 @@
 import math
 
 from soil_env._compiled.flags import compiled
-from soil_env.terramechanics.ground import with_strength
 
 from .bulldozing import passive_coefficient
 from .entry import Bench, Effect, EffectParameter as P, Form, Priors
@@ -31,19 +30,6 @@ def shear_radius_ratio(wheel, fx):
         return 1.0
     else:
         return 1.0 + fx.grousers_shear_share * wheel.grouser_height / contact_radius(wheel, fx)
-
-
-@compiled
-def at_shear_radius(soil, q, shear_modulus):
-    """`soil` with q times its strength: sheared at the contact radius r it gives the shear forces
-    that `soil` gives at q r. The longer lever of the torque is left to the caller.
-
-    K [m] becomes `shear_modulus`. The share of soil carried along the rim, which is proportional to
-    tan(phi), stays, so `rim_flow` is divided by q.
-    """
-    return with_strength(
-        soil, q * soil.tan_phi, q * soil.cohesion, shear_modulus, soil.rim_flow / q
-    )
 
 
 @compiled

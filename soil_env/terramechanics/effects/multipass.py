@@ -98,7 +98,6 @@ def passed_over(soil, passage, fx):
         soil.tan_phi * power(passes, fx.multipass_strength),
         soil.cohesion * power(passes, fx.multipass_cohesion),
         soil.shear_modulus * power(passes, -fx.multipass_stiffening),
-        soil.rim_flow,
     )
     return stiffened(stronger, pass_factor(passes, passage.slip, soil.sinkage_exponent, fx))
 

@@ -11,21 +11,19 @@ LEAST_PRESSURE = 1e-3  # [of the reference] below which soil changes no more; ow
 
 @compiled
 def pressure_factor(pressure, reference, exponent):
-    """A power of `pressure` over `reference` [Pa], which counts as at least `LEAST_PRESSURE`."""
+    """(pressure/reference)^exponent, both in Pa; the ratio counts as at least `LEAST_PRESSURE`."""
     return power(max(pressure / reference, LEAST_PRESSURE), exponent)
 
 
 @compiled
 def rubbed_under_pressure(soil, passage, fx):
-    """`soil` with tan(phi) times a power of the pressure p."""
+    """`soil` with tan(phi) times the `pressure_factor` of the pressure of a `Passage`."""
     factor = pressure_factor(
         passage.pressure,
         fx.pressure_dependent_friction_reference_pressure,
         fx.pressure_dependent_friction_exponent,
     )
-    return with_strength(
-        soil, factor * soil.tan_phi, soil.cohesion, soil.shear_modulus, soil.rim_flow
-    )
+    return with_strength(soil, factor * soil.tan_phi, soil.cohesion, soil.shear_modulus)
 
 
 def middle_pressure(bench: Bench) -> dict[str, float]:

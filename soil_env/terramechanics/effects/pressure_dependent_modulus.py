@@ -9,15 +9,13 @@ from .pressure_dependent_friction import middle_pressure, pressure_factor
 
 @compiled
 def stretched_under_pressure(soil, passage, fx):
-    """`soil` with K times a power of the pressure p."""
+    """`soil` with K times the `pressure_factor` of the pressure of a `Passage`."""
     factor = pressure_factor(
         passage.pressure,
         fx.pressure_dependent_modulus_reference_pressure,
         fx.pressure_dependent_modulus_exponent,
     )
-    return with_strength(
-        soil, soil.tan_phi, soil.cohesion, factor * soil.shear_modulus, soil.rim_flow
-    )
+    return with_strength(soil, soil.tan_phi, soil.cohesion, factor * soil.shear_modulus)
 
 
 EFFECT = Effect(

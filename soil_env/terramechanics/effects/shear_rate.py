@@ -20,9 +20,7 @@ def sheared_fast(soil, passage, fx):
     strength = rate_factor(
         passage.slide, fx.shear_rate_reference_speed, fx.shear_rate_exponent, fx.shear_rate_slope
     )
-    return with_strength(
-        soil, soil.tan_phi * strength, cohesion * strength, soil.shear_modulus, soil.rim_flow
-    )
+    return with_strength(soil, soil.tan_phi * strength, cohesion * strength, soil.shear_modulus)
 
 
 def _neutral(bench: Bench) -> dict[str, float]:

@@ -7,7 +7,9 @@ from .entry import Bench, Effect, EffectParameter as P, Form, Priors
 
 @compiled
 def peak_shift(theta1, slip, fx):
-    """Shift [rad] of the stress peak towards the entry: (a + c |i|) theta1."""
+    """Shift [rad] of the stress peak towards the entry: (a + c |i|) theta1, with the entry angle
+    theta1 [rad], a the `offset` and c the `slope` of the effect.
+    """
     share = fx.stress_peak_shift_offset + fx.stress_peak_shift_slope * abs(slip)
     return share * theta1
 
