@@ -66,7 +66,8 @@ class Table:
         if over > 0 and not all(numbers):
             texts = [k for k, number in enumerate(numbers) if not number]
             longest = max(texts, key=widths.__getitem__)
-            most = max(widths[longest] - over, len(lines[0][longest]), _LEAST_WIDTH)
+            least = max(len(lines[0][longest]), _LEAST_WIDTH)
+            most = min(max(widths[longest] - over, least), widths[longest])
             widths[longest] = most
             for line in lines:
                 cell = line[longest]

@@ -5,7 +5,7 @@ import re
 import jinja2
 import pytest
 
-from soil_env._io.document import Table, html_image, html_page, render
+from soil_env._io.document import WIDTH, Table, html_image, html_page, render
 
 TABLE = Table(
     ("soil", "pull [N]"), [("<sand> & co", "12.5"), ("loam|clay", -3), ("", "-")], "Two soils"
@@ -16,6 +16,11 @@ def test_a_table_is_escaped_and_its_numbers_are_aligned():
     assert TABLE.markdown().splitlines()[2:4] == ["| <sand> & co | 12.5 |", r"| loam\|clay | -3 |"]
     assert '<td>&lt;sand&gt; &amp; co</td><td class="n">12.5</td>' in TABLE.html()
     assert " <sand> & co      12.5" in TABLE.text(indent=1).splitlines()
+
+
+def test_a_short_column_beside_long_numbers_is_not_widened():
+    table = Table(("a", "number"), [("ab", "1" * WIDTH)])
+    assert table.text().splitlines()[1] == "ab  " + "1" * WIDTH
 
 
 def test_a_page_loads_nothing_and_escapes_text_but_not_a_table():
