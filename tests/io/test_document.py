@@ -25,7 +25,7 @@ def test_a_short_column_beside_long_numbers_is_not_widened():
 
 def test_a_page_loads_nothing_and_escapes_text_but_not_a_table():
     text = html_page(
-        "a < b", ["<h1>A</h1>", TABLE.html(), html_image(b"\x89PNG", 'x "y"')], "p { color: red; }"
+        "a < b", "<h1>A</h1>" + TABLE.html() + html_image(b"\x89PNG", 'x "y"'), "p { color: red; }"
     )
     assert (
         "<title>a &lt; b</title>" in text
@@ -36,7 +36,7 @@ def test_a_page_loads_nothing_and_escapes_text_but_not_a_table():
     own = jinja2.Environment(autoescape=True).from_string("{{ t }}")
     assert own.render(t=TABLE) == TABLE.html()
     with pytest.raises(jinja2.UndefinedError, match="title"):
-        render("page.html", body=[], style="")
+        render("page.html", body="", style="")
 
 
 def test_a_dollar_in_a_plot_is_a_dollar():
