@@ -443,6 +443,7 @@ def number(
 
 
 def _has_fields(value: Any) -> bool:
+    """True for a message, or a part of one, with fields: in CDR a dataclass of `rosbags`."""
     return dataclasses.is_dataclass(value) or isinstance(value, SimpleNamespace)
 
 
