@@ -276,6 +276,7 @@ def _convert(hint, value, where: str):
     items = typing.get_args(hint)
 
     def expect(right: bool, what: str) -> None:
+        """Raise `ParameterError`, with `what` was expected, unless the value is `right`."""
         if not right:
             raise ParameterError(f"{where} = {value!r}: expected {what}")
 
@@ -401,7 +402,7 @@ class _Strict(yaml.SafeLoader):
         if isinstance(node, yaml.ScalarNode):
             return
         keys = set()
-        for item in node.value:
+        for item in node.value:  # of a mapping (key, value), of a list a node
             parts = item if isinstance(item, tuple) else (item,)
             for part in parts:
                 self._check(part, (*above, node))

@@ -141,10 +141,12 @@ def _stoppable(received: list[int]) -> Iterator[None]:
     report = sys.unraisablehook
 
     def stop(number: int, frame: FrameType | None) -> None:
+        """Handler of both signals."""
         received.append(number)
         raise KeyboardInterrupt
 
     def dropped(unraisable: Any) -> None:
+        """Hook of Python for an exception that a callback dropped: send the signal again soon."""
         if received and unraisable.exc_type is KeyboardInterrupt:
             again.append(threading.Timer(_LATER, _send, (received[-1],)))
             again[-1].start()

@@ -101,6 +101,7 @@ def align(
     on_axis = (grid >= 0) & (grid <= steps["wheel_speed"].max())
     readings = {}
     for name, channel in measured.items():
+        # By reading of the channel: index in `grid` of its step.
         on_grid = np.searchsorted(grid, steps[name])
         counts = np.bincount(on_grid, minlength=grid.size)
         sums = np.bincount(on_grid, np.frombuffer(channel.values), grid.size)

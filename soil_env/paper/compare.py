@@ -80,7 +80,7 @@ def as_shown(value: float, form: str) -> float:
 
 
 def percent_above(value: Any, reference: Any) -> Any:
-    """[%] by which a value is above the reference, of which it is a share; of arrays an array."""
+    """Excess of a value over the reference [% of the reference]; of arrays an array."""
     return 100.0 * (value / reference - 1.0)
 
 

@@ -61,9 +61,10 @@ def markdown(results: Results, command: str) -> str:
         "rules": _rules(),
         "noise": _noise(results),
     }
-    own, printed, _ = sets(1).values()
+    own, printed, _ = sets(1).values()  # (soil, equations) of Table 2 and of Table 3 as printed
     # [%] by which the torques of the printed parameters are too low.
     low = -percent_above(prediction(*printed)[:, 1], prediction(*own)[:, 1])
+    # Points of Figs. 3 and 4 but for the last of Fig. 3, whose drawbar pull is a misprint.
     fits = [*rows["fig3"][:-1], *rows["fig4"]]
     misses = np.abs([np.subtract(row.ours, row.printed) for row in fits])
 
