@@ -66,7 +66,8 @@ class Table:
         if over > 0 and not all(numbers):
             texts = [k for k, number in enumerate(numbers) if not number]
             longest = max(texts, key=widths.__getitem__)
-            most = max(widths[longest] - over, len(lines[0][longest]), _LEAST_WIDTH)
+            least = max(len(lines[0][longest]), _LEAST_WIDTH)
+            most = min(max(widths[longest] - over, least), widths[longest])
             widths[longest] = most
             for line in lines:
                 cell = line[longest]
@@ -81,13 +82,11 @@ class Table:
     def _numbers(self) -> list[bool]:
         """For each column, True if it has numbers: every cell begins with one, is empty or a dash.
 
-        Without rows no column has.
+        In a table without rows it is False for all.
         """
-        if not self.rows:
-            return [False] * len(self.header)
         return [
-            all(_NUMBER.match(str(cell)) for cell in column)
-            for column in zip(*self.rows, strict=True)
+            bool(self.rows) and all(_NUMBER.match(str(row[k])) for row in self.rows)
+            for k in range(len(self.header))
         ]
 
 
@@ -96,17 +95,18 @@ def _markdown_row(cells: Sequence[object]) -> str:
     return "| " + " | ".join(" ".join(str(c).split()).replace("|", r"\|") for c in cells) + " |"
 
 
-def html_page(title: str, body: str | Sequence[str], style: str = "") -> str:
-    """A self-contained HTML page: `body` is HTML, in one or several parts, and `style` CSS after
-    that of all pages. Both are put in as they are; `title` is escaped.
+def html_page(title: str, body: str, style: str = "") -> str:
+    """A self-contained HTML page: `body` is HTML, and `style` CSS after that of all pages.
+
+    Both are put in as they are; `title` is escaped.
     """
-    return render(
-        "page.html", title=title, body=[body] if isinstance(body, str) else body, style=style
-    )
+    return render("page.html", title=title, body=body, style=style)
 
 
 def html_image(content: bytes, caption: str, kind: str = "png") -> str:
-    """Element `figure` with the image in it; `kind` is its media subtype, "png" or "svg+xml"."""
+    """HTML element `figure` with the image, a file of the media subtype `kind` ("png" or
+    "svg+xml"), within the page itself, and its `caption`, which is escaped.
+    """
     text = escape(caption)
     data = base64.b64encode(content).decode("ascii")
     image = f'<img alt="{text}" src="data:image/{kind};base64,{data}">'
@@ -114,7 +114,7 @@ def html_image(content: bytes, caption: str, kind: str = "png") -> str:
 
 
 def plot_text(text: str) -> str:
-    """A name for matplotlib, which would take what is between two $ for mathematics."""
+    """The text with every $ escaped: matplotlib takes what is between two $ for mathematics."""
     return text.replace("$", r"\$")
 
 

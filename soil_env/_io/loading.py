@@ -196,7 +196,7 @@ Keys = dict[str, typing.Any]  # nested, as in a YAML file
 TITLES = 20  # lines of a CSV file, from the first, among which a header is looked for
 
 
-def below_title(path: Path, lines: Iterable[Sequence[str]], names: Iterable[str]) -> None:
+def refuse_title(path: Path, lines: Iterable[Sequence[str]], names: Iterable[str]) -> None:
     """Raise `ParameterError` where a line below the first has the `names` of columns and the first
     has not: there is a title above the header.
 
@@ -222,7 +222,10 @@ def load(cls, mapping, where: str = ""):
 
     Raises `ParameterError` for unknown or missing keys, wrong types and values out of range. The
     message begins with `where` the mapping came from, a file as a rule, and the path of keys in it:
-    "setup.yaml: wheel.radius = 150: ...".
+    "setup.yaml: wheel.radius = 150: ...". Without `where` it begins with the name of the class.
+
+    A class may have `more_keys`, names of keys that are taken out of a file before this is called.
+    They are among those that are proposed for a misspelt key.
     """
     where = where or cls.__name__
     names = {f.name: f for f in dataclasses.fields(cls) if f.init}
@@ -245,7 +248,7 @@ def load(cls, mapping, where: str = ""):
     try:
         return cls(**values)
     except FieldError as error:
-        if where == cls.__name__:
+        if where == cls.__name__:  # its message begins with the class already
             raise
         raise ParameterError(f"{_below(where, error.name)}{error.problem}") from None
     except ParameterError as error:
@@ -273,6 +276,7 @@ def _convert(hint, value, where: str):
     items = typing.get_args(hint)
 
     def expect(right: bool, what: str) -> None:
+        """Raise `ParameterError`, with `what` was expected, unless the value is `right`."""
         if not right:
             raise ParameterError(f"{where} = {value!r}: expected {what}")
 
@@ -398,7 +402,7 @@ class _Strict(yaml.SafeLoader):
         if isinstance(node, yaml.ScalarNode):
             return
         keys = set()
-        for item in node.value:
+        for item in node.value:  # of a mapping (key, value), of a list a node
             parts = item if isinstance(item, tuple) else (item,)
             for part in parts:
                 self._check(part, (*above, node))
@@ -427,10 +431,10 @@ def _number_of(loader: _Strict, node: yaml.ScalarNode) -> int | float:
         raise _wrong(node, f"{node.value}: expected {expected}")
     if whole:
         return loader.construct_yaml_int(node)
-    number = loader.construct_yaml_float(node)
-    if math.isinf(number) and "inf" not in text.lower():
+    found = loader.construct_yaml_float(node)
+    if math.isinf(found) and "inf" not in text.lower():
         raise _wrong(node, f"{node.value}: expected a number below {sys.float_info.max:.2g}")
-    return number
+    return found
 
 
 for _kind in ("int", "float"):

@@ -90,4 +90,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def entry() -> None:
     """Entry point of the installed command."""
-    leave(main(sys.argv[1:]))
+    leave(main())

@@ -60,7 +60,7 @@ def command(recording: Path, map_file: Path, out: Path) -> None:
     found = replay(log, log_map)
     steady = steady_windows(log, log_map, found.ground)
     files, text = report_of(recording.name, log, log_map, found, steady, out)
-    check_own(out, files, (recording, map_file))
+    check_own(out, files, (recording, map_file))  # now with the tables of the grounds found
     write_own(out, files)
     drop_own(out, {p.name for p in out.iterdir() if FILES.fullmatch(p.name)} - set(files))
     print(text, end="")

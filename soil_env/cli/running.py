@@ -48,18 +48,17 @@ def run(
             stream.reconfigure(errors="backslashreplace")
     received: list[int] = []
     given = list(sys.argv[1:] if arguments is None else arguments)
-    program = name
-    name = _called(command, given, name)
+    called = _called(command, given, name)
     try:
         with _stoppable(received):
             own = command if isinstance(command, click.Command) else command()
-            with own.make_context(program, given) as context:
+            with own.make_context(name, given) as context:
                 own.invoke(context)
             if sys.stdout is not None:
                 sys.stdout.flush()
         return 0
     except click.ClickException as error:
-        return _fail(name, error.format_message(), error)
+        return _fail(called, error.format_message(), error)
     except click.exceptions.Exit as end:
         return end.exit_code
     except BrokenPipeError:
@@ -71,17 +70,17 @@ def run(
         return UNREAD
     except KeyboardInterrupt as error:
         text = str(error)
-        print(f"\n{name}: interrupted{'; ' if text else ''}{text}", file=sys.stderr)
+        print(f"\n{called}: interrupted{'; ' if text else ''}{text}", file=sys.stderr)
         return TERMINATED if signal.SIGTERM in received else INTERRUPTED
     except MemoryError as error:
-        return _fail(name, f"not enough memory ({error})", error)
+        return _fail(called, f"not enough memory ({error})", error)
     except OSError as error:
         if error.filename is None:  # all our files are named: a print failed
             _drop_output()
-            return _fail(name, f"the output cannot be written ({error.strerror or error})", error)
-        return _fail(name, f"{error.filename}: {error.strerror or error}", error)
+            return _fail(called, f"the output cannot be written ({error.strerror or error})", error)
+        return _fail(called, f"{error.filename}: {error.strerror or error}", error)
     except ParameterError as error:
-        return _fail(name, str(error), error)
+        return _fail(called, str(error), error)
 
 
 def _called(command: object, arguments: Sequence[str], name: str) -> str:
@@ -142,10 +141,12 @@ def _stoppable(received: list[int]) -> Iterator[None]:
     report = sys.unraisablehook
 
     def stop(number: int, frame: FrameType | None) -> None:
+        """Handler of both signals."""
         received.append(number)
         raise KeyboardInterrupt
 
     def dropped(unraisable: Any) -> None:
+        """Hook of Python for an exception that a callback dropped: send the signal again soon."""
         if received and unraisable.exc_type is KeyboardInterrupt:
             again.append(threading.Timer(_LATER, _send, (received[-1],)))
             again[-1].start()

@@ -7,7 +7,9 @@ For an image, or before many processes start at once.
 import gc
 import multiprocessing
 import time
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 from typing import Any
 
 import click
@@ -60,21 +62,24 @@ def _begin() -> None:
 BLIND: dict[str, Any] = {"observation": "blind", "belief": {"method": "none"}}
 
 
-def _drive(env_id: str, action: float, **options: Any) -> None:
-    """Reset an environment, make a step and draw a picture."""
+_ACTION = 0.4  # of every step; any that is not 0 would do
+
+
+def _drive(env_id: str, **options: Any) -> None:
+    """Make an environment with these options, reset it, make a step and draw a picture."""
     env = gymnasium.make(env_id, render_mode="rgb_array", **options)
     env.reset(seed=0)
-    env.step(np.full(env.action_space.shape, action, np.float32))
+    env.step(np.full(env.action_space.shape, _ACTION, np.float32))
     env.render()
     env.close()
 
 
 def _drive_wheels(**options: Any) -> None:
     """Compile what one wheel and what many need: a step of each, with these options."""
-    _drive("SoilWheel-v0", 0.4, **options)
+    _drive("SoilWheel-v0", **options)
     envs = SoilWheelVectorEnv(64, **options)
     envs.reset(seed=0)
-    envs.step(np.full((64, 1), 0.4, dtype=np.float32))
+    envs.step(np.full((64, 1), _ACTION, np.float32))
     envs.simulation.true_soils()
     envs.close()
 
@@ -86,17 +91,9 @@ def _with_effects() -> WheelSoilModel:
     )
 
 
-# Functions of their own: a process finds its part by the name.
-def _wheels() -> None:
-    _drive_wheels(**BLIND)
-
-
 def _wheels_with_effects() -> None:
+    """Compile what wheels need in the world of a model with an effect."""
     _drive_wheels(model=_with_effects(), **BLIND)
-
-
-def _rovers() -> None:
-    _drive("SoilRover-v0", 0.4, **BLIND)
 
 
 def _identifier() -> None:
@@ -111,7 +108,7 @@ def _identifier() -> None:
     identifier.update(Readings(2.0, 0.25, 0.02, 10.0, 147.0, 5.0))
     identifier.traversability()
     _drive_wheels()
-    _drive("SoilRover-v0", 0.4)
+    _drive("SoilRover-v0")
 
 
 def _predictions() -> None:
@@ -140,10 +137,10 @@ def _predictions() -> None:
 
 #: Parts that are compiled side by side, the longest first. A process compiles an inner function
 #: once, so everything that identifies is one part, whose drives load what other parts compiled.
-PARTS = {
+PARTS: dict[str, Callable[[], None]] = {
     "wheels with effects": _wheels_with_effects,
-    "rovers": _rovers,
+    "rovers": partial(_drive, "SoilRover-v0", **BLIND),
     "identifier": _identifier,
-    "wheels": _wheels,
+    "wheels": partial(_drive_wheels, **BLIND),
     "predictions, tables, logs": _predictions,
 }

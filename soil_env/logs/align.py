@@ -53,9 +53,10 @@ class Aligned:
     def __len__(self) -> int:
         return self.time.size
 
-    def get(self, name: str) -> np.ndarray:
-        """Readings [N] of a channel; NaN where it is not measured."""
-        return self.readings.get(name, np.full(len(self), math.nan))
+    def get(self, name: str, other: float | np.ndarray = math.nan) -> np.ndarray:
+        """Readings [N] of a channel; `other`, a number or [N], where it is not measured."""
+        values = self.readings.get(name, np.full(len(self), math.nan))
+        return np.where(np.isnan(values), other, values)
 
     def motion(self, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(Rim speed [m/s], travel speed [m/s], slip) [N] of a wheel of `radius` [m].
@@ -64,11 +65,8 @@ class Aligned:
         to [-1, 1], and where a speed follows from it to at least `_LOCKED`.
         """
         rim = self.get("wheel_speed") * radius
-        speed = self.get("speed")
-        slip = np.clip(self.get("slip"), -1.0, 1.0)
-        slip = np.where(np.isnan(slip), slips(rim, speed), slip)
-        of_slip = travel_speeds(rim, np.maximum(slip, _LOCKED))
-        return rim, np.where(np.isnan(speed), of_slip, speed), slip
+        slip = np.clip(self.get("slip", slips(rim, self.get("speed"))), -1.0, 1.0)
+        return rim, self.get("speed", travel_speeds(rim, np.maximum(slip, _LOCKED))), slip
 
     def travelled(self, radius: float) -> np.ndarray:
         """Distance [N] in m from the beginning for a wheel of `radius` [m]; going back adds, too.
@@ -98,20 +96,21 @@ def align(
         n: (np.frombuffer(c.times, np.int64) - origin + period_ns // 2) // period_ns
         for n, c in measured.items()
     }
-    # Numbers of the steps of the axis.
+    # Numbers of all steps, those before the axis and behind it too: their readings fill gaps.
     grid = _bridged(np.unique(np.concatenate(list(steps.values()))), round(max_gap / period))
-    kept = (grid >= 0) & (grid <= steps["wheel_speed"].max())
+    on_axis = (grid >= 0) & (grid <= steps["wheel_speed"].max())
     readings = {}
     for name, channel in measured.items():
+        # By reading of the channel: index in `grid` of its step.
         on_grid = np.searchsorted(grid, steps[name])
         counts = np.bincount(on_grid, minlength=grid.size)
         sums = np.bincount(on_grid, np.frombuffer(channel.values), grid.size)
         means = np.divide(sums, counts, out=np.full(grid.size, math.nan), where=counts > 0)
         values, filled = interpolated(grid * period, means, max_gap)
-        readings[name] = values[kept]
-        channel.interpolated = float(np.mean(filled[kept]))
-        channel.missing = float(np.mean(np.isnan(values[kept])))
-    time = grid[kept] * period
+        readings[name] = values[on_axis]
+        channel.interpolated = float(np.mean(filled[on_axis]))
+        channel.missing = float(np.mean(np.isnan(values[on_axis])))
+    time = grid[on_axis] * period
     seen = ~np.all([np.isnan(v) for v in readings.values()], axis=0)
     readings |= {name: np.full(time.size, value) for name, value in constants.items()}
     return Aligned(origin, time[seen], {n: v[seen] for n, v in readings.items()}, channels, period)

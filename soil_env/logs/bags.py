@@ -35,6 +35,7 @@ _MOST_MESSAGE = 2**26  # [bytes] unpacked, of a message of which a number is rea
 _MOST_WORK = (10_000_000, 10)
 _WORK_STEP = 100_000  # instructions between two counts
 _LEAST_TEXT = 10_000  # [bytes] of a text or blob that SQLite may make of a file however small
+_BETWEEN_REPORTS = 64  # rows of a .db3 file, between two reports of progress
 _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[[^\[\]]+\])*)\Z")  # of a path into a message
 _LISTS_OF_NAMES = ("name", "joint_names", "names")
 _ZSTD = b"\x28\xb5\x2f\xfd"  # first bytes of what zstd compressed (RFC 8878)
@@ -257,8 +258,8 @@ def _mcap(file: Path, wanted: set[str], notes: Notes, decoder: _Decoder) -> Iter
     """Yield the messages of an MCAP file on the topics `wanted`; all its topics go into `notes`."""
     from mcap.records import Channel, Message as Record, Schema
 
-    schemas = {}
-    channels = {}
+    schemas = {}  # by id
+    channels = {}  # (topic, message type, function that decodes a message) by id, of those wanted
     for r in _mcap_records(file, notes):
         if isinstance(r, Schema):
             schemas[r.id] = r
@@ -324,7 +325,7 @@ def _sqlite(file: Path, wanted: set[str], notes: Notes, decoder: _Decoder) -> It
                 name, kind = topics[topic]
                 decode = partial(decoder.cdr, kind, f"{file}: topic {name}", data)
                 yield Message(name, time, kind, decode)
-                if number % 64 == 0:
+                if number % _BETWEEN_REPORTS == 0:
                     notes.report(int(size * min(number / count, 1.0)))
         # The text of an error may quote bytes of the file that are no UTF-8.
         except (sqlite3.Error, UnicodeDecodeError) as error:
@@ -443,6 +444,7 @@ def number(
 
 
 def _has_fields(value: Any) -> bool:
+    """True for a message, or a part of one, with fields: in CDR a dataclass of `rosbags`."""
     return dataclasses.is_dataclass(value) or isinstance(value, SimpleNamespace)
 
 
@@ -512,7 +514,7 @@ def _kind(value: Any) -> str:
         return "null"
     if hasattr(value, "__len__"):
         return f"a list of {len(value)}"
-    return type(value).__name__.removesuffix("_")
+    return type(value).__name__.removesuffix("_")  # bool_ and str_ of numpy
 
 
 def _near(message: Any, steps: tuple[str | int, ...]) -> str:

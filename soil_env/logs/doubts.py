@@ -127,14 +127,17 @@ class _Doubts:
     def _units(self, name: str, low: float, high: float) -> list[str]:
         """Units in which the reading would be `low` to `high` times as large.
 
-        None for a reading that takes more than a factor, as a current does.
+        An empty list for a reading that takes more than a factor, as a current does.
         """
         unit = self.map.channels[name].unit
         if is_converted(name, unit):
             return []
         now = si_factor(name, unit)
-        others = {u: f for u, f in UNITS[name].items() if f != now and not is_converted(name, u)}
-        return [u for u, f in others.items() if low <= f / now <= high]
+        return [
+            u
+            for u, f in UNITS[name].items()
+            if f != now and low <= f / now <= high and not is_converted(name, u)
+        ]
 
     def _unit_in_words(self, name: str, low: float, high: float) -> str:
         """Units that explain a reading which should be `low` to `high` times as large, in words;
@@ -147,11 +150,9 @@ class _Doubts:
     def _speeds(self) -> bool:
         """Compare rim speed, travel speed and slip; add the first doubt, True if there is none.
 
-        Compared are first the sizes of the two speeds, then their directions, then the slip with
-        that of the speeds. The ratio of the medians has to be in `_RIM`, that at the least slip in
-        `_FREEST`. A ratio above `_RIM` alone is no doubt where `_LEAST` steps have rim and wheel in
-        motion: the wheel may be stuck in the others. Nothing is doubtful where fewer than `_LEAST`
-        steps have both speeds.
+        Compared are first the sizes of the two speeds (`_wrong_ratio`), then their directions, then
+        the slip with that of the speeds. Nothing is doubtful where fewer than `_LEAST` steps have
+        both speeds.
         """
         rim = self.rim
         speed = self.speed
@@ -160,26 +161,17 @@ class _Doubts:
         both = moves if moves.sum() >= _LEAST else both
         if both.sum() < _LEAST:
             return True
-        ratio = _median(np.abs(rim[both])) / max(_median(np.abs(speed[both])), _LEAST_DIVISOR)
-
-        turns = moves & (np.abs(rim) > self.slowest)
-        known = turns.sum() >= _LEAST
-        ratios = np.abs(rim[turns] / speed[turns])
-        freest = float(np.quantile(ratios, _FREE_SHARE)) if known else 1.0
-        low, high = _RIM
-        free, freer = _FREEST
-        if ratio < low or not free <= freest <= freer or (ratio > high and not known):
-            if ratio >= low and known:
-                ratio = freest
-                low, high = _FREEST
+        wrong = self._wrong_ratio(both, moves)
+        if wrong is not None:
+            ratio, (low, high) = wrong
             divisor = max(ratio, _LEAST_DIVISOR)
             # Least and greatest factor on a reading that bring the ratio between _HELD and _SPUN.
-            limits = {
+            factors = {
                 "wheel_speed": (_HELD / divisor, _SPUN / divisor),
                 "speed": (ratio / _SPUN, ratio / _HELD),
             }
             units = [
-                f"{name} in {u}" for name, of in limits.items() for u in self._units(name, *of)
+                f"{name} in {u}" for name, of in factors.items() for u in self._units(name, *of)
             ]
             reason = (
                 " or ".join(units)
@@ -193,7 +185,7 @@ class _Doubts:
             self._doubt("wheel_speed", said, "the same direction", "another sign of one of the two")
             return False
         of_speeds = slips(rim, speed)[both]
-        # How far the slip is off, as it reads and with the opposite sign.
+        # Median by which the slip is off, as it reads and with the opposite sign.
         slip = self.log.get("slip")[both]
         away, opposite = (_median(np.abs(slip - sign * of_speeds)) for sign in (1.0, -1.0))
         if away > _SLIP_OFF or away > max(_SLIP_TURNED, _FITS_BETTER * opposite):
@@ -203,6 +195,25 @@ class _Doubts:
             )
             return False
         return True
+
+    def _wrong_ratio(
+        self, both: np.ndarray, moves: np.ndarray
+    ) -> tuple[float, tuple[float, float]] | None:
+        """(Rim speed over travel speed [-], the limits that it is beyond), None if it is plausible.
+
+        The ratio of the medians in the steps `both` [N] has to be in `_RIM`. That at the least slip
+        has to be in `_FREEST`; it is known if the rim turns in `_LEAST` of the steps `moves` [N].
+        Where it is known a ratio above `_RIM` is plausible: the wheel may be stuck in other steps.
+        """
+        rim = np.abs(self.rim)
+        speed = np.abs(self.speed)
+        ratio = _median(rim[both]) / max(_median(speed[both]), _LEAST_DIVISOR)
+        turns = moves & (rim > self.slowest)
+        known = turns.sum() >= _LEAST
+        if ratio < _RIM[0] or (ratio > _RIM[1] and not known):
+            return ratio, _RIM
+        freest = float(np.quantile(rim[turns] / speed[turns], _FREE_SHARE)) if known else 1.0
+        return None if _FREEST[0] <= freest <= _FREEST[1] else (freest, _FREEST)
 
     def _sizes(self) -> bool:
         """Compare readings with sizes of the wheel; True if nothing is doubtful.

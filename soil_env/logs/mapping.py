@@ -179,7 +179,7 @@ class LogMap(Checked):
                 "channels.wheel_speed",
                 ": expected readings, which make the time axis; no constant",
             )
-        self.noise()
+        self.noise()  # raises for an sd that is out of range
         if self.windows.duration < _LEAST_PERIODS * self.period:
             raise ParameterError(
                 f"windows: duration = {self.windows.duration:g} s: expected at least four periods "

@@ -90,10 +90,10 @@ class _Reader:
     def __init__(self, log_map: LogMap, notes: Notes) -> None:
         self.map = log_map
         self.notes = notes
-        self.constants = {}
-        self.sources = {}
+        self.constants: dict[str, float] = {}  # readings in SI units, by channel
+        self.sources: dict[str, Source] = {}  # of the channels that are read
         self.channels = {n: Channel(s.place) for n, s in log_map.channels.items()}
-        # Larger readings are left out.
+        #: Largest plausible reading in SI units, by channel; larger ones are left out.
         self.limits = largest_readings(log_map.wheel, log_map.gravity)._asdict()
         self.interval = math.nan  # [s] median between the first rows of a table
         self.length = 0.0  # [s] from the first to the last row
@@ -201,11 +201,12 @@ class _Reader:
             content, stamp = topic.decoded(message)
             if stamp is None:
                 continue
+            place = topic.faults.count  # of the message in its topic, from 1
             for name, field in topic.fields.items():
-                value = field.number(content, message.kind, topic.faults.count)
+                value = field.number(content, message.kind, place)
                 if value is not None:
                     self._add(name, len(topic.stamps), value)
-            topic.stamps.add(stamp, topic.faults.count, message.time)
+            topic.stamps.add(stamp, place, message.time)
         self._check_found(topics)
         delays = {}  # [s] mean, by topic with header stamps
         for of, topic in topics.items():

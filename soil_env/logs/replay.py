@@ -135,7 +135,7 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     prior = identifier.estimate
     size = len(log)
     status = np.zeros(size, np.int64)
-    found = np.zeros(size, np.int64)
+    borders = np.zeros(size, np.int64)  # found so far
     restarts = 0
     renewed = np.zeros(size, bool)
     on_border = np.zeros(size, bool)
@@ -162,7 +162,7 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
         status[k] = e.status
         renewed[k] = e.renewed
         on_border[k] = identifier.on_border
-        found[k] = borders_before + e.borders
+        borders[k] = borders_before + e.borders
         last = t
     values = {name: table[:, i] for i, name in enumerate(COLUMNS)}
     warnings = []
@@ -172,7 +172,7 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
             f"after gaps of more than {log_map.restart_gap:g} s."
         )
     warnings += _refuse(log.time, values, status)
-    ground, differs = _grounds(log, log_map, found, values, status, prior)
+    ground, differs = _grounds(log, log_map, borders, values, status, prior)
     return Replay(
         log.time,
         values,
@@ -180,7 +180,7 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
         renewed,
         ground,
         differs,
-        int(found.max(initial=0)),
+        int(borders.max(initial=0)),
         prior,
         on_border,
         frozenset(names),
@@ -220,7 +220,7 @@ def _refuse(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray)
 def _grounds(
     log: Aligned,
     log_map: LogMap,
-    found: np.ndarray,
+    borders: np.ndarray,
     values: dict[str, np.ndarray],
     status: np.ndarray,
     prior: Estimate,
@@ -228,20 +228,20 @@ def _grounds(
     """(Number [N] from 1 of the ground at each step, probability for each ground that its soil is
     not that of the ground before).
 
-    `found` [N]: borders found so far. They and gaps part the drive. A part shorter than
+    `borders` [N]: count of those found so far. They and gaps part the drive. A part shorter than
     `_LEAST_PART` is joined to the next, as a long border is found twice, unless a gap ends it. A
     part that differs with a probability below `DIFFERS` belongs to the ground before, and the two
     estimates are pooled. The first part after a gap is a ground of its own, with NaN.
     """
     where = log.travelled(log_map.wheel.radius)
-    border = log_map.belief.border
+    border = log_map.belief.border  # [m] its length
     gap = np.diff(log.time, append=math.inf) > log_map.restart_gap
     out = np.zeros(len(log), np.int64)
     begins = 0  # first step of the part
     before = None  # estimate of the ground before, None after a gap
     differs = []
     # Last step of each part.
-    for end in np.flatnonzero((np.diff(found, append=found[-1:] + 1) != 0) | gap).tolist():
+    for end in np.flatnonzero((np.diff(borders, append=borders[-1:] + 1) != 0) | gap).tolist():
         settled = end  # last step whose estimate is of this part alone
         if not gap[end]:
             if where[end] - where[begins] < _LEAST_PART * border:

@@ -99,7 +99,7 @@ def report_of(
     )
     body = render(
         "soil_env.logs:report.html",
-        commands=commands(parts, steady),
+        commands=commands(parts),
         readings=html_image(readings, shaded),
         estimates=html_image(estimates, grey),
         **values,
@@ -114,7 +114,7 @@ def report_of(
     written |= files(parts, steady, log_map, found.prior)
     text = render(
         "soil_env.logs:report.txt",
-        commands=commands(parts, steady, folder),
+        commands=commands(parts, folder),
         places=[folder / name for name in written],
         **values,
     )

@@ -115,8 +115,7 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
         one_drive = (
             runs[first] >= 0
             and runs[first] == runs[last]
-            and far_from_borders[window].all()
-            and ground[first] == ground[last]
+            and far_from_borders[window].all()  # so on one ground
         )
         if not (one_drive and is_steady(part, log.period, log_map)):
             first += max(1, n // _STARTS)
@@ -145,23 +144,18 @@ def _columns(log: Aligned, log_map: LogMap) -> dict[str, np.ndarray]:
     turns the wheel faster is taken off where the inertia is known.
     """
     rim, speed, slip = log.motion(log_map.wheel.radius)
-    pitch = log.get("pitch")
     motor = log.get("motor_torque")
     if len(log) > 1 and log_map.wheel.inertia != UNKNOWN_INERTIA:
         motor = motor - log_map.wheel.inertia * np.gradient(log.get("wheel_speed"), log.time)
-
-    def measured(name: str, other: np.ndarray) -> np.ndarray:
-        return np.where(np.isnan(log.get(name)), other, log.get(name))
-
     return {
         "slip": slip,
         "speed": speed,
         "rim": rim,
-        "load": measured("load", log_map.weight * np.cos(np.nan_to_num(pitch))),
-        "pitch": pitch,
+        "load": log.get("load", log_map.weight * np.cos(log.get("pitch", 0.0))),
+        "pitch": log.get("pitch"),
         "sinkage": log.get("sinkage"),
-        "drawbar_pull": measured("drawbar_pull", log.get("acceleration") * log_map.wheel.body_mass),
-        "torque": measured("torque", motor),
+        "drawbar_pull": log.get("drawbar_pull", log.get("acceleration") * log_map.wheel.body_mass),
+        "torque": log.get("torque", motor),
     }
 
 
@@ -266,15 +260,15 @@ def grounds(found: Replay, steady: Steady) -> list[Ground]:
     return out
 
 
-def tables_to_fit(grounds: list[Ground], steady: Steady) -> list[tuple[str, str, Ground]]:
+def tables_to_fit(grounds: list[Ground]) -> list[tuple[str, str, Ground]]:
     """(File of the table, file of the setup, ground) for each ground with points enough for a fit.
 
-    A single ground has all points.
+    Those of a single ground, which has all points, are steady.csv and setup.yaml.
     """
-    if len(grounds) == 1:
-        return [] if steady.reason else [("steady.csv", "setup.yaml", grounds[0])]
     return [
-        (f"ground{g.number}.csv", f"ground{g.number}.yaml", g)
+        ("steady.csv", "setup.yaml", g)
+        if len(grounds) == 1
+        else (f"ground{g.number}.csv", f"ground{g.number}.yaml", g)
         for g in grounds
         if not g.points.reason
     ]
@@ -288,14 +282,14 @@ def files(
     The pair steady.csv and setup.yaml has all points. Of several grounds, each with points enough
     has a pair of its own. Only the setup of a single ground has the online estimate.
     """
-    if steady.reason:
-        return {}
-    note = f"# points of {len(grounds)} grounds, named in column run: no single soil fits them\n"
-    out = {
-        "steady.csv": note + steady.table(),
-        "setup.yaml": setup_text(log_map, steady, prior, None),
-    }
-    for table, setup, ground in tables_to_fit(grounds, steady):
+    out = {}
+    if len(grounds) > 1 and not steady.reason:
+        out["steady.csv"] = (
+            f"# points of {len(grounds)} grounds, named in column run: no single soil fits them\n"
+            + steady.table()
+        )
+        out["setup.yaml"] = setup_text(log_map, steady, prior, None)
+    for table, setup, ground in tables_to_fit(grounds):
         out[table] = ground.points.table()
         out[setup] = setup_text(log_map, ground.points, prior, ground.estimate)
     return out
@@ -405,10 +399,10 @@ def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
     ]
 
 
-def commands(grounds: list[Ground], steady: Steady, folder: Path = Path()) -> list[str]:  # noqa: B008
+def commands(grounds: list[Ground], folder: Path = Path()) -> list[str]:  # noqa: B008
     """Commands to run next: identify and discover, for each of `tables_to_fit` in `folder`."""
     out = []
-    for table, setup, _ in tables_to_fit(grounds, steady):
+    for table, setup, _ in tables_to_fit(grounds):
         data, given, target = (
             shlex.quote(str(folder / n)) for n in (table, setup, Path(table).stem)
         )

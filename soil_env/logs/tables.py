@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from soil_env._io.loading import TITLES, ParameterError, below_title, one_line, plural, unknown_key
+from soil_env._io.loading import TITLES, ParameterError, one_line, plural, refuse_title, unknown_key
 
 from .mapping import TIMES
 from .notes import Faults, Notes
@@ -154,15 +154,15 @@ def _csv(stamps: str, columns: dict[str, str], notes: Notes, faults: Faults) -> 
                 raise ParameterError(
                     f"{path}: has no line: expected a header with column names, and rows below it"
                 )
-            # The file ends there.
-            in_header = raw.tell() == notes.size and not path.read_bytes().endswith(b"\n")
-            if in_header and stamps in header and not set(columns) <= set(header):
+            # True if the file ends without a line break, and the header is its last line.
+            ends_there = raw.tell() == notes.size and not path.read_bytes().endswith(b"\n")
+            if ends_there and stamps in header and not set(columns) <= set(header):
                 raise ParameterError(
                     f"{path}: is cut off in its header, after column {header[-1]!r}: nothing to "
                     "read"
                 )
             if stamps not in header:
-                below_title(path, [header, *islice(lines, TITLES)], (stamps, *columns))
+                refuse_title(path, [header, *islice(lines, TITLES)], (stamps, *columns))
             _check_columns(path, header, stamps, columns)
             errors[0] = "replace"
             stamp_column = header.index(stamps)

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from soil_env._io.loading import TITLES, ParameterError, below_title, plural
+from soil_env._io.loading import TITLES, ParameterError, plural, refuse_title
 from soil_env.parameters import LARGEST_WHEEL
 from soil_env.slip import slips_of_radius
 
@@ -248,7 +248,7 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
             if written and _SEPARATOR.fullmatch(text[written[0]]):  # of spreadsheets
                 text[written.pop(0)] = "\n"
             first = text[written[0]] if written else ""
-            below_title(path, [re.split(r"[,;\t]", text[k]) for k in written[:TITLES]], REQUIRED)
+            refuse_title(path, [re.split(r"[,;\t]", text[k]) for k in written[:TITLES]], REQUIRED)
             mark = next((m for m in ";\t" if m in first and "," not in first), ",")
             reader = csv.reader(text, strict=True, delimiter=mark)
             lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]

@@ -51,6 +51,7 @@ ACTUAL_SET = np.array([P.table3[name].actual for name in NAMES])
 GUESS = tuple(ACTUAL_SET)
 WONG_REECE_LOAD = 8923.0  # [N] of the wheel of Wong & Reece (1967), 2006 lb
 WIDE_SLIP = (0.05, 0.6)  # our reading of "a wide range of slip"
+WIDE_SLIPS = np.linspace(*WIDE_SLIP, 200)  # over which a mean drawbar pull is taken
 RULES = (1, 2, 5, 10)  # m of Simpson's rule in Fig. 2
 SLIPS = np.linspace(0.01, 0.95, 48)  # of the torques of Fig. 8
 OFF = (0.95, 1.05)  # drawbar pulls of Table 1 over that of the working point
@@ -78,7 +79,14 @@ def as_shown(value: float, form: str) -> float:
     return float(format(value, form))
 
 
-def field(soil: Any, e: Equations = AS_PRINTED) -> tuple[tuple[float, float, float], Equations]:
+def percent_above(value: Any, reference: Any) -> Any:
+    """Excess of a value over the reference [% of the reference]; of arrays an array."""
+    return 100.0 * (value / reference - 1.0)
+
+
+def soil_and_equations(
+    soil: Any, e: Equations = AS_PRINTED
+) -> tuple[tuple[float, float, float], Equations]:
     """((phi [deg], K [m], S) of a `Sand` or a `Soil`, the equations `e` with its c and n).
 
     The two arguments by which `forces` describes a soil.
@@ -90,14 +98,19 @@ def field(soil: Any, e: Equations = AS_PRINTED) -> tuple[tuple[float, float, flo
 
 def pulls(e: Equations, sand: Sand, slip: ArrayLike) -> np.ndarray:
     """DP [N] at each slip, [M] or a number, with the entry angle of the working point."""
-    own, e = field(sand, e)
+    soil, e = soil_and_equations(sand, e)
     sinkage = e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg)))
-    return forces(own, slip, sinkage, e)[:, 0]
+    return forces(soil, slip, sinkage, e)[:, 0]
 
 
 def pull(e: Equations, sand: Sand = SAND) -> float:
     """DP [N] at the working point."""
     return float(pulls(e, sand, POINT.slip)[0])
+
+
+def mean_pull(e: Equations, sand: Sand = SAND) -> float:
+    """Mean DP [N] over `WIDE_SLIPS`, with the entry angle of the working point."""
+    return float(pulls(e, sand, WIDE_SLIPS).mean())
 
 
 def alone(e: Equations, name: str, target: float) -> float:
@@ -114,13 +127,10 @@ def alone(e: Equations, name: str, target: float) -> float:
 
 
 def variation(e: Equations) -> float:
-    """Mean change of DP over `WIDE_SLIP` where the cohesion is the one held in Table 3 in place of
-    the one of Table 2, relative to the mean DP [%].
+    """Change of the mean DP over `WIDE_SLIPS` where the cohesion is the one held in Table 3 in
+    place of the one of Table 2 [%].
     """
-    slip = np.linspace(*WIDE_SLIP, 200)
-    own = pulls(e, SAND, slip)
-    held = pulls(e, replace(SAND, cohesion=P.fixed_cohesion), slip)
-    return 100.0 * float((held - own).mean() / own.mean())
+    return percent_above(mean_pull(e, replace(SAND, cohesion=P.fixed_cohesion)), mean_pull(e))
 
 
 def working_point() -> list[Row]:
@@ -131,7 +141,7 @@ def working_point() -> list[Row]:
     changes = [variation(e) for e in MODELS]
     c = POINT.then_identified_cohesion
     limit = POINT.cohesion_may_turn_negative_below
-    error = [100.0 * (c / SAND.cohesion - 1.0) for c in at_1200]
+    error = [percent_above(found, SAND.cohesion) for found in at_1200]
     return [
         Row("DP [N]", POINT.drawbar_pull, [pull(e) for e in MODELS]),
         Row("c identified from 1150 N [Pa]", c, at_1150),
@@ -154,29 +164,35 @@ def table_1() -> list[Row]:
             found = [alone(e, name, factor * pull(e)) for e in MODELS]
             label = f"{LABELS[name]}, DP {100 * (factor - 1):+.0f} %"
             rows.append(Row(label, line.identified[k], found, form))
-            errors = [100.0 * (as_shown(v, form) / getattr(SAND, name) - 1.0) for v in found]
+            errors = [percent_above(as_shown(v, form), getattr(SAND, name)) for v in found]
             rows.append(Row("error [%]", line.error_percent[k], errors))
     return rows
 
 
-def rules() -> list[tuple[Any, ...]]:
-    """(rule, DP [N] of the working point by each of `MODELS`, difference [%] by each of `MODELS`).
+class Rule(NamedTuple):
+    """Drawbar pulls by an equation of the resistance and a rule of integration."""
 
-    The rules are (12) by Simpson's rule with each m of `RULES` and exactly, then (11) with m = 2
-    and exactly. The difference is that of the mean DP over `WIDE_SLIP` from the mean by (12),
-    integrated exactly.
+    name: str  # equation and rule
+    pulls: list[float]  # DP [N] of the working point, by each of `MODELS`
+    #: [%] by which the mean DP over `WIDE_SLIPS` is above that by (12), integrated exactly; by each
+    #: of `MODELS`.
+    differences: list[float]
+
+
+def rules() -> list[Rule]:
+    """Rules of Fig. 2: (12) by Simpson's rule with each m of `RULES` and exactly, then (11) with
+    m = 2 and exactly.
     """
-    slip = np.linspace(*WIDE_SLIP, 200)
     cases = [(f"(12), m = {m}", m, True) for m in RULES]
     cases += [("(12), exact", 0, True), ("(11), m = 2", 2, False), ("(11), exact", 0, False)]
     found = []
     for name, m, compaction in cases:
         ours = [e._replace(simpson=m, compaction=compaction) for e in MODELS]
-        off = [
-            100.0 * (pulls(e, SAND, slip).mean() / pulls(exact, SAND, slip).mean() - 1.0)
+        differences = [
+            percent_above(mean_pull(e), mean_pull(exact))
             for e, exact in zip(ours, EXACT, strict=True)
         ]
-        found.append((name, *map(pull, ours), *off))
+        found.append(Rule(name, [pull(e) for e in ours], differences))
     return found
 
 
@@ -218,7 +234,7 @@ def table_3() -> list[Row]:
     rows = []
     for k, (name, form) in enumerate(zip(NAMES, (".2f", ".4f", ".0f"), strict=True)):
         line = P.table3[name]
-        errors = [100.0 * abs(as_shown(x[k], form) / line.actual - 1.0) for x in found]
+        errors = [abs(percent_above(as_shown(x[k], form), line.actual)) for x in found]
         rows.append(Row(LABELS[name], line.identified, [x[k] for x in found], form))
         rows.append(Row("error [%]", line.error_percent, errors))
     predicted = [prediction(PRINTED_SET, e)[:, 0] for e in FIXED_COHESION]
@@ -324,7 +340,7 @@ def table_5(e: Equations, seed: int, draws: int) -> Noisy:
     factors = 1.0 + NOISE * rng.standard_normal((draws, 3, 3))
     noisy = Points(*np.swapaxes(np.array(MEASURED) * factors, 0, 1))
     found = newton_raphson(noisy, np.tile(GUESS, (draws, 1)), e)
-    errors = 100.0 * np.abs(found / ACTUAL_SET - 1.0)
+    errors = np.abs(percent_above(found, ACTUAL_SET))
     good = np.isfinite(errors).all(axis=1)
     limit = [P.table5[name][1] for name in NAMES]
     return Noisy(

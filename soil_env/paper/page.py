@@ -29,6 +29,7 @@ from .compare import (
     Row,
     as_shown,
     on_the_curve,
+    percent_above,
     prediction,
     pull_misfits,
     pulls,
@@ -60,9 +61,10 @@ def markdown(results: Results, command: str) -> str:
         "rules": _rules(),
         "noise": _noise(results),
     }
-    own, printed, _ = sets(1).values()
+    own, printed, _ = sets(1).values()  # (soil, equations) of Table 2 and of Table 3 as printed
     # [%] by which the torques of the printed parameters are too low.
-    low = 100.0 * (1.0 - prediction(*printed)[:, 1] / prediction(*own)[:, 1])
+    low = -percent_above(prediction(*printed)[:, 1], prediction(*own)[:, 1])
+    # Points of Figs. 3 and 4 but for the last of Fig. 3, whose drawbar pull is a misprint.
     fits = [*rows["fig3"][:-1], *rows["fig4"]]
     misses = np.abs([np.subtract(row.ours, row.printed) for row in fits])
 
@@ -74,7 +76,7 @@ def markdown(results: Results, command: str) -> str:
         "c": compare,
         "command": command,
         "low": (low.min(), low.max()),
-        "off": {name: off for name, _, _, *off in rules()},
+        "off": {rule.name: rule.differences for rule in rules()},
         "miss": misses.max(axis=0),
         "rms": pull_misfits(),
         "misprint": rows["fig3"][-1].ours[1] - POINT.if_measured_drawbar_pull,
@@ -138,8 +140,8 @@ def _rules() -> Table:
     heads = (f"{name}: DP [N]" for name in READINGS)
     differences = (f"{name}: from (12), exact [%]" for name in READINGS)
     rows = [
-        (name, f"{one:.2f}", f"{two:.2f}", f"{off_one:+.2f}", f"{off_two:+.2f}")
-        for name, one, two, off_one, off_two in rules()
+        (r.name, *(f"{v:.2f}" for v in r.pulls), *(f"{v:+.2f}" for v in r.differences))
+        for r in rules()
     ]
     return Table(("resistance, integration", *heads, *differences), rows)
 

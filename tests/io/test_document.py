@@ -5,7 +5,7 @@ import re
 import jinja2
 import pytest
 
-from soil_env._io.document import Table, html_image, html_page, render
+from soil_env._io.document import WIDTH, Table, html_image, html_page, render
 
 TABLE = Table(
     ("soil", "pull [N]"), [("<sand> & co", "12.5"), ("loam|clay", -3), ("", "-")], "Two soils"
@@ -18,9 +18,14 @@ def test_a_table_is_escaped_and_its_numbers_are_aligned():
     assert " <sand> & co      12.5" in TABLE.text(indent=1).splitlines()
 
 
+def test_a_short_column_beside_long_numbers_is_not_widened():
+    table = Table(("a", "number"), [("ab", "1" * WIDTH)])
+    assert table.text().splitlines()[1] == "ab  " + "1" * WIDTH
+
+
 def test_a_page_loads_nothing_and_escapes_text_but_not_a_table():
     text = html_page(
-        "a < b", ["<h1>A</h1>", TABLE.html(), html_image(b"\x89PNG", 'x "y"')], "p { color: red; }"
+        "a < b", "<h1>A</h1>" + TABLE.html() + html_image(b"\x89PNG", 'x "y"'), "p { color: red; }"
     )
     assert (
         "<title>a &lt; b</title>" in text
@@ -31,7 +36,7 @@ def test_a_page_loads_nothing_and_escapes_text_but_not_a_table():
     own = jinja2.Environment(autoescape=True).from_string("{{ t }}")
     assert own.render(t=TABLE) == TABLE.html()
     with pytest.raises(jinja2.UndefinedError, match="title"):
-        render("page.html", body=[], style="")
+        render("page.html", body="", style="")
 
 
 def test_a_dollar_in_a_plot_is_a_dollar():

@@ -284,7 +284,7 @@ def test_points_of_two_soils_are_not_one_table(without_digging, tmp_path):
         )
     truth = [soils()[name].shear_modulus for name in names]
     assert [fits["ground1"].value, fits["ground2"].value] == pytest.approx(truth, rel=0.4)
-    run = commands(parts, steady, tmp_path)
+    run = commands(parts, tmp_path)
     assert len(run) == 4 and not any("steady.csv" in line for line in run)
     assert parts[1].differs > 0.8 and "Grounds found: 2." in advice(found, parts, steady)[0]
     assert any(

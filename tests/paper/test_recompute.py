@@ -18,7 +18,7 @@ from soil_env.parameters import soils
 from tests.terramechanics import reference
 
 AS_PRINTED, WONG_REECE = MODELS
-SAND = compare.field(compare.SAND)[0]
+SAND = compare.soil_and_equations(compare.SAND)[0]
 
 
 def half_digit(form: str) -> float:
@@ -120,7 +120,7 @@ def test_drawbar_pull_of_the_equations_as_printed():
     quadrature gives these.
     """
     assert compare.pull(AS_PRINTED) == pytest.approx(1050.25, abs=0.005)
-    rules = {name: values[0] for name, *values in compare.rules()}
+    rules = {rule.name: rule.pulls[0] for rule in compare.rules()}
     assert rules["(12), exact"] == pytest.approx(1095.05, abs=0.02)
     assert rules["(11), exact"] == pytest.approx(1318.42, abs=0.02)
     ladder = [rules[f"(12), m = {m}"] for m in compare.RULES]
@@ -226,7 +226,7 @@ def test_printed_points_lie_on_the_curves_of_figs_3_and_4():
 
 def test_two_subintervals_are_not_the_exact_integral_of_fig_2():
     """Off by 3 to 5 % of the mean drawbar pull; (12) is off (11) by more."""
-    off = {name: values for name, _, _, *values in compare.rules()}
+    off = {rule.name: rule.differences for rule in compare.rules()}
     assert all(-5.0 < v < -3.0 for v in off["(12), m = 2"])
     assert all(abs(v) < 0.5 for v in off["(12), m = 10"])
     assert all(v > 15.0 for v in off["(11), exact"])
@@ -265,12 +265,15 @@ def test_noise_of_table_5():
 def test_soils_of_fig_9_are_not_those_of_the_paper():
     rows = {"sandy_loam_15": 2784.0, "dry_sand": 2713.0, "clayey_soil_38": 1406.0}
     for name, highest in rows.items():
-        torque = compare.torque(*compare.field(soils()[name]))
+        torque = compare.torque(*compare.soil_and_equations(soils()[name]))
         assert np.nanmax(torque) == pytest.approx(highest, abs=0.5), name
-    assert np.isnan(compare.torque(*compare.field(soils()["snow"]))).all()
+    assert np.isnan(compare.torque(*compare.soil_and_equations(soils()["snow"]))).all()
     clay = soils()["clayey_soil_38"]
     excluded = dataclasses.replace(clay, cohesion=P.high_cohesion_excluded)
-    assert np.nanmax(compare.torque(*compare.field(excluded))) < P.fig9_about["clayey_soil"]
+    assert (
+        np.nanmax(compare.torque(*compare.soil_and_equations(excluded)))
+        < P.fig9_about["clayey_soil"]
+    )
 
 
 def test_page_and_figures_are_written(tmp_path, results):
