@@ -274,6 +274,16 @@ class Problem:
             smooth=wheel.grouser_height == 0.0 and not np.any(rows.wheels[:, 2]),
         )
 
+    def is_given(self, unknown: Unknown) -> bool:
+        """True if the setup gives a prior of this soil parameter, of S also by `k_c` and `k_phi`.
+
+        False for the tilt and for parameters of effects.
+        """
+        soil = self.data.setup.soil
+        if unknown.name == "sinkage_coefficient":
+            return soil.lumped(self.data.wheel.width) is not None
+        return getattr(soil, unknown.name, None) is not None
+
     def unknowns(self, choices: Choices) -> tuple[Unknown, ...]:
         """Unknowns of a model: soil first, then the free parameters of the effects in order.
 

@@ -265,10 +265,9 @@ def _worse(problem: Problem, before: np.ndarray, after: np.ndarray, seed: int) -
 
 def _far(problem: Problem, model: Evidence) -> bool:
     """True if a soil parameter that the setup gives is further than `FAR` from its value there."""
-    soil = problem.data.setup.soil
     # The means of a fit are in units of the widened prior, those of the soil first.
     return any(
-        abs(mean) > FAR / PRIOR_WIDTH and getattr(soil, unknown.name, None) is not None
+        abs(mean) > FAR / PRIOR_WIDTH and problem.is_given(unknown)
         for unknown, mean in zip(problem.soil, model.mean, strict=False)
     )
 

@@ -348,7 +348,7 @@ def cautions(report: Report) -> list[str]:
         value = float(unknown.value(u))
         if not free:
             bounds.append((label, not_tiny(value)))
-        elif getattr(setup.soil, unknown.name, None) is not None:
+        elif problem.is_given(unknown):
             # Distance in sd of the setup's prior, which the fit widened.
             far = abs(PRIOR_WIDTH * widened[unknown.name].at(value))
             off_prior += [(label, far)] if far > FAR else []
