@@ -6,7 +6,7 @@ import click
 from rich.text import Text
 
 from soil_env._io.files import check_own, json_text, write_own
-from soil_env.discovery.instrument import exact
+from soil_env.discovery.instrument import ruled_out
 from soil_env.identification.table.fit import identify_table
 from soil_env.identification.table.report import picture, report_of, text_of
 from soil_env.measurement.setup import read_setup
@@ -29,7 +29,7 @@ def command(data: Path, setup: Path, out: Path | None) -> None:
     what the data cannot determine.
     """
     known = read_setup(setup)
-    exact(known)  # for its errors: `discover` reads the same setup and refuses it
+    ruled_out(known)  # for its errors: `discover` reads the same setup and refuses it
     table = read_table(data, known.wheel, known.ignore_columns)
     if out is not None:
         check_own(out, FILES, (data, setup))

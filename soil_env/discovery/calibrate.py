@@ -30,6 +30,7 @@ from soil_env.identification.table.form_error import (
     LENGTHS,
     Conditions,
     Process,
+    StressChange,
     by_stresses,
     compressed,
     finite,
@@ -195,13 +196,17 @@ class Problem:
     freedom: float = math.inf  # degrees of freedom that the noise is known to
 
     def __post_init__(self) -> None:
+        """Set what follows from table and setup: unknowns, priors that depend on the rig, and the
+        processes of form errors.
+        """
         setup = self.data.setup
+        #: Unknowns of the soil with their widened priors; values by name that the setup knows.
         self.soil, self.known = soil_unknowns(
             setup, self.data.rows.load, self.data.y[:, 0], PRIOR_WIDTH
         )
         given = setup.soil.density
-        self.density = USUAL_DENSITY if given is None else given.value
-        self.laws = given_laws(setup)
+        self.density = USUAL_DENSITY if given is None else given.value  # [kg/m3]
+        self.laws = given_laws(setup)  # values by name
         self.bench = self._bench()
         #: Prior (sd, low, high) of the parameters for which the rig sets it.
         self.scales = {
@@ -211,7 +216,7 @@ class Problem:
         self.centres = {
             f"{e.name}_{k}": v for e in LISTED.values() for k, v in e.neutral(self.bench).items()
         }
-        self.neutral = NO_EFFECTS._replace(**self.centres)
+        self.neutral = NO_EFFECTS._replace(**self.centres)  # `Effects` of the base model
         self._lay_form_errors()
 
     def _lay_form_errors(self) -> None:
@@ -269,26 +274,35 @@ class Problem:
             smooth=wheel.grouser_height == 0.0 and not np.any(rows.wheels[:, 2]),
         )
 
+    def is_given(self, unknown: Unknown) -> bool:
+        """True if the setup gives a prior of this soil parameter, of S also by `k_c` and `k_phi`.
+
+        False for the tilt and for parameters of effects.
+        """
+        soil = self.data.setup.soil
+        if unknown.name == "sinkage_coefficient":
+            return soil.lumped(self.data.wheel.width) is not None
+        return getattr(soil, unknown.name, None) is not None
+
     def unknowns(self, choices: Choices) -> tuple[Unknown, ...]:
         """Unknowns of a model: soil first, then the free parameters of the effects in order.
 
         A parameter with a centre is fitted in its logarithm. Any other has its neutral value for
         the prior mean, the gain of slip-sinkage the `dig_gain` of the setup.
         """
-        out = list(self.soil)
-        for choice in choices:
-            for name in choice.free:
-                p = LAWS[choice.effect].parameter(name.removeprefix(f"{choice.effect}_"))
-                if p.centre is not None:
-                    centre = self.centres.get(name, p.centre)
-                    low = math.log(max(p.low, LEAST_OF_CENTRE * centre))
-                    high = math.log(p.high)
-                    out.append(Unknown(name, math.log(centre), p.scale, low, high, True))
-                    continue
-                sd, low, high = self.scales.get(name, (p.scale, p.low, p.high))
-                mean = self.laws["dig_gain"] if name == "slip_sinkage_gain" else p.neutral
-                out.append(Unknown(name, mean, sd, max(low, p.low), min(high, p.high), False))
-        return tuple(out)
+        of_effects = (self._of_effect(c.effect, name) for c in choices for name in c.free)
+        return (*self.soil, *of_effects)
+
+    def _of_effect(self, effect: str, name: str) -> Unknown:
+        """`Unknown` of the parameter `name`, "<effect>_<parameter>", of an effect."""
+        p = LAWS[effect].parameter(name.removeprefix(f"{effect}_"))
+        if p.centre is not None:
+            centre = self.centres.get(name, p.centre)
+            low = math.log(max(p.low, LEAST_OF_CENTRE * centre))
+            return Unknown(name, math.log(centre), p.scale, low, math.log(p.high), True)
+        sd, low, high = self.scales.get(name, (p.scale, p.low, p.high))
+        mean = self.laws["dig_gain"] if name == "slip_sinkage_gain" else p.neutral
+        return Unknown(name, mean, sd, max(low, p.low), min(high, p.high), False)
 
     def effects(self, choices: Choices, values: dict[str, float]) -> Effects:
         """`Effects` of the world: those of the `choices` that are in the catalogue, with parameters
@@ -377,11 +391,9 @@ class Problem:
         """
         law = Law(self, choices)
         low, high = law.bounds
+        start = start or {}
         u = np.array(
-            [
-                k.at(start[k.name]) if start and k.name in start else self._start_of(k)
-                for k in law.unknowns
-            ]
+            [k.at(start[k.name]) if k.name in start else self._start_of(k) for k in law.unknowns]
         )
         off_bound = _SAME * np.minimum(high - low, 1.0)
         u = np.clip(u, low + off_bound, high - off_bound)
@@ -411,16 +423,14 @@ class Problem:
             used,
         )
 
-    @staticmethod
-    def _start_of(unknown: Unknown) -> float:
+    def _start_of(self, unknown: Unknown) -> float:
         """Whitened start of an unknown: 0, the prior mean.
 
         The strength of an effect whose lower bound is its neutral value starts a little above. At
         neutral the other parameters of the effect change nothing.
         """
-        # Parameters of effects have an underscore in their names, the cohesion has none.
-        bounded = not unknown.log and unknown.low >= unknown.mean and "_" in unknown.name
-        return _OFF_NEUTRAL if bounded else 0.0
+        bounded = not unknown.log and unknown.low >= unknown.mean
+        return _OFF_NEUTRAL if bounded and unknown not in self.soil else 0.0
 
     def effect_process(self, choice: Choice) -> Process:
         """Process of the form error of an effect, over what the base law depends on and the
@@ -469,7 +479,8 @@ class Law:
     def _derivatives(self, u: np.ndarray) -> np.ndarray:
         """[M, p] `derivatives` at u; each prediction starts off the solution (`OFF_GUESS`)."""
 
-        def model(x):
+        def model(x: np.ndarray) -> np.ndarray:
+            """[M] whitened output at whitened unknowns x [p]."""
             guess = OFF_GUESS * self.guess
             return self.problem.whiten(self.problem.predict(self.values(x), self.choices, guess))
 
@@ -493,7 +504,8 @@ class Law:
         values = self.values(u)
         sinkage = float(np.nanmedian(output[:, 0]))
 
-        def outcome(change):
+        def outcome(change: StressChange) -> np.ndarray:
+            """[N, 3] output at u under a change of the stresses."""
             soil = values | change.soil
             guess = OFF_GUESS * self.guess
             return self.problem.predict(soil, self.choices, guess, more=change.effects)
@@ -518,6 +530,7 @@ class Law:
         problem = self.problem
 
         def functions_of(process: Process) -> np.ndarray:
+            """[N, R] functions of a process at the rows."""
             return process.at_points if at is None else process.at(at)
 
         stresses = np.stack(self.stresses(u, output), axis=2)

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soil_env._compiled.cache import kept
-from soil_env.identification.table.data import CHANNELS
+from soil_env.identification.table.data import CHANNELS, WHEEL
 from soil_env.identification.table.form_error import Conditions
 from soil_env.identification.table.priors import BROAD, Values
 from soil_env.parameters import Soil, SoilState
@@ -25,7 +25,6 @@ from soil_env.slip import slips_of_radius
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.residual import (
-    AXES,
     COLUMNS,
     GROUPS,
     LARGEST,
@@ -88,7 +87,7 @@ def model_of(problem: Problem, choices: Sequence[Choice], values: Values) -> Whe
 
 
 def parameters(problem: Problem, choice: Choice, values: Values) -> dict[str, float]:
-    """Parameters of an effect, cut to their bounds; names are without that of the effect.
+    """Parameters of an effect by name, without that of the effect in front; cut to their bounds.
 
     They are those that its form frees, those that the form sets, and the references, which the
     table sets.
@@ -213,11 +212,10 @@ def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
     """
     problem = found.problem
     out = {}
-    for name in AXES:
-        condition = "grade_deg" if name == "grade" else name
-        if condition not in independent(problem):
+    for name in independent(problem):
+        if name in WHEEL:  # a table has no axis for the wheel
             continue
-        x = problem.data.conditions[condition]
+        x = problem.data.conditions[name]
         low = float(x.min())
         high = float(x.max())
         if name in STEPS:
@@ -235,7 +233,7 @@ def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
         else:
             values = np.unique(np.round(x, 6))
             some = np.linspace(0, values.size - 1, min(values.size, FEW)).round().astype(int)
-            out[condition] = values[some]
+            out[name] = values[some]
     return out
 
 

@@ -93,7 +93,7 @@ class Evidence:
         return math.sqrt(sum(p * getattr(s, kind) ** 2 for s, p in self.share.items()))
 
 
-class Grid(NamedTuple):
+class SizeGrid(NamedTuple):
     """Sizes of form errors that are marginalised."""
 
     sizes: list[Sizes]
@@ -125,10 +125,10 @@ def grid(names: Names) -> tuple[list[Sizes], np.ndarray, np.ndarray]:
     return sizes, np.log([p for _, p in points]), table
 
 
-def plain_grid(fit: Fit) -> Grid:
-    """`Grid` of the form errors of a fit itself, without an anonymous contribution."""
+def plain_grid(fit: Fit) -> SizeGrid:
+    """`SizeGrid` of the form errors of a fit itself, without an anonymous contribution."""
     sizes, log_prior, table = grid(tuple(c.effect for c in fit.choices))
-    return Grid(sizes, log_prior, (fit.rig, fit.effect, *fit.law), table, 2)
+    return SizeGrid(sizes, log_prior, (fit.rig, fit.effect, *fit.law), table, 2)
 
 
 def noise_scales(freedom: float) -> np.ndarray:
@@ -141,7 +141,7 @@ def noise_scales(freedom: float) -> np.ndarray:
     return scales
 
 
-def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
+def weigh(problem: Problem, fit: Fit, over: SizeGrid | None = None) -> Evidence:
     """`Evidence` of a fit, linearised about it, marginal over the sizes of the grid `over`
     (`plain_grid` where none is given) and over the scales of a noise that is estimated.
     """
@@ -150,24 +150,17 @@ def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
     p = fit.u.size
     scales = noise_scales(problem.freedom)
     normal = NormalEquations.of(fit.jacobian, errors, fit.residual)
-    log, mean, covariance = (
-        np.empty((len(scales), len(sizes), *shape)) for shape in ((), (p,), (p, p))
-    )
-    for k, noise in enumerate(scales):
-        for over_noise in np.unique(scatter):
-            at = scatter == over_noise
-            sd = noise * over_noise
-            found = marginals(normal, table[at], fit.u, first, sd)
-            log[k, at] = (
-                found[0]
-                + log_prior[at]
-                - fit.residual.size * math.log(sd)
-                + _allowed(fit, *found[1:])
-            )
-            mean[k, at], covariance[k, at] = found[1:]
-    log, mean, covariance = (
-        x.reshape(len(scales) * len(sizes), *x.shape[2:]) for x in (log, mean, covariance)
-    )
+    # Every size under the first scale of the noise, then every size under the next.
+    sd = np.outer(scales, scatter).ravel()  # [noise]
+    log = np.tile(log_prior, len(scales))
+    every = np.tile(table, (len(scales), 1))
+    mean = np.empty((sd.size, p))
+    covariance = np.empty((sd.size, p, p))
+    for over_noise in np.unique(sd):
+        at = sd == over_noise
+        found, mean[at], covariance[at] = marginals(normal, every[at], fit.u, first, over_noise)
+        by_noise = fit.residual.size * math.log(over_noise)
+        log[at] = found + log[at] - by_noise + _allowed(fit, mean[at], covariance[at])
     total = float(log_sum(log))
     laws = np.array([s.law for s in sizes])
     of_size = log_sum(log.reshape(len(scales), -1), axis=0) - total
@@ -250,13 +243,14 @@ class _Part(NamedTuple):
 
 
 class _Further:
-    """K strengths of further effects as linear unknowns beside a fitted model, under each size of
-    the law's error.
+    """K strengths of the further effects `choices`, each by itself beside the fitted model `first`,
+    as linear unknowns under each size of the law's error.
 
-    A strength is a parameter that is not fitted in its logarithm. `columns` [M, K] are derivatives
-    of the whitened values by the strengths; `owner` gives the index of the choice of each. Under
-    the covariance of noise and form errors, and with the unknowns of the model free, the strengths
-    x add x'pull - x'normal x / 2 to the log likelihood. `pull` is its gradient at x = 0.
+    A strength is a parameter that is not fitted in its logarithm; `unknowns` [K] has its prior.
+    `columns` [M, K] are derivatives of the whitened values by the whitened strengths. `owner` [K]
+    has the index in `choices` of each. Under the covariance of noise and form errors, and with the
+    unknowns of the model free, the strengths x add x'pull - x'normal x / 2 to the log likelihood.
+    `pull` is its gradient at x = 0.
     """
 
     def __init__(self, problem: Problem, first: Evidence, choices: list[Choice]) -> None:
@@ -396,9 +390,8 @@ def detectable(
     moved = further.unknowns[k]
     choice = choices[further.owner[k]]
     form = LISTED[choice.effect].forms[choice.form].name
-    return Detectable(
-        float(x[k] * moved.sd), moved.name[len(choice.effect) + 1 :], form, float(power[k])
-    )
+    strength = moved.name.removeprefix(f"{choice.effect}_")
+    return Detectable(float(x[k] * moved.sd), strength, form, float(power[k]))
 
 
 def _beyond(unknown: Unknown, x: float) -> float:
@@ -406,11 +399,9 @@ def _beyond(unknown: Unknown, x: float) -> float:
     side, given that it is within its bounds.
     """
     low, high = unknown.bounds
-    inside = ndtr(high) - ndtr(low)
-    return float(
-        (max(ndtr(high) - ndtr(max(x, low)), 0.0) + max(ndtr(min(-x, high)) - ndtr(low), 0.0))
-        / inside
-    )
+    below, above = np.clip((-x, x), low, high)
+    outside = (ndtr(high) - ndtr(above)) + (ndtr(below) - ndtr(low))
+    return float(outside / (ndtr(high) - ndtr(low)))
 
 
 #: Sizes of a smooth contribution to a channel, relative to its root mean square; each as probable
@@ -464,7 +455,7 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
     out = {}
     for names in [*((n,) for n in alone), *(("slip", n) for n in alone if n != "slip")]:
         process = Process.over(at, of=names, most=_FUNCTIONS)
-        if process.names != names:
+        if process.names != names:  # the logarithm of one of them hardly varies
             continue
         places = channels
         functions = process.at_points
@@ -491,19 +482,16 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
 
 def anonymous_grid(
     problem: Problem, plain: Evidence, fit: Fit, beside: Pattern | None = None
-) -> Grid:
-    """`Grid` of an anonymous contribution about a fit: its sizes in each of the three kinds, beside
-    the most probable sizes of the other form errors.
+) -> SizeGrid:
+    """`SizeGrid` of an anonymous contribution about a fit: its sizes in each of the three kinds,
+    beside the most probable sizes of the other form errors.
 
     `plain`: evidence without a contribution, which gives these sizes. With `beside`, a pattern and
     its size, every point has this pattern, and beside it a second one or a smooth contribution.
     """
-    likely = sorted(plain.share, key=lambda s: -plain.share[s])
-    likely = list(
-        dict.fromkeys(
-            [*likely[:_LIKELY], *(s._replace(law=law) for s in likely[:1] for law in _FURTHER_LAW)]
-        )
-    )
+    best, *others = sorted(plain.share, key=lambda s: -plain.share[s])[:_LIKELY]
+    further = (best._replace(law=law) for law in _FURTHER_LAW)
+    likely = [*dict.fromkeys((best, *others, *further))]
     usual = plain_grid(fit)
     prior = dict(zip(usual.sizes, usual.log_prior, strict=True))
     before = np.array([prior[s] for s in likely])
@@ -527,17 +515,22 @@ def anonymous_grid(
     sizes = [s._replace(**point) for s in likely for points in kinds for point, _ in points]
     log_prior = ((before - log_sum(before))[:, None] + cost).ravel()
     leading = [by[name] for name, _ in first]
-    later = np.zeros((len(sizes), len(by)))
-    column = {name: k for k, name in enumerate(by)}
-    for row, s in zip(later, sizes, strict=True):
-        for name, x in s.patterns[len(first) :]:
-            row[column[name]] += x
-    known = np.array(
-        [(s.rig, s.effect, *s.law_sizes, *(x for _, x in first), *s.free) for s in sizes]
+    later = [dict(s.patterns[len(first) :]) for s in sizes]
+    table = np.array(
+        [
+            (
+                s.rig,
+                s.effect,
+                *s.law_sizes,
+                *(x for _, x in first),
+                *s.free,
+                *(beside_first.get(name, 0.0) for name in by),
+            )
+            for s, beside_first in zip(sizes, later, strict=True)
+        ]
     )
-    table = np.column_stack([known, later])
     errors = (fit.rig, fit.effect, *fit.law, *leading, *fit.free, *by.values())
-    return Grid(sizes, log_prior, errors, table, 2 + len(fit.law) + len(first))
+    return SizeGrid(sizes, log_prior, errors, table, 2 + len(fit.law) + len(first))
 
 
 def in_place_of_effects(problem: Problem, plain: Evidence) -> Evidence:
@@ -568,17 +561,18 @@ def anonymous(problem: Problem, plain: Evidence) -> Evidence:
     is tried beside the most probable pattern, with a prior of one half: two patterns may explain
     what no single one does.
     """
-    free = weigh(problem, plain.fit, anonymous_grid(problem, plain, plain.fit))
+
+    def about(fit: Fit, beside: Pattern | None = None) -> Evidence:
+        """Evidence with a contribution about a fit; `beside`: as of `anonymous_grid`."""
+        return weigh(problem, fit, anonymous_grid(problem, plain, fit, beside))
+
+    free = about(plain.fit)
     if free.sizes.scatter > 1.0:
-        again = problem.fit(plain.fit.choices, None, free.sizes, plain.fit)
-        return max(
-            free, weigh(problem, again, anonymous_grid(problem, plain, again)), key=lambda e: e.log
-        )
+        again = about(problem.fit(plain.fit.choices, None, free.sizes, plain.fit))
+        return max(free, again, key=lambda e: e.log)
     single = [s for s in free.share if s.patterns]
     if not single:
         return free
-    best = max(single, key=lambda s: free.share[s]).patterns[0]
-    more = weigh(problem, plain.fit, anonymous_grid(problem, plain, plain.fit, best))
+    more = about(plain.fit, max(single, key=lambda s: free.share[s]).patterns[0])
     log = float(np.logaddexp(free.log, more.log)) - math.log(2.0)
-    likelier = max(free, more, key=lambda e: e.log)
-    return replace(likelier, log=log)
+    return replace(max(free, more, key=lambda e: e.log), log=log)

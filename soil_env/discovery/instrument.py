@@ -281,7 +281,7 @@ def _sd_of_nuisances(calibration: Calibration, bench: Bench) -> dict[str, float]
     return {name: usual[name] if x is None else x for name, x in _stated(calibration).items()}
 
 
-def exact(setup: Setup) -> dict[str, str]:
+def ruled_out(setup: Setup) -> dict[str, str]:
     """Reason by name of the effects and errors of the rig that are no candidates.
 
     The setup rules them out by a check or by a calibration of 0, or has the tilt as a number or
@@ -395,7 +395,7 @@ def nuisances(
     spread = _sd_of_nuisances(setup.calibration, bench)
     out = []
     for name, effect in INSTRUMENT.items():
-        if len(effect.moves) > 1 or name in (*named, *exact(setup)):
+        if len(effect.moves) > 1 or name in (*named, *ruled_out(setup)):
             continue
         if name == "tilt":
             out.append(np.outer(-rows.load * math.sin(math.radians(spread[name])), [0.0, 1.0, 0.0]))

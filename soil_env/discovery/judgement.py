@@ -30,6 +30,13 @@ class Interval(NamedTuple):
     high: float
 
 
+class Remainder(NamedTuple):
+    """What the named effects leave of an error, without the noise."""
+
+    rms: float  # [unit of the channel]
+    share: float | None  # mean square over that before; None if nothing was left before
+
+
 class Gap(NamedTuple):
     """Root mean square of measured - predicted on held-out data [unit of the channel]."""
 
@@ -43,14 +50,10 @@ class Gap(NamedTuple):
         return self.before / self.noise_floor, self.after / self.noise_floor
 
     @property
-    def remainder(self) -> tuple[float, float | None]:
-        """(error after [unit of the channel], without the noise; its mean square over that before).
-
-        The variance of the noise is taken off each mean square, which is 0 at least. The ratio is
-        None if nothing is left before.
-        """
+    def remainder(self) -> Remainder:
+        """The variance of the noise is taken off each mean square, which is 0 at least."""
         before, after = (max(x**2 - self.noise_floor**2, 0.0) for x in (self.before, self.after))
-        return math.sqrt(after), after / before if before > 0.0 else None
+        return Remainder(math.sqrt(after), after / before if before > 0.0 else None)
 
 
 def intervals(finding: Finding, own: Evidence) -> dict[str, Interval]:

@@ -450,7 +450,6 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
     these.
     """
     column = problem.data.conditions
-    rig = problem.data.setup.rig
     grade = column["grade_deg"]
     choices = [choice for c in candidates for choice in c.fit.choices]
     needed = {LISTED[c.effect].varies for c in choices}
@@ -466,13 +465,11 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
     for name in usual.keys() - needed:
         nearest = min(of_rig[name] or [usual[name]], key=lambda x: abs(x - usual[name]))
         levels[name] = [float(nearest)]
-    wheels = np.unique(problem.data.rows.wheels, axis=0)
-    if rig.wheels:
-        unknown = problem.data.wheel.grouser_height
-        heights = [unknown if w.grouser_height is None else w.grouser_height for w in rig.wheels]
-        wheels = np.array(
-            [(w.radius, w.width, h) for w, h in zip(rig.wheels, heights, strict=True)]
-        )
+    height = problem.data.wheel.grouser_height  # where the rig states none
+    wheels = [
+        (w.radius, w.width, height if w.grouser_height is None else w.grouser_height)
+        for w in problem.data.setup.rig.wheels
+    ] or np.unique(problem.data.rows.wheels, axis=0)
     points = np.array([(*p, *w) for p in product(*levels.values()) for w in wheels])
     if len(points) > _LARGEST:
         points = points[np.sort(np.random.default_rng(0).permutation(len(points))[:_LARGEST])]

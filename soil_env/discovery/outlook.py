@@ -76,13 +76,14 @@ def outlook(problem: Problem) -> Outlook:
     """The fit of all effects, averaged with a curve, and the errors of predictions of what is left
     out of the table.
 
-    The curve is averaged in where predictions of every condition that varies, slip and load, could
-    be judged.
-
     Left out one after the other are the levels of the slip, those of the load, and the combinations
     of all conditions but the slip, where there are `FEWEST_GROUPS`. Unknowns are fitted anew to the
     rest; the remainder keeps what was learnt from all rows.
+
+    The curve is averaged in where slip and load alone vary, and each that varies has
+    `FEWEST_GROUPS` levels.
     """
+    # The base model, and all effects with a remainder.
     models = (fit_prediction(problem, (), smooth=False), fit_prediction(problem))
     curves = curves_of(problem)
     others = tuple(name for name in independent(problem) if name != "slip")

@@ -31,7 +31,7 @@ from .evidence import (
     promised,
     settle,
 )
-from .instrument import INSTRUMENT, LISTED, Choice, Choices, Names, exact, odds
+from .instrument import INSTRUMENT, LISTED, Choice, Choices, Names, odds, ruled_out
 from .unnamed import UNNAMED
 
 #: Prior odds that a listed effect of the soil or the drive is missing, and that the instrument has
@@ -108,7 +108,7 @@ class Finding:
 
     def without(self, names: Names, alone: bool = False) -> Finding:
         """The finding once these effects, together, are refuted; the probabilities of what is left
-        sum to 1.
+        sum to 1. They are equal if all that is left had the probability 0.
 
         All sets with these effects are left out. With `alone`, only the set of exactly these
         effects is refuted: sets with more may explain what it leaves. It stays as a hypothesis with
@@ -166,7 +166,7 @@ class Finding:
     @property
     def none(self) -> float:
         """Probability that nothing is missing beyond an ordinary form error."""
-        return next(h.probability for h in self.hypotheses if not h.names and not h.free)
+        return self.best().probability
 
     @property
     def unlisted(self) -> float:
@@ -307,23 +307,16 @@ def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
     names = []
     reasons = {}
     data = problem.data
-    ruled_out = exact(data.setup)
-    for effect in LISTED.values():
+    by_setup = ruled_out(data.setup)
+    for name, effect in LISTED.items():
         if not problem.used[:, [CHANNELS.index(k) for k in effect.moves]].any():
-            reasons[effect.name] = f"{' and '.join(effect.moves)} not measured"
-        elif effect.name in ruled_out:
-            reasons[effect.name] = ruled_out[effect.name]
-        elif effect.hidden(problem.bench):
-            reasons[effect.name] = effect.hidden(problem.bench)
-        elif (
-            effect.varies is not None
-            and effect.varies not in data.varied
-            and not effect.shows_without
-        ):
-            condition = effect.varies.removesuffix("_deg")
-            reasons[effect.name] = f"no {condition} variation of its own"
+            reasons[name] = f"{' and '.join(effect.moves)} not measured"
+        elif reason := by_setup.get(name) or effect.hidden(problem.bench):
+            reasons[name] = reason
+        elif effect.varies and effect.varies not in data.varied and not effect.shows_without:
+            reasons[name] = f"no {effect.varies.removesuffix('_deg')} variation of its own"
         else:
-            names.append(effect.name)
+            names.append(name)
     return names, reasons
 
 
@@ -335,10 +328,18 @@ def forms(problem: Problem, name: str) -> list[Choice]:
     return [Choice(name, k) for k, f in enumerate(LISTED[name].forms) if speed or not f.needs_speed]
 
 
-Say = Callable[[str], None]  # receives the progress, "stage: step"
-#: Hypothesis before its probability is known: effects, effects that it resembles, True for an
-#: anonymous contribution, evidence in the best form, log evidence over the forms, log prior odds.
-Entry = tuple[Names, Names, bool, Evidence, float, float]
+Say = Callable[[str], None]  # receives the progress, as text
+
+
+class Entry(NamedTuple):
+    """Hypothesis before its probability is known."""
+
+    evidence: Evidence  # in the best of the forms that were tried
+    log: float  # log evidence over the forms
+    log_odds: float  # log prior odds against the base model
+    names: Names = ()  # listed effects
+    like: Names = ()  # listed effects that its anonymous law resembles
+    free: bool = False  # with an anonymous contribution or law
 
 
 class _Sets:
@@ -386,7 +387,7 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
             sets.add((choice,), base)
     _pairs(problem, names, sets, say)
     order = sorted(sets.found, key=lambda s: -(sets.log(s) / TEMPERATURE + prior(s)))
-    entries: list[Entry] = [(s, (), False, sets.best(s), sets.log(s), prior(s)) for s in order]
+    entries = [Entry(sets.best(s), sets.log(s), prior(s), s) for s in order]
     say("with something that no catalogue lists")
     free: dict[Names, Evidence] = {(): anonymous(problem, base)}
     # Under scatter the evidence without it does not say which sets matter.
@@ -399,28 +400,32 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
             )
             free[s] = anonymous(problem, sets.best(s))
     entries += [
-        (s, (), True, e, sets.log(s) + e.log - sets.best(s).log, prior(s, True))
+        Entry(e, sets.log(s) + e.log - sets.best(s).log, prior(s, True), s, free=True)
         for s, e in free.items()
     ]
     for s in order:
         if not s or any(LISTED[n].any_form for n in s):
             continue  # an effect that is named in any form: what resembles it has its name
         alike = in_place_of_effects(problem, sets.best(s))
-        entries.append(((), s, True, alike, alike.log, prior(s) + len(s) * math.log(ALIKE)))
+        log_odds = prior(s) + len(s) * math.log(ALIKE)
+        entries.append(Entry(alike, alike.log, log_odds, like=s, free=True))
     say("with a law that no catalogue lists")
     entries += _unnamed(
         problem, base, max((s for s in order if len(s) == 1), key=sets.log, default=())
     )
     total = np.array(
         [
-            [(log + x) / TEMPERATURE + log_odds for x in (0.0, *map(e.if_laws_err, LAW_ERRORS))]
-            for _, _, _, e, log, log_odds in entries
+            [
+                (e.log + x) / TEMPERATURE + e.log_odds
+                for x in (0.0, *map(e.evidence.if_laws_err, LAW_ERRORS))
+            ]
+            for e in entries
         ]
     )
     share = np.exp(total - log_sum(total, axis=0)).tolist()
     found = [
-        Hypothesis(s, free, p, log - base.log, e, like, tuple(others))
-        for (s, like, free, e, log, _), (p, *others) in zip(entries, share, strict=True)
+        Hypothesis(e.names, e.free, p, e.log - base.log, e.evidence, e.like, tuple(others))
+        for e, (p, *others) in zip(entries, share, strict=True)
     ]
     threshold = -TEMPERATURE * math.log(ODDS)
     usual = free[()] if rough else base
@@ -446,7 +451,8 @@ def _unnamed(problem: Problem, base: Evidence, nearest: Names) -> list[Entry]:
         if law.varies in (None, *problem.data.varied) and {*law.moves} <= seen
     ]
     found = [settle(problem, (Choice(law.name, 0),), base) for law in laws if nearest]
-    return [((), nearest, True, e, e.log, math.log(UNNAMED_ODDS)) for e in found]
+    log_odds = math.log(UNNAMED_ODDS)
+    return [Entry(e, e.log, log_odds, like=nearest, free=True) for e in found]
 
 
 def log_prior(names: Names, free: bool = False, *, of_rig: Mapping[str, float]) -> float:

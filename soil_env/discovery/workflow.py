@@ -23,7 +23,7 @@ from . import doubts, judgement
 from .calibrate import EXACT, PRIOR_WIDTH, Fit, Problem, calibrate
 from .corrected import corrected, least_sure, parameters
 from .evidence import Evidence, settle
-from .instrument import LISTED, Names, exact
+from .instrument import LISTED, Names, ruled_out
 from .judgement import Interval, held_out_predictions
 from .locate import locate, structure
 from .next_for_prediction import surer_runs
@@ -62,7 +62,7 @@ def run(
         check_folder(Path(out), files)
     say("reading")
     read = setup if isinstance(setup, Setup) else read_setup(setup)
-    exact(read)  # refuses wrong names before any work
+    ruled_out(read)  # refuses wrong names before any work
     rows = table if isinstance(table, Table) else read_table(table, read.wheel, read.ignore_columns)
     settings = Settings(
         rows.source,
@@ -105,7 +105,7 @@ def _conclude(
     examined = examine(table, setup)
     doubted = examined.said
     say("calibrating the base model")
-    with examined.named_first():
+    with examined.named_first():  # an error of the rest names the rows that were left out, too
         problem, noise = calibrate(prepare(examined.table, setup))
     finding = search(problem, lambda text: say(f"searching: {text}"))
     say("predicting what was held out")
@@ -141,7 +141,7 @@ def _conclude(
         closed_interval=interval,
         outlook=foreseen,
         guess=least_sure(foreseen.model),
-        next_checks=next_checks(finding, runs, exact(setup)),
+        next_checks=next_checks(finding, runs, ruled_out(setup)),
         next_tests=runs,
         surer_runs=surer,
         fit=final,
@@ -182,30 +182,41 @@ def _without_refuted(problem: Problem, finding: Finding, seed: int) -> tuple[Fin
        alone, predicts held-out rows better (`_worse`). This must hold in all probable forms.
     """
     while True:
-        own = finding.stated.evidence
+        alone = _refuted_alone(problem, finding, seed)
+        if alone is not None:
+            finding = finding.without(alone, alone=True)
+            continue
         names = finding.names
-        # The most probable set with the names, which may have an effect that is not stated.
-        behind = (
-            next(h.names for h in finding.hypotheses if {*names} <= {*h.names}) if names else ()
-        )
-        model = finding.best(*behind)
-        anonymous = finding.best(free=True)
-        asserted = bool(names) or finding.verdict in ("none", "undetermined")
-        if asserted and behind not in finding.refuted:
-            weak = not names or model.probability <= anonymous.probability
-            if _far(problem, model.evidence) or (
-                weak and structure(problem, model.evidence, seed) < STRUCTURED
-            ):
-                finding = finding.without(behind, alone=True)
-                continue
         # The first form that is not worse than fewer effects is taken.
-        for form in _probable_forms(problem, own):
+        for form in _probable_forms(problem, finding.stated.evidence):
             fits = _fits_under_noise(problem, finding, form)
             held = {some: held_out_predictions(problem, fit) for some, fit in fits.items()}
             fewer = (held[some] for some in held if some != names)
             if not any(_worse(problem, before, held[names], seed) for before in fewer):
                 return finding.in_form(form), fits, held
         finding = finding.without(names)
+
+
+def _refuted_alone(problem: Problem, finding: Finding, seed: int) -> Names | None:
+    """The most probable set with the named effects if the first ground of `_without_refuted` speaks
+    against it; else, or where it is refuted already, None.
+
+    Without a name that is the base model, (), which the ground may refute only where the verdict
+    states that it holds.
+    """
+    names = finding.names
+    if not names and finding.verdict not in ("none", "undetermined"):
+        return None
+    # It may have an effect that is not stated.
+    behind = next(h.names for h in finding.hypotheses if {*names} <= {*h.names}) if names else ()
+    if behind in finding.refuted:
+        return None
+    model = finding.best(*behind)
+    if _far(problem, model.evidence):
+        return behind
+    weak = not names or model.probability <= finding.best(free=True).probability
+    patterned = weak and structure(problem, model.evidence, seed) < STRUCTURED
+    return behind if patterned else None
 
 
 def _probable_forms(problem: Problem, own: Evidence) -> Iterator[Evidence]:
@@ -254,10 +265,11 @@ def _worse(problem: Problem, before: np.ndarray, after: np.ndarray, seed: int) -
 
 def _far(problem: Problem, model: Evidence) -> bool:
     """True if a soil parameter that the setup gives is further than `FAR` from its value there."""
-    given = [
-        getattr(problem.data.setup.soil, unknown.name, None) is not None for unknown in problem.soil
-    ]
-    return bool(np.any(np.abs(model.mean[: len(given)])[given] > FAR / PRIOR_WIDTH))
+    # The means of a fit are in units of the widened prior, those of the soil first.
+    return any(
+        abs(mean) > FAR / PRIOR_WIDTH and problem.is_given(unknown)
+        for unknown, mean in zip(problem.soil, model.mean, strict=False)
+    )
 
 
 def _effects(

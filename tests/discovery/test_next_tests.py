@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 from soil_env._io.loading import ParameterError
 from soil_env.discovery.corrected import model_of
 from soil_env.discovery.evidence import settle
-from soil_env.discovery.instrument import Choice, exact
+from soil_env.discovery.instrument import Choice, ruled_out
 from soil_env.discovery.next_tests import (
     LEAST,
     SLIPS,
@@ -250,6 +250,6 @@ def test_checks_come_first_where_they_decide_more_than_a_run():
         [0, 0, 0, 1],
     ]
     setup = {"wheel": {"radius": 0.1, "width": 0.1}, "checked": list(lifted.decides)}
-    assert {*exact(setup_of(setup, "setup"))} == {*lifted.decides}
+    assert {*ruled_out(setup_of(setup, "setup"))} == {*lifted.decides}
     with pytest.raises(ParameterError, match="setup: checked: unknown .* did you mean 'tilt'"):
-        exact(setup_of(setup | {"checked": ["tlit"]}, "setup"))
+        ruled_out(setup_of(setup | {"checked": ["tlit"]}, "setup"))

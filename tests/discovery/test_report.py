@@ -24,7 +24,7 @@ from soil_env.discovery.report.pictures import curves
 from soil_env.identification.table import identify_table
 from soil_env.identification.table.data import CHANNELS
 from soil_env.measurement.doubts import one_load
-from soil_env.measurement.setup import Calibration
+from soil_env.measurement.setup import Calibration, Prior
 from tests.discovery.files import PLANTED, SETUP, data_of, table_text, write_files
 
 KEYS = (
@@ -395,6 +395,22 @@ def test_a_soil_far_from_the_setup_is_a_caution(planted):
             "Cohesion c" in said and f" {far} " in said for said in sentences.cautions(moved)
         )
     assert not any("standard deviations" in said for said in sentences.cautions(planted))
+
+
+def test_a_stiffness_by_bekker_s_moduli_is_given_as_well(planted):
+    """k_c and k_phi in place of S: far from their sum over the width is as far from the setup."""
+    problem = copy.copy(planted.problem)
+    soil = problem.data.setup.soil
+    by_moduli = dataclasses.replace(
+        soil, k_c=Prior(0.0, 0.0), k_phi=soil.sinkage_coefficient, sinkage_coefficient=None
+    )
+    setup = dataclasses.replace(problem.data.setup, soil=by_moduli)
+    problem.data = dataclasses.replace(problem.data, setup=setup)
+    k = [unknown.name for unknown in problem.soil].index("sinkage_coefficient")
+    fit = dataclasses.replace(planted.fit, u=planted.fit.u.copy())
+    fit.u[k] = 9.0 / PRIOR_WIDTH
+    cautions = sentences.cautions(dataclasses.replace(planted, problem=problem, fit=fit))
+    assert any("Sinkage coefficient S is 9.0 standard" in said for said in cautions)
 
 
 def test_lugs_of_which_nothing_is_stated_are_a_caution(planted):

@@ -2,6 +2,7 @@
 example.
 """
 
+import copy
 import dataclasses
 import math
 from pathlib import Path
@@ -10,11 +11,12 @@ import numpy as np
 import pytest
 
 from soil_env.discovery import judgement, run, workflow
-from soil_env.discovery.calibrate import Problem
+from soil_env.discovery.calibrate import PRIOR_WIDTH, Problem
 from soil_env.discovery.corrected import model_of
 from soil_env.discovery.instrument import Choice
 from soil_env.discovery.report import content, words
 from soil_env.discovery.search import ALIKE, TEMPERATURE
+from soil_env.measurement.setup import Prior
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import WheelSoilModel
 from tests.discovery.files import (
@@ -146,6 +148,29 @@ def test_an_effect_that_beats_an_anonymous_law_stays_although_it_leaves_a_patter
     monkeypatch.setattr(workflow, "structure", lambda problem, model, seed: 0.0)
     report = run(*write_files(tmp_path, table_text(PLANTED)), seed=1)
     assert [e.name for e in report.effects] == ["slip_sinkage"] and report.finding.refuted == ()
+
+
+@pytest.mark.parametrize("given", ["sinkage_coefficient", "k_c and k_phi", "nothing"])
+def test_a_soil_is_far_from_what_the_setup_gives(planted, given):
+    """The stiffness of the soil, given by itself or by Bekker's moduli; it may be anything where
+    the setup says nothing of it.
+    """
+    problem = copy.copy(planted.problem)
+    soil = problem.data.setup.soil
+    stiffness = soil.sinkage_coefficient
+    if given != "sinkage_coefficient":
+        soil = dataclasses.replace(soil, sinkage_coefficient=None)
+    if given == "k_c and k_phi":
+        soil = dataclasses.replace(soil, k_c=Prior(0.0, 0.0), k_phi=stiffness)
+    setup = dataclasses.replace(problem.data.setup, soil=soil)
+    problem.data = dataclasses.replace(problem.data, setup=setup)
+    model = planted.finding.best().evidence
+    k = [unknown.name for unknown in problem.soil].index("sinkage_coefficient")
+    for far in (0.9, 1.1):
+        mean = np.zeros(model.mean.size)
+        mean[k] = far * workflow.FAR / PRIOR_WIDTH
+        moved = dataclasses.replace(model, mean=mean)
+        assert workflow._far(problem, moved) == (far > 1.0 and given != "nothing")
 
 
 def test_the_held_out_gap_is_that_of_refits_without_the_group(planted):

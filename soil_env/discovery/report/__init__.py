@@ -140,10 +140,7 @@ def content(report: Report) -> dict[str, Any]:
             "where": [vars(d) | {"words": sentences.disagreement(report, d)} for d in report.where],
             "ranking": finding.ranking,
             "gap": report.gap,
-            "remainder": {
-                n: dict(zip(("rms", "share"), g.remainder, strict=True))
-                for n, g in report.gap.items()
-            },
+            "remainder": {n: g.remainder for n, g in report.gap.items()},
             "closed": report.closed,
             "prediction": {way.split: way.errors for way in report.outlook.left_out},
             "curve_weight": sentences.curve_shares(report),
@@ -161,7 +158,7 @@ def content(report: Report) -> dict[str, Any]:
             "next_tests": [
                 vars(t) | {"words": sentences.next_test(report, t)} for t in report.next_tests
             ],
-            "surer_runs": [run._asdict() for run in report.surer_runs],
+            "surer_runs": report.surer_runs,
             "probability": {
                 "none": finding.none,
                 "unlisted": finding.unlisted,

@@ -61,7 +61,8 @@ def _of_effect(report: Report, e: EffectFound) -> Block:
     }
     where = {}
     for symbol, meaning in legend(effect, form).items():
-        # An effect may use a symbol for something of its own, such as b for the grade.
+        # An effect may use a symbol for something of its own, such as b for the grade. Its h is
+        # always the height of grousers.
         other = symbol in effect.symbols and symbol != "h"
         where[symbol] = meaning if other or symbol not in known else f"{meaning}, {known[symbol]}"
     numbers = []

@@ -159,9 +159,8 @@ def curves(report: Report, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
 def _slip(report: Report) -> Figure:
     """Measured against both models over slip, in a few groups of rows."""
     picked = groups(report)
-    figure, axes = _columns(
-        report, BELOW + HEIGHT * max(len(picked), 1), max(len(picked), 1), sharex=True
-    )
+    count = max(len(picked), 1)
+    figure, axes = _columns(report, BELOW + HEIGHT * count, count, sharex=True)
     data = report.problem.data
     for axis, name in zip(axes[0], report.channels, strict=True):
         axis.set_title(f"{TITLES[name]} [{UNITS[name][0]}]")

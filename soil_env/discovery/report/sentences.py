@@ -11,7 +11,7 @@ import numpy as np
 from soil_env._io.document import render
 from soil_env._io.loading import plural
 from soil_env.discovery.calibrate import PRIOR_WIDTH
-from soil_env.discovery.instrument import INSTRUMENT, LISTED, Names, exact
+from soil_env.discovery.instrument import INSTRUMENT, LISTED, Names, ruled_out
 from soil_env.discovery.locate import Disagreement
 from soil_env.discovery.next_tests import ENOUGH, NextTest, sure_of
 from soil_env.discovery.result import LEFT, WORSE, Report
@@ -84,8 +84,8 @@ def figure(x: float) -> str:
 
 
 def figures(value: float, digits: int = 4) -> str:
-    """A number for a table; empty where there is none."""
-    return "" if value is None or not math.isfinite(value) else f"{value + 0.0:.{digits}g}"
+    """A number for a table, never -0; empty where it is not finite."""
+    return f"{value + 0.0:.{digits}g}" if math.isfinite(value) else ""
 
 
 def fixed(value: float, decimals: int) -> str:
@@ -106,8 +106,10 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.0f} %"
 
 
-def most(share: float) -> str:
-    """A share in percent as a whole number, 100 only where nothing is left."""
+def closed_percent(share: float) -> str:
+    """A closed share of a gap in percent, as a whole number without "%": 100 only where nothing is
+    left, and "more than 99" just below.
+    """
     return "more than 99" if 0.995 <= share < 1.0 else f"{100.0 * share:.0f}"
 
 
@@ -136,7 +138,9 @@ def title(names: str) -> str:
 
 
 def amount(channel: str, value: float, digits: int = 2) -> str:
-    """A value of a channel, given in SI units, with the unit that is shown."""
+    """A value of a channel, given in SI units, with the unit that is shown: by `figure`, or with
+    more or less than two `digits` by `figures`.
+    """
     unit, scale = UNITS[channel]
     return f"{figure(scale * value) if digits == 2 else figures(scale * value, digits)} {unit}"
 
@@ -257,9 +261,9 @@ def summary(report: Report) -> str:
         effects=[f"{title(e.name)} (probability {sure(e.probability)})" for e in report.effects],
         rivals=[title(a) for a in dict.fromkeys(a for e in report.effects for a in e.alternatives)],
         left=[
-            f"{amount(n, g.remainder[0])} of {TITLES[n]}"
+            f"{amount(n, g.remainder.rms)} of {TITLES[n]}"
             for n, g in gap.items()
-            if g.remainder[0] > 0.0
+            if g.remainder.rms > 0.0
         ],
         sets=shares[:4],
         worst=max((g.over_noise[0] for g in gap.values()), default=0.0),
@@ -311,21 +315,21 @@ def filled(template: str, report: Report, **values: object) -> str:
     """A template of this folder as one paragraph, without line breaks; `values` as in
     `_rendered`.
     """
-    return " ".join(_rendered(template, report, values).split()).replace(" ,", ",")
+    return " ".join(_rendered(template, report, **values).split()).replace(" ,", ",")
 
 
-def _rendered(template: str, report: Report, values: Mapping[str, object]) -> str:
+def _rendered(template: str, report: Report, **values: object) -> str:
     """A template of this folder as text. It may use every name of this module, `plural`, `report`
     and the `values`.
     """
     known = globals() | {"plural": plural, "report": report}
-    return render(f"{__package__}:{template}", **(known | dict(values)))
+    return render(f"{__package__}:{template}", **(known | values))
 
 
 def unseen(report: Report) -> list[str]:
     """Titles of the effects that the table cannot show; not those that the setup rules out."""
-    ruled_out = exact(report.problem.data.setup)
-    return [title(n) for n in report.finding.untestable if n not in ruled_out]
+    by_setup = ruled_out(report.problem.data.setup)
+    return [title(n) for n in report.finding.untestable if n not in by_setup]
 
 
 def cautions(report: Report) -> list[str]:
@@ -344,7 +348,7 @@ def cautions(report: Report) -> list[str]:
         value = float(unknown.value(u))
         if not free:
             bounds.append((label, not_tiny(value)))
-        elif getattr(setup.soil, unknown.name, None) is not None:
+        elif problem.is_given(unknown):
             # Distance in sd of the setup's prior, which the fit widened.
             far = abs(PRIOR_WIDTH * widened[unknown.name].at(value))
             off_prior += [(label, far)] if far > FAR else []
@@ -361,29 +365,27 @@ def cautions(report: Report) -> list[str]:
     text = _rendered(
         "cautions.txt",
         report,
-        {
-            "one_load": one_load(problem.data.table, setup),
-            "conditions": len(np.unique(problem.data.cell)),
-            "missing": [TITLES[name] for name in CHANNELS if name not in report.channels],
-            "from_scatter": [
-                (TITLES[n], amount(n, noise.sd[j]))
-                for j, n in enumerate(CHANNELS)
-                if noise.origin[j] == "scatter"
-            ],
-            "left_out": [f"{TITLES[name]} in row {row}" for row, name in report.left_out],
-            "ordinary": int(np.sum(residual[dropped] <= ORDINARY)),
-            "worse_with": worse_with,
-            "at_bound": bounds,
-            "off_prior": off_prior,
-            "buried": int(np.sum(fit.output[:, 0] >= SUNK * DEEPEST * problem.data.wheel.radius)),
-            "remains": [
-                (TITLES[n], g.over_noise[1])
-                for n, g in report.gap.items()
-                if report.effects and g.after > LEFT * g.noise_floor
-            ],
-            "lugs_unknown": setup.wheel.grouser_height is None
-            and bool(np.isnan(problem.data.table.grouser_height).all()),
-        },
+        one_load=one_load(problem.data.table, setup),
+        conditions=len(np.unique(problem.data.cell)),
+        missing=[TITLES[name] for name in CHANNELS if name not in report.channels],
+        from_scatter=[
+            (TITLES[n], amount(n, noise.sd[j]))
+            for j, n in enumerate(CHANNELS)
+            if noise.origin[j] == "scatter"
+        ],
+        left_out=[f"{TITLES[name]} in row {row}" for row, name in report.left_out],
+        ordinary=int(np.sum(residual[dropped] <= ORDINARY)),
+        worse_with=worse_with,
+        at_bound=bounds,
+        off_prior=off_prior,
+        buried=int(np.sum(fit.output[:, 0] >= SUNK * DEEPEST * problem.data.wheel.radius)),
+        remains=[
+            (TITLES[n], g.over_noise[1])
+            for n, g in report.gap.items()
+            if report.effects and g.after > LEFT * g.noise_floor
+        ],
+        lugs_unknown=setup.wheel.grouser_height is None
+        and bool(np.isnan(problem.data.table.grouser_height).all()),
     )
     lines = [*report.taken, *map(str.strip, text.splitlines())]
     return [line[:1].upper() + line[1:] for line in lines if line]

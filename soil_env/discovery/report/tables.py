@@ -156,8 +156,8 @@ def untestable(report: Report) -> Table:
 
 
 def detectable(report: Report) -> Table:
-    """The smallest strength of each effect that would have been seen, and the prior probability of
-    a larger one.
+    """The smallest strength of each effect that would have been seen, or that there is "none up to"
+    the bound of the parameter; and the prior probability of a larger one.
     """
     rows = []
     for name, d in report.finding.detectable.items():

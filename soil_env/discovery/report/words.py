@@ -1,6 +1,6 @@
 """Result in a sentence, next step, and each effect in plain words: the head of the report."""
 
-from soil_env.discovery.instrument import INSTRUMENT, exact
+from soil_env.discovery.instrument import INSTRUMENT, ruled_out
 from soil_env.discovery.next_tests import open_checks
 from soil_env.discovery.result import LEFT, Report
 from soil_env.discovery.unnamed import OF_SENSORS
@@ -48,7 +48,7 @@ def next_step(report: Report) -> str:
     setup = report.problem.data.setup
     checks = [
         c
-        for c in open_checks(exact(setup))
+        for c in open_checks(ruled_out(setup))
         if found.get(c.name, 0.0) >= LIKELY or suspected & {*INSTRUMENT} & {*c.decides}
     ]
     before = setup.checked
