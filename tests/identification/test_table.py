@@ -22,7 +22,14 @@ from soil_env.identification.table import identify_table
 from soil_env.identification.table.priors import BROAD
 from soil_env.identification.table.problem import TableProblem
 from soil_env.identification.table.report import text_of
-from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors
+from soil_env.measurement.setup import (
+    NoiseLevels,
+    Prior,
+    Setup,
+    SetupWheel,
+    SoilPriors,
+    read_setup,
+)
 from soil_env.measurement.table import read_table
 from soil_env.parameters import Soil, soils
 from soil_env.terramechanics.model import WheelSoilModel
@@ -349,6 +356,15 @@ def test_residuals_that_do_not_fit_are_larger_than_their_noise(tmp_path):
 def test_refuses_what_it_cannot_identify(tmp_path, leave_out, rows, setup, words):
     with pytest.raises(ParameterError, match=words):
         identify_table(table_of(tmp_path, clean()[rows], leave_out=leave_out), setup)
+
+
+@pytest.mark.parametrize("check", [True, False], ids=["examined", "as it is"])
+def test_a_refusal_names_the_file_of_the_setup(tmp_path, check):
+    known = "".join(f"  {name}: {value:g}\n" for name, value in zip(NAMES, SAND, strict=True))
+    path = tmp_path / "rig.yaml"
+    path.write_text(f"wheel: {{radius: 0.15, width: 0.12}}\nsoil:\n{known}")
+    with pytest.raises(ParameterError, match=r"rig\.yaml: soil: every parameter is known"):
+        identify_table(table_of(tmp_path, clean()), read_setup(path), check=check)
 
 
 def test_a_very_wide_prior_says_no_more_than_the_admissible_range(tmp_path):

@@ -70,8 +70,6 @@ def binned(table: Table, setup: Setup) -> Binned:
     for name in NOISE:
         columns[name] = np.full(len(bins), math.nan)
     noise = dataclasses.replace(setup.noise, **dict.fromkeys((*MEASURED, "slip", "load")))
-    there = dataclasses.replace(setup, noise=noise)
-    object.__setattr__(there, "source", setup.source)
     sizes = [rows.size for rows in bins]
     words = (
         f"The table is dense: its {len(table)} rows are taken in {len(bins)} bins of {min(sizes)} "
@@ -81,7 +79,7 @@ def binned(table: Table, setup: Setup) -> Binned:
     )
     if outliers:
         words += f" Values left out that are far from the others of their bin: {outliers}."
-    return Binned(dataclasses.replace(table, **columns), there, words)
+    return Binned(dataclasses.replace(table, **columns), setup.changed(noise=noise), words)
 
 
 def _coordinates(table: Table, setup: Setup) -> np.ndarray:

@@ -162,7 +162,7 @@ def with_noise_of_conditions(
         if own is not None:
             columns[f"{channel}_sd"] = np.sqrt((own * data.relative_sd[:, j]) ** 2 + more[:, j])
             levels[channel] = None
-    setup = dataclasses.replace(data.setup, noise=dataclasses.replace(data.setup.noise, **levels))
+    setup = data.setup.changed(noise=dataclasses.replace(data.setup.noise, **levels))
     table = dataclasses.replace(data.table, **columns)
     counted = tuple(name for name, sd in noise.items() if sd is not None)
     return dataclasses.replace(
