@@ -386,9 +386,9 @@ def test_intervals_stay_within_what_a_soil_can_be(tmp_path, leave_out):
     """
     table = table_of(tmp_path, clean()[:4], np.random.default_rng(0), leave_out=leave_out)
     e = identify_table(table, setup_of(() if not leave_out else THREE, None))
-    for name, (_, _, low, high, logarithmic) in BROAD.items():
+    for name, unknown in BROAD.items():
         p = e.parameters[name]
-        low, high = (math.exp(x) if logarithmic else x for x in (low, high))
+        low, high = (math.exp(x) if unknown.log else x for x in (unknown.low, unknown.high))
         assert p.known or low * (1.0 - 1e-9) <= p.low <= p.value <= p.high <= high * (1.0 + 1e-9), (
             name
         )
