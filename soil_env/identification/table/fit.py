@@ -24,6 +24,7 @@ from soil_env.parameters import EARTH_GRAVITY, Soil
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 from .bins import binned
+from .form_error import covariance_about
 from .mistakes import Examined, examine
 from .noise import SMALLEST_SD, NoiseEstimate
 from .priors import LARGEST_LOG, given_laws
@@ -296,9 +297,7 @@ def _summary(
     published[LN_S, EXPONENT] = math.log(problem.z_ref)
     by_u = (published @ scaling)[free]
     share, mean, under = problem.by_size(u)
-    off = mean - u
-    # About u, which is not the mean of the mixture.
-    whole = np.einsum("s,spq->pq", share, under + off[:, :, None] * off[:, None, :])
+    whole = covariance_about(u, share, mean, under)
     covariance = by_u @ whole @ by_u.T
     sd = np.sqrt(np.diag(covariance))
     prior_sd = np.sqrt(np.sum(by_u**2, axis=1))
