@@ -268,6 +268,14 @@ class Setup(Checked):
                 f"{self.wheel.radius:g} m (if it is millimetres, divide by 1000)"
             )
 
+    def changed(self, **values: Any) -> "Setup":
+        """The setup with other values of some fields; `dataclasses.replace` would lose its
+        `source`.
+        """
+        there = dataclasses.replace(self, **values)
+        object.__setattr__(there, "source", self.source)
+        return there
+
     def doubts(self) -> list[str]:
         """Values of the soil that are admissible but look like another unit, one sentence each."""
         words = []

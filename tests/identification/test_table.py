@@ -22,7 +22,14 @@ from soil_env.identification.table import identify_table
 from soil_env.identification.table.priors import BROAD
 from soil_env.identification.table.problem import TableProblem
 from soil_env.identification.table.report import text_of
-from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors
+from soil_env.measurement.setup import (
+    NoiseLevels,
+    Prior,
+    Setup,
+    SetupWheel,
+    SoilPriors,
+    read_setup,
+)
 from soil_env.measurement.table import read_table
 from soil_env.parameters import Soil, soils
 from soil_env.terramechanics.model import WheelSoilModel
@@ -351,6 +358,15 @@ def test_refuses_what_it_cannot_identify(tmp_path, leave_out, rows, setup, words
         identify_table(table_of(tmp_path, clean()[rows], leave_out=leave_out), setup)
 
 
+@pytest.mark.parametrize("check", [True, False], ids=["examined", "as it is"])
+def test_a_refusal_names_the_file_of_the_setup(tmp_path, check):
+    known = "".join(f"  {name}: {value:g}\n" for name, value in zip(NAMES, SAND, strict=True))
+    path = tmp_path / "rig.yaml"
+    path.write_text(f"wheel: {{radius: 0.15, width: 0.12}}\nsoil:\n{known}")
+    with pytest.raises(ParameterError, match=r"rig\.yaml: soil: every parameter is known"):
+        identify_table(table_of(tmp_path, clean()), read_setup(path), check=check)
+
+
 def test_a_very_wide_prior_says_no_more_than_the_admissible_range(tmp_path):
     table = table_of(tmp_path, clean(), np.random.default_rng(3))
     wide = [
@@ -370,9 +386,9 @@ def test_intervals_stay_within_what_a_soil_can_be(tmp_path, leave_out):
     """
     table = table_of(tmp_path, clean()[:4], np.random.default_rng(0), leave_out=leave_out)
     e = identify_table(table, setup_of(() if not leave_out else THREE, None))
-    for name, (_, _, low, high, logarithmic) in BROAD.items():
+    for name, unknown in BROAD.items():
         p = e.parameters[name]
-        low, high = (math.exp(x) if logarithmic else x for x in (low, high))
+        low, high = (math.exp(x) if unknown.log else x for x in (unknown.low, unknown.high))
         assert p.known or low * (1.0 - 1e-9) <= p.low <= p.value <= p.high <= high * (1.0 + 1e-9), (
             name
         )

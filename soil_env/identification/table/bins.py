@@ -55,23 +55,21 @@ def binned(table: Table, setup: Setup) -> Binned:
     if len(table) <= DENSE and len(table) < FEWEST * len(bins):
         return Binned(table, setup, "")
     columns: dict[str, Any] = {
-        f.name: np.stack([_merged(getattr(table, f.name)[rows]) for rows in bins])
-        for f in dataclasses.fields(table)
-        if isinstance(getattr(table, f.name), np.ndarray)
+        name: np.stack([_merged(column[rows]) for rows in bins])
+        for name, column in vars(table).items()
+        if isinstance(column, np.ndarray)
     }
     outliers = 0
     for channel in MEASURED:
         values = [getattr(table, channel)[rows] for rows in bins]
+        # A channel that was not measured in a bin has no spread there.
         spreads = [s for s in map(_spread, values) if math.isfinite(s)]
         usual = float(np.median(spreads)) if spreads else 0.0
         cleaned = [_without_outliers(v, usual) for v in values]
         outliers += sum(count for _, count in cleaned)
         columns[channel] = np.array([value for value, _ in cleaned])
-    for name in NOISE:
-        columns[name] = np.full(len(bins), math.nan)
+    columns |= dict.fromkeys(NOISE, np.full(len(bins), math.nan))
     noise = dataclasses.replace(setup.noise, **dict.fromkeys((*MEASURED, "slip", "load")))
-    there = dataclasses.replace(setup, noise=noise)
-    object.__setattr__(there, "source", setup.source)
     sizes = [rows.size for rows in bins]
     words = (
         f"The table is dense: its {len(table)} rows are taken in {len(bins)} bins of {min(sizes)} "
@@ -81,11 +79,12 @@ def binned(table: Table, setup: Setup) -> Binned:
     )
     if outliers:
         words += f" Values left out that are far from the others of their bin: {outliers}."
-    return Binned(dataclasses.replace(table, **columns), there, words)
+    return Binned(dataclasses.replace(table, **columns), setup.changed(noise=noise), words)
 
 
 def _coordinates(table: Table, setup: Setup) -> np.ndarray:
-    """The D conditions that vary, [N, D], in correlation lengths of a form error.
+    """Coordinates [N, D] of the rows in correlation lengths of a form error: the conditions that
+    vary, and what only some rows have.
 
     Rows that lack a condition or a channel lie `_APART` from those that have it, so that the first
     cuts part the two.
@@ -150,13 +149,14 @@ def _cut(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     value = here[:, int(np.argmax(np.ptp(here, axis=0)))]
     order = np.argsort(value, kind="stable")
     gaps = np.diff(value[order])
-    middle = value.size // 2
+    first = value.size // 2  # number of rows in the first part
     widest = int(np.argmax(gaps))
     if gaps[widest] > JUMP * np.ptp(value):
-        middle = widest + 1
-    elif gaps[middle - 1] == 0.0:  # equal values stay together
-        middle = int(np.flatnonzero(gaps)[np.argmin(np.abs(np.flatnonzero(gaps) - middle))]) + 1
-    return np.sort(rows[order[:middle]]), np.sort(rows[order[middle:]])
+        first = widest + 1
+    elif gaps[first - 1] == 0.0:  # equal values stay together
+        changes = np.flatnonzero(gaps)
+        first = int(changes[np.argmin(np.abs(changes - first))]) + 1
+    return np.sort(rows[order[:first]]), np.sort(rows[order[first:]])
 
 
 def _merged(values: np.ndarray) -> Any:

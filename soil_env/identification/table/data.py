@@ -52,7 +52,7 @@ _ROWS_OF_BIN = 6
 class Factor:
     """A condition of the table; `LOGARITHMIC` ones are scaled in the logarithm."""
 
-    name: str  # column of a table
+    name: str  # of the column
     value: np.ndarray  # [N] in the unit of the column
     level: np.ndarray  # [N] int, number of the row's level: 0 for the lowest values
     scaled: np.ndarray  # [N] value scaled to [-1, 1]; 0 where the condition does not vary
@@ -71,8 +71,8 @@ class Data:
 
     table: Table
     setup: Setup
-    wheel: ModelWheel
-    rows: Rows
+    wheel: ModelWheel  # of the setup; `UNKNOWN_HEIGHT` of lugs where it says nothing of them
+    rows: Rows  # [N] with slip by the rim; the speed 0 where the table has none
     y: np.ndarray  # [N, 3] measured values [m, N, N m]; nan where not measured
     varied: dict[str, Factor]  # conditions that vary by themselves; slip first
     cell: np.ndarray  # [N] int, combination of levels; rows of one cell are repeats
@@ -171,7 +171,7 @@ def prepare(table: Table, setup: Setup) -> Data:
     _refuse_units(table, rows, y)
     varied: dict[str, Factor] = {}
     for name, value in conditions_of(rows).items():
-        found = _factor(name, value, name in LOGARITHMIC)
+        found = _factor(name, value)
         same = name in WHEEL and any(_one_to_one(found, varied[w]) for w in WHEEL if w in varied)
         # Of sizes that change together one stands for the wheel. A speed that follows from the
         # slip, as at one rim speed, is no condition of its own. A grade set by a Latin square of
@@ -258,19 +258,22 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
     )
 
 
-def _factor(name: str, value: np.ndarray, log: bool) -> Factor:
-    """`Factor` of a condition; with `log` its values are compared by their ratio.
+def _factor(name: str, value: np.ndarray) -> Factor:
+    """`Factor` of the condition `name` with these values [N]; `LOGARITHMIC` ones are compared by
+    their ratio.
 
     A step between sorted values that is larger than a gap parts two levels. The gap is
     `_SAME_SHARE` of the range, but at least the difference that does not count (`_SAME`). Slip,
     load, speed and grade are a continuum if they have too many levels, or one that is wider than
     `_CHAIN` gaps. Bins of equal count are the levels of a continuum.
     """
-    x = np.log(np.maximum(value, 1e-9)) if log else value
+    same = _SAME.get(name, _SAME_RATIO)
+    x = value
+    if name in LOGARITHMIC:
+        x = np.log(np.maximum(value, 1e-9))
+        same = math.log(1.0 + same)
     span = float(np.ptp(x))
-    gap = max(
-        _SAME_SHARE * span, math.log(1.0 + _SAME.get(name, _SAME_RATIO)) if log else _SAME[name]
-    )
+    gap = max(_SAME_SHARE * span, same)
     order = np.argsort(x, kind="stable")
     steps = np.diff(x[order]) > gap
     level = np.empty(x.size, dtype=int)
@@ -280,9 +283,10 @@ def _factor(name: str, value: np.ndarray, log: bool) -> Factor:
     widest = float(np.max(x[order][ends] - x[order][starts]))
     many = level.max() > max(_MOST_LEVELS, x.size // _ROWS_OF_LEVEL)
     if name in ("slip", "load", "speed", "grade_deg") and (many or widest > _CHAIN * gap):
-        bins = min(_MOST_BINS, x.size // _ROWS_OF_BIN)
+        bins = max(2, min(_MOST_BINS, x.size // _ROWS_OF_BIN))
         first = np.searchsorted(x[order], x[order])  # equal values stay together
-        level[order] = np.unique(first * max(bins, 2) // x.size, return_inverse=True)[1]
+        # Numbers of bins without a gap: a value that many rows have may fill more than one.
+        level[order] = np.unique(first * bins // x.size, return_inverse=True)[1]
     scaled = (x - 0.5 * (x.min() + x.max())) / (0.5 * span) if span > gap else np.zeros_like(x)
     return Factor(name, value, level, scaled)
 

@@ -9,7 +9,7 @@ solution is turned into intervals and warnings.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, compress
 from typing import Any, NamedTuple
 from warnings import warn
 
@@ -24,9 +24,9 @@ from soil_env.parameters import EARTH_GRAVITY, Soil
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 from .bins import binned
-from .form_error import mixed
+from .form_error import covariance_about
 from .mistakes import Examined, examine
-from .noise import NoiseEstimate
+from .noise import SMALLEST_SD, NoiseEstimate
 from .priors import LARGEST_LOG, given_laws
 from .problem import LAW_ERRORS, LEAST_FREEDOM, SOURCES, TableProblem
 
@@ -44,7 +44,6 @@ LABELS = {
 SYMBOLS = dict(zip(LABELS.values(), ("phi", "K", "S z^n", "n", "c", "tilt"), strict=True))
 OFF_PRIOR = 3.0  # [prior sd] from the prior, beyond which a solution under noise alone is doubted
 FAR_OFF_PRIOR = 5.0  # [prior sd] from which that is to be checked first where the base model fits
-LEAST_SD = 1e-12  # [unit of the channel] of a residual, since it divides
 #: Residual of a fit that allows for errors of the laws, over that of a fit with exact laws, from
 #: which its soil predicts badly.
 MUCH_WORSE = 2.0
@@ -112,6 +111,21 @@ class ChannelFit:
         residual: np.ndarray = (self.measured - self.fitted) / (self.noise * self.relative)
         return residual
 
+    @property
+    def rms(self) -> float:
+        """Root mean square of measured - fitted, in `unit`."""
+        return _rms(self.measured - self.fitted)
+
+    @property
+    def rms_over_noise(self) -> float:
+        """Root mean square of `residual`."""
+        return _rms(self.residual)
+
+
+def _rms(off: np.ndarray) -> float:
+    """Root mean square of the values that are not nan."""
+    return math.sqrt(float(np.nanmean(off**2)))
+
 
 @dataclass(frozen=True)
 class TableEstimate:
@@ -124,7 +138,7 @@ class TableEstimate:
     correlation: np.ndarray  # [p, p]
     condition: float  # of the whitened Jacobian in units of the prior sd
     reference_sinkage: float  # z_ref [m], the median; of the fitted where none was measured
-    fits: dict[str, ChannelFit]  # sinkage, drawbar_pull, torque, and load if it has noise
+    fits: dict[str, ChannelFit]  # of the measured channels, and of the load if it has noise
     row: np.ndarray  # [N] lines of the table
     slip: np.ndarray  # [N]
     load: np.ndarray  # [N] in newtons
@@ -248,15 +262,15 @@ def _settle(
     return u, converged
 
 
-def _scaling(problem: TableProblem) -> tuple[np.ndarray, np.ndarray]:
-    """(derivatives [6, p] of the six parameters, in their coordinates, by u; [6] bool, True for
-    those that are fitted).
+def _scaling(problem: TableProblem) -> np.ndarray:
+    """Derivatives [6, p] of the six parameters, in their coordinates, by u; 0 for those that are
+    not fitted.
     """
     order = list(LABELS)
     out = np.zeros((len(order), len(problem.unknowns)))
     for j, unknown in enumerate(problem.unknowns):
         out[order.index(unknown.name), j] = unknown.sd
-    return out, np.any(out > 0.0, axis=1)
+    return out
 
 
 def _summary(
@@ -274,7 +288,8 @@ def _summary(
     (`_missed`); `dense`: words on bins. The estimate is u and the covariance is about u, since the
     means under other sizes of the form error differ.
     """
-    scaling, free = _scaling(problem)
+    scaling = _scaling(problem)
+    free = np.any(scaling > 0.0, axis=1)
     # (phi [rad], ln K, ln S z_ref^n, n, c, tilt) by (phi [deg], ln K, ln S, n, c, tilt).
     # S and n are correlated, so S z_ref^n is given in place of S.
     published = np.eye(len(LABELS))
@@ -282,8 +297,7 @@ def _summary(
     published[LN_S, EXPONENT] = math.log(problem.z_ref)
     by_u = (published @ scaling)[free]
     share, mean, under = problem.by_size(u)
-    off = mean - u
-    whole = mixed(share, mean, under)[1] + np.outer(share @ off, share @ off)  # about u
+    whole = covariance_about(u, share, mean, under)
     covariance = by_u @ whole @ by_u.T
     sd = np.sqrt(np.diag(covariance))
     prior_sd = np.sqrt(np.sum(by_u**2, axis=1))
@@ -295,7 +309,7 @@ def _summary(
         name: replace(fit, p_value=plain.fits[name].p_value, too_small=plain.fits[name].too_small)
         for name, fit in _fits(problem, u).items()
     }
-    labels = tuple(label for label, f in zip(LABELS.values(), free, strict=True) if f)
+    labels = tuple(compress(LABELS.values(), free))
     parameters = _parameters(problem, u, whole, scaling)
     first = [*examined.said, *_units(problem, parameters, plain.fits)]
     law_error = math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True)))
@@ -397,21 +411,17 @@ def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
     """
     errors, left = problem.errors(u)
     variances = problem.variances
-    out = problem.predict(u)
+    # [N, 5] by `SOURCES`.
+    measured = np.column_stack([problem.rows.slip, problem.rows.load, problem.y])
+    at = problem.corrected
+    fitted = np.column_stack([at.slip, at.load, problem.predict(u)])
     fits = {}
     for name in ("sinkage", "load", "drawbar_pull", "torque"):
         j = SOURCES.index(name)
-        if name == "load":
-            rows = np.full(len(out), problem.noise[j] > 0.0)
-            columns = (problem.rows.load, problem.corrected.load)
-            relative = np.ones(len(out))
-        else:
-            rows = problem.measured[:, j - 2]
-            columns = (problem.y[:, j - 2], out[:, j - 2])
-            relative = problem.relative[:, j - 2]
-        if not np.any(rows):
-            continue
+        rows = np.isfinite(measured[:, j])
         noise = float(problem.noise[j])
+        if noise == 0.0 or not np.any(rows):
+            continue
         estimated = bool(problem.estimated[j])
         p_value = math.nan
         too_small = math.nan
@@ -424,7 +434,14 @@ def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
             p_value = float(chdtrc(freedom, square))
             too_small = float(chdtr(freedom, square)) if square < SMALL**2 * freedom else 1.0
         fits[name] = ChannelFit(
-            *columns, noise, relative, estimated, p_value, too_small, UNITS[name]
+            measured[:, j],
+            fitted[:, j],
+            noise,
+            problem.relative[:, j],
+            estimated,
+            p_value,
+            too_small,
+            UNITS[name],
         )
     return fits
 
@@ -552,7 +569,7 @@ def _missed(problem: TableProblem, plain: _Plain, noise: NoiseEstimate | None) -
     """
     out = {}
     for name, fit in plain.fits.items():
-        ratio = math.sqrt(float(np.nanmean(fit.residual**2)))
+        ratio = fit.rms_over_noise
         if not fit.estimated:
             if fit.p_value < MISSED / len(plain.fits):
                 out[name] = ratio
@@ -602,17 +619,14 @@ def _predicts_badly(plain: _Plain, fits: dict[str, ChannelFit]) -> str:
     """Sentence on the channel in which the soil of the `fits` misses the table worst, relative to
     the fit with exact laws; "" below `MUCH_WORSE`.
     """
-    rms, least = (
-        {n: float(np.sqrt(np.nanmean((f.measured - f.fitted) ** 2))) for n, f in there.items()}
-        for there in (fits, plain.fits)
-    )
-    name = max(rms, key=lambda n: rms[n] / max(least[n], LEAST_SD))
-    if rms[name] < MUCH_WORSE * max(least[name], LEAST_SD):
+    ratio = {n: f.rms / max(plain.fits[n].rms, SMALLEST_SD) for n, f in fits.items()}
+    name = max(ratio, key=lambda n: ratio[n])
+    if ratio[name] < MUCH_WORSE:
         return ""
     return (
         f" Do not simulate with this soil: without the error of the laws it misses "
-        f"{name.replace('_', ' ')} by {rms[name]:.2g} {fits[name].unit}. model.yaml of soil-env "
-        "discover is for that."
+        f"{name.replace('_', ' ')} by {fits[name].rms:.2g} {fits[name].unit}. model.yaml of "
+        "soil-env discover is for that."
     )
 
 
@@ -622,10 +636,10 @@ def _not_modelled(problem: TableProblem) -> list[str]:
     """
     table = problem.table
     used = problem.use
-    names = [name.replace("_", " ") for name in MEASURED]
-    there = [bool(known.any()) for known in problem.measured.T]
-    missing = " and ".join(name for name, known in zip(names, there, strict=True) if not known)
-    rest = " and ".join(name for name, known in zip(names, there, strict=True) if known)
+    names = np.array([name.replace("_", " ") for name in MEASURED])
+    there = problem.measured.any(axis=0)
+    missing = " and ".join(names[~there])
+    rest = " and ".join(names[there])
     left_out = int(np.sum(~used))
     unseen = int(np.sum(np.isnan(table.sinkage[used])))
     told = (

@@ -350,10 +350,9 @@ def marginals(
         factor = _cholesky(d[:, None] * gram[np.ix_(kept, kept)] * d)
         cross = d[:, None] * gram[kept, outer.size :]
         right = np.column_stack([d * along[kept] - start[kept], np.eye(d.size, p), cross])
-        half = _solved(factor, right)
-        of_data = half[:, 0]
-        of_unknowns = half[:, 1 : 1 + p]
-        rest = half[:, 1 + p :]
+        # Products of two columns of factor^-1 `right` are those of `right` with N^-1 between them.
+        of_data, of_unknowns, rest = np.split(_solved(factor, right), [1, 1 + p], axis=1)
+        of_data = of_data[:, 0]
         base = -0.5 * (square_sum - of_data @ of_data) - log_diagonal(factor)
         centre = u + of_unknowns.T @ of_data
         narrow = of_unknowns.T @ of_unknowns
@@ -366,28 +365,36 @@ def marginals(
             column = outer.size + seen
             inner = rest[:, seen]
             normal = gram[np.ix_(column, column)] - inner.T @ inner
-            pull = pulls[seen]
             these = rows[alike]
             size = scales[these][:, column]
-            if len(these) > 1 and np.all(size == size[:, :1]):  # one decomposition for all
-                values, vectors = np.linalg.eigh(normal)
-                square = size[:, :1] ** 2
-                n = 1.0 + square * np.maximum(values, 0.0)
-                turned = vectors.T @ pull
-                moved = ((square / n)[:, :, None] * turned).transpose(0, 2, 1) @ turned
-                log[these] = base + 0.5 * (moved[:, 0, 0] - np.sum(np.log(n), axis=1))
-                mean[these] = centre - moved[:, 1:, 0]
-                covariance[these] = narrow + moved[:, 1:, 1:]
-                continue
-            for row in these:
-                d = scales[row, column]
-                factor = _cholesky(d[:, None] * normal * d)
-                half = _solved(factor, d[:, None] * pull)
-                moved = half.T @ half
-                log[row] = base + 0.5 * moved[0, 0] - log_diagonal(factor)
-                mean[row] = centre - moved[1:, 0]
-                covariance[row] = narrow + moved[1:, 1:]
+            half_log, moved = _eliminated(normal, pulls[seen], size)
+            log[these] = base + 0.5 * moved[:, 0, 0] - half_log
+            mean[these] = centre - moved[:, 1:, 0]
+            covariance[these] = narrow + moved[:, 1:, 1:]
     return log, mean, covariance
+
+
+def _eliminated(
+    normal: np.ndarray, pull: np.ndarray, size: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(ln|N|/2 [S], P' D N^-1 D P [S, B, B]) with N = I + D `normal` D, P = `pull` [R, B], for each
+    row of diagonals D of `size` [S, R].
+    """
+    if len(size) > 1 and np.all(size == size[:, :1]):  # one decomposition for all
+        values, vectors = np.linalg.eigh(normal)
+        square = size[:, :1] ** 2
+        n = 1.0 + square * np.maximum(values, 0.0)
+        turned = vectors.T @ pull
+        moved = ((square / n)[:, :, None] * turned).transpose(0, 2, 1) @ turned
+        return 0.5 * np.sum(np.log(n), axis=1), moved
+    half_log = np.empty(len(size))
+    moved = np.empty((len(size), pull.shape[1], pull.shape[1]))
+    for k, d in enumerate(size):
+        factor = _cholesky(d[:, None] * normal * d)
+        half = _solved(factor, d[:, None] * pull)
+        half_log[k] = log_diagonal(factor)
+        moved[k] = half.T @ half
+    return half_log, moved
 
 
 def _alike(rows: np.ndarray) -> list[np.ndarray]:
@@ -416,7 +423,7 @@ def _cholesky(normal: np.ndarray) -> np.ndarray:
 
 
 def log_diagonal(factor: np.ndarray) -> float:
-    """Half the logarithm of the determinant of N, by its Cholesky factor [R, R]."""
+    """Half the logarithm of the determinant of a matrix, by its Cholesky factor [R, R]."""
     return np.sum(np.log(np.diag(factor)))
 
 
@@ -435,7 +442,13 @@ def mixed(
     [S], means [S, p] and covariances [S, p, p].
     """
     centre = share @ mean
-    off = mean - centre
-    return centre, np.einsum("s,spq->pq", share, covariance) + np.einsum(
-        "s,sp,sq->pq", share, off, off
-    )
+    return centre, covariance_about(centre, share, mean, covariance)
+
+
+def covariance_about(
+    point: np.ndarray, share: np.ndarray, mean: np.ndarray, covariance: np.ndarray
+) -> np.ndarray:
+    """Mean square [p, p] of the distances of the mixture, as in `mixed`, from any `point` [p]."""
+    off = mean - point
+    about: np.ndarray = np.tensordot(share, covariance + off[:, :, None] * off[:, None, :], 1)
+    return about

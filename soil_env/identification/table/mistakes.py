@@ -203,7 +203,7 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
                 "radius",
                 f"With wheel.radius of the setup halved to {half:g} m",
                 "expected the radius, not the diameter",
-                there=dataclasses.replace(setup, wheel=wheel),
+                there=setup.changed(wheel=wheel),
             )
     return out
 
@@ -249,7 +249,7 @@ def _problem(
         for j, name in enumerate(CHANNELS)
     }
     noise = dataclasses.replace(reading.setup.noise, **levels)
-    setup = dataclasses.replace(reading.setup, noise=noise)
+    setup = reading.setup.changed(noise=noise)
     return TableProblem(there, setup, np.ones(len(there), dtype=bool), scarce=scarce)
 
 

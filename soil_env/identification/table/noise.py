@@ -10,6 +10,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -71,7 +72,7 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
     would have to be taken from too few values, or from values that hardly scatter.
     """
     given = given_noise(data)
-    repeat_sd, repeat_freedom = repeat_noise(data, model)
+    repeat_freedom = repeat_noise(data, model)[1]
     basis = smooth_basis(data)
     used = data.measured.copy()
     sd = np.ones(3)
@@ -81,14 +82,11 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
     for j, name in enumerate(CHANNELS):
         if not used[:, j].any():
             continue
-        origin[j] = (
-            "setup"
-            if given[j] is not None
-            else "repeats"
-            if repeat_freedom[j] >= FEWEST_REPEATS
-            else "scatter"
-        )
-        sd[j] = given[j] if given[j] is not None else repeat_sd[j]
+        if given[j] is not None:
+            origin[j] = "setup"
+            sd[j] = given[j]
+        else:
+            origin[j] = "repeats" if repeat_freedom[j] >= FEWEST_REPEATS else "scatter"
         values = int(used[:, j].sum())
         if values - basis.shape[1] < SPARE:
             if origin[j] == "scatter":
@@ -109,7 +107,7 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
     if "repeats" in origin:
         repeats = [text == "repeats" for text in origin]
         cleaned = dataclasses.replace(data, y=np.where(used, data.y, math.nan))
-        repeat_sd, repeat_freedom = repeat_noise(cleaned, model)
+        repeat_sd, repeat_freedom = repeat_noise(cleaned, model)  # without the outliers
         sd[repeats] = repeat_sd[repeats]
         freedom[repeats] = repeat_freedom[repeats]
     _refuse_no_scatter(data, used, sd, origin)
@@ -162,7 +160,7 @@ def with_noise_of_conditions(
         if own is not None:
             columns[f"{channel}_sd"] = np.sqrt((own * data.relative_sd[:, j]) ** 2 + more[:, j])
             levels[channel] = None
-    setup = dataclasses.replace(data.setup, noise=dataclasses.replace(data.setup.noise, **levels))
+    setup = data.setup.changed(noise=dataclasses.replace(data.setup.noise, **levels))
     table = dataclasses.replace(data.table, **columns)
     counted = tuple(name for name, sd in noise.items() if sd is not None)
     return dataclasses.replace(
@@ -177,27 +175,25 @@ def _derivatives(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -
     only if the condition varies. 0 where the model has no value.
     """
     value = getattr(data.rows, name)
-    step = STEPS[name] * (value if name in LOGARITHMIC else np.ones_like(value))
-    ends = [predict(data.rows._replace(**{name: value + sign * step})) for sign in (1.0, -1.0)]
-    out = (ends[0] - ends[1]) / (2.0 * step[:, None])
+    # d(condition) / d(logarithm), where the logarithm is what is scaled.
+    unit = value if name in LOGARITHMIC else np.ones_like(value)
+    step = STEPS[name] * unit
+    above, below = (predict(data.rows._replace(**{name: value + h})) for h in (step, -step))
+    out = (above - below) / (2.0 * step[:, None])
     if name in data.varied:
         factor = data.varied[name]
-        scale = np.log(value) if name in LOGARITHMIC else value
-        # d(scaled condition) / d(condition)
-        per_unit = (
-            (1.0 / value if name in LOGARITHMIC else 1.0) * np.ptp(factor.scaled) / np.ptp(scale)
-        )
+        span = np.ptp(np.log(value) if name in LOGARITHMIC else value)
+        scaled_by_value = np.ptp(factor.scaled) / span / unit
         shifted = dataclasses.replace(factor, scaled=factor.scaled + SHIFT)
         basis = smooth_basis(data)
-        change = (
-            smooth_basis(dataclasses.replace(data, varied=data.varied | {name: shifted})) - basis
-        ) / SHIFT
+        moved = smooth_basis(dataclasses.replace(data, varied=data.varied | {name: shifted}))
+        by_scaled = (moved - basis) / SHIFT
         left = data.y - predict(data.rows)
         for j in range(len(CHANNELS)):
             rows = np.isfinite(left[:, j])
             if rows.any():
                 coefficients, *_ = np.linalg.lstsq(basis[rows], left[rows, j], rcond=1e-10)
-                out[:, j] += change @ coefficients * per_unit
+                out[:, j] += by_scaled @ coefficients * scaled_by_value
     return finite(out)
 
 
@@ -292,7 +288,7 @@ def smooth_basis(data: Data) -> np.ndarray:
     columns += [c.scaled for c in others]
     columns += [s * c.scaled for c in others]
     columns += [c.scaled**2 for c in others if c.levels > 2]
-    columns += [a.scaled * b.scaled for i, a in enumerate(others) for b in others[i + 1 :]]
+    columns += [a.scaled * b.scaled for a, b in combinations(others, 2)]
     sizes = [c for name, c in data.varied.items() if name in WHEEL]
     plain = len(columns)
     columns += [column * c.scaled for column in tuple(columns) for c in sizes]

@@ -6,27 +6,13 @@ In u every prior is the standard normal, and parameters of any unit have one sca
 
 import math
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.measurement.setup import STEEPEST_TILT, Setup
+from soil_env.measurement.setup import STEEPEST_TILT, Prior, Setup
 from soil_env.parameters import FLOW_LAW, Soil, SoilState
 
-#: Where the setup says nothing of a soil parameter: mean, sd, lower and upper bound, and True if
-#: these are of its logarithm. Ours, wide enough for every preset soil of configs/soils.yaml, clays
-#: with 69 kPa among them. The mean of ln S is that of a plate that carries the median load at the
-#: median sinkage.
-BROAD = MappingProxyType(
-    {
-        "friction_angle_deg": (30.0, 15.0, 2.0, 65.0, False),
-        "cohesion": (5e3, 3e4, 0.0, 1e5, False),
-        "shear_modulus": (math.log(0.02), 1.2, math.log(2e-4), math.log(0.3), True),
-        "sinkage_coefficient": (math.nan, 3.0, math.log(10.0), math.log(1e13), True),
-        "sinkage_exponent": (0.8, 0.5, 0.05, 2.5, False),
-    }
-)
 USUAL_SINKAGE = 0.08  # [radii] where none was measured
 LARGEST_LOG = 700.0  # an exponential of more overflows
 _LEAST_VALUE = 1e-12  # of a prior whose logarithm is taken
@@ -73,6 +59,21 @@ class Unknown(NamedTuple):
         return (self.low - self.mean) / self.sd, (self.high - self.mean) / self.sd
 
 
+#: Unknown by name where the setup says nothing of a soil parameter; without a mean for ln S, which
+#: is that of a plate (`plate_coefficient`). Ours, wide enough for every preset soil of
+#: configs/soils.yaml, clays with 69 kPa among them.
+BROAD = {
+    unknown.name: unknown
+    for unknown in (
+        Unknown("friction_angle_deg", 30.0, 15.0, 2.0, 65.0, log=False),
+        Unknown("cohesion", 5e3, 3e4, 0.0, 1e5, log=False),
+        Unknown("shear_modulus", math.log(0.02), 1.2, math.log(2e-4), math.log(0.3), log=True),
+        Unknown("sinkage_coefficient", math.nan, 3.0, math.log(10.0), math.log(1e13), log=True),
+        Unknown("sinkage_exponent", 0.8, 0.5, 0.05, 2.5, log=False),
+    )
+}
+
+
 def parameters_at(unknowns: Sequence[Unknown], u: np.ndarray) -> dict[str, float]:
     """Parameters by name, in their units, at whitened unknowns u [p]."""
     return {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
@@ -90,43 +91,50 @@ def soil_unknowns(
     """(unknowns of the soil, values by name that the setup knows) of a table with loads [N] and
     sinkages [N], nan where not measured.
 
-    A parameter without a prior in the setup has that of `BROAD`. The setup's prior is taken in the
-    coordinate of the fit, and the bounds are widened to include its value. Its standard deviation
-    is multiplied by `widened`. If the setup gives `tilt_deg`, that is the last of the unknowns, or
-    known.
+    A parameter without a prior in the setup is the `BROAD` unknown; for any other the standard
+    deviation of its prior is multiplied by `widened`. If the setup gives `tilt_deg`, that is the
+    last of the unknowns, or known.
     """
     unknowns = []
     known = {}
-    for name, (mean, sd, low, high, log) in BROAD.items():
+    for name, broad in BROAD.items():
         prior = (
             setup.soil.lumped(setup.wheel.width)
             if name == "sinkage_coefficient"
             else getattr(setup.soil, name)
         )
-        if prior is not None and prior.known:
+        if prior is None:
+            unknowns.append(broad)
+        elif prior.known:
             known[name] = prior.value
-            continue
-        if prior is not None:
-            value = max(prior.value, _LEAST_VALUE) if log else prior.value
-            mean = math.log(value) if log else value
-            sd = widened * (math.log1p(prior.sd / value) if log else prior.sd)
-            low = min(low, mean)
-            high = max(high, mean)
-            # A prior wider than the range says no less than one as wide.
-            sd = min(max(sd, _LEAST_SD[name]), high - low)
-        unknowns.append(Unknown(name, mean, sd, low, high, log))
-    n = known.get(
-        "sinkage_exponent", next((k.mean for k in unknowns if k.name == "sinkage_exponent"), 1.0)
-    )
+        else:
+            unknowns.append(_under_prior(broad, prior, widened))
+    exponent = (known | {k.name: k.mean for k in unknowns})["sinkage_exponent"]
     tilt = setup.tilt_deg
     if tilt is not None and tilt.known:
         known["tilt_deg"] = tilt.value
     elif tilt is not None:
         unknowns.append(
-            Unknown("tilt_deg", tilt.value, tilt.sd, -STEEPEST_TILT, STEEPEST_TILT, False)
+            Unknown("tilt_deg", tilt.value, tilt.sd, -STEEPEST_TILT, STEEPEST_TILT, log=False)
         )
-    usual = math.log(plate_coefficient(setup, load, sinkage, n))
+    usual = math.log(plate_coefficient(setup, load, sinkage, exponent))
     return tuple(k._replace(mean=usual) if math.isnan(k.mean) else k for k in unknowns), known
+
+
+def _under_prior(broad: Unknown, prior: Prior, widened: float) -> Unknown:
+    """The `broad` unknown under the setup's prior, whose sd is multiplied by `widened`.
+
+    The prior is taken in the coordinate of the fit; of a logarithm its sd is ln(1 + sd/value). The
+    bounds are widened to include its value. Its sd is at least `_LEAST_SD`.
+    """
+    value = max(prior.value, _LEAST_VALUE) if broad.log else prior.value
+    mean = math.log(value) if broad.log else value
+    sd = widened * (math.log1p(prior.sd / value) if broad.log else prior.sd)
+    low = min(broad.low, mean)
+    high = max(broad.high, mean)
+    # A prior wider than the range says no less than one as wide.
+    sd = min(max(sd, _LEAST_SD[broad.name]), high - low)
+    return broad._replace(mean=mean, sd=sd, low=low, high=high)
 
 
 def plate_coefficient(

@@ -171,11 +171,9 @@ class TableProblem:
         self, table: Table, setup: Setup, use: np.ndarray | None = None, *, scarce: bool = False
     ) -> None:
         use = _usable(table, setup) if use is None else use
-        wheels = np.stack(
-            [table.radius(setup.wheel), table.width(setup.wheel), np.zeros(len(table))], axis=1
-        )
-        # No speed: the base model does not depend on it, nor on the pass.
-        level = np.zeros(len(table))
+        zeros = np.zeros(len(table))
+        # A smooth rim; speed 0 and pass 1, since the base model does not depend on them.
+        wheels = np.column_stack([table.radius(setup.wheel), table.width(setup.wheel), zeros])
         grade = np.sin(np.radians(np.nan_to_num(table.grade_deg)))
         self.table = table
         self.setup = setup
@@ -184,15 +182,17 @@ class TableProblem:
             table.rim_slip(setup),
             table.load,
             wheels,
-            np.stack([level, level + 1.0, grade], axis=1),
+            np.column_stack([zeros, zeros + 1.0, grade]),
         )
         self.rows = Rows(*(column[use] for column in rows))
         self._take_conditions(self.rows)
         #: [N, 3] measured sinkage [m], drawbar pull [N] and torque [N m]; nan where not measured.
         self.y = np.stack([getattr(table, name)[use] for name in MEASURED], axis=1)
         self.measured = np.isfinite(self.y)
-        #: [N, 3] noise of a value over that of its channel.
-        self.relative = np.broadcast_to(table.relative_sd(setup), table.slip.shape + (3,))[use]
+        #: [N, 5] noise in a row over that of its source, which is 1 for slip and load.
+        relative = np.ones((len(table), 5))
+        relative[:, 2:] = table.relative_sd(setup)
+        self.relative = relative[use]
         seen = self.measured[:, 0]
         #: [m] reference sinkage: the median of the measured ones.
         self.z_ref = (
@@ -208,14 +208,13 @@ class TableProblem:
         self._set_noise()
         values = int(self.measured.sum())
         needed = len(self.unknowns)
-        least = needed + int(self.estimated.sum())
+        noises = np.array(SOURCES)[self.estimated]
+        least = needed + noises.size
         if values < least and not scarce:
-            unknown = "".join(
-                f" + {s} noise" for s, e in zip(SOURCES, self.estimated, strict=True) if e
-            )
+            more = "".join(f" + {name} noise" for name in noises)
             raise ParameterError(
                 f"{table.source}: {plural(values, 'measured value')} (sinkage, drawbar_pull, "
-                f"torque) for {plural(needed, 'parameter')}{unknown}: expected at least {least}"
+                f"torque) for {plural(needed, 'parameter')}{more}: expected at least {least}"
             )
         #: Form error of the base law that is in the weights beside the noise; None for none.
         self.form_error: form_error.Compression | None = None
@@ -256,8 +255,7 @@ class TableProblem:
         self.estimated = left_out & measured
         self.floor = _FLOOR * guess
         guess[:2] = 0.0  # slip and load count as exact
-        pairs = zip(given, guess, strict=True)
-        self.noise = np.array([usual if sd is None else sd for sd, usual in pairs])
+        self.noise = np.where(left_out, guess, np.array(given, dtype=float))
         #: [5] degrees of freedom behind each noise; infinite until the noise is estimated.
         self.freedom = np.full(5, math.inf)
 
@@ -301,19 +299,12 @@ class TableProblem:
         """
         out = np.zeros((*self.y.shape, 2))
         at = self.corrected
-        for k, (name, step) in enumerate(
-            (
-                ("slip", _CONDITION_STEP),
-                ("load", _CONDITION_STEP * at.load),
-            )
+        for k, name, step, ends in (
+            (0, "slip", _CONDITION_STEP, (-1.0, 1.0)),
+            (1, "load", _CONDITION_STEP * at.load, (0.0, math.inf)),
         ):
             if self.noise[k] > 0.0:
-                column = getattr(at, name)
-                low = column - step
-                high = column + step
-                if name == "slip":  # its definition ends there
-                    low = np.maximum(low, -1.0)
-                    high = np.minimum(high, 1.0)
+                low, high = (np.clip(getattr(at, name) + h, *ends) for h in (-step, step))
                 up, down = (self.predict(u, at._replace(**{name: x})) for x in (high, low))
                 out[:, :, k] = (up - down) / (high - low)[:, None]
         return out
@@ -333,9 +324,8 @@ class TableProblem:
     @property
     def variances(self) -> np.ndarray:
         """Variances [N, 5] of the errors of `SOURCES` in each row."""
-        sd = np.broadcast_to(self.noise, (len(self.y), 5)).copy()
-        sd[:, 2:] *= self.relative
-        return sd**2
+        variances: np.ndarray = (self.noise * self.relative) ** 2
+        return variances
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
         """An array [N, 3, ..] whitened by noise and form error [3 N, ..]."""
@@ -486,11 +476,12 @@ class TableProblem:
         return best
 
     def errors(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(most probable errors [N, 5] of `SOURCES` under u, their expected squares [N, 5]).
+        """(most probable errors [N, 5] of `SOURCES` under u, their expected squares [N, 5]), in the
+        units of the sources.
 
         The latter are below the variances, since the fit follows the errors and shares them out
-        among the sources. e = B eps - J du with the errors eps of a row and du of the unknowns;
-        eps is regressed on e with the gain diag(variances) B' V^-1.
+        among the sources. e = B eps - J du with the errors eps of a row and du of the unknowns,
+        B = (F, I). eps is regressed on e with the gain diag(variances) B' V^-1.
         """
         e = self.residual(u)
         j = self.by_unknowns(u)
@@ -530,16 +521,16 @@ class TableProblem:
         for j in np.flatnonzero(self.estimated):
             rows = self.measured[:, j - 2]
             self.freedom[j] = max(float(np.sum(left[rows, j] / variances[rows, j])), LEAST_FREEDOM)
-            # No row has an sd of its own here.
+            # No row has an sd of its own where noise is estimated: one noise for all rows.
             variance = float(np.sum(errors[rows, j] ** 2)) / self.freedom[j]
             self.noise[j] = max(math.sqrt(variance), self.floor[j])
 
     def take_noise(self, noise: NoiseEstimate) -> None:
         """Set the noise that is `estimated` from `noise` where that has any, and weigh anew."""
-        for j in range(3):
-            if self.estimated[2 + j] and noise.origin[j]:
-                self.noise[2 + j] = max(noise.sd[j], self.floor[2 + j])
-                self.freedom[2 + j] = noise.freedom[j]
+        for j in np.flatnonzero(self.estimated):
+            if noise.origin[j - 2]:
+                self.noise[j] = max(noise.sd[j - 2], self.floor[j])
+                self.freedom[j] = noise.freedom[j - 2]
         self.weigh(self.F)
 
 

@@ -1,6 +1,5 @@
 """Identified soil of a table as text, plain values and a picture."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -82,23 +81,17 @@ def _channel_table(estimate: TableEstimate) -> Table:
     rows = []
     for name, fit in estimate.fits.items():
         noise = f"{fit.noise:.3g} {fit.unit}" + (" (estimated)" if fit.estimated else "")
-        rms = _rms(fit.measured - fit.fitted)
         count = int(np.sum(np.isfinite(fit.measured)))
         rows.append(
             (
                 name.replace("_", " "),
                 count,
                 noise,
-                f"{rms:.3g} {fit.unit}",
-                f"{_rms(fit.residual):.2f}",
+                f"{fit.rms:.3g} {fit.unit}",
+                f"{fit.rms_over_noise:.2f}",
             )
         )
     return Table(("channel", "points", "noise (1 sd)", "rms residual", "rms / noise"), rows)
-
-
-def _rms(off: np.ndarray) -> float:
-    """Root mean square of the values that are not nan."""
-    return math.sqrt(float(np.nanmean(off**2)))
 
 
 def report_of(estimate: TableEstimate) -> dict[str, Any]:
@@ -107,7 +100,7 @@ def report_of(estimate: TableEstimate) -> dict[str, Any]:
         name: {
             "noise": fit.noise,
             "noise_estimated": fit.estimated,
-            "rms": _rms(fit.measured - fit.fitted),
+            "rms": fit.rms,
             "p_value": fit.p_value,
             "measured": fit.measured,
             "fitted": fit.fitted,

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from soil_env.measurement.setup import Setup
+from soil_env.parameters import lumped_coefficient
 from soil_env.terramechanics.effects import Effects
 from soil_env.terramechanics.model import Rows
 from soil_env.terramechanics.steady import predict_rows
@@ -41,33 +42,27 @@ def predict_table(
     """
     soil = soil_state(values, given_laws(setup))
     tilt = math.radians(values.get("tilt_deg", 0.0))
-    along: np.ndarray | float = 0.0
+    along: np.ndarray | float = 0.0  # [N] of the load, against the pull
     if setup.load == "vertical":
-        fx = fx._replace(grade_share=fx.grade_share + 1.0)
+        fx = fx._replace(grade_share=fx.grade_share + 1.0)  # `weight_on_slope` resolves the load
         if tilt != 0.0:
             conditions = rows.conditions.copy()
-            conditions[:, 2] = np.sin(np.arcsin(conditions[:, 2]) + tilt)
+            conditions[:, 2] = np.sin(np.arcsin(conditions[:, 2]) + tilt)  # sine of the grade
             rows = rows._replace(conditions=conditions)
     elif tilt != 0.0:
         along = rows.load * math.sin(tilt)
         rows = rows._replace(load=rows.load * math.cos(tilt))
-    if setup.soil.k_c is not None:
+    k_c = setup.soil.k_c
+    k_phi = setup.soil.k_phi
+    if k_c is not None and k_phi is not None:
         factors = np.ones((rows.slip.size, len(BY_ROW))) if factors is None else factors.copy()
+        usual = lumped_coefficient(k_c.value, k_phi.value, setup.wheel.width)
         for width in np.unique(rows.wheels[:, 1]):
-            factors[rows.wheels[:, 1] == width, -1] *= _coefficient_ratio(setup, width)
+            s = lumped_coefficient(k_c.value, k_phi.value, width)
+            factors[rows.wheels[:, 1] == width, -1] *= s / usual
     out = np.empty((rows.slip.size, 3))
     # Code is compiled anew for arrays in another order, and for those that nobody may write to.
     rows = Rows(*(a if a.flags.carray else np.require(a, requirements=["C", "W"]) for a in rows))
     predict_rows(rows, soil, unit_weight, fx, guess, out, factors)
     out[:, 1] -= along
     return out
-
-
-def _coefficient_ratio(setup: Setup, width: float) -> float:
-    """S under a wheel of this width [m] over S under the setup's wheel, by k_c and k_phi."""
-    if width == setup.wheel.width:
-        return 1.0
-    here = setup.soil.lumped(width)
-    usual = setup.soil.lumped(setup.wheel.width)
-    assert here is not None and usual is not None  # k_c and k_phi are given
-    return here.value / usual.value
