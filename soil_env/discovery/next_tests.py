@@ -44,7 +44,6 @@ SPEED_FACTORS = (0.5, 2.0)
 ENOUGH = 0.995  # probability of the right candidate from which no further run is proposed
 BASE = "base model"
 _LARGEST = 3000  # most runs of a grid
-_LEAST_SUM = 1e-300  # least sum of probabilities, since it divides: all may be 0
 _SAME = 1e-6  # relative difference of a condition below which no price is paid for a change
 _WIDE = 1.1  # largest over least value, from which a middle between them is a level of its own
 
@@ -235,8 +234,13 @@ def sure_of(finding: Finding) -> float:
     """Average probability of the right set of effects: sum of P^2, with P the probabilities of the
     sets that predict something, scaled to the sum 1.
     """
-    share = np.array([*_shares(finding).values()])
-    return float(np.sum(share**2) / max(np.sum(share), _LEAST_SUM) ** 2)
+    return float(np.sum(_scaled([*_shares(finding).values()]) ** 2))
+
+
+def _scaled(share: Sequence[float]) -> np.ndarray:
+    """[K] probabilities scaled to the sum 1; all are equal if each is 0."""
+    total = sum(share)
+    return np.array(share) / total if total > 0.0 else np.full(len(share), 1.0 / len(share))
 
 
 def _shares(finding: Finding) -> dict[Names, float]:
@@ -284,7 +288,7 @@ def proposed(
     names = tuple(" and ".join(e.names) or BASE for e in evidence)
     of = Candidates(
         names,
-        np.array(share) / sum(share),
+        _scaled(share),
         np.stack(mean)[:, :, seen],
         tuple(r[:, seen] for r in root),
         np.stack(own)[:, :, seen],

@@ -25,6 +25,7 @@ from soil_env.discovery.next_tests import (
     open_checks,
     overlaps,
     proposed,
+    sure_of,
     sureness,
 )
 from soil_env.discovery.predictive import DEEPEST, predicted, problem_at
@@ -196,6 +197,10 @@ def test_who_is_left():
     )
     assert next_tests(p, finding(0.996, 0.002, 0.001, 0.001)) == ()
     assert proposed(p, (a,), (1.0,)) == ()
+    # Probabilities of 0, by rounding: something unlisted is sure.
+    sure = next_tests(p, finding(0.0, 0.0, 0.0, 0.0, free=1.0))
+    assert sure[0].repeat and [x.probability for x in sure[0].predicted] == [1.0]
+    assert sure_of(finding(0.0, 0.0, 0.0, 0.0, free=1.0)) == pytest.approx(0.25)
     again = next_tests(p, finding(0.2, 0.0, 0.0, 0.1, free=0.7))  # something unlisted
     assert again[0].repeat and not any(t.repeat for t in again[1:])
     off = np.abs(p.data.y - a.fit.output) / NOISE  # by the most probable candidate
