@@ -15,7 +15,7 @@ from soil_env.discovery import report as drawn, run
 from soil_env.discovery.calibrate import PRIOR_WIDTH, calibrate
 from soil_env.discovery.corrected import Guess
 from soil_env.discovery.instrument import LISTED
-from soil_env.discovery.judgement import Gap
+from soil_env.discovery.judgement import Gap, Interval
 from soil_env.discovery.next_for_prediction import SurerRun
 from soil_env.discovery.next_tests import open_checks
 from soil_env.discovery.prediction import fit_prediction
@@ -449,3 +449,9 @@ def test_runs_that_separate_nothing_are_not_recommended(sure, words):
     assert "what is missing" in sentences.after_next(report)
     assert sentences.runs_help(report) == (sure > 0.8)
     assert not sentences.runs_help(SimpleNamespace(next_tests=[]))
+
+
+def test_a_soil_parameter_at_a_bound_is_not_said_to_be_assumed(planted):
+    soil = planted.soil | {"cohesion": Interval(0.0, 0.0, 0.0)}
+    rows = {row[0]: row[2] for row in tables.soil(dataclasses.replace(planted, soil=soil)).rows}
+    assert rows["cohesion c"] == "at a bound" and rows["density"] == "given"

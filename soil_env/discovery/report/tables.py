@@ -47,18 +47,19 @@ def effects(report: Report) -> Table:
 
 def soil(report: Report) -> Table:
     """Soil parameters with their intervals. In place of one stands "given" for a value that the
-    setup knows, "assumed" for a density that it leaves out.
+    setup knows, "assumed" for a density that it leaves out, "at a bound" for a fitted value there.
     """
     rows = []
     for name, p in report.soil.items():
         label, unit = SOIL[name]
-        origin = _interval(p) or ("given" if report.known(name) else "assumed")
+        unfitted = "assumed" if name == "density" else "at a bound"
+        origin = _interval(p) or ("given" if report.known(name) else unfitted)
         rows.append((label, figures(not_tiny(p.value)), origin, unit))
     return Table(("parameter", "value", "95 % interval", "unit"), rows)
 
 
 def _interval(p: Interval) -> str:
-    """The 95 % interval; empty where the value was not fitted."""
+    """The 95 % interval; empty where it has no width: the value was set, or is at a bound."""
     return "" if p.low == p.high else f"{figures(p.low)} .. {figures(p.high)}"
 
 
@@ -130,8 +131,8 @@ def _runs(runs: Sequence[NextTest | SurerRun], last: str, said: Sequence[str]) -
 
 
 def next_predictions(report: Report, most: int | None = None) -> Table:
-    """Predictions of the candidates, the first `most` of them, at each of the runs to make next,
-    with one standard deviation.
+    """Predictions of the candidates, the first `most` of them (None: all), at each of the runs to
+    make next, with one standard deviation, in the units of `UNITS`.
     """
     rows = []
     for k, test in enumerate(report.next_tests, start=1):
