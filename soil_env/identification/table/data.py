@@ -13,6 +13,8 @@ from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import MEASURED, Table
 from soil_env.terramechanics.model import ModelWheel, Rows, rows_of
 
+from .form_error import LOGARITHMIC
+
 CHANNELS = MEASURED  # sinkage, drawbar_pull, torque
 UNKNOWN_HEIGHT = 0.08  # [radii] lug height where the setup gives none
 LEAST_PRESSURE = 20.0  # [Pa] load over radius times width, below which its unit is wrong
@@ -21,8 +23,6 @@ MOST_PRESSURE = 1e7  # [Pa] load over radius times width, above which its unit i
 MOST_FORCE = 5.0
 LOAD_SPAN = 0.05  # range of the loads over their mean, from which sinkage is compared with load
 SURELY_DRIVEN = 0.05  # slip above which a wheel needs a positive torque
-#: Conditions that are compared by their ratio.
-LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width")
 TERMS = ("speed", "pass", "grade_deg")  # conditions that the base law does not know
 #: Share of a condition's sd that the other conditions do not explain, below which it follows from
 #: them.

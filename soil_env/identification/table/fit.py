@@ -238,7 +238,6 @@ def _settle(
     If the moves of the solution hardly become smaller, they are cut.
     """
     renewed = problem.estimated & with_noise
-    converged = False
     share = 1.0  # of each move; cut where moves go in circles, as when the model does not fit
     last = math.inf  # change of the iteration before
     problem.weigh(problem.by_conditions(u))
@@ -253,13 +252,10 @@ def _settle(
         if with_noise:
             problem.update_noise(u)
         problem.correct(u)
-        converged = bool(
-            size < _SETTLED
-            and np.all(np.abs(problem.noise - noise)[renewed] < _SETTLED_NOISE * noise[renewed])
-        )
-        if converged:
-            break
-    return u, converged
+        changed = np.abs(problem.noise - noise)[renewed]
+        if size < _SETTLED and np.all(changed < _SETTLED_NOISE * noise[renewed]):
+            return u, True
+    return u, False
 
 
 def _scaling(problem: TableProblem) -> np.ndarray:
@@ -302,9 +298,7 @@ def _summary(
     sd = np.sqrt(np.diag(covariance))
     prior_sd = np.sqrt(np.sum(by_u**2, axis=1))
     correlation = covariance / np.outer(sd, sd)
-    singular = np.linalg.svd(
-        problem.derivatives(u) @ np.linalg.inv(by_u) * prior_sd, compute_uv=False
-    )
+    condition = np.linalg.cond(problem.derivatives(u) @ np.linalg.inv(by_u) * prior_sd)
     fits = {
         name: replace(fit, p_value=plain.fits[name].p_value, too_small=plain.fits[name].too_small)
         for name, fit in _fits(problem, u).items()
@@ -325,13 +319,12 @@ def _summary(
         *_undetermined(parameters, labels, correlation),
         *_doubts(problem, u, [words for _, words in off_prior if words not in first], converged),
     ]
-    condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else math.inf
     return TableEstimate(
         parameters,
         labels,
         covariance,
         correlation,
-        condition,
+        float(condition),
         problem.z_ref,
         fits,
         problem.table.row[problem.use],
@@ -388,8 +381,8 @@ def _parameters(
         least, most = range_of.get(name, (-math.inf, math.inf))
         low = max(float(value - half), least)
         high = min(float(value + half), most)
-        ends = zip(("low", "high"), (low == least, high == most), strict=True)
-        at_bound = tuple(end for end, there in ends if there and half > 0.0)
+        cut = (low == least, high == most) if half > 0.0 else ()
+        at_bound = tuple(compress(("low", "high"), cut))
         estimate = [float(value), low, high]
         if name in ("shear_modulus", "sinkage_coefficient", "reference_pressure"):
             estimate = [math.exp(min(x, LARGEST_LOG)) for x in estimate]
@@ -534,9 +527,8 @@ def _doubts(
     low, high = problem.bounds
     edge = EDGE * np.minimum(1.0, high - low)
     at_end = [
-        LABELS[k.name]
-        for k, at in zip(problem.unknowns, (u <= low + edge) | (u >= high - edge), strict=True)
-        if at
+        LABELS[unknown.name]
+        for unknown in compress(problem.unknowns, (u <= low + edge) | (u >= high - edge))
     ]
     if at_end:
         words.append(

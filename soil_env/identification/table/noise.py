@@ -19,8 +19,8 @@ from scipy import special
 from soil_env._io.loading import ParameterError
 from soil_env.terramechanics.model import Rows
 
-from .data import CHANNELS, LOGARITHMIC, WHEEL, Data
-from .form_error import finite
+from .data import CHANNELS, WHEEL, Data
+from .form_error import LOGARITHMIC, finite
 
 OUTLIER = 4.5  # [sd] distance from the smooth surface beyond which a value is left out
 #: Median distance of the other values at a slip, in sd over the root of their number, from which a
