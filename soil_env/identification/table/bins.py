@@ -160,7 +160,7 @@ def _cut(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _merged(values: np.ndarray) -> Any:
-    """One value for those of a bin: the mean of floats, the first of anything else (line, pass)."""
+    """One value for those of a bin: the mean of floats, the first of others (line, pass, run)."""
     return np.mean(values) if values.dtype.kind == "f" else values[0]
 
 

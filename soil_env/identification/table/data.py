@@ -92,7 +92,7 @@ class Data:
 
     @property
     def groups(self) -> list[np.ndarray]:
-        """Indices of the rows of each combination of the conditions other than slip."""
+        """Indices of the rows of each combination of the levels of all conditions but slip."""
         others = [c.level for name, c in self.varied.items() if name != "slip"]
         label = combinations_of(others or [np.zeros_like(self.cell)])
         return [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
@@ -205,9 +205,9 @@ def _follows(factor: Factor, others: Mapping[str, Factor]) -> bool:
 def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
     """`ParameterError` where a whole column has a unit or a sign that cannot be right.
 
-    Load and forces are judged by their medians. Sinkages below 0 throughout are refused unless they
-    rise with the load, as sinkages with a wrong zero do. Torque is refused if it is negative
-    in all of three or more driven rows.
+    Load and forces are judged by their medians; `y` [N, 3] as in `Data`. Sinkages below 0
+    throughout are refused unless they rise with the load, as sinkages with a wrong zero do. Torque
+    is refused if it is negative in all of three or more driven rows.
     """
 
     def refuse(wrong: bool, text: str) -> None:
@@ -238,8 +238,8 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
             "if load is in kilograms, multiply that by 9.81)",
         )
     z = y[:, 0]
-    if np.any(np.isfinite(z)) and np.nanmax(z) < 0.0:
-        known = np.isfinite(z)
+    known = np.isfinite(z)
+    if np.any(known) and np.all(z[known] < 0.0):
         slope = (
             np.polyfit(load[known], z[known], 1)[0]
             if np.ptp(load[known]) > LOAD_SPAN * load.mean()
@@ -252,7 +252,7 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
         )
     driven = y[(rows.slip > SURELY_DRIVEN) & np.isfinite(y[:, 2]), 2]
     refuse(
-        driven.size > 2 and np.max(driven, initial=-math.inf) < 0.0,
+        driven.size > 2 and bool(np.all(driven < 0.0)),
         f"torque is negative in every row with slip > {SURELY_DRIVEN:g}: expected the driving "
         "torque, positive where it drives",
     )

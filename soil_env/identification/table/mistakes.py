@@ -386,8 +386,9 @@ def _other_readings(start: _AsIs) -> list[Better]:
     """The other readings, that with the largest gain first; none where the table is not `suspect`
     and the rises of its forces speak for no reading (`ALONE`).
 
-    All are fitted under one noise: the smallest that any reading leaves about its surface, as a
-    wrong reading leaves more. If a reading may be better, the table as it is gets a fit by search.
+    All are fitted under one noise: the smallest that any reading but exchanged columns leaves about
+    its surface, as a wrong reading leaves more. If a reading may be better, the table as it is gets
+    a fit by search.
     """
     data, noise, first = start
     plain = first.reading
@@ -399,11 +400,11 @@ def _other_readings(start: _AsIs) -> list[Better]:
         return []
     as_it_is = _by_resistance(data, noise, plain)
     by_resistance = [_by_resistance(data, noise, other) - as_it_is for other in others]
-    at = [_fit(other, rough) for other in others]
-    noises = [_noise(data, fit) for fit in at if fit.reading.name != "columns"]
+    under_rough = [_fit(other, rough) for other in others]
+    noises = [_noise(data, fit) for fit in under_rough if fit.reading.name != "columns"]
     noise = min(noise, *noises, key=lambda there: np.sum(np.log(there.sd)))
     base = first if noise is start.noise else _fit(plain, noise.sd, noise.used, first.u)
-    fits = [_fit(fit.reading, noise.sd, noise.used, fit.u) for fit in at]
+    fits = [_fit(fit.reading, noise.sd, noise.used, fit.u) for fit in under_rough]
     if max(f.evidence for f in fits) - base.evidence > MAYBE:
         searched = _fit(plain, noise.sd, noise.used, search=True)
         base = max(base, searched, key=lambda f: f.evidence)

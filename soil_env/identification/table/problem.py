@@ -194,7 +194,7 @@ class TableProblem:
         relative[:, 2:] = table.relative_sd(setup)
         self.relative = relative[use]
         seen = self.measured[:, 0]
-        #: [m] reference sinkage: the median of the measured ones.
+        #: [m] reference sinkage: the median of the measured ones, the usual one without any.
         self.z_ref = (
             float(np.median(self.y[seen, 0])) if seen.any() else USUAL_SINKAGE * setup.wheel.radius
         )
@@ -366,11 +366,12 @@ class TableProblem:
         return np.linalg.inv(np.eye(u.size) + j.T @ j)
 
     def law_errors(self, u: np.ndarray, span: int) -> tuple[np.ndarray, np.ndarray]:
-        """(form errors of the stresses [3 N, R], form errors of the channels [3 N, Q]), of size 1
-        and whitened by the noise; `span`: index in `LAW_LENGTHS`.
+        """(form errors of the stresses [3 N, C R], form errors of the channels [3 N, 3 R]), of size
+        1 and whitened by the noise; C are the `stress_changes`, R the functions of the process.
 
-        Errors of the stresses reach the three channels together. Channels that err by themselves
-        stand for all that the model does not contain, such as a rig that bends.
+        `span`: index in `LAW_LENGTHS`. Errors of the stresses reach the three channels together.
+        Channels that err by themselves stand for all that the model does not contain, such as a rig
+        that bends.
         """
         base = self.predict(u)
         functions = self.processes[span].at_points
@@ -429,7 +430,7 @@ class TableProblem:
     def allow_form_error(self, u: np.ndarray, error: LawError) -> None:
         """Let the base law err by a `LawError` at the whitened unknowns u [p].
 
-        Its columns B [3 N, R] (`law_errors`) add B B' to the covariance of all values, which
+        Its columns B (`law_errors`) add B B' to the covariance of all values, which
         `whiten` then uses by its `Compression`. It replaces any error set before.
         """
         stresses, channels = self.law_errors(u, error.span)
