@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env.measurement.setup import Setup
+from soil_env.measurement.setup import NoiseLevels, Setup
 from soil_env.measurement.table import MEASURED, NOISE, Table
 
 from .form_error import LENGTHS, coordinate
@@ -69,7 +69,6 @@ def binned(table: Table, setup: Setup) -> Binned:
         outliers += sum(count for _, count in cleaned)
         columns[channel] = np.array([value for value, _ in cleaned])
     columns |= dict.fromkeys(NOISE, np.full(len(bins), math.nan))
-    noise = dataclasses.replace(setup.noise, **dict.fromkeys((*MEASURED, "slip", "load")))
     sizes = [rows.size for rows in bins]
     words = (
         f"The table is dense: its {len(table)} rows are taken in {len(bins)} bins of {min(sizes)} "
@@ -79,7 +78,7 @@ def binned(table: Table, setup: Setup) -> Binned:
     )
     if outliers:
         words += f" Values left out that are far from the others of their bin: {outliers}."
-    return Binned(dataclasses.replace(table, **columns), setup.changed(noise=noise), words)
+    return Binned(dataclasses.replace(table, **columns), setup.changed(noise=NoiseLevels()), words)
 
 
 def _coordinates(table: Table, setup: Setup) -> np.ndarray:

@@ -569,11 +569,9 @@ def _missed(problem: TableProblem, plain: _Plain, noise: NoiseEstimate | None) -
         j = MEASURED.index(name)
         follows = _follows_conditions(problem.rows.slip, problem.rows.load, fit.residual)
         if noise is not None and noise.origin[j]:
-            scatter = noise.sd[j]
-            more = (fit.noise / scatter) ** 2
+            ratio = fit.noise / noise.sd[j]
             freedom = problem.freedom[2 + j], min(noise.freedom[j], _KNOWN_NOISE)
-            follows = follows or fdtrc(*freedom, more) < FOLLOWS
-            ratio = fit.noise / scatter
+            follows = follows or fdtrc(*freedom, ratio**2) < FOLLOWS
         if follows:
             out[name] = ratio
     return out

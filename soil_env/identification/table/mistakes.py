@@ -743,10 +743,10 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
     here = Rows(*(column[row : row + 1] for column in data.rows))
     known = data.measured[row]
     y = data.y[row, known]
-    noise = (sd * np.broadcast_to(data.relative_sd, data.y.shape)[row])[known]
+    noise = np.broadcast_to(sd * data.relative_sd, data.y.shape)[row, known]
     # Of a value near 0, as a pull may be, the law errs by a share of the usual size.
     size = np.sqrt(np.nansum(data.y**2, axis=0) / len(table))[known]
-    allowed = np.sqrt(noise**2 + LAW_ERROR**2 * np.maximum(y**2, size**2))
+    allowed = np.hypot(noise, LAW_ERROR * np.maximum(np.abs(y), size))
     # Range in which a wrong value may be.
     spread = BROAD * np.max(np.abs(np.nan_to_num(data.y)), axis=0)[known]
 

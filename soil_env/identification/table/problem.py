@@ -31,9 +31,9 @@ from . import form_error
 from .form_error import LAW_LENGTHS, Process, finite
 from .noise import NoiseEstimate
 from .priors import (
-    USUAL_SINKAGE,
     Unknown,
     bounds_of,
+    middle_sinkage,
     parameters_at,
     soil_unknowns,
 )
@@ -193,11 +193,8 @@ class TableProblem:
         relative = np.ones((len(table), 5))
         relative[:, 2:] = table.relative_sd(setup)
         self.relative = relative[use]
-        seen = self.measured[:, 0]
-        #: [m] reference sinkage: the median of the measured ones, the usual one without any.
-        self.z_ref = (
-            float(np.median(self.y[seen, 0])) if seen.any() else USUAL_SINKAGE * setup.wheel.radius
-        )
+        #: [m] reference sinkage
+        self.z_ref = middle_sinkage(self.y[:, 0], setup.wheel.radius)
         self.unknowns, self.known = soil_unknowns(setup, self.rows.load, self.y[:, 0])
         if not self.unknowns:
             raise ParameterError(
