@@ -88,12 +88,7 @@ def _coordinates(table: Table, setup: Setup) -> np.ndarray:
     Rows that lack a condition or a channel lie `_APART` from those that have it, so that the first
     cuts part the two.
     """
-    conditions = {
-        "slip": table.slip,
-        "load": table.load,
-        "speed": table.speed,
-        "pass": table.passes,
-        "grade_deg": table.grade_deg,
+    conditions = table.conditions() | {
         "wheel_radius": table.radius(setup.wheel),
         "wheel_width": table.width(setup.wheel),
         "grouser_height": table.height(setup.wheel),

@@ -27,7 +27,7 @@ from .bins import binned
 from .form_error import covariance_about
 from .mistakes import Examined, examine
 from .noise import SMALLEST_SD, NoiseEstimate
-from .priors import LARGEST_LOG, given_laws
+from .priors import LARGEST_LOG, given_laws, given_prior
 from .problem import LAW_ERRORS, LEAST_FREEDOM, SOURCES, TableProblem
 
 #: Indices of the six parameters in their coordinates: phi [deg], ln K, ln S, n, c [Pa], tilt [deg].
@@ -235,7 +235,8 @@ def _settle(
 
     A pass is a least-squares fit, new noise for channels whose noise is estimated (only
     `with_noise`), and new most probable slips and loads. The problem keeps those of the last pass.
-    If the moves of the solution hardly become smaller, they are cut.
+    If the moves of the solution hardly become smaller after a quarter of the passes, they are cut.
+    It has converged when moves and changes of the noise are small (`_SETTLED`, `_SETTLED_NOISE`).
     """
     renewed = problem.estimated & with_noise
     share = 1.0  # of each move; cut where moves go in circles, as when the model does not fit
@@ -265,7 +266,7 @@ def _scaling(problem: TableProblem) -> np.ndarray:
     order = list(LABELS)
     out = np.zeros((len(order), len(problem.unknowns)))
     for j, unknown in enumerate(problem.unknowns):
-        out[order.index(unknown.name), j] = unknown.sd
+        out[order.index(unknown.name), j] = unknown.sd  # x = mean + sd u
     return out
 
 
@@ -352,13 +353,15 @@ def _soil(problem: TableProblem, u: np.ndarray) -> Soil:
 def _parameters(
     problem: TableProblem, u: np.ndarray, covariance: np.ndarray, scaling: np.ndarray
 ) -> dict[str, Parameter]:
-    """Estimates at u and 95 % intervals from the `covariance` [p, p] of u.
+    """Estimates at u and 95 % intervals, by the names of a setup and `reference_pressure`, from the
+    `covariance` [p, p] of u; the tilt only if the setup has one.
 
     Intervals are cut at the bounds of the unknowns. Those of K, S and p_ref = S z_ref^n are
     computed in the logarithm. `scaling` [6, p]: derivatives as from `_scaling`. Where noise is
-    estimated, Student's t has the degrees of freedom of the channel with the fewest.
+    estimated, Student's t has the degrees of freedom of the channel with the fewest, at least 1.
     """
     freedom = max(1.0, float(np.min(problem.freedom)))
+    # [sd] half of an interval
     reach = float(ndtri(0.975) if math.isinf(freedom) else stdtrit(freedom, 0.975))
     values = problem.values(u)
     range_of = {k.name: (k.low, k.high) for k in problem.unknowns}
@@ -478,7 +481,9 @@ def _units(
 def _undetermined(
     parameters: dict[str, Parameter], labels: Sequence[str], correlation: np.ndarray
 ) -> list[str]:
-    """Warnings of parameters that the data hardly determine, alone or in pairs."""
+    """Warnings of parameters that the data hardly determine, alone (`UNDETERMINED`) or in pairs
+    (`TIED`). `labels` of the fitted ones, in the order of the `correlation` [p, p].
+    """
     words = [
         f"The data do not determine the {LABELS[name]}: its standard deviation is "
         f"{p.sd_over_prior:.0%} of the prior's."
@@ -499,12 +504,6 @@ def _off_prior(problem: TableProblem, plain: _Plain) -> list[tuple[float, str]]:
     """(distance from its prior [prior sd], a sentence on that) of each parameter whose solution
     under noise alone, `plain.u`, is further than `OFF_PRIOR` from a prior of the setup.
     """
-    setup = problem.setup
-    given = {name: getattr(setup.soil, name, None) for name in LABELS}
-    given |= {
-        "sinkage_coefficient": setup.soil.lumped(setup.wheel.width),
-        "tilt_deg": setup.tilt_deg,
-    }
     return [
         (
             abs(d),
@@ -512,7 +511,7 @@ def _off_prior(problem: TableProblem, plain: _Plain) -> list[tuple[float, str]]:
             "standard deviations from its prior: prior, table or laws are wrong.",
         )
         for unknown, d in zip(problem.unknowns, plain.u, strict=True)
-        if given[unknown.name] is not None and abs(d) > OFF_PRIOR
+        if given_prior(problem.setup, unknown.name) is not None and abs(d) > OFF_PRIOR
     ]
 
 
@@ -670,8 +669,8 @@ def _follows_conditions(slip: np.ndarray, load: np.ndarray, residual: np.ndarray
     """True if a smooth function of slip and load explains more of the residuals than chance does (F
     test, `FOLLOWS`); arrays are [N].
 
-    Its terms are 1, slip, its square, the logarithm of the load, and this times slip. False where
-    there are hardly more residuals than terms.
+    Its terms are 1, slip, its square, the logarithm of the load less its mean, and this times slip.
+    False where there are hardly more residuals than terms.
     """
     kept = np.isfinite(residual)
     e = residual[kept]

@@ -432,13 +432,14 @@ def _rises(data: Data, noise: NoiseEstimate) -> np.ndarray:
 
 
 def _by_rises(rises: np.ndarray, data: Data, other: Reading) -> float:
-    """Log evidence for the reading `other` over the table as it is, by the `rises` of the latter.
+    """Log evidence for the reading `other` over the table as it is, by the `_rises` of the latter.
 
     Only sizes of rises are compared. 0 where the reading changes none, where no rise is known, and
     for exchanged columns, whose rises are not exchanged here. -inf where this evidence is
     below `UNLIKE`, or where the reading turns the sign of pull or slip although the pull rises.
     """
-    # a reading multiplies all loads by one factor, which the first row gives
+    # A reading multiplies all loads by one factor, which the first row gives. [2] factors on pull
+    # over load, and on torque over radius and load:
     scale = other.scale[1:] * data.table.load[0] / other.table.load[0]
     scale[1] *= data.setup.wheel.radius / other.setup.wheel.radius
     gain = _of_soils(scale * rises) - _of_soils(rises)
@@ -841,7 +842,9 @@ def _load_alone(table: Table) -> list[str]:
 
 
 def _grades_doubted(data: Data) -> list[str]:
-    """[doubt] where the grades of the table look like whole degrees in radians, else []."""
+    """[doubt] where all grades but 0 look like whole degrees in radians (`look_like_radians`), else
+    [].
+    """
     grades = data.table.grade_deg[data.table.grade_deg != 0.0]
     if not look_like_radians([repr(float(g)) for g in grades]):
         return []

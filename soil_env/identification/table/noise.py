@@ -223,6 +223,7 @@ def _without_outliers(
         if far[worst] <= OUTLIER:
             break
         keep[worst] = False
+    # From here on in the `scale` of the last pass.
     if sd is not None:  # values that a first outlier had masked come back
         left, leverage = _surface(basis, e, keep)
         keep |= used & (np.abs(left) <= OUTLIER * scale * np.sqrt(1.0 + leverage))

@@ -98,11 +98,7 @@ def soil_unknowns(
     unknowns = []
     known = {}
     for name, broad in BROAD.items():
-        prior = (
-            setup.soil.lumped(setup.wheel.width)
-            if name == "sinkage_coefficient"
-            else getattr(setup.soil, name)
-        )
+        prior = given_prior(setup, name)
         if prior is None:
             unknowns.append(broad)
         elif prior.known:
@@ -119,6 +115,14 @@ def soil_unknowns(
         )
     usual = math.log(plate_coefficient(setup, load, sinkage, exponent))
     return tuple(k._replace(mean=usual) if math.isnan(k.mean) else k for k in unknowns), known
+
+
+def given_prior(setup: Setup, name: str) -> Prior | None:
+    """The setup's prior of an unknown, None where it says nothing; that of S is under its wheel."""
+    if name == "sinkage_coefficient":
+        return setup.soil.lumped(setup.wheel.width)
+    prior: Prior | None = getattr(setup if name == "tilt_deg" else setup.soil, name)
+    return prior
 
 
 def _under_prior(broad: Unknown, prior: Prior, widened: float) -> Unknown:

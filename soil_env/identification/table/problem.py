@@ -537,11 +537,12 @@ def _usable(table: Table, setup: Setup) -> np.ndarray:
     force where S has a prior.
 
     `ParameterError` where no row is left, where none of those has a force, and where a sinkage is
-    impossible. A pull of 0 on every grade is refused for a load that is normal to the ground.
+    not above 0, or larger than the radius. So too for a load normal to the ground if two rows or
+    more on grades all have a pull of 0.
     """
     seen, pull, torque = (~np.isnan(getattr(table, name)) for name in MEASURED)
-    stiffness = setup.soil.lumped(setup.wheel.width) is not None
-    use = seen | (pull & torque) | ((pull | torque) & stiffness)
+    has_stiffness = setup.soil.lumped(setup.wheel.width) is not None
+    use = seen | (pull & torque) | ((pull | torque) & has_stiffness)
     if not np.any(use):
         raise ParameterError(
             f"{table.source}: no row has a sinkage, or both drawbar_pull and torque: "
