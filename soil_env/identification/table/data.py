@@ -126,8 +126,9 @@ def combinations_of(levels: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def conditions_of(rows: Rows) -> dict[str, np.ndarray]:
-    """Conditions [N] of rows by the columns of a table."""
+    """Conditions [N] of rows by the columns of a table, in their units."""
     speed, passes, sine = rows.conditions.T
+    # Rounded to what the table said, without what sine and arcsine lose.
     grade = np.round(np.degrees(np.arcsin(sine)), 6)
     other = {
         "slip": rows.slip,
