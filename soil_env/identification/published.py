@@ -26,11 +26,12 @@ class Traversability(NamedTuple):
 
 
 def published(x: Any, sd: Any, dig_gain: float, of: Any = math) -> dict[str, Any]:
-    """Published numbers of an estimate x [6] with its sd [6]; of arrays [6, wheels] with `of`
-    numpy.
+    """Published numbers by name of an estimate x [6] with its `sd` [6]; of arrays [6, wheels] with
+    `of` numpy.
 
     x is phi [rad], ln K, ln S, c [Pa], ln of the gain of slip-sinkage over the nominal `dig_gain`,
-    best pull [of load]. Standard deviations of logarithms are published as relative ones.
+    best pull [of load]. Published are SI units and angles in degrees. The sd of a logarithm is the
+    relative one of its number.
     """
     return {
         "friction_angle_deg": of.degrees(x[0]),

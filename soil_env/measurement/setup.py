@@ -297,8 +297,8 @@ def read_setup(path: str | Path) -> Setup:
 
 
 def setup_of(mapping: dict[str, Any], where: str) -> Setup:
-    """The setup in the mapping of a YAML file that was read already, as `read_setup` does it;
-    `where`: the file, for messages.
+    """The setup in the mapping of a YAML file that was read already; `where`: the file, for
+    messages. `ParameterError` as of `read_setup`.
     """
     # A heading with nothing below it is left out.
     sections = ("soil", "noise", "calibration", "checked", "tilt_deg", "ignore_columns", "rig")
@@ -315,6 +315,7 @@ def setup_of(mapping: dict[str, Any], where: str) -> Setup:
                 raise ParameterError(
                     f"{where}: rig.{key} = []: expected at least one value, or leave it out"
                 )
+    # A misspelt key, which may be that of the wheel, is named by `load`.
     if "wheel" not in mapping and mapping.keys() <= {f.name for f in dataclasses.fields(Setup)}:
         raise ParameterError(
             f"{where}: missing wheel: expected wheel: {{radius: ..., width: ...}} in metres"

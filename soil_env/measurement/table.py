@@ -193,11 +193,10 @@ def read_table(
     everything that cannot be right.
     """
     path = Path(path)
-    header, rows = _csv_cells(path)
-    whole = rows
+    header, whole_rows = _csv_cells(path)
     kept = [k for k, name in enumerate(header) if name not in ignore]
     header = [header[k] for k in kept]
-    rows = [(line, [cells[k] for k in kept]) for line, cells in rows]
+    rows = [(line, [cells[k] for k in kept]) for line, cells in whole_rows]
     _check_header(path, header)
     if not rows:
         raise ParameterError(
@@ -214,13 +213,13 @@ def read_table(
         source=str(path),
         given=frozenset(header),
         row=np.array([line for line, _ in rows]),
-        # Checked below
+        # What is cut here is refused by `_check_rows`.
         passes=np.clip(np.where(np.isnan(passes), 1.0, passes), 0, MOST_PASSES).astype(int),
         run=np.array(_texts("run", header, rows)),
         **columns,
     )
     _check_rows(table, header, rows, wheel, passes)
-    _check_repeats(path, whole)
+    _check_repeats(path, whole_rows)
     for column in vars(table).values():
         if isinstance(column, np.ndarray):
             column.flags.writeable = False
@@ -228,12 +227,14 @@ def read_table(
 
 
 def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Header and (line, cells) of the rows that are not blank, every cell stripped.
+    """Header and (line of the file from 1, cells) of the rows that are not blank, every cell
+    stripped.
 
     Lines that begin with # and a first line such as `sep=;` are passed over. Semicolons or tabs in
     a header without commas separate the columns, and then commas may be decimal. Columns at the end
     that have neither name nor value are dropped, as spreadsheets write them. `ParameterError` for
-    another file, and where a row has more or fewer cells than the header.
+    a file that is too large, empty or no such table, for a title above the header, and where a row
+    has more or fewer cells than the header.
     """
     try:
         if path.stat().st_size > MOST_BYTES:
@@ -243,6 +244,7 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
             )
         # With or without a byte order mark.
         with path.open(encoding="utf-8-sig", newline="") as stream:
+            # Lines that are passed over become blank, so that the reader counts them.
             text = ["\n" if line.lstrip().startswith("#") else line for line in stream]
             written = [k for k, line in enumerate(text) if line.strip()]
             if written and _SEPARATOR.fullmatch(text[written[0]]):  # of spreadsheets
@@ -280,7 +282,9 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
 
 
 def _with_points(path: Path, lines: Rows) -> list[tuple[int, list[str]]]:
-    """The lines with decimal points for decimal commas; a mixture of the two is refused."""
+    """The lines with decimal points for decimal commas; `ParameterError` where some cells have
+    commas and others points.
+    """
     cells = [(line, cell) for line, row in lines for cell in row]
     commas = [(line, cell) for line, cell in cells if _DECIMAL_COMMA.fullmatch(cell)]
     points = [(line, cell) for line, cell in cells if re.fullmatch(r"[-+]?\d*\.[\d.,]*", cell)]
@@ -371,7 +375,7 @@ def _check_rows(
 ) -> None:
     """Refuse values that cannot be right; the message names the first by check, then by row.
 
-    `passes` [N]: the column before it was made whole, nan where empty. Without `wheel`, sinkage and
+    `passes` [N]: the column `pass` as it was written, nan where empty. Without `wheel`, sinkage and
     lugs are compared with the radius only in rows that give a radius.
     """
 
@@ -388,7 +392,7 @@ def _check_rows(
     for name in REQUIRED:
         refuse(name, np.isnan(getattr(table, name)), "a number in every row")
     slip = np.abs(table.slip)
-    hint = ""
+    hint = ""  # what the column may be instead; for an impossible slip only
     if np.max(table.slip) <= 1.0 and np.max(slip) <= MOST_SLIP_OVER_TRAVEL:
         hint = " (if it is (r w - V)/(r w) where the wheel is braked, divide it by 1 less itself)"
     elif np.max(slip) <= MOST_SLIP_OVER_TRAVEL:
@@ -443,7 +447,9 @@ def _check_rows(
 
 
 def _check_whole(table: Table) -> None:
-    """Refuse rows without a measurement, and a table that has one slip only."""
+    """Raise `ParameterError` for a row without any measured value, and for a table that has one
+    slip only.
+    """
     nothing = np.all([np.isnan(getattr(table, name)) for name in MEASURED], axis=0)
     if np.any(nothing):
         line = table.row[nothing][0]
@@ -456,7 +462,9 @@ def _check_whole(table: Table) -> None:
 
 
 def _check_repeats(path: Path, rows: Rows) -> None:
-    """Refuse a row that repeats an earlier one in every cell; numbers are compared by value."""
+    """Raise `ParameterError` for a row that repeats an earlier one in every cell; numbers are
+    compared by value.
+    """
     seen: dict[tuple[float | str, ...], int] = {}
     for line, cells in rows:
         key = tuple(_canonical(c) for c in cells)
@@ -469,7 +477,7 @@ def _check_repeats(path: Path, rows: Rows) -> None:
 
 
 def _canonical(cell: str) -> float | str:
-    """A cell as a number if it is one, else as its text."""
+    """A cell as a number if it is one (nan and inf too), else as its text."""
     try:
         return float(cell)
     except ValueError:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env.measurement.setup import Setup
+from soil_env.measurement.setup import NoiseLevels, Setup
 from soil_env.measurement.table import MEASURED, NOISE, Table
 
 from .form_error import LENGTHS, coordinate
@@ -69,7 +69,6 @@ def binned(table: Table, setup: Setup) -> Binned:
         outliers += sum(count for _, count in cleaned)
         columns[channel] = np.array([value for value, _ in cleaned])
     columns |= dict.fromkeys(NOISE, np.full(len(bins), math.nan))
-    noise = dataclasses.replace(setup.noise, **dict.fromkeys((*MEASURED, "slip", "load")))
     sizes = [rows.size for rows in bins]
     words = (
         f"The table is dense: its {len(table)} rows are taken in {len(bins)} bins of {min(sizes)} "
@@ -79,7 +78,7 @@ def binned(table: Table, setup: Setup) -> Binned:
     )
     if outliers:
         words += f" Values left out that are far from the others of their bin: {outliers}."
-    return Binned(dataclasses.replace(table, **columns), setup.changed(noise=noise), words)
+    return Binned(dataclasses.replace(table, **columns), setup.changed(noise=NoiseLevels()), words)
 
 
 def _coordinates(table: Table, setup: Setup) -> np.ndarray:
@@ -89,12 +88,7 @@ def _coordinates(table: Table, setup: Setup) -> np.ndarray:
     Rows that lack a condition or a channel lie `_APART` from those that have it, so that the first
     cuts part the two.
     """
-    conditions = {
-        "slip": table.slip,
-        "load": table.load,
-        "speed": table.speed,
-        "pass": table.passes,
-        "grade_deg": table.grade_deg,
+    conditions = table.conditions() | {
         "wheel_radius": table.radius(setup.wheel),
         "wheel_width": table.width(setup.wheel),
         "grouser_height": table.height(setup.wheel),
@@ -160,7 +154,7 @@ def _cut(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _merged(values: np.ndarray) -> Any:
-    """One value for those of a bin: the mean of floats, the first of anything else (line, pass)."""
+    """One value for those of a bin: the mean of floats, the first of others (line, pass, run)."""
     return np.mean(values) if values.dtype.kind == "f" else values[0]
 
 

@@ -13,6 +13,8 @@ from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import MEASURED, Table
 from soil_env.terramechanics.model import ModelWheel, Rows, rows_of
 
+from .form_error import LOGARITHMIC
+
 CHANNELS = MEASURED  # sinkage, drawbar_pull, torque
 UNKNOWN_HEIGHT = 0.08  # [radii] lug height where the setup gives none
 LEAST_PRESSURE = 20.0  # [Pa] load over radius times width, below which its unit is wrong
@@ -21,8 +23,6 @@ MOST_PRESSURE = 1e7  # [Pa] load over radius times width, above which its unit i
 MOST_FORCE = 5.0
 LOAD_SPAN = 0.05  # range of the loads over their mean, from which sinkage is compared with load
 SURELY_DRIVEN = 0.05  # slip above which a wheel needs a positive torque
-#: Conditions that are compared by their ratio.
-LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width")
 TERMS = ("speed", "pass", "grade_deg")  # conditions that the base law does not know
 #: Share of a condition's sd that the other conditions do not explain, below which it follows from
 #: them.
@@ -92,7 +92,7 @@ class Data:
 
     @property
     def groups(self) -> list[np.ndarray]:
-        """Indices of the rows of each combination of the conditions other than slip."""
+        """Indices of the rows of each combination of the levels of all conditions but slip."""
         others = [c.level for name, c in self.varied.items() if name != "slip"]
         label = combinations_of(others or [np.zeros_like(self.cell)])
         return [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
@@ -126,8 +126,9 @@ def combinations_of(levels: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def conditions_of(rows: Rows) -> dict[str, np.ndarray]:
-    """Conditions [N] of rows by the columns of a table."""
+    """Conditions [N] of rows by the columns of a table, in their units."""
     speed, passes, sine = rows.conditions.T
+    # Rounded to what the table said, without what sine and arcsine lose.
     grade = np.round(np.degrees(np.arcsin(sine)), 6)
     other = {
         "slip": rows.slip,
@@ -205,9 +206,9 @@ def _follows(factor: Factor, others: Mapping[str, Factor]) -> bool:
 def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
     """`ParameterError` where a whole column has a unit or a sign that cannot be right.
 
-    Load and forces are judged by their medians. Sinkages below 0 throughout are refused unless they
-    rise with the load, as sinkages with a wrong zero do. Torque is refused if it is negative
-    in all of three or more driven rows.
+    Load and forces are judged by their medians; `y` [N, 3] as in `Data`. Sinkages below 0
+    throughout are refused unless they rise with the load, as sinkages with a wrong zero do. Torque
+    is refused if it is negative in all of three or more driven rows.
     """
 
     def refuse(wrong: bool, text: str) -> None:
@@ -238,8 +239,8 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
             "if load is in kilograms, multiply that by 9.81)",
         )
     z = y[:, 0]
-    if np.any(np.isfinite(z)) and np.nanmax(z) < 0.0:
-        known = np.isfinite(z)
+    known = np.isfinite(z)
+    if np.any(known) and np.all(z[known] < 0.0):
         slope = (
             np.polyfit(load[known], z[known], 1)[0]
             if np.ptp(load[known]) > LOAD_SPAN * load.mean()
@@ -252,7 +253,7 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
         )
     driven = y[(rows.slip > SURELY_DRIVEN) & np.isfinite(y[:, 2]), 2]
     refuse(
-        driven.size > 2 and np.max(driven, initial=-math.inf) < 0.0,
+        driven.size > 2 and bool(np.all(driven < 0.0)),
         f"torque is negative in every row with slip > {SURELY_DRIVEN:g}: expected the driving "
         "torque, positive where it drives",
     )

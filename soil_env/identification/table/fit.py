@@ -27,7 +27,7 @@ from .bins import binned
 from .form_error import covariance_about
 from .mistakes import Examined, examine
 from .noise import SMALLEST_SD, NoiseEstimate
-from .priors import LARGEST_LOG, given_laws
+from .priors import LARGEST_LOG, given_laws, given_prior
 from .problem import LAW_ERRORS, LEAST_FREEDOM, SOURCES, TableProblem
 
 #: Indices of the six parameters in their coordinates: phi [deg], ln K, ln S, n, c [Pa], tilt [deg].
@@ -235,10 +235,10 @@ def _settle(
 
     A pass is a least-squares fit, new noise for channels whose noise is estimated (only
     `with_noise`), and new most probable slips and loads. The problem keeps those of the last pass.
-    If the moves of the solution hardly become smaller, they are cut.
+    If the moves of the solution hardly become smaller after a quarter of the passes, they are cut.
+    It has converged when moves and changes of the noise are small (`_SETTLED`, `_SETTLED_NOISE`).
     """
     renewed = problem.estimated & with_noise
-    converged = False
     share = 1.0  # of each move; cut where moves go in circles, as when the model does not fit
     last = math.inf  # change of the iteration before
     problem.weigh(problem.by_conditions(u))
@@ -253,13 +253,10 @@ def _settle(
         if with_noise:
             problem.update_noise(u)
         problem.correct(u)
-        converged = bool(
-            size < _SETTLED
-            and np.all(np.abs(problem.noise - noise)[renewed] < _SETTLED_NOISE * noise[renewed])
-        )
-        if converged:
-            break
-    return u, converged
+        changed = np.abs(problem.noise - noise)[renewed]
+        if size < _SETTLED and np.all(changed < _SETTLED_NOISE * noise[renewed]):
+            return u, True
+    return u, False
 
 
 def _scaling(problem: TableProblem) -> np.ndarray:
@@ -269,7 +266,7 @@ def _scaling(problem: TableProblem) -> np.ndarray:
     order = list(LABELS)
     out = np.zeros((len(order), len(problem.unknowns)))
     for j, unknown in enumerate(problem.unknowns):
-        out[order.index(unknown.name), j] = unknown.sd
+        out[order.index(unknown.name), j] = unknown.sd  # x = mean + sd u
     return out
 
 
@@ -302,9 +299,7 @@ def _summary(
     sd = np.sqrt(np.diag(covariance))
     prior_sd = np.sqrt(np.sum(by_u**2, axis=1))
     correlation = covariance / np.outer(sd, sd)
-    singular = np.linalg.svd(
-        problem.derivatives(u) @ np.linalg.inv(by_u) * prior_sd, compute_uv=False
-    )
+    condition = np.linalg.cond(problem.derivatives(u) @ np.linalg.inv(by_u) * prior_sd)
     fits = {
         name: replace(fit, p_value=plain.fits[name].p_value, too_small=plain.fits[name].too_small)
         for name, fit in _fits(problem, u).items()
@@ -325,13 +320,12 @@ def _summary(
         *_undetermined(parameters, labels, correlation),
         *_doubts(problem, u, [words for _, words in off_prior if words not in first], converged),
     ]
-    condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else math.inf
     return TableEstimate(
         parameters,
         labels,
         covariance,
         correlation,
-        condition,
+        float(condition),
         problem.z_ref,
         fits,
         problem.table.row[problem.use],
@@ -359,13 +353,15 @@ def _soil(problem: TableProblem, u: np.ndarray) -> Soil:
 def _parameters(
     problem: TableProblem, u: np.ndarray, covariance: np.ndarray, scaling: np.ndarray
 ) -> dict[str, Parameter]:
-    """Estimates at u and 95 % intervals from the `covariance` [p, p] of u.
+    """Estimates at u and 95 % intervals, by the names of a setup and `reference_pressure`, from the
+    `covariance` [p, p] of u; the tilt only if the setup has one.
 
     Intervals are cut at the bounds of the unknowns. Those of K, S and p_ref = S z_ref^n are
     computed in the logarithm. `scaling` [6, p]: derivatives as from `_scaling`. Where noise is
-    estimated, Student's t has the degrees of freedom of the channel with the fewest.
+    estimated, Student's t has the degrees of freedom of the channel with the fewest, at least 1.
     """
     freedom = max(1.0, float(np.min(problem.freedom)))
+    # [sd] half of an interval
     reach = float(ndtri(0.975) if math.isinf(freedom) else stdtrit(freedom, 0.975))
     values = problem.values(u)
     range_of = {k.name: (k.low, k.high) for k in problem.unknowns}
@@ -388,8 +384,8 @@ def _parameters(
         least, most = range_of.get(name, (-math.inf, math.inf))
         low = max(float(value - half), least)
         high = min(float(value + half), most)
-        ends = zip(("low", "high"), (low == least, high == most), strict=True)
-        at_bound = tuple(end for end, there in ends if there and half > 0.0)
+        cut = (low == least, high == most) if half > 0.0 else ()
+        at_bound = tuple(compress(("low", "high"), cut))
         estimate = [float(value), low, high]
         if name in ("shear_modulus", "sinkage_coefficient", "reference_pressure"):
             estimate = [math.exp(min(x, LARGEST_LOG)) for x in estimate]
@@ -485,7 +481,9 @@ def _units(
 def _undetermined(
     parameters: dict[str, Parameter], labels: Sequence[str], correlation: np.ndarray
 ) -> list[str]:
-    """Warnings of parameters that the data hardly determine, alone or in pairs."""
+    """Warnings of parameters that the data hardly determine, alone (`UNDETERMINED`) or in pairs
+    (`TIED`). `labels` of the fitted ones, in the order of the `correlation` [p, p].
+    """
     words = [
         f"The data do not determine the {LABELS[name]}: its standard deviation is "
         f"{p.sd_over_prior:.0%} of the prior's."
@@ -506,12 +504,6 @@ def _off_prior(problem: TableProblem, plain: _Plain) -> list[tuple[float, str]]:
     """(distance from its prior [prior sd], a sentence on that) of each parameter whose solution
     under noise alone, `plain.u`, is further than `OFF_PRIOR` from a prior of the setup.
     """
-    setup = problem.setup
-    given = {name: getattr(setup.soil, name, None) for name in LABELS}
-    given |= {
-        "sinkage_coefficient": setup.soil.lumped(setup.wheel.width),
-        "tilt_deg": setup.tilt_deg,
-    }
     return [
         (
             abs(d),
@@ -519,7 +511,7 @@ def _off_prior(problem: TableProblem, plain: _Plain) -> list[tuple[float, str]]:
             "standard deviations from its prior: prior, table or laws are wrong.",
         )
         for unknown, d in zip(problem.unknowns, plain.u, strict=True)
-        if given[unknown.name] is not None and abs(d) > OFF_PRIOR
+        if given_prior(problem.setup, unknown.name) is not None and abs(d) > OFF_PRIOR
     ]
 
 
@@ -534,9 +526,8 @@ def _doubts(
     low, high = problem.bounds
     edge = EDGE * np.minimum(1.0, high - low)
     at_end = [
-        LABELS[k.name]
-        for k, at in zip(problem.unknowns, (u <= low + edge) | (u >= high - edge), strict=True)
-        if at
+        LABELS[unknown.name]
+        for unknown in compress(problem.unknowns, (u <= low + edge) | (u >= high - edge))
     ]
     if at_end:
         words.append(
@@ -577,11 +568,9 @@ def _missed(problem: TableProblem, plain: _Plain, noise: NoiseEstimate | None) -
         j = MEASURED.index(name)
         follows = _follows_conditions(problem.rows.slip, problem.rows.load, fit.residual)
         if noise is not None and noise.origin[j]:
-            scatter = noise.sd[j]
-            more = (fit.noise / scatter) ** 2
+            ratio = fit.noise / noise.sd[j]
             freedom = problem.freedom[2 + j], min(noise.freedom[j], _KNOWN_NOISE)
-            follows = follows or fdtrc(*freedom, more) < FOLLOWS
-            ratio = fit.noise / scatter
+            follows = follows or fdtrc(*freedom, ratio**2) < FOLLOWS
         if follows:
             out[name] = ratio
     return out
@@ -680,8 +669,8 @@ def _follows_conditions(slip: np.ndarray, load: np.ndarray, residual: np.ndarray
     """True if a smooth function of slip and load explains more of the residuals than chance does (F
     test, `FOLLOWS`); arrays are [N].
 
-    Its terms are 1, slip, its square, the logarithm of the load, and this times slip. False where
-    there are hardly more residuals than terms.
+    Its terms are 1, slip, its square, the logarithm of the load less its mean, and this times slip.
+    False where there are hardly more residuals than terms.
     """
     kept = np.isfinite(residual)
     e = residual[kept]

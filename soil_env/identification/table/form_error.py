@@ -40,7 +40,8 @@ LAW_LENGTHS: tuple[Mapping[str, float], ...] = (
     {"log_slip": 0.8} | _NO_SLIP,
 )
 LITTLE_SLIP = 0.05  # of `log_slip`: above it the logarithm counts, below it the slip
-LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width", "grouser_height")
+#: Conditions that are compared by their ratio.
+LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width")
 #: What the base law depends on, and so its error: what goes with anything else is a missing effect.
 INPUTS = ("slip", "log_slip", "load", "wheel_radius", "wheel_width", "grouser_height")
 _LEFT = 1e-3  # share of the variance that the functions of a process may leave out
@@ -163,7 +164,7 @@ def _condition(name: str) -> str:
 def coordinate(name: str, conditions: Conditions) -> np.ndarray:
     """A coordinate [N] of conditions [N], in which processes are stationary.
 
-    It is the logarithm of those in `LOGARITHMIC`, that of the lug height with `_LUG` added.
+    It is the logarithm of those in `LOGARITHMIC`, and of the lug height with `_LUG` added.
     `log_slip` is a function of the slip (`LAW_LENGTHS`). All others are the condition itself.
     """
     value = conditions[_condition(name)]

@@ -28,11 +28,13 @@ from soil_env._io.loading import ParameterError
 from soil_env.measurement.doubts import load_doubt
 from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import Table, look_like_radians
+from soil_env.parameters import EARTH_GRAVITY
 from soil_env.terramechanics.model import Rows
 
 from .data import CHANNELS, Data, prepare
 from .form_error import finite
 from .noise import (
+    SMALLEST_SD,
     NoiseEstimate,
     find_noise,
     given_noise,
@@ -40,7 +42,6 @@ from .noise import (
 )
 from .problem import COARSE, TableProblem
 
-GRAVITY = 9.81  # [m/s2]
 UNUSUAL = math.log(1e-3)  # log of the prior probability of a mistake of one kind
 SURE = 8.5  # log of the evidence for another reading, from which it is told
 LESS = 0.97  # times the misfit of the table as it is, below which a reading is a possible one
@@ -64,7 +65,6 @@ GROSS = 6.0  # the same in a small table whose noise is not known
 LAW_ERROR = 0.1  # relative error of the laws in the unit of `CLEAR`, `WRONG` and `GROSS`
 NO_VALUE = 1e3  # [noise and law error] residual where the model has no value
 ROUGH = 0.05  # of the spread of a channel: its noise where none is known yet
-LEAST_SD = 1e-12  # [unit of the channel] of this noise, since it divides
 # Values tried in place of a wrong load or slip: least, largest, number. Own choices.
 LOADS_TRIED = (0.01, 100.0, 401)  # over the load in the table
 SLIPS_TRIED = (-0.95, 0.95, 191)
@@ -160,10 +160,10 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
             torque=table.drawbar_pull,
         )
     for name, column, unit, factor, expected in (
-        ("pull_kg", "drawbar_pull", "kilograms", GRAVITY, "newtons"),
-        ("torque_kg", "torque", "kilogram metres", GRAVITY, "newton metres"),
-        ("torque_kg_cm", "torque", "kilogram centimetres", 0.01 * GRAVITY, "newton metres"),
-        ("load", "load", "kilograms", GRAVITY, "newtons"),
+        ("pull_kg", "drawbar_pull", "kilograms", EARTH_GRAVITY, "newtons"),
+        ("torque_kg", "torque", "kilogram metres", EARTH_GRAVITY, "newton metres"),
+        ("torque_kg_cm", "torque", "kilogram centimetres", 0.01 * EARTH_GRAVITY, "newton metres"),
+        ("load", "load", "kilograms", EARTH_GRAVITY, "newtons"),
     ):
         if column == "load" or known[column]:
             add(
@@ -242,6 +242,7 @@ def _problem(
     order = list(reading.source)
     if used is not None:
         there = there.with_values(used[:, order])
+    # No noise of a channel without values, whose `sd` is no level.
     levels = {
         name: float(sd[order[j]] * reading.scale[j])
         if np.any(np.isfinite(getattr(there, name)))
@@ -266,9 +267,10 @@ def _fit(
     `sd` and `used` as in `_problem`. Slip and load that have noise are corrected between fits.
     """
     problem = _problem(reading, sd, used)
-    u = np.zeros(len(problem.unknowns)) if start is None else start
     if search:
         u = problem.search()
+    else:
+        u = np.zeros(len(problem.unknowns)) if start is None else start
     for _ in range(CORRECTIONS if np.any(problem.noise[:2] > 0.0) else 1):
         problem.correct(u)
         u, cost = problem.minimise(u, **COARSE)
@@ -299,9 +301,7 @@ def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
         if fit.reading.name:  # its slip may differ from that of the data
             return found
         wide = with_noise_of_conditions(data, surface)[0]
-        return (
-            found if wide is data else dataclasses.replace(found, used=find_noise(wide, model).used)
-        )
+        return dataclasses.replace(found, used=find_noise(wide, model).used)
     except ParameterError:
         alone = np.zeros(len(model), dtype=bool)
         return NoiseEstimate(_rough(data), np.full(3, math.inf), ("",) * 3, data.measured, alone)
@@ -319,7 +319,7 @@ def _rough(data: Data, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
         if known is not None:
             out[j] = known
         elif y.size:
-            out[j] = max(ROUGH * float(np.std(y)), LEAST_SD)
+            out[j] = max(ROUGH * float(np.std(y)), SMALLEST_SD)
     return out
 
 
@@ -386,8 +386,9 @@ def _other_readings(start: _AsIs) -> list[Better]:
     """The other readings, that with the largest gain first; none where the table is not `suspect`
     and the rises of its forces speak for no reading (`ALONE`).
 
-    All are fitted under one noise: the smallest that any reading leaves about its surface, as a
-    wrong reading leaves more. If a reading may be better, the table as it is gets a fit by search.
+    All are fitted under one noise: the smallest that any reading but exchanged columns leaves about
+    its surface, as a wrong reading leaves more. If a reading may be better, the table as it is gets
+    a fit by search.
     """
     data, noise, first = start
     plain = first.reading
@@ -399,11 +400,11 @@ def _other_readings(start: _AsIs) -> list[Better]:
         return []
     as_it_is = _by_resistance(data, noise, plain)
     by_resistance = [_by_resistance(data, noise, other) - as_it_is for other in others]
-    at = [_fit(other, rough) for other in others]
-    noises = [_noise(data, fit) for fit in at if fit.reading.name != "columns"]
+    under_rough = [_fit(other, rough) for other in others]
+    noises = [_noise(data, fit) for fit in under_rough if fit.reading.name != "columns"]
     noise = min(noise, *noises, key=lambda there: np.sum(np.log(there.sd)))
     base = first if noise is start.noise else _fit(plain, noise.sd, noise.used, first.u)
-    fits = [_fit(fit.reading, noise.sd, noise.used, fit.u) for fit in at]
+    fits = [_fit(fit.reading, noise.sd, noise.used, fit.u) for fit in under_rough]
     if max(f.evidence for f in fits) - base.evidence > MAYBE:
         searched = _fit(plain, noise.sd, noise.used, search=True)
         base = max(base, searched, key=lambda f: f.evidence)
@@ -431,13 +432,14 @@ def _rises(data: Data, noise: NoiseEstimate) -> np.ndarray:
 
 
 def _by_rises(rises: np.ndarray, data: Data, other: Reading) -> float:
-    """Log evidence for the reading `other` over the table as it is, by the `rises` of the latter.
+    """Log evidence for the reading `other` over the table as it is, by the `_rises` of the latter.
 
     Only sizes of rises are compared. 0 where the reading changes none, where no rise is known, and
     for exchanged columns, whose rises are not exchanged here. -inf where this evidence is
     below `UNLIKE`, or where the reading turns the sign of pull or slip although the pull rises.
     """
-    # a reading multiplies all loads by one factor, which the first row gives
+    # A reading multiplies all loads by one factor, which the first row gives. [2] factors on pull
+    # over load, and on torque over radius and load:
     scale = other.scale[1:] * data.table.load[0] / other.table.load[0]
     scale[1] *= data.setup.wheel.radius / other.setup.wheel.radius
     gain = _of_soils(scale * rises) - _of_soils(rises)
@@ -551,10 +553,9 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
 
     The best of the `sure` readings is a doubt, with those nearly as good. `ParameterError` if the
     table also breaks a physical limit that goes with this reading. Without a sure reading the first
-    limit that is broken is a doubt. The limits: the pull falls with slip while its turned sign fits
-    no worse, the wheel gains power, pulls with more than its torque, or with all of it. The best
-    reading with
-    a gain of `MAYBE` and a better fit (`LESS`) is a caution then.
+    limit that is broken is a doubt. The limits: the pull falls with slip while its turned sign
+    gains evidence, the wheel gains power, pulls with more than its torque, or with all of it. The
+    best reading with a gain of `MAYBE` and a better fit (`LESS`) is a caution then.
     """
     others = _other_readings(start)
     possible = [b for b in others if b.gain > MAYBE and b.rms < LESS * b.rms_before]
@@ -564,6 +565,7 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
         best = better[0]
         probable = f" ({_sure(best.gain)})" if best.gain > SURE else ""
         text = f"{best.words}{probable}: {best.reading.remedy}"
+        # Clause on the limit that the table as it is breaks, "" for none.
         check = {
             "pull": _pull_falls,
             "load": lambda *_: load_doubt(data.table, data.setup).partition(":")[0],
@@ -579,19 +581,17 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
         f"{b.words}: the table could be meant so ({b.reading.remedy})." for b in possible[:1]
     )
     turned = any(b.reading.name == "pull" and b.gain > 0.0 for b in others)
+    doubts = []
     if turned and (falls := _pull_falls(data, noise)):
-        said = f"{falls}: check the sign of drawbar_pull (positive = the wheel pulls)."
-        return [said], undecided
-    if more := _gains_power(data, noise) or _outpulls_the_rim(data, noise):
-        said = f"{more}: check the units of torque and drawbar_pull, and the wheel's radius."
-        return [said], undecided
-    if missing := _no_resistance(data, noise):
-        said = (
+        doubts = [f"{falls}: check the sign of drawbar_pull (positive = the wheel pulls)."]
+    elif more := _gains_power(data, noise) or _outpulls_the_rim(data, noise):
+        doubts = [f"{more}: check the units of torque and drawbar_pull, and the wheel's radius."]
+    elif missing := _no_resistance(data, noise):
+        doubts = [
             f"{missing}: expected drawbar_pull at the axle, the thrust less the resistance; check "
             "also the unit of torque and the wheel's radius."
-        )
-        return [said], undecided
-    return [], undecided
+        ]
+    return doubts, undecided
 
 
 def _sure(gain: float) -> str:
@@ -609,11 +609,9 @@ def _without_wrong_rows(start: _AsIs) -> tuple[_AsIs, list[str]]:
 
     They are left out one by one, up to `MOST_WRONG` of the rows.
     """
-    said = []
-    for _ in range(max(1, int(MOST_WRONG * len(start.data.table)))):
-        found = _wrong_row(start)
-        if found is None:
-            break
+    said: list[str] = []
+    most = max(1, int(MOST_WRONG * len(start.data.table)))
+    while len(said) < most and (found := _wrong_row(start)):
         start, words = found
         said.append(words)
     return start, said
@@ -629,6 +627,7 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
     hides a wrong row. Tables of `FEWEST_ROWS` are not searched.
     """
     data, noise, fit = start
+    # Noise that was taken from the scatter, or that the values do not show (`_noise`).
     hidden = "scatter" in noise.origin or not any(noise.origin)
     if len(data.table) <= FEWEST_ROWS or not (start.suspect or hidden):
         return None
@@ -642,10 +641,10 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
         return None
     if _goes_on(data, row, rest):
         return None
-    # Both fits under the noise of the rest; the row itself counts again in the first.
+    # The rest alone, less the rest with the row, both under the noise of the rest.
     sd = rest.noise.sd
-    used = np.insert(rest.noise.used, row, data.measured[row], axis=0)
-    gain = rest.fit.evidence - _fit(fit.reading, sd, used).evidence
+    with_row = np.insert(rest.noise.used, row, data.measured[row], axis=0)
+    gain = rest.fit.evidence - _fit(fit.reading, sd, with_row).evidence
     gain -= math.log(len(data.table))  # prior: any row may be the wrong one
     # Few rows under a noise that is taken from them need more evidence.
     least = GROSS if hidden and len(data.table) <= SMALL else WRONG
@@ -737,16 +736,19 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
 
     It is sure if a value is off by `least` [noise and law error] and the `gain`, less what a wrong
     row costs, reaches `SURE`. The gain is of the log evidence of the other rows without this one.
-    The cost is that one value, or all of them, may be anywhere. The cell to check is the only value
-    that is off, else the load or slip with which all values fit, else every one. `sd` [3]: noise.
+    The cell to check is the only value that is off, else the load or slip with which all values
+    fit, else every one. The cost is that the wrong value may be anywhere: with a wrong load or
+    slip, one value, which these are chosen to fit; in the last case all of them. `sd` [3]: noise.
     """
     table = data.table
     here = Rows(*(column[row : row + 1] for column in data.rows))
     known = data.measured[row]
     y = data.y[row, known]
-    noise = (sd * np.broadcast_to(data.relative_sd, data.y.shape)[row])[known]
-    size = np.sqrt(np.nansum(data.y**2, axis=0) / len(table))[known]  # a pull may be 0
-    allowed = np.sqrt(noise**2 + LAW_ERROR**2 * np.maximum(y**2, size**2))
+    noise = np.broadcast_to(sd * data.relative_sd, data.y.shape)[row, known]
+    # Of a value near 0, as a pull may be, the law errs by a share of the usual size.
+    size = np.sqrt(np.nansum(data.y**2, axis=0) / len(table))[known]
+    allowed = np.hypot(noise, LAW_ERROR * np.maximum(np.abs(y), size))
+    # Range in which a wrong value may be.
     spread = BROAD * np.max(np.abs(np.nan_to_num(data.y)), axis=0)[known]
 
     def residuals(name: str, values: np.ndarray) -> np.ndarray:
@@ -767,7 +769,7 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
     fits = {name: np.sqrt(np.mean(residuals(name, x) ** 2, axis=1)) for name, x in grids.items()}
     best = min(fits, key=lambda name: float(np.min(fits[name])))
     names = np.array(CHANNELS)[known]
-    free = np.ones(len(names), dtype=bool)  # values that may be anywhere
+    free = np.ones(len(names), dtype=bool)  # [M] values that may be anywhere
     if len(names) > 2 and np.sum(off > CLEAR) == 1:
         name = names[int(np.argmax(off))]
         check = f"check {name} = {getattr(table, name)[row]:g} there."
@@ -781,6 +783,7 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
             f"its values are those of a {best} of {value:g}{unit}, check {best} = "
             f"{getattr(table, best)[row]:g}{unit} there."
         )
+        # The value that tells most of the load or slip.
         free = np.arange(len(names)) == np.argmax(spread / allowed)
         off = residuals(best, np.array([value]))[0]
     gain -= float(
@@ -839,7 +842,9 @@ def _load_alone(table: Table) -> list[str]:
 
 
 def _grades_doubted(data: Data) -> list[str]:
-    """[doubt] where the grades of the table look like whole degrees in radians, else []."""
+    """[doubt] where all grades but 0 look like whole degrees in radians (`look_like_radians`), else
+    [].
+    """
     grades = data.table.grade_deg[data.table.grade_deg != 0.0]
     if not look_like_radians([repr(float(g)) for g in grades]):
         return []
@@ -933,7 +938,7 @@ def _gains_power(data: Data, noise: NoiseEstimate) -> str:
     return _over_the_axle(
         data,
         noise,
-        1.0 - data.rows.slip,
+        1.0 - data.rows.slip,  # V / (r w)
         "drawbar_pull times travel speed is {:.2g} times torque times rotational speed in the "
         "middle of the rows, and no wheel gains power",
     )
@@ -972,19 +977,19 @@ def _no_resistance(data: Data, noise: NoiseEstimate) -> str:
     )
 
 
-def _over_the_axle(data: Data, noise: NoiseEstimate, speed: np.ndarray, words: str) -> str:
-    """`words` with the median of DP `speed`/(T/r) over the driven rows on the level, if it exceeds
+def _over_the_axle(data: Data, noise: NoiseEstimate, ratio: np.ndarray, words: str) -> str:
+    """`words` with the median of DP `ratio`/(T/r) over the driven rows on the level, if it exceeds
     1 by more than noise (`SURE_GAIN`) and errors of gains (`GAINED`); "" else.
 
-    `speed` [N]: travel speed over that of the rim to compare powers, 1 to compare forces. `words`
-    has a place for the number. Three rows are needed, and a positive torque.
+    `ratio`: for each row the travel speed over that of the rim to compare powers, 1 to compare
+    forces. `words` has a place for the median. Three rows are needed, and a positive torque.
     """
     level = np.abs(data.rows.conditions[:, 2]) < LEVEL
     both = noise.used[:, 1] & noise.used[:, 2] & (data.rows.slip > 0.0) & level
     radius = data.rows.wheels[:, 0]
     taken = data.y[:, 2] / radius  # by the axle
-    given = data.y[:, 1] * speed  # by the pull
-    sd = np.hypot(noise.sd[2] / radius, noise.sd[1] * speed)
+    given = data.y[:, 1] * ratio  # by the pull
+    sd = np.hypot(noise.sd[2] / radius, noise.sd[1] * ratio)
     gain = (given - GAINED * taken - SURE_GAIN * sd)[both]
     if gain.size < 3 or np.median(gain) <= 0.0 or np.median(taken[both]) <= 0.0:
         return ""

@@ -17,10 +17,11 @@ import numpy as np
 from scipy import special
 
 from soil_env._io.loading import ParameterError
+from soil_env.measurement.setup import NoiseLevels
 from soil_env.terramechanics.model import Rows
 
-from .data import CHANNELS, LOGARITHMIC, WHEEL, Data
-from .form_error import finite
+from .data import CHANNELS, WHEEL, Data
+from .form_error import LOGARITHMIC, finite
 
 OUTLIER = 4.5  # [sd] distance from the smooth surface beyond which a value is left out
 #: Median distance of the other values at a slip, in sd over the root of their number, from which a
@@ -99,9 +100,9 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
         e = (data.y[:, j] - model[:, j]) / relative
         weighted = basis / relative[:, None]
         used[:, j] = _without_outliers(weighted, e, used[:, j], given[j], data.varied["slip"].level)
-        alone |= used[:, j] & (_surface(weighted, e, used[:, j])[1] > ALONE)
+        left, leverage = _surface(weighted, e, used[:, j])
+        alone |= used[:, j] & (leverage > ALONE)
         if origin[j] == "scatter":
-            left, _ = _surface(weighted, e, used[:, j])
             freedom[j] = used[:, j].sum() - basis.shape[1]
             sd[j] = math.sqrt(float(np.sum(left[used[:, j]] ** 2)) / freedom[j])
     if "repeats" in origin:
@@ -145,27 +146,22 @@ def with_noise_of_conditions(
     the data are returned as they are, without names. `predict`: values [N, 3] of the calibrated
     base model at rows.
     """
-    noise = {name: getattr(data.setup.noise, name) for name in STEPS}
+    noise = {name: sd for name in STEPS if (sd := getattr(data.setup.noise, name)) is not None}
     given = given_noise(data)
-    if not any(noise.values()) or all(sd is None for sd in given):
+    if not noise or all(sd is None for sd in given):
         return data, ()
-    more = np.zeros(data.y.shape)
-    for name, sd in noise.items():
-        if sd is not None:
-            more += (sd * _derivatives(data, predict, name)) ** 2
+    more = sum((sd * _derivatives(data, predict, name)) ** 2 for name, sd in noise.items())
     columns: dict[str, Any] = {}
-    levels: dict[str, None] = dict.fromkeys(STEPS)  # from here on they are exact
     for j, channel in enumerate(CHANNELS):
         own = given[j]
         if own is not None:
             columns[f"{channel}_sd"] = np.sqrt((own * data.relative_sd[:, j]) ** 2 + more[:, j])
-            levels[channel] = None
-    setup = data.setup.changed(noise=dataclasses.replace(data.setup.noise, **levels))
+    # Each row has its noise now, and slip and load are exact.
+    setup = data.setup.changed(noise=NoiseLevels())
     table = dataclasses.replace(data.table, **columns)
-    counted = tuple(name for name, sd in noise.items() if sd is not None)
     return dataclasses.replace(
         data, table=table, setup=setup, relative_sd=table.relative_sd(setup)
-    ), counted
+    ), tuple(noise)
 
 
 def _derivatives(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -> np.ndarray:
@@ -227,6 +223,7 @@ def _without_outliers(
         if far[worst] <= OUTLIER:
             break
         keep[worst] = False
+    # From here on in the `scale` of the last pass.
     if sd is not None:  # values that a first outlier had masked come back
         left, leverage = _surface(basis, e, keep)
         keep |= used & (np.abs(left) <= OUTLIER * scale * np.sqrt(1.0 + leverage))

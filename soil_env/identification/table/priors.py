@@ -98,11 +98,7 @@ def soil_unknowns(
     unknowns = []
     known = {}
     for name, broad in BROAD.items():
-        prior = (
-            setup.soil.lumped(setup.wheel.width)
-            if name == "sinkage_coefficient"
-            else getattr(setup.soil, name)
-        )
+        prior = given_prior(setup, name)
         if prior is None:
             unknowns.append(broad)
         elif prior.known:
@@ -121,6 +117,14 @@ def soil_unknowns(
     return tuple(k._replace(mean=usual) if math.isnan(k.mean) else k for k in unknowns), known
 
 
+def given_prior(setup: Setup, name: str) -> Prior | None:
+    """The setup's prior of an unknown, None where it says nothing; that of S is under its wheel."""
+    if name == "sinkage_coefficient":
+        return setup.soil.lumped(setup.wheel.width)
+    prior: Prior | None = getattr(setup if name == "tilt_deg" else setup.soil, name)
+    return prior
+
+
 def _under_prior(broad: Unknown, prior: Prior, widened: float) -> Unknown:
     """The `broad` unknown under the setup's prior, whose sd is multiplied by `widened`.
 
@@ -137,18 +141,24 @@ def _under_prior(broad: Unknown, prior: Prior, widened: float) -> Unknown:
     return broad._replace(mean=mean, sd=sd, low=low, high=high)
 
 
+def middle_sinkage(sinkage: np.ndarray, radius: float) -> float:
+    """Median [m] of the sinkages that are measured (not nan); without any, `USUAL_SINKAGE` of a
+    wheel of this radius [m].
+    """
+    known = np.any(np.isfinite(sinkage))
+    return float(np.nanmedian(sinkage)) if known else USUAL_SINKAGE * radius
+
+
 def plate_coefficient(
     setup: Setup, load: np.ndarray, sinkage: np.ndarray, exponent: float
 ) -> float:
     """S [N/m^(n+2)] with which a flat plate, in place of the wheel's contact, carries the median
-    load at the median sinkage.
+    load at the `middle_sinkage`.
 
-    `load` [N] in N, `sinkage` [N] in m, nan where not measured; without any it is `USUAL_SINKAGE`.
-    `exponent`: n.
+    `load` of each row in N, `sinkage` of each row in m, nan where not measured. `exponent`: n.
     """
     r = setup.wheel.radius
-    z = float(np.nanmedian(sinkage)) if np.any(np.isfinite(sinkage)) else USUAL_SINKAGE * r
-    z = min(max(z, _SHALLOWEST * r), r)
+    z = min(max(middle_sinkage(sinkage, r), _SHALLOWEST * r), r)
     carried: float = setup.wheel.width * math.sqrt(2.0 * r * z) * _PLATE * z**exponent
     return float(np.median(load)) / carried
 

@@ -31,9 +31,9 @@ from . import form_error
 from .form_error import LAW_LENGTHS, Process, finite
 from .noise import NoiseEstimate
 from .priors import (
-    USUAL_SINKAGE,
     Unknown,
     bounds_of,
+    middle_sinkage,
     parameters_at,
     soil_unknowns,
 )
@@ -193,11 +193,8 @@ class TableProblem:
         relative = np.ones((len(table), 5))
         relative[:, 2:] = table.relative_sd(setup)
         self.relative = relative[use]
-        seen = self.measured[:, 0]
-        #: [m] reference sinkage: the median of the measured ones.
-        self.z_ref = (
-            float(np.median(self.y[seen, 0])) if seen.any() else USUAL_SINKAGE * setup.wheel.radius
-        )
+        #: [m] reference sinkage
+        self.z_ref = middle_sinkage(self.y[:, 0], setup.wheel.radius)
         self.unknowns, self.known = soil_unknowns(setup, self.rows.load, self.y[:, 0])
         if not self.unknowns:
             raise ParameterError(
@@ -366,11 +363,12 @@ class TableProblem:
         return np.linalg.inv(np.eye(u.size) + j.T @ j)
 
     def law_errors(self, u: np.ndarray, span: int) -> tuple[np.ndarray, np.ndarray]:
-        """(form errors of the stresses [3 N, R], form errors of the channels [3 N, Q]), of size 1
-        and whitened by the noise; `span`: index in `LAW_LENGTHS`.
+        """(form errors of the stresses [3 N, C R], form errors of the channels [3 N, 3 R]), of size
+        1 and whitened by the noise; C are the `stress_changes`, R the functions of the process.
 
-        Errors of the stresses reach the three channels together. Channels that err by themselves
-        stand for all that the model does not contain, such as a rig that bends.
+        `span`: index in `LAW_LENGTHS`. Errors of the stresses reach the three channels together.
+        Channels that err by themselves stand for all that the model does not contain, such as a rig
+        that bends.
         """
         base = self.predict(u)
         functions = self.processes[span].at_points
@@ -429,7 +427,7 @@ class TableProblem:
     def allow_form_error(self, u: np.ndarray, error: LawError) -> None:
         """Let the base law err by a `LawError` at the whitened unknowns u [p].
 
-        Its columns B [3 N, R] (`law_errors`) add B B' to the covariance of all values, which
+        Its columns B (`law_errors`) add B B' to the covariance of all values, which
         `whiten` then uses by its `Compression`. It replaces any error set before.
         """
         stresses, channels = self.law_errors(u, error.span)
@@ -539,11 +537,12 @@ def _usable(table: Table, setup: Setup) -> np.ndarray:
     force where S has a prior.
 
     `ParameterError` where no row is left, where none of those has a force, and where a sinkage is
-    impossible. A pull of 0 on every grade is refused for a load that is normal to the ground.
+    not above 0, or larger than the radius. So too for a load normal to the ground if two rows or
+    more on grades all have a pull of 0.
     """
     seen, pull, torque = (~np.isnan(getattr(table, name)) for name in MEASURED)
-    stiffness = setup.soil.lumped(setup.wheel.width) is not None
-    use = seen | (pull & torque) | ((pull | torque) & stiffness)
+    has_stiffness = setup.soil.lumped(setup.wheel.width) is not None
+    use = seen | (pull & torque) | ((pull | torque) & has_stiffness)
     if not np.any(use):
         raise ParameterError(
             f"{table.source}: no row has a sinkage, or both drawbar_pull and torque: "

@@ -56,7 +56,9 @@ def text_of(estimate: TableEstimate) -> str:
 
 
 def _soil_table(estimate: TableEstimate) -> Table:
-    """Table of the parameters: estimate, interval ("" if known), unit, sd over prior sd."""
+    """Table of the parameters: estimate, interval ("" if known), unit, sd over prior sd ("known" if
+    not fitted, "" for S z^n).
+    """
     labels = LABELS | {
         "reference_pressure": f"S z^n at z = {1e3 * estimate.reference_sinkage:.3g} mm"
     }
@@ -132,24 +134,15 @@ def picture(estimate: TableEstimate) -> bytes:
         2, len(estimate.fits), sharex=True, squeeze=False, height_ratios=(2.2, 1.0)
     )
     groups = load_groups(estimate.load)
-    colors = (
-        [(0.55, 0.55, 0.55)] if len(groups) > MOST_GROUPS else [f"C{k}" for k in range(MOST_GROUPS)]
-    )
+    few = len(groups) <= MOST_GROUPS
     for (name, fit), (top, below) in zip(estimate.fits.items(), axes.T, strict=True):
         scale, unit = factor[fit.unit]
         for k, (label, members) in enumerate(groups):
-            color = colors[k % len(colors)]
+            color = f"C{k}" if few else "0.55"
             order = members[np.argsort(estimate.slip[members])]
             slip = estimate.slip[order]
-            distinct = len(groups) <= MOST_GROUPS and np.all(np.diff(slip) > ONE_SLIP)
-            top.plot(
-                slip,
-                scale * fit.fitted[order],
-                "-" if distinct else "x",
-                color=color,
-                lw=1.2,
-                label=label,
-            )
+            line = "-" if few and np.all(np.diff(slip) > ONE_SLIP) else "x"
+            top.plot(slip, scale * fit.fitted[order], line, color=color, lw=1.2, label=label)
             bar = scale * HALF_WIDTH * fit.noise * fit.relative[order]
             top.errorbar(
                 slip,
@@ -168,12 +161,9 @@ def picture(estimate: TableEstimate) -> bytes:
         below.set(xlabel="slip", ylim=(-reach, reach))
         top.set(title=name.replace("_", " "), ylabel=unit)
     axes[1, 0].set_ylabel("residual / noise")
-    if len(groups) <= MOST_GROUPS:
-        handles, labels = axes[0, 0].get_legend_handles_labels()
-        labels = [f"load {label}" for label in labels]
+    if few:
         figure.legend(
-            handles,
-            labels,
+            *axes[0, 0].get_legend_handles_labels(),
             loc="outside lower center",
             ncols=MOST_GROUPS,
             fontsize=9,
@@ -191,9 +181,9 @@ def picture(estimate: TableEstimate) -> bytes:
 
 
 def load_groups(load: np.ndarray) -> list[tuple[str, np.ndarray]]:
-    """Groups of about the same load: (label, indices of its rows), lightest first. A step of
-    `SAME_LOAD` between sorted loads parts two groups.
+    """Groups of about the same load [N]: (label "load ... N" with its mean, indices of its rows),
+    lightest first. A step of `SAME_LOAD` between the logarithms of sorted loads parts two groups.
     """
     order = np.argsort(load, kind="stable")
     cuts = np.flatnonzero(np.diff(np.log(load[order])) > SAME_LOAD) + 1
-    return [(f"{np.mean(load[members]):.0f} N", members) for members in np.split(order, cuts)]
+    return [(f"load {np.mean(load[members]):.0f} N", members) for members in np.split(order, cuts)]
