@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from soil_env.measurement.setup import Prior
+from soil_env.measurement.setup import NUMBERS, Prior
 from soil_env.parameters import Soil
 
 #: Kind of file -> (module and name of the class that reads it, option or key that takes it).
@@ -49,8 +49,8 @@ def keys_of(cls: type, above: str = "") -> Iterator[str]:
     it.
 
     `above`: path of keys before a name, with its dot. A `Prior` has no lines of its own: its key
-    shows unit and range of the number of that name in `Soil`. Only `tilt_deg` of a setup is none of
-    those, and is in degrees.
+    shows unit and range of the number of that name in `Soil`, and that it may have a standard
+    deviation, if it may. Only `tilt_deg` of a setup is none of those, and is in degrees.
     """
     hints = typing.get_type_hints(cls)
     within: list[tuple[str, type]] = []
@@ -60,7 +60,7 @@ def keys_of(cls: type, above: str = "") -> Iterator[str]:
         kind = _range(f) or _kind(hint)
         if inner is Prior:
             number = _range(_SOIL[f.name]) if f.name in _SOIL else "[deg]"
-            kind = f"{number}, or {{value, sd}} of it"
+            kind = number if f.name in NUMBERS else f"{number}, or {{value, sd}} of it"
         elif inner is not None:
             named = typing.get_origin(hint) is dict
             within.append((f"{above}{f.name}{'.NAME' if named else ''}.", inner))

@@ -81,6 +81,13 @@ class Prior(Checked):
         return self.sd == 0.0
 
 
+#: {parameter of the soil that is a plain number in a setup: why it has no prior}.
+NUMBERS = {
+    **dict.fromkeys(FLOW_LAW, "it is given, not fitted"),
+    **dict.fromkeys(("dig_gain", "dig_recovery"), "digging that is not known is an effect to find"),
+}
+
+
 @dataclass(frozen=True)
 class SoilPriors(Checked):
     """Priors of the soil; `parameters.Soil` says what the parameters mean. Friction angle,
@@ -120,12 +127,7 @@ class SoilPriors(Checked):
                     f"a number in [{limit['low']:g}, {limit['high']:g}] {limit['unit']}".rstrip()
                 )
                 raise ParameterError(f"{name} = {prior.value:g}: expected {expected}")
-        # Why a parameter has no prior, by name.
-        reasons = dict.fromkeys(FLOW_LAW, "it is given, not fitted")
-        reasons |= dict.fromkeys(
-            ("dig_gain", "dig_recovery"), "digging that is not known is an effect to find"
-        )
-        for name, why in reasons.items():
+        for name, why in NUMBERS.items():
             if name in given and not given[name].known:
                 raise ParameterError(f"{name}: expected a plain number; {why}")
         if self.dig_recovery is not None and self.dig_gain is None:

@@ -2,8 +2,10 @@
 
 import pytest
 
+from soil_env._io.loading import ParameterError
 from soil_env.cli import main
 from soil_env.cli.describe import KINDS, keys_of
+from soil_env.measurement.setup import NUMBERS, Prior, SoilPriors
 from soil_env.parameters import Scenario, load_scenario, to_dict
 
 
@@ -36,3 +38,15 @@ def test_the_keys_of_a_scenario_are_all_there_with_unit_range_and_default():
 def test_an_unknown_kind_is_one_line(capsys):
     assert main(["describe", "scenari"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_number_that_takes_no_standard_deviation_is_not_offered_one(capsys):
+    """Every key of the soil of a setup takes what `describe` says of it."""
+    assert main(["describe", "setup"]) == 0
+    lines = [k for k in capsys.readouterr().out.splitlines() if k.startswith("soil.")]
+    offered = {k.split()[0].removeprefix("soil."): "{value, sd}" in k for k in lines}
+    assert offered["friction_angle_deg"] and not offered["rim_flow"]
+    assert {name for name, prior in offered.items() if not prior} == NUMBERS.keys()
+    for name in NUMBERS:
+        with pytest.raises(ParameterError, match=f"{name}: expected a plain number"):
+            SoilPriors(**{name: Prior(0.1, 0.01)})
