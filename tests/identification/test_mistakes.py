@@ -412,3 +412,13 @@ def test_identify_says_a_mistake_before_any_number(tmp_path, capsys, column, cha
     said = " ".join("".join(capsys.readouterr()).split())
     assert words in said and words not in said.partition("Soil parameter")[2]
     assert "probability above 99.9 %" in said.partition("Soil parameter")[0]
+
+
+def test_a_table_whose_sinkages_have_a_wrong_zero_is_examined(tmp_path):
+    """The zero of the sensor is 12 mm too low: more sinkages are below 0 than above."""
+    text = with_column(
+        table_text({}, loads=(100, 150)), "sinkage", lambda row: row["sinkage"] - 0.012
+    )
+    data = data_of(tmp_path, text)
+    assert np.median(data.table.sinkage) < 0.0
+    assert examine(data.table, data.setup).said == ()

@@ -142,11 +142,11 @@ def _under_prior(broad: Unknown, prior: Prior, widened: float) -> Unknown:
 
 
 def middle_sinkage(sinkage: np.ndarray, radius: float) -> float:
-    """Median [m] of the sinkages that are measured (not nan); without any, `USUAL_SINKAGE` of a
-    wheel of this radius [m].
+    """Median [m] of the sinkages that are measured (not nan); `USUAL_SINKAGE` of a wheel of this
+    radius [m] without any, or where the median is not above 0, as of a sensor with a wrong zero.
     """
-    known = np.any(np.isfinite(sinkage))
-    return float(np.nanmedian(sinkage)) if known else USUAL_SINKAGE * radius
+    middle = float(np.nanmedian(sinkage)) if np.any(np.isfinite(sinkage)) else 0.0
+    return middle if middle > 0.0 else USUAL_SINKAGE * radius
 
 
 def plate_coefficient(
