@@ -7,7 +7,7 @@ from benchmarks import prediction
 from benchmarks.continuum.rig import LOADS, WHEELS
 from benchmarks.rigs import DATA
 from soil_env._io.loading import ParameterError
-from tests.discovery.files import PLANTED, data_of, table_text
+from tests.discovery.files import PLANTED, data_of, problem_of, table_text
 
 measured = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data in {DATA}")
 
@@ -27,6 +27,16 @@ def test_a_load_left_out_of_a_table_of_the_model_is_predicted(tmp_path):
     parts = ("chosen", "fresh")
     pages = prediction.tables_of(dict.fromkeys(parts, [found]), dict.fromkeys(parts, ratios))
     assert len(pages) == 4 and "| own |" in next(iter(pages.values())).markdown()
+
+
+def test_straight_lines_meet_the_next_slips_where_the_load_is_one(tmp_path):
+    problem = problem_of(tmp_path, table_text(PLANTED, loads=(100.0,)))
+    slips = np.append(problem.data.rows.slip, 0.25)
+    found = prediction._straight_lines(problem, slips)
+    assert found[:-1] == pytest.approx(problem.data.y)
+    assert found[-1] == pytest.approx(np.mean(problem.data.y[2:4], axis=0))  # slips 0.2 and 0.3
+    more = problem_of(tmp_path, table_text(PLANTED))
+    assert np.all(np.isnan(prediction._straight_lines(more, slips)))
 
 
 def test_published_wheels_leave_each_slip_out_and_the_largest():

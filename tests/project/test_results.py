@@ -178,6 +178,8 @@ def test_predictions():
     assert [list(pair) for pair in said] == [
         list(known["fresh"][name].values())[1:] for name in names.values()
     ]
+    said = re.search(rf"Straight lines between slips have ({NUMBER}) \(({NUMBER})\)", text)
+    assert list(said.groups()) == list(known["fresh"]["straight line"].values())[1:]
 
 
 TARGETS = {
