@@ -261,7 +261,8 @@ def tables_of(rows: dict[str, list[dict]], over: dict[str, dict]) -> dict[str, P
     def cell(errors: np.ndarray) -> str:
         units = (1e3, 1.0, 1.0)
         shown = (
-            f"{round(u * x, ROUNDED):.2g}" if np.isfinite(x) else "-" for u, x in zip(units, errors, strict=True)
+            f"{round(u * x, ROUNDED):.2g}" if np.isfinite(x) else "-"
+            for u, x in zip(units, errors, strict=True)
         )
         return " / ".join(shown)
 
