@@ -113,11 +113,14 @@ class Sizes(NamedTuple):
     rig: float = 0.0  # nuisances of the instrument, over their standard deviations
 
     @property
-    def law_sizes(self) -> tuple[float, ...]:
-        """Size of each block of `Fit.law`, one for each of `ALL_LAW_LENGTHS`: `law` at the index
-        `span`, 0 elsewhere.
+    def of_form_errors(self) -> tuple[float, ...]:
+        """Size of each block of `Fit.form_errors`.
+
+        Of the blocks of the base law, that of the correlation lengths `span` has the size `law`,
+        the others have 0.
         """
-        return tuple(self.law if k == self.span else 0.0 for k in range(len(ALL_LAW_LENGTHS)))
+        laws = (self.law if k == self.span else 0.0 for k in range(len(ALL_LAW_LENGTHS)))
+        return (self.rig, self.effect, *laws)
 
 
 EXACT = Sizes()
@@ -156,15 +159,21 @@ class Fit:
         low, high = bounds_of(self.unknowns)
         return np.minimum(self.u - low, high - self.u) > AT_BOUND
 
+    @property
+    def form_errors(self) -> tuple[np.ndarray, ...]:
+        """Whitened blocks [M, R] at the size 1: nuisances of the instrument, form error of the
+        effects, and that of the base law for each of `ALL_LAW_LENGTHS`.
+        """
+        return (self.rig, self.effect, *self.law)
+
     def columns(self, sizes: Sizes) -> np.ndarray:
-        """[M, R] whitened form errors and nuisances at these sizes, side by side.
+        """[M, R] whitened form errors, nuisances and smooth contributions at these sizes, side by
+        side.
 
         Those of size 0 are left out. So are patterns, since no fit is made with one.
         """
         blocks = zip(
-            (*self.law, self.effect, *self.free, self.rig),
-            (*sizes.law_sizes, sizes.effect, *sizes.free, sizes.rig),
-            strict=True,
+            (*self.form_errors, *self.free), (*sizes.of_form_errors, *sizes.free), strict=True
         )
         return np.concatenate(
             [size * block for block, size in blocks if size > 0.0] or [self.effect[:, :0]], axis=1
@@ -245,7 +254,8 @@ class Problem:
     def _bench(self) -> Bench:
         """Sizes of this rig, which priors of effects scale with.
 
-        The sliding speed is a mean over the rows that slip; of rows without slip, the travel speed.
+        The sliding speed is a mean over the rows that slip, and the mean travel speed if none does.
+        Both means are 0 if a row has no speed.
         """
         rows = self.data.rows
         r = self.data.wheel.radius
@@ -288,7 +298,8 @@ class Problem:
         """Unknowns of a model: soil first, then the free parameters of the effects in order.
 
         A parameter with a centre is fitted in its logarithm. Any other has its neutral value for
-        the prior mean, the gain of slip-sinkage the `dig_gain` of the setup.
+        the prior mean, the gain of slip-sinkage the `dig_gain` of the setup. A prior or centre that
+        the rig sets (`scales`, `centres`) goes first; its bounds never exceed the parameter's own.
         """
         of_effects = (self._of_effect(c.effect, name) for c in choices for name in c.free)
         return (*self.soil, *of_effects)
@@ -351,7 +362,7 @@ class Problem:
         return reading(changed(out, rows, outside, self.bench), outside, rows.wheels[:, 0])
 
     def sinkage_guess(self, fit: Fit) -> np.ndarray:
-        """[N] sinkages [m] of a fit, from which a prediction starts."""
+        """[N] sinkages [m] of a fit, 0 for negative ones, from which a prediction starts."""
         return np.maximum(fit.output[:, 0], 0.0)
 
     @property
@@ -361,7 +372,9 @@ class Problem:
 
     @property
     def rms_noise(self) -> np.ndarray:
-        """[3] root mean square of `sd` over the values in use, or `noise` where none is in use."""
+        """[3] root mean square of `sd` over the values in use of each channel [m, N, N m]; `noise`
+        where none is in use.
+        """
         square = np.where(self.used, self.data.relative_sd**2, 0.0).sum(axis=0)
         count = self.used.sum(axis=0)
         return self.noise * np.sqrt(np.where(count > 0, square / np.maximum(count, 1), 1.0))
@@ -487,11 +500,11 @@ class Law:
         return differences(model, u, self.unknowns)
 
     def added(self, u: np.ndarray, output: np.ndarray) -> tuple[np.ndarray, ...]:
-        """What each effect adds [N, 3]: the `output` at u less that of the same parameters without
-        the effect; 0 where the model has no value.
+        """What each of the `choices` adds [N, 3]: the `output` at u less that of the same
+        parameters without this choice; 0 where the model has no value.
         """
         values = self.values(u)
-        rest = (self.choices[:k] + self.choices[k + 1 :] for k in range(len(self.choices)))
+        rest = (tuple(c for c in self.choices if c != left_out) for left_out in self.choices)
         return tuple(
             finite(output - self.problem.predict(values, others, self.guess.copy()))
             for others in rest

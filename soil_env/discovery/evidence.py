@@ -96,21 +96,20 @@ class Evidence:
 class SizeGrid(NamedTuple):
     """Sizes of form errors that are marginalised."""
 
-    sizes: list[Sizes]
+    sizes: list[Sizes]  # S points
     log_prior: np.ndarray  # [S]
     errors: tuple[np.ndarray, ...]  # K form errors [M, R] at the size 1, whitened
-    table: np.ndarray  # [S, K] their sizes
+    table: np.ndarray  # [S, K] size of each of the `errors` at each point
     first: int  # leading columns of `table` whose values many of its rows share
 
 
 @cache
-def grid(names: Names) -> tuple[list[Sizes], np.ndarray, np.ndarray]:
-    """(S sizes of the form errors of a model with these effects, their log prior [S], an array of
-    the same sizes [S, K]).
+def grid(names: Names) -> tuple[list[Sizes], np.ndarray]:
+    """(S sizes of the form errors of a model with these effects, their log prior [S]).
 
-    The K columns are the rig, the effects and each span of the base law. Errors of the instrument
-    follow their law nearly exactly, so that the smallest size is the only one of their form error.
-    Without effects that size is 0.
+    They are all combinations of `form_error.SIZES` of the base law, `EFFECT_SIZES` and the spans of
+    the base law. Errors of the instrument follow their law nearly exactly, so that a model with no
+    other effects has the smallest of `EFFECT_SIZES` alone. Without effects that size is 0.
     """
     effect = [*zip(EFFECT_SIZES, EFFECT_PRIOR, strict=True)]
     if {*names} <= {*INSTRUMENT}:
@@ -120,15 +119,14 @@ def grid(names: Names) -> tuple[list[Sizes], np.ndarray, np.ndarray]:
     points = [
         (Sizes(a, e, span=k, rig=1.0), p * q / len(ALL_LAW_LENGTHS)) for (a, p), (e, q), k in every
     ]
-    sizes = [s for s, _ in points]
-    table = np.array([(s.rig, s.effect, *s.law_sizes) for s in sizes])
-    return sizes, np.log([p for _, p in points]), table
+    return [s for s, _ in points], np.log([p for _, p in points])
 
 
 def plain_grid(fit: Fit) -> SizeGrid:
     """`SizeGrid` of the form errors of a fit itself, without an anonymous contribution."""
-    sizes, log_prior, table = grid(tuple(c.effect for c in fit.choices))
-    return SizeGrid(sizes, log_prior, (fit.rig, fit.effect, *fit.law), table, 2)
+    sizes, log_prior = grid(tuple(c.effect for c in fit.choices))
+    table = np.array([s.of_form_errors for s in sizes])
+    return SizeGrid(sizes, log_prior, fit.form_errors, table, 2)
 
 
 def noise_scales(freedom: float) -> np.ndarray:
@@ -230,18 +228,6 @@ def settle(
     return best
 
 
-class _Part(NamedTuple):
-    """What `_Further.under` needs for every size of the law's error over one span: results without
-    an error of the law, and that error in its eigenvectors.
-    """
-
-    log: float  # log evidence of the model alone
-    normal: np.ndarray  # [K, K] as in `_Further`
-    pull: np.ndarray  # [K] as in `_Further`
-    values: np.ndarray  # [R] eigenvalues of the normal matrix of the law's error
-    turned: np.ndarray  # [R, 1 + K] pulls of the residual and of the strengths on that error
-
-
 class _Further:
     """K strengths of the further effects `choices`, each by itself beside the fitted model `first`,
     as linear unknowns under each size of the law's error.
@@ -255,7 +241,7 @@ class _Further:
 
     def __init__(self, problem: Problem, first: Evidence, choices: list[Choice]) -> None:
         self.fit = first.fit
-        self.choices = choices
+        self.effect = first.sizes.effect
         self.unknowns = []
         columns = []
         self.owner = []
@@ -272,69 +258,39 @@ class _Further:
                 self.unknowns.append(moved)
                 self.owner.append(k)
         self.columns = side_by_side(columns, base.size)
-        self.effect = first.sizes.effect
-        # Products of the columns with themselves and with the residuals.
-        self.own_gram = self.columns.T @ self.columns
-        self.own_along = self.columns.T @ first.fit.residual
-        self.parts: dict[tuple[int, float], _Part] = {}
 
     def under(self, sizes: Sizes) -> tuple[float, np.ndarray, np.ndarray]:
         """(log evidence of the model alone, normal [K, K], pull [K]) under `sizes`.
 
         Of these count the size and span of the law's error and the scatter. Other sizes are those
-        of the model.
-        """
-        key = sizes.span, sizes.scatter
-        if key not in self.parts:
-            self.parts[key] = self._part(*key)
-        part = self.parts[key]
-        square = sizes.law**2
-        taken = square / (1.0 + square * part.values)
-        by_law = part.turned.T @ (taken[:, None] * part.turned)
-        log = part.log + 0.5 * (by_law[0, 0] - np.sum(np.log1p(square * part.values)))
-        return log, part.normal - by_law[1:, 1:], part.pull - by_law[1:, 0]
-
-    def _part(self, span: int, noise: float) -> _Part:
-        """`_Part` under the law's error of one `span`, an index of `fit.law`; `noise` is over that
-        of the table.
-
-        Unknowns and form errors of the model are eliminated by a Schur complement.
+        of the model. Its unknowns and form errors are eliminated by a Schur complement.
         """
         fit = self.fit
-        # Those of the model itself, but for the law's error, which `under` adds in any size.
-        blocks = (fit.jacobian, self.effect * fit.effect, fit.rig)
-        model = np.concatenate(blocks, axis=1) / noise
-        law = fit.law[span] / noise
-        right = np.column_stack([fit.residual / noise, self.columns / noise, law])
+        noise = sizes.scatter
+        errors = fit.columns(Sizes(sizes.law, self.effect, span=sizes.span, rig=1.0))
+        model = np.column_stack([fit.jacobian, errors]) / noise
+        right = np.column_stack([fit.residual, self.columns]) / noise
         factor = cholesky(model.T @ model + np.eye(model.shape[1]), lower=True)
         pulls = model.T @ right
         pulls[: fit.u.size, 0] -= fit.u
         half = solve_triangular(factor, pulls, lower=True)
-        count = self.columns.shape[1] + 1
-        of_law = half[:, count:]
-        half = half[:, :count]
-        square = fit.residual @ fit.residual / noise**2 + fit.u @ fit.u - half[:, 0] @ half[:, 0]
+        left = right.T @ right - half.T @ half  # [1 + K, 1 + K]: residual first, then strengths
+        square = left[0, 0] + fit.u @ fit.u
         log = -0.5 * square - log_diagonal(factor) - fit.residual.size * math.log(noise)
-        values, vectors = np.linalg.eigh(law.T @ law - of_law.T @ of_law)
-        return _Part(
-            log,
-            self.own_gram / noise**2 - half[:, 1:].T @ half[:, 1:],
-            self.own_along / noise**2 - half[:, 1:].T @ half[:, 0],
-            np.maximum(values, 0.0),
-            vectors.T @ (law.T @ right[:, :count] - of_law.T @ half),
-        )
+        return log, left[1:, 1:], left[1:, 0]
 
 
 def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[float]:
     """Log evidence of the model of `first` with each of the `choices` added by itself, to first
     order in the strengths of the added effect.
 
-    It is marginal over the sizes and spans of the base law's error.
+    It is marginal over the sizes and spans of the base law's error. The form error of the effects
+    has the most probable size of `first`, and the added effect has none.
     """
     further = _Further(problem, first, choices)
     one_sided = np.array([u.low >= u.mean for u in further.unknowns])
     of = [np.flatnonzero(np.array(further.owner) == k) for k in range(len(choices))]
-    sizes, log_prior, _ = grid(())
+    sizes, log_prior = grid(())
     log, normal, pull = map(np.array, zip(*map(further.under, sizes), strict=True))
     gains = [_gains(normal[:, k[:, None], k], pull[:, k], one_sided[k]) for k in of]
     without = (log + log_prior)[:, None]
@@ -346,7 +302,7 @@ def _gains(normal: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> np.nd
     """[S] gain of log evidence by K further unknowns with unit priors; `normal` [S, K, K] and
     `pull` [S, K] as in `_Further`.
 
-    Unknowns that are `one_sided` [K] stay at 0 where they would be negative.
+    Unknowns that are `one_sided` [K, bool] stay at 0 where they would be negative.
     """
     whole = normal + np.eye(len(one_sided))
     solved = np.linalg.solve(whole, pull[:, :, None])[:, :, 0]
@@ -363,7 +319,7 @@ class Detectable(NamedTuple):
     """The smallest strength of an effect that a table would have shown."""
 
     size: float  # in the unit of the parameter
-    parameter: str  # name of the strength
+    parameter: str  # name of the strength, without that of the effect
     form: str  # name of the form
     power: float  # probability that the strength is larger, by its prior
 
@@ -371,7 +327,8 @@ class Detectable(NamedTuple):
 def detectable(
     problem: Problem, base: Evidence, choices: list[Choice], threshold: float
 ) -> Detectable:
-    """`Detectable` of an effect, in the form among `choices` that shows most probably.
+    """`Detectable` of an effect, in the form among `choices` that shows most probably beside the
+    model `base`.
 
     Let n be the `normal` of a strength under the form errors of the base model. A strength of x
     prior standard deviations is expected to gain x^2 n/2 - ln(1 + n)/2 nats. It is seen where this
@@ -436,8 +393,8 @@ _FURTHER_LAW = (0.02, 0.1)  # sizes of the law's error, beside which a contribut
 
 
 def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
-    """Patterns of size 1 about a fit by name, each [M, R]: whitened changes of the M values in use,
-    one column for each function.
+    """Patterns of size 1 about a fit, each [M, R]: whitened changes of the M values in use, one
+    column for each function. Names are "PLACE with CONDITION" or "PLACE with slip and CONDITION".
 
     A pattern is a systematic error of a channel, or of a stress, that goes smoothly with one
     condition, or with it and the slip. Left out are patterns that a listed effect owns (`_OWNED`),
@@ -446,9 +403,10 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
     """
     at = problem.data.conditions | problem.data.elapsed
     moved = Law(problem, fit.choices, problem.sinkage_guess(fit)).stresses(fit.u, fit.output)
-    sizes = [np.broadcast_to(problem.size * unit, fit.output.shape) for unit in np.eye(3)]
     channels: dict[str, np.ndarray] = {
-        CHANNELS[j]: sizes[j] for j in range(3) if problem.used[:, j].any()
+        name: np.broadcast_to(size, fit.output.shape)
+        for name, size, used in zip(CHANNELS, np.diag(problem.size), problem.used.T, strict=True)
+        if used.any()
     }
     alone = [n for n in LENGTHS if n in at and np.ptp(at[n]) > 0.0]
     alone_with_slip = Process.over(at, of=("slip",), most=_FUNCTIONS).at_points
@@ -514,23 +472,13 @@ def anonymous_grid(
     cost = np.concatenate([c - log_sum(c) - math.log(len(costs)) for c in costs])
     sizes = [s._replace(**point) for s in likely for points in kinds for point, _ in points]
     log_prior = ((before - log_sum(before))[:, None] + cost).ravel()
-    leading = [by[name] for name, _ in first]
-    later = [dict(s.patterns[len(first) :]) for s in sizes]
-    table = np.array(
-        [
-            (
-                s.rig,
-                s.effect,
-                *s.law_sizes,
-                *(x for _, x in first),
-                *s.free,
-                *(beside_first.get(name, 0.0) for name in by),
-            )
-            for s, beside_first in zip(sizes, later, strict=True)
-        ]
-    )
-    errors = (fit.rig, fit.effect, *fit.law, *leading, *fit.free, *by.values())
-    return SizeGrid(sizes, log_prior, errors, table, 2 + len(fit.law) + len(first))
+    rows = []
+    for s in sizes:
+        later = dict(s.patterns[len(first) :])
+        patterned = [later.get(name, 0.0) for name in by]
+        rows.append((*s.of_form_errors, *(x for _, x in first), *s.free, *patterned))
+    errors = (*fit.form_errors, *(by[name] for name, _ in first), *fit.free, *by.values())
+    return SizeGrid(sizes, log_prior, errors, np.array(rows), 2 + len(fit.law) + len(first))
 
 
 def in_place_of_effects(problem: Problem, plain: Evidence) -> Evidence:
@@ -544,7 +492,7 @@ def in_place_of_effects(problem: Problem, plain: Evidence) -> Evidence:
     # One row for each size and span of the base law's error; the error of the effects is replaced.
     rows = [k for k, s in enumerate(usual.sizes) if s.effect == EFFECT_SIZES[0]]
     sizes = [usual.sizes[k]._replace(effect=x) for x in ALIKE_SIZES for k in rows]
-    table = np.array([(s.rig, s.effect, *s.law_sizes) for s in sizes])
+    table = np.array([s.of_form_errors for s in sizes])
     prior = np.tile(usual.log_prior[rows], len(ALIKE_SIZES))
     return weigh(
         problem,

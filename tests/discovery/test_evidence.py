@@ -43,7 +43,7 @@ def test_the_evidence_is_the_density_of_the_table(data, effect):
     """
     p = problem(data, np.random.default_rng(0))
     fit = p.fit(() if effect is None else (Choice(effect, 0),))
-    sizes, log_prior, _ = evidence.grid((effect,) if effect else ())
+    sizes, log_prior = evidence.grid((effect,) if effect else ())
     result = evidence.weigh(p, fit)
     logs = np.array([density(fit, s) for s in sizes]) + log_prior
     allowed = np.zeros(len(sizes))
