@@ -86,8 +86,8 @@ def overrides(arguments: list[str] | tuple[str, ...], file_option: str = "") -> 
     """['--ppo.gamma', '0.9'] or ['--ppo.gamma=0.9'] -> {'ppo': {'gamma': 0.9}}; values are read as
     YAML.
 
-    ParameterError for a key given twice and for anything else; `file_option`, if any, is the option
-    of a YAML file.
+    ParameterError for a key given twice or without a value, and for what is no key. There a YAML
+    file is answered by the option `file_option` that takes it, if there is one.
     """
     out: dict = {}
     rest = list(arguments)

@@ -30,6 +30,7 @@ READ = (
     "motor_torque",
     "acceleration",
 )
+#: Sensors that the policies of this layout do not know.
 UNREAD = frozenset(SensorReading._fields) - frozenset(READ)
 COMMON = tuple(
     e for e in layout("identified", CourseSpec(classes=3, lines=2)) if e.name not in UNREAD
@@ -78,9 +79,11 @@ class CommonScaling(Scaling):
         stall = wheel.stall_torque / (scenario.weight * wheel.radius)
         unseen = [0.0] * (len(COMMON) - len(own))
         camera = float(scenario.course.classes > 0)
+        #: Appended to each observation: 0 for entries of `COMMON` that the scenario lacks, `ADDED`.
         self.added = np.array([*unseen, camera, change, stall, wheel.radius], dtype=np.float32)
         names = [e.name for e in own]
-        # Columns, each in a list, among the entries that are read.
+        #: Columns of these four among the entries that are read, from which `__call__` makes misfit
+        #: and bands of slip; each in a list, so that it takes a column [n, 1] out of [n, d].
         self.columns = [
             [names.index(name)] for name in ("slip", "drawbar_pull", "load", "best_pull")
         ]

@@ -110,10 +110,12 @@ class Random(Controller):
 
 
 def make_driver(family: str, scenario: Scenario, seed: Sequence[int], count: int) -> Controller:
-    """A driver of a family, each of `count` courses with settings of its own that `seed` draws."""
+    """A driver of a family on `count` courses, with settings [count] in m/s and m/s2 that `seed`
+    draws for each course; "best_slip" has the same on all, "full_throttle" none.
+    """
     rng = np.random.default_rng([*seed, FAMILIES.index(family)])
     top = Controller(scenario).top_speed
-    start = rng.uniform(0.05, 0.4, count) * top
+    start = rng.uniform(0.05, 0.4, count) * top  # rim speed up to which slip does not limit it
     names = {"slip": "slip_limiter", "best_slip": "best_slip_identified"}
     settings: dict[str, Any] = {}
     if family == "constant_speed":

@@ -41,8 +41,8 @@ def replace_files(folder: str | Path, contents: Mapping[str, bytes | str]) -> No
 def _replace(contents: Mapping[Path, bytes | str]) -> None:
     """Write each file in full beside the one that it replaces, then rename all.
 
-    A symbolic link stays, and the file that it names is replaced. Where a file cannot be written
-    none is replaced; OSError has its path.
+    A symbolic link stays, and the file that it names is replaced. OSError has the path of
+    a file that cannot be written; then none is replaced.
     """
     places = {path: Path(os.path.realpath(path)) for path in contents}
     stamp = uuid.uuid4().hex[:8]  # no other process writes to the same partial file

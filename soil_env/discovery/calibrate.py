@@ -254,8 +254,8 @@ class Problem:
     def _bench(self) -> Bench:
         """Sizes of this rig, which priors of effects scale with.
 
-        The sliding speed is a mean over the rows that slip, and the mean travel speed if none does.
-        Both means are 0 if a row has no speed.
+        Speeds are geometric means: that of sliding over the rows that slip, or that of travel if
+        none does. Both are 0 if a row has no speed.
         """
         rows = self.data.rows
         r = self.data.wheel.radius

@@ -47,7 +47,8 @@ def _basis(
 ) -> np.ndarray:
     """[N, 2 or 3] functions that the `Curve.amplitudes` multiply.
 
-    `x` [N]: ln(W/W0); `scale`: k; `powers`: p, q, m; `braked`: braked rows have a b of their own.
+    `x` [N]: ln(W/W0); `scale`: k; `powers`: p, q, m. That of the slip is odd, so negative on braked
+    rows; `braked`: these have a b of their own.
     """
     grown = -np.expm1(-np.abs(slip) / (scale * np.exp(powers[2] * x)))
     side = np.exp(powers[1] * x) * grown

@@ -354,15 +354,17 @@ def fit_prediction(
 
     Unknowns and remainder are found in turn. If not `smooth`, there is no remainder and the fit is
     under the noise alone. `near` is a fit to a table with more values in use. The fit then has the
-    effects of `near`, starts from its unknowns, and keeps what it learnt of the remainder.
+    effects of `near`, starts from its unknowns, and keeps what it learnt of the remainder; other
+    arguments do not count.
     """
     if near is not None:
         law = law_of(problem, near.law.choices)
+        # Derivatives at the start are those of `near`, in the values that are still in use.
         law.derivatives.know(near.u, near.jacobian[problem.used[near.problem.used]])
         return _fitted(law, near.u, near.learnt)
     law = law_of(problem, effects_to_fit(problem) if choices is None else choices)
     low, high = law.bounds
-    # Off the bounds: a start on a bound would stay there.
+    # From the prior mean, 0, but off the bounds: a start on a bound would stay there.
     u = np.clip(np.zeros(low.size), low + OFF_BOUND, high - OFF_BOUND)
     u = np.where(high - low < 2.0 * OFF_BOUND, 0.5 * (low + high), u)
     if not smooth:

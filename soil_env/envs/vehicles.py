@@ -15,7 +15,7 @@ from soil_env.parameters.readings import AHEAD, COMPLETE, IDLE, RESTART, STEP, T
 
 TRIAL_COURSES = 8  # drawn before a scenario is accepted
 CHUNKS = 4  # of the vehicles, for each thread: a thread that is done early takes another chunk
-# attributes of `Vehicles` that are views of arrays, which a copy has to make anew
+# attributes of `Vehicles` that are views of arrays, which a copy has to make anew; `_view` does so
 VIEWS = ("_x", "_ready", "_sampled", "worlds", "_order")
 LEAST = 32  # vehicles in a chunk, at least, so that handing it to a thread pays; own choice
 

@@ -50,10 +50,11 @@ def report_of(
     The files are `ALWAYS` and the tables and setups of steady points. Nothing is written;
     `recording` and `folder`, where the files will be, are named in the texts.
     """
-    parts = grounds(found, steady)
+    parts = grounds(found, steady)  # between borders to another soil
     length = log.time[-1] - log.time[0]
     contradicts, first = contradiction(found)  # a sentence, and whether it comes first
     said = [contradicts] if contradicts else []
+    # What the texts and log.json share.
     values: dict[str, Any] = {
         "recording": recording,
         "doubts": log.doubts + (said if first else []),
@@ -61,7 +62,7 @@ def report_of(
         "findings": findings(found, log) + ([] if first else said),
         "warnings": found.warnings,
     }
-    facts = values | {
+    facts = values | {  # for log.json
         "start": log.start,
         "steps": len(log),
         "period": log.period,
@@ -81,7 +82,7 @@ def report_of(
         ],
         "noise": steady.noise,
     }
-    values |= {
+    values |= {  # sentences and tables for the texts
         "summary": (
             f"From {_date(log.start)}, {length:.1f} s, "
             f"{plural(len(log), 'step')} of {log.period:g} s."
@@ -99,7 +100,7 @@ def report_of(
     )
     body = render(
         "soil_env.logs:report.html",
-        commands=commands(parts),
+        commands=commands(parts),  # to run next, in the folder of the page
         readings=html_image(readings, shaded),
         estimates=html_image(estimates, grey),
         **values,
@@ -111,6 +112,7 @@ def report_of(
         "estimates.png": estimates,
         "readings.png": readings,
     }
+    # a table and its setup for each ground with enough steady points
     written |= files(parts, steady, log_map, found.prior)
     text = render(
         "soil_env.logs:report.txt",

@@ -19,6 +19,7 @@ from soil_env_agents import cells
 from soil_env_agents.agent import load_agent
 from soil_env_agents.controllers import CONTROLLERS, make_controller
 from soil_env_agents.controllers.rover import ROVER_CONTROLLERS
+from soil_env_agents.evaluate.contestants import SHIPPED_CLASS
 from soil_env_agents.evaluate.driving import run_courses
 from soil_env_agents.evaluate.models import load_model
 from soil_env_agents.study import work
@@ -96,6 +97,11 @@ def test_a_module_that_only_a_file_names_is_not_imported(capsys, tmp_path, copie
     named = ["--arms.mine.controller", "a_module_of_others:Thing"]
     assert soil_env(["study", "--config", str(path), "--out", str(out), *named]) == 2
     assert "cannot be imported" in capsys.readouterr().err  # the command line may name it
+
+
+def test_the_shipped_policy_may_stand_among_the_controllers(tmp_path):
+    study = read_config(config(tmp_path, controllers=["soft_start", "default_policy"]))
+    assert study.arms["default_policy"].controller == SHIPPED_CLASS
 
 
 def test_every_arm_is_compared_on_every_scenario(finished):

@@ -132,13 +132,15 @@ def command(
         if keys or any(source(name) is not ParameterSource.DEFAULT for name in given):
             raise ParameterError(f"--resume takes only the engine; {resume} has the rest")
         folder = resume
-        check = None if allow_code else contestants.refuse_code
+        check = None if allow_code else contestants.refuse_code  # modules that would be imported
         asked = cells.load_study(Evaluation, resume, check)
         if not allow_code:
-            _refuse_foreign(asked, resume / cells.STUDY)
+            _refuse_foreign(asked, resume / cells.STUDY)  # models that would be unpickled
     evaluation.check_controllers(asked)
     code = ["--allow-code"] if contestants.code_in(to_dict(asked)) else []
-    with begun_in(folder, is_unused(folder), not folder.exists()), alone(folder):
+    unused = is_unused(folder)
+    with begun_in(folder, new=unused, made=not folder.exists()), alone(folder):
+        # What tuning wrote into the study that the folder holds may differ; all else is refused.
         if resume is None and cells.is_begun(asked, folder, ignored=("tuned", "codes")):
             asked = cells.load_study(Evaluation, folder)
         with continued_by(again("evaluate", "--resume", folder, *code), folder):

@@ -181,7 +181,9 @@ def _file_of(path: Path) -> Path:
 
 
 def _default_name(kind: str, source: str) -> str:
-    """Name of an entry without NAME=: that of the controller, or of a model's folder or file."""
+    """Name of an entry without NAME=: that of the controller or shipped policy, the stem of a
+    model's file, or the folder of a file that a training or export named.
+    """
     if kind != "model":
         return SHIPPED[0] if source == SHIPPED_CLASS else source
     path = Path(source)

@@ -180,7 +180,9 @@ def _warn(line: str) -> None:
 
 
 def _variant(model, path: Path, course: CourseSpec) -> tuple[str, Scaling]:
-    """(Variant, scaling) of the observation whose space is that of a model of SB3."""
+    """(Variant, scaling) of the observation whose space is that of a model of SB3; ParameterError
+    if there is none.
+    """
     for variant in VARIANTS:
         for scaled in (True, False):
             scaling = Scaling(layout(variant, course), scaled)

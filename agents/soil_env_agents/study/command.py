@@ -89,7 +89,7 @@ def command(
             from .. import training  # noqa: F401
     if not report:
         code = ["--allow-code"] if code_in(to_dict(asked)) else []
-        with begun_in(out, is_unused(out), not out.exists()), alone(out):
+        with begun_in(out, new=is_unused(out), made=not out.exists()), alone(out):
             work.begin(asked, out)
             with continued_by(again("study", "--out", out, *code), out):
                 work.fill(asked, out, chosen, elsewhere=engine == "ray")

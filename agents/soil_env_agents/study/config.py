@@ -210,7 +210,12 @@ def _seed_of(cell: Cell) -> int:
 
 
 def read_config(path: Path, changes: dict | None = None) -> Study:
-    """The study of a YAML file with `changes` merged over it."""
+    """The study of a YAML file with the mapping `changes` merged over it.
+
+    The file's own key `changes` counts for every scenario, `train` for every arm that is trained.
+    Each of `controllers`, all classical ones if left out, is an arm of its own name. A name of the
+    shipped policy stands for its class, and a world's `model` for the content of that file.
+    """
     content = merge(config_mapping(path), changes or {})
     for key in content:
         if key not in KEYS:
@@ -226,14 +231,13 @@ def read_config(path: Path, changes: dict | None = None) -> Study:
     if not isinstance(chosen, list) or not all(isinstance(name, str) for name in chosen):
         raise ParameterError(f"{path}: controllers = {chosen!r:.60}: expected a list of names")
     shared = content.pop("train", None) or {}
-    arms = {name: {"controller": name} for name in chosen}
-    for name, arm in (content.get("arms") or {}).items():
+    arms = {name: {"controller": name} for name in chosen} | (content.get("arms") or {})
+    for name, arm in arms.items():
         if isinstance(arm, dict) and "controller" not in arm:
             own = arm.get("train") or {}
-            arm = {**arm, "train": merge(shared, own) if isinstance(own, dict) else own}
+            arms[name] = {**arm, "train": merge(shared, own) if isinstance(own, dict) else own}
         elif isinstance(arm, dict) and arm["controller"] in SHIPPED:
-            arm = {**arm, "controller": SHIPPED_CLASS}
-        arms[name] = arm
+            arms[name] = {**arm, "controller": SHIPPED_CLASS}
     worlds = {name: entry or {} for name, entry in (content.get("worlds") or {}).items()}
     for name, entry in worlds.items():
         if isinstance(entry, dict) and isinstance(entry.get("model"), str):

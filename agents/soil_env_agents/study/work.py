@@ -26,6 +26,9 @@ from .config import Cell, Study
 def begin(study: Study, folder: Path) -> None:
     """Write study.yaml; ParameterError where the folder holds another study, other files, or agents
     that other code has trained.
+
+    Seeds, baseline and resamples of the study that it holds may be others: cells that are there
+    stay good.
     """
     if cells.is_begun(study, folder, ignored=("seeds", "baseline", "resamples")):
         path = folder / cells.STUDY

@@ -92,12 +92,12 @@ def keep_knowledge(pool, memory, setting, work):
 
 @compiled
 def hand_over_border(front, memory, behind, setting, work):
-    """Begin the next border of a wheel that runs `behind` [m] behind the front one, at the place
-    where that one found it: half a border length before its middle.
+    """Begin the next border of a wheel that runs `behind` [m] behind the front one, with its middle
+    where that one has it, once this wheel is half a border's length [m] before that place.
 
     `front`: `POOL` of the front wheel; `memory`: of this one. Nothing begins on a border, or if the
-    front wheel has not found the next one or has dropped it. A border whose soil it has forgotten
-    for later ones is passed over.
+    front wheel has not found the next one or has dropped it as a false alarm. A border whose soil
+    it has forgotten for later ones is passed over.
     """
     number = memory.borders + 1
     while front.borders[number % SOILS] > number:
@@ -105,9 +105,9 @@ def hand_over_border(front, memory, behind, setting, work):
     s = number % SOILS
     if front.borders[s] != number or memory.crossing > 0.0:
         return
-    place = front.border_places[s] + behind
+    place = front.border_places[s] + behind  # the odometry of each wheel begins at its own start
     if memory.place > place - 0.5 * setting.border:
-        memory.borders = number - 1
+        memory.borders = number - 1  # `begin_border` adds 1
         begin_border(memory, setting, work, place, (PLACE_SD * setting.border) ** 2)
 
 

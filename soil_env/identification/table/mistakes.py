@@ -804,7 +804,8 @@ def _outliers(data: Data, noise: NoiseEstimate) -> tuple[list[str], list[str]]:
     """(sentences on the outliers, those of them that are to be checked first).
 
     An outlier leaves the smooth surface through the other values. It is to be checked first if it
-    is further from every other value than their range (`LONE`).
+    is further from every other value than their range (`LONE`), of which there must be
+    `FEWEST_ROWS`.
     """
     cells = []
     gross = []
@@ -857,7 +858,7 @@ def _channels_doubted(data: Data) -> list[str]:
     newtons (`WEAK`).
 
     Judged are `FEWEST_VALUES` or more over a range of slip of `LEAST_SPAN`. A pull of 0 throughout
-    is no doubt where the wheel may climb by itself: on grades, or with a vertical load.
+    is no doubt where the wheel may climb by itself: where grades vary, or with a vertical load.
     """
     out = []
     # A wheel that climbs freely pulls nothing.

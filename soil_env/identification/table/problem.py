@@ -516,7 +516,7 @@ class TableProblem:
             return
         errors, left = self.errors(u)
         variances = self.variances
-        for j in np.flatnonzero(self.estimated):
+        for j in np.flatnonzero(self.estimated):  # never slip and load, the first two
             rows = self.measured[:, j - 2]
             self.freedom[j] = max(float(np.sum(left[rows, j] / variances[rows, j])), LEAST_FREEDOM)
             # No row has an sd of its own where noise is estimated: one noise for all rows.

@@ -177,8 +177,10 @@ def capacity(load, soil, numbers, nodes):
 
 @compiled
 def draw_ground(owner, load, numbers, nodes):
-    """Draw soils until one leaves this wheel `least_pull` on level ground under a `load` [N]:
-    (True if found, the last `SoilState`).
+    """Draw soils until one leaves this wheel `least_pull` [of load] on level ground under a `load`
+    [N]: (True if found, the last `SoilState`).
+
+    `owner`: the record whose random stream draws; `numbers`: `CourseNumbers`; `nodes`: scratch.
 
     Not found: none of `REDRAWS` soils does. With a least pull of -1 the last one is then taken all
     the same, even if the wheel would be bogged at its best pull. Slopes do not count, since they

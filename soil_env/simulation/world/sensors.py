@@ -123,6 +123,9 @@ def sense(wheel, reading, normals, sensors, errors, radius):
     """Fill the record `reading` (`READING`) with readings of a wheel of `radius` [m]: the truth,
     then gain, zero and white noise as `Noise` says.
 
+    The sinkage is changed as `errors` say, and has that of a residual law, which the wheel does not
+    feel (`unfelt`).
+
     Its slip gets the white noise only, and `read_slip` completes it. `sensors`: `SENSOR_NOISE`,
     `errors`: `SensorErrors`; `normals` is scratch.
     """

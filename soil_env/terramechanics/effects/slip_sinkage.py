@@ -72,7 +72,7 @@ def digging(soil, fx):
 @compiled
 def excavated_depth(slip, fx):
     """Depth [m] that a slipping wheel excavates whatever its load: l |i| / (1 - |i|), the law of
-    Reece with a length l. |i| counts as at most `MOST_SLIP`.
+    Reece with a length l. |i| counts as at most `MOST_SLIP`; without effects (`fx` None) it is 0.
     """
     if fx is None:
         return 0.0
