@@ -32,7 +32,7 @@ DOCS_READY := $(VENV)/.installed-docs
 KERNELS_READY := $(VENV)/.compiled
 
 .DEFAULT_GOAL := help
-.PHONY: help train test checks lint types format environment kernels docs serve dist results clean
+.PHONY: help train test checks lint types format oldest environment kernels docs serve dist results clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST))
@@ -63,6 +63,16 @@ format: $(TEST_READY)  ## let ruff format the code and repair what it can
 # Pyright is a program of Node; it does not follow an editable install, hence PYTHONPATH.
 types: $(TEST_READY)  ## whether every public name of soil_env has a complete type; needs npx
 	PATH="$(CURDIR)/$(BIN):$$PATH" PYTHONPATH="$(CURDIR)" npx --yes pyright@1.1.414 --ignoreexternal --verifytypes soil_env
+
+# Without torch, so without the agents; an environment of its own.
+OLDEST := .venv-oldest
+oldest:  ## the quick tests of soil_env with the oldest versions that pyproject.toml allows
+	$(PYTHON) -m venv $(OLDEST)
+	$(OLDEST)/bin/python -m pip install -q uv
+	$(OLDEST)/bin/uv pip install -q --python $(OLDEST) --resolution lowest-direct -e ".[logs,test,tune]"
+	$(OLDEST)/bin/python -m soil_env.cli warmup
+	$(OLDEST)/bin/python -m pytest -q -n $(JOBS) --dist worksteal -m "not documents and not benchmarks and not slow" \
+		--ignore=tests/agents --ignore=tests/benchmarks --ignore=tests/project $(ARGS)
 
 environment: $(TEST_READY)  ## only .venv with the pinned versions, for tests one by one
 
@@ -102,7 +112,7 @@ results: $(TEST_READY)  ## make the tables of docs/results anew, in hours; QUICK
 	$(if $(QUICK),$(PY) -m pytest -q tests/project/test_results.py)
 
 clean:  ## remove .venv, build products and caches; runs/ stays
-	rm -rf $(VENV) build dist site *.egg-info .pytest_cache .ruff_cache .mypy_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(OLDEST) build dist site *.egg-info .pytest_cache .ruff_cache .mypy_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(PY):

@@ -1,10 +1,10 @@
 """Functions that Python calls, compiled once and kept on disk by numba's own cache.
 
 Numba notices an edit of a function's own file, not of the files of the functions that it calls. So
-each version of the sources has a folder of its own, named by their hash, with a folder for each
-function. A lock file lets one process compile while others wait for its result. Checksums beside
-the files tell a damaged file, which is dropped and compiled anew. Where nothing can be written,
-every process compiles for itself.
+each version of the sources has a folder of its own, named by the hash of them and numba's version,
+with a folder for each function. A lock file lets one process compile while others wait for its
+result. Checksums beside the files tell a damaged file, which is dropped and compiled anew. Where
+nothing can be written, every process compiles for itself.
 """
 
 import hashlib
@@ -22,6 +22,7 @@ from tempfile import TemporaryFile
 from types import ModuleType
 from typing import Any
 
+import numba
 import numpy as np
 from filelock import FileLock, Timeout
 from numba import config, njit
@@ -68,11 +69,15 @@ def folder() -> Path | None:
 
 
 def _hash_of_sources() -> str:
-    """First 16 hexadecimal digits of the SHA-256 of all files of `SOURCES`."""
+    """First 16 hexadecimal digits of the SHA-256 of numba's version and all files of `SOURCES`.
+
+    Without the version, environments with two of them would drop each other's code again and again.
+    """
     files = [PACKAGE / name for name in SOURCES if name.endswith(".py")]
     for name in SOURCES:
         files += (PACKAGE / name).rglob("*.py")
-    return hashlib.sha256(b"".join(f.read_bytes() for f in sorted(files))).hexdigest()[:16]
+    content = (numba.__version__.encode(), *(f.read_bytes() for f in sorted(files)))
+    return hashlib.sha256(b"".join(content)).hexdigest()[:16]
 
 
 class Kept:

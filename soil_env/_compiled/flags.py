@@ -54,7 +54,9 @@ def record(*numbers: str, **others: tuple[Any, ...]) -> np.dtype[Any]:
     `array[k].name` reads a field in Python as in compiled code, `array["name"]` the field of all
     records. Fields are of eight bytes, or of two of four, so that all are aligned.
     """
-    fields = [(name, "f8") for name in numbers] + [(name, *kind) for name, kind in others.items()]
+    fields: list[tuple[Any, ...]] = [(name, "f8") for name in numbers]
+    # A shape 1 becomes (1,), since NumPy before 2.0 takes (type, 1) for the type alone.
+    fields += [(n, kind, np.broadcast_shapes(*shape)) for n, (kind, *shape) in others.items()]
     return np.dtype((np.record, fields))
 
 

@@ -6,6 +6,7 @@ from importlib import import_module
 import numpy as np
 
 import soil_env
+from soil_env._compiled.flags import record
 from soil_env.simulation.world.terrain import course_dtype
 
 PARTS = tuple(
@@ -30,6 +31,12 @@ def test_no_field_is_an_attribute_of_records():
     for name, fields in records().items():
         for field, _, _ in fields:
             assert not hasattr(np.record, field), (name, field)
+
+
+def test_a_field_with_a_shape_is_an_array():
+    """NumPy before 2.0 would take the shape 1 for none; `make oldest` runs this with one."""
+    dtype = record("a", one=("i8", 1), three=("f8", 3), table=("f8", (2, 1)), bare=("i8",))
+    assert [dtype.fields[n][0].shape for n in dtype.names] == [(), (1,), (3,), (2, 1), ()]
 
 
 def test_fields_are_aligned():
