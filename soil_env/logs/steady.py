@@ -371,9 +371,9 @@ def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
     """Sentences on the grounds, the steady points, and what may be fitted together."""
     out = [
         f"Grounds found: {len(grounds)}. The identifier saw {plural(found.borders, 'border')} and "
-        f"{plural(found.restarts, 'gap')}. A border counts where the soils on its two sides differ "
-        f"with a probability above {DIFFERS:g}. Soils that are alike, or driven on too briefly, "
-        "count as one ground.",
+        f"started anew after {plural(found.restarts, 'gap')}. A border counts where the soils on "
+        f"its two sides differ with a probability above {DIFFERS:g}. Soils that are alike, or "
+        "driven on too briefly, count as one ground.",
     ]
     if steady.reason:
         return [*out, f"No measurement table: {steady.reason}."]

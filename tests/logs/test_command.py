@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -143,6 +144,18 @@ def test_a_gap_starts_the_identifier_anew(log_map):
         again.values["shear_modulus"][-1], rel=1e-9
     )
     assert two.values["shear_modulus"][-1] != one.values["shear_modulus"][-1]
+
+
+def test_a_gap_that_the_map_allows_warns_of_nothing(log_map):
+    """Nor does the shortest period, of which whole numbers are rounded."""
+    allowed = dataclasses.replace(log_map, restart_gap=60.0)
+    log = made(allowed, VARIED)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        late = Aligned(0, log.time + 15.0 * (log.time > 3.95), log.readings, {}, log.period)
+        assert replay(late, allowed).restarts == 0
+        fine = made(log_map, [(0.2, 0.1)], period=1e-3)
+        replay(fine, dataclasses.replace(log_map, period=1e-3))
 
 
 def test_readings_of_a_lifted_wheel_are_replayed(log_map):
