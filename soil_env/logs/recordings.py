@@ -362,9 +362,9 @@ def _note_delays(notes: Notes, mean: dict[str, float]) -> None:
 
     `mean`: mean time [s] of the recording behind the stamps by topic, 0 of one without stamps.
     """
-    middle = float(np.median([*mean.values()]))
-    topic = max(mean, key=lambda t: (abs(mean[t] - middle), abs(mean[t])), default="")
-    if topic and max(mean.values()) - min(mean.values()) > _DELAY:
+    if mean and max(mean.values()) - min(mean.values()) > _DELAY:
+        middle = float(np.median([*mean.values()]))
+        topic = max(mean, key=lambda t: (abs(mean[t] - middle), abs(mean[t])))
         others = ", ".join(f"{t} {mean[t]:.3g} s" for t in sorted(mean) if t != topic)
         notes.add(
             f"The time stamps of {topic} are {mean[topic]:.3g} s behind the clock of the "
