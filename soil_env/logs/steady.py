@@ -315,11 +315,11 @@ def setup_text(
             "{shear_modulus_relative_sd:.0%}, S {sinkage_coefficient:.3g} +- "
             "{sinkage_coefficient_relative_sd:.0%}\n"
         ).format(**estimate)
-        if "dig_gain" not in log_map.soil:
-            text += (
-                "# dig_gain: as identified online; take it out to let soil-env discover look for "
-                "slip-sinkage\n"
-            )
+    if "dig_gain" not in log_map.soil:
+        origin = "as identified online" if estimate else "that of the belief, as if it were known"
+        text += (
+            f"# dig_gain: {origin}; take it out to let soil-env discover look for slip-sinkage\n"
+        )
     content = {
         "wheel": {"radius": log_map.wheel.radius, "width": log_map.wheel.width},
         "soil": _priors(log_map, prior, estimate) | log_map.soil,

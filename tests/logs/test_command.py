@@ -269,6 +269,8 @@ def test_the_setup_of_a_log_has_the_belief_as_priors(without_digging, tmp_path):
     # Where an estimate was current.
     gain = (found.surest_on(1) or {"dig_gain": b.dig_gain})["dig_gain"]
     assert read.soil.dig_gain.value == pytest.approx(gain, rel=1e-3)
+    without = setup_text(log_map, steady, found.prior, None)
+    assert "# dig_gain: that of the belief, as if it were known" in without
 
 
 def test_points_of_two_soils_are_not_one_table(without_digging, tmp_path):
