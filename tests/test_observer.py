@@ -91,6 +91,8 @@ def test_a_copy_and_a_pickle_go_on_as_the_observer():
     copies = copy.deepcopy(observer), pickle.loads(pickle.dumps(observer))
     after = later(observer)
     assert all(later(other) == after for other in copies) and after[1] != before
+    observer.reset()  # nothing is left of the drive before
+    assert np.isnan([*observer.probabilities().values()]).all()
 
 
 def test_a_missing_reading_is_held_and_counted():

@@ -124,6 +124,7 @@ class Observer:
         self._reader.reset()
         self._worlds.state[:] = np.zeros((), self._worlds.state.dtype)
         self._worlds.samples[:] = np.zeros((), SAMPLE)
+        self._board.memory[:] = np.zeros((), self._board.memory.dtype)
         self._last = SensorReading(*(0.0,) * len(SensorReading._fields))
         self._read: set[str] = set()  # names of readings that there have been
         self._image: Image | None = None
@@ -170,7 +171,7 @@ class Observer:
 
     def probabilities(self) -> dict[str, float]:
         """Probability that the wheel stops for good within 3 s and within 5 s of driving, as in
-        `info["traversability"]`.
+        `info["traversability"]`; NaN before the first readings.
         """
         views = self._board.views()  # made anew: those of a copy or a pickle would not change
         ids = views["ids"]

@@ -234,6 +234,17 @@ def test_a_map_that_cannot_be_right_is_refused(tmp_path, changes, named):
     assert all(name in said for name in ("map.yaml", *named)) and "\n" not in said, said
 
 
+def test_a_name_in_brackets_may_have_dots(tmp_path):
+    """As the joints of some robot descriptions."""
+    joints = {"name": ["left.rear", "left.front"], "velocity": [9.0, 2.0]}
+    rows = [("/joints", k * NS // 10, joints | {"twist": {"x": 0.2}}) for k in range(1, 20)]
+    bag = write_mcap(tmp_path / "a.mcap", rows)
+    wheel = {"topic": "/joints", "field": "velocity[left.front]"}
+    speed = {"topic": "/joints", "field": "twist.x"}
+    found = read(bag, {"wheel_speed": wheel, "speed": speed, "sinkage": None, "torque": None})
+    assert np.all(found.readings["wheel_speed"] == 2.0) and np.all(found.readings["speed"] == 0.2)
+
+
 DAMAGED = [  # bytes of a message, None where it has content of another kind
     b"",
     b"{",
