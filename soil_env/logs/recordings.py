@@ -174,8 +174,8 @@ class _Reader:
             else:
                 order.add(time, row)
                 filled = here
-            for (column, names), value in zip(columns.items(), values, strict=True):
-                if column in here:
+            for names, value in zip(columns.values(), values, strict=True):
+                if value is not None:
                     for name in names:
                         self._add(name, len(order) - 1, value)
         times = np.frombuffer(order.times, np.int64)
