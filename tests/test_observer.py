@@ -1,6 +1,8 @@
 """Observations from readings: those of the environment along a drive, in every number."""
 
+import copy
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -71,6 +73,26 @@ def test_readings_give_the_observation_of_the_environment(name, variant, action,
             if rig.over:
                 break
     assert observer.held == {}
+
+
+def test_a_copy_and_a_pickle_go_on_as_the_observer():
+    observer = Observer(load_scenario("mixed"))
+    reading = Readings(wheel_speed=2.0, speed=0.2, sinkage=0.02, torque=6.0, load=150.0)
+
+    def later(one):
+        """Observation and probabilities after two seconds of a wheel that gets stuck."""
+        for k in range(20):
+            seen = one.observe(reading._replace(speed=0.2 - 0.01 * k, sinkage=0.02 + 0.003 * k))
+        return seen.tolist(), one.probabilities()
+
+    for _ in range(5):
+        observer.observe(reading)
+    before = observer.probabilities()
+    copies = copy.deepcopy(observer), pickle.loads(pickle.dumps(observer))
+    after = later(observer)
+    assert all(later(other) == after for other in copies) and after[1] != before
+    observer.reset()  # nothing is left of the drive before
+    assert np.isnan([*observer.probabilities().values()]).all()
 
 
 def test_a_missing_reading_is_held_and_counted():

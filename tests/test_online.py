@@ -2,6 +2,7 @@
 missing.
 """
 
+import copy
 import dataclasses
 import math
 import pickle
@@ -315,6 +316,11 @@ def test_time_stamps_count_as_time():
             UserWarning, match=f"time = .* {dt:g} s after .*: expected 0.001 to 10 s"
         ):
             identifier.update(STEADY._replace(time=identifier._time + dt))
+    with warnings.catch_warnings():  # times of the shortest step, rounded as those since 1970 are
+        warnings.simplefilter("error")
+        identifier.reset()
+        for k in range(50):
+            identifier.update(STEADY._replace(time=1.77e9 + 1e-3 * k))
 
 
 def test_reset_and_copy():
@@ -322,8 +328,14 @@ def test_reset_and_copy():
     fresh = identifier.estimate
     for _ in range(7):
         identifier.update(STEADY)
-    copy = pickle.loads(pickle.dumps(identifier))
-    assert [copy.update(STEADY) for _ in range(5)] == [identifier.update(STEADY) for _ in range(5)]
+    copies = [
+        pickle.loads(pickle.dumps(identifier)),
+        copy.copy(identifier),
+        copy.deepcopy(identifier),
+    ]
+    after = [identifier.update(STEADY) for _ in range(5)]
+    for other in copies:
+        assert [other.update(STEADY) for _ in range(5)] == after
     identifier.reset()
     assert identifier.estimate == fresh and fresh.friction_angle_deg == pytest.approx(35.0)
     assert identifier.soil().dig_recovery == identifier.scenario.belief.dig_recovery

@@ -290,6 +290,17 @@ def test_a_file_changes_the_scenario_that_its_base_names(tmp_path):
         assert re.search(said, refused(partial(load_scenario, given)))
 
 
+def test_none_is_a_number_only_where_it_has_a_meaning():
+    """As in a file, where None is refused by the type."""
+    scenario = load_scenario("mixed")
+    parts = (scenario.wheel, scenario.belief, scenario.noise, scenario.control, scenario.course)
+    for owner in (scenario, *parts, Soil(**SOIL_S)):
+        for f in (f for f in dataclasses.fields(owner) if "unit" in f.metadata):
+            if "None" not in str(f.type):
+                said = refused(partial(dataclasses.replace, owner, **{f.name: None}))
+                assert f"{f.name} = None: expected a" in said
+
+
 def test_numbers_are_floats_wherever_floats_are_meant():
     """Compiled code is compiled anew for whole numbers."""
     scenario = load_scenario("mixed", {"course": {"length": np.float32(12), "grade_deg": [-4, 4]}})

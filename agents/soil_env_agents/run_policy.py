@@ -3,7 +3,8 @@
     python run_policy.py            drives the recorded steps of course.npz and compares with the
                                     agent; time a step
     python run_policy.py --serve    a line of numbers (an observation) on stdin -> a line (the
-                                    action) on stdout; after an empty line a new course begins
+                                    action) on stdout; after an empty line a new course begins;
+                                    a line of anything else ends it with status 2
 
 The order, units and bounds of the numbers are in policy.yaml.
 """
@@ -30,6 +31,7 @@ class Policy:
             str(path), options, providers=["CPUExecutionProvider"]
         )
         own = {x.name: x for x in self.session.get_inputs()}
+        self.size = own["observation"].shape[1]
         # Numbers kept from step to step.
         self.kept = own["history"].shape[1] if "history" in own else 0
 
@@ -38,7 +40,10 @@ class Policy:
         last memory.
 
         `new_course` [n] bool: rows where a course begins; all of them where there is no memory.
+        ValueError for rows of another length and numbers that are not finite.
         """
+        if observation.shape[1:] != (self.size,) or not np.isfinite(observation).all():
+            raise ValueError(f"expected {self.size} finite numbers, those of policy.yaml")
         count = len(observation)
         feeds = {"observation": observation}
         if self.kept:
@@ -53,14 +58,18 @@ class Policy:
 
 
 def serve(policy):
-    """Answer each line of stdin with a line on stdout."""
+    """Answer each line of stdin with a line on stdout; end with status 2 at a wrong one."""
     memory = None
-    for line in sys.stdin:
-        if line.strip():
-            action, memory = policy.act(np.array([line.split()], dtype=np.float32), memory)
-            print(*action[0], flush=True)
-        else:
+    for k, line in enumerate(sys.stdin, 1):
+        if not line.strip():
             memory = None
+            continue
+        try:
+            action, memory = policy.act(np.array([line.split()], dtype=np.float32), memory)
+        except ValueError as error:
+            print(f"run_policy.py: error: line {k}: {error}", file=sys.stderr)
+            sys.exit(2)
+        print(*action[0], flush=True)
 
 
 def compared(policy, course):

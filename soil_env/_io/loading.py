@@ -97,8 +97,8 @@ class Checked:
     """Base of the parameter classes: every `quantity` and every `Literal` is checked on
     construction, `FieldError` for a wrong one.
 
-    A `quantity` is finite and in its range, or None. Whole numbers in a field of floats become
-    floats: compiled code would be compiled anew for them.
+    A `quantity` is finite and in its range, or None where its type has None. Whole numbers in a
+    field of floats become floats: compiled code would be compiled anew for them.
     """
 
     def __post_init__(self) -> None:
@@ -109,11 +109,11 @@ class Checked:
             value = getattr(self, f.name)
             if typing.get_origin(hint) is typing.Literal and value not in items:
                 raise FieldError(self, f.name, str(unknown_value(value, items)))
-            if "unit" in f.metadata:
+            if "unit" in f.metadata and not (value is None and type(None) in items):
                 if typing.get_origin(hint) is tuple and not isinstance(value, tuple):
                     raise FieldError(self, f.name, f" = {_said(value)}: expected a tuple")
                 _check_quantity(self, f, value)
-                if value is not None and float in (hint, *items):
+                if float in (hint, *items):
                     plain = tuple(map(float, value)) if isinstance(value, tuple) else float(value)
                     object.__setattr__(self, f.name, plain)
         self._check_together()
@@ -125,14 +125,14 @@ class Checked:
 
 
 def _check_quantity(owner: Checked, f: dataclasses.Field, value: typing.Any) -> None:
-    """Raise `FieldError` unless the value of a `quantity`, or each of a tuple, is None or a finite
-    number in its range, and a pair does not fall.
+    """Raise `FieldError` unless the value of a `quantity`, or each of a tuple, is a finite number
+    in its range, and a pair does not fall.
     """
     low = f.metadata["low"]
     high = f.metadata["high"]
     for x in map(_of_python, value if isinstance(value, tuple) else (value,)):
         is_number = isinstance(x, (int, float)) and not isinstance(x, bool)
-        if x is not None and not (is_number and low <= x <= high and math.isfinite(x)):
+        if not (is_number and low <= x <= high and math.isfinite(x)):
             limits = f"[{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
             means = f" ({doc})" if (doc := f.metadata["doc"]) else ""
             raise FieldError(

@@ -114,7 +114,6 @@ class Observer:
         self._worlds = new_wheel_worlds(1, scenario, numbers, (1, 1))
         shown = Shown(variant == "identified", len(layout("blind")), *numbers.bounds)
         self._board = OnBoard(1, scenario, shown, True)
-        self._views = self._board.views()
         self._warning = ImmobilisationWarning(scenario)
         # [m/s2] rate of a commanded rim speed
         self._change = float(self._setting["rig"]["rim_step"][0, 0]) / scenario.control.period
@@ -125,6 +124,7 @@ class Observer:
         self._reader.reset()
         self._worlds.state[:] = np.zeros((), self._worlds.state.dtype)
         self._worlds.samples[:] = np.zeros((), SAMPLE)
+        self._board.memory[:] = np.zeros((), self._board.memory.dtype)
         self._last = SensorReading(*(0.0,) * len(SensorReading._fields))
         self._read: set[str] = set()  # names of readings that there have been
         self._image: Image | None = None
@@ -171,11 +171,11 @@ class Observer:
 
     def probabilities(self) -> dict[str, float]:
         """Probability that the wheel stops for good within 3 s and within 5 s of driving, as in
-        `info["traversability"]`.
+        `info["traversability"]`; NaN before the first readings.
         """
-        recent = self._views["recent"]
-        ids = self._views["ids"]
-        found = self._warning.assess(np.zeros(1, np.int64), recent, ids.estimate, ids.sd)
+        views = self._board.views()  # made anew: those of a copy or a pickle would not change
+        ids = views["ids"]
+        found = self._warning.assess(np.zeros(1, np.int64), views["recent"], ids.estimate, ids.sd)
         return dict(zip(FORESEEN, found.probabilities[0].tolist(), strict=True))
 
     def _read_image(self, image: Image | None) -> None:

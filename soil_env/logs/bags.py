@@ -404,7 +404,7 @@ def parse(field: str, where: str) -> tuple[str | int, ...]:
     `where`, for any other text.
     """
     steps: list[str | int] = []
-    for step in field.split("."):
+    for step in re.split(r"\.(?![^\[]*\])", field):  # no dot of a name in brackets
         found = _STEP.match(step)
         if not found:
             expected = "expected a path as twist.twist.linear.x or velocity[front_left]"

@@ -201,6 +201,9 @@ class LogMap(Checked):
             raise FieldError(
                 self, place, ": expected motor_constant [N m/A] with a torque in A, and only there"
             )
+        if s.unit == "quaternion" and not s.topic:
+            expected = ": expected topic and field of an orientation for unit quaternion"
+            raise FieldError(self, place, expected)
         if s.gear != 1.0 and name not in GEARED:
             raise FieldError(self, f"{place}.gear", f": expected only with {', '.join(GEARED)}")
         if s.efficiency != 1.0 and "torque" not in name:

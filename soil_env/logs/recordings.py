@@ -165,13 +165,19 @@ class _Reader:
             columns.setdefault(source.column, []).append(name)
         labels = {column: ", ".join(names) for column, names in columns.items()}
         order = Stamps(f"column {stamps.column}", "row")
+        filled: set[str] = set()  # columns with a value at the last stamp
         for row, time, values in tables.rows(stamps.column, stamps.unit, labels, self.notes):
+            here = {c for c, value in zip(columns, values, strict=True) if value is not None}
+            # A table may have a row for each sensor: rows of one time and other columns are one.
+            if len(order) and time == order.times[-1] and filled.isdisjoint(here):
+                filled |= here
+            else:
+                order.add(time, row)
+                filled = here
             for names, value in zip(columns.values(), values, strict=True):
-                if value is None:
-                    continue
-                for name in names:
-                    self._add(name, len(order), value)
-            order.add(time, row)
+                if value is not None:
+                    for name in names:
+                        self._add(name, len(order) - 1, value)
         times = np.frombuffer(order.times, np.int64)
         kept = order.settle(times, *self._gaps, self.notes)
         sound = times[kept]
@@ -208,16 +214,16 @@ class _Reader:
                     self._add(name, len(topic.stamps), value)
             topic.stamps.add(stamp, place, message.time)
         self._check_found(topics)
-        delays = {}  # [s] mean, by topic with header stamps
+        delays = {}  # [s] mean of the recording behind the stamps, by topic
         for of, topic in topics.items():
             by_header = self.map.clock == "header" and any(topic.stamps.times)
             times, kept = topic.sound_times(by_header, self._gaps, notes)
             for name in topic.fields:
                 self._finish(name, times, kept)
-            if by_header:
-                recorded = np.frombuffer(topic.stamps.recorded, np.int64)
+            recorded = np.frombuffer(topic.stamps.recorded, np.int64)
+            if kept.any():
                 delays[of] = float(np.mean((recorded - times)[kept])) * 1e-9
-        _note_delays(notes, delays, set(topics))
+        _note_delays(notes, delays)
 
     def _check_found(self, topics: dict[str, "_Topic"]) -> None:
         """Raise `ParameterError` for a topic that the recording lacks, a field that no message has,
@@ -350,19 +356,20 @@ def _stamp(content: Any) -> int:
     return time
 
 
-def _note_delays(notes: Notes, mean: dict[str, float], topics: set[str]) -> None:
-    """Add a note if header stamps of a topic are more than `_DELAY` off the clock of the recording.
+def _note_delays(notes: Notes, mean: dict[str, float]) -> None:
+    """Add a note if the clocks of two topics differ by more than `_DELAY`, so that their readings
+    do not belong together.
 
-    Only where another topic has that clock, so that their readings do not belong together.
-    `mean`: mean delay [s] of each topic with header stamps; `topics`: names of all.
+    `mean`: mean time [s] of the recording behind the stamps by topic, 0 of one without stamps.
     """
-    late = [topic for topic, delay in mean.items() if abs(delay) > _DELAY]
-    if late and len(mean) < len(topics):
-        topic = max(late, key=lambda t: abs(mean[t]))
+    if mean and max(mean.values()) - min(mean.values()) > _DELAY:
+        middle = float(np.median([*mean.values()]))
+        topic = max(mean, key=lambda t: (abs(mean[t] - middle), abs(mean[t])))
+        others = ", ".join(f"{t} {mean[t]:.3g} s" for t in sorted(mean) if t != topic)
         notes.add(
-            f"The time stamps of {topic} are {mean[topic]:.3g} s off the clock of the recording. "
-            f"{', '.join(sorted(topics - set(mean)))} has no stamps and is on that clock, so the "
-            "readings do not belong together in time. Set clock: log in the map."
+            f"The time stamps of {topic} are {mean[topic]:.3g} s behind the clock of the "
+            f"recording, those of the others: {others}. So the readings do not belong together in "
+            "time. Set clock: log in the map, unless the recorder received a topic that late."
         )
 
 
@@ -376,6 +383,10 @@ def _remarks(found: Aligned, log_map: LogMap, limits: dict[str, float]) -> list[
         place = f"{name} ({c.place})"
         if c.readings == 0 and log_map.channels[name].constant is None:
             lines.append(f"{place} has not one reading.")
+        elif c.times and c.missing == 1.0:
+            lines.append(
+                f"{place} has {len(c.times)} readings, none of them at the time of a wheel speed."
+            )
         if c.empty:
             lines.append(
                 f"{place}: infinite or NaN in {c.empty} of {c.readings} readings, as of a range "
@@ -394,10 +405,12 @@ def _remarks(found: Aligned, log_map: LogMap, limits: dict[str, float]) -> list[
                 "its values are interpolated, and they count as readings: set a longer period in "
                 "the map."
             )
-    jumps = np.flatnonzero(np.diff(found.time) > log_map.max_gap)
+    # Neighbouring steps, which are no gap, may be further apart than `max_gap`.
+    longest = max(log_map.max_gap, 1.5 * found.period)
+    jumps = np.flatnonzero(np.diff(found.time) > longest)
     if jumps.size:
         lines.append(
-            f"The recording has {plural(jumps.size, 'gap')} of more than {log_map.max_gap:g} s "
+            f"The recording has {plural(jumps.size, 'gap')} of more than {longest:g} s "
             "without any reading."
         )
     return lines

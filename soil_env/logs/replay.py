@@ -7,6 +7,7 @@ are, so a border counts as one between grounds only where the estimates on both 
 
 import math
 from dataclasses import dataclass, fields
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
@@ -153,7 +154,9 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
             restarts += 1
             margin = _NO_MARGIN
         reading = Readings(**{n: float(log.readings[n][k]) for n in names}, time=t)
-        e = identifier.update(reading)
+        with catch_warnings():
+            simplefilter("ignore", UserWarning)  # of a long step: `restart_gap` says what is long
+            e = identifier.update(reading)
         if e.renewed:
             load = None if math.isnan(reading.load) else max(reading.load, _LEAST_LOAD)
             ahead = identifier.traversability(load, float(np.nan_to_num(reading.pitch)))

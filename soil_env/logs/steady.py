@@ -315,11 +315,11 @@ def setup_text(
             "{shear_modulus_relative_sd:.0%}, S {sinkage_coefficient:.3g} +- "
             "{sinkage_coefficient_relative_sd:.0%}\n"
         ).format(**estimate)
-        if "dig_gain" not in log_map.soil:
-            text += (
-                "# dig_gain: as identified online; take it out to let soil-env discover look for "
-                "slip-sinkage\n"
-            )
+    if "dig_gain" not in log_map.soil:
+        origin = "as identified online" if estimate else "that of the belief, as if it were known"
+        text += (
+            f"# dig_gain: {origin}; take it out to let soil-env discover look for slip-sinkage\n"
+        )
     content = {
         "wheel": {"radius": log_map.wheel.radius, "width": log_map.wheel.width},
         "soil": _priors(log_map, prior, estimate) | log_map.soil,
@@ -371,9 +371,9 @@ def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
     """Sentences on the grounds, the steady points, and what may be fitted together."""
     out = [
         f"Grounds found: {len(grounds)}. The identifier saw {plural(found.borders, 'border')} and "
-        f"{plural(found.restarts, 'gap')}. A border counts where the soils on its two sides differ "
-        f"with a probability above {DIFFERS:g}. Soils that are alike, or driven on too briefly, "
-        "count as one ground.",
+        f"started anew after {plural(found.restarts, 'gap')}. A border counts where the soils on "
+        f"its two sides differ with a probability above {DIFFERS:g}. Soils that are alike, or "
+        "driven on too briefly, count as one ground.",
     ]
     if steady.reason:
         return [*out, f"No measurement table: {steady.reason}."]

@@ -112,6 +112,22 @@ def test_the_runner_alone_drives_courses_as_the_agent_would(
     assert (runner.returncode, errors) == (0, "") and courses >= 3 and worst <= 1e-5
 
 
+def test_the_runner_refuses_what_is_no_observation(tmp_path, scenario):
+    """No action may follow from it: one line on stderr, status 2."""
+    assert export(saved(tmp_path / "run", scenario), tmp_path / "out") == 0
+    size = len(SoilWheelEnv(scenario).observation_names)
+    good = "0 " * size
+    for bad, said in (("a b", "'a'"), ("0 0", f"{size} finite"), ("nan " * size, f"{size} finite")):
+        done = subprocess.run(
+            [sys.executable, str(tmp_path / "out" / "run_policy.py"), "--serve"],
+            input=f"{good}\n{bad}\n{good}\n",
+            text=True,
+            capture_output=True,
+        )
+        assert done.returncode == 2 and done.stdout.count("\n") == 1
+        assert done.stderr.count("\n") == 1 and "line 2: " in done.stderr and said in done.stderr
+
+
 def test_an_export_describes_itself_and_is_a_contestant_by_its_path(tmp_path, scenario):
     folder = saved(tmp_path / "run", scenario, history=3)
     out = tmp_path / "out"

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -145,6 +146,18 @@ def test_a_gap_starts_the_identifier_anew(log_map):
     assert two.values["shear_modulus"][-1] != one.values["shear_modulus"][-1]
 
 
+def test_a_gap_that_the_map_allows_warns_of_nothing(log_map):
+    """Nor does the shortest period, of which whole numbers are rounded."""
+    allowed = dataclasses.replace(log_map, restart_gap=60.0)
+    log = made(allowed, VARIED)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        late = Aligned(0, log.time + 15.0 * (log.time > 3.95), log.readings, {}, log.period)
+        assert replay(late, allowed).restarts == 0
+        fine = made(log_map, [(0.2, 0.1)], period=1e-3)
+        replay(fine, dataclasses.replace(log_map, period=1e-3))
+
+
 def test_readings_of_a_lifted_wheel_are_replayed(log_map):
     """A load of nothing or less, as of a sensor with noise, is judged under the least load."""
     log = made(log_map, VARIED)
@@ -256,6 +269,8 @@ def test_the_setup_of_a_log_has_the_belief_as_priors(without_digging, tmp_path):
     # Where an estimate was current.
     gain = (found.surest_on(1) or {"dig_gain": b.dig_gain})["dig_gain"]
     assert read.soil.dig_gain.value == pytest.approx(gain, rel=1e-3)
+    without = setup_text(log_map, steady, found.prior, None)
+    assert "# dig_gain: that of the belief, as if it were known" in without
 
 
 def test_points_of_two_soils_are_not_one_table(without_digging, tmp_path):

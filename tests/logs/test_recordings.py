@@ -221,6 +221,8 @@ def test_errors_name_topic_and_field_and_the_nearest_known(
         ({"speed": {"topic": "/d", "field": "v", "column": "v"}}, ("speed", "column")),
         ({"speed": None}, ("speed", "slip")),
         ({"torque": {"topic": "/d", "field": "i", "sd": 1e9}}, ("channels.torque.sd", "at most")),
+        ({"pitch": {"constant": 0.1, "unit": "quaternion"}}, ("channels.pitch", "topic and field")),
+        ({"pitch": {"column": "q", "unit": "quaternion"}}, ("channels.pitch", "topic and field")),
         ({"wheel": "planetary_rovr"}, ("wheel", "'planetary_rover'")),
         ({"period": 0.1, "windows": {"duration": 0.3}}, ("windows", "duration")),
     ],
@@ -230,6 +232,17 @@ def test_a_map_that_cannot_be_right_is_refused(tmp_path, changes, named):
         read_map(write_map(tmp_path, changes))
     said = str(error.value)
     assert all(name in said for name in ("map.yaml", *named)) and "\n" not in said, said
+
+
+def test_a_name_in_brackets_may_have_dots(tmp_path):
+    """As the joints of some robot descriptions."""
+    joints = {"name": ["left.rear", "left.front"], "velocity": [9.0, 2.0]}
+    rows = [("/joints", k * NS // 10, joints | {"twist": {"x": 0.2}}) for k in range(1, 20)]
+    bag = write_mcap(tmp_path / "a.mcap", rows)
+    wheel = {"topic": "/joints", "field": "velocity[left.front]"}
+    speed = {"topic": "/joints", "field": "twist.x"}
+    found = read(bag, {"wheel_speed": wheel, "speed": speed, "sinkage": None, "torque": None})
+    assert np.all(found.readings["wheel_speed"] == 2.0) and np.all(found.readings["speed"] == 0.2)
 
 
 DAMAGED = [  # bytes of a message, None where it has content of another kind
@@ -393,25 +406,32 @@ def test_more_work_than_a_plain_bag_takes_is_ended(drives, tmp_path, monkeypatch
         read_recording(drives[0] / "SQLITE3", drives[1])
 
 
-def stamped(path, delay, back=20):
+def stamped(path, delay, back=20, odom=None):
     """An MCAP file whose /drive has stamps of its own, recorded `delay` [s] later, and whose /odom
-    has none.
+    has none, or stamps `odom` [s] before its recording.
 
-    From message `back` on the clock of the stamps is set back by a second.
+    From message `back` on the clock of the stamps of /drive is set back by a second.
     """
+
+    def header(at):
+        return {"stamp": {"sec": at // NS, "nanosec": at % NS}}
 
     def messages():
         for k in range(20):
             at = 100 * NS + k * NS // 10
             late = at + round(delay * NS)
             own = at - NS * (k >= back)
-            header = {"stamp": {"sec": own // NS, "nanosec": own % NS}}
             yield (
                 "/drive",
                 late,
-                {"header": header, "speed": 2.0 if k != 7 else 1e999, "motor": {"current": 1.0}},
+                {
+                    "header": header(own),
+                    "speed": 2.0 if k != 7 else 1e999,
+                    "motor": {"current": 1.0},
+                },
             )
-            yield "/odom", late, {"twist": {"x": 0.1 * k}, "depth": 20.0}
+            stamp = {} if odom is None else {"header": header(late - round(odom * NS))}
+            yield "/odom", late, {"twist": {"x": 0.1 * k}, "depth": 20.0} | stamp
 
     return write_mcap(path, messages())
 
@@ -430,6 +450,17 @@ def test_the_clock_is_that_of_the_header_or_of_the_recording(tmp_path):
     )
     soon = read(stamped(tmp_path / "b.mcap", delay=0.004))
     assert soon.readings["speed"] == pytest.approx(0.1 * np.arange(20))
+
+
+@pytest.mark.parametrize("odom", [3.0, -4.0, 1.7e9])
+def test_header_stamps_of_two_clocks_are_noted(tmp_path, odom):
+    """Both topics have stamps: those of /odom are of another clock, as of a simulation."""
+    apart = read(stamped(tmp_path / "a.mcap", 0.004, odom=odom)).notes
+    assert [line for line in apart if "of /odom are" in line and "clock: log" in line], apart
+    assert any(re.search("speed .* 20 readings, none of them at the time", line) for line in apart)
+    for delay, clock in ((3.0, "header"), (0.004, "log")):
+        bag = stamped(tmp_path / "b.mcap", delay, odom=delay if clock == "header" else odom)
+        assert not any("/odom" in line for line in read(bag, {"clock": clock}).notes)
 
 
 def test_stamps_that_go_back_are_counted_by_topic(tmp_path):
@@ -692,6 +723,22 @@ def test_equal_stamps_are_averaged_and_noted(tmp_path):
     assert "in 1 of 4 time stamps" in note and "row 4" in note
     (speed,) = [line for line in apart if "readings of speed differ" in line]
     assert "differ at 1 time stamps that are there more than once, by up to 0.1 m/s" in speed
+
+
+def test_rows_of_one_time_and_other_columns_are_one_row(tmp_path):
+    """A table with a row for each sensor, as it is made of a bag."""
+    cells = ("2,,,", ",0.2,,", ",,0.02,", ",,,5")
+    rows = "".join(f"{t},{row}\n" for t in 0.1 * np.arange(20) for row in cells)
+    found = read_csv(tmp_path, rows)
+    assert len(found) == 20 and not found.notes
+    assert found.readings["speed"] == pytest.approx(0.2)
+
+
+def test_steps_longer_than_max_gap_are_no_gaps(tmp_path):
+    rows = "".join(lines(0.1 * np.arange(100)))
+    changes = {"period": 1.0, "windows": {"duration": 4.0}}
+    (tmp_path / "a.csv").write_text(HEADER + rows)
+    assert not read(tmp_path / "a.csv", COLUMNS | changes).notes
 
 
 def test_too_many_steps_of_the_time_axis_are_refused(tmp_path, monkeypatch):

@@ -9,6 +9,7 @@
 estimate.
 """
 
+import copy
 import math
 import re
 import warnings
@@ -51,6 +52,7 @@ __all__ = [
 SHORTEST_STEP = 1e-3
 #: [s] Longest time between two sets of readings, above which `update` warns: own choice.
 LONGEST_STEP = 10.0
+_ROUNDING = 1e-6  # [s] of a difference of times since 1970, which are rounded to 0.24 us
 #: White noise, in the units of `Noise`, of what is not measured, own choice: no weight beside what
 #: is.
 UNMEASURED = 1e2
@@ -131,8 +133,6 @@ class OnlineIdentifier:
             raise TypeError(
                 f"belief.soils = {belief.soils!r}: expected a mapping of names to weights"
             )
-        if period is None:
-            raise ParameterError("period = None: expected a number [s]")
         try:
             control = replace(Control(period=period), substep=min(period, _SUBSTEP))
             self._set(
@@ -186,6 +186,10 @@ class OnlineIdentifier:
         self._reading = np.zeros(1, READING)
         self._outcome = np.zeros(1, dtype=np.int64)
         self.reset()
+
+    def __copy__(self) -> Self:
+        """Copy with a memory of its own: a shared one would take the readings of both."""
+        return copy.deepcopy(self)
 
     def reset(self) -> None:
         """Forget all readings: back to the prior."""
@@ -291,7 +295,7 @@ class OnlineIdentifier:
             )
         passed = time - self._time
         if 0.0 < passed < math.inf:
-            if not SHORTEST_STEP <= passed <= LONGEST_STEP:
+            if not SHORTEST_STEP - _ROUNDING <= passed <= LONGEST_STEP + _ROUNDING:
                 warnings.warn(
                     f"time = {time!r} s: {passed:.3g} s after the last readings: expected "
                     f"{SHORTEST_STEP:g} to {LONGEST_STEP:g} s; average faster "
