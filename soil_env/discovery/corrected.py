@@ -199,7 +199,11 @@ def least_sure(found: Prediction) -> Guess | None:
     k = int(np.argmax(times))
     if times[k] == 0.0:
         return None
+    wheel = problem.data.wheel
+    sizes = dict(zip(WHEEL, (wheel.radius, wheel.width, wheel.grouser_height), strict=True))
     point = {n: float(x[k]) for n, x in at.items()}
+    # The wheel is that of the setup, and so is told where rows have others.
+    point |= {n: x for n, x in sizes.items() if np.any(problem.data.conditions[n] != x)}
     return Guess(point, there.mean[k], there.sd[k], float(times[k]))
 
 

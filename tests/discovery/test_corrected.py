@@ -66,6 +66,14 @@ def test_the_least_sure_conditions_are_beyond_the_table(prediction):
     assert there.sd[0] == pytest.approx(guess.sd)
 
 
+def test_a_guess_tells_the_wheel_where_the_table_has_several(tmp_path, prediction):
+    """It is that of the setup, and loads of another wheel are no loads of its own."""
+    assert "wheel_radius" not in least_sure(prediction).conditions
+    problem = calibrate(data_of(tmp_path, table_text({}, LOADS, wheel_radius=(0.12, 0.2))))[0]
+    there = least_sure(fit_prediction(problem)).conditions
+    assert there["wheel_radius"] == 0.15 and "wheel_width" not in there
+
+
 @pytest.mark.filterwarnings("ignore::soil_env.terramechanics.validity.OutsideValidity")
 def test_a_drive_in_the_world_of_the_model_is_as_it_predicts(model):
     still = {
