@@ -19,7 +19,7 @@ import numpy as np
 from soil_env._compiled.cache import kept
 from soil_env.identification.table.data import CHANNELS, WHEEL
 from soil_env.identification.table.form_error import Conditions
-from soil_env.identification.table.priors import BROAD, Values
+from soil_env.identification.table.priors import BROAD, Values, stiffness
 from soil_env.parameters import Soil, SoilState
 from soil_env.slip import slips_of_radius
 from soil_env.terramechanics.effects import CATALOGUE
@@ -63,12 +63,13 @@ def model_of(problem: Problem, choices: Sequence[Choice], values: Values) -> Whe
     """
     soil = {**problem.known, **values}
     numbers: dict[str, Any] = {name: float(soil[name]) for name in BROAD} | problem.laws
+    setup = problem.data.setup
+    numbers |= stiffness(setup, numbers.pop("sinkage_coefficient"))
     effects: dict[str, dict[str, float]] = {}
     for choice in choices:
         if choice.effect in CATALOGUE:
             effects.setdefault(choice.effect, {}).update(parameters(problem, choice, values))
     # The load of a model presses normal to the ground but for this share.
-    setup = problem.data.setup
     if setup.load == "vertical":
         grade = effects.get("grade", {})
         effects["grade"] = grade | {"share": 1.0 + grade.get("share", 0.0)}
@@ -199,7 +200,11 @@ def least_sure(found: Prediction) -> Guess | None:
     k = int(np.argmax(times))
     if times[k] == 0.0:
         return None
+    wheel = problem.data.wheel
+    sizes = dict(zip(WHEEL, (wheel.radius, wheel.width, wheel.grouser_height), strict=True))
     point = {n: float(x[k]) for n, x in at.items()}
+    # The wheel is that of the setup, and so is told where rows have others.
+    point |= {n: x for n, x in sizes.items() if np.any(problem.data.conditions[n] != x)}
     return Guess(point, there.mean[k], there.sd[k], float(times[k]))
 
 

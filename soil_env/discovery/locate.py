@@ -73,7 +73,7 @@ def boxes(problem: Problem) -> tuple[tuple[Limits, ...], np.ndarray]:
         if inside.sum() >= LEAST_VALUES:
             found.setdefault(inside.tobytes(), box)
     member = np.frombuffer(b"".join(found), dtype=bool)
-    return tuple(found.values()), member.reshape(len(found), -1)
+    return tuple(found.values()), member.reshape(len(found), problem.data.rows.slip.size)
 
 
 def _half_lines(levels: int) -> list[tuple[int, int]]:

@@ -35,6 +35,7 @@ COSTS = ("run", "slip", "load", "speed", "grade_deg", "wheel", "pass")
 STEEPEST_TILT = 20.0  # [deg] of a rig that is not level
 LEAST_SD = 1e-6  # of a prior, as a share of its value; below it the value is as good as known
 MOST_SINKAGE_NOISE = 0.5  # [radii] a larger noise of the sinkage is taken for millimetres
+MOST_SLIP_NOISE = 0.3  # a larger noise of the slip is taken for percent
 # (Soil parameter, value below which it looks like another unit, its unit, that other unit, factor
 # from the other unit to its own)
 _OTHER_UNITS = (
@@ -268,6 +269,12 @@ class Setup(Checked):
             raise ParameterError(
                 f"noise: sinkage = {sinkage:g}: expected metres, well below the wheel radius "
                 f"{self.wheel.radius:g} m (if it is millimetres, divide by 1000)"
+            )
+        slip = self.noise.slip
+        if slip is not None and slip > MOST_SLIP_NOISE:
+            raise ParameterError(
+                f"noise: slip = {slip:g}: expected a share, at most {MOST_SLIP_NOISE:g} (if it is "
+                "percent, divide by 100)"
             )
 
     def changed(self, **values: Any) -> "Setup":

@@ -21,7 +21,7 @@ from soil_env.parameters import LARGEST_WHEEL
 from soil_env.slip import slips_of_radius
 
 from .names import meant
-from .setup import REQUIRED, Setup, SetupWheel
+from .setup import MOST_SINKAGE_NOISE, REQUIRED, Setup, SetupWheel
 
 Channel = Literal["sinkage", "drawbar_pull", "torque"]
 MEASURED: tuple[Channel, ...] = ("sinkage", "drawbar_pull", "torque")
@@ -434,6 +434,11 @@ def _check_rows(
         height = table.height(wheel)
     refuse("grouser_height", table.grouser_height >= radius, "metres, less than the wheel radius")
     refuse("wheel_radius", table.wheel_radius <= height, "metres, more than the grouser height")
+    coarse = table.sinkage_sd > MOST_SINKAGE_NOISE * radius
+    # A single one may be meant, so that the row hardly counts.
+    if 2 * coarse.sum() > np.isfinite(table.sinkage_sd).sum():
+        expected = "metres, well below the wheel radius (if it is millimetres, divide by 1000)"
+        refuse("sinkage_sd", coarse, expected)
     deep = np.abs(table.sinkage) > radius
     if np.any(deep):
         hint = "if it is millimetres, divide by 1000"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from soil_env.discovery.calibrate import calibrate
-from soil_env.discovery.corrected import MOST, corrected, least_sure
+from soil_env.discovery.corrected import MOST, corrected, least_sure, model_of
 from soil_env.discovery.outlook import outlook
 from soil_env.discovery.prediction import fit_prediction
 from soil_env.parameters import Noise
@@ -64,6 +64,24 @@ def test_the_least_sure_conditions_are_beyond_the_table(prediction):
     assert guess.times > 1.5
     there = prediction.at({name: np.array([x]) for name, x in guess.conditions.items()})
     assert there.sd[0] == pytest.approx(guess.sd)
+
+
+def test_a_guess_tells_the_wheel_where_the_table_has_several(tmp_path, prediction):
+    """It is that of the setup, and loads of another wheel are no loads of its own."""
+    assert "wheel_radius" not in least_sure(prediction).conditions
+    problem = calibrate(data_of(tmp_path, table_text({}, LOADS, wheel_radius=(0.12, 0.2))))[0]
+    there = least_sure(fit_prediction(problem)).conditions
+    assert there["wheel_radius"] == 0.15 and "wheel_width" not in there
+
+
+def test_a_model_has_the_stiffness_of_each_width_that_the_fit_has(tmp_path):
+    moduli = "k_c: {value: 2e4, sd: 1e4}\n  k_phi: {value: 6e5, sd: 8e4}"
+    setup = SETUP.replace("sinkage_coefficient: {value: 770000, sd: 88000}", moduli)
+    text = table_text({}, LOADS, wheel_width=(0.08, 0.16))
+    problem = calibrate(data_of(tmp_path, text, setup))[0]
+    fit = problem.fit(())
+    found = model_of(problem, (), fit.parameters()).predict(problem.data.table)
+    assert np.stack(found[:3], axis=1) == pytest.approx(fit.output, rel=1e-4, abs=1e-4)
 
 
 @pytest.mark.filterwarnings("ignore::soil_env.terramechanics.validity.OutsideValidity")

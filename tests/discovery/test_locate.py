@@ -5,6 +5,7 @@ import pytest
 
 from soil_env.discovery.evidence import settle
 from soil_env.discovery.locate import locate, structure
+from tests.discovery.files import problem_of, table_text
 from tests.discovery.tables import NOISE, problem, table
 
 SPEEDS = (0.02, 0.06, 0.2)
@@ -78,3 +79,11 @@ def test_a_model_that_leaves_a_pattern_is_told_from_laws_that_err():
     for added, left in ((law * NOISE, False), (np.outer(band, [0.0, 1.0, 0.0]), True)):
         p = problem(data, np.random.default_rng(7), added)
         assert (structure(p, settle(p, ())) < 1e-3) == left
+
+
+@pytest.mark.parametrize("loads", [(100.0,), (60.0, 160.0)])
+def test_a_table_too_small_for_any_box_has_no_disagreement(tmp_path, loads):
+    """Two rows: the least table that is read."""
+    p = problem_of(tmp_path, "\n".join(table_text({}, loads).split("\n")[:3]) + "\n")
+    assert len(p.data.table) == 2
+    assert locate(p, p.fit()) == ()

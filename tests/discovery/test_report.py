@@ -24,7 +24,7 @@ from soil_env.discovery.report.pictures import curves
 from soil_env.identification.table import identify_table
 from soil_env.identification.table.data import CHANNELS
 from soil_env.measurement.doubts import one_load
-from soil_env.measurement.setup import Calibration, Prior
+from soil_env.measurement.setup import Calibration, Prior, SoilPriors
 from tests.discovery.files import PLANTED, SETUP, data_of, table_text, write_files
 
 KEYS = (
@@ -116,6 +116,39 @@ def test_it_is_told_where_the_base_model_predicts_better(planted, errors, said):
     outlook = planted.outlook._replace(left_out=(way._replace(over_noise=over),))
     told = words.next_step(dataclasses.replace(planted, outlook=outlook))
     assert told.count("for a slip that you have not measured, with the soil of") == said
+
+
+def test_the_soil_of_identify_is_not_recommended_where_identify_refuses_the_table(planted):
+    (way, *_) = planted.outlook.left_out
+    way = way._replace(over_noise=way.over_noise._replace(base=1.8, corrected=3.1))
+    report = dataclasses.replace(planted, outlook=planted.outlook._replace(left_out=(way,)))
+    for kept, said in (((0,), False), ((1,), False), ((0, 1), True)):
+        values = np.tile(np.isin(np.arange(3), kept), (len(planted.problem.data.table), 1))
+        problem = copy.copy(planted.problem)
+        table = problem.data.table.with_values(values)
+        setup = problem.data.setup.changed(soil=SoilPriors())
+        problem.data = dataclasses.replace(problem.data, table=table, setup=setup)
+        told = sentences.simulate(dataclasses.replace(report, problem=problem))
+        assert ("identify" in told) == said
+
+
+def test_a_table_of_two_rows_has_a_report(tmp_path):
+    """Without headings over nothing."""
+    text = "\n".join(table_text({}, (100,)).split("\n")[:3]) + "\n"
+    report = run(*write_files(tmp_path, text), next_runs=0)
+    assert report.verdict == "undetermined" and not report.outlook.left_out
+    told = drawn.text(report)
+    assert "Predictions of what was left out" not in told
+    assert "Held-out error of the base model alone" in told
+
+
+def test_it_is_told_that_slips_are_by_the_rim_where_the_table_has_those_by_the_tips(planted):
+    assert not any("by the lug tips" in said for said in sentences.cautions(planted))
+    problem = copy.copy(planted.problem)
+    setup = problem.data.setup.changed(slip_reference="tip")
+    problem.data = dataclasses.replace(problem.data, setup=setup)
+    said = sentences.cautions(dataclasses.replace(planted, problem=problem))
+    assert any("those of the table by the lug tips" in caution for caution in said)
 
 
 @pytest.mark.parametrize(

@@ -36,6 +36,7 @@ def test_bins_keep_loads_apart_and_are_few(tmp_path):
     data = dense(tmp_path, 3000)
     found = binned(data.table, data.setup)
     assert MOST // 2 < len(found.table) <= MOST and "3000 rows are taken in" in found.words
+    assert "named stands for the bin that begins with it" in found.words
     near = np.min(np.abs(found.table.load[:, None] / [100.0, 150.0, 220.0] - 1.0), axis=1)
     assert np.all(near < 0.01)
     assert found.setup.noise.sinkage is None and found.setup.wheel == data.setup.wheel

@@ -32,7 +32,7 @@ from soil_env.measurement.setup import (
 )
 from soil_env.measurement.table import read_table
 from soil_env.parameters import Soil, soils
-from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from tests.terramechanics import reference
 
 WHEEL = SetupWheel(0.15, 0.12)
@@ -251,9 +251,11 @@ def test_wheels_of_two_widths_share_k_c_and_k_phi(tmp_path):
         parts.append(np.insert(rows, 2, wheel.width, axis=1))
     columns = ("slip", "load", "wheel_width", *COLUMNS[2:])
     priors = {"k_c": Prior(k_c, 0.0), "k_phi": Prior(k_phi, 2e5)}
-    e = identify_table(
-        table_of(tmp_path, np.concatenate(parts), columns=columns), setup_of(THREE, **priors)
-    )
+    table = table_of(tmp_path, np.concatenate(parts), columns=columns)
+    e = identify_table(table, setup_of(THREE, **priors))
+    # The soil that is found has them as well, so that its model predicts both wheels.
+    model = WheelSoilModel(ModelWheel.of(WHEEL), e.soil)
+    assert model.predict(table).sinkage == pytest.approx(table.sinkage, rel=1e-2)
     assert e.parameters["sinkage_coefficient"].value == pytest.approx(k_c / 0.12 + k_phi, rel=5e-3)
     assert e.parameters["friction_angle_deg"].value == pytest.approx(31.0, rel=5e-3)
 

@@ -120,6 +120,10 @@ def test_a_sinkage_beyond_the_radius_is_a_wrong_cell_or_a_wrong_unit(tmp_path):
             [HEADER + ",wheel_radius", "0.1,100,0.2,5,0.15"],
             ["row 2", "sinkage = 0.2", "wheel radius 0.15 m"],
         ),
+        (
+            [HEADER + ",wheel_radius,sinkage_sd", "0.1,100,0.02,5,0.15,0.5"],
+            ["row 2, sinkage_sd = 0.5", "if it is millimetres, divide by 1000"],
+        ),
         ([*GOOD, "0.10,100,0.02,5"], ["row 5 repeats row 2"]),
         ([HEADER, "0.1,100,0.02,5", "0.1,120,0.02,6"], ["slip = 0.1 in every row"]),
         ([HEADER, "0.1,100,0.02"], ["row 2 has 3 cells: expected 4"]),
@@ -286,6 +290,7 @@ def test_reads_a_setup(tmp_path):
         (SETUP + "rig: {loads: []}", ["rig.loads = []: expected at least one value"]),
         ("wheel: {radius: 150, width: 0.12}", ["radius = 150", "[0.01, 3] m"]),
         (SETUP + "noise: {sinkage: 0}", ["sinkage = 0", "> 0 m"]),
+        (SETUP + "noise: {slip: 2}", ["noise: slip = 2", "if it is percent, divide by 100"]),
         (SETUP + "soil: {cohesion: {value: 10, sd: 0}}", ["cohesion: sd = 0", "plain number"]),
         (
             SETUP + "soil: {cohesion: much}",

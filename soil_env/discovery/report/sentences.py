@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from soil_env._io.document import render
-from soil_env._io.loading import plural
+from soil_env._io.loading import ParameterError, plural
 from soil_env.discovery.calibrate import PRIOR_WIDTH
 from soil_env.discovery.instrument import INSTRUMENT, LISTED, Names, ruled_out
 from soil_env.discovery.locate import Disagreement
@@ -26,6 +26,7 @@ from soil_env.discovery.search import (
 )
 from soil_env.discovery.unnamed import UNNAMED
 from soil_env.identification.table.data import CHANNELS, WHEEL
+from soil_env.identification.table.problem import usable_rows
 from soil_env.measurement.doubts import one_load
 from soil_env.terramechanics.steady import DEEPEST
 from soil_env.terramechanics.validity import in_words
@@ -465,18 +466,28 @@ def foreseen(report: Report) -> str:
 
 
 def simulate(report: Report) -> str:
-    """Clause on what to simulate with: model.yaml, but the base model for what it predicted better
-    when that was left out.
+    """Clause on what to simulate with: model.yaml, but the soil of `soil-env identify`, if it takes
+    the table, for what the base model predicted better when that was left out.
     """
     better = [
         _level(way.what)
         for way in report.outlook.left_out
         if way.over_noise.corrected > max((1.0 + WORSE) * way.over_noise.base, 1.0)
     ]
-    if not better:
+    if not better or not _identifiable(report):
         return "simulate with model.yaml"
     new = f"for {joined(better)} that you have not measured"
     return f"simulate with model.yaml; {new}, with the soil of `soil-env identify` alone"
+
+
+def _identifiable(report: Report) -> bool:
+    """True if `soil-env identify` takes the table."""
+    data = report.problem.data
+    try:
+        usable_rows(data.table, data.setup)
+    except ParameterError:
+        return False
+    return True
 
 
 def _to_predict(report: Report) -> str:

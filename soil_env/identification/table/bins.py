@@ -74,7 +74,8 @@ def binned(table: Table, setup: Setup) -> Binned:
         f"The table is dense: its {len(table)} rows are taken in {len(bins)} bins of {min(sizes)} "
         f"to {max(sizes)} rows at about the same conditions. The mean of a bin counts as one "
         "value, and its noise is the scatter of the means, not what the setup says of single "
-        "rows: errors that go on from row to row count once."
+        "rows: errors that go on from row to row count once. A row that is named stands for the "
+        "bin that begins with it, and its values are means."
     )
     if outliers:
         words += f" Values left out that are far from the others of their bin: {outliers}."

@@ -27,7 +27,7 @@ from .bins import binned
 from .form_error import covariance_about
 from .mistakes import Examined, examine
 from .noise import SMALLEST_SD, NoiseEstimate
-from .priors import LARGEST_LOG, given_laws, given_prior
+from .priors import LARGEST_LOG, given_laws, given_prior, stiffness
 from .problem import LAW_ERRORS, LEAST_FREEDOM, SOURCES, TableProblem
 
 #: Indices of the six parameters in their coordinates: phi [deg], ln K, ln S, n, c [Pa], tilt [deg].
@@ -149,7 +149,9 @@ class TableEstimate:
     check_first: tuple[str, ...]  # of `warnings`: what looks wrong in setup or table
     misfit: str  # of `warnings`: that the base model does not fit; "" where it does
     warnings: tuple[str, ...]
-    soil: Soil  # the most probable, under wheels of the width of the table
+    #: The most probable, under wheels of the width of the table; of any if `k_c` and `k_phi` are
+    #: given.
+    soil: Soil
 
     def model(self, wheel: Any) -> WheelSoilModel:
         """The base model of a wheel with a smooth rim on this soil, as the environments take it.
@@ -347,7 +349,9 @@ def _soil(problem: TableProblem, u: np.ndarray) -> Soil:
     density = problem.setup.soil.density
     known = {**given_laws(problem.setup), "gravity_measured": problem.setup.gravity}
     known |= {"density": density.value} if density else {}
-    return Soil.within({**problem.values(u), **known})
+    values = dict(problem.values(u))
+    known |= stiffness(problem.setup, values.pop("sinkage_coefficient"))
+    return Soil.within(values | known)
 
 
 def _parameters(

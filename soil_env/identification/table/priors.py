@@ -163,6 +163,21 @@ def plate_coefficient(
     return float(np.median(load)) / carried
 
 
+def stiffness(setup: Setup, coefficient: float) -> dict[str, float]:
+    """Stiffness of a `Soil` by field, of which S [N/m^(n+2)] under the setup's wheel is known.
+
+    Where the setup gives k_c and k_phi it is these, in their ratio, so that wheels of other widths
+    have the S that `rig.predict_table` gives them.
+    """
+    usual = setup.soil.lumped(setup.wheel.width)
+    k_c = setup.soil.k_c
+    k_phi = setup.soil.k_phi
+    if usual is None or k_c is None or k_phi is None:
+        return {"sinkage_coefficient": coefficient}
+    share = coefficient / usual.value
+    return {"k_c": share * k_c.value, "k_phi": share * k_phi.value}
+
+
 #: Parameters of a soil that are given, not fitted.
 _GIVEN = ("dig_gain", "dig_recovery", *FLOW_LAW)
 

@@ -170,7 +170,7 @@ class TableProblem:
     def __init__(
         self, table: Table, setup: Setup, use: np.ndarray | None = None, *, scarce: bool = False
     ) -> None:
-        use = _usable(table, setup) if use is None else use
+        use = usable_rows(table, setup) if use is None else use
         zeros = np.zeros(len(table))
         # A smooth rim; speed 0 and pass 1, since the base model does not depend on them.
         wheels = np.column_stack([table.radius(setup.wheel), table.width(setup.wheel), zeros])
@@ -532,7 +532,7 @@ class TableProblem:
         self.weigh(self.F)
 
 
-def _usable(table: Table, setup: Setup) -> np.ndarray:
+def usable_rows(table: Table, setup: Setup) -> np.ndarray:
     """[N] bool, True for rows that can take part: with a sinkage, with both forces, or with one
     force where S has a prior.
 
