@@ -54,6 +54,9 @@ _BOUNDS = {
     for f in fields(Soil)
     if f.name in ESTIMATED and f.name != "dig_gain"
 }
+#: Errors of estimates that were picked by their least sds, over these: 1.4 to 1.8 on 270 drives of
+#: one soil each, of `mixed`, `loose_slopes` and `sticky`.
+PICKED = 1.6
 _NO_MARGIN = (math.nan,) * 3  # drawbar margin, its sd and the torque required, where not known
 
 
@@ -91,15 +94,16 @@ class Replay:
         """The surest estimate on a ground, by `COLUMNS`; None where none was current.
 
         It is that with the least product of the sds over those of the prior among those with
-        status CONVERGED. The last one is not taken: behind a border that `_grounds` does not count
-        the identifier began anew, and the estimate may be the prior.
+        status CONVERGED, with its sds times `PICKED`. The last one errs more: behind a border that
+        `_grounds` does not count the identifier began anew.
         """
         current = np.flatnonzero((self.ground == ground) & (self.status == Status.CONVERGED))
         if not current.size:
             return None
         sds = [self.values[sd][current] / getattr(self.prior, sd) for sd in SD_OF.values()]
         k = current[np.argmin(np.sum(np.log(sds), axis=0))]
-        return {name: float(values[k]) for name, values in self.values.items()}
+        picked = {name: float(values[k]) for name, values in self.values.items()}
+        return picked | {sd: PICKED * picked[sd] for sd in SD_OF.values()}
 
     def learnt(self, current: bool = False) -> dict[str, float]:
         """Least standard deviation of each parameter over that of the prior; 1: nothing learnt.

@@ -97,6 +97,14 @@ def test_a_vertical_load_is_resolved(tmp_path):
     )
 
 
+def test_grades_that_a_level_would_not_show_are_not_told(tmp_path):
+    """As of a log on level ground, whose pitch is noise."""
+    rng = np.random.default_rng(0)
+    rows = [(s, 120.0, rng.normal(0.0, 0.1), *steady(s, 120.0)) for s in SLIPS]
+    e = identify_table(table_of(tmp_path, rows, rng, columns=ON_GRADES), setup_of())
+    assert not any("taken as level" in w for w in e.warnings)
+
+
 def test_free_climbing_shows_the_soil(tmp_path):
     """No pull is measured: the grade that a slip just climbs is the measurement."""
     rows = []

@@ -17,7 +17,7 @@ from soil_env.identification.table import identify_table
 from soil_env.identification.table.priors import soil_unknowns
 from soil_env.logs import read_map, replay, steady_windows
 from soil_env.logs.align import Aligned, Channel
-from soil_env.logs.replay import COLUMNS, ESTIMATED, _grounds, findings
+from soil_env.logs.replay import COLUMNS, ESTIMATED, PICKED, _grounds, findings
 from soil_env.logs.report import report_of
 from soil_env.logs.steady import advice, commands, files, grounds, setup_text
 from soil_env.measurement.setup import read_setup
@@ -325,6 +325,7 @@ def test_the_estimate_of_a_ground_is_its_surest(log_map):
     status = np.full(size, Status.CONVERGED)
     some = dataclasses.replace(found, values=values, status=status, ground=np.ones(size, int))
     assert some.surest_on(1)["cohesion"] == 3.0 and some.surest_on(2) is None
+    assert some.surest_on(1)["friction_angle_sd_deg"] == PICKED * 0.5
 
 
 def test_borders_without_another_soil_are_no_grounds(log_map):

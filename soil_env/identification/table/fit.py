@@ -30,6 +30,7 @@ from .noise import SMALLEST_SD, NoiseEstimate
 from .priors import LARGEST_LOG, given_laws, given_prior, stiffness
 from .problem import LAW_ERRORS, LEAST_FREEDOM, SOURCES, TableProblem
 
+LEVEL = 0.5  # [deg] grade below which a row counts as level, as a usual level of a rig is good to
 #: Indices of the six parameters in their coordinates: phi [deg], ln K, ln S, n, c [Pa], tilt [deg].
 PHI, LN_K, LN_S, EXPONENT, COHESION, TILT = range(6)
 #: Their labels in sentences, in that order, by the names of a setup.
@@ -653,7 +654,7 @@ def _not_modelled(problem: TableProblem) -> list[str]:
             "earlier passes.",
         ),
         (
-            problem.setup.load == "normal" and np.any(np.abs(table.grade_deg[used]) > 0.0),
+            problem.setup.load == "normal" and np.any(np.abs(table.grade_deg[used]) > LEVEL),
             "Rows on a grade are taken as level: the base model has no effect of grade on the "
             "soil.",
         ),
