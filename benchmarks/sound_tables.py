@@ -223,10 +223,17 @@ def _diameter(t: Sound) -> Sound:
     return replace(t, setup=replace(t.setup, wheel=wheel))
 
 
+def _forces_in_kilograms(t: Sound) -> Sound | None:
+    """The table with both forces of load cells in kilograms."""
+    pull = MISTAKES["pull in kilograms"](t)
+    return pull and MISTAKES["load in kilograms"](pull)
+
+
 #: What is wrong with a table, by name; None where the table has no such column.
 MISTAKES: dict[str, Callable[[Sound], Sound | None]] = {
     "load in kilograms": _changed("load", lambda x: x / GRAVITY),
     "pull in kilograms": _changed("drawbar_pull", lambda x: x / GRAVITY),
+    "load and pull in kilograms": _forces_in_kilograms,
     "torque in kilogram metres": _changed("torque", lambda x: x / GRAVITY),
     "torque in newton millimetres": _changed("torque", lambda x: 1e3 * x),
     "sign of the pull": _changed("drawbar_pull", lambda x: -x),

@@ -122,6 +122,12 @@ def test_exchanged_columns_are_doubted(tmp_path):
     assert "columns of drawbar_pull and torque exchanged" in said
 
 
+def test_two_forces_in_kilograms_are_told_together(tmp_path):
+    text = changed(changed(table_text({}), "load", 1 / 9.81), "drawbar_pull", 1 / 9.81)
+    said = examined(tmp_path, text)
+    assert any("With load and drawbar_pull as kilograms" in words for words in said), said
+
+
 def test_a_load_in_kilograms_is_refused_where_the_soil_could_not_bear_the_thrust(tmp_path):
     text = changed(table_text({}, loads=(400, 600, 800)), "load", 1 / 9.81)
     (said,) = examined(

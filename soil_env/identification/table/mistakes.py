@@ -159,19 +159,22 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
             drawbar_pull=table.torque,
             torque=table.drawbar_pull,
         )
-    for name, column, unit, factor, expected in (
-        ("pull_kg", "drawbar_pull", "kilograms", EARTH_GRAVITY, "newtons"),
-        ("torque_kg", "torque", "kilogram metres", EARTH_GRAVITY, "newton metres"),
-        ("torque_kg_cm", "torque", "kilogram centimetres", 0.01 * EARTH_GRAVITY, "newton metres"),
-        ("load", "load", "kilograms", EARTH_GRAVITY, "newtons"),
+    torque = ("torque",)
+    for name, columns, unit, factor, expected in (
+        ("pull_kg", ("drawbar_pull",), "kilograms", EARTH_GRAVITY, "newtons"),
+        ("torque_kg", torque, "kilogram metres", EARTH_GRAVITY, "newton metres"),
+        ("torque_kg_cm", torque, "kilogram centimetres", 0.01 * EARTH_GRAVITY, "newton metres"),
+        ("load", ("load",), "kilograms", EARTH_GRAVITY, "newtons"),
+        ("forces", ("load", "drawbar_pull"), "kilograms", EARTH_GRAVITY, "newtons"),
     ):
-        if column == "load" or known[column]:
+        if all(known.get(column, True) for column in columns):
+            both = " and ".join(columns)
             add(
                 name,
-                f"With {column} as {unit} (times {factor:g})",
-                f"expected {column} in {expected}",
-                [factor if channel == column else 1.0 for channel in CHANNELS],
-                **{column: factor * getattr(table, column)},
+                f"With {both} as {unit} (times {factor:g})",
+                f"expected {both} in {expected}",
+                [factor if channel in columns else 1.0 for channel in CHANNELS],
+                **{column: factor * getattr(table, column) for column in columns},
             )
     if known["drawbar_pull"] or known["torque"]:  # sinkage alone may rise or fall with slip
         add(
