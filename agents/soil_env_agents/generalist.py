@@ -208,18 +208,25 @@ def weights_of(model: PPO, history: int, made: dict) -> dict[str, np.ndarray]:
 @click.option("--out", type=PATH, required=True, metavar="FILE", help="The weights, .npz.")
 @click.option("--workers", type=int, metavar="N", help="Processes that choose teachers.")
 def command(config: Path | None, out: Path, workers: int | None) -> None:
-    """Train the default policy."""
+    """Train the default policy.
+
+    Teachers are chosen, one for each ground and world. A student learns from them, goes on with PPO
+    if `improved` is above 0, and its weights are written.
+    """
     path = config or config_dir() / CONFIG
     asked = load(Generalist, read_yaml(path), str(path))
+    engine = choose("local", workers)
     with Bar("Teachers", len(asked.cells()), "teachers") as bar:
-        model = asked.build(bar.update, choose("local", workers))
+        model = asked.build(bar.update, engine)
     with Bar("Student", asked.taught, "steps") as bar:
         student.teach(model, asked.taught, asked.seed, bar.update, asked.kept)
     with Bar("PPO", asked.improved, "steps") as bar:
         if asked.improved:
+            schedules = ppo.Schedules(asked.ppo)  # of learning rate and others
+            # Learns from choices of the route; 13: a random stream of its own.
             chooser = Chooser(model, np.random.default_rng([asked.seed, 13]))
-            watch = ConvertCallback(lambda *_: bar.update(model.num_timesteps) or True)
-            model.learn(asked.improved, callback=[ppo.Schedules(asked.ppo), chooser, watch])
+            watch = ConvertCallback(lambda *_: bar.update(model.num_timesteps) or True)  # go on
+            model.learn(asked.improved, callback=[schedules, chooser, watch])
     stream = io.BytesIO()
     made = {"soil_env": soil_env.__version__, "config": to_dict(asked)}
     stored: dict[str, Any] = weights_of(model, asked.ppo.history, made)

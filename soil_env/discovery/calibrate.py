@@ -401,6 +401,7 @@ class Problem:
         `start`: parameters by name; others start at their prior mean or a little off (`_start_of`).
         `near`: a fit to the same table, whose form errors at these `sizes` are in the covariance.
         Without it the covariance is that of the noise times the scatter, and no other size counts.
+        Output, derivatives and form errors of the `Fit` are those at its optimum.
         """
         law = Law(self, choices)
         low, high = law.bounds
@@ -410,11 +411,13 @@ class Problem:
         )
         off_bound = _SAME * np.minimum(high - low, 1.0)
         u = np.clip(u, low + off_bound, high - off_bound)
-        form_error = None if near is None else compressed(near.columns(sizes) / sizes.scatter)
+        # A factor of the inverse of the covariance, which `whitened` applies.
+        root = None if near is None else compressed(near.columns(sizes) / sizes.scatter)
+        # The derivatives of `near` need not be found again.
         if near is not None and near.choices == choices and np.allclose(u, near.u, 0.0, _SAME):
             law.derivatives.know(u, near.jacobian)
-        u, converged = law.fitted(u, lambda values: whitened(form_error, values / sizes.scatter))
-        used = sizes if near is not None else EXACT._replace(scatter=sizes.scatter)
+        u, converged = law.fitted(u, lambda values: whitened(root, values / sizes.scatter))
+        counted = sizes if near is not None else EXACT._replace(scatter=sizes.scatter)
         output = law.output(u)
         residual = self.whiten(self.data.y) - self.whiten(output)
         added = law.added(u, output)
@@ -433,7 +436,7 @@ class Problem:
             tuple(map(self.whiten, free)),
             self.whiten(rig),
             converged,
-            used,
+            counted,
         )
 
     def _start_of(self, unknown: Unknown) -> float:

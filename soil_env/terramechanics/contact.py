@@ -35,8 +35,8 @@ NODES_PER_ZONE = 8
 NODES = 2 * NODES_PER_ZONE  # those of the front zone, then those of the rear zone
 # [-] 4 times the square of the bound of `most_carried` where the cosine in it is 0; own choice
 LEAST_COSINE = 0.01
-# [of the entry angle] above which soil flows up along a locked rim, fitted here (benchmarks.rigs):
-# at 1 locked wheels sink and drag 1.5 times as much as measured, and more
+# [of the angle where shear begins] above which soil flows up along a locked rim, fitted here
+# (benchmarks.rigs): at 1 locked wheels sink and drag 1.5 times as much as measured, and more
 RISING_FROM = 0.75
 # [radii] sinkage at which half of the bound of `most_carried` is left. Own assumption: soil that is
 # not there cannot flow. Wheels of the rigs sink by 0.01 or more, and say little about it
@@ -363,11 +363,11 @@ def _flowing(arc):
 def most_carried(arc):
     """Bound on the share of the travel speed at which soil is carried along the rim.
 
-    It is the speed of a locked rim along itself, over V, at `RISING_FROM` of the entry angle: the
-    cosine of that angle. Soil in front of a locked wheel rises as in front of a blade. Above that
-    angle it overtakes the rim and lifts it, below that angle it drags the rim back. The bound is
-    smoothed to stay above 0 where the axle is below the ground. On hard ground, where a wheel
-    hardly sinks, it falls to 0 (`_flowing`).
+    It is the speed of a locked rim along itself, over V, at `RISING_FROM` of the angle where shear
+    begins: the cosine of that angle. Soil in front of a locked wheel rises as in front of a blade.
+    Above that angle it overtakes the rim and lifts it, below that angle it drags the rim back. The
+    bound is smoothed to stay above 0 where the axle is below the ground. On hard ground, where a
+    wheel hardly sinks, it falls to 0 (`_flowing`).
     """
     cosine, _ = _cosine_of_rise(arc)
     rising = 0.5 * (cosine + math.sqrt(cosine * cosine + LEAST_COSINE))

@@ -15,8 +15,8 @@ def motor_torque(command, by_speed, wheel_speed, motor):
     The command is a share of the stall torque or, with `by_speed`, of the no-load speed w_0, which
     a stiff speed loop then follows. Either way the torque stays between the lines of full voltage
     forward and backward, +-T_stall - T_stall w/w_0, and within +-T_stall: faster than w_0 the motor
-    brakes. `available` is the largest size of a torque in the direction of the one asked for.
-    `motor` has `stall_torque` [N m] and `no_load_speed` [rad/s].
+    brakes. `available` is the largest torque in the direction of the one asked for; below 0 the
+    motor can only brake. `motor` has `stall_torque` [N m] and `no_load_speed` [rad/s].
     """
     stall = motor.stall_torque
     line = stall / motor.no_load_speed  # [N m s] steepness of the torque-speed line

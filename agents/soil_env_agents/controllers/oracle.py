@@ -228,10 +228,10 @@ class Oracle:
         return self._value(n, done)
 
     def _value(self, n: int, done: np.ndarray) -> np.ndarray:
-        """Score [n] in m: distance, less penalties for failure, waiting and sinkage.
+        """Score [n] in m: furthest place, less penalties for failure, waiting and sinkage.
 
-        A finish scores the course's length and the way at the top rim speed in the time that is
-        left to the horizon; `done` [n]: step of the end.
+        A finish has no penalties. It scores the course's length and the way at the top rim speed in
+        the time from the step of the end, `done` [n] counted from 0, to the horizon.
         """
         w = self.clones.worlds
         s = w.state

@@ -38,9 +38,11 @@ class Evaluation(OfTask):
     resamples: int = quantity("of the bootstrap", 10, 100_000, default=2000)
     tuning_courses: int = quantity("0: not tuned", 0, 10**6, default=0)
     oracle_courses: int = quantity("of them, that the oracle drives too", 0, 100_000, default=0)
-    #: {classical controller: settings that tuning has found}.
+    #: {contestant: settings that tuning has found}, of classical ones and classes.
     tuned: dict[str, dict] = field(default_factory=dict)
-    codes: dict = field(default_factory=dict)  # {class: digest of its source, as it was tuned}
+    codes: dict = field(
+        default_factory=dict
+    )  # {contestant: digest of the code of its class, as tuned}
     #: Content of the model.yaml of the world's effects; empty = none.
     model: dict = field(default_factory=dict)
     detailed: bool = True  # with the metrics `DETAILED` of a wheel
@@ -206,8 +208,9 @@ def run(asked: Evaluation, folder: Path, engine: Engine, job: Job) -> dict:
 def result(asked: Evaluation, runs: dict[str, list[Runs]]) -> dict:
     """The content of evaluation.json: a `comparison`, with how each controller was made.
 
-    "sources": {name: [where from]}; "settings": {name: those of a classical controller}; "chosen":
-    {name: "given", "tuned" or "untuned", of the settings}.
+    "sources": {name: [where from]}. "settings": {name: all that its controller drives with}, of
+    classical ones and of classes with `bounds`. "chosen": {name: "given" where --settings named
+    some of these, else "tuned" or "untuned"}. The fields `same` of `asked` are copied.
     """
     oracle = runs.get(ORACLE, [None])[0]
     own = {name: rows for name, rows in runs.items() if name != ORACLE}

@@ -22,7 +22,7 @@ _PREDICT = "predict(obs, state, episode_start, deterministic)"
 
 
 def load(contestant: Contestant, scenario: Scenario, content: bytes | None = None):
-    """The controller: an object with `predict` and `variant`.
+    """The controller: an object with `predict`, `variant` and, but for models, `settings`.
 
     `content`: of a model that is not here.
     """

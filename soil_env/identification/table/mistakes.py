@@ -167,7 +167,9 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
         ("load", ("load",), "kilograms", EARTH_GRAVITY, "newtons"),
         ("forces", ("load", "drawbar_pull"), "kilograms", EARTH_GRAVITY, "newtons"),
     ):
-        if all(known.get(column, True) for column in columns):
+        # Two forces that are wrong alike show only beside the torque.
+        needed = columns if len(columns) == 1 else (*columns, "torque")
+        if all(known.get(column, True) for column in needed):
             both = " and ".join(columns)
             add(
                 name,
@@ -529,10 +531,12 @@ class Examined(NamedTuple):
 def examine(table: Table, setup: Setup) -> Examined:
     """Doubts about a table, most certain first, and the table without the rows that are wrong.
 
-    A column that is dead or in another unit ends the examination: rows and readings are not sought
-    then. Loads are doubted by `load_doubt` only if nothing else was found. Raises `ParameterError`
-    where the table cannot be right (`_readings_doubted`), and for what `prepare` refuses, too
-    little noise or too few values.
+    A channel of one value, or of forces far too small for newtons, ends the examination. Else first
+    come wrong rows, a load far from all others, outliers far from every other value (`gross`) and
+    other readings; `load_doubt` is asked where there are none of these. Doubts of the setup and the
+    grades come last. Outliers stay in the table, and `left_out` names them (`cells`). Raises
+    `ParameterError` where the table cannot be right (`_readings_doubted`), and for what `prepare`
+    refuses, too little noise or too few values.
     """
     data = prepare(table, setup)
     given_noise(data)  # refuses one that leaves no digits

@@ -22,7 +22,7 @@ STEEPEST = 0.9  # [-] largest sine of the pitch; own choice
 
 #: What an axle has beside its wheel.
 AXLE = record(
-    "height",  # [m] of the undisturbed ground under the wheel
+    "height",  # [m] of the undisturbed ground under the wheel, over the start of the course
     "floor",  # [m] depth below it of the rut that the wheels ahead have left there
 )
 #: A rover: its body, then its wheels and axles from the front on. The names that `WHEEL` has too
@@ -141,7 +141,9 @@ def axle_loads(forces, weight, suspension):
 
 @compiled_finite
 def _height_of(rover, a):
-    """Height [m] of the lowest point of the wheel of axle a."""
+    """Height [m], over the start of the course, of the lowest point of the wheel of axle a; its
+    sinkage counts from the floor of the rut of the wheels ahead.
+    """
     axle = rover.axles[a]
     return axle.height - axle.floor - rover.wheels[a].sinkage
 

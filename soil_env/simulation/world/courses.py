@@ -171,7 +171,8 @@ def _draw_patch(course, load, numbers, nodes):
 def _draw_soil(course, load, numbers, nodes):
     """Draw the soil of the next patch, on a course without terrain classes.
 
-    Where none is found, return False and repeat the soil of the patch before, if there is one.
+    Where none is found, return False and repeat the soil of the patch before; the first patch then
+    has the last soil that was drawn.
     """
     p = course.drawn
     found, soil = draw_ground(course, load, numbers, nodes)

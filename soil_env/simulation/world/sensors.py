@@ -91,8 +91,9 @@ def _scatter(out, sd, wheel, normals):
 
 @compiled_finite
 def mount_sensors(wheel, normals, sensors):
-    """Draw zeros and gains, which are 0 before, of the sensors of a wheel for a course; `sensors`:
-    `SENSOR_NOISE`.
+    """Draw zeros and gains of the sensors of a wheel for a course; they have to be 0 before.
+
+    `sensors`: `SENSOR_NOISE`; `normals` is scratch.
     """
     _scatter(wheel.zero[0], sensors.zero[0], wheel, normals)
     _scatter(wheel.gain[0], sensors.gain[0], wheel, normals)

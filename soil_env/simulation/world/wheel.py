@@ -53,7 +53,7 @@ WHEEL = record(
     "speed",  # V [m/s]
     "wheel_speed",  # w [rad/s]
     "slip",  # [-]
-    "sinkage",  # z [m] below the undisturbed surface
+    "sinkage",  # z [m] below the undisturbed surface; of a rover below the rut of the wheels ahead
     "load",  # W [N]
     "drawbar_pull",  # DP [N]
     "torque",  # T [N m], soil on wheel

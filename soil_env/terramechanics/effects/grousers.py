@@ -12,8 +12,8 @@ BLADE_SLIP = 0.015  # [-] slip over which the thrust of the lugs comes in; own c
 
 @compiled
 def contact_radius(wheel, fx):
-    """Radius [m] that carries the normal stress: of the rim, or part of the way to the tips of the
-    lugs.
+    """Radius [m] that carries the normal stress: of the rim, or with a share of the lugs' height
+    (above 1: soil packed beyond their tips).
     """
     if fx is None:
         return wheel.radius
