@@ -23,6 +23,7 @@ from soil_env.parameters import (
     Scenario,
     Soil,
     UnstatedGravity,
+    Wheel,
     load_scenario,
 )
 from soil_env.simulation.world.courses import course_distribution
@@ -203,6 +204,25 @@ def test_bad_input_is_named_in_one_line(kind, changes, words):
     message = str(caught.value)
     assert "\n" not in message and all(word in message for word in words), message
     assert kind == "scenario" or "mine.yaml" in message
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (
+            lambda: Soil(**SOIL_S, layer={"depth": 0.1, "stiffness": 10.0}),
+            "Soil.layer = {'depth': 0.1, 'stiffness': 10.0}: expected a Layer or None",
+        ),
+        (lambda: Wheel(0.15, 0.15, tyre="soft"), "Wheel.tyre = 'soft': expected a Tyre or None"),
+        (lambda: Scenario(0.15, {"dry_sand": 1.0}), "Scenario.wheel = 0.15: expected a Wheel"),
+        (
+            lambda: WheelSoilModel(ModelWheel(0.1, 0.1), residual=["slip"]),
+            "WheelSoilModel.residual = ['slip']: expected a sequence of ResidualTerm",
+        ),
+    ],
+)
+def test_a_part_that_is_none_is_named_in_one_line(make, message):
+    assert refused(make) == message
 
 
 @pytest.mark.parametrize("name", parameters.scenario_names())

@@ -94,8 +94,8 @@ _hints = functools.cache(typing.get_type_hints)  # {field: type} of a class
 
 
 class Checked:
-    """Base of the parameter classes: every `quantity` and every `Literal` is checked on
-    construction, `FieldError` for a wrong one.
+    """Base of the parameter classes: every `quantity`, every `Literal` and every field that is
+    itself a parameter class is checked on construction, `FieldError` for a wrong one.
 
     A `quantity` is finite and in its range, or None where its type has None. Whole numbers in a
     field of floats become floats: compiled code would be compiled anew for them.
@@ -109,6 +109,11 @@ class Checked:
             value = getattr(self, f.name)
             if typing.get_origin(hint) is typing.Literal and value not in items:
                 raise FieldError(self, f.name, str(unknown_value(value, items)))
+            parts = [k for k in (hint, *items) if isinstance(k, type) and issubclass(k, Checked)]
+            is_part = typing.get_origin(hint) in (None, typing.Union, types.UnionType)
+            if is_part and parts and not isinstance(value, hint):
+                expected = f"a {parts[0].__name__}{' or None' if items else ''}"
+                raise FieldError(self, f.name, f" = {_said(value)}: expected {expected}")
             if "unit" in f.metadata and not (value is None and type(None) in items):
                 if typing.get_origin(hint) is tuple and not isinstance(value, tuple):
                     raise FieldError(self, f.name, f" = {_said(value)}: expected a tuple")

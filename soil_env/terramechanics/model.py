@@ -26,7 +26,7 @@ from soil_env._io.loading import (
     unknown_key,
 )
 from soil_env.parameters import EARTH_GRAVITY, FLOW_LAW, LARGEST_WHEEL, Soil, Tyre, check_lugs
-from soil_env.parameters.wheel import OnTyre, refuse_lugs_on_tyre
+from soil_env.parameters.wheel import MOST_DEFLECTION, OnTyre, refuse_lugs_on_tyre
 
 from .effects import CATALOGUE, Effects, pack_effects
 from .effects.slip_bias import true_slip
@@ -40,7 +40,7 @@ from .residual import (
     residual_at,
     residual_law,
 )
-from .steady import Rim, Rows, floats, predict_rows
+from .steady import DEEPEST, Rim, Rows, floats, predict_rows
 from .validity import OutsideValidity, checked, outside
 
 FORMAT = "soil_env model 1"
@@ -80,15 +80,6 @@ class ModelWheel(Checked, OnTyre):
         lugs = getattr(wheel, "grouser_height", None) or 0.0
         tyre = getattr(wheel, "tyre", None)
         return cls(wheel.radius, wheel.width, lugs, tyre, getattr(wheel, "grip", 0.0))
-
-
-#: Type of a field of a model, in code and in words.
-_KINDS: dict[str, tuple[Any, str]] = {
-    "wheel": (ModelWheel, "a ModelWheel"),
-    "soil": (Soil | None, "a Soil or None"),
-    "residual": (tuple | list, "a sequence of ResidualTerm"),
-    "remainder": (ResidualTable | None, "a ResidualTable or None"),
-}
 
 
 class Prediction(NamedTuple):
@@ -132,10 +123,13 @@ class WheelSoilModel(Checked):
     def __post_init__(self) -> None:
         if not isinstance(self.wheel, ModelWheel) and hasattr(self.wheel, "width"):
             object.__setattr__(self, "wheel", ModelWheel.of(self.wheel))
-        for name, (kind, expected) in _KINDS.items():
-            given = getattr(self, name)
-            if not isinstance(given, kind):
-                raise FieldError(self, name, f" = {given!r}: expected {expected}")
+        are_terms = isinstance(self.residual, (tuple, list)) and all(
+            isinstance(term, ResidualTerm) for term in self.residual
+        )
+        if not are_terms:
+            raise FieldError(
+                self, "residual", f" = {self.residual!r}: expected a sequence of ResidualTerm"
+            )
         super().__post_init__()
         pack_effects(self.effects)  # refuses what is unknown or out of range
         residual_law(self.residual)  # refuses too many terms
@@ -218,7 +212,8 @@ class WheelSoilModel(Checked):
             carried += predict_rows(rows, soil, unit_weight, fx, guess, values)
             if self.residual or self.remainder is not None:
                 deviations = np.empty_like(values)
-                groups = _groups(rows, guess, floats(soil), self.gravity, fx)
+                felt = np.where(guess > 0.0, guess, DEEPEST * radius)  # buried where there is none
+                groups = _groups(rows, felt, floats(soil), self.gravity, fx)
                 _add_residual(law, groups, rows, values, deviations)
                 if self.remainder is not None:
                     sd[here] = deviations
@@ -380,6 +375,12 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
             "conditions: grouser_height: expected metres, less than the wheel radius"
         )
     refuse_lugs_on_tyre(float(np.max(column["grouser_height"], initial=0.0)), wheel.tyre)
+    if np.any(wheel.tyre_deflection > MOST_DEFLECTION * column["wheel_radius"]):
+        least = wheel.tyre_deflection / MOST_DEFLECTION
+        raise ParameterError(
+            f"conditions: wheel_radius: expected at least {least:g} m, since the tyre is deflected "
+            f"by {wheel.tyre_deflection:g} m"
+        )
     of_wheel = [column[n] for n in _SIZES]
     if wheel.tyre is not None or wheel.grip > 0.0:
         of_tyre = wheel.tyre_deflection, wheel.tyre_compliance, wheel.grip

@@ -52,7 +52,7 @@ from .effects.grousers import (
 from .effects.shear_softening import JANOSI, mobilisation, shear_length_ratio
 from .effects.sinkage_offset import sinkage_zero
 from .effects.slip_bias import true_slip
-from .effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
+from .effects.slip_sinkage import apparent_ratio, excavated_depth, slip_sinkage_ratio
 from .ground import stiffened, strengthened, with_strength
 
 DEEPEST = 1.5  # [radii] sinkage beyond which a wheel counts as buried
@@ -85,6 +85,7 @@ class Steady(NamedTuple):
     torque: float  # [N m]
     #: False if the soil does not carry the load down to `DEEPEST` radii, which `sinkage` then is.
     supported: bool
+    felt: float  # [m] sinkage of the contact, without what changes the reading only
 
 
 class Rim(NamedTuple):
@@ -208,7 +209,7 @@ class _Balance(NamedTuple):
     #: ln of S over the slip-sinkage ratio to the power n: of the coefficient that dug soil offers
     strength: float
     lift: float  # [m] depth excavated whatever the load
-    apparent: float  # measured sinkage over z, 1 unless the effect digs only `apparent`ly
+    apparent: float  # measured sinkage over z, 1 unless slip-sinkage is only `apparent`
     law: ShearLaw
 
 
@@ -235,7 +236,6 @@ def _balance(slip, load, soil, wheel, conditions, fx):
         lift = 0.0
         law = JANOSI
         ratio = dug_ratio(slip, soil)
-        apparent = 1.0
     else:
         sine = conditions.sin_grade
         slide = sliding_speed(slip, conditions.speed)
@@ -256,9 +256,8 @@ def _balance(slip, load, soil, wheel, conditions, fx):
         law = stretched(mobilisation(fx), stretch)
         lift = min(excavated_depth(slip, fx), MOST_LIFT * DEEPEST * wheel.radius)
         ratio = dug_ratio(slip, ground)
-        apparent = ratio if fx.slip_sinkage_apparent > 0.0 else 1.0
     strength = math.log(ground.sinkage_coefficient)
-    strength -= ground.sinkage_exponent * math.log(ratio / apparent)
+    strength -= ground.sinkage_exponent * math.log(ratio)
     return _Balance(
         slip,
         rim,
@@ -271,7 +270,7 @@ def _balance(slip, load, soil, wheel, conditions, fx):
         sheared,
         strength,
         lift,
-        apparent,
+        apparent_ratio(slip, fx),
         law,
     )
 
@@ -440,8 +439,9 @@ def steady_at(nodes, point, soil, wheel, conditions, fx):
     slip = true_slip(point.slip, fx)
     balance = _balance(slip, point.load, soil, wheel, conditions, fx)
     x, w, supported = _solve_balance(nodes, balance, wheel, fx, point.guess)
-    sinkage, pull, torque = _as_measured(w, math.exp(x), balance, conditions.speed, wheel, fx)
-    return Steady(sinkage, pull, torque, supported)
+    z = math.exp(x)
+    sinkage, pull, torque = _as_measured(w, z, balance, conditions.speed, wheel, fx)
+    return Steady(sinkage, pull, torque, supported, z)
 
 
 @kept
@@ -501,7 +501,7 @@ def _predict_rows(rows, soil, factors, unit_weight, fx, guess, out):
         out[k, 0] = s.sinkage
         out[k, 1] = s.drawbar_pull
         out[k, 2] = s.torque
-        guess[k] = s.sinkage - sinkage_zero(fx) if s.supported else 0.0
+        guess[k] = s.felt if s.supported else 0.0
         carried += s.supported
     return carried
 
@@ -518,8 +518,8 @@ def predict_rows(
     """Write `steady_at` of every row into `out` [N, 3] (sinkage, drawbar pull, torque). Return the
     number of rows that the soil carries.
 
-    `guess` [N] has the sinkages to start from, 0 for none. It gets the sinkages found, without the
-    zero of the sensor, and 0 where the soil does not carry the wheel. `factors` [N, 4] multiply
+    `guess` [N] has the sinkages to start from, 0 for none. It gets those of the contact (`felt`),
+    and 0 where the soil does not carry the wheel. `factors` [N, 4] multiply
     tan(phi), cohesion, K and S of the soil row by row. `unit_weight` [N/m3] is that of the soil.
     Columns of `rows` are contiguous.
     """

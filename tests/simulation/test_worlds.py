@@ -48,9 +48,7 @@ def settled(case, grade_deg, ground=SOFT):
     the effect.
     """
     effects = {name: dict(values) for name, values in SETTLING[case].items()}
-    # the form takes the place of the soil's digging
-    soil = ground._replace(dig_gain=0.0) if "apparent" in case else ground
-    wheels = on_uniform_ground(effects, soil, math.radians(grade_deg))
+    wheels = on_uniform_ground(effects, ground, math.radians(grade_deg))
     passes = 1.0
     if "multipass" in effects:
         wheels.courses["cells"]["passes"] = 1.0
@@ -72,7 +70,7 @@ def settled(case, grade_deg, ground=SOFT):
     rim = Rim(WHEEL.radius, WHEEL.width, LUG, unit_weight)
     pulled = {"grade": {"share": 1.0}}
     stated = [
-        steady_with(slip, weight, soil, rim, at, pack_effects(fx))
+        steady_with(slip, weight, ground, rim, at, pack_effects(fx))
         for fx in ({**effects, "grade": {**pulled["grade"], **effects.get("grade", {})}}, pulled)
     ]
     shown = scenario.weight / weight  # the observation counts in weights without payload

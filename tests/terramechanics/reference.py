@@ -240,8 +240,12 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
     # the soil that the wheel meets
     dig = fx["slip_sinkage"]
     track = fx["multipass"]
-    gain, recovery = (dig["gain"], dig.get("recovery", 0.5)) if "gain" in dig else digging
-    k = 1.0 + gain * size / ((1.0 - size if i > 0.0 else 1.0) + recovery * size)
+    way = 1.0 - size if i > 0.0 else 1.0
+    own = 1.0 + dig.get("gain", 0.0) * size / (way + dig.get("recovery", 0.5) * size)
+    shown = own if dig.get("apparent", 0.0) else 1.0  # a reading, of soil that digs by itself
+    k = own
+    if "gain" not in dig or dig.get("apparent", 0.0):
+        k = 1.0 + digging[0] * size / (way + digging[1] * size)
     extra = dig.get("length", 0.0) * size / (1.0 - size)
     n = soil.sinkage_exponent + dig.get("exponent_slope", 0.0) * size
     S = soil.sinkage_coefficient
@@ -318,7 +322,7 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
     def sums(z, *shapes):
         """Int (sigma, tau) . shape(theta) over the arc, for each shape [Pa]."""
         theta1, theta2, thetam = arc(z)
-        undisturbed = z if dig.get("apparent", 0.0) else (z - extra) / k
+        undisturbed = (z - extra) / k
         ground = soil._replace(sinkage_coefficient=S * (undisturbed / z) ** n, sinkage_exponent=n)
         points = {theta2, thetam, theta1}
         if displacement(theta2, theta1) * displacement(theta1 - 1e-6, theta1) < 0.0:
@@ -373,7 +377,5 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
         + drive.get("share", 0.0) * abs(torque)
         + drive.get("viscous", 0.0) * wheel_speed
     )
-    measured = min(z * (k if dig.get("apparent", 0.0) else 1.0), 1.5 * site.r) + fx[
-        "sinkage_offset"
-    ].get("offset", 0.0)
+    measured = min(z * shown, 1.5 * site.r) + fx["sinkage_offset"].get("offset", 0.0)
     return SteadyResult(measured, pull, torque, up / normal)

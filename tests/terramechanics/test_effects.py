@@ -13,6 +13,7 @@ from soil_env.slip import motion_from_slip
 from soil_env.terramechanics import contact, effects
 from soil_env.terramechanics.effects import (
     NO_EFFECTS,
+    bulldozing,
     grade,
     multipass,
     pack_effects,
@@ -218,6 +219,25 @@ def test_slope_of_the_shear_law(parameters, relative, k, sign):
     scale = 1.0 / k + 1.0 / parameters["length"]
     assert slope == pytest.approx(difference, rel=1e-4, abs=1e-5 * scale)
     assert contact.mobilised(-j, k, law) == (-e, slope)
+
+
+@given(parameters=softening, relative=st.floats(0.0, 50.0))
+def test_no_more_than_the_strength_is_mobilised_by_peak_and_decay_together(parameters, relative):
+    """Far on, the residual is the product of both."""
+    fx = on("shear_softening", **parameters)
+    law = shear_softening.mobilisation(fx)
+    assert contact.mobilised(0.01 * relative, 0.01, law)[0] <= 1.0 + 1e-12
+    s = max(parameters["sharpness"], 1.0)
+    residual = 4.0 * s / (1.0 + s) ** 2 * (1.0 - parameters["drop"])
+    assert contact.mobilised(100.0, 0.01, law)[0] == pytest.approx(residual)
+
+
+@pytest.mark.parametrize("tan_phi", [0.0, 0.6, 1e3, 1e9])
+def test_passive_pressure_is_finite_at_any_friction(tan_phi):
+    """tan^2(45 deg + phi/2); 4 tan^2(phi) where phi is close to 90 deg."""
+    angle = 0.25 * math.pi + 0.5 * math.atan(tan_phi)
+    expected = math.tan(angle) ** 2 if tan_phi < 1e4 else 4.0 * tan_phi**2
+    assert bulldozing.passive_coefficient(tan_phi) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("compaction", [0.0, 0.5, multipass.COMPACTION, 2.0 / 3.0])

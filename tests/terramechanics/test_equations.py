@@ -92,9 +92,9 @@ def model(name, form, values):
     passage = effects.entry.Passage(SOIL, at["i"], at["V"], at["v"], at["N"], 0.0, at["p"])
     ground = effects.soil_in_contact(SOIL, passage, fx)
     if name == "slip_sinkage":
-        ratio = slip_sinkage.slip_sinkage_ratio(at["i"], *slip_sinkage.digging(SOIL, fx))
         if form == "apparent":
-            return {"z_measured": ratio * at["z"]}
+            return {"z_measured": slip_sinkage.apparent_ratio(at["i"], fx) * at["z"]}
+        ratio = slip_sinkage.slip_sinkage_ratio(at["i"], *slip_sinkage.digging(SOIL, fx))
         return {
             "exponent": {"n(i)": ground.sinkage_exponent},
             "ratio": {"z": ratio * at["z_w"]},

@@ -234,6 +234,26 @@ def test_residual_terms_are_added():
 
 
 @pytest.mark.parametrize(
+    ("soil", "effects", "depth"),
+    [
+        (replace(SOIL, sinkage_coefficient=1e3), {}, 1.5),
+        (SOIL, {"slip_sinkage": {"gain": 2.0, "apparent": 1.0}}, None),
+        (SOIL, {"sinkage_offset": {"offset": 0.01}}, None),
+    ],
+    ids=["buried", "apparent", "offset"],
+)
+def test_the_group_of_the_sinkage_is_that_of_the_contact(soil, effects, depth):
+    """As in a world: 1.5 radii where the soil does not carry, and not what a reading adds."""
+    at = {"slip": 0.3, "load": 90.0}
+    term = (ResidualTerm("drawbar_pull", 0.1, {"sinkage": 1.0}),)
+    plain = WheelSoilModel(WHEEL, soil, effects).predict(at).drawbar_pull[0]
+    found = WheelSoilModel(WHEEL, soil, effects, term).predict(at).drawbar_pull[0]
+    bare = WheelSoilModel(WHEEL, soil).predict(at).sinkage[0]
+    expected = bare / 0.15 if depth is None else depth
+    assert (found - plain) / (0.1 * 90.0) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(
     "model",
     [
         WheelSoilModel(ModelWheel(0.15, 0.12), SOIL),

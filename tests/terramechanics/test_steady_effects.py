@@ -112,6 +112,16 @@ def test_apparent_sinkage_stays_between_the_surface_and_a_buried_wheel(gain, sli
     assert 0.0 < steady(SOIL, slip, 90.0, SITE, fx).sinkage <= DEEPEST * 0.15
 
 
+def test_apparent_sinkage_leaves_the_forces_on_soil_that_digs():
+    """The reading alone is deeper, by the ratio of the effect."""
+    digs = SOIL._replace(dig_gain=2.5)
+    fx = {"slip_sinkage": {"gain": 1.0, "recovery": 0.5, "apparent": 1.0}}
+    found = steady(digs, 0.3, 90.0, SITE, fx)
+    without = steady(digs, 0.3, 90.0, SITE, {})
+    assert found[1:3] == pytest.approx(without[1:3], rel=1e-6)
+    assert found.sinkage == pytest.approx((1.0 + 0.3 / 0.85) * without.sinkage, rel=1e-6)
+
+
 @settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 10**6),

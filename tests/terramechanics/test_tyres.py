@@ -149,6 +149,12 @@ def test_firm_ground_lies_as_deep_however_firm_it_is(stiffness):
         (lambda: Tyre(-0.01), "[0, 1] m (on hard ground at any load; 0 where stiffness is given)"),
         (lambda: ModelWheel(0.2, 0.1, 0.0, Tyre(0.1)), "tyre.deflection = 0.1: expected at most"),
         (lambda: ModelWheel(0.2, 0.1, 0.01, Tyre(0.01)), "grouser_height = 0.01: expected none on"),
+        (
+            lambda: WheelSoilModel(ModelWheel(0.2, 0.1, 0.0, Tyre(0.06)), ground(1e6)).predict(
+                {"slip": 0.2, "load": LOAD, "wheel_radius": 0.1}
+            ),
+            "conditions: wheel_radius: expected at least 0.2 m",
+        ),
         (lambda: Layer(0.03, 0.5), "stiffness = 0.5"),
         (lambda: Layer(-0.03, 10.0), "depth = -0.03"),
         (

@@ -340,7 +340,7 @@ def pile_up(wheel, braked, moved, rig):
 
 @inlined
 def _dug(path, soil):
-    """Sinkage over that without slip to which the slip along a `Path` leads [-]; 1 at rest."""
+    """`digging_ratio` of the slip along a `Path` [-]; 1 at rest."""
     moved = abs(path.moved)
     slid = abs(path.slid)
     if moved + slid < STANDING:

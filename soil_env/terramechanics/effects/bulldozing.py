@@ -9,11 +9,11 @@ from .entry import PULL, Effect, EffectParameter as P, Form
 
 @compiled
 def passive_coefficient(tan_phi):
-    """Rankine's coefficient of passive earth pressure, tan^2(45 deg + phi/2) = (1 + sin phi)/(1 -
-    sin phi).
+    """Rankine's coefficient of passive earth pressure, tan^2(45 deg + phi/2) = (1/cos phi + tan
+    phi)^2, in the form that needs no difference.
     """
-    secant = math.sqrt(1.0 + tan_phi * tan_phi)
-    return (secant + tan_phi) / (secant - tan_phi)
+    root = math.sqrt(1.0 + tan_phi * tan_phi) + tan_phi
+    return root * root
 
 
 @compiled

@@ -16,7 +16,8 @@ def mobilisation(fx):
     (1 - x)(1 + s x) with x = exp(-j/K) falls from its peak to the residual share 4 s/(1 + s)^2 for
     s > 1 (family of Wong 1983). It is divided by its peak, so that phi and c stay those of the
     peak. A sharpness s below 1 has no peak and counts as 0. `shear_softening_drop` lets the
-    strength decay to the residual 1 - d over the length L beyond an onset (Oida 1979).
+    strength decay to the residual 1 - d over the length L beyond an onset (Oida 1979). With both
+    the residual is the product of the two, and the peak is never passed.
     """
     if fx is None:
         return JANOSI
@@ -29,7 +30,7 @@ def mobilisation(fx):
         return ShearLaw(
             (1.0 - drop) / peak,
             s / peak,
-            drop,
+            drop / peak,
             fx.shear_softening_length,
             fx.shear_softening_onset,
         )

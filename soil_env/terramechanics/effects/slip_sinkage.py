@@ -11,8 +11,11 @@ MOST_SLIP = 0.95  # [-] slip above which `excavated_depth` grows no more; own ch
 
 @compiled
 def slip_sinkage_ratio(slip, gain, recovery):
-    """Steady sinkage over the sinkage of the same load on undisturbed soil: 1 + gain |i| / (1 - |i|
-    + recovery |i|).
+    """Steady sinkage over the depth at which undisturbed soil carries the same pressure: 1 + gain
+    |i| / (1 - |i| + recovery |i|).
+
+    A deeper wheel has a longer contact and less pressure. So its sinkage over that of the same load
+    without digging is less, about the ratio to the power n/(n + 1/2).
 
     gain = 1.5 and recovery = 0.5 give (1 + i)/(1 - 0.5 i) of Lyasko (2010), J. Terramechanics
     47(1):21-31; recovery = 0 gives the i/(1 - i) law of Reece for the soil a wheel excavates. For a
@@ -26,8 +29,8 @@ def slip_sinkage_ratio(slip, gain, recovery):
 
 @compiled
 def digging_ratio(slid, way, gain, recovery):
-    """Steady sinkage over the sinkage without slip where the rim slides by `slid` while the wheel
-    travels by `way`: 1 + gain slid / (way + recovery slid).
+    """`slip_sinkage_ratio` where the rim slides by `slid` while the wheel travels by `way`: 1 +
+    gain slid / (way + recovery slid).
 
     Both are ways, speeds or shares of either in one unit.
     """
@@ -58,15 +61,28 @@ def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
 
 @compiled
 def digging(soil, fx):
-    """(gain, recovery) of `slip_sinkage_ratio`: those of the effect where its gain is not 0, else
-    those of the soil.
+    """(gain, recovery) of `slip_sinkage_ratio`: those of the effect where its gain is not 0 and it
+    is not only `apparent`, else those of the soil.
     """
     if fx is None:
         return soil.dig_gain, soil.dig_recovery
     else:
-        if fx.slip_sinkage_gain != 0.0:
+        if fx.slip_sinkage_gain != 0.0 and fx.slip_sinkage_apparent == 0.0:
             return fx.slip_sinkage_gain, fx.slip_sinkage_recovery
         return soil.dig_gain, soil.dig_recovery
+
+
+@compiled
+def apparent_ratio(slip, fx):
+    """Measured sinkage over that of the wheel: the `slip_sinkage_ratio` of the effect in its form
+    `apparent`, else 1.
+    """
+    if fx is None:
+        return 1.0
+    else:
+        if fx.slip_sinkage_apparent == 0.0:
+            return 1.0
+        return slip_sinkage_ratio(slip, fx.slip_sinkage_gain, fx.slip_sinkage_recovery)
 
 
 @compiled
@@ -114,7 +130,7 @@ EFFECT = Effect(
             0.0,
             1.0,
             1.0,
-            "1: the wheel sinks, the stresses stay those of the undisturbed bed",
+            "1: only the reading is deeper, the stresses stay as they are",
         ),
     ),
     (
