@@ -253,6 +253,8 @@ def test_the_info_of_an_end_is_not_overwritten_by_the_next_step(make):
         lambda shape: 0.5,
         lambda shape: [],
         lambda shape: "x",
+        lambda shape: np.full(shape, "0.4"),
+        lambda shape: np.full(shape, 0.4 + 0.1j),
         lambda shape: np.zeros((4, 4, *shape)),
         lambda shape: np.full(shape, math.nan),
         lambda shape: np.full(shape, math.inf),
@@ -287,6 +289,22 @@ def test_order_is_enforced(make):
         env.reset(options={"x": 1})
     env.reset(options={})
     env.step(action)
+
+
+@pytest.mark.parametrize(
+    ("make", "ask"),
+    [
+        (SoilWheelEnv, "estimate"),
+        (SoilWheelEnv, "true_soil"),
+        (SoilRoverEnv, "true_soils"),
+        (SoilWheelEnv, "render"),
+        (SoilRoverEnv, "render"),
+    ],
+)
+def test_nothing_is_told_of_a_course_before_the_first_reset(make, ask):
+    """A picture of a wheel without a course took for ever."""
+    with pytest.raises(gymnasium.error.ResetNeeded, match="before reset"):
+        getattr(make(render_mode="rgb_array"), ask)()
 
 
 @BOTH

@@ -304,10 +304,27 @@ def test_max_episode_steps_truncates_and_the_time_limit_terminates(autoreset, re
                 )
 
 
+@KINDS
+def test_the_last_step_of_a_limit_truncates_where_it_terminates_too(kind):
+    """As `gymnasium.wrappers.TimeLimit`, also where the end cuts the periods of an action short."""
+    changes = {"repeat": 4, "control": {"time_limit": 1.0}}
+    many = kind.many(1, max_episode_steps=3, **changes)
+    one = gymnasium.wrappers.TimeLimit(kind.one(**changes), 3)
+    action = np.full(kind.motors, 0.3, np.float32)
+    many.reset(seed=0)
+    one.reset(seed=0)
+    for _ in range(3):
+        ends = [ended[0] for ended in many.step(action[None])[2:4]]
+        assert ends == [*one.step(action)[2:4]]
+    assert ends == [True, True]
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [
         ({"seed": [1, 2]}, "expected 3 seeds, got 2"),
+        ({"seed": np.array(3)}, "seed = array"),
+        ({"seed": b"abc"}, "seed = b'abc'"),
         ({"seed": True}, "seed = True"),
         ({"seed": "a"}, "^seed"),
         ({"seed": [0, 1.5, 2]}, r"seed\[1\] = 1.5.*: expected a whole number >= 0"),

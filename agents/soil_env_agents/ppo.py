@@ -18,7 +18,7 @@ from soil_env._io.loading import ParameterError, to_dict
 from soil_env.parameters import RoverScenario, Scenario
 from soil_env.simulation.task import VERSION
 
-from .agent import INFO, OPTIMIZER, WEIGHTS, Info, load_weights, network, read_info
+from .agent import INFO, OPTIMIZER, WEIGHTS, Info, check_layout, load_weights, network, read_info
 from .config import PPOConfig
 from .environment import World, normalised
 
@@ -140,6 +140,7 @@ def resume(
     ):
         if stored != asked:
             raise ParameterError(f"{path}: trained with {key} {stored!r}, not {asked!r}")
+    check_layout(info, path, scenario)
     # Other courses and other noise than at the start of the run.
     seed = (seed + info.timesteps) % 2**31
     model = build(scenario, observation, config, seed, tensorboard, world)

@@ -29,7 +29,17 @@ class NativeVecEnv(VecEnv):
 
     def owners(self, indices=None) -> list[VecEnv]:
         """For each of these courses the vector environment that has its attributes."""
-        return [self for _ in self._get_indices(indices)]
+        own: list[VecEnv] = [self] * self.num_envs
+        return [own[k] for k in self._get_indices(indices)]
+
+    def set_options(self, options=None) -> None:
+        """Refuse options of a reset, of which a course has none."""
+        super().set_options(options)
+        if any(self._options):
+            raise ParameterError(
+                f"reset options = {options!r:.80}: expected none; scenarios are set when the "
+                "environment is made"
+            )
 
     def close(self) -> None:
         """Nothing to release."""
@@ -53,7 +63,7 @@ class NativeVecEnv(VecEnv):
 
     def env_is_wrapped(self, wrapper_class, indices=None) -> list[bool]:
         """Single courses are never wrapped."""
-        return [False for _ in self._get_indices(indices)]
+        return [False for _ in self.owners(indices)]
 
 
 class CourseVecEnv(NativeVecEnv):

@@ -129,11 +129,21 @@ def open_run(folder: Path) -> tuple[TrainConfig, Scenario | RoverScenario]:
 
 
 def _tell_edits(folder: Path) -> None:
-    """Say which keys of the files of a run were edited since it began."""
+    """Say which keys of the files of a run were edited since it began; ParameterError for edits of
+    config.yaml that cannot act, since scenario.yaml holds the task.
+    """
     for file in ("config", "scenario"):
         begun = folder / BEGUN.format(file)
         if begun.is_file():
-            edits = differences(read_yaml(begun), read_yaml(folder / f"{file}.yaml"))
+            old = read_yaml(begun)
+            new = read_yaml(folder / f"{file}.yaml")
+            for key in ("scenario", "rover", "changes") if file == "config" else ():
+                if new.get(key) != old.get(key):
+                    raise ParameterError(
+                        f"{folder / 'config.yaml'}: {key} = {new.get(key)!r:.60}: expected "
+                        f"{old.get(key)!r:.60}, as the run began: its task is in scenario.yaml"
+                    )
+            edits = differences(old, new)
             if edits:
                 show(f"{folder / file}.yaml was edited since the run began: {', '.join(edits)}.")
 

@@ -86,6 +86,16 @@ def scenario_changes(
     return {**changes, "control": {**control, **given}}
 
 
+def real_numbers(values: ArrayLike) -> NDArray[np.float64]:
+    """`values` as float64; TypeError or ValueError for text, complex numbers, and whatever else
+    NumPy cannot read.
+    """
+    given = np.asarray(values)
+    if given.dtype.kind not in "biufO":
+        raise TypeError(f"numbers of type {given.dtype}: expected real ones")
+    return given.astype(np.float64, copy=False)
+
+
 def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """`actions` as float64 of this `shape`, cut to [-1, 1]; ValueError unless they are finite
     numbers of that shape.
@@ -95,10 +105,11 @@ def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
     """
     what = "action" if len(shape) == 1 else "actions"
     try:
-        a = np.asarray(actions, dtype=np.float64)
+        a = real_numbers(actions)
     except (TypeError, ValueError):
+        given = " ".join(repr(actions).split())
         raise ValueError(
-            f"{what} = {actions!r:.80}: expected numbers in [-1, 1], shape {shape}"
+            f"{what} = {given:.80}: expected numbers in [-1, 1], shape {shape}"
         ) from None
     if a.shape != shape:
         raise ValueError(f"{what}: expected shape {shape}, got {a.shape}")
@@ -246,10 +257,17 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
                 "'human'."
             )
             return None
+        self._need_course("render")
         return self._view().draw(self.simulation, 0)
+
+    def _need_course(self, method: str) -> None:
+        """ResetNeeded, by `method` of the environment, where no reset has drawn a course yet."""
+        if not self._seeded:
+            raise gymnasium.error.ResetNeeded(f"{method}() before reset()")
 
     def _soil_at(self, x: float) -> Soil:
         """The undisturbed soil at x [m] along the course, without its density."""
+        self._need_course("true_soil")
         border = self.scenario.course.border
         soil = soil_at(self.simulation.worlds.courses, 0, x, border)
         return Soil.of_state(soil, self.scenario.gravity)
@@ -337,10 +355,10 @@ class CourseVectorEnv(
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(actions, self.num_envs)
         self._shape = (self.num_envs, *actions.shape)
-        # [control periods] after which an episode is truncated
+        # [control periods] that an episode is longer than in the step that truncates it
         self._longest = np.inf
         if self._most_steps is not None:
-            self._longest = self._most_steps * self.scenario.control.action_periods
+            self._longest = (self._most_steps - 1) * self.scenario.control.action_periods
 
     def reset(
         self,
@@ -396,7 +414,8 @@ class CourseVectorEnv(
         if isinstance(seed, Integral):
             first = _whole_number("seed", seed, 0)
             return [first + k for k in range(self.num_envs)]
-        if isinstance(seed, str) or not isinstance(seed, Sequence | np.ndarray):
+        listed = isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str | bytes)
+        if not listed or getattr(seed, "shape", None) == ():
             raise ParameterError(
                 f"seed = {seed!r:.80}: expected a whole number, {self.num_envs} of them, or None"
             )
@@ -427,7 +446,7 @@ class CourseVectorEnv(
         self.simulation.step_all(commands, self._done.view(np.int8))  # True restarts
         self.infos.after_step(self._done)
         terminated = worlds.cause != _RUNNING
-        truncated = ~terminated & (self.simulation.steps >= self._longest)
+        truncated = self.simulation.steps > self._longest
         np.logical_or(terminated, truncated, out=self._done)
         reward = worlds.reward.copy()
         finals: Info = {}

@@ -319,6 +319,7 @@ class SoilWheelEnv(CourseEnv):
             raise ParameterError(
                 "estimate: nothing is identified; expected observation='identified' or info='full'"
             )
+        self._need_course("estimate")
         belief = self.scenario.belief
         numbers = published(ids.estimate[0].tolist(), ids.sd[0].tolist(), belief.dig_gain)
         return soil_of_numbers(numbers, belief, self.scenario.gravity)

@@ -417,6 +417,7 @@ def test_what_other_code_or_another_class_tuned_is_tuned_again(tmp_path, monkeyp
             [f"--controllers={DRIVERS}:WrongShape"],
             (f"{DRIVERS}:WrongShape", "of shape [3]: expected [3, 1]"),
         ),
+        ([f"--controllers={DRIVERS}:Complex"], ("an action that is no number: expected shape",)),
         ([f"--controllers={DRIVERS}:Alone"], ("predict gave one value: expected (action, state)",)),
         (
             [f"--controllers={DRIVERS}:OneNaN"],

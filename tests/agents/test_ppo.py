@@ -128,6 +128,8 @@ def test_resume_refuses_another_network_or_observation(saved, scenario, key, ask
         lambda: resume(saved, scenario, "identified", config, 0, None),
         f"{key} {getattr(TINY, key)!r}, not",
     )
+    other = load_scenario("two_lines")
+    refused(lambda: resume(saved, other, "identified", TINY, 0, None), "another observation layout")
 
 
 def edit(path, **changes):

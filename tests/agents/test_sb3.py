@@ -88,5 +88,11 @@ def test_what_it_cannot_take_is_one_line(own):
     ):
         with pytest.raises(ParameterError, match=said):
             own(**{"num_envs": 1, "observation": "blind", **options})
+    env = own(1, observation="blind")
     with pytest.raises(ResetNeeded):
-        own(1, observation="blind").step_wait()
+        env.step_wait()
+    env.set_options({})
+    with pytest.raises(ParameterError, match="reset options = .*'x'.*: expected none"):
+        env.set_options({"x": 1})
+    with pytest.raises(IndexError):
+        env.get_attr("scenario", 1)

@@ -106,6 +106,10 @@ def test_a_run_its_folder_and_its_resumption(capsys, tmp_path, monkeypatch):
     assert code == 0 and "edited since the run began: seed 4 -> 5." in " ".join(out.split())
     assert json.loads((folder / comparison.DONE).read_text()) == result
     assert (folder / "model.zip").read_bytes() == model
+    edited = edited.replace("scenario: two_lines", "scenario: mixed")
+    (folder / "config.yaml").write_text(edited)
+    said = "scenario = 'mixed': expected 'two_lines', as the run began: its task is in scenario"
+    assert said in refused(capsys, "--resume", folder)
 
 
 def test_the_verdict_is_against_the_best_that_does_not_know_the_soil():

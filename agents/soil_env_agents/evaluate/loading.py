@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from soil_env._io.loading import ParameterError
+from soil_env.envs.course_env import real_numbers
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import VARIANTS
 from soil_env.terramechanics.model import WheelSoilModel
@@ -110,7 +111,7 @@ def _checked(answer, shape: tuple[int, int], who: str) -> tuple[np.ndarray, obje
         )
         raise ParameterError(f"{where} {given}: expected (action, state)")
     try:
-        action = np.asarray(answer[0], dtype=float)
+        action = real_numbers(answer[0])
     except (TypeError, ValueError):
         raise ParameterError(
             f"{where} an action that is no number: expected shape {list(shape)}"
