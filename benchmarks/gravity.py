@@ -51,7 +51,8 @@ PUBLISHED = {
 }
 TEXT = (
     "Sinkage over contact length is z/(r theta_1). The soil is fitted to the middle of the values "
-    "at 1 g, with each cohesion c; load of 1 g: c = 150 Pa at lunar gravity with the load of 1 g. "
+    "at 1 g, with each cohesion c and a gain of slip-sinkage of at most 8; load of 1 g: c = 150 Pa "
+    "at lunar gravity with the load of 1 g. "
     "A steepest slope is atan of the best drawbar pull over load within the torque of the motor, "
     "with a smooth rim; in brackets with a straight strength."
 )
