@@ -323,7 +323,7 @@ def test_the_last_step_of_a_limit_truncates_where_it_terminates_too(kind):
     ("given", "words"),
     [
         ({"seed": [1, 2]}, "expected 3 seeds, got 2"),
-        ({"seed": np.array(3)}, "seed = array"),
+        ({"seed": np.array(3.5)}, "seed = 3.5"),
         ({"seed": b"abc"}, "seed = b'abc'"),
         ({"seed": True}, "seed = True"),
         ({"seed": "a"}, "^seed"),

@@ -409,13 +409,14 @@ class CourseVectorEnv(
         """A seed for each course: from a single one counted up by one a course, from a sequence one
         each. None keeps the random stream of the course, or starts one without a seed.
         """
+        if isinstance(seed, np.ndarray):
+            seed = seed.tolist()
         if seed is None:
             return [None] * self.num_envs
         if isinstance(seed, Integral):
             first = _whole_number("seed", seed, 0)
             return [first + k for k in range(self.num_envs)]
-        listed = isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str | bytes)
-        if not listed or getattr(seed, "shape", None) == ():
+        if isinstance(seed, str | bytes) or not isinstance(seed, Sequence):
             raise ParameterError(
                 f"seed = {seed!r:.80}: expected a whole number, {self.num_envs} of them, or None"
             )
