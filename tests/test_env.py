@@ -357,6 +357,11 @@ def test_halts_happen_and_ignore_the_action(make):
         (SoilWheelEnv, {"repeat": "3"}, "repeat = '3': expected a whole number >= 1"),
         (
             SoilWheelEnv,
+            {"repeat": 4, "control": {"repeat": 3}},
+            "repeat = 4: control has repeat = 3: expected one of them",
+        ),
+        (
+            SoilWheelEnv,
             {"scenario": ""},
             "scenario = '': expected a name or the path of a YAML file",
         ),

@@ -65,7 +65,7 @@ def scenario_changes(
 
     `own`: keywords that are no part of a scenario, for the message. Raises UnknownKeyword for any
     other name. Raises ParameterError for a `repeat` that is no whole number >= 1, and where
-    `control` is an object, into which nothing can be put.
+    `control` has another value or is an object, into which nothing can be put.
     """
     fields = tuple(f.name for f in dataclasses.fields(kind))
     for key in changes:
@@ -83,6 +83,11 @@ def scenario_changes(
         raise ParameterError(
             f"{next(iter(given))}: expected only where `control` is not given as an object"
         )
+    for name, value in given.items():
+        if control.get(name, value) != value:
+            raise ParameterError(
+                f"{name} = {value!r}: control has {name} = {control[name]!r}: expected one of them"
+            )
     return {**changes, "control": {**control, **given}}
 
 
