@@ -47,10 +47,11 @@ def normalised(
     seed: int,
     world: World = None,
 ) -> VecNormalize:
-    """The vector environment of `config.num_envs` wheels, or rovers, with running normalisation of
-    observations and rewards.
+    """The vector environment of `config.num_envs` wheels, or rovers, wrapped as by `side_by_side`,
+    with running normalisation of observations and rewards.
 
-    `observation`: variant. Several worlds share the wheels equally. Wheel k has seed `seed` + k.
+    `observation`: variant. Several worlds share the wheels equally. Wheel k has seed `seed` + k. A
+    world brings effects and grouser height of its model; wheel and soils stay the scenario's.
     """
     worlds = list(world) if isinstance(world, Sequence) else [world]
     shares = np.diff(np.linspace(0, config.num_envs, len(worlds) + 1).astype(int))
@@ -65,7 +66,9 @@ def normalised(
 
 
 def side_by_side(parts: Sequence[CourseVecEnv], config: PPOConfig, seed: int) -> VecNormalize:
-    """The `parts`, of one observation layout, with penalty, history and running normalisation."""
+    """The `parts`, of one observation layout, with penalty, history, choices and running
+    normalisation.
+    """
     wheels = TeacherPenalty(parts[0] if len(parts) == 1 else SeveralWorlds(parts))
     if config.history:
         wheels = HistoryVecEnv(wheels, History(parts[0].observation_names, config.history))

@@ -68,7 +68,9 @@ class Bar:
     def update(
         self, done: int | None = None, advance: int = 0, note: str = "", part: str = ""
     ) -> None:
-        """Set the amount done, or advance that of a part; `note` is shown beside it."""
+        """Set the amount `done` of the whole job, or advance it and its `part`, which bars of parts
+        need. `note` is shown beside it, but not on a live row of a part, which has its own name.
+        """
         step = advance if done is None else done - self.done
         self.done += step
         if self.live:

@@ -96,7 +96,7 @@ class Vehicles:
         """Take the compiled functions (lay, step) with their arrays.
 
         `courses`: the numbers that courses are drawn by and the final ground [m] that a vehicle
-        needs before it; `scratch`: the work space of each thread; `on_board`: the estimators, None
+        needs before it; `scratch`: a work space for each chunk; `on_board`: the estimators, None
         where nothing is identified.
         """
         self._lay, self._step = functions
@@ -215,7 +215,8 @@ class Vehicles:
 
     def _all(self, orders: np.ndarray) -> None:
         """Follow the orders [vehicles], chunk by chunk, in several threads if there are many
-        vehicles. Ground that a restart or a step needs is drawn first.
+        vehicles. Ground that a restart or a step needs is drawn first; RuntimeError where no soil
+        was found for it.
         """
         courses = np.where(orders == RESTART, RESTART, IDLE)
         courses[(orders == STEP) & (self._ready < self._x + self._ahead)] = AHEAD

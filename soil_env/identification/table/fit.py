@@ -198,7 +198,7 @@ def identify_table(table: Table, setup: Setup, *, check: bool = True) -> TableEs
             u, converged = _settle(problem, u, False)
             plain = _Plain(u, _fits(problem, u))
         for _ in range(_FORM_PASSES):
-            share = problem.by_size(u)[0]
+            share = problem.by_law_error(u)[0]
             problem.allow_form_error(u, LAW_ERRORS[int(np.argmax(share))])
             u, converged = _settle(problem, u, False)
         if not problem.measured[:, 0].any():
@@ -296,7 +296,7 @@ def _summary(
     published[PHI, PHI] = math.radians(1.0)
     published[LN_S, EXPONENT] = math.log(problem.z_ref)
     by_u = (published @ scaling)[free]
-    share, mean, under = problem.by_size(u)
+    share, mean, under = problem.by_law_error(u)
     whole = covariance_about(u, share, mean, under)
     covariance = by_u @ whole @ by_u.T
     sd = np.sqrt(np.diag(covariance))

@@ -389,16 +389,16 @@ class TableProblem:
         )
         return np.stack(moved, axis=2) * self.measured[:, :, None]
 
-    def by_size(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(probability [S], mean [S, p], covariance [S, p, p] of the unknowns) under each of the S
-        `LAW_ERRORS`, linearised at u.
+    def by_law_error(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(probability [S] of each of the S `LAW_ERRORS` given the table, mean [S, p] and
+        covariance [S, p, p] of the whitened unknowns under it), linearised at the whitened u.
         """
         log, mean, covariance = self.evidence(u)
         return np.exp(log - logsumexp(log)), mean, covariance
 
     def evidence(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(log of evidence times prior [S], mean [S, p], covariance [S, p, p] of the unknowns)
-        under each of the S `LAW_ERRORS`, linearised at u.
+        """(log of evidence times prior [S], mean [S, p], covariance [S, p, p] of the whitened
+        unknowns) under each of the S `LAW_ERRORS`, linearised at the whitened u.
         """
         j = self.by_noise(self.by_unknowns(u))
         e = self.by_noise(self.residual(u))

@@ -89,6 +89,8 @@ def _room(count: int, least: int) -> int:
 def new_courses(wheels: int, scenario: Scenario) -> np.ndarray:
     """Courses without drawn ground, `course_dtype` [wheels], with room for the most patches and
     slopes that the scenario can draw.
+
+    The last patch may begin just before the end, and slopes are drawn to the end of that patch.
     """
     spec = scenario.course
     patches = math.ceil(spec.length / spec.patch_length[0]) + 2
@@ -96,7 +98,7 @@ def new_courses(wheels: int, scenario: Scenario) -> np.ndarray:
     slopes = math.ceil(longest / spec.slope_length[0]) + 2
     cells = CELLS_BEHIND + math.ceil(spec.length / CELL) + 2
     courses = np.zeros(wheels, course_dtype(patches, slopes, cells))
-    courses["ready"] = HUGE
+    courses["ready"] = HUGE  # so that no ground is asked for before the first restart
     for pieces in ("patches", "slopes"):
         courses[pieces]["start"] = HUGE
         courses[pieces]["end"] = HUGE
