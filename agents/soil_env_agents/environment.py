@@ -214,9 +214,9 @@ def hidden_worlds(
     """`count` worlds with one effect of the catalogue each, its published form and its size drawn
     by `seed`.
 
-    Their effects are `names` in turn. Sizes are drawn from the prior of the catalogue, cut at one
-    standard deviation, so that most are of the size of the disagreement between published laws. A
-    tyre has no lugs.
+    Their effects are `names` in turn. Sizes are drawn evenly within one standard deviation of the
+    prior of the catalogue, about the disagreement between published laws, and evenly in the
+    logarithm where the prior is log-normal. A tyre has no lugs, so no `grousers`.
     """
     rng = np.random.default_rng([seed, count, 7])
     if ModelWheel.of(scenario.wheel).tyre is not None:

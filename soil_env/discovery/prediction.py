@@ -262,7 +262,9 @@ class Prediction:
         own = (self.learnt.size * _scales(there, law)) ** 2
         variance = np.sum(top**2, axis=0) - np.sum(known**2, axis=0) + np.sum(shared**2, axis=0)
         sd = np.sqrt(np.maximum(variance.reshape(law.shape) + own, 0.0) + self.variance_of_run)
-        shift, apart = self._towards_curves(self._means(there)[0] if without else mean, there)
+        # Curves are of what the rig reads: the shift is that of the fit with all errors of the rig.
+        read = self._means(there)[0] if without else mean
+        shift, apart = self._towards_curves(read, there)
         return Predicted(mean + shift, np.hypot(WIDER * sd * self.problem.noise, apart))
 
     def _towards_curves(self, mean: np.ndarray, there: Problem) -> tuple[np.ndarray, np.ndarray]:

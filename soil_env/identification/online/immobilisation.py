@@ -244,7 +244,8 @@ def see(recent, image, classes, sight, numbers):
 @compiled
 def _write_inputs(recent, x, sd, numbers, out):
     """Write the `INPUTS` of a wheel into `out`: by its averages and view in `recent` [RECENT], its
-    estimate x [6] and the standard deviations sd [6]. The load is the average over 2 s.
+    estimate x [6] and the standard deviations sd [6] (`PUBLISHED_*`). The load is the average over
+    2 s. `numbers`: `SETTING`.
     """
     out[:_AVERAGES] = recent[:_AVERAGES]
     out[_AVERAGES] = math.log(_SHORTEST + recent[_AVERAGES])

@@ -191,7 +191,9 @@ def _settle(rover, mass, course, ruts, numbers, nodes):
     """Put a rover, whose record is blank but for its stream, at rest at the start of its course.
 
     `mass` [kg] is the mean on its wheels. The record holds the mass of one side of the vehicle. The
-    rear axle stands at 0 of the course, the others ahead of it.
+    rear axle stands at 0 of the course, the others ahead of it. Each wheel gets a random stream of
+    its own, and the place of the first halt is drawn. `numbers`: `RoverCourseNumbers`;
+    `ruts` [axles, cells]; `nodes` is scratch.
     """
     rig = numbers.rig
     s = numbers.suspension
