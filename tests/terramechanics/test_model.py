@@ -13,7 +13,7 @@ import yaml
 from scipy.optimize import brentq
 
 from soil_env.measurement.table import read_table
-from soil_env.parameters import Soil, soils
+from soil_env.parameters import Soil, soils, wheels
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTable, ResidualTerm
 from soil_env.terramechanics.steady import LEVEL, Conditions, Rim, steady_with
@@ -344,3 +344,18 @@ def test_beyond_its_range_a_model_warns_once_and_predicts_all_the_same(condition
     assert np.array_equal(plain.sinkage, there.sinkage) and np.array_equal(
         plain.torque, there.torque
     )
+
+
+def test_digging_on_dry_sand_is_what_the_page_of_the_wheel_says():
+    """2.1 times the sinkage without digging; twice that without slip (configs/soils.yaml)."""
+    sand = soils()["dry_sand"]
+    wheel = ModelWheel.of(wheels()["planetary_rover"])
+
+    def sinkage(soil, slip):
+        """Sinkage [m] under the wheel's weight."""
+        at = {"slip": slip, "load": 147.0}
+        return WheelSoilModel(wheel, soil).predict(at).sinkage[0]
+
+    digging = sinkage(sand, 0.6)
+    assert digging / sinkage(replace(sand, dig_gain=0.0), 0.6) == pytest.approx(2.1, abs=0.05)
+    assert digging / sinkage(sand, 0.0) == pytest.approx(2.0, abs=0.1)
