@@ -72,7 +72,7 @@ class Info(Checked):
 
     @cached_property
     def task(self) -> Scenario | RoverScenario:
-        """The scenario that the agent was trained on."""
+        """The scenario that the agent was trained on, that of a rover if it has a `vehicle`."""
         kind = RoverScenario if "vehicle" in self.scenario else Scenario
         return load(kind, self.scenario, "scenario")
 
@@ -114,8 +114,8 @@ class ChoosingExtractor(MlpExtractor):
         self.line_net = nn.Sequential(*hidden, nn.Linear(net_arch[-1], 1, device=device))
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        """[n, hidden + 2] for features [n, D]: last hidden layer of the drive, difference of the
-        scores, and the entry `choice`.
+        """[n, hidden + 2] for features [n, D]: last hidden layer of the drive, score of the route
+        ahead less that of the route beside, and the entry `choice`.
 
         The scores are learned apart (`choice`), so no gradient goes to them.
         """
@@ -133,6 +133,7 @@ class ChoosingPolicy(ActorCriticPolicy):
     """
 
     def __init__(self, *args, choice: int = 0, routes: Sequence[list[int]] = (), **kwargs):
+        # Before SB3's constructor, which calls `_build_mlp_extractor`.
         self.of_choice: dict[str, Any] = {"choice": choice, "routes": routes}
         super().__init__(*args, **kwargs)
 
@@ -146,8 +147,11 @@ class ChoosingPolicy(ActorCriticPolicy):
         )
 
     def _get_action_dist_from_latent(self, latent_pi: torch.Tensor):
-        """Distribution of the actions, of what `ChoosingExtractor.forward_actor` gives
-        [n, hidden + 2].
+        """Normal distribution of the actions [n, 1], of what `ChoosingExtractor.forward_actor`
+        gives [n, hidden + 2].
+
+        Its mean is the difference of the scores where a route is chosen, so that an action above 0
+        takes the route ahead; elsewhere it is the output of `action_net`.
         """
         hidden, difference, choosing = latent_pi.split([latent_pi.shape[1] - 2, 1, 1], dim=1)
         # The entry is normalised: where it is 1 it is above its mean, else below.
@@ -159,7 +163,11 @@ class ChoosingPolicy(ActorCriticPolicy):
 
 
 def network(config: PPOConfig, names: Sequence[str]) -> tuple[type, dict]:
-    """(policy class of SB3, its arguments) for observations with the entries `names`."""
+    """(policy class of SB3, its arguments) for observations with the entries `names`.
+
+    It is `ChoosingPolicy` where one of them is `choice`, else SB3's own. Drive and value network
+    have two hidden layers each.
+    """
     activation = {"relu": nn.ReLU, "tanh": nn.Tanh}[config.activation]
     common = {
         "log_std_init": config.log_std_init,
@@ -173,8 +181,10 @@ def network(config: PPOConfig, names: Sequence[str]) -> tuple[type, dict]:
 
 
 def read_member(path: Path, name: str, most: int = MOST_BYTES) -> bytes | None:
-    """A member of a model's zip, None where the zip has no such member; ParameterError in one
-    line.
+    """A member of a model's zip, None where the zip has no such member.
+
+    ParameterError in one line where the file is missing or no zip, and for a member of more than
+    `most` bytes, unpacked.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -194,7 +204,10 @@ def read_member(path: Path, name: str, most: int = MOST_BYTES) -> bytes | None:
 
 
 def read_mapping(path: Path, name: str) -> dict | None:
-    """A JSON member of a model's zip as a mapping, None where the zip has no such member."""
+    """A JSON member of a model's zip as a mapping, None where the zip has no such member.
+
+    ParameterError as `read_member`, and where the member is no JSON or no mapping.
+    """
     content = read_member(path, name, _MOST_TEXT)
     try:
         mapping = None if content is None else json.loads(content)
@@ -208,8 +221,10 @@ def read_mapping(path: Path, name: str) -> dict | None:
 
 
 def read_info(path: Path) -> Info:
-    """The checked soil_env.json of a model; ParameterError if the file is missing, broken or of
-    another program.
+    """The checked soil_env.json of a model.
+
+    ParameterError if the file is missing, broken or of another program, if the model was trained on
+    an observation that this version does not have, and if its moments do not fit its input.
     """
     mapping = read_mapping(path, INFO)
     if mapping is None:
@@ -239,8 +254,10 @@ def read_info(path: Path) -> Info:
 
 
 def check_layout(info: Info, where, scenario: Scenario | RoverScenario | None = None) -> None:
-    """ParameterError if a model was trained on another observation than this version's of
-    `scenario` (or its own).
+    """ParameterError if a model was trained on other entries of its observation variant than this
+    version has on `scenario`, by default the model's own, or on the other kind of vehicle.
+
+    `where`: what the model was read from, at the beginning of the message.
     """
     scenario = info.task if scenario is None else scenario
     if isinstance(info.task, RoverScenario) != isinstance(scenario, RoverScenario):
@@ -263,12 +280,15 @@ def check_layout(info: Info, where, scenario: Scenario | RoverScenario | None = 
 
 
 def load_weights(path: Path, name: str, into) -> None:
-    """Load a member of tensors `into` a module or an optimizer; ParameterError in one line."""
+    """Load a member of tensors `into` a module or an optimizer, on the CPU.
+
+    ParameterError in one line where it is missing, too large or does not fit.
+    """
     content = read_member(path, name)
     try:
         if content is None:
             raise ValueError("it is missing")
-        check_unpacked(io.BytesIO(content), MOST_BYTES)
+        check_unpacked(io.BytesIO(content), MOST_BYTES)  # torch's own file is a zip, too
         into.load_state_dict(torch.load(io.BytesIO(content), map_location="cpu", weights_only=True))
     except Exception as error:  # torch has no error class of its own for a broken file
         raise ParameterError(
@@ -293,7 +313,7 @@ def load_agent(path: str | Path) -> Agent:
     policy = cls(
         box,
         action_space(info.task.axles if isinstance(info.task, RoverScenario) else 1),
-        lambda _: 0.0,
+        lambda _: 0.0,  # learning rate: it is not trained
         **arguments,
     )
     load_weights(path, WEIGHTS, policy)
@@ -327,11 +347,13 @@ class Agent(inputs.Observing):
         self._layout = inputs.Layout(entries, self.variant)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """Actions for observations [n, D] or [D] in their units, and the memory for the next call;
-        as SB3's predict.
+        """(actions [n, A] in [-1, 1], memory for the next call) for observations [n, D] in their
+        units; actions [A] for [D]. As SB3's predict; A is 1, or the axles of a rover.
 
-        `state`: result of the last call for these n courses, None at first. `episode_start` [n]
-        bool: courses that begin, where nothing is remembered.
+        `state`: memory that the last call for these n courses returned, None at first; an agent
+        without a history returns it as it is. `episode_start` [n] bool: courses that begin, where
+        nothing is remembered; by default all if `state` is None, else none. Unless `deterministic`,
+        actions are drawn from the policy's distribution.
 
         Raises ParameterError for another D, for NaN, for an entry out of the bounds of the layout,
         and for a `state` or `episode_start` of another size. Scaled observations of the start of a
@@ -349,5 +371,7 @@ class Agent(inputs.Observing):
         return (action[0] if seen.ndim == 1 else action), state
 
     def _normalised(self, seen: np.ndarray) -> np.ndarray:
-        """Input of the network for scaled observations, [n, D]."""
+        """Input of the network [n, D] float32 for scaled observations [n, D], history included:
+        standard deviations from the mean of the training, cut at `clip`.
+        """
         return np.clip((seen - self.mean) / self.sd, -self.clip, self.clip).astype(np.float32)

@@ -72,7 +72,8 @@ def code_version() -> str:
 
 
 def is_begun(study, folder: Path, ignored: Collection[str] = ()) -> bool:
-    """True if `folder` holds this study (a dataclass) already; a new folder is made.
+    """True if `folder` holds this study (a dataclass) already; False for one that is missing, which
+    is made, or empty.
 
     `ignored` fields and the version of the code may differ.
 
@@ -107,10 +108,11 @@ def save_study(study, folder: Path) -> None:
 
 
 def load_study(cls, folder: Path, check: Callable[[dict, str], None] | None = None):
-    """The study of a folder, of dataclass `cls`. One that was begun with other code is `renewed`,
-    with a line of output.
+    """The study of a folder, of dataclass `cls`. For one that was begun with other code it is
+    `study.renewed(code_version())`, with a line of output.
 
     `check` receives the content and the path of its file before anything is made of it.
+    ParameterError where there is no folder, or no such study in it.
     """
     path = folder / STUDY
     if not folder.is_dir():
@@ -139,12 +141,16 @@ def clear(folder: Path) -> None:
 
 
 def cell_file(folder: Path, cell: Hashable) -> Path:
-    """File of a finished cell."""
+    """Path of the file of a finished cell: its name with - for each /, .json, in the folder
+    `cells`.
+    """
     return folder / "cells" / f"{str(cell).replace('/', '-')}.json"
 
 
 def read_cell(folder: Path, cell: Hashable, parse: Callable):
-    """`parse` of the content of a finished cell; ParameterError where the file is damaged."""
+    """What `parse` makes of the content of a finished cell, a mapping without `MADE_FROM`;
+    ParameterError where the file is damaged.
+    """
     path = cell_file(folder, cell)
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -173,7 +179,8 @@ def fill(
     needs: Callable[[Cell], object] = lambda cell: None,
     found: Callable[[Cell], None] | None = None,
 ) -> None:
-    """Do the cells without a file, and those made from something else than `needs` says now.
+    """Do the cells without a file, and those made from something else than `needs` says now. Each
+    result is written to its `cell_file` at once.
 
     `work` gives the content of a cell's file, a mapping, and `needs` the plain values on which it
     depends. `progress` receives every finished cell; those that were there already go to `found`,
@@ -209,7 +216,7 @@ def is_done(folder: Path, cell: Cell, needs: Callable[[Cell], object]) -> bool:
 
 
 def _digest(needed: object) -> str:
-    """Digest of plain values."""
+    """Digest of plain values, 16 hexadecimal digits; the order of keys does not matter."""
     return hashlib.sha256(json.dumps(needed, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -224,8 +231,8 @@ def _made_from(path: Path) -> str | None:
 
 
 def choose(engine: str, workers: int | None = None, address: str | None = None) -> Engine:
-    """The engine of the options of `cli.engine_options`; without `workers`, "local" is this
-    process.
+    """The engine of the options of `cli.engine_options`: `on_ray` for "ray"; for "local"
+    `processes`, or `in_process` without `workers`.
 
     ParameterError where the options do not fit together, or where there is no Ray or no cluster.
     """
@@ -257,8 +264,10 @@ class _Worker:
 
 
 def _begin(work: Callable) -> None:
-    """Begin a worker process: only its parent interrupts it, by SIGTERM, so that a training writes
-    its checkpoint. Where the parent was killed it ends too.
+    """Begin a worker process: keep its `work`, print nothing, and end where the parent is killed.
+
+    Only the parent interrupts it, by SIGTERM: KeyboardInterrupt in the work, so that a training
+    writes its checkpoint. Between cells the signal is ignored.
     """
 
     def interrupt(*_) -> None:
@@ -282,7 +291,11 @@ def _call(cell):
 
 
 def processes(work: Callable, cells: Iterable, *, workers: int) -> Generator[tuple, None, None]:
-    """Engine of `workers` processes of this machine, each single-threaded."""
+    """Engine of `workers` processes of this machine, each single-threaded.
+
+    Where a process dies, all are ended, and the cells under way are done anew by others. The
+    `ATTEMPTS`-th death while the same cell is under way is a ParameterError.
+    """
     for name in _SINGLE_THREADED:
         os.environ.setdefault(name, "1")  # of the processes to come
     left = deque(cells)
@@ -311,15 +324,17 @@ def processes(work: Callable, cells: Iterable, *, workers: int) -> Generator[tup
                         "processes, with the same command"
                     ) from None
         finally:
-            if running:
+            if running:  # it ends before its cells: by a dead process, an error or an interrupt
                 for child in set(multiprocessing.active_children()) - set(others):
                     child.terminate()
             pool.shutdown(cancel_futures=True)
 
 
 def _check_ray(address: str | None) -> None:
-    """ParameterError if Ray is not installed or nothing listens at `address` or RAY_ADDRESS; Ray
-    tries for minutes.
+    """ParameterError if Ray is not installed, or if nothing listens at `address`, by default that
+    of RAY_ADDRESS. Without this check Ray would try for minutes.
+
+    Without an address, and for "auto" and "local", nothing is tried.
     """
     try:
         import ray  # noqa: F401
@@ -354,7 +369,7 @@ def on_ray(
     if ours:
         options = {"log_to_driver": False, "logging_level": "ERROR"}
         if address is not None or not os.environ.get("RAY_ADDRESS"):
-            # "auto" tries a cluster that died here for minutes.
+            # Not "auto", by which Ray tries for minutes to reach a cluster that died here.
             options["address"] = address or "local"
         if workers is not None:
             options["num_cpus"] = workers

@@ -47,14 +47,15 @@ class ChoiceVecEnv(VecEnvWrapper):
         return self.seen[:, self.choice] > 0.5
 
     def reset(self) -> np.ndarray:
+        """New courses; the routes under way are forgotten, since their end is not known."""
         self.seen = self.venv.reset()
         self.under_way[:] = False
         self.chose[:] = False
         return self.seen
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Note the routes that `actions` [wheels, 1] choose; a wheel that comes to its next choice
-        has come over its last route.
+        """Note the routes that `actions` [wheels, 1] choose, below 0 the one beside; a wheel that
+        comes to its next choice has come over its last route.
         """
         choosing = self.choosing
         self._keep(np.flatnonzero(choosing & ~self.chose & self.under_way), 1.0)
@@ -75,7 +76,9 @@ class ChoiceVecEnv(VecEnvWrapper):
         return self.seen, rewards, dones, infos
 
     def _keep(self, wheels: np.ndarray, passed) -> None:
-        """Keep the routes of the `wheels` [n] (indices), 1 in `passed` if they came over."""
+        """Keep the last routes of the `wheels` [n] (indices); `passed`, [n] or one number, is 1 if
+        they came over, else 0.
+        """
         rows = np.arange(self.count, self.count + wheels.size) % KEPT
         self.taken[rows] = self.on[wheels]
         self.passed[rows] = passed
@@ -119,12 +122,16 @@ class Chooser(BaseCallback):
         self.learn(self.left)
 
     def learn(self, left: float, passes: float = PASSES) -> None:
-        """Go on for `passes` over the choices since the last call; `left`: share of the training
-        that is left.
+        """Go on by as many updates as make `passes` over the choices since the last call. Each
+        draws `BATCH` of all choices that are kept.
+
+        `left`: share of the training that is left, with which the learning rate falls. Nothing
+        happens while fewer than `BATCH` choices are kept.
         """
         if self.env is None or min(self.env.count, KEPT) < BATCH:
             return
         env = self.env
+        # Normalised as VecNormalize does; the moments of both routes are the same (`Moments`).
         moments = self.normalised.obs_rms
         mean = moments.mean[env.routes[0]]
         sd = np.sqrt(moments.var[env.routes[0]] + self.normalised.epsilon)

@@ -83,8 +83,8 @@ def engine_options(command: Callable) -> Callable:
 
 
 def overrides(arguments: list[str] | tuple[str, ...], file_option: str = "") -> dict:
-    """['--ppo.gamma', '0.9'] or ['--ppo.gamma=0.9'] -> {'ppo': {'gamma': 0.9}}; values are read as
-    YAML.
+    """['--ppo.gamma', '0.9'] or ['--ppo.gamma=0.9'] -> {'ppo': {'gamma': 0.9}}; a - in a key is
+    read as _. Values are read as YAML, but those of `_TEXT`, and what is no YAML, stay text.
 
     ParameterError for a key given twice or without a value, and for what is no key. There a YAML
     file is answered by the option `file_option` that takes it, if there is one.
@@ -138,7 +138,9 @@ def as_options() -> Iterator[None]:
 
 @contextmanager
 def controllers_as(option: str) -> Iterator[None]:
-    """Inside the block an error of the controllers is one of this option."""
+    """Inside the block the beginning "controllers: " of a ParameterError becomes that of this
+    `option`; other errors stay as they are.
+    """
     try:
         yield
     except ParameterError as error:
@@ -154,8 +156,8 @@ def controllers_as(option: str) -> Iterator[None]:
 
 @contextmanager
 def continued_by(command: str, folder: Path) -> Iterator[None]:
-    """Add the command that continues the work to the message of an interrupt; to that of an error,
-    too, if work is done in `folder`.
+    """Inside the block the message of an interrupt gets the `command` that continues the work; an
+    error of `_FAILURES` gets it as a note if work is done in `folder`.
     """
     try:
         yield

@@ -90,7 +90,7 @@ class CommonScaling(Scaling):
 
     @property
     def space(self) -> spaces.Box:
-        """Box of the common layout."""
+        """Box of the common layout; entries after `COMMON` are within 100, far more than needed."""
         box = Scaling(COMMON).space
         count = len(NAMES) - len(COMMON)
         low, high = (
@@ -100,9 +100,11 @@ class CommonScaling(Scaling):
         return spaces.Box(low, high, dtype=np.float32)
 
     def __call__(self, values):
-        """Observations [n, D] from values [n, d] in their units, in the order of `NAMES`: scaled
-        entries, constants of the scenario, misfit of the best pull, and the share of the slip in
-        each band. Arrays, or values of an ONNX graph.
+        """Observations [n, D] from values [n, d] in their units, in the order of `NAMES`.
+
+        They are the scaled entries that the scenario has, 0 for those that it lacks, its constants,
+        the misfit, and the share of the slip in each band. The misfit is the measured pull over the
+        load, less the best pull, cut to [-1, 1]. All are arrays, or values of an ONNX graph.
         """
         if UNREAD:
             values = values[:, self.read]

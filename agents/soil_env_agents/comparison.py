@@ -28,8 +28,11 @@ _WITH_TRUE_SOIL = ("best_slip_true", "agent_true")
 def compare(
     run: Path, config: TrainConfig, scenario: Scenario | RoverScenario, agent: Agent
 ) -> None:
-    """Evaluate every controller and the agent on the held-out courses, in a folder of the run
-    folder.
+    """Evaluate the classical controllers, the default policy where it can drive the scenario, and
+    the agent on the held-out courses; print a `verdict`.
+
+    Results are in the folder `FOLDER` of `run`, as of `soil-env evaluate`. An interrupted
+    comparison goes on; one that was begun with another model or config is deleted first.
     """
     folder = run / FOLDER
     model = str(run / "model.zip")
@@ -60,8 +63,8 @@ def compare(
 
 
 def verdict(result: dict, name: str) -> str:
-    """Courses finished by the agent `name`, against the best controller that does not know the true
-    soil.
+    """Sentence with the difference in courses finished between the agent `name` and the best
+    controller that does not know the true soil; `result`: content of evaluation.json.
     """
     rows = result["controllers"]
     best = max(

@@ -180,12 +180,12 @@ class TrainConfig(OfWorld):
 
 
 def load_config(mapping: dict, where: str) -> TrainConfig:
-    """A `TrainConfig` from a mapping, strictly; `model` may name a file, whose content it then
-    keeps.
+    """A `TrainConfig` from a mapping; ParameterError, beginning with the place `where`, as of
+    `load`. `model` may name a file, whose content it then keeps.
     """
     model = mapping.get("model")
     if isinstance(model, str):
         mapping = {**mapping, "model": WheelSoilModel.load(model).content()}
     elif isinstance(model, dict) and model:
-        WheelSoilModel.from_content(model, f"{where}: model")
+        WheelSoilModel.from_content(model, f"{where}: model")  # for its errors only
     return load(TrainConfig, mapping, where)

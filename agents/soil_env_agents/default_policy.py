@@ -31,7 +31,10 @@ _EXPECTED = (
 
 class DefaultPolicy(inputs.Observing):
     """A trained student with `predict` on observations `identified` of the `scenario`, in their
-    units.
+    units; `path`: its weights.
+
+    ParameterError for a scenario that does not fit the common layout, and for a file that is not
+    the weights of such a policy in this version's layout.
     """
 
     name = NAME
@@ -71,7 +74,7 @@ class DefaultPolicy(inputs.Observing):
             )
         self.choice = names.index("choice")
         self.routes = columns_of_routes(names, self.history.steps)
-        try:
+        try:  # layers that do not fit each other raise ValueError or give another shape
             with np.errstate(over="ignore", invalid="ignore"):
                 tried = self.action(np.zeros((1, self.mean.size), dtype=np.float32))
             if tried.shape != (1, 1):
@@ -85,10 +88,10 @@ class DefaultPolicy(inputs.Observing):
         self._layout = inputs.Layout(layout(self.variant, scenario.course), self.variant)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """Actions [n, 1] for observations [n, D], or [1] for [D], and the memory; as
-        `agent.Agent.predict`.
+        """(actions [n, 1] in [-1, 1], memory for the next call) for observations [n, D] in their
+        units, or actions [1] for [D]; arguments and errors as of `agent.Agent.predict`.
         """
-        inputs.switch(deterministic)  # there is no other
+        inputs.switch(deterministic)  # checked only: actions are never drawn
         seen = self._layout.observed(observation)
         batch = self.scaling(np.atleast_2d(seen))
         fresh = inputs.starts(episode_start, len(batch), state is None)
@@ -99,9 +102,14 @@ class DefaultPolicy(inputs.Observing):
         return (action[0] if seen.ndim == 1 else action), state
 
     def action(self, x):
-        """Actions [n, 1] for normalised observations [n, D]; arrays, or values of an ONNX graph."""
+        """Actions [n, 1], not yet cut to [-1, 1], for normalised observations [n, D] with their
+        history; arrays, or values of an ONNX graph.
+
+        Where a route is chosen an action is the score of the route ahead less that of the other.
+        """
         drive = _network(self.layers[:3], x)
         ahead, beside = (_network(self.layers[3:], x[:, columns]) for columns in self.routes)
+        # The entry is normalised: where it is 1 it is above its mean, else below.
         return np.where(np.greater(x[:, [self.choice]], 0.0), ahead - beside, drive)
 
 

@@ -140,6 +140,7 @@ def _side_by_side(films: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
     for i in range(max(map(len, films.values()))):
         parts = []
         for name, frames in films.items():
+            # Up to the right edge of the side view, and 2 px beyond.
             view = frames[min(i, len(frames) - 1)][:, : SCENE[0] + SCENE[2] + 2]
             part = Image.new("RGB", (view.shape[1], view.shape[0] + _TITLE), "white")
             part.paste(Image.fromarray(view), (0, _TITLE))
@@ -156,7 +157,8 @@ def _drive(
 
     A frame is taken every `every` periods and at the end; none if 0. `last`: most periods, None: to
     the end of the course. `held`: periods for which an action of the driver is held, as in the
-    scenario. `name` is that of the driver, for messages.
+    scenario. `name` is that of the driver, for messages. ParameterError for an action that is not
+    finite.
     """
     observation, info = env.reset(seed=seed)
     frames = []
@@ -181,13 +183,15 @@ def _drive(
 
 
 def _save(path: Path, frames: list[np.ndarray]) -> None:
-    """Save one frame as a picture, several as a video of ten frames a second."""
+    """Save the frames in the format of the suffix of `path`: .mp4 or .gif, a video of ten frames a
+    second, or .png, the first frame.
+    """
     content = _video(frames) if path.suffix == ".mp4" else _picture(frames, path.suffix)
     write_own(path.parent, {path.name: content})
 
 
 def _video(frames: list[np.ndarray]) -> bytes:
-    """Frames as MP4, which ffmpeg writes into a folder of its own."""
+    """Frames as MP4, which ffmpeg writes into a temporary folder; OSError where it lacks some."""
     from imageio_ffmpeg import count_frames_and_secs
     from moviepy import ImageSequenceClip
 
@@ -200,7 +204,9 @@ def _video(frames: list[np.ndarray]) -> bytes:
 
 
 def _picture(frames: list[np.ndarray], suffix: str) -> bytes:
-    """Frames as GIF, or one as PNG."""
+    """The frames as GIF, 0.1 s each, repeated without end, or the first one as PNG; `suffix`: .gif
+    or .png.
+    """
     from PIL import Image
 
     images = [Image.fromarray(frame) for frame in frames]

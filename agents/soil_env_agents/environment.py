@@ -103,8 +103,10 @@ class Moments(RunningMeanStd):
         self.routes = routes
 
     def update_from_moments(self, batch_mean, batch_var, batch_count) -> None:
-        """Take in the moments of a batch."""
+        """Take in the moments of a batch, then give both routes the mean of theirs."""
         super().update_from_moments(batch_mean, batch_var, batch_count)
+        # Before this both routes had the same moments, so these are about those of all their
+        # values.
         for values in (self.mean, self.var):
             mean = 0.5 * (values[self.routes[0]] + values[self.routes[1]])
             values[self.routes[0]] = mean
@@ -169,6 +171,10 @@ class TeacherPenalty(VecEnvWrapper):
         return self.venv.reset()
 
     def step_async(self, actions: np.ndarray) -> None:
+        """Take the actions [wheels, A] and find the penalty of the step, 0 for wheels at a halt.
+
+        While the weight is 0 the teachers are not asked.
+        """
         if self.penalty_weight > 0.0:
             taught, counted = self.teachers.lesson(self.fresh)
             self.penalty = self.penalty_weight * counted * np.square(actions - taught).mean(axis=1)
@@ -215,17 +221,19 @@ def hidden_worlds(
     by `seed`.
 
     Their effects are `names` in turn. Sizes are drawn evenly within one standard deviation of the
-    prior of the catalogue, about the disagreement between published laws, and evenly in the
-    logarithm where the prior is log-normal. A tyre has no lugs, so no `grousers`.
+    prior of the catalogue, and evenly in the logarithm where the prior is log-normal. That is about
+    as much as published laws disagree by. A tyre has no lugs, so no `grousers`.
     """
-    rng = np.random.default_rng([seed, count, 7])
+    rng = np.random.default_rng([seed, count, 7])  # 7: a random stream of its own
     if ModelWheel.of(scenario.wheel).tyre is not None:
         names = [name for name in names if name != "grousers"]
     return [_drawn(scenario, CATALOGUE[names[k % len(names)]], rng) for k in range(count)]
 
 
 def _drawn(scenario: Scenario, effect: Effect, rng: np.random.Generator) -> WheelSoilModel:
-    """World with this effect, in a form and of a size that are drawn."""
+    """World with this effect alone, in a form and of a size that are drawn, on the wheel of the
+    scenario; for `grousers` that has lugs of `_HEIGHT`.
+    """
     form = effect.forms[rng.integers(len(effect.forms))]
     values = {name: _size(effect.parameter(name), rng) for name in form.free} | dict(form.fixed)
     wheel = ModelWheel.of(scenario.wheel)
@@ -235,7 +243,8 @@ def _drawn(scenario: Scenario, effect: Effect, rng: np.random.Generator) -> Whee
 
 
 def _size(p: EffectParameter, rng: np.random.Generator) -> float:
-    """Value of a parameter, drawn evenly within one standard deviation of its prior, [low, high].
+    """Value of a parameter, drawn evenly within one standard deviation of its prior and within
+    [low, high].
 
     Evenly in the logarithm about `centre` where it has one, else about `neutral`, where it is off.
     """

@@ -100,7 +100,7 @@ class Generalist(Checked):
 
         Each hidden world has the teacher that does best in it, and the world without an effect the
         one that does best in all worlds of the ground: at the start of a course the student cannot
-        distinguish them.
+        distinguish them. On a ground without hidden worlds they are {}, the defaults.
         """
         name, world = cell
         scenario, hidden = self.ground(name)
@@ -108,6 +108,7 @@ class Generalist(Checked):
             return chosen(scenario, [hidden[world - 1]], ROUNDS, threads)
         if not hidden:
             return {}
+        # The world without an effect counts as much as all hidden ones together.
         return chosen(scenario, [*[None] * len(hidden), *hidden], OF_GROUND, threads)
 
     def build(
@@ -154,11 +155,12 @@ def chosen(
     rounds: Sequence[tuple[int, int]],
     threads: int | None = None,
 ) -> dict[str, float]:
-    """Settings of the teacher with the highest mean return in `worlds`, after `rounds` of (courses,
-    settings left).
+    """Settings of the teacher with the highest mean return in `worlds`, after `rounds` of (courses
+    in each world, settings left).
 
-    The better ones of each round drive more courses in the next (successive halving: Jamieson &
-    Talwalkar 2016, AISTATS). All settings drive the same courses.
+    Tried are `ACCELERATIONS` x `SHARES` times the scenario's own settings, and `SOFT_START`. The
+    better ones of each round drive other courses in the next (successive halving: Jamieson &
+    Talwalkar 2016, AISTATS). All settings drive the same courses, of the set `TEACHING_SET`.
     """
     own = teacher_settings(scenario)
     first = 0  # course of a round; every world of it has courses of its own
@@ -181,12 +183,15 @@ def chosen(
 
 
 def weights_of(model: PPO, history: int, made: dict) -> dict[str, np.ndarray]:
-    """The content of the weights' file of a trained model; `made` says how it was trained,
-    `history` is the number of past steps that it sees.
+    """The content of the weights' file of a trained model, {name: array}; `made` says how it was
+    trained, `history` is the number of past steps that it sees.
+
+    `mean` and `sd` [D] of the input, and weight and bias of each of `default_policy.LAYERS`, are
+    float32; `made` is a JSON text.
     """
     env = model.get_vec_normalize_env()
     policy = model.policy
-    modules = [
+    modules = [  # linear layers, every other of which is an activation
         *policy.mlp_extractor.policy_net[::2],
         policy.action_net,
         *policy.mlp_extractor.line_net[::2],
@@ -225,7 +230,8 @@ def command(config: Path | None, out: Path, workers: int | None) -> None:
             schedules = ppo.Schedules(asked.ppo)  # of learning rate and others
             # Learns from choices of the route; 13: a random stream of its own.
             chooser = Chooser(model, np.random.default_rng([asked.seed, 13]))
-            watch = ConvertCallback(lambda *_: bar.update(model.num_timesteps) or True)  # go on
+            # `or True`: `update` returns None, and the training ends where a callback is not true.
+            watch = ConvertCallback(lambda *_: bar.update(model.num_timesteps) or True)
             model.learn(asked.improved, callback=[schedules, chooser, watch])
     stream = io.BytesIO()
     made = {"soil_env": soil_env.__version__, "config": to_dict(asked)}

@@ -90,6 +90,7 @@ class History:
         now = [np.where(fresh[:, None], seen[:, self.columns * (self.steps + 1)], moved)]
         driving = 1.0 - seen[:, [self.halted]]
         first = m + self.past  # column of an average in `kept`
+        # 0 times an entry: zeros of the shape and type of the batch, in an ONNX graph too.
         for column, averaged, share in self.averages:
             size = len(averaged) + 1
             known = np.where(
@@ -114,7 +115,10 @@ class History:
         return np.concatenate([seen, *history], axis=1), kept
 
     def space(self, box: spaces.Box) -> spaces.Box:
-        """Observation space with the history, in the order of `observe`."""
+        """Observation space with the history, in the order of `observe`, for that without, `box`.
+
+        Readings and their averages have the bounds of `box`, weights 0 to 1, misfits -1 to 1.
+        """
         bounds = []
         for side, share in ((box.low, 0.0), (box.high, 1.0)):
             own = side[self.columns]
@@ -126,8 +130,10 @@ class History:
 
 
 def columns_of_routes(names: Sequence[str], history: int) -> list[list[int]]:
-    """Columns of each of two routes in the input of a network; empty lists where there is no choice
-    of a route.
+    """Columns of each of two routes, ahead and beside, in an observation with the entries `names`
+    and `history` past steps; empty lists where there is no choice of a route.
+
+    They are the entries of the route but for its terrain class, then its part of the history.
     """
     if "choice" not in names:
         return [[], []]

@@ -23,8 +23,10 @@ _UNITS = (
 
 
 class Layout:
-    """The entries of an observation with their bounds, to which every environment clips its
-    observations, and what scaled observations of the start of a course have instead.
+    """The entries of an observation and checks by them. Every environment clips its observations to
+    their bounds.
+
+    A scaled observation is known by the entries `_BEGIN`, which are 0 at the start of a course.
     """
 
     def __init__(self, entries: Sequence[ObservedNumber], variant: str):
@@ -82,14 +84,18 @@ class Observing:
 
     @property
     def observer(self) -> Observer:
-        """The observer of the wheel: `held` counts, and `probabilities` of immobilisation."""
+        """The observer of the wheel, made at first use: `held` counts, and `probabilities` of
+        immobilisation. ParameterError for a rover, and for a controller that reads `true_soil`.
+        """
         if self._observer is None:
             self._observer = Observer(self.scenario, self.variant)
         return self._observer
 
     def observe(self, readings: Readings, action=0.0, **now) -> np.ndarray:
-        """Observation [D] for `predict`, as `soil_env.online.Observer.observe`: readings of a
-        control period, the `action` in it, and what is `now`.
+        """Observation [D] for `predict`, in its units, from the readings of a control period and
+        the `action` in [-1, 1] of that period.
+
+        `now`: keywords `halted`, `image` and `chooses` of `soil_env.online.Observer.observe`.
         """
         return self.observer.observe(readings, action, **now)
 

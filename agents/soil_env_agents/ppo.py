@@ -34,7 +34,9 @@ def build(
     tensorboard: Path | None = None,
     world: World = None,
 ) -> PPO:
-    """A fresh agent with its normalised vector environment."""
+    """A fresh agent (`learner`) in the vector environment of `normalised`, whose arguments are the
+    first four and `world`. `save` needs the `origin` that it gets.
+    """
     model = learner(
         normalised(scenario, observation, config, seed, world), config, seed, tensorboard
     )
@@ -45,7 +47,12 @@ def build(
 def learner(
     env: VecNormalize, config: PPOConfig, seed: int, tensorboard: Path | None = None
 ) -> PPO:
-    """A fresh agent in this vector environment."""
+    """A fresh agent in this vector environment, with the network of `config` (`agent.network`).
+
+    It learns on the CPU, torch on one thread in the whole process. The learning rate falls linearly
+    to 5 %. At first the mean action is about `initial_action`, and no route is preferred.
+    `tensorboard`: folder of the logs, None: no logs.
+    """
     torch.set_num_threads(1)  # the tensors are too small to be shared out
     policy, arguments = network(config, env.get_attr("observation_names")[0])
     model = PPO(
@@ -93,7 +100,9 @@ class Schedules(BaseCallback):
 
 
 def save(model: PPO, path: Path) -> None:
-    """Save the agent to `path` (.zip) by an atomic write, with what `resume` needs."""
+    """Save an agent of `build` to `path` (.zip) by an atomic write, with what `resume` needs: SB3's
+    zip with the `Info` as one more member, in which `model` is that of the first world.
+    """
     env = model.get_vec_normalize_env()
     world = env.get_attr("model")[0]
     info = Info(
@@ -127,8 +136,10 @@ def resume(
     tensorboard: Path | None,
     world: World = None,
 ) -> PPO:
-    """The agent of a checkpoint, ready to go on learning on new courses; arguments as of
-    `build`.
+    """The agent of a checkpoint, ready to go on learning on new courses: weights, optimizer,
+    moments and steps are those of the file. Arguments as of `build`.
+
+    ParameterError where the file was trained with another observation, history or network.
     """
     info = read_info(path)
     for key, stored, asked in (

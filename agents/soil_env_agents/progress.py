@@ -93,7 +93,9 @@ class Bar:
 
 
 def show(*parts: object) -> None:
-    """Print tables, and broken lines."""
+    """Print each of the `parts` on `console`: a `Table` as its text, anything else in lines of at
+    most `WIDTH` characters (`hanging`).
+    """
     for part in parts:
         text = part.text() if isinstance(part, Table) else hanging(str(part))
         console.print(text, soft_wrap=True, highlight=False, markup=False)

@@ -51,7 +51,7 @@ class Lessons:
         self.count = 0  # of steps since the start
 
     def add(self, **row: np.ndarray) -> None:
-        """Keep a step."""
+        """Keep a step of all wheels: an array [wheels, ...] for each of the arrays, by its name."""
         for name, values in row.items():
             getattr(self, name)[self.count % len(self.seen)] = values
         self.count += 1
@@ -69,8 +69,8 @@ class Lessons:
         return np.divmod(picked if among is None else among[picked], wheels)
 
     def returns(self, gamma: float) -> tuple[np.ndarray, np.ndarray]:
-        """(returns discounted by `gamma` [steps, wheels], numbers of the steps whose course has
-        ended since).
+        """(returns discounted by `gamma` [steps, wheels], numbers step x wheels + wheel of those
+        steps whose course has ended since). The other returns lack what is to come.
         """
         steps = len(self.seen)
         out = np.zeros_like(self.reward)
@@ -150,7 +150,9 @@ def teach(
 
 
 def _lesson_loss(policy, env: VecNormalize, kept: Lessons, at) -> torch.Tensor:
-    """Mean squared error of the mean actions at the steps `at` of `Lessons.drawn`, by weight."""
+    """Squared error of the policy's mean actions against the teacher's, times the weight of the
+    step; the mean of the steps `at` of `Lessons.drawn`.
+    """
     action, weight = (torch.from_numpy(x[at]) for x in (kept.action, kept.weight))
     mean = policy.get_distribution(
         torch.from_numpy(env.normalize_obs(kept.seen[at]))

@@ -52,7 +52,9 @@ class Teacher(BestSlipTrue):
         self.share = own["share"]
 
     def state_for(self, batch, state, fresh):
-        """The state of `BestSlipTrue`, with the ramp where the rim is commanded to be."""
+        """The state of `BestSlipTrue`, with the ramp [m/s] at the commanded rim speed, or at the
+        measured one where the action is another, less the droop and at least 0.
+        """
         state = super().state_for(batch, state, fresh)
         name = "rim_command" if self.action == "rim_acceleration" else "rim_speed"
         rim = batch[:, self.column[name]] - self.droop(batch)

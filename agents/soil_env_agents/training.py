@@ -76,7 +76,9 @@ class _Watch(BaseCallback):
 
 
 def scenario_of(config: TrainConfig) -> Scenario | RoverScenario:
-    """The task of a config: its rover, if the config names one, else its scenario."""
+    """The task of a config with its `changes`: its rover, if the config names one, else its
+    scenario. ParameterError where nothing is identified in it.
+    """
     scenario = (load_rover if config.rover else load_scenario)(
         config.rover or config.scenario, config.changes
     )
@@ -89,8 +91,10 @@ def scenario_of(config: TrainConfig) -> Scenario | RoverScenario:
 
 
 def make_run_folder(config: TrainConfig, scenario: Scenario | RoverScenario) -> Path:
-    """Create the run folder with its resolved config.yaml and scenario.yaml; refuses to overwrite
-    one.
+    """Create the run folder `runs`/`name` with its resolved config.yaml and scenario.yaml, and a
+    copy of each (`BEGUN`). ParameterError where it exists or cannot be written.
+
+    Without a name it is named after observation, scenario and time.
     """
     name = config.name or f"{config.observation}-{scenario.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     if Path(name).name != name:
@@ -116,7 +120,9 @@ def make_run_folder(config: TrainConfig, scenario: Scenario | RoverScenario) -> 
 
 
 def open_run(folder: Path) -> tuple[TrainConfig, Scenario | RoverScenario]:
-    """Config and scenario of an existing run folder."""
+    """Config and scenario of an existing run folder; ParameterError where one is missing or wrong.
+    What was edited since the run began is printed.
+    """
     if not folder.is_dir():
         near = sorted(p.parent.name for p in folder.parent.glob("*/config.yaml"))
         raise ParameterError(
@@ -162,7 +168,9 @@ def differences(old: dict, new: dict, prefix: str = "") -> list[str]:
 
 
 def train(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario) -> Agent:
-    """Train in `folder`, from its checkpoint if there is one, and save model.zip."""
+    """The agent of a run folder. Where it has no model.zip it is trained first, from its checkpoint
+    if there is one. Checkpoint and partial files are deleted.
+    """
     if not (folder / MODEL).is_file():
         _learn(folder, config, scenario)
     # A kill may have left them beside the model.
@@ -172,7 +180,11 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario)
 
 
 def _learn(folder: Path, config: TrainConfig, scenario) -> None:
-    """Train as a student of the teacher, then by PPO, what is left to train; save model.zip."""
+    """Train as a student of the teacher, then by PPO up to `timesteps`; save model.zip.
+
+    A checkpoint is saved after the student, every `checkpoint_every` steps and at an interrupt of
+    PPO. With one the training goes on from there, and there is no student.
+    """
     checkpoint = folder / CHECKPOINT
     worlds: World = config.world
     if config.hidden_worlds:
@@ -203,6 +215,7 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
             ppo.save(model, checkpoint)
         left = config.timesteps - model.num_timesteps
         if left > 0:
+            # 13: a random stream of its own, another one after each resumption.
             chooser = Chooser(model, np.random.default_rng([config.seed, model.num_timesteps, 13]))
             schedules = ppo.Schedules(
                 config.ppo, config.teacher_penalty if config.student > 0.0 else 0.0
@@ -217,7 +230,9 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
 
 
 def trained(config: TrainConfig, scenario: Scenario | RoverScenario) -> Path:
-    """The model.zip of the run folder of a config, which is begun, resumed, or done already."""
+    """The model.zip of the run folder `runs`/`name` of a config, which is begun, resumed, or done
+    already. ParameterError where the folder was begun with another config, or is no run folder.
+    """
     run = Path(config.runs) / config.name
     if run.is_dir() and not (run / "scenario.yaml").is_file():  # its start was interrupted
         (run / "config.yaml").unlink(missing_ok=True)

@@ -160,7 +160,9 @@ class Drives:
 
     @property
     def ahead(self) -> np.ndarray:
-        """Seconds of driving until the wheel stops for good; +inf where it never does."""
+        """Seconds of driving until the wheel stops for good, negative after that; +inf on courses
+        on which it is not immobilised.
+        """
         # Periods in which the wheel gets on, and the last of each course.
         mobile = self.driving & (np.diff(self.best, axis=0, prepend=0.0) >= self.least)
         last = np.where(mobile.any(axis=0), len(mobile) - 1 - np.argmax(mobile[::-1], axis=0), 0)
@@ -189,7 +191,9 @@ class Drives:
 
 
 def drives(scenario: str, family: str, seed: int, first: int, count: int) -> Drives:
-    """Drive courses `first` ... `first + count - 1` of set `seed` by torque."""
+    """Drive courses `first` ... `first + count - 1` of set `seed` by torque, with a driver of the
+    family (`make_driver`); `inputs` are those of the network that warns.
+    """
     task = load_scenario(scenario, {"control": {"action": "torque"}})
     warning = ImmobilisationWarning(task)
     rows = np.arange(count)
@@ -281,7 +285,12 @@ def threshold(scores: Sequence[np.ndarray], found: Sequence[Drives]) -> float:
 
 
 def train(sizes: Sizes) -> dict[str, Any]:
-    """Content of immobilisation.json: drive, learn a share of the periods, set the alarm."""
+    """Content of immobilisation.json: weights by name, alarm, and how both were made (`card`).
+
+    All `FAMILIES` drive `SCENARIOS`, the random ones on a third of the courses. The network is fit
+    to a share of the periods whose outcome is known. The alarm is the `threshold` for the
+    `DRIVERS` on the tuning courses.
+    """
     rng = np.random.default_rng(SETS["training"])
     inputs = []
     ahead = []
@@ -329,6 +338,7 @@ def command(out: Path, courses: int | None) -> None:
     if out.suffix != ".json":
         raise ParameterError(f"--out {out}: expected a file NAME.json")
     check_outputs(out.parent, (out.name,))
+    # Few courses: more of their periods and fewer passes over them.
     sizes = Sizes() if courses is None else Sizes(courses, courses, 0.5, 2)
     write_json(out, train(sizes), indent=None)
     show(f"Written: {out}")

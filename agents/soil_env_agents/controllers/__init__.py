@@ -54,7 +54,11 @@ def checked_settings(name: str, scenario: Scenario, settings: dict, where: str) 
 def within_bounds(
     name: str, known: Mapping[str, Setting], scenario: Scenario, settings: dict, where: str
 ) -> dict[str, float]:
-    """`checked_settings` of a controller with the settings `known`."""
+    """`checked_settings` of the controller `name`, whose settings are `known`.
+
+    A value is in (0, `high`], or [0, `high`] where the setting has `zero`; a rim speed is at most
+    the top rim speed of the wheel. Settings that are not given stay out.
+    """
     out = {}
     for key, given in settings.items():
         if key not in known:
@@ -79,9 +83,10 @@ def within_bounds(
 
 
 def make_controller(name: str, scenario: Scenario, **settings) -> Controller:
-    """A controller by name with its `settings` (`bounds` of its class), for the wheel of a
-    scenario, `env.unwrapped.scenario` where `make` has changed it; ParameterError as
-    `checked_settings`.
+    """A controller by name with its `settings` (`bounds` of its class; those left out have their
+    defaults), for the wheel of a scenario; ParameterError as `checked_settings`.
+
+    Where `gymnasium.make` has changed the scenario, give `env.unwrapped.scenario`.
     """
     if not isinstance(scenario, Scenario):
         raise ParameterError(

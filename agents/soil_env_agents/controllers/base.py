@@ -85,11 +85,14 @@ class Controller(Observing):
         self.layout = Layout(entries, self.variant)
 
     def rim_speed(self, observation: np.ndarray, state: dict) -> np.ndarray:
-        """Rim speed to follow [m/s], [n]; may keep things in `state`."""
+        """Rim speed to follow [m/s], [n], for observations [n, D]; may change `state`, a dict of
+        arrays with a row for each wheel, by the names in `memory`.
+        """
         raise NotImplementedError
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """Actions [n, 1] float32 (or [1] for one observation) and the state for the next call.
+        """Actions [n, 1] float32 in [-1, 1] (or [1] for one observation) and the state for the next
+        call; `deterministic` is without effect.
 
         ParameterError for an observation of another layout or variant, and for one that is scaled.
         """
@@ -107,7 +110,8 @@ class Controller(Observing):
     def prefers_other_route(self, batch: np.ndarray) -> np.ndarray:
         """Mask [n] of the rows where the route beside is better than the one ahead.
 
-        The better route has the higher margin, or without margins looks less steep.
+        The better route has the higher margin, or without margins looks less steep. Where there is
+        no choice of a route all are False.
         """
         if "choice" not in self.column:
             return np.zeros(len(batch), dtype=bool)
@@ -118,7 +122,8 @@ class Controller(Observing):
     def chosen(self, batch: np.ndarray, action: np.ndarray, other: np.ndarray) -> np.ndarray:
         """The `action` [n, 1], but at the halts before a fork one whose sign chooses the route.
 
-        It is below 0 where the `other` one, beside, is better ([n] bool).
+        That is -`_CHOICE` where the `other` one, beside, is better ([n] bool), else the action, but
+        at least `_CHOICE`.
         """
         if "choice" not in self.column:
             return action
@@ -138,8 +143,9 @@ class Controller(Observing):
         return np.clip(action, -1.0, 1.0).astype(np.float32)[:, None]
 
     def state_for(self, batch: np.ndarray, state: dict | None, fresh: np.ndarray) -> dict:
-        """Copy of `state` for a call with observations [n, D]; rows that are `fresh` [n] begin a
-        course, with the integral at the torque that is fed forward.
+        """Copy of `state` for a call with observations [n, D], and `fresh` in it. Rows that are
+        `fresh` [n] begin a course, all if `state` is None. They have 0 in each `memory`, and the
+        integral at the torque that is fed forward.
 
         ParameterError for a `state` of another number of rows, or that is none of a controller.
         """
@@ -172,7 +178,7 @@ class Controller(Observing):
         return batch[:, self.column["torque"]] * self.weight_torque / (LOOP_GAIN * self.stall)
 
     def _feed_forward(self, batch):
-        """Torque [N m] that grade and motion resistance take, [n]."""
+        """Torque [N m] that grade and motion resistance take, [n]: 0 to weight x radius."""
         demand = np.sin(batch[:, self.column["pitch"]]) + self.rolling
         return np.clip(demand, 0.0, 1.0) * self.weight_torque
 

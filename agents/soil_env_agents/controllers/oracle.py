@@ -64,11 +64,13 @@ class Plans(NamedTuple):
     other_route: np.ndarray  # bool: at the next fork, the route beside
 
     def at(self, where) -> Plans:
-        """The plans at some rows."""
+        """The plans at some rows; `where` indexes each array as numpy does."""
         return Plans(*(x[where] for x in self))
 
     def after(self, time: float) -> Plans:
-        """The plans with `time` seconds elapsed."""
+        """The plans once `time` [s] has passed: `back` runs down to 0, then `left`, not both in one
+        call.
+        """
         back = np.maximum(self.back - time, 0.0)
         return self._replace(
             back=back, left=np.where(self.back > 0.0, self.left, np.maximum(self.left - time, 0.0))
@@ -81,9 +83,12 @@ class _Driver(Ramped):
     plans: Plans
 
     def rim_speed(self, observation, state):
-        """Backwards for the planned time, then the ramps."""
+        """Rim speed [m/s], [n]: `BACK` for the planned time, but not at a halt, then the ramps.
+
+        Advances the plans by an action, and the ramp in `state`, which stays at 0 while going back.
+        """
         p = self.plans
-        second = p.left <= 1e-9
+        second = p.left <= 1e-9  # 0 but for rounding
         acceleration = np.where(second, p.second, p.first)
         speed = np.where(second, p.later_speed, p.speed)
         back = (p.back > 1e-9) & ~self.halted(observation)
@@ -115,7 +120,7 @@ class Oracle:
         self, simulation: Simulation, threads: int | None, model: WheelSoilModel | None
     ) -> None:
         """Set the simulation whose observations come next, which was made with `threads` and
-        `model`.
+        `model`; make its clones, `COUNT` for each wheel.
         """
         self.simulation = simulation
         wheels = simulation.worlds.cause.size
@@ -123,10 +128,16 @@ class Oracle:
             wheels * COUNT, self.scenario, self.variant, threads=threads, model=model
         )
         self.rng = np.random.default_rng(0)
+        # Until a wheel has a plan of its own: 0.09 m/s2, up to 0.6 of the top rim speed.
         self.driver.plans = self._soft_starts((wheels,), 0.09, 0.6)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """Actions [n, 1] for all wheels of the simulation; plans anew every `every` steps."""
+        """(actions [n, 1], state for the next call) for all n wheels of the simulation.
+
+        Every `every` calls it plans anew for wheels under way, but for those whose halt lasts
+        beyond the next plan. `state` is (state of the driver, calls since the start), or None.
+        ParameterError before `attach`, and for another number of wheels.
+        """
         if self.simulation is None or self.simulation.worlds.cause.size != len(observation):
             raise ParameterError(
                 "oracle: predict before attach: it plans in the simulation that it drives in"
@@ -143,7 +154,10 @@ class Oracle:
         return self.driver.act(batch, memory), (memory, since + 1)
 
     def _plan(self, simulation: Simulation, batch, memory, due) -> None:
-        """Choose the plans of the wheels `due` [d] anew."""
+        """Choose the plans of the wheels `due` [d] (indices) anew, in `driver.plans`.
+
+        `batch` [n, D] are the observations of all wheels, `memory` the state of their driver.
+        """
         wheels = np.repeat(due, COUNT)
         places = np.arange(wheels.size)
         tried = self._candidates(self.driver.plans.at(due))
@@ -160,7 +174,9 @@ class Oracle:
             now[due] = values[np.arange(due.size), best]
 
     def _soft_starts(self, shape, acceleration, share) -> Plans:
-        """Plans [shape] that ramp with an acceleration [m/s2] to a share of the top rim speed."""
+        """Plans of this `shape`, straight on, whose two ramps are alike: an `acceleration` [m/s2]
+        up to a `share` of the top rim speed, each a number or an array.
+        """
         zero = np.zeros(shape)
         a = zero + acceleration
         v = zero + np.asarray(share) * self.driver.top_speed
@@ -187,7 +203,9 @@ class Oracle:
         drawn = Plans(back, left, first, speed, second, later_speed, other_route)
         speeds = np.multiply(SPEEDS, top)
         same = Plans(*(x[:, None] for x in now))
-        noise = rng.standard_normal((6, d, VARIED))  # the first is not used
+        # Standard normal, of each number of a plan; the first, of `back`, is not used. Times vary
+        # by 1 s, accelerations by a factor of about exp(0.4), speeds by one of exp(0.3).
+        noise = rng.standard_normal((6, d, VARIED))
         varied = Plans(
             np.repeat(same.back, VARIED, axis=1),
             np.maximum(same.left + 1.0 * noise[1], 0.0),
@@ -205,8 +223,8 @@ class Oracle:
         )
 
     def _tried(self, batch, state) -> np.ndarray:
-        """Score [n] of clones driven to the horizon, from the observations `batch` [n, D] and the
-        `state` of their controller.
+        """Score [n], as of `_value`, of the first n clones, driven by the plans of `dreamer` to the
+        horizon; from the observations `batch` [n, D] and the `state` of their controller.
         """
         w = self.clones.worlds
         n = len(batch)

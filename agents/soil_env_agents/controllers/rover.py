@@ -36,7 +36,8 @@ _TIME = 0.5  # [s] in which torque_by_load makes up for a lack of speed
 class RoverController:
     """The controller `of_wheel` for each wheel.
 
-    `own` is that controller. `drives` are keys of the scenario's control that it needs otherwise.
+    `own` is that controller; `settings` are its. `drives`: values of the scenario's `control`, by
+    their keys, that it needs in place of the scenario's.
     """
 
     drives: dict[str, Any] = {}
@@ -73,13 +74,15 @@ class RoverController:
         return (action[0] if np.ndim(observation) == 1 else action), state
 
     def command(self, batch: np.ndarray, wheels: np.ndarray, state: dict) -> np.ndarray:
-        """Actions of all wheels [n x axles], for observations of rovers (`batch` [n, D]) and of
-        `wheels` [n x axles, entries]; advances `state`.
+        """Actions of all wheels, n x axles numbers with those of a rover side by side.
+
+        They are for observations of rovers (`batch` [n, D]) and of their wheels (`wheels`
+        [n x axles, entries]); advances `state`.
         """
         return self.own.command(wheels, self.rim_speeds(batch, wheels, state), state)
 
     def rim_speeds(self, batch: np.ndarray, wheels: np.ndarray, state: dict) -> np.ndarray:
-        """Rim speeds to follow [m/s] [n x axles]."""
+        """Rim speeds to follow [m/s], [n x axles]; arguments as of `command`."""
         return self.own.rim_speed(wheels, state)
 
 
@@ -98,7 +101,9 @@ class VelocitySync(RoverController):
         self.arms = v.centre - np.array(v.axles)  # [m] of the axles ahead of the centre
 
     def rim_speeds(self, batch, wheels, state):
-        """The ramp, less for the slower axles."""
+        """Rim speeds [m/s], [n x axles]: the ramp times the speed of each axle over that of the
+        fastest; keeps `pitch` and `rate` [n] in `state`.
+        """
         pitch = batch[:, self.column["pitch"]]
         fresh = state["begun"]
         before = np.where(fresh, pitch, state.get("pitch", pitch))
@@ -124,10 +129,12 @@ class TorqueByLoad(RoverController):
     drives = {"action": "torque", "repeat": 1}
 
     def command(self, batch, wheels, state):
-        """Torques over the stall torque."""
+        """Torques over the stall torque [n, axles], in [-1, 1]; arguments as of
+        `RoverController.command`. Keeps `lack` [n] in `state`, the integral of the missing speed.
+        """
         own = self.own
         axles = self.axles
-        target = own.rim_speed(wheels, state).reshape(-1, axles)[:, 0]
+        target = own.rim_speed(wheels, state).reshape(-1, axles)[:, 0]  # all ramps are alike
         speed = batch[:, self.column["speed"]] * own.top_speed
         halted = batch[:, self.column["halted"]] > 0.5
         # [kg m] mass that the wheels of a side carry, times their radius.

@@ -23,8 +23,8 @@ class FullThrottle(Controller):
     name = "full_throttle"
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """The command of each observation, [n, 1] float32 (or [1] for one), and the `state` as it
-        is.
+        """The setting `share`, 1 without one, for each observation, [n, 1] float32 (or [1] for
+        one), and the `state` as it is. The other arguments are without effect.
         """
         seen = self.layout.observed(observation)
         shape = (1,) if seen.ndim == 1 else (len(seen), 1)
@@ -46,7 +46,7 @@ class BestRoute(Controller):
     bounds = {"share": ConstantTorque.bounds["share"]._replace(default=0.3)}
 
     def rim_speed(self, observation, state):
-        """No rim speed is followed."""
+        """Zeros [n], which `command` does not use: no rim speed is followed."""
         return np.zeros(len(observation))
 
     def command(self, batch, rim_speed, state):
@@ -84,12 +84,13 @@ class SlipFollower(Ramped):
         raise NotImplementedError
 
     def rim_speed(self, observation, state):
-        """The lower of the ramp and V/(1 - i) with a lead, which is at least the starting speed
-        [m/s], [n].
+        """Rim speed [m/s], [n]: V/(1 - i) with the lead of `_CREEP`, at least the starting speed,
+        at most the ramp; i is the `target_slip`, at most `MOST_SLIP`.
         """
         ramp = self.ramp(observation, state, self.settings["acceleration"], self.settings["speed"])
         slip, rim = (observation[:, self.column[name]] for name in ("slip", "rim_speed"))
-        # V from slip and rim speed is less noisy at low speeds than the speed sensor.
+        # V from slip and rim speed is less noisy at low speeds than the speed sensor. Near a slip
+        # of -1, of a locked wheel, it would be too large.
         travel = travel_speeds(np.maximum(rim, 0.0) * self.top_speed, np.maximum(slip, -0.9))
         target = np.minimum(self.target_slip(observation, state), MOST_SLIP)
         start = self.settings["start"]
@@ -115,7 +116,9 @@ class FixedSlip(Controller):
     most = 1.0  # [m/s2]
 
     def rim_speed(self, observation, state):
-        """The last rim speed plus its change in an action."""
+        """Rim speed [m/s], [n]: the last one, at least `start`, plus its change in an action, cut
+        to [`start`, `speed`]; 0 at a halt. Keeps `rim` [m/s] and `gain` [m/s2] in `state`.
+        """
         start = self.settings["start"]
         top = self.settings["speed"]
         error = self.settings["slip"] - observation[:, self.column["slip"]]
@@ -204,8 +207,8 @@ class BestSlipIdentified(SlipFollower):
     memory = {**SlipFollower.memory, "known": len(SoilState._fields) + 1, "slip": 0}
 
     def soil_columns(self, observation) -> SoilState:
-        """Soils read from the observation, the rest from the belief: each entry an array [n] or one
-        number.
+        """Soils read from the observation, the rest from the belief, in the units of `SoilState`:
+        each entry an array [n] or one number.
         """
 
         def read(name: str):
@@ -213,7 +216,7 @@ class BestSlipIdentified(SlipFollower):
 
         belief = self.scenario.belief
         return SoilState(
-            tan_phi=np.tan(np.clip(read("friction_angle"), 0.02, 1.4)),
+            tan_phi=np.tan(np.clip(read("friction_angle"), 0.02, 1.4)),  # above 0 and finite
             cohesion=1000.0 * read("cohesion"),
             shear_modulus=10.0 ** read("log10_shear_modulus"),
             sinkage_coefficient=10.0 ** read("log10_sinkage_coefficient"),
@@ -230,12 +233,14 @@ class BestSlipIdentified(SlipFollower):
         )
 
     def load(self, observation) -> np.ndarray:
-        """Load [N] read from the observation, [n]."""
+        """Load [N] read from the observation, cut to between 0.3 and 3 weights, [n]."""
         return np.clip(observation[:, self.column["load"]], 0.3, 3.0) * self.scenario.weight
 
     def target_slip(self, observation, state):
-        """Best slip [n]; computed again only for rows whose soil or load has changed by more than
-        `CHANGE`.
+        """Slip [n] of the highest steady pull that the motor can hold on the soil (`best_points`).
+
+        Computed again only for rows whose soil or load has changed by more than `CHANGE` since;
+        kept in `state` with them.
         """
         soils = self.soils(observation)
         load = self.load(observation)
