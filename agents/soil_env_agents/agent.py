@@ -138,6 +138,7 @@ class ChoosingPolicy(ActorCriticPolicy):
         super().__init__(*args, **kwargs)
 
     def _build_mlp_extractor(self) -> None:
+        """Set `mlp_extractor`, SB3's name for the hidden layers, to a `ChoosingExtractor`."""
         self.mlp_extractor: nn.Module = ChoosingExtractor(
             self.features_dim,
             net_arch=self.net_arch,
@@ -159,6 +160,7 @@ class ChoosingPolicy(ActorCriticPolicy):
         return self.action_dist.proba_distribution(mean, self.log_std)
 
     def _get_constructor_parameters(self) -> dict:
+        """Arguments that SB3 keeps in the file of a model, `choice` and `routes` among them."""
         return super()._get_constructor_parameters() | self.of_choice
 
 
@@ -333,6 +335,7 @@ class Agent(inputs.Observing):
     info: Info = field(repr=False)
 
     def __post_init__(self):
+        """Set what `predict` needs, from the content of soil_env.json."""
         self.scenario = self.info.task
         self.variant = self.info.observation
         self.timesteps = self.info.timesteps

@@ -271,6 +271,7 @@ def _begin(work: Callable) -> None:
     """
 
     def interrupt(*_) -> None:
+        """Handler of SIGTERM."""
         if _Worker.busy:
             raise KeyboardInterrupt
 

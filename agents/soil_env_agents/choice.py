@@ -116,9 +116,11 @@ class Chooser(BaseCallback):
         return True
 
     def _on_rollout_start(self) -> None:
+        """Note the share of the training that is left, for `learn`."""
         self.left = 1.0 - self.model.num_timesteps / self.locals["total_timesteps"]
 
     def _on_rollout_end(self) -> None:
+        """Learn from the choices of the rollout, and of those before."""
         self.learn(self.left)
 
     def learn(self, left: float, passes: float = PASSES) -> None:

@@ -67,6 +67,7 @@ class PPOConfig(Checked):
     )
 
     def _check_together(self) -> None:
+        """FieldError where a rollout of num_envs x n_steps is not a whole number of batches."""
         rollout = self.num_envs * self.n_steps
         if rollout % self.batch_size:
             problem = f" = {self.batch_size}: expected a divisor of num_envs x n_steps = {rollout}"
@@ -150,6 +151,9 @@ class TrainConfig(OfWorld):
     ppo: PPOConfig = PPOConfig()
 
     def __post_init__(self):
+        """Check the fields and fill in defaults; FieldError for a wrong one, and where no wheel is
+        left in the world without a hidden effect.
+        """
         super().__post_init__()
         self._resolve()
         if self.hidden_worlds >= self.ppo.num_envs:
@@ -160,7 +164,11 @@ class TrainConfig(OfWorld):
             )
 
     def _resolve(self) -> None:
-        """Fill in the scenario and the oracle's courses, of which a rover has none."""
+        """Fill in the scenario and the oracle's courses: for None up to 50, of a rover none.
+
+        FieldError for a scenario or courses of the oracle beside a rover, and for more of these
+        than are compared.
+        """
         beside = f"expected none beside rover = {self.rover!r}"
         if self.rover and self.scenario:
             raise FieldError(

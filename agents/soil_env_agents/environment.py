@@ -131,6 +131,7 @@ class SeveralWorlds(NativeVecEnv):
         return [self._owner[k] for k in self._get_indices(indices)]
 
     def reset(self) -> np.ndarray:
+        """Reset every part; observations [wheels, D] in the order of the parts."""
         return np.concatenate([p.reset() for p in self.parts])
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
@@ -139,12 +140,14 @@ class SeveralWorlds(NativeVecEnv):
         return [s for part, own in zip(self.parts, seeds, strict=True) for s in part.seed(own)]
 
     def step_async(self, actions: np.ndarray) -> None:
+        """Give each part the rows of `actions` [wheels, A] of its wheels."""
         for part, own in zip(
             self.parts, np.split(np.asarray(actions), self._starts[1:]), strict=True
         ):
             part.step_async(own)
 
     def step_wait(self):
+        """(observations, rewards, dones, infos) of all parts, one after the other."""
         observation, rewards, dones, infos = zip(*(p.step_wait() for p in self.parts), strict=True)
         together = [info for some in infos for info in some]
         return np.concatenate(observation), np.concatenate(rewards), np.concatenate(dones), together
@@ -166,6 +169,7 @@ class TeacherPenalty(VecEnvWrapper):
         self.penalty = 0.0
 
     def reset(self) -> np.ndarray:
+        """New courses, with new teachers, which remember nothing."""
         self.teachers = Teachers(self.unwrapped)
         self.fresh = np.ones(self.num_envs, dtype=bool)  # a course begins
         return self.venv.reset()
@@ -182,6 +186,7 @@ class TeacherPenalty(VecEnvWrapper):
         self.venv.step_async(actions)
 
     def step_wait(self):
+        """Results of the step, the rewards less the penalty of its actions."""
         observation, rewards, dones, infos = self.venv.step_wait()
         self.fresh |= dones
         return observation, (rewards - self.penalty).astype(np.float32), dones, infos
@@ -196,6 +201,7 @@ class HistoryVecEnv(VecEnvWrapper):
         self.kept = np.zeros((self.num_envs, history.kept), dtype=np.float32)  # `History.observe`
 
     def reset(self) -> np.ndarray:
+        """Observations of new courses with their history, which begins anew."""
         out, self.kept[:] = self.history.observe(
             self.venv.reset(), self.kept, np.ones(self.num_envs, dtype=bool)
         )

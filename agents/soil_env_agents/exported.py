@@ -48,6 +48,9 @@ def _check_graph(path: Path) -> None:
 class ExportedAgent(inputs.Observing):
     """The agent of an ONNX file, with the `predict` of Stable-Baselines3 on observations in their
     units.
+
+    ParameterError without onnx and onnxruntime, and for a file that cannot be loaded, that `export`
+    did not write, or that reads another layout than this version's.
     """
 
     def __init__(self, path: str | Path):

@@ -83,6 +83,7 @@ class Generalist(Checked):
     ppo: PPOConfig = PPOConfig()  # but for its num_envs
 
     def _check_together(self) -> None:
+        """ParameterError for an effect that is none of `HIDDEN`."""
         for name in self.effects:
             if name not in HIDDEN:
                 raise unknown_value(name, HIDDEN, "effects")

@@ -91,6 +91,7 @@ class Schedules(BaseCallback):
         return True
 
     def _on_rollout_start(self) -> None:
+        """Set noise and penalty for the rollout, by the share of the training that is done."""
         done = self.model.num_timesteps / self.locals["total_timesteps"]
         config = self.config
         if config.log_std_final is not None:

@@ -27,7 +27,8 @@ class Bar:
     """Progress of one job: live on a terminal, a line every tenth of the way elsewhere.
 
     `total`: amount, or {part: amount} where some parts may be much slower than others: each has its
-    own row and remaining time, shown as soon as that part has advanced twice. Use with `with`.
+    own row and remaining time, shown as soon as that part has advanced twice. `done`: amount that
+    is done at the start, of a bar with one row. Use with `with`.
     """
 
     def __init__(self, title: str, total: int | Mapping[str, int], unit: str, done: int = 0):
@@ -68,8 +69,9 @@ class Bar:
     def update(
         self, done: int | None = None, advance: int = 0, note: str = "", part: str = ""
     ) -> None:
-        """Set the amount `done` of the whole job, or advance it and its `part`, which bars of parts
-        need. `note` is shown beside it, but not on a live row of a part, which has its own name.
+        """Set the amount `done` of the whole job, or add to it what `advance` says; a bar of parts
+        needs the `part` that got on. `note` is shown beside it, but not on a live row of a part,
+        which has its own name.
         """
         step = advance if done is None else done - self.done
         self.done += step
@@ -84,7 +86,7 @@ class Bar:
             )
 
     def found(self, amount: int, part: str = "") -> None:
-        """Advance by what an earlier run has done, which says nothing of the speed."""
+        """Advance by what an earlier run has done, so that it does not count for the speed."""
         self.done += amount
         if self.live:
             row = self.rows[part]

@@ -42,7 +42,10 @@ MANNERS = {
 
 
 class Teacher(BestSlipTrue):
-    """`best_slip_true` whose ramp goes on from the speed that the student commands now."""
+    """`best_slip_true` whose ramp goes on from the speed that the student commands now.
+
+    `settings` are those of `SETTINGS`, in their units; others are `teacher_settings`.
+    """
 
     def __init__(self, scenario: Scenario, **settings: float):
         own = teacher_settings(scenario) | settings
@@ -62,6 +65,7 @@ class Teacher(BestSlipTrue):
         return state
 
     def target_slip(self, observation, state):
+        """Best slip times `share`, [n]."""
         return self.share * super().target_slip(observation, state)
 
 
@@ -77,8 +81,8 @@ class _OfWheels(Teacher):
 
 
 class RoverTeacher(RoverController):
-    """`best_slip_true` of a rover whose ramps go on from the speeds that the student commands
-    now.
+    """`best_slip_true` of a rover whose ramps go on from the speeds that the student commands now,
+    with the settings of `MANNERS`, by the scenario's name.
     """
 
     def __init__(self, scenario: RoverScenario):

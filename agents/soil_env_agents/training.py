@@ -48,11 +48,13 @@ class _Watch(BaseCallback):
         self.next_save = self.num_timesteps + self.every
 
     def _on_step(self) -> bool:
+        """Note cause and return of the courses that ended; True: go on."""
         infos = [self.locals["infos"][k] for k in np.flatnonzero(self.locals["dones"])]
         self.ended.extend((info["cause"], info["episode"]["r"]) for info in infos)
         return True
 
     def _on_rollout_end(self) -> None:
+        """Log rates of the last `_RECENT` courses that ended, and update the bar."""
         note = ""
         if self.ended:
             causes, returns = zip(*self.ended, strict=True)
@@ -70,6 +72,7 @@ class _Watch(BaseCallback):
         self.bar.update(self.num_timesteps, note=note)
 
     def _on_rollout_start(self) -> None:
+        """Save a checkpoint where one is due."""
         if self.num_timesteps >= self.next_save:
             ppo.save(self.model, self.folder / CHECKPOINT)
             self.next_save = self.num_timesteps + self.every

@@ -61,6 +61,7 @@ class ConstantSpeed(Controller):
     bounds = {"speed": SPEED._replace(default=0.33)}
 
     def rim_speed(self, observation, state):
+        """The setting `speed` [m/s], [n]."""
         return np.full(len(observation), self.settings["speed"])
 
 
@@ -71,6 +72,7 @@ class SoftStart(Ramped):
     bounds = {**Ramped.bounds, "speed": SPEED._replace(default=0.6)}
 
     def rim_speed(self, observation, state):
+        """The ramp [m/s], [n], by the settings."""
         return self.ramp(observation, state, self.settings["acceleration"], self.settings["speed"])
 
 
@@ -141,6 +143,7 @@ class SlipLimiter(SlipFollower):
     bounds = {"slip": _SLIP._replace(default=0.5, tuned=(0.05, 0.9)), **SlipFollower.bounds}
 
     def target_slip(self, observation, state):
+        """The setting `slip`, [n]."""
         return np.full(len(observation), self.settings["slip"])
 
 

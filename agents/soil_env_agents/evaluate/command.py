@@ -183,7 +183,11 @@ def carry_out(
 
 
 def _asked(options: SimpleNamespace, keys: tuple[str, ...]) -> Evaluation:
-    """The evaluation of the command line."""
+    """The evaluation of the command line: `options` by name, and the other arguments `keys`.
+
+    Without --tuning-courses it tunes on `_TUNING_COURSES`, at most as many as are compared, but not
+    where the courses compared are the tuning set. ParameterError for anything that does not fit.
+    """
     extra = overrides(keys)
     for key, value in extra.items():
         if key not in ("changes", "settings"):
@@ -244,5 +248,5 @@ def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
 
 
 def _is_own(contestant: contestants.Contestant, scenario: Scenario) -> bool:
-    """True for a `module:Class` with settings."""
+    """True for a `module:Class` with settings to tune (`bounds`)."""
     return contestant.kind == "class" and bool(bounds_of_settings(contestant.source, scenario))

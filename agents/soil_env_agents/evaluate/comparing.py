@@ -104,13 +104,14 @@ def comparison(
 
 
 def _metric(name: str, scores: np.ndarray, samples: np.ndarray) -> dict:
-    """{"value", "low", "high"} of a metric with `scores` [members, courses] and its bootstrap
-    `samples` [resamples].
+    """{"value", "low", "high"} of a metric with `scores` [members, courses] and the means of its
+    bootstrap draws, `samples` [resamples]; all None where every score is NaN.
     """
     known = int(np.isfinite(scores).sum())
     if known == 0:
         return _UNDEFINED
     if name in RATES:
+        # The trials are the courses on which a member has a score, on average.
         return st.rate_bounds(st.mean(scores), samples, known / len(scores), len(scores))
     return st.bounds(st.mean(scores), samples)
 
@@ -122,8 +123,11 @@ def _limit(
     seed: int,
     resamples: int,
 ) -> dict:
-    """{"courses", "metrics"} of the oracle, whose drives are not detailed, and "nobody": numbers of
-    the courses that neither it nor a controller finished, as some slopes are too steep.
+    """{"courses", "metrics"} of the oracle, and "nobody": numbers of those of its courses that
+    neither it nor a controller finished, as some slopes are too steep.
+
+    The oracle has driven the first courses of the controllers. "courses" is how many; "metrics" has
+    all `names`, undefined where the oracle has none of a metric.
     """
     finished = oracle.metric("finished") > 0.0
     for own in runs.values():

@@ -85,7 +85,9 @@ def parse(
     """{key: contestant} of a comma-separated list; ParameterError with one line for what does not
     exist.
 
-    `settings`: {name of a controller: its settings}; `known`: names of the classical ones.
+    `settings`: {name of a controller: its settings}; `known`: names of the classical ones. Entries
+    with one NAME= are members of one algorithm, all models or all classes; else a name is taken
+    once.
     """
     settings = settings or {}
     out: dict[str, Contestant] = {}
@@ -208,5 +210,5 @@ def model_bytes(path: str) -> bytes:
 
 
 def digest(path: str) -> str:
-    """SHA-256 of the file of a model."""
+    """SHA-256 of the file of a model, in hexadecimal digits; ParameterError as `model_bytes`."""
     return hashlib.sha256(model_bytes(path)).hexdigest()

@@ -282,8 +282,10 @@ def drive(
 def _commands(
     action, alive: np.ndarray, scenario: Scenario, when: str, courses: range
 ) -> np.ndarray:
-    """The `action` of a controller as commands [count] or [count, axles]; ParameterError for an
-    unsuitable one, with `when` and the course in its text.
+    """The `action` of a controller as commands in [-1, 1], [count] or, of rovers, [count, axles].
+
+    Larger actions are cut. ParameterError for another shape, and for an action that is not finite
+    on a course that is `alive` [count], with `when` and the course in its text.
     """
     action = np.asarray(action, dtype=np.float64)
     axles = scenario.axles if isinstance(scenario, RoverScenario) else 1
@@ -315,7 +317,7 @@ class _Totals:
         )
 
     def work(self) -> np.ndarray:
-        """Work of the motors in this control period [J]."""
+        """Work of the motors in this control period [J], [count], at least 0."""
         return np.maximum(self.state["motor_work"], 0.0)
 
     def add(self, alive: np.ndarray) -> np.ndarray:
@@ -360,7 +362,10 @@ class _OfRovers(_Totals):
         self.fighting, self.force = np.zeros((2, count))
 
     def work(self) -> np.ndarray:
-        return 2.0 * self.state["motor_work"]  # of both sides
+        """Work of the motors of both sides in this control period [J], [count]; the state has that
+        of one side.
+        """
+        return 2.0 * self.state["motor_work"]
 
     def add(self, alive: np.ndarray) -> np.ndarray:
         """As that of `_Totals`, and over the weight: the pull that wheels lose against each other,
@@ -434,7 +439,9 @@ class _Detailed(_Totals):
 
 
 def _totals(sim, scenario: Scenario | RoverScenario, count: int, detailed: bool) -> _Totals:
-    """What is summed over the courses of a wheel or of a rover."""
+    """Empty sums over `count` courses: of rovers, of wheels with the metrics `DETAILED` if
+    `detailed`, else of wheels.
+    """
     if isinstance(scenario, RoverScenario):
         return _OfRovers(sim, scenario, count)
     return _Detailed(sim, scenario, count) if detailed else _Totals(sim, scenario, count)

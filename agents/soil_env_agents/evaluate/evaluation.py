@@ -49,6 +49,7 @@ class Evaluation(OfTask):
     version: str = field(default_factory=code_version)
 
     def _check_together(self) -> None:
+        """FieldError where the oracle drives more courses than are compared."""
         check_oracle(self, self.oracle_courses, self.courses)
 
     def renewed(self, version: str) -> Evaluation:
@@ -56,7 +57,9 @@ class Evaluation(OfTask):
         return replace(self, version=version, tuned={}, codes={})
 
     def contestants(self) -> dict[str, Contestant]:
-        """The controllers with the settings they are driven with."""
+        """The controllers by `Contestant.key`, with the settings they are driven with: those given,
+        over those that tuning has found.
+        """
         own = self.controllers.items()
         return {
             key: replace(c, settings={**self.tuned.get(c.name, {}), **c.settings}) for key, c in own
@@ -81,6 +84,7 @@ class Block:
     count: int
 
     def __str__(self) -> str:
+        """Name of the cell, also of its file."""
         return f"{self.controller}-{self.first}"
 
 
@@ -185,9 +189,11 @@ def run(asked: Evaluation, folder: Path, engine: Engine, job: Job) -> dict:
     with Bar("Driving", courses, "courses") as bar:
 
         def progress(block: Block) -> None:
+            """Count a block that is driven now."""
             bar.update(advance=block.count, part=names[block.controller])
 
         def found(block: Block) -> None:
+            """Count a block that an earlier run has driven."""
             bar.found(block.count, names[block.controller])
 
         fill(job, blocks, folder, engine, progress, job.needs, found)

@@ -25,7 +25,8 @@ _PREDICT = "predict(obs, state, episode_start, deterministic)"
 def load(contestant: Contestant, scenario: Scenario, content: bytes | None = None):
     """The controller: an object with `predict`, `variant` and, but for models, `settings`.
 
-    `content`: of a model that is not here.
+    `content`: of the file of a model, where this machine does not have it. ParameterError where the
+    contestant cannot be loaded or does not fit the scenario.
     """
     if contestant.kind == "classical":
         known, make = controllers_of(scenario)
@@ -81,7 +82,9 @@ class _Wrapped:
         self.settings: dict[str, float] = getattr(thing, "settings", {})
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """As the object's own, with a copy of the observation, checked."""
+        """(actions [n, axles], state) of the object's own `predict`, which gets a copy of the
+        observation; ParameterError where it raises, or returns anything else.
+        """
         try:
             answer = self.thing.predict(
                 observation.copy(),
@@ -90,6 +93,7 @@ class _Wrapped:
                 deterministic=deterministic,
             )
         except Exception as error:
+            # An error without a frame below this one is of the call: of other arguments.
             called = error.__traceback__ is not None and error.__traceback__.tb_next is not None
             expected = "" if called else f": expected {_PREDICT}"
             raise ParameterError(

@@ -121,8 +121,11 @@ def _exported(path: Path, scenario: Scenario) -> ExportedAgent:
 
 
 def _foreign(path: Path, scenario: Scenario) -> _Plain:
-    """A model of SB3 or sb3-contrib that train.py did not write; it is unpickled, which runs
-    code.
+    """A model of SB3 or sb3-contrib that train.py did not write; it is unpickled, which runs code.
+
+    Its algorithm follows from its policy class and data (`_ALGORITHMS`), its variant from the
+    observation space. ParameterError where one is unknown, where the action has another shape, or
+    with a vecnormalize.pkl beside it, whose normalisation would be missing.
     """
     data = saved.read_mapping(path, "data")
     if data is None:
@@ -215,7 +218,12 @@ class _Plain(Observing):
         self.choice = choice
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """As SB3's predict."""
+        """(actions, state) as of SB3's predict, for observations in their units; one that scaled
+        its observations gets them scaled.
+
+        A model trained with `LineAction` has two actions: the second is taken where a route is
+        chosen, else the first.
+        """
         seen = self.layout.observed(observation)
         action, state = self.model.predict(self.scaling(seen), state, episode_start, deterministic)
         if self.choice is not None:

@@ -21,7 +21,9 @@ from ..controllers.rover import ROVER_CONTROLLERS, controllers_of
 
 
 def imported(spec: str) -> Any:
-    """What `module:Thing` names; ParameterError in one line if it cannot be imported."""
+    """What `module:Thing` names, where Thing may have dots; ParameterError in one line if it cannot
+    be imported. The current folder is put on Python's path.
+    """
     module_name, _, attribute = spec.partition(":")
     if "" not in sys.path:
         sys.path.append("")  # an installed command finds modules in the current folder too
@@ -72,7 +74,9 @@ def bounds_of_settings(source: str, scenario: Scenario) -> Mapping[str, Setting]
 
 
 def maker(source: str, scenario: Scenario) -> Callable[..., Any]:
-    """Function of settings that makes a controller."""
+    """Function that makes a controller, a shipped one or `module:Class`, of its settings, given as
+    keywords.
+    """
     if ":" in source:
         return lambda **settings: made(source, scenario, settings, f"settings.{source}")
     _, make = controllers_of(scenario)
@@ -102,7 +106,9 @@ def made(source: str, scenario: Scenario, settings: dict, where: str) -> Any:
 
 
 def _takes_one(thing) -> bool:
-    """True for something that can be called with one argument."""
+    """True for something that can be called with one argument, by its signature; False where it has
+    none.
+    """
     try:
         inspect.signature(thing).bind(None)
     except (TypeError, ValueError):

@@ -49,7 +49,7 @@ def print_table(result: Mapping) -> None:
 
 
 def settings(result: Mapping) -> list[str]:
-    """Lines with the settings of the classical controllers and their origin."""
+    """Lines with the settings of controllers, one for each origin of `_CHOSEN` that some have."""
     lines = []
     for chosen, title in _CHOSEN.items():
         own = [
@@ -78,8 +78,8 @@ def write(result: Mapping, runs: Mapping[str, list[Runs]], folder: Path) -> list
 
 
 def _courses(runs: Mapping[str, list[Runs]], metrics: list[str]) -> list[list]:
-    """A row for each course of each controller: how it ended, and every metric that is not a
-    rate.
+    """A heading, then a row for each course of each controller but the oracle: how it ended, and
+    every one of the `metrics` that is no rate, empty where it is not defined.
     """
     names = [m for m in metrics if m not in RATES]
     rows: list[list] = [["controller", "member", "course", "cause", *names]]

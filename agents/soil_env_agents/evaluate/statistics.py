@@ -60,7 +60,9 @@ def interval(value: float, samples: np.ndarray) -> tuple[float, float]:
 
 
 def wilson(successes: float, trials: float) -> tuple[float, float]:
-    """Wilson (1927) score interval of a proportion at `LEVEL`."""
+    """Wilson (1927) score interval (low, high) of a proportion at `LEVEL`; both arguments may be
+    fractions of a count.
+    """
     p = successes / trials
     z = _NORMAL
     centre = p + z * z / (2 * trials)
@@ -79,7 +81,8 @@ def bounds(value: float, samples: np.ndarray) -> dict[str, float]:
 def rate_bounds(value: float, samples: np.ndarray, trials: float, members: int) -> dict[str, float]:
     """`bounds` of a rate: the Wilson interval of one member; the wider of both of several.
 
-    `trials` counts courses: several training seeds on one course are not independent trials.
+    `value` is the rate itself, `samples` its bootstrap draws. `trials` counts courses: several
+    training seeds on one course are not independent trials.
     """
     low, high = wilson(value * trials, trials)
     if members > 1:
@@ -90,10 +93,11 @@ def rate_bounds(value: float, samples: np.ndarray, trials: float, members: int) 
 
 
 def difference_bounds(a: np.ndarray, b: np.ndarray, samples: np.ndarray) -> dict[str, float]:
-    """`bounds` of the difference of two rates on the same courses: the wider of both and that of
-    Agresti & Min.
+    """`bounds` of the difference a - b of two rates on the same courses, from 0 or 1 in `a` and `b`
+    [members, courses] and bootstrap `samples` of the difference.
 
-    Theirs (2005, Statistics in Medicine 24:729, Wald + 2) is no point where no course differs.
+    Each end is the wider of the bootstrap's and that of Agresti & Min (2005, Statistics in Medicine
+    24:729, Wald + 2). Theirs has a width even where no course differs.
     """
     n = a.shape[1] + 2.0
     # Shares of the courses on which a and b alone succeed, with half a course added to each.

@@ -45,8 +45,10 @@ OF_ROVERS = (
 def cell(
     m: Mapping, factor: float = 1.0, digits: int = 2, sign: bool = False, bounds: bool = True
 ) -> str:
-    """'12.3 [10.0, 14.1]' of {"value", "low", "high"}, or a dash where the metric is not
-    defined.
+    """'12.3 [10.0, 14.1]' of {"value", "low", "high"}, or a dash where the value is None.
+
+    All three are multiplied by `factor` and have `digits` behind the point, a + with `sign`.
+    Without `bounds` it is the value alone.
     """
     if m["value"] is None:
         return "-"
@@ -100,9 +102,12 @@ def save_csv(path: Path, rows: Iterable[Iterable[object]]) -> None:
 
 
 def draw_metrics(rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[str]) -> bytes:
-    """PNG of {group: {controller: {metric: {"value", "low", "high"}}}}: a row for each group, a
-    column for each metric, points with their intervals from the bottom; those not defined are left
-    out."""
+    """PNG of {group: {controller: {metric: {"value", "low", "high"}}}}: a row of panels for each
+    group, a column for each metric, rates in %.
+
+    A panel has a point with its interval for each controller, the first on top. Metrics that are
+    not defined have none.
+    """
     metrics = list(metrics)
     most = max(map(len, rows.values()))
     figure = Figure(

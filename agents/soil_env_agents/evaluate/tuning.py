@@ -126,7 +126,8 @@ def tried(
     order.
 
     `space`: the settings of the controller `name`; `bar` shows the progress. The others are
-    arguments of `tuned_settings`.
+    arguments of `tuned_settings`. The first trial has the defaults, cut to the ranges that the
+    others are drawn from. Trials of the same task in `log` are taken from there.
     """
     optuna = _optuna()
     make = maker(name, scenario)

@@ -43,9 +43,11 @@ class Alarms:
         self.quiet = np.zeros(count)  # [s] below `KEPT`
 
     def step(self, probability: np.ndarray, driving: np.ndarray) -> np.ndarray:
-        """Take the probabilities [count] of a control period; return where an alarm came on.
+        """Take the probabilities [count] of a control period; return [count] bool, True where an
+        alarm came on.
 
-        Alarms of wheels that are not `driving` [count] stay as they are.
+        One that is on goes off after `RELEASE` s of driving on end below `KEPT` times the
+        threshold. Alarms of wheels that are not `driving` [count] stay as they are.
         """
         come = driving & (probability >= self.threshold) & ~self.on
         kept = probability >= KEPT * self.threshold
@@ -92,7 +94,9 @@ class Foresight:
         self.mobile_lead[mobile] = self._lead(worlds)[mobile]
 
     def _lead(self, worlds):
-        """[count, 2]: distance [m] and time [s] since the alarm came on, NaN where it is off."""
+        """[count, 2]: distance [m] and time [s], halts included, since the alarm came on; NaN where
+        it is off.
+        """
         lead = np.stack(
             [worlds.state["best_x"] - self.start_x, self.time - self.start_time], axis=1
         )

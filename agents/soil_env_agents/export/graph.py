@@ -92,7 +92,9 @@ class Graph:
         )
 
     def info(self, x: Traced, shape: Sequence | None = None):
-        """Name, type and shape of an input or output."""
+        """ONNX description of an input or output `x`: name, type and `shape`, of numbers, and of
+        names for lengths that are open; None: nothing is said of the shape.
+        """
         return helper.make_tensor_value_info(x.label, _TYPES[x.dtype.name], shape)
 
     def model(self, inputs: Sequence, outputs: Sequence, metadata: dict[str, str]):
@@ -139,7 +141,9 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
         return NotImplemented
 
     def __getitem__(self, key) -> Traced:
-        """[:, list] or [..., list] columns, [:, None] a column as a table."""
+        """[:, list] or [..., list]: columns of a value [n, D]; [:, None]: a value [n] as [n, 1].
+        TypeError for rows.
+        """
         rows, columns = key
         if rows not in (slice(None), ...):
             raise TypeError(f"{key}: only whole columns")
@@ -152,6 +156,7 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
         )
 
     def __bool__(self) -> bool:
+        """Raise TypeError: the value is not known while the graph is recorded."""
         raise TypeError("a branch on a value of the graph: expected np.where")
 
     def astype(self, dtype) -> Traced:

@@ -49,7 +49,9 @@ def action_of(graph: Graph, policy, x: Values) -> Values:
 
 
 def _layers(graph: Graph, module: nn.Module, x: Values) -> Values:
-    """Linear layers and activations, one after the other."""
+    """Output [n, out] of linear layers and activations, one after the other, for `x` [n, in];
+    ParameterError for a layer of another kind.
+    """
     if isinstance(module, nn.Sequential):
         for layer in module:
             x = _layers(graph, layer, x)

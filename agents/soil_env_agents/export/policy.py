@@ -143,7 +143,7 @@ def _output(wheel: Wheel, control: Control) -> dict:
 
 
 class _Recorder:
-    """An agent that keeps its observations and actions."""
+    """An agent that keeps its observations and actions; it drives one course at a time."""
 
     def __init__(self, agent):
         self.agent = agent

@@ -95,6 +95,9 @@ class Study(Checked):
     version: str = field(default_factory=code_version)
 
     def _check_together(self) -> None:
+        """ParameterError for a name that does not exist or cannot be part of a file's, for a study
+        without arms or scenarios to make them on, and for an arm that cannot be made on one.
+        """
         sources = self.sources
         for name in (*self.targets, *self.arms):
             if "-" in name or "/" in name:
@@ -115,7 +118,9 @@ class Study(Checked):
                 self._check(name, arm, self.targets[source].scenario)
 
     def _check(self, name: str, arm: Arm, scenario: Scenario) -> None:
-        """ParameterError where an arm cannot be made on a scenario."""
+        """ParameterError where the arm `name` cannot be made on a scenario: for keys or settings
+        that it cannot have, an unknown controller, or both `controller` and `train`.
+        """
         if not arm.controller:
             for key in arm.train:
                 if key in _SET_HERE:
@@ -199,6 +204,7 @@ class Cell:
     seed: int
 
     def __str__(self) -> str:
+        """Name of the cell, also of its files."""
         return f"{self.source}-{self.arm}-{self.seed}"
 
 

@@ -47,7 +47,7 @@ def result(study: Study, folder: Path) -> dict:
 def table(content: dict, bounds: bool = True) -> Table:
     """A row for each scenario and arm; differences are on the same courses.
 
-    Narrow without `bounds`.
+    Without `bounds` it is narrow: no intervals but that of the difference, and no probabilities.
     """
     base = content["baseline"]
     rows = []

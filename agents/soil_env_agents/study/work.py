@@ -47,6 +47,7 @@ def fill(study: Study, folder: Path, engine: cells.Engine, elsewhere: bool) -> N
     left = len(todo)
 
     def progress(cell: Cell) -> None:
+        """Print that a cell is done."""
         nonlocal left
         left -= 1
         show(f"{cell}: done, {left} of {len(todo)} cells left")
