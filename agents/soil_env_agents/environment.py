@@ -56,6 +56,7 @@ def normalised(
     worlds = list(world) if isinstance(world, Sequence) else [world]
     shares = np.diff(np.linspace(0, config.num_envs, len(worlds) + 1).astype(int))
     kind = SoilRoverVecEnv if isinstance(scenario, RoverScenario) else SoilWheelVecEnv
+    # `scatter`: the scenario's wheel and soils in the world of a model.
     parts = [
         kind(
             share, scenario, observation, threads=config.threads, model=one, scatter=one is not None
@@ -66,8 +67,11 @@ def normalised(
 
 
 def side_by_side(parts: Sequence[CourseVecEnv], config: PPOConfig, seed: int) -> VecNormalize:
-    """The `parts`, of one observation layout, with penalty, history, choices and running
-    normalisation.
+    """The `parts`, of one observation layout, as one vector environment with wrappers.
+
+    From the inside: `TeacherPenalty`; the history, where `config.history` is above 0;
+    `ChoiceVecEnv`, where routes can be chosen; SB3's normalisation of observations and rewards.
+    Wheel k has seed `seed` + k.
     """
     wheels = TeacherPenalty(parts[0] if len(parts) == 1 else SeveralWorlds(parts))
     if config.history:

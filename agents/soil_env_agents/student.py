@@ -103,7 +103,7 @@ def teach(
     """
     env = model.get_vec_normalize_env()
     policy = model.policy
-    rng = np.random.default_rng([seed, 11])
+    rng = np.random.default_rng([seed, 11])  # 11: a random stream of its own
     wheels = env.num_envs
     rounds = math.ceil(steps / (ROUND * wheels))
     teachers = Teachers(env.unwrapped)

@@ -237,6 +237,7 @@ def fit(inputs: np.ndarray, ahead: np.ndarray, epochs: int, seed: int = 0) -> Ne
     model = torch.nn.Sequential(layers[0], torch.nn.Tanh(), layers[1], torch.nn.Tanh(), layers[2])
     optimizer = torch.optim.AdamW(model.parameters(), lr=RATE, weight_decay=DECAY)
     steps = epochs * -(-len(x) // BATCH)
+    # The rate before the first step counts, too.
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, RATE, total_steps=steps + 1)
     loss_of = torch.nn.functional.binary_cross_entropy_with_logits
     for _ in range(epochs):

@@ -31,6 +31,7 @@ class Table:
     caption: str = ""
 
     def __post_init__(self) -> None:
+        """Raise ValueError unless every row is as long as the header."""
         if any(len(row) != len(self.header) for row in self.rows):
             raise ValueError(
                 f"expected rows of {len(self.header)} cells: {', '.join(map(str, self.header))}"

@@ -102,6 +102,7 @@ class Checked:
     """
 
     def __post_init__(self) -> None:
+        """Check each field by itself, in their order, then `_check_together`."""
         own: typing.Any = type(self)
         for f in dataclasses.fields(own):
             hint = _hints(own)[f.name]
@@ -359,6 +360,7 @@ def to_dict(instance: object) -> dict[str, typing.Any]:
     """A dataclass as nested plain values, ready for YAML: mappings, and lists for tuples."""
 
     def plain(x):
+        """`x` with all that is in it; what is no dataclass, mapping, tuple or list as it is."""
         if dataclasses.is_dataclass(x):
             return {f.name: plain(getattr(x, f.name)) for f in dataclasses.fields(x)}
         if isinstance(x, dict):

@@ -71,6 +71,7 @@ def _stages(quiet: bool) -> Callable[[str], None]:
     said = {"reading"}
 
     def say(text: str) -> None:
+        """Print the stage of this text if it has not been said."""
         stage = text.partition(":")[0]
         if stage not in said and not quiet:
             said.add(stage)

@@ -54,6 +54,7 @@ def command(recording: Path, map_file: Path, out: Path) -> None:
         task = progress.add_task("reading", total=None)
 
         def show(done: int, size: int) -> None:
+            """Show how many bytes of a recording of this size are read."""
             progress.update(task, completed=done, total=size)
 
         log = read_recording(recording, log_map, show)

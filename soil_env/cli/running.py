@@ -180,6 +180,7 @@ def end_with_parent() -> None:
         return
 
     def watch() -> None:
+        """Wait for the end of the parent, then end this process."""
         connection.wait([parent.sentinel])
         with suppress(ProcessLookupError):
             os.kill(os.getpid(), signal.SIGTERM)
@@ -249,7 +250,7 @@ def out_option(files: str, required: bool = False) -> Callable[[Callable], Calla
 
 
 def seed_option(of: str = "everything random") -> Callable[[Callable], Callable]:
-    """Option --seed N."""
+    """Option --seed N, 0 if left out; `of`: what is drawn by it, for the help."""
     return click.option(
         "--seed", type=WholeNumber(), default=0, metavar="N", help=f"Seed of {of} (default 0)."
     )

@@ -34,6 +34,7 @@ class CourseView:
         self._clock: pygame.time.Clock | None = None
         self._step = scenario.control.duration  # [s] from record to record
         self._every = max(1, math.ceil(SPAN / self._step / _POINTS))  # records per sample
+        # `_POINTS` intervals have one sample more; one is spare, for rounding.
         self._history: deque[list[float]] = deque(maxlen=_POINTS + 2)
         self._angles: Any = 0.0  # [rad] that the wheels have turned
 

@@ -139,7 +139,7 @@ def draw_stresses(
     arrows = np.linspace(0, ARC_POINTS - 1, 2 + int(size * stresses.angle[-1] / _APART))[1:-1]
     for i in arrows.round().astype(int):
         c.arrow(outer[i], rim[i], BLUE, 1.6)
-    inside = hub + outward * 0.93 * size
+    inside = hub + outward * 0.93 * size  # the inner edge of the rim, as `draw_wheel` has it
     inner = hub + outward * (0.93 * size - shear)
     c.polygon([*inside, *inner[::-1]], LIGHT_ORANGE)
     c.lines(inner, ORANGE)
