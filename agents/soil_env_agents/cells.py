@@ -91,7 +91,7 @@ def is_begun(study, folder: Path, ignored: Collection[str] = ()) -> bool:
             f"{path}: is a file of yours, no study that was begun here: give another --out, or "
             "move the file to another folder"
         )
-    asked = yaml.safe_load(yaml.safe_dump(to_dict(study)))
+    asked = yaml.safe_load(yaml.safe_dump(to_dict(study)))  # as it would be read from the file
     other = [
         key for key in asked if key not in ("version", *ignored) and begun.get(key) != asked[key]
     ]

@@ -58,7 +58,11 @@ class Policy:
 
 
 def serve(policy):
-    """Answer each line of stdin with a line on stdout; end with status 2 at a wrong one."""
+    """Answer each line of stdin, an observation, with a line on stdout, the action.
+
+    After an empty line, which has no answer, a new course begins. A line of anything else ends the
+    process with status 2.
+    """
     memory = None
     for k, line in enumerate(sys.stdin, 1):
         if not line.strip():

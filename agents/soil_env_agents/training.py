@@ -192,6 +192,7 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
     worlds: World = config.world
     if config.hidden_worlds:
         worlds = [config.world, *hidden_worlds(scenario, config.hidden_worlds, config.seed)]
+    # Arguments of `ppo.build`, and of `ppo.resume` after the file.
     task = scenario, config.observation, config.ppo, config.seed, folder / "tensorboard", worlds
     if checkpoint.is_file():
         try:

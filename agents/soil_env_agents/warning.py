@@ -209,14 +209,14 @@ def drives(scenario: str, family: str, seed: int, first: int, count: int) -> Dri
         cause = worlds.cause.copy()
     inputs, alive, driving, best = (np.array(column) for column in zip(*kept, strict=True))
     return Drives(
-        task.control.period,
-        inputs,
-        alive,
-        driving,
-        best,
-        cause,
-        least_progress(task),
-        task.limits.no_progress_distance,
+        period=task.control.period,
+        inputs=inputs,
+        alive=alive,
+        driving=driving,
+        best=best,
+        cause=cause,
+        least=least_progress(task),
+        least_progress=task.limits.no_progress_distance,
     )
 
 

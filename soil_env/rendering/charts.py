@@ -80,9 +80,9 @@ class _Chart(NamedTuple):
         the limits.
         """
         left, top, width, height = self.box
-        of = np.log if self.log else np.asarray
-        low, high = of(self.limits)
-        share = (of(values) - low) / (high - low)
+        on_axis = np.log if self.log else np.asarray
+        low, high = on_axis(self.limits)
+        share = (on_axis(values) - low) / (high - low)
         across = left + width * (1.0 + (t - self.end) / SPAN)
         return np.stack([across, top + height * (1.0 - share.clip(0.0, 1.0))], axis=-1)
 

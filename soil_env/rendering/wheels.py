@@ -59,6 +59,9 @@ class _Wheel(NamedTuple):
 def _stresses(nodes, wheel, soil, angle, normal, shear):
     """Fill `angle`, `normal` and `shear` [points] of `Stresses`, from the lowest point upward.
 
+    The angles are even from 0 to the entry. Normal stress is that of Eq. (7), in the rear zone of
+    Eq. (8); shear stress is the strength times the share of it that Eq. (10) mobilises.
+
     `nodes` [1]: scratch of `soil_reaction`, which gives the sinkage coefficient that carries the
     load. Its laws are those by which the simulation moves the wheel.
     """
@@ -66,6 +69,8 @@ def _stresses(nodes, wheel, soil, angle, normal, shear):
     arc = contact.smooth_arc(wheel.sinkage, r, contact.braked_shift(wheel.braked, soil))
     footing = lay_footing(nodes[0], arc, soil, wheel.load)
     force = soil_reaction(nodes[0], footing, wheel.speed, wheel.rim_speed, wheel, None)
+    # Speeds of rim and travel over about that of the rim; soil that is carried along adds to the
+    # rim's, as in `soil_reaction`.
     rim, travel, _ = contact.motion_from_speeds(wheel.rim_speed, wheel.speed, REST_SPEED)
     rim += carried_along(footing, wheel.speed, wheel.rim_speed)[0] * travel
     theta1 = arc.theta1
@@ -88,7 +93,15 @@ def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
     So the stresses carry the load in a rut, too, where the soil's own coefficient does not hold.
     """
     braked = max(math.copysign(1.0, w["speed"]) * w["braked"], 0.0)
-    wheel = _Wheel(r, b, w["sinkage"], w["load"], w["speed"], w["wheel_speed"] * r, braked)
+    wheel = _Wheel(
+        radius=r,
+        width=b,
+        sinkage=w["sinkage"],
+        load=w["load"],
+        speed=w["speed"],
+        rim_speed=w["wheel_speed"] * r,
+        braked=braked,
+    )
     stresses = Stresses(*np.empty((3, ARC_POINTS)))
     _stresses(np.zeros(1, contact.ARC_NODES), wheel, w["soil"], *stresses)
     return stresses

@@ -184,7 +184,10 @@ class Controller(Observing):
 
     def _torque(self, batch, target, state):
         """Torque [N m] of the PI loop that follows the rim speed `target` [m/s], [n]; advances the
-        integral in `state`, but for one that would wind up.
+        integral [N m] in `state`, within the stall torque.
+
+        It stays where the torque is beyond the stall torque already and would go further. At a halt
+        it is the torque that is fed forward.
         """
         error = (target - batch[:, self.column["rim_speed"]] * self.top_speed) / self.radius
         torque = self.gain * error + state["integral"]

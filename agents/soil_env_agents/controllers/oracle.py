@@ -181,7 +181,13 @@ class Oracle:
         a = zero + acceleration
         v = zero + np.asarray(share) * self.driver.top_speed
         return Plans(
-            zero.copy(), zero.copy(), a, v, a.copy(), v.copy(), np.zeros(shape, dtype=bool)
+            back=zero.copy(),
+            left=zero.copy(),
+            first=a,
+            speed=v,
+            second=a.copy(),
+            later_speed=v.copy(),
+            other_route=np.zeros(shape, dtype=bool),
         )
 
     def _candidates(self, now: Plans) -> Plans:
@@ -207,13 +213,13 @@ class Oracle:
         # by 1 s, accelerations by a factor of about exp(0.4), speeds by one of exp(0.3).
         noise = rng.standard_normal((6, d, VARIED))
         varied = Plans(
-            np.repeat(same.back, VARIED, axis=1),
-            np.maximum(same.left + 1.0 * noise[1], 0.0),
-            np.clip(same.first * np.exp(0.4 * noise[2]), *ACCELERATIONS),
-            np.clip(same.speed * np.exp(0.3 * noise[3]), *speeds),
-            np.clip(same.second * np.exp(0.4 * noise[4]), *ACCELERATIONS),
-            np.clip(same.later_speed * np.exp(0.3 * noise[5]), *speeds),
-            same.other_route ^ (rng.random((d, VARIED)) < 0.3),
+            back=np.repeat(same.back, VARIED, axis=1),
+            left=np.maximum(same.left + 1.0 * noise[1], 0.0),
+            first=np.clip(same.first * np.exp(0.4 * noise[2]), *ACCELERATIONS),
+            speed=np.clip(same.speed * np.exp(0.3 * noise[3]), *speeds),
+            second=np.clip(same.second * np.exp(0.4 * noise[4]), *ACCELERATIONS),
+            later_speed=np.clip(same.later_speed * np.exp(0.3 * noise[5]), *speeds),
+            other_route=same.other_route ^ (rng.random((d, VARIED)) < 0.3),
         )
         return Plans(
             *(

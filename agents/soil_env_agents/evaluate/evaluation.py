@@ -198,7 +198,7 @@ def run(asked: Evaluation, folder: Path, engine: Engine, job: Job) -> dict:
 
         fill(job, blocks, folder, engine, progress, job.needs, found)
 
-    def of(key: str) -> Runs:
+    def runs_of(key: str) -> Runs:
         """Runs of all blocks of a `Contestant.key`, or of `ORACLE`."""
         own = [b for b in blocks if b.controller == key]
         return Runs.join(
@@ -207,8 +207,8 @@ def run(asked: Evaluation, folder: Path, engine: Engine, job: Job) -> dict:
 
     out: dict[str, list[Runs]] = {}
     for key, contestant in asked.controllers.items():
-        out.setdefault(contestant.name, []).append(of(key))
-    return {**out, ORACLE: [of(ORACLE)]} if asked.oracle_courses else out
+        out.setdefault(contestant.name, []).append(runs_of(key))
+    return {**out, ORACLE: [runs_of(ORACLE)]} if asked.oracle_courses else out
 
 
 def result(asked: Evaluation, runs: dict[str, list[Runs]]) -> dict:

@@ -62,8 +62,8 @@ def bounds_of_settings(source: str, scenario: Scenario) -> Mapping[str, Setting]
     its wheels.
     """
     if ":" not in source:
-        of = ROVER_CONTROLLERS[source].of_wheel if isinstance(scenario, RoverScenario) else source
-        return CONTROLLERS[of].bounds
+        rover = isinstance(scenario, RoverScenario)
+        return CONTROLLERS[ROVER_CONTROLLERS[source].of_wheel if rover else source].bounds
     bounds = getattr(imported(source), "bounds", {})
     try:
         return {name: Setting(*setting) for name, setting in bounds.items()}

@@ -58,8 +58,8 @@ def shipped_settings(
     """{controller: settings} of configs/tuned where this scenario was tuned there on at least
     `courses` courses.
 
-    {} where it was not, where anything but reward and name of the scenario was changed, or where a
-    `model` is on.
+    {} where it was not, where anything but reward and action differs from the shipped scenario of
+    its name, or where a `model` is on.
     """
     path = config_dir() / TUNED / f"{scenario.name}.yaml"
     if model is not None or scenario.name not in scenario_names() or not path.is_file():

@@ -298,7 +298,7 @@ def _model(path: Path, name: str, scenario: Scenario | None = None) -> dict:
     file = Path(name) if Path(name).is_file() else path.parent / name
     model = WheelSoilModel.load(file)
     if scenario is None and model.soil is not None:
-        model = WheelSoilModel(model.wheel, None, model.effects, (), model.gravity)
+        model = WheelSoilModel(model.wheel, effects=model.effects, gravity=model.gravity)
     if not model.effects and not model.residual:
         raise ParameterError(f"{file}: no effects; expected a world with at least one")
     if model.soil is not None:
