@@ -77,9 +77,9 @@ class Schedules(BaseCallback):
     """Schedules that fall linearly over a training: the exploration noise and the penalty for
     leaving the teacher.
 
-    The logarithm of the noise falls from `log_std_init` to `log_std_final`, the weight of the
-    penalty from `penalty` to 0 at half of the training. Schmitt et al. 2018 (arXiv:1803.03835) let
-    a loss fade in the same way.
+    The logarithm of the noise falls from `log_std_init` to `log_std_final`, and is learned where
+    that is None. The weight of the penalty falls from `penalty` to 0 at half of the training.
+    Schmitt et al. 2018 (arXiv:1803.03835) let a loss fade in the same way.
     """
 
     def __init__(self, config: PPOConfig, penalty: float = 0.0):

@@ -122,7 +122,7 @@ def command(
     class with `bounds` is tuned, as the classical ones. Values of a NAME.yaml that soil-env tune
     wrote are given with --settings; that in configs/tuned is found.
     """
-    chosen = cells.choose(engine, workers, address)
+    selected = cells.choose(engine, workers, address)
     if resume is None:
         asked = _asked(SimpleNamespace(**given), keys)
         folder = given["out"]
@@ -144,7 +144,7 @@ def command(
         if resume is None and cells.is_begun(asked, folder, ignored=("tuned", "codes")):
             asked = cells.load_study(Evaluation, folder)
         with continued_by(again("evaluate", "--resume", folder, *code), folder):
-            carry_out(asked, folder, chosen, ship=engine == "ray")
+            carry_out(asked, folder, selected, ship=engine == "ray")
 
 
 def _refuse_foreign(asked: Evaluation, where: Path) -> None:

@@ -49,8 +49,9 @@ def load(contestant: Contestant, scenario: Scenario, content: bytes | None = Non
 
 
 def _from_class(contestant: Contestant, scenario: Scenario):
-    """The controller of a `module:Thing`, wrapped (`_Wrapped`); ParameterError for an unsuitable
-    one.
+    """The controller of a `module:Thing`, wrapped (`_Wrapped`); ParameterError where it cannot be
+    made, has no `predict`, or names a `variant` that does not exist. Without one it reads
+    `identified`.
     """
     spec = contestant.source
     name = contestant.name

@@ -85,8 +85,9 @@ def maker(source: str, scenario: Scenario) -> Callable[..., Any]:
 
 def made(source: str, scenario: Scenario, settings: dict, where: str) -> Any:
     """The object of `module:Thing`; a class with `bounds` is called with the scenario and its
-    `settings`, any other with the scenario where it takes one argument. `where`: place of the
-    settings, for messages.
+    `settings`, any other with the scenario where it takes one argument, else without. So is a
+    function; an object with `predict` is returned as it is. ParameterError where the call fails.
+    `where`: place of the settings, for messages.
     """
     thing = imported(source)
     known = bounds_of_settings(source, scenario)

@@ -66,7 +66,7 @@ def command(
     tunings from their last trial; a larger --seeds adds to the finished cells. OUT gets study.json,
     study.md and study.png. Keys of the file: docs/guide/study.md.
     """
-    chosen = cells.choose(engine, workers, address)
+    selected = cells.choose(engine, workers, address)
     changes = overrides(keys, "--config")
     known = [str(p.name) for p in command.params if p.name not in ("file", "keys")]
     for key in changes:
@@ -92,7 +92,7 @@ def command(
         with begun_in(out, new=is_unused(out), made=not out.exists()), alone(out):
             work.begin(asked, out)
             with continued_by(again("study", "--out", out, *code), out):
-                work.fill(asked, out, chosen, elsewhere=engine == "ray")
+                work.fill(asked, out, selected, elsewhere=engine == "ray")
     content = results.result(asked, out)
     if not content["scenarios"]:
         raise ParameterError(f"{out}: no cell is done; expected a study that has run")

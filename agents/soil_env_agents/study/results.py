@@ -18,8 +18,10 @@ FILES = ("study.json", "study.md", "study.png")
 def result(study: Study, folder: Path) -> dict:
     """The content of study.json, of the cells that are done.
 
-    {"arms": {name: its config}, "baseline", "settings": {cell: tuned settings}, "worlds": {name:
-    effects}, "scenarios": {name: a `comparison` of the arms, and "trained_on"}}.
+    {"version", "courses", "arms": {name: its config}, "baseline", "settings": {cell: settings of
+    its controller, given or tuned}, "worlds": {name: effects}, "scenarios": {name: a `comparison`
+    of the arms, "trained_on", and "model" of its world}}. Scenarios on which no arm is done are
+    left out.
     """
     runs, settings = work.driven(study, folder)
     return {

@@ -90,7 +90,7 @@ class Work:
         }
 
     def __call__(self, cell: Cell) -> dict:
-        """{"settings": of a classical controller, "driven": {target: columns of `Runs`}}.
+        """{"settings": of a controller, {} of an agent, "driven": {target: columns of `Runs`}}.
 
         Without a folder also "files": {name: content} of the run folder of a training.
         """
