@@ -225,8 +225,8 @@ def read_mapping(path: Path, name: str) -> dict | None:
 def read_info(path: Path) -> Info:
     """The checked soil_env.json of a model.
 
-    ParameterError if the file is missing, broken or of another program, if the model was trained on
-    an observation that this version does not have, and if its moments do not fit its input.
+    ParameterError if the file is missing, broken or of another program. So it is if the model was
+    trained on an observation that this version does not have, or its moments do not fit that.
     """
     mapping = read_mapping(path, INFO)
     if mapping is None:
@@ -257,7 +257,7 @@ def read_info(path: Path) -> Info:
 
 def check_layout(info: Info, where, scenario: Scenario | RoverScenario | None = None) -> None:
     """ParameterError if a model was trained on other entries of its observation variant than this
-    version has on `scenario`, by default the model's own, or on the other kind of vehicle.
+    version has on `scenario`, or on the other kind of vehicle; None: the model's own scenario.
 
     `where`: what the model was read from, at the beginning of the message.
     """

@@ -362,7 +362,8 @@ def on_ray(
     one started here.
 
     Every node needs this version of soil_env, and the modules of controllers given as module:Class.
-    Each cell takes one CPU. `workers` limits the CPUs of a cluster started here.
+    Each cell takes one CPU. `workers` limits the CPUs of a cluster started here. ParameterError
+    where there is no cluster, where a cell fails, and where it is lost `ATTEMPTS` times.
     """
     import ray
 

@@ -185,8 +185,8 @@ SYMBOLS = {
 
 
 def nearest(name, known) -> str:
-    """'; did you mean ...?' with the known name that is most like `name`; "" where none is like
-    it.
+    """'; did you mean ...?' with the known name that is most like `name`; "" where none is like it.
+    A symbol of `SYMBOLS` counts as the name that it stands for.
     """
     name = SYMBOLS.get(str(name), str(name))
     near = difflib.get_close_matches(name, [str(k) for k in known], n=1)

@@ -63,5 +63,6 @@ def command(recording: Path, map_file: Path, out: Path) -> None:
     files, text = report_of(recording.name, log, log_map, found, steady, out)
     check_own(out, files, (recording, map_file))  # now with the tables of the grounds found
     write_own(out, files)
+    # Tables that an earlier run wrote and this one did not.
     drop_own(out, {p.name for p in out.iterdir() if FILES.fullmatch(p.name)} - set(files))
     print(text, end="")

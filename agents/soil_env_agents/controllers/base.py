@@ -207,8 +207,8 @@ class Ramped(Controller):
     memory = {**Controller.memory, "ramp": 0}
 
     def ramp(self, batch, state: dict, acceleration, speed):
-        """Highest rim speed now [m/s], [n], for an acceleration [m/s2] up to a speed [m/s];
-        advances `state`.
+        """Highest rim speed now [m/s], [n], for an acceleration [m/s2] up to a speed [m/s], 0 at a
+        halt; kept in `state`.
         """
         risen = np.minimum(state["ramp"] + acceleration * self.period, speed)
         state["ramp"] = np.where(self.halted(batch), 0.0, risen)

@@ -102,7 +102,9 @@ class _Driver(Ramped):
 
 
 class Oracle:
-    """The planner with `predict`; `attach` gives it the simulation in which it plans."""
+    """The planner with `predict`; `attach` gives it the simulation in which it plans, and `horizon`
+    [s] is how far.
+    """
 
     name = "oracle"
 
@@ -230,7 +232,7 @@ class Oracle:
 
     def _tried(self, batch, state) -> np.ndarray:
         """Score [n], as of `_value`, of the first n clones, driven by the plans of `dreamer` to the
-        horizon; from the observations `batch` [n, D] and the `state` of their controller.
+        horizon. They begin with the observations `batch` [n, D] and the `state` of their driver.
         """
         w = self.clones.worlds
         n = len(batch)

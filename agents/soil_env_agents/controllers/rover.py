@@ -171,7 +171,7 @@ ROVER_CONTROLLERS = {
 
 def make_rover_controller(name: str, scenario: RoverScenario, **settings: float) -> RoverController:
     """A controller by name with the settings of its wheels' controller; ParameterError for an
-    unknown one.
+    unknown name, a scenario of a wheel, and wrong settings.
     """
     if name not in ROVER_CONTROLLERS:
         raise unknown_value(name, ROVER_CONTROLLERS, "controller")

@@ -79,7 +79,7 @@ def write(result: Mapping, runs: Mapping[str, list[Runs]], folder: Path) -> list
 
 def _courses(runs: Mapping[str, list[Runs]], metrics: list[str]) -> list[list]:
     """A heading, then a row for each course of each controller but the oracle: how it ended, and
-    every one of the `metrics` that is no rate, empty where it is not defined.
+    the `metrics` that are no rates. A metric that is not defined is empty.
     """
     names = [m for m in metrics if m not in RATES]
     rows: list[list] = [["controller", "member", "course", "cause", *names]]

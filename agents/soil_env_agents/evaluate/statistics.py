@@ -39,7 +39,7 @@ class Draws:
 
 
 def draws(seed: int, courses: int, resamples: int = 2000) -> Draws:
-    """`Draws` of a study; the same for the same arguments."""
+    """`Draws` of a study on so many `courses`; the same for the same arguments."""
     return Draws(_counts(np.random.default_rng([seed, 0]), resamples, courses), seed)
 
 

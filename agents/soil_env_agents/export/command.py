@@ -118,8 +118,10 @@ def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
 
 
 def _asked(run: Path, scenario: str | None) -> tuple[Path, Scenario, WheelSoilModel | None]:
-    """(file of the agent RUN, its scenario, model of its world); ParameterError for an agent of
-    which no export is made.
+    """(file of the agent RUN, its scenario, model of its world or None).
+
+    `scenario`: that of --scenario, for an agent whose file has none of its own; None: the default.
+    ParameterError for one beside an agent with its own, for no agent, and for one of a rover.
     """
     if str(run) in SHIPPED:
         return WEIGHTS, load_scenario(scenario or DEFAULT_SCENARIO), None

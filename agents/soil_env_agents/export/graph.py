@@ -51,7 +51,7 @@ class Graph:
         return f"v{self.names}"
 
     def input(self, name: str, dtype: str) -> Traced:
-        """An input of the graph."""
+        """A value for an input of the graph; `info` describes it to `model`."""
         return Traced(self, name, np.dtype(dtype))
 
     def constant(self, value, dtype) -> Traced:

@@ -95,8 +95,8 @@ class Study(Checked):
     version: str = field(default_factory=code_version)
 
     def _check_together(self) -> None:
-        """ParameterError for a name that does not exist or cannot be part of a file's, for a study
-        without arms or scenarios to make them on, and for an arm that cannot be made on one.
+        """ParameterError for a name that does not exist or cannot be part of a file's, and for an
+        arm that cannot be made on a scenario. A study has an arm and a scenario to make it on.
         """
         sources = self.sources
         for name in (*self.targets, *self.arms):
