@@ -84,6 +84,7 @@ class History:
         holds: readings, newest first, then of each average its weighted sums and its weight. All
         are arrays, or values of an ONNX graph (`export`).
         """
+        # Columns are taken by lists of their numbers, since values of a graph know no slices.
         m = len(self.columns)
         moved = np.concatenate([seen[:, self.columns], kept[:, [*range(self.past)]]], axis=1)
         # What is kept: present and past readings, then for each average its sums and its weight.

@@ -58,11 +58,13 @@ class Bar:
                 )
 
     def __enter__(self):
+        """Show the live bar, if the output is a terminal."""
         if self.live:
             self.live.start()
         return self
 
     def __exit__(self, *error):
+        """Leave the live bar as it is."""
         if self.live:
             self.live.stop()
 

@@ -294,6 +294,8 @@ def _model(path: Path, name: str, scenario: Scenario | None = None) -> dict:
     file.
 
     Without a scenario, of a fitted model only the effects: what they leave belongs to its soil.
+    ParameterError for a model without effects, with a soil, or of a wheel of another radius or
+    width than that of the scenario.
     """
     file = Path(name) if Path(name).is_file() else path.parent / name
     model = WheelSoilModel.load(file)
