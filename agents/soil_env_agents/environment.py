@@ -94,6 +94,7 @@ class CommonVecEnv(SoilWheelVecEnv):
     def __init__(self, num_envs: int, scenario: Scenario, teacher: dict[str, float], **options):
         super().__init__(num_envs, scenario, "identified", **options)
         self.teacher = teacher
+        # By this the environment makes its observations.
         self.env.scaling = common_layout.CommonScaling(scenario)
         self.observation_names = common_layout.NAMES
         self.observation_space = self.scaling.space

@@ -112,9 +112,9 @@ def teach(
     wander = np.zeros((wheels, *env.action_space.shape))  # noise over `NOISE`, of variance 1
     kept = Lessons(
         wheels,
-        seen.shape[1],
-        min(rounds, max(1, most // (ROUND * wheels))) * ROUND,
-        wander.shape[1],
+        entries=seen.shape[1],
+        steps=min(rounds, max(1, most // (ROUND * wheels))) * ROUND,
+        actions=wander.shape[1],
     )
     optimizer = torch.optim.Adam(policy.parameters(), RATE)
     chooser = Chooser(model, rng)
@@ -141,7 +141,7 @@ def teach(
         chooser.learn(1.0 - k / rounds)  # the share of the training that is left
         progress((k + 1) * ROUND * wheels)
     returns, ended = kept.returns(model.gamma)
-    returns /= np.sqrt(env.ret_rms.var + env.epsilon)
+    returns /= np.sqrt(env.ret_rms.var + env.epsilon)  # as `env` divides rewards in PPO
     for _ in range(min(VALUE_STEPS, math.ceil(VALUE_PASSES * ended.size / BATCH))):
         at = kept.drawn(rng, ended)
         value = policy.predict_values(torch.from_numpy(env.normalize_obs(kept.seen[at])))[:, 0]

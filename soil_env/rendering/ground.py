@@ -125,7 +125,7 @@ def draw_flag(c: Canvas, scene: Scene, foot: np.ndarray) -> None:
     It reaches above a wheel; its top stays in view where the course climbs.
     """
     top = np.array([foot[0], max(foot[1] - _POLE, scene.box[1] + _BELOW_EDGE)])
-    c.lines([foot + (0, 12), top], INK, 2.5)
+    c.lines([foot + (0, 12), top], INK, 2.5)  # from 12 px below the ground
     c.polygon([top, top + (40, 13), top + (0, 26)], INK)
 
 
@@ -156,6 +156,7 @@ def draw_course(
     x = np.linspace(0.0, length, 257)
     h = np.interp(x, profile.x, profile.height)
     magnified = min(_TALL * height / max(np.ptp(h), _FLAT), _MAGNIFIED * width / length)
+    # The middle of the heights is at 0.62 of the strip from its top.
     y = top + 0.62 * height - magnified * (h - 0.5 * (h.max() + h.min()))
     surface = np.stack([left + width * x / length, y], axis=1)
     c.soil(surface, top + height, profile.friction_between(x), bounds)
