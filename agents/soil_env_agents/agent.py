@@ -225,8 +225,8 @@ def read_mapping(path: Path, name: str) -> dict | None:
 def read_info(path: Path) -> Info:
     """The checked soil_env.json of a model.
 
-    ParameterError if the file is missing, broken or of another program. So it is if the model was
-    trained on an observation that this version does not have, or its moments do not fit that.
+    ParameterError if the file is missing, broken or of another program. The same for a model that
+    was trained on an observation of another version, and for moments that do not fit its input.
     """
     mapping = read_mapping(path, INFO)
     if mapping is None:

@@ -90,7 +90,7 @@ class CommonScaling(Scaling):
 
     @property
     def space(self) -> spaces.Box:
-        """Box of the common layout; entries after `COMMON` are within 100, far more than needed."""
+        """Box of the common layout; entries after `COMMON` have the bounds -100 and 100."""
         box = Scaling(COMMON).space
         count = len(NAMES) - len(COMMON)
         low, high = (

@@ -96,7 +96,7 @@ class Study(Checked):
 
     def _check_together(self) -> None:
         """ParameterError for a name that does not exist or cannot be part of a file's, and for an
-        arm that cannot be made on a scenario. A study has an arm and a scenario to make it on.
+        arm that cannot be made on a scenario. The same without any arm, or scenario to make it on.
         """
         sources = self.sources
         for name in (*self.targets, *self.arms):
