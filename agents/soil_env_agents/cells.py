@@ -71,13 +71,17 @@ def code_version() -> str:
     return f"{soil_env.__version__}+{digest[:12]}"
 
 
+class OtherStudy(ParameterError):
+    """A folder holds a study that a command began here, but another one than is asked for."""
+
+
 def is_begun(study, folder: Path, ignored: Collection[str] = ()) -> bool:
     """True if `folder` holds this study (a dataclass) already; False for one that is missing, which
     is made, or empty.
 
     `ignored` fields and the version of the code may differ.
 
-    ParameterError where it holds another study or other files.
+    `OtherStudy` where it holds another study, `ParameterError` where it holds other files.
     """
     path = folder / STUDY
     if not path.exists():
@@ -96,7 +100,7 @@ def is_begun(study, folder: Path, ignored: Collection[str] = ()) -> bool:
         key for key in asked if key not in ("version", *ignored) and begun.get(key) != asked[key]
     ]
     if other:
-        raise ParameterError(
+        raise OtherStudy(
             f"{folder}: holds another study (it differs in {', '.join(other)}); give another --out"
         )
     return True

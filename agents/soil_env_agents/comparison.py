@@ -54,9 +54,7 @@ def compare(
     try:
         if cells.is_begun(asked, folder, ignored=("tuned", "codes")):
             asked = cells.load_study(Evaluation, folder)
-    except ParameterError:
-        if not (folder / cells.STUDY).is_file():
-            raise
+    except cells.OtherStudy:
         cells.clear(folder)  # of a model that was trained again
     result = carry_out(asked, folder)
     show(verdict(result, agent.name))

@@ -132,6 +132,7 @@ class CourseVecEnv(NativeVecEnv):
         if self._actions is None:
             raise ResetNeeded("step_wait() before step_async(actions)")
         seen, rewards, terminated, truncated, _ = self.env.step(self._actions)
+        self._actions = None
         done = terminated | truncated
         self._returns += rewards
         self._lengths += 1

@@ -91,6 +91,10 @@ def test_what_it_cannot_take_is_one_line(own):
     env = own(1, observation="blind")
     with pytest.raises(ResetNeeded):
         env.step_wait()
+    env.reset()
+    env.step(np.zeros((1, *env.action_space.shape)))
+    with pytest.raises(ResetNeeded):  # an action is taken once
+        env.step_wait()
     env.set_options({})
     with pytest.raises(ParameterError, match="reset options = .*'x'.*: expected none"):
         env.set_options({"x": 1})

@@ -106,6 +106,11 @@ def test_a_run_its_folder_and_its_resumption(capsys, tmp_path, monkeypatch):
     assert code == 0 and "edited since the run began: seed 4 -> 5." in " ".join(out.split())
     assert json.loads((folder / comparison.DONE).read_text()) == result
     assert (folder / "model.zip").read_bytes() == model
+    (folder / comparison.DONE).unlink()
+    own = folder / comparison.FOLDER / "study.yaml"
+    own.write_text("of: mine\n")
+    assert "study.yaml: is a file of yours" in refused(capsys, "--resume", folder)
+    assert own.read_text() == "of: mine\n"
     edited = edited.replace("scenario: two_lines", "scenario: mixed")
     (folder / "config.yaml").write_text(edited)
     said = "scenario = 'mixed': expected 'two_lines', as the run began: its task is in scenario"
