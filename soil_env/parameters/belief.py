@@ -94,7 +94,8 @@ def refuse_idle_prior(belief: Keys, where: str, changes: Iterable[str] = ()) -> 
     which are without effect beside soils.
 
     A mapping saved from a `Belief` has all fields, so a number that is its default passes. In
-    `changes`, the names that a user gave, it does not.
+    `changes`, the names that a user gave, it does not. The message begins with `where` and names
+    the first such number.
     """
     idle = [
         name

@@ -134,7 +134,10 @@ class Soil(Checked):
         return math.tan(math.radians(self.friction_angle_deg))
 
     def lumped(self, width: float) -> float:
-        """S [N/m^(n+2)] under a wheel of width b [m]: by the moduli, or as given for any width."""
+        """S [N/m^(n+2)] under a wheel of width b [m]: by the moduli, or as given for any width.
+
+        Raises `ParameterError` where the moduli give no S > 0; so do `state` and `under`.
+        """
         if self.sinkage_coefficient is not None:
             return self.sinkage_coefficient
         assert self.k_c is not None and self.k_phi is not None  # checked on construction

@@ -34,6 +34,9 @@ class Vehicle(Checked):
     source: str = ""
 
     def _check_together(self) -> None:
+        """Raise `FieldError` unless there are two axles without a bogie or three with one, in order
+        from 0, the pivot between the axles of the bogie, and no share below `LEAST_SHARE`.
+        """
         count = len(self.axles)
         given = f" = {self.axles!r}"
         if not 2 <= count <= MOST_AXLES:
