@@ -83,7 +83,7 @@ class ModelWheel(Checked, OnTyre):
 
 
 class Prediction(NamedTuple):
-    """Steady values [N] at the conditions that were asked for."""
+    """Steady values at the N conditions that were asked for, arrays of N numbers."""
 
     sinkage: np.ndarray  # [m]
     drawbar_pull: np.ndarray  # [N]
@@ -164,7 +164,9 @@ class WheelSoilModel(Checked):
         return {need: what for what, need in by.items() if need in ("speed", "pass")}
 
     def predict(self, conditions: Any | Mapping[str, ArrayLike]) -> Prediction:
-        """Steady sinkage, drawbar pull and torque [N] for a whole table.
+        """Steady sinkage, drawbar pull and torque for a whole table of N rows, as a `Prediction`.
+
+        A row that the soil does not carry has the values at a sinkage of `DEEPEST` radii.
 
         `conditions`: a measurement table, or a mapping of arrays [N]; scalars count for every row.
         It has `slip` [-] and `load` [N] and, as far as they matter, `speed` [m/s], `pass`,
@@ -221,7 +223,12 @@ class WheelSoilModel(Checked):
         return Prediction(out[:, 0], out[:, 1], out[:, 2], carried == c.slip.size, sd)
 
     def content(self) -> dict[str, Any]:
-        """The mapping of model.yaml, without what the model does not have."""
+        """The mapping of model.yaml, of texts, numbers, lists and mappings.
+
+        Soil, residual, remainder and validity are left out where the model has none, and so are the
+        wheel's tyre and grip. Of the soil it leaves out what is not given, and the constants of
+        `FLOW_LAW` that have their defaults.
+        """
         content = {
             "format": FORMAT,
             "wheel": _without_off(self.wheel),
@@ -260,7 +267,11 @@ class WheelSoilModel(Checked):
 
     @classmethod
     def from_content(cls, content: Mapping[str, Any], where: str = "model") -> "WheelSoilModel":
-        """The model of the mapping of a model.yaml; errors name `where` it comes from."""
+        """The model of the mapping of a model.yaml, in which None counts as not given.
+
+        Raises `ParameterError`, which begins with `where` the mapping comes from, for another
+        `format` and for what `load` refuses.
+        """
         if not isinstance(content, Mapping):
             raise ParameterError(f"{where}: expected the mapping of a model.yaml, got {content!r}")
         content = {key: value for key, value in content.items() if value is not None}
@@ -274,7 +285,7 @@ ModelLike = str | Path | Mapping[str, Any] | WheelSoilModel | None  # file, mapp
 
 def load_model(model: ModelLike) -> WheelSoilModel | None:
     """The model that the keyword `model` of an environment describes: a model.yaml, its mapping, a
-    model, or none.
+    model, or none. `ParameterError` for anything else.
     """
     if model is None or isinstance(model, WheelSoilModel):
         return model
@@ -325,7 +336,9 @@ def _numbers(name: str, value) -> np.ndarray:
 
 
 def _mapping(conditions: Any) -> Mapping[str, ArrayLike]:
-    """The conditions as a mapping of columns: `conditions()` of a `Table`, a mapping as it is."""
+    """The conditions as a mapping of columns: `conditions()` of a `Table`, a mapping as it is.
+    `ParameterError` for anything else.
+    """
     if isinstance(conditions, Mapping):
         return conditions
     if not hasattr(conditions, "conditions"):

@@ -27,7 +27,7 @@ class OutsideValidity(UserWarning):
 
 def checked(validity: Mapping[str, Any], where: str = "validity") -> dict[str, tuple[float, float]]:
     """The ranges of a mapping {condition: (lowest, highest)} as pairs of floats; `ParameterError`
-    for unknown conditions and for what is no range.
+    for unknown conditions and for what is no finite range. Its message begins with `where`.
     """
     if not isinstance(validity, Mapping):
         raise ParameterError(

@@ -195,7 +195,9 @@ def arc_ends(theta1, slip, fx):
 
 @compiled
 def soil_resistance(sinkage, soil, wheel, fx):
-    """Force [N] of the soil against the travel, beside the forces of the contact; sinkage in m."""
+    """Force [N] of the soil against the travel, beside the forces of the contact: bulldozing, 0
+    without effects; sinkage in m.
+    """
     if fx is None:
         return 0.0
     else:
@@ -205,7 +207,7 @@ def soil_resistance(sinkage, soil, wheel, fx):
 @compiled
 def drive_friction(torque, wheel_speed, floor, fx):
     """`Friction` between motor and axle at a torque [N m] of the axle and a wheel speed [rad/s]; it
-    fades out below the wheel speed `floor` [rad/s].
+    fades out below the wheel speed `floor` [rad/s]. Three zeros without effects.
     """
     if fx is None:
         return Friction(0.0, 0.0, 0.0)
