@@ -31,7 +31,9 @@ ENTRIES_AHEAD = 8  # of the true soil of a route ahead: soil and margin
 
 @compiled_finite
 def clip(out, bounds):
-    """Cut the observation `out` [D] to the `bounds` [2, D] of its layout."""
+    """Cut the observation `out` [D] in place to the `bounds` of its layout, in the first D columns
+    of [2, D or more].
+    """
     for i in range(out.size):
         out[i] = min(max(out[i], bounds[0, i]), bounds[1, i])
 
@@ -65,7 +67,7 @@ def write_soil(out, soil):
 
 @compiled
 def write_soil_under(out, wheel, course, border):
-    """Fill `out` [7] with the true soil under a wheel."""
+    """Fill `out` [7] with the true soil under a wheel (`write_soil`), blended near a border."""
     patch = piece_at(course.patches, wheel.x, wheel.patch)
     write_soil(out, soil_on(course.patches, wheel.x, patch, border))
 
@@ -73,7 +75,8 @@ def write_soil_under(out, wheel, course, border):
 @compiled
 def write_seen(out, wheel, image, course, sight, camera, truth):
     """Fill `out` with the entries of an `IMAGE` of the camera (`write_view`), with `truth` followed
-    by the true soils of the routes ahead.
+    by the true soils of the routes ahead of a `Sight` (`write_soils_ahead`). Whether the action
+    chooses a route now follows from wheel and course.
     """
     i = write_view(out, image, choosing(wheel, course, camera) >= 0, camera)
     if truth:

@@ -56,7 +56,10 @@ TASK = record(
 
 
 def task_of(scenario: Scenario, variant: str) -> np.ndarray:
-    """Pack the task of a scenario, `TASK` [1]."""
+    """Pack the task of a scenario with an observation `variant` of `VARIANTS`, `TASK` [1].
+
+    Raises `ParameterError` for "identified" where the belief identifies nothing.
+    """
     if variant == "identified" and scenario.belief.method == "none":
         raise ParameterError(
             "belief.method = 'none': expected 'filter' for observation 'identified'"
@@ -111,7 +114,9 @@ def judge(vehicle, task):
 
 @compiled_finite
 def begin_step(vehicle):
-    """Set the reward terms of a vehicle to 0 and its control periods to none, before a step."""
+    """Set the reward terms of a vehicle to 0, its control periods to none and its cause to RUNNING,
+    before a step.
+    """
     vehicle.terms[:] = 0.0
     vehicle.periods = 0
     vehicle.cause = RUNNING

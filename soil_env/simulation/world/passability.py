@@ -72,7 +72,7 @@ class CourseNumbers(NamedTuple):
 
 @compiled
 def within(owner, bounds):
-    """Next number of a stream, uniform in `bounds` [low, high)."""
+    """Next number of the stream of `owner`, uniform in [low, high), the two `bounds`."""
     return between(owner, bounds[0], bounds[1])
 
 
@@ -91,7 +91,8 @@ def draw_soil(owner, drawn):
 @compiled
 def scattered(mean, share, owner, spec):
     """Random soil about `mean`, with a `share` of the variations of `SoilSpread`, which are cut at
-    `CUT`.
+    `CUT`. Friction angle and exponent scatter normally, the others log-normally; the angle is at
+    most `STEEPEST_FRICTION`.
 
     Stiffness is the pressure at `reference_sinkage`, so a change of the exponent turns the curve
     about that point. Recovery and the fields after it stay. Rows of `factor` and entries of
@@ -142,7 +143,7 @@ def _factor(variation, deviation):
 @compiled
 def capacity(load, soil, numbers, nodes):
     """Best steady drawbar pull [of `load`] of this wheel on level, fresh ground within the stall
-    torque; `load` in N.
+    torque; `load` in N. `soil`: `SoilState`; `numbers`: `CourseNumbers`; `nodes`: scratch.
 
     The point of best pull is found without a residual law, whose pull there is added. Where
     strength depends on speed, it is the lesser one of starting (speed 0) and of driving
