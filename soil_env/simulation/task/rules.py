@@ -86,6 +86,9 @@ def task_of(scenario: Scenario, variant: str) -> np.ndarray:
 def judge(vehicle, task):
     """`Cause` of a vehicle after a control period; advances its clocks, which stand still in halts.
 
+    `vehicle`: a record `WHEEL` or `ROVER`, which have the same names; `task`: `TASK`. The clocks
+    are `idle_time` and `stalled_time`; both begin anew at `mark_x`, a place of further progress.
+
     The first of these that holds: FINISHED; BOGGED, deeper than `bogged_sinkage` radii; no
     progress; TIME_LIMIT. No progress: `no_progress_time` without getting `no_progress_distance`
     further than ever before, or a place more than `BEHIND` before the start. It is STALLED if the
