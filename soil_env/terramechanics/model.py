@@ -67,7 +67,7 @@ class ModelWheel(Checked, OnTyre):
 
     @classmethod
     def of(cls, wheel: object) -> "ModelWheel":
-        """`ModelWheel` with sizes, tyre and grip of any wheel, as of a scenario or a setup. A
+        """`ModelWheel` with sizes, lugs, tyre and grip of any wheel, as of a scenario or a setup. A
         `ModelWheel` is returned as it is.
 
         Raises `ParameterError` without a radius or a width. What else it lacks counts as none: no
@@ -198,7 +198,7 @@ class WheelSoilModel(Checked):
         sd = np.full_like(out, math.nan)
         law = self.law
         fx = self.numbers
-        carried = 0
+        supported = 0  # rows
         # what the `SoilState` depends on: the width by S = k_c/b + k_phi
         bearing = c.wheels[:, 1:2]
         if self.soil.reference_stress > 0.0:  # strength depends on the pressure
@@ -211,7 +211,7 @@ class WheelSoilModel(Checked):
             soil = self.soil.under(radius, width, float(rows.load[0]), self.gravity)
             guess = np.zeros(len(values))
             unit_weight = self.soil.density * self.gravity
-            carried += predict_rows(rows, soil, unit_weight, fx, guess, values)
+            supported += predict_rows(rows, soil, unit_weight, fx, guess, values)
             if self.residual or self.remainder is not None:
                 deviations = np.empty_like(values)
                 felt = np.where(guess > 0.0, guess, DEEPEST * radius)  # buried where there is none
@@ -220,7 +220,7 @@ class WheelSoilModel(Checked):
                 if self.remainder is not None:
                     sd[here] = deviations
             out[here] = values
-        return Prediction(out[:, 0], out[:, 1], out[:, 2], carried == c.slip.size, sd)
+        return Prediction(out[:, 0], out[:, 1], out[:, 2], supported == c.slip.size, sd)
 
     def content(self) -> dict[str, Any]:
         """The mapping of model.yaml, of texts, numbers, lists and mappings.

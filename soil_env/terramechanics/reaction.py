@@ -232,10 +232,10 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
         f.drawbar_pull,
         f.torque if r == lever else lever / r * f.torque,
         S,
-        S_v * pull_by_S + rb * (cos_v - direction_v * S * q.p_sin),
-        S_u * pull_by_S + rb * cos_u,
-        S_v * torque_by_S + lever * rb * one_v,
-        S_u * torque_by_S + lever * rb * one_u,
+        S_v * pull_by_S + rb * (cos_v - direction_v * S * q.p_sin),  # pull_v
+        S_u * pull_by_S + rb * cos_u,  # pull_u
+        S_v * torque_by_S + lever * rb * one_v,  # torque_v
+        S_u * torque_by_S + lever * rb * one_u,  # torque_u
         S_v,
         S_u,
     )
@@ -344,10 +344,10 @@ def _at_the_axle(f, extra, speed, rim_speed, wheel, fx):
             f.drawbar_pull + thrust - direction * extra.bulldozing + extra.pull,
             torque + friction.torque,
             f.sinkage_coefficient,
-            f.pull_v + thrust_v - direction_v * extra.bulldozing,
-            rim_ratio * f.pull_u + thrust_u,
-            by_torque * torque_v,
-            by_torque * torque_u + friction.by_wheel_speed / wheel.radius,
+            f.pull_v + thrust_v - direction_v * extra.bulldozing,  # pull_v
+            rim_ratio * f.pull_u + thrust_u,  # pull_u
+            by_torque * torque_v,  # torque_v
+            by_torque * torque_u + friction.by_wheel_speed / wheel.radius,  # torque_u
             f.sinkage_coefficient_v,
             rim_ratio * f.sinkage_coefficient_u,
         )

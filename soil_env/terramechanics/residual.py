@@ -21,7 +21,7 @@ from soil_env._io.loading import Checked, ParameterError, quantity, unknown_key
 from .effects.entry import CHANNELS, Channel
 
 #: Dimensionless groups: |i|, 1 - |i|, z/r, W/(S b r^(n+1)) load over bearing strength, V/sqrt(g r)
-#: Froude number, pass number, sine of the grade.
+#: Froude number, pass number, sine of the grade. "grip" is 1 - |i|, not the `grip` of a wheel.
 GROUPS = ("slip", "grip", "sinkage", "load", "speed", "pass", "grade")
 COLUMNS = (*CHANNELS, *(f"{name}_sd" for name in CHANNELS))  # of a table
 AXES = ("slip", "load", "speed", "pass", "grade")  # groups that a table may go over

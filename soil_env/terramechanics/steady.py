@@ -267,10 +267,10 @@ def _balance(slip, load, soil, wheel, conditions, fx):
         travel,
         _carried(sheared, rim, travel),
         braked_shift(max(-slip, 0.0), ground),
-        normal,
+        normal,  # load
         along,
         ground,
-        sheared,
+        sheared,  # soil
         strength,
         lift,
         apparent_ratio(slip, fx),
@@ -500,7 +500,7 @@ def _predict_rows(rows, soil, factors, unit_weight, fx, guess, out):
     `factors` [N, 4] are given.
     """
     nodes = np.zeros(1, ARC_NODES)
-    carried = 0
+    supported = 0  # rows
     for k in range(rows.slip.size):
         w = rows.wheels[k]
         c = rows.conditions[k]
@@ -519,8 +519,8 @@ def _predict_rows(rows, soil, factors, unit_weight, fx, guess, out):
         out[k, 1] = s.drawbar_pull
         out[k, 2] = s.torque
         guess[k] = s.felt if s.supported else 0.0
-        carried += s.supported
-    return carried
+        supported += s.supported
+    return supported
 
 
 def predict_rows(

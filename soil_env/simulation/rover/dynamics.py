@@ -211,7 +211,7 @@ def _sum_up(rover, world):
     wheel speed is that of the fastest wheel, so a rover stalls only if no wheel turns. The sinkage
     is that of the deepest wheel, its rut included. Slip is the mean. Pull and motor work are sums;
     a motor whose work is negative counts as 0, since it recovers nothing for the others.
-    `converged` is 0 if any wheel's is.
+    `converged` is 0 if any wheel's is. Slip and travel of each wheel are set, too.
     """
     axles = world.suspension.axles
     fastest = 0.0

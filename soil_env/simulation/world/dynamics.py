@@ -117,7 +117,7 @@ def stage_of(number, h, wheel, speed_before, rim_before, rig):
     speed = wheel.speed
     rim = rig.radius * wheel.wheel_speed
     if number == 0:
-        return Stage(g, 0.0, g, g, speed, rim)
+        return Stage(g, 0.0, g, g, speed, rim)  # all of its way at its last speed
     ahead_v = speed + LEAD * (speed - speed_before)
     ahead_u = rim + LEAD * (rim - rim_before)
     return Stage(h - g, h - 2.0 * g, g, g, ahead_v, ahead_u)

@@ -103,10 +103,10 @@ def scattered(mean, share, owner, spec):
     variation = spec.variation
     friction = share * variation[0] * _deviation(rows[0], z)
     phi = min(math.atan(mean.tan_phi) * (1.0 + friction), STEEPEST_FRICTION)
-    cohesion = mean.cohesion * _factor(share * variation[1], _deviation(rows[1], z))
-    modulus = mean.shear_modulus * _factor(share * variation[2], _deviation(rows[2], z))
-    stiffer = _factor(share * variation[3], _deviation(rows[3], z))
-    gain = mean.dig_gain * _factor(share * variation[4], _deviation(rows[4], z))
+    cohesion = mean.cohesion * _log_normal(share * variation[1], _deviation(rows[1], z))
+    modulus = mean.shear_modulus * _log_normal(share * variation[2], _deviation(rows[2], z))
+    stiffer = _log_normal(share * variation[3], _deviation(rows[3], z))
+    gain = mean.dig_gain * _log_normal(share * variation[4], _deviation(rows[4], z))
     n = mean.sinkage_exponent * (1.0 + share * variation[5] * _cut(z[5]))
     depth = spec.reference_sinkage
     pressure = mean.sinkage_coefficient * depth**mean.sinkage_exponent * stiffer  # [Pa] at `depth`
@@ -122,8 +122,9 @@ def _cut(deviation):
 
 @compiled
 def _deviation(row, z):
-    """Deviation [sigma], cut, of the property that has this row of `factor`, correlated with those
-    before it; z are independent standard normal numbers.
+    """Deviation [sigma], cut, of the property that has this row of `factor` (`DISTRIBUTION`),
+    correlated with those before it; z are independent standard normal numbers. The row has five
+    entries, so a sixth number of z is left to a property without correlations.
     """
     total = 0.0
     for k in range(row.size):
@@ -132,7 +133,7 @@ def _deviation(row, z):
 
 
 @compiled
-def _factor(variation, deviation):
+def _log_normal(variation, deviation):
     """Log-normal factor with this coefficient of variation, of mean 1 but for the cut, at a
     deviation [sigma].
     """
