@@ -89,6 +89,7 @@ class Kept:
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
+        """Decorate `function`; nothing is compiled or loaded before the first call."""
         update_wrapper(self, function)
         self.py_func = function
         self._opened = False  # the first call is over
@@ -101,6 +102,11 @@ class Kept:
         self._function = _compiled(function, self._folder)
 
     def __call__(self, *arguments: Any) -> Any:
+        """Call the compiled function, arguments by position only.
+
+        The first call is `_first_call`. A call that compiled a version for other types writes the
+        checksums of its files.
+        """
         if not self._opened:
             return self._first_call(arguments)
         result = self._call(arguments)

@@ -77,7 +77,10 @@ class Belief(Checked):
     spread: SoilSpread | None = None
 
     def _check_together(self) -> None:
-        # refuses correlations of friction, cohesion, S and K that contradict each other
+        """Raise `ParameterError` for correlations that contradict each other; the factor itself is
+        not kept.
+        """
+        # in the order friction, cohesion, S, K
         correlation_factor(
             self,
             4,

@@ -124,6 +124,7 @@ class Soil(Checked):
     source: str = ""
 
     def _check_together(self) -> None:
+        """Raise `ParameterError` unless either S or both of its moduli are given."""
         pair = (self.k_c is not None) + (self.k_phi is not None)
         if pair != (2 if self.sinkage_coefficient is None else 0):
             raise ParameterError("expected either sinkage_coefficient, or both k_c and k_phi")
@@ -296,7 +297,8 @@ class SoilSpread(Checked):
     stiffness_dig_gain: float = correlation(-0.5)
 
     def _check_together(self) -> None:
-        self.factor()  # refuses correlations that contradict each other
+        """Raise `ParameterError` for correlations that contradict each other."""
+        self.factor()  # raises it
 
     def factor(self) -> np.ndarray:
         """Lower Cholesky factor [5, 5] of the correlations between friction, cohesion, K, stiffness

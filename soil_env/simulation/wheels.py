@@ -237,7 +237,9 @@ def _sense(wheel, sample, course, records):
 
 @inlined
 def _observe(wheel, sample, course, records, sight, out):
-    """Fill the observation `out` [D] of a wheel, but for the entries that are identified."""
+    """Fill the observation `out` [D] of a wheel, but for the entries that are identified: sensors,
+    with the variant `true_soil` the soil, with a camera what it sees. `sight`: that of `_sense`.
+    """
     task = records.task
     write_sensors(out, wheel, sample, task)
     truth = task.variant == TRUE_SOIL

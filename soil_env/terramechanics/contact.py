@@ -345,7 +345,9 @@ def carried_share(rim, travel, floor):
 
 @compiled
 def _cosine_of_rise(arc):
-    """(cosine, half the sine) of the angle above which soil flows up along a locked rim."""
+    """(cosine, half the sine) of the angle above which soil flows up along a locked rim:
+    `RISING_FROM` of the angle where the shear of an `Arc` begins.
+    """
     angle = RISING_FROM * arc.sheared_from
     s = half_sin(angle)
     return 1.0 - 2.0 * s * s, s * half_cos(angle)
@@ -467,7 +469,9 @@ def mobilised(j, K, law):
 
 @inlined  # else LLVM leaves it out of loops over nodes, which it then cannot vectorise
 def _mobilised_by(law, j, K):
-    """`mobilised` by a `ShearLaw`: 1 - decay is its first factor, `share` the second one."""
+    """`mobilised`, (e, de/dj [1/m]), by a `ShearLaw`: 1 - decay is its first factor, `share` the
+    second one.
+    """
     distance = abs(j)
     rate = 1.0 / K
     decay = exp(-rate * distance)
@@ -677,8 +681,8 @@ def shear_integrals(nodes, p, motion, K, law, split):
 
 @compiled_sums
 def _rate_sums(nodes, count, st, c):
-    """`ShearRates` over the first `count` nodes of `ARC_NODES` or `SPLIT_ARC`, with st = S tan(phi)
-    and cohesion c [Pa].
+    """`ShearRates` over the first `count` nodes of `ARC_NODES` or `SPLIT_ARC`, by the `rate` that
+    `_shear_sums` left there, with st = S tan(phi) [N/m^(n+2)] and cohesion c [Pa].
     """
     cos_rim = 0.0
     sin_rim = 0.0

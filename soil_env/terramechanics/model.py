@@ -61,6 +61,9 @@ class ModelWheel(Checked, OnTyre):
     )
 
     def _check_together(self) -> None:
+        """Raise `ParameterError` for lugs as high as the radius or on a tyre, and for a tyre that
+        is deflected too far.
+        """
         check_lugs(self.grouser_height, self.radius)
         self.check_tyre()
         refuse_lugs_on_tyre(self.grouser_height, self.tyre)
@@ -121,6 +124,9 @@ class WheelSoilModel(Checked):
     remainder: ResidualTable | None = None
 
     def __post_init__(self) -> None:
+        """Take a `ModelWheel` of any wheel, check each field, effects, terms and `validity`, and
+        turn the ranges of the latter into pairs of floats. `ParameterError` for a wrong one.
+        """
         if not isinstance(self.wheel, ModelWheel) and hasattr(self.wheel, "width"):
             object.__setattr__(self, "wheel", ModelWheel.of(self.wheel))
         are_terms = isinstance(self.residual, (tuple, list)) and all(
@@ -320,7 +326,8 @@ _RANGES = (
 
 def _numbers(name: str, value) -> np.ndarray:
     """The `value` of the condition `name` as an array of N numbers or of one; NaN stands for one
-    not given, except in slip and load, where it is refused.
+    not given, except in slip and load, where it is refused. `ParameterError` for that, for what is
+    no number or infinite, and for more than one dimension.
     """
     try:
         a = np.atleast_1d(np.asarray(value, dtype=float))
@@ -352,7 +359,10 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
     """`Rows` [N] of a table or a mapping of conditions (`WheelSoilModel.predict`), checked.
 
     What is not given, or NaN, is level, fresh soil, an unknown speed and the sizes of `wheel`. The
-    tyre and the grip are those of `wheel` in every row. Raises `ParameterError`.
+    tyre and the grip are those of `wheel` in every row. Raises `ParameterError` for unknown names,
+    for a missing slip or load, for columns of different lengths, and for values out of range: slip
+    in [-1, 1], load > 0, `_RANGES`, lugs lower than the radius and none on a tyre, a deflection of
+    the tyre up to `MOST_DEFLECTION` of the radius.
     """
     conditions = _mapping(conditions)
     known = ("slip", "load", *_OPTIONAL, *_SIZES)

@@ -103,7 +103,9 @@ class Rim(NamedTuple):
 
     @classmethod
     def of(cls, wheel: Any) -> "Rim":
-        """The rim of a wheel with its tyre and grip, without lugs and unit weight."""
+        """The rim of a `Wheel`, or another one with its fields, with tyre and grip; lugs and unit
+        weight are 0.
+        """
         return cls(
             wheel.radius,
             wheel.width,
@@ -228,7 +230,12 @@ def _balance(slip, load, soil, wheel, conditions, fx):
     """`_Balance` of a wheel at a true slip under a weight `load` [N].
 
     `soil` is undisturbed, `conditions` a `Conditions`, `fx` `Effects` or None for the base model,
-    `wheel` a `Rim`. The depth excavated whatever the load is at most `MOST_LIFT` of `DEEPEST`.
+    `wheel` a `Rim`.
+
+    With effects the weight is split into its parts normal to and along the grade, and the soil is
+    that of `soil_in_contact`. Lugs shear it at a larger radius; with `grousers_slip_at_rim` the rim
+    speed is that of this radius, too. The depth excavated whatever the load is at most `MOST_LIFT`
+    of `DEEPEST` radii.
     """
     rim, travel = motion_from_slip(slip)
     if fx is None:

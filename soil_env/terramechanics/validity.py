@@ -92,7 +92,7 @@ def outside(
 
 
 def in_words(validity: Mapping[str, tuple[float, float]]) -> str:
-    """The ranges as text: "slip 0.04 to 0.55, load 63.1 to 149 N, ..."."""
+    """The ranges as text: "slip 0.04 to 0.55, load 63.1 to 149 N, ..."; `grade_deg` is "grade"."""
     titles = {"grade_deg": "grade"}
     return ", ".join(
         f"{titles.get(k, k)} {_span(low, high, CONDITIONS[k])}"

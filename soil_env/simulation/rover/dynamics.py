@@ -183,7 +183,8 @@ def _drive_period(rover, course, ruts, world):
 
 @compiled_finite
 def control_period(rover, actions, course, ruts, world):
-    """One control period of a rover under `actions` [axles] in [-1, 1] (`wheel.commanded`).
+    """One control period of a rover under `actions` [axles] in [-1, 1] (`wheel.commanded`): drive,
+    then set the state of the rover as a whole (`_sum_up`).
 
     `course`: that of the rover; `ruts` [axles, cells]: `RUT`. In a halt the drives ignore the
     actions; their speed loops brake the wheels and hold them.

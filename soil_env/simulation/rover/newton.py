@@ -164,7 +164,7 @@ def _begin(rover, equation, weight, world):
     """First V to try in a stage [m/s]; `trial` gets the rim speeds to try, `feet` the axle loads.
 
     The speeds are the foreseen ones where all foreseen changes are a `SHORT` way, else the present
-    ones. The loads balance the forces foreseen there.
+    ones. The loads balance the forces foreseen there, or those of the last stage.
     """
     s = world.suspension
     found = world.stage.found
@@ -265,7 +265,7 @@ def _iterate(v, equation, world):
 
 @inlined
 def _renew_loads(weight, world):
-    """True if the forces found change a load by more than `LOAD_TOLERANCE`.
+    """True if the forces found change a load by more than `LOAD_TOLERANCE` of the mean load.
 
     All loads are then set to those that balance these forces, and `trial` to the rim speeds found,
     which are tried next.

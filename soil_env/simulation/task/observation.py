@@ -55,7 +55,11 @@ def write_sensors(out, wheel, reading, task):
 
 @compiled
 def write_soil(out, soil):
-    """Fill `out` [7] with a true soil, in the order and units of the layout of `true_soil`."""
+    """Fill `out` [7] with a true soil, in the order and units of the layout of `true_soil`.
+
+    That is friction angle [rad], log10 of K [m] and of S [N/m^(n+2)], cohesion [kPa], n, and gain
+    and recovery of digging. `soil`: `SoilState`.
+    """
     out[0] = math.atan(soil.tan_phi)
     out[1] = math.log10(soil.shear_modulus)
     out[2] = math.log10(soil.sinkage_coefficient)

@@ -26,6 +26,10 @@ class Scaling:
     """
 
     def __init__(self, entries: Iterable[ObservedNumber], scaled: bool = True) -> None:
+        """Note centre and scale of the D `entries`, and which entries belong to a route ahead.
+
+        Raises `ParameterError` for a `scaled` that is not True or False.
+        """
         if not isinstance(scaled, (bool, np.bool_)):
             raise ParameterError(f"scaled = {scaled!r}: expected True or False")
         self.entries = tuple(entries)

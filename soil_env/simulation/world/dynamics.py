@@ -191,9 +191,12 @@ def account(wheel, end, stage, drive, rig):
 
 @inlined
 def move(wheel, end, stage, ground, drive, rig):
-    """Take a wheel to the `end` of a stage: sinkage and place, work, speeds and forces.
+    """Take a wheel to the `end` of a stage, a `Motion`: sinkage and place (`sink`), pile, work
+    (`account`), then speeds, forces and their derivatives.
 
-    `converged` becomes 0 where Newton's method has failed.
+    The way [m] is the present speed times `stage.first` plus that at the end times `stage.last`;
+    the sliding |r w - V| is summed in the same way. `converged` becomes 0 where Newton's method has
+    failed. `drive`: the command to the motor, a `Drive` or a `FOOT`.
     """
     rim = rig.radius * wheel.wheel_speed
     moved = stage.first * wheel.speed + stage.last * end.speed

@@ -36,7 +36,9 @@ def _other_class(owner, classes, one):
 
 @inlined
 def _unused_class(course, p, classes):
-    """Random class for a patch p < `classes`, among those that no patch before it has."""
+    """Random class for a patch p < `classes`, from the stream of the course; each of those that no
+    patch before it has on its route 0 is as likely.
+    """
     left = classes - p
     pick = int(uniform(course) * left)
     for c in range(classes):

@@ -269,7 +269,9 @@ def commanded(wheel, action, halted, rig):
 
 @inlined
 def at_time(drive, share):
-    """`Drive` with its command at a time in the control period, given as a share of it."""
+    """`Drive` with its command at a time in the control period, given as a `share` of it: linear
+    from `before` at 0 to `command` at 1.
+    """
     return Drive(
         drive.before + share * (drive.command - drive.before), drive.by_speed, drive.before
     )
@@ -345,7 +347,9 @@ def pile_up(wheel, braked, moved, rig):
 
 @inlined
 def _dug(path, soil):
-    """`digging_ratio` of the slip along a `Path` [-]; 1 at rest."""
+    """`digging_ratio` along a `Path` [-], by the digging of a `SoilState`; 1 where the wheel moves
+    and slides less than `STANDING`.
+    """
     moved = abs(path.moved)
     slid = abs(path.slid)
     if moved + slid < STANDING:

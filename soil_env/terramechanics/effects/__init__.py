@@ -164,7 +164,7 @@ def acting_effects(fx: Effects) -> Effects | None:
 def soil_in_contact(soil, passage, fx):
     """`SoilState` under the wheel on undisturbed `soil`; each law changes what the one before left.
 
-    `passage` is a `Passage`.
+    `passage` is a `Passage`. Without effects (`fx` None) it is `soil` itself.
     """
     if fx is None:
         return soil
@@ -225,7 +225,9 @@ def drive_torque(torque, wheel_speed, floor, fx):
 
 @compiled
 def depends_on_speed(fx):
-    """True if bearing or strength of the soil depends on the travel speed or the sliding speed."""
+    """True if bearing or strength of the soil depends on the travel speed or the sliding speed;
+    friction of the drivetrain does not count. False without effects.
+    """
     if fx is None:
         return False
     else:

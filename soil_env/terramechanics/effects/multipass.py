@@ -92,6 +92,9 @@ def pass_factor(passes, slip, exponent, fx):
 def passed_over(soil, passage, fx):
     """`soil` in the track of earlier passes: bearing by `pass_factor`, strength and K by powers of
     the pass number; unchanged on the first pass.
+
+    On pass N tan(phi) is multiplied by N^f, the cohesion by N^h and K by N^(-k), in the symbols of
+    `EFFECT`.
     """
     passes = passage.passes
     if passes <= 1.0:

@@ -64,7 +64,9 @@ def legend(effect: Effect, form: Form) -> dict[str, str]:
 
 
 def markdown() -> str:
-    """Table of all effects and their forms in Markdown, for docs/physics/effects.md."""
+    """Table of all effects in Markdown, for docs/physics/effects.md: a row for each form, with its
+    equation in symbols, the parameters that it frees or fixes, and its source.
+    """
     lines = ["| effect | form | equation | parameters | source |", "|---|---|---|---|---|"]
     for effect in CATALOGUE.values():
         for form in effect.forms:
