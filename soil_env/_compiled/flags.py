@@ -50,7 +50,7 @@ HUGE = 1e300
 
 def record(*numbers: str, **others: tuple[Any, ...]) -> np.dtype[Any]:
     """Dtype of a record: float64 fields by name, then others by name, each as (type,) or (type,
-    shape), where a shape is a number or a tuple and a type a dtype or its text.
+    shape). A type is a dtype or its text, a shape a number or a tuple.
 
     `array[k].name` reads a field in Python as in compiled code, `array["name"]` the field of all
     records. Nothing is padded: a caller takes types of eight bytes, and those of four only where

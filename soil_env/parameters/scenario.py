@@ -278,7 +278,7 @@ def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
     mapping = dict(mapping)
     changes = dict(changes)
     belief = _mapping(mapping.get("belief"))
-    asked = _mapping(_plain(changes.get("belief")))
+    asked = _mapping(_plain(changes.get("belief")))  # the changes of the belief
     if "soils" in changes:  # replaces the whole mixture
         given = changes.pop("soils")
         if belief.get("soils") == mapping.get("soils"):  # the belief knows which soils may come

@@ -204,8 +204,8 @@ def substitute_radius(sinkage, load, wheel):
 
     R/r = [sqrt(1 + f/z) + sqrt(f/z)]^2 with the deflection f, at most `MOST_DEFLECTION` of r
     (Schmid 1995, second-hand). From its entry to its lowest point that circle is as long as the
-    whole contact of the deflected tyre. f is `tyre_deflection` + `tyre_compliance` load of `wheel`,
-    one of which is 0.
+    whole contact of the deflected tyre. The deflection is `tyre_deflection` + `tyre_compliance`
+    load of `wheel`, one of which is 0.
     """
     deflection = wheel.tyre_deflection + wheel.tyre_compliance * load
     ratio = min(deflection, MOST_DEFLECTION * wheel.radius) / sinkage  # f/z, which may be large

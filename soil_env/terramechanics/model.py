@@ -360,9 +360,11 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
 
     What is not given, or NaN, is level, fresh soil, an unknown speed and the sizes of `wheel`. The
     tyre and the grip are those of `wheel` in every row. Raises `ParameterError` for unknown names,
-    for a missing slip or load, for columns of different lengths, and for values out of range: slip
-    in [-1, 1], load > 0, `_RANGES`, lugs lower than the radius and none on a tyre, a deflection of
-    the tyre up to `MOST_DEFLECTION` of the radius.
+    for a missing slip or load, for columns of different lengths, and for values out of range.
+
+    The slip is in [-1, 1], the load above 0, the others in `_RANGES`. Lugs are lower than the
+    radius, and there are none on a tyre. A tyre is deflected by `MOST_DEFLECTION` of the radius at
+    most.
     """
     conditions = _mapping(conditions)
     known = ("slip", "load", *_OPTIONAL, *_SIZES)

@@ -91,9 +91,10 @@ def suspension_of(scenario: RoverScenario) -> np.ndarray:
 @compiled_finite
 def _two_loads(together, moment, arm, other_arm, least):
     """Loads [N] at the arms `arm` and `other_arm` [m], forward positive, that add up to `together`
-    [N] and balance a `moment` [N m], which counts front up: the sum of load times arm is -moment.
+    [N] and balance a `moment` [N m], which counts front up.
 
-    Each is cut to at least `least` [N], their sum kept; the moment is then not balanced.
+    The sum of load times arm is -moment. Each load is cut to at least `least` [N] and their sum
+    kept; the moment is then not balanced.
     """
     one = (-moment - other_arm * together) / (arm - other_arm)
     one = min(max(one, least), together - least)

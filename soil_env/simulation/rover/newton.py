@@ -229,7 +229,8 @@ def _iterate(v, equation, world):
     in `trial`.
 
     As in `world.newton`, a step that does not reduce the largest residual is shortened. `found`
-    gets the rim speeds and reactions at the V returned, the best one found.
+    gets the rim speeds and reactions at the V returned, the best one found. Not converged: `PASSES`
+    evaluations were not enough, or no shorter step helps and the residual is not `near_enough`.
     """
     axles = world.suspension.axles
     found = world.stage.found

@@ -62,8 +62,10 @@ def write_body(out, rover, reading, task):
 
 @compiled_finite
 def write_axle(out, a, wheel, reading, task):
-    """Fill the entries of axle a, 0 at the front, in the observation `out` [D]: readings of its
-    wheel in the units of the layout, its last action and its commanded rim speed.
+    """Fill the entries of axle a, 0 at the front, in the observation `out` [D].
+
+    They are the readings of its wheel in the units of the layout, its last action and its commanded
+    rim speed.
     """
     i = ENTRIES_OF_BODY + a * ENTRIES_OF_AXLE
     for name in literal_unroll(AXLE):

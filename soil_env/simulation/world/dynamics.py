@@ -98,7 +98,8 @@ def loop_change(du, wheel, drive, rig):
 @compiled_finite
 def change_ahead(wheel, drive, rig):
     """Foreseen change of V or r w, whichever is larger, in a step of the usual length [of the top
-    rim speed]: by the reaction of the last stage (`foreseen`), that of r w by `loop_change`.
+    rim speed]. It is foreseen by the reaction of the last stage; that of r w goes through
+    `loop_change`.
     """
     along = rig.gravity * wheel.mass * sin_cos(wheel.grade)[0]
     dv, du = foreseen(wheel, drive, 0.0, 0.0, rig.period / rig.substeps, along, rig)
@@ -313,8 +314,10 @@ def _at_fork(wheel, course, action, rig):
 
 @inlined
 def control_period(wheel, action, course, world):
-    """One control period of a wheel under an action in [-1, 1] (`commanded`): drive, choose a route
-    where there is one to choose, set the slip, count the period and let a halt pass or begin.
+    """One control period of a wheel under an action in [-1, 1] (`commanded`).
+
+    Drive, choose a route where there is one to choose, set the slip, count the period, let a halt
+    pass or begin.
 
     In a halt the drive ignores the action; its speed loop brakes the wheel and holds it.
     """

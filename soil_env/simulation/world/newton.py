@@ -131,7 +131,9 @@ def solve_speeds(wheel, stage, footing, along, drive, world, extra):
     grade; `footing`, `extra`: `Footing` and `ExtraForces` of the wheel in this stage.
 
     In the loop v, u are the best speeds so far and `norm` their residual [m/s]; `before` is the
-    residual of those before. `share` is how much of a step is tried.
+    residual of those before. `share` is how much of a step is tried. A step counts as better if it
+    lowers the residual by `LEAST_GAIN` times that share, the last of `TRIES` if it lowers it at
+    all.
     """
     rig = world.rig
     r = rig.radius
