@@ -222,10 +222,11 @@ class Soil(Checked):
 
     @classmethod
     def of_state(cls, state: SoilState, gravity: float | None = None) -> "Soil":
-        """The soil of a `SoilState` that belongs to a gravity [m/s2], each number cut to its
-        bounds.
+        """The soil of a `SoilState` that belongs to a gravity [m/s2], each number but those of its
+        layer cut to its bounds.
 
-        What a state does not tell has its default: the density, and a curved strength.
+        What a state does not tell has its default: the density, and a curved strength. A layer out
+        of bounds raises `FieldError`; with a `layer_gain` of 0 there is none.
         """
         numbers = state._asdict()
         numbers["friction_angle_deg"] = math.degrees(math.atan(numbers.pop("tan_phi")))

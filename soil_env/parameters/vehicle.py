@@ -83,7 +83,7 @@ class Vehicle(Checked):
     @property
     def shares(self) -> tuple[float, ...]:
         """Share of the weight that each axle carries at rest on level ground, front to rear; the
-        shares add up to 1.
+        shares add up to 1. One is below 0 where the rover would tip, which construction refuses.
         """
         if self.bogie == "none":
             rear = self.centre / self.base

@@ -55,6 +55,7 @@ def seen(
     [m/s], pass, sine of the grade.
 
     A speed of 0 stands for one not known, and is left out; so is a condition without any row.
+    Grades are in degrees, to six decimals.
     """
     speed = conditions[:, 0]
     columns = {

@@ -63,8 +63,8 @@ def newton_step(f1, f2, cv, cu, force, net_u):
     """(dV, du) [m/s] of Newton's method for the residuals f1 of travel and f2 of rotation [m/s].
 
     `cv` = h/m, `cu` = h r/J; `force`: `Reaction` with its derivatives; `net_u` = d(T - T_motor)/du.
-    It solves the two linear equations of the module by Cramer's rule, with `divisor` of their
-    determinant.
+    It solves the two equations on top of this module, linearised, by Cramer's rule, with `divisor`
+    of their determinant.
     """
     a11 = 1.0 - cv * force.pull_v
     a12 = -cv * force.pull_u

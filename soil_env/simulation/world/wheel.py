@@ -417,7 +417,7 @@ def end_period(wheel, x_start, owner, rig):
 
 @inlined
 def set_slip(wheel, rig):
-    """Set the true slip of a wheel from its speeds: `slip_ratio`, 0 at rest by `REST_SPEED`."""
+    """Set the true slip of a wheel from its speeds: `slip_ratio` with the floor `REST_SPEED`."""
     wheel.slip = slip_ratio(wheel.wheel_speed * rig.radius, wheel.speed, REST_SPEED)
 
 
