@@ -283,8 +283,8 @@ def _sense(rover, readings, sample, period, records):
 
 @compiled_finite
 def _restart(rover, readings, samples, records):
-    """Begin the episode of a rover that rests at the start of its course: draw the errors of its
-    sensors, and read them.
+    """Begin the episode of a rover that rests at the start of its course: set the pitch of its
+    body, draw the errors of its sensors, and read them into column 0.
     """
     set_pitch(rover, records.world.suspension)
     for a in range(records.world.suspension.axles):

@@ -49,8 +49,8 @@ def rover_layout(variant: str, axles: int) -> tuple[ObservedNumber, ...]:
 
 @compiled_finite
 def write_body(out, rover, reading, task):
-    """Fill the first entries of `out`, those of the rover as a whole, from the `reading` of any of
-    its wheels, since each has the readings of the body.
+    """Fill the first entries of `out` [D], those of the rover as a whole, from the `reading` of any
+    of its wheels, since each has the readings of the body. They are in the units of the layout.
     """
     i = 0
     for name in literal_unroll(BODY):

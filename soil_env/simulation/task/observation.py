@@ -89,8 +89,10 @@ def write_seen(out, wheel, image, course, sight, camera, truth):
 
 @compiled
 def write_truth(out, wheel, course, border, camera):
-    """Fill `out` with the entries of `layout.truth`, for the true place of a wheel and not for the
-    place that an image shows.
+    """Fill `out` with the entries of `layout.truth`: the soil under a wheel [7], then those of the
+    routes ahead [8 each], as many as the camera's `lines`.
+
+    They are for the true place of the wheel, not for the place that an image shows.
     """
     write_soil_under(out, wheel, course, border)
     patch = piece_at(course.patches, wheel.x, wheel.patch)

@@ -121,7 +121,7 @@ def write_view(out, image, chooses, camera):
 
     While no patch ahead is in sight, the distance is the range of the camera. Entries of routes
     that are out of sight or not there are 0. A class is a flag for each, 1 at the label that is
-    seen. `chooses`: True if the next action chooses a route.
+    seen.
     """
     classes = camera.classes
     seen = image.seen > 0.0

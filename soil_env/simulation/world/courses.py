@@ -115,7 +115,7 @@ def start_course(course, owner, numbers, nodes):
 
     -1 means that no soil was found on which this wheel can pull as much as the course requires
     (`least_pull`). Only as much is drawn as a wheel at the start needs; `extend_course` draws the
-    rest.
+    rest. `owner`: a record with a random stream; `numbers`: `CourseNumbers`; `nodes`: scratch.
     """
     _clear(course.patches, course.drawn)
     _clear(course.slopes, course.sloped)
@@ -158,7 +158,8 @@ def _draw_patch(course, load, numbers, nodes):
     """Draw the next patch and the slopes over it; False if no soil was found.
 
     The patch then has the soil of the patch before; without one before, nothing is added. With
-    terrain classes a soil is always found: that of a class is scattered.
+    terrain classes a soil is always found: that of a class is scattered. `load` [N] is the weight
+    of the wheel on level ground, `numbers` the `CourseNumbers`, `nodes` scratch.
     """
     spec = numbers.drawn.spec
     length = within(course, spec.patch_length)
@@ -178,8 +179,8 @@ def _draw_patch(course, load, numbers, nodes):
 def _draw_soil(course, load, numbers, nodes):
     """Draw the soil of the next patch, on a course without terrain classes.
 
-    Where none is found, return False and repeat the soil of the patch before; the first patch then
-    has the last soil that was drawn.
+    Where none is found (`draw_ground`), return False and repeat the soil of the patch before; the
+    first patch then has the last soil that was drawn. Arguments as of `_draw_patch`.
     """
     p = course.drawn
     found, soil = draw_ground(course, load, numbers, nodes)
@@ -191,8 +192,8 @@ def _draw_soil(course, load, numbers, nodes):
 
 @inlined
 def _add_patch(course, length, spec):
-    """Add the next patch, whose soil is written already: set its ends, clear its rut cells, set
-    `ready`.
+    """Add the next patch, `length` [m] long, whose soil is written already: set its ends, clear its
+    rut cells, set `ready`. `spec`: `DISTRIBUTION`.
 
     Until the wheel comes to the border before the new patch, a choice of route may still replace
     the soil of the patch. So the ground is final up to that border, or all of it with the last

@@ -15,7 +15,8 @@ from .passability import capacity, draw_ground, scattered, within
 @inlined
 def draw_classes(course, load, numbers, nodes):
     """Draw the soils of all terrain classes of a course (`draw_ground`) into its `library`; False
-    if one was not found. Without classes there is nothing to draw, and it is True.
+    if one was not found. Without classes there is nothing to draw, and it is True. `load` [N] is
+    the weight of the wheel on level ground, `numbers` the `CourseNumbers`, `nodes` scratch.
     """
     for c in range(numbers.drawn.spec.classes):
         found, soil = draw_ground(course, load, numbers, nodes)
@@ -71,7 +72,7 @@ def draw_routes(course, load, numbers, nodes):
 
     The first patches have one route and show each class once. On later patches the class is random.
     With `lines` = 2 they have a second route, of another class. A patch with one route has it
-    twice. The errors of the camera are drawn, too.
+    twice. The errors of the camera are drawn, too. Arguments as of `draw_classes`.
     """
     p = course.drawn
     spec = numbers.drawn.spec
@@ -116,7 +117,9 @@ def _draw_camera_errors(course, p, spec):
 
 @compiled
 def set_route(course, p, route):
-    """Let the course lead along a `route` of patch p, 0 or 1: the patch gets its soil."""
+    """Let the course lead along a `route` of patch p, 0 or 1: the patch gets its soil, the `FORK`
+    notes it as `taken`.
+    """
     taken = course.routes[p, route]
     course.forks[p].taken = route
     put_soil(course.patches[p], soil_of(taken))
