@@ -23,7 +23,7 @@ __all__ = ["ParameterError", "SoilRoverEnv", "SoilWheelEnv", "__version__"]
 
 
 def __getattr__(name: str) -> object:
-    """The class of an environment, imported at first use."""
+    """Return the environment class `name`, imported at first use; `AttributeError` for others."""
     modules = {"SoilWheelEnv": "soil_env.env", "SoilRoverEnv": "soil_env.rover_env"}
     if name not in modules:
         raise AttributeError(f"module 'soil_env' has no attribute {name!r}")

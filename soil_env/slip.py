@@ -57,7 +57,8 @@ def braked_share(rim_speed, travel_speed, floor):
     """Share |i| of its travel that a braked wheel slides: 0 when driving, 1 for a wheel that is
     locked or turns against its travel.
 
-    The sign of the travel is smooth over `floor` [m/s], so that the share falls to 0 at rest.
+    It is -`signed_slip` times the sign of the travel, at least 0. That sign is smooth over `floor`
+    [m/s], so that the share falls to 0 at rest.
     """
     slip = signed_slip(rim_speed, travel_speed, floor)[0]
     return max(-slip * smoothed_sign(travel_speed, floor)[0], 0.0)

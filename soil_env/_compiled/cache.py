@@ -51,8 +51,8 @@ PACE = 0.5  # [s] between two counts of what is compiled, on a terminal
 def folder() -> Path | None:
     """Folder of the compiled code of these sources, made if missing; None if none can be written.
 
-    It is below the first place that can be written: NUMBA_CACHE_DIR where that is set, the sources
-    if they are a clone, the user's cache.
+    It is below the first place that can be written: NUMBA_CACHE_DIR where that is set, the folder
+    `__pycache__` of the sources if they are a clone, the user's cache.
     """
     installed = not {"site-packages", "dist-packages"}.isdisjoint(PACKAGE.parts)
     own = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "soil_env"
@@ -89,6 +89,7 @@ class Kept:
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
+        """Decorate `function`; nothing is compiled or loaded before the first call."""
         update_wrapper(self, function)
         self.py_func = function
         self._opened = False  # the first call is over
@@ -101,6 +102,11 @@ class Kept:
         self._function = _compiled(function, self._folder)
 
     def __call__(self, *arguments: Any) -> Any:
+        """Call the compiled function, arguments by position only.
+
+        The first call is `_first_call`. A call that compiled a version for other types writes the
+        checksums of its files.
+        """
         if not self._opened:
             return self._first_call(arguments)
         result = self._call(arguments)
@@ -113,10 +119,10 @@ class Kept:
         return self.__qualname__  # pickled by name
 
     def _first_call(self, arguments: tuple[Any, ...]) -> Any:
-        """Check the files, call the function, and write the checksums of new files.
+        """Check the files, call the function, write the checksums of new files; return the result.
 
-        Files that are whole but that numba cannot load are dropped. Errors of the function itself
-        are raised, as by any call.
+        Files that are whole but that numba cannot load are dropped, and the function is compiled.
+        Errors of the function itself are raised, as by any call; the next call is a first one then.
         """
         with self._threads:
             if self._opened:  # by another thread
@@ -165,7 +171,9 @@ class Kept:
     def _check(self) -> bool:
         """True if numba has whole files to load; drop all if one is damaged, and say so.
 
-        Without a folder, say that each process compiles anew.
+        Whole are files whose names and checksums are those of `CHECKSUMS`. So files without that
+        list are damaged; with neither, nothing has been compiled yet. Without a folder, say that
+        each process compiles anew. False also with NUMBA_DISABLE_JIT, where numba loads nothing.
         """
         if self._folder is None:
             tell("compiling in each process anew: compiled code cannot be kept without a folder")
@@ -206,6 +214,7 @@ class Kept:
             with suppress(OSError):
                 found = self._folder / CHECKSUMS
                 partial = found.with_suffix(f".{os.getpid()}")
+                # written aside and then renamed: a process that ends halfway leaves the old list
                 partial.write_text(json.dumps(self._checksums_now()))
                 partial.replace(found)
 
@@ -224,7 +233,7 @@ class Kept:
         return known if isinstance(known, dict) else None
 
     def _checksums_now(self) -> dict[str, str]:
-        """{file name: checksum} of the files that are there."""
+        """{file name: SHA-256} of the files of numba's cache (.nbi, .nbc) that are there now."""
         assert self._folder is not None
         files = sorted(self._folder.rglob("*.nb[ci]"))
         return {f.name: hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
@@ -236,7 +245,8 @@ _decorating = threading.Lock()  # held while numba's setting of the cache folder
 def _compiled(function: Callable[..., Any], place: Path | None) -> Any:
     """Numba's dispatcher of a function, with its cache in the folder `place`; None: kept nowhere.
 
-    With NUMBA_DISABLE_JIT it is the Python function, with numpy's warnings off; its `overloads` are
+    It releases the GIL, and divides as numpy does. Nothing is compiled before its first call. With
+    NUMBA_DISABLE_JIT it is the Python function, with numpy's warnings off; its `overloads` are
     empty, since `Kept` counts them.
     """
     if not COMPILED:
@@ -298,7 +308,10 @@ class _Compilations(Listener):
         self._watcher: threading.Thread | None = None
 
     def on_start(self, event: Event) -> None:
-        """Start the thread that tells of this compilation if it takes long."""
+        """Start the thread that tells of this compilation if it takes longer than `_patience`.
+
+        Only of a `Kept` function, and in a process that speaks.
+        """
         function = event.data["dispatcher"].py_func
         if function in self.of and _speaks():
             self._done.clear()
@@ -308,7 +321,7 @@ class _Compilations(Listener):
             self._patience = PATIENCE
 
     def on_end(self, event: Event) -> None:
-        """End that thread."""
+        """End the thread of `on_start`, if there is one."""
         if event.data["dispatcher"].py_func in self.of and self._watcher is not None:
             self._done.set()
             self._watcher.join()
@@ -322,8 +335,8 @@ def _explain(function: Callable[..., Any], done: threading.Event, patience: floa
     """Say that compiling `function` takes longer than `patience` [s]; return at once if `done` is
     set before.
 
-    On a terminal a line counts how many of the functions that it calls are compiled, until `done`.
-    Elsewhere one line is printed.
+    On a terminal a line counts how many of the functions that it calls are compiled, every `PACE`
+    seconds until `done`, and is then erased. Elsewhere one line is printed. Both go to stderr.
     """
     if done.wait(patience):
         return
@@ -340,7 +353,8 @@ def _explain(function: Callable[..., Any], done: threading.Event, patience: floa
 
 
 def called_by(function: Callable[..., Any]) -> set[Any]:
-    """Compiled functions that a Python function names, directly or through one that it names.
+    """Numba's compiled functions that a Python function names, directly or through one that it
+    names.
 
     Names are global ones, and attributes of modules that it names. A name counts also where the
     function does not call it, so these are at least the functions called.

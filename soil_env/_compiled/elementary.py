@@ -130,7 +130,7 @@ def asin_root(t):
 @compiled
 def smoothed_sign(speed, floor):
     """(sign of a speed in (-1, 1), its derivative [s/m]), smooth through rest over about `floor`
-    [m/s].
+    [m/s], which is > 0: speed/sqrt(speed^2 + floor^2). Both may be in another unit, as rad/s.
     """
     square = speed * speed + floor * floor
     length = math.sqrt(square)

@@ -49,10 +49,12 @@ HUGE = 1e300
 
 
 def record(*numbers: str, **others: tuple[Any, ...]) -> np.dtype[Any]:
-    """Dtype of a record: float64 fields by name, then others by name with their types and shapes.
+    """Dtype of a record: float64 fields by name, then others by name, each as (type,) or (type,
+    shape). A type is a dtype or its text, a shape a number or a tuple.
 
     `array[k].name` reads a field in Python as in compiled code, `array["name"]` the field of all
-    records. Fields are of eight bytes, or of two of four, so that all are aligned.
+    records. Nothing is padded: a caller takes types of eight bytes, and those of four only where
+    all fields are aligned nevertheless.
     """
     fields: list[tuple[Any, ...]] = [(name, "f8") for name in numbers]
     # A shape 1 becomes (1,), since NumPy before 2.0 takes (type, 1) for the type alone.
@@ -62,7 +64,10 @@ def record(*numbers: str, **others: tuple[Any, ...]) -> np.dtype[Any]:
 
 @compiled
 def put_fields(row, values, names):
-    """Write a tuple of numbers into the fields `names`, a constant, of the record `row`."""
+    """Write a tuple of numbers into the fields `names` of the record `row`, in their order.
+
+    `names`: a tuple of texts that is a global constant, since numba unrolls the loop over it.
+    """
     k = 0
     for name in literal_unroll(names):
         row[name] = values[k]
@@ -70,7 +75,7 @@ def put_fields(row, values, names):
 
 
 def by_name(one: np.record) -> dict[str, Any]:
-    """Values of a record by the names of its fields."""
+    """{name: value} of the fields of one record, in their order; numbers as those of Python."""
     return dict(zip(names_of(one.dtype), one.item(), strict=True))
 
 

@@ -67,9 +67,10 @@ def normal_pair(owner):
 
 @compiled
 def draw_normals(owner, normals, pairs):
-    """Fill the first `pairs`, at most 8, of `NORMALS` with standard normal numbers.
+    """Fill the first `pairs`, at most 8, of the record `normals` (`NORMALS`) with standard normal
+    numbers, two words of the stream of `owner` a pair.
 
-    The others become 0 and take nothing from the stream of `owner`.
+    The others become 0 and take nothing from the stream.
     """
     for i in range(8):
         normals.first[i] = uniform(owner) if i < pairs else 0.0

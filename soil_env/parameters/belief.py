@@ -77,7 +77,10 @@ class Belief(Checked):
     spread: SoilSpread | None = None
 
     def _check_together(self) -> None:
-        # refuses correlations of friction, cohesion, S and K that contradict each other
+        """Raise `ParameterError` for correlations that contradict each other; the factor itself is
+        not kept.
+        """
+        # in the order friction, cohesion, S, K
         correlation_factor(
             self,
             4,
@@ -94,7 +97,8 @@ def refuse_idle_prior(belief: Keys, where: str, changes: Iterable[str] = ()) -> 
     which are without effect beside soils.
 
     A mapping saved from a `Belief` has all fields, so a number that is its default passes. In
-    `changes`, the names that a user gave, it does not.
+    `changes`, the names that a user gave, it does not. The message begins with `where` and names
+    the first such number.
     """
     idle = [
         name

@@ -70,6 +70,9 @@ class CourseSpec(Checked):
     )
 
     def _check_together(self) -> None:
+        """Raise `FieldError` for a border longer than the shortest patch or slope, and for two
+        routes that `_check_lines` refuses.
+        """
         for piece, shortest in (("patch", self.patch_length[0]), ("slope", self.slope_length[0])):
             if self.border > shortest:
                 raise FieldError(

@@ -14,7 +14,7 @@ from .wheel import Wheel
 STEP = np.int8(0)  # order to a vehicle: the control periods of an action
 RESTART = np.int8(1)  # order: a new course, at rest at its start
 IDLE = np.int8(2)  # order: nothing
-TRY = np.int8(3)  # order: draw a course as a trial; that of a single wheel is drawn as a whole
+TRY = np.int8(3)  # order: draw the start of a course as a trial, to see if a soil is found
 COMPLETE = np.int8(4)  # order: draw the rest of the course
 AHEAD = np.int8(5)  # order: draw the ground ahead of the vehicle
 RUNNING = 0  # `task.Cause` while an episode goes on
@@ -61,8 +61,8 @@ class Stepped(NamedTuple):
 
 
 def largest_readings(wheel: Wheel, gravity: float = 9.81) -> Readings:
-    """Largest plausible readings (`Sensor.largest`) of a wheel at a gravity [m/s2]; larger ones are
-    faults or in another unit.
+    """Largest plausible readings (`Sensor.largest`), in SI units, of a wheel at a gravity [m/s2];
+    larger ones are faults or in another unit. `time` is NaN.
     """
     sizes = sizes_of(wheel, gravity)
     return Readings(**{s.name: s.largest[0] * sizes.get(s.largest[1], 1.0) for s in SENSORS})
@@ -76,8 +76,8 @@ def largest_sensed(wheel: Wheel, gravity: float) -> SensorReading:
 
 
 def observed_units(scenario: Scenario) -> SensorReading:
-    """Size that each entry of the observation is relative to, in the unit of a `SensorReading`; 1
-    where the entry is in that unit.
+    """Size that the entry of each sensor in the observation is relative to, in the unit of a
+    `SensorReading`; 1 where the entry is in that unit.
     """
     sizes = sizes_of(scenario.wheel, scenario.gravity)
     return SensorReading(*(sizes.get(sensor.observed[0], 1.0) for sensor in SENSORS))
@@ -104,5 +104,7 @@ def reading_errors(scenario: Scenario) -> np.ndarray:
 
 
 def sensor_noise(scenario: Scenario) -> np.ndarray:
-    """Standard deviations of the white noise of a `SensorReading`, in its units."""
+    """Standard deviations of the white noise of a `SensorReading` in its units, [sensors], in the
+    order of its fields; 0 for the slip where no sensor measures it.
+    """
     return np.array(reading_errors(scenario)[0])

@@ -25,6 +25,9 @@ class RoverScenario(Scenario):
     vehicle: Vehicle = field(kw_only=True)
 
     def _check_together(self) -> None:
+        """Raise `FieldError` for terrain classes, for wheels that overlap, and for a mass on a
+        wheel that is not an equal share of the vehicle's.
+        """
         super()._check_together()
         if self.course.classes:
             raise FieldError(
@@ -49,7 +52,7 @@ class RoverScenario(Scenario):
 
     @property
     def axles(self) -> int:
-        """Axles, each with two wheels and a motor for each."""
+        """Number of axles; each has two wheels, and each wheel a motor."""
         return len(self.vehicle.axles)
 
 

@@ -59,6 +59,11 @@ class Scenario(Checked):
     control: Control = Control()
 
     def _check_together(self) -> None:
+        """Raise `ParameterError` for soils that `library` does not have, weights out of range or
+        all 0, moduli that give no S > 0 here, and a reward of information without an identifier.
+
+        A weight is in [0, `_HEAVIEST`], in `belief.soils` above 0.
+        """
         if not self.soils:
             raise ParameterError("soils: expected at least one soil name with its weight")
         library = self.library
@@ -83,11 +88,15 @@ class Scenario(Checked):
 
     @property
     def library(self) -> dict[str, Soil]:
-        """The soils that `soils` may name."""
+        """{name: soil} that `soils` may name: the presets and `own_soils`, which win where both
+        have a name.
+        """
         return soils() | self.own_soils
 
     def beneath(self, soil: Soil) -> SoilState:
-        """A soil as compiled code takes it, under this wheel at this gravity."""
+        """A soil as compiled code takes it, under this wheel without payload at this gravity
+        (`Soil.under`); `ParameterError` where its moduli give no S > 0.
+        """
         return soil.under(self.wheel.radius, self.wheel.width, self.weight, self.gravity)
 
     @property
@@ -97,7 +106,7 @@ class Scenario(Checked):
 
     @property
     def periods(self) -> int:
-        """Control periods until the time limit, at least 1."""
+        """Control periods until the time limit, to the nearest whole number, at least 1."""
         return max(1, round(self.control.time_limit / self.control.period))
 
     @property
@@ -246,8 +255,9 @@ def _check_kind(mapping: Keys, changes: Keys, folder: str, where: str) -> None:
     """Raise `ParameterError` for a rover where a wheel's scenario is asked for (`folder`
     "scenarios"), or the reverse ("rovers").
 
-    A rover has `vehicle`. A mapping without it, of keys that are all known, is the scenario of a
-    wheel. The message begins with `where`.
+    A rover has `vehicle`. A mapping without it is the scenario of a wheel if it is not empty and
+    its keys and those of `changes` are all fields of `Scenario`. Any other passes: `load` names
+    what it lacks. The message begins with `where`.
     """
     known = {f.name for f in fields(Scenario)}
     if folder == "scenarios" and "vehicle" in mapping:
@@ -268,7 +278,7 @@ def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
     mapping = dict(mapping)
     changes = dict(changes)
     belief = _mapping(mapping.get("belief"))
-    asked = _mapping(_plain(changes.get("belief")))
+    asked = _mapping(_plain(changes.get("belief")))  # the changes of the belief
     if "soils" in changes:  # replaces the whole mixture
         given = changes.pop("soils")
         if belief.get("soils") == mapping.get("soils"):  # the belief knows which soils may come

@@ -14,12 +14,14 @@ _TOP_SPEED = "of top rim speed"
 
 
 def _error(unit: str, default: float, high: float = 1.0, doc: str = "") -> Any:
-    """Field of `Noise`: standard deviation of the white noise or the zero of a sensor."""
+    """Field of `Noise`: standard deviation of the white noise or the zero of a sensor, from 0 to
+    `high` in `unit`.
+    """
     return quantity(unit, 0.0, high, default=default, doc=doc)
 
 
 def _gain(default: float) -> Any:
-    """Field of `Noise`: standard deviation of the relative gain of a sensor."""
+    """Field of `Noise`: standard deviation, in [0, 0.3], of the relative gain of a sensor."""
     return quantity("", 0.0, 0.3, default=default)
 
 

@@ -124,6 +124,7 @@ class Soil(Checked):
     source: str = ""
 
     def _check_together(self) -> None:
+        """Raise `ParameterError` unless either S or both of its moduli are given."""
         pair = (self.k_c is not None) + (self.k_phi is not None)
         if pair != (2 if self.sinkage_coefficient is None else 0):
             raise ParameterError("expected either sinkage_coefficient, or both k_c and k_phi")
@@ -134,7 +135,10 @@ class Soil(Checked):
         return math.tan(math.radians(self.friction_angle_deg))
 
     def lumped(self, width: float) -> float:
-        """S [N/m^(n+2)] under a wheel of width b [m]: by the moduli, or as given for any width."""
+        """S [N/m^(n+2)] under a wheel of width b [m]: by the moduli, or as given for any width.
+
+        Raises `ParameterError` where the moduli give no S > 0; so do `state` and `under`.
+        """
         if self.sinkage_coefficient is not None:
             return self.sinkage_coefficient
         assert self.k_c is not None and self.k_phi is not None  # checked on construction
@@ -218,10 +222,11 @@ class Soil(Checked):
 
     @classmethod
     def of_state(cls, state: SoilState, gravity: float | None = None) -> "Soil":
-        """The soil of a `SoilState` that belongs to a gravity [m/s2], each number cut to its
-        bounds.
+        """The soil of a `SoilState` that belongs to a gravity [m/s2], each number but those of its
+        layer cut to its bounds.
 
-        What a state does not tell has its default: the density, and a curved strength.
+        What a state does not tell has its default: the density, and a curved strength. A layer out
+        of bounds raises `FieldError`; with a `layer_gain` of 0 there is none.
         """
         numbers = state._asdict()
         numbers["friction_angle_deg"] = math.degrees(math.atan(numbers.pop("tan_phi")))
@@ -293,7 +298,8 @@ class SoilSpread(Checked):
     stiffness_dig_gain: float = correlation(-0.5)
 
     def _check_together(self) -> None:
-        self.factor()  # refuses correlations that contradict each other
+        """Raise `ParameterError` for correlations that contradict each other."""
+        self.factor()  # raises it
 
     def factor(self) -> np.ndarray:
         """Lower Cholesky factor [5, 5] of the correlations between friction, cohesion, K, stiffness

@@ -59,6 +59,7 @@ class Control(Checked):
     repeat: int | None = quantity("control periods", 1, 1e5, default=None)
 
     def _check_together(self) -> None:
+        """Raise `FieldError` for a `repeat` that is no whole number."""
         if self.repeat is not None and self.repeat != int(self.repeat):
             raise FieldError(self, "repeat", f" = {self.repeat!r}: expected a whole number")
 

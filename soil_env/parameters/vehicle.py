@@ -34,6 +34,9 @@ class Vehicle(Checked):
     source: str = ""
 
     def _check_together(self) -> None:
+        """Raise `FieldError` unless there are two axles without a bogie or three with one, in order
+        from 0, the pivot between the axles of the bogie, and no share below `LEAST_SHARE`.
+        """
         count = len(self.axles)
         given = f" = {self.axles!r}"
         if not 2 <= count <= MOST_AXLES:
@@ -80,7 +83,7 @@ class Vehicle(Checked):
     @property
     def shares(self) -> tuple[float, ...]:
         """Share of the weight that each axle carries at rest on level ground, front to rear; the
-        shares add up to 1.
+        shares add up to 1. One is below 0 where the rover would tip, which construction refuses.
         """
         if self.bogie == "none":
             rear = self.centre / self.base

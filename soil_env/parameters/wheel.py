@@ -35,6 +35,7 @@ class Tyre(Checked):
     )
 
     def _check_together(self) -> None:
+        """Raise `FieldError` unless exactly one of deflection and stiffness is above 0."""
         if (self.deflection > 0.0) == (self.stiffness > 0.0):
             raise FieldError(
                 self,
@@ -115,6 +116,7 @@ class Wheel(Checked, OnTyre):
     source: str = ""
 
     def __post_init__(self) -> None:
+        """Fill in what was left out, then check: each field, the tyre, the least inertia."""
         self._complete()
         super().__post_init__()
         self.check_tyre()

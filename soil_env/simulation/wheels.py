@@ -121,7 +121,11 @@ class Additions(NamedTuple):
 
 
 def new_setting(numbers: WheelNumbers, recorded: bool, chunk: int) -> np.ndarray:
-    """Constants and work space of the thread of a chunk of the wheels, `SETTING` [1]."""
+    """Constants and work space of the thread of a chunk of the wheels, `SETTING` [1].
+
+    `recorded`: True if a sample is kept of each wheel and period. `chunk`: number of the chunk,
+    from 0. ValueError for an observation of more than `MOST_ENTRIES`.
+    """
     setting = np.zeros(1, SETTING)
     for name in ("rig", "task", "sensors", "camera"):
         setting[name] = getattr(numbers, name)
@@ -137,7 +141,9 @@ def new_setting(numbers: WheelNumbers, recorded: bool, chunk: int) -> np.ndarray
 def new_wheel_worlds(
     wheels: int, scenario: Scenario, numbers: WheelNumbers, samples: tuple[int, int]
 ) -> WheelWorlds:
-    """Blank worlds for so many wheels, to be restarted; `samples`: shape of their samples."""
+    """Blank worlds for so many wheels, to be restarted; `samples`: shape of their samples, as in
+    `WheelWorlds`.
+    """
     return WheelWorlds(
         np.zeros(wheels, WHEEL),
         new_courses(wheels, scenario),
@@ -181,9 +187,10 @@ def lay_wheels(worlds, numbers, orders, setting, first, end):
 
     Return the number of restarts for which no soil was found.
 
-    RESTART starts a new course and puts the wheel, whose record is blank but for its stream, at
-    rest at its start. TRY draws the start of a course; the wheel's `reward` is then the mass on it,
-    or -1 if no soil was found. AHEAD draws the ground that the next step needs, COMPLETE the rest.
+    RESTART starts a new course and puts the wheel at rest at its start; the caller has made its
+    record blank but for its stream. Where no soil is found, the record stays blank. TRY draws the
+    start of a course; the wheel's `reward` is then the mass on it [kg], or -1 if no soil was found.
+    AHEAD draws the ground that the next step needs, COMPLETE the rest; STEP and IDLE do nothing.
     `worlds`: `WheelWorlds`, `numbers`: `CourseNumbers`, `setting`: `SETTING` [1], whose nodes are
     scratch.
     """
@@ -230,7 +237,9 @@ def _sense(wheel, sample, course, records):
 
 @inlined
 def _observe(wheel, sample, course, records, sight, out):
-    """Fill the observation `out` [D] of a wheel, but for the entries that are identified."""
+    """Fill the observation `out` [D] of a wheel, but for the entries that are identified: sensors,
+    with the variant `true_soil` the soil, with a camera what it sees. `sight`: that of `_sense`.
+    """
     task = records.task
     write_sensors(out, wheel, sample, task)
     truth = task.variant == TRUE_SOIL
@@ -247,7 +256,7 @@ def _restart(wheel, sample, course, records, out):
     """
     mount_sensors(wheel, records.normals, records.sensors)
     wheel.cause = RUNNING
-    wheel.periods = 1
+    wheel.periods = 1  # samples to read, as after a step of one period
     sight = _sense(wheel, sample, course, records)
     _observe(wheel, sample, course, records, sight, out)
 

@@ -178,15 +178,15 @@ class Forces(NamedTuple):
 @compiled
 def entry_angle(sinkage, r):
     """Entry angle theta1 [rad] of a wheel of radius r [m] at a sinkage [m]: z0 = r (1 - cos
-    theta1).
+    theta1). The sinkage is cut to [0, 2 r].
     """
     return 2.0 * asin_root((0.5 / r) * sinkage)
 
 
 @compiled
 def smooth_arc(sinkage, r, shift):
-    """`Arc` of a smooth rim: theta2 = 0, and the stress peak midway, Eq. (9), plus a forward
-    `shift` [of theta1].
+    """`Arc` of a smooth rim of radius r [m] at a sinkage [m]: theta2 = 0, and the stress peak
+    midway, Eq. (9), plus a forward `shift` [of theta1]. Shear begins at the entry.
     """
     theta1 = entry_angle(sinkage, r)
     return Arc(theta1, 0.0, (0.5 + shift) * theta1, theta1, r)
@@ -194,7 +194,7 @@ def smooth_arc(sinkage, r, shift):
 
 @compiled
 def on_tyre(wheel):
-    """True if the wheel has a flexible tyre."""
+    """True if the wheel, which has the fields of a `Rim`, has a flexible tyre."""
     return wheel.tyre_deflection > 0.0 or wheel.tyre_compliance > 0.0
 
 
@@ -204,11 +204,12 @@ def substitute_radius(sinkage, load, wheel):
 
     R/r = [sqrt(1 + f/z) + sqrt(f/z)]^2 with the deflection f, at most `MOST_DEFLECTION` of r
     (Schmid 1995, second-hand). From its entry to its lowest point that circle is as long as the
-    whole contact of the deflected tyre.
+    whole contact of the deflected tyre. The deflection is `tyre_deflection` + `tyre_compliance`
+    load of `wheel`, one of which is 0.
     """
     deflection = wheel.tyre_deflection + wheel.tyre_compliance * load
-    share = min(deflection, MOST_DEFLECTION * wheel.radius) / sinkage
-    root = math.sqrt(1.0 + share) + math.sqrt(share)
+    ratio = min(deflection, MOST_DEFLECTION * wheel.radius) / sinkage  # f/z, which may be large
+    root = math.sqrt(1.0 + ratio) + math.sqrt(ratio)
     return wheel.radius * root * root
 
 
@@ -217,8 +218,9 @@ def gripping_share(soil, arc, load, wheel):
     """Share of the ground's strength that the tread transmits before it slips on hard ground.
 
     It is min(s, grip p)/s, smoothed by `held_below`, with the mean pressure p of the contact and
-    s = c + p tan(phi); 1 where s is 0. With c and tan(phi) times this share the shear forces of the
-    contact stay below grip times load.
+    s = c + p tan(phi); 1 where s is 0. p is the load [N] over width and length of the `Arc`. With c
+    and tan(phi) times this share the shear forces of the contact stay below grip times load. A
+    `wheel.grip` of 0 stands for no limit: a caller must not ask for the share then.
     """
     pressure = load / (wheel.width * arc.radius * arc.theta1)
     strength = soil.cohesion + pressure * soil.tan_phi
@@ -232,7 +234,7 @@ def layer_firmness(depth, soil):
     """Sinkage coefficient at a depth [m] over that of the cover: (1 + G)^(x^16/(1 + x^16)).
 
     G is `layer_gain` and x = depth/`layer_depth`. Own law: the power 16 makes it a smooth but steep
-    step at x = 1, where half of the decades are passed.
+    step at x = 1, where half of the decades are passed. It is 1 on a uniform soil, G = 0.
     """
     if soil.layer_gain == 0.0:
         return 1.0
@@ -343,7 +345,9 @@ def carried_share(rim, travel, floor):
 
 @compiled
 def _cosine_of_rise(arc):
-    """(cosine, half the sine) of the angle above which soil flows up along a locked rim."""
+    """(cosine, half the sine) of the angle above which soil flows up along a locked rim:
+    `RISING_FROM` of the angle where the shear of an `Arc` begins.
+    """
     angle = RISING_FROM * arc.sheared_from
     s = half_sin(angle)
     return 1.0 - 2.0 * s * s, s * half_cos(angle)
@@ -417,7 +421,8 @@ def relative_stress(theta, cos1, n, r):
     """Normal stress for S = 1 [m^n] at the angle `theta` of the front zone, Eq. (7): its depth
     below the entry point, to the power n.
 
-    cos1 = cos(theta1), and r [m] is the radius. Above the entry point the depth counts as 0.
+    cos1 = cos(theta1), and r [m] is the radius. From the entry point upward the stress is 0, or 1
+    for n = 0.
     """
     depth = r * (math.cos(theta) - cos1)
     if depth > 0.0:
@@ -428,7 +433,7 @@ def relative_stress(theta, cos1, n, r):
 @compiled
 def mirror_angle(theta, theta1, theta2, thetam):
     """Angle in the front zone with the same normal stress as `theta`: by Eq. (8) where `theta` is
-    in the rear zone, `theta` where it is in the front zone.
+    in the rear zone, `theta` where it is in the front zone. Angles in rad, of an `Arc`.
     """
     if theta >= thetam:
         return theta
@@ -437,7 +442,12 @@ def mirror_angle(theta, theta1, theta2, thetam):
 
 @compiled
 def shear_displacement(theta, theta1, sin1, rim, travel, r):
-    """(j, dj/d(rim), dj/d(travel)) [m] of Eq. (10) at one angle; sin1 = sin(theta1), r [m]."""
+    """(j, dj/d(rim), dj/d(travel)) [m] of Eq. (10) at one angle: shear displacement
+    j = r [rim (theta1 - theta) - travel (sin1 - sin theta)].
+
+    theta1 [rad] is where shear begins, sin1 = sin(theta1), r [m] the radius. rim and travel are r w
+    and V over one speed, as on top of this module.
+    """
     by_rim = r * (theta1 - theta)
     by_travel = -r * (sin1 - math.sin(theta))
     return rim * by_rim + travel * by_travel, by_rim, by_travel
@@ -459,7 +469,9 @@ def mobilised(j, K, law):
 
 @inlined  # else LLVM leaves it out of loops over nodes, which it then cannot vectorise
 def _mobilised_by(law, j, K):
-    """`mobilised` by a `ShearLaw`: 1 - decay is its first factor, `share` the second one."""
+    """`mobilised`, (e, de/dj [1/m]), by a `ShearLaw`: 1 - decay is its first factor, `share` the
+    second one.
+    """
     distance = abs(j)
     rate = 1.0 / K
     decay = exp(-rate * distance)
@@ -600,7 +612,7 @@ def _shear_sums(nodes, count, p, motion, K, law):
     to `nodes.rate`.
 
     `nodes`: `ARC_NODES` or `SPLIT_ARC`. `p`: (Int p cos, Int p sin), which do not depend on the
-    motion.
+    motion and are handed through. K [m] and `law` as in `mobilised`.
     """
     rim = motion[0]
     travel = motion[1]
@@ -656,8 +668,8 @@ def shear_integrals(nodes, p, motion, K, law, split):
     node, which `shear_rates` reads.
 
     `p`: (Int p cos, Int p sin), as `lay_nodes` returns them. With `split` an arc in which the shear
-    displacement changes sign gets nodes of its own, since de/dj has a kink there. `law`: a
-    `ShearLaw`, or None for Eq. (10).
+    displacement changes sign gets nodes of its own, since de/dj has a kink there. K [m] is the
+    shear deformation modulus, `law` a `ShearLaw`, or None for Eq. (10).
     """
     if law is None:
         return _integrals_under(nodes, p, motion, K, None, split)
@@ -669,8 +681,8 @@ def shear_integrals(nodes, p, motion, K, law, split):
 
 @compiled_sums
 def _rate_sums(nodes, count, st, c):
-    """`ShearRates` over the first `count` nodes of `ARC_NODES` or `SPLIT_ARC`, with st = S tan(phi)
-    and cohesion c [Pa].
+    """`ShearRates` over the first `count` nodes of `ARC_NODES` or `SPLIT_ARC`, by the `rate` that
+    `_shear_sums` left there, with st = S tan(phi) [N/m^(n+2)] and cohesion c [Pa].
     """
     cos_rim = 0.0
     sin_rim = 0.0
@@ -707,6 +719,8 @@ def forces(q, S, tan_phi, c, r, b, direction):
     coefficient S [N/m^(n+2)] and cohesion c [Pa]: Eqs. (1)-(3), with the resistance of Eq. (11),
     not (12).
 
+    That is the horizontal part of the normal stress as Eqs. (7) and (8) have it. Eq. (12) takes
+    Eq. (7) for the whole arc.
     `direction` is the smoothed sign of the travel speed, 1 in a steady forward run. In reverse the
     horizontal part of the normal stress and the vertical part of the shear stress change sign.
     """

@@ -87,7 +87,7 @@ def _geometric(a, b, share):
 
 @compiled
 def blend(a, b, share):
-    """Soil between `a` and `b`, with a `share` in [0, 1] of `b`.
+    """`SoilState` between `a` and `b`, which have its fields, with a `share` in [0, 1] of `b`.
 
     K, S and the stiffness of firm ground below, 1 + `layer_gain`, are interpolated geometrically,
     since they differ by orders of magnitude; everything else linearly.

@@ -61,13 +61,16 @@ class ModelWheel(Checked, OnTyre):
     )
 
     def _check_together(self) -> None:
+        """Raise `ParameterError` for lugs as high as the radius or on a tyre, and for a tyre that
+        is deflected too far.
+        """
         check_lugs(self.grouser_height, self.radius)
         self.check_tyre()
         refuse_lugs_on_tyre(self.grouser_height, self.tyre)
 
     @classmethod
     def of(cls, wheel: object) -> "ModelWheel":
-        """`ModelWheel` with sizes, tyre and grip of any wheel, as of a scenario or a setup. A
+        """`ModelWheel` with sizes, lugs, tyre and grip of any wheel, as of a scenario or a setup. A
         `ModelWheel` is returned as it is.
 
         Raises `ParameterError` without a radius or a width. What else it lacks counts as none: no
@@ -83,7 +86,7 @@ class ModelWheel(Checked, OnTyre):
 
 
 class Prediction(NamedTuple):
-    """Steady values [N] at the conditions that were asked for."""
+    """Steady values at the N conditions that were asked for, arrays of N numbers."""
 
     sinkage: np.ndarray  # [m]
     drawbar_pull: np.ndarray  # [N]
@@ -121,6 +124,9 @@ class WheelSoilModel(Checked):
     remainder: ResidualTable | None = None
 
     def __post_init__(self) -> None:
+        """Take a `ModelWheel` of any wheel, check each field, effects, terms and `validity`, and
+        turn the ranges of the latter into pairs of floats. `ParameterError` for a wrong one.
+        """
         if not isinstance(self.wheel, ModelWheel) and hasattr(self.wheel, "width"):
             object.__setattr__(self, "wheel", ModelWheel.of(self.wheel))
         are_terms = isinstance(self.residual, (tuple, list)) and all(
@@ -164,7 +170,9 @@ class WheelSoilModel(Checked):
         return {need: what for what, need in by.items() if need in ("speed", "pass")}
 
     def predict(self, conditions: Any | Mapping[str, ArrayLike]) -> Prediction:
-        """Steady sinkage, drawbar pull and torque [N] for a whole table.
+        """Steady sinkage, drawbar pull and torque for a whole table of N rows, as a `Prediction`.
+
+        A row that the soil does not carry has the values at a sinkage of `DEEPEST` radii.
 
         `conditions`: a measurement table, or a mapping of arrays [N]; scalars count for every row.
         It has `slip` [-] and `load` [N] and, as far as they matter, `speed` [m/s], `pass`,
@@ -196,7 +204,7 @@ class WheelSoilModel(Checked):
         sd = np.full_like(out, math.nan)
         law = self.law
         fx = self.numbers
-        carried = 0
+        supported = 0  # rows
         # what the `SoilState` depends on: the width by S = k_c/b + k_phi
         bearing = c.wheels[:, 1:2]
         if self.soil.reference_stress > 0.0:  # strength depends on the pressure
@@ -209,7 +217,7 @@ class WheelSoilModel(Checked):
             soil = self.soil.under(radius, width, float(rows.load[0]), self.gravity)
             guess = np.zeros(len(values))
             unit_weight = self.soil.density * self.gravity
-            carried += predict_rows(rows, soil, unit_weight, fx, guess, values)
+            supported += predict_rows(rows, soil, unit_weight, fx, guess, values)
             if self.residual or self.remainder is not None:
                 deviations = np.empty_like(values)
                 felt = np.where(guess > 0.0, guess, DEEPEST * radius)  # buried where there is none
@@ -218,10 +226,15 @@ class WheelSoilModel(Checked):
                 if self.remainder is not None:
                     sd[here] = deviations
             out[here] = values
-        return Prediction(out[:, 0], out[:, 1], out[:, 2], carried == c.slip.size, sd)
+        return Prediction(out[:, 0], out[:, 1], out[:, 2], supported == c.slip.size, sd)
 
     def content(self) -> dict[str, Any]:
-        """The mapping of model.yaml, without what the model does not have."""
+        """The mapping of model.yaml, of texts, numbers, lists and mappings.
+
+        Soil, residual, remainder and validity are left out where the model has none, and so are the
+        wheel's tyre and grip. Of the soil it leaves out what is not given, and the constants of
+        `FLOW_LAW` that have their defaults.
+        """
         content = {
             "format": FORMAT,
             "wheel": _without_off(self.wheel),
@@ -260,7 +273,11 @@ class WheelSoilModel(Checked):
 
     @classmethod
     def from_content(cls, content: Mapping[str, Any], where: str = "model") -> "WheelSoilModel":
-        """The model of the mapping of a model.yaml; errors name `where` it comes from."""
+        """The model of the mapping of a model.yaml, in which None counts as not given.
+
+        Raises `ParameterError`, which begins with `where` the mapping comes from, for another
+        `format` and for what `load` refuses.
+        """
         if not isinstance(content, Mapping):
             raise ParameterError(f"{where}: expected the mapping of a model.yaml, got {content!r}")
         content = {key: value for key, value in content.items() if value is not None}
@@ -274,7 +291,7 @@ ModelLike = str | Path | Mapping[str, Any] | WheelSoilModel | None  # file, mapp
 
 def load_model(model: ModelLike) -> WheelSoilModel | None:
     """The model that the keyword `model` of an environment describes: a model.yaml, its mapping, a
-    model, or none.
+    model, or none. `ParameterError` for anything else.
     """
     if model is None or isinstance(model, WheelSoilModel):
         return model
@@ -309,7 +326,8 @@ _RANGES = (
 
 def _numbers(name: str, value) -> np.ndarray:
     """The `value` of the condition `name` as an array of N numbers or of one; NaN stands for one
-    not given, except in slip and load, where it is refused.
+    not given, except in slip and load, where it is refused. `ParameterError` for that, for what is
+    no number or infinite, and for more than one dimension.
     """
     try:
         a = np.atleast_1d(np.asarray(value, dtype=float))
@@ -325,7 +343,9 @@ def _numbers(name: str, value) -> np.ndarray:
 
 
 def _mapping(conditions: Any) -> Mapping[str, ArrayLike]:
-    """The conditions as a mapping of columns: `conditions()` of a `Table`, a mapping as it is."""
+    """The conditions as a mapping of columns: `conditions()` of a `Table`, a mapping as it is.
+    `ParameterError` for anything else.
+    """
     if isinstance(conditions, Mapping):
         return conditions
     if not hasattr(conditions, "conditions"):
@@ -339,7 +359,12 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
     """`Rows` [N] of a table or a mapping of conditions (`WheelSoilModel.predict`), checked.
 
     What is not given, or NaN, is level, fresh soil, an unknown speed and the sizes of `wheel`. The
-    tyre and the grip are those of `wheel` in every row. Raises `ParameterError`.
+    tyre and the grip are those of `wheel` in every row. Raises `ParameterError` for unknown names,
+    for a missing slip or load, for columns of different lengths, and for values out of range.
+
+    The slip is in [-1, 1], the load above 0, the others in `_RANGES`. Lugs are lower than the
+    radius, and there are none on a tyre. A tyre is deflected by `MOST_DEFLECTION` of the radius at
+    most.
     """
     conditions = _mapping(conditions)
     known = ("slip", "load", *_OPTIONAL, *_SIZES)

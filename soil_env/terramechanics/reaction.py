@@ -148,7 +148,7 @@ def lay_footing(nodes, arc, soil, load):
     sheared, under a `load` [N].
     """
     p_cos, p_sin = lay_nodes(nodes, arc, soil.sinkage_exponent)
-    most = most_carried(arc) if soil.rim_flow > 0.0 else 1.0
+    most = most_carried(arc) if soil.rim_flow > 0.0 else 1.0  # 1: not read, no soil is carried
     return Footing(
         arc.theta1,
         p_cos,
@@ -165,7 +165,10 @@ def lay_footing(nodes, arc, soil, load):
 @compiled
 def carried_along(footing, speed, rim_speed):
     """(share of the travel speed at which soil is carried along the rim, its derivatives [s/m] by
-    the travel speed V and the rim speed u).
+    the travel speed V and the rim speed u); three zeros on soil that does not flow.
+
+    `carry` of the `Footing` times `carried_share`, held below its `most_carried`. `speed` V and
+    `rim_speed` u in m/s.
     """
     if footing.carry == 0.0:
         return 0.0, 0.0, 0.0
@@ -181,7 +184,8 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
 
     Eq. (1) is solved for S at the present sinkage, so that the load stays what it is. `nodes` and
     `footing` are of `lay_footing`; `law` is a `ShearLaw`, or None for Eq. (10). rim, travel and
-    direction are those of `motion_from_speeds`, with soil that is carried along the rim.
+    direction are those of `motion_from_speeds`, with soil that is carried along the rim. u is the
+    speed of the radius at which soil is sheared. `wheel` has radius, width and tyre of a `RIG`.
     """
     r = nodes.radius
     lever = wheel.radius if on_tyre(wheel) else r  # the tread of a tyre moves at its own r w
@@ -228,10 +232,10 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
         f.drawbar_pull,
         f.torque if r == lever else lever / r * f.torque,
         S,
-        S_v * pull_by_S + rb * (cos_v - direction_v * S * q.p_sin),
-        S_u * pull_by_S + rb * cos_u,
-        S_v * torque_by_S + lever * rb * one_v,
-        S_u * torque_by_S + lever * rb * one_u,
+        S_v * pull_by_S + rb * (cos_v - direction_v * S * q.p_sin),  # pull_v
+        S_u * pull_by_S + rb * cos_u,  # pull_u
+        S_v * torque_by_S + lever * rb * one_v,  # torque_v
+        S_u * torque_by_S + lever * rb * one_u,  # torque_u
         S_v,
         S_u,
     )
@@ -257,7 +261,8 @@ def ground_under(at, soil, wheel, acting):
 
 @compiled
 def _gripped(soil, arc, load, wheel):
-    """Soil as the tread of a wheel shears it: tan(phi) and cohesion times `gripping_share`.
+    """Soil as the tread of a wheel shears it: tan(phi) and cohesion times `gripping_share`; as it
+    is for a wheel without a limit of grip (`wheel.grip` 0).
 
     The share of soil carried along the rim stays.
     """
@@ -268,7 +273,11 @@ def _gripped(soil, arc, load, wheel):
 @compiled
 def _soil_and_arc(at, slip, soil, wheel, fx):
     """(`SoilState` as it is sheared, `Arc`, lift, bulldozing, blades), the last three as in
-    `ExtraForces`, 0 without effects. `at` is a `Standing`.
+    `ExtraForces`, 0 without effects. `at` is a `Standing`, `wheel` a `RIG`.
+
+    Effects change the soil; the stress peak of a braked wheel is shifted (`braked_shift`). Lugs
+    shear the soil at a larger radius: its strength is multiplied by `shear_ratio`, K divided by it.
+    Last, the grip of the tread bounds the strength (`_gripped`).
     """
     if fx is None:
         shift = braked_shift(at.braked, soil)
@@ -335,10 +344,10 @@ def _at_the_axle(f, extra, speed, rim_speed, wheel, fx):
             f.drawbar_pull + thrust - direction * extra.bulldozing + extra.pull,
             torque + friction.torque,
             f.sinkage_coefficient,
-            f.pull_v + thrust_v - direction_v * extra.bulldozing,
-            rim_ratio * f.pull_u + thrust_u,
-            by_torque * torque_v,
-            by_torque * torque_u + friction.by_wheel_speed / wheel.radius,
+            f.pull_v + thrust_v - direction_v * extra.bulldozing,  # pull_v
+            rim_ratio * f.pull_u + thrust_u,  # pull_u
+            by_torque * torque_v,  # torque_v
+            by_torque * torque_u + friction.by_wheel_speed / wheel.radius,  # torque_u
             f.sinkage_coefficient_v,
             rim_ratio * f.sinkage_coefficient_u,
         )
@@ -346,8 +355,8 @@ def _at_the_axle(f, extra, speed, rim_speed, wheel, fx):
 
 @compiled
 def moved(f, dv, du):
-    """`Reaction` f to first order after changes `dv` of V and `du` of u [m/s], S at least 0; load
-    and derivatives stay.
+    """`Reaction` f to first order after changes `dv` of V and `du` of u [m/s]: pull, torque and S,
+    which is at least 0; load and derivatives stay.
     """
     coefficient = (
         f.sinkage_coefficient + f.sinkage_coefficient_v * dv + f.sinkage_coefficient_u * du

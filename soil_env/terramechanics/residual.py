@@ -21,7 +21,7 @@ from soil_env._io.loading import Checked, ParameterError, quantity, unknown_key
 from .effects.entry import CHANNELS, Channel
 
 #: Dimensionless groups: |i|, 1 - |i|, z/r, W/(S b r^(n+1)) load over bearing strength, V/sqrt(g r)
-#: Froude number, pass number, sine of the grade.
+#: Froude number, pass number, sine of the grade. "grip" is 1 - |i|, not the `grip` of a wheel.
 GROUPS = ("slip", "grip", "sinkage", "load", "speed", "pass", "grade")
 COLUMNS = (*CHANNELS, *(f"{name}_sd" for name in CHANNELS))  # of a table
 AXES = ("slip", "load", "speed", "pass", "grade")  # groups that a table may go over
@@ -45,6 +45,9 @@ class ResidualTerm(Checked):
     ranges: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def _check_together(self) -> None:
+        """Turn each range into a tuple. Raise `ParameterError` for unknown groups, powers beyond
+        `MOST_POWER` and ranges that are not (low, high).
+        """
         object.__setattr__(
             self, "ranges", {group: tuple(pair) for group, pair in self.ranges.items()}
         )
@@ -60,7 +63,7 @@ class ResidualTerm(Checked):
                 raise ParameterError(f"ranges: {group} = {[low, high]}: expected [low, high]")
 
     def __str__(self) -> str:
-        """The coefficient and the powers, as "+0.03 slip load^-0.5"."""
+        """The coefficient in three digits and the powers, as "+0.03 slip load^-0.5"."""
         product = "".join(f" {g}" if p == 1 else f" {g}^{p:g}" for g, p in self.powers.items())
         return f"{self.coefficient:+.3g}{product}"
 
@@ -78,6 +81,9 @@ class ResidualTable(Checked):
     values: dict[str, str]
 
     def _check_together(self) -> None:
+        """Raise `ParameterError` for unknown groups or columns, nodes that do not ascend, too many
+        combinations of nodes (`MOST_NODES`) and values that `columns` refuses.
+        """
         for group, nodes in self.axes.items():
             if group not in AXES:
                 raise unknown_key(group, AXES, "axes")
@@ -96,7 +102,11 @@ class ResidualTable(Checked):
 
     @property
     def columns(self) -> np.ndarray:
-        """[nodes, 6] values by `COLUMNS`, 0 of a column that is not given."""
+        """Values by `COLUMNS`, [combinations of nodes, 6], 0 in a column that is not given.
+
+        Raises `ParameterError` for a column of another length, or with a value beyond `LARGEST`
+        or a standard deviation beyond `MOST_SD`.
+        """
         count = math.prod(map(len, self.axes.values()))
         out = np.zeros((count, len(COLUMNS)))
         for name, text in self.values.items():
@@ -175,8 +185,10 @@ class WorkingPoint(NamedTuple):
 
 @compiled
 def dimensionless_groups(at, soil, wheel, gravity):
-    """The seven `GROUPS` at one `WorkingPoint`, gravity in m/s2; the slip with its sign, cut to
-    [-1, 1].
+    """The seven `GROUPS` at one `WorkingPoint`, a tuple in their order, gravity in m/s2; the slip
+    with its sign, cut to [-1, 1].
+
+    `soil`: `SoilState`; of `wheel` radius and width are read.
     """
     slip = min(max(at.slip, -1.0), 1.0)
     r = wheel.radius
@@ -195,7 +207,7 @@ def dimensionless_groups(at, soil, wheel, gravity):
 @compiled
 def residual_at(law, groups):
     """What terms and table of a `RESIDUAL` add to (sinkage / r, drawbar pull / W, torque / (W r))
-    at `groups`.
+    at `groups`, those of `dimensionless_groups`.
 
     In a term each group is cut to its range, and slip counts as |i|; the table takes it with its
     sign.
@@ -228,7 +240,9 @@ def residual_under(law, at, soil, wheel):
 
 @compiled
 def interpolated(law, groups, first):
-    """Three columns of the table from `first` on, 0 for values and 3 for standard deviations.
+    """Three columns of the table of a `RESIDUAL` at `groups`, for sinkage, pull and torque.
+
+    `first` is the first of them, 0 for values and 3 for standard deviations.
 
     They are linear in each group between the nodes about `groups`, and constant beyond the first
     and the last node. Three zeros without a table. Bit a of a `corner` of the cell about `groups`

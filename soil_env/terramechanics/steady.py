@@ -103,7 +103,9 @@ class Rim(NamedTuple):
 
     @classmethod
     def of(cls, wheel: Any) -> "Rim":
-        """The rim of a wheel with its tyre and grip, without lugs and unit weight."""
+        """The rim of a `Wheel`, or another one with its fields, with tyre and grip; lugs and unit
+        weight are 0.
+        """
         return cls(
             wheel.radius,
             wheel.width,
@@ -215,7 +217,9 @@ class _Balance(NamedTuple):
 
 @inlined
 def _carried(soil, rim, travel):
-    """Share of the travel speed at which soil is carried along the rim, before `most_carried`."""
+    """Share of the travel speed at which soil is carried along the rim, before `most_carried`:
+    `carried_share` times rim_flow tan(phi). rim and travel as in `_Balance`.
+    """
     if soil.rim_flow == 0.0:
         return 0.0
     return soil.rim_flow * soil.tan_phi * carried_share(rim, travel, 0.0)[0]
@@ -225,7 +229,13 @@ def _carried(soil, rim, travel):
 def _balance(slip, load, soil, wheel, conditions, fx):
     """`_Balance` of a wheel at a true slip under a weight `load` [N].
 
-    `soil` is undisturbed, `conditions` a `Conditions`, `fx` `Effects` or None for the base model.
+    `soil` is undisturbed, `conditions` a `Conditions`, `fx` `Effects` or None for the base model,
+    `wheel` a `Rim`.
+
+    With effects the weight is split into its parts normal to and along the grade, and the soil is
+    that of `soil_in_contact`. Lugs shear it at a larger radius; with `grousers_slip_at_rim` the rim
+    speed is that of this radius, too. The depth excavated whatever the load is at most `MOST_LIFT`
+    of `DEEPEST` radii.
     """
     rim, travel = motion_from_slip(slip)
     if fx is None:
@@ -264,10 +274,10 @@ def _balance(slip, load, soil, wheel, conditions, fx):
         travel,
         _carried(sheared, rim, travel),
         braked_shift(max(-slip, 0.0), ground),
-        normal,
+        normal,  # load
         along,
         ground,
-        sheared,
+        sheared,  # soil
         strength,
         lift,
         apparent_ratio(slip, fx),
@@ -277,7 +287,8 @@ def _balance(slip, load, soil, wheel, conditions, fx):
 
 @compiled
 def _integrals(nodes, arc, balance, fx):
-    """`ArcIntegrals` of an `Arc` at the motion of a `_Balance`; overwrites the scratch `nodes`.
+    """`ArcIntegrals` of an `Arc` at the motion of a `_Balance`; overwrites the scratch `nodes`
+    (`ARC_NODES`).
 
     Soil that is carried along adds to the rim speed. An arc in which the shear displacement then
     changes its sign is split there.
@@ -301,7 +312,10 @@ def _misfit(nodes, x, balance, wheel, fx):
 
     The misfit is ln(s/available): s is the sinkage coefficient that the load mobilises, the other
     the one that the dug soil offers. Where it is positive the wheel sinks deeper. Forces are those
-    of the available coefficient.
+    of the available coefficient, on a tyre of at most s.
+
+    It is cut to [`LEAST_MISFIT`, `MOST_MISFIT`], and `UNCARRIED` where no coefficient carries the
+    load (`bounded_bearing`). The tread bounds the strength of the soil (`gripping_share`).
     """
     z = math.exp(x)
     soil = balance.soil
@@ -336,8 +350,8 @@ def _misfit(nodes, x, balance, wheel, fx):
 def _first_guess(balance, wheel, guess):
     """ln of the sinkage [m] to start from: `guess` [m] where it is > 0, else a rough one.
 
-    That is the sinkage of a flat plate of the length sqrt(2 r z), plus the depth excavated whatever
-    the load.
+    That is the sinkage of a flat plate of the length sqrt(2 r z), at most `DEEPEST` radii, plus the
+    depth excavated whatever the load.
     """
     if guess > 0.0:
         return math.log(guess)
@@ -353,7 +367,8 @@ def _solve_balance(nodes, balance, wheel, fx, guess):
 
     A secant in x = ln z within the bracket (low, high); a step out of the bracket is replaced by
     its middle. The last step of a secant that has converged is not evaluated: sinkage, pull and
-    torque are extrapolated by it. A wheel whose search ends at `DEEPEST` radii is not carried.
+    torque are extrapolated by it. A wheel whose search ends at `DEEPEST` radii is not carried. A
+    search that has not converged after `MOST_STEPS`, or whose bracket closes, gives its last point.
 
     `balance` is a `_Balance`, `guess` a sinkage [m] to start from, 0 for none, `fx` `Effects` or
     None, `nodes` scratch. w are the `Forces` at x; x_old, misfit_old, w_old belong to the step
@@ -403,8 +418,15 @@ def _as_measured(w, z, balance, speed, wheel, fx):
     """(sinkage [m], drawbar pull [N], torque [N m]) that instruments read where the contact has the
     `Forces` w and the `_Balance` the sinkage z [m].
 
-    Effects `fx` add lugs as blades, bulldozing, weight along the slope, friction of the drivetrain
-    and the zero of the sinkage. An unknown `speed` [m/s] of 0 counts as `LEAST_SPEED`.
+    The sinkage is z times `balance.apparent`, at most `DEEPEST` radii. Without effects `fx` (None)
+    pull and torque are those of the contact. With them:
+
+    - sinkage: the zero of the sensor is added;
+    - pull: the thrust of lugs is added, bulldozing and the weight along the slope subtracted;
+    - torque: that of the contact times `shear_radius_ratio`, and the thrust at half the height of
+      the lugs; then `drive_torque` adds friction at the wheel speed of slip and `speed` [m/s].
+
+    A speed of 0 is one not known, and counts as `LEAST_SPEED`.
     """
     sinkage = min(balance.apparent * z, DEEPEST * wheel.radius)
     if fx is None:
@@ -481,9 +503,11 @@ def steady_state(slip: float, load: float, soil: SoilState, r: float, b: float) 
 
 @kept
 def _predict_rows(rows, soil, factors, unit_weight, fx, guess, out):
-    """`predict_rows`, compiled."""
+    """`predict_rows`, compiled: `soil` has floats, `fx` is None or has effects that are on, and
+    `factors` [N, 4] are given.
+    """
     nodes = np.zeros(1, ARC_NODES)
-    carried = 0
+    supported = 0  # rows
     for k in range(rows.slip.size):
         w = rows.wheels[k]
         c = rows.conditions[k]
@@ -502,8 +526,8 @@ def _predict_rows(rows, soil, factors, unit_weight, fx, guess, out):
         out[k, 1] = s.drawbar_pull
         out[k, 2] = s.torque
         guess[k] = s.felt if s.supported else 0.0
-        carried += s.supported
-    return carried
+        supported += s.supported
+    return supported
 
 
 def predict_rows(
@@ -515,8 +539,8 @@ def predict_rows(
     out: np.ndarray,
     factors: np.ndarray | None = None,
 ) -> int:
-    """Write `steady_at` of every row into `out` [N, 3] (sinkage, drawbar pull, torque). Return the
-    number of rows that the soil carries.
+    """Write `steady_at` of every row into `out` [N, 3] (sinkage [m], drawbar pull [N], torque
+    [N m]). Return the number of rows that the soil carries; the others sink to `DEEPEST` radii.
 
     `guess` [N] has the sinkages to start from, 0 for none. It gets those of the contact (`felt`),
     and 0 where the soil does not carry the wheel. `factors` [N, 4] multiply

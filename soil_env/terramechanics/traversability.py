@@ -41,7 +41,8 @@ def best_point_at(nodes, load, soil, wheel, conditions, fx, torque_available):
 
     `nodes`, `soil`, `wheel`, `conditions` and `fx` as in `steady_at`; load [N], torque_available
     [N m]. The pull over slip has one maximum, so each scan ends where the pull has clearly fallen.
-    The scan upward also ends where the torque is not available or the soil does not carry.
+    The scan upward also ends where the torque is not available or the soil does not carry. Where
+    that holds at every slip tried, slip is `SLIPS[0]`, pull -inf, torque and sinkage 0.
     """
     best = Best(SLIPS[0], -np.inf, 0.0, 0.0)
     n = soil.sinkage_exponent

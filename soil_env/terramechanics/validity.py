@@ -27,7 +27,7 @@ class OutsideValidity(UserWarning):
 
 def checked(validity: Mapping[str, Any], where: str = "validity") -> dict[str, tuple[float, float]]:
     """The ranges of a mapping {condition: (lowest, highest)} as pairs of floats; `ParameterError`
-    for unknown conditions and for what is no range.
+    for unknown conditions and for what is no finite range. Its message begins with `where`.
     """
     if not isinstance(validity, Mapping):
         raise ParameterError(
@@ -55,6 +55,7 @@ def seen(
     [m/s], pass, sine of the grade.
 
     A speed of 0 stands for one not known, and is left out; so is a condition without any row.
+    Grades are in degrees, to six decimals.
     """
     speed = conditions[:, 0]
     columns = {
@@ -92,7 +93,7 @@ def outside(
 
 
 def in_words(validity: Mapping[str, tuple[float, float]]) -> str:
-    """The ranges as text: "slip 0.04 to 0.55, load 63.1 to 149 N, ..."."""
+    """The ranges as text: "slip 0.04 to 0.55, load 63.1 to 149 N, ..."; `grade_deg` is "grade"."""
     titles = {"grade_deg": "grade"}
     return ", ".join(
         f"{titles.get(k, k)} {_span(low, high, CONDITIONS[k])}"

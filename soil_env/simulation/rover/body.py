@@ -71,7 +71,7 @@ SUSPENSION = record(
 
 
 def suspension_of(scenario: RoverScenario) -> np.ndarray:
-    """Pack the vehicle of a scenario, `SUSPENSION` [1]."""
+    """Pack the vehicle of a scenario, `SUSPENSION` [1]; numbers of axles it does not have are 0."""
     v = scenario.vehicle
     axles = scenario.axles
     places = np.array(v.axles)
@@ -93,7 +93,8 @@ def _two_loads(together, moment, arm, other_arm, least):
     """Loads [N] at the arms `arm` and `other_arm` [m], forward positive, that add up to `together`
     [N] and balance a `moment` [N m], which counts front up.
 
-    Each is cut to at least `least`; the moment is then not balanced.
+    The sum of load times arm is -moment. Each load is cut to at least `least` [N] and their sum
+    kept; the moment is then not balanced.
     """
     one = (-moment - other_arm * together) / (arm - other_arm)
     one = min(max(one, least), together - least)
@@ -103,7 +104,7 @@ def _two_loads(together, moment, arm, other_arm, least):
 @compiled_finite
 def _moment(force, height):
     """Moment [N m], front up, of the pull and the torque of a wheel about a point so high [m] above
-    its axle.
+    its axle. `force` has `torque` [N m] and `drawbar_pull` [N].
     """
     return force.torque + height * force.drawbar_pull
 
@@ -125,12 +126,12 @@ def axle_loads(forces, weight, suspension):
         front, rear = _two_loads(weight, moment, suspension.arms[0], suspension.arms[1], least)
         return front, rear, 0.0
     height = suspension.pivot_height
-    # [N m] of both wheels of the bogie about its pivot
+    # [N m] of both wheels of the bogie about its pivot, which passes no moment on to the body
     about = _moment(forces[b], height) + _moment(forces[b + 1], height)
     single = 2 if b == 0 else 0
     arm = suspension.pivot_arm
     _, pair = _two_loads(weight, moment - about, suspension.arms[single], arm, least)
-    pair = max(pair, 2.0 * least)
+    pair = max(pair, 2.0 * least)  # the bogie has two wheels, each of which carries `least`
     alone = weight - pair
     front_arm = suspension.arms[b] - arm
     front, rear = _two_loads(pair, about, front_arm, suspension.arms[b + 1] - arm, least)

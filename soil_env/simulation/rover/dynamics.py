@@ -40,13 +40,15 @@ from .ruts import copy_rut_behind
 
 @compiled_finite
 def _stage_of(number, h, wheel, foot, rig):
-    """`Stage` of this `number` (0 or 1) of a step of h seconds, of the wheel of an axle."""
+    """`Stage` of this `number` (0 or 1) of a step of h seconds, of the wheel of an axle; its `FOOT`
+    has the speeds at the beginning of the step.
+    """
     return stage_of(number, h, wheel, foot.speed_before, foot.rim_before, rig)
 
 
 @inlined
 def _keep_stand(foot, at):
-    """Write a `Stand` into a `FOOT`; its load follows from the suspension."""
+    """Write a `Stand` into a `FOOT`, but for its load, which follows from the suspension."""
     put_soil(foot, at.ground.soil)
     foot.sinkage = at.ground.sinkage
     foot.rolled = at.ground.rolled
@@ -139,7 +141,9 @@ def _solve_step(rover, course, ruts, h, left, forced, world):
 
 @inlined
 def _change_ahead(rover, world):
-    """Largest foreseen change of a speed in a step of the usual length [of the top rim speed]."""
+    """Largest foreseen change of V or of a rim speed in a step of the usual length [of the top rim
+    speed]; that of a rim under a speed loop ends at its command (`loop_change`).
+    """
     rig = world.rig
     for a in range(world.suspension.axles):
         world.stage.feet[a].rim_start = rig.radius * rover.wheels[a].wheel_speed
@@ -154,7 +158,11 @@ def _change_ahead(rover, world):
 
 @inlined
 def _drive_period(rover, course, ruts, world):
-    """Drive a rover for a control period, in steps as those of `world.dynamics.drive_period`."""
+    """Drive a rover for a control period, in steps as those of `world.dynamics.drive_period`.
+
+    A step whose Newton iteration fails is halved, down to 1/`FINEST` of its length, where the best
+    speeds found are taken. Only the first failure of a period repeats the step at full length.
+    """
     rig = world.rig
     steps = steps_for(_change_ahead(rover, world))
     longest = rig.period / (rig.substeps * steps)
@@ -175,7 +183,8 @@ def _drive_period(rover, course, ruts, world):
 
 @compiled_finite
 def control_period(rover, actions, course, ruts, world):
-    """One control period of a rover under `actions` [axles] in [-1, 1] (`wheel.commanded`).
+    """One control period of a rover under `actions` [axles] in [-1, 1] (`wheel.commanded`): drive,
+    then set the state of the rover as a whole (`_sum_up`).
 
     `course`: that of the rover; `ruts` [axles, cells]: `RUT`. In a halt the drives ignore the
     actions; their speed loops brake the wheels and hold them.
@@ -203,7 +212,7 @@ def _sum_up(rover, world):
     wheel speed is that of the fastest wheel, so a rover stalls only if no wheel turns. The sinkage
     is that of the deepest wheel, its rut included. Slip is the mean. Pull and motor work are sums;
     a motor whose work is negative counts as 0, since it recovers nothing for the others.
-    `converged` is 0 if any wheel's is.
+    `converged` is 0 if any wheel's is. Slip and travel of each wheel are set, too.
     """
     axles = world.suspension.axles
     fastest = 0.0

@@ -164,7 +164,7 @@ def _begin(rover, equation, weight, world):
     """First V to try in a stage [m/s]; `trial` gets the rim speeds to try, `feet` the axle loads.
 
     The speeds are the foreseen ones where all foreseen changes are a `SHORT` way, else the present
-    ones. The loads balance the forces foreseen there.
+    ones. The loads balance the forces foreseen there, or those of the last stage.
     """
     s = world.suspension
     found = world.stage.found
@@ -229,7 +229,8 @@ def _iterate(v, equation, world):
     in `trial`.
 
     As in `world.newton`, a step that does not reduce the largest residual is shortened. `found`
-    gets the rim speeds and reactions at the V returned, the best one found.
+    gets the rim speeds and reactions at the V returned, the best one found. Not converged: `PASSES`
+    evaluations were not enough, or no shorter step helps and the residual is not `near_enough`.
     """
     axles = world.suspension.axles
     found = world.stage.found
@@ -265,7 +266,7 @@ def _iterate(v, equation, world):
 
 @inlined
 def _renew_loads(weight, world):
-    """True if the forces found change a load by more than `LOAD_TOLERANCE`.
+    """True if the forces found change a load by more than `LOAD_TOLERANCE` of the mean load.
 
     All loads are then set to those that balance these forces, and `trial` to the rim speeds found,
     which are tried next.

@@ -139,7 +139,11 @@ class RoverCourseNumbers(NamedTuple):
 def rover_course_numbers(
     scenario: RoverScenario, model: WheelSoilModel | None = None
 ) -> RoverCourseNumbers:
-    """Pack the numbers of `lay_rovers`; `model` gives the effects that are on in this world."""
+    """Pack the numbers of `lay_rovers`; `model` gives the effects that are on in this world.
+
+    Courses are longer than the scenario's by the wheelbase (`_with_front`). A soil is judged by a
+    single wheel, which counts as bogged at `DEEPEST_ALONE` of the limit.
+    """
     numbers = course_numbers(_with_front(scenario), model)
     numbers.drawn.spec.bogged_sinkage *= DEEPEST_ALONE
     return RoverCourseNumbers(*numbers, suspension_of(scenario)[0])
@@ -174,8 +178,8 @@ def _with_front(scenario: RoverScenario) -> RoverScenario:
 
 @compiled
 def _height_at(course, x, border):
-    """Height [m] of the ground at x >= 0 [m] above that at 0, by the midpoint rule; `border` [m] as
-    in `grade_on`.
+    """Height [m] of the ground at x >= 0 [m] above that at 0, by the midpoint rule in steps of at
+    most `CELL`; x is the way along the slope, `border` [m] as in `grade_on`.
     """
     steps = math.ceil(x / CELL)
     height = 0.0
@@ -192,8 +196,8 @@ def _settle(rover, mass, course, ruts, numbers, nodes):
 
     `mass` [kg] is the mean on its wheels. The record holds the mass of one side of the vehicle. The
     rear axle stands at 0 of the course, the others ahead of it. Each wheel gets a random stream of
-    its own, and the place of the first halt is drawn. `numbers`: `RoverCourseNumbers`;
-    `ruts` [axles, cells]; `nodes` is scratch.
+    its own, stands on fresh ground (`settle_at`) and its ruts are cleared. The place of the first
+    halt is drawn. `numbers`: `RoverCourseNumbers`; `ruts` [axles, cells]; `nodes` is scratch.
     """
     rig = numbers.rig
     s = numbers.suspension
@@ -216,10 +220,11 @@ def lay_rovers(worlds, numbers, orders, scratch, first, end):
 
     Return the number of restarts for which no soil was found.
 
-    RESTART starts a new course and puts the rover at rest at its start. TRY draws the start of a
-    course; the rover's `reward` is then the mean mass on a wheel, or -1 if no soil was found. AHEAD
-    draws the ground that the next step needs, COMPLETE the rest. `worlds`: `RoverWorlds`,
-    `numbers`: `RoverCourseNumbers`, `scratch`: `RoverScratch`.
+    RESTART starts a new course and puts the rover at rest at its start; the caller has made its
+    record blank but for its stream. Where no soil is found, the record stays blank. TRY draws the
+    start of a course; the rover's `reward` is then the mean mass on a wheel [kg], or -1 if no soil
+    was found. AHEAD draws the ground that the next step needs, COMPLETE the rest; STEP and IDLE do
+    nothing. `worlds`: `RoverWorlds`, `numbers`: `RoverCourseNumbers`, `scratch`: `RoverScratch`.
     """
     nodes = scratch.stage[0].nodes[0]
     s = numbers.suspension
@@ -278,14 +283,14 @@ def _sense(rover, readings, sample, period, records):
 
 @compiled_finite
 def _restart(rover, readings, samples, records):
-    """Begin the episode of a rover that rests at the start of its course: draw the errors of its
-    sensors, and read them.
+    """Begin the episode of a rover that rests at the start of its course: set the pitch of its
+    body, draw the errors of its sensors, and read them into column 0.
     """
     set_pitch(rover, records.world.suspension)
     for a in range(records.world.suspension.axles):
         mount_sensors(rover.wheels[a], records.normals, records.sensors)
     rover.cause = RUNNING
-    rover.periods = 1
+    rover.periods = 1  # samples to read, as after a step of one period
     _sense(rover, readings, samples[0], 0, records)
 
 
@@ -308,7 +313,9 @@ def _step(rover, commands, course, ruts, readings, samples, records):
 
 @inlined
 def _observe(rover, readings, course, records, out):
-    """Fill the observation `out` [D] of a rover, but for the entries that are identified."""
+    """Fill the observation `out` [D] of a rover from the last of its `readings` [axles, periods],
+    but for the entries that are identified; with `true_soil` also the soils under its axles.
+    """
     task = records.task
     axles = records.world.suspension.axles
     last = min(rover.periods, readings.shape[1]) - 1
@@ -323,9 +330,11 @@ def _observe(rover, readings, course, records, out):
 @kept
 def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
     """Follow the `orders` [rovers] STEP and RESTART for the rovers `first` to `end` - 1; `actions`
-    [rovers, axles].
+    [rovers, axles] in [-1, 1].
 
-    `lay_rovers` has drawn their courses before. `worlds`: `RoverWorlds`, `numbers`:
+    STEP drives the control periods of the actions, RESTART draws the errors of the sensors and
+    reads them. Both write the observation within its bounds. Rovers with another order are left
+    alone. `lay_rovers` has drawn their courses before. `worlds`: `RoverWorlds`, `numbers`:
     `RoverNumbers`, `scratch`: `RoverScratch`.
     """
     world = RoverWorld(numbers.rig[0], numbers.acting, numbers.suspension[0], scratch.stage[0])

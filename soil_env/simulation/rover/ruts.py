@@ -21,8 +21,8 @@ def copy_rut_behind(ruts, a, cell, after):
     """Copy the rut of axle a to the axles behind it, in the cells from `cell` to before `after`, in
     either direction; `ruts` [axles, cells].
 
-    Its depth becomes the floor on which those wheels run. Its passes count for them, unless they
-    have made more themselves.
+    Its bottom, `floor` + `depth` below the undisturbed surface, becomes the floor on which those
+    wheels run. Its passes count for them, unless they have made more themselves.
     """
     while cell != after:
         left = ruts[a, cell]

@@ -28,13 +28,14 @@ ENTRIES_OF_AXLE = len(_OF_AXLE)
 
 
 def axle_names(axles: int) -> tuple[str, ...]:
-    """Names of the axles of a rover, from the front on."""
+    """Names of a rover's two or three `axles`, from the front on; two are "front" and "rear"."""
     return AXLES if axles == 3 else (AXLES[0], AXLES[2])
 
 
 def rover_layout(variant: str, axles: int) -> tuple[ObservedNumber, ...]:
     """The observation of a variant, number by number: body, then the sensors of each axle, then
-    what is known of the soil under each axle. All but the last part is that of `blind`.
+    what is known of the soil under each axle. All but the last part is that of `blind`. The name of
+    an axle goes before those of its entries.
     """
     wheel = {e.name: e for e in layout("blind")}
     known = layout(variant)[len(wheel) :]
@@ -48,8 +49,8 @@ def rover_layout(variant: str, axles: int) -> tuple[ObservedNumber, ...]:
 
 @compiled_finite
 def write_body(out, rover, reading, task):
-    """Fill the first entries of `out`, those of the rover as a whole, from the `reading` of any of
-    its wheels, since each has the readings of the body.
+    """Fill the first entries of `out` [D], those of the rover as a whole, from the `reading` of any
+    of its wheels, since each has the readings of the body. They are in the units of the layout.
     """
     i = 0
     for name in literal_unroll(BODY):
@@ -61,7 +62,11 @@ def write_body(out, rover, reading, task):
 
 @compiled_finite
 def write_axle(out, a, wheel, reading, task):
-    """Fill the entries of axle a, counted from the front, with the readings of its wheel."""
+    """Fill the entries of axle a, 0 at the front, in the observation `out` [D].
+
+    They are the readings of its wheel in the units of the layout, its last action and its commanded
+    rim speed.
+    """
     i = ENTRIES_OF_BODY + a * ENTRIES_OF_AXLE
     for name in literal_unroll(AXLE):
         out[i] = reading[name] / task.units[0][name]

@@ -95,7 +95,11 @@ AXLES = ("front", "middle", "rear")  # of a rover, which has its own entries for
 
 
 def _seen(classes: int, routes: int) -> list[ObservedNumber]:
-    """Entries of the camera for so many terrain classes and routes, as `write_view` fills them."""
+    """Entries of the camera for so many terrain classes and routes, as `write_view` fills them.
+
+    Distance of the border; a flag for each class here; grade and a flag for each class of each
+    route; with two routes a flag for the choice.
+    """
     entries = [ObservedNumber("border_distance", "m", 0.0, 100.0, 1.0, 0.5)]
     entries += [_flag(f"here_class_{c + 1}") for c in range(classes)]
     for route in ROUTES[:routes]:
@@ -138,11 +142,15 @@ def layout(variant: str, course: CourseSpec | None = None) -> tuple[ObservedNumb
 
 
 def bounds_of(entries: Iterable[ObservedNumber]) -> np.ndarray:
-    """Lowest and highest values of an observation in its units, unscaled, [2, D] float32."""
+    """Lowest and highest values of an observation in its units, unscaled, [2, D] float32: row 0 the
+    lowest, row 1 the highest.
+    """
     return np.array([(e.low, e.high) for e in entries], dtype=np.float32).T.copy()
 
 
 def truth(course: CourseSpec) -> tuple[ObservedNumber, ...]:
-    """Entries of `true_soil` that `blind` does not have."""
+    """Entries of `true_soil` that `blind` does not have, in its order: the soil under the wheel,
+    and with terrain classes the soils of the routes ahead.
+    """
     blind = {entry.name for entry in layout("blind", course)}
     return tuple(entry for entry in layout("true_soil", course) if entry.name not in blind)

@@ -31,7 +31,9 @@ ENTRIES_AHEAD = 8  # of the true soil of a route ahead: soil and margin
 
 @compiled_finite
 def clip(out, bounds):
-    """Cut the observation `out` [D] to the `bounds` [2, D] of its layout."""
+    """Cut the observation `out` [D] in place to the `bounds` of its layout, in the first D columns
+    of [2, D or more].
+    """
     for i in range(out.size):
         out[i] = min(max(out[i], bounds[0, i]), bounds[1, i])
 
@@ -53,7 +55,11 @@ def write_sensors(out, wheel, reading, task):
 
 @compiled
 def write_soil(out, soil):
-    """Fill `out` [7] with a true soil, in the order and units of the layout of `true_soil`."""
+    """Fill `out` [7] with a true soil, in the order and units of the layout of `true_soil`.
+
+    That is friction angle [rad], log10 of K [m] and of S [N/m^(n+2)], cohesion [kPa], n, and gain
+    and recovery of digging. `soil`: `SoilState`.
+    """
     out[0] = math.atan(soil.tan_phi)
     out[1] = math.log10(soil.shear_modulus)
     out[2] = math.log10(soil.sinkage_coefficient)
@@ -65,7 +71,7 @@ def write_soil(out, soil):
 
 @compiled
 def write_soil_under(out, wheel, course, border):
-    """Fill `out` [7] with the true soil under a wheel."""
+    """Fill `out` [7] with the true soil under a wheel (`write_soil`), blended near a border."""
     patch = piece_at(course.patches, wheel.x, wheel.patch)
     write_soil(out, soil_on(course.patches, wheel.x, patch, border))
 
@@ -73,7 +79,8 @@ def write_soil_under(out, wheel, course, border):
 @compiled
 def write_seen(out, wheel, image, course, sight, camera, truth):
     """Fill `out` with the entries of an `IMAGE` of the camera (`write_view`), with `truth` followed
-    by the true soils of the routes ahead.
+    by the true soils of the routes ahead of a `Sight` (`write_soils_ahead`). Whether the action
+    chooses a route now follows from wheel and course.
     """
     i = write_view(out, image, choosing(wheel, course, camera) >= 0, camera)
     if truth:
@@ -82,8 +89,10 @@ def write_seen(out, wheel, image, course, sight, camera, truth):
 
 @compiled
 def write_truth(out, wheel, course, border, camera):
-    """Fill `out` with the entries of `layout.truth`, for the true place of a wheel and not for the
-    place that an image shows.
+    """Fill `out` with the entries of `layout.truth`: the soil under a wheel [7], then those of the
+    routes ahead [8 each], as many as the camera's `lines`.
+
+    They are for the true place of the wheel, not for the place that an image shows.
     """
     write_soil_under(out, wheel, course, border)
     patch = piece_at(course.patches, wheel.x, wheel.patch)

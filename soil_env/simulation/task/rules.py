@@ -56,7 +56,10 @@ TASK = record(
 
 
 def task_of(scenario: Scenario, variant: str) -> np.ndarray:
-    """Pack the task of a scenario, `TASK` [1]."""
+    """Pack the task of a scenario with an observation `variant` of `VARIANTS`, `TASK` [1].
+
+    Raises `ParameterError` for "identified" where the belief identifies nothing.
+    """
     if variant == "identified" and scenario.belief.method == "none":
         raise ParameterError(
             "belief.method = 'none': expected 'filter' for observation 'identified'"
@@ -82,6 +85,9 @@ def task_of(scenario: Scenario, variant: str) -> np.ndarray:
 @compiled_finite
 def judge(vehicle, task):
     """`Cause` of a vehicle after a control period; advances its clocks, which stand still in halts.
+
+    `vehicle`: a record `WHEEL` or `ROVER`, which have the same names; `task`: `TASK`. The clocks
+    are `idle_time` and `stalled_time`; both begin anew at `mark_x`, a place of further progress.
 
     The first of these that holds: FINISHED; BOGGED, deeper than `bogged_sinkage` radii; no
     progress; TIME_LIMIT. No progress: `no_progress_time` without getting `no_progress_distance`
@@ -111,7 +117,9 @@ def judge(vehicle, task):
 
 @compiled_finite
 def begin_step(vehicle):
-    """Set the reward terms of a vehicle to 0 and its control periods to none, before a step."""
+    """Set the reward terms of a vehicle to 0, its control periods to none and its cause to RUNNING,
+    before a step.
+    """
     vehicle.terms[:] = 0.0
     vehicle.periods = 0
     vehicle.cause = RUNNING

@@ -26,6 +26,10 @@ class Scaling:
     """
 
     def __init__(self, entries: Iterable[ObservedNumber], scaled: bool = True) -> None:
+        """Note centre and scale of the D `entries`, and which entries belong to a route ahead.
+
+        Raises `ParameterError` for a `scaled` that is not True or False.
+        """
         if not isinstance(scaled, (bool, np.bool_)):
             raise ParameterError(f"scaled = {scaled!r}: expected True or False")
         self.entries = tuple(entries)
@@ -33,7 +37,8 @@ class Scaling:
         names = [e.name for e in self.entries]
         self.centre = np.array([e.centre for e in self.entries], dtype=np.float32)
         self.scale = np.array([e.scale for e in self.entries], dtype=np.float32)
-        # for each entry the index of one that is 0 if its route is out of sight
+        # for each entry the index of one that is 0 if its route is out of sight; of itself where it
+        # belongs to no route or is 0 on both sides anyway
         self._mark = np.arange(len(names))
         # for each entry 0 if it is set to 0 then, else 1
         self._kept = np.ones(len(names), dtype=np.float32)
@@ -50,14 +55,16 @@ class Scaling:
 
     @property
     def space(self) -> gymnasium.spaces.Box:
-        """Box of the observations."""
+        """Box [D] of the observations, float32: `bounds_of` the entries, scaled if they are."""
         bounds = bounds_of(self.entries)
         if self.scaled:
             bounds = (bounds - self.centre) / self.scale
         return gymnasium.spaces.Box(*bounds, dtype=np.float32)
 
     def __call__(self, values: Any) -> Any:
-        """Observations, a new array, from values [..., D] in their units, float32."""
+        """Observations [..., D], a new array, from an array of values [..., D] float32 in their
+        units.
+        """
         if not self.scaled:
             return +values
         out = (values - self.centre) / self.scale
@@ -67,8 +74,8 @@ class Scaling:
         return np.where(values[..., self._mark] == 0.0, out * self._kept + 0.0, out)
 
     def physical(self, observation: Any) -> NDArray[np.float32]:
-        """Values in their units, a new array, from observations [..., D]; ValueError for anything
-        else.
+        """Values [..., D] in their units, a new array, from observations [..., D], the inverse of a
+        call; ValueError for what is no array of numbers of that shape.
         """
         try:
             given = np.array(observation, dtype=np.float32)

@@ -37,8 +37,8 @@ class Sight(NamedTuple):
 
 
 def camera_of(scenario: Scenario) -> np.ndarray:
-    """Pack the camera of a scenario, `CAMERA` [1]; it sees no routes where there are no terrain
-    classes.
+    """Pack the camera of a scenario, `CAMERA` [1]; its `lines` are 0 where there are no terrain
+    classes, and so no images.
     """
     course = scenario.course
     packed = np.zeros(1, CAMERA)
@@ -75,14 +75,18 @@ def sight_of(wheel, course, camera):
 
 @compiled
 def patch_ahead(course, sight, camera):
-    """Index of the patch after that of a `Sight`, if it begins within `camera.sight`, else -1."""
+    """Index of the patch after that of a `Sight`, if it is drawn and begins within `camera.sight`
+    of the wheel, else -1.
+    """
     ahead = sight.patch + 1
     return ahead if ahead < course.drawn and sight.left <= camera.sight else -1
 
 
 @compiled
 def seen_grade(course, p, route):
-    """Steepest grade [rad] of patch p as the camera sees it along a route."""
+    """Steepest grade [rad] of patch p as the camera sees it along a `route`, 0 or 1: the true one
+    and the error of that route, which stays.
+    """
     return course.forks[p].grade + course.routes[p, route].grade_error
 
 
@@ -116,7 +120,8 @@ def write_view(out, image, chooses, camera):
     ahead, and with two routes whether the action `chooses` one now. Return the number of entries.
 
     While no patch ahead is in sight, the distance is the range of the camera. Entries of routes
-    that are out of sight or not there are 0.
+    that are out of sight or not there are 0. A class is a flag for each, 1 at the label that is
+    seen.
     """
     classes = camera.classes
     seen = image.seen > 0.0

@@ -54,7 +54,11 @@ def course_numbers(scenario: Scenario, model: WheelSoilModel | None) -> CourseNu
 def course_distribution(
     scenario: Scenario, model: WheelSoilModel | None = None
 ) -> CourseDistribution:
-    """Pack what courses are drawn from; the soil of a `model` replaces those of the scenario."""
+    """Pack what courses are drawn from; the soil of a `model` replaces those of the scenario.
+
+    Angles become radians, the bogged sinkage metres. Final ground is asked for `ACTIONS_AHEAD`
+    actions at top rim speed ahead, with terrain classes also beyond what a camera sees.
+    """
     course = scenario.course
     camera = scenario.camera
     wheel = scenario.wheel
@@ -111,7 +115,7 @@ def start_course(course, owner, numbers, nodes):
 
     -1 means that no soil was found on which this wheel can pull as much as the course requires
     (`least_pull`). Only as much is drawn as a wheel at the start needs; `extend_course` draws the
-    rest.
+    rest. `owner`: a record with a random stream; `numbers`: `CourseNumbers`; `nodes`: scratch.
     """
     _clear(course.patches, course.drawn)
     _clear(course.slopes, course.sloped)
@@ -130,7 +134,7 @@ def start_course(course, owner, numbers, nodes):
 
 @compiled
 def _clear(pieces, drawn):
-    """Mark the first `drawn` patches or slopes as not drawn."""
+    """Mark the first `drawn` patches or slopes as not drawn: both ends at `HUGE`."""
     for p in range(drawn):
         pieces[p].start = HUGE
         pieces[p].end = HUGE
@@ -138,9 +142,11 @@ def _clear(pieces, drawn):
 
 @compiled
 def extend_course(course, mass, x, numbers, nodes):
-    """Draw patches until the ground is final up to x [m] or the course ends; `mass` in kg.
+    """Draw patches until the ground is final up to x [m] or the course ends; `mass` in kg on the
+    wheel, with payload.
 
-    Where no soil is found, that of the patch before goes on.
+    Where no soil is found, that of the patch before goes on. At the end of the course `ready` is
+    `HUGE`, so an x of `HUGE` draws all of it.
     """
     load = mass * numbers.rig.gravity
     while course.ready < x:
@@ -151,7 +157,9 @@ def extend_course(course, mass, x, numbers, nodes):
 def _draw_patch(course, load, numbers, nodes):
     """Draw the next patch and the slopes over it; False if no soil was found.
 
-    The patch then has the soil of the patch before; without one before, nothing is added.
+    The patch then has the soil of the patch before; without one before, nothing is added. With
+    terrain classes a soil is always found: that of a class is scattered. `load` [N] is the weight
+    of the wheel on level ground, `numbers` the `CourseNumbers`, `nodes` scratch.
     """
     spec = numbers.drawn.spec
     length = within(course, spec.patch_length)
@@ -171,8 +179,8 @@ def _draw_patch(course, load, numbers, nodes):
 def _draw_soil(course, load, numbers, nodes):
     """Draw the soil of the next patch, on a course without terrain classes.
 
-    Where none is found, return False and repeat the soil of the patch before; the first patch then
-    has the last soil that was drawn.
+    Where none is found (`draw_ground`), return False and repeat the soil of the patch before; the
+    first patch then has the last soil that was drawn. Arguments as of `_draw_patch`.
     """
     p = course.drawn
     found, soil = draw_ground(course, load, numbers, nodes)
@@ -184,8 +192,8 @@ def _draw_soil(course, load, numbers, nodes):
 
 @inlined
 def _add_patch(course, length, spec):
-    """Add the next patch, whose soil is written already: set its ends, clear its rut cells, set
-    `ready`.
+    """Add the next patch, `length` [m] long, whose soil is written already: set its ends, clear its
+    rut cells, set `ready`. `spec`: `DISTRIBUTION`.
 
     Until the wheel comes to the border before the new patch, a choice of route may still replace
     the soil of the patch. So the ground is final up to that border, or all of it with the last
@@ -231,7 +239,9 @@ def _draw_slopes(course, spec):
 
 @inlined
 def _note_steepest(course):
-    """Note the grade [rad] of the steepest slope uphill on the last patch, for the camera."""
+    """Note the grade [rad] of the steepest slope uphill on the last patch, for the camera, in its
+    `FORK`. It is below 0 where all slopes on the patch lead downhill.
+    """
     p = course.drawn - 1
     start = course.patches[p].start
     end = course.patches[p].end

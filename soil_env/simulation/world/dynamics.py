@@ -84,8 +84,10 @@ def steps_for(change):
 
 @inlined
 def loop_change(du, wheel, drive, rig):
-    """Size [m/s] of a foreseen change `du` [m/s] of the rim speed; with a speed loop at most the
-    difference to its command, where the change stops.
+    """Size [m/s], >= 0, of a foreseen change `du` [m/s] of the rim speed; with a speed loop at most
+    the difference to its command, where the change stops.
+
+    `drive`: a `Drive`, or the `FOOT` of an axle, which has its fields.
     """
     if not drive.by_speed:
         return abs(du)
@@ -96,7 +98,8 @@ def loop_change(du, wheel, drive, rig):
 @compiled_finite
 def change_ahead(wheel, drive, rig):
     """Foreseen change of V or r w, whichever is larger, in a step of the usual length [of the top
-    rim speed].
+    rim speed]. It is foreseen by the reaction of the last stage; that of r w goes through
+    `loop_change`.
     """
     along = rig.gravity * wheel.mass * sin_cos(wheel.grade)[0]
     dv, du = foreseen(wheel, drive, 0.0, 0.0, rig.period / rig.substeps, along, rig)
@@ -108,13 +111,14 @@ def stage_of(number, h, wheel, speed_before, rim_before, rig):
     """`Stage` of this `number`, 0 or 1, of a step of h seconds, at whose beginning the `wheel` is.
 
     `speed_before`, `rim_before` [m/s]: V and u = r w at the beginning of the step. V* and u* of
-    stage 1 lie `LEAD` times the change in stage 0 beyond its end (docs/physics/wheel.md).
+    stage 1 lie `LEAD` times the change in stage 0 beyond its end (docs/physics/wheel.md). Stage 0
+    lasts `GAMMA` h, stage 1 the rest; either ends in an implicit Euler of `GAMMA` h.
     """
     g = GAMMA * h
     speed = wheel.speed
     rim = rig.radius * wheel.wheel_speed
     if number == 0:
-        return Stage(g, 0.0, g, g, speed, rim)
+        return Stage(g, 0.0, g, g, speed, rim)  # all of its way at its last speed
     ahead_v = speed + LEAD * (speed - speed_before)
     ahead_u = rim + LEAD * (rim - rim_before)
     return Stage(h - g, h - 2.0 * g, g, g, ahead_v, ahead_u)
@@ -146,7 +150,8 @@ def foreseen_sinkage(wheel, duration, rolled):
     """Sinkage [m] below the rut of earlier passes, `rolled` [m] deep, at the end of a stage, if it
     goes on at the rate of the stage before.
 
-    The change is at most `LARGEST_CHANGE` of the sinkage. In the air the sinkage is 0.
+    The change is at most `LARGEST_CHANGE` of the sinkage. At least `LEAST_BELOW` of the sinkage is
+    below the rut. In the air, at a sinkage below `LEAST_SINKAGE`, it is 0. `duration` in s.
     """
     if wheel.sinkage < LEAST_SINKAGE:
         return 0.0
@@ -187,9 +192,12 @@ def account(wheel, end, stage, drive, rig):
 
 @inlined
 def move(wheel, end, stage, ground, drive, rig):
-    """Take a wheel to the `end` of a stage: sinkage and place, work, speeds and forces.
+    """Take a wheel to the `end` of a stage, a `Motion`: sinkage and place (`sink`), pile, work
+    (`account`), then speeds, forces and their derivatives.
 
-    `converged` becomes 0 where Newton's method has failed.
+    The way [m] is the present speed times `stage.first` plus that at the end times `stage.last`;
+    the sliding |r w - V| is summed in the same way. `converged` becomes 0 where Newton's method has
+    failed. `drive`: the command to the motor, a `Drive` or a `FOOT`.
     """
     rim = rig.radius * wheel.wheel_speed
     moved = stage.first * wheel.speed + stage.last * end.speed
@@ -243,7 +251,7 @@ def solve_stage(wheel, stage, ahead, drive, forced, world):
 
     `move` changes place, sinkage, speeds and forces of the wheel. Where Newton's method fails,
     return False and leave the wheel where it was, or, if `forced`, go on with the best speeds
-    found.
+    found. The load that tyre and grip feel is the weight normal to the grade.
     """
     load = world.rig.gravity * wheel.mass * sin_cos(ahead.grade)[1]
     at = stand(wheel, stage, ahead, load, world)
@@ -295,8 +303,8 @@ def drive_period(wheel, drive, course, world):
 
 @compiled_finite
 def _at_fork(wheel, course, action, rig):
-    """Take the route that the action chooses, if it chooses one now, and plan the halt before the
-    next fork. An action below 0 takes route 1 (beside), any other route 0.
+    """Take the route that the action chooses, if it chooses one now (`choosing`), and plan the halt
+    before the next fork (`plan_halt`). An action below 0 takes route 1 (beside), any other route 0.
     """
     fork = choosing(wheel, course, rig)
     if fork >= 0:
@@ -307,6 +315,9 @@ def _at_fork(wheel, course, action, rig):
 @inlined
 def control_period(wheel, action, course, world):
     """One control period of a wheel under an action in [-1, 1] (`commanded`).
+
+    Drive, choose a route where there is one to choose, set the slip, count the period, let a halt
+    pass or begin.
 
     In a halt the drive ignores the action; its speed loop brakes the wheel and holds it.
     """

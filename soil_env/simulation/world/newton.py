@@ -52,7 +52,9 @@ class Motion(NamedTuple):
 
 @compiled_finite
 def divisor(x):
-    """`x`, or `LEAST_PIVOT` where its size is less: a number to divide by."""
+    """`x`, or `LEAST_PIVOT` where its size is not more: a number to divide by. The sign of so small
+    a number is lost.
+    """
     return x if abs(x) > LEAST_PIVOT else LEAST_PIVOT
 
 
@@ -61,6 +63,8 @@ def newton_step(f1, f2, cv, cu, force, net_u):
     """(dV, du) [m/s] of Newton's method for the residuals f1 of travel and f2 of rotation [m/s].
 
     `cv` = h/m, `cu` = h r/J; `force`: `Reaction` with its derivatives; `net_u` = d(T - T_motor)/du.
+    It solves the two equations on top of this module, linearised, by Cramer's rule, with `divisor`
+    of their determinant.
     """
     a11 = 1.0 - cv * force.pull_v
     a12 = -cv * force.pull_u
@@ -72,7 +76,9 @@ def newton_step(f1, f2, cv, cu, force, net_u):
 
 @inlined
 def last_force(wheel):
-    """`Reaction` of a wheel's last stage; what a foreseen change of speed does not need is 0."""
+    """`Reaction` of a wheel's last stage; S and its derivatives, which a foreseen change of speed
+    does not need, are 0.
+    """
     return Reaction(
         wheel.load,
         wheel.drawbar_pull,
@@ -91,8 +97,8 @@ def last_force(wheel):
 def foreseen(wheel, drive, back_v, back_u, h, along, rig):
     """(dV, du) [m/s] of a wheel in h seconds, by the reaction of the last stage to first order.
 
-    The stage begins at speeds that lie `back_v`, `back_u` [m/s] behind the present ones; `along`
-    [N] is the weight along the grade.
+    The stage begins at speeds V*, u* that lie `back_v`, `back_u` [m/s] behind the present ones,
+    from which dV and du count; `along` [N] is the weight along the grade.
     """
     cv = h / wheel.mass
     cu = h * rig.radius / rig.inertia
@@ -125,7 +131,9 @@ def solve_speeds(wheel, stage, footing, along, drive, world, extra):
     grade; `footing`, `extra`: `Footing` and `ExtraForces` of the wheel in this stage.
 
     In the loop v, u are the best speeds so far and `norm` their residual [m/s]; `before` is the
-    residual of those before. `share` is how much of a step is tried.
+    residual of those before. `share` is how much of a step is tried. A step counts as better if it
+    lowers the residual by `LEAST_GAIN` times that share, the last of `TRIES` if it lowers it at
+    all.
     """
     rig = world.rig
     r = rig.radius
@@ -139,7 +147,8 @@ def solve_speeds(wheel, stage, footing, along, drive, world, extra):
     if max(abs(dv), abs(du)) < SHORT * (abs(try_u) + REST_SPEED):
         try_v += dv
         try_u += du
-    # change of shear over that of speed
+    # change of shear over the relative change of a speed: the shear displacement is about r theta1
+    # at most, and counts in K
     curvature = 1.0 + r * footing.theta1 / footing.shear_modulus
 
     v = stage.speed
@@ -164,8 +173,8 @@ def solve_speeds(wheel, stage, footing, along, drive, world, extra):
             share = 1.0
             tries = 0
             dv, du = newton_step(f1, f2, cv, cu, force, force.torque_u - slope / r)
-            # quadratic convergence: the residual falls by the last ratio, or by the change of shear
-            # that is made
+            # the residual after this step, predicted: it falls as it did before (quadratic
+            # convergence: at least so), or in proportion to the change of shear that is made
             by_shear = max(abs(dv), abs(du)) * curvature / (abs(u) + REST_SPEED)
             if norm * min(norm / before, by_shear) < PREDICTED * TOLERANCE:
                 ahead = moved(force, dv, du)

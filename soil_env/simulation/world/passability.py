@@ -72,7 +72,7 @@ class CourseNumbers(NamedTuple):
 
 @compiled
 def within(owner, bounds):
-    """Next number of a stream, uniform in `bounds` [low, high)."""
+    """Next number of the stream of `owner`, uniform in [low, high), the two `bounds`."""
     return between(owner, bounds[0], bounds[1])
 
 
@@ -91,7 +91,8 @@ def draw_soil(owner, drawn):
 @compiled
 def scattered(mean, share, owner, spec):
     """Random soil about `mean`, with a `share` of the variations of `SoilSpread`, which are cut at
-    `CUT`.
+    `CUT`. Friction angle and exponent scatter normally, the others log-normally; the angle is at
+    most `STEEPEST_FRICTION`.
 
     Stiffness is the pressure at `reference_sinkage`, so a change of the exponent turns the curve
     about that point. Recovery and the fields after it stay. Rows of `factor` and entries of
@@ -102,10 +103,10 @@ def scattered(mean, share, owner, spec):
     variation = spec.variation
     friction = share * variation[0] * _deviation(rows[0], z)
     phi = min(math.atan(mean.tan_phi) * (1.0 + friction), STEEPEST_FRICTION)
-    cohesion = mean.cohesion * _factor(share * variation[1], _deviation(rows[1], z))
-    modulus = mean.shear_modulus * _factor(share * variation[2], _deviation(rows[2], z))
-    stiffer = _factor(share * variation[3], _deviation(rows[3], z))
-    gain = mean.dig_gain * _factor(share * variation[4], _deviation(rows[4], z))
+    cohesion = mean.cohesion * _log_normal(share * variation[1], _deviation(rows[1], z))
+    modulus = mean.shear_modulus * _log_normal(share * variation[2], _deviation(rows[2], z))
+    stiffer = _log_normal(share * variation[3], _deviation(rows[3], z))
+    gain = mean.dig_gain * _log_normal(share * variation[4], _deviation(rows[4], z))
     n = mean.sinkage_exponent * (1.0 + share * variation[5] * _cut(z[5]))
     depth = spec.reference_sinkage
     pressure = mean.sinkage_coefficient * depth**mean.sinkage_exponent * stiffer  # [Pa] at `depth`
@@ -121,8 +122,9 @@ def _cut(deviation):
 
 @compiled
 def _deviation(row, z):
-    """Deviation [sigma], cut, of the property that has this row of `factor`, correlated with those
-    before it; z are independent standard normal numbers.
+    """Deviation [sigma], cut, of the property that has this row of `factor` (`DISTRIBUTION`),
+    correlated with those before it; z are independent standard normal numbers. The row has five
+    entries, so a sixth number of z is left to a property without correlations.
     """
     total = 0.0
     for k in range(row.size):
@@ -131,7 +133,7 @@ def _deviation(row, z):
 
 
 @compiled
-def _factor(variation, deviation):
+def _log_normal(variation, deviation):
     """Log-normal factor with this coefficient of variation, of mean 1 but for the cut, at a
     deviation [sigma].
     """
@@ -142,7 +144,7 @@ def _factor(variation, deviation):
 @compiled
 def capacity(load, soil, numbers, nodes):
     """Best steady drawbar pull [of `load`] of this wheel on level, fresh ground within the stall
-    torque; `load` in N.
+    torque; `load` in N. `soil`: `SoilState`; `numbers`: `CourseNumbers`; `nodes`: scratch.
 
     The point of best pull is found without a residual law, whose pull there is added. Where
     strength depends on speed, it is the lesser one of starting (speed 0) and of driving

@@ -14,7 +14,10 @@ from .passability import capacity, draw_ground, scattered, within
 
 @inlined
 def draw_classes(course, load, numbers, nodes):
-    """Draw the soils of all terrain classes of a course; False if one was not found."""
+    """Draw the soils of all terrain classes of a course (`draw_ground`) into its `library`; False
+    if one was not found. Without classes there is nothing to draw, and it is True. `load` [N] is
+    the weight of the wheel on level ground, `numbers` the `CourseNumbers`, `nodes` scratch.
+    """
     for c in range(numbers.drawn.spec.classes):
         found, soil = draw_ground(course, load, numbers, nodes)
         if not found:
@@ -25,14 +28,18 @@ def draw_classes(course, load, numbers, nodes):
 
 @compiled
 def _other_class(owner, classes, one):
-    """Random one of so many `classes`, but not the class `one`; each is as likely."""
+    """Random one of so many `classes`, from 0, but not the class `one`; each is as likely. There
+    are at least two.
+    """
     other = int(uniform(owner) * (classes - 1))
     return other + 1 if other >= one else other
 
 
 @inlined
 def _unused_class(course, p, classes):
-    """Random class for a patch p < `classes`, among those that no patch before it has."""
+    """Random class for a patch p < `classes`, from the stream of the course; each of those that no
+    patch before it has on its route 0 is as likely.
+    """
     left = classes - p
     pick = int(uniform(course) * left)
     for c in range(classes):
@@ -48,8 +55,8 @@ def _unused_class(course, p, classes):
 
 @compiled
 def _draw_route(course, route, load, numbers, nodes):
-    """Draw the soil of a `ROUTE`, about the soil of its class, and compute its best pull under a
-    `load` [N].
+    """Draw the soil of a `ROUTE`, about the soil of its class `terrain`, and compute its best pull
+    `capacity` [of load] under a `load` [N]. The pull may be too little: no soil is drawn again.
     """
     spec = numbers.drawn.spec
     mean = soil_of(course.library[route.terrain])
@@ -64,7 +71,8 @@ def draw_routes(course, load, numbers, nodes):
     first.
 
     The first patches have one route and show each class once. On later patches the class is random.
-    With `lines` = 2 they have a second route, of another class.
+    With `lines` = 2 they have a second route, of another class. A patch with one route has it
+    twice. The errors of the camera are drawn, too. Arguments as of `draw_classes`.
     """
     p = course.drawn
     spec = numbers.drawn.spec
@@ -88,7 +96,12 @@ def draw_routes(course, load, numbers, nodes):
 
 @inlined
 def _draw_camera_errors(course, p, spec):
-    """Draw the errors of the camera in patch p, and how far [m] before it the wheel is halted."""
+    """Draw the errors of the camera in patch p, and where the wheel is halted before it.
+
+    Each route gets a `label`, that of another class with probability `label_error` if there are
+    several, and a `grade_error` [rad]. The `FORK` gets a `border_error` [m] and `halt` [m], from
+    the beginning of the patch and so below 0. A patch with one route takes as many numbers.
+    """
     fork = course.forks[p]
     for i in range(2):
         route = course.routes[p, i]
@@ -104,7 +117,9 @@ def _draw_camera_errors(course, p, spec):
 
 @compiled
 def set_route(course, p, route):
-    """Let the course lead along a route of patch p: the patch gets its soil."""
+    """Let the course lead along a `route` of patch p, 0 or 1: the patch gets its soil, the `FORK`
+    notes it as `taken`.
+    """
     taken = course.routes[p, route]
     course.forks[p].taken = route
     put_soil(course.patches[p], soil_of(taken))
@@ -124,7 +139,8 @@ def next_fork(wheel, course, border):
 @compiled
 def plan_halt(wheel, course, rig):
     """Move the next halt to the place of the halt before the next fork, if it would be later than
-    that or less than `rig.halt_low` before. A place that the wheel has passed is left out.
+    that or less than `rig.halt_low` [m] before. Nothing happens without such a fork, or where the
+    wheel has been at that place.
     """
     fork = next_fork(wheel, course, rig.border)
     if fork >= 0:

@@ -79,7 +79,8 @@ def sensors_of(scenario: Scenario) -> np.ndarray:
 @compiled_finite
 def _scatter(out, sd, wheel, normals):
     """Add random normal numbers, whose standard deviations the record `sd` has, to the fields of
-    the record `out`, from the stream of a wheel; `normals` is scratch. Both are `READING`s.
+    the record `out`, from the stream of a wheel. `out` and `sd` have the fields of a `READING`;
+    `normals` is scratch (`NORMALS`).
     """
     draw_normals(wheel, normals, PAIRS)
     i = 0
@@ -91,7 +92,8 @@ def _scatter(out, sd, wheel, normals):
 
 @compiled_finite
 def mount_sensors(wheel, normals, sensors):
-    """Draw zeros and gains of the sensors of a wheel for a course; they have to be 0 before.
+    """Draw zeros and gains of the sensors of a wheel for a course into `wheel.zero` and
+    `wheel.gain`, to which they are added: the caller has set both to 0.
 
     `sensors`: `SENSOR_NOISE`; `normals` is scratch.
     """
@@ -110,8 +112,8 @@ def roll_odometer(vehicle, speed, period):
 
 @compiled_finite
 def read_place(vehicle, sample, period):
-    """Fill place [m] and halt of a `sample` whose speed is read: odometry after a control `period`
-    [s], as it was at the start of a course.
+    """Fill `place` [m] and `halted` of a `sample` whose speed is read. The place is the odometry,
+    which is advanced by a control `period` [s] first, but not at the start of a course.
     """
     if vehicle.steps > 0:  # not at the start of a course
         roll_odometer(vehicle, sample.speed, period)
@@ -127,8 +129,8 @@ def sense(wheel, reading, normals, sensors, errors, radius):
     The sinkage is changed as `errors` say, and has that of a residual law, which the wheel does not
     feel (`unfelt`).
 
-    Its slip gets the white noise only, and `read_slip` completes it. `sensors`: `SENSOR_NOISE`,
-    `errors`: `SensorErrors`; `normals` is scratch.
+    The slip of the `reading` gets the white noise only, and `read_slip` completes it. `sensors`:
+    `SENSOR_NOISE`, `errors`: `SensorErrors`; `normals` is scratch.
     """
     reading.slip = 0.0  # its sensor has neither gain nor zero
     reading.sinkage = _seen_sinkage(wheel.slip, wheel.sinkage, errors) + wheel.unfelt
@@ -153,7 +155,8 @@ def read_slip(wheel, reading, sensors, errors):
     """Add the slip to that of a `reading`, which is white noise so far, and cut it to [-1, 1].
 
     With noise of a slip sensor it is the true slip, else the slip of the two speeds that were read.
-    Either is biased as the `errors` say (`SensorErrors`).
+    Either is biased as the `errors` say (`SensorErrors`). In reverse, below a sum of both speeds of
+    -`slow` [m/s], the slip of the speeds changes sign: it is positive for a wheel that drives.
     """
     slip = wheel.slip
     if sensors.white[0].slip == 0.0:
@@ -166,16 +169,20 @@ def read_slip(wheel, reading, sensors, errors):
 
 @compiled_finite
 def _seen_sinkage(slip, sinkage, errors):
-    """Sinkage [m] as a sensor with `SensorErrors` shows it, without noise."""
+    """Sinkage [m] as a sensor with `SensorErrors` shows it, without noise: times the apparent
+    `slip_sinkage_ratio` at the true slip, plus the offset.
+    """
     ratio = slip_sinkage_ratio(slip, errors.slip_sinkage_gain, errors.slip_sinkage_recovery)
     return sinkage * ratio + errors.sinkage_offset_offset
 
 
 @inlined
 def sense_body(rover, reading, sensors):
-    """Fill the record `reading` with readings of the sensors that the body of a rover has.
+    """Fill speed, pitch and acceleration of the record `reading`: the sensors that the body of a
+    rover has. Truth, then gain, zero and white noise as in `sense`.
 
-    Their zeros and gains are those in the record of the front wheel.
+    Their zeros and gains are those in the record of the front wheel, the noise is from the stream
+    of the `rover`. `sensors`: `SENSOR_NOISE`.
     """
     of_speed, of_pitch = normal_pair(rover)
     of_acceleration, _ = normal_pair(rover)

@@ -93,9 +93,11 @@ def new_courses(wheels: int, scenario: Scenario) -> np.ndarray:
     The last patch may begin just before the end, and slopes are drawn to the end of that patch.
     """
     spec = scenario.course
+    # the shortest pieces, and two to spare, since their ends are sums that may be rounded down
     patches = math.ceil(spec.length / spec.patch_length[0]) + 2
     longest = spec.length + spec.patch_length[1]
     slopes = math.ceil(longest / spec.slope_length[0]) + 2
+    # two more: the one at the end itself, and one beyond, since `pass_at` reads it
     cells = CELLS_BEHIND + math.ceil(spec.length / CELL) + 2
     courses = np.zeros(wheels, course_dtype(patches, slopes, cells))
     courses["ready"] = HUGE  # so that no ground is asked for before the first restart
@@ -109,7 +111,7 @@ def new_courses(wheels: int, scenario: Scenario) -> np.ndarray:
 @compiled
 def piece_at(pieces, x, piece):
     """Index of the patch or slope at x [m], sought from the index `piece`; those not drawn begin at
-    `HUGE`.
+    `HUGE`. Before the first one it is 0, beyond the last drawn one that one.
     """
     while piece + 1 < pieces.size and x >= pieces[piece + 1].start:
         piece += 1
@@ -173,7 +175,7 @@ def cell_at(cells, x):
 
 @compiled
 def place_in_cells(x):
-    """Place x [m] counted in cells, 0 in the middle of the first one."""
+    """Place x [m] counted in cells, a number with fractions, 0 in the middle of the first one."""
     return x / CELL + (CELLS_BEHIND - 0.5)
 
 
@@ -212,7 +214,7 @@ def rut_at(cells, x):
 
 @compiled
 def clear(cell):
-    """Make a cell of the rut undisturbed ground."""
+    """Make a cell of the rut (`RUT`) undisturbed ground: no passes, no floor, no depth."""
     cell.passes = 0.0
     cell.floor = 0.0
     cell.depth = 0.0

@@ -187,7 +187,8 @@ def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarra
     """Pack the constants of wheel, drive and halts of a scenario, `RIG` [1].
 
     A `model` gives lugs, unit weight of the soil and effects on the radii; without one there are
-    none. Raises ParameterError for lugs on a tyre.
+    none. Raises ParameterError for lugs on a tyre. A period has as many substeps as make none
+    longer than `Control.substep`. `rim_step` stays 0 unless the action is a rim acceleration.
     """
     w = scenario.wheel
     c = scenario.control
@@ -268,7 +269,9 @@ def commanded(wheel, action, halted, rig):
 
 @inlined
 def at_time(drive, share):
-    """`Drive` with its command at a time in the control period, given as a share of it."""
+    """`Drive` with its command at a time in the control period, given as a `share` of it: linear
+    from `before` at 0 to `command` at 1.
+    """
     return Drive(
         drive.before + share * (drive.command - drive.before), drive.by_speed, drive.before
     )
@@ -292,11 +295,15 @@ def sink(wheel, ground, mobilised, path, rig):
     the floor of the wheel's own rut, `ground.rolled`. The coefficient `mobilised` [N/m^(n+2)] is
     what the load took in the stage.
 
+    z_w counts as at most `MOST_BEARING` z, n as at least `LEAST_EXPONENT`. On firm ground below a
+    cover it is that of `layered_depth`.
+
     Travel leads the sinkage `onto` a depth [m]. On fresh ground, beyond the furthest places of the
     wheel, that is z_w. In the hole where the wheel stands it is the depth of that hole, and where
     an earlier pass has left a rut, z_w if that is deeper. On a way over both it is the mean by
-    length. The sinkage stays between `SHALLOWEST` and `DEEPEST`. `rut_depth` grows where the wheel
-    sinks and not where it climbs out of its hole.
+    length. The sinkage stays between `SHALLOWEST` and `DEEPEST` radii. `rut_depth` grows where the
+    wheel sinks and not where it climbs out of its hole. `sinking`, `best_x`, `lowest_x` and
+    `bearing_sinkage` are set, too.
     """
     soil = ground.soil
     exponent = max(soil.sinkage_exponent, LEAST_EXPONENT)
@@ -340,7 +347,9 @@ def pile_up(wheel, braked, moved, rig):
 
 @inlined
 def _dug(path, soil):
-    """`digging_ratio` of the slip along a `Path` [-]; 1 at rest."""
+    """`digging_ratio` along a `Path` [-], by the digging of a `SoilState`; 1 where the wheel moves
+    and slides less than `STANDING`.
+    """
     moved = abs(path.moved)
     slid = abs(path.slid)
     if moved + slid < STANDING:
@@ -375,8 +384,9 @@ def leave_ruts(wheel, cells):
     """Mark the cells that a wheel has left in a stage as passed, and enter the next ones.
 
     A cell is left once the wheel reaches the middle of the next (`cell_after`). It keeps the
-    deeper one of `rut_depth` and z_w, so far as the present sinkage reaches that. In a cell that is
-    entered for the first time the rut begins at the present sinkage.
+    deeper one of `rut_depth` and z_w, but no more of z_w than the present sinkage. In a cell that
+    is entered for the first time `rut_depth` begins at the present sinkage, else at that of the
+    cell. `cells`: `RUT` of the wheel.
     """
     after = cell_after(cells.size, wheel.cell, wheel.x)
     while wheel.cell != after:
@@ -393,7 +403,8 @@ def end_period(wheel, x_start, owner, rig):
     count the period, and let a halt pass or begin.
 
     A halt begins where x reaches `next_halt`. The place of the halt after it is then drawn from the
-    random stream of `owner`.
+    random stream of `owner`, `rig.halt_low` to `rig.halt_high` [m] further. In a halt its time left
+    falls by a period, to 0 at least.
     """
     wheel.travel = wheel.x - x_start
     wheel.steps += 1
@@ -406,7 +417,7 @@ def end_period(wheel, x_start, owner, rig):
 
 @inlined
 def set_slip(wheel, rig):
-    """Set the true slip of a wheel from its speeds."""
+    """Set the true slip of a wheel from its speeds: `slip_ratio` with the floor `REST_SPEED`."""
     wheel.slip = slip_ratio(wheel.wheel_speed * rig.radius, wheel.speed, REST_SPEED)
 
 
@@ -414,7 +425,9 @@ def set_slip(wheel, rig):
 def settle_at(wheel, x, mass, course, world):
     """Put a wheel, its record blank but for its stream, at rest at x [m] of a drawn course.
 
-    It has the steady sinkage of slip 0 on fresh soil, under the weight of its `mass` [kg].
+    It has the steady sinkage of slip 0 on fresh soil, under the weight of its `mass` [kg] normal to
+    the grade, at least `SHALLOWEST` radii. Its own rut is as deep. `world`: a `World`, whose nodes
+    are scratch.
     """
     rig = world.rig
     wheel.patch = piece_at(course.patches, x, 0)

@@ -164,7 +164,7 @@ def acting_effects(fx: Effects) -> Effects | None:
 def soil_in_contact(soil, passage, fx):
     """`SoilState` under the wheel on undisturbed `soil`; each law changes what the one before left.
 
-    `passage` is a `Passage`.
+    `passage` is a `Passage`. Without effects (`fx` None) it is `soil` itself.
     """
     if fx is None:
         return soil
@@ -195,7 +195,9 @@ def arc_ends(theta1, slip, fx):
 
 @compiled
 def soil_resistance(sinkage, soil, wheel, fx):
-    """Force [N] of the soil against the travel, beside the forces of the contact; sinkage in m."""
+    """Force [N] of the soil against the travel, beside the forces of the contact: bulldozing, 0
+    without effects; sinkage in m.
+    """
     if fx is None:
         return 0.0
     else:
@@ -205,7 +207,7 @@ def soil_resistance(sinkage, soil, wheel, fx):
 @compiled
 def drive_friction(torque, wheel_speed, floor, fx):
     """`Friction` between motor and axle at a torque [N m] of the axle and a wheel speed [rad/s]; it
-    fades out below the wheel speed `floor` [rad/s].
+    fades out below the wheel speed `floor` [rad/s]. Three zeros without effects.
     """
     if fx is None:
         return Friction(0.0, 0.0, 0.0)
@@ -223,7 +225,9 @@ def drive_torque(torque, wheel_speed, floor, fx):
 
 @compiled
 def depends_on_speed(fx):
-    """True if bearing or strength of the soil depends on the travel speed or the sliding speed."""
+    """True if bearing or strength of the soil depends on the travel speed or the sliding speed;
+    friction of the drivetrain does not count. False without effects.
+    """
     if fx is None:
         return False
     else:

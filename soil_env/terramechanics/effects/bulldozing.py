@@ -18,11 +18,12 @@ def passive_coefficient(tan_phi):
 
 @compiled
 def bulldozing_resistance(sinkage, soil, wheel, fx):
-    """Resistance [N] of the soil pushed ahead of the wheel to the depth of its sinkage [m].
+    """Resistance [N] of the soil pushed ahead of the wheel to the depth of its sinkage [m], which
+    counts as at least 0.
 
     The sum of two laws, each times its factor, 0 if off: Rankine's, and that of Hegedus (1960),
     which Ishigami et al. (2007) take for the side of a wheel. Both are written out as `Form`s
-    below.
+    below. Of `wheel` width [m] and unit weight of the soil [N/m3] are read.
     """
     kp = passive_coefficient(soil.tan_phi)
     cot = math.sqrt(kp)  # cot X = tan(X + phi) = tan(45 deg + phi/2)

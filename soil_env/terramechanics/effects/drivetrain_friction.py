@@ -36,7 +36,8 @@ def friction_at(torque, wheel_speed, floor, fx):
 
 def _priors(bench: Bench) -> Priors:
     """Priors of constant and viscous friction, in proportion to 0.3 of load times radius, about the
-    torque of a driven wheel; own choice.
+    torque of a driven wheel; viscous friction has them at the median speed of the table. Own
+    choice.
     """
     torque = 0.3 * bench.load * bench.radius
     turning = max(bench.median_speed / bench.radius, SLOWEST_TURNING)

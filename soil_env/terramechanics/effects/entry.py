@@ -97,15 +97,17 @@ class Effect:
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Columns that the effect depends on, or may, beside slip, load and wheel."""
+        """Columns that the effect depends on, or may, beside slip, load and wheel: `varies`, then
+        `beside`, where they are given and not "load".
+        """
         return tuple(name for name in (self.varies, self.beside) if name not in (None, "load"))
 
     def parameter(self, name: str) -> EffectParameter:
-        """Return the parameter of that name."""
+        """Return the parameter of that name; `StopIteration` if there is none."""
         return next(p for p in self.parameters if p.name == name)
 
     def form(self, name: str) -> Form:
-        """Return the form of that name."""
+        """Return the form of that name; `StopIteration` if there is none."""
         return next(f for f in self.forms if f.name == name)
 
 

@@ -26,7 +26,7 @@ def weight_on_slope(load, sin_grade, fx):
 @compiled
 def slope_factor(soil, sin_grade, fx):
     """Sinkage coefficient on a slope over that on the level: Meyerhof's (1 - |b|/phi)^2 for a load
-    at the angle b, to the power w.
+    at the angle b of the grade, to the power w, the effect's `weakening`.
 
     phi is the friction angle of `soil`. It counts as at least `LEAST_FRICTION`, and 1 - |b|/phi as
     at least `LEAST_LEFT`.

@@ -12,8 +12,8 @@ BLADE_SLIP = 0.015  # [-] slip over which the thrust of the lugs comes in; own c
 
 @compiled
 def contact_radius(wheel, fx):
-    """Radius [m] that carries the normal stress: of the rim, or with a share of the lugs' height
-    (above 1: soil packed beyond their tips).
+    """Radius [m] that carries the normal stress: that of the rim, with effects plus a share of the
+    lugs' height (above 1: soil packed beyond their tips).
     """
     if fx is None:
         return wheel.radius
@@ -23,8 +23,8 @@ def contact_radius(wheel, fx):
 
 @compiled
 def shear_radius_ratio(wheel, fx):
-    """Radius at which the soil between the lugs is sheared, over the `contact_radius`; 1 without
-    effects.
+    """Radius at which the soil between the lugs is sheared, over the `contact_radius`: that radius
+    plus another share of the lugs' height, `shear_share`. 1 without effects.
     """
     if fx is None:
         return 1.0
@@ -38,7 +38,8 @@ def blade_thrust(theta1, sinkage, soil, wheel, fx):
     theta1 [rad] x thrust of one. `blades_at` scales it by the slip.
 
     One blade of width b and height h pushes soil out with b (1/2 gamma h^2 Kp + q h Kp + 2 c h sqrt
-    Kp) (Bekker 1969). q = gamma z/2 is the average pressure of the soil above a blade.
+    Kp) (Bekker 1969). q = gamma z/2 is the average pressure of the soil above a blade. A sinkage
+    z [m] below 0 counts as 0; lugs a radian are the parameter `blades`.
     """
     height = wheel.grouser_height
     kp = passive_coefficient(soil.tan_phi)
@@ -58,8 +59,9 @@ def blades_at(thrust, slip):
 
 
 def _priors(bench: Bench) -> Priors:
-    """Prior of `blades`, normal about 0: the standard deviation is the lugs of the wheel a radian,
-    the bound twice that. Own choice: the soil between two lugs is shared by them.
+    """Prior of `blades`, normal about 0 and not below it: the standard deviation is the lugs of the
+    wheel a radian, the upper bound twice that. Own choice: the soil between two lugs is shared by
+    them. Empty where the number of lugs is not known: the prior of the parameter stays.
     """
     if bench.lugs is None:
         return {}

@@ -46,7 +46,9 @@ def rut_stiffness(passes, exponent, compaction):
 
 @compiled
 def bearing_goes_with_passes(fx):
-    """True if the effect says how earlier passes change the sinkage coefficient."""
+    """True if the effect says how earlier passes change the sinkage coefficient; False without
+    effects.
+    """
     if fx is None:
         return False
     else:
@@ -60,7 +62,8 @@ def in_rut(soil, passes, fx):
     """`soil` as the rut of the simulated world changes it for a wheel whose pass over it is number
     `passes`; 1 = fresh soil.
 
-    It is unchanged where the effect `multipass` changes S: `passed_over` applies that effect later.
+    S is multiplied by `rut_stiffness` with `COMPACTION`. It is unchanged where the effect
+    `multipass` changes S: `passed_over` applies that effect later.
     """
     factor = 1.0
     if passes > 1.0 and not bearing_goes_with_passes(fx):
@@ -89,6 +92,9 @@ def pass_factor(passes, slip, exponent, fx):
 def passed_over(soil, passage, fx):
     """`soil` in the track of earlier passes: bearing by `pass_factor`, strength and K by powers of
     the pass number; unchanged on the first pass.
+
+    On pass N tan(phi) is multiplied by N^f, the cohesion by N^h and K by N^(-k), in the symbols of
+    `EFFECT`.
     """
     passes = passage.passes
     if passes <= 1.0:

@@ -27,7 +27,7 @@ def rubbed_under_pressure(soil, passage, fx):
 
 
 def middle_pressure(bench: Bench) -> dict[str, float]:
-    """The middle pressure of the table as reference pressure, which is not fitted."""
+    """The pressure [Pa] of the table's median load as reference pressure, which is not fitted."""
     return {"reference_pressure": bench.pressure}
 
 

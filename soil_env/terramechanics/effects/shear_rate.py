@@ -24,14 +24,18 @@ def sheared_fast(soil, passage, fx):
 
 
 def _neutral(bench: Bench) -> dict[str, float]:
-    """The mean sliding speed of the table as reference and, to begin with, as onset speed."""
+    """The mean sliding speed [m/s] of the table as reference and, to begin with, as onset speed.
+    Empty where it is not known: the parameters keep their own.
+    """
     if bench.sliding > 0.0:
         return {"reference_speed": bench.sliding, "onset_speed": bench.sliding}
     return {}
 
 
 def _hidden(bench: Bench) -> str:
-    """Why no sliding speed is known in every row; "" if the travel speed is."""
+    """Why no sliding speed is known in every row: a row at rest, or no speeds given; "" if the
+    travel speed is known in every row.
+    """
     if bench.speed > 0.0:
         return ""
     return "a speed of 0" if bench.highest_speed > 0.0 else "speed not given"

@@ -15,7 +15,9 @@ def sinkage_zero(fx):
 
 
 def _priors(bench: Bench) -> Priors:
-    """Prior of the offset, by the median sinkage of the table and the wheel radius; own choice."""
+    """Prior of the offset: a standard deviation of 0.3 of the table's median sinkage, bounds of -+
+    half the wheel radius; own choice.
+    """
     return {"offset": (0.3 * bench.sinkage, -0.5 * bench.radius, 0.5 * bench.radius)}
 
 

@@ -32,7 +32,8 @@ def digging_ratio(slid, way, gain, recovery):
     """`slip_sinkage_ratio` where the rim slides by `slid` while the wheel travels by `way`: 1 +
     gain slid / (way + recovery slid).
 
-    Both are ways, speeds or shares of either in one unit.
+    Both are ways, speeds or shares of either in one unit, and >= 0. The divisor is at least
+    `LEAST_WAY`.
     """
     return 1.0 + gain * slid / max(way + recovery * slid, LEAST_WAY)
 
@@ -99,15 +100,17 @@ def excavated_depth(slip, fx):
 
 @compiled
 def dug(soil, passage, fx):
-    """`soil` with the exponent n + n1 |i|, at least 0, and the gain and recovery of `digging`."""
+    """`soil` with the exponent n + n1 |i|, at least 0, and the gain and recovery of `digging`; i is
+    the slip of a `Passage`, n1 the effect's `exponent_slope`.
+    """
     n = max(soil.sinkage_exponent + fx.slip_sinkage_exponent_slope * abs(passage.slip), 0.0)
     gain, recovery = digging(soil, fx)
     return with_digging(soil, n, gain, recovery)
 
 
 def _priors(bench: Bench) -> Priors:
-    """Priors of the excavation length, by the median sinkage of the table, and of the exponent's
-    slope; own choice.
+    """Priors of the excavation length [m], by the median sinkage of the table, and of the
+    exponent's slope, each (standard deviation, low, high); own choice.
     """
     return {
         "length": (0.3 * bench.sinkage, 0.0, 5.0 * bench.sinkage),

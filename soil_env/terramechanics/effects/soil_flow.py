@@ -11,7 +11,9 @@ MOST_PEAK = 0.9  # [of theta1] that of `Soil.braked_peak`
 
 @compiled
 def flowing(soil, fx):
-    """`soil` that flows by its own constants and those of the effect, up to the limits of both."""
+    """`soil` that flows by its own constants and those of the effect: the sums of `rim_flow` and of
+    `braked_peak`, at most `MOST_FLOW` and `MOST_PEAK`.
+    """
     flow = min(soil.rim_flow + fx.soil_flow_rim_flow, MOST_FLOW)
     peak = min(soil.braked_peak + fx.soil_flow_braked_peak, MOST_PEAK)
     return with_flow(soil, flow, peak)

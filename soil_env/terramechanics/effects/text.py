@@ -13,25 +13,29 @@ _PARAMETER = re.compile(r"\{(\w+)\}")
 
 
 def plain(x: float, digits: int = 3) -> str:
-    """Format a number in so many significant digits, below a million without an exponent."""
-    text = f"{x + 0.0:.{digits}g}"
+    """Format a number in so many significant digits, below a million in size without an exponent.
+    -0 is "0".
+    """
+    text = f"{x + 0.0:.{digits}g}"  # + 0.0 makes 0 of -0
     return f"{float(text):.0f}" if "e+" in text and abs(x) < 1e6 else text
 
 
 def published(effect: Effect, form: Form) -> str:
-    """Equation of a form in symbols."""
+    """Equation of a form with the symbol of each parameter in place of "{name}"."""
     return form.equation.format(**{p.name: p.symbol for p in effect.parameters})
 
 
 def fitted(
     effect: Effect, form: Form, values: Mapping[str, float], units: bool = True, digits: int = 3
 ) -> str:
-    """Equation of a form with `values` for its parameters, in so many digits, and their units.
+    """Equation of a form with `values` {parameter: value} in so many significant digits, and with
+    their units unless `units` is False.
 
     "+ (-2)" becomes "- 2", "- (-2)" becomes "+ 2", and "-(-2)" becomes "2".
     """
 
     def number(match: re.Match) -> str:
+        """The value of a parameter, in brackets if it is negative or has a unit."""
         p = effect.parameter(match[1])
         text = plain(values[p.name], digits) + (f" {p.unit}" if units and p.unit else "")
         return f"({text})" if text.startswith("-") or " " in text else text
@@ -48,7 +52,9 @@ def used(form: Form) -> list[str]:
 
 
 def legend(effect: Effect, form: Form) -> dict[str, str]:
-    """{symbol: meaning} of the symbols in a form's equation, but for its parameters."""
+    """{symbol: meaning} of the symbols in a form's equation, but for its parameters: those of
+    `SYMBOLS`, then those of the effect. A meaning of the effect goes before that of `SYMBOLS`.
+    """
     words = set(_WORD.findall(_PARAMETER.sub("", form.equation)))
     return {
         symbol: meaning
@@ -58,7 +64,9 @@ def legend(effect: Effect, form: Form) -> dict[str, str]:
 
 
 def markdown() -> str:
-    """Table of all effects and their forms in Markdown, for docs/physics/effects.md."""
+    """Table of all effects in Markdown, for docs/physics/effects.md: a row for each form, with its
+    equation in symbols, the parameters that it frees or fixes, and its source.
+    """
     lines = ["| effect | form | equation | parameters | source |", "|---|---|---|---|---|"]
     for effect in CATALOGUE.values():
         for form in effect.forms:
