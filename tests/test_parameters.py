@@ -299,6 +299,12 @@ def test_a_file_changes_the_scenario_that_its_base_names(tmp_path):
     rover = tmp_path / "rover.yaml"
     rover.write_text("base: mars_rover\nvehicle: {mass: 600}\n")
     assert parameters.load_rover(rover).wheel.body_mass == 100.0
+    scenario = to_dict(parameters.load_rover("mars_rover"))
+    scenario["vehicle"]["mass"] = -60.0
+    del scenario["wheel"]["body_mass"]
+    own = {"wheel": scenario.pop("wheel"), **scenario}  # the wheel before its vehicle
+    with pytest.raises(ParameterError, match="vehicle: .*mass"):
+        parameters.load_rover(own)
     for given, said in (
         (tmp_path / "self.yaml", "expected a file that is no change of this one"),
         ({"base": "mixd"}, "base: .*did you mean 'mixed'"),

@@ -89,7 +89,8 @@ def load_rover(
 def _with_mass(mapping: Keys) -> Keys:
     """The mapping of a scenario, with the vehicle's mass over its wheels as mass on a wheel.
 
-    A mapping or a vehicle that is wrong passes: `load` refuses it later, naming the key.
+    A mapping or a vehicle that is wrong passes: `load` refuses it later, naming the key. The
+    vehicle comes first, so that its mass is refused before what follows from it.
     """
     vehicle = mapping.get("vehicle")
     wheel = mapping.get("wheel")
@@ -98,4 +99,4 @@ def _with_mass(mapping: Keys) -> Keys:
     share = 0.1  # [kg] a mass that `Wheel` takes, where the vehicle is refused
     with contextlib.suppress(TypeError, ValueError, ZeroDivisionError):
         share = float(vehicle.get("mass", 0.0)) / (2 * len(vehicle.get("axles", ())))
-    return {**mapping, "wheel": {**wheel, "body_mass": share}}
+    return {"vehicle": vehicle, **mapping, "wheel": {**wheel, "body_mass": share}}

@@ -57,7 +57,9 @@ class ResidualTerm(Checked):
                     raise unknown_key(group, GROUPS, name)
         for group, p in self.powers.items():
             if not abs(p) <= MOST_POWER:
-                raise ParameterError(f"powers: {group} = {p!r}: expected a number in [-6, 6]")
+                raise ParameterError(
+                    f"powers: {group} = {p!r}: expected a number of size {MOST_POWER:g} at most"
+                )
         for group, (low, high) in self.ranges.items():
             if not low <= high:
                 raise ParameterError(f"ranges: {group} = {[low, high]}: expected [low, high]")

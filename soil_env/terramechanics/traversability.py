@@ -60,7 +60,7 @@ def best_point_at(nodes, load, soil, wheel, conditions, fx, torque_available):
                 deeper /= slip_sinkage_ratio(last, gain, recovery)
                 guess = min(guess * deeper**power, DEEPEST * wheel.radius)
             s = steady_at(nodes, Point(slip, load, guess), soil, wheel, conditions, fx)
-            guess = s.sinkage if s.supported else 0.0
+            guess = s.felt if s.supported else 0.0
             last = slip
             if i == MIDDLE:
                 middle = guess
