@@ -1,5 +1,7 @@
 """Borders between soils: where a camera sees another class, and by points whose forces are another
 soil's; over a border one soil passes into the next.
+
+`memory`, `setting` and `work` are records `MEMORY`, `SETTING` and `WORK` of memory.py.
 """
 
 import math

@@ -45,10 +45,12 @@ def forget_classes(classes, setting):
 
 @compiled
 def remember_class(classes, c, patch, memory, setting):
-    """Renew class c by the estimate that the identifier's `memory` has on the patch of this number;
-    an earlier estimate from the same patch is replaced.
+    """Renew class number `c` of a wheel's `CLASSES` by the estimate that the identifier's `memory`
+    has on the patch of this number; an earlier estimate from the same patch is replaced.
 
-    A quantity that is not better known than by the prior changes nothing.
+    The sums are those of the module. The sd of the best pull counts `WIDER` times as large. From
+    the second patch on, chi-squared above 1 between this estimate and the patches before widens the
+    sd by its root. A quantity that is not better known than by the prior changes nothing.
     """
     known = classes.of[c]
     mean = classes.before
@@ -69,7 +71,7 @@ def remember_class(classes, c, patch, memory, setting):
             total = precision[i] + more
             news = own * value - prior * setting.prior[i]
             known.estimate[i] = (precision[i] * mean[i] + news) / total
-            apart = 0.0
+            apart = 0.0  # chi-squared of this estimate and those of the patches before
             if known.patches > 1:
                 apart = (value - mean[i]) ** 2 / (1.0 / own + 1.0 / precision[i])
             known.sd[i] = (max(apart, 1.0) / total) ** 0.5

@@ -1,5 +1,8 @@
 """Online identification of the soil under a driven wheel, reading by reading
 (docs/physics/estimation.md, whose steps are the files of this folder).
+
+`memory`, `setting`, `work` and `reading` are records `MEMORY`, `SETTING`, `WORK` and `READING` of
+memory.py.
 """
 
 import math
@@ -248,6 +251,7 @@ def _complete(memory, reading, alone, setting, work):
         return
     if surprise > OUTLIER:  # the next ones decide
         for i in range(PUBLISHED):
+            # once in a row only: after another outlier `widening` is `DOUBT` already
             memory.sd[i] *= DOUBT / memory.widening
         memory.widening = DOUBT
         return

@@ -294,13 +294,18 @@ def _assess(rows, recent, estimate, sd, setting, net, assessed):
 
 @functools.cache
 def shipped() -> dict[str, Any]:
-    """Content of immobilisation.json: `inputs`, the arrays of `Network`, `alarm` and `card`."""
+    """Content of immobilisation.json, read once: `inputs`, the names as in `INPUTS`; the arrays of
+    `Network`; `alarm`, the probability within 5 s from which to warn; `card`, a dict on the
+    training.
+    """
     return json.loads(FILE.read_text(encoding="utf-8"))
 
 
 @functools.cache
 def shipped_network() -> Network:
-    """The network that comes with the package."""
+    """The network that comes with the package, read once; AssertionError if it is of other
+    `INPUTS`.
+    """
     assert tuple(shipped()["inputs"]) == INPUTS, "immobilisation.json is of other code"
     return Network(
         *(np.ascontiguousarray(shipped()[name], dtype=np.float64) for name in Network._fields)

@@ -206,6 +206,8 @@ class OnlineIdentifier:
         """Take one set of readings; the estimate after it, renewed about every eighth time, on a
         border every time.
 
+        Where a speed is neither measured nor known by the slip, only their time is taken.
+
         Raises TypeError for anything but `Readings` of numbers. Raises ValueError for a time that
         is not later than the last, and for a reading that is infinite or larger than
         `largest_readings`. An error changes nothing. Readings that lead to no soil at all start the

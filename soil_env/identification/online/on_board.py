@@ -292,9 +292,10 @@ def write_estimate(out, known, dig_gain):
 def _show_ahead(vehicle, sample, board, out):
     """Fill what is known of the classes on the routes ahead into the last entries of `out`.
 
-    Each route has `OF_SOIL` entries: estimate and margin over the grade that is seen. They are 0
-    where the route is out of sight, and those of the second where this patch has only one. The flag
-    is 1 if the class of the route has been met.
+    Each of the `board.lines` routes has `OF_SOIL` entries, as of `write_known`: estimate, and
+    margin over the grade that is seen. They are 0 while the patch ahead is out of sight; those of
+    the second route also where this patch has only one. The flag is 1 if the class of the route has
+    been met.
     """
     for route in range(board.lines):
         ahead = out[out.size - (board.lines - route) * OF_SOIL :]

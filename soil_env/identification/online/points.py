@@ -2,6 +2,9 @@
 
 Readings of a wheel that nearly rests, locks, spins on the spot or is strongly accelerated belong to
 no point, because the laws are those of steady motion.
+
+`memory`, `setting`, `point` and `reading` are records `MEMORY`, `SETTING`, `OPEN` and `READING` of
+memory.py.
 """
 
 import math

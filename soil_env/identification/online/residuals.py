@@ -3,6 +3,9 @@ and the law of slip-sinkage from point to point.
 
 Slip and sinkage have noise, which enters as effective variance (Orear 1982, Am. J. Phys.
 50:912-916) at the most likely slip.
+
+`cell`, `memory`, `setting` and `work` are records `CELL`, `MEMORY`, `SETTING` and `WORK` of
+memory.py.
 """
 
 import math
@@ -143,7 +146,9 @@ def ground_of(unknowns, setting):
 
 @compiled
 def slip_slope(slip, setting):
-    """Slope of the slip by a relative error of the speeds: 1 - |slip|, 0 with a slip sensor."""
+    """Slope of the slip [-] by a relative error of the speeds (`SPEED_GAIN`): 1 - |slip|; 0 with a
+    slip sensor (white noise above 0), on which the speeds have no effect.
+    """
     return 0.0 if setting.white[0].slip > 0.0 else 1.0 - abs(slip)
 
 
@@ -280,9 +285,11 @@ EXACTLY = 1e-5
 
 @compiled
 def weigh_unknowns(memory, setting, work):
-    """Write the prior standard deviations of all unknowns into `work.sd`.
+    """Write the prior standard deviations of all unknowns [ALL], in their units, into `work.sd`.
 
-    Where two sensors measure one quantity, each counts by its mean share in the cells.
+    Those of the instruments follow from zeros and gains of the sensors. Where two sensors measure
+    one quantity, each counts by its mean share in the cells. Where no load was weighed, that of the
+    load gain includes `PAYLOAD`. That of the place of a border is the length of a border.
     """
     sd = work.sd
     sd[:SOIL] = setting.soil_sd
@@ -302,6 +309,7 @@ def weigh_unknowns(memory, setting, work):
     gain = setting.gain[0]
     weight = setting.weight
     torque_unit = weight * setting.radius
+    # [of weight] where nothing was weighed, the mass on the wheel is taken to be the body's
     payload = PAYLOAD if memory.weighings == 0.0 else 0.0
     of_force = math.hypot(zero.drawbar_pull / weight, TYPICAL_PULL * gain.drawbar_pull)
     of_mass = math.hypot(memory.mass * zero.acceleration / weight, TYPICAL_PULL * gain.acceleration)
