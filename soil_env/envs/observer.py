@@ -46,6 +46,7 @@ def write_reading(state, samples, observation, setting, begun, slips, chooses):
     sample = samples[0, 0]
     out = observation[0]
     if begun:
+        # stores last action and rim command, as they are observed; the drive is the real wheel's
         commanded(wheel, wheel.action, wheel.halt_left > 0.0, own.rig[0])
         roll_odometer(wheel, sample.speed, task.period)
     wheel.halt_left = sample.halted

@@ -137,6 +137,7 @@ class Vehicles:
         return {name: value for name, value in self.__dict__.items() if name not in VIEWS}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take the attributes that `__getstate__` gave, and make the views of their arrays."""
         self.__dict__.update(state)
         self._view()
 
@@ -148,7 +149,7 @@ class Vehicles:
         leaves the mass in its reward, or -1 if no soil was found.
         """
         vehicles = trial.state
-        vehicles["stream"] = 1
+        vehicles["stream"] = 1  # any seed, the same in every check
         orders = np.array([TRY])
         for _ in range(TRIAL_COURSES):
             self._lay(trial, self.course_numbers, orders, self._scratch[0], 0, 1)
@@ -174,7 +175,10 @@ class Vehicles:
         self._one(k, COMPLETE, self._draw)
 
     def step(self, k: int, action: Any) -> None:
-        """One step of vehicle k: the control periods of an `action`, one number or one a motor."""
+        """One step of vehicle k: the control periods of an `action`, one number or one a motor.
+
+        Ground that this step needs and is not drawn yet is drawn first.
+        """
         self._actions[k] = action
         if self._ready.item(k) < self._x.item(k) + self._ahead:
             self._one(k, AHEAD, self._draw)
@@ -206,7 +210,10 @@ class Vehicles:
         return self._heads["steps"]
 
     def _one(self, k: int, order: np.int8, follow: Callable[..., int]) -> None:
-        """Let vehicle k alone `follow` an order, in this thread; `follow`: `_draw` or `_drive`."""
+        """Let vehicle k alone `follow` an order, in this thread; `follow`: `_draw` or `_drive`.
+
+        RuntimeError where no soil was found for its course. Afterwards its order is IDLE.
+        """
         self._orders[k] = order
         try:
             check_laid(follow(self._orders, self._scratch[0], k, k + 1))
@@ -223,6 +230,7 @@ class Vehicles:
         laid = np.any(courses != IDLE)
 
         def run_chunk(number: int) -> int:
+            """Follow the orders of a chunk; return for how many vehicles no soil was found."""
             first = number * self._chunk
             end = min(first + self._chunk, self.count)
             scratch = self._scratch[number]

@@ -365,6 +365,7 @@ class SoilWheelVectorEnv(CourseVectorEnv):
         self.scenario: Scenario = self._in_world(task, model, scatter, changes)
         self._set_spaces(layout(observation, self.scenario.course), action_space(), scaled)
         info = checked(info)
+        # `final_info` has the groups of "full" whatever `info` is
         finals = (
             self.autoreset_mode == AutoresetMode.SAME_STEP
             and info != "none"

@@ -51,6 +51,7 @@ class Aligned:
     doubts: list[str] = field(default_factory=list)  # implausible readings, to be checked first
 
     def __len__(self) -> int:
+        """Number of steps."""
         return self.time.size
 
     def get(self, name: str, other: float | np.ndarray = math.nan) -> np.ndarray:

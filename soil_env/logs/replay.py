@@ -181,18 +181,18 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     warnings += _refuse(log.time, values, status)
     ground, differs = _grounds(log, log_map, borders, values, status, prior)
     return Replay(
-        log.time,
-        values,
-        status,
-        renewed,
-        ground,
-        differs,
-        int(borders.max(initial=0)),
-        prior,
-        on_border,
-        frozenset(names),
-        restarts,
-        warnings,
+        time=log.time,
+        values=values,
+        status=status,
+        renewed=renewed,
+        ground=ground,
+        differs=differs,
+        borders=int(borders.max(initial=0)),
+        prior=prior,
+        on_border=on_border,
+        measured=frozenset(names),
+        restarts=restarts,
+        warnings=warnings,
     )
 
 

@@ -34,6 +34,7 @@ class Stamps:
         self._files = [0]  # stamps before each file
 
     def __len__(self) -> int:
+        """Number of stamps so far."""
         return len(self.times)
 
     def add(self, time: int, number: int, recorded: int = 0) -> None:

@@ -108,6 +108,7 @@ class Table:
     torque_sd: np.ndarray  # [N m]
 
     def __len__(self) -> int:
+        """Number of rows."""
         return self.slip.size
 
     def conditions(self) -> dict[str, np.ndarray]:

@@ -85,10 +85,11 @@ CONTACT = record(
 
 @compiled_sums
 def _lay_depths(contact, theta1, exponent, r):
-    """Write the depth of each node below the entry point, which derivatives of its normal stress
-    need; `theta1` [rad]: entry angle, r [m]: radius.
+    """Write `sin1` and `cos1` of the entry angle `theta1` [rad] into a `CONTACT`, and of each node
+    what derivatives of its normal stress need: `peer_sin`, `per_depth` and `ln_depth`.
 
-    A node of the rear zone has the stress of a node in front (Eq. (8)), and so the depth of that.
+    They follow from its depth below the entry point, at least `SHALLOWEST`; r [m]: radius. A node
+    of the rear zone has the stress of a node in front (Eq. (8)), and so the depth of that.
     """
     nodes = contact.arc[0]
     sine = half_sin(theta1)

@@ -220,7 +220,10 @@ def knowledge(known, setting):
 
 @compiled
 def _mean_knowledge(vehicle, board):
-    """Mean of `knowledge` [nat] over the axles of a vehicle; of a rover by all its wheels."""
+    """Mean of `knowledge` [nat] over the axles of a vehicle; of a rover by all its wheels.
+
+    `vehicle`: its memory, `ON_WHEEL` or `ON_ROVER`; `board`: `BOARD_SETTING`.
+    """
     total = 0.0
     for a in range(board.axles):
         if board.pooled > 0:
@@ -233,7 +236,7 @@ def _mean_knowledge(vehicle, board):
 @compiled
 def reward_information(vehicle, before, after, board):
     """Reward the knowledge [nat] gained in a step, weight x (discount x `after` - `before`), and
-    renew the reward as the sum of its terms.
+    renew the reward as the sum of its terms, in the record `vehicle` of the world.
 
     Nothing counts as known after the end of an episode. This is shaping by a potential, which
     leaves the best policy as it is (Ng, Harada & Russell 1999, ICML; its end: Grzes 2017, AAMAS).
@@ -313,6 +316,9 @@ def _show_ahead(vehicle, sample, board, out):
 def show_estimate(vehicle, sample, board, out):
     """Fill what is identified into the observation `out` [D] of a vehicle: of each axle from the
     entry `board.first` on, then of the classes ahead. All of `out` is cut to its bounds.
+
+    `vehicle`: its memory, `ON_WHEEL` or `ON_ROVER`; `sample`: the last `SAMPLE` of its front axle;
+    `board`: `BOARD_SETTING`.
     """
     gain = board.identifier[0].dig_gain
     for a in range(board.axles):
@@ -336,7 +342,9 @@ def _see_ahead(vehicle, sample, board):
 
 @compiled
 def _restart(vehicle, sample, board):
-    """Set the estimators of a vehicle to their prior, at the start of a course."""
+    """Set the estimators of a vehicle, in its memory `ON_WHEEL` or `ON_ROVER`, to their prior, at
+    the start of a course; averages begin with the readings of `sample` there.
+    """
     numbers = board.identifier[0]
     for a in range(board.axles):
         vehicle.identifier[a] = numbers.blank[0]
@@ -365,8 +373,8 @@ def _compaction(memory, a, board):
 
 @compiled
 def _take_period(vehicle, samples, period, board, work):
-    """Take the records of one control period into the estimators of a vehicle; `samples` [axles,
-    periods].
+    """Take the records of the control period number `period` of a step into the estimators of a
+    vehicle, in its memory `ON_WHEEL` or `ON_ROVER`; `samples` [axles, periods] of the world.
 
     The front wheel finds borders, by the camera and by its forces; the wheels behind cross them
     where it has found them.
@@ -409,7 +417,8 @@ def estimate(memory, world, orders, setting, work, first, end):
     RESTART, any other leaves a vehicle as it is.
 
     Writes what is identified into the observation, where it is shown, and the reward of knowledge
-    into the state, where it is paid. `memory` [vehicles] `ON_WHEEL` or `ON_ROVER`.
+    into the state, where it is paid. `memory` [vehicles] `ON_WHEEL` or `ON_ROVER`, `setting`
+    `BOARD_SETTING` [1], `work` `WORK` [1].
     """
     board = setting[0]
     samples = world.samples

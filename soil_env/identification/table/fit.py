@@ -324,24 +324,24 @@ def _summary(
         *_doubts(problem, u, [words for _, words in off_prior if words not in first], converged),
     ]
     return TableEstimate(
-        parameters,
-        labels,
-        covariance,
-        correlation,
-        float(condition),
-        problem.z_ref,
-        fits,
-        problem.table.row[problem.use],
-        problem.rows.slip,
-        problem.rows.load,
-        int(problem.measured.sum()),
-        _exact_conditions(problem),
-        converged,
-        law_error,
-        tuple(first),
-        misfit,
-        tuple(warnings),
-        _soil(problem, u),
+        parameters=parameters,
+        free=labels,
+        covariance=covariance,
+        correlation=correlation,
+        condition=float(condition),
+        reference_sinkage=problem.z_ref,
+        fits=fits,
+        row=problem.table.row[problem.use],
+        slip=problem.rows.slip,
+        load=problem.rows.load,
+        values=int(problem.measured.sum()),
+        exact=_exact_conditions(problem),
+        converged=converged,
+        law_error=law_error,
+        check_first=tuple(first),
+        misfit=misfit,
+        warnings=tuple(warnings),
+        soil=_soil(problem, u),
     )
 
 
@@ -435,14 +435,14 @@ def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
             p_value = float(chdtrc(freedom, square))
             too_small = float(chdtr(freedom, square)) if square < SMALL**2 * freedom else 1.0
         fits[name] = ChannelFit(
-            measured[:, j],
-            fitted[:, j],
-            noise,
-            problem.relative[:, j],
-            estimated,
-            p_value,
-            too_small,
-            UNITS[name],
+            measured=measured[:, j],
+            fitted=fitted[:, j],
+            noise=noise,
+            relative=problem.relative[:, j],
+            estimated=estimated,
+            p_value=p_value,
+            too_small=too_small,
+            unit=UNITS[name],
         )
     return fits
 

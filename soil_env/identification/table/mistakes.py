@@ -296,7 +296,7 @@ def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
         model = np.zeros_like(data.y)
         found = fit.problem.steady(fit.u, rows) / fit.reading.scale
         model[:, list(fit.reading.source)] = finite(found)
-        if fit.reading.name == "pull":
+        if fit.reading.name == "pull":  # its values have another sign, its `scale` is 1
             model[:, 1] *= -1.0
         return model
 
@@ -581,6 +581,7 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
         }.get(best.reading.name)
         if check is not None and (broken := check(data, noise)):
             raise ParameterError(f"{data.table.source}: {broken}; {text[:1].lower()}{text[1:]}")
+        # apart by less evidence than half of what outweighs the prior of a mistake
         near = [b.reading.words for b in better[1:] if best.gain - b.gain < -UNUSUAL / 2.0]
         also = f" {'; '.join(near)} it fits nearly as well." if near else ""
         return [f"{text}.{also}"], ()
@@ -631,7 +632,7 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
     slip share the deviation (`_is_shared`), the trend of its neighbours leads to it (`_goes_on`),
     the evidence is too little (`_words_on`), or the rest are too few for a fit. A table that is not
     `suspect` is searched only if its noise is not known otherwise: taken from the scatter, it
-    hides a wrong row. Tables of `FEWEST_ROWS` are not searched.
+    hides a wrong row. Tables of `FEWEST_ROWS` or fewer are not searched.
     """
     data, noise, fit = start
     # Noise that was taken from the scatter, or that the values do not show (`_noise`).

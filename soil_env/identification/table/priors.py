@@ -45,7 +45,9 @@ class Unknown(NamedTuple):
     log: bool  # the coordinate is the logarithm
 
     def value(self, u: float) -> float:
-        """The parameter in its unit at the whitened unknown u."""
+        """The parameter in its unit at the whitened unknown u; a logarithm is cut at
+        `LARGEST_LOG`.
+        """
         x = self.mean + self.sd * u
         return math.exp(min(x, LARGEST_LOG)) if self.log else x
 

@@ -105,10 +105,12 @@ def most_probable(
         return start, float(np.sum((target - model(start)) ** 2)), True  # everything is known
 
     def residual(u):
+        """Residuals [M + p], whose squares add up to J: those of the values, then those of u."""
         e = target - model(u)
         return np.concatenate([np.where(np.isfinite(e), e, _FAR), u])
 
     def jacobian(u):
+        """Derivatives [M + p, p] of `residual` by u."""
         return np.concatenate([-derivatives(u), np.eye(u.size)])
 
     found = least_squares(residual, start, jacobian, bounds=bounds, x_scale=1.0, **options)
@@ -491,7 +493,8 @@ class TableProblem:
         return np.einsum("kjc,kc->kj", gain, e), left
 
     def correct(self, u: np.ndarray) -> None:
-        """Move slip and load to their most probable values under u, and weigh anew there.
+        """Move slip and load to their most probable values under u, and weigh anew there. Without
+        noise of either they stay.
 
         Slip stays in [-1, 1], load within `_LEAST_LOAD` and `_MOST_LOAD` times the measured one.
         """

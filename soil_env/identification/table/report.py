@@ -97,7 +97,9 @@ def _channel_table(estimate: TableEstimate) -> Table:
 
 
 def report_of(estimate: TableEstimate) -> dict[str, Any]:
-    """The estimate as plain values for JSON, with channels in place of `fits`; null for nan."""
+    """The estimate as plain values for JSON: the fields of `TableEstimate` by name, with `channels`
+    in place of `fits` and without `law_error`; null for nan.
+    """
     channels = {
         name: {
             "noise": fit.noise,
