@@ -152,7 +152,9 @@ class _Common:
         return found
 
     def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
-        """Observations [..., D] of this env in the units of the tables."""
+        """Observations [..., D] of this env in the units of the tables, float32; ValueError for
+        another shape.
+        """
         return self.scaling.physical(observation)
 
     @property
@@ -278,7 +280,9 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
             raise gymnasium.error.ResetNeeded(f"{method}() before reset()")
 
     def _soil_at(self, x: float) -> Soil:
-        """The undisturbed soil at x [m] along the course, without its density."""
+        """The undisturbed soil at x [m] along the course, without its density; on a border the
+        blend of two. ResetNeeded before the first reset.
+        """
         self._need_course("true_soil")
         border = self.scenario.course.border
         soil = soil_at(self.simulation.worlds.courses, 0, x, border)

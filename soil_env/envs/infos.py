@@ -204,6 +204,7 @@ class Infos(VehicleInfos):
                 "x": worlds.state["x"][k],
                 **dict(zip(_TERMS, worlds.terms[k].copy(), strict=True)),
             }
+        # the record as plain numbers: `STATE` first, the reward terms from `_TERMS_AT` on
         numbers = worlds.state[k : k + 1].view(np.float64)
         info = {
             "cause": _CAUSES[cause],

@@ -32,8 +32,11 @@ def build_rover(
     changes: dict[str, Any],
     own: tuple[str, ...] = _OWN,
 ) -> RoverScenario:
-    """The scenario that the keyword arguments of an environment describe; `own`: those that are no
-    part of it.
+    """The scenario that the keyword arguments of an environment describe: `rover` with the fields
+    in `changes`, `action` and `repeat` merged over it.
+
+    `own`: keywords that are no part of a scenario, for errors. Raises as `scenario_changes` and
+    `load_rover`.
     """
     return load_rover(
         rover, scenario_changes(changes, action, repeat, own, RoverScenario), "keyword"

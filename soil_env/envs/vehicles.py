@@ -68,7 +68,8 @@ class Vehicles:
     """Base of the simulations of many wheels and of many rovers.
 
     A subclass gives the arrays and the compiled functions to `_begin`. All randomness of vehicle k
-    follows from the seed given to `seed`.
+    follows from the seed given to `seed`. Restarts and steps raise RuntimeError where no soil is
+    found for a course.
     """
 
     numbers: Any  # constants of the compiled step
@@ -165,7 +166,7 @@ class Vehicles:
         self._heads["stream"][k] = seed_stream(rng)
 
     def restart(self, k: int) -> None:
-        """New course and fresh start for vehicle k."""
+        """Draw a new course for vehicle k and put it at rest at the start, with a blank record."""
         self._clear(k)
         self._one(k, RESTART, self._draw)
         self._one(k, RESTART, self._drive)
@@ -199,7 +200,9 @@ class Vehicles:
             self._all(np.where(which, RESTART, IDLE))
 
     def _clear(self, which: Any) -> None:
-        """Make the records of vehicles blank but for their random streams."""
+        """Make the records of vehicles blank but for their random streams; `which`: an index or
+        [vehicles] bool.
+        """
         streams = self._heads["stream"][which].copy()
         self._heads[which] = np.zeros((), self._heads.dtype)
         self._heads["stream"][which] = streams

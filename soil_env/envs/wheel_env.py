@@ -44,8 +44,11 @@ def build_scenario(
     changes: dict[str, Any],
     own: tuple[str, ...] = _OWN,
 ) -> Scenario:
-    """The scenario that the keyword arguments of an environment describe; `own`: those that are no
-    part of it.
+    """The scenario that the keyword arguments of an environment describe: `scenario` with the
+    fields in `changes`, `action` and `repeat` merged over it.
+
+    `own`: keywords that are no part of a scenario, for errors. Raises as `scenario_changes` and
+    `load_scenario`.
     """
     return load_scenario(
         scenario, scenario_changes(changes, action, repeat, own, Scenario), "keyword"
@@ -55,7 +58,9 @@ def build_scenario(
 def observation_space(
     variant: str, course: CourseSpec | None = None, scaled: bool = True
 ) -> gymnasium.spaces.Box:
-    """Box of the observation variant on such a `course`, float32."""
+    """Box of the observation variant, float32, on such a `course`; None is one without terrain
+    classes. ParameterError for an unknown variant.
+    """
     return Scaling(layout(variant, course), scaled).space
 
 
@@ -312,7 +317,8 @@ class SoilWheelEnv(CourseEnv):
 
     def estimate(self) -> Soil:
         """The identified soil, with the belief's exponent and recovery of digging, each number
-        within its bounds; ParameterError where nothing is identified.
+        within its bounds. ParameterError where nothing is identified, ResetNeeded before the first
+        reset.
         """
         ids = self.simulation.worlds.ids
         if ids is None:

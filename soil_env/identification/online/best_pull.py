@@ -74,6 +74,7 @@ def _pull_slopes(deeper, slope, ratio, memory, setting, work):
     of_exponent = math.log(ratio) + math.log(setting.depth) - memory.compaction
     work.step[EXPONENT] += through * of_exponent
     work.step[PRESSURE] = -through
+    # the condition has n ln q, and q - 1 is in proportion to the gain
     work.step[GAIN] = through * memory.soil[EXPONENT] * (1.0 - 1.0 / ratio)
 
 

@@ -116,6 +116,7 @@ def of_library(scenario: Scenario) -> list[Gaussian]:
         ln_K = math.log(soil.shear_modulus)
         mean = np.array([tangent, soil.cohesion, n, ln_K, ln_pressure, gain])
         mean[LN_K:] -= 0.5 * logs**2  # the scatter keeps the mean, not the median
+        # sd of tan phi, by that of phi, which is a share of phi
         friction = (1.0 + tangent**2) * math.atan(tangent) * spread.friction
         sd = np.maximum(
             [friction, soil.cohesion * spread.cohesion, n * spread.exponent, *logs], least

@@ -327,8 +327,8 @@ def marginals(
 
         ln p = -(e'e + |u|^2 - h'N^-1 h)/2 - ln|N|/2,    N = I + D A'A D,    h = D A'e - u.
 
-    To save time, the unknowns and the form errors up to number `first` are eliminated once for all
-    rows that have the same sizes of these.
+    To save time, the unknowns and the first form errors, `first` of the K, are eliminated once for
+    all rows that have the same sizes of these.
     """
     used = np.any(sizes != 0.0, axis=0)
     used[:first] = True
