@@ -49,7 +49,7 @@ def write_reading(state, samples, observation, setting, begun, slips, chooses):
         # stores last action and rim command, as they are observed; the drive is the real wheel's
         commanded(wheel, wheel.action, wheel.halt_left > 0.0, own.rig[0])
         roll_odometer(wheel, sample.speed, task.period)
-    wheel.halt_left = sample.halted
+    wheel.halt_left = sample.halted  # 1 or 0: only whether it is above 0 counts
     sample.place = wheel.odometer
     if slips:
         sample.slip = 0.0

@@ -321,12 +321,12 @@ def _sqlite(file: Path, wanted: set[str], notes: Notes, decoder: _Decoder) -> It
                 "SELECT rowid, topic_id, timestamp, data FROM messages WHERE topic_id IN "
                 f"({','.join('?' * len(ids))})"
             )
-            for number, topic, time, data in base.execute(query + " ORDER BY rowid", ids):
+            for row, topic, time, data in base.execute(query + " ORDER BY rowid", ids):
                 name, kind = topics[topic]
                 decode = partial(decoder.cdr, kind, f"{file}: topic {name}", data)
                 yield Message(name, time, kind, decode)
-                if number % _BETWEEN_REPORTS == 0:
-                    notes.report(int(size * min(number / count, 1.0)))
+                if row % _BETWEEN_REPORTS == 0:
+                    notes.report(int(size * min(row / count, 1.0)))
         # The text of an error may quote bytes of the file that are no UTF-8.
         except (sqlite3.Error, UnicodeDecodeError) as error:
             raise ParameterError(

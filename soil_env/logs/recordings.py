@@ -83,7 +83,7 @@ def _check_kind(path: Path, log_map: LogMap) -> bool:
 class _Reader:
     """Reader of a recording into `channels`, by `read_table` or `read_bag`; one for each recording.
 
-    While it reads, a channel holds numbers as they are in the recording, with the places of their
+    While it reads, a channel holds numbers as they are in the recording, with the indices of their
     stamps. At the end these become readings in SI units and times.
     """
 
@@ -112,8 +112,8 @@ class _Reader:
                 )
             self.constants[name] = value
 
-    def _add(self, name: str, place: int, value: float) -> None:
-        """Keep a reading of channel `name` in the unit of its source; `place`: index of its stamp.
+    def _add(self, name: str, index: int, value: float) -> None:
+        """Keep a reading of channel `name` in the unit of its source; `index`: of its stamp.
 
         `ParameterError` for more than `MOST_READINGS` of all channels.
         """
@@ -124,20 +124,21 @@ class _Reader:
                 "map: expected fewer; read it in parts"
             )
         channel = self.channels[name]
-        channel.times.append(place)
+        channel.times.append(index)  # a time only after `_finish`
         channel.values.append(value)
 
     def _finish(self, name: str, times: np.ndarray, kept: np.ndarray) -> None:
-        """Turn the readings of a channel into SI units, and their places into times [ns].
+        """Turn the readings of a channel into SI units, and the indices of their stamps into times
+        [ns].
 
         `times` [ns] and `kept` [N] are those of the stamps; readings of a stamp that is not kept
         are dropped. NaN and infinite readings are counted as `empty`, those beyond `limits` as
         `unusable`, and both left out. A note says where readings of one time differ.
         """
         channel = self.channels[name]
-        place = np.frombuffer(channel.times, np.int64)
-        value = np.frombuffer(channel.values)[kept[place]]
-        place = place[kept[place]]
+        index = np.frombuffer(channel.times, np.int64)
+        value = np.frombuffer(channel.values)[kept[index]]
+        index = index[kept[index]]
         source = self.sources[name]
         with np.errstate(over="ignore", invalid="ignore"):
             si = value * factor(name, source) + source.offset
@@ -146,7 +147,7 @@ class _Reader:
         channel.readings = value.size
         channel.empty = int(np.sum(~known))
         channel.unusable = int(np.sum(known & ~plausible))
-        stamps = times[place[plausible]]
+        stamps = times[index[plausible]]
         si = si[plausible]
         channel.times = array("q", stamps.tobytes())
         channel.values = array("d", si.tobytes())
@@ -207,12 +208,12 @@ class _Reader:
             content, stamp = topic.decoded(message)
             if stamp is None:
                 continue
-            place = topic.faults.count  # of the message in its topic, from 1
+            ordinal = topic.faults.count  # of the message in its topic, from 1
             for name, field in topic.fields.items():
-                value = field.number(content, message.kind, place)
+                value = field.number(content, message.kind, ordinal)
                 if value is not None:
                     self._add(name, len(topic.stamps), value)
-            topic.stamps.add(stamp, place, message.time)
+            topic.stamps.add(stamp, ordinal, message.time)
         self._check_found(topics)
         delays = {}  # [s] mean of the recording behind the stamps, by topic
         for of, topic in topics.items():
@@ -315,8 +316,8 @@ class _Field:
         self.faults = Faults(f"{name}: {source.place}", "messages")
         self.lacking: NotHere | None = None  # error of the first message without it
 
-    def number(self, content: Any, kind: str, place: int) -> float | None:
-        """Number in the `content` of a message of type `kind`, `place`-th of its topic, or None.
+    def number(self, content: Any, kind: str, ordinal: int) -> float | None:
+        """Number in the `content` of a message of type `kind`, `ordinal`-th of its topic, or None.
 
         None where the message lacks the value, which `lacking` keeps, and where the value is no
         number, which counts as a fault. `ParameterError` for a field that no message of the type
@@ -332,10 +333,10 @@ class _Field:
         except NotHere as error:
             self.lacking = self.lacking or error
         except Unlike as error:
-            self.faults.add(f"message {place}", str(error).removeprefix(f"{where}: "))
+            self.faults.add(f"message {ordinal}", str(error).removeprefix(f"{where}: "))
         # A number too large for a float, or a field with the name of a method.
         except (ArithmeticError, AttributeError, TypeError, ValueError) as error:
-            self.faults.add(f"message {place}", error)
+            self.faults.add(f"message {ordinal}", error)
         return None
 
 

@@ -34,7 +34,9 @@ CLASSES = record(patch=("i8",), before=_EACH, precision=_EACH, of=(CLASS, MOST_C
 
 @compiled
 def forget_classes(classes, setting):
-    """Set the memory of a wheel to the prior of the identifier's `SETTING`."""
+    """Set the `CLASSES` of a wheel to the prior of the identifier's `SETTING`, all without a patch;
+    each sd is at least `LEAST_SD`.
+    """
     classes.patch = -1
     for c in range(MOST_CLASSES):
         known = classes.of[c]
@@ -79,9 +81,9 @@ def remember_class(classes, c, patch, memory, setting):
 
 @compiled
 def clear_of_borders(since, left, setting):
-    """True if an estimate is of one soil: `since` [m] behind the middle of the last border and
+    """True if an estimate is of one soil: made `since` [m] past the middle of the last border and
     `left` [m] before that of the next one.
 
-    Half a border length lies on each side of a middle; behind it `FOUND` is added.
+    Half a border length lies on each side of a middle; past the last border `FOUND` is added.
     """
     return since > (0.5 + FOUND) * setting.border and left > 0.5 * setting.border

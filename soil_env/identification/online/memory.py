@@ -84,7 +84,7 @@ OPEN = record(
     "motor",  # weighted share of the motor in the torque
     "load",
     "cos_pitch",
-    "place",  # behind that of the first reading
+    "place",  # [m] past that of the first reading
     "place_square",
     "first_place",
     "travel",  # clocks of `MEMORY`

@@ -245,9 +245,9 @@ def collect(point, memory, reading, error, turned, setting):
     point.motor += share / variance
     point.load += reading.load
     point.cos_pitch += math.cos(reading.pitch)
-    behind = place - point.first_place
-    point.place += behind
-    point.place_square += behind * behind
+    past = place - point.first_place
+    point.place += past
+    point.place_square += past * past
     point.travel += memory.travel
     point.slide += memory.slide
     point.turning += memory.turning

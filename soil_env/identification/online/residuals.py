@@ -249,6 +249,7 @@ def _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work):
     contact = work.contact[0]
     by = contact.by
     at_middle = contact.value[LN_S] + by[LN_S, BY_SINKAGE] * (middle - sinkage)
+    # bearing sinkage z_b = z (s/S)^(1/n), s being the mobilised S; `PRESSURE` is ln of S depth^n
     stronger = at_middle - soil[PRESSURE] - cell.compaction * (n + 0.5)
     bearing = middle * min(setting.depth * math.exp(stronger / n), DEEPER)
     gain = setting.dig_gain * math.exp(soil[GAIN])

@@ -162,7 +162,7 @@ def _merged(values: np.ndarray) -> Any:
 
 
 def _spread(values: np.ndarray) -> float:
-    """Median distance of the values from their median."""
+    """Median distance of the values from their median; nan if one is nan."""
     return float(np.median(np.abs(values - np.median(values))))
 
 

@@ -314,7 +314,7 @@ def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
 
 def _rough(data: Data, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
     """[3] noise of the channels before any fit: as given, else `ROUGH` times the sd of the values
-    in `rows` (bool or a slice; all by default).
+    in `rows` (bool or a slice; all by default). `ROUGH` itself of a channel without values.
     """
     out = np.full(len(CHANNELS), ROUGH)
     for j, name in enumerate(CHANNELS):

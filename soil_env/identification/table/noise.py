@@ -201,7 +201,9 @@ def _without_outliers(
     `basis` [N, B]: functions of the surface; `e` [N]: values less the model; `sd`: their noise,
     None to take it from their scatter; `slip` [N]: levels. The value furthest from the surface is
     left out, one after the other, while it is beyond `OUTLIER`, and up to `MOST_OUTLIERS`. A value
-    that no other checks (`ALONE`) stays.
+    that no other checks (`ALONE`) stays. Distances are residuals over sqrt(1 - leverage), over the
+    `sd` or the median scatter, whichever is larger; without an `sd` those of `_studentised` count
+    where they are larger.
 
     With a given `sd` values come back that a larger outlier had moved the surface away from. A
     value also comes back if two or more others at its slip leave the surface the same way

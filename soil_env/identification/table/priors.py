@@ -176,8 +176,8 @@ def stiffness(setup: Setup, coefficient: float) -> dict[str, float]:
     k_phi = setup.soil.k_phi
     if usual is None or k_c is None or k_phi is None:
         return {"sinkage_coefficient": coefficient}
-    share = coefficient / usual.value
-    return {"k_c": share * k_c.value, "k_phi": share * k_phi.value}
+    ratio = coefficient / usual.value
+    return {"k_c": ratio * k_c.value, "k_phi": ratio * k_phi.value}
 
 
 #: Parameters of a soil that are given, not fitted.
