@@ -158,7 +158,8 @@ class Infos(VehicleInfos):
         super().__init__(simulation, kind)
         wheels = simulation.count
         averages = simulation.worlds.recent
-        self._shows_ground = averages is not None and len(averages) > 0  # infos may have it
+        # whether infos can have a traversability, which needs the averages for warnings
+        self._shows_ground = averages is not None and len(averages) > 0
         self._assess = None
         self._foresight = None
         if simulation.belief is not None:

@@ -97,6 +97,8 @@ class Observer:
     its last value in the observation, and the identifier takes it as not measured. Before the first
     value stands what `OnlineIdentifier` puts there, and 0 for a speed. While a speed is not known,
     the estimate stays. `held` counts readings that kept a value, by name, since the last `reset`.
+
+    Raises ParameterError for the scenario of a rover, and for another variant.
     """
 
     def __init__(self, scenario: Scenario, variant: str = "identified") -> None:

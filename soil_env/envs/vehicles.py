@@ -67,7 +67,8 @@ class Worlds(NamedTuple):
 class Vehicles:
     """Base of the simulations of many wheels and of many rovers.
 
-    A subclass gives the arrays and the compiled functions to `_begin`. All randomness of vehicle k
+    `count`: number of vehicles; `threads`: most threads, None for one a processor. A subclass gives
+    the arrays and the compiled functions to `_begin`. All randomness of vehicle k
     follows from the seed given to `seed`. Restarts and steps raise RuntimeError where no soil is
     found for a course.
     """
@@ -96,9 +97,9 @@ class Vehicles:
     ) -> None:
         """Take the compiled functions (lay, step) with their arrays.
 
-        `courses`: the numbers that courses are drawn by and the final ground [m] that a vehicle
-        needs before it; `scratch`: a work space for each chunk; `on_board`: the estimators, None
-        where nothing is identified.
+        `courses`: the numbers that courses are drawn by, and the length [m] of final ground that a
+        step needs ahead of the vehicle. `scratch`: a work space for each chunk; `on_board`: the
+        estimators, None where nothing is identified.
         """
         self._lay, self._step = functions
         self._world = worlds

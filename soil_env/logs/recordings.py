@@ -84,7 +84,8 @@ class _Reader:
     """Reader of a recording into `channels`, by `read_table` or `read_bag`; one for each recording.
 
     While it reads, a channel holds numbers as they are in the recording, with the indices of their
-    stamps. At the end these become readings in SI units and times.
+    stamps. At the end these become readings in SI units and times. `ParameterError` for a constant
+    beyond the largest plausible reading.
     """
 
     def __init__(self, log_map: LogMap, notes: Notes) -> None:
@@ -307,7 +308,9 @@ class _Topic:
 
 
 class _Field:
-    """Field of a channel in the messages of its topic, with counts of faults."""
+    """Field of a channel in the messages of its topic, with counts of faults. `ParameterError` for
+    a `Source.field` that is no path (`parse`).
+    """
 
     def __init__(self, name: str, source: Source) -> None:
         self._name = name

@@ -76,9 +76,9 @@ def _write_prior(memory, setting, work, size):
 
 @compiled
 def _normal_equations(memory, setting, work, size):
-    """Write normal matrix and gradient of prior and cells at `size` unknowns into `work.normal`,
-    of which only the upper triangle, and `work.gradient`; return chi-squared (of the forces, of the
-    law of sinkage, of the residuals in further rows).
+    """Write normal matrix, its upper triangle, and gradient of prior and cells at `size` unknowns
+    into `work.normal` and `work.gradient`. Return chi-squared (of the forces, of the law of
+    sinkage, of the residuals in further rows).
 
     Only residuals of cells on a border depend on its place and on the old soil.
     """

@@ -294,8 +294,8 @@ def _assess(rows, recent, estimate, sd, setting, net, assessed):
 
 @functools.cache
 def shipped() -> dict[str, Any]:
-    """Content of immobilisation.json, read once: `inputs`, the names as in `INPUTS`; the arrays of
-    `Network`; `alarm`, the probability within 5 s from which to warn; `card`, a dict on the
+    """Content of immobilisation.json, read once: `inputs`, as `INPUTS`, and the arrays of
+    `Network`. `alarm` is the probability within 5 s from which to warn, `card` a dict on the
     training.
     """
     return json.loads(FILE.read_text(encoding="utf-8"))

@@ -163,7 +163,8 @@ def compactions() -> list[float]:
 class OnBoard:
     """Estimators of many wheels or rovers; they follow the orders that the world has followed.
 
-    `warns`: keep the averages for the warning of immobilisation.
+    `vehicles`: their number; `shown`: where the observation has the estimate; `warns`: keep the
+    averages for the warning of immobilisation. ValueError as of `board_setting`.
     """
 
     def __init__(
@@ -236,7 +237,7 @@ def _mean_knowledge(vehicle, board):
 @compiled
 def reward_information(vehicle, before, after, board):
     """Reward the knowledge [nat] gained in a step, weight x (discount x `after` - `before`), and
-    renew the reward as the sum of its terms, in the record `vehicle` of the world.
+    renew the reward as the sum of its terms. Both are in `vehicle`, a record of the world's state.
 
     Nothing counts as known after the end of an episode. This is shaping by a potential, which
     leaves the best policy as it is (Ng, Harada & Russell 1999, ICML; its end: Grzes 2017, AAMAS).

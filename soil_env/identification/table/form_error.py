@@ -73,8 +73,8 @@ SIZES = np.array([0.001, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.3])
 
 
 def size_prior() -> np.ndarray:
-    """Prior probabilities [10] of `SIZES`: a tenth of the first, which is of laws that are as good
-    as exact; of the others log-normal about 0.05, with a sd of 0.8 of the logarithm.
+    """Prior probabilities [10] of `SIZES`: a tenth for the first (laws as good as exact), the
+    others log-normal about 0.05, with a sd of 0.8 of the logarithm.
     """
     weight = np.exp(-0.5 * ((np.log(SIZES) - np.log(0.05)) / 0.8) ** 2)
     weight[0] = weight[1:].sum() / 9.0

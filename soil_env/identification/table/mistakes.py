@@ -169,7 +169,7 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
     ):
         # Two forces that are wrong alike show only beside the torque.
         needed = columns if len(columns) == 1 else (*columns, "torque")
-        if all(known.get(column, True) for column in needed):
+        if all(known.get(column, True) for column in needed):  # every table has loads
             both = " and ".join(columns)
             add(
                 name,
@@ -202,6 +202,7 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
             )
     half = 0.5 * setup.wheel.radius
     if not np.any(np.isfinite(table.wheel_radius)) and half >= LEAST_RADIUS:
+        # a sinkage or lugs beyond the halved radius make it impossible
         if not np.any(table.sinkage > half) and (setup.wheel.grouser_height or 0.0) < half:
             wheel = dataclasses.replace(setup.wheel, radius=half)
             add(
@@ -256,6 +257,7 @@ def _problem(
     }
     noise = dataclasses.replace(reading.setup.noise, **levels)
     setup = reading.setup.changed(noise=noise)
+    # all rows: `usable_rows` would refuse some readings
     return TableProblem(there, setup, np.ones(len(there), dtype=bool), scarce=scarce)
 
 
