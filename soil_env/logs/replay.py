@@ -94,7 +94,7 @@ class Replay:
         """The surest estimate on a ground, by `COLUMNS`; None where none was current.
 
         It is that with the least product of the sds over those of the prior among those with
-        status CONVERGED, with its sds times `PICKED`. The last one errs more: behind a border that
+        status CONVERGED, with its sds times `PICKED`. The last one errs more: after a border that
         `_grounds` does not count the identifier began anew.
         """
         current = np.flatnonzero((self.ground == ground) & (self.status == Status.CONVERGED))

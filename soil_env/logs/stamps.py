@@ -133,7 +133,7 @@ def sound(times: np.ndarray, slack: int, restart: int) -> np.ndarray:
 
     Right is the largest set that never goes back, less stamps that are alone or of another clock
     (`_together`). Right are also stamps at most `slack` [ns] outside their two neighbours in that
-    set, and stamps at most `restart` [ns] before its first or behind its last.
+    set, and stamps at most `restart` [ns] before its first or after its last.
     """
     if times.size == 0:
         return np.zeros(0, bool)
@@ -142,7 +142,7 @@ def sound(times: np.ndarray, slack: int, restart: int) -> np.ndarray:
     known = times[rising]
     # Of each stamp: how many of the set come no later in the recording.
     place = np.searchsorted(rising, np.arange(times.size), side="right")
-    # Of a stamp before the first of the set, or behind the last, only one side is known.
+    # Of a stamp before the first of the set, or after the last, only one side is known.
     before = known[np.maximum(place - 1, 0)]
     after = known[np.minimum(place, known.size - 1)]
     out = np.where(place > 0, times >= before - slack, times >= known[0] - restart)

@@ -99,7 +99,7 @@ def feel_border(memory, setting, work):
     """Begin a border with its middle here, where forces show it.
 
     The form error begins at the geometric mean of the one before and the believed one: the laws may
-    be wrong behind the border too.
+    be wrong after the border too.
     """
     form_error = math.sqrt(memory.form_error * setting.model_error)
     begin_border(memory, setting, work, memory.place, (PLACE_SD * setting.border) ** 2)

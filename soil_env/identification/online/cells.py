@@ -82,7 +82,7 @@ def _apart(a, b):
 
 @compiled
 def remember(memory):
-    """Put the newest cell, that behind the `cells_kept` ones of a `MEMORY`, among these.
+    """Put the newest cell, that after the `cells_kept` ones of a `MEMORY`, among these.
 
     It is merged into the nearest one if their squared distance is below 1, else kept beside them.
     Where there is no room, the two of all cells whose merging loses least are merged: squared

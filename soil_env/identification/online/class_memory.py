@@ -20,7 +20,7 @@ from .memory import BEST_PULL, LEAST_SD, QUANTITIES
 
 # [of the sd] of the best pull of a patch, own choice: labels may be wrong, borders are near
 WIDER = 1.4
-# [border lengths] behind the end of a border before an estimate counts, own choice: until then the
+# [border lengths] past the end of a border before an estimate counts, own choice: until then the
 # identifier may not have found the border
 FOUND = 1.0 / 3.0
 

@@ -47,7 +47,7 @@ LARGEST_ERROR = 0.1  # [of load] form error up to which it grows, if the believe
 @compiled
 def _write_prior(memory, setting, work, size):
     """Write normal matrix and gradient at u of the prior of `size` unknowns into `work.prior` and
-    `work.prior_gradient`. They are those of soil and instruments (`HERE`), behind a border also its
+    `work.prior_gradient`. They are those of soil and instruments (`HERE`), after a border also its
     place and the old soil (`ALL`).
 
     If the wheel has stood, its pull at rest counts there as a measured zero.

@@ -75,7 +75,7 @@ DOUBT = 1.3  # factor of the standard deviations while the last point is an outl
 DOUBLED = 2.0**2  # factor of the form error's variance in that test: twice the error
 FURTHER_ERROR = 4e-6  # [of load, squared] further variance of the laws in that test: 0.002 of load
 # Points of a soil up to which readings that contradict the laws show no missed border, own choice:
-# so soon behind a border it is the laws that they contradict.
+# so soon after a border it is the laws that they contradict.
 FEW_POINTS = 5
 # Points of a soil up to which the best pull is renewed with each, then with every third; own
 # choice, since it takes the forces at each `SLIP`.
@@ -102,7 +102,7 @@ def _surprise(memory, setting, work):
     freedom.
 
     Their covariance is that of the residuals, with a larger error of the laws, and that of the
-    unknowns of the last fit. An old soil behind a border counts as known.
+    unknowns of the last fit. After a border its place and the old soil count as known.
     """
     cell = memory.cells[memory.cells_kept]
     e = residuals(cell, memory, setting, work)

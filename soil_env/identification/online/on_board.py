@@ -254,7 +254,7 @@ def write_known(out, first, flag, known, tangent, dig_gain):
     over the `tangent` of a grade) and its standard deviations.
 
     The first three quantities with their standard deviations fill six entries from `first` on, the
-    other three the last six. The `flag` stands behind the first six where `first` is 0, and before
+    other three the last six. The `flag` stands after the first six where `first` is 0, and before
     them where it is 1. K and S are decimal logarithms with relative standard deviations, cohesion
     is in kPa.
     """

@@ -97,7 +97,10 @@ def advance(memory, reading, turned, setting):
 @compiled
 def is_steady(reading, error, turned, setting):
     """True if the wheel drives on the ground without spinning, locking or a jump of its speed, and
-    its slip is well enough known; `error`: standard deviation of the slip.
+    its slip is well enough known.
+
+    `error`: standard deviation of the slip; `turned` [m/s]: change of the rim speed in the period,
+    without sign.
     """
     drives = reading.rim_speed > SLOWEST and LOCKED <= reading.slip <= SPINNING
     touches = reading.load >= LIFTED * setting.weight and reading.sinkage > 0.0

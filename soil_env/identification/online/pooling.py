@@ -82,7 +82,7 @@ def keep_knowledge(pool, memory, setting, work):
     `POOL` of its wheel. It is mean and covariance of the shared unknowns, under the prior of one
     Gaussian.
 
-    The soil behind the border with number n, counted by `memory.borders`, has the place n modulo
+    The soil after the border with number n, counted by `memory.borders`, has the place n modulo
     `SOILS`, and replaces an earlier one there.
     """
     s = memory.borders % SOILS

@@ -100,12 +100,12 @@ def _blend(cell, memory, setting, work):
     if cell.place_error == 0.0:
         return 1.0, 0.0
     length = setting.border
-    ahead, ahead_by = share_at(cell.place + cell.spread - u[PLACE], length)
-    behind, behind_by = share_at(cell.place - cell.spread - u[PLACE], length)
-    share = 0.5 * (ahead + behind)
+    front, front_by = share_at(cell.place + cell.spread - u[PLACE], length)
+    rear, rear_by = share_at(cell.place - cell.spread - u[PLACE], length)
+    share = 0.5 * (front + rear)
     for j in range(SOIL):
         work.soil[j] = share * u[j] + (1.0 - share) * u[OLD + j]
-    return share, -0.5 * (ahead_by + behind_by)
+    return share, -0.5 * (front_by + rear_by)
 
 
 @compiled
@@ -270,7 +270,7 @@ def _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work):
     if cell.place_error > 0.0:
         law = BORDER_LAW_ERROR
         place = _over_border(SINKAGE, share, by_place, memory, work) * cell.place_error
-    # a point's sinkage enters the change before it and the one behind it
+    # a point's sinkage enters the change before it and the one after it
     of_point = setting.white[0].sinkage ** 2 / READINGS
     variance = (1.0 + (1.0 - come * a) ** 2) * of_point / cell.changes
     variance += (law * come * a * bearing) ** 2 + place * place
