@@ -115,7 +115,9 @@ class VehicleInfos:
         self._simulation = simulation
 
     def many(self) -> Info:
-        """Info of all vehicles, arrays [vehicles]; causes and statuses are numbers."""
+        """Info of all vehicles, arrays [vehicles]; causes and statuses are numbers. Groups are
+        nested with "full" and "state"; {} with "none".
+        """
         if self.kind == "none":
             return {}
         worlds = self._simulation.worlds
@@ -192,7 +194,7 @@ class Infos(VehicleInfos):
 
     def one(self, k: int) -> Info:
         """Info of wheel k: in words and numbers of Python with "full" and "state", else numbers of
-        numpy.
+        numpy; {} with "none".
         """
         if self.kind == "none":
             return {}

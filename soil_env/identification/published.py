@@ -51,8 +51,8 @@ def published(x: Any, sd: Any, dig_gain: float, of: Any = math) -> dict[str, Any
 
 
 def soil_of_numbers(numbers: Mapping[str, float], belief: Belief, gravity: float) -> Soil:
-    """The soil of `published` numbers at a gravity [m/s2], each cut to its bounds; exponent,
-    recovery of digging and `FLOW_LAW` are the belief's.
+    """The soil of `published` numbers at a gravity [m/s2], each cut to its bounds; other names are
+    ignored. Exponent, recovery of digging and `FLOW_LAW` are the belief's.
     """
     known = ("sinkage_exponent", "dig_recovery", *FLOW_LAW)
     fixed = {name: getattr(belief, name) for name in known}

@@ -95,7 +95,7 @@ def messages(wanted: set[str], notes: Notes, definitions: Mapping[str, str]) -> 
 
     The path is the folder of the bag or one of its files; a file that is missing is noted.
     `definitions`: text of .msg files by message type. `notes` receives all topics of the bag, the
-    file being read, and the progress.
+    file being read, and the progress. `ParameterError` without the libraries of the extra logs.
     """
     try:
         import mcap  # noqa: F401

@@ -81,7 +81,9 @@ class Replay:
     warnings: list[str]
 
     def csv(self) -> str:
-        """One line a step: time, estimate, standard deviations, margin, status, ground."""
+        """CSV text with a header and one line a step: time, `COLUMNS` (empty for NaN), name of the
+        status, 1 if the step renewed the estimate, ground.
+        """
         lines = [",".join(("time", *COLUMNS, "status", "renewed", "ground"))]
         columns = zip(*(self.values[n].tolist() for n in COLUMNS), strict=True)
         states = zip(self.status.tolist(), self.renewed, self.ground, strict=True)

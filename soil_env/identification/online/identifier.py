@@ -229,6 +229,9 @@ def _complete(memory, reading, alone, setting, work):
     border begins here and the point is dropped. That is asked only off borders, of a wheel that is
     `alone` as in `observe`. An outlier is left out, and the published standard deviations grow by
     `DOUBT`. To any other point the soil is fitted, and published.
+
+    An excess is chi-squared of a point (`_surprise`) less `EXPECTED`. Their sum, never below 0,
+    shows another soil above `ANOTHER_SOIL`. An outlier has chi-squared above `OUTLIER`.
     """
     cell = memory.cells[memory.cells_kept]
     close(memory, cell, setting)

@@ -199,7 +199,7 @@ class OnlineIdentifier:
 
     @property
     def estimate(self) -> Estimate:
-        """The estimate after the last update."""
+        """The estimate after the last update; before the first, and after a `reset`, the prior."""
         return self._estimate
 
     def update(self, readings: Readings) -> Estimate:

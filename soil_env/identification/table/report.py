@@ -98,7 +98,7 @@ def _channel_table(estimate: TableEstimate) -> Table:
 
 def report_of(estimate: TableEstimate) -> dict[str, Any]:
     """The estimate as plain values for JSON: the fields of `TableEstimate` by name, with `channels`
-    in place of `fits` and without `law_error`; null for nan.
+    in place of `fits` and without `law_error`; null for nan and infinities.
     """
     channels = {
         name: {
