@@ -128,8 +128,9 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     After a gap of more than `restart_gap` it starts from the prior again. A motor torque without
     the inertia of the wheel is left out. The drawbar margin and the torque required are those of
     `OnlineIdentifier.traversability` at the load and pitch of the step that renewed the estimate,
-    and held until the next. An estimate out of the bounds of `Soil` is refused: NaN, with status
-    MISFIT.
+    and held until the next. A missing load is left out there, a missing pitch is 0.
+
+    An estimate out of the bounds of `Soil` is refused: NaN, with status MISFIT.
     """
     identifier = OnlineIdentifier(
         log_map.wheel,

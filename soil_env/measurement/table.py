@@ -505,6 +505,7 @@ def look_like_radians(cells: list[str]) -> bool:
         if digits < FEWEST_DIGITS or not abs(x) < math.radians(STEEPEST_IN_RADIANS):
             return False
         whole = round(math.radians(round(math.degrees(x))), digits)
+        # both have the digits of the cell: equal but for the rounding of floats
         if abs(whole - x) >= 10.0**-digits * 1e-3:
             return False
     return bool(grades)

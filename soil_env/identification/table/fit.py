@@ -690,6 +690,7 @@ def _follows_conditions(slip: np.ndarray, load: np.ndarray, residual: np.ndarray
     explained = np.sum(fitted**2)
     rest = np.sum((e - fitted) ** 2)
     spare = e.size - rank
+    # F statistic; a fit that leaves nothing divides by no zero
     return bool(
         spare > 1 and fdtrc(rank, spare, explained / rank * spare / max(rest, 1e-300)) < FOLLOWS
     )

@@ -245,6 +245,7 @@ def _studentised(spread: np.ndarray, square: float, freedom: int) -> np.ndarray:
     sqrt(1 - leverage); `square`: sum of squared residuals; `freedom`: degrees of freedom of the
     others.
     """
+    # of the others; where one value makes up the whole sum its difference is rounding
     rest = np.maximum(square - spread**2, 1e-12 * square)
     t = np.abs(spread) / np.sqrt(rest / freedom)
     tail = special.stdtr(freedom, -t)

@@ -176,7 +176,7 @@ class TableProblem:
         zeros = np.zeros(len(table))
         # A smooth rim; speed 0 and pass 1, since the base model does not depend on them.
         wheels = np.column_stack([table.radius(setup.wheel), table.width(setup.wheel), zeros])
-        grade = np.sin(np.radians(np.nan_to_num(table.grade_deg)))
+        grade = np.sin(np.radians(np.nan_to_num(table.grade_deg)))  # level where none is given
         self.table = table
         self.setup = setup
         self.use = use
