@@ -403,7 +403,9 @@ class CourseVectorEnv(
         return self.scaling(self.simulation.worlds.observation), info
 
     def _mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
-        """Courses to reset [N] bool: those of `options["reset_mask"]`, else all."""
+        """Courses to reset [N] bool: those of `options["reset_mask"]`, else all. ValueError for
+        other options, and for a mask of another shape or type.
+        """
         if options is not None and not isinstance(options, dict):
             raise ValueError(f"reset options = {options!r:.80}: expected a dictionary")
         options = dict(options or {})
@@ -425,6 +427,7 @@ class CourseVectorEnv(
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         """A seed for each course: from a single one counted up by one a course, from a sequence one
         each. None keeps the random stream of the course, or starts one without a seed.
+        ParameterError for anything but whole numbers >= 0, and for another number of seeds.
         """
         if isinstance(seed, np.ndarray):
             seed = seed.tolist()

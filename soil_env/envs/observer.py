@@ -185,6 +185,8 @@ class Observer:
         """Store an image for the observation, on courses with terrain classes.
 
         Without one, or with one that is not finite, the last stays; the latter counts as held.
+        TypeError for anything but an `Image`. ParameterError for an image without terrain classes,
+        and with them where there has been none.
         """
         if not self.scenario.course.classes:
             if image is not None:

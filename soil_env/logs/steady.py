@@ -94,8 +94,9 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
 
     A window lies in one drive (`_drives`) and on one ground, further than `belief.border` from
     where the ground changes. It has a load above 0 and sinkage, pull or torque. The noise is the
-    scatter within all windows over the root of the steps of one. `ground` [N] is that of `Replay`,
-    one more from each border on; left out, all is one ground.
+    scatter within all windows over the root of the steps of one. It is left out where it is but
+    rounding, and of a load that was not measured. `ground` [N] is that of `Replay`, one more from
+    each border on; left out, all is one ground.
     """
     columns = _columns(log, log_map)
     where = log.travelled(log_map.wheel.radius)

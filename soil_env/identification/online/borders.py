@@ -28,7 +28,7 @@ def begin_soil(memory, setting, work):
     """Set what is known of the ground and of the instruments to the prior, without points, and the
     fresh estimate with it.
 
-    Mass, clocks, places and the published estimate stay.
+    Mass, clocks, places, the open point, the old soil and the published estimate stay.
     """
     memory.excess = 0.0
     memory.form_error = setting.model_error

@@ -65,7 +65,8 @@ def slip_error(reading, setting):
     """Standard deviation of the slip [-]: that of a slip sensor where there is one (white noise
     above 0), else by the white noise of both speeds.
 
-    Rim speeds below `SLOWEST` count as `SLOWEST`. Braked, the slip is rim over travel speed less 1.
+    Rim speeds below `SLOWEST` count as `SLOWEST`, travel speeds above `MOST_TRAVEL` of the rim's as
+    that. Braked, the slip is rim over travel speed less 1.
     """
     white = setting.white[0]
     if white.slip > 0.0:
