@@ -59,7 +59,8 @@ def observation_space(
     variant: str, course: CourseSpec | None = None, scaled: bool = True
 ) -> gymnasium.spaces.Box:
     """Box of the observation variant, float32, on such a `course`; None is one without terrain
-    classes. ParameterError for an unknown variant.
+    classes. Bounds are those of scaled observations, or in units if not `scaled`. ParameterError
+    for an unknown variant.
     """
     return Scaling(layout(variant, course), scaled).space
 

@@ -122,7 +122,8 @@ class _Decoder:
     """Decoder of messages in CDR, one for each file of a bag.
 
     A type is looked up in the map's definitions, then in those of the file, then in those of the
-    current ROS 2.
+    current ROS 2. `definitions`: those of the map, by type; `ParameterError` for one that cannot be
+    read.
     """
 
     def __init__(self, definitions: Mapping[str, str]) -> None:
@@ -417,7 +418,8 @@ def parse(field: str, where: str) -> tuple[str | int, ...]:
 def number(
     message: Any, steps: tuple[str | int, ...], where: str, quaternion: bool = False
 ) -> float:
-    """The number at a path of a message, or the uphill pitch [rad] of the orientation there.
+    """The number at a path of a message, whose `steps` are those of `parse`; for a `quaternion` the
+    uphill pitch [rad] of the orientation there. `where` begins the text of an error.
 
     Raises `NotHere` where only this message lacks it: a list is too short, or a name is not in it.
     For a path that messages of this type do not have it raises `ParameterError`, and `Unlike` where

@@ -162,7 +162,9 @@ class LogMap(Checked):
     windows: Windows = Windows()  # noqa: RUF009
 
     def _check_together(self) -> None:
-        """Check sources, noise, the slip and the length of a window."""
+        """Raise `ParameterError` where sources, the slip, noise or the length of a window cannot be
+        right.
+        """
         for name, source in self.channels.items():
             if name not in UNITS:
                 raise FieldError(self, "channels", str(unknown_key(name, UNITS, "")))

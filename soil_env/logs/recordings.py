@@ -291,7 +291,8 @@ class _Topic:
     def sound_times(
         self, by_header: bool, gaps: tuple[int, int], notes: Notes
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(Stamps [N] in ns of headers or of the recording, True [N] for those that count).
+        """(Stamps [N] in ns, of headers if `by_header`, else of the recording; True [N] for those
+        that count).
 
         `gaps` are `max_gap` and `restart_gap` [ns] for `Stamps.settle`. Zeros in headers are noted;
         `ParameterError` where they are more than half.

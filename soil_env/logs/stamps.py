@@ -38,7 +38,9 @@ class Stamps:
         return len(self.times)
 
     def add(self, time: int, number: int, recorded: int = 0) -> None:
-        """Add the stamp of a row or message of this number."""
+        """Add the stamp of a row or message of this `number`, and when a message was `recorded`,
+        both times in ns.
+        """
         self.times.append(time)
         self.numbers.append(number)
         self.recorded.append(recorded)

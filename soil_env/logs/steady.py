@@ -84,7 +84,7 @@ class Steady:
 
 
 def cell(value: float | str, form: str) -> str:
-    """Text of a value; empty for NaN."""
+    """Text of a value: text as it is, a number in the format `form`, "" for NaN."""
     return value if isinstance(value, str) else "" if value != value else format(value, form)
 
 
@@ -161,7 +161,8 @@ def _columns(log: Aligned, log_map: LogMap) -> dict[str, np.ndarray]:
 
 
 def _drives(log: Aligned, rim: np.ndarray, log_map: LogMap) -> np.ndarray:
-    """Number [N] from 0 of the drive of each step; -1 where the wheel stands.
+    """Number [N] from 0 of the drive of each step; -1 where the wheel stands. `rim` [N]: rim speed
+    [m/s].
 
     A halt, that is a wheel slower than `windows.wheel_speed`, and a step without a reading part two
     drives.
@@ -173,7 +174,8 @@ def _drives(log: Aligned, rim: np.ndarray, log_map: LogMap) -> np.ndarray:
 
 
 def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bool:
-    """True if the means of the two halves of a window agree; `part`: columns [n] of `_columns`.
+    """True if the means of the two halves of a window agree; `part`: columns [n] of `_columns`, in
+    steps of a `period` [s].
 
     False where slip or speed is missing or the wheel travels backward. The limit of the sinkage is
     the share of the way left that half a window covers, so a slow wheel has a small one.
@@ -223,9 +225,10 @@ def _scatter(values: np.ndarray) -> float:
 
 
 def _row(part: dict[str, np.ndarray], start: float, period: float) -> Point:
-    """The means of a window that begins at `start` [s], and its middle `time` [s].
+    """The means of a window that begins at `start` [s], its `grade_deg` and its middle `time` [s].
 
-    A mean is NaN where half of its values or more are missing.
+    A mean is NaN where half of its values or more are missing. `part`: columns [n] of `_columns`;
+    `period` [s] of the steps.
     """
     mean = {
         n: float(np.nanmean(v)) if np.isfinite(v).mean() > 0.5 else math.nan

@@ -341,7 +341,8 @@ def setup_of(mapping: dict[str, Any], where: str) -> Setup:
 
 def _prior(value: Any, where: str) -> Prior:
     """`Prior` of a value in YAML: a number is known, sd 0; a mapping must have an sd > 0 that is at
-    least `LEAST_SD` of its value. `where`: file and key, for messages.
+    least `LEAST_SD` of its value. `ParameterError` for anything else. `where`: file and key, for
+    messages.
     """
     if not isinstance(value, dict):
         try:

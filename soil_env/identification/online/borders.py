@@ -135,6 +135,6 @@ def blend_estimates(into, memory, setting):
 
 @compiled
 def take_fresh(known):
-    """Publish the fresh estimate of a record, off borders."""
+    """Publish the fresh estimate of a record with `ESTIMATES`, `known`, off borders."""
     known.estimate[:] = known.fresh
     known.sd[:] = known.fresh_sd

@@ -117,7 +117,8 @@ def _normal_equations(memory, setting, work, size):
 
 @compiled
 def _apply_step(memory, setting, work, size):
-    """Add `work.step` to the unknowns; return the share of it that is taken.
+    """Add `work.step` to the first `size` unknowns; return the share of it that is taken, at most
+    1.
 
     It is shortened until no unknown moves by more than its prior standard deviation. Then both
     soils are held within `FARTHEST`, and tan phi at `LEAST_TANGENT` or above.

@@ -201,8 +201,10 @@ def publish(u, V, into, memory, setting):
 
 @compiled
 def status_of(known, contradicted, setting):
-    """`Status` of a published estimate: MISFIT if readings have `contradicted` the laws, else
-    CONVERGED if phi and ln K are both `LEARNT`, else NOT_EXCITED.
+    """Number of the `Status` of a published estimate: MISFIT if readings have `contradicted` the
+    laws, else CONVERGED if phi and ln K are both `LEARNT`, else NOT_EXCITED.
+
+    `known`: a record with the published `sd` of `ESTIMATES`.
     """
     if contradicted:
         return Status.MISFIT.value

@@ -175,7 +175,7 @@ def _channels(reading, numbers, warning):
 @compiled
 def begin_averages(recent, reading, numbers, warning):
     """Set all moving averages in `recent` [RECENT] to the first readings of a wheel, at rest at the
-    start of a course, and its seconds of driving to 0.
+    start of a course, and its seconds of driving to 0. `numbers`, `warning` as in `average`.
     """
     values = _channels(reading, numbers, warning)
     for i in range(_AVERAGES):
@@ -188,8 +188,8 @@ def average(recent, reading, halted, numbers, warning):
     """Take the readings of a control period into the averages of `recent` [RECENT], and add the
     period to the seconds of driving.
 
-    In a halt the averages stay as they are, and the seconds begin anew. `numbers`: `SETTING` of the
-    identifier; `warning`: `WARNING_SETTING`.
+    In a halt (`halted` above 0) the averages stay, and the seconds begin anew. `numbers`: `SETTING`
+    of the identifier; `warning`: `WARNING_SETTING`.
     """
     if halted > 0.0:
         recent[_AVERAGES] = 0.0
@@ -277,6 +277,7 @@ class Assessed(NamedTuple):
 @kept
 def _assess(rows, recent, estimate, sd, setting, net, assessed):
     """Fill `assessed` of the wheels `rows` [n]: inputs, then probabilities by the network `net`.
+    `recent`, `estimate` and `sd` are the arrays of `ImmobilisationWarning.assess`.
 
     The second probability joins both hazards: of the first horizon, and of the time after it.
     """

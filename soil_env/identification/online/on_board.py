@@ -207,7 +207,8 @@ class OnBoard:
 
 @compiled
 def knowledge(known, setting):
-    """Knowledge in an estimate beyond the prior of a `SETTING` [nat].
+    """Knowledge [nat] in an estimate, a record `known` with `ESTIMATES`, beyond the prior of a
+    `SETTING`.
 
     Fall of entropy, summed over the published quantities of the soil, each taken as Gaussian by
     itself. A quantity counts at least 0, and at most as one with the share `LEAST_LEFT` of its
@@ -256,7 +257,7 @@ def write_known(out, first, flag, known, tangent, dig_gain):
     The first three quantities with their standard deviations fill six entries from `first` on, the
     other three the last six. The `flag` stands after the first six where `first` is 0, and before
     them where it is 1. K and S are decimal logarithms with relative standard deviations, cohesion
-    is in kPa.
+    is in kPa. `known`: a record with `ESTIMATES`; `dig_gain`: nominal, to which its is relative.
     """
     mean = known.estimate
     sd = known.sd
@@ -287,7 +288,7 @@ def write_known(out, first, flag, known, tangent, dig_gain):
 @compiled
 def write_estimate(out, known, dig_gain):
     """Fill `out` [13] with what is identified of the soil under a wheel, with the margin on level
-    ground; the flag is 1 if the status is CONVERGED.
+    ground; the flag is 1 if the status is CONVERGED. `known`, `dig_gain` as in `write_known`.
     """
     write_known(out, 0, 1.0 if known.status == CONVERGED else 0.0, known, 0.0, dig_gain)
 

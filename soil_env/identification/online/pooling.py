@@ -70,7 +70,7 @@ def forget_pool(pool, memory):
 
 @compiled
 def _publish_fresh(pool):
-    """Publish the fresh estimate, and keep it as the old one for the next border."""
+    """Publish the fresh estimate of a `POOL`, and keep it as the old one for the next border."""
     take_fresh(pool)
     pool.old[:] = pool.fresh
     pool.old_sd[:] = pool.fresh_sd

@@ -232,7 +232,7 @@ def residuals(cell, memory, setting, work):
 @compiled
 def _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work):
     """(residual [m] of the law of slip-sinkage, its weight [1/m2]); both 0 without a change of
-    sinkage.
+    sinkage. `share` and `by_place`: of `_blend`.
 
     The law is z' - z = come (B z_b - A z) from point to point, with come = (1 - exp(-A))/A. A and B
     are integrals over the way, z_b is the bearing sinkage. `work.contact` has the forces at

@@ -134,7 +134,7 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
         there: Setup = setup,
         **columns,
     ) -> None:
-        """Add a reading with other `columns` and the setup `there`; `scale`, `source`: `Reading`.
+        """Add a reading with other `columns` and the setup `there`; the rest as in `Reading`.
 
         Noise of single rows is scaled, too.
         """

@@ -165,7 +165,8 @@ def with_noise_of_conditions(
 
 
 def _derivatives(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -> np.ndarray:
-    """Derivatives [N, 3] of the smooth surface by the condition `name`, slip or load.
+    """Derivatives [N, 3] of the smooth surface by the condition `name`, slip or load; `predict` as
+    in `with_noise_of_conditions`.
 
     The surface is the base model and polynomials that are fitted to what it leaves; these count
     only if the condition varies. 0 where the model has no value.

@@ -166,7 +166,8 @@ def plate_coefficient(
 
 
 def stiffness(setup: Setup, coefficient: float) -> dict[str, float]:
-    """Stiffness of a `Soil` by field, of which S [N/m^(n+2)] under the setup's wheel is known.
+    """Stiffness of a `Soil` by field, whose S under the setup's wheel is `coefficient`
+    [N/m^(n+2)].
 
     Where the setup gives k_c and k_phi it is these, in their ratio, so that wheels of other widths
     have the S that `rig.predict_table` gives them.
