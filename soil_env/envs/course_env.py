@@ -217,8 +217,8 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
         """New course, at rest at its start; the random stream starts anew with a `seed`, else it
         goes on.
 
-        ValueError for any `options`. Returns (observation, info), with "world" in a nested info
-        where there is a model.
+        ValueError for any `options`. Returns (observation [D] float32, info), with "world" in a
+        nested info where there is a model.
         """
         super().reset(seed=seed)
         if options:
@@ -244,8 +244,8 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Info]:
         """Drive as long as an action lasts.
 
-        Returns (observation, reward, terminated, False, info). Raises ResetNeeded before a reset
-        and after the end of the episode, ValueError for an action as of `actions_of`.
+        Returns (observation [D] float32, reward, terminated, False, info). Raises ResetNeeded
+        before a reset and after the end of the episode, ValueError for an action as `actions_of`.
         """
         if self._over:
             raise gymnasium.error.ResetNeeded(
@@ -385,7 +385,8 @@ class CourseVectorEnv(
         """Reset all courses, or those of `options["reset_mask"]` [N] bool.
 
         A `seed` (`_seeds`) of a course that is not reset counts in the first call only. Returns
-        (observations, info) of all courses. Raises ValueError for other options and other seeds.
+        (observations [N, D] float32, info) of all courses. Raises ValueError for other options and
+        other seeds.
         """
         mask = self._mask(options)
         seeds = self._seeds(seed)
@@ -451,11 +452,12 @@ class CourseVectorEnv(
     ) -> tuple[
         NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info
     ]:
-        """One action for each course.
+        """One action for each course, `actions` [N, motors].
 
         A course that has ended is reset in this step or the next, or refused, as `autoreset_mode`
-        says. Returns (observations, rewards, terminations, truncations, info). Raises ResetNeeded
-        before a reset and for a refused course, ValueError for actions as of `actions_of`.
+        says. Returns (observations [N, D] float32, rewards, terminations, truncations, each [N],
+        info). Raises ResetNeeded before a reset and for a refused course, ValueError for actions as
+        `actions_of`.
         """
         if not self._seeded:
             raise gymnasium.error.ResetNeeded("step() before reset()")

@@ -249,13 +249,14 @@ class Vehicles:
         check_laid(sum(run(run_chunk, chunks)))
 
     def _draw(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> int:
-        """Draw the ground that the orders of vehicles `first` to `end` - 1 ask for; return for how
-        many of them no soil was found.
+        """Draw the ground that the `orders` [vehicles] int8 of the vehicles `first` to `end` - 1
+        ask for; return for how many of them no soil was found. `scratch`: work space of a chunk.
         """
         return self._lay(self._world, self.course_numbers, orders, scratch, first, end)
 
     def _drive(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> int:
-        """Follow the orders of vehicles `first` to `end` - 1 in the world, then in the estimators.
+        """Follow the `orders`, as in `_draw`, of the vehicles `first` to `end` - 1 in the world,
+        then in the estimators.
 
         Returns 0 as `_draw` does, since it cannot fail.
         """
@@ -265,7 +266,7 @@ class Vehicles:
         return 0
 
     def _move(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:
-        """Follow the orders of vehicles `first` to `end` - 1 in the world."""
+        """Follow the `orders`, as in `_draw`, of the vehicles `first` to `end` - 1 in the world."""
         self._step(self._world, self.numbers, self._actions, orders, scratch, first, end)
 
 

@@ -202,7 +202,7 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
 def _refuse(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray) -> list[str]:
     """Refuse estimates that are not finite or out of the bounds of a soil (`_BOUNDS`).
 
-    All `values` of such a step become NaN and its `status` MISFIT, both in place. Returns a
+    All `values` [N] of such a step become NaN and its `status` [N] MISFIT, both in place. Returns a
     warning, which names one value out of bounds; none where nothing is refused.
     """
     bad = ~np.all([np.isfinite(values[n]) for n in ESTIMATED], axis=0)

@@ -154,7 +154,7 @@ def sound(times: np.ndarray, slack: int, restart: int) -> np.ndarray:
 
 
 def _longest_rising(times: np.ndarray) -> np.ndarray:
-    """Indices of the longest subsequence of `times` that never falls (Schensted 1961)."""
+    """Indices [n] of the longest subsequence of `times` [N] that never falls (Schensted 1961)."""
     if np.all(times[1:] >= times[:-1]):
         return np.arange(times.size)
     ends: list[int] = []  # least last time of the subsequences of length 1, 2, ...

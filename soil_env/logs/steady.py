@@ -208,7 +208,9 @@ def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bo
 
 
 def _change(values: np.ndarray) -> float:
-    """Size of the difference between the means of the two halves; 0 if a half is not measured."""
+    """Size of the difference between the means of the two halves of `values` [n], without NaN; 0 if
+    a half is not measured.
+    """
     first, second = np.split(values, [values.size // 2])
     if np.isnan(first).all() or np.isnan(second).all():
         return 0.0

@@ -92,7 +92,9 @@ class Data:
 
     @property
     def groups(self) -> list[np.ndarray]:
-        """Indices of the rows of each combination of the levels of all conditions but slip."""
+        """Indices [n] of the rows of each combination of the levels of all conditions but slip; all
+        rows where nothing else varies.
+        """
         others = [c.level for name, c in self.varied.items() if name != "slip"]
         label = combinations_of(others or [np.zeros_like(self.cell)])
         return [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
