@@ -81,7 +81,8 @@ def _pull_slopes(deeper, slope, ratio, memory, setting, work):
 @compiled
 def renew_best_pull(memory, load, setting, work):
     """Renew the best pull [of load] in `fresh`, its standard deviation in `fresh_sd` and `steady`,
-    the ln of the steady sinkages [m], under a measured `load` [N] without the gain of its sensor.
+    the ln of the steady sinkages [m]. The measured `load` [N] is corrected by the gain of its
+    sensor.
 
     It is the largest pull at any `SLIP`; slips at which the torque exceeds the motor's are left
     out. The pull is at least -1 of load. Where no slip is left, or a number is not finite, it is -1

@@ -156,8 +156,8 @@ def _fall(work, size, length, share):
 
 @compiled
 def renew(memory, setting, work):
-    """Renew the unknowns `u` and the covariance of the soil by all cells, then `misfit` (of the
-    forces), `law_misfit` (of the law of sinkage) and the form error, all in `memory`.
+    """Renew the unknowns `u` and the covariance of the soil by all cells, all in `memory`. Then
+    renew `misfit` (of the forces), `law_misfit` (of the law of sinkage) and the form error.
 
     A misfit is chi-squared over the number of its residuals. Chi-squared after the last step is the
     one before it, less the fall that is predicted, by the same share for both. Where the

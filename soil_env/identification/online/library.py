@@ -57,9 +57,9 @@ def solve_joined(work):
 
 @compiled
 def _log_weight(known, u, setting, work, k):
-    """ln of the weight of the Gaussian k of the library under the readings, up to a constant: of
-    its weight in the library times the integral of Gaussian times likelihood over the soil.
+    """ln of the weight of the Gaussian k of the library under the readings, up to a constant.
 
+    This is the weight in the library times the integral of Gaussian times likelihood over the soil.
     The exponents are expanded about the soil u. `known` and what is written into `work`: see
     `join`; `work.step` is overwritten too.
     """

@@ -455,8 +455,9 @@ def _exact_conditions(problem: TableProblem) -> tuple[str, ...]:
 def _units(
     problem: TableProblem, parameters: dict[str, Parameter], fits: dict[str, ChannelFit]
 ) -> list[str]:
-    """Warnings of a wrong unit in setup or table: a tiny load, or else a soil that is softer than
-    any to the upper end of its 95 % interval, and residuals far below a given noise.
+    """Warnings of a wrong unit in setup or table: a tiny load (`LIGHT`), or else a soil that is
+    softer than any (`SOFT`) to the upper end of its 95 % interval. Also residuals far below a given
+    noise.
 
     `fits`: under noise alone; their `too_small` is a p value.
     """

@@ -685,7 +685,7 @@ def _worst_row(data: Data, off: np.ndarray, sd: np.ndarray) -> int:
     number of their values.
 
     All rows of a `SMALL` table are tried, else the `CANDIDATES` whose deviations `off` [N, 3] are
-    largest, and those at the ends of slip and load, which draw the fit to themselves.
+    largest. So are those at the ends of slip and load, which draw the fit to themselves.
     """
     slip = data.table.slip
     load = data.table.load
