@@ -374,7 +374,12 @@ def _short(value: float) -> float:
 
 
 def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
-    """Sentences on the grounds, the steady points, and what may be fitted together."""
+    """Sentences on the grounds, the steady points, and what may be fitted together.
+
+    They count grounds, borders and restarts. Where there is no measurement table they say why. Else
+    they count its points, and name the times [s] at which the ground changes, the grounds with too
+    few points, and what the noise is.
+    """
     out = [
         f"Grounds found: {len(grounds)}. The identifier saw {plural(found.borders, 'border')} and "
         f"started anew after {plural(found.restarts, 'gap')}. A border counts where the soils on "

@@ -313,6 +313,9 @@ def read_setup(path: str | Path) -> Setup:
 def setup_of(mapping: dict[str, Any], where: str) -> Setup:
     """The setup in the mapping of a YAML file that was read already; `where`: the file, for
     messages. `ParameterError` as of `read_setup`.
+
+    A number of the soil, or of the tilt, becomes a `Prior` that is known. Refused are an empty list
+    in `rig` and a setup without `wheel`.
     """
     # A heading with nothing below it is left out.
     sections = ("soil", "noise", "calibration", "checked", "tilt_deg", "ignore_columns", "rig")

@@ -302,8 +302,8 @@ def _with_points(path: Path, lines: Rows) -> list[tuple[int, list[str]]]:
 
 
 def _check_header(path: Path, header: list[str]) -> None:
-    """Refuse a header that is a row of numbers, or has an unknown, missing, empty or double
-    name.
+    """Refuse a header that is a row of numbers, or has an unknown, missing, empty or double name:
+    `ParameterError`. Needed are `REQUIRED` and one of `MEASURED`.
     """
     if all(isinstance(_canonical(name), float) for name in header):
         raise ParameterError(
@@ -374,7 +374,12 @@ def _column(path: Path, name: str, header: list[str], rows: Rows) -> np.ndarray:
 def _check_rows(
     table: Table, header: list[str], rows: Rows, wheel: SetupWheel | None, passes: np.ndarray
 ) -> None:
-    """Refuse values that cannot be right; the message names the first by check, then by row.
+    """Refuse values that cannot be right: `ParameterError`, which names the first by check, then by
+    row.
+
+    Checked are cells of `REQUIRED` that are empty, each column for its range and for likely other
+    units, and grades for radians. Then sinkages, their noise and lugs are compared with the radius,
+    and `_check_whole` follows.
 
     `passes` [N]: the column `pass` as it was written, nan where empty. Without `wheel`, sinkage and
     lugs are compared with the radius only in rows that give a radius.

@@ -108,8 +108,9 @@ class Known(NamedTuple):
 def board_setting(scenario: Scenario, shown: Shown, warns: bool) -> np.ndarray:
     """Pack `BOARD_SETTING` [1] of a wheel or a rover.
 
-    `warns`: averages for the warning are kept. Raises ValueError for an observation of more than
-    `MOST_ENTRIES`.
+    `shown`: where the observation has the estimate; `warns`: averages for the warning are kept.
+    What the axles of a rover know is pooled, and what its sensors do not measure of one wheel gets
+    no weight (`limit_to_wheel`). Raises ValueError for more than `MOST_ENTRIES` observed.
     """
     setting = np.zeros(1, BOARD_SETTING)
     board = setting[0]

@@ -158,6 +158,8 @@ def residuals(cell, memory, setting, work):
     `work.slopes`, and renew the most likely slip of the cell.
 
     Forces are computed at the most likely slip and extended to the measured one by their slopes.
+    Residuals are the measured less the predicted values, with gains and zeros of the instruments.
+    The weights contain noise, form error, and what errors of slip, sinkage and place do to both.
     """
     u = memory.u
     J = work.slopes

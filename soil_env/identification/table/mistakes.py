@@ -118,6 +118,10 @@ class Reading(NamedTuple):
 def readings(table: Table, setup: Setup) -> list[Reading]:
     """Every other reading of the table that is tried.
 
+    They are: the sign of pull or slip turned; pull and torque exchanged; pull, torque, load, or
+    load with pull, read in kilograms; torque also in kilogram centimetres; the slip read as
+    (r w - V)/V or V/(r w); the radius read as the diameter.
+
     A reading is left out where the table cannot show it, or where it would be impossible.
     """
     out = []
