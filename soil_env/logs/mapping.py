@@ -192,7 +192,7 @@ class LogMap(Checked):
             )
 
     def _check_source(self, name: str, s: Source) -> None:
-        """Raise `FieldError` for a source `s` of the reading `name` whose fields contradict each other.
+        """Raise `FieldError` for a source `s` of reading `name` whose fields do not go together.
 
         It has topic and field, a column, or a constant; a unit of `UNITS`; and a sign of 1 or -1.
         A torque in A, and no other reading, has a motor constant. A quaternion has a topic. Gears
