@@ -161,7 +161,9 @@ class _Reader:
             )
 
     def read_table(self, stamps: TimeColumn) -> None:
-        """Read a CSV or Parquet file with a column of time stamps; set `interval` and `length`."""
+        """Read a CSV or Parquet file with a column of time stamps into `channels`; set `interval`
+        and `length`. Successive rows of one time that fill different columns count as one row.
+        """
         columns: dict[str, list[str]] = {}
         for name, source in self.sources.items():
             columns.setdefault(source.column, []).append(name)
@@ -381,7 +383,8 @@ def _note_delays(notes: Notes, mean: dict[str, float]) -> None:
 def _remarks(found: Aligned, log_map: LogMap, limits: dict[str, float]) -> list[str]:
     """Notes on channels without readings, with implausible or slow ones, and on gaps.
 
-    `limits`: largest plausible reading by channel, in SI units.
+    `limits`: largest plausible reading by channel, in SI units. A channel is slow where more than
+    `_SLOW` of its steps are interpolated. A gap is longer than `max_gap` and than 1.5 periods.
     """
     lines = []
     for name, c in found.channels.items():

@@ -628,6 +628,9 @@ def _predicts_badly(plain: _Plain, fits: dict[str, ChannelFit]) -> str:
 def _not_modelled(problem: TableProblem) -> list[str]:
     """Warnings on channels that were not measured, on rows that are left out or taken otherwise
     than given, and on what of the rig the base model does not contain.
+
+    Later passes are taken as fresh soil, grades beyond `LEVEL` as level unless the load is
+    vertical, rims with lugs as smooth. Wheels of several widths have one S without k_c and k_phi.
     """
     table = problem.table
     used = problem.use
