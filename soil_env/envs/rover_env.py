@@ -211,8 +211,8 @@ class SoilRoverVectorEnv(CourseVectorEnv):
     Spaces, rewards and terminations are those of `SoilRoverEnv`; rover j reset with seed s runs the
     same trajectory, bit for bit, as a `SoilRoverEnv` reset with s and given the same actions. A
     single seed s seeds rover j with s + j. `autoreset_mode`, `max_episode_steps` and the arrays of
-    `info` as in `SoilWheelVectorEnv`; with `info="full"` the groups are those of `SoilRoverEnv`. No
-    rendering.
+    `info` as in `SoilWheelVectorEnv`; with `info="full"` the groups are those of `SoilRoverEnv`.
+    `final_info` has what `info` has. No rendering.
     """
 
     def __init__(
