@@ -50,9 +50,9 @@ def remember_class(classes, c, patch, memory, setting):
     """Renew class number `c` of a wheel's `CLASSES` by the estimate that the identifier's `memory`
     has on the patch of this number; an earlier estimate from the same patch is replaced.
 
-    The sums are those of the module. The sd of the best pull counts `WIDER` times as large. From
-    the second patch on, chi-squared above 1 between this estimate and the patches before widens the
-    sd by its root. A quantity that is not better known than by the prior changes nothing.
+    The sums are those of the module's docstring. The sd of the best pull counts `WIDER` times as
+    large. From the second patch on, chi-squared above 1 between this estimate and the patches
+    before widens the sd by its root. A quantity not better known than by the prior changes nothing.
     """
     known = classes.of[c]
     mean = classes.before

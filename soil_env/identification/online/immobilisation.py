@@ -156,7 +156,7 @@ def _channels(reading, numbers, warning):
     """`Channels` of one set of readings; `numbers`: `SETTING`, `warning`: `WARNING_SETTING`.
 
     A load below `LIFTED` of the weight counts as that. The motor has the torque stall torque x (1 -
-    speed over no-load speed), at least `_LEAST_TORQUE`; the share of it is cut to -1 and
+    speed over no-load speed), at least `_LEAST_TORQUE`. The motor torque over it is cut to -1 and
     `_MOST_TORQUE`.
     """
     load = max(reading.load, LIFTED * numbers.weight)

@@ -258,7 +258,7 @@ def write_known(out, first, flag, known, tangent, dig_gain):
     The first three quantities with their standard deviations fill six entries from `first` on, the
     other three the last six. The `flag` stands after the first six where `first` is 0, and before
     them where it is 1. K and S are decimal logarithms with relative standard deviations, cohesion
-    is in kPa. `known`: a record with `ESTIMATES`; `dig_gain`: nominal, to which its is relative.
+    is in kPa. `known`: a record with `ESTIMATES`, whose gain is relative to the nominal `dig_gain`.
     """
     mean = known.estimate
     sd = known.sd

@@ -96,8 +96,9 @@ def keep_knowledge(pool, memory, setting, work):
 
 @compiled
 def hand_over_border(front, memory, behind, setting, work):
-    """Begin the next border of a wheel that runs `behind` [m] behind the front one. It begins half
-    a border's length before its middle, which is where the front wheel has it.
+    """Begin the next border of a wheel that runs `behind` [m] behind the front one, once this wheel
+    is past its beginning. That is half a border's length before its middle, which is where the
+    front wheel has found it.
 
     `front`: `POOL` of the front wheel; `memory`: of this one. Nothing begins on a border, or if the
     front wheel has not found the next one or has dropped it as a false alarm. A border whose soil

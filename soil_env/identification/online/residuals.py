@@ -159,7 +159,7 @@ def residuals(cell, memory, setting, work):
 
     Forces are computed at the most likely slip and extended to the measured one by their slopes.
     Residuals are the measured less the predicted values, with gains and zeros of the instruments.
-    The weights contain noise, form error, and what errors of slip, sinkage and place do to both.
+    Their covariance has noise, form error, and what errors of slip, sinkage and place do to both.
     """
     u = memory.u
     J = work.slopes
