@@ -152,7 +152,9 @@ class _Common:
         return found
 
     def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
-        """Observations [..., D] of this env in the units of the tables."""
+        """Observations [..., D] of this env in the units of the tables, float32; ValueError for
+        another shape.
+        """
         return self.scaling.physical(observation)
 
     @property
@@ -162,6 +164,7 @@ class _Common:
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
+        """Take the spec of `gymnasium.make`, with its keyword arguments as plain values."""
         self._spec = storable(spec)
 
 
@@ -211,9 +214,11 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], Info]:
-        """New course, at rest at its start.
+        """New course, at rest at its start; the random stream starts anew with a `seed`, else it
+        goes on.
 
-        `options` must be empty. Returns (observation, info).
+        ValueError for any `options`. Returns (observation [D] float32, info), with "world" in a
+        nested info where there is a model.
         """
         super().reset(seed=seed)
         if options:
@@ -239,7 +244,8 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Info]:
         """Drive as long as an action lasts.
 
-        Returns (observation, reward, terminated, truncated, info).
+        Returns (observation [D] float32, reward, terminated, False, info). Raises ResetNeeded
+        before a reset and after the end of the episode, ValueError for an action as `actions_of`.
         """
         if self._over:
             raise gymnasium.error.ResetNeeded(
@@ -255,7 +261,10 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
         return seen, worlds.reward.item(0), self._over, False, self.infos.one(0)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A frame [H, W, 3] uint8 with "rgb_array"; draws into a window with "human"."""
+        """A frame [H, W, 3] uint8 with "rgb_array"; draws into a window with "human".
+
+        Without a render mode None, with a warning. Raises ResetNeeded before the first reset.
+        """
         if self.render_mode is None:
             gymnasium.logger.warn(
                 "render() without a render_mode; make the env with render_mode='rgb_array' or "
@@ -271,7 +280,9 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
             raise gymnasium.error.ResetNeeded(f"{method}() before reset()")
 
     def _soil_at(self, x: float) -> Soil:
-        """The undisturbed soil at x [m] along the course, without its density."""
+        """The undisturbed soil at x [m] along the course, without its density; on a border the
+        blend of two. ResetNeeded before the first reset.
+        """
         self._need_course("true_soil")
         border = self.scenario.course.border
         soil = soil_at(self.simulation.worlds.courses, 0, x, border)
@@ -360,7 +371,7 @@ class CourseVectorEnv(
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(actions, self.num_envs)
         self._shape = (self.num_envs, *actions.shape)
-        # [control periods] that an episode is longer than in the step that truncates it
+        # [control periods] of all steps before the one that truncates an episode: exceeded in that
         self._longest = np.inf
         if self._most_steps is not None:
             self._longest = (self._most_steps - 1) * self.scenario.control.action_periods
@@ -373,7 +384,9 @@ class CourseVectorEnv(
     ) -> tuple[NDArray[np.float32], Info]:
         """Reset all courses, or those of `options["reset_mask"]` [N] bool.
 
-        Returns (observations, info).
+        A `seed` (`_seeds`) of a course that is not reset counts in the first call only. Returns
+        (observations [N, D] float32, info) of all courses. Raises ValueError for other options and
+        other seeds.
         """
         mask = self._mask(options)
         seeds = self._seeds(seed)
@@ -391,7 +404,9 @@ class CourseVectorEnv(
         return self.scaling(self.simulation.worlds.observation), info
 
     def _mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
-        """Courses to reset [N] bool: those of `options["reset_mask"]`, else all."""
+        """Courses to reset [N] bool: those of `options["reset_mask"]`, else all. ValueError for
+        other options, and for a mask of another shape or type.
+        """
         if options is not None and not isinstance(options, dict):
             raise ValueError(f"reset options = {options!r:.80}: expected a dictionary")
         options = dict(options or {})
@@ -413,6 +428,7 @@ class CourseVectorEnv(
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         """A seed for each course: from a single one counted up by one a course, from a sequence one
         each. None keeps the random stream of the course, or starts one without a seed.
+        ParameterError for anything but whole numbers >= 0, and for another number of seeds.
         """
         if isinstance(seed, np.ndarray):
             seed = seed.tolist()
@@ -436,10 +452,12 @@ class CourseVectorEnv(
     ) -> tuple[
         NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info
     ]:
-        """One action for each course.
+        """One action for each course, `actions` [N, motors].
 
         A course that has ended is reset in this step or the next, or refused, as `autoreset_mode`
-        says. Returns (observations, rewards, terminations, truncations, info).
+        says. Returns (observations [N, D] float32, rewards, terminations, truncations, each [N],
+        info). Raises ResetNeeded before a reset and for a refused course, ValueError for actions as
+        `actions_of`.
         """
         if not self._seeded:
             raise gymnasium.error.ResetNeeded("step() before reset()")
@@ -449,7 +467,8 @@ class CourseVectorEnv(
             raise gymnasium.error.ResetNeeded(
                 "a course has ended: reset(options={'reset_mask': ...}) it first"
             )
-        self.simulation.step_all(commands, self._done.view(np.int8))  # True restarts
+        # as orders False is STEP and True RESTART
+        self.simulation.step_all(commands, self._done.view(np.int8))
         self.infos.after_step(self._done)
         terminated = worlds.cause != _RUNNING
         truncated = self.simulation.steps > self._longest

@@ -115,7 +115,9 @@ class VehicleInfos:
         self._simulation = simulation
 
     def many(self) -> Info:
-        """Info of all vehicles, arrays [vehicles]; causes and statuses are numbers."""
+        """Info of all vehicles, arrays [vehicles]; causes and statuses are numbers. Groups are
+        nested with "full" and "state"; {} with "none".
+        """
         if self.kind == "none":
             return {}
         worlds = self._simulation.worlds
@@ -158,7 +160,8 @@ class Infos(VehicleInfos):
         super().__init__(simulation, kind)
         wheels = simulation.count
         averages = simulation.worlds.recent
-        self._shows_ground = averages is not None and len(averages) > 0  # infos may have it
+        # whether infos can have a traversability, which needs the averages for warnings
+        self._shows_ground = averages is not None and len(averages) > 0
         self._assess = None
         self._foresight = None
         if simulation.belief is not None:
@@ -191,7 +194,7 @@ class Infos(VehicleInfos):
 
     def one(self, k: int) -> Info:
         """Info of wheel k: in words and numbers of Python with "full" and "state", else numbers of
-        numpy.
+        numpy; {} with "none".
         """
         if self.kind == "none":
             return {}
@@ -204,6 +207,7 @@ class Infos(VehicleInfos):
                 "x": worlds.state["x"][k],
                 **dict(zip(_TERMS, worlds.terms[k].copy(), strict=True)),
             }
+        # the record as plain numbers: `STATE` first, the reward terms from `_TERMS_AT` on
         numbers = worlds.state[k : k + 1].view(np.float64)
         info = {
             "cause": _CAUSES[cause],

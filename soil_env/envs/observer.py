@@ -46,9 +46,10 @@ def write_reading(state, samples, observation, setting, begun, slips, chooses):
     sample = samples[0, 0]
     out = observation[0]
     if begun:
+        # stores last action and rim command, as they are observed; the drive is the real wheel's
         commanded(wheel, wheel.action, wheel.halt_left > 0.0, own.rig[0])
         roll_odometer(wheel, sample.speed, task.period)
-    wheel.halt_left = sample.halted
+    wheel.halt_left = sample.halted  # 1 or 0: only whether it is above 0 counts
     sample.place = wheel.odometer
     if slips:
         sample.slip = 0.0
@@ -96,6 +97,8 @@ class Observer:
     its last value in the observation, and the identifier takes it as not measured. Before the first
     value stands what `OnlineIdentifier` puts there, and 0 for a speed. While a speed is not known,
     the estimate stays. `held` counts readings that kept a value, by name, since the last `reset`.
+
+    Raises ParameterError for the scenario of a rover, and for another variant.
     """
 
     def __init__(self, scenario: Scenario, variant: str = "identified") -> None:
@@ -182,6 +185,8 @@ class Observer:
         """Store an image for the observation, on courses with terrain classes.
 
         Without one, or with one that is not finite, the last stays; the latter counts as held.
+        TypeError for anything but an `Image`. ParameterError for an image without terrain classes,
+        and with them where there has been none.
         """
         if not self.scenario.course.classes:
             if image is not None:

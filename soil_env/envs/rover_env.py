@@ -32,8 +32,11 @@ def build_rover(
     changes: dict[str, Any],
     own: tuple[str, ...] = _OWN,
 ) -> RoverScenario:
-    """The scenario that the keyword arguments of an environment describe; `own`: those that are no
-    part of it.
+    """The scenario that the keyword arguments of an environment describe: `rover` with the fields
+    in `changes`, `action` and `repeat` merged over it.
+
+    `own`: keywords that are no part of a scenario, for errors. Raises as `scenario_changes` and
+    `load_rover`.
     """
     return load_rover(
         rover, scenario_changes(changes, action, repeat, own, RoverScenario), "keyword"
@@ -208,8 +211,8 @@ class SoilRoverVectorEnv(CourseVectorEnv):
     Spaces, rewards and terminations are those of `SoilRoverEnv`; rover j reset with seed s runs the
     same trajectory, bit for bit, as a `SoilRoverEnv` reset with s and given the same actions. A
     single seed s seeds rover j with s + j. `autoreset_mode`, `max_episode_steps` and the arrays of
-    `info` as in `SoilWheelVectorEnv`; with `info="full"` the groups are those of `SoilRoverEnv`. No
-    rendering.
+    `info` as in `SoilWheelVectorEnv`; with `info="full"` the groups are those of `SoilRoverEnv`.
+    `final_info` has what `info` has. No rendering.
     """
 
     def __init__(

@@ -52,8 +52,8 @@ class RoverSimulation(Vehicles):
         self._check_drivable(new_rover_worlds(1, scenario, self.numbers, False))
 
     def true_soil(self) -> np.ndarray:
-        """Observations of the variant `true_soil` now, in its units [rovers, D] float32, whatever
-        variant is observed.
+        """Observations of the variant `true_soil` now, in its units and cut to its bounds, [rovers,
+        D] float32, whatever variant is observed.
         """
         entries = rover_layout("true_soil", self.scenario.axles)
         sensed = first_soil(self.scenario.axles)

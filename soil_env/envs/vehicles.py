@@ -67,8 +67,10 @@ class Worlds(NamedTuple):
 class Vehicles:
     """Base of the simulations of many wheels and of many rovers.
 
-    A subclass gives the arrays and the compiled functions to `_begin`. All randomness of vehicle k
-    follows from the seed given to `seed`.
+    `count`: number of vehicles; `threads`: most threads, None for one a processor. A subclass gives
+    the arrays and the compiled functions to `_begin`. All randomness of vehicle k
+    follows from the seed given to `seed`. Restarts and steps raise RuntimeError where no soil is
+    found for a course.
     """
 
     numbers: Any  # constants of the compiled step
@@ -95,9 +97,9 @@ class Vehicles:
     ) -> None:
         """Take the compiled functions (lay, step) with their arrays.
 
-        `courses`: the numbers that courses are drawn by and the final ground [m] that a vehicle
-        needs before it; `scratch`: a work space for each chunk; `on_board`: the estimators, None
-        where nothing is identified.
+        `courses`: the numbers that courses are drawn by, and the length [m] of final ground that a
+        step needs ahead of the vehicle. `scratch`: a work space for each chunk; `on_board`: the
+        estimators, None where nothing is identified.
         """
         self._lay, self._step = functions
         self._world = worlds
@@ -137,6 +139,7 @@ class Vehicles:
         return {name: value for name, value in self.__dict__.items() if name not in VIEWS}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take the attributes that `__getstate__` gave, and make the views of their arrays."""
         self.__dict__.update(state)
         self._view()
 
@@ -148,7 +151,7 @@ class Vehicles:
         leaves the mass in its reward, or -1 if no soil was found.
         """
         vehicles = trial.state
-        vehicles["stream"] = 1
+        vehicles["stream"] = 1  # any seed, the same in every check
         orders = np.array([TRY])
         for _ in range(TRIAL_COURSES):
             self._lay(trial, self.course_numbers, orders, self._scratch[0], 0, 1)
@@ -164,7 +167,7 @@ class Vehicles:
         self._heads["stream"][k] = seed_stream(rng)
 
     def restart(self, k: int) -> None:
-        """New course and fresh start for vehicle k."""
+        """Draw a new course for vehicle k and put it at rest at the start, with a blank record."""
         self._clear(k)
         self._one(k, RESTART, self._draw)
         self._one(k, RESTART, self._drive)
@@ -174,7 +177,10 @@ class Vehicles:
         self._one(k, COMPLETE, self._draw)
 
     def step(self, k: int, action: Any) -> None:
-        """One step of vehicle k: the control periods of an `action`, one number or one a motor."""
+        """One step of vehicle k: the control periods of an `action`, one number or one a motor.
+
+        Ground that this step needs and is not drawn yet is drawn first.
+        """
         self._actions[k] = action
         if self._ready.item(k) < self._x.item(k) + self._ahead:
             self._one(k, AHEAD, self._draw)
@@ -195,7 +201,9 @@ class Vehicles:
             self._all(np.where(which, RESTART, IDLE))
 
     def _clear(self, which: Any) -> None:
-        """Make the records of vehicles blank but for their random streams."""
+        """Make the records of vehicles blank but for their random streams; `which`: an index or
+        [vehicles] bool.
+        """
         streams = self._heads["stream"][which].copy()
         self._heads[which] = np.zeros((), self._heads.dtype)
         self._heads["stream"][which] = streams
@@ -206,7 +214,10 @@ class Vehicles:
         return self._heads["steps"]
 
     def _one(self, k: int, order: np.int8, follow: Callable[..., int]) -> None:
-        """Let vehicle k alone `follow` an order, in this thread; `follow`: `_draw` or `_drive`."""
+        """Let vehicle k alone `follow` an order, in this thread; `follow`: `_draw` or `_drive`.
+
+        RuntimeError where no soil was found for its course. Afterwards its order is IDLE.
+        """
         self._orders[k] = order
         try:
             check_laid(follow(self._orders, self._scratch[0], k, k + 1))
@@ -223,6 +234,7 @@ class Vehicles:
         laid = np.any(courses != IDLE)
 
         def run_chunk(number: int) -> int:
+            """Follow the orders of a chunk; return for how many vehicles no soil was found."""
             first = number * self._chunk
             end = min(first + self._chunk, self.count)
             scratch = self._scratch[number]
@@ -237,13 +249,14 @@ class Vehicles:
         check_laid(sum(run(run_chunk, chunks)))
 
     def _draw(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> int:
-        """Draw the ground that the orders of vehicles `first` to `end` - 1 ask for; return for how
-        many of them no soil was found.
+        """Draw the ground that the `orders` [vehicles] int8 of the vehicles `first` to `end` - 1
+        ask for; return for how many of them no soil was found. `scratch`: work space of a chunk.
         """
         return self._lay(self._world, self.course_numbers, orders, scratch, first, end)
 
     def _drive(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> int:
-        """Follow the orders of vehicles `first` to `end` - 1 in the world, then in the estimators.
+        """Follow the `orders`, as in `_draw`, of the vehicles `first` to `end` - 1 in the world,
+        then in the estimators.
 
         Returns 0 as `_draw` does, since it cannot fail.
         """
@@ -253,7 +266,7 @@ class Vehicles:
         return 0
 
     def _move(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:
-        """Follow the orders of vehicles `first` to `end` - 1 in the world."""
+        """Follow the `orders`, as in `_draw`, of the vehicles `first` to `end` - 1 in the world."""
         self._step(self._world, self.numbers, self._actions, orders, scratch, first, end)
 
 

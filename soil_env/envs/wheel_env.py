@@ -44,8 +44,11 @@ def build_scenario(
     changes: dict[str, Any],
     own: tuple[str, ...] = _OWN,
 ) -> Scenario:
-    """The scenario that the keyword arguments of an environment describe; `own`: those that are no
-    part of it.
+    """The scenario that the keyword arguments of an environment describe: `scenario` with the
+    fields in `changes`, `action` and `repeat` merged over it.
+
+    `own`: keywords that are no part of a scenario, for errors. Raises as `scenario_changes` and
+    `load_scenario`.
     """
     return load_scenario(
         scenario, scenario_changes(changes, action, repeat, own, Scenario), "keyword"
@@ -55,7 +58,10 @@ def build_scenario(
 def observation_space(
     variant: str, course: CourseSpec | None = None, scaled: bool = True
 ) -> gymnasium.spaces.Box:
-    """Box of the observation variant on such a `course`, float32."""
+    """Box of the observation variant, float32, on such a `course`; None is one without terrain
+    classes. Bounds are those of scaled observations, or in units if not `scaled`. ParameterError
+    for an unknown variant.
+    """
     return Scaling(layout(variant, course), scaled).space
 
 
@@ -312,7 +318,8 @@ class SoilWheelEnv(CourseEnv):
 
     def estimate(self) -> Soil:
         """The identified soil, with the belief's exponent and recovery of digging, each number
-        within its bounds; ParameterError where nothing is identified.
+        within its bounds. ParameterError where nothing is identified, ResetNeeded before the first
+        reset.
         """
         ids = self.simulation.worlds.ids
         if ids is None:
@@ -338,9 +345,9 @@ class SoilWheelVectorEnv(CourseVectorEnv):
     same trajectory, bit for bit, as a `SoilWheelEnv` reset with s and given the same actions. A
     single seed s seeds wheel k with s + k. `autoreset_mode`, `max_episode_steps` (as
     `gymnasium.wrappers.TimeLimit` truncates) and the arrays [N] of `info`: docs/guide/vector.md.
-    Other keyword arguments as in `SoilWheelEnv`. `final_info` has the groups of "full" too, 0 for
-    wheels that have not ended, and beside each `KEY` an array `_KEY` that says which have. No
-    rendering.
+    Other keyword arguments as in `SoilWheelEnv`. `final_info` has the groups of "full" too, of
+    "state" where nothing is identified. It is 0 for wheels that have not ended, and has beside each
+    `KEY` an array `_KEY` that says which have. No rendering.
     """
 
     def __init__(
@@ -365,6 +372,7 @@ class SoilWheelVectorEnv(CourseVectorEnv):
         self.scenario: Scenario = self._in_world(task, model, scatter, changes)
         self._set_spaces(layout(observation, self.scenario.course), action_space(), scaled)
         info = checked(info)
+        # then `final_info` has the groups of "full" whatever `info` is
         finals = (
             self.autoreset_mode == AutoresetMode.SAME_STEP
             and info != "none"

@@ -75,11 +75,13 @@ class Simulation(Vehicles):
         self._step(*self._world, scratch, self._added, (first, end))
 
     def wheel(self, k: int) -> dict[str, float]:
-        """State of wheel k by name, as it is now."""
+        """Fields of the record `WHEEL` of wheel k by name, as they are now."""
         return by_name(self.worlds.state[k])
 
     def true_soils(self) -> np.ndarray:
-        """Entries of `true_soil` that `blind` does not have, of each wheel [wheels, D] float32."""
+        """Entries of the variant `true_soil` that `blind` does not have, of each wheel now, in
+        their units and cut to their bounds, [wheels, D] float32.
+        """
         entries = truth(self.scenario.course)
         out = np.empty((self.count, len(entries)), dtype=np.float32)
         observe_true_soils(self._world.state, self._world.courses, self._scratch[0], out)

@@ -82,7 +82,12 @@ def _given(changed: Any, wheel: Wheel) -> dict[str, Any]:
 def world_of(
     scenario: Scenario, model: WheelSoilModel | None, scatter: object
 ) -> dict[str, Any] | None:
-    """What `info["world"]` says of the world that is simulated; None without a model."""
+    """What `info["world"]` says of the world that is simulated; None without a model.
+
+    It has `scatter`, `radius`, `width` and `grouser_height` [m], and `effects` with their
+    parameters. `soil` is there if the model has one: a `SoilState` under this wheel by field, and
+    its density.
+    """
     if model is None:
         return None
     world: dict[str, Any] = {
@@ -118,7 +123,11 @@ def storable(spec: EnvSpec | None) -> EnvSpec | None:
 
 
 def _plain(value: Any) -> Any:
-    """A keyword argument in values that JSON has."""
+    """A keyword argument in values that JSON has, nested ones too.
+
+    Models, parameter classes and mappings become mappings, paths text, enums their values, tuples
+    lists, arrays and numbers of NumPy those of Python. All else stays as it is.
+    """
     if isinstance(value, WheelSoilModel):
         return value.content()
     if isinstance(value, Checked):

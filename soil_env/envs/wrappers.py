@@ -17,6 +17,8 @@ class LineAction(gymnasium.ActionWrapper, gymnasium.utils.RecordConstructorArgs)
     The second number counts only where a route is chosen, below 0 for the route beside; else the
     first one counts. In the plain action both are one number. SAC and TD3 learn to drive with
     positive actions, and then hardly ever try the route beside.
+
+    Raises ParameterError for any other environment, and for one with another action space.
     """
 
     def __init__(self, env: gymnasium.Env):
@@ -34,7 +36,9 @@ class LineAction(gymnasium.ActionWrapper, gymnasium.utils.RecordConstructorArgs)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
 
     def action(self, action: ArrayLike) -> NDArray[np.float64]:
-        """The number that counts now, as the action [1] of the plain environment."""
+        """The number that counts now, as the action [1] of the plain environment, cut to [-1, 1];
+        ValueError as of `actions_of`.
+        """
         drive, route = np.split(actions_of(action, (2,)), 2)
         choosing = self._inner.simulation.worlds.observation[0, self._choice] > 0.5
         return route if choosing else drive

@@ -26,8 +26,9 @@ class Traversability(NamedTuple):
 
 
 def published(x: Any, sd: Any, dig_gain: float, of: Any = math) -> dict[str, Any]:
-    """Published numbers by name of an estimate x [6] with its `sd` [6]; of arrays [6, wheels] with
-    `of` numpy.
+    """Published numbers by name of an estimate x [6] with its `sd` [6]; of arrays [6, ...], arrays.
+
+    `of`: the module whose `degrees` and `exp` are taken, `numpy` for arrays.
 
     x is phi [rad], ln K, ln S, c [Pa], ln of the gain of slip-sinkage over the nominal `dig_gain`,
     best pull [of load]. Published are SI units and angles in degrees. The sd of a logarithm is the
@@ -50,8 +51,8 @@ def published(x: Any, sd: Any, dig_gain: float, of: Any = math) -> dict[str, Any
 
 
 def soil_of_numbers(numbers: Mapping[str, float], belief: Belief, gravity: float) -> Soil:
-    """The soil of `published` numbers at a gravity [m/s2], each cut to its bounds; exponent,
-    recovery of digging and `FLOW_LAW` are the belief's.
+    """The soil of `published` numbers at a gravity [m/s2], each cut to its bounds; other names are
+    ignored. Exponent, recovery of digging and `FLOW_LAW` are the belief's.
     """
     known = ("sinkage_exponent", "dig_recovery", *FLOW_LAW)
     fixed = {name: getattr(belief, name) for name in known}

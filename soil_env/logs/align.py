@@ -51,6 +51,7 @@ class Aligned:
     doubts: list[str] = field(default_factory=list)  # implausible readings, to be checked first
 
     def __len__(self) -> int:
+        """Number of steps."""
         return self.time.size
 
     def get(self, name: str, other: float | np.ndarray = math.nan) -> np.ndarray:
@@ -96,7 +97,7 @@ def align(
         n: (np.frombuffer(c.times, np.int64) - origin + period_ns // 2) // period_ns
         for n, c in measured.items()
     }
-    # Numbers of all steps, those before the axis and behind it too: their readings fill gaps.
+    # Numbers of all steps, those before the axis and after it too: their readings fill gaps.
     grid = _bridged(np.unique(np.concatenate(list(steps.values()))), round(max_gap / period))
     on_axis = (grid >= 0) & (grid <= steps["wheel_speed"].max())
     readings = {}
@@ -139,7 +140,7 @@ def interpolated(
     """(`values` [N] with NaN filled linearly, True [N] where filled).
 
     Filled is what lies between known values at most `max_gap` apart, in the unit of `time` [N].
-    NaN before the first known value and behind the last stays.
+    NaN before the first known value and after the last stays.
     """
     filled = np.isnan(values)
     known = np.flatnonzero(~filled)

@@ -95,7 +95,7 @@ def messages(wanted: set[str], notes: Notes, definitions: Mapping[str, str]) -> 
 
     The path is the folder of the bag or one of its files; a file that is missing is noted.
     `definitions`: text of .msg files by message type. `notes` receives all topics of the bag, the
-    file being read, and the progress.
+    file being read, and the progress. `ParameterError` without the libraries of the extra logs.
     """
     try:
         import mcap  # noqa: F401
@@ -122,7 +122,8 @@ class _Decoder:
     """Decoder of messages in CDR, one for each file of a bag.
 
     A type is looked up in the map's definitions, then in those of the file, then in those of the
-    current ROS 2.
+    current ROS 2. `definitions`: those of the map, by type; `ParameterError` for one that cannot be
+    read.
     """
 
     def __init__(self, definitions: Mapping[str, str]) -> None:
@@ -321,12 +322,12 @@ def _sqlite(file: Path, wanted: set[str], notes: Notes, decoder: _Decoder) -> It
                 "SELECT rowid, topic_id, timestamp, data FROM messages WHERE topic_id IN "
                 f"({','.join('?' * len(ids))})"
             )
-            for number, topic, time, data in base.execute(query + " ORDER BY rowid", ids):
+            for row, topic, time, data in base.execute(query + " ORDER BY rowid", ids):
                 name, kind = topics[topic]
                 decode = partial(decoder.cdr, kind, f"{file}: topic {name}", data)
                 yield Message(name, time, kind, decode)
-                if number % _BETWEEN_REPORTS == 0:
-                    notes.report(int(size * min(number / count, 1.0)))
+                if row % _BETWEEN_REPORTS == 0:
+                    notes.report(int(size * min(row / count, 1.0)))
         # The text of an error may quote bytes of the file that are no UTF-8.
         except (sqlite3.Error, UnicodeDecodeError) as error:
             raise ParameterError(
@@ -417,7 +418,8 @@ def parse(field: str, where: str) -> tuple[str | int, ...]:
 def number(
     message: Any, steps: tuple[str | int, ...], where: str, quaternion: bool = False
 ) -> float:
-    """The number at a path of a message, or the uphill pitch [rad] of the orientation there.
+    """The number at a path of a message, whose `steps` are those of `parse`; for a `quaternion` the
+    uphill pitch [rad] of the orientation there. `where` begins the text of an error.
 
     Raises `NotHere` where only this message lacks it: a list is too short, or a name is not in it.
     For a path that messages of this type do not have it raises `ParameterError`, and `Unlike` where

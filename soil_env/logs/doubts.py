@@ -114,6 +114,7 @@ class _Doubts:
         return values[self.drives & ~np.isnan(values)]
 
     def _place(self, name: str) -> str:
+        """Reading and, in brackets, where it is from, for a line."""
         return f"{name} ({self.map.channels[name].place})"
 
     def _doubt(self, name: str, said: str, expected: str, reason: str) -> None:

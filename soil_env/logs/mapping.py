@@ -162,7 +162,12 @@ class LogMap(Checked):
     windows: Windows = Windows()  # noqa: RUF009
 
     def _check_together(self) -> None:
-        """Check sources, noise, the slip and the length of a window."""
+        """Raise `ParameterError` where sources, the slip, noise or the length of a window cannot be
+        right.
+
+        Wheel speeds have to be read, and speed or slip must be known. A window has at least
+        `_LEAST_PERIODS` periods.
+        """
         for name, source in self.channels.items():
             if name not in UNITS:
                 raise FieldError(self, "channels", str(unknown_key(name, UNITS, "")))
@@ -187,7 +192,12 @@ class LogMap(Checked):
             )
 
     def _check_source(self, name: str, s: Source) -> None:
-        """Raise `FieldError` for a source whose fields do not go together."""
+        """Raise `FieldError` for a source `s` of reading `name` whose fields do not go together.
+
+        It has topic and field, a column, or a constant; a unit of `UNITS`; and a sign of 1 or -1.
+        A torque in A, and no other reading, has a motor constant. A quaternion has a topic. Gears
+        go with `GEARED` only, an efficiency with torques only.
+        """
         place = f"channels.{name}"
         kinds = bool(s.topic or s.field) + bool(s.column) + (s.constant is not None)
         if kinds != 1 or bool(s.topic) != bool(s.field):

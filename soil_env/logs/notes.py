@@ -41,7 +41,9 @@ class Faults:
         self.first = ""  # fault
 
     def add(self, where: str, reason: object) -> None:
-        """Count a fault; `where`, the message or row, and `reason` are kept of the first one."""
+        """Count a fault; `where`, the message or row, and `reason`, at most 300 characters, are
+        kept of the first one.
+        """
         self.wrong += 1
         self.first = self.first or f"{where}: {' '.join(str(reason).split())[:300]}"
 

@@ -83,8 +83,9 @@ def _check_kind(path: Path, log_map: LogMap) -> bool:
 class _Reader:
     """Reader of a recording into `channels`, by `read_table` or `read_bag`; one for each recording.
 
-    While it reads, a channel holds numbers as they are in the recording, with the places of their
-    stamps. At the end these become readings in SI units and times.
+    While it reads, a channel holds numbers as they are in the recording, with the indices of their
+    stamps. At the end these become readings in SI units and times. `ParameterError` for a constant
+    beyond the largest plausible reading.
     """
 
     def __init__(self, log_map: LogMap, notes: Notes) -> None:
@@ -112,8 +113,8 @@ class _Reader:
                 )
             self.constants[name] = value
 
-    def _add(self, name: str, place: int, value: float) -> None:
-        """Keep a reading of channel `name` in the unit of its source; `place`: index of its stamp.
+    def _add(self, name: str, index: int, value: float) -> None:
+        """Keep a reading of channel `name` in the unit of its source; `index`: of its stamp.
 
         `ParameterError` for more than `MOST_READINGS` of all channels.
         """
@@ -124,20 +125,21 @@ class _Reader:
                 "map: expected fewer; read it in parts"
             )
         channel = self.channels[name]
-        channel.times.append(place)
+        channel.times.append(index)  # a time only after `_finish`
         channel.values.append(value)
 
     def _finish(self, name: str, times: np.ndarray, kept: np.ndarray) -> None:
-        """Turn the readings of a channel into SI units, and their places into times [ns].
+        """Turn the readings of a channel into SI units, and the indices of their stamps into times
+        [ns].
 
         `times` [ns] and `kept` [N] are those of the stamps; readings of a stamp that is not kept
         are dropped. NaN and infinite readings are counted as `empty`, those beyond `limits` as
         `unusable`, and both left out. A note says where readings of one time differ.
         """
         channel = self.channels[name]
-        place = np.frombuffer(channel.times, np.int64)
-        value = np.frombuffer(channel.values)[kept[place]]
-        place = place[kept[place]]
+        index = np.frombuffer(channel.times, np.int64)
+        value = np.frombuffer(channel.values)[kept[index]]
+        index = index[kept[index]]
         source = self.sources[name]
         with np.errstate(over="ignore", invalid="ignore"):
             si = value * factor(name, source) + source.offset
@@ -146,7 +148,7 @@ class _Reader:
         channel.readings = value.size
         channel.empty = int(np.sum(~known))
         channel.unusable = int(np.sum(known & ~plausible))
-        stamps = times[place[plausible]]
+        stamps = times[index[plausible]]
         si = si[plausible]
         channel.times = array("q", stamps.tobytes())
         channel.values = array("d", si.tobytes())
@@ -159,7 +161,9 @@ class _Reader:
             )
 
     def read_table(self, stamps: TimeColumn) -> None:
-        """Read a CSV or Parquet file with a column of time stamps; set `interval` and `length`."""
+        """Read a CSV or Parquet file with a column of time stamps into `channels`; set `interval`
+        and `length`. Successive rows of one time that fill different columns count as one row.
+        """
         columns: dict[str, list[str]] = {}
         for name, source in self.sources.items():
             columns.setdefault(source.column, []).append(name)
@@ -207,12 +211,12 @@ class _Reader:
             content, stamp = topic.decoded(message)
             if stamp is None:
                 continue
-            place = topic.faults.count  # of the message in its topic, from 1
+            ordinal = topic.faults.count  # of the message in its topic, from 1
             for name, field in topic.fields.items():
-                value = field.number(content, message.kind, place)
+                value = field.number(content, message.kind, ordinal)
                 if value is not None:
                     self._add(name, len(topic.stamps), value)
-            topic.stamps.add(stamp, place, message.time)
+            topic.stamps.add(stamp, ordinal, message.time)
         self._check_found(topics)
         delays = {}  # [s] mean of the recording behind the stamps, by topic
         for of, topic in topics.items():
@@ -289,7 +293,8 @@ class _Topic:
     def sound_times(
         self, by_header: bool, gaps: tuple[int, int], notes: Notes
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(Stamps [N] in ns of headers or of the recording, True [N] for those that count).
+        """(Stamps [N] in ns, of headers if `by_header`, else of the recording; True [N] for those
+        that count).
 
         `gaps` are `max_gap` and `restart_gap` [ns] for `Stamps.settle`. Zeros in headers are noted;
         `ParameterError` where they are more than half.
@@ -306,7 +311,9 @@ class _Topic:
 
 
 class _Field:
-    """Field of a channel in the messages of its topic, with counts of faults."""
+    """Field of a channel in the messages of its topic, with counts of faults. `ParameterError` for
+    a `Source.field` that is no path (`parse`).
+    """
 
     def __init__(self, name: str, source: Source) -> None:
         self._name = name
@@ -315,8 +322,8 @@ class _Field:
         self.faults = Faults(f"{name}: {source.place}", "messages")
         self.lacking: NotHere | None = None  # error of the first message without it
 
-    def number(self, content: Any, kind: str, place: int) -> float | None:
-        """Number in the `content` of a message of type `kind`, `place`-th of its topic, or None.
+    def number(self, content: Any, kind: str, ordinal: int) -> float | None:
+        """Number in the `content` of a message of type `kind`, `ordinal`-th of its topic, or None.
 
         None where the message lacks the value, which `lacking` keeps, and where the value is no
         number, which counts as a fault. `ParameterError` for a field that no message of the type
@@ -332,10 +339,10 @@ class _Field:
         except NotHere as error:
             self.lacking = self.lacking or error
         except Unlike as error:
-            self.faults.add(f"message {place}", str(error).removeprefix(f"{where}: "))
+            self.faults.add(f"message {ordinal}", str(error).removeprefix(f"{where}: "))
         # A number too large for a float, or a field with the name of a method.
         except (ArithmeticError, AttributeError, TypeError, ValueError) as error:
-            self.faults.add(f"message {place}", error)
+            self.faults.add(f"message {ordinal}", error)
         return None
 
 
@@ -376,7 +383,8 @@ def _note_delays(notes: Notes, mean: dict[str, float]) -> None:
 def _remarks(found: Aligned, log_map: LogMap, limits: dict[str, float]) -> list[str]:
     """Notes on channels without readings, with implausible or slow ones, and on gaps.
 
-    `limits`: largest plausible reading by channel, in SI units.
+    `limits`: largest plausible reading by channel, in SI units. A channel is slow where more than
+    `_SLOW` of its steps are interpolated. A gap is longer than `max_gap` and than 1.5 periods.
     """
     lines = []
     for name, c in found.channels.items():

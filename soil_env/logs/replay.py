@@ -81,7 +81,9 @@ class Replay:
     warnings: list[str]
 
     def csv(self) -> str:
-        """One line a step: time, estimate, standard deviations, margin, status, ground."""
+        """CSV text with a header and one line a step: time, `COLUMNS` (empty for NaN), name of the
+        status, 1 if the step renewed the estimate, ground.
+        """
         lines = [",".join(("time", *COLUMNS, "status", "renewed", "ground"))]
         columns = zip(*(self.values[n].tolist() for n in COLUMNS), strict=True)
         states = zip(self.status.tolist(), self.renewed, self.ground, strict=True)
@@ -94,7 +96,7 @@ class Replay:
         """The surest estimate on a ground, by `COLUMNS`; None where none was current.
 
         It is that with the least product of the sds over those of the prior among those with
-        status CONVERGED, with its sds times `PICKED`. The last one errs more: behind a border that
+        status CONVERGED, with its sds times `PICKED`. The last one errs more: after a border that
         `_grounds` does not count the identifier began anew.
         """
         current = np.flatnonzero((self.ground == ground) & (self.status == Status.CONVERGED))
@@ -126,8 +128,9 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     After a gap of more than `restart_gap` it starts from the prior again. A motor torque without
     the inertia of the wheel is left out. The drawbar margin and the torque required are those of
     `OnlineIdentifier.traversability` at the load and pitch of the step that renewed the estimate,
-    and held until the next. An estimate out of the bounds of `Soil` is refused: NaN, with status
-    MISFIT.
+    and held until the next. A missing load is left out there, a missing pitch is 0.
+
+    An estimate out of the bounds of `Soil` is refused: NaN, with status MISFIT.
     """
     identifier = OnlineIdentifier(
         log_map.wheel,
@@ -181,25 +184,25 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     warnings += _refuse(log.time, values, status)
     ground, differs = _grounds(log, log_map, borders, values, status, prior)
     return Replay(
-        log.time,
-        values,
-        status,
-        renewed,
-        ground,
-        differs,
-        int(borders.max(initial=0)),
-        prior,
-        on_border,
-        frozenset(names),
-        restarts,
-        warnings,
+        time=log.time,
+        values=values,
+        status=status,
+        renewed=renewed,
+        ground=ground,
+        differs=differs,
+        borders=int(borders.max(initial=0)),
+        prior=prior,
+        on_border=on_border,
+        measured=frozenset(names),
+        restarts=restarts,
+        warnings=warnings,
     )
 
 
 def _refuse(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray) -> list[str]:
     """Refuse estimates that are not finite or out of the bounds of a soil (`_BOUNDS`).
 
-    All `values` of such a step become NaN and its `status` MISFIT, both in place. Returns a
+    All `values` [N] of such a step become NaN and its `status` [N] MISFIT, both in place. Returns a
     warning, which names one value out of bounds; none where nothing is refused.
     """
     bad = ~np.all([np.isfinite(values[n]) for n in ESTIMATED], axis=0)

@@ -34,10 +34,13 @@ class Stamps:
         self._files = [0]  # stamps before each file
 
     def __len__(self) -> int:
+        """Number of stamps so far."""
         return len(self.times)
 
     def add(self, time: int, number: int, recorded: int = 0) -> None:
-        """Add the stamp of a row or message of this number."""
+        """Add the stamp of a row or message of this `number`, and when a message was `recorded`,
+        both times in ns.
+        """
         self.times.append(time)
         self.numbers.append(number)
         self.recorded.append(recorded)
@@ -132,7 +135,7 @@ def sound(times: np.ndarray, slack: int, restart: int) -> np.ndarray:
 
     Right is the largest set that never goes back, less stamps that are alone or of another clock
     (`_together`). Right are also stamps at most `slack` [ns] outside their two neighbours in that
-    set, and stamps at most `restart` [ns] before its first or behind its last.
+    set, and stamps at most `restart` [ns] before its first or after its last.
     """
     if times.size == 0:
         return np.zeros(0, bool)
@@ -141,7 +144,7 @@ def sound(times: np.ndarray, slack: int, restart: int) -> np.ndarray:
     known = times[rising]
     # Of each stamp: how many of the set come no later in the recording.
     place = np.searchsorted(rising, np.arange(times.size), side="right")
-    # Of a stamp before the first of the set, or behind the last, only one side is known.
+    # Of a stamp before the first of the set, or after the last, only one side is known.
     before = known[np.maximum(place - 1, 0)]
     after = known[np.minimum(place, known.size - 1)]
     out = np.where(place > 0, times >= before - slack, times >= known[0] - restart)
@@ -151,7 +154,7 @@ def sound(times: np.ndarray, slack: int, restart: int) -> np.ndarray:
 
 
 def _longest_rising(times: np.ndarray) -> np.ndarray:
-    """Indices of the longest subsequence of `times` that never falls (Schensted 1961)."""
+    """Indices [n] of the longest subsequence of `times` [N] that never falls (Schensted 1961)."""
     if np.all(times[1:] >= times[:-1]):
         return np.arange(times.size)
     ends: list[int] = []  # least last time of the subsequences of length 1, 2, ...

@@ -84,7 +84,7 @@ class Steady:
 
 
 def cell(value: float | str, form: str) -> str:
-    """Text of a value; empty for NaN."""
+    """Text of a value: text as it is, a number in the format `form`, "" for NaN."""
     return value if isinstance(value, str) else "" if value != value else format(value, form)
 
 
@@ -94,8 +94,9 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
 
     A window lies in one drive (`_drives`) and on one ground, further than `belief.border` from
     where the ground changes. It has a load above 0 and sinkage, pull or torque. The noise is the
-    scatter within all windows over the root of the steps of one. `ground` [N] is that of `Replay`,
-    one more from each border on; left out, all is one ground.
+    scatter within all windows over the root of the steps of one. It is left out where it is but
+    rounding, and of a load that was not measured. `ground` [N] is that of `Replay`, one more from
+    each border on; left out, all is one ground.
     """
     columns = _columns(log, log_map)
     where = log.travelled(log_map.wheel.radius)
@@ -160,7 +161,8 @@ def _columns(log: Aligned, log_map: LogMap) -> dict[str, np.ndarray]:
 
 
 def _drives(log: Aligned, rim: np.ndarray, log_map: LogMap) -> np.ndarray:
-    """Number [N] from 0 of the drive of each step; -1 where the wheel stands.
+    """Number [N] from 0 of the drive of each step; -1 where the wheel stands. `rim` [N]: rim speed
+    [m/s].
 
     A halt, that is a wheel slower than `windows.wheel_speed`, and a step without a reading part two
     drives.
@@ -172,7 +174,8 @@ def _drives(log: Aligned, rim: np.ndarray, log_map: LogMap) -> np.ndarray:
 
 
 def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bool:
-    """True if the means of the two halves of a window agree; `part`: columns [n] of `_columns`.
+    """True if the means of the two halves of a window agree; `part`: columns [n] of `_columns`, in
+    steps of a `period` [s].
 
     False where slip or speed is missing or the wheel travels backward. The limit of the sinkage is
     the share of the way left that half a window covers, so a slow wheel has a small one.
@@ -205,7 +208,9 @@ def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bo
 
 
 def _change(values: np.ndarray) -> float:
-    """Size of the difference between the means of the two halves; 0 if a half is not measured."""
+    """Size of the difference between the means of the two halves of `values` [n], without NaN; 0 if
+    a half is not measured.
+    """
     first, second = np.split(values, [values.size // 2])
     if np.isnan(first).all() or np.isnan(second).all():
         return 0.0
@@ -222,9 +227,10 @@ def _scatter(values: np.ndarray) -> float:
 
 
 def _row(part: dict[str, np.ndarray], start: float, period: float) -> Point:
-    """The means of a window that begins at `start` [s], and its middle `time` [s].
+    """The means of a window that begins at `start` [s], its `grade_deg` and its middle `time` [s].
 
-    A mean is NaN where half of its values or more are missing.
+    A mean is NaN where half of its values or more are missing. `part`: columns [n] of `_columns`;
+    `period` [s] of the steps.
     """
     mean = {
         n: float(np.nanmean(v)) if np.isfinite(v).mean() > 0.5 else math.nan
@@ -368,7 +374,12 @@ def _short(value: float) -> float:
 
 
 def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
-    """Sentences on the grounds, the steady points, and what may be fitted together."""
+    """Sentences on the grounds, the steady points, and what may be fitted together.
+
+    They count grounds, borders and restarts. Where there is no measurement table they say why. Else
+    they count its points, and name the times [s] at which the ground changes, the grounds with too
+    few points, and what the noise is.
+    """
     out = [
         f"Grounds found: {len(grounds)}. The identifier saw {plural(found.borders, 'border')} and "
         f"started anew after {plural(found.restarts, 'gap')}. A border counts where the soils on "

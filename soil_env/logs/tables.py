@@ -131,7 +131,7 @@ def _check_columns(path: Path, header: list[str], stamps: str, columns: dict[str
 def _csv(stamps: str, columns: dict[str, str], notes: Notes, faults: Faults) -> Iterator[_Cells]:
     """Yield the rows of a CSV file; empty ones and those that begin with # are passed over.
 
-    A row with more or fewer cells than the header is left out and counted as a fault. The last row
+    A row with more or fewer cells than the header is left out and counted in `faults`. The last row
     may be cut off, which is only noted. `ParameterError` for no CSV, no header and no whole row.
     """
     path = notes.path
@@ -202,8 +202,9 @@ def _parquet(
 ) -> Iterator[_Cells]:
     """Yield the rows of a Parquet file, cells as text.
 
-    A stamp is a whole number of ns where its column has a type of timestamps, else text too.
-    `ParameterError` for a file that cannot be read or has no rows.
+    A stamp is a whole number of ns where its column has a type of timestamps, else text too. Each
+    row is whole, so nothing is counted in `faults`. `ParameterError` for a file that cannot be read
+    or has no rows.
     """
     path = notes.path
     try:

@@ -39,24 +39,24 @@ def load_doubt(table: Table, setup: Setup) -> str:
     most = np.maximum(MOST_GRIP, cohesion * area / table.load + FRICTION)
     forces = {"torque/radius": table.torque / radius, "drawbar_pull": table.drawbar_pull}
     for name, force in forces.items():
-        share = force / table.load
+        ratio = force / table.load
         known = np.isfinite(force)
         if np.any(driven & known):
-            median = np.median(share[driven & known])
+            median = np.median(ratio[driven & known])
             if median > np.median(most[driven]):
                 return (
                     f"{name} is {median:.2g} times the load in the middle of the rows with slip "
                     f"above {DRIVEN:g}, more than soil gives: expected load in newtons (if it is "
                     "in kilograms or kgf, multiply it by 9.81)."
                 )
-        excessive = driven & known & (share > most)
+        excessive = driven & known & (ratio > most)
         rest = known & ~excessive
         if excessive.sum() < FEWEST or not rest.any():
             continue
         light = np.max(table.load[excessive])
         if light < LIGHTER * np.median(table.load[rest]):
             return (
-                f"{name} is {np.median(share[excessive]):.2g} times the load in {excessive.sum()} "
+                f"{name} is {np.median(ratio[excessive]):.2g} times the load in {excessive.sum()} "
                 f"rows with loads up to {light:.3g} N, more than soil gives, and not in the "
                 "others: expected load in newtons in every row (if these are in kilograms or kgf, "
                 "multiply them by 9.81)."

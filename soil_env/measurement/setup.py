@@ -60,6 +60,7 @@ class SetupWheel(Checked):
     grouser_count: int | None = quantity("", 1, 1000, default=None)
 
     def _check_together(self) -> None:
+        """Refuse lugs as high as the radius or higher, and a number of lugs on a smooth rim."""
         check_lugs(self.grouser_height or 0.0, self.radius)
         if self.grouser_count is not None and self.grouser_height == 0.0:
             raise ParameterError(
@@ -193,6 +194,7 @@ class Rig(Checked):
     cost: dict[str, float] = field(default_factory=dict)
 
     def _check_together(self) -> None:
+        """Refuse costs of other keys than `COSTS`, below 0 or infinite, and runs for nothing."""
         for name, value in self.cost.items():
             if name not in COSTS:
                 raise unknown_key(name, COSTS, "cost")
@@ -256,6 +258,9 @@ class Setup(Checked):
     source: str = field(default="setup", init=False, compare=False)  # the file, for messages
 
     def _check_together(self) -> None:
+        """Refuse a tilt beyond `STEEPEST_TILT`, ignored columns that every table needs, and noise
+        of sinkage or slip that only another unit explains.
+        """
         if self.tilt_deg is not None and not abs(self.tilt_deg.value) <= STEEPEST_TILT:
             expected = f"degrees in [-{STEEPEST_TILT:g}, {STEEPEST_TILT:g}]"
             raise ParameterError(f"tilt_deg = {self.tilt_deg.value:g}: expected {expected}")
@@ -308,6 +313,9 @@ def read_setup(path: str | Path) -> Setup:
 def setup_of(mapping: dict[str, Any], where: str) -> Setup:
     """The setup in the mapping of a YAML file that was read already; `where`: the file, for
     messages. `ParameterError` as of `read_setup`.
+
+    A number of the soil, or of the tilt, becomes a `Prior` that is known. Refused are an empty list
+    in `rig` and a setup without `wheel`.
     """
     # A heading with nothing below it is left out.
     sections = ("soil", "noise", "calibration", "checked", "tilt_deg", "ignore_columns", "rig")
@@ -336,7 +344,8 @@ def setup_of(mapping: dict[str, Any], where: str) -> Setup:
 
 def _prior(value: Any, where: str) -> Prior:
     """`Prior` of a value in YAML: a number is known, sd 0; a mapping must have an sd > 0 that is at
-    least `LEAST_SD` of its value. `where`: file and key, for messages.
+    least `LEAST_SD` of its value. `ParameterError` for anything else. `where`: file and key, for
+    messages.
     """
     if not isinstance(value, dict):
         try:

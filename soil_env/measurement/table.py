@@ -108,6 +108,7 @@ class Table:
     torque_sd: np.ndarray  # [N m]
 
     def __len__(self) -> int:
+        """Number of rows."""
         return self.slip.size
 
     def conditions(self) -> dict[str, np.ndarray]:
@@ -301,8 +302,8 @@ def _with_points(path: Path, lines: Rows) -> list[tuple[int, list[str]]]:
 
 
 def _check_header(path: Path, header: list[str]) -> None:
-    """Refuse a header that is a row of numbers, or has an unknown, missing, empty or double
-    name.
+    """Refuse a header that is a row of numbers, or has an unknown, missing, empty or double name:
+    `ParameterError`. Needed are `REQUIRED` and one of `MEASURED`.
     """
     if all(isinstance(_canonical(name), float) for name in header):
         raise ParameterError(
@@ -373,7 +374,12 @@ def _column(path: Path, name: str, header: list[str], rows: Rows) -> np.ndarray:
 def _check_rows(
     table: Table, header: list[str], rows: Rows, wheel: SetupWheel | None, passes: np.ndarray
 ) -> None:
-    """Refuse values that cannot be right; the message names the first by check, then by row.
+    """Refuse values that cannot be right: `ParameterError`, which names the first by check, then by
+    row.
+
+    Checked are cells of `REQUIRED` that are empty, each column for its range and for likely other
+    units, and grades for radians. Then sinkages, their noise and lugs are compared with the radius,
+    and `_check_whole` follows.
 
     `passes` [N]: the column `pass` as it was written, nan where empty. Without `wheel`, sinkage and
     lugs are compared with the radius only in rows that give a radius.
@@ -504,6 +510,7 @@ def look_like_radians(cells: list[str]) -> bool:
         if digits < FEWEST_DIGITS or not abs(x) < math.radians(STEEPEST_IN_RADIANS):
             return False
         whole = round(math.radians(round(math.degrees(x))), digits)
+        # both have the digits of the cell: equal but for the rounding of floats
         if abs(whole - x) >= 10.0**-digits * 1e-3:
             return False
     return bool(grades)

@@ -4,6 +4,8 @@ At each `SLIP` the steady sinkage z is the root of the condition ln s(z) + n ln 
 is the sinkage coefficient that the load mobilises, and q the ratio of slip-sinkage. One step of
 Newton's method at each renewal follows the root. Friction, cohesion, K and stiffness err together,
 so the pull is known better than any of them: its variance is by their whole covariance.
+
+`memory`, `setting` and `work` are records `MEMORY`, `SETTING` and `WORK` of memory.py.
 """
 
 import math
@@ -44,6 +46,7 @@ def _newton(x, slip, load, memory, setting, work):
     ln_s = contact.value[LN_S]
     gain = setting.dig_gain * math.exp(u[GAIN])
     ratio = slip_sinkage_ratio(slip, gain, setting.dig_recovery)
+    # of the ground under the wheel: `PRESSURE` is ln of S depth^n, and the floor of a rut is denser
     ln_S = u[PRESSURE] + memory.compaction * (n + 0.5) - n * math.log(setting.depth)
     slope = min(contact.by[LN_S, BY_SINKAGE] * z, FLATTEST)
     step = -(ln_s + n * math.log(ratio) - ln_S) / slope
@@ -71,16 +74,19 @@ def _pull_slopes(deeper, slope, ratio, memory, setting, work):
     of_exponent = math.log(ratio) + math.log(setting.depth) - memory.compaction
     work.step[EXPONENT] += through * of_exponent
     work.step[PRESSURE] = -through
+    # the condition has n ln q, and q - 1 is in proportion to the gain
     work.step[GAIN] = through * memory.soil[EXPONENT] * (1.0 - 1.0 / ratio)
 
 
 @compiled
 def renew_best_pull(memory, load, setting, work):
     """Renew the best pull [of load] in `fresh`, its standard deviation in `fresh_sd` and `steady`,
-    the ln of the steady sinkages, under a measured `load` [N].
+    the ln of the steady sinkages [m]. The measured `load` [N] is corrected by the gain of its
+    sensor.
 
-    Slips at which the torque exceeds the motor's are left out. The pull is at least -1 of load.
-    Where no slip is left it is -1 with a standard deviation of 1, and the sinkages start anew.
+    It is the largest pull at any `SLIP`; slips at which the torque exceeds the motor's are left
+    out. The pull is at least -1 of load. Where no slip is left, or a number is not finite, it is -1
+    with a standard deviation of 1, and the sinkages start anew.
     """
     load *= 1.0 - memory.u[LOAD_GAIN]
     contact = work.contact[0]
@@ -88,13 +94,14 @@ def renew_best_pull(memory, load, setting, work):
     variance = 1.0
     for k in range(SLIPS):
         x = memory.steady[k]
-        if x == 0.0:
+        if x == 0.0:  # no sinkage is known yet
             x = math.log(setting.depth)
             for _ in range(FIRST_STEPS):
                 x, _, _ = _newton(x, SLIP[k], load, memory, setting, work)
         after, slope, ratio = _newton(x, SLIP[k], load, memory, setting, work)
         memory.steady[k] = after
         deeper = contact.by[PULL, BY_SINKAGE] * math.exp(x)
+        # the forces are those before the last step: the pull is extended over it
         pull = contact.value[PULL] + deeper * (after - x)
         if contact.value[TORQUE] > setting.stall_torque or pull <= best:
             continue

@@ -1,5 +1,7 @@
 """Borders between soils: where a camera sees another class, and by points whose forces are another
 soil's; over a border one soil passes into the next.
+
+`memory`, `setting` and `work` are records `MEMORY`, `SETTING` and `WORK` of memory.py.
 """
 
 import math
@@ -26,7 +28,7 @@ def begin_soil(memory, setting, work):
     """Set what is known of the ground and of the instruments to the prior, without points, and the
     fresh estimate with it.
 
-    Mass, clocks, places and the published estimate stay.
+    Mass, clocks, places, the open point, the old soil and the published estimate stay.
     """
     memory.excess = 0.0
     memory.form_error = setting.model_error
@@ -97,7 +99,7 @@ def feel_border(memory, setting, work):
     """Begin a border with its middle here, where forces show it.
 
     The form error begins at the geometric mean of the one before and the believed one: the laws may
-    be wrong behind the border too.
+    be wrong after the border too.
     """
     form_error = math.sqrt(memory.form_error * setting.model_error)
     begin_border(memory, setting, work, memory.place, (PLACE_SD * setting.border) ** 2)
@@ -133,6 +135,6 @@ def blend_estimates(into, memory, setting):
 
 @compiled
 def take_fresh(known):
-    """Publish the fresh estimate of a record, off borders."""
+    """Publish the fresh estimate of a record with `ESTIMATES`, `known`, off borders."""
     known.estimate[:] = known.fresh
     known.sd[:] = known.fresh_sd

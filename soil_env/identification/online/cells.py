@@ -82,11 +82,11 @@ def _apart(a, b):
 
 @compiled
 def remember(memory):
-    """Put the newest cell among the kept ones.
+    """Put the newest cell, that after the `cells_kept` ones of a `MEMORY`, among these.
 
-    It is merged into the nearest one if their distance is below 1, else kept beside them. Where
-    there is no room, the two of all cells whose merging loses least are merged: squared distance
-    times the fewer readings.
+    It is merged into the nearest one if their squared distance is below 1, else kept beside them.
+    Where there is no room, the two of all cells whose merging loses least are merged: squared
+    distance times the fewer readings. The newest one, if it is neither, takes the place set free.
     """
     kept = memory.cells_kept
     newest = memory.cells[kept]
@@ -115,5 +115,5 @@ def remember(memory):
                 first = a
                 second = b
     _merge(memory.cells[first], memory.cells[second])
-    if second < kept:
+    if second < kept:  # `second` = `kept` is the newest, which is merged now
         memory.cells[second] = memory.cells[kept]

@@ -20,7 +20,7 @@ from .memory import BEST_PULL, LEAST_SD, QUANTITIES
 
 # [of the sd] of the best pull of a patch, own choice: labels may be wrong, borders are near
 WIDER = 1.4
-# [border lengths] behind the end of a border before an estimate counts, own choice: until then the
+# [border lengths] past the end of a border before an estimate counts, own choice: until then the
 # identifier may not have found the border
 FOUND = 1.0 / 3.0
 
@@ -34,7 +34,9 @@ CLASSES = record(patch=("i8",), before=_EACH, precision=_EACH, of=(CLASS, MOST_C
 
 @compiled
 def forget_classes(classes, setting):
-    """Set the memory of a wheel to the prior of the identifier's `SETTING`."""
+    """Set the `CLASSES` of a wheel to the prior of the identifier's `SETTING`, all without a patch;
+    each sd is at least `LEAST_SD`.
+    """
     classes.patch = -1
     for c in range(MOST_CLASSES):
         known = classes.of[c]
@@ -45,10 +47,12 @@ def forget_classes(classes, setting):
 
 @compiled
 def remember_class(classes, c, patch, memory, setting):
-    """Renew class c by the estimate that the identifier's `memory` has on the patch of this number;
-    an earlier estimate from the same patch is replaced.
+    """Renew class number `c` of a wheel's `CLASSES` by the estimate that the identifier's `memory`
+    has on the patch of this number; an earlier estimate from the same patch is replaced.
 
-    A quantity that is not better known than by the prior changes nothing.
+    The sums are those of the module's docstring. The sd of the best pull counts `WIDER` times as
+    large. From the second patch on, chi-squared above 1 between this estimate and the patches
+    before widens the sd by its root. A quantity not better known than by the prior changes nothing.
     """
     known = classes.of[c]
     mean = classes.before
@@ -69,7 +73,7 @@ def remember_class(classes, c, patch, memory, setting):
             total = precision[i] + more
             news = own * value - prior * setting.prior[i]
             known.estimate[i] = (precision[i] * mean[i] + news) / total
-            apart = 0.0
+            apart = 0.0  # chi-squared of this estimate and those of the patches before
             if known.patches > 1:
                 apart = (value - mean[i]) ** 2 / (1.0 / own + 1.0 / precision[i])
             known.sd[i] = (max(apart, 1.0) / total) ** 0.5
@@ -77,9 +81,9 @@ def remember_class(classes, c, patch, memory, setting):
 
 @compiled
 def clear_of_borders(since, left, setting):
-    """True if an estimate is of one soil: `since` [m] behind the middle of the last border and
+    """True if an estimate is of one soil: made `since` [m] past the middle of the last border and
     `left` [m] before that of the next one.
 
-    Half a border length lies on each side of a middle; behind it `FOUND` is added.
+    Half a border length lies on each side of a middle; past the last border `FOUND` is added.
     """
     return since > (0.5 + FOUND) * setting.border and left > 0.5 * setting.border

@@ -2,6 +2,8 @@
 
 Gauss-Newton is the generalized Newton-Raphson method of the source paper (its Section 4), here with
 noise in its conditions and a prior.
+
+`memory`, `setting` and `work` are records `MEMORY`, `SETTING` and `WORK` of memory.py.
 """
 
 import math
@@ -44,8 +46,9 @@ LARGEST_ERROR = 0.1  # [of load] form error up to which it grows, if the believe
 
 @compiled
 def _write_prior(memory, setting, work, size):
-    """Write normal matrix and gradient of the prior of `size` unknowns into `work`: of soil and
-    instruments, behind a border also of its place and of the old soil.
+    """Write normal matrix and gradient at u of the prior of `size` unknowns into `work.prior` and
+    `work.prior_gradient`. They are those of soil and instruments (`HERE`), after a border also its
+    place and the old soil (`ALL`).
 
     If the wheel has stood, its pull at rest counts there as a measured zero.
     """
@@ -73,8 +76,9 @@ def _write_prior(memory, setting, work, size):
 
 @compiled
 def _normal_equations(memory, setting, work, size):
-    """Write normal matrix and gradient of prior and cells at `size` unknowns into `work`; return
-    chi-squared (of the forces, of the law of sinkage, of the residuals in further rows).
+    """Write normal matrix, its upper triangle, and gradient of prior and cells at `size` unknowns
+    into `work.normal` and `work.gradient`. Return chi-squared (of the forces, of the law of
+    sinkage, of the residuals in further rows).
 
     Only residuals of cells on a border depend on its place and on the old soil.
     """
@@ -113,7 +117,8 @@ def _normal_equations(memory, setting, work, size):
 
 @compiled
 def _apply_step(memory, setting, work, size):
-    """Add `work.step` to the unknowns; return the share of it that is taken.
+    """Add `work.step` to the first `size` unknowns; return the share of it that is taken, at most
+    1.
 
     It is shortened until no unknown moves by more than its prior standard deviation. Then both
     soils are held within `FARTHEST`, and tan phi at `LEAST_TANGENT` or above.
@@ -151,9 +156,11 @@ def _fall(work, size, length, share):
 
 @compiled
 def renew(memory, setting, work):
-    """Renew unknowns and covariance of the soil by all cells, then both misfits and the form error.
+    """Renew the unknowns `u` and the covariance of the soil by all cells, all in `memory`. Then
+    renew `misfit` (of the forces), `law_misfit` (of the law of sinkage) and the form error.
 
-    Chi-squared after the last step is the one before it, less the fall that is predicted. Where the
+    A misfit is chi-squared over the number of its residuals. Chi-squared after the last step is the
+    one before it, less the fall that is predicted, by the same share for both. Where the
     forces contradict the laws, the form error grows by the root of `misfit`, within `GROWS` and
     `FASTEST`. Where they agree, it shrinks to the believed one.
     """

@@ -85,10 +85,11 @@ CONTACT = record(
 
 @compiled_sums
 def _lay_depths(contact, theta1, exponent, r):
-    """Write the depth of each node below the entry point, which derivatives of its normal stress
-    need; `theta1` [rad]: entry angle, r [m]: radius.
+    """Write `sin1` and `cos1` of the entry angle `theta1` [rad] into a `CONTACT`, and of each node
+    what derivatives of its normal stress need: `peer_sin`, `per_depth` and `ln_depth`.
 
-    A node of the rear zone has the stress of a node in front (Eq. (8)), and so the depth of that.
+    They follow from its depth below the entry point, at least `SHALLOWEST`; r [m]: radius. A node
+    of the rear zone has the stress of a node in front (Eq. (8)), and so the depth of that.
     """
     nodes = contact.arc[0]
     sine = half_sin(theta1)
@@ -225,16 +226,20 @@ def reaction(contact, ground, sinkage, slip, load, r, b):
     rates = shear_rates(nodes, S * t, ground.cohesion)
     state = _State(S, b, arc, rim, travel, K, by_S, rates)
     none = _Sums(0.0, 0.0, 0.0, 0.0, 0.0)
+    # tau = (S p tan phi + c) e is linear in tan phi and c; tan phi also carries soil along the rim
     by_t = _Sums(0.0, 0.0, S * q.pe_cos, S * q.pe_sin, S * q.pe)
     _derive(contact, TANGENT, by_t, travel * by_share * ground.rim_flow * free, 0.0, state)
     _derive(contact, COHESION, _Sums(0.0, 0.0, q.e_cos, q.e_sin, q.e), 0.0, 0.0, state)
     _derive(contact, EXPONENT, _sums_by(contact, ground, state, 0.0, 0.0, 1.0), 0.0, 0.0, state)
+    # e depends on j/K: a larger K acts as a motion that is slower by as much
     _derive(contact, LN_K, none, -rim, -travel, state)
+    # with sinkage the entry angle grows, on which K and the bound on carried soil depend too
     entry_by_z = 1.0 / (r * max(contact.sin1, LEAST_SINE))
     by_z = _sums_by(contact, ground, state, entry_by_z, (0.5 + shift) * entry_by_z, 0.0)
     growth = ground.shear_growth / arc.theta1 * entry_by_z  # [1/m] of ln K
     rim_by_z = travel * by_most * most_by_angle(arc) * entry_by_z
     _derive(contact, BY_SINKAGE, by_z, rim_by_z - growth * rim, -growth * travel, state)
+    # travel is 1 - i driving and 1/(1 + i) braking, where the stress peak moves too
     travel_by_i = -1.0 if slip >= 0.0 else -travel * travel
     by_i = none
     if braked > 0.0 and ground.braked_peak > 0.0:

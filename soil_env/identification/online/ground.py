@@ -30,12 +30,14 @@ BEST_SLIP, MARGIN, MARGIN_SD, REQUIRED, AVAILABLE, PASSABLE = range(len(Traversa
 
 @kept
 def _assess(rows, estimate, sd, seen, setting, nodes, out):
-    """Compiled part of `assess_ground`; `nodes` [1] `ARC_NODES`: scratch.
+    """Compiled part of `assess_ground`, whose arguments the others are; `nodes` [1] `ARC_NODES`:
+    scratch.
 
     The margin is by the estimated best pull, slip and torque by the steady state on the estimated
-    soil. The margin is at least -1, and -1 where the motor has too little torque at every slip.
+    soil. Cohesion below 0 counts as 0, S is at most `STIFFEST`, the gain at most `MOST_DIGGING`.
     """
     numbers = setting[0]
+    # a smooth, rigid rim without limit of grip
     wheel = Rim(numbers.radius, numbers.width, 0.0, 0.0, 0.0, 0.0, 0.0)
     for k in rows:
         x = estimate[k]
@@ -78,6 +80,9 @@ def assess_ground(
     `estimate` and `sd` [wheels, 6]; `seen` [wheels, 2], load [of weight], at least `LIFTED`, and
     pitch [rad]; `setting` is `SETTING` [1]. Columns of `out` are those of `Traversability`: best
     slip, drawbar margin and its sd [of load], torques required and available [N m], 1 if passable.
+
+    The margin is best pull less tan(pitch), at least -1. Where the motor has too little torque, or
+    the soil does not carry the load, at every slip, the margin is -1 and the torque required 0.
     """
     estimate = np.ascontiguousarray(estimate)
     sd = np.ascontiguousarray(sd)

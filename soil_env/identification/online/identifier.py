@@ -1,5 +1,8 @@
 """Online identification of the soil under a driven wheel, reading by reading
 (docs/physics/estimation.md, whose steps are the files of this folder).
+
+`memory`, `setting`, `work` and `reading` are records `MEMORY`, `SETTING`, `WORK` and `READING` of
+memory.py.
 """
 
 import math
@@ -72,7 +75,7 @@ DOUBT = 1.3  # factor of the standard deviations while the last point is an outl
 DOUBLED = 2.0**2  # factor of the form error's variance in that test: twice the error
 FURTHER_ERROR = 4e-6  # [of load, squared] further variance of the laws in that test: 0.002 of load
 # Points of a soil up to which readings that contradict the laws show no missed border, own choice:
-# so soon behind a border it is the laws that they contradict.
+# so soon after a border it is the laws that they contradict.
 FEW_POINTS = 5
 # Points of a soil up to which the best pull is renewed with each, then with every third; own
 # choice, since it takes the forces at each `SLIP`.
@@ -99,7 +102,7 @@ def _surprise(memory, setting, work):
     freedom.
 
     Their covariance is that of the residuals, with a larger error of the laws, and that of the
-    unknowns of the last fit. An old soil behind a border counts as known.
+    unknowns of the last fit. After a border its place and the old soil count as known.
     """
     cell = memory.cells[memory.cells_kept]
     e = residuals(cell, memory, setting, work)
@@ -198,8 +201,10 @@ def publish(u, V, into, memory, setting):
 
 @compiled
 def status_of(known, contradicted, setting):
-    """`Status` of a published estimate: MISFIT if readings have `contradicted` the laws, else
-    CONVERGED if phi and ln K are both `LEARNT`, else NOT_EXCITED.
+    """Number of the `Status` of a published estimate: MISFIT if readings have `contradicted` the
+    laws, else CONVERGED if phi and ln K are both `LEARNT`, else NOT_EXCITED.
+
+    `known`: a record with the published `sd` of `ESTIMATES`.
     """
     if contradicted:
         return Status.MISFIT.value
@@ -226,6 +231,9 @@ def _complete(memory, reading, alone, setting, work):
     border begins here and the point is dropped. That is asked only off borders, of a wheel that is
     `alone` as in `observe`. An outlier is left out, and the published standard deviations grow by
     `DOUBT`. To any other point the soil is fitted, and published.
+
+    An excess is chi-squared of a point (`_surprise`) less `EXPECTED`. Their sum, never below 0,
+    shows another soil above `ANOTHER_SOIL`. An outlier has chi-squared above `OUTLIER`.
     """
     cell = memory.cells[memory.cells_kept]
     close(memory, cell, setting)
@@ -248,6 +256,7 @@ def _complete(memory, reading, alone, setting, work):
         return
     if surprise > OUTLIER:  # the next ones decide
         for i in range(PUBLISHED):
+            # once in a row only: after another outlier `widening` is `DOUBT` already
             memory.sd[i] *= DOUBT / memory.widening
         memory.widening = DOUBT
         return

@@ -153,7 +153,12 @@ def shares_of(period: float) -> list[float]:
 
 @compiled
 def _channels(reading, numbers, warning):
-    """`Channels` of one set of readings; `numbers`: `SETTING`, `warning`: `WARNING_SETTING`."""
+    """`Channels` of one set of readings; `numbers`: `SETTING`, `warning`: `WARNING_SETTING`.
+
+    A load below `LIFTED` of the weight counts as that. The motor has the torque stall torque x (1 -
+    speed over no-load speed), at least `_LEAST_TORQUE`. The motor torque over it is cut to -1 and
+    `_MOST_TORQUE`.
+    """
     load = max(reading.load, LIFTED * numbers.weight)
     rim = reading.rim_speed / numbers.radius
     pitch = math.sin(reading.pitch)
@@ -175,7 +180,7 @@ def _channels(reading, numbers, warning):
 @compiled
 def begin_averages(recent, reading, numbers, warning):
     """Set all moving averages in `recent` [RECENT] to the first readings of a wheel, at rest at the
-    start of a course, and its seconds of driving to 0.
+    start of a course, and its seconds of driving to 0. `numbers`, `warning` as in `average`.
     """
     values = _channels(reading, numbers, warning)
     for i in range(_AVERAGES):
@@ -188,8 +193,8 @@ def average(recent, reading, halted, numbers, warning):
     """Take the readings of a control period into the averages of `recent` [RECENT], and add the
     period to the seconds of driving.
 
-    In a halt the averages stay as they are, and the seconds begin anew. `numbers`: `SETTING` of the
-    identifier; `warning`: `WARNING_SETTING`.
+    In a halt (`halted` above 0) the averages stay, and the seconds begin anew. `numbers`: `SETTING`
+    of the identifier; `warning`: `WARNING_SETTING`.
     """
     if halted > 0.0:
         recent[_AVERAGES] = 0.0
@@ -277,6 +282,7 @@ class Assessed(NamedTuple):
 @kept
 def _assess(rows, recent, estimate, sd, setting, net, assessed):
     """Fill `assessed` of the wheels `rows` [n]: inputs, then probabilities by the network `net`.
+    `recent`, `estimate` and `sd` are the arrays of `ImmobilisationWarning.assess`.
 
     The second probability joins both hazards: of the first horizon, and of the time after it.
     """
@@ -294,13 +300,18 @@ def _assess(rows, recent, estimate, sd, setting, net, assessed):
 
 @functools.cache
 def shipped() -> dict[str, Any]:
-    """Content of immobilisation.json: `inputs`, the arrays of `Network`, `alarm` and `card`."""
+    """Content of immobilisation.json, read once: `inputs`, as `INPUTS`, and the arrays of
+    `Network`. `alarm` is the probability within 5 s from which to warn, `card` a dict on the
+    training.
+    """
     return json.loads(FILE.read_text(encoding="utf-8"))
 
 
 @functools.cache
 def shipped_network() -> Network:
-    """The network that comes with the package."""
+    """The network that comes with the package, read once; AssertionError if it is of other
+    `INPUTS`.
+    """
     assert tuple(shipped()["inputs"]) == INPUTS, "immobilisation.json is of other code"
     return Network(
         *(np.ascontiguousarray(shipped()[name], dtype=np.float64) for name in Network._fields)

@@ -199,12 +199,14 @@ class OnlineIdentifier:
 
     @property
     def estimate(self) -> Estimate:
-        """The estimate after the last update."""
+        """The estimate after the last update; before the first, and after a `reset`, the prior."""
         return self._estimate
 
     def update(self, readings: Readings) -> Estimate:
         """Take one set of readings; the estimate after it, renewed about every eighth time, on a
         border every time.
+
+        Where a speed is neither measured nor known by the slip, only their time is taken.
 
         Raises TypeError for anything but `Readings` of numbers. Raises ValueError for a time that
         is not later than the last, and for a reading that is infinite or larger than
@@ -239,13 +241,13 @@ class OnlineIdentifier:
         return soil_of_numbers(asdict(self._estimate), scenario.belief, scenario.gravity)
 
     def traversability(self, load: float | None = None, pitch: float = 0.0) -> Traversability:
-        """Drawbar margin under `load` [N] (the weight if left out) at `pitch` [rad], uphill
-        positive.
+        """Drawbar margin under `load` [N] at `pitch` [rad], uphill positive; without a load, under
+        the weight times cos(pitch).
 
         A load below 5 % of the weight counts as 5 % of it, as in the environments.
 
-        Raises ParameterError for a load that is no finite number above zero and a pitch beyond a
-        right angle.
+        Raises ParameterError for a load that is no finite number above zero, and a pitch that is no
+        finite number within a right angle.
         """
         if load is not None and not (_finite(load) and load > 0.0):
             raise ParameterError(f"load = {load!r}: expected a finite number > 0 [N]")

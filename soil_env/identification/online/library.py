@@ -3,6 +3,8 @@
 The fit leaves the information of the readings on the soil, linearised at the most probable one.
 With each Gaussian of the library it gives a posterior and its weight; their mixture is published
 (Alspach & Sorenson 1972, IEEE Trans. Autom. Control 17:439-448).
+
+`memory`, `setting` and `work` are records `MEMORY`, `SETTING` and `WORK` of memory.py.
 """
 
 import math
@@ -19,8 +21,9 @@ UNLIKELY = 1e-6
 
 @compiled
 def write_information(memory, work):
-    """Write the information of the readings of a fit, less its prior, into `information`, and the
-    gradient of their log-likelihood at its soil into `gradient`.
+    """Write what the readings alone say after a fit, without its prior, into a `MEMORY`: their
+    information into `information`, the gradient of their log-likelihood at its soil into
+    `gradient`.
     """
     invert_whole(memory.covariance, SOIL, work, memory.information)
     memory.gradient[:] = 0.0
@@ -56,7 +59,9 @@ def solve_joined(work):
 def _log_weight(known, u, setting, work, k):
     """ln of the weight of the Gaussian k of the library under the readings, up to a constant.
 
-    Joins the readings with it: see `join`. Overwrites `work.step`.
+    This is the weight in the library times the integral of Gaussian times likelihood over the soil.
+    The exponents are expanded about the soil u. `known` and what is written into `work`: see
+    `join`; `work.step` is overwritten too.
     """
     mean = setting.library_mean[k]
     join(known, u, mean, setting.library_precision[k], work)
@@ -113,8 +118,9 @@ def mix(known, u, setting, work):
 
 @compiled
 def lean(memory, setting, work):
-    """Give the next fit one Gaussian as prior: the moments of the library's soils under
-    `work.weights`. So it is linearised near the soils that are left.
+    """Give the next fit one Gaussian as prior, in `prior_mean` and `prior_precision`: the moments
+    of the library's soils under `work.weights` of `mix`. So the fit is linearised near the soils
+    that are left.
     """
     mean = memory.prior_mean
     mean[:] = 0.0

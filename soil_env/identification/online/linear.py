@@ -13,7 +13,11 @@ LEAST_PIVOT = 1e-12  # [of the diagonal] to which a smaller pivot is raised: a s
 
 @compiled
 def factorise(a, n, factor):
-    """Write the U of a [n, n] into `factor`; only the upper triangle of a is read."""
+    """Write the U of a [n, n] into `factor`; only the upper triangle of a is read.
+
+    A pivot below `LEAST_PIVOT` of its diagonal element is raised to that. The triangle of `factor`
+    below its diagonal stays as it is.
+    """
     for back in range(n):
         j = n - 1 - back
         pivot = a[j, j]
@@ -76,15 +80,20 @@ def invert(factor, m, scratch, inverse):
 
 @compiled
 def invert_whole(a, n, work, inverse):
-    """Write A^-1 of a [n, n] into `inverse`; overwrites `factor` and `scratch` of a work space."""
+    """Write A^-1 of a [n, n] into `inverse`, both triangles; overwrites `factor` and `scratch` of
+    the work space `work` (`memory.WORK`).
+    """
     factorise(a, n, work.factor)
     invert(work.factor, n, work.scratch, inverse)
 
 
 @compiled
 def add_gaussian(precision, mean, u, share, n, normal, gradient):
-    """Add a share of a Gaussian of n unknowns: of its `precision` to the `normal` matrix, of the
-    gradient of its log-density at the unknowns u to `gradient`. A negative share takes it away.
+    """Add `share` times the log-density of a Gaussian of n unknowns, given by `precision` [n, n]
+    and `mean` [n]; a negative `share` takes it away.
+
+    The `normal` matrix [n, n] gets its precision, `gradient` [n] its gradient at the unknowns u
+    [n]: precision (mean - u).
     """
     for i in range(n):
         for j in range(n):

@@ -37,7 +37,7 @@ class Instruments(NamedTuple):
 HERE = SOIL + len(Instruments._fields)  # unknowns of one soil with the instruments
 #: Unknowns of the instruments, in the order and the units of `Instruments`.
 LOAD_GAIN, PULL_ZERO, TORQUE_GAIN, TORQUE_ZERO, SINKAGE_ZERO, SPEED_GAIN = range(SOIL, HERE)
-#: Further unknowns behind a border: the place of its middle [m], and the six of the old soil.
+#: Further unknowns after a border: the place of its middle [m], and the six of the old soil.
 PLACE = HERE
 OLD = PLACE + 1
 ALL = OLD + SOIL
@@ -84,7 +84,7 @@ OPEN = record(
     "motor",  # weighted share of the motor in the torque
     "load",
     "cos_pitch",
-    "place",  # behind that of the first reading
+    "place",  # [m] past that of the first reading
     "place_square",
     "first_place",
     "travel",  # clocks of `MEMORY`
@@ -171,7 +171,7 @@ MEMORY = record(
     status=("i8",),  # `Status`
     cells_kept=("i8",),
     settled=("i8",),  # 1: this soil has fitted
-    behind=("i8",),  # 1 behind a border: the old soil is unknown too
+    behind=("i8",),  # 1 after a border: the old soil is unknown too
     u=("f8", ALL),  # unknowns of the last fit, by the indices above
     factor=("f8", (ALL, ALL)),  # of the normal matrix of the unknowns u
     covariance=("f8", (SOIL, SOIL)),  # of the soil

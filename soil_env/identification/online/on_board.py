@@ -108,8 +108,9 @@ class Known(NamedTuple):
 def board_setting(scenario: Scenario, shown: Shown, warns: bool) -> np.ndarray:
     """Pack `BOARD_SETTING` [1] of a wheel or a rover.
 
-    `warns`: averages for the warning are kept. Raises ValueError for an observation of more than
-    `MOST_ENTRIES`.
+    `shown`: where the observation has the estimate; `warns`: averages for the warning are kept.
+    What the axles of a rover know is pooled, and what its sensors do not measure of one wheel gets
+    no weight (`limit_to_wheel`). Raises ValueError for more than `MOST_ENTRIES` observed.
     """
     setting = np.zeros(1, BOARD_SETTING)
     board = setting[0]
@@ -163,7 +164,8 @@ def compactions() -> list[float]:
 class OnBoard:
     """Estimators of many wheels or rovers; they follow the orders that the world has followed.
 
-    `warns`: keep the averages for the warning of immobilisation.
+    `vehicles`: their number; `shown`: where the observation has the estimate; `warns`: keep the
+    averages for the warning of immobilisation. ValueError as of `board_setting`.
     """
 
     def __init__(
@@ -206,7 +208,8 @@ class OnBoard:
 
 @compiled
 def knowledge(known, setting):
-    """Knowledge in an estimate beyond the prior of a `SETTING` [nat].
+    """Knowledge [nat] in an estimate, a record `known` with `ESTIMATES`, beyond the prior of a
+    `SETTING`.
 
     Fall of entropy, summed over the published quantities of the soil, each taken as Gaussian by
     itself. A quantity counts at least 0, and at most as one with the share `LEAST_LEFT` of its
@@ -220,7 +223,10 @@ def knowledge(known, setting):
 
 @compiled
 def _mean_knowledge(vehicle, board):
-    """Mean of `knowledge` [nat] over the axles of a vehicle; of a rover by all its wheels."""
+    """Mean of `knowledge` [nat] over the axles of a vehicle; of a rover by all its wheels.
+
+    `vehicle`: its memory, `ON_WHEEL` or `ON_ROVER`; `board`: `BOARD_SETTING`.
+    """
     total = 0.0
     for a in range(board.axles):
         if board.pooled > 0:
@@ -233,7 +239,7 @@ def _mean_knowledge(vehicle, board):
 @compiled
 def reward_information(vehicle, before, after, board):
     """Reward the knowledge [nat] gained in a step, weight x (discount x `after` - `before`), and
-    renew the reward as the sum of its terms.
+    renew the reward as the sum of its terms. Both are in `vehicle`, a record of the world's state.
 
     Nothing counts as known after the end of an episode. This is shaping by a potential, which
     leaves the best policy as it is (Ng, Harada & Russell 1999, ICML; its end: Grzes 2017, AAMAS).
@@ -250,9 +256,9 @@ def write_known(out, first, flag, known, tangent, dig_gain):
     over the `tangent` of a grade) and its standard deviations.
 
     The first three quantities with their standard deviations fill six entries from `first` on, the
-    other three the last six. The `flag` stands behind the first six where `first` is 0, and before
+    other three the last six. The `flag` stands after the first six where `first` is 0, and before
     them where it is 1. K and S are decimal logarithms with relative standard deviations, cohesion
-    is in kPa.
+    is in kPa. `known`: a record with `ESTIMATES`, whose gain is relative to the nominal `dig_gain`.
     """
     mean = known.estimate
     sd = known.sd
@@ -283,7 +289,7 @@ def write_known(out, first, flag, known, tangent, dig_gain):
 @compiled
 def write_estimate(out, known, dig_gain):
     """Fill `out` [13] with what is identified of the soil under a wheel, with the margin on level
-    ground; the flag is 1 if the status is CONVERGED.
+    ground; the flag is 1 if the status is CONVERGED. `known`, `dig_gain` as in `write_known`.
     """
     write_known(out, 0, 1.0 if known.status == CONVERGED else 0.0, known, 0.0, dig_gain)
 
@@ -292,9 +298,10 @@ def write_estimate(out, known, dig_gain):
 def _show_ahead(vehicle, sample, board, out):
     """Fill what is known of the classes on the routes ahead into the last entries of `out`.
 
-    Each route has `OF_SOIL` entries: estimate and margin over the grade that is seen. They are 0
-    where the route is out of sight, and those of the second where this patch has only one. The flag
-    is 1 if the class of the route has been met.
+    Each of the `board.lines` routes has `OF_SOIL` entries, as of `write_known`: estimate, and
+    margin over the grade that is seen. They are 0 while the patch ahead is out of sight; those of
+    the second route also where this patch has only one. The flag is 1 if the class of the route has
+    been met.
     """
     for route in range(board.lines):
         ahead = out[out.size - (board.lines - route) * OF_SOIL :]
@@ -312,6 +319,9 @@ def _show_ahead(vehicle, sample, board, out):
 def show_estimate(vehicle, sample, board, out):
     """Fill what is identified into the observation `out` [D] of a vehicle: of each axle from the
     entry `board.first` on, then of the classes ahead. All of `out` is cut to its bounds.
+
+    `vehicle`: its memory, `ON_WHEEL` or `ON_ROVER`; `sample`: the last `SAMPLE` of its front axle;
+    `board`: `BOARD_SETTING`.
     """
     gain = board.identifier[0].dig_gain
     for a in range(board.axles):
@@ -335,7 +345,9 @@ def _see_ahead(vehicle, sample, board):
 
 @compiled
 def _restart(vehicle, sample, board):
-    """Set the estimators of a vehicle to their prior, at the start of a course."""
+    """Set the estimators of a vehicle, in its memory `ON_WHEEL` or `ON_ROVER`, to their prior, at
+    the start of a course; averages begin with the readings of `sample` there.
+    """
     numbers = board.identifier[0]
     for a in range(board.axles):
         vehicle.identifier[a] = numbers.blank[0]
@@ -364,8 +376,8 @@ def _compaction(memory, a, board):
 
 @compiled
 def _take_period(vehicle, samples, period, board, work):
-    """Take the records of one control period into the estimators of a vehicle; `samples` [axles,
-    periods].
+    """Take the records of the control period number `period` of a step into the estimators of a
+    vehicle, in its memory `ON_WHEEL` or `ON_ROVER`; `samples` [axles, periods] of the world.
 
     The front wheel finds borders, by the camera and by its forces; the wheels behind cross them
     where it has found them.
@@ -408,7 +420,8 @@ def estimate(memory, world, orders, setting, work, first, end):
     RESTART, any other leaves a vehicle as it is.
 
     Writes what is identified into the observation, where it is shown, and the reward of knowledge
-    into the state, where it is paid. `memory` [vehicles] `ON_WHEEL` or `ON_ROVER`.
+    into the state, where it is paid. `memory` [vehicles] `ON_WHEEL` or `ON_ROVER`, `setting`
+    `BOARD_SETTING` [1], `work` `WORK` [1].
     """
     board = setting[0]
     samples = world.samples

@@ -2,6 +2,9 @@
 
 Readings of a wheel that nearly rests, locks, spins on the spot or is strongly accelerated belong to
 no point, because the laws are those of steady motion.
+
+`memory`, `setting`, `point` and `reading` are records `MEMORY`, `SETTING`, `OPEN` and `READING` of
+memory.py.
 """
 
 import math
@@ -62,7 +65,8 @@ def slip_error(reading, setting):
     """Standard deviation of the slip [-]: that of a slip sensor where there is one (white noise
     above 0), else by the white noise of both speeds.
 
-    Rim speeds below `SLOWEST` count as `SLOWEST`. Braked, the slip is rim over travel speed less 1.
+    Rim speeds below `SLOWEST` count as `SLOWEST`, travel speeds above `MOST_TRAVEL` of the rim's as
+    that. Braked, the slip is rim over travel speed less 1.
     """
     white = setting.white[0]
     if white.slip > 0.0:
@@ -94,7 +98,10 @@ def advance(memory, reading, turned, setting):
 @compiled
 def is_steady(reading, error, turned, setting):
     """True if the wheel drives on the ground without spinning, locking or a jump of its speed, and
-    its slip is well enough known; `error`: standard deviation of the slip.
+    its slip is well enough known.
+
+    `error`: standard deviation of the slip; `turned` [m/s]: change of the rim speed in the period,
+    without sign.
     """
     drives = reading.rim_speed > SLOWEST and LOCKED <= reading.slip <= SPINNING
     touches = reading.load >= LIFTED * setting.weight and reading.sinkage > 0.0
@@ -242,9 +249,9 @@ def collect(point, memory, reading, error, turned, setting):
     point.motor += share / variance
     point.load += reading.load
     point.cos_pitch += math.cos(reading.pitch)
-    behind = place - point.first_place
-    point.place += behind
-    point.place_square += behind * behind
+    past = place - point.first_place
+    point.place += past
+    point.place_square += past * past
     point.travel += memory.travel
     point.slide += memory.slide
     point.turning += memory.turning

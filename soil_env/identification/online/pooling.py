@@ -70,7 +70,7 @@ def forget_pool(pool, memory):
 
 @compiled
 def _publish_fresh(pool):
-    """Publish the fresh estimate, and keep it as the old one for the next border."""
+    """Publish the fresh estimate of a `POOL`, and keep it as the old one for the next border."""
     take_fresh(pool)
     pool.old[:] = pool.fresh
     pool.old_sd[:] = pool.fresh_sd
@@ -78,8 +78,12 @@ def _publish_fresh(pool):
 
 @compiled
 def keep_knowledge(pool, memory, setting, work):
-    """Keep what a renewed identifier knows of its soil for the other wheels: mean and covariance of
-    the shared unknowns, under the prior of one Gaussian.
+    """Keep what a renewed identifier (`memory`) knows of its soil for the other wheels, in the
+    `POOL` of its wheel. It is mean and covariance of the shared unknowns, under the prior of one
+    Gaussian.
+
+    The soil after the border with number n, counted by `memory.borders`, has the place n modulo
+    `SOILS`, and replaces an earlier one there.
     """
     s = memory.borders % SOILS
     pool.borders[s] = memory.borders
@@ -92,8 +96,9 @@ def keep_knowledge(pool, memory, setting, work):
 
 @compiled
 def hand_over_border(front, memory, behind, setting, work):
-    """Begin the next border of a wheel that runs `behind` [m] behind the front one, with its middle
-    where that one has it, once this wheel is half a border's length [m] before that place.
+    """Begin the next border of a wheel that runs `behind` [m] behind the front one, once this wheel
+    is past its beginning. That is half a border's length before its middle, which is where the
+    front wheel has found it.
 
     `front`: `POOL` of the front wheel; `memory`: of this one. Nothing begins on a border, or if the
     front wheel has not found the next one or has dropped it as a false alarm. A border whose soil
@@ -132,8 +137,8 @@ def _disagreement(memory, other, s, work):
 
 @compiled
 def _add_share(pool, u, covariance, mean, share, work):
-    """Add a share of a Gaussian of the shared unknowns to the pooled information, and to its
-    gradient at u; a negative share takes it away.
+    """Add a share of a Gaussian of the shared unknowns, of this `covariance` [4, 4] and `mean` [4],
+    to the pooled information, and to its gradient at u; a negative share takes it away.
     """
     invert_whole(covariance, SHARED, work, work.inverse)
     add_gaussian(work.inverse, mean, u, share, SHARED, pool.information, pool.gradient)
@@ -141,10 +146,13 @@ def _add_share(pool, u, covariance, mean, share, work):
 
 @compiled
 def pool_with(pools, axles, own, memory, setting, work):
-    """Renew what all wheels of a rover know of the ground under the one on the axle `own`.
+    """Renew what all wheels of a rover know of the ground under the one on the axle `own`, in its
+    `POOL` of `pools` [axles]; `memory`: `MEMORY` of its identifier.
 
     Of each other wheel that has kept this soil a share of its Gaussian is added, less the same
-    share of the prior in it. Before the first point, the pool is reset.
+    share of the prior in it. Errors that all wheels share are added to the sds of phi, ln K and c.
+    On a border the blend with the old estimate is published. The best pull stays that of this
+    wheel's own readings. Before the first point, the pool is reset.
     """
     pool = pools[own]
     if memory.status == Status.NO_DATA.value:

@@ -57,8 +57,8 @@ def depth_of(scenario: Scenario) -> float:
 
 
 def plain(scenario: Scenario) -> Gaussian:
-    """The prior of the belief without its library, of weight 1; each standard deviation is at least
-    `KNOWN`.
+    """The prior of the belief without its library: weight 1, mean and covariance of the unknowns
+    `TANGENT` to `GAIN` of `memory`. Each standard deviation is at least `KNOWN`.
     """
     b = scenario.belief
     w = scenario.wheel
@@ -116,6 +116,7 @@ def of_library(scenario: Scenario) -> list[Gaussian]:
         ln_K = math.log(soil.shear_modulus)
         mean = np.array([tangent, soil.cohesion, n, ln_K, ln_pressure, gain])
         mean[LN_K:] -= 0.5 * logs**2  # the scatter keeps the mean, not the median
+        # sd of tan phi, by that of phi, which is a share of phi
         friction = (1.0 + tangent**2) * math.atan(tangent) * spread.friction
         sd = np.maximum(
             [friction, soil.cohesion * spread.cohesion, n * spread.exponent, *logs], least
@@ -181,8 +182,8 @@ def published_prior(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
 def setting_of(scenario: Scenario) -> np.ndarray:
     """Pack the constants of the identifier of a scenario, `SETTING` [1], and its blank memory.
 
-    A library of several soils gets one more Gaussian, with its own moments and the weight
-    `STRANGE`. Raises `ParameterError` for more soils than `MOST_SOILS` leaves room for.
+    A library of several soils gets one more Gaussian, with the moments of the library and `STRANGE`
+    times its weight. Raises `ParameterError` for more soils than `MOST_SOILS` leaves room for.
     """
     setting = np.zeros(1, SETTING)
     s = setting[0]
@@ -201,7 +202,7 @@ def setting_of(scenario: Scenario) -> np.ndarray:
     s.off = int(belief.method == "none")
     white, zero, gain = reading_errors(scenario)
     least = LEAST_SD * np.array(reading_units(scenario))
-    least[0] = 0.0  # without a slip sensor
+    least[0] = 0.0  # of the slip, the first: white noise of 0 tells that there is no slip sensor
     s.white = np.maximum(white, least).view(READING)
     s.zero = zero.view(READING)
     s.gain = gain.view(READING)

@@ -3,6 +3,9 @@ and the law of slip-sinkage from point to point.
 
 Slip and sinkage have noise, which enters as effective variance (Orear 1982, Am. J. Phys.
 50:912-916) at the most likely slip.
+
+`cell`, `memory`, `setting` and `work` are records `CELL`, `MEMORY`, `SETTING` and `WORK` of
+memory.py.
 """
 
 import math
@@ -97,12 +100,12 @@ def _blend(cell, memory, setting, work):
     if cell.place_error == 0.0:
         return 1.0, 0.0
     length = setting.border
-    ahead, ahead_by = share_at(cell.place + cell.spread - u[PLACE], length)
-    behind, behind_by = share_at(cell.place - cell.spread - u[PLACE], length)
-    share = 0.5 * (ahead + behind)
+    front, front_by = share_at(cell.place + cell.spread - u[PLACE], length)
+    rear, rear_by = share_at(cell.place - cell.spread - u[PLACE], length)
+    share = 0.5 * (front + rear)
     for j in range(SOIL):
         work.soil[j] = share * u[j] + (1.0 - share) * u[OLD + j]
-    return share, -0.5 * (ahead_by + behind_by)
+    return share, -0.5 * (front_by + rear_by)
 
 
 @compiled
@@ -143,7 +146,9 @@ def ground_of(unknowns, setting):
 
 @compiled
 def slip_slope(slip, setting):
-    """Slope of the slip by a relative error of the speeds: 1 - |slip|, 0 with a slip sensor."""
+    """Slope of the slip [-] by a relative error of the speeds (`SPEED_GAIN`): 1 - |slip|; 0 with a
+    slip sensor (white noise above 0), on which the speeds have no effect.
+    """
     return 0.0 if setting.white[0].slip > 0.0 else 1.0 - abs(slip)
 
 
@@ -153,6 +158,8 @@ def residuals(cell, memory, setting, work):
     `work.slopes`, and renew the most likely slip of the cell.
 
     Forces are computed at the most likely slip and extended to the measured one by their slopes.
+    Residuals are the measured less the predicted values, with gains and zeros of the instruments.
+    Their covariance has noise, form error, and what errors of slip, sinkage and place do to both.
     """
     u = memory.u
     J = work.slopes
@@ -227,7 +234,7 @@ def residuals(cell, memory, setting, work):
 @compiled
 def _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work):
     """(residual [m] of the law of slip-sinkage, its weight [1/m2]); both 0 without a change of
-    sinkage.
+    sinkage. `share` and `by_place`: of `_blend`.
 
     The law is z' - z = come (B z_b - A z) from point to point, with come = (1 - exp(-A))/A. A and B
     are integrals over the way, z_b is the bearing sinkage. `work.contact` has the forces at
@@ -244,6 +251,7 @@ def _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work):
     contact = work.contact[0]
     by = contact.by
     at_middle = contact.value[LN_S] + by[LN_S, BY_SINKAGE] * (middle - sinkage)
+    # bearing sinkage z_b = z (s/S)^(1/n), s being the mobilised S; `PRESSURE` is ln of S depth^n
     stronger = at_middle - soil[PRESSURE] - cell.compaction * (n + 0.5)
     bearing = middle * min(setting.depth * math.exp(stronger / n), DEEPER)
     gain = setting.dig_gain * math.exp(soil[GAIN])
@@ -264,7 +272,7 @@ def _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work):
     if cell.place_error > 0.0:
         law = BORDER_LAW_ERROR
         place = _over_border(SINKAGE, share, by_place, memory, work) * cell.place_error
-    # a point's sinkage enters the change before it and the one behind it
+    # a point's sinkage enters the change before it and the one after it
     of_point = setting.white[0].sinkage ** 2 / READINGS
     variance = (1.0 + (1.0 - come * a) ** 2) * of_point / cell.changes
     variance += (law * come * a * bearing) ** 2 + place * place
@@ -280,9 +288,11 @@ EXACTLY = 1e-5
 
 @compiled
 def weigh_unknowns(memory, setting, work):
-    """Write the prior standard deviations of all unknowns into `work.sd`.
+    """Write the prior standard deviations of all unknowns [ALL], in their units, into `work.sd`.
 
-    Where two sensors measure one quantity, each counts by its mean share in the cells.
+    Those of the instruments follow from zeros and gains of the sensors. Where two sensors measure
+    one quantity, each counts by its mean share in the cells. Where no load was weighed, that of the
+    load gain includes `PAYLOAD`. That of the place of a border is the length of a border.
     """
     sd = work.sd
     sd[:SOIL] = setting.soil_sd
@@ -302,6 +312,7 @@ def weigh_unknowns(memory, setting, work):
     gain = setting.gain[0]
     weight = setting.weight
     torque_unit = weight * setting.radius
+    # [of weight] where nothing was weighed, the mass on the wheel is taken to be the body's
     payload = PAYLOAD if memory.weighings == 0.0 else 0.0
     of_force = math.hypot(zero.drawbar_pull / weight, TYPICAL_PULL * gain.drawbar_pull)
     of_mass = math.hypot(memory.mass * zero.acceleration / weight, TYPICAL_PULL * gain.acceleration)

@@ -155,12 +155,14 @@ def _cut(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _merged(values: np.ndarray) -> Any:
-    """One value for those of a bin: the mean of floats, the first of others (line, pass, run)."""
+    """One value for those of a bin: the mean of floats (nan if one is), the first of others (line,
+    pass, run).
+    """
     return np.mean(values) if values.dtype.kind == "f" else values[0]
 
 
 def _spread(values: np.ndarray) -> float:
-    """Median distance of the values from their median."""
+    """Median distance of the values from their median; nan if one is nan."""
     return float(np.median(np.abs(values - np.median(values))))
 
 
@@ -169,7 +171,7 @@ def _without_outliers(values: np.ndarray, usual: float) -> tuple[float, int]:
 
     Outliers are beyond `FAR` sd from the median. The sd is that of a normal distribution whose
     `_spread` is that of the bin or, if this is larger, `usual`: the median over all bins. Fewer
-    than `FEWEST` values have no outliers.
+    than `FEWEST` values have no outliers. If one is nan, the mean is, without outliers.
     """
     if values.size < FEWEST:
         return float(np.mean(values)), 0

@@ -92,7 +92,9 @@ class Data:
 
     @property
     def groups(self) -> list[np.ndarray]:
-        """Indices of the rows of each combination of the levels of all conditions but slip."""
+        """Indices [n] of the rows of each combination of the levels of all conditions but slip; all
+        rows where nothing else varies.
+        """
         others = [c.level for name, c in self.varied.items() if name != "slip"]
         label = combinations_of(others or [np.zeros_like(self.cell)])
         return [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
@@ -212,6 +214,7 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
     """
 
     def refuse(wrong: bool, text: str) -> None:
+        """Raise `ParameterError` with the `text` if it is `wrong`."""
         if wrong:
             raise ParameterError(f"{table.source}: {text}")
 
@@ -271,7 +274,7 @@ def _factor(name: str, value: np.ndarray) -> Factor:
     same = _SAME.get(name, _SAME_RATIO)
     x = value
     if name in LOGARITHMIC:
-        x = np.log(np.maximum(value, 1e-9))
+        x = np.log(np.maximum(value, 1e-9))  # a speed of 0, not known, has a finite logarithm
         same = math.log(1.0 + same)
     span = float(np.ptp(x))
     gap = max(_SAME_SHARE * span, same)

@@ -324,24 +324,24 @@ def _summary(
         *_doubts(problem, u, [words for _, words in off_prior if words not in first], converged),
     ]
     return TableEstimate(
-        parameters,
-        labels,
-        covariance,
-        correlation,
-        float(condition),
-        problem.z_ref,
-        fits,
-        problem.table.row[problem.use],
-        problem.rows.slip,
-        problem.rows.load,
-        int(problem.measured.sum()),
-        _exact_conditions(problem),
-        converged,
-        law_error,
-        tuple(first),
-        misfit,
-        tuple(warnings),
-        _soil(problem, u),
+        parameters=parameters,
+        free=labels,
+        covariance=covariance,
+        correlation=correlation,
+        condition=float(condition),
+        reference_sinkage=problem.z_ref,
+        fits=fits,
+        row=problem.table.row[problem.use],
+        slip=problem.rows.slip,
+        load=problem.rows.load,
+        values=int(problem.measured.sum()),
+        exact=_exact_conditions(problem),
+        converged=converged,
+        law_error=law_error,
+        check_first=tuple(first),
+        misfit=misfit,
+        warnings=tuple(warnings),
+        soil=_soil(problem, u),
     )
 
 
@@ -435,14 +435,14 @@ def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
             p_value = float(chdtrc(freedom, square))
             too_small = float(chdtr(freedom, square)) if square < SMALL**2 * freedom else 1.0
         fits[name] = ChannelFit(
-            measured[:, j],
-            fitted[:, j],
-            noise,
-            problem.relative[:, j],
-            estimated,
-            p_value,
-            too_small,
-            UNITS[name],
+            measured=measured[:, j],
+            fitted=fitted[:, j],
+            noise=noise,
+            relative=problem.relative[:, j],
+            estimated=estimated,
+            p_value=p_value,
+            too_small=too_small,
+            unit=UNITS[name],
         )
     return fits
 
@@ -455,8 +455,9 @@ def _exact_conditions(problem: TableProblem) -> tuple[str, ...]:
 def _units(
     problem: TableProblem, parameters: dict[str, Parameter], fits: dict[str, ChannelFit]
 ) -> list[str]:
-    """Warnings of a wrong unit in setup or table: a tiny load, or else a soil that is softer than
-    any to the upper end of its 95 % interval, and residuals far below a given noise.
+    """Warnings of a wrong unit in setup or table: a tiny load (`LIGHT`), or else a soil that is
+    softer than any (`SOFT`) to the upper end of its 95 % interval. Also residuals far below a given
+    noise.
 
     `fits`: under noise alone; their `too_small` is a p value.
     """
@@ -627,6 +628,9 @@ def _predicts_badly(plain: _Plain, fits: dict[str, ChannelFit]) -> str:
 def _not_modelled(problem: TableProblem) -> list[str]:
     """Warnings on channels that were not measured, on rows that are left out or taken otherwise
     than given, and on what of the rig the base model does not contain.
+
+    Later passes are taken as fresh soil, grades beyond `LEVEL` as level unless the load is
+    vertical, rims with lugs as smooth. Wheels of several widths have one S without k_c and k_phi.
     """
     table = problem.table
     used = problem.use
@@ -690,6 +694,7 @@ def _follows_conditions(slip: np.ndarray, load: np.ndarray, residual: np.ndarray
     explained = np.sum(fitted**2)
     rest = np.sum((e - fitted) ** 2)
     spare = e.size - rank
+    # F statistic; a fit that leaves nothing divides by no zero
     return bool(
         spare > 1 and fdtrc(rank, spare, explained / rank * spare / max(rest, 1e-300)) < FOLLOWS
     )

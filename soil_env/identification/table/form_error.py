@@ -73,7 +73,9 @@ SIZES = np.array([0.001, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.3])
 
 
 def size_prior() -> np.ndarray:
-    """Probabilities of `SIZES`."""
+    """Prior probabilities [10] of `SIZES`: a tenth for the first (laws as good as exact), the
+    others log-normal about 0.05, with a sd of 0.8 of the logarithm.
+    """
     weight = np.exp(-0.5 * ((np.log(SIZES) - np.log(0.05)) / 0.8) ** 2)
     weight[0] = weight[1:].sum() / 9.0
     return weight / weight.sum()
@@ -325,8 +327,8 @@ def marginals(
 
         ln p = -(e'e + |u|^2 - h'N^-1 h)/2 - ln|N|/2,    N = I + D A'A D,    h = D A'e - u.
 
-    To save time, the unknowns and the form errors up to number `first` are eliminated once for all
-    rows that have the same sizes of these.
+    To save time, the unknowns and the first form errors, `first` of the K, are eliminated once for
+    all rows that have the same sizes of these.
     """
     used = np.any(sizes != 0.0, axis=0)
     used[:first] = True

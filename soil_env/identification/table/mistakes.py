@@ -118,6 +118,10 @@ class Reading(NamedTuple):
 def readings(table: Table, setup: Setup) -> list[Reading]:
     """Every other reading of the table that is tried.
 
+    They are: the sign of pull or slip turned; pull and torque exchanged; pull, torque, load, or
+    load with pull, read in kilograms; torque also in kilogram centimetres; the slip read as
+    (r w - V)/V or V/(r w); the radius read as the diameter.
+
     A reading is left out where the table cannot show it, or where it would be impossible.
     """
     out = []
@@ -134,7 +138,7 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
         there: Setup = setup,
         **columns,
     ) -> None:
-        """Add a reading with other `columns` and the setup `there`; `scale`, `source`: `Reading`.
+        """Add a reading with other `columns` and the setup `there`; the rest as in `Reading`.
 
         Noise of single rows is scaled, too.
         """
@@ -169,7 +173,7 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
     ):
         # Two forces that are wrong alike show only beside the torque.
         needed = columns if len(columns) == 1 else (*columns, "torque")
-        if all(known.get(column, True) for column in needed):
+        if all(known.get(column, True) for column in needed):  # every table has loads
             both = " and ".join(columns)
             add(
                 name,
@@ -202,6 +206,7 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
             )
     half = 0.5 * setup.wheel.radius
     if not np.any(np.isfinite(table.wheel_radius)) and half >= LEAST_RADIUS:
+        # a sinkage or lugs beyond the halved radius make it impossible
         if not np.any(table.sinkage > half) and (setup.wheel.grouser_height or 0.0) < half:
             wheel = dataclasses.replace(setup.wheel, radius=half)
             add(
@@ -256,6 +261,7 @@ def _problem(
     }
     noise = dataclasses.replace(reading.setup.noise, **levels)
     setup = reading.setup.changed(noise=noise)
+    # all rows: `usable_rows` would refuse some readings
     return TableProblem(there, setup, np.ones(len(there), dtype=bool), scarce=scarce)
 
 
@@ -296,7 +302,7 @@ def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
         model = np.zeros_like(data.y)
         found = fit.problem.steady(fit.u, rows) / fit.reading.scale
         model[:, list(fit.reading.source)] = finite(found)
-        if fit.reading.name == "pull":
+        if fit.reading.name == "pull":  # its values have another sign, its `scale` is 1
             model[:, 1] *= -1.0
         return model
 
@@ -314,7 +320,7 @@ def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
 
 def _rough(data: Data, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
     """[3] noise of the channels before any fit: as given, else `ROUGH` times the sd of the values
-    in `rows` (bool or a slice; all by default).
+    in `rows` (bool or a slice; all by default). `ROUGH` itself of a channel without values.
     """
     out = np.full(len(CHANNELS), ROUGH)
     for j, name in enumerate(CHANNELS):
@@ -581,6 +587,7 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
         }.get(best.reading.name)
         if check is not None and (broken := check(data, noise)):
             raise ParameterError(f"{data.table.source}: {broken}; {text[:1].lower()}{text[1:]}")
+        # apart by less evidence than half of what outweighs the prior of a mistake
         near = [b.reading.words for b in better[1:] if best.gain - b.gain < -UNUSUAL / 2.0]
         also = f" {'; '.join(near)} it fits nearly as well." if near else ""
         return [f"{text}.{also}"], ()
@@ -631,7 +638,7 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
     slip share the deviation (`_is_shared`), the trend of its neighbours leads to it (`_goes_on`),
     the evidence is too little (`_words_on`), or the rest are too few for a fit. A table that is not
     `suspect` is searched only if its noise is not known otherwise: taken from the scatter, it
-    hides a wrong row. Tables of `FEWEST_ROWS` are not searched.
+    hides a wrong row. Tables of `FEWEST_ROWS` or fewer are not searched.
     """
     data, noise, fit = start
     # Noise that was taken from the scatter, or that the values do not show (`_noise`).
@@ -682,7 +689,7 @@ def _worst_row(data: Data, off: np.ndarray, sd: np.ndarray) -> int:
     number of their values.
 
     All rows of a `SMALL` table are tried, else the `CANDIDATES` whose deviations `off` [N, 3] are
-    largest, and those at the ends of slip and load, which draw the fit to themselves.
+    largest. So are those at the ends of slip and load, which draw the fit to themselves.
     """
     slip = data.table.slip
     load = data.table.load

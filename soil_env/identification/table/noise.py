@@ -165,7 +165,8 @@ def with_noise_of_conditions(
 
 
 def _derivatives(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -> np.ndarray:
-    """Derivatives [N, 3] of the smooth surface by the condition `name`, slip or load.
+    """Derivatives [N, 3] of the smooth surface by the condition `name`, slip or load; `predict` as
+    in `with_noise_of_conditions`.
 
     The surface is the base model and polynomials that are fitted to what it leaves; these count
     only if the condition varies. 0 where the model has no value.
@@ -201,7 +202,9 @@ def _without_outliers(
     `basis` [N, B]: functions of the surface; `e` [N]: values less the model; `sd`: their noise,
     None to take it from their scatter; `slip` [N]: levels. The value furthest from the surface is
     left out, one after the other, while it is beyond `OUTLIER`, and up to `MOST_OUTLIERS`. A value
-    that no other checks (`ALONE`) stays.
+    that no other checks (`ALONE`) stays. Distances are residuals over sqrt(1 - leverage), over the
+    `sd` or the median scatter, whichever is larger; without an `sd` those of `_studentised` count
+    where they are larger.
 
     With a given `sd` values come back that a larger outlier had moved the surface away from. A
     value also comes back if two or more others at its slip leave the surface the same way
@@ -243,6 +246,7 @@ def _studentised(spread: np.ndarray, square: float, freedom: int) -> np.ndarray:
     sqrt(1 - leverage); `square`: sum of squared residuals; `freedom`: degrees of freedom of the
     others.
     """
+    # of the others; where one value makes up the whole sum its difference is rounding
     rest = np.maximum(square - spread**2, 1e-12 * square)
     t = np.abs(spread) / np.sqrt(rest / freedom)
     tail = special.stdtr(freedom, -t)

@@ -45,7 +45,9 @@ class Unknown(NamedTuple):
     log: bool  # the coordinate is the logarithm
 
     def value(self, u: float) -> float:
-        """The parameter in its unit at the whitened unknown u."""
+        """The parameter in its unit at the whitened unknown u; a logarithm is cut at
+        `LARGEST_LOG`.
+        """
         x = self.mean + self.sd * u
         return math.exp(min(x, LARGEST_LOG)) if self.log else x
 
@@ -164,7 +166,8 @@ def plate_coefficient(
 
 
 def stiffness(setup: Setup, coefficient: float) -> dict[str, float]:
-    """Stiffness of a `Soil` by field, of which S [N/m^(n+2)] under the setup's wheel is known.
+    """Stiffness of a `Soil` by field, whose S under the setup's wheel is `coefficient`
+    [N/m^(n+2)].
 
     Where the setup gives k_c and k_phi it is these, in their ratio, so that wheels of other widths
     have the S that `rig.predict_table` gives them.
@@ -174,8 +177,8 @@ def stiffness(setup: Setup, coefficient: float) -> dict[str, float]:
     k_phi = setup.soil.k_phi
     if usual is None or k_c is None or k_phi is None:
         return {"sinkage_coefficient": coefficient}
-    share = coefficient / usual.value
-    return {"k_c": share * k_c.value, "k_phi": share * k_phi.value}
+    ratio = coefficient / usual.value
+    return {"k_c": ratio * k_c.value, "k_phi": ratio * k_phi.value}
 
 
 #: Parameters of a soil that are given, not fitted.

@@ -105,10 +105,12 @@ def most_probable(
         return start, float(np.sum((target - model(start)) ** 2)), True  # everything is known
 
     def residual(u):
+        """Residuals [M + p], whose squares add up to J: those of the values, then those of u."""
         e = target - model(u)
         return np.concatenate([np.where(np.isfinite(e), e, _FAR), u])
 
     def jacobian(u):
+        """Derivatives [M + p, p] of `residual` by u."""
         return np.concatenate([-derivatives(u), np.eye(u.size)])
 
     found = least_squares(residual, start, jacobian, bounds=bounds, x_scale=1.0, **options)
@@ -174,7 +176,7 @@ class TableProblem:
         zeros = np.zeros(len(table))
         # A smooth rim; speed 0 and pass 1, since the base model does not depend on them.
         wheels = np.column_stack([table.radius(setup.wheel), table.width(setup.wheel), zeros])
-        grade = np.sin(np.radians(np.nan_to_num(table.grade_deg)))
+        grade = np.sin(np.radians(np.nan_to_num(table.grade_deg)))  # level where none is given
         self.table = table
         self.setup = setup
         self.use = use
@@ -491,7 +493,8 @@ class TableProblem:
         return np.einsum("kjc,kc->kj", gain, e), left
 
     def correct(self, u: np.ndarray) -> None:
-        """Move slip and load to their most probable values under u, and weigh anew there.
+        """Move slip and load to their most probable values under u, and weigh anew there. Without
+        noise of either they stay.
 
         Slip stays in [-1, 1], load within `_LEAST_LOAD` and `_MOST_LOAD` times the measured one.
         """

@@ -28,8 +28,10 @@ LABELS = {
 
 
 def text_of(estimate: TableEstimate) -> str:
-    """Text of the estimate: what to check first, parameters, channels, correlations and other
-    warnings.
+    """Text of the estimate: what to check first and that the model does not fit; tables of
+    parameters and channels; correlations; number of values and condition number; other warnings.
+
+    The condition number has a remark above `SEPARABLE`.
     """
     first = [f"CHECK FIRST: {doubt}" for doubt in estimate.check_first]
     first += [f"NO FIT: {estimate.misfit}"] if estimate.misfit else []
@@ -97,7 +99,9 @@ def _channel_table(estimate: TableEstimate) -> Table:
 
 
 def report_of(estimate: TableEstimate) -> dict[str, Any]:
-    """The estimate as plain values for JSON, with channels in place of `fits`; null for nan."""
+    """The estimate as plain values for JSON: the fields of `TableEstimate` by name, with `channels`
+    in place of `fits` and without `law_error`; null for nan and infinities.
+    """
     channels = {
         name: {
             "noise": fit.noise,
