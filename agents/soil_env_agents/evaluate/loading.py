@@ -89,7 +89,7 @@ class _Wrapped:
                 episode_start=episode_start,
                 deterministic=deterministic,
             )
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             called = error.__traceback__ is not None and error.__traceback__.tb_next is not None
             expected = "" if called else f": expected {_PREDICT}"
             raise ParameterError(
