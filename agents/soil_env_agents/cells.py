@@ -121,8 +121,7 @@ def load_study(cls, folder: Path, check: Callable[[dict, str], None] | None = No
     path = folder / STUDY
     if not folder.is_dir():
         raise ParameterError(
-            f"{folder}: no such folder; expected that of a begun {cls.__name__.lower()}; begin it "
-            "without --resume"
+            f"{folder}: no such folder; expected that of a begun {cls.__name__.lower()}"
         )
     content = read_yaml(path)
     if check is not None:

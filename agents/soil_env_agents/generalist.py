@@ -22,9 +22,10 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import ConvertCallback
 
 import soil_env
-from soil_env._io.files import replace_file
+from soil_env._io.files import check_outputs, make_folder, replace_file
 from soil_env._io.loading import (
     Checked,
+    ParameterError,
     config_dir,
     load,
     quantity,
@@ -219,6 +220,10 @@ def command(config: Path | None, out: Path, workers: int | None) -> None:
     Teachers are chosen, one for each ground and world. A student learns from them, goes on with PPO
     if `improved` is above 0, and its weights are written.
     """
+    if out.suffix != ".npz":
+        raise ParameterError(f"--out {out}: expected a file NAME.npz")
+    make_folder(out.parent)
+    check_outputs(out.parent, (out.name,))
     path = config or config_dir() / CONFIG
     asked = load(Generalist, read_yaml(path), str(path))
     engine = choose("local", workers)

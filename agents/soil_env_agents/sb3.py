@@ -120,6 +120,12 @@ class CourseVecEnv(NativeVecEnv):
         self._lengths[:] = 0
         return seen
 
+    def true_soil(self) -> np.ndarray:
+        """Observations of the variant `true_soil` now, in its units [num_envs, D]."""
+        if not self.env.unwrapped._seeded:
+            raise ResetNeeded("true_soil() before reset()")
+        return self._true_soil()
+
     def step_async(self, actions: np.ndarray) -> None:
         """Take the actions [num_envs, ...]."""
         self._actions = actions
@@ -168,8 +174,7 @@ class SoilWheelVecEnv(CourseVecEnv):
     ):
         super().__init__(SoilWheelVectorEnv, num_envs, scenario, observation, model, options)
 
-    def true_soil(self) -> np.ndarray:
-        """Observations of the variant `true_soil` now, in its units [num_envs, D]."""
+    def _true_soil(self):
         names = [e.name for e in layout(self.observation_variant, self.scenario.course)]
         own = dict(zip(names, self.simulation.worlds.observation.T, strict=True))
         own |= zip(
@@ -195,6 +200,5 @@ class SoilRoverVecEnv(CourseVecEnv):
     ):
         super().__init__(SoilRoverVectorEnv, num_envs, rover, observation, model, options)
 
-    def true_soil(self) -> np.ndarray:
-        """Observations of the variant `true_soil` now, in its units [num_envs, D]."""
+    def _true_soil(self):
         return self.simulation.true_soil()

@@ -41,6 +41,7 @@ class _Watch(BaseCallback):
         self.folder = folder
         self.every = every
         self.bar = bar
+        self.learnt = bar.done  # environment steps before the rollout under way
         self.next_save = 0
         self.ended: deque[tuple[str, float]] = deque(maxlen=_RECENT)  # (cause, return)
 
@@ -72,7 +73,8 @@ class _Watch(BaseCallback):
         self.bar.update(self.num_timesteps, note=note)
 
     def _on_rollout_start(self) -> None:
-        """Save a checkpoint where one is due."""
+        """Note the steps learnt from, and save a checkpoint where one is due."""
+        self.learnt = self.num_timesteps
         if self.num_timesteps >= self.next_save:
             ppo.save(self.model, self.folder / CHECKPOINT)
             self.next_save = self.num_timesteps + self.every
@@ -224,10 +226,12 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
             schedules = ppo.Schedules(
                 config.ppo, config.teacher_penalty if config.student > 0.0 else 0.0
             )
-            calls = [schedules, chooser, _Watch(folder, config.checkpoint_every, bar)]
+            watch = _Watch(folder, config.checkpoint_every, bar)
+            calls = [schedules, chooser, watch]
             try:
                 model.learn(left, callback=calls, reset_num_timesteps=False, tb_log_name="PPO")
             except KeyboardInterrupt:
+                model.num_timesteps = watch.learnt
                 ppo.save(model, checkpoint)
                 raise
     ppo.save(model, folder / MODEL)

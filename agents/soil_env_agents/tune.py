@@ -68,7 +68,7 @@ def command(
     """
     asked = load_scenario(scenario, place="--scenario")
     name = asked.name
-    world = WheelSoilModel.load(model) if model else None
+    world = None if model is None else WheelSoilModel.load(model)
     names = None
     if controllers is not None:
         with controllers_as("--controllers"):

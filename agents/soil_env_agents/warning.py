@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 import soil_env
-from soil_env._io.files import check_outputs, write_json
+from soil_env._io.files import check_outputs, make_folder, write_json
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import PATH, run
 from soil_env.envs.wheel_env import IMMOBILISED
@@ -338,6 +338,7 @@ def command(out: Path, courses: int | None) -> None:
     """Train the probability of immobilisation."""
     if out.suffix != ".json":
         raise ParameterError(f"--out {out}: expected a file NAME.json")
+    make_folder(out.parent)
     check_outputs(out.parent, (out.name,))
     # Few courses: more of their periods and fewer passes over them.
     sizes = Sizes() if courses is None else Sizes(courses, courses, 0.5, 2)

@@ -22,6 +22,7 @@ from soil_env.simulation.task import Cause
 from soil_env_agents import cells, ppo
 from soil_env_agents.controllers import make_controller
 from soil_env_agents.evaluate import command, comparing
+from soil_env_agents.evaluate.contestants import parse
 from soil_env_agents.evaluate.driving import (
     HELD_OUT_SET,
     METRICS,
@@ -400,6 +401,15 @@ def test_what_other_code_or_another_class_tuned_is_tuned_again(tmp_path, monkeyp
     assert tuned(study) == ["bounded_of_a_test:Bounded"]
 
 
+def test_classes_of_one_name_are_not_tuned_together(tmp_path, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "pair_of_a_test.py").write_text(BOUNDED + "\n\nclass Other(Bounded):\n    pass\n")
+    controllers = "mine=pair_of_a_test:Bounded,mine=pair_of_a_test:Other"
+    assert evaluate(tmp_path / "out", controllers, "--tuning-courses=2", "--courses=2") == 2
+    assert "'mine': 2 classes to tune: expected a name for each" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize(
     "arguments, parts",
     [
@@ -426,6 +436,15 @@ def test_what_other_code_or_another_class_tuned_is_tuned_again(tmp_path, monkeyp
         ([f"--controllers={DRIVERS}:WrongCall"], ("predict failed (ValueError", "drivers.py line")),
         ([f"--controllers={DRIVERS}:OtherVariant"], ("'blnd'", "blind, identified, true_soil")),
         ([f"--controllers={DRIVERS}:Raises"], ("OSError: no such device", "drivers.py line")),
+        (
+            [f"--controllers={DRIVERS}:Exits"],
+            (f"{DRIVERS}:Exits: predict failed (SystemExit", "drivers.py line"),
+        ),
+        ([f"--controllers={DRIVERS}:ExitsWhenMade"], ("cannot be made (SystemExit: no licence",)),
+        (
+            ["--controllers=a={models}/seed_0,a={models}/seed_*"],
+            ("'a': {models}/seed_0/model.zip twice",),
+        ),
         (["--controllers=oracle"], ("--oracle-courses N",)),
         (["--oracle-courses=9"], ("--oracle-courses = 9",)),
         (
@@ -433,6 +452,8 @@ def test_what_other_code_or_another_class_tuned_is_tuned_again(tmp_path, monkeyp
             ("full_throttle has no settings",),
         ),
         (["--changes.course.lenght=2"], ("lenght", "did you mean 'length'?")),
+        (["--settings=3"], ("--settings: expected --settings.KEY VALUE",)),
+        (["--model="], ("model = '': expected the path of a model.yaml",)),
         (["--tuning-courses=2", "--seed=1000001"], ("--seed 1000001", "tuned on")),
         (["--resume={models}"], ("takes only the engine",)),
     ],
@@ -451,8 +472,17 @@ def test_bad_input_is_refused_in_one_line_and_nothing_is_written(
         and len(error) < 700
     )
     for part in parts:
-        assert part in error
+        assert part.format(models=models) in error
     assert not list(tmp_path.iterdir())
+
+
+def test_a_glob_finds_each_model_once_and_no_other_files(tmp_path):
+    (tmp_path / "run" / "comparison").mkdir(parents=True)
+    for name in ("model.zip", "config.yaml", "comparison/evaluation.json"):
+        (tmp_path / "run" / name).touch()
+    for pattern in ("**", "run/*"):
+        (found,) = parse(f"a={tmp_path}/{pattern}").values()
+        assert found.source == str(tmp_path / "run" / "model.zip")
 
 
 def test_a_controller_that_fails_on_the_way_is_named(capsys, tmp_path):

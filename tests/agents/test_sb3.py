@@ -89,8 +89,9 @@ def test_what_it_cannot_take_is_one_line(own):
         with pytest.raises(ParameterError, match=said):
             own(**{"num_envs": 1, "observation": "blind", **options})
     env = own(1, observation="blind")
-    with pytest.raises(ResetNeeded):
-        env.step_wait()
+    for call in (env.step_wait, env.true_soil):
+        with pytest.raises(ResetNeeded):
+            call()
     env.reset()
     env.step(np.zeros((1, *env.action_space.shape)))
     with pytest.raises(ResetNeeded):  # an action is taken once

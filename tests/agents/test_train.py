@@ -228,9 +228,7 @@ class Killed(BaseException):
 @pytest.mark.usefixtures("unrendered")
 @pytest.mark.parametrize("end", [KeyboardInterrupt, Killed])
 def test_a_training_that_was_stopped_is_resumed(capsys, tmp_path, monkeypatch, end):
-    """In the third of four rollouts: Ctrl-C writes a checkpoint there, after a kill the last one
-    counts.
-    """
+    """In the third of four rollouts: steps of it, which nothing was learnt from, do not count."""
     step = SoilWheelVecEnv.step_wait
     calls = []
     folder = tmp_path / "n"
@@ -260,7 +258,7 @@ def test_a_training_that_was_stopped_is_resumed(capsys, tmp_path, monkeypatch, e
             assert code == 130 and f"--resume {folder}" in err and "Traceback" not in err
     reached = read_info(folder / "checkpoint.zip").timesteps
     assert not (folder / "model.zip").exists()
-    assert reached == 2 * ROLLOUT if end is Killed else 2 * ROLLOUT < reached < 3 * ROLLOUT
+    assert reached == 2 * ROLLOUT
     checkpoint = folder / "checkpoint.zip"
     whole = checkpoint.read_bytes()
     checkpoint.write_bytes(whole[: len(whole) // 2])

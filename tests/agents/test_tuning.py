@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from soil_env._io.loading import config_dir
+from soil_env._io.loading import ParameterError, config_dir
 from soil_env.cli import main as soil_env
 from soil_env.cli.running import run
 from soil_env.parameters import load_rover, load_scenario
@@ -182,3 +182,12 @@ def test_a_torn_last_line_is_cut_off(tmp_path):
         tuning.drop_torn_line(path)
         assert path.read_text() == kept
     tuning.drop_torn_line(tmp_path / "none")
+
+
+@pytest.mark.parametrize("content", [{}, {"courses": "many", "settings": {}}, {"courses": 9}])
+def test_a_file_that_no_tuning_wrote_is_refused(content, tmp_path, monkeypatch):
+    (tmp_path / tuning.TUNED).mkdir()
+    (tmp_path / tuning.TUNED / "mixed.yaml").write_text(yaml.safe_dump(content))
+    monkeypatch.setattr(tuning, "config_dir", lambda: tmp_path)
+    with pytest.raises(ParameterError, match="mixed.yaml: expected courses and settings"):
+        shipped_settings(load_scenario("mixed"), 2)

@@ -14,7 +14,7 @@ from soil_env.identification.online.immobilisation import (
 )
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause
-from soil_env_agents import warning
+from soil_env_agents import generalist, warning
 from soil_env_agents.warning import DRIVERS, FAMILIES, Drives
 
 
@@ -92,3 +92,14 @@ def test_a_small_training_is_written(tmp_path, monkeypatch):
     assert content["inputs"] == list(INPUTS) and 0.0 < content["alarm"] <= 1.0
     assert np.shape(content["first"])[0] == len(INPUTS)
     assert set(Network._fields) < set(content)
+
+
+def test_outputs_are_checked_before_a_long_training(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(warning, "train", lambda sizes: {"alarm": 0.5})
+    out = tmp_path / "new" / "w.json"
+    assert run(warning.command, ["--out", str(out)], "warning") == 0
+    assert json.loads(out.read_text()) == {"alarm": 0.5}
+    for name, said in (("new/w.json/p.npz", "is a file"), ("p.onnx", "expected a file NAME.npz")):
+        asked = ["--out", str(tmp_path / name), "--config", "none.yaml"]
+        assert run(generalist.command, asked, "generalist") == 2
+        assert said in capsys.readouterr().err

@@ -1,6 +1,7 @@
 """`soil-env evaluate`: controllers and agents on the same courses, with confidence intervals."""
 
 import dataclasses
+from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -47,9 +48,7 @@ _TUNING = "tuning.log"  # trials of a tuning that is not finished
     "--resume", type=PATH, metavar="OUT", help="Continue; only the engine may be given beside it."
 )
 @scenario_option
-@click.option(
-    "--model", metavar="YAML", default="", help="model.yaml with the effects of this world."
-)
+@click.option("--model", metavar="YAML", help="model.yaml with the effects of this world.")
 @click.option(
     "--courses",
     type=WholeNumber(),
@@ -193,9 +192,9 @@ def _asked(options: SimpleNamespace, keys: tuple[str, ...]) -> Evaluation:
         if key not in ("changes", "settings"):
             known = [str(p.name) for p in command.params if p.name != "keys"]
             raise unknown_option(key, [*known, "changes", "settings"])
-        entries = {key: value} | (
-            {f"settings.{name}": v for name, v in value.items()} if key == "settings" else {}
-        )
+        entries = {key: value}
+        if key == "settings" and isinstance(value, dict):
+            entries = {f"settings.{name}": v for name, v in value.items()}
         for name, entry in entries.items():
             if not isinstance(entry, dict):
                 raise ParameterError(f"--{name}: expected --{name}.KEY VALUE")
@@ -214,7 +213,7 @@ def _asked(options: SimpleNamespace, keys: tuple[str, ...]) -> Evaluation:
     }
     scenario = load_scenario(options.scenario, extra.get("changes"), "--changes")
     controllers = contestants.parse(options.controllers, extra.get("settings", {}))
-    model = WheelSoilModel.load(options.model).content() if options.model else {}
+    model = {} if options.model is None else WheelSoilModel.load(options.model).content()
     with as_options():
         return Evaluation(
             to_dict(scenario), controllers, tuning_courses=tuning, model=model, **same
@@ -235,6 +234,11 @@ def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
         if not c.settings
         and ((c.kind == "classical" and c.source == c.name) or _is_own(c, asked.scenario))
     ]
+    for name, count in Counter(c.name for c in own).items():
+        if count > 1:
+            raise ParameterError(
+                f"controllers: {name!r}: {count} classes to tune: expected a name for each"
+            )
     codes = {c.name: code_digest(c.source) for c in own if c.kind == "class"}
     done = {name for name in asked.tuned if asked.codes.get(name) == codes.get(name)}
     own = [c for c in own if c.name not in done]

@@ -127,6 +127,10 @@ def parse(
             )
         for member, source in enumerate(sources, start=len(own)):
             found = digest(source) if kind == "model" else ""
+            if any((c.digest or c.source) == (found or source) for c in own):
+                raise ParameterError(
+                    f"controllers: {name!r}: {source} twice: expected each training seed once"
+                )
             chosen = {} if kind == "model" else dict(settings.get(name, {}))
             contestant = Contestant(name, member, kind, source, found, chosen)
             out[contestant.key] = contestant
@@ -156,7 +160,7 @@ def _sources(spec: str, classical: Collection[str]) -> tuple[str, list[str]]:
             raise ParameterError(
                 f"controllers: {spec}: no model matches; expected .zip files or run folders"
             )
-        return "model", [str(_file_of(Path(p))) for p in found]
+        return "model", list(dict.fromkeys(str(_file_of(Path(p))) for p in found))
     path = Path(spec)
     if path.suffix in MODELS or path.is_dir() or ("/" in spec and not path.is_file()):
         return "model", [str(_file_of(path))]
@@ -173,7 +177,7 @@ def _sources(spec: str, classical: Collection[str]) -> tuple[str, list[str]]:
 
 def _is_model(path: Path) -> bool:
     """True for the file of a model, by its name, and for a folder that holds one."""
-    return path.suffix in MODELS or _file_of(path).is_file()
+    return path.suffix in MODELS or (path.is_dir() and _file_of(path).is_file())
 
 
 def _file_of(path: Path) -> Path:

@@ -93,7 +93,7 @@ class _Wrapped:
                 episode_start=episode_start,
                 deterministic=deterministic,
             )
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             # An error without a frame below this one is of the call: of other arguments.
             called = error.__traceback__ is not None and error.__traceback__.tb_next is not None
             expected = "" if called else f": expected {_PREDICT}"

@@ -29,7 +29,7 @@ def imported(spec: str) -> Any:
         sys.path.append("")  # an installed command finds modules in the current folder too
     try:
         thing = importlib.import_module(module_name)
-    except Exception as error:  # the module may raise anything
+    except (Exception, SystemExit) as error:  # the module may raise anything
         raise ParameterError(
             f"controllers: {spec}: cannot be imported ({describe(error)})"
         ) from None
@@ -99,7 +99,7 @@ def made(source: str, scenario: Scenario, settings: dict, where: str) -> Any:
             return thing(scenario) if _takes_one(thing) else thing()
         except ParameterError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise ParameterError(
                 f"controllers: {source}: cannot be made ({describe(error)})"
             ) from None

@@ -67,11 +67,16 @@ def shipped_settings(
     action = scenario.control.action
     shipped = load_scenario(scenario.name, {"control": {"action": action}})
     content = read_yaml(path)
-    if replace(shipped, reward=scenario.reward) != scenario or content["courses"] < courses:
+    if replace(shipped, reward=scenario.reward) != scenario:
         return {}
+    try:
+        enough = content["courses"] >= courses
+        found = content["settings"].get(action, {}).items()
+    except (AttributeError, LookupError, TypeError):
+        raise ParameterError(f"{path}: expected courses and settings of soil-env tune") from None
     return {
         name: checked_settings(name, scenario, settings, f"{path.name}: {action}.{name}")
-        for name, settings in content["settings"].get(action, {}).items()
+        for name, settings in (found if enough else ())
     }
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from soil_env._io.loading import (
     Checked,
+    FieldError,
     ParameterError,
     load,
     merge,
@@ -31,7 +32,7 @@ from ..controllers import CONTROLLERS, checked_settings
 from ..controllers.rover import ROVER_CONTROLLERS, controllers_of
 from ..evaluate import loading
 from ..evaluate.contestants import SHIPPED, SHIPPED_CLASS, Contestant
-from ..evaluate.driving import HELD_OUT_SET
+from ..evaluate.driving import HELD_OUT_SET, TUNING_SET
 
 #: Keys of the training's config that the study sets.
 _SET_HERE = (
@@ -107,6 +108,10 @@ class Study(Checked):
         for name, target in self.targets.items():
             if target.trained_on and target.trained_on not in sources:
                 raise unknown_value(target.trained_on, sources, f"targets.{name}: trained_on")
+        if self.tuning_courses and self.held_out == TUNING_SET:
+            raise FieldError(
+                self, "held_out", f" = {TUNING_SET}: controllers are tuned on this set"
+            )
         if not sources or not self.arms:
             raise ParameterError("expected at least one scenario to train on and one arm")
         if self.baseline and self.baseline not in self.arms:
