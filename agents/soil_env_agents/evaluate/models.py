@@ -148,13 +148,17 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
         raise ParameterError(
             f"{path}: a {algorithm} model needs {package.replace('_', '-')}"
         ) from None
-    instead = "trained with VecNormalize: evaluate a module:Class that applies it instead"
     for folder in (path.parent, path.with_suffix("")):  # rl-baselines3-zoo writes into the latter
-        if (beside := folder / "vecnormalize.pkl").is_file():
-            raise ParameterError(f"{beside}: {instead}")
+        beside = folder / "vecnormalize.pkl"
+        if beside.is_file():
+            raise ParameterError(
+                f"{beside}: trained with VecNormalize: evaluate a module:Class that applies it "
+                "instead"
+            )
     _warn(
         f"{path}: not written by train.py; parts of it are unpickled, which runs its code: load "
-        "only what you trust"
+        "only what you trust. Without its vecnormalize.pkl a model that was trained with "
+        "VecNormalize is not recognised, and drives badly"
     )
     try:
         with warnings.catch_warnings():
@@ -163,9 +167,6 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
     except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
         said = f"{type(error).__name__}: {one_line(error)}"
         raise ParameterError(f"{path}: cannot be loaded as a {algorithm} model ({said})") from None
-    last = model._last_obs  # of the training
-    if last is not None and not all(map(model.observation_space.contains, last)):
-        raise ParameterError(f"{path}: observations out of their bounds, {instead}")
     variant, scaling = _variant(model, path, scenario.course)
     names = [e.name for e in layout(variant, scenario.course)]
     shape = model.action_space.shape
