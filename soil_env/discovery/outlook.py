@@ -163,7 +163,7 @@ def _errors(problem: Problem, split: str, what: tuple[str, ...], held: np.ndarra
     off = held - problem.data.y
 
     def size(values: np.ndarray, noise: float) -> Errors:
-        """`Errors` of deviations [3, m]."""
+        """`Errors` of deviations [3, m] by base model, average and curve, and `noise` beside."""
         base, full, curve = np.sqrt(np.mean(values**2, axis=1))
         return Errors(float(base), float(full), float(curve), noise)
 

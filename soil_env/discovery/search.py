@@ -137,7 +137,9 @@ class Finding:
         return replace(self, hypotheses=tuple(kept), refuted=(*self.refuted, names))
 
     def in_form(self, evidence: Evidence) -> Finding:
-        """The finding with the stated effects in the forms of `evidence`."""
+        """The finding with the stated effects in the forms of `evidence`, which becomes that of the
+        hypothesis `stated`; its probability and score stay.
+        """
         stated = self.stated
         kept = (replace(h, evidence=evidence) if h is stated else h for h in self.hypotheses)
         return replace(self, hypotheses=tuple(kept))
@@ -399,6 +401,7 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
                 + " and ".join(LISTED[n].title for n in s)
             )
             free[s] = anonymous(problem, sets.best(s))
+    # An anonymous contribution is tried in the best forms, and taken to gain as much in others.
     entries += [
         Entry(e, sets.log(s) + e.log - sets.best(s).log, prior(s, True), s, free=True)
         for s, e in free.items()
@@ -413,6 +416,7 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
     entries += _unnamed(
         problem, base, max((s for s in order if len(s) == 1), key=sets.log, default=())
     )
+    # A row for each entry; columns: over all sizes of the law's error, and under `LAW_ERRORS`.
     total = np.array(
         [
             [
@@ -427,7 +431,7 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
         Hypothesis(e.names, e.free, p, e.log - base.log, e.evidence, e.like, tuple(others))
         for e, (p, *others) in zip(entries, share, strict=True)
     ]
-    threshold = -TEMPERATURE * math.log(ODDS)
+    threshold = -TEMPERATURE * math.log(ODDS)  # [nat] that raise the odds of an effect to 1
     usual = free[()] if rough else base
     seen = {
         n: detectable(problem, usual, forms(problem, n), threshold)

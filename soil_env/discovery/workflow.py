@@ -264,7 +264,9 @@ def _worse(problem: Problem, before: np.ndarray, after: np.ndarray, seed: int) -
 
 
 def _far(problem: Problem, model: Evidence) -> bool:
-    """True if a soil parameter that the setup gives is further than `FAR` from its value there."""
+    """True if a soil parameter that the setup gives is further than `FAR` from its value there in
+    the posterior mean of a model.
+    """
     # The means of a fit are in units of the widened prior, those of the soil first.
     return any(
         abs(mean) > FAR / PRIOR_WIDTH and problem.is_given(unknown)
@@ -296,7 +298,9 @@ def _effects(
 
 
 def _soil(problem: Problem, intervals: dict[str, Interval]) -> dict[str, Interval]:
-    """Interval by soil parameter; those that are known, and the density, have no width."""
+    """Interval by soil parameter, in its unit; those that are known, and the density, have no
+    width.
+    """
     given = problem.known | {"density": problem.density}
     return {
         **{k.name: intervals[k.name] for k in problem.soil},

@@ -31,7 +31,9 @@ class Block(NamedTuple):
     source: str
 
     def content(self) -> dict[str, Any]:
-        """The block in report.json."""
+        """Entries that the effect has in report.json because of the block: equations joined by
+        "; ", `where` and source. Heading and numbers are not among them.
+        """
         return {
             "equation": "; ".join(self.equation),
             "fitted": "; ".join(self.fitted or self.equation),
@@ -41,7 +43,7 @@ class Block(NamedTuple):
 
 
 def blocks(report: Report) -> list[Block]:
-    """Blocks of the named effects."""
+    """`Block` of each named effect, in the order of `Report.effects`."""
     return [_of_effect(report, e) for e in report.effects]
 
 
@@ -90,5 +92,5 @@ def _of_effect(report: Report, e: EffectFound) -> Block:
 
 
 def _number(x: float, unit: str = "", digits: int = 4) -> str:
-    """A number in plain digits, with its unit."""
+    """A number in so many significant digits (`text.plain`), and its unit if it has one."""
     return f"{plain(x, digits)} {unit}".rstrip()

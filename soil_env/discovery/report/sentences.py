@@ -80,12 +80,14 @@ _MORE = {
 
 
 def figure(x: float) -> str:
-    """A number with two digits; from 99.5 on as a whole number, without an exponent."""
+    """A number with two significant digits; from a size of 99.5 on as a whole number, without an
+    exponent.
+    """
     return f"{x:.2g}" if abs(x) < 99.5 else f"{x:.0f}"
 
 
 def figures(value: float, digits: int = 4) -> str:
-    """A number for a table, never -0; empty where it is not finite."""
+    """A number for a table in so many significant digits, never -0; "" where it is not finite."""
     return f"{value + 0.0:.{digits}g}" if math.isfinite(value) else ""
 
 
@@ -103,7 +105,7 @@ def times(log: float) -> str:
 
 
 def percent(share: float) -> str:
-    """A share in percent."""
+    """A share in percent, as a whole number: 0.5 becomes "50 %"."""
     return f"{100.0 * share:.0f} %"
 
 
@@ -218,7 +220,9 @@ def is_decided(report: Report) -> bool:
 
 
 def after_next(report: Report) -> str:
-    """Sentence on the probability of the right candidate after the next runs."""
+    """Sentence on what the next runs tell, and on the average probability of the right candidate
+    before and after them; or that no run is needed, where it `is_decided`.
+    """
     now = sure_of(report.finding) if is_decided(report) else right_now(report)
     return filled("after_next.txt", report, now=percent(now))
 
@@ -316,6 +320,7 @@ def filled(template: str, report: Report, **values: object) -> str:
     """A template of this folder as one paragraph, without line breaks; `values` as in
     `_rendered`.
     """
+    # A comma at the beginning of a line of the template would have a space before it.
     return " ".join(_rendered(template, report, **values).split()).replace(" ,", ",")
 
 
@@ -334,8 +339,8 @@ def unseen(report: Report) -> list[str]:
 
 
 def cautions(report: Report) -> list[str]:
-    """Cautions of the table, the fit, the gap and model.yaml, in sentences; those of
-    `Report.doubts` are not among them.
+    """Cautions of the table, the fit, the gap and model.yaml, in sentences: `Report.taken`, and
+    what "cautions.txt" says of the values computed here; `Report.doubts` are not among them.
     """
     problem = report.problem
     noise = report.noise
@@ -506,7 +511,9 @@ def _level(conditions: tuple[str, ...]) -> str:
 
 
 def probabilities(report: Report) -> str:
-    """Clause with the probabilities of answers other than an effect."""
+    """Clause with the probabilities that nothing is missing, and that something is missing that is
+    in no catalogue, in three decimals.
+    """
     finding = report.finding
     return (
         f"probability that nothing is missing {fixed(finding.none, 3)}, that something is missing "
@@ -529,7 +536,9 @@ def rule() -> str:
 
 
 def validity(report: Report) -> str:
-    """Sentence on the conditions that the corrected model has seen."""
+    """Sentence on the conditions that the corrected model was fitted to, and that it extrapolates
+    beyond them.
+    """
     return (
         f"Fitted to {in_words(report.model.validity)}; beyond, model.yaml is an extrapolation, of "
         "which `predict` warns."
