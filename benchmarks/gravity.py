@@ -71,7 +71,9 @@ def at_slips(soil: Soil, load: float, gravity: float) -> list[float]:
 
 
 def fitted(weight: float, cohesion: float) -> Soil:
-    """The soil with a cohesion [Pa] of the measurements at 1 g under a weight [N]."""
+    """The soil with a cohesion [Pa] whose quantities under a weight [N] at 1 g have the least
+    squares of relative errors from the middles of the measurements there.
+    """
     middle = np.array([np.mean(earth) for earth, _ in MEASURED.values()])
 
     def soil_of(x: np.ndarray) -> Soil:
@@ -90,7 +92,9 @@ def fitted(weight: float, cohesion: float) -> Soil:
 
 
 def steepest(scenario: Scenario, soil: Soil) -> float:
-    """Steepest slope [deg] of the wheel of a scenario on a soil."""
+    """Steepest slope [deg] of the wheel of a scenario on a soil: atan of the best pull over the
+    load, within the stall torque of its motor and with a smooth rim.
+    """
     w = scenario.wheel
     load = scenario.weight
     best = best_working_point(load, scenario.beneath(soil), w.radius, w.width, w.stall_torque)
@@ -98,12 +102,15 @@ def steepest(scenario: Scenario, soil: Soil) -> float:
 
 
 def slopes() -> list[list[str]]:
-    """Cells for each soil of each rover, and of the wheel of the scenario `mixed`."""
+    """Rows of cells, for each soil of each rover and of the wheel of the scenario `mixed`: its
+    name, the soil, steepest slope [deg], in brackets with a straight strength, and `PUBLISHED`.
+    """
     rows = []
     for name, published in PUBLISHED.items():
         scenario = load_scenario("mixed") if name == "planetary_rover" else load_rover(name)
         for of in scenario.soils:
             soil = scenario.library[of]
+            # Without a reference stress the strength rises straight with the normal stress.
             straight = steepest(scenario, replace(soil, reference_stress=0.0))
             here = f"{steepest(scenario, soil):.1f} ({straight:.1f})"
             rows.append([name, of, here, *published])

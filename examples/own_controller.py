@@ -36,7 +36,7 @@ class Uphill(Ramped):
 
 
 def main() -> None:
-    """Drive one course."""
+    """Drive one course and print how and where it ended."""
     env = gymnasium.make(
         "soil_env:SoilWheel-v0", scenario="mixed", observation="blind", scaled=False
     )
