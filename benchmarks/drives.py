@@ -259,7 +259,7 @@ def true_soil(soil: np.ndarray, bearing: np.ndarray, scenario: Scenario) -> np.n
     ln K, ln S, c [Pa], ln of the gain of slip-sinkage over the belief's.
 
     K in m. S is that at the exponent n of the belief which gives the same pressure at the true
-    bearing sinkage `bearing` [...] in m.
+    bearing sinkage `bearing` [...] in m, taken as 0.1 mm at least.
     """
     belief = scenario.belief
     tan_phi, cohesion, shear_modulus, coefficient, exponent, gain = np.moveaxis(soil, -1, 0)[:6]

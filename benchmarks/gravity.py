@@ -126,11 +126,12 @@ def span(values: tuple[float, float]) -> str:
 @study_options(NAME)
 def command(smoke: bool, out: Path) -> None:
     """Pull and sinkage at lunar gravity beside measurements; steepest slopes of the presets."""
-    path = ready(out, NAME)
+    path = ready(out, NAME)  # `smoke` changes nothing: all takes seconds
     mass = wheels()["planetary_rover"].body_mass
     earth = mass * EARTH_GRAVITY
     found = {c: fitted(earth, c) for c in (0.0, *COHESIONS)}
     usual = found[COHESIONS[0]]
+    # [4] quantities of `MEASURED` in each column.
     columns = {"fitted, 1 g": at_slips(usual, earth, EARTH_GRAVITY)}
     columns |= {f"c = {c:g} Pa": at_slips(s, mass * MOON, MOON) for c, s in found.items()}
     columns["load of 1 g"] = at_slips(usual, earth, MOON)

@@ -264,7 +264,7 @@ def command(smoke: bool, out: Path, courses: int, seed: int, only: tuple[str, ..
     file = ready(out, NAME)
     settings = {"seed": seed, "courses": 2 if smoke else courses}
     result = read_json(file) if file.exists() else {}
-    if not settings.items() <= result.items():
+    if not settings.items() <= result.items():  # rows of other courses do not count
         result = settings | {"rows": {}}
     wanted = {
         n: c

@@ -152,6 +152,7 @@ def tables_of(found: dict[str, dict[str, list[list[float]]]]) -> dict[str, Page]
 def command(smoke: bool, out: Path, data: Path) -> None:
     """Runs chosen for prediction against runs drawn at random."""
     file = ready(out, NAME)
+    # {table: {way: `errors` of each draw}}; draws that are there are not made again.
     found = read_json(file) if file.exists() else {}
     draws = 1 if smoke else DRAWS
     for name, case in tables(data).items():

@@ -433,7 +433,8 @@ def command(data: Path, smoke: bool, out: Path) -> None:
         laws[f"flow, {on}"] = choose(on_these, 1, GROWTHS[:1] if smoke else GROWTHS)
     preset = soils()["dry_sand"]
     laws["flow, presets"] = Law(preset.rim_flow, preset.braked_peak, preset.shear_growth)
-    rows = all_figures(rigs, laws, *((1, 1) if smoke else (len(STARTS), None)))
+    starts, folds = (1, 1) if smoke else (len(STARTS), None)
+    rows = all_figures(rigs, laws, starts, folds)
     known = moduli({name: laws[name] for name in ("Eq. (10)", "flow, presets")})
     chosen = {name: law._asdict() for name, law in laws.items()}
     content = {

@@ -198,7 +198,7 @@ def command(smoke: bool, out: Path, courses: int, workers: int) -> None:
     ):
         found[name][driver] = finished
         print(f"{k} of {len(cells)}: {name}, {driver}: {finished.mean():.1%}", flush=True)
-    usual = found[names[0]]
+    usual = found[names[0]]  # as shipped
     result = {}
     table = []
     for name, by in found.items():

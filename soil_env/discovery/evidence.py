@@ -159,7 +159,7 @@ def weigh(problem: Problem, fit: Fit, over: SizeGrid | None = None) -> Evidence:
     for over_noise in np.unique(sd):
         at = sd == over_noise
         found, mean[at], covariance[at] = marginals(normal, every[at], fit.u, first, over_noise)
-        by_noise = fit.residual.size * math.log(over_noise)
+        by_noise = fit.residual.size * math.log(over_noise)  # of the density of M values
         log[at] = found + log[at] - by_noise + _allowed(fit, mean[at], covariance[at])
     total = float(log_sum(log))
     # Evidence under a size of the law's error: its posterior over its prior probability.

@@ -81,7 +81,9 @@ def run(
 
 
 def _digest(given: Table | Setup | str | Path) -> str | None:
-    """SHA-256 of a file; None for a table or a setup that was given as an object."""
+    """SHA-256 of a file, in hexadecimal digits; None for a table or a setup that was given as an
+    object.
+    """
     if isinstance(given, (Table, Setup)):
         return None
     return hashlib.sha256(Path(given).read_bytes()).hexdigest()

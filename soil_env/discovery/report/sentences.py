@@ -249,7 +249,9 @@ def _place(point: Mapping[str, float]) -> str:
 
 
 def summary(report: Report) -> str:
-    """Conclusion: what is missing, its probability, and how far the gap closes."""
+    """Paragraph by the verdict ("summary.txt"): what is missing, its probability, what else it may
+    be, how far the named effects close the gap, and what was refuted.
+    """
     finding = report.finding
     gap = report.gap
     of: defaultdict[Names, float] = defaultdict(float)

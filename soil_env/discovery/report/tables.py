@@ -151,6 +151,7 @@ def next_predictions(report: Report, most: int | None = None) -> Table:
             ]
             names = " + ".join(map(title, p.name.split(" and ")))
             rows.append((k, names, fixed(p.probability, 2), *cells))
+    # The last word of a title: "pull" of "drawbar pull".
     channels = (f"{TITLES[n].split()[-1]} ± sd [{UNITS[n][0]}]" for n in report.channels)
     return Table(("run", "exactly these effects", "p", *channels), rows)
 
