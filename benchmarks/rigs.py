@@ -364,7 +364,9 @@ def all_figures(
 
 
 def moduli(laws: dict[str, Law]) -> list[dict]:
-    """K [mm] with its 95 % interval, as `identify` finds it on the wheels of `DING` by each law."""
+    """K [mm] with its 95 % interval, as `identify` finds it on the wheels of `DING` by each law:
+    rows {wheel, law, K_mm, low, high}.
+    """
     out = []
     for name in DING:
         table, setup = read_rig(PUBLISHED, name)

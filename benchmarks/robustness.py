@@ -81,7 +81,7 @@ class Case(NamedTuple):
 
 
 def cases() -> dict[str, Case]:
-    """All rows by their names."""
+    """All rows by their names, "as shipped" first."""
     found = {"as shipped": Case()}
     found |= {f"{name.replace('_', ' ')}, {TIMES:g} sd": Case(error=name) for name in ERRORS}
     found |= {f"no {name.replace('_', ' ')}": Case(dead=name) for name in SENSORS}

@@ -134,6 +134,7 @@ def command(smoke: bool, out: Path, against: Path | None) -> None:
     """Measure steps per second in one run."""
     file = ready(out, NAME)
     about = machine()
+    # Seconds of a measurement, rounds that count, size of the vector environments.
     seconds, rounds, size = (0.02, 2, 32) if smoke else (1.0, 9, 1024)
     sides = {"here": Checkout(ROOT)}
     if against is not None:

@@ -171,7 +171,9 @@ def drive(recorder: Recorder, seed: int, steps: int):
 
 
 def map_of(scenario) -> str:
-    """map.yaml of such a bag, with the wheel, the sensors and the belief of the scenario."""
+    """Text of the map of such a bag, as YAML, with the wheel, the sensors and the belief of the
+    scenario; each channel has the standard deviation of its white noise in SI units.
+    """
     wheel = scenario.wheel
     noise = scenario.noise
     weight = scenario.weight

@@ -208,7 +208,11 @@ class Rig:
         rng: np.random.Generator,
         slope: float = 0.0,
     ) -> None:
-        """Let a bed come to rest on a `slope` [rad], and put a wheel with a `load` [N] on it."""
+        """Let a bed come to rest on a `slope` [rad], and put a wheel with a `load` [N] on it.
+
+        The wheel is at rest at `START`, its lugs `CLEARANCE` above the soil, and free up and down
+        only: it keeps the speeds `wheel.along` and `wheel.speed` that it is given, until `let_go`.
+        """
         self.shape = shape
         self.bed = bed
         self.particles = filled(bed, material, rng)

@@ -89,7 +89,9 @@ class Evidence:
         return tuple(c.effect for c in self.fit.choices)
 
     def typical(self, kind: str) -> float:
-        """Root mean square of a size over its posterior; `kind`: its field of `Sizes`."""
+        """Root mean square of a size over its posterior; `kind`: its field of `Sizes`, one that is
+        a number, such as "law".
+        """
         return math.sqrt(sum(p * getattr(s, kind) ** 2 for s, p in self.share.items()))
 
 

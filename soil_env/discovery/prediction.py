@@ -383,7 +383,9 @@ def fit_prediction(
 
 
 def law_of(problem: Problem, choices: Choices, guess: np.ndarray | None = None) -> Law:
-    """The `Law` of a prediction: soil flows as on rigs (`FLOW`)."""
+    """The `Law` of a prediction: that of the `choices`, with the priors `FLOW` of the parameters of
+    `soil_flow`; `guess` as of `Law`.
+    """
     return Law(problem, choices, guess, {f"soil_flow_{k}": prior for k, prior in FLOW.items()})
 
 

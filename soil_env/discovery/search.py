@@ -167,12 +167,14 @@ class Finding:
 
     @property
     def none(self) -> float:
-        """Probability that nothing is missing beyond an ordinary form error."""
+        """Probability of the base model alone: nothing is missing beyond an ordinary form error."""
         return self.best().probability
 
     @property
     def unlisted(self) -> float:
-        """Probability that something is missing and nothing that is listed."""
+        """Probability that something is missing and nothing that is listed: an anonymous
+        contribution or law by itself.
+        """
         return sum(h.probability for h in self.hypotheses if not h.names and h.free)
 
     @property
@@ -218,7 +220,9 @@ class Finding:
 
     @cached_property
     def tried(self) -> Names:
-        """Every effect that was tried."""
+        """Every effect that was tried, by name, but for those that `without` has left in no
+        hypothesis.
+        """
         return tuple(dict.fromkeys(n for h in self.hypotheses for n in h.names))
 
     @cached_property

@@ -174,7 +174,9 @@ def chance(p: float) -> str:
 
 
 def _limit(name: str, limits: tuple[float, float], values: np.ndarray) -> str:
-    """Limits of a condition in words; `values` are all that the table has of it."""
+    """Limits (low, high) of a condition in words, where `values` are all that the table has of it:
+    "slip 0.3 and above" or "and below" up to its ends, "slip 0.1 to 0.3", or one value.
+    """
     low, high = (f"{x:.3g}" for x in limits)
     label, unit = CONDITIONS[name]
     if low == high:
@@ -215,7 +217,9 @@ def runs_help(report: Report) -> bool:
 
 
 def is_decided(report: Report) -> bool:
-    """True if one candidate is so probable that no run is proposed to tell what is missing."""
+    """True if no run is proposed to tell what is missing, since one candidate is so probable: the
+    right one has `ENOUGH` on average (`sure_of`).
+    """
     return not report.next_tests and sure_of(report.finding) >= ENOUGH
 
 
@@ -286,7 +290,7 @@ def summary(report: Report) -> str:
 
 
 def likely(report: Report) -> bool:
-    """True if a named effect is only likely, not sure."""
+    """True if a named effect is only likely, not sure (`Finding.is_sure`); False without any."""
     return not all(report.finding.is_sure(e.name) for e in report.effects)
 
 
@@ -488,7 +492,7 @@ def simulate(report: Report) -> str:
 
 
 def _identifiable(report: Report) -> bool:
-    """True if `soil-env identify` takes the table."""
+    """True if `soil-env identify` takes the table: `usable_rows` refuses nothing."""
     data = report.problem.data
     try:
         usable_rows(data.table, data.setup)
