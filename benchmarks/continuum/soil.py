@@ -68,7 +68,7 @@ class Bed(NamedTuple):
 
     @property
     def nodes(self) -> tuple[int, int]:
-        """Numbers of nodes of the grid along and up: `EDGE` more at each end than the box has cells."""
+        """Numbers of nodes of the grid along and up; `EDGE` at each end are beyond the box."""
         up = self.depth + self.headroom
         return tuple(round(side / self.spacing) + 2 * EDGE for side in (self.length, up))
 
