@@ -80,7 +80,14 @@ def fitted(weight: float, cohesion: float) -> Soil:
         """Soil of the logarithms of the four unknowns, in the order of `UNKNOWNS`."""
         phi, modulus, stiffness, gain = np.exp(x).tolist()
         moduli = {"sinkage_coefficient": stiffness, "gravity_measured": EARTH_GRAVITY}
-        return Soil(phi, cohesion, modulus, EXPONENT, dig_gain=gain, **moduli)
+        return Soil(
+            friction_angle_deg=phi,
+            cohesion=cohesion,
+            shear_modulus=modulus,
+            sinkage_exponent=EXPONENT,
+            dig_gain=gain,
+            **moduli,
+        )
 
     start, low, high = UNKNOWNS
     found = least_squares(

@@ -131,6 +131,7 @@ def read_rigs(folder: Path) -> dict[str, Rig]:
     cmu = _rows(folder / "cmu_single_wheel" / "cmu_wheel_means_of_3.csv")
     straight = cmu[cmu["slip_angle_deg"] == 0.0]
     rigs = {}
+    # Each by radius, width and sd of the zero of its sinkage [m], True if cohesive, columns.
     for name, label in (("smooth", "CMU smooth"), ("grouser", "CMU lugged")):
         rows = straight[straight["wheel"] == name]
         rigs[label] = Rig(
@@ -205,15 +206,15 @@ def soil_of(x: np.ndarray, rig: Rig, law: Law) -> SoilState:
     """
     n = float(x[3])
     return SoilState(
-        math.tan(math.radians(x[0])),
-        math.exp(x[5]) if rig.cohesive else 0.0,
-        math.exp(x[1]) * rig.radius,
-        math.exp(x[2]) / (DEPTH * rig.radius) ** n,
-        n,
-        float(x[4]),
-        RECOVERY,
-        *law,
-        LENGTH * rig.radius,
+        tan_phi=math.tan(math.radians(x[0])),
+        cohesion=math.exp(x[5]) if rig.cohesive else 0.0,
+        shear_modulus=math.exp(x[1]) * rig.radius,
+        sinkage_coefficient=math.exp(x[2]) / (DEPTH * rig.radius) ** n,
+        sinkage_exponent=n,
+        dig_gain=float(x[4]),
+        dig_recovery=RECOVERY,
+        **law._asdict(),
+        shear_length=LENGTH * rig.radius,
     )
 
 

@@ -28,7 +28,13 @@ POINTS = 200  # of the contact arc
 def ground(stiffness: float) -> Soil:
     """Ground of this S [N/m^3], with n = 1 and the strength of dry, slightly cohesive soil."""
     law: dict[str, Any] = {"sinkage_exponent": 1.0, "sinkage_coefficient": stiffness}
-    return Soil(30.0, 1000.0, 0.01, **law, gravity_measured=EARTH_GRAVITY)
+    return Soil(
+        friction_angle_deg=30.0,
+        cohesion=1000.0,
+        shear_modulus=0.01,
+        **law,
+        gravity_measured=EARTH_GRAVITY,
+    )
 
 
 def stresses(wheel: ModelWheel, load: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

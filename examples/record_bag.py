@@ -177,6 +177,7 @@ def map_of(scenario) -> str:
     wheel = scenario.wheel
     noise = scenario.noise
     weight = scenario.weight
+    # A belief without a spread of its own has that of the scenario.
     belief = replace(scenario.belief, spread=scenario.belief.spread or scenario.spread)
     sd = {
         "wheel_speed": noise.wheel_speed,

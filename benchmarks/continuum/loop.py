@@ -202,7 +202,7 @@ def on_continuum(rig: Rig, scenario: Scenario, grade: float) -> Drive:
         """
         rig.forward(scenario.control.period, command=float(action[0]), by_speed=True)
         rim = rig.shape.radius * float(rig.wheel.speed)
-        slip = 1.0 - float(rig.wheel.along) / max(rim, 1e-3)
+        slip = 1.0 - float(rig.wheel.along) / max(rim, 1e-3)  # [m/s] of a rim at rest, to divide by
         return [
             observer.observe(read(), action),
             float(rig.wheel.x) - begin,

@@ -128,13 +128,13 @@ def filled(bed: Bed, material: Material, rng: np.random.Generator) -> Particles:
     sideways = material.poisson / (1.0 - material.poisson) * upright
     stress = np.stack([sideways, upright, np.zeros(n), sideways], axis=1)
     return Particles(
-        position,
-        np.zeros((n, 2)),
-        np.zeros((n, 2, 2)),
-        stress,
-        np.full(n, between**2),
-        np.zeros(n),
-        np.zeros(n),
+        position=position,
+        velocity=np.zeros((n, 2)),
+        gradient=np.zeros((n, 2, 2)),
+        stress=stress,
+        volume=np.full(n, between**2),
+        gap=np.zeros(n),
+        stretch=np.zeros(n),
     )
 
 

@@ -316,10 +316,10 @@ class Problem:
         if p.centre is not None:
             centre = self.centres.get(name, p.centre)
             low = math.log(max(p.low, LEAST_OF_CENTRE * centre))
-            return Unknown(name, math.log(centre), p.scale, low, math.log(p.high), True)
+            return Unknown(name, math.log(centre), p.scale, low, math.log(p.high), log=True)
         sd, low, high = self.scales.get(name, (p.scale, p.low, p.high))
         mean = self.laws["dig_gain"] if name == "slip_sinkage_gain" else p.neutral
-        return Unknown(name, mean, sd, max(low, p.low), min(high, p.high), False)
+        return Unknown(name, mean, sd, max(low, p.low), min(high, p.high), log=False)
 
     def effects(self, choices: Choices, values: dict[str, float]) -> Effects:
         """`Effects` of the world: those of the `choices` that are in the catalogue, with parameters
@@ -431,19 +431,19 @@ class Problem:
         of_law, effect, rig = law.form_errors(u, output, added)
         free = [_in_channel(self.free_functions, size) for size in np.diag(self.size)]
         return Fit(
-            choices,
-            law.unknowns,
-            u,
-            output,
-            added,
-            np.where(np.isfinite(residual), residual, _NO_VALUE),
-            law.derivatives(u),
-            tuple(map(self.whiten, of_law)),
-            self.whiten(effect),
-            tuple(map(self.whiten, free)),
-            self.whiten(rig),
-            converged,
-            counted,
+            choices=choices,
+            unknowns=law.unknowns,
+            u=u,
+            output=output,
+            added=added,
+            residual=np.where(np.isfinite(residual), residual, _NO_VALUE),
+            jacobian=law.derivatives(u),
+            law=tuple(map(self.whiten, of_law)),
+            effect=self.whiten(effect),
+            free=tuple(map(self.whiten, free)),
+            rig=self.whiten(rig),
+            converged=converged,
+            sizes=counted,
         )
 
     def _start_of(self, unknown: Unknown) -> float:

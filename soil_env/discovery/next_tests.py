@@ -311,7 +311,16 @@ def proposed(
         said = _described(problem, of, sd[:, g], g)
         point = {name: float(grid.value[name][g]) for name in grid.asked}
         sure = float(sureness(of.share, overlap)[g])
-        out.append(NextTest(point, *said, sure, float(cost[g]), float(gain[g]), forced))
+        out.append(
+            NextTest(
+                point,
+                *said,
+                sure=sure,
+                cost=float(cost[g]),
+                information=float(gain[g]),
+                repeat=forced,
+            )
+        )
         if sure >= ENOUGH:
             break
     return tuple(out)
@@ -323,7 +332,8 @@ def _described(
     """What `NextTest` says of run g: (predicted, separates, channel, expected_sigma).
 
     `own` [K, C]: standard deviations of the predictions of this run. The rival of the first
-    candidate is the one that differs most from it, weighted with its probability.
+    candidate is the one that differs most from it, weighted with its probability. Differences are
+    over the root mean square of the two standard deviations.
     """
     seen = problem.used.any(axis=0)
     mean = np.full((len(of.names), 3), np.nan)

@@ -432,7 +432,15 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
     )
     share = np.exp(total - log_sum(total, axis=0)).tolist()
     found = [
-        Hypothesis(e.names, e.free, p, e.log - base.log, e.evidence, e.like, tuple(others))
+        Hypothesis(
+            names=e.names,
+            free=e.free,
+            probability=p,
+            score=e.log - base.log,
+            evidence=e.evidence,
+            like=e.like,
+            if_laws_err=tuple(others),
+        )
         for e, (p, *others) in zip(entries, share, strict=True)
     ]
     threshold = -TEMPERATURE * math.log(ODDS)  # [nat] that raise the odds of an effect to 1

@@ -45,7 +45,9 @@ def _p(
 
     With a `centre` the prior is log-normal about it, and `sd` that of the logarithm.
     """
-    return EffectParameter(name, "", low, high, sd, "", "", centre or 0.0, centre)
+    return EffectParameter(
+        name, "", low, high, scale=sd, doc="", neutral=centre or 0.0, centre=centre
+    )
 
 
 def _law(

@@ -65,11 +65,11 @@ def run(
     ruled_out(read)  # refuses wrong names before any work
     rows = table if isinstance(table, Table) else read_table(table, read.wheel, read.ignore_columns)
     settings = Settings(
-        rows.source,
-        "" if isinstance(setup, Setup) else os.fspath(setup),
-        seed,
-        _digest(table),
-        _digest(setup),
+        data=rows.source,
+        setup="" if isinstance(setup, Setup) else os.fspath(setup),
+        seed=seed,
+        data_sha256=_digest(table),
+        setup_sha256=_digest(setup),
     )
     # The matrices are small: threads of the BLAS cost more than they give.
     with threadpool_limits(1):

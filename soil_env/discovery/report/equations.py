@@ -82,12 +82,12 @@ def _of_effect(report: Report, e: EffectFound) -> Block:
         numbers.append((p.symbol, f"{said}: {p.doc}"))
     values = {name: p.value for name, p in e.parameters.items()}
     return Block(
-        f"{effect.title} ({e.name}), form {e.form.replace('_', ' ')}",
-        published(effect, form).split("; "),
-        fitted(effect, form, values).split("; "),
-        numbers,
-        where,
-        form.source,
+        heading=f"{effect.title} ({e.name}), form {e.form.replace('_', ' ')}",
+        equation=published(effect, form).split("; "),
+        fitted=fitted(effect, form, values).split("; "),
+        numbers=numbers,
+        where=where,
+        source=form.source,
     )
 
 
