@@ -39,11 +39,12 @@ def ground(stiffness: float) -> Soil:
 
 def stresses(wheel: ModelWheel, load: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(place along the ground ahead of the lowest point [m], normal stress [Pa], shear stress [Pa])
-    of a wheel under a load [N] on `ROCK` at `SLIP`, [POINTS] each from the lowest point on.
+    of a wheel under a load [N] on `ROCK` at `SLIP`.
 
-    The arc of a tyre is that of its circle (`contact.substitute_radius`). The normal stress has its
-    peak in the middle of the arc. The soil's strength is multiplied by the share that a wheel with
-    a `grip` transmits (`contact.gripping_share`).
+    Each is [POINTS], from the lowest point on. The arc of a tyre is that of its circle
+    (`contact.substitute_radius`). The normal stress has its peak in the middle of the arc. The
+    soil's strength is multiplied by the share that a wheel with a `grip` transmits
+    (`contact.gripping_share`).
     """
     soil = ground(ROCK)
     z = float(WheelSoilModel(wheel, soil).predict({"slip": SLIP, "load": load}).sinkage[0])

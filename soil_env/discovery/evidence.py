@@ -215,8 +215,8 @@ def settle(
 
     Fit and sizes are found in turn, at most `_ROUNDS` times after a first fit. `start`: parameters
     by name. `near`: a model of the same table, from which the first fit takes the nuisances, the
-    form error of the base law, at the size `_FIRST_LAW` at most, and its start where that is not
-    given. Without it the first fit is under the noise alone.
+    form error of the base law, and its start where that is not given. The size of that error is
+    `_FIRST_LAW` at most. Without `near` the first fit is under the noise alone.
     """
     if near is None:
         first = problem.fit(choices, start)

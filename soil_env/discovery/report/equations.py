@@ -25,7 +25,7 @@ class Block(NamedTuple):
 
     heading: str
     equation: list[str]  # as published, in symbols
-    fitted: list[str]  # the same with the fitted numbers
+    fitted: list[str]  # the same with the fitted numbers; `equation` is taken if it is empty
     numbers: list[tuple[str, str]]  # of each parameter: ("l", " = 0.0061 m (95 % ...): meaning")
     where: dict[str, str]  # meaning of the other symbols
     source: str

@@ -258,7 +258,7 @@ def summary(report: Report) -> str:
     """
     finding = report.finding
     gap = report.gap
-    of: defaultdict[Names, float] = defaultdict(float)
+    of: defaultdict[Names, float] = defaultdict(float)  # probability of each set of listed effects
     for h in finding.hypotheses:
         of[h.names] += h.probability
     shares = [
@@ -279,6 +279,7 @@ def summary(report: Report) -> str:
         sets=shares[:4],
         worst=max((g.over_noise[0] for g in gap.values()), default=0.0),
         weak=sum(d.power < NAMED for d in finding.detectable.values()),
+        # The channel whose held-out error over the noise falls most with the named effects.
         widest=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
         law=UNNAMED[law].title if (law := finding.hypotheses[0].law) else "",
         refuted=[
