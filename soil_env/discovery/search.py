@@ -379,8 +379,12 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
     """Return the `Finding` of a table; `say` receives the progress.
 
     The hypotheses are no effect, each effect and the best pairs, and some of these with an
-    anonymous contribution. For each set of effects there is an anonymous law that resembles it.
-    Anonymous laws of few numbers are tried by themselves.
+    anonymous contribution: none and the `_FREE` best sets, or all single effects where the values
+    scatter. For each set of effects there is an anonymous law that resembles it. Anonymous laws of
+    few numbers are tried by themselves.
+
+    Probabilities are in proportion to the prior odds times the evidence to the power of
+    1/`TEMPERATURE`. `Finding.detectable` is of effects of soil and drive alone.
     """
     names, untestable = candidates(problem)
     prior = partial(log_prior, of_rig=odds(problem.data.setup, problem.bench))
