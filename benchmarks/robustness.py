@@ -122,7 +122,7 @@ def driven(case: Case, driver: str, courses: int) -> np.ndarray:
     stepped = replace(true, control=replace(true.control, repeat=1))
     world = load_model(config_dir() / "worlds" / f"{case.world}.yaml") if case.world else None
     rngs = [course_rng(SEED, k) for k in range(courses)]
-    sim = simulate(rngs, stepped, controller.variant, 1, world)
+    sim = simulate(rngs, stepped, controller.variant, threads=1, model=world)
     observers = [Observer(known, controller.variant) for _ in range(courses)]
     choice = [e.name for e in layout(controller.variant, known.course)].index("choice")
     worlds = sim.worlds
