@@ -45,7 +45,7 @@ def read_rig(folder: Path, name: str) -> tuple[MeasuredTable, Setup]:
 
 
 def spread(values) -> dict[str, float]:
-    """{median, low, high} of the values of rounds."""
+    """{median, low, high} of the values [n] of rounds; low and high are the least and largest."""
     return {
         "median": float(np.median(values)),
         "low": float(np.min(values)),
@@ -54,7 +54,9 @@ def spread(values) -> dict[str, float]:
 
 
 def share(values: Iterable[bool]) -> dict | None:
-    """{count, of, value, low, high} with the 95 % interval of Wilson (1927); None of nothing."""
+    """{count, of, value, low, high}: how many of how many are true, the share of them, and its
+    95 % interval of Wilson (1927); None without values.
+    """
     values = [bool(v) for v in values]
     if not values:
         return None
@@ -70,7 +72,11 @@ def share(values: Iterable[bool]) -> dict | None:
 
 
 def machine() -> dict[str, Any]:
-    """Processor, cores, load and versions that figures are measured with."""
+    """What figures are measured with: {processor, cores, load, python, numpy, numba}.
+
+    `cores` are those that this process may use, where the system tells. `load` is the average over
+    the last minute, None where the system does not tell. The others are names and versions.
+    """
     name = platform.processor() or platform.machine()
     with suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -88,14 +94,16 @@ def machine() -> dict[str, Any]:
 
 
 def machine_text(machine: dict[str, Any]) -> str:
-    """Text of `machine`."""
+    """One line of text on what `machine` returned."""
     load = "" if machine["load"] is None else f", load average {machine['load']:.1f} at the start"
     versions = f"Python {machine['python']}, numpy {machine['numpy']}, numba {machine['numba']}"
     return f"{machine['processor']}, {machine['cores']} cores{load}; {versions}"
 
 
 def study_options(name: str) -> Callable[[Callable], Callable]:
-    """Options --smoke and --out of the study of this name."""
+    """Decorator that gives a command the options --smoke, a flag, and --out, a path, of the study
+    of this name.
+    """
     text = f"Folder of {name}.json and {name}.md (default docs/results)."
     out = click.option("--out", type=PATH, metavar="OUT", default=RESULTS, help=text)
     smoke = click.option(
@@ -105,9 +113,10 @@ def study_options(name: str) -> Callable[[Callable], Callable]:
 
 
 def ready(out: Path, name: str) -> Path:
-    """Make the folder of the results and return the JSON file.
+    """Make the folder of the results and return the path of NAME.json in it, which is not written.
 
-    Raises OSError before the work if it is no use.
+    Raises OSError, before the work, where the folder cannot be made or NAME.json and NAME.md could
+    not be written into it.
     """
     check_outputs(out, (f"{name}.json", f"{name}.md"))
     make_folder(out)
@@ -115,9 +124,10 @@ def ready(out: Path, name: str) -> Path:
 
 
 def write(out: Path, name: str, title: str, text: str, tables: Mapping[str, Table]) -> None:
-    """Write NAME.md: a title, a paragraph and tables under their headings.
+    """Write NAME.md into the folder `out`: a title, the paragraph `text`, and the tables under
+    their headings, which are the keys.
 
-    Print it and say where it is.
+    Print it, and where it and NAME.json are, which is written elsewhere.
     """
     parts = [f"## {heading}\n\n{table.markdown()}" for heading, table in tables.items()]
     page = "\n\n".join([f"# {title}", text, *parts]) + "\n"
@@ -126,7 +136,7 @@ def write(out: Path, name: str, title: str, text: str, tables: Mapping[str, Tabl
 
 
 def short(result: Any, digits: int = 5) -> Any:
-    """Plain values of a result with so many significant digits."""
+    """Plain values of a result (`plain`), floats in it with so many significant digits."""
     result = plain(result)
     if isinstance(result, dict):
         return {key: short(value, digits) for key, value in result.items()}

@@ -49,15 +49,17 @@ class SwingingSpeed(ConstantSpeed):
     """`ConstantSpeed` whose rim speed swings by 30 %, so that slip does."""
 
     def rim_speed(self, observation, state):
-        """Rim speed of this period [m/s], [n]."""
+        """Rim speed of this period [m/s], [n]. Keeps the `time` [s] since the start of each course
+        in `state`.
+        """
         t = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)
         state["time"] = t
         return self.settings["speed"] * (1.0 + 0.3 * np.sin(2.0 * math.pi * t / SWING_PERIOD))
 
 
 def controller_of(name: str, scenario: Scenario) -> Any:
-    """Return a controller as it ships, `swinging_speed`, or `ramp`: a rim speed that rises in 15 s
-    to the highest.
+    """Return a controller by name, with the tuned settings that ship for the scenario, or one of
+    two more: `swinging_speed`, or `ramp`, a rim speed that rises in 15 s to the highest.
     """
     if name == "swinging_speed":
         return SwingingSpeed(scenario)
@@ -82,8 +84,8 @@ _NO_OTHERS = ("drawbar_pull_gain", "acceleration_gain", "pitch_zero")
 
 
 def with_errors(scenario: Scenario) -> Any:
-    """The scenario whose sensors have the zeros and gains of `ERRORS`, as the identifier believes
-    too.
+    """The scenario with the standard deviations of zeros and gains of `ERRORS`, 0 for those of
+    `_NO_OTHERS`, and all others as they are: what the identifiers of a `Shadow` believe.
     """
     noise = dict(ERRORS) | {name: ERRORS[of] for name, of in _ALIKE.items()}
     noise["acceleration_zero"] = ERRORS["drawbar_pull_zero"] * scenario.gravity
@@ -108,6 +110,7 @@ class Shadow:
     ) -> None:
         believed = with_errors(scenario)
         self.scenario = believed
+        # No observation is written, so its bounds are of no use.
         bounds = np.zeros((2, 1), dtype=np.float32)
         self.board = OnBoard(courses, believed, Shown(False, 0, *bounds))
         white = self.board.setting["identifier"][0]["white"]
@@ -117,15 +120,17 @@ class Shadow:
         self.slow = float(sensors_of(believed)["slow"][0])
         self.missing = missing
         rng = np.random.default_rng(ERROR_SEED)
-        # [courses] of each of `ERRORS`.
+        # [courses] of each of `ERRORS`, in the units of `Noise`.
         self.errors = {n: size * sd * rng.normal(size=courses) for n, sd in ERRORS.items()}
         self.drifts = drifts
         self.begun = False
 
     def update(self, sim: Any, alive: np.ndarray, share: float) -> None:
-        """Read the sensors of a control period of `sim`, at a `share` of the longest drive.
+        """Read the sensors of a control period of `sim`, at a `share` of the longest drive, with
+        the errors of this shadow.
 
-        Only the identifiers of courses that are `alive` [courses] go on.
+        Only the identifiers of courses that are `alive` [courses] go on. The first call begins
+        them.
         """
         readings = sim._sampled.samples
         misread = self._misread(readings, 2.0 * share if self.drifts else 1.0)
@@ -136,7 +141,10 @@ class Shadow:
         self.board.update(world, np.where(alive, STEP, IDLE), 0, len(alive))
 
     def _misread(self, readings: np.ndarray, size: float) -> np.ndarray:
-        """The readings with zeros and gains, and without the sensors that are missing."""
+        """A copy of the readings [courses, ...] with zeros and gains of `size` times the drawn
+        ones. A missing load is that of the weight on the pitch, other missing readings are 0; the
+        identifier gives those no weight.
+        """
         seen = readings.copy()
         e = {
             name: size * error.reshape(-1, *[1] * (seen.ndim - 1))
@@ -159,7 +167,9 @@ class Shadow:
         return seen
 
     def known(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Estimates and standard deviations [..., 6] of `QUANTITIES` now, and the status."""
+        """Estimates and standard deviations [..., 6] of `QUANTITIES` now, and the status [...], in
+        the units of `Known.estimate`; of a rover what its wheels know together.
+        """
         views = self.board.views()
         return published(views.get("known", views["ids"]))
 
@@ -170,7 +180,9 @@ OWN = "own"
 
 
 def published(known: Known) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Estimates and standard deviations [..., 6] of `QUANTITIES`, and the status."""
+    """Copies of estimates and standard deviations [..., 6] of `QUANTITIES`, in the units of
+    `Known.estimate`, and of the status [...].
+    """
     return known.estimate.copy(), known.sd.copy(), known.status.copy()
 
 
@@ -227,7 +239,7 @@ def record(
 
 
 def prior_of(scenario: Scenario) -> np.ndarray:
-    """`QUANTITIES` [6] of the prior."""
+    """Means [6] of `QUANTITIES` by the prior of a scenario, in the units of `Known.estimate`."""
     prior: np.ndarray = setting_of(scenario)["prior"][0]
     return prior
 
@@ -236,14 +248,19 @@ def truth(
     soil: np.ndarray, bearing: np.ndarray, load: np.ndarray, scenario: Scenario
 ) -> np.ndarray:
     """`QUANTITIES` [n, 6], in SI units and rad, of soils [n, entries of `SoilState`], at true
-    bearing sinkages [n] in m and loads [n] in N.
+    bearing sinkages [n] in m and loads [n] in N. The best pull is -1 of the load at least.
     """
     _, pull = best_points(soil, load, scenario.wheel)
     return np.column_stack([true_soil(soil, bearing, scenario), np.maximum(pull / load, -1.0)])
 
 
 def true_soil(soil: np.ndarray, bearing: np.ndarray, scenario: Scenario) -> np.ndarray:
-    """`QUANTITIES` [..., OF_SOIL] of soils [..., entries of `SoilState`], as `truth`."""
+    """`QUANTITIES` [..., OF_SOIL] of soils [..., entries of `SoilState`], as `truth`: phi [rad],
+    ln K, ln S, c [Pa], ln of the gain of slip-sinkage over the belief's.
+
+    K in m. S is that at the exponent n of the belief which gives the same pressure at the true
+    bearing sinkage `bearing` [...] in m, taken as 0.1 mm at least.
+    """
     belief = scenario.belief
     tan_phi, cohesion, shear_modulus, coefficient, exponent, gain = np.moveaxis(soil, -1, 0)[:6]
     depth = np.log(np.maximum(bearing, 1e-4))
@@ -274,7 +291,11 @@ class SwingingSlip:
         self.last = None
 
     def __call__(self, speed: np.ndarray) -> np.ndarray:
-        """Rim speeds from the measured speeds of the bodies [rovers], of the highest rim speed."""
+        """Rim speeds [rovers, axles] of this period from the measured speeds of the bodies
+        [rovers], both of the highest rim speed; 0 to 0.8. The first call sets no limit on their
+        change.
+        """
+        # The measured speed is smoothed over about twenty periods.
         self.speed = speed if self.speed is None else self.speed + 0.05 * (speed - self.speed)
         slip = 0.2 + 0.18 * np.sin(2.0 * math.pi * self.time / SWING_PERIOD + self.phase)
         rim = np.clip(np.maximum(self.speed, 0.3)[:, None] / (1.0 - slip), 0.0, 0.8)
@@ -307,7 +328,9 @@ def record_rover(
     the highest rim speed.
     """
     control = control_of(scenario)
-    simulation = RoverSimulation(courses, scenario, "blind", 2, model=model, estimates=True)
+    simulation = RoverSimulation(
+        courses, scenario, variant="blind", threads=2, model=model, estimates=True
+    )
     for j in range(courses):
         simulation.seed(j, np.random.default_rng([seed, j]))
     simulation.restart_where(np.ones(courses, dtype=bool))
@@ -316,6 +339,7 @@ def record_rover(
     log: dict[str, list[np.ndarray]] = defaultdict(list)
     t = 0
     while going.any():
+        # The first entry of a rover's observation is the speed of its body.
         simulation.step_all(control(w.observation[:, 0].astype(float)), np.where(going, STEP, IDLE))
         places = w.state["wheels"]["x"][:, : scenario.axles]
         soil = _soils(w.courses, places, scenario.course.border)

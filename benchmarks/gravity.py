@@ -71,14 +71,23 @@ def at_slips(soil: Soil, load: float, gravity: float) -> list[float]:
 
 
 def fitted(weight: float, cohesion: float) -> Soil:
-    """The soil with a cohesion [Pa] of the measurements at 1 g under a weight [N]."""
+    """The soil with a cohesion [Pa] whose quantities under a weight [N] at 1 g have the least
+    squares of relative errors from the middles of the measurements there.
+    """
     middle = np.array([np.mean(earth) for earth, _ in MEASURED.values()])
 
     def soil_of(x: np.ndarray) -> Soil:
         """Soil of the logarithms of the four unknowns, in the order of `UNKNOWNS`."""
         phi, modulus, stiffness, gain = np.exp(x).tolist()
         moduli = {"sinkage_coefficient": stiffness, "gravity_measured": EARTH_GRAVITY}
-        return Soil(phi, cohesion, modulus, EXPONENT, dig_gain=gain, **moduli)
+        return Soil(
+            friction_angle_deg=phi,
+            cohesion=cohesion,
+            shear_modulus=modulus,
+            sinkage_exponent=EXPONENT,
+            dig_gain=gain,
+            **moduli,
+        )
 
     start, low, high = UNKNOWNS
     found = least_squares(
@@ -90,7 +99,9 @@ def fitted(weight: float, cohesion: float) -> Soil:
 
 
 def steepest(scenario: Scenario, soil: Soil) -> float:
-    """Steepest slope [deg] of the wheel of a scenario on a soil."""
+    """Steepest slope [deg] of the wheel of a scenario on a soil: atan of the best pull over the
+    load, within the stall torque of its motor and with a smooth rim.
+    """
     w = scenario.wheel
     load = scenario.weight
     best = best_working_point(load, scenario.beneath(soil), w.radius, w.width, w.stall_torque)
@@ -98,12 +109,15 @@ def steepest(scenario: Scenario, soil: Soil) -> float:
 
 
 def slopes() -> list[list[str]]:
-    """Cells for each soil of each rover, and of the wheel of the scenario `mixed`."""
+    """Rows of cells, for each soil of each rover and of the wheel of the scenario `mixed`: its
+    name, the soil, steepest slope [deg], in brackets with a straight strength, and `PUBLISHED`.
+    """
     rows = []
     for name, published in PUBLISHED.items():
         scenario = load_scenario("mixed") if name == "planetary_rover" else load_rover(name)
         for of in scenario.soils:
             soil = scenario.library[of]
+            # Without a reference stress the strength rises straight with the normal stress.
             straight = steepest(scenario, replace(soil, reference_stress=0.0))
             here = f"{steepest(scenario, soil):.1f} ({straight:.1f})"
             rows.append([name, of, here, *published])
@@ -119,11 +133,12 @@ def span(values: tuple[float, float]) -> str:
 @study_options(NAME)
 def command(smoke: bool, out: Path) -> None:
     """Pull and sinkage at lunar gravity beside measurements; steepest slopes of the presets."""
-    path = ready(out, NAME)
+    path = ready(out, NAME)  # `smoke` changes nothing: all takes seconds
     mass = wheels()["planetary_rover"].body_mass
     earth = mass * EARTH_GRAVITY
     found = {c: fitted(earth, c) for c in (0.0, *COHESIONS)}
     usual = found[COHESIONS[0]]
+    # [4] quantities of `MEASURED` in each column.
     columns = {"fitted, 1 g": at_slips(usual, earth, EARTH_GRAVITY)}
     columns |= {f"c = {c:g} Pa": at_slips(s, mass * MOON, MOON) for c, s in found.items()}
     columns["load of 1 g"] = at_slips(usual, earth, MOON)

@@ -90,7 +90,9 @@ class Case(NamedTuple):
 
 
 def cases() -> dict[str, Case]:
-    """Return all rows by their names in identification.json."""
+    """Return all rows by their names in identification.json, "SCENARIO/WORLD/DRIVE/ACTION" with "-"
+    for an empty part.
+    """
     found = [Case(s, "", *drive) for s in OWN for drive in (*((name,) for name in EVERY), *ACTIONS)]
     found += [Case(ONE_SOIL, "", name) for name in FEW]
     found += [Case("mixed", world, name) for world in EFFECTS for name in FEW]
@@ -101,10 +103,12 @@ def cases() -> dict[str, Case]:
 
 
 def measure(case: Case, courses: int, seed: int) -> dict[str, Any]:
-    """Drive and judge a row: plain values of the case, its "steps", "prior_rms", and the
-    `statistics` of `SHIPPED` and of each of the identifiers beside it.
+    """Drive and judge a row: plain values of the case, its number of "courses" and "steps",
+    "prior_rms", and the `statistics` of `SHIPPED` and of each of the identifiers beside it.
 
-    They are of `drives.QUANTITIES`, of a rover of those of the soil, by all wheels.
+    They are of `drives.QUANTITIES` in `drives.UNITS`, of a rover of those of the soil, by all
+    wheels. "prior_rms" [q] is the root mean square error of the prior means. It and "steps" are
+    those of the run with exact sensors.
     """
     scenario: Any
     record: Callable[..., dict[str, np.ndarray]]
@@ -149,8 +153,10 @@ def statistics(true, estimate, sd, status, course, units) -> dict[str, Any]:
     """Statistics of errors and standard deviations over N steps: arrays [q] of the quantities in
     `units` [q] (multiples of those of the estimates), and shares in percent.
 
-    `true`, `estimate` and `sd` [N, q]; `status` [N]; `course` [N] numbers the courses. The error of
-    a share takes the steps of a course as one sample.
+    `true`, `estimate` and `sd` [N, q]; `status` [N]; `course` [N] numbers the courses. "holds_68"
+    and "holds_95": errors within 1 and 1.96 sd; "far": beyond 3. "holds_68_error" is half the 95 %
+    interval of a share, with the steps of a course as one sample. "misfit": steps with the status
+    MISFIT, and courses with any.
     """
     error = estimate - true
     z = np.abs(error) / sd
@@ -172,13 +178,17 @@ def statistics(true, estimate, sd, status, course, units) -> dict[str, Any]:
 
 
 def _triple(values: list[Any], form: str) -> str:
-    """Medians of the `JUDGED` quantities over drives, of `values` [drives][quantities]."""
+    """Medians over drives of the first `JUDGED` quantities, of `values` [drives][quantities], in
+    the format `form`: "A / B / C".
+    """
     middle = np.median(np.array(values), axis=0)
     return " / ".join(format(v, form) for v in middle[:JUDGED])
 
 
 def _by_scenario(rows: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
-    """The rows of each scenario, and of each scenario with an effect."""
+    """The rows of each scenario, and of each scenario with another world, by "SCENARIO" and
+    "SCENARIO with WORLD".
+    """
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         name = " with ".join(filter(None, (row["scenario"], row["world"])))
@@ -187,7 +197,9 @@ def _by_scenario(rows: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
 
 
 def tables(result: dict[str, Any]) -> dict[str, Table]:
-    """Return the tables of the page."""
+    """Return the tables of the page by heading: one of each kind of sensors, by scenario, and one
+    of missing sensors where these were measured. `result`: content of identification.json.
+    """
     groups = _by_scenario(list(result["rows"].values()))
     out = {}
     for kind in (SHIPPED, *SENSORS):
@@ -252,7 +264,7 @@ def command(smoke: bool, out: Path, courses: int, seed: int, only: tuple[str, ..
     file = ready(out, NAME)
     settings = {"seed": seed, "courses": 2 if smoke else courses}
     result = read_json(file) if file.exists() else {}
-    if not settings.items() <= result.items():
+    if not settings.items() <= result.items():  # rows of other courses do not count
         result = settings | {"rows": {}}
     wanted = {
         n: c

@@ -45,7 +45,9 @@ TEXT = (
 
 
 def tables(folder: Path) -> dict[str, Case]:
-    """Each table once, by a name, that is not too short."""
+    """Each table of `benchmarks.prediction` once, by its name, with at least `LEAST_ROWS` rows; the
+    groups of the case are not used.
+    """
     found: dict[str, Case] = {}
     for case in cases(folder):
         if case.table.slip.size >= LEAST_ROWS:
@@ -54,10 +56,11 @@ def tables(folder: Path) -> dict[str, Case]:
 
 
 def errors(case: Case, way: str, draw: int, most: int = MOST) -> list[float]:
-    """Errors of the held-out rows over the noise, after the first runs and each further one, while
-    there is a choice and for `most` further runs.
+    """Root mean square error of the held-out rows over the noise, after the first runs and each
+    further one, while there is a choice and for `most` further runs.
 
-    `way`: one of `WAYS`; `draw` numbers the draws of the held-out and the first rows.
+    `way`: one of `WAYS`; `draw` numbers the draws of the held-out and the first rows. The noise is
+    that of the whole table.
     """
     rng = np.random.default_rng([SEED, draw])
     order = rng.permutation(case.table.slip.size)
@@ -78,7 +81,7 @@ def errors(case: Case, way: str, draw: int, most: int = MOST) -> list[float]:
         out.append(float(np.sqrt(np.mean((off / whole.noise)[used] ** 2))))
         if len(left) < 2 or len(out) > most:
             return out
-        k = 0
+        k = 0  # the next one of a random order
         if way == "chosen":
             k = _surest(model, whole, left)
         elif way == "spread":
@@ -102,7 +105,9 @@ def _surest(model: Prediction, whole: Problem, left: list[int]) -> int:
 
 
 def _furthest(whole: Problem, made: list[int], left: list[int]) -> int:
-    """Place in `left` (rows) of the one that is furthest from the nearest of those `made`."""
+    """Place in `left` (rows) of the one that is furthest from the nearest of those `made`, in slip
+    and ln(load) over their ranges in the table.
+    """
     rows = whole.data.rows
     places = np.stack([rows.slip, np.log(rows.load)], axis=1)
     places = places / np.maximum(np.ptp(places, axis=0), 1e-6)
@@ -111,8 +116,10 @@ def _furthest(whole: Problem, made: list[int], left: list[int]) -> int:
 
 
 def needed(chosen: np.ndarray, random: np.ndarray) -> float:
-    """Share of the runs of a random choice [runs + 1] that chosen ones need to err no more, between
-    runs in proportion to ln(error); infinite where they do not reach that.
+    """Share of the runs that chosen ones need to err no more than random ones do at their end,
+    between runs in proportion to ln(error); 0 before any run, infinite where they never do.
+
+    `chosen` and `random` [runs + 1]: errors after each run, from none on.
     """
     reached = np.flatnonzero(chosen <= random[-1])
     if not reached.size:
@@ -133,7 +140,7 @@ def tables_of(found: dict[str, dict[str, list[list[float]]]]) -> dict[str, Page]
         shown = [0, steps // 4, steps // 2, steps]
         for way in WAYS:
             lines.append([name, way, *(f"{mean[way][k]:.3g}" for k in shown), ""])
-        for line, way in zip(lines[-3:-1], WAYS, strict=False):
+        for line, way in zip(lines[-3:-1], WAYS, strict=False):  # not random, the last
             line[-1] = f"{needed(mean[way], mean['random']):.2f}"
     head = ["table", "runs", "0", "a quarter", "half", "all", "share needed"]
     return {"Error over the noise": Page(head, lines)}
@@ -145,6 +152,7 @@ def tables_of(found: dict[str, dict[str, list[list[float]]]]) -> dict[str, Page]
 def command(smoke: bool, out: Path, data: Path) -> None:
     """Runs chosen for prediction against runs drawn at random."""
     file = ready(out, NAME)
+    # {table: {way: `errors` of each draw}}; draws that are there are not made again.
     found = read_json(file) if file.exists() else {}
     draws = 1 if smoke else DRAWS
     for name, case in tables(data).items():

@@ -136,9 +136,10 @@ def _each(values: np.ndarray) -> tuple[np.ndarray, ...]:
 def figures(case: Case, folds: int | None = None) -> dict:
     """Row of the page of a case: errors by method, of sinkage [m], pull [N] and torque [N m], over
     the rows that were left out; of all of them over the noise; shares of the values within one and
-    two of the stated standard deviations.
+    two of the standard deviations that "with the curve" states.
 
-    Only the first `folds` of the groups are left out, None: all.
+    Only the first `folds` of the groups are left out, None: all. The noise is the estimate from the
+    rows without the last group. An error is NaN where a channel has no prediction or measurement.
     """
     y = np.stack([getattr(case.table, name) for name in MEASURED], axis=1)
     found = {name: np.full(y.shape, math.nan) for name in METHODS}
@@ -193,12 +194,14 @@ def _without_law(problem: Problem, conditions: dict[str, np.ndarray]) -> np.ndar
     table = problem.data.conditions
 
     def points(at: dict[str, np.ndarray]) -> np.ndarray:
+        """[n, 2] slip and ln W at conditions [n]."""
         return np.stack([at["slip"], np.log(at["load"])], axis=1)
 
     out = np.full((conditions["slip"].size, 3), math.nan)
     for j, use in enumerate(problem.used.T):
         if not use.any():
             continue
+        # Forces are over the load, the sinkage, which is channel 0, is not.
         scale, there = (at["load"] if j else np.ones(at["slip"].size) for at in (table, conditions))
         y = problem.data.y[use, j] / scale[use]
         kernel = ConstantKernel() * RBF([0.4, 1.0]) + WhiteKernel(1e-3)
@@ -213,8 +216,11 @@ def _without_law(problem: Problem, conditions: dict[str, np.ndarray]) -> np.ndar
 
 
 def _straight_lines(problem: Problem, slip: np.ndarray) -> np.ndarray:
-    """[N, 3] on straight lines between the next slips of a table, beyond its slips through the last
-    two; NaN where rows differ in load or share a slip.
+    """[N, 3] sinkage [m], pull [N] and torque [N m] at slips [N], on straight lines between the
+    next slips of a table, beyond its slips through the last two.
+
+    NaN throughout where rows differ in load or share a slip, and of a channel with less than two
+    values.
     """
     out = np.full((slip.size, 3), math.nan)
     rows = problem.data.rows
@@ -243,8 +249,10 @@ def _rms(off: np.ndarray, axis: int | None = 0) -> np.ndarray:
 
 
 def ratios(rows: list[dict]) -> dict[str, float]:
-    """Geometric mean by method of errors over those of the curve; worst, over the better of base
-    model and curve. NaN of a method that does not predict every case.
+    """{method: {"mean", "worst"}} of the errors over the noise of all cases: geometric mean of
+    those over the curve's, and the largest over the better of base model and curve.
+
+    NaN of a method that does not predict every case. `rows`: by `figures`.
     """
     out = {}
     for name in METHODS:
@@ -256,9 +264,12 @@ def ratios(rows: list[dict]) -> dict[str, float]:
 
 
 def tables_of(rows: dict[str, list[dict]], over: dict[str, dict]) -> dict[str, Page]:
-    """The tables of the page, by `PARTS`."""
+    """The tables of the page by heading, two for each of `PARTS`: `rows` by `figures`, `over` by
+    `ratios`, both by part.
+    """
 
     def cell(errors: np.ndarray) -> str:
+        """Errors [3] as "mm / N / N m", "-" for NaN."""
         units = (1e3, 1.0, 1.0)
         shown = (
             f"{round(u * x, ROUNDED):.2g}" if np.isfinite(x) else "-"

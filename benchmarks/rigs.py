@@ -131,6 +131,7 @@ def read_rigs(folder: Path) -> dict[str, Rig]:
     cmu = _rows(folder / "cmu_single_wheel" / "cmu_wheel_means_of_3.csv")
     straight = cmu[cmu["slip_angle_deg"] == 0.0]
     rigs = {}
+    # Each by radius, width and sd of the zero of its sinkage [m], True if cohesive, columns.
     for name, label in (("smooth", "CMU smooth"), ("grouser", "CMU lugged")):
         rows = straight[straight["wheel"] == name]
         rigs[label] = Rig(
@@ -169,7 +170,11 @@ def _rows(path: Path) -> np.ndarray:
 
 
 def _columns(rows: np.ndarray, *columns: tuple[str, float]) -> tuple[np.ndarray, ...]:
-    """(slip, load, measured [N, 3]) in SI units from (name, factor) of each column."""
+    """(slip [N], load [N], measured [N, 3]) in SI units from (name, factor) of each column.
+
+    The columns are slip and load, then sinkage, pull and torque as far as there are any; NaN
+    without one.
+    """
     values = np.stack([rows[name] * factor for name, factor in columns], axis=1)
     measured = np.full((len(values), 3), math.nan)
     measured[:, : values.shape[1] - 2] = values[:, 2:]
@@ -177,7 +182,10 @@ def _columns(rows: np.ndarray, *columns: tuple[str, float]) -> tuple[np.ndarray,
 
 
 def priors(rig: Rig) -> np.ndarray:
-    """Prior mean, standard deviation and bounds [7, 4] of the unknowns of `predict`."""
+    """Prior mean, standard deviation and bounds [7, 4] of the unknowns of `soil_of`, in its order;
+    the zero of the sinkage is within two of its standard deviations.
+    """
+    # A zero that is known is given hardly any room, since least squares needs some.
     zero = max(rig.zero, 1e-9)
     return np.array(
         [
@@ -198,15 +206,15 @@ def soil_of(x: np.ndarray, rig: Rig, law: Law) -> SoilState:
     """
     n = float(x[3])
     return SoilState(
-        math.tan(math.radians(x[0])),
-        math.exp(x[5]) if rig.cohesive else 0.0,
-        math.exp(x[1]) * rig.radius,
-        math.exp(x[2]) / (DEPTH * rig.radius) ** n,
-        n,
-        float(x[4]),
-        RECOVERY,
-        *law,
-        LENGTH * rig.radius,
+        tan_phi=math.tan(math.radians(x[0])),
+        cohesion=math.exp(x[5]) if rig.cohesive else 0.0,
+        shear_modulus=math.exp(x[1]) * rig.radius,
+        sinkage_coefficient=math.exp(x[2]) / (DEPTH * rig.radius) ** n,
+        sinkage_exponent=n,
+        dig_gain=float(x[4]),
+        dig_recovery=RECOVERY,
+        **law._asdict(),
+        shear_length=LENGTH * rig.radius,
     )
 
 
@@ -223,11 +231,14 @@ def predict(x: np.ndarray, rig: Rig, rows: np.ndarray, law: Law) -> np.ndarray:
 
 
 def fit(rig: Rig, rows: np.ndarray, law: Law, starts: int = len(STARTS)) -> np.ndarray:
-    """Unknowns [7] that fit the `rows` (indices) best, from the first `starts` of `STARTS`."""
+    """Unknowns [7] of `soil_of` that fit the `rows` (indices) best under their priors, from the
+    first `starts` of `STARTS`.
+    """
     mean, sd, low, high = priors(rig).T
     scale = rig.scale[rows]
 
     def residuals(x: np.ndarray) -> np.ndarray:
+        """Errors of what was measured over `Rig.scale`, then unknowns over their priors."""
         misfit = (predict(x, rig, rows, law) - rig.measured[rows]) / scale
         return np.concatenate([misfit[np.isfinite(misfit)], (x - mean) / sd])
 
@@ -242,8 +253,14 @@ def fit(rig: Rig, rows: np.ndarray, law: Law, starts: int = len(STARTS)) -> np.n
 
 
 def splits(rig: Rig) -> list[tuple[str, list[tuple[np.ndarray, np.ndarray]]]]:
-    """(label, folds) of a rig; a fold is the rows that are fitted and those that are predicted."""
-    every = np.flatnonzero(rig.slip > LOCKED)
+    """(label, folds) of a rig; a fold is the rows (indices) that are fitted and those that are
+    predicted.
+
+    With loads in and beside `TRAINING_LOADS` the others are predicted, from driving rows and from
+    all. Else each row that is not locked is left out in turn. With braked rows, all are predicted
+    from driving ones before that.
+    """
+    every = np.flatnonzero(rig.slip > LOCKED)  # but for locked rows
     rows = np.arange(rig.slip.size)
     driving = rig.slip > BRAKED
     trained = np.isin(rig.load, TRAINING_LOADS)
@@ -260,8 +277,11 @@ def splits(rig: Rig) -> list[tuple[str, list[tuple[np.ndarray, np.ndarray]]]]:
 
 
 def choose(rigs: list[Rig], starts: int, growths: tuple[float, ...] = GROWTHS) -> Law:
-    """The law with which soils of the first split of each rig predict its rows best, those of
-    locked wheels left out; its flow is sought for each of the `growths`.
+    """The law with which soils of the first fold of the first split of each rig predict its rows
+    best, those of locked wheels left out.
+
+    Its flow is sought within `FLOWS` for each of the `growths`; its peak is `PEAK`. `starts` as of
+    `fit`.
     """
 
     def misfit(flow: float, growth: float) -> float:
@@ -286,7 +306,8 @@ def choose(rigs: list[Rig], starts: int, growths: tuple[float, ...] = GROWTHS) -
 
 
 def figures(name: str, rig: Rig, law: Law, starts: int, folds: int | None) -> list[dict]:
-    """Rows of the table of a rig: rms of the predictions of each channel, by how it moves.
+    """Rows (`_row`) of the table of the rig `name`: rms error of the predictions of each channel,
+    for each of the `splits` and each way to move: driving, braked or locked.
 
     `starts` as of `fit`; only the first `folds` of each split, None: all.
     """
@@ -311,7 +332,9 @@ def figures(name: str, rig: Rig, law: Law, starts: int, folds: int | None) -> li
 
 
 def _row(rig: str, fitted: str, predicted: str, off: np.ndarray, load: np.ndarray) -> dict:
-    """Row of the table from errors [N, 3] at loads [N]."""
+    """Row of the table: names of rig, fitted and predicted rows, and rms of the errors `off` [N, 3]
+    at loads [N]; NaN of a channel with a NaN among them.
+    """
     sinkage, pull, torque = np.sqrt(np.mean(np.square(off), axis=0))
     share = np.sqrt(np.mean(np.square(off[:, 1] / load)))
     return {
@@ -329,7 +352,9 @@ def _row(rig: str, fitted: str, predicted: str, off: np.ndarray, load: np.ndarra
 def all_figures(
     rigs: dict[str, Rig], laws: dict[str, Law], starts: int, folds: int | None
 ) -> list[dict]:
-    """Rows of the table: those of each rig with one law beside the other."""
+    """Rows of the table: those of each rig by `figures`, each under one law after the other, whose
+    name is "law".
+    """
     out = []
     for name, rig in rigs.items():
         found = [figures(name, rig, law, starts, folds) for law in laws.values()]
@@ -340,7 +365,9 @@ def all_figures(
 
 
 def moduli(laws: dict[str, Law]) -> list[dict]:
-    """K [mm] with its 95 % interval, as `identify` finds it on the wheels of `DING` by each law."""
+    """K [mm] with its 95 % interval, as `identify` finds it on the wheels of `DING` by each law:
+    rows {wheel, law, K_mm, low, high}.
+    """
     out = []
     for name in DING:
         table, setup = read_rig(PUBLISHED, name)
@@ -369,7 +396,7 @@ def constants_of(laws: dict[str, Law]) -> Table:
 
 
 def table_of(rows: list[dict]) -> Table:
-    """The rows as a page shows them."""
+    """The rows of `all_figures` as a page shows them."""
     cells = [
         [
             r["rig"],
@@ -409,7 +436,8 @@ def command(data: Path, smoke: bool, out: Path) -> None:
         laws[f"flow, {on}"] = choose(on_these, 1, GROWTHS[:1] if smoke else GROWTHS)
     preset = soils()["dry_sand"]
     laws["flow, presets"] = Law(preset.rim_flow, preset.braked_peak, preset.shear_growth)
-    rows = all_figures(rigs, laws, *((1, 1) if smoke else (len(STARTS), None)))
+    starts, folds = (1, 1) if smoke else (len(STARTS), None)
+    rows = all_figures(rigs, laws, starts, folds)
     known = moduli({name: laws[name] for name in ("Eq. (10)", "flow, presets")})
     chosen = {name: law._asdict() for name, law in laws.items()}
     content = {

@@ -81,7 +81,7 @@ class Case(NamedTuple):
 
 
 def cases() -> dict[str, Case]:
-    """All rows by their names."""
+    """All rows by their names, "as shipped" first."""
     found = {"as shipped": Case()}
     found |= {f"{name.replace('_', ' ')}, {TIMES:g} sd": Case(error=name) for name in ERRORS}
     found |= {f"no {name.replace('_', ' ')}": Case(dead=name) for name in SENSORS}
@@ -92,7 +92,9 @@ def cases() -> dict[str, Case]:
 
 
 def misread(reading: SensorReading, case: Case, sign: float, scenario: Scenario) -> SensorReading:
-    """A reading with the error of a row, up (`sign` 1) or down (-1), or without a sensor (NaN)."""
+    """A reading with the error of a row, `TIMES` its standard deviation in the scenario, up (`sign`
+    1) or down (-1), or without the dead sensor (NaN); as it is where the row has neither.
+    """
     if case.dead:
         return reading._replace(**{case.dead: math.nan})
     if not case.error:
@@ -106,8 +108,11 @@ def misread(reading: SensorReading, case: Case, sign: float, scenario: Scenario)
 
 
 def driven(case: Case, driver: str, courses: int) -> np.ndarray:
-    """Whether the driver of this name finishes each course, [courses] bool, with the changes of
-    the case.
+    """[courses] True where the driver of this name finishes a course, with the changes of the case.
+
+    The driver and its `Observer` know the scenario `known`. The world has the wheel of `true`, and
+    is stepped by single control periods, so that each set of readings can be changed. The error is
+    up on odd courses and down on even ones.
     """
     known = load_scenario(GROUND, OTHER_WHEEL if case.other else {})
     true = known
@@ -117,15 +122,15 @@ def driven(case: Case, driver: str, courses: int) -> np.ndarray:
     stepped = replace(true, control=replace(true.control, repeat=1))
     world = load_model(config_dir() / "worlds" / f"{case.world}.yaml") if case.world else None
     rngs = [course_rng(SEED, k) for k in range(courses)]
-    sim = simulate(rngs, stepped, controller.variant, 1, world)
+    sim = simulate(rngs, stepped, controller.variant, threads=1, model=world)
     observers = [Observer(known, controller.variant) for _ in range(courses)]
     choice = [e.name for e in layout(controller.variant, known.course)].index("choice")
     worlds = sim.worlds
     seen = np.zeros_like(worlds.observation)
-    what = np.full(courses, STEP)
+    what = np.full(courses, STEP)  # order to each vehicle; IDLE once its course is over
     action = np.zeros((courses, 1))
     memory = None
-    held = known.control.action_periods
+    held = known.control.action_periods  # control periods that an action is held
     for period in range(stepped.periods):
         for k in np.flatnonzero(what == STEP):
             sample = worlds.samples[k, 0]
@@ -155,13 +160,16 @@ def driven(case: Case, driver: str, courses: int) -> np.ndarray:
 
 
 def row(cell: tuple[str, str], courses: int) -> np.ndarray:
-    """`driven` of a row by its name and a driver."""
+    """`driven` of a `cell`: name of the row in `cases`, name of the driver."""
     name, driver = cell
     return driven(cases()[name], driver, courses)
 
 
 def difference(a: np.ndarray, b: np.ndarray) -> dict[str, float]:
-    """Difference of two shares of the same courses, with its 95 % interval."""
+    """{value, low, high} of the share of true values of `a` less that of `b`, [courses] bool, of
+    the same courses; low and high are the 95 % interval.
+    """
+    # Scores are [members, courses]: here of one member, which is in every draw once.
     drawn = draws(SEED, a.size)
     one = np.ones((len(drawn.courses), 1))
     scores = a[None].astype(float), b[None].astype(float)
@@ -190,7 +198,7 @@ def command(smoke: bool, out: Path, courses: int, workers: int) -> None:
     ):
         found[name][driver] = finished
         print(f"{k} of {len(cells)}: {name}, {driver}: {finished.mean():.1%}", flush=True)
-    usual = found[names[0]]
+    usual = found[names[0]]  # as shipped
     result = {}
     table = []
     for name, by in found.items():

@@ -40,8 +40,12 @@ REACH = {68: 1.0, 95: 1.96}
 
 
 def draw(rng: np.random.Generator, rows: int, shared: bool) -> tuple[Sound, Soil]:
-    """(a table of `rows` that a rig could measure, its soil); slip and load err in each row by
-    itself, or, if `shared`, in all rows of a drive together.
+    """(a table of so many `rows` that a rig could measure, its soil); slip and load err in each row
+    by itself, or, if `shared`, in all rows of a drive together.
+
+    The soil is a preset with S of the drawn wheel in place of k_c and k_phi, and without
+    slip-sinkage. Six of ten setups state the noise of the channels, all that of slip and load.
+    Draws are repeated until soil and wheel could be those of a rig (`of_a_rig`).
     """
     known = [s for s in soils().values() if s.reference_stress == 0.0 and s.layer is None]
     while True:
@@ -77,8 +81,8 @@ def draw(rng: np.random.Generator, rows: int, shared: bool) -> tuple[Sound, Soil
 
 
 def judged(table: Sound, soil: Soil) -> tuple[bool, dict[str, float]]:
-    """(whether something is doubted or does not fit, errors over their standard deviations); K and
-    S in the logarithm.
+    """(True if something is doubted or does not fit, {parameter: |error| over its standard
+    deviation} of `JUDGED`) by `identify_table`; K and S in the logarithm.
     """
     found = identify_table(table.table(), table.setup)
     out = {}
@@ -97,7 +101,9 @@ def judged(table: Sound, soil: Soil) -> tuple[bool, dict[str, float]]:
 @click.option("--rows", type=WholeNumber(60), default=120, metavar="N", help="Of a table.")
 @seed_option()
 def main(tables: int, rows: int, seed: int) -> None:
-    """Print the rates."""
+    """Print how often tables of each kind are doubted, and how often the intervals of each of
+    `JUDGED` hold the truth.
+    """
     for shared in (False, True):
         rng = np.random.default_rng(seed)
         found = [judged(*draw(rng, rows, shared)) for _ in range(tables)]

@@ -85,7 +85,9 @@ class Sound:
 
 
 def sound_tables(count: int, seed: int) -> Iterator[Sound]:
-    """`count` sound tables, some with effects that the base model lacks."""
+    """Yield `count` sound tables, each on a random soil of configs/soils.yaml, some with effects
+    that the base model lacks.
+    """
     rng = np.random.default_rng(seed)
     names = list(soils())
     made = 0
@@ -97,7 +99,12 @@ def sound_tables(count: int, seed: int) -> Iterator[Sound]:
 
 
 def _draw(rng: np.random.Generator, name: str) -> Sound | None:
-    """One table on a soil; None where the soil does not carry the wheel, or hardly lets it in."""
+    """One table on the soil `name`, as the module's docstring says; None where the soil does not
+    carry the wheel or hardly lets it in, or where no rig could measure it (`of_a_rig`).
+
+    One of two tables has all channels; the others lack sinkage or torque. Six of ten setups state
+    the noise.
+    """
     r = math.exp(rng.uniform(math.log(0.05), math.log(0.35)))
     b = r * rng.uniform(0.4, 1.2)
     height = r * rng.choice([0.0, 0.05, 0.1])
@@ -106,13 +113,14 @@ def _draw(rng: np.random.Generator, name: str) -> Sound | None:
     n = preset.sinkage_exponent
     soil = replace(preset, k_c=None, k_phi=None, sinkage_coefficient=stiffness, dig_gain=0.0)
     z = r * rng.uniform(0.03, 0.2)
+    # [N] load that this S carries at the sinkage z, as `plate_coefficient` has it.
     middle = 0.6 * b * math.sqrt(2.0 * r * z) * stiffness * z**n
     loads = middle * np.geomspace(0.6, 1.6, int(rng.integers(1, 4)))
     ends = rng.uniform(0.02, 0.12), rng.uniform(0.45, 0.75)
     slips = np.round(np.linspace(*ends, int(rng.integers(5, 10))), 3)
     at = np.array(list(itertools.product(loads, slips)))
     conditions = {"load": at[:, 0], "slip": at[:, 1]}
-    effects = _effects(rng, middle * r * 0.3, z)
+    effects = _effects(rng, torque=middle * r * 0.3, sinkage=z)
     try:
         found = WheelSoilModel(ModelWheel(r, b, height), soil, effects).predict(conditions)
     except ParameterError:
@@ -122,6 +130,7 @@ def _draw(rng: np.random.Generator, name: str) -> Sound | None:
         return None
     if not np.all(found.supported) or not of_a_rig(y, r, np.max(loads)):
         return None
+    # Smooth relative errors: a wave over slip and load for each channel.
     s = (at[:, 1] - slips.mean()) / np.ptp(slips)
     w = np.log(at[:, 0] / middle)
     waves = [
@@ -142,7 +151,8 @@ def _draw(rng: np.random.Generator, name: str) -> Sound | None:
 
 def of_a_rig(y: np.ndarray, r: float, load: float) -> bool:
     """True if a rig could measure `y` [N, 3], sinkage [m], pull [N] and torque [N m], with a wheel
-    of radius r [m] under loads up to `load` [N].
+    of radius r [m] under loads up to `load` [N]: forces within `MOST_GRIP`, sinkages of 0.005 to
+    0.6 radii.
     """
     sinkage, pull, torque = y.T
     grip = max(np.max(np.abs(pull)), np.max(np.abs(torque)) / r) / load
@@ -166,11 +176,13 @@ def _effects(
         values = dict(form.fixed)
         for p in (effect.parameter(name) for name in form.free):
             usual = SIZES.get(f"{effect.name}_{p.name}", p.scale * (p.centre or 1.0))
+            # Coulomb friction is a share of the torque, a wrong zero of the sinkage one of that.
             usual *= {"constant": torque}.get(
                 p.name, sinkage if effect.name == "sinkage_offset" else 1.0
             )
             values[p.name] = (p.centre or p.neutral) + usual * rng.uniform(0.5, 3.0)
             values[p.name] = min(max(values[p.name], p.low), p.high)
+        # Above 1: below it the law does not soften the soil.
         if effect.name == "shear_softening" and "sharpness" in values:
             values["sharpness"] = 1.0 + values["sharpness"]
         out[effect.name] = values
@@ -198,18 +210,21 @@ def _priors(rng: np.random.Generator, soil: Soil, chosen: dict[str, float]) -> S
 
 
 def _changed(name: str, change: Callable, one: bool = False) -> Callable[[Sound], Sound | None]:
-    """A mistake that changes the values [N] of a column, or only `one`, in a row that follows from
-    the table.
+    """A mistake that changes the values [N] of the column `name` by `change`, or only `one` of
+    them, in a row that follows from the table.
     """
 
     def wrong(t: Sound) -> Sound | None:
+        """The table with the mistake, `wrong_row` set if it is in one row; None without the
+        column.
+        """
         if name not in t.columns:
             return None
         values = t.columns[name]
         changed = change(values)
         line = 0
         if one:
-            k = int(1e6 * abs(values.sum())) % values.size
+            k = int(1e6 * abs(values.sum())) % values.size  # as good as random, and repeatable
             changed = np.where(np.arange(values.size) == k, changed, values)
             line = k + 2  # behind the header, from 1
         return replace(t, columns=t.columns | {name: changed}, wrong_row=line)
@@ -224,7 +239,9 @@ def _diameter(t: Sound) -> Sound:
 
 
 def _forces_in_kilograms(t: Sound) -> Sound | None:
-    """The table with both forces of load cells in kilograms."""
+    """The table with both forces of load cells, pull and load, in kilograms; None without either
+    column.
+    """
     pull = MISTAKES["pull in kilograms"](t)
     return pull and MISTAKES["load in kilograms"](pull)
 
@@ -246,8 +263,8 @@ MISTAKES: dict[str, Callable[[Sound], Sound | None]] = {
 
 
 def told(t: Sound) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """What is said first of a table, and cautions on other readings. A refusal counts as said, and
-    so does a wrong row by its number where it is left out.
+    """(what `examine` says first of a table, cautions on other readings), in sentences. A refusal
+    counts as said, and so does a sentence on the wrong row, or a value of it, that is left out.
     """
     try:
         found = examine(t.table(), t.setup)
@@ -260,7 +277,9 @@ def told(t: Sound) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 @cache  # of a sound table for all mistakes
 def estimate(t: Sound) -> dict[str, Parameter] | None:
-    """Parameters of the table as it is; a refusal of the table is no estimate."""
+    """Parameters by name as identified from the table as it is, without a check for mistakes; None
+    where the table is refused.
+    """
     try:
         return identify_table(t.table(), t.setup, check=False).parameters
     except ParameterError:
@@ -268,7 +287,9 @@ def estimate(t: Sound) -> dict[str, Parameter] | None:
 
 
 def matters(sound: Sound, wrong: Sound) -> bool:
-    """True if a mistake moves an estimate by more than `OFF` of its standard deviations."""
+    """True if a mistake moves an estimate by more than `OFF` of its standard deviations, those of
+    the wrong table; False where either table has no estimate.
+    """
     off = estimate(wrong)
     right = None if off is None else estimate(sound)
     if right is None or off is None:
@@ -288,7 +309,9 @@ def matters(sound: Sound, wrong: Sound) -> bool:
 )
 @seed_option()
 def main(tables: int, sound_only: bool, only: tuple[str, ...], seed: int) -> None:
-    """Print the rates."""
+    """Print what is said of sound tables, how often they are doubted and cautioned, and how often
+    each mistake is found where it matters.
+    """
     drawn = list(sound_tables(tables, seed))
     doubted = [told(t) for t in drawn]
     for t, (said, undecided) in zip(drawn, doubted, strict=True):
@@ -306,7 +329,7 @@ def main(tables: int, sound_only: bool, only: tuple[str, ...], seed: int) -> Non
 
 
 def print_share(name: str, values: list[bool]) -> None:
-    """Print how many are true, and the rate with its 95 % interval."""
+    """Print how many are true, and the rate with its 95 % interval [%]; nothing without values."""
     rate = share(values)
     if rate is not None:
         low, high = (100.0 * rate[end] for end in ("low", "high"))

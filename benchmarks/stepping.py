@@ -51,7 +51,10 @@ class Runner(NamedTuple):
 
 
 def runner(name: str, size: int, threads: int) -> Runner:
-    """Environments of a name of `ENVIRONMENTS`, after a reset and a step."""
+    """`Runner` of the environments of a name of `ENVIRONMENTS`, after a reset; `size` and `threads`
+    of a vector environment. A kind in the singular is one environment.
+    """
+    # Here: this is a script of any checkout, and `ENVIRONMENTS` is imported without it.
     from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv
     from soil_env.rover_env import SoilRoverEnv, SoilRoverVectorEnv
     from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
@@ -69,7 +72,9 @@ def runner(name: str, size: int, threads: int) -> Runner:
 
 
 def _held_actions(shape: tuple[int, ...], count: int) -> Any:
-    """Endless actions of a shape: `count` random ones, each `HELD` times, over and over."""
+    """Endless float32 actions of a shape: `count` random ones of 0 to 0.8, each `HELD` times, over
+    and over.
+    """
     draws = np.random.default_rng(0).uniform(0.0, 0.8, (count, *shape)).astype(np.float32)
     return itertools.cycle(np.repeat(draws, HELD, axis=0))
 
@@ -84,9 +89,11 @@ def _vector(env: Any) -> Runner:
 def _single(env: Any) -> Runner:
     """Runner of one environment, which is reset at each end of an episode."""
     env.reset(seed=0)
+    # More draws than of a vector environment, which has many in each.
     actions = _held_actions(env.action_space.shape, 512)
 
     def step() -> None:
+        """One step, and a reset after the last one of an episode."""
         _, _, terminated, truncated, _ = env.step(next(actions))
         if terminated or truncated:
             env.reset()
@@ -99,14 +106,19 @@ def rate(runner: Runner, seconds: float) -> float:
     steps = 0
     start = time.perf_counter()
     while time.perf_counter() - start < seconds:
-        for _ in range(max(1, 256 // runner.size)):
+        for _ in range(max(1, 256 // runner.size)):  # steps between two looks at the clock
             runner.step()
             steps += runner.size
     return steps / (time.perf_counter() - start)
 
 
 def main() -> None:
-    """Make the environments named in the arguments and measure them at each line of stdin."""
+    """Make the environments named in the arguments, print "ready", and measure them at each line of
+    stdin.
+
+    Arguments: size of vector environments, threads, seconds of a measurement, names of
+    `ENVIRONMENTS`. Each answer is a line: a JSON list of the `rate` of each.
+    """
     size, threads, seconds, *names = sys.argv[1:]
     runners = [runner(name, int(size), int(threads)) for name in names]
     for each in runners:

@@ -43,7 +43,10 @@ FIRST = {
 
 
 class Checkout:
-    """Worker in the interpreter of a checkout."""
+    """Worker (`benchmarks.stepping` of this checkout) in the interpreter of the checkout `root`.
+
+    Raises `ParameterError` where another checkout has no interpreter in its .venv.
+    """
 
     def __init__(self, root: Path) -> None:
         own = root == ROOT
@@ -55,7 +58,8 @@ class Checkout:
         self.root = root
 
     def start(self, size: int, threads: int, seconds: float) -> None:
-        """Start the worker and wait until all of it is compiled.
+        """Start the worker and wait until all of it is compiled; RuntimeError where it has ended
+        before.
 
         `size`: environments in a vector environment; `seconds` of a measurement of each.
         """
@@ -77,7 +81,7 @@ class Checkout:
         return self.worker.stdout.readline().strip()
 
     def rates(self) -> list[float]:
-        """Steps a second of each environment."""
+        """Measure once: steps a second of each of `ENVIRONMENTS`, in their order."""
         assert self.worker.stdin is not None
         self.worker.stdin.write("\n")
         self.worker.stdin.flush()
@@ -85,7 +89,9 @@ class Checkout:
         return found
 
     def first(self, program: str, cache: str) -> float:
-        """Wall time [s] of a program with compiled code in the folder `cache`."""
+        """Wall time [s] of a process that runs `program`, Python source, with compiled code in the
+        folder `cache`; CalledProcessError where it fails.
+        """
         start = time.perf_counter()
         environment = self.environment | {"NUMBA_CACHE_DIR": cache}
         command = [self.python, "-c", program]
@@ -95,7 +101,9 @@ class Checkout:
         return time.perf_counter() - start
 
     def firsts(self) -> dict[str, float]:
-        """First starts, from an empty folder and again."""
+        """Wall times [s] of the programs `FIRST` by name, from an empty folder of compiled code,
+        and again with what the first start has kept there, "NAME, kept".
+        """
         found = {}
         for name, program in FIRST.items():
             with tempfile.TemporaryDirectory() as cache:
@@ -126,6 +134,7 @@ def command(smoke: bool, out: Path, against: Path | None) -> None:
     """Measure steps per second in one run."""
     file = ready(out, NAME)
     about = machine()
+    # Seconds of a measurement, rounds that count, size of the vector environments.
     seconds, rounds, size = (0.02, 2, 32) if smoke else (1.0, 9, 1024)
     sides = {"here": Checkout(ROOT)}
     if against is not None:
@@ -133,6 +142,7 @@ def command(smoke: bool, out: Path, against: Path | None) -> None:
     firsts = {} if smoke else {name: side.firsts() for name, side in sides.items()}
     for side in sides.values():
         side.start(size, min(2, about["cores"]), seconds)
+    # The first round warms up and does not count.
     found = [{name: side.rates() for name, side in sides.items()} for _ in range(rounds + 1)][1:]
     names = list(ENVIRONMENTS)
     results = compared(found, names)

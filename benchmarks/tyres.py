@@ -26,13 +26,26 @@ POINTS = 200  # of the contact arc
 
 
 def ground(stiffness: float) -> Soil:
-    """Ground of this S with the strength of dry, slightly cohesive soil."""
+    """Ground of this S [N/m^3], with n = 1 and the strength of dry, slightly cohesive soil."""
     law: dict[str, Any] = {"sinkage_exponent": 1.0, "sinkage_coefficient": stiffness}
-    return Soil(30.0, 1000.0, 0.01, **law, gravity_measured=EARTH_GRAVITY)
+    return Soil(
+        friction_angle_deg=30.0,
+        cohesion=1000.0,
+        shear_modulus=0.01,
+        **law,
+        gravity_measured=EARTH_GRAVITY,
+    )
 
 
 def stresses(wheel: ModelWheel, load: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(place along the ground ahead of the lowest point [m], normal, shear stress [Pa]) on rock."""
+    """(place along the ground ahead of the lowest point [m], normal stress [Pa], shear stress [Pa])
+    of a wheel under a load [N] on `ROCK` at `SLIP`.
+
+    Each is [POINTS], from the lowest point on. The arc of a tyre is that of its circle
+    (`contact.substitute_radius`). The normal stress has its peak in the middle of the arc. The
+    soil's strength is multiplied by the share that a wheel with a `grip` transmits
+    (`contact.gripping_share`).
+    """
     soil = ground(ROCK)
     z = float(WheelSoilModel(wheel, soil).predict({"slip": SLIP, "load": load}).sinkage[0])
     r = wheel.radius
@@ -54,12 +67,15 @@ def stresses(wheel: ModelWheel, load: float) -> tuple[np.ndarray, np.ndarray, np
 
 
 def figure() -> tuple[Figure, dict[str, Any]]:
-    """(the picture, {wheel: its drawbar pull over the load on the grounds `STIFFNESS`})."""
+    """(picture of stresses on rock and of the pull over S, {wheel: its drawbar pull over the load
+    on the grounds `STIFFNESS`}) of the preset `husky`, as it is and with a rigid wheel.
+    """
     husky = wheels()["husky"]
     load = husky.body_mass * EARTH_GRAVITY
     tyre = ModelWheel.of(husky)
     assert tyre.tyre is not None
     deflection = load / tyre.tyre.stiffness
+    # The same tyre under this load, by its deflection, which `stresses` needs.
     tyre = replace(tyre, tyre=replace(tyre.tyre, deflection=deflection, stiffness=0.0))
     rigid = ModelWheel(husky.radius, husky.width)
     picture = Figure(figsize=(9.0, 3.4), layout="constrained")

@@ -39,7 +39,10 @@ def network(inputs: int) -> nn.Sequential:
 
 
 class Agent(nn.Module):
-    """Gaussian policy, which drives slowly at first, and value."""
+    """Gaussian policy, whose mean is about 0.3 at first so that it drives, and value.
+
+    `inputs`: entries of an observation.
+    """
 
     def __init__(self, inputs: int):
         super().__init__()
@@ -49,19 +52,21 @@ class Agent(nn.Module):
         nn.init.constant_(self.actor[-1].bias, 0.3)
 
     def policy(self, x: torch.Tensor) -> torch.distributions.Normal:
-        """Distribution of the actions [n, 1]."""
+        """Distribution of the actions [n, 1], not cut to [-1, 1], at observations [n, D]."""
         return torch.distributions.Normal(self.actor(x), self.log_std.exp())
 
 
 def make(wheels: int):
-    """Vector environment of so many wheels."""
+    """Vector environment of so many wheels that resets within a step (SAME_STEP)."""
     mode = {"vectorization_mode": "vector_entry_point", "autoreset_mode": AutoresetMode.SAME_STEP}
     return gymnasium.make_vec("soil_env:SoilWheel-v0", wheels, **mode)
 
 
 def rollout(envs, agent: Agent, x: torch.Tensor) -> tuple[list[torch.Tensor], torch.Tensor]:
-    """Observations, actions, log probabilities, advantages and returns of LENGTH * WHEELS steps,
-    and the next observation.
+    """([observations [N, D], actions [N, 1], log probabilities [N], advantages [N], returns [N]] of
+    N = LENGTH * WHEELS steps, next observations [WHEELS, D]), from the observations x [WHEELS, D].
+
+    Rewards are scaled by REWARD_SCALE. Any end of a course, by its time too, counts as terminal.
     """
     rows = []
     for _ in range(LENGTH):
@@ -90,7 +95,9 @@ def rollout(envs, agent: Agent, x: torch.Tensor) -> tuple[list[torch.Tensor], to
 
 
 def update(agent: Agent, optimiser, x, actions, log_probs, gains, returns) -> None:
-    """The epochs of one rollout, clipped surrogate objective (Schulman et al. 2017)."""
+    """Improve the agent by EPOCHS epochs on the columns of one `rollout`, in batches of BATCH:
+    clipped surrogate objective (Schulman et al. 2017) and half the square error of the value.
+    """
     for _ in range(EPOCHS):
         for part in torch.randperm(len(x)).split(BATCH):
             now = agent.policy(x[part]).log_prob(actions[part]).sum(1)
@@ -106,7 +113,9 @@ def update(agent: Agent, optimiser, x, actions, log_probs, gains, returns) -> No
 
 
 def judge(agent: Agent, courses: int) -> tuple[float, float]:
-    """Mean return and share finished of the mean action over other courses."""
+    """(mean return, share finished) of the policy's mean action over so many other courses, one
+    for each wheel of a vector environment; only its first course counts.
+    """
     envs = make(courses)
     seen, _ = envs.reset(seed=10**6)
     total = np.zeros(courses)
@@ -125,7 +134,9 @@ def judge(agent: Agent, courses: int) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Train, then drive other courses."""
+    """Train for STEPS steps, in whole rollouts, at a learning rate that falls; then print mean
+    return and share finished over COURSES other courses.
+    """
     parser = argparse.ArgumentParser()
     parser.add_argument("steps", type=int, nargs="?", default=400_000)
     parser.add_argument("courses", type=int, nargs="?", default=200)

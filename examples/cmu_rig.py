@@ -41,7 +41,12 @@ PLATES = (7.63e6, 1.9e6, 1.44, 0.029)
 
 
 def read_runs(path: Path, wheel: str) -> list[tuple]:
-    """Rows of `HEADER` of the straight, driven runs of an `all_*_data.mat`, by rim speed."""
+    """Rows of `HEADER` in SI units, a row for each straight run of an `all_*_data.mat` whose rim is
+    no slower than the travel, by rim speed.
+
+    `wheel` begins the names of the runs. Raises `ParameterError` for a file that is not whole, for
+    impossible values in such a run, and where no such run is there.
+    """
     try:
         results = loadmat(path, variable_names=["all_results"]).get("all_results")
     except Exception as error:  # a damaged file leads the reader into errors of any kind
@@ -78,7 +83,7 @@ def read_runs(path: Path, wheel: str) -> list[tuple]:
 
 
 def setup_text(wheel: str) -> str:
-    """Setup of a wheel as YAML."""
+    """Text of the setup file of a wheel of `FILES`, "smooth" or "grouser", as YAML."""
     coefficient, coefficient_sd, exponent, exponent_sd = PLATES
     size = f"radius: {RADIUS:g}, width: {WIDTH:g}, grouser_height: {GROUSER_HEIGHT[wheel]:g}"
     plates = f"value: {coefficient:.0f}, sd: {coefficient_sd:.0f}"
@@ -96,8 +101,8 @@ soil:
 
 
 def convert(path: Path, out: Path) -> dict[str, int]:
-    """Read the files in `path`, or in its raw-data-processing, and write tables and setups; runs by
-    wheel.
+    """Read the files in `path`, or in its raw-data-processing, write tables and setups into `out`,
+    and return {wheel: number of runs}. Raises `ParameterError` where the files are not there.
     """
     home = next(
         (p for p in (path, path / "raw-data-processing") if (p / FILES["smooth"]).is_file()), None
@@ -116,7 +121,7 @@ def convert(path: Path, out: Path) -> dict[str, int]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Convert and print what was written."""
+    """Convert and print what was written; return the exit status, 2 where files are no use."""
     p = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -28,7 +28,9 @@ class Uphill(Ramped):
     }
 
     def rim_speed(self, observation: np.ndarray, state: dict) -> np.ndarray:
-        """Rim speed to follow [m/s] of each row of `observation` [n, D], in its units."""
+        """Rim speed to follow [m/s], [n], for each row of `observation` [n, D] that is not scaled:
+        the ramp times 1 - caution * pitch uphill [rad], 0.2 at least.
+        """
         pitch = observation[:, self.column["pitch"]]
         share = np.clip(1.0 - self.settings["caution"] * np.maximum(pitch, 0.0), 0.2, 1.0)
         own = self.settings
@@ -36,7 +38,7 @@ class Uphill(Ramped):
 
 
 def main() -> None:
-    """Drive one course."""
+    """Drive one course and print how and where it ended."""
     env = gymnasium.make(
         "soil_env:SoilWheel-v0", scenario="mixed", observation="blind", scaled=False
     )

@@ -46,7 +46,7 @@ CHANNELS = {
 
 
 class Recorder:
-    """A bag that is being written."""
+    """A bag in the new folder `path` that is being written; its user closes `writer`."""
 
     def __init__(self, path: Path, storage: StoragePlugin = StoragePlugin.MCAP) -> None:
         self.writer = Writer(path, version=9, storage_plugin=storage)
@@ -54,7 +54,11 @@ class Recorder:
         self.connections = {}
 
     def write(self, topic: str, seconds: float, kind: str, *values) -> None:
-        """One message; where its type has a header, stamped and recorded at the same time."""
+        """Write one message of the type `kind` to a topic, recorded at the time `seconds`.
+
+        `values`: fields of the type in their order, without the header. Of the types that are used
+        here all but Float64 have one, which is stamped with the same time.
+        """
         nanoseconds = round(seconds * 1e9)
         if topic not in self.connections:
             self.connections[topic] = self.writer.add_connection(topic, kind, typestore=STORE)
@@ -65,7 +69,9 @@ class Recorder:
         self.writer.write(self.connections[topic], nanoseconds, data)
 
     def readings(self, seconds: float, reading: dict[str, float], radius: float) -> None:
-        """One set of readings in SI units as messages."""
+        """Write one set of readings in SI units as messages, the sinkage as the height of a hub
+        above the ground for a wheel of this radius [m].
+        """
         vector = T["geometry_msgs/msg/Vector3"]
         quaternion = T["geometry_msgs/msg/Quaternion"]
         none = np.zeros(0)
@@ -108,6 +114,7 @@ class Recorder:
             np.zeros(9),
         )
         height = radius - reading["sinkage"]
+        # Older releases of the message have no variance.
         older = "variance" not in T["sensor_msgs/msg/Range"].__dataclass_fields__
         self.write(
             "/range",
@@ -125,8 +132,8 @@ class Recorder:
 
 
 def drive(recorder: Recorder, seed: int, steps: int):
-    """Drive one course, record it; the scenario and the estimates that the environment gave on the
-    way.
+    """Drive at most so many `steps` of the course of a seed and record them; return (the scenario,
+    the estimate of the environment after each step, as `info["estimate"]`).
     """
     env = gymnasium.make(
         "soil_env:SoilWheel-v0", scenario="mixed", action="torque", scaled=False
@@ -164,10 +171,13 @@ def drive(recorder: Recorder, seed: int, steps: int):
 
 
 def map_of(scenario) -> str:
-    """map.yaml of such a bag, with the wheel, the sensors and the belief of the scenario."""
+    """Text of the map of such a bag, as YAML, with the wheel, the sensors and the belief of the
+    scenario; each channel has the standard deviation of its white noise in SI units.
+    """
     wheel = scenario.wheel
     noise = scenario.noise
     weight = scenario.weight
+    # A belief without a spread of its own has that of the scenario.
     belief = replace(scenario.belief, spread=scenario.belief.spread or scenario.spread)
     sd = {
         "wheel_speed": noise.wheel_speed,
@@ -200,7 +210,9 @@ def map_of(scenario) -> str:
 
 
 def main() -> None:
-    """Record, read back, compare."""
+    """Record a drive and write its map beside the bag; read it back, identify the soil from it, and
+    print how far the estimates are from those of the drive.
+    """
     p = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -18,7 +18,9 @@ from soil_env_agents.sb3 import SoilWheelVecEnv
 
 
 def main() -> None:
-    """Train, then drive other courses."""
+    """Train PPO for STEPS steps, then print mean return and share finished over COURSES other
+    courses.
+    """
     parser = argparse.ArgumentParser()
     parser.add_argument("steps", type=int, nargs="?", default=400_000)
     parser.add_argument("courses", type=int, nargs="?", default=200)

@@ -22,7 +22,9 @@ from soil_env.wrappers import LineAction
 
 
 def main() -> None:
-    """Train, then drive other courses."""
+    """Train SAC for STEPS steps, then print mean return and share finished over COURSES other
+    courses.
+    """
     parser = argparse.ArgumentParser()
     parser.add_argument("steps", type=int, nargs="?", default=60_000)
     parser.add_argument("courses", type=int, nargs="?", default=100)

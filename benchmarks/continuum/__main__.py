@@ -52,6 +52,7 @@ def command() -> None:
 def rig_command(out: Path, only: str | None, workers: int) -> None:
     """Measure what the tables still lack: a wheel at forced slips under loads."""
     make_folder(out)
+    # Rows by load and slip; a table is written anew after each row, so that the command resumes.
     tables = {table: rig.read(out / f"{table}.csv") for table in WHEELS if only in (None, table)}
     left = [
         (table, load, slip)
@@ -86,6 +87,7 @@ def pile_command(workers: int) -> None:
 def loop_command(smoke: bool, out: Path, only: str | None, beds: int, workers: int) -> None:
     """Learn models from tables, tune a rule in them and let it drive on the continuum."""
     file = ready(out, "continuum")
+    # {table: what `_learnt` gives, and under "drives" {"MODEL BED": `loop.Drive` as a dict}}.
     found = read_json(file) if file.exists() else {}
     for table in (only,) if only else WHEELS:
         if table not in found:
@@ -107,7 +109,9 @@ def loop_command(smoke: bool, out: Path, only: str | None, beds: int, workers: i
 
 
 def _learnt(table: str) -> dict:
-    """What is learnt from a table, and the rule that is tuned in each model."""
+    """What is learnt from a table: verdict and named effects of discovery, "errors" as `loop.learn`
+    gives them, and under "tuned" for each of its models the grade [deg] with the `loop.Drive`.
+    """
     report, errors = loop.learn(TABLES / f"{table}.csv")
     shape = SHAPES[WHEELS[table][1]]
     tuned = {}
@@ -123,18 +127,24 @@ def _learnt(table: str) -> dict:
 
 
 def _driven(cell: tuple[str, str, float, int], smoke: bool) -> loop.Drive:
-    """The drive of a table, a model, its grade and a bed."""
+    """The drive on the continuum of a `cell`: table, name of the model, which is not used, the
+    grade [deg] that was tuned in it, and number of the bed, which seeds its disorder.
+
+    With `smoke` the bed is short, shallow and coarse.
+    """
     table, _, grade, bed = cell
     soil, shape = WHEELS[table]
     ground = Bed(length=1.5, depth=0.08, spacing=0.04) if smoke else loop.LONG
     slope = math.radians(grade)
-    load = loop.LOAD * math.cos(slope)
+    load = loop.LOAD * math.cos(slope)  # [N] normal to the ground
     wheel = Rig(ground, SOILS[soil], SHAPES[shape], load, np.random.default_rng(bed), slope)
     return loop.on_continuum(wheel, loop.scenario_of(SHAPES[shape], grade), grade)
 
 
 def _interval(values: Sequence[float], scale: float, digits: int) -> str:
-    """Mean with its 95 % interval by Student's distribution."""
+    """Mean of at least two values times `scale` with its 95 % interval by Student's distribution,
+    "MEAN [LOW, HIGH]", with so many decimals (`digits`).
+    """
     of = scale * np.asarray(values)
     half = student_t.ppf(0.975, len(of) - 1) * of.std(ddof=1) / math.sqrt(len(of))
     mean, low, high = (f"{x:.{digits}f}" for x in (of.mean(), of.mean() - half, of.mean() + half))
@@ -142,10 +152,10 @@ def _interval(values: Sequence[float], scale: float, digits: int) -> str:
 
 
 def pages(found: dict) -> dict[str, Table]:
-    """The tables of the page."""
+    """The tables of the page, by heading, of what `loop_command` found."""
     errors = []
     drives = []
-    shown = (("slip", 1.0, 2), ("distance", 1.0, 2), ("sinkage", 1e3, 1))
+    shown = (("slip", 1.0, 2), ("distance", 1.0, 2), ("sinkage", 1e3, 1))  # key, factor, decimals
     for table, of in found.items():
         for model, tuned in of["tuned"].items():
             sinkage, pull, torque = of["errors"][model]

@@ -53,8 +53,8 @@ class Drive(NamedTuple):
 def learn(table: Path) -> tuple[Report, dict[str, list[float]]]:
     """(what discovery finds in the rows of the learnt loads, errors in the others).
 
-    Errors are root mean squares of sinkage [m], drawbar pull [N] and torque [N m], of the base
-    model and of the corrected one.
+    Errors are root mean squares of sinkage [m], drawbar pull [N] and torque [N m], by model: "base"
+    and "corrected". `table` is the path of the CSV file.
     """
     rows, setup = read_rig(table.parent, table.stem)
     learnt = np.isin(rows.load, LEARNT)
@@ -72,8 +72,12 @@ def learn(table: Path) -> tuple[Report, dict[str, list[float]]]:
 
 
 def settings(shape: Shape, grade: float) -> dict[str, Any]:
-    """The drive up a grade [deg], with exact sensors: changes of the scenario `mixed`."""
-    even = (LONG.length * 10.0,) * 2
+    """The drive up a grade [deg], with exact sensors: changes of the scenario `mixed`.
+
+    The course is one patch of one grade, longer than any drive, without halts, load or terrain
+    classes.
+    """
+    even = (LONG.length * 10.0,) * 2  # [m] least and largest length of a patch and of a slope
     return {
         "wheel": {"radius": shape.radius, "width": shape.width} | DRIVE,
         "noise": {field.name: 0.0 for field in fields(Noise)},
@@ -87,7 +91,7 @@ def settings(shape: Shape, grade: float) -> dict[str, Any]:
             "halt_time": 0.0,
             "classes": 0,
             "lines": 1,
-            "least_pull": -1.0,
+            "least_pull": -1.0,  # [of load] any soil is taken, however little it pulls
         },
         "limits": {"bogged_sinkage": 1.4},  # soil that is deep at its best pull is no obstacle here
         "control": {"action": "wheel_speed", "time_limit": SECONDS},
@@ -100,7 +104,9 @@ def scenario_of(shape: Shape, grade: float) -> Scenario:
 
 
 def task(shape: Shape, grade: float, model: WheelSoilModel) -> gymnasium.Env:
-    """The drive up a grade [deg] in the environment of a model."""
+    """Environment of the drive up a grade [deg]: exactly the wheel and the soil of a model, with
+    observations as controllers read them (`scaled=False`).
+    """
     return gymnasium.make(
         "soil_env:SoilWheel-v0",
         scenario="mixed",
@@ -112,8 +118,10 @@ def task(shape: Shape, grade: float, model: WheelSoilModel) -> gymnasium.Env:
 
 
 def _drive(scenario: Scenario, step: Callable, observation: np.ndarray) -> Drive:
-    """Let the rule drive from an `observation` [D]; `step` takes an action [1] and returns the next
-    observation, the place [m], the slip and the sinkage [m].
+    """Let the rule drive for `SECONDS` from an `observation` [D].
+
+    `step` takes an action [1] of a control period and returns the next observation, the place [m],
+    the slip and the sinkage [m].
     """
     controller = make_controller(CONTROLLER, scenario, speed=SPEED, acceleration=ACCELERATION)
     memory = None
@@ -128,13 +136,14 @@ def _drive(scenario: Scenario, step: Callable, observation: np.ndarray) -> Drive
 
 
 def simulated(shape: Shape, grade: float, model: WheelSoilModel) -> Drive:
-    """A drive in the environment of a model."""
+    """A drive up a grade [deg] in the environment of a model."""
     env = task(shape, grade, model)
     observation, _ = env.reset(seed=0)
     last = [observation, 0.0, 0.0, 0.0]
     over = False
 
     def step(action: np.ndarray) -> list:
+        """`step` of `_drive`; once the episode is over, what it returned last."""
         nonlocal over
         if not over:  # an immobilised wheel stays where it is
             seen, _, terminated, truncated, info = env.step(action)
@@ -147,7 +156,11 @@ def simulated(shape: Shape, grade: float, model: WheelSoilModel) -> Drive:
 
 
 def tuned(shape: Shape, model: WheelSoilModel) -> tuple[float, Drive]:
-    """(steepest grade [deg] on which the slip is not too large, the drive there)."""
+    """(steepest grade [deg] on which the slip is at most `SLIP`, the drive there) in a model.
+
+    `GRADES` are tried from the least one up to the first whose slip is larger. The least one counts
+    whatever its slip is.
+    """
     best = None
     for grade in GRADES:
         drive = simulated(shape, grade, model)
@@ -159,7 +172,11 @@ def tuned(shape: Shape, model: WheelSoilModel) -> tuple[float, Drive]:
 
 
 def on_continuum(rig: Rig, scenario: Scenario, grade: float) -> Drive:
-    """A drive up a grade [deg] on the continuum, whose readings the rule gets."""
+    """A drive up a grade [deg] on the continuum, whose exact readings the rule gets.
+
+    The `rig` is on a bed that rises by this grade. Its wheel first comes to rest for `REST` and is
+    then let go; the place is counted from there.
+    """
     slope = math.radians(grade)
     rig.forward(REST)
     rig.let_go(DRIVE["body_mass"], DRIVE["inertia"], DRIVE["stall_torque"], DRIVE["no_load_speed"])
@@ -168,6 +185,7 @@ def on_continuum(rig: Rig, scenario: Scenario, grade: float) -> Drive:
     width = rig.shape.width
 
     def read() -> Readings:
+        """Readings now; forces and torque are means over the last `Rig.forward`."""
         return Readings(
             wheel_speed=float(rig.wheel.speed),
             speed=float(rig.wheel.along),
@@ -179,9 +197,12 @@ def on_continuum(rig: Rig, scenario: Scenario, grade: float) -> Drive:
         )
 
     def step(action: np.ndarray) -> list:
-        rig.forward(scenario.control.period, float(action[0]), True)
+        """`step` of `_drive`; the action is the share of the no-load speed that the motor
+        follows.
+        """
+        rig.forward(scenario.control.period, command=float(action[0]), by_speed=True)
         rim = rig.shape.radius * float(rig.wheel.speed)
-        slip = 1.0 - float(rig.wheel.along) / max(rim, 1e-3)
+        slip = 1.0 - float(rig.wheel.along) / max(rim, 1e-3)  # [m/s] of a rim at rest, to divide by
         return [
             observer.observe(read(), action),
             float(rig.wheel.x) - begin,

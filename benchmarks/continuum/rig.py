@@ -69,7 +69,11 @@ HEAD = ("slip", "load", "speed", *COLUMNS, *(f"{name}_sd" for name in COLUMNS))
 
 
 def measured(shape: Shape, material: Material, load: float, slip: float, bed: Bed) -> list[float]:
-    """A row of a table: sinkage [m], drawbar pull [N], torque [N m], then their deviations."""
+    """A row of a table: sinkage [m], drawbar pull [N], torque [N m], then their standard
+    deviations, by the means of the module's docstring.
+
+    `load` in N; load and slip seed the disorder of the particles.
+    """
     seed = zlib.crc32(f"{load} {slip}".encode())
     rig = Rig(bed, material, shape, load, np.random.default_rng(seed))
     rig.wheel.along = RIM_SPEED * (1.0 - slip)
@@ -87,15 +91,17 @@ def measured(shape: Shape, material: Material, load: float, slip: float, bed: Be
 
 
 def row(cell: tuple[str, float, float]) -> list[float]:
-    """`measured` of a table, a load and a slip."""
+    """`measured` of a `cell`: name of the table, load [N] and slip, on the usual `Bed`."""
     table, load, slip = cell
     soil, shape = WHEELS[table]
     return measured(SHAPES[shape], SOILS[soil], load, slip, Bed())
 
 
 def piling(cell: tuple[str, float], bed: Bed = TRACK) -> float:
-    """Travel [m] in which the torque of a smooth wheel in a soil under a load settles once it is
-    braked: the length of an exponential.
+    """Travel [m] in which the torque of a smooth wheel settles once it is braked, from rolling
+    without slip to the slip `BRAKED_SLIP`: the length of an exponential.
+
+    `cell`: name of the soil, load [N].
     """
     soil, load = cell
     shape = SHAPES["smooth"]
@@ -123,7 +129,7 @@ def _settling(travel: np.ndarray, end: float, change: float, length: float) -> n
 
 
 def read(file: Path) -> dict[tuple[float, float], list[str]]:
-    """Rows of a table by load and slip; none where there is no table."""
+    """Cells of each row of a table, by (load [N], slip); {} where there is no such file."""
     if not file.exists():
         return {}
     with file.open(newline="", encoding="utf-8") as stream:
@@ -132,7 +138,9 @@ def read(file: Path) -> dict[tuple[float, float], list[str]]:
 
 
 def write_table(folder: Path, table: str, rows: dict[tuple[float, float], list[str]]) -> None:
-    """Write a table and its setup."""
+    """Write TABLE.csv, its rows by load and then slip, and TABLE.setup.yaml, with shear tests as
+    priors of the soil and the rig stated as exact; `rows` as from `read`.
+    """
     lines = [",".join(HEAD), *(",".join(rows[key]) for key in sorted(rows))]
     soil, shape = WHEELS[table]
     outline = SHAPES[shape]

@@ -68,7 +68,7 @@ class Bed(NamedTuple):
 
     @property
     def nodes(self) -> tuple[int, int]:
-        """Nodes of the grid along and up."""
+        """Numbers of nodes of the grid along and up; `EDGE` at each end are beyond the box."""
         up = self.depth + self.headroom
         return tuple(round(side / self.spacing) + 2 * EDGE for side in (self.length, up))
 
@@ -113,7 +113,9 @@ class Step(NamedTuple):
 
 
 def filled(bed: Bed, material: Material, rng: np.random.Generator) -> Particles:
-    """Particles of a level bed at rest, under the pressure of the soil above them."""
+    """`Particles` of a level bed at rest, under the weight of the soil above them and, sideways,
+    the elastic pressure at rest. They are a regular grid with `DISORDER`.
+    """
     between = bed.between
     columns, rows = (round(side / between) for side in (bed.length, bed.depth))
     along, up = np.meshgrid(
@@ -126,13 +128,13 @@ def filled(bed: Bed, material: Material, rng: np.random.Generator) -> Particles:
     sideways = material.poisson / (1.0 - material.poisson) * upright
     stress = np.stack([sideways, upright, np.zeros(n), sideways], axis=1)
     return Particles(
-        position,
-        np.zeros((n, 2)),
-        np.zeros((n, 2, 2)),
-        stress,
-        np.full(n, between**2),
-        np.zeros(n),
-        np.zeros(n),
+        position=position,
+        velocity=np.zeros((n, 2)),
+        gradient=np.zeros((n, 2, 2)),
+        stress=stress,
+        volume=np.full(n, between**2),
+        gap=np.zeros(n),
+        stretch=np.zeros(n),
     )
 
 
@@ -142,26 +144,28 @@ def empty_grid(bed: Bed) -> Grid:
 
 
 def step_of(bed: Bed, material: Material, slope: float) -> Step:
-    """Step of a bed that rises by `slope` [rad] along."""
+    """`Step` of a bed that rises by `slope` [rad] along; its axes rise with it."""
     return Step(
-        SHARE * bed.spacing / material.sound,
-        bed.spacing,
-        material.density * bed.between**2,
-        0.5 * bed.between,
-        MOST_SWELLING * bed.between**2,
-        -GRAVITY * math.sin(slope),
-        -GRAVITY * math.cos(slope),
-        bed.length,
-        material.friction,
-        material.cohesion,
-        material.shear,
-        material.bulk,
+        time=SHARE * bed.spacing / material.sound,
+        spacing=bed.spacing,
+        mass=material.density * bed.between**2,
+        reach=0.5 * bed.between,
+        swollen=MOST_SWELLING * bed.between**2,
+        gravity_along=-GRAVITY * math.sin(slope),
+        gravity_up=-GRAVITY * math.cos(slope),
+        length=bed.length,
+        friction=material.friction,
+        cohesion=material.cohesion,
+        shear=material.shear,
+        bulk=material.bulk,
     )
 
 
 @njit(**FAST)
 def cell(x, spacing):
-    """(first of three nodes, distance from it in spacings) of a coordinate [m]."""
+    """(index of the first of the three nodes about a coordinate [m], distance from it in spacings,
+    0.5 to 1.5). Node `EDGE` is at 0 m.
+    """
     scaled = x / spacing + EDGE
     first = int(scaled - 0.5)
     return first, scaled - first
@@ -170,7 +174,7 @@ def cell(x, spacing):
 @njit(**FAST)
 def within(x, nodes, spacing):
     """A coordinate [m], no further than a grid of so many `nodes`: grains that lugs throw stop at
-    its edge.
+    its edge. NaN becomes the lower end, so that no index is out of range.
     """
     low = (1.0 - EDGE) * spacing
     high = (nodes - 3.0 - EDGE) * spacing
@@ -181,14 +185,16 @@ def within(x, nodes, spacing):
 
 @njit(**FAST)
 def weights(d):
-    """Values of the quadratic B-splines of three nodes at the distance `d` from the first."""
+    """Values of the quadratic B-splines of three nodes at the distance `d` [spacings] from the
+    first, 0.5 to 1.5; their sum is 1.
+    """
     return 0.5 * (1.5 - d) ** 2, 0.75 - (d - 1.0) ** 2, 0.5 * (d - 0.5) ** 2
 
 
 @njit(**FAST)
 def scatter(grid, particles, q, push_along, push_up, step):
-    """Add the mass and momentum of particle q, with its stress and a force on it (`push_along`,
-    `push_up`) [N/m], to the grid.
+    """Add the mass of particle q to the nodes of the grid about it, and the momentum at the end of
+    the step: with its stress, gravity and a force on it (`push_along`, `push_up`) [N/m].
     """
     i, dx = cell(particles.position[q, 0], step.spacing)
     j, dz = cell(particles.position[q, 1], step.spacing)
@@ -217,7 +223,9 @@ def scatter(grid, particles, q, push_along, push_up, step):
 
 @njit(**FAST)
 def velocities(grid, step):
-    """Turn momenta into velocities; the floor holds the soil, the ends let it slide up and down."""
+    """Turn momenta of the nodes with mass into velocities. The floor holds the soil; the ends of
+    the bed let it slide up and down, and away from them.
+    """
     along, up = grid.mass.shape
     for i in range(along):
         x = (i - EDGE) * step.spacing
@@ -236,7 +244,9 @@ def velocities(grid, step):
 
 @njit(**FAST)
 def gather(grid, particles, q, step):
-    """Move particle q with the grid, whose velocity and its gradient it takes."""
+    """Give particle q the velocity of the grid at its place and the gradient of that, and move it
+    by that velocity for a step, `within` the grid.
+    """
     i, dx = cell(particles.position[q, 0], step.spacing)
     j, dz = cell(particles.position[q, 1], step.spacing)
     across = weights(dx)
@@ -277,7 +287,13 @@ def gather(grid, particles, q, step):
 
 @njit(**FAST)
 def strain(particles, q, step):
-    """Strain particle q by its velocity gradient: elastic, then back to the strength."""
+    """Strain particle q by its velocity gradient for a step: its volume and stress change
+    elastically, then the shear stress returns to the strength at the new pressure.
+
+    Soil with no strength left is torn: its stress becomes the even tension cohesion/friction,
+    without shear. The volume strain beyond that is added to its `gap`, up to `MOST_GAP`. A
+    compression closes the gap before it raises the pressure.
+    """
     gradient = particles.gradient[q]
     stress = particles.stress[q]
     volume = step.time * (gradient[0, 0] + gradient[1, 1])

@@ -81,8 +81,8 @@ FORCES = np.dtype([(name, "f8") for name in ("along", "up", "torque")], align=Tr
 
 @njit(**FAST)
 def outline(x, z, angle, shape):
-    """(distance, normal along, normal up) from the wheel to a point relative to its axle; negative
-    inside.
+    """(distance [m], normal along, normal up) from the surface of the wheel to a point (x, z) [m]
+    from its axle; negative inside. The normal points outward; `angle` [rad] turns the lugs.
     """
     away = math.hypot(x, z)
     distance = away - shape.radius
@@ -93,6 +93,7 @@ def outline(x, z, angle, shape):
         lug = round((math.atan2(z, x) + angle) / pitch) * pitch - angle
         cos = math.cos(lug)
         sin = math.sin(lug)
+        # The nearest lug is a rectangle that begins as deep below the rim as it stands above it.
         out = x * cos + z * sin - shape.radius
         side = z * cos - x * sin
         beyond_top = abs(out) - shape.lug_height
@@ -116,8 +117,11 @@ def outline(x, z, angle, shape):
 
 @njit(**FAST)
 def push(particles, q, wheel, shape, step, stiffness):
-    """(along, up) force [N/m] of the wheel on particle q, whose elastic slip goes on; `stiffness`
-    [N/m2] of the contact.
+    """(along, up) force [N/m] of the wheel on particle q; `stiffness` [N/m2] of the contact.
+
+    Normal to the surface it is a spring and a damper that never pull. Along the surface it is a
+    spring on the elastic slip `stretch`, within the friction `GRIP`. The stretch is updated, to 0
+    without contact.
     """
     x = particles.position[q, 0] - wheel.x
     z = particles.position[q, 1] - wheel.z
@@ -136,7 +140,7 @@ def push(particles, q, wheel, shape, step, stiffness):
     parting = relative_along * along + relative_up * up
     sliding = relative_up * along - relative_along * up
     normal = 0.0
-    if parting < FASTEST_OUT:
+    if parting < FASTEST_OUT:  # a grain deep in a lug would otherwise be shot out
         normal = max(stiffness * depth - DAMPING * math.sqrt(stiffness * step.mass) * parting, 0.0)
     stretch = particles.stretch[q] + sliding * step.time
     most = GRIP * normal / stiffness
@@ -148,7 +152,9 @@ def push(particles, q, wheel, shape, step, stiffness):
 
 @njit(**FAST)
 def advance(count, particles, grid, wheel, forces, step, vehicle):
-    """Make `count` steps; `forces` become means. Without a load there is no wheel."""
+    """Make `count` steps of soil and wheel, in place; `forces` (`FORCES`) become their means over
+    these steps. Without a load there is no wheel: neither contact nor motion.
+    """
     body = vehicle.body
     motor = vehicle.motor
     stiffness = STIFFNESS * step.mass / step.time**2
@@ -202,7 +208,11 @@ class Rig:
         rng: np.random.Generator,
         slope: float = 0.0,
     ) -> None:
-        """Let a bed come to rest on a `slope` [rad], and put a wheel with a `load` [N] on it."""
+        """Let a bed come to rest on a `slope` [rad], and put a wheel with a `load` [N] on it.
+
+        The wheel is at rest at `START`, its lugs `CLEARANCE` above the soil, and free up and down
+        only: it keeps the speeds `wheel.along` and `wheel.speed` that it is given, until `let_go`.
+        """
         self.shape = shape
         self.bed = bed
         self.particles = filled(bed, material, rng)
@@ -210,7 +220,7 @@ class Rig:
         self.step = step_of(bed, material, slope)
         self.wheel = np.zeros(1, WHEEL).view(np.recarray)[0]
         self.forces = np.zeros(1, FORCES).view(np.recarray)[0]
-        self.motor = Motor(1.0, 1.0)
+        self.motor = Motor(1.0, 1.0)  # any, until `let_go`: the wheel is held to its speeds
         held = Body(0.0, HELD, HELD, HELD, 0.0)
         self.body = held
         self.forward(SETTLING)
@@ -222,7 +232,11 @@ class Rig:
         self.wheel.z = self.surface + shape.radius + shape.lug_height + CLEARANCE
 
     def forward(self, seconds: float, command: float = 0.0, by_speed: bool = False) -> None:
-        """Go on for about so long; `forces` are then the means of that time."""
+        """Go on for about so many seconds, in whole steps, at least one; `forces` are then the
+        means of that time. `command` and `by_speed` as of `motor_torque`.
+
+        FloatingPointError where the continuum has become unstable.
+        """
         count = max(1, round(seconds / self.step.time))
         motor = self.motor._replace(command=command, by_speed=by_speed)
         vehicle = Vehicle(self.shape, self.body, motor)
@@ -233,8 +247,8 @@ class Rig:
     def let_go(
         self, mass: float, inertia: float, stall_torque: float, no_load_speed: float
     ) -> None:
-        """Let the wheel travel and turn: mass [kg], inertia [kg m2], stall torque [N m] and
-        no-load speed [rad/s] of its motor.
+        """Let the wheel travel and turn by its motor from now on: mass [kg], inertia [kg m2], stall
+        torque [N m] and no-load speed [rad/s]. The weight of the mass drags it down the slope.
         """
         width = self.shape.width
         along = mass / width
@@ -249,8 +263,11 @@ class Rig:
         return self.surface + self.shape.radius - float(self.wheel.z)
 
     def _height(self) -> float:
-        """Height of the level bed [m]: mean of the highest particles of its columns."""
+        """Height of the level bed [m]: mean of the highest particles of its columns of cells, with
+        half of their size.
+        """
         position = self.particles.position
+        # The soil stands otherwise at the ends.
         inner = (position[:, 0] > 0.1) & (position[:, 0] < self.bed.length - 0.1)
         column = np.floor(position[inner, 0] / self.bed.spacing).astype(int)
         highest = np.zeros(column.max() + 1)

@@ -170,7 +170,8 @@ class Fit:
         """[M, R] whitened form errors, nuisances and smooth contributions at these sizes, side by
         side.
 
-        Those of size 0 are left out. So are patterns, since no fit is made with one.
+        Those of size 0 are left out; [M, 0] if all are. `Sizes.patterns` do not count, since no fit
+        is made with one.
         """
         blocks = zip(
             (*self.form_errors, *self.free), (*sizes.of_form_errors, *sizes.free), strict=True
@@ -182,9 +183,10 @@ class Fit:
     def linearised(self) -> tuple[np.ndarray, np.ndarray]:
         """(A [M + p + R, k], e [M + p + R]): the whitened least squares |A x - e| about the fit.
 
-        The first M rows are the values, the others the priors of the p unknowns and of the R
-        columns of form errors. x are changes of the unknowns and then the coefficients of the form
-        errors, at the sizes of the fit. Unknowns at a bound have no column, since they do not move.
+        The first M rows are the values, over the noise times the scatter. The others are the priors
+        of the p unknowns and of the R columns of form errors. x [k] are changes of the unknowns and
+        then the R coefficients of the form errors, at the sizes of the fit. Unknowns at a bound
+        have no column, since they do not move.
         """
         extra = self.columns(self.sizes)
         free = np.concatenate([self.free_unknowns, np.ones(extra.shape[1], dtype=bool)])
@@ -230,11 +232,12 @@ class Problem:
 
     def _lay_form_errors(self) -> None:
         """Lay Gaussian processes over the conditions of the table, and set `size` [3], the rms of
-        each channel.
+        each channel over its values in use, 0 without any.
 
-        The form error of the base law has a process for each of `ALL_LAW_LENGTHS`. That of effects
-        has one for each set of conditions that some effect depends on. `free_functions` [N, R], for
-        a smooth anonymous contribution, depend on all conditions.
+        The form error of the base law has a process over `INPUTS` for each of `ALL_LAW_LENGTHS`.
+        That of effects has one for each set of conditions that some effect depends on beside these.
+        `free_functions` [N, R], for a smooth anonymous contribution, depend on all conditions and
+        on the time, where it is known.
         """
         at = self.data.conditions | self.data.elapsed
         self.law_processes = [
@@ -254,8 +257,9 @@ class Problem:
     def _bench(self) -> Bench:
         """Sizes of this rig, which priors of effects scale with.
 
-        Speeds are geometric means: that of sliding over the rows that slip, or that of travel if
-        none does. Both are 0 if a row has no speed.
+        `speed` and `sliding` are geometric means: that of sliding over the rows that slip, or that
+        of travel if none does. Both are 0 if a row has no speed. The sinkage is the median of its
+        amounts, since a wrong zero makes it negative, or `USUAL_SINKAGE` if none was measured.
         """
         rows = self.data.rows
         r = self.data.wheel.radius
@@ -305,15 +309,17 @@ class Problem:
         return (*self.soil, *of_effects)
 
     def _of_effect(self, effect: str, name: str) -> Unknown:
-        """`Unknown` of the parameter `name`, "<effect>_<parameter>", of an effect."""
+        """`Unknown` of the parameter `name`, "<effect>_<parameter>", of an effect, with the prior
+        and the bounds that `unknowns` states.
+        """
         p = LAWS[effect].parameter(name.removeprefix(f"{effect}_"))
         if p.centre is not None:
             centre = self.centres.get(name, p.centre)
             low = math.log(max(p.low, LEAST_OF_CENTRE * centre))
-            return Unknown(name, math.log(centre), p.scale, low, math.log(p.high), True)
+            return Unknown(name, math.log(centre), p.scale, low, math.log(p.high), log=True)
         sd, low, high = self.scales.get(name, (p.scale, p.low, p.high))
         mean = self.laws["dig_gain"] if name == "slip_sinkage_gain" else p.neutral
-        return Unknown(name, mean, sd, max(low, p.low), min(high, p.high), False)
+        return Unknown(name, mean, sd, max(low, p.low), min(high, p.high), log=False)
 
     def effects(self, choices: Choices, values: dict[str, float]) -> Effects:
         """`Effects` of the world: those of the `choices` that are in the catalogue, with parameters
@@ -337,8 +343,8 @@ class Problem:
 
         `values`: fitted parameters by name. `guess` [N]: sinkages [m] to start from, overwritten by
         the solution. `rows`: those of the table if None. `more`: amounts that are added to
-        parameters of effects. Errors of the rig and laws without a name change the rows before the
-        laws of the world, and the outcome after them.
+        parameters of effects, by the fields of `Effects`. Errors of the rig and laws without a name
+        change the rows before the laws of the world, and the outcome after them.
         """
         fx = self.effects(choices, values)
         if more:
@@ -349,7 +355,7 @@ class Problem:
         outside = {
             name: values[name] for c in choices if c.effect not in CATALOGUE for name in c.free
         }
-        if "tilt_angle_deg" in outside:
+        if "tilt_angle_deg" in outside:  # resolved by `predict_table` as a tilt of the setup
             soil["tilt_deg"] = outside["tilt_angle_deg"]
         rows = true_rows(rows or self.data.rows, outside)
         by_row = factors(rows, outside, self.bench)
@@ -401,7 +407,8 @@ class Problem:
         `start`: parameters by name; others start at their prior mean or a little off (`_start_of`).
         `near`: a fit to the same table, whose form errors at these `sizes` are in the covariance.
         Without it the covariance is that of the noise times the scatter, and no other size counts.
-        Output, derivatives and form errors of the `Fit` are those at its optimum.
+        No start is nearer to a bound than `_SAME`. Output, derivatives and form errors of the `Fit`
+        are those at its optimum; a residual is `_NO_VALUE` where the model has no value there.
         """
         law = Law(self, choices)
         low, high = law.bounds
@@ -424,19 +431,19 @@ class Problem:
         of_law, effect, rig = law.form_errors(u, output, added)
         free = [_in_channel(self.free_functions, size) for size in np.diag(self.size)]
         return Fit(
-            choices,
-            law.unknowns,
-            u,
-            output,
-            added,
-            np.where(np.isfinite(residual), residual, _NO_VALUE),
-            law.derivatives(u),
-            tuple(map(self.whiten, of_law)),
-            self.whiten(effect),
-            tuple(map(self.whiten, free)),
-            self.whiten(rig),
-            converged,
-            counted,
+            choices=choices,
+            unknowns=law.unknowns,
+            u=u,
+            output=output,
+            added=added,
+            residual=np.where(np.isfinite(residual), residual, _NO_VALUE),
+            jacobian=law.derivatives(u),
+            law=tuple(map(self.whiten, of_law)),
+            effect=self.whiten(effect),
+            free=tuple(map(self.whiten, free)),
+            rig=self.whiten(rig),
+            converged=converged,
+            sizes=counted,
         )
 
     def _start_of(self, unknown: Unknown) -> float:
@@ -514,8 +521,8 @@ class Law:
         )
 
     def stresses(self, u: np.ndarray, output: np.ndarray) -> list[np.ndarray]:
-        """Derivatives [N, 3] of the output at u by the relative size of each of the
-        `form_error.stress_changes`; the `output` at u gives their typical sinkage.
+        """Derivatives [N, 3] of the output at u by the relative size of each of the five
+        `form_error.stress_changes`; the median of the `output` at u gives their typical sinkage.
         """
         values = self.values(u)
         sinkage = float(np.nanmedian(output[:, 0]))
@@ -536,12 +543,12 @@ class Law:
         at: Conditions | None = None,
     ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
         """(form errors of the base law for each of `ALL_LAW_LENGTHS`, form errors of the effects,
-        nuisances of the instrument), each [N, 3, R], at u and at the size 1.
+        nuisances of the instrument), each [N, 3, R] in [m, N, N m], at u and at the size 1.
 
         The error of the base law acts on the stresses. That of an effect is a factor on what it has
-        `added`, of its own for each channel. For an effect with `any_form` it is one factor for all
-        channels, `ANY_FORM` times as large. `output`: that at u. `at`: conditions of the rows,
-        where they are not those of the processes.
+        `added`, of its own for each channel that the effect `moves`. For an effect with `any_form`
+        it is one factor for all of them, `ANY_FORM` times as large. `output`: that at u. `at`:
+        conditions of the rows, where they are not those of the processes.
         """
         problem = self.problem
 

@@ -109,12 +109,14 @@ def corrected(found: Prediction, named: Sequence[str] = ()) -> WheelSoilModel:
     In the rest are errors of the rig, effects that only sensors feel (`SENSED`), and effects that
     together change no value by `LITTLE`. Exceptions: a `SENSED` effect that is `named` stays an
     effect, and so does `soil_flow`, which braked wheels would show. A named error of the rig and
-    the tilt of the setup are in neither, since the world is no rig.
+    the tilt of the setup are in neither, since the world is no rig. The steps of the table grow by
+    `COARSER` until it has at most `MOST` nodes.
     """
     problem = found.problem
     left = [name for name in (*INSTRUMENT, *SENSED) if name not in {*named} & {*SENSED}]
     choices = tuple(c for c in found.law.choices if c.effect not in left)
     output = problem.predict(found.values, choices, np.maximum(found.output[:, 0], 0.0))
+    # `output` stays that of all effects: those that are left out change little even together.
     for name in dict.fromkeys(c.effect for c in choices if c.effect != "soil_flow"):
         fewer = tuple(c for c in choices if c.effect != name)
         there = problem.predict(found.values, fewer, np.maximum(output[:, 0], 0.0))
@@ -137,8 +139,9 @@ def _remainder(
 ) -> ResidualTable:
     """The table of a prediction less `model`, at all combinations of the `nodes` of each condition:
     sinkage over radius, pull over load, torque over load times radius, and their standard
-    deviations. The values, but not the deviations, are 0 where the model has none. Its axes are the
-    nodes as dimensionless groups (`residual.GROUPS`).
+    deviations. The values, but not the deviations, are 0 where the model has none. Values are cut
+    to ±`LARGEST`, deviations to `MOST_SD`. Its axes are the nodes as dimensionless groups
+    (`residual.GROUPS`).
 
     Conditions that are no node are at their medians, the ground level; slip always is one, and its
     nodes are true slips. `without`: errors of the rig that the prediction leaves out.
@@ -158,6 +161,7 @@ def _remainder(
     mean, sd = found.at(at, without)
     left = np.clip(np.nan_to_num(mean - law) / size, -LARGEST, LARGEST)
     columns = np.concatenate([left, np.minimum(sd / size, MOST_SD)], axis=1)
+    # Values in four digits, deviations in two; + 0.0 makes -0 a 0.
     text = [
         " ".join(f"{x + 0.0:.{4 if k < len(CHANNELS) else 2}g}" for x in column)
         for k, column in enumerate(columns.T)
@@ -184,9 +188,10 @@ class Guess(NamedTuple):
 
 def least_sure(found: Prediction) -> Guess | None:
     """The corner of the remainder's table where the standard deviation is largest, relative to the
-    largest at the measured conditions.
+    largest at the measured conditions, in the mean of the channels in use.
 
-    None where the wheel sinks deeper than `predictive.DEEPEST` radii in every corner.
+    Conditions that are no axis of the table are at their medians and not named. None where the
+    wheel sinks deeper than `predictive.DEEPEST` radii in every corner.
     """
     problem = found.problem
     nodes = _nodes(found, 1.0)
@@ -211,9 +216,10 @@ def least_sure(found: Prediction) -> Guess | None:
 def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
     """Nodes of the remainder's table by condition that varies, in units of a measurement table.
 
-    Slip and load go beyond the measured range, in steps `coarse` times the usual. Slip has a node
-    at 0 where it changes sign, and begins at 0 where no row is braked. Other conditions have at
-    most `FEW` of their measured values.
+    Slip and load go beyond the measured range, in steps `coarse` times the usual; those of the load
+    are of its logarithm. Slip has a node at 0 where it changes sign, begins at 0 where no row is
+    braked, and is within ±`MOST_SLIP`. Other conditions have at most `FEW` of their measured
+    values, evenly picked.
     """
     problem = found.problem
     out = {}
@@ -244,7 +250,7 @@ def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
 
 @kept
 def groups_at(point: WorkingPoint, soil: SoilState, rim: Rim, gravity: float) -> tuple[float, ...]:
-    """`dimensionless_groups`, compiled for a call from Python."""
+    """`dimensionless_groups` in the order of `GROUPS`, compiled for a call from Python."""
     found: tuple[float, ...] = dimensionless_groups(point, soil, rim, gravity)
     return found
 
@@ -263,8 +269,10 @@ def _groups(model: WheelSoilModel, name: str, values: np.ndarray) -> list[float]
         values = np.sin(np.radians(values))
     out = []
     for x in values.tolist():
-        # Of the fields only that one counts for its group.
-        point = WorkingPoint(0.0, 0.0, 1.0, 0.0, 1.0, 0.0)._replace(**{field: x})
+        # Of the fields only that one counts for its group; the others have any value.
+        point = WorkingPoint(
+            slip=0.0, sinkage=0.0, load=1.0, speed=0.0, passes=1.0, sin_grade=0.0
+        )._replace(**{field: x})
         soil = model.soil.under(wheel.radius, wheel.width, point.load, model.gravity)
         out.append(float(groups_at(point, soil, rim, model.gravity)[GROUPS.index(group)]))
     return out

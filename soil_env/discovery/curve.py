@@ -61,8 +61,9 @@ def _basis(
 def fit_curve(slip: np.ndarray, load: np.ndarray, y: np.ndarray, sd: np.ndarray | float) -> Curve:
     """The curve through values y [N] with standard deviations `sd`.
 
-    k is the best on the grid. Where the loads span more than `LEAST_SPAN`, k and the powers are
-    fitted from there. Braked rows have an amplitude of their own if there are `FEWEST_BRAKED`.
+    k is the best on the grid, with the powers `POWERS`. Where ln W spans more than `LEAST_SPAN`, k
+    and the powers, these with their priors, are fitted from there. Braked rows have an amplitude of
+    their own if there are `FEWEST_BRAKED`.
     """
     middle = float(np.exp(np.mean(np.log(load))))
     x = np.log(load / middle)
@@ -127,7 +128,9 @@ class Average(NamedTuple):
 
 
 def at_curves(curves: list[Curve | None], rows: Rows) -> np.ndarray:
-    """[N, 3] values of the curves at rows; NaN for a channel without one."""
+    """[N, 3] values [m, N, N m] of the curves, one for each channel, at rows; NaN for a channel
+    without one.
+    """
     nothing = np.full(rows.slip.size, np.nan)
     values = [nothing if curve is None else curve.at(rows.slip, rows.load) for curve in curves]
     return np.stack(values, axis=1)

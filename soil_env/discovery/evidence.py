@@ -89,7 +89,9 @@ class Evidence:
         return tuple(c.effect for c in self.fit.choices)
 
     def typical(self, kind: str) -> float:
-        """Root mean square of a size over its posterior; `kind`: its field of `Sizes`."""
+        """Root mean square of a size over its posterior; `kind`: its field of `Sizes`, one that is
+        a number, such as "law".
+        """
         return math.sqrt(sum(p * getattr(s, kind) ** 2 for s, p in self.share.items()))
 
 
@@ -108,8 +110,9 @@ def grid(names: Names) -> tuple[list[Sizes], np.ndarray]:
     """(S sizes of the form errors of a model with these effects, their log prior [S]).
 
     They are all combinations of `form_error.SIZES` of the base law, `EFFECT_SIZES` and the spans of
-    the base law. Errors of the instrument follow their law nearly exactly, so that a model with no
-    other effects has the smallest of `EFFECT_SIZES` alone. Without effects that size is 0.
+    the base law, all with nuisances of the size 1. Errors of the instrument follow their law nearly
+    exactly, so that a model with no other effects has the smallest of `EFFECT_SIZES` alone. Without
+    effects that size is 0.
     """
     effect = [*zip(EFFECT_SIZES, EFFECT_PRIOR, strict=True)]
     if {*names} <= {*INSTRUMENT}:
@@ -126,7 +129,8 @@ def plain_grid(fit: Fit) -> SizeGrid:
     """`SizeGrid` of the form errors of a fit itself, without an anonymous contribution."""
     sizes, log_prior = grid(tuple(c.effect for c in fit.choices))
     table = np.array([s.of_form_errors for s in sizes])
-    return SizeGrid(sizes, log_prior, fit.form_errors, table, 2)
+    # The first two columns, of nuisances and of effects, have few different values.
+    return SizeGrid(sizes, log_prior, fit.form_errors, table, first=2)
 
 
 def noise_scales(freedom: float) -> np.ndarray:
@@ -157,9 +161,10 @@ def weigh(problem: Problem, fit: Fit, over: SizeGrid | None = None) -> Evidence:
     for over_noise in np.unique(sd):
         at = sd == over_noise
         found, mean[at], covariance[at] = marginals(normal, every[at], fit.u, first, over_noise)
-        by_noise = fit.residual.size * math.log(over_noise)
+        by_noise = fit.residual.size * math.log(over_noise)  # of the density of M values
         log[at] = found + log[at] - by_noise + _allowed(fit, mean[at], covariance[at])
     total = float(log_sum(log))
+    # Evidence under a size of the law's error: its posterior over its prior probability.
     laws = np.array([s.law for s in sizes])
     of_size = log_sum(log.reshape(len(scales), -1), axis=0) - total
     by_law = {
@@ -169,7 +174,7 @@ def weigh(problem: Problem, fit: Fit, over: SizeGrid | None = None) -> Evidence:
     share = np.exp(log - total)
     of = dict(zip(sizes, share.reshape(len(scales), -1).sum(axis=0).tolist(), strict=True))
     best = max(of, key=lambda sizes: of[sizes])
-    log_all = total - math.log(len(scales))
+    log_all = total - math.log(len(scales))  # the scales are equally probable
     return Evidence(fit, log_all, best, of, *mixed(share, mean, covariance), by_law)
 
 
@@ -190,7 +195,8 @@ def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """log(Phi(b) - Phi(a)) with the standard normal distribution function Phi, a < b."""
-    # There both values of Phi are nearly 1, and their difference would be lost in rounding.
+    # Where a > 0 both values of Phi may be nearly 1, and their difference lost in rounding: there
+    # it is that of the mirrored interval.
     turn = a > 0.0
     upper = log_ndtr(np.where(turn, -a, b))
     lower = log_ndtr(np.where(turn, -b, a))
@@ -208,8 +214,9 @@ def settle(
     linearised there.
 
     Fit and sizes are found in turn, at most `_ROUNDS` times after a first fit. `start`: parameters
-    by name. `near`: a model of the same table, from which the first fit takes its form errors, and
-    its start where that is not given. Without it the first fit is under the noise alone.
+    by name. `near`: a model of the same table, from which the first fit takes the nuisances, the
+    form error of the base law, and its start where that is not given. The size of that error is
+    `_FIRST_LAW` at most. Without `near` the first fit is under the noise alone.
     """
     if near is None:
         first = problem.fit(choices, start)
@@ -251,6 +258,7 @@ class _Further:
             own = [u for u in problem.unknowns((choice,)) if u.name in choice.free]
             beside = (*first.fit.choices, choice)
             for moved in (u for u in own if not u.log):
+                # Its other parameters are at their prior means.
                 trial = {u.name: u.value(0.0) for u in own} | {moved.name: moved.value(_LITTLE)}
                 values = first.fit.parameters() | trial
                 output = problem.predict(values, beside, guess.copy())
@@ -332,7 +340,8 @@ def detectable(
 
     Let n be the `normal` of a strength under the form errors of the base model. A strength of x
     prior standard deviations is expected to gain x^2 n/2 - ln(1 + n)/2 nats. It is seen where this
-    exceeds the `threshold` [nat], which outweighs the prior odds against the effect.
+    exceeds the `threshold` [nat], which outweighs the prior odds against the effect. The strength
+    with the largest prior probability of being larger than that shows most probably.
     """
     further = _Further(problem, base, choices)
     # [K] means over the sizes of the form errors.
@@ -397,9 +406,10 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
     column for each function. Names are "PLACE with CONDITION" or "PLACE with slip and CONDITION".
 
     A pattern is a systematic error of a channel, or of a stress, that goes smoothly with one
-    condition, or with it and the slip. Left out are patterns that a listed effect owns (`_OWNED`),
-    and patterns of a stress with what the base law knows. In a table of several beds a stress may
-    have a value for each bed.
+    condition, or with it and the slip. The size 1 is an error as large as the stress, or as the rms
+    of the channel. Left out are patterns that a listed effect owns (`_OWNED`), and patterns of a
+    stress with what the base law knows. In a table with enough beds, and rows for each, the normal
+    and the shear stress may have a value for each bed: "PLACE with bed".
     """
     at = problem.data.conditions | problem.data.elapsed
     moved = Law(problem, fit.choices, problem.sinkage_guess(fit)).stresses(fit.u, fit.output)
@@ -444,8 +454,9 @@ def anonymous_grid(
     """`SizeGrid` of an anonymous contribution about a fit: its sizes in each of the three kinds,
     beside the most probable sizes of the other form errors.
 
-    `plain`: evidence without a contribution, which gives these sizes. With `beside`, a pattern and
-    its size, every point has this pattern, and beside it a second one or a smooth contribution.
+    `plain`: evidence without a contribution, which gives these sizes: the `_LIKELY` most probable,
+    and the first of them with each of `_FURTHER_LAW`. With `beside`, a pattern and its size, every
+    point has this pattern, and beside it a second one or a smooth contribution.
     """
     best, *others = sorted(plain.share, key=lambda s: -plain.share[s])[:_LIKELY]
     further = (best._replace(law=law) for law in _FURTHER_LAW)
@@ -478,6 +489,7 @@ def anonymous_grid(
         patterned = [later.get(name, 0.0) for name in by]
         rows.append((*s.of_form_errors, *(x for _, x in first), *s.free, *patterned))
     errors = (*fit.form_errors, *(by[name] for name, _ in first), *fit.free, *by.values())
+    # Nuisances, the error of effects, those of the base law and the pattern `beside` lead.
     return SizeGrid(sizes, log_prior, errors, np.array(rows), 2 + len(fit.law) + len(first))
 
 

@@ -357,12 +357,15 @@ def in_balance(rows: Rows, values: Values, outcome: Callable[[Rows], np.ndarray]
         return out
 
     def load_from(out: np.ndarray) -> np.ndarray:
-        """Load [N] under an outcome, within `PRESSED`."""
+        """Load [N] of each row under an outcome [N, 3], within `PRESSED`; sinkage and torque count
+        as 0 where they are NaN.
+        """
         z, _, torque = np.nan_to_num(out).T
         return np.clip(start + arm * torque / r - spring * z, *np.outer(PRESSED, start))
 
     first = load_from(out)
     second = load_from(outcome(rows._replace(load=first)))
+    # Where the load hardly changes, an infinite first change makes the ratio 0: `second` is taken.
     change = np.where(np.abs(first - start) > STEADY * start, first - start, math.inf)
     ratio = np.clip((second - first) / change, *GROWTH)
     limit = np.clip(first + (second - first) / (1.0 - ratio), *np.outer(PRESSED, start))
@@ -371,12 +374,14 @@ def in_balance(rows: Rows, values: Values, outcome: Callable[[Rows], np.ndarray]
 
 def reading(out: np.ndarray, values: Values, radius: np.ndarray) -> np.ndarray:
     """Readings [N, 3] of the sensors for true values `out` [N, 3], with the gains, offsets and
-    crosstalk among `values`; `radius` [N] in m. The sinkage is read as it is.
+    crosstalk among `values`; `radius` [N] in m. The sinkage is read as it is. Crosstalk is a share
+    of the other sensor's true value.
     """
     if not any(name.startswith(("force_", "torque_")) for name in values):
         return out
     read = out.copy()
     for j, name, other in ((1, "force", out[:, 2] / radius), (2, "torque", out[:, 1] * radius)):
+        # Parameters are named EFFECT_PARAMETER: "force_gain_gain", "force_offset_offset".
         gain, offset = (values.get(f"{name}_{of}_{of}", 0.0) for of in ("gain", "offset"))
         share = values.get(f"{name}_crosstalk_share", 0.0)
         read[:, j] += gain * out[:, j] + offset + share * other
@@ -386,8 +391,8 @@ def reading(out: np.ndarray, values: Values, radius: np.ndarray) -> np.ndarray:
 def nuisances(
     setup: Setup, bench: Bench, rows: Rows, output: np.ndarray, named: Names
 ) -> np.ndarray:
-    """[N, 3, R] change of the readings by one standard deviation of each of R errors of the rig;
-    `output` [N, 3]: model values.
+    """[N, 3, R] change of the readings [m, N, N m] by one standard deviation of each of R errors of
+    the rig; `output` [N, 3]: model values.
 
     Nuisances are the tilt and the errors of a single sensor, unless they are `named` or the setup
     rules them out. Errors that move all channels act through the model, and are candidates only.

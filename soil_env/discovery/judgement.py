@@ -51,7 +51,9 @@ class Gap(NamedTuple):
 
     @property
     def remainder(self) -> Remainder:
-        """The variance of the noise is taken off each mean square, which is 0 at least."""
+        """What is left once the variance of the noise is taken off each mean square, to 0 at
+        least.
+        """
         before, after = (max(x**2 - self.noise_floor**2, 0.0) for x in (self.before, self.after))
         return Remainder(math.sqrt(after), after / before if before > 0.0 else None)
 
@@ -107,6 +109,7 @@ def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
         r = residual[out]
         # Solution of the normal equations without the values that are held out.
         moved = np.linalg.solve(normal - j.T @ j, a.T @ e - j.T @ r)
+        # The linear problem is over the noise times the scatter.
         error[out] += fit.sizes.scatter * (r - j[:, :laws] @ moved[:laws]) / len(ways)
     predicted = np.full(problem.used.shape, math.nan)
     used = problem.used

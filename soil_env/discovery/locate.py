@@ -103,7 +103,8 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
     raw[: row.size] = inside[tuple(where.T)].T
     total = np.sqrt(raw.sum(axis=0))
     v, left = _project(raw, q, total)
-    looks = _independent_looks(v, where[:, 0], problem.freedom, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    looks = _independent_looks(v, channel=where[:, 0], freedom=problem.freedom, rng=rng)
     # A box must show in the residual without projection as well, with the same sign.
     plain = (raw[: row.size].T @ fit.residual) / total
     out: list[Disagreement] = []
@@ -127,8 +128,8 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
 
 
 def structure(problem: Problem, model: Evidence, seed: int = 0) -> float:
-    """p value of the most certain pattern that a model leaves in a channel, over slip, load and the
-    other conditions; 1 where none is significant.
+    """p value of the most certain `Disagreement` that a model leaves in a channel, over slip, load
+    and the other conditions; 1 where none is significant.
 
     A posterior predictive check: noise, laws that are off by `LAW` and effects whose form is off by
     `EFFECT` explain no such pattern. If their most probable size is larger than `EFFECT`, that

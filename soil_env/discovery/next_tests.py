@@ -106,7 +106,7 @@ def open_checks(known: Collection[str] = ()) -> tuple[Check, ...]:
 
 
 def _listed(parts: Collection[str]) -> str:
-    """The parts with semicolons between them, and "and" between two that are short."""
+    """The parts with semicolons between them, but " and " between two without a comma."""
     short = len(parts) < 3 and not any("," in part for part in parts)
     return (" and " if short else "; ").join(parts)
 
@@ -181,10 +181,10 @@ def _behind(first: np.ndarray, each: np.ndarray) -> np.ndarray:
 def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[NextTest, ...]:
     """At most `most` runs that would tell the candidates apart, in the order to make them.
 
-    The candidates are the most probable sets of effects with `WITHIN_REACH` or more. Among them,
-    with their prior odds, are effects whose condition the table does not vary and the rig could.
-    Where something unlisted is most probable, the run that the first candidate misses most is
-    repeated first.
+    The candidates are the most probable sets of effects with `WITHIN_REACH` or more, or else the
+    most probable one alone. Among them, with their prior odds, are effects whose condition the
+    table does not vary and the rig could. Where something unlisted is most probable, the run that
+    the first candidate misses most is repeated first.
     """
     share = _shares(finding)
     found = {h.names: h.evidence for h in finding.hypotheses if not h.free}
@@ -205,7 +205,7 @@ def next_checks(
     the best first.
 
     Each has to add more than the best run does, and more than `LEAST_OF_CHECK`, to the checks
-    before it. Errors that are `known` are left out.
+    before it. Errors of the rig that are `known`, by name, need no check.
     """
     least = max((t.information for t in runs), default=0.0)
     share = {s: p for s, p in _shares(finding).items() if p > 0.0}
@@ -265,10 +265,10 @@ def proposed(
 ) -> tuple[NextTest, ...]:
     """At most `most` runs that tell candidates with these models and probabilities apart.
 
-    Each is the feasible run of the grid with most information for its cost beyond the runs before
-    it. They end where it has less than `LEAST`, or where the right candidate has `ENOUGH`. With
-    `repeat`, the run of the table that the first candidate misses most comes first. Without it, no
-    run is proposed for a single candidate.
+    Each is the run of the grid with most information for its cost beyond the runs before it, among
+    those that every candidate holds feasible. They end where it has less than `LEAST`, or where the
+    right candidate has `ENOUGH`. With `repeat`, the run of the table that the first candidate
+    misses most comes first. Without it, no run is proposed for a single candidate.
     """
     if len(evidence) < 2 and not repeat:
         return ()
@@ -311,7 +311,16 @@ def proposed(
         said = _described(problem, of, sd[:, g], g)
         point = {name: float(grid.value[name][g]) for name in grid.asked}
         sure = float(sureness(of.share, overlap)[g])
-        out.append(NextTest(point, *said, sure, float(cost[g]), float(gain[g]), forced))
+        out.append(
+            NextTest(
+                point,
+                *said,
+                sure=sure,
+                cost=float(cost[g]),
+                information=float(gain[g]),
+                repeat=forced,
+            )
+        )
         if sure >= ENOUGH:
             break
     return tuple(out)
@@ -323,7 +332,8 @@ def _described(
     """What `NextTest` says of run g: (predicted, separates, channel, expected_sigma).
 
     `own` [K, C]: standard deviations of the predictions of this run. The rival of the first
-    candidate is the one that differs most from it, weighted with its probability.
+    candidate is the one that differs most from it, weighted with its probability. Differences are
+    over the root mean square of the two standard deviations.
     """
     seen = problem.used.any(axis=0)
     mean = np.full((len(of.names), 3), np.nan)
@@ -438,7 +448,9 @@ def _levels(problem: Problem) -> dict[str, list[float]]:
 
 
 def _could_show(problem: Problem, name: str) -> bool:
-    """True if the table does not vary the condition that an effect needs, and the rig could."""
+    """True if the table does not vary the condition that an effect needs, and the rig could; False
+    where the rig hides the effect or no form of it can be fitted.
+    """
     effect = LISTED[name]
     if effect.hidden(problem.bench) or effect.varies in problem.data.varied:
         return False
@@ -457,6 +469,7 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
     grade = column["grade_deg"]
     choices = [choice for c in candidates for choice in c.fit.choices]
     needed = {LISTED[c.effect].varies for c in choices}
+    # Viscous friction goes with the speed, although the effect does not need that to vary.
     if any("drivetrain_friction_viscous" in c.free for c in choices):
         needed.add("speed")
     usual = {
@@ -487,7 +500,7 @@ def _around(x: np.ndarray, below: float, above: float) -> list[float]:
     """Ascending levels: the least value of x times `below`, the least, the geometric middle, the
     largest, and this times `above`; the middle only if they differ (`_WIDE`).
 
-    Levels that the table does not have are rounded to two digits.
+    Levels that the table does not have are rounded to two significant digits.
     """
     low = float(x.min())
     high = float(x.max())
@@ -496,5 +509,5 @@ def _around(x: np.ndarray, below: float, above: float) -> list[float]:
 
 
 def _round(x: float) -> float:
-    """The value in two digits."""
+    """The value in two significant digits."""
     return float(f"{x:.2g}")

@@ -92,7 +92,7 @@ def outlook(problem: Problem) -> Outlook:
         splits["load"] = ("load",)
     if {*others} - {"load"}:
         splits["condition"] = others
-    left = {}
+    left = {}  # by split: (number of the group of each row [N], predictions of `_left_out`)
     for split, what in splits.items():
         groups = combinations_of([problem.data.varied[name].level for name in what])
         if groups.max() + 1 >= FEWEST_GROUPS:
@@ -104,7 +104,7 @@ def outlook(problem: Problem) -> Outlook:
         full = dataclasses.replace(full, average=average)
     out = []
     for split, (groups, held) in left.items():
-        averaged = held.copy()
+        averaged = held.copy()  # without an average as it is
         for k in range(groups.max() + 1 if full.average else 0):
             # The weight for a group is that of the other rows.
             weight = curve_weight(problem, of_kinds, groups != k)
@@ -163,7 +163,7 @@ def _errors(problem: Problem, split: str, what: tuple[str, ...], held: np.ndarra
     off = held - problem.data.y
 
     def size(values: np.ndarray, noise: float) -> Errors:
-        """`Errors` of deviations [3, m]."""
+        """`Errors` of deviations [3, m] by base model, average and curve, and `noise` beside."""
         base, full, curve = np.sqrt(np.mean(values**2, axis=1))
         return Errors(float(base), float(full), float(curve), noise)
 

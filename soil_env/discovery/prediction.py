@@ -195,7 +195,7 @@ def _scales(problem: Problem, output: np.ndarray) -> np.ndarray:
 
 
 class _Channel(NamedTuple):
-    """Covariance of remainder and noise of the m values of a channel."""
+    """Covariance of remainder and noise of the m values of a channel, all over the noise."""
 
     places: np.ndarray  # [m] among all M values
     root: np.ndarray  # [m, m] lower Cholesky factor of the sum of both
@@ -323,10 +323,11 @@ class Prediction:
         self, there: Problem, without: Collection[str] = ()
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(predicted values [N, 3], values of the law alone [N, 3], covariance [M, 3 N]) at N other
-        rows.
+        rows, values in [m, N, N m].
 
         The covariance is that of the remainder there with the M values of the table, whitened by
-        the covariance of the latter.
+        the covariance of the latter. A value is 0 where the law has none. `without`: errors of the
+        rig that are left out, as in `at`.
         """
         values = self.values
         if "tilt_deg" in without:
@@ -354,10 +355,12 @@ def fit_prediction(
 ) -> Prediction:
     """The fit of the effects that the table can carry, or of `choices`, with a remainder.
 
-    Unknowns and remainder are found in turn. If not `smooth`, there is no remainder and the fit is
-    under the noise alone. `near` is a fit to a table with more values in use. The fit then has the
-    effects of `near`, starts from its unknowns, and keeps what it learnt of the remainder; other
-    arguments do not count.
+    Unknowns and remainder are found in turn, `ROUNDS` times, and the unknowns once more at last. If
+    not `smooth`, there is no remainder and the fit is under the noise alone.
+
+    `near` is a fit to a table with more values in use. The fit then has the effects of `near`,
+    starts from its unknowns, and keeps what it learnt of the remainder; other arguments do not
+    count.
     """
     if near is not None:
         law = law_of(problem, near.law.choices)
@@ -380,7 +383,9 @@ def fit_prediction(
 
 
 def law_of(problem: Problem, choices: Choices, guess: np.ndarray | None = None) -> Law:
-    """The `Law` of a prediction: soil flows as on rigs (`FLOW`)."""
+    """The `Law` of a prediction: that of the `choices`, with the priors `FLOW` of the parameters of
+    `soil_flow`; `guess` as of `Law`.
+    """
     return Law(problem, choices, guess, {f"soil_flow_{k}": prior for k, prior in FLOW.items()})
 
 

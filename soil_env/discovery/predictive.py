@@ -72,7 +72,7 @@ def predicted(
     The G rows are those of `there`, which is from `problem_at`. The joint covariance of the values
     is root root'. Beside it each value has a variance of its own: the noise with its scatter, and
     what the functions of an effect's form error leave out. Form errors have their typical sizes. A
-    run is feasible if the wheel sinks, but less than `DEEPEST`.
+    run is feasible if the model has values and the wheel sinks, but less than `DEEPEST`.
     """
     fit = candidate.fit
     p = fit.u.size
@@ -81,8 +81,8 @@ def predicted(
     )
 
     def errors(law, u, output, added, at):
-        """Form errors of the law, those of effects, and nuisances, at their sizes; each [M, R],
-        whitened.
+        """Form errors of the base law, those of effects, and nuisances, at their sizes; each
+        [M, R], over the noise. Arguments are those of `Law.form_errors`.
         """
         of_law, effect, rig = law.form_errors(u, output, added, at)
         blocks = (sizes.law * of_law[sizes.span], sizes.effect * effect, sizes.rig * rig)
@@ -135,7 +135,8 @@ def _within_bounds(
     unknown is within its bounds.
 
     Those without bounds are `off` [k] and `covariance` [k, k]. The unknowns are truncated one after
-    the other, each as a normal variable, and the others follow by their covariance with it.
+    the other, each as a normal variable, and the others follow by their covariance with it. One
+    that is at least `_NEAR` within its bounds stays, one more than `_OUTSIDE` beyond is put on one.
     """
     for k, unknown in enumerate(fit.unknowns):
         mean = fit.u[k] + off[k]
@@ -156,7 +157,8 @@ def _within_bounds(
 
 def _truncated(low: float, high: float) -> tuple[float, float]:
     """(mean, variance) of a standard normal variable that is known to be between two bounds."""
-    # There both values of ndtr are nearly 1, and their difference would be lost in rounding.
+    # Where low > 0 both values of ndtr may be nearly 1, and their difference lost in rounding:
+    # there it is that of the mirrored interval.
     if low > 0.0:
         mean, variance = _truncated(-high, -low)
         return -mean, variance

@@ -96,12 +96,12 @@ class Report:
 
     @property
     def base_model(self) -> WheelSoilModel:
-        """The calibrated base model."""
+        """The calibrated base model: the soil of the fit `base`, without effects."""
         return model_of(self.problem, (), self.base.parameters())
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Measured channels."""
+        """Names of the channels with a value in use, in the order of `CHANNELS`."""
         return tuple(name for j, name in enumerate(CHANNELS) if self.problem.used[:, j].any())
 
     @property
@@ -112,7 +112,9 @@ class Report:
         return self.finding.stated.evidence.typical("law")
 
     def known(self, name: str) -> bool:
-        """True if the setup gives a soil parameter as known."""
+        """True if the setup gives a soil parameter as known; of the density, if it gives it at
+        all.
+        """
         return name in self.problem.known or (
             name == "density" and self.problem.data.setup.soil.density is not None
         )

@@ -137,7 +137,9 @@ class Finding:
         return replace(self, hypotheses=tuple(kept), refuted=(*self.refuted, names))
 
     def in_form(self, evidence: Evidence) -> Finding:
-        """The finding with the stated effects in the forms of `evidence`."""
+        """The finding with the stated effects in the forms of `evidence`, which becomes that of the
+        hypothesis `stated`; its probability and score stay.
+        """
         stated = self.stated
         kept = (replace(h, evidence=evidence) if h is stated else h for h in self.hypotheses)
         return replace(self, hypotheses=tuple(kept))
@@ -165,12 +167,14 @@ class Finding:
 
     @property
     def none(self) -> float:
-        """Probability that nothing is missing beyond an ordinary form error."""
+        """Probability of the base model alone: nothing is missing beyond an ordinary form error."""
         return self.best().probability
 
     @property
     def unlisted(self) -> float:
-        """Probability that something is missing and nothing that is listed."""
+        """Probability that something is missing and nothing that is listed: an anonymous
+        contribution or law by itself.
+        """
         return sum(h.probability for h in self.hypotheses if not h.names and h.free)
 
     @property
@@ -216,7 +220,9 @@ class Finding:
 
     @cached_property
     def tried(self) -> Names:
-        """Every effect that was tried."""
+        """Every effect that was tried, by name, but for those that `without` has left in no
+        hypothesis.
+        """
         return tuple(dict.fromkeys(n for h in self.hypotheses for n in h.names))
 
     @cached_property
@@ -373,8 +379,12 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
     """Return the `Finding` of a table; `say` receives the progress.
 
     The hypotheses are no effect, each effect and the best pairs, and some of these with an
-    anonymous contribution. For each set of effects there is an anonymous law that resembles it.
-    Anonymous laws of few numbers are tried by themselves.
+    anonymous contribution: none and the `_FREE` best sets, or all single effects where the values
+    scatter. For each set of effects there is an anonymous law that resembles it. Anonymous laws of
+    few numbers are tried by themselves.
+
+    Probabilities are in proportion to the prior odds times the evidence to the power of
+    1/`TEMPERATURE`. `Finding.detectable` is of effects of soil and drive alone.
     """
     names, untestable = candidates(problem)
     prior = partial(log_prior, of_rig=odds(problem.data.setup, problem.bench))
@@ -399,6 +409,7 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
                 + " and ".join(LISTED[n].title for n in s)
             )
             free[s] = anonymous(problem, sets.best(s))
+    # An anonymous contribution is tried in the best forms, and taken to gain as much in others.
     entries += [
         Entry(e, sets.log(s) + e.log - sets.best(s).log, prior(s, True), s, free=True)
         for s, e in free.items()
@@ -413,6 +424,7 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
     entries += _unnamed(
         problem, base, max((s for s in order if len(s) == 1), key=sets.log, default=())
     )
+    # A row for each entry; columns: over all sizes of the law's error, and under `LAW_ERRORS`.
     total = np.array(
         [
             [
@@ -424,10 +436,18 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
     )
     share = np.exp(total - log_sum(total, axis=0)).tolist()
     found = [
-        Hypothesis(e.names, e.free, p, e.log - base.log, e.evidence, e.like, tuple(others))
+        Hypothesis(
+            names=e.names,
+            free=e.free,
+            probability=p,
+            score=e.log - base.log,
+            evidence=e.evidence,
+            like=e.like,
+            if_laws_err=tuple(others),
+        )
         for e, (p, *others) in zip(entries, share, strict=True)
     ]
-    threshold = -TEMPERATURE * math.log(ODDS)
+    threshold = -TEMPERATURE * math.log(ODDS)  # [nat] that raise the odds of an effect to 1
     usual = free[()] if rough else base
     seen = {
         n: detectable(problem, usual, forms(problem, n), threshold)

@@ -41,11 +41,13 @@ def _p(
     name: str, sd: float, low: float, high: float, centre: float | None = None
 ) -> EffectParameter:
     """A pure number with a normal prior of mean 0 and standard deviation `sd`, within `low` and
-    `high`.
+    `high`; symbol, meaning and unit are empty.
 
     With a `centre` the prior is log-normal about it, and `sd` that of the logarithm.
     """
-    return EffectParameter(name, "", low, high, sd, "", "", centre or 0.0, centre)
+    return EffectParameter(
+        name, "", low, high, scale=sd, doc="", neutral=centre or 0.0, centre=centre
+    )
 
 
 def _law(

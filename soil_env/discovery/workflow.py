@@ -65,11 +65,11 @@ def run(
     ruled_out(read)  # refuses wrong names before any work
     rows = table if isinstance(table, Table) else read_table(table, read.wheel, read.ignore_columns)
     settings = Settings(
-        rows.source,
-        "" if isinstance(setup, Setup) else os.fspath(setup),
-        seed,
-        _digest(table),
-        _digest(setup),
+        data=rows.source,
+        setup="" if isinstance(setup, Setup) else os.fspath(setup),
+        seed=seed,
+        data_sha256=_digest(table),
+        setup_sha256=_digest(setup),
     )
     # The matrices are small: threads of the BLAS cost more than they give.
     with threadpool_limits(1):
@@ -81,7 +81,9 @@ def run(
 
 
 def _digest(given: Table | Setup | str | Path) -> str | None:
-    """SHA-256 of a file; None for a table or a setup that was given as an object."""
+    """SHA-256 of a file, in hexadecimal digits; None for a table or a setup that was given as an
+    object.
+    """
     if isinstance(given, (Table, Setup)):
         return None
     return hashlib.sha256(Path(given).read_bytes()).hexdigest()
@@ -264,7 +266,9 @@ def _worse(problem: Problem, before: np.ndarray, after: np.ndarray, seed: int) -
 
 
 def _far(problem: Problem, model: Evidence) -> bool:
-    """True if a soil parameter that the setup gives is further than `FAR` from its value there."""
+    """True if a soil parameter that the setup gives is further than `FAR` from its value there in
+    the posterior mean of a model.
+    """
     # The means of a fit are in units of the widened prior, those of the soil first.
     return any(
         abs(mean) > FAR / PRIOR_WIDTH and problem.is_given(unknown)
@@ -296,7 +300,9 @@ def _effects(
 
 
 def _soil(problem: Problem, intervals: dict[str, Interval]) -> dict[str, Interval]:
-    """Interval by soil parameter; those that are known, and the density, have no width."""
+    """Interval by soil parameter, in its unit; those that are known, and the density, have no
+    width.
+    """
     given = problem.known | {"density": problem.density}
     return {
         **{k.name: intervals[k.name] for k in problem.soil},

@@ -82,7 +82,9 @@ def text(report: Report) -> str:
 
 
 def _common(report: Report) -> dict[str, Any]:
-    """Values that the templates of report.html and of the terminal share."""
+    """Values that the templates of report.html and of the terminal share, by their names there:
+    the report, modules with functions of it, equations and cautions.
+    """
     return {
         "report": report,
         "sentences": sentences,
@@ -116,7 +118,9 @@ def show(report: Report, console: Console) -> None:
 
 
 def content(report: Report) -> dict[str, Any]:
-    """Plain values for JSON, null where there is no number; every key is always present."""
+    """Content of report.json: plain values, in the units that they have in the `Report`, None where
+    there is no number; every key is always present.
+    """
     noise = report.noise
     finding = report.finding
     return plain(

@@ -25,13 +25,15 @@ class Block(NamedTuple):
 
     heading: str
     equation: list[str]  # as published, in symbols
-    fitted: list[str]  # the same with the fitted numbers
+    fitted: list[str]  # the same with the fitted numbers; `equation` is taken if it is empty
     numbers: list[tuple[str, str]]  # of each parameter: ("l", " = 0.0061 m (95 % ...): meaning")
     where: dict[str, str]  # meaning of the other symbols
     source: str
 
     def content(self) -> dict[str, Any]:
-        """The block in report.json."""
+        """Entries that the effect has in report.json because of the block: equations joined by
+        "; ", `where` and source. Heading and numbers are not among them.
+        """
         return {
             "equation": "; ".join(self.equation),
             "fitted": "; ".join(self.fitted or self.equation),
@@ -41,7 +43,7 @@ class Block(NamedTuple):
 
 
 def blocks(report: Report) -> list[Block]:
-    """Blocks of the named effects."""
+    """`Block` of each named effect, in the order of `Report.effects`."""
     return [_of_effect(report, e) for e in report.effects]
 
 
@@ -80,15 +82,15 @@ def _of_effect(report: Report, e: EffectFound) -> Block:
         numbers.append((p.symbol, f"{said}: {p.doc}"))
     values = {name: p.value for name, p in e.parameters.items()}
     return Block(
-        f"{effect.title} ({e.name}), form {e.form.replace('_', ' ')}",
-        published(effect, form).split("; "),
-        fitted(effect, form, values).split("; "),
-        numbers,
-        where,
-        form.source,
+        heading=f"{effect.title} ({e.name}), form {e.form.replace('_', ' ')}",
+        equation=published(effect, form).split("; "),
+        fitted=fitted(effect, form, values).split("; "),
+        numbers=numbers,
+        where=where,
+        source=form.source,
     )
 
 
 def _number(x: float, unit: str = "", digits: int = 4) -> str:
-    """A number in plain digits, with its unit."""
+    """A number in so many significant digits (`text.plain`), and its unit if it has one."""
     return f"{plain(x, digits)} {unit}".rstrip()

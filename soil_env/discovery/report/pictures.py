@@ -63,7 +63,8 @@ def _saved(figure: Figure) -> bytes:
 
 def _columns(report: Report, height: float, rows: int = 1, **options) -> tuple[Figure, np.ndarray]:
     """(figure, axes [rows, channels]) with a column for each measured channel; `height` of the
-    figure in inches.
+    figure in inches. A single column makes it as wide as two, for the legend. `options`: of
+    `Figure.subplots`.
     """
     width = WIDTH * max(len(report.channels), 2)
     figure = Figure(figsize=(width, height), layout="constrained")
@@ -79,8 +80,10 @@ def _with_legend(figure: Figure, axes: np.ndarray, columns: int) -> Figure:
 
 
 def _predicted(report: Report) -> Figure:
-    """Held-out predictions without and with the named effects against what was measured."""
-    figure, axes = _columns(report, 3.6)
+    """Held-out predictions of the base model, and with the named effects if there are any, over
+    what was measured; a column for each channel, in the units of `UNITS`.
+    """
+    figure, axes = _columns(report, height=3.6)
     models = [(report.held_out_before, BEFORE, "base model")]
     if report.effects:
         models.append((report.held_out_after, AFTER, "with the named effects"))
@@ -135,14 +138,14 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
 
 
 def _value(name: str, x: float) -> str:
-    """A condition with its value and unit."""
+    """A condition in words with its value, of `name` as the column of a table, and its unit."""
     label, unit = CONDITIONS[name]
     return f"{label} {round(x, 1) if name == 'grade_deg' else x:.3g}{unit}"
 
 
 def curves(report: Report, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(slips [P], values [P, 3] of the base model, values [P, 3] of the corrected one), as the rig
-    measures them.
+    """(slips [P], values [P, 3] of the base model, values [P, 3] of the corrected one) [m, N, N m],
+    as the rig measures them.
 
     They are at P = `POINTS` slips over the range of a group of rows, and at the means of its other
     conditions.
@@ -157,7 +160,9 @@ def curves(report: Report, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
 
 
 def _slip(report: Report) -> Figure:
-    """Measured against both models over slip, in a few groups of rows."""
+    """Measured values, base model and corrected model over slip: a row for each of the `groups`, a
+    column for each channel; empty axes where there is no group.
+    """
     picked = groups(report)
     count = max(len(picked), 1)
     figure, axes = _columns(report, BELOW + HEIGHT * count, count, sharex=True)

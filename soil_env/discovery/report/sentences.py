@@ -80,12 +80,14 @@ _MORE = {
 
 
 def figure(x: float) -> str:
-    """A number with two digits; from 99.5 on as a whole number, without an exponent."""
+    """A number with two significant digits; from a size of 99.5 on as a whole number, without an
+    exponent.
+    """
     return f"{x:.2g}" if abs(x) < 99.5 else f"{x:.0f}"
 
 
 def figures(value: float, digits: int = 4) -> str:
-    """A number for a table, never -0; empty where it is not finite."""
+    """A number for a table in so many significant digits, never -0; "" where it is not finite."""
     return f"{value + 0.0:.{digits}g}" if math.isfinite(value) else ""
 
 
@@ -103,7 +105,7 @@ def times(log: float) -> str:
 
 
 def percent(share: float) -> str:
-    """A share in percent."""
+    """A share in percent, as a whole number: 0.5 becomes "50 %"."""
     return f"{100.0 * share:.0f} %"
 
 
@@ -172,7 +174,9 @@ def chance(p: float) -> str:
 
 
 def _limit(name: str, limits: tuple[float, float], values: np.ndarray) -> str:
-    """Limits of a condition in words; `values` are all that the table has of it."""
+    """Limits (low, high) of a condition in words, where `values` are all that the table has of it:
+    "slip 0.3 and above" or "and below" up to its ends, "slip 0.1 to 0.3", or one value.
+    """
     low, high = (f"{x:.3g}" for x in limits)
     label, unit = CONDITIONS[name]
     if low == high:
@@ -213,12 +217,16 @@ def runs_help(report: Report) -> bool:
 
 
 def is_decided(report: Report) -> bool:
-    """True if one candidate is so probable that no run is proposed to tell what is missing."""
+    """True if no run is proposed to tell what is missing, since one candidate is so probable: the
+    right one has `ENOUGH` on average (`sure_of`).
+    """
     return not report.next_tests and sure_of(report.finding) >= ENOUGH
 
 
 def after_next(report: Report) -> str:
-    """Sentence on the probability of the right candidate after the next runs."""
+    """Sentence on what the next runs tell, and on the average probability of the right candidate
+    before and after them; or that no run is needed, where it `is_decided`.
+    """
     now = sure_of(report.finding) if is_decided(report) else right_now(report)
     return filled("after_next.txt", report, now=percent(now))
 
@@ -245,10 +253,12 @@ def _place(point: Mapping[str, float]) -> str:
 
 
 def summary(report: Report) -> str:
-    """Conclusion: what is missing, its probability, and how far the gap closes."""
+    """Paragraph by the verdict ("summary.txt"): what is missing, its probability, what else it may
+    be, how far the named effects close the gap, and what was refuted.
+    """
     finding = report.finding
     gap = report.gap
-    of: defaultdict[Names, float] = defaultdict(float)
+    of: defaultdict[Names, float] = defaultdict(float)  # probability of each set of listed effects
     for h in finding.hypotheses:
         of[h.names] += h.probability
     shares = [
@@ -269,6 +279,7 @@ def summary(report: Report) -> str:
         sets=shares[:4],
         worst=max((g.over_noise[0] for g in gap.values()), default=0.0),
         weak=sum(d.power < NAMED for d in finding.detectable.values()),
+        # The channel whose held-out error over the noise falls most with the named effects.
         widest=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
         law=UNNAMED[law].title if (law := finding.hypotheses[0].law) else "",
         refuted=[
@@ -280,7 +291,7 @@ def summary(report: Report) -> str:
 
 
 def likely(report: Report) -> bool:
-    """True if a named effect is only likely, not sure."""
+    """True if a named effect is only likely, not sure (`Finding.is_sure`); False without any."""
     return not all(report.finding.is_sure(e.name) for e in report.effects)
 
 
@@ -316,6 +327,7 @@ def filled(template: str, report: Report, **values: object) -> str:
     """A template of this folder as one paragraph, without line breaks; `values` as in
     `_rendered`.
     """
+    # A comma at the beginning of a line of the template would have a space before it.
     return " ".join(_rendered(template, report, **values).split()).replace(" ,", ",")
 
 
@@ -334,8 +346,8 @@ def unseen(report: Report) -> list[str]:
 
 
 def cautions(report: Report) -> list[str]:
-    """Cautions of the table, the fit, the gap and model.yaml, in sentences; those of
-    `Report.doubts` are not among them.
+    """Cautions of the table, the fit, the gap and model.yaml, in sentences: `Report.taken`, and
+    what "cautions.txt" says of the values computed here; `Report.doubts` are not among them.
     """
     problem = report.problem
     noise = report.noise
@@ -481,7 +493,7 @@ def simulate(report: Report) -> str:
 
 
 def _identifiable(report: Report) -> bool:
-    """True if `soil-env identify` takes the table."""
+    """True if `soil-env identify` takes the table: `usable_rows` refuses nothing."""
     data = report.problem.data
     try:
         usable_rows(data.table, data.setup)
@@ -506,7 +518,9 @@ def _level(conditions: tuple[str, ...]) -> str:
 
 
 def probabilities(report: Report) -> str:
-    """Clause with the probabilities of answers other than an effect."""
+    """Clause with the probabilities that nothing is missing, and that something is missing that is
+    in no catalogue, in three decimals.
+    """
     finding = report.finding
     return (
         f"probability that nothing is missing {fixed(finding.none, 3)}, that something is missing "
@@ -529,7 +543,9 @@ def rule() -> str:
 
 
 def validity(report: Report) -> str:
-    """Sentence on the conditions that the corrected model has seen."""
+    """Sentence on the conditions that the corrected model was fitted to, and that it extrapolates
+    beyond them.
+    """
     return (
         f"Fitted to {in_words(report.model.validity)}; beyond, model.yaml is an extrapolation, of "
         "which `predict` warns."

@@ -64,8 +64,8 @@ def _interval(p: Interval) -> str:
 
 
 def gap(report: Report) -> Table:
-    """Held-out error of each channel, of the base model and, if there are any, with the named
-    effects.
+    """Held-out error of each channel and its noise, of the base model and, if there are any, with
+    the named effects; in the last column over the noise.
     """
     rows: list[tuple[str, ...]] = []
     for name, g in report.gap.items():
@@ -80,7 +80,9 @@ def gap(report: Report) -> Table:
 
 
 def left_out(report: Report) -> Table:
-    """Errors of predictions of what was left out, by channel."""
+    """Errors of predictions of what was left out, a row for each `LeftOut` and channel; "-" where a
+    curve does not know the conditions.
+    """
     rows = []
     for way in report.outlook.left_out:
         for name, errors in way.errors.items():
@@ -103,13 +105,17 @@ def ranking(report: Report, most: int | None = None) -> Table:
 
 
 def next_runs(report: Report) -> Table:
-    """The runs to make next, in their order."""
+    """The runs to make next, in their order, with the probability of the right candidate after
+    each; there has to be one.
+    """
     said = [percent(t.sure) for t in report.next_tests]
     return _runs(report.next_tests, "right one then", said)
 
 
 def surer_runs(report: Report) -> Table:
-    """The runs to make next for the prediction, in their order."""
+    """The runs to make next for the prediction, in their order, with the share of the mean standard
+    deviation that is left after each; there has to be one.
+    """
     said = [percent(run.left) for run in report.surer_runs]
     return _runs(report.surer_runs, "mean sd left", said)
 
@@ -145,6 +151,7 @@ def next_predictions(report: Report, most: int | None = None) -> Table:
             ]
             names = " + ".join(map(title, p.name.split(" and ")))
             rows.append((k, names, fixed(p.probability, 2), *cells))
+    # The last word of a title: "pull" of "drawbar pull".
     channels = (f"{TITLES[n].split()[-1]} ± sd [{UNITS[n][0]}]" for n in report.channels)
     return Table(("run", "exactly these effects", "p", *channels), rows)
 

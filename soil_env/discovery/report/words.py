@@ -20,7 +20,9 @@ def base_misses(report: Report) -> bool:
 
 
 def conclusion(report: Report) -> str:
-    """The result in one sentence without a number."""
+    """The result in one sentence without a number, by the verdict ("conclusion.txt"): named effects
+    and what may be beside or instead of them.
+    """
     finding = report.finding
     rivals = [(finding.share(n), title(n)) for n in finding.candidates]
     rivals += [(finding.unlisted, "something that is in no catalogue"), (finding.none, "nothing")]
