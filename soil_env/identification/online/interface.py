@@ -375,9 +375,10 @@ class OnlineIdentifier:
 
 def _finite(given: object) -> bool:
     """True for a number that is neither infinite nor NaN nor a bool."""
-    if not isinstance(given, Real) or isinstance(given, bool):
+    try:
+        return isinstance(given, Real) and not isinstance(given, bool) and math.isfinite(given)
+    except OverflowError:  # a whole number beyond all floats
         return False
-    return bool(abs(given) <= sys.float_info.max)
 
 
 def _bearing_sinkage(scenario: Scenario) -> float:
