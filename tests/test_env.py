@@ -258,6 +258,7 @@ def test_the_info_of_an_end_is_not_overwritten_by_the_next_step(make):
         lambda shape: np.zeros((4, 4, *shape)),
         lambda shape: np.full(shape, math.nan),
         lambda shape: np.full(shape, math.inf),
+        lambda shape: np.full(shape, 10**400),
         lambda shape: np.zeros((1, *shape)),
     ],
 )

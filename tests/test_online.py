@@ -20,6 +20,7 @@ from soil_env.online import OnlineIdentifier, Readings, Status, largest_readings
 from soil_env.parameters import Belief, Noise, SoilState, wheels
 from soil_env.parameters.sensors import calibrated
 from soil_env.terramechanics.steady import steady_state
+from tests.refusals import refused
 
 WHEEL = wheels()["planetary_rover"]
 BELIEF = Belief()
@@ -243,6 +244,8 @@ ABSURD = [
     {"torque": math.inf},
     {"time": 0.4},
     {"load": -1e9},
+    {"wheel_speed": 10**400},
+    {"time": 10**400},
     {"load": "147"},
     {"wheel_speed": None},
     {"speed": np.array([0.28, 0.28])},
@@ -254,7 +257,7 @@ ABSURD = [
 def test_bad_readings_are_refused_and_leave_no_trace(wrong):
     one = OnlineIdentifier(WHEEL)
     other = OnlineIdentifier(WHEEL)
-    numbers = all(isinstance(value, float) for value in wrong.values())
+    numbers = all(isinstance(value, (int, float)) for value in wrong.values())
     for k in range(1, 16):
         assert one.update(STEADY._replace(time=0.1 * k)) == other.update(
             STEADY._replace(time=0.1 * k)
@@ -265,6 +268,12 @@ def test_bad_readings_are_refused_and_leave_no_trace(wrong):
             assert f"{list(wrong)[-1]} = " in str(refusal.value) and "expected" in str(
                 refusal.value
             )
+
+
+def test_a_number_beyond_all_floats_is_refused():
+    identifier = OnlineIdentifier(WHEEL)
+    refused(lambda: identifier.traversability(load=10**400), "load = 1e+400: expected")
+    refused(lambda: identifier.traversability(pitch=-(10**400)), "pitch = -1e+400: expected")
 
 
 def test_whatever_is_admitted_gives_a_soil():

@@ -53,7 +53,10 @@ _SUFFIXES = (".png", ".gif", ".mp4")
     help="Control periods a video frame (default 5).",
 )
 @click.option(
-    "--out", type=PATH, metavar="FILE", help="Picture (.png) or video (.gif; .mp4 needs moviepy)."
+    "--out",
+    type=PATH,
+    metavar="FILE",
+    help="Picture (.png) or video (.gif; .mp4 needs imageio-ffmpeg).",
 )
 def command(
     controller: str | None,
@@ -74,20 +77,21 @@ def command(
     soil-env drive --controller rule=best_slip_identified,agent=default --out both.gif
     soil-env drive --rover mars_rover --controller velocity_sync --out rover.gif
     """
-    if frame is not None and (out is None or out.suffix != ".png"):
+    suffix = "" if out is None else out.suffix
+    if frame is not None and suffix != ".png":
         raise ParameterError(f"--frame {frame}: expected --out with a .png, the picture of it")
+    given = click.get_current_context().get_parameter_source
+    if given("every") != ParameterSource.DEFAULT and suffix in ("", ".png"):
+        raise ParameterError(f"--every {every}: expected --out with a .gif or .mp4, a video")
     if out is not None:
         if out.suffix not in _SUFFIXES:
             raise ParameterError(f"--out {out}: expected a file {', '.join(_SUFFIXES)}")
-        if out.suffix == ".mp4" and importlib.util.find_spec("moviepy") is None:
+        if out.suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
             raise ParameterError(
-                f'--out {out}: needs moviepy, pip install "soil_env[video]"; or a .gif'
+                f'--out {out}: needs imageio-ffmpeg, pip install "soil_env[video]"; or a .gif'
             )
         check_own(out.parent, [out.name])
-    if (
-        rover is not None
-        and click.get_current_context().get_parameter_source("scenario") != ParameterSource.DEFAULT
-    ):
+    if rover is not None and given("scenario") != ParameterSource.DEFAULT:
         raise ParameterError(
             f"--scenario {scenario}: expected none beside --rover, whose file has its own"
         )
@@ -99,7 +103,7 @@ def command(
         )
     option = "--controller" if policy is None else "--policy"
     with controllers_as(option):
-        named = controller or policy or "best_slip_identified"
+        named = next((n for n in (controller, policy) if n is not None), "best_slip_identified")
         drivers = {
             c.name: load(c, task) for c in parse(named, known=controllers_of(task)[0]).values()
         }
@@ -108,7 +112,7 @@ def command(
         make = partial(
             gymnasium.make, "soil_env:SoilRover-v0", rover=task, repeat=1, scaled=False, info="full"
         )
-    film_every = every if out is not None and out.suffix != ".png" else 0
+    film_every = every if suffix in (".gif", ".mp4") else 0
     films = {}
     for name, driver in drivers.items():
         control = getattr(driver, "drives", {})
@@ -145,7 +149,10 @@ def _side_by_side(films: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
             part = Image.new("RGB", (view.shape[1], view.shape[0] + _TITLE), "white")
             part.paste(Image.fromarray(view), (0, _TITLE))
             ImageDraw.Draw(part).text((SCENE[0], 4), name, "black", font_size=24)
-            parts.append(np.asarray(part.resize((part.width * 7 // 10, part.height * 7 // 10))))
+            # Of even sizes, as the codec of .mp4 wants them.
+            parts.append(
+                np.asarray(part.resize((part.width * 7 // 20 * 2, part.height * 7 // 20 * 2)))
+            )
         together.append(np.concatenate(parts, axis=1))
     return together
 
@@ -192,12 +199,16 @@ def _save(path: Path, frames: list[np.ndarray]) -> None:
 
 def _video(frames: list[np.ndarray]) -> bytes:
     """Frames as MP4, which ffmpeg writes into a temporary folder; OSError where it lacks some."""
-    from imageio_ffmpeg import count_frames_and_secs
-    from moviepy import ImageSequenceClip
+    from imageio_ffmpeg import count_frames_and_secs, write_frames
 
     with tempfile.TemporaryDirectory() as there:
         file = Path(there) / "drive.mp4"
-        ImageSequenceClip(frames, fps=10).write_videofile(str(file), logger=None)
+        size = frames[0].shape[1::-1]
+        film = write_frames(file, size, fps=10, macro_block_size=2, ffmpeg_log_level="error")
+        film.send(None)
+        for frame in frames:
+            film.send(np.ascontiguousarray(frame))
+        film.close()
         if count_frames_and_secs(file)[0] < len(frames):  # as where that disk is full
             raise OSError(errno.EIO, "the video is not whole: is the disk full?", there)
         return file.read_bytes()

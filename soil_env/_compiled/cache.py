@@ -178,10 +178,13 @@ class Kept:
         if self._folder is None:
             tell("compiling in each process anew: compiled code cannot be kept without a folder")
             return False
+        known = {}  # {file name: checksum} of the files as numba wrote them
         try:
-            known = self._checksums()
-            damaged = known is None or known != self._checksums_now()
-        except OSError:  # a file that nobody may read, a folder or a link in its place
+            with suppress(FileNotFoundError):
+                known = json.loads((self._folder / CHECKSUMS).read_text())
+            damaged = known != self._checksums_now()
+        # No JSON, a file that nobody may read, a folder or a link in its place.
+        except (OSError, ValueError, RecursionError):
             damaged = True
         if damaged:
             self._drop()
@@ -217,20 +220,6 @@ class Kept:
                 # written aside and then renamed: a process that ends halfway leaves the old list
                 partial.write_text(json.dumps(self._checksums_now()))
                 partial.replace(found)
-
-    def _checksums(self) -> dict[str, str] | None:
-        """{file name: checksum} of the files as numba wrote them, read from the file `CHECKSUMS`.
-
-        Empty where that file is missing, None where it cannot be read.
-        """
-        assert self._folder is not None
-        try:
-            known = json.loads((self._folder / CHECKSUMS).read_text())
-        except FileNotFoundError:
-            return {}
-        except (OSError, ValueError, RecursionError):
-            return None
-        return known if isinstance(known, dict) else None
 
     def _checksums_now(self) -> dict[str, str]:
         """{file name: SHA-256} of the files of numba's cache (.nbi, .nbc) that are there now."""

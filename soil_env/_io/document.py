@@ -150,9 +150,8 @@ def hanging(text: str) -> str:
     """
     first = " " * (len(text) - len(text.lstrip()))
     return textwrap.fill(
-        text.lstrip(),
+        text,
         WIDTH,
-        initial_indent=first,
         subsequent_indent=first + "  ",
         break_long_words=False,
         break_on_hyphens=False,

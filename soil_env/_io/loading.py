@@ -75,7 +75,7 @@ def _of_python(value: typing.Any) -> typing.Any:
     return value.item() if isinstance(value, numbers.Real) and hasattr(value, "item") else value
 
 
-def _said(value: object) -> str:
+def said(value: object) -> str:
     """A value as an error writes it: its `repr`, but a whole number beyond `_MOST_SHOWN` rounded to
     six digits.
     """
@@ -114,10 +114,10 @@ class Checked:
             is_part = typing.get_origin(hint) in (None, typing.Union, types.UnionType)
             if is_part and parts and not isinstance(value, hint):
                 expected = f"a {parts[0].__name__}{' or None' if items else ''}"
-                raise FieldError(self, f.name, f" = {_said(value)}: expected {expected}")
+                raise FieldError(self, f.name, f" = {said(value)}: expected {expected}")
             if "unit" in f.metadata and not (value is None and type(None) in items):
                 if typing.get_origin(hint) is tuple and not isinstance(value, tuple):
-                    raise FieldError(self, f.name, f" = {_said(value)}: expected a tuple")
+                    raise FieldError(self, f.name, f" = {said(value)}: expected a tuple")
                 _check_quantity(self, f, value)
                 if float in (hint, *items):
                     plain = tuple(map(float, value)) if isinstance(value, tuple) else float(value)
@@ -138,11 +138,11 @@ def _check_quantity(owner: Checked, f: dataclasses.Field, value: typing.Any) -> 
     high = f.metadata["high"]
     for x in map(_of_python, value if isinstance(value, tuple) else (value,)):
         is_number = isinstance(x, (int, float)) and not isinstance(x, bool)
-        if not (is_number and low <= x <= high and math.isfinite(x)):
+        if not (is_number and low <= x <= high and abs(x) <= sys.float_info.max):
             limits = f"[{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
             means = f" ({doc})" if (doc := f.metadata["doc"]) else ""
             raise FieldError(
-                owner, f.name, f" = {_said(value)}: expected a number in {limits}{means}"
+                owner, f.name, f" = {said(value)}: expected a number in {limits}{means}"
             )
     if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
         raise FieldError(owner, f.name, f" = {list(value)}: expected the smaller number first")
@@ -336,12 +336,21 @@ def number(kind: type, value, where: str):
         or not isinstance(value, (int, float))
         or sys.float_info.max < abs(value) < math.inf
     ):
-        raise ParameterError(f"{where} = {_said(value)}: expected a number")
+        raise ParameterError(f"{where} = {said(value)}: expected a number")
     if kind is int:
         if not math.isfinite(value) or value != int(value):
             raise ParameterError(f"{where} = {value!r}: expected a whole number")
         return int(value)
     return float(value)
+
+
+def decimal(text: str) -> float:
+    """The number that `text` is, nan and inf too; ValueError for any other text, and for 1_0 and
+    digits of other scripts, which Python reads as well.
+    """
+    if "_" in text or not text.isascii():
+        raise ValueError(text)
+    return float(text)
 
 
 def merge(base: dict, changes: dict) -> dict:

@@ -17,7 +17,7 @@ from .running import WholeNumber, console, out_option, seed_option
 @out_option("paper.md and its figures")
 @click.option(
     "--draws",
-    type=WholeNumber(1),
+    type=WholeNumber(1, 10**6),
     default=1000,
     metavar="N",
     help="Draws of the noise in Table 5 (default 1000).",

@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 import click
 from rich.console import Console
 
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import ParameterError, decimal
 
 BAD_INPUT = 2  # exit status
 INTERRUPTED = 130  # exit status after SIGINT: 128 + 2
@@ -216,7 +216,7 @@ class WholeNumber(click.ParamType):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
         """Convert text, also 1e6; `click.BadParameter` for no whole number and one out of range."""
         try:
-            number = float(value)
+            number = decimal(str(value))
         except ValueError:
             number = -1.0  # below any `least`, so that it is refused below
         if not (self.least <= number <= self.most and number == int(number)):

@@ -111,7 +111,7 @@ def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
     what = "action" if len(shape) == 1 else "actions"
     try:
         a = real_numbers(actions)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         given = " ".join(repr(actions).split())
         raise ValueError(
             f"{what} = {given:.80}: expected numbers in [-1, 1], shape {shape}"

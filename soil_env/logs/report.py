@@ -199,7 +199,7 @@ def _figure(rows: int, height: float) -> tuple[Figure, np.ndarray]:
 
 def _thinned(size: int) -> np.ndarray:
     """Indices of at most `_MOST_POINTS` of `size` points, the first and the last among them."""
-    return np.unique(np.linspace(0, size - 1, min(size, _MOST_POINTS)).astype(int))
+    return np.linspace(0, size - 1, min(size, _MOST_POINTS)).astype(int)
 
 
 def _estimates_picture(found: Replay) -> bytes:

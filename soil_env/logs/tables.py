@@ -9,7 +9,15 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from soil_env._io.loading import TITLES, ParameterError, one_line, plural, refuse_title, unknown_key
+from soil_env._io.loading import (
+    TITLES,
+    ParameterError,
+    decimal,
+    one_line,
+    plural,
+    refuse_title,
+    unknown_key,
+)
 
 from .mapping import TIMES
 from .notes import Faults, Notes
@@ -63,7 +71,7 @@ def rows(
             faults.count += 1
             try:
                 if texts[k].strip():
-                    values[k] = float(texts[k])
+                    values[k] = decimal(texts[k])
             except ValueError:
                 faults.add(f"row {number}", f"{column} = {texts[k]!r}, expected a number")
         yield number, at, values
@@ -84,7 +92,7 @@ def _nanoseconds(stamp: str | int, unit: str) -> int:
         at = at if at.tzinfo else at.replace(tzinfo=UTC)
         time = (at - _EPOCH) // timedelta(microseconds=1) * 1000
     else:
-        # A float has too few digits for a time of today.
+        decimal(stamp)  # refuses what is none; a float has too few digits for a time of today
         count = Decimal(stamp.strip()) - (_EXCEL if unit == "excel" else 0)
         time = count * round(TIMES[unit] * 1e9)
     if not abs(time) <= LATEST:

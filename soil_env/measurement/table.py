@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from soil_env._io.loading import TITLES, ParameterError, plural, refuse_title
+from soil_env._io.loading import TITLES, ParameterError, decimal, plural, refuse_title
 from soil_env.parameters import LARGEST_WHEEL
 from soil_env.slip import slips_of_radius
 
@@ -490,7 +490,7 @@ def _check_repeats(path: Path, rows: Rows) -> None:
 def _canonical(cell: str) -> float | str:
     """A cell as a number if it is one (nan and inf too), else as its text."""
     try:
-        return float(cell)
+        return decimal(cell)
     except ValueError:
         return cell
 

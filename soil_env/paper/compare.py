@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
+from soil_env._io.loading import ParameterError
 from soil_env.parameters import lumped_coefficient
 
 from .model import (
@@ -173,9 +174,9 @@ class Rule(NamedTuple):
     """Drawbar pulls by an equation of the resistance and a rule of integration."""
 
     name: str  # equation and rule
-    pulls: list[float]  # DP [N] of the working point, by each of `MODELS`
-    #: [%] by which the mean DP over `WIDE_SLIPS` is above that by (12), integrated exactly; by each
-    #: of `MODELS`.
+    equations: list[Equations]  # by each of `MODELS`, as what follows
+    pulls: list[float]  # DP [N] of the working point
+    #: [%] by which the mean DP over `WIDE_SLIPS` is above that by (12), integrated exactly.
     differences: list[float]
 
 
@@ -192,7 +193,7 @@ def rules() -> list[Rule]:
             percent_above(mean_pull(e), mean_pull(exact))
             for e, exact in zip(ours, EXACT, strict=True)
         ]
-        found.append(Rule(name, [pull(e) for e in ours], differences))
+        found.append(Rule(name, ours, [pull(e) for e in ours], differences))
     return found
 
 
@@ -342,6 +343,8 @@ def table_5(e: Equations, seed: int, draws: int) -> Noisy:
     found = newton_raphson(noisy, np.tile(GUESS, (draws, 1)), e)
     errors = np.abs(percent_above(found, ACTUAL_SET))
     good = np.isfinite(errors).all(axis=1)
+    if not good.any():
+        raise ParameterError(f"draws = {draws}: all searches of Table 5 are lost: expected more")
     limit = [P.table5[name][1] for name in NAMES]
     return Noisy(
         np.percentile(errors[good], [5, 50, 95], axis=0),

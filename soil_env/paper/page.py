@@ -19,11 +19,9 @@ from .compare import (
     MODELS,
     NAMES,
     POINT,
-    RULES,
     SAND,
     SLIPS,
     WIDE_SLIP,
-    WONG_REECE,
     P,
     Results,
     Row,
@@ -174,24 +172,20 @@ def _by_slip(figure: Figure) -> None:
     slip = np.linspace(0.01, WIDE_SLIP[1], 80)
     pull = _axes(figure, "slip [-]", "drawbar pull [N]", 121)
     error = _axes(figure, "slip [-]", "from (12), exact [N]", 122)
-    for k, e in enumerate(MODELS):
-        cases = {f"(12), m = {m}": e._replace(simpson=m) for m in RULES}
-        cases["(12), exact"] = e._replace(simpson=0)
-        exact = pulls(cases["(12), exact"], SAND, slip)
-        for colour, (name, own) in enumerate(cases.items()):
-            y = pulls(own, SAND, slip)
-            label = f"{name}, {READINGS[k]}"
-            for axes, values in ((pull, y), (error, y - exact)):
+    for k, reading in enumerate(READINGS):
+        exact = pulls(compare.EXACT[k], SAND, slip)
+        for colour, rule in enumerate(rules()):
+            y = pulls(rule.equations[k], SAND, slip)
+            label = f"{rule.name}, {reading}"
+            # (11) is far from (12): its difference would hide the others.
+            shown = ((pull, y), (error, y - exact))[: 1 + rule.equations[k].compaction]
+            for axes, values in shown:
                 axes.plot(slip, values, ("--", "-")[k], color=f"C{colour}", label=label)
-        full = e._replace(simpson=0, compaction=False)
-        y = pulls(full, SAND, slip)
-        pull.plot(slip, y, ("k--", "k-")[k], label=f"(11), exact, {READINGS[k]}")
-    i = POINT.slip
     target = POINT.drawbar_pull
-    at_point = compare.pull(WONG_REECE._replace(simpson=0))
-    pull.plot([i], [target], "r^", label="printed")
-    error.plot([i], [target - at_point], "r^")
-    pull.legend(fontsize=7)
+    at_point = compare.pull(compare.EXACT[1])
+    pull.plot([POINT.slip], [target], "r^", label="printed")
+    error.plot([POINT.slip], [target - at_point], "r^")
+    pull.legend(fontsize=6)
 
 
 def _along(figure: Figure, label: str, name: str, position: int = 111) -> Axes:

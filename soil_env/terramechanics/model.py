@@ -331,7 +331,7 @@ def _numbers(name: str, value) -> np.ndarray:
     """
     try:
         a = np.atleast_1d(np.asarray(value, dtype=float))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ParameterError(f"conditions: {name}: expected numbers") from None
     if a.ndim > 1:
         raise ParameterError(

@@ -454,6 +454,23 @@ def test_drives_are_shown_side_by_side(tmp_path, capsys):
     assert asked == [True, False, False]
 
 
+def test_a_video_has_a_frame_for_each_period_asked_for(tmp_path, capsys):
+    """As .mp4 too, of one drive and of several; options that a drive would not heed are refused."""
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    periods = []
+    for drivers in ("full_throttle", "full_throttle,gentle=soft_start"):
+        out = tmp_path / f"{len(periods)}.mp4"
+        options = ["--controller", drivers, "--every", "16", "--out", str(out)]
+        assert main(["drive", "--scenario", "mixed", *options]) == 0
+        said = capsys.readouterr()
+        periods.append(max(map(int, re.findall(r"after (\d+) control", said.out))))
+        assert not said.err and periods[-1] > 160
+        assert ffmpeg.count_frames_and_secs(out)[0] == math.ceil(periods[-1] / 16)
+    for option, value in (("--every", "5"), ("--controller", ""), ("--policy", "")):
+        assert main(["drive", option, value]) == 2
+        assert capsys.readouterr().err.startswith(f"soil-env drive: error: {option}")
+
+
 def test_a_drive_with_an_action_that_is_not_finite_is_refused(tmp_path, capsys, monkeypatch):
     (tmp_path / "lost.py").write_text(
         "import numpy as np\n\n\nclass Lost:\n    def predict(self, obs, state=None, **rest):\n"

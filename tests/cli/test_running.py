@@ -214,7 +214,7 @@ def test_a_whole_number_is_required(capsys):
     command = click.Command(
         "mine", params=[click.Option(["--n"], type=WholeNumber())], callback=lambda n: None
     )
-    for text in ("abc", "-1", "1.5", "nan", "1e400", ""):
+    for text in ("abc", "-1", "1.5", "nan", "1e400", "", "1_0", "\u0661"):
         assert run(command, ["--n", text], "mine") == 2
         assert f"{text!r}: expected a whole number >= 0" in capsys.readouterr().err
     assert run(command, ["--n", "1e6"], "mine") == 0

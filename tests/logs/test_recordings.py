@@ -655,6 +655,8 @@ def test_time_stamps_of_every_unit_and_empty_cells(tmp_path, unit):
         (HEADER + lines([0.0])[0] + "1e12,2,0.2,0.02,5\n" * 2, "row 3: t = '1e12'"),
         (HEADER + "1e999999999,2,0.2,0.02,5\n", "row 2: t = '1e999999999', expected a time in s"),
         (HEADER + "nan,2,0.2,0.02,5\n", "row 2: t = 'nan', expected a time in s"),
+        (HEADER + "1_0,2,0.2,0.02,5\n", "row 2: t = '1_0', expected a time in s"),
+        (HEADER + "10,2_0,0.2,0.02,5\n", "row 2: wheel_speed = '2_0', expected a number"),
         (HEADER + "2026-05-04 09:30:00+00:00,2,0.2,0.02,5\n", "give time: unit: iso"),
         (HEADER + "09:30:00,2,0.2,0.02,5\n", "text as .* give time: unit: iso"),
         (HEADER + "5/4/2026 9:30,2,0.2,0.02,5\n", "expected a time in s"),

@@ -94,6 +94,8 @@ def test_a_sinkage_beyond_the_radius_is_a_wrong_cell_or_a_wrong_unit(tmp_path):
             ["slip = -1.5", "(r w - V)/(r w) where the wheel is braked"],
         ),
         (["slip,load,torque", '"0,1",100,2'], ["slip = '0,1'", "with a decimal point"]),
+        (["slip,load,torque", "0.1,1_0,2"], ["row 2, load = '1_0'", "a finite number in N"]),
+        (["slip,load,torque", "0.1,\u0661,2"], ["row 2, load = ", "a finite number in N"]),
         (
             [HEADER, "0.1,100,deep,5"],
             ["row 2", "sinkage = 'deep'", "expected a finite number in m ("],

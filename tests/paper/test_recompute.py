@@ -15,6 +15,7 @@ from soil_env.cli.running import run
 from soil_env.paper import compare, model, page
 from soil_env.paper.compare import FIXED_COHESION, MEASURED, MODELS, PRINTED_SET, P
 from soil_env.parameters import soils
+from tests.refusals import refused, refused_command
 from tests.terramechanics import reference
 
 AS_PRINTED, WONG_REECE = MODELS
@@ -260,6 +261,12 @@ def test_noise_of_table_5():
     noise = compare.table_5(FIXED_COHESION[1], seed=0, draws=300)
     assert np.all((noise.below > 0.25) & (noise.below < 0.75)) and 0.8 < noise.converged <= 1.0
     assert np.all(np.diff(noise.quantiles, axis=0) > 0.0)
+
+
+def test_too_few_draws_of_noise_are_refused(capsys):
+    """Where every search is lost there is no median of its errors."""
+    refused(lambda: compare.table_5(FIXED_COHESION[0], seed=4, draws=1), "draws = 1: ", "expected")
+    refused_command(capsys, "paper", lambda a: run(paper.command, a, "paper"), "--draws", "1e9")
 
 
 def test_soils_of_fig_9_are_not_those_of_the_paper():

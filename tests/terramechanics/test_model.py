@@ -176,6 +176,7 @@ def test_a_row_may_have_another_wheel(soil):
         ({"sped": 1.0}, "did you mean 'speed'"),
         ({"slip": None}, "conditions: missing slip"),
         ({"slip": [0.1, math.nan]}, "conditions: slip: expected finite numbers"),
+        ({"load": 10**400}, "conditions: load: expected numbers"),
         ({"slip": 1.1}, r"expected slip in \[-1, 1\]"),
         (
             {"grouser_height": 0.15},

@@ -12,6 +12,7 @@ estimate.
 import copy
 import math
 import re
+import sys
 import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -20,7 +21,7 @@ from typing import Self
 
 import numpy as np
 
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import ParameterError, said
 from soil_env.identification.published import Traversability, published, soil_of_numbers
 from soil_env.identification.status import Status
 from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, Wheel
@@ -250,9 +251,9 @@ class OnlineIdentifier:
         finite number within a right angle.
         """
         if load is not None and not (_finite(load) and load > 0.0):
-            raise ParameterError(f"load = {load!r}: expected a finite number > 0 [N]")
+            raise ParameterError(f"load = {said(load)}: expected a finite number > 0 [N]")
         if not _finite(pitch):
-            raise ParameterError(f"pitch = {pitch!r}: expected a finite number")
+            raise ParameterError(f"pitch = {said(pitch)}: expected a finite number")
         if abs(pitch) >= 0.5 * math.pi:
             raise ParameterError(f"pitch = {pitch!r}: expected radians, less than pi/2")
         seen = np.array([[math.cos(pitch) if load is None else load / self._weight, pitch]])
@@ -279,8 +280,9 @@ class OnlineIdentifier:
                 expected = f"a number [{unit or '-'}], NaN where nothing was measured"
                 raise TypeError(f"{name} = {value!r}: expected {expected}")
             if value == value and limit == limit and not abs(value) <= limit:
+                shown = said(value) if isinstance(value, int) else f"{value:g}"
                 raise ValueError(
-                    f"{name} = {value:g} {unit}".rstrip()
+                    f"{name} = {shown} {unit}".rstrip()
                     + f": expected at most {limit:g} {unit}".rstrip()
                 )
         return self._period(readings.time), *self._speeds(readings)
@@ -291,9 +293,10 @@ class OnlineIdentifier:
         Warns outside `SHORTEST_STEP` to `LONGEST_STEP`; raises ValueError for an infinite time and
         one that is not later than the last.
         """
-        if abs(time) == math.inf:
+        if abs(time) > sys.float_info.max:
             raise ValueError(
-                f"time = {time!r} s: expected a finite number, or NaN for one period after the last"
+                f"time = {said(time)} s: expected a finite number, or NaN for one period after "
+                "the last"
             )
         passed = time - self._time
         if 0.0 < passed < math.inf:
@@ -374,7 +377,10 @@ class OnlineIdentifier:
 
 def _finite(given: object) -> bool:
     """True for a number that is neither infinite nor NaN nor a bool."""
-    return isinstance(given, Real) and not isinstance(given, bool) and math.isfinite(given)
+    try:
+        return isinstance(given, Real) and not isinstance(given, bool) and math.isfinite(given)
+    except OverflowError:  # a whole number beyond all floats
+        return False
 
 
 def _bearing_sinkage(scenario: Scenario) -> float:
