@@ -223,6 +223,9 @@ class Problem:
         self.scales = {
             f"{e.name}_{k}": v for e in LISTED.values() for k, v in e.priors(self.bench).items()
         }
+        if setup.load == "vertical":  # a share of 1 acts already, and model.yaml has the sum
+            share = CATALOGUE["grade"].parameter("share")
+            self.scales["grade_share"] = (share.scale, share.low, share.high - 1.0)
         #: Neutral value or centre of the parameters for which the rig sets it.
         self.centres = {
             f"{e.name}_{k}": v for e in LISTED.values() for k, v in e.neutral(self.bench).items()

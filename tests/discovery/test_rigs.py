@@ -11,6 +11,7 @@ import pytest
 from soil_env.discovery import run
 from soil_env.discovery.calibrate import calibrate
 from soil_env.discovery.corrected import model_of
+from soil_env.discovery.instrument import Choice
 from soil_env.discovery.locate import boxes
 from soil_env.discovery.next_tests import conditions
 from soil_env.discovery.report.pictures import groups
@@ -133,6 +134,15 @@ def test_a_vertical_load_is_resolved_on_the_grade(tmp_path):
     assert np.stack(model.predict(problem.data.table)[:3], axis=1) == pytest.approx(
         fit.output, rel=1e-5, abs=1e-6
     )
+
+
+def test_the_model_of_a_vertical_load_has_a_share_of_the_weight_within_bounds(tmp_path):
+    """A further share is fitted up to where the sum is still that of a model."""
+    _, problem, fit = fitted(tmp_path, hilly(), "load: vertical\n")
+    choices = (Choice("grade", 0),)
+    (share,) = problem.unknowns(choices)[len(problem.soil) :]
+    values = fit.parameters() | {share.name: share.high}
+    assert model_of(problem, choices, values).effects["grade"]["share"] == 2.0
 
 
 def test_a_report_of_two_wheels_on_a_rig_that_is_not_level(tmp_path):
