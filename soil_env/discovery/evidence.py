@@ -26,7 +26,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
-from scipy.special import chdtri, log_ndtr, ndtr
+from scipy.special import chdtri, log_ndtr
+from scipy.stats import truncnorm
 
 from soil_env.identification.table.data import CHANNELS
 from soil_env.identification.table.form_error import (
@@ -40,7 +41,7 @@ from soil_env.identification.table.form_error import (
     mixed,
     size_prior,
 )
-from soil_env.identification.table.priors import Unknown
+from soil_env.identification.table.priors import bounds_of
 from soil_env.identification.table.problem import side_by_side
 
 from .calibrate import ALL_LAW_LENGTHS, Fit, Law, Problem, Sizes
@@ -159,7 +160,7 @@ def weigh(problem: Problem, fit: Fit, over: SizeGrid | None = None) -> Evidence:
         found, mean[at], covariance[at] = marginals(normal, every[at], fit.u, first, over_noise)
         by_noise = fit.residual.size * math.log(over_noise)
         log[at] = found + log[at] - by_noise + _allowed(fit, mean[at], covariance[at])
-    total = float(log_sum(log))
+    total = log_sum(log)
     laws = np.array([s.law for s in sizes])
     of_size = log_sum(log.reshape(len(scales), -1), axis=0) - total
     by_law = {
@@ -342,23 +343,15 @@ def detectable(
         if p > _SLIGHT
     )
     x = np.sqrt((2.0 * threshold + np.log1p(normal)) / normal)
-    power = np.array([_beyond(u, float(at)) for u, at in zip(further.unknowns, x, strict=True)])
-    k = int(np.argmax(power + _TIE / x))
+    low, high = bounds_of(further.unknowns)
+    # Prior probabilities that a strength is further from its mean, on either side.
+    power = truncnorm.cdf(-x, low, high) + truncnorm.sf(x, low, high)
+    k = np.argmax(power + _TIE / x)
     moved = further.unknowns[k]
     choice = choices[further.owner[k]]
     form = LISTED[choice.effect].forms[choice.form].name
     strength = moved.name.removeprefix(f"{choice.effect}_")
     return Detectable(float(x[k] * moved.sd), strength, form, float(power[k]))
-
-
-def _beyond(unknown: Unknown, x: float) -> float:
-    """Prior probability that a strength is more than x standard deviations from its mean on either
-    side, given that it is within its bounds.
-    """
-    low, high = unknown.bounds
-    below, above = np.clip((-x, x), low, high)
-    outside = (ndtr(high) - ndtr(above)) + (ndtr(below) - ndtr(low))
-    return float(outside / (ndtr(high) - ndtr(low)))
 
 
 #: Sizes of a smooth contribution to a channel, relative to its root mean square; each as probable
@@ -522,5 +515,5 @@ def anonymous(problem: Problem, plain: Evidence) -> Evidence:
     if not single:
         return free
     more = about(plain.fit, max(single, key=lambda s: free.share[s]).patterns[0])
-    log = float(np.logaddexp(free.log, more.log)) - math.log(2.0)
+    log = np.logaddexp(free.log, more.log) - math.log(2.0)
     return replace(max(free, more, key=lambda e: e.log), log=log)

@@ -218,10 +218,9 @@ def next_checks(
     overlap = np.ones((p.size, p.size))
     while left:
         worth = [
-            float(information(p, (overlap * decided(names, c))[:, :, None])[0]) - before
-            for c in left
+            information(p, (overlap * decided(names, c))[:, :, None])[0] - before for c in left
         ]
-        k = int(np.argmax(worth))
+        k = np.argmax(worth)
         if worth[k] <= max(least, LEAST_OF_CHECK):
             break
         overlap = overlap * decided(names, left[k])
@@ -275,7 +274,7 @@ def proposed(
     grid = conditions(problem, evidence)
     # The run of the table that is missed most is the last of the grid.
     missed = np.nan_to_num(np.abs(problem.data.y - evidence[0].fit.output) / problem.sd)
-    worst = int(np.argmax(missed.max(axis=1)))
+    worst = np.argmax(missed.max(axis=1))
     last = grid.value["slip"].size
     grid = grid._replace(
         value={n: np.append(x, problem.data.conditions[n][worst]) for n, x in grid.value.items()}
@@ -331,8 +330,8 @@ def _described(
     mean[:, seen] = of.mean[:, g]
     sd[:, seen] = own
     off = np.nan_to_num(np.abs(mean[:1] - mean) / np.sqrt(0.5 * (sd[:1] ** 2 + sd**2)))
-    rival = int(np.argmax(of.share * off.max(axis=1)))
-    j = int(np.argmax(off[rival]))
+    rival = np.argmax(of.share * off.max(axis=1))
+    j = np.argmax(off[rival])
     values = ((mean * problem.noise).tolist(), (sd * problem.noise).tolist())
     said = tuple(Predicted(*row) for row in zip(of.names, of.share.tolist(), *values, strict=True))
     return said, (of.names[0], of.names[rival]), CHANNELS[j], float(off[rival, j])

@@ -370,7 +370,7 @@ def pull_misfits() -> list[float]:
     the three measured drawbar pulls.
     """
     misses = [prediction(PRINTED_SET, e)[:, 0] - MEASURED.pull for e in FIXED_COHESION]
-    return [float(np.sqrt(np.mean(miss**2))) for miss in misses]
+    return [np.sqrt(np.mean(miss**2)) for miss in misses]
 
 
 def sinkages(soil: ArrayLike, slip: np.ndarray, e: Equations) -> np.ndarray:

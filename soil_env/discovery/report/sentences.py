@@ -346,7 +346,7 @@ def cautions(report: Report) -> list[str]:
     widened = {k.name: k for k in problem.soil}
     for unknown, u, free in zip(fit.unknowns, fit.u, fit.free_unknowns, strict=True):
         label = SOIL.get(unknown.name, (unknown.name.replace("_", " "), ""))[0]
-        value = float(unknown.value(u))
+        value = unknown.value(u)
         if not free:
             bounds.append((label, not_tiny(value)))
         elif problem.is_given(unknown):
@@ -358,7 +358,7 @@ def cautions(report: Report) -> list[str]:
     worse_with = []
     for j in np.flatnonzero(dropped.any(axis=0)):
         kept, whole = (
-            math.sqrt(float(np.mean(residual[rows[:, j], j] ** 2)))
+            math.sqrt(np.mean(residual[rows[:, j], j] ** 2))
             for rows in (problem.used, problem.data.measured)
         )
         if whole > WITH_OUTLIERS * kept:
@@ -375,18 +375,18 @@ def cautions(report: Report) -> list[str]:
             if noise.origin[j] == "scatter"
         ],
         left_out=[f"{TITLES[name]} in row {row}" for row, name in report.left_out],
-        ordinary=int(np.sum(residual[dropped] <= ORDINARY)),
+        ordinary=np.sum(residual[dropped] <= ORDINARY),
         worse_with=worse_with,
         at_bound=bounds,
         off_prior=off_prior,
-        buried=int(np.sum(fit.output[:, 0] >= SUNK * DEEPEST * problem.data.wheel.radius)),
+        buried=np.sum(fit.output[:, 0] >= SUNK * DEEPEST * problem.data.wheel.radius),
         remains=[
             (TITLES[n], g.over_noise[1])
             for n, g in report.gap.items()
             if report.effects and g.after > LEFT * g.noise_floor
         ],
         lugs_unknown=setup.wheel.grouser_height is None
-        and bool(np.isnan(problem.data.table.grouser_height).all()),
+        and np.isnan(problem.data.table.grouser_height).all(),
     )
     lines = [*report.taken, *map(str.strip, text.splitlines())]
     return [line[:1].upper() + line[1:] for line in lines if line]
