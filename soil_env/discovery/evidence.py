@@ -203,21 +203,19 @@ def settle(
     problem: Problem,
     choices: Choices,
     near: Evidence | None = None,
-    start: dict[str, float] | None = None,
 ) -> Evidence:
     """Evidence of a model that is fitted under its most probable sizes of form errors, and
     linearised there.
 
-    Fit and sizes are found in turn, at most `_ROUNDS` times after a first fit. `start`: parameters
-    by name. `near`: a model of the same table, from which the first fit takes its form errors, and
-    its start where that is not given. Without it the first fit is under the noise alone.
+    Fit and sizes are found in turn, at most `_ROUNDS` times after a first fit. `near`: a model of
+    the same table, from which the first fit takes its form errors and its start. Without it the
+    first fit is under the noise alone.
     """
     if near is None:
-        first = problem.fit(choices, start)
+        first = problem.fit(choices)
     else:
         sizes = Sizes(min(near.sizes.law, _FIRST_LAW), span=near.sizes.span, rig=1.0)
-        start = near.fit.parameters() if start is None else start
-        first = problem.fit(choices, start, sizes, near.fit)
+        first = problem.fit(choices, near.fit.parameters(), sizes, near.fit)
     best = weigh(problem, first)
     for _ in range(_ROUNDS):
         sizes = best.sizes

@@ -186,7 +186,7 @@ def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[Ne
     Where something unlisted is most probable, the run that the first candidate misses most is
     repeated first.
     """
-    share = _shares(finding)
+    share = finding.by_effects
     found = {h.names: h.evidence for h in finding.hypotheses if not h.free}
     unseen = [n for n in LISTED if n in finding.untestable and _could_show(problem, n)]
     for name in unseen if share[()] * ODDS >= WITHIN_REACH else ():
@@ -208,7 +208,7 @@ def next_checks(
     before it. Errors that are `known` are left out.
     """
     least = max((t.information for t in runs), default=0.0)
-    share = {s: p for s, p in _shares(finding).items() if p > 0.0}
+    share = {s: p for s, p in finding.by_effects.items() if p > 0.0}
     # The last candidate is what is in no catalogue: no check decides that.
     names = [*share, ()]
     p = np.array([*share.values(), finding.unlisted])
@@ -233,26 +233,13 @@ def sure_of(finding: Finding) -> float:
     """Average probability of the right set of effects: sum of P^2, with P the probabilities of the
     sets that predict something, scaled to the sum 1.
     """
-    return float(np.sum(_scaled([*_shares(finding).values()]) ** 2))
+    return float(np.sum(_scaled([*finding.by_effects.values()]) ** 2))
 
 
 def _scaled(share: Sequence[float]) -> np.ndarray:
     """[K] probabilities scaled to the sum 1; all are equal if each is 0."""
     total = sum(share)
     return np.array(share) / total if total > 0.0 else np.full(len(share), 1.0 / len(share))
-
-
-def _shares(finding: Finding) -> dict[Names, float]:
-    """Probability of each set of effects, with an anonymous contribution or without; the empty set
-    is the base model alone.
-
-    Something unlisted without a listed effect is left out, since it predicts nothing.
-    """
-    share: dict[Names, float] = {}
-    for h in finding.hypotheses:
-        if h.names or not h.free:
-            share[h.names] = share.get(h.names, 0.0) + h.probability
-    return share
 
 
 def proposed(
