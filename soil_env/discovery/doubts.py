@@ -46,7 +46,14 @@ def of_lone_rows(
         f"{table.row[k]} (slip {table.slip[k]:g}, load {table.load[k]:g} N)" for k in alone
     )
     named = " and ".join(LISTED[name].title for name in found.names) or "nothing"
+    stand, their, decide, them = (
+        ("stands", "its", "decides", "it")
+        if alone.size == 1
+        else ("stand", "their", "decide", "them")
+    )
     return (
-        f"What is named rests on what stands alone in its conditions: line {rows}. Without that it "
-        f"is {named}. Check slip and load there.",
+        (
+            f"Line {rows} {stand} alone in {their} conditions and {decide} what is named: without "
+            f"{them} that is {named}. Check slip and load there."
+        ),
     )
