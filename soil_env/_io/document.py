@@ -30,13 +30,6 @@ class Table:
     rows: Sequence[Sequence[object]]
     caption: str = ""
 
-    def __post_init__(self) -> None:
-        """Raise ValueError unless every row is as long as the header."""
-        if any(len(row) != len(self.header) for row in self.rows):
-            raise ValueError(
-                f"expected rows of {len(self.header)} cells: {', '.join(map(str, self.header))}"
-            )
-
     def markdown(self) -> str:
         """Pipe table of Markdown, the caption in italics below; cells may hold Markdown."""
         rule = "|" + "---|" * len(self.header)

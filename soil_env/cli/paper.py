@@ -24,10 +24,10 @@ from .running import WholeNumber, console, out_option, seed_option
 )
 @seed_option("the noise in Table 5")
 def command(out: Path | None, draws: int, seed: int) -> None:
-    """Recompute every number that the source paper prints.
+    """Recompute the numbers that the source paper prints.
 
     Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251: Tables 1 to 5, Figs. 2 to
-    4 and 6 to 9, by the equations as printed and with the angle of maximum stress of Wong & Reece
+    4 and 6 to 8, by the equations as printed and with the angle of maximum stress of Wong & Reece
     (1967).
     """
     if out is not None:

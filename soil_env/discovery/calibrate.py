@@ -22,6 +22,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import gmean
 
 from soil_env.identification.table import form_error
 from soil_env.identification.table.data import CHANNELS, Data
@@ -269,24 +270,24 @@ class Problem:
         wheel = self.data.setup.wheel
         speed = rows.conditions[:, 0]
         z = self.data.y[:, 0]
-        sinkage = float(np.nanmedian(np.abs(z))) if np.any(np.isfinite(z)) else USUAL_SINKAGE * r
+        sinkage = np.nanmedian(np.abs(z)) if np.any(np.isfinite(z)) else USUAL_SINKAGE * r
         middle = 0.0
         sliding = 0.0
         if np.all(speed > 0.0):
-            middle = _geometric_mean(speed)
+            middle = gmean(speed)
             slide = sliding_speeds(rows.slip, speed)
-            sliding = _geometric_mean(slide[slide > 0.0]) if np.any(slide > 0.0) else middle
-        load = float(np.median(rows.load))
+            sliding = gmean(slide[slide > 0.0]) if np.any(slide > 0.0) else middle
+        load = np.median(rows.load)
         return Bench(
             radius=r,
             load=load,
             pressure=load / (r * self.data.wheel.width),
             sinkage=sinkage,
             speed=middle,
-            median_speed=float(np.median(speed)),
-            highest_speed=float(np.max(speed)),
+            median_speed=np.median(speed),
+            highest_speed=np.max(speed),
             sliding=sliding,
-            lowest_slip=float(np.min(rows.slip)),
+            lowest_slip=np.min(rows.slip),
             lugs=wheel.grouser_count,
             smooth=wheel.grouser_height == 0.0 and not np.any(rows.wheels[:, 2]),
         )
@@ -528,7 +529,7 @@ class Law:
         `form_error.stress_changes`; the median of the `output` at u gives their typical sinkage.
         """
         values = self.values(u)
-        sinkage = float(np.nanmedian(output[:, 0]))
+        sinkage = np.nanmedian(output[:, 0])
 
         def outcome(change: StressChange) -> np.ndarray:
             """[N, 3] output at u under a change of the stresses."""
@@ -592,11 +593,6 @@ class Law:
         return u, converged
 
 
-def _geometric_mean(values: np.ndarray) -> float:
-    """Geometric mean of positive values."""
-    return math.exp(float(np.mean(np.log(values))))
-
-
 def _in_channel(functions: np.ndarray, factor: np.ndarray) -> np.ndarray:
     """[N, 3, R] functions [N, R] times a factor [3] or [N, 3] for the channels."""
     return functions[:, None, :] * np.broadcast_to(factor, (len(functions), 3))[:, :, None]
@@ -625,4 +621,4 @@ def calibrate(data: Data) -> tuple[Problem, NoiseEstimate]:
 
     data, counted = with_noise_of_conditions(data, base)
     noise = dataclasses.replace(find_noise(data, fit.output), of_conditions=counted)
-    return Problem(data, noise.sd, noise.used, float(np.min(noise.freedom))), noise
+    return Problem(data, noise.sd, noise.used, np.min(noise.freedom)), noise

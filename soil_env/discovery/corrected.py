@@ -202,7 +202,7 @@ def least_sure(found: Prediction) -> Guess | None:
     known = found.at(problem.data.conditions).sd.max(axis=0)
     times = np.mean((there.sd / known)[:, used], axis=1)
     times[there.mean[:, 0] > DEEPEST * problem.data.wheel.radius] = 0.0
-    k = int(np.argmax(times))
+    k = np.argmax(times)
     if times[k] == 0.0:
         return None
     wheel = problem.data.wheel
@@ -227,8 +227,8 @@ def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
         if name in WHEEL:  # a table has no axis for the wheel
             continue
         x = problem.data.conditions[name]
-        low = float(x.min())
-        high = float(x.max())
+        low = x.min()
+        high = x.max()
         if name in STEPS:
             step = coarse * max(STEPS[name] * found.learnt.lengths[name], LEAST_STEP[name])
         if name == "slip":

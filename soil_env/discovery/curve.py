@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.stats import gmean
 
 from soil_env.terramechanics.steady import Rows
 
@@ -65,7 +66,7 @@ def fit_curve(slip: np.ndarray, load: np.ndarray, y: np.ndarray, sd: np.ndarray 
     and the powers, these with their priors, are fitted from there. Braked rows have an amplitude of
     their own if there are `FEWEST_BRAKED`.
     """
-    middle = float(np.exp(np.mean(np.log(load))))
+    middle = gmean(load)
     x = np.log(load / middle)
     braked = int(np.sum(slip < BRAKED)) >= FEWEST_BRAKED
     sd = np.broadcast_to(sd, y.shape)
@@ -78,7 +79,7 @@ def fit_curve(slip: np.ndarray, load: np.ndarray, y: np.ndarray, sd: np.ndarray 
         found = np.linalg.lstsq(basis, y / sd, rcond=1e-8)[0]
         return found, basis @ found - y / sd
 
-    scale = min(SLIP_SCALES, key=lambda k: float(np.sum(fitted(k, POWERS)[1] ** 2)))
+    scale = min(SLIP_SCALES, key=lambda k: np.sum(fitted(k, POWERS)[1] ** 2))
     powers = POWERS
     if np.ptp(x) > LEAST_SPAN:
         # Unknowns: p, q, m, ln k.
@@ -118,7 +119,7 @@ class Average(NamedTuple):
         A condition that is constant in the table has to be the same, or NaN.
         """
         table = self.table
-        sides = [bool(np.any(side)) for side in (table.slip < BRAKED, table.slip >= BRAKED)]
+        sides = [np.any(side) for side in (table.slip < BRAKED, table.slip >= BRAKED)]
         known = np.where(rows.slip < BRAKED, *sides)
         ours = np.concatenate([table.wheels, table.conditions], axis=1)
         theirs = np.concatenate([rows.wheels, rows.conditions], axis=1)

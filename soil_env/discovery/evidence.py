@@ -26,7 +26,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
-from scipy.special import chdtri, log_ndtr, ndtr
+from scipy.special import chdtri, log_ndtr
+from scipy.stats import truncnorm
 
 from soil_env.identification.table.data import CHANNELS
 from soil_env.identification.table.form_error import (
@@ -40,7 +41,7 @@ from soil_env.identification.table.form_error import (
     mixed,
     size_prior,
 )
-from soil_env.identification.table.priors import Unknown
+from soil_env.identification.table.priors import bounds_of
 from soil_env.identification.table.problem import side_by_side
 
 from .calibrate import ALL_LAW_LENGTHS, Fit, Law, Problem, Sizes
@@ -163,7 +164,7 @@ def weigh(problem: Problem, fit: Fit, over: SizeGrid | None = None) -> Evidence:
         found, mean[at], covariance[at] = marginals(normal, every[at], fit.u, first, over_noise)
         by_noise = fit.residual.size * math.log(over_noise)  # of the density of M values
         log[at] = found + log[at] - by_noise + _allowed(fit, mean[at], covariance[at])
-    total = float(log_sum(log))
+    total = log_sum(log)
     # Evidence under a size of the law's error: its posterior over its prior probability.
     laws = np.array([s.law for s in sizes])
     of_size = log_sum(log.reshape(len(scales), -1), axis=0) - total
@@ -204,26 +205,20 @@ def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return between
 
 
-def settle(
-    problem: Problem,
-    choices: Choices,
-    near: Evidence | None = None,
-    start: dict[str, float] | None = None,
-) -> Evidence:
+def settle(problem: Problem, choices: Choices, near: Evidence | None = None) -> Evidence:
     """Evidence of a model that is fitted under its most probable sizes of form errors, and
     linearised there.
 
-    Fit and sizes are found in turn, at most `_ROUNDS` times after a first fit. `start`: parameters
-    by name. `near`: a model of the same table, from which the first fit takes the nuisances, the
-    form error of the base law, and its start where that is not given. The size of that error is
-    `_FIRST_LAW` at most. Without `near` the first fit is under the noise alone.
+    Fit and sizes are found in turn, at most `_ROUNDS` times after a first fit. `near`: a model of
+    the same table, from which the first fit takes its start, the nuisances and the form error of
+    the base law, whose size is `_FIRST_LAW` at most. Without it the first fit is under the noise
+    alone.
     """
     if near is None:
-        first = problem.fit(choices, start)
+        first = problem.fit(choices)
     else:
         sizes = Sizes(min(near.sizes.law, _FIRST_LAW), span=near.sizes.span, rig=1.0)
-        start = near.fit.parameters() if start is None else start
-        first = problem.fit(choices, start, sizes, near.fit)
+        first = problem.fit(choices, near.fit.parameters(), sizes, near.fit)
     best = weigh(problem, first)
     for _ in range(_ROUNDS):
         sizes = best.sizes
@@ -351,23 +346,15 @@ def detectable(
         if p > _SLIGHT
     )
     x = np.sqrt((2.0 * threshold + np.log1p(normal)) / normal)
-    power = np.array([_beyond(u, float(at)) for u, at in zip(further.unknowns, x, strict=True)])
-    k = int(np.argmax(power + _TIE / x))
+    low, high = bounds_of(further.unknowns)
+    # Prior probabilities that a strength is further from its mean, on either side.
+    power = truncnorm.cdf(-x, low, high) + truncnorm.sf(x, low, high)
+    k = np.argmax(power + _TIE / x)
     moved = further.unknowns[k]
     choice = choices[further.owner[k]]
     form = LISTED[choice.effect].forms[choice.form].name
     strength = moved.name.removeprefix(f"{choice.effect}_")
     return Detectable(float(x[k] * moved.sd), strength, form, float(power[k]))
-
-
-def _beyond(unknown: Unknown, x: float) -> float:
-    """Prior probability that a strength is more than x standard deviations from its mean on either
-    side, given that it is within its bounds.
-    """
-    low, high = unknown.bounds
-    below, above = np.clip((-x, x), low, high)
-    outside = (ndtr(high) - ndtr(above)) + (ndtr(below) - ndtr(low))
-    return float(outside / (ndtr(high) - ndtr(low)))
 
 
 #: Sizes of a smooth contribution to a channel, relative to its root mean square; each as probable
@@ -534,5 +521,5 @@ def anonymous(problem: Problem, plain: Evidence) -> Evidence:
     if not single:
         return free
     more = about(plain.fit, max(single, key=lambda s: free.share[s]).patterns[0])
-    log = float(np.logaddexp(free.log, more.log)) - math.log(2.0)
+    log = np.logaddexp(free.log, more.log) - math.log(2.0)
     return replace(max(free, more, key=lambda e: e.log), log=log)

@@ -72,10 +72,7 @@ def intervals(finding: Finding, own: Evidence) -> dict[str, Interval]:
     soil, covariance = mixed(share, mean, within)
     mean = np.concatenate([soil, own.mean[p:]])
     sd = np.sqrt(np.concatenate([np.diag(covariance), np.diag(own.covariance)[p:]]))
-    return {
-        k.name: _interval(k, float(u), float(s))
-        for k, u, s in zip(own.fit.unknowns, mean, sd, strict=True)
-    }
+    return {k.name: _interval(k, u, s) for k, u, s in zip(own.fit.unknowns, mean, sd, strict=True)}
 
 
 def _interval(unknown: Unknown, u: float, sd: float) -> Interval:
@@ -102,7 +99,7 @@ def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
     jacobian = a[: fit.residual.size]
     normal = a.T @ a
     residual = e[: fit.residual.size]
-    laws = int(fit.free_unknowns.sum())  # the columns after these are form errors
+    laws = fit.free_unknowns.sum()  # the columns after these are form errors
     error = np.zeros(residual.size)  # [noise] measured less predicted
     for out in (group[rows] for way in ways for group in way):
         j = jacobian[out]
@@ -140,7 +137,7 @@ def closed(problem: Problem, gap: dict[str, Gap]) -> float | None:
     """
     before, after = (
         sum(
-            int(problem.used[:, CHANNELS.index(name)].sum()) * max(g.over_noise[k] ** 2 - 1.0, 0.0)
+            problem.used[:, CHANNELS.index(name)].sum() * max(g.over_noise[k] ** 2 - 1.0, 0.0)
             for name, g in gap.items()
         )
         for k in (0, 1)

@@ -113,8 +113,8 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
     while len(out) < MOST and allowed.any():
         t = v.T @ e
         t = np.where(allowed & (t * plain > 0.0), np.abs(t), 0.0)
-        k = int(np.argmax(t))
-        p = _p_value(float(t[k]), looks, problem.freedom)
+        k = np.argmax(t)
+        p = _p_value(t[k], looks, problem.freedom)
         if p >= SIGNIFICANT:
             break
         j, box = where[k]
@@ -168,7 +168,7 @@ def _independent_looks(
     if math.isfinite(freedom):
         noise = np.sqrt(rng.chisquare(freedom, (_DRAWS, 3)) / freedom)
         t /= noise.astype(np.float32)[:, channel]
-    alone = _p_of_one(float(np.quantile(t.max(axis=1), _TAIL)), freedom)
+    alone = _p_of_one(np.quantile(t.max(axis=1), _TAIL), freedom)
     return max(1.0, math.log(_TAIL) / math.log1p(-alone)) if alone < 1.0 else 1.0
 
 

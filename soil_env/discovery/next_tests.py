@@ -186,7 +186,7 @@ def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[Ne
     table does not vary and the rig could. Where something unlisted is most probable, the run that
     the first candidate misses most is repeated first.
     """
-    share = _shares(finding)
+    share = finding.by_effects
     found = {h.names: h.evidence for h in finding.hypotheses if not h.free}
     unseen = [n for n in LISTED if n in finding.untestable and _could_show(problem, n)]
     for name in unseen if share[()] * ODDS >= WITHIN_REACH else ():
@@ -208,7 +208,7 @@ def next_checks(
     before it. Errors of the rig that are `known`, by name, need no check.
     """
     least = max((t.information for t in runs), default=0.0)
-    share = {s: p for s, p in _shares(finding).items() if p > 0.0}
+    share = {s: p for s, p in finding.by_effects.items() if p > 0.0}
     # The last candidate is what is in no catalogue: no check decides that.
     names = [*share, ()]
     p = np.array([*share.values(), finding.unlisted])
@@ -218,10 +218,9 @@ def next_checks(
     overlap = np.ones((p.size, p.size))
     while left:
         worth = [
-            float(information(p, (overlap * decided(names, c))[:, :, None])[0]) - before
-            for c in left
+            information(p, (overlap * decided(names, c))[:, :, None])[0] - before for c in left
         ]
-        k = int(np.argmax(worth))
+        k = np.argmax(worth)
         if worth[k] <= max(least, LEAST_OF_CHECK):
             break
         overlap = overlap * decided(names, left[k])
@@ -234,26 +233,13 @@ def sure_of(finding: Finding) -> float:
     """Average probability of the right set of effects: sum of P^2, with P the probabilities of the
     sets that predict something, scaled to the sum 1.
     """
-    return float(np.sum(_scaled([*_shares(finding).values()]) ** 2))
+    return float(np.sum(_scaled([*finding.by_effects.values()]) ** 2))
 
 
 def _scaled(share: Sequence[float]) -> np.ndarray:
     """[K] probabilities scaled to the sum 1; all are equal if each is 0."""
     total = sum(share)
     return np.array(share) / total if total > 0.0 else np.full(len(share), 1.0 / len(share))
-
-
-def _shares(finding: Finding) -> dict[Names, float]:
-    """Probability of each set of effects, with an anonymous contribution or without; the empty set
-    is the base model alone.
-
-    Something unlisted without a listed effect is left out, since it predicts nothing.
-    """
-    share: dict[Names, float] = {}
-    for h in finding.hypotheses:
-        if h.names or not h.free:
-            share[h.names] = share.get(h.names, 0.0) + h.probability
-    return share
 
 
 def proposed(
@@ -275,7 +261,7 @@ def proposed(
     grid = conditions(problem, evidence)
     # The run of the table that is missed most is the last of the grid.
     missed = np.nan_to_num(np.abs(problem.data.y - evidence[0].fit.output) / problem.sd)
-    worst = int(np.argmax(missed.max(axis=1)))
+    worst = np.argmax(missed.max(axis=1))
     last = grid.value["slip"].size
     grid = grid._replace(
         value={n: np.append(x, problem.data.conditions[n][worst]) for n, x in grid.value.items()}
@@ -341,8 +327,8 @@ def _described(
     mean[:, seen] = of.mean[:, g]
     sd[:, seen] = own
     off = np.nan_to_num(np.abs(mean[:1] - mean) / np.sqrt(0.5 * (sd[:1] ** 2 + sd**2)))
-    rival = int(np.argmax(of.share * off.max(axis=1)))
-    j = int(np.argmax(off[rival]))
+    rival = np.argmax(of.share * off.max(axis=1))
+    j = np.argmax(off[rival])
     values = ((mean * problem.noise).tolist(), (sd * problem.noise).tolist())
     said = tuple(Predicted(*row) for row in zip(of.names, of.share.tolist(), *values, strict=True))
     return said, (of.names[0], of.names[rival]), CHANNELS[j], float(off[rival, j])

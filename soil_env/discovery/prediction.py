@@ -218,7 +218,7 @@ class _Covariance(NamedTuple):
     @property
     def log_size(self) -> float:
         """Half the logarithm of the determinant of the covariance."""
-        return float(sum(log_diagonal(channel.root) for channel in self.channels))
+        return sum(log_diagonal(channel.root) for channel in self.channels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -456,7 +456,7 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
             for n, (name, length) in enumerate(learnt.lengths.items(), start=3):
                 if name in square:
                     slope[n] += np.sum(g * square[name][use]) / length**2
-        return float(value), slope
+        return value, slope
 
     # What the table does not show has only the slope of its prior, and stays at its usual value.
     options = {"maxiter": STEPS_TO_LEARN}

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.stats import truncnorm
 
 from soil_env.identification.table.form_error import INPUTS, LENGTHS, Conditions, Process, finite
 
@@ -21,7 +21,6 @@ from .instrument import LISTED
 from .prediction import at_conditions
 
 DEEPEST = 0.6  # [radii] deepest sinkage of a feasible run; own choice
-_BEYOND = 30.0  # [sd] distance from which a normal density counts as 0
 _FUNCTIONS = 60  # most functions of the process of a form error over table and other rows
 _NEAR = 4.0  # [sd] distance of a mean from a bound, above which the bound changes nothing
 #: [sd] distance of a mean outside a bound, from which the unknown is put on the bound: inside there
@@ -147,24 +146,9 @@ def _within_bounds(
                 moved = low if low > 0.0 else high
                 left = _LEAST_LEFT
             else:
-                moved, left = _truncated(low, high)
+                moved, left = truncnorm.stats(low, high)
             along = covariance[:, k] / sd
             off = off + along * moved
             left = min(max(left, _LEAST_LEFT), 1.0)
             covariance = covariance + np.outer(along, along) * (left - 1.0)
     return off, covariance
-
-
-def _truncated(low: float, high: float) -> tuple[float, float]:
-    """(mean, variance) of a standard normal variable that is known to be between two bounds."""
-    # Where low > 0 both values of ndtr may be nearly 1, and their difference lost in rounding:
-    # there it is that of the mirrored interval.
-    if low > 0.0:
-        mean, variance = _truncated(-high, -low)
-        return -mean, variance
-    inside = float(ndtr(high) - ndtr(low))
-    low = max(low, -_BEYOND)
-    high = min(high, _BEYOND)
-    at_low, at_high = (math.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi) for x in (low, high))
-    mean = (at_low - at_high) / inside
-    return mean, 1.0 + (low * at_low - high * at_high) / inside - mean**2

@@ -185,6 +185,19 @@ class Finding:
         return sum(h.probability for h in self.hypotheses if h.free)
 
     @property
+    def by_effects(self) -> dict[Names, float]:
+        """Probability of each set of effects, with an anonymous contribution or without; the empty
+        set is the base model alone.
+
+        Something unlisted without a listed effect is left out, since it predicts nothing.
+        """
+        share: dict[Names, float] = {}
+        for h in self.hypotheses:
+            if h.names or not h.free:
+                share[h.names] = share.get(h.names, 0.0) + h.probability
+        return share
+
+    @property
     def more(self) -> float:
         """Probability that the stated effects are missing and more: a further effect, or what no
         listed effect explains.

@@ -213,7 +213,7 @@ class _Doubts:
         known = turns.sum() >= _LEAST
         if ratio < _RIM[0] or (ratio > _RIM[1] and not known):
             return ratio, _RIM
-        freest = float(np.quantile(rim[turns] / speed[turns], _FREE_SHARE)) if known else 1.0
+        freest = np.quantile(rim[turns] / speed[turns], _FREE_SHARE) if known else 1.0
         return None if _FREEST[0] <= freest <= _FREEST[1] else (freest, _FREEST)
 
     def _sizes(self) -> bool:
@@ -230,7 +230,7 @@ class _Doubts:
             values = self._driven(np.abs(self.log.get(name)))
             if values.size < _LEAST:
                 continue
-            size = float(np.quantile(values, quantile))
+            size = np.quantile(values, quantile)
             ratio = size / sizes.get(of, 1.0)
             if low <= ratio <= high or (ratio == 0.0 and name == "sinkage"):
                 continue
@@ -268,10 +268,10 @@ class _Doubts:
         known = ~np.isnan(expected + felt)
         x = expected[known]  # [m/s2] gravity along the course, by the pitch
         y = felt[known]  # [m/s2] the same, by the other sensor
-        if x.size < _LEAST or math.sqrt(float(x @ x) / x.size) < _HILL * gravity:
+        if x.size < _LEAST or math.sqrt((x @ x) / x.size) < _HILL * gravity:
             return
-        slope = float(x @ y) / float(x @ x)
-        alike = float(x @ y) / math.sqrt(max(float(x @ x) * float(y @ y), _TINIEST))
+        slope = (x @ y) / (x @ x)
+        alike = (x @ y) / math.sqrt(max((x @ x) * (y @ y), _TINIEST))
         if slope <= _AGAINST and alike <= -_ALIKE:
             said = f"{slope:.2g} times the slope that {self._place(name)} feels"
             self._doubt("pitch", said, "the same slope", "another sign of one of the two")

@@ -186,8 +186,8 @@ class _Reader:
         kept = order.settle(times, *self._gaps, self.notes)
         sound = times[kept]
         if sound.size > 1:
-            self.interval = float(np.median(np.abs(np.diff(sound[:_FIRST_ROWS])))) * 1e-9
-            self.length = float(sound[-1] - sound[0]) * 1e-9
+            self.interval = np.median(np.abs(np.diff(sound[:_FIRST_ROWS]))) * 1e-9
+            self.length = (sound[-1] - sound[0]) * 1e-9
         for name in self.sources:
             self._finish(name, times, kept)
 
@@ -226,7 +226,7 @@ class _Reader:
                 self._finish(name, times, kept)
             recorded = np.frombuffer(topic.stamps.recorded, np.int64)
             if kept.any():
-                delays[of] = float(np.mean((recorded - times)[kept])) * 1e-9
+                delays[of] = np.mean((recorded - times)[kept]) * 1e-9
         _note_delays(notes, delays)
 
     def _check_found(self, topics: dict[str, "_Topic"]) -> None:
@@ -370,7 +370,7 @@ def _note_delays(notes: Notes, mean: dict[str, float]) -> None:
     `mean`: mean time [s] of the recording behind the stamps by topic, 0 of one without stamps.
     """
     if mean and max(mean.values()) - min(mean.values()) > _DELAY:
-        middle = float(np.median([*mean.values()]))
+        middle = np.median([*mean.values()])
         topic = max(mean, key=lambda t: (abs(mean[t] - middle), abs(mean[t])))
         others = ", ".join(f"{t} {mean[t]:.3g} s" for t in sorted(mean) if t != topic)
         notes.add(

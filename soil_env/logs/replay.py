@@ -210,7 +210,7 @@ def _refuse(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray)
     for name, (low, high) in _BOUNDS.items():
         outside = ~bad & ~((values[name] >= low) & (values[name] <= high))
         if outside.any() and not said:
-            k = int(np.argmax(outside))
+            k = np.argmax(outside)
             said = (
                 f" (at {time[k]:.1f} s {name} = {values[name][k]:.3g}: expected {low:g} to "
                 f"{high:g})"
@@ -256,7 +256,7 @@ def _grounds(
         if not gap[end]:
             if where[end] - where[begins] < _LEAST_PART * border:
                 continue
-            settled = int(np.searchsorted(where, where[end] - _LEFT * border, side="right")) - 1
+            settled = np.searchsorted(where, where[end] - _LEFT * border, side="right") - 1
         here = _last_known(values, status, begins, max(settled, begins), prior)
         probability = math.nan if before is None else _probability_of_two(before, here)
         if before is not None and probability < DIFFERS:
@@ -285,11 +285,11 @@ def _last_known(
     k = first + steps[-1]
     rows = []
     for name in _COMPARED:
-        value = float(values[name][k])
+        value = values[name][k]
         middle = getattr(prior, name)
         scale = getattr(prior, SD_OF[name])
         away = math.log(value / middle) if "relative" in SD_OF[name] else value - middle
-        rows.append((away / scale, min(float(values[SD_OF[name]][k]) / scale, 1.0) ** 2))
+        rows.append((away / scale, min(values[SD_OF[name]][k] / scale, 1.0) ** 2))
     return np.transpose(rows)
 
 
@@ -307,7 +307,7 @@ def _probability_of_two(one: np.ndarray, other: np.ndarray) -> float:
     w = other[1]
     same = v + w - 2.0 * v * w + doubt
     apart = 2.0 - v - w + doubt
-    odds = 0.5 * float(np.sum(np.log(same / apart) + away**2 * (1.0 / same - 1.0 / apart)))
+    odds = 0.5 * np.sum(np.log(same / apart) + away**2 * (1.0 / same - 1.0 / apart))
     odds += math.log(_SEEN / (1.0 - _SEEN))
     return 1.0 / (1.0 + math.exp(-min(max(odds, -_LARGEST_LOG_ODDS), _LARGEST_LOG_ODDS)))
 
@@ -386,7 +386,7 @@ def contradiction(found: Replay) -> tuple[str, bool]:
     """(sentence on the share of the steps in which the readings contradict the model, True if it is
     most of them); ("", False) where it is little.
     """
-    misfit = float(np.mean(found.status == Status.MISFIT))
+    misfit = np.mean(found.status == Status.MISFIT)
     if misfit <= _CONTRADICTS:
         return "", False
     return _MISFIT.format(100.0 * misfit), misfit > _MOSTLY

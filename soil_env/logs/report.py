@@ -132,7 +132,7 @@ def _date(time: int) -> str:
 
 def _channel_table(log: Aligned) -> Table:
     """Source, rate, gaps and range of each reading; a constant has only source and range."""
-    length = max(float(log.time[-1] - log.time[0]), log.period)
+    length = max(log.time[-1] - log.time[0], log.period)
     rows = []
     for name, c in log.channels.items():
         counted = ["", "", "", ""]

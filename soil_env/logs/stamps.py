@@ -181,7 +181,7 @@ def _together(times: np.ndarray, restart: int) -> np.ndarray:
     gaps = np.diff(times)
     if gaps.size == 0:
         return out
-    apart = max(float(restart), _ALONE * float(np.median(gaps)))
+    apart = max(restart, _ALONE * np.median(gaps))
     parts = np.split(np.arange(times.size), np.flatnonzero(gaps > apart) + 1)
     most = max(parts, key=len)
     for part in parts:

@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from scipy.signal import detrend
 
 from soil_env._compiled.flags import uncompiled
 from soil_env._io.loading import plural
@@ -214,16 +215,15 @@ def _change(values: np.ndarray) -> float:
     first, second = np.split(values, [values.size // 2])
     if np.isnan(first).all() or np.isnan(second).all():
         return 0.0
-    return abs(float(np.nanmean(second) - np.nanmean(first)))
+    return abs(np.nanmean(second) - np.nanmean(first))
 
 
 def _scatter(values: np.ndarray) -> float:
     """Standard deviation of `values` [n] about a straight line in time; NaN if one is missing."""
     if np.isnan(values).any():
         return math.nan
-    x = np.linspace(-1.0, 1.0, values.size)
-    residual = values - values.mean() - x * (x @ values) / (x @ x)
-    return math.sqrt(float(residual @ residual) / (values.size - 2))
+    residual = detrend(values)
+    return math.sqrt((residual @ residual) / (values.size - 2))
 
 
 def _row(part: dict[str, np.ndarray], start: float, period: float) -> Point:

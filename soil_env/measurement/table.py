@@ -388,7 +388,7 @@ def _check_rows(
     def refuse(name: str, wrong: np.ndarray, expected: str) -> None:
         """Raise `ParameterError` for the first row where the column `name` is `wrong` [N] bool."""
         if np.any(wrong):
-            k = int(np.flatnonzero(wrong)[0])
+            k = np.flatnonzero(wrong)[0]
             text = _texts(name, header, rows)[k]
             value = f"= {text}" if text else "is empty"
             raise ParameterError(

@@ -61,7 +61,6 @@ NOISE = 0.05  # standard deviation of the noise of Table 5, relative to each mea
 # of a search and far below the distance of another root.
 ROOT_DEGREES = 0.01  # [deg] of phi
 ROOT_RELATIVE = 1e-4  # [-] of K and of S
-BURIED = 1.5  # [radii] sinkage that `sinkages` looks for, at most; as in the steady state
 
 
 class Row(NamedTuple):
@@ -86,15 +85,15 @@ def percent_above(value: Any, reference: Any) -> Any:
 
 
 def soil_and_equations(
-    soil: Any, e: Equations = AS_PRINTED
+    sand: Sand, e: Equations = AS_PRINTED
 ) -> tuple[tuple[float, float, float], Equations]:
-    """((phi [deg], K [m], S) of a `Sand` or a `Soil`, the equations `e` with its c and n).
+    """((phi [deg], K [m], S) of the sand, the equations `e` with its c and n).
 
     The two arguments by which `forces` describes a soil.
     """
-    S = lumped_coefficient(soil.k_c, soil.k_phi, e.width)
-    e = e._replace(cohesion=soil.cohesion, exponent=soil.sinkage_exponent)
-    return (soil.friction_angle_deg, soil.shear_modulus, S), e
+    S = lumped_coefficient(sand.k_c, sand.k_phi, e.width)
+    e = e._replace(cohesion=sand.cohesion, exponent=sand.sinkage_exponent)
+    return (sand.friction_angle_deg, sand.shear_modulus, S), e
 
 
 def pulls(e: Equations, sand: Sand, slip: ArrayLike) -> np.ndarray:
@@ -374,30 +373,23 @@ def pull_misfits() -> list[float]:
     the three measured drawbar pulls.
     """
     misses = [prediction(PRINTED_SET, e)[:, 0] - MEASURED.pull for e in FIXED_COHESION]
-    return [float(np.sqrt(np.mean(miss**2))) for miss in misses]
+    return [np.sqrt(np.mean(miss**2)) for miss in misses]
 
 
 def sinkages(soil: ArrayLike, slip: np.ndarray, e: Equations) -> np.ndarray:
-    """Sinkage [m] at which (1) carries `WONG_REECE_LOAD`, for each slip [M], by bisection.
-
-    NaN where no sinkage up to `BURIED` radii does. `soil` is (phi [deg], K [m], S).
+    """Sinkage [m] at which (1) carries `WONG_REECE_LOAD`, for each slip [M], looked for up to a
+    radius. `soil` is (phi [deg], K [m], S).
     """
-    low = np.zeros(slip.shape)
-    high = np.full(slip.shape, BURIED * e.radius)
-    buried = forces(soil, slip, high, e)[:, 1] < WONG_REECE_LOAD
-    for _ in range(40):  # halves the bracket to 1e-12 m
-        middle = 0.5 * (low + high)
-        # True where the soil carries less than the load.
-        short = forces(soil, slip, middle, e)[:, 1] < WONG_REECE_LOAD
-        low = np.where(short, middle, low)
-        high = np.where(short, high, middle)
-    return np.where(buried, np.nan, high)
+
+    def excess(sinkage: float, i: float) -> float:
+        """Load [N] that the soil carries at a slip i, beyond that of the wheel."""
+        return forces(soil, i, sinkage, e)[0, 1] - WONG_REECE_LOAD
+
+    return np.array([brentq(excess, 0.0, e.radius, (i,)) for i in slip])
 
 
 def torque(soil: ArrayLike, e: Equations) -> np.ndarray:
-    """Torque required [N m] at `SLIPS` by (1) and (3), integrated exactly; NaN where the soil does
-    not carry the wheel.
-    """
+    """Torque required [N m] at `SLIPS` by (1) and (3), integrated exactly."""
     e = e._replace(simpson=0)
     return forces(soil, SLIPS, sinkages(soil, SLIPS, e), e)[:, 2]
 

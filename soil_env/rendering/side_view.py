@@ -183,7 +183,7 @@ def draw_side_view(
         body = by_name(worlds.state[j])
         rut_depth = (worlds.ruts["floor"][j] + worlds.ruts["depth"][j]).max(axis=0)
         vehicle = scenario.vehicle
-        posture = posture_of(vehicle, hubs, float(body["pitch"]))
+        posture = posture_of(vehicle, hubs, body["pitch"])
     else:
         body = wheels[0] | {"pitch": wheels[0]["grade"]}
         rut_depth = worlds.courses["cells"]["depth"][j]
@@ -210,10 +210,10 @@ def draw_side_view(
         _draw_body(c, scene, vehicle, posture, r)
     for w, place, angle in zip(wheels, places, angles, strict=True):
         colour = canvas.RIM if posture is None else COLOURS[w["name"]][0]
-        drawing.draw_wheel(c, place, size, float(angle), colour)
+        drawing.draw_wheel(c, place, size, angle, colour)
     for w, place, own in zip(wheels, places, stresses, strict=True):
         side = -1.0 if w["speed"] < -REST_SPEED else 1.0
-        drawing.draw_stresses(c, place, size, float(w["grade"]), side, own, per_pascal)
+        drawing.draw_stresses(c, place, size, w["grade"], side, own, per_pascal)
     if posture is not None:
         _draw_suspension(c, scene, vehicle, posture, r)
     drawing.draw_stress_key(c, scene.box, stresses)

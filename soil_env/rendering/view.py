@@ -48,7 +48,7 @@ class CourseView:
 
         Only every `_every`-th state is added, so that the history stays within `_POINTS`.
         """
-        steps = int(simulation.steps[k])
+        steps = simulation.steps[k]
         wheels = shown_wheels(simulation, k)
         self._angles = self._angles + np.array([w["wheel_speed"] for w in wheels]) * self._step
         if steps % (self._every * self.scenario.control.action_periods) == 0:

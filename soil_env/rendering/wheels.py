@@ -156,7 +156,7 @@ def draw_stresses(
     inner = hub + outward * (0.93 * size - shear)
     c.polygon([*inside, *inner[::-1]], LIGHT_ORANGE)
     c.lines(inner, ORANGE)
-    i = int(np.argmax(shear))
+    i = np.argmax(shear)
     if shear[i] > _LEAST_BAND:
         ahead = np.array([outward[i, 1], -outward[i, 0]])
         forward = 0.16 * size * ahead * np.sign(stresses.shear[i])

@@ -14,7 +14,6 @@ from soil_env.cli import paper
 from soil_env.cli.running import run
 from soil_env.paper import compare, model, page
 from soil_env.paper.compare import FIXED_COHESION, MEASURED, MODELS, PRINTED_SET, P
-from soil_env.parameters import soils
 from tests.refusals import refused, refused_command
 from tests.terramechanics import reference
 
@@ -267,20 +266,6 @@ def test_too_few_draws_of_noise_are_refused(capsys):
     """Where every search is lost there is no median of its errors."""
     refused(lambda: compare.table_5(FIXED_COHESION[0], seed=4, draws=1), "draws = 1: ", "expected")
     refused_command(capsys, "paper", lambda a: run(paper.command, a, "paper"), "--draws", "1e9")
-
-
-def test_soils_of_fig_9_are_not_those_of_the_paper():
-    rows = {"sandy_loam_15": 2784.0, "dry_sand": 2713.0, "clayey_soil_38": 1406.0}
-    for name, highest in rows.items():
-        torque = compare.torque(*compare.soil_and_equations(soils()[name]))
-        assert np.nanmax(torque) == pytest.approx(highest, abs=0.5), name
-    assert np.isnan(compare.torque(*compare.soil_and_equations(soils()["snow"]))).all()
-    clay = soils()["clayey_soil_38"]
-    excluded = dataclasses.replace(clay, cohesion=P.high_cohesion_excluded)
-    assert (
-        np.nanmax(compare.torque(*compare.soil_and_equations(excluded)))
-        < P.fig9_about["clayey_soil"]
-    )
 
 
 def test_page_and_figures_are_written(tmp_path, results):

@@ -24,8 +24,6 @@ from soil_env.identification.table.data import CHANNELS
 
 from . import equations, sentences, tables, words
 
-__all__ = ["FILES", "check_folder", "content", "page", "show", "text", "write"]
-
 FILES = ("report.json", "report.html", "model.yaml")
 COLOURS = {"named": "green", "none": "green"}  # of the terminal by verdict; others are yellow
 _SHOWN = 8  # candidates of the ranking on the terminal

@@ -127,12 +127,12 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
     for k, rows in enumerate(data.groups):
         if np.unique(varied["slip"].level[rows]).size >= min(FEWEST_SLIPS, varied["slip"].levels):
             off = (data.y - report.held_out_before)[rows] / report.problem.sd[rows]
-            found.append((float(np.nanmean(off**2)) if np.isfinite(off).any() else 0.0, k, rows))
+            found.append((np.nanmean(off**2) if np.isfinite(off).any() else 0.0, k, rows))
     found.sort(key=lambda f: f[:2])
     evenly = np.linspace(0, len(found) - 1, min(CURVES, len(found))).round().astype(int)
     out = []
     for _, _, rows in (found[k] for k in evenly):
-        parts = [_value(c.name, float(np.median(c.value[rows]))) for c in others]
+        parts = [_value(c.name, np.median(c.value[rows])) for c in others]
         out.append((", ".join(parts), rows[np.argsort(data.rows.slip[rows], kind="stable")]))
     return out
 
@@ -151,9 +151,7 @@ def curves(report: Report, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
     conditions.
     """
     data = report.problem.data
-    at: dict[str, Any] = {
-        name: float(np.mean(column[rows])) for name, column in data.conditions.items()
-    }
+    at: dict[str, Any] = {name: np.mean(column[rows]) for name, column in data.conditions.items()}
     at["slip"] = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), POINTS)
     base = Law(at_conditions(report.problem, at), ()).output(report.base.u)
     return at["slip"], base, report.outlook.model.mean_at(at)

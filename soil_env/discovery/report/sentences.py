@@ -3,7 +3,6 @@ folder.
 """
 
 import math
-from collections import defaultdict
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from soil_env._io.document import render
 from soil_env._io.loading import ParameterError, plural
 from soil_env.discovery.calibrate import PRIOR_WIDTH
-from soil_env.discovery.instrument import INSTRUMENT, LISTED, Names, ruled_out
+from soil_env.discovery.instrument import INSTRUMENT, LISTED, ruled_out
 from soil_env.discovery.locate import Disagreement
 from soil_env.discovery.next_tests import ENOUGH, NextTest, sure_of
 from soil_env.discovery.result import LEFT, WORSE, Report
@@ -258,12 +257,9 @@ def summary(report: Report) -> str:
     """
     finding = report.finding
     gap = report.gap
-    of: defaultdict[Names, float] = defaultdict(float)  # probability of each set of listed effects
-    for h in finding.hypotheses:
-        of[h.names] += h.probability
     shares = [
         f"{title(' and '.join(n))}{' alone' * (len(n) == 1)} ({sure(p)})"
-        for n, p in sorted(of.items(), key=lambda item: -item[1])
+        for n, p in sorted(finding.by_effects.items(), key=lambda item: -item[1])
         if n and p >= REPORTED
     ]
     return filled(
@@ -301,21 +297,12 @@ def simulated(report: Report) -> str:
     That is the forms of which it has all parameters, and which may be others than the stated one,
     or else only its table. Of an error of the rig it is nothing.
     """
-    said = []
+    held = []
     for e in report.effects:
         own = report.model.effects.get(e.name, {}).keys()
-        held = [f.name for f in LISTED[e.name].forms if own >= {*f.free, *dict(f.fixed)}]
-        if e.name in INSTRUMENT:
-            what = "nothing, since it is an error of the rig"
-        elif not held:
-            what = "no equation, only values in its table of what effects leave"
-        else:
-            other = "" if e.form in held else f", not {_quoted(e.form)} as stated here"
-            forms = "form" if len(held) == 1 else "forms"
-            what = f"the {forms} {joined(map(_quoted, held))}{other}, shrunk to published sizes, "
-            what += "and a table of what is left"
-        said.append(f"Of {title(e.name)} model.yaml simulates {what}.")
-    return " ".join(said)
+        forms = [f for f in LISTED[e.name].forms if own >= {*f.free, *dict(f.fixed)}]
+        held.append((e, [_quoted(f.name) for f in forms]))
+    return filled("simulated.txt", report, held=held, of_rig=INSTRUMENT)
 
 
 def _quoted(form: str) -> str:
@@ -358,7 +345,7 @@ def cautions(report: Report) -> list[str]:
     widened = {k.name: k for k in problem.soil}
     for unknown, u, free in zip(fit.unknowns, fit.u, fit.free_unknowns, strict=True):
         label = SOIL.get(unknown.name, (unknown.name.replace("_", " "), ""))[0]
-        value = float(unknown.value(u))
+        value = unknown.value(u)
         if not free:
             bounds.append((label, not_tiny(value)))
         elif problem.is_given(unknown):
@@ -370,7 +357,7 @@ def cautions(report: Report) -> list[str]:
     worse_with = []
     for j in np.flatnonzero(dropped.any(axis=0)):
         kept, whole = (
-            math.sqrt(float(np.mean(residual[rows[:, j], j] ** 2)))
+            math.sqrt(np.mean(residual[rows[:, j], j] ** 2))
             for rows in (problem.used, problem.data.measured)
         )
         if whole > WITH_OUTLIERS * kept:
@@ -387,18 +374,18 @@ def cautions(report: Report) -> list[str]:
             if noise.origin[j] == "scatter"
         ],
         left_out=[f"{TITLES[name]} in row {row}" for row, name in report.left_out],
-        ordinary=int(np.sum(residual[dropped] <= ORDINARY)),
+        ordinary=np.sum(residual[dropped] <= ORDINARY),
         worse_with=worse_with,
         at_bound=bounds,
         off_prior=off_prior,
-        buried=int(np.sum(fit.output[:, 0] >= SUNK * DEEPEST * problem.data.wheel.radius)),
+        buried=np.sum(fit.output[:, 0] >= SUNK * DEEPEST * problem.data.wheel.radius),
         remains=[
             (TITLES[n], g.over_noise[1])
             for n, g in report.gap.items()
             if report.effects and g.after > LEFT * g.noise_floor
         ],
         lugs_unknown=setup.wheel.grouser_height is None
-        and bool(np.isnan(problem.data.table.grouser_height).all()),
+        and np.isnan(problem.data.table.grouser_height).all(),
     )
     lines = [*report.taken, *map(str.strip, text.splitlines())]
     return [line[:1].upper() + line[1:] for line in lines if line]
@@ -449,32 +436,18 @@ def foreseen(report: Report) -> str:
     """Sentences on how well runs that were not made are predicted: errors of what was left out, and
     where the corrected model guesses.
     """
-    parts = []
-    for way in report.outlook.left_out:
-        over = way.over_noise
-        curve = "" if math.isnan(over.curve) else f", a plain curve by {figure(over.curve)}"
-        parts.append(
-            f"Leaving {_level(way.what)} out, the base model errs by {figure(over.base)} times the "
-            f"noise, the corrected one by {figure(over.corrected)}{curve}."
-        )
-    shares = [
-        f"{percent(weight)} of the {TITLES[name]}"
-        for name, weight in curve_shares(report).items()
-        if weight >= LEAST_SHARE
-    ]
-    if shares:
-        parts.append(f"The corrected one is averaged with the curve, which has {joined(shares)}.")
     guess = report.guess
-    if guess is not None and guess.times > GUESSED:
-        name = "drawbar_pull" if "drawbar_pull" in report.channels else report.channels[0]
-        j = CHANNELS.index(name)
-        unit, scale = UNITS[name]
-        said = f"{figure(scale * guess.mean[j])} ± {figure(scale * guess.sd[j])} {unit}"
-        place = _place(guess.conditions)
-        parts.append(f"It guesses at {place} ({TITLES[name]} {said}){_to_predict(report)}.")
-    elif report.surer_runs:
-        parts.append(f"It guesses nowhere{_to_predict(report)}.")
-    return " ".join(parts)
+    return filled(
+        "foreseen.txt",
+        report,
+        shares=[
+            f"{percent(weight)} of the {TITLES[name]}"
+            for name, weight in curve_shares(report).items()
+            if weight >= LEAST_SHARE
+        ],
+        guesses=guess is not None and guess.times > GUESSED,
+        channel="drawbar_pull" if "drawbar_pull" in report.channels else report.channels[0],
+    )
 
 
 def simulate(report: Report) -> str:
@@ -500,15 +473,6 @@ def _identifiable(report: Report) -> bool:
     except ParameterError:
         return False
     return True
-
-
-def _to_predict(report: Report) -> str:
-    """End of a sentence on where to measure next to predict better: at the first of
-    `Report.surer_runs`, or else at the guess that was just said.
-    """
-    runs = report.surer_runs
-    where = f"at {_place(runs[0].conditions)}, the first of the runs below," if runs else "there"
-    return f": measure {where} to predict better, not to learn what is missing"
 
 
 def _level(conditions: tuple[str, ...]) -> str:

@@ -67,15 +67,13 @@ def gap(report: Report) -> Table:
     """Held-out error of each channel and its noise, of the base model and, if there are any, with
     the named effects; in the last column over the noise.
     """
-    rows: list[tuple[str, ...]] = []
-    for name, g in report.gap.items():
-        before, after, noise = (amount(name, x, 3) for x in g)
-        over = [f"{x:.2f}" for x in g.over_noise]
-        if report.effects:
-            rows.append((TITLES[name], before, after, noise, " -> ".join(over)))
-        else:
-            rows.append((TITLES[name], before, noise, over[0]))
+    rows = []
     models = ("base model", "with the name") if report.effects else ("calibrated model",)
+    count = len(models)
+    for name, g in report.gap.items():
+        *errors, noise = (amount(name, x, 3) for x in g)
+        over = [f"{x:.2f}" for x in g.over_noise]
+        rows.append((TITLES[name], *errors[:count], noise, " -> ".join(over[:count])))
     return Table(("channel", *models, "noise", "over the noise"), rows)
 
 

@@ -5,11 +5,11 @@ values than rows. The mean of a bin counts as one value, and its noise is the sc
 """
 
 import dataclasses
-import heapq
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.stats import median_abs_deviation
 
 from soil_env.measurement.setup import NoiseLevels, Setup
 from soil_env.measurement.table import MEASURED, NOISE, Table
@@ -63,8 +63,8 @@ def binned(table: Table, setup: Setup) -> Binned:
     for channel in MEASURED:
         values = [getattr(table, channel)[rows] for rows in bins]
         # A channel that was not measured in a bin has no spread there.
-        spreads = [s for s in map(_spread, values) if math.isfinite(s)]
-        usual = float(np.median(spreads)) if spreads else 0.0
+        spreads = [s for s in map(median_abs_deviation, values) if math.isfinite(s)]
+        usual = np.median(spreads) if spreads else 0.0
         cleaned = [_without_outliers(v, usual) for v in values]
         outliers += sum(count for _, count in cleaned)
         columns[channel] = np.array([value for value, _ in cleaned])
@@ -109,29 +109,24 @@ def _bins(x: np.ndarray) -> list[np.ndarray]:
     The widest bin is cut in two until all are `FINE`, or there are `MOST`. A bin that is narrower
     than `_WIDE` also stays whole if a part of it would have too few rows (`_PART`).
     """
-    # (-extent, count, rows) of the bins that may be cut; the count orders bins of equal extent.
-    heap = [(-_extent(x), 0, np.arange(len(x)))]
     few = max(1, len(x) // (_PART * MOST))
-    done: list[np.ndarray] = []
-    count = 1
-    while heap and len(heap) + len(done) < MOST:
-        width, _, rows = heapq.heappop(heap)
-        if -width <= FINE:
-            done.append(rows)
+    bins = [np.arange(len(x))]
+    extents = [_extent(x)]  # 0 for a bin that stays whole
+    while len(bins) < MOST and max(extents) > FINE:
+        widest = np.argmax(extents)
+        parts = _cut(x, bins[widest])
+        if min(map(len, parts)) < few and extents[widest] < _WIDE:
+            extents[widest] = 0.0
             continue
-        parts = _cut(x, rows)
-        if min(map(len, parts)) < few and -width < _WIDE:
-            done.append(rows)
-            continue
-        for part in parts:
-            heapq.heappush(heap, (-_extent(x[part]), count, part))
-            count += 1
-    return sorted((*done, *(rows for _, _, rows in heap)), key=lambda rows: int(rows[0]))
+        del bins[widest], extents[widest]
+        bins += parts
+        extents += [_extent(x[part]) for part in parts]
+    return sorted(bins, key=lambda rows: rows[0])
 
 
 def _extent(x: np.ndarray) -> float:
     """Range of the rows x [N, D] along the coordinate where it is largest."""
-    return float(np.max(np.ptp(x, axis=0)))
+    return np.max(np.ptp(x, axis=0))
 
 
 def _cut(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -141,16 +136,16 @@ def _cut(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     or at the change of value that is nearest to it.
     """
     here = x[rows]
-    value = here[:, int(np.argmax(np.ptp(here, axis=0)))]
+    value = here[:, np.argmax(np.ptp(here, axis=0))]
     order = np.argsort(value, kind="stable")
     gaps = np.diff(value[order])
     first = value.size // 2  # number of rows in the first part
-    widest = int(np.argmax(gaps))
+    widest = np.argmax(gaps)
     if gaps[widest] > JUMP * np.ptp(value):
         first = widest + 1
     elif gaps[first - 1] == 0.0:  # equal values stay together
         changes = np.flatnonzero(gaps)
-        first = int(changes[np.argmin(np.abs(changes - first))]) + 1
+        first = changes[np.argmin(np.abs(changes - first))] + 1
     return np.sort(rows[order[:first]]), np.sort(rows[order[first:]])
 
 
@@ -161,20 +156,16 @@ def _merged(values: np.ndarray) -> Any:
     return np.mean(values) if values.dtype.kind == "f" else values[0]
 
 
-def _spread(values: np.ndarray) -> float:
-    """Median distance of the values from their median; nan if one is nan."""
-    return float(np.median(np.abs(values - np.median(values))))
-
-
 def _without_outliers(values: np.ndarray, usual: float) -> tuple[float, int]:
     """(mean without outliers, number of outliers) of the values of a bin.
 
     Outliers are beyond `FAR` sd from the median. The sd is that of a normal distribution whose
-    `_spread` is that of the bin or, if this is larger, `usual`: the median over all bins. Fewer
-    than `FEWEST` values have no outliers. If one is nan, the mean is, without outliers.
+    median distance from the median is that of the bin or, if this is larger, `usual`: the median
+    over all bins. Fewer than `FEWEST` values have no outliers. If one is nan, the mean is, without
+    outliers.
     """
     if values.size < FEWEST:
-        return float(np.mean(values)), 0
-    reach = FAR * SD_OF_MEDIAN * max(_spread(values), usual)
+        return np.mean(values), 0
+    reach = FAR * SD_OF_MEDIAN * max(median_abs_deviation(values), usual)
     kept = ~(np.abs(values - np.median(values)) > reach)
-    return float(np.mean(values[kept])), int(values.size - kept.sum())
+    return np.mean(values[kept]), values.size - kept.sum()

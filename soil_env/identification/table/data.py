@@ -97,7 +97,7 @@ class Data:
         """
         others = [c.level for name, c in self.varied.items() if name != "slip"]
         label = combinations_of(others or [np.zeros_like(self.cell)])
-        return [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
+        return [np.flatnonzero(label == k) for k in range(label.max() + 1)]
 
     @property
     def beds(self) -> np.ndarray:
@@ -220,7 +220,7 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
 
     load = rows.load
     radius = rows.wheels[:, 0]
-    pressure = float(np.median(load / (radius * rows.wheels[:, 1])))
+    pressure = np.median(load / (radius * rows.wheels[:, 1]))
     shown = (
         f"load is {np.median(load):.3g} N in the middle of the rows, {pressure:.3g} Pa on radius "
         "times width"
@@ -234,7 +234,7 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
     ):
         ratio = np.abs(y[:, column]) / over
         ratio = ratio[np.isfinite(ratio)]
-        middle = float(np.median(ratio)) if ratio.size else 0.0
+        middle = np.median(ratio) if ratio.size else 0.0
         refuse(
             middle > MOST_FORCE,
             f"{name} is {middle:.3g} times {times} in the middle of the rows, where {times} is "
@@ -276,7 +276,7 @@ def _factor(name: str, value: np.ndarray) -> Factor:
     if name in LOGARITHMIC:
         x = np.log(np.maximum(value, 1e-9))  # a speed of 0, not known, has a finite logarithm
         same = math.log(1.0 + same)
-    span = float(np.ptp(x))
+    span = np.ptp(x)
     gap = max(_SAME_SHARE * span, same)
     order = np.argsort(x, kind="stable")
     steps = np.diff(x[order]) > gap
@@ -284,7 +284,7 @@ def _factor(name: str, value: np.ndarray) -> Factor:
     level[order] = np.concatenate([[0], np.cumsum(steps)])
     ends = np.flatnonzero(np.concatenate([steps, [True]]))
     starts = np.concatenate([[0], ends[:-1] + 1])
-    widest = float(np.max(x[order][ends] - x[order][starts]))
+    widest = np.max(x[order][ends] - x[order][starts])
     many = level.max() > max(_MOST_LEVELS, x.size // _ROWS_OF_LEVEL)
     if name in ("slip", "load", "speed", "grade_deg") and (many or widest > _CHAIN * gap):
         bins = max(2, min(_MOST_BINS, x.size // _ROWS_OF_BIN))

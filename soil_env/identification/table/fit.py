@@ -125,7 +125,7 @@ class ChannelFit:
 
 def _rms(off: np.ndarray) -> float:
     """Root mean square of the values that are not nan."""
-    return math.sqrt(float(np.nanmean(off**2)))
+    return math.sqrt(np.nanmean(off**2))
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ def identify_table(table: Table, setup: Setup, *, check: bool = True) -> TableEs
             plain = _Plain(u, _fits(problem, u))
         for _ in range(_FORM_PASSES):
             share = problem.by_law_error(u)[0]
-            problem.allow_form_error(u, LAW_ERRORS[int(np.argmax(share))])
+            problem.allow_form_error(u, LAW_ERRORS[np.argmax(share)])
             u, converged = _settle(problem, u, False)
         if not problem.measured[:, 0].any():
             problem.z_ref = float(np.median(problem.steady(u, problem.corrected)[:, 0]))
@@ -248,7 +248,7 @@ def _settle(
     for count in range(_PASSES):
         noise = problem.noise.copy()
         move = problem.minimise(u)[0] - u
-        size = float(np.max(np.abs(move)))
+        size = np.max(np.abs(move))
         stalled = count > _PASSES // 4 and size > _STALLED * last
         share = max(_LEAST_MOVE, _CUT * share) if stalled else share
         last = size
@@ -365,7 +365,7 @@ def _parameters(
     computed in the logarithm. `scaling` [6, p]: derivatives as from `_scaling`. Where noise is
     estimated, Student's t has the degrees of freedom of the channel with the fewest, at least 1.
     """
-    freedom = max(1.0, float(np.min(problem.freedom)))
+    freedom = max(1.0, np.min(problem.freedom))
     # [sd] half of an interval
     reach = float(ndtri(0.975) if math.isinf(freedom) else stdtrit(freedom, 0.975))
     values = problem.values(u)
@@ -428,10 +428,8 @@ def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
         too_small = math.nan
         if not estimated:
             variance = variances[rows, j]
-            freedom = max(
-                float(np.sum(np.maximum(left[rows, j] / variance, _LEAST_SHARE))), LEAST_FREEDOM
-            )
-            square = float(np.sum(errors[rows, j] ** 2 / variance))
+            freedom = max(np.sum(np.maximum(left[rows, j] / variance, _LEAST_SHARE)), LEAST_FREEDOM)
+            square = np.sum(errors[rows, j] ** 2 / variance)
             p_value = float(chdtrc(freedom, square))
             too_small = float(chdtr(freedom, square)) if square < SMALL**2 * freedom else 1.0
         fits[name] = ChannelFit(
@@ -462,7 +460,7 @@ def _units(
     `fits`: under noise alone; their `too_small` is a p value.
     """
     words = []
-    load = float(np.median(problem.rows.load))
+    load = np.median(problem.rows.load)
     stiffness = parameters["sinkage_coefficient"]
     if load < LIGHT:
         words.append(
@@ -638,8 +636,8 @@ def _not_modelled(problem: TableProblem) -> list[str]:
     there = problem.measured.any(axis=0)
     missing = " and ".join(names[~there])
     rest = " and ".join(names[there])
-    left_out = int(np.sum(~used))
-    unseen = int(np.sum(np.isnan(table.sinkage[used])))
+    left_out = np.sum(~used)
+    unseen = np.sum(np.isnan(table.sinkage[used]))
     told = (
         (
             missing,

@@ -128,9 +128,9 @@ class Process:
         vectors = vectors[:, ::-1]
         left = values.sum() - np.cumsum(values)
         keep = min(
-            int(np.sum(left > _LEFT * values.sum())) + 1,
+            np.sum(left > _LEFT * values.sum()) + 1,
             most,
-            int(np.sum(values > _NUGGET * values[0])),
+            np.sum(values > _NUGGET * values[0]),
         )
         return replace(empty, weights=vectors[:, :keep] / np.sqrt(values[:keep]))
 
@@ -266,7 +266,7 @@ def compressed(columns: np.ndarray) -> Compression:
     wide = columns.shape[1] > len(columns)
     # Eigenvectors are robust where columns are as good as zero; those of the smaller product.
     square, v = np.linalg.eigh(columns @ columns.T if wide else columns.T @ columns)
-    seen = square > _UNSEEN * max(1.0, float(square[-1]) if square.size else 0.0)
+    seen = square > _UNSEEN * max(1.0, square[-1] if square.size else 0.0)
     u = v[:, seen] if wide else columns @ v[:, seen] / np.sqrt(square[seen])
     return u, 1.0 - 1.0 / np.sqrt(1.0 + square[seen])
 
@@ -298,7 +298,7 @@ class NormalEquations(NamedTuple):
         errors = [qr(b.T, mode="r")[0].T if b.shape[1] > len(b) else b for b in errors]
         a = np.concatenate([jacobian, *errors], axis=1)
         width = (jacobian.shape[1], *(b.shape[1] for b in errors))
-        return cls(a.T @ a, a.T @ residual, float(residual @ residual), width)
+        return cls(a.T @ a, a.T @ residual, residual @ residual, width)
 
     def where(self, used: np.ndarray, noise: float) -> "NormalEquations":
         """The products without the form errors that are not `used` [K, bool], if all noise were
@@ -336,7 +336,7 @@ def marginals(
     sizes = sizes[:, used]
     p = u.size
     start = np.concatenate([u, np.zeros(along.size - p)])
-    square_sum += float(u @ u)
+    square_sum += u @ u
     log = np.empty(len(sizes))
     mean = np.empty((len(sizes), p))
     covariance = np.empty((len(sizes), p, p))

@@ -125,9 +125,7 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
     A reading is left out where the table cannot show it, or where it would be impossible.
     """
     out = []
-    known: dict[str, bool] = {
-        name: bool(np.any(np.isfinite(getattr(table, name)))) for name in CHANNELS
-    }
+    known: dict[str, bool] = {name: np.isfinite(getattr(table, name)).any() for name in CHANNELS}
 
     def add(
         name: str,
@@ -231,7 +229,7 @@ class _Fit:
     @cached_property
     def evidence(self) -> float:
         """Logarithm of the evidence over all sizes of the laws' error."""
-        return float(logsumexp(self.problem.evidence(self.u)[0]))
+        return logsumexp(self.problem.evidence(self.u)[0])
 
 
 def _plain(table: Table, setup: Setup) -> Reading:
@@ -286,7 +284,7 @@ def _fit(
         problem.correct(u)
         u, cost = problem.minimise(u, **COARSE)
     e = problem.by_noise(problem.residual(u))[problem.measured.ravel()]
-    return _Fit(reading, problem, u, cost, math.sqrt(float(np.mean(e**2))))
+    return _Fit(reading, problem, u, cost, math.sqrt(np.mean(e**2)))
 
 
 def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
@@ -330,7 +328,7 @@ def _rough(data: Data, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
         if known is not None:
             out[j] = known
         elif y.size:
-            out[j] = max(ROUGH * float(np.std(y)), SMALLEST_SD)
+            out[j] = max(ROUGH * np.std(y), SMALLEST_SD)
     return out
 
 
@@ -382,7 +380,7 @@ class _AsIs(NamedTuple):
         Noise alone costs about 1 for each measured value, and the log evidence falls by half the
         cost. So a reading that leaves only noise would gain `SURE`.
         """
-        return self.fit.cost - int(self.fit.problem.measured.sum()) > 2.0 * SURE
+        return self.fit.cost - self.fit.problem.measured.sum() > 2.0 * SURE
 
 
 def _as_is(data: Data) -> _AsIs:
@@ -467,7 +465,7 @@ def _of_soils(rises: np.ndarray) -> float:
     """
     pull, torque = np.log(np.abs(rises))
     off = (np.array([torque if math.isnan(pull) else pull, pull - torque]) - CENTRE) / SCALE
-    return -0.5 * float(np.nansum((FREEDOM + 1.0) * np.log1p(off**2 / FREEDOM)))
+    return -0.5 * np.nansum((FREEDOM + 1.0) * np.log1p(off**2 / FREEDOM))
 
 
 def _by_resistance(data: Data, noise: NoiseEstimate, reading: Reading) -> float:
@@ -481,7 +479,7 @@ def _by_resistance(data: Data, noise: NoiseEstimate, reading: Reading) -> float:
     if rows.sum() < FEWEST_ROWS or reading.name in ("slip", "slip_ratio"):
         return 0.0
     share, usual = _resistance(reading.table, reading.setup)
-    off = float(np.median((share - usual)[rows])) / HELD_SD
+    off = np.median((share - usual)[rows]) / HELD_SD
     freedom = LESS_FREEDOM if off < 0.0 else MORE_FREEDOM
     return -0.5 * (freedom + 1.0) * math.log1p(off**2 / freedom)
 
@@ -702,7 +700,7 @@ def _worst_row(data: Data, off: np.ndarray, sd: np.ndarray) -> int:
             found = _fit(there, sd, np.delete(data.measured, row, axis=0))
         except ParameterError:
             return math.inf
-        return found.cost / int(found.problem.measured.sum())
+        return found.cost / found.problem.measured.sum()
 
     square = np.sum(off**2, axis=1) / np.maximum(data.measured.sum(axis=1), 1)
     few = rows if len(rows) <= SMALL else np.argsort(-square)[:CANDIDATES]
@@ -715,10 +713,10 @@ def _is_shared(data: Data, row: int, off: np.ndarray) -> bool:
     it is no mistake of one row.
     """
     level = data.varied["slip"].level
-    channel = int(np.argmax(np.abs(off[row])))
+    channel = np.argmax(np.abs(off[row]))
     others = (level == level[row]) & (np.arange(len(level)) != row)
     beside = off[others & data.measured[:, channel], channel]
-    return beside.size > 1 and bool(np.median(beside) / off[row, channel] > SHARED)
+    return beside.size > 1 and np.median(beside) / off[row, channel] > SHARED
 
 
 def _goes_on(data: Data, row: int, rest: _AsIs) -> bool:
@@ -733,7 +731,7 @@ def _goes_on(data: Data, row: int, rest: _AsIs) -> bool:
     off = (data.y[row] - model) / rest.noise.sd
     if not np.any(np.isfinite(off)):
         return False
-    channel = int(np.nanargmax(np.abs(off)))
+    channel = np.nanargmax(np.abs(off))
     others = group[(group != row) & data.measured[group, channel]]
     slip = data.rows.slip
     near = others[np.argsort(np.abs(slip[others] - slip[row]))[:2]]
@@ -741,7 +739,7 @@ def _goes_on(data: Data, row: int, rest: _AsIs) -> bool:
         return False
     values = data.y[:, channel]
     line = np.polyval(np.polyfit(slip[near], values[near], 1), slip[row])
-    return bool(abs(values[row] - line) < SHARED * abs(values[row] - model[channel]))
+    return abs(values[row] - line) < SHARED * abs(values[row] - model[channel])
 
 
 def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, least: float) -> str:
@@ -781,17 +779,17 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
         "slip": np.linspace(*SLIPS_TRIED),
     }
     fits = {name: np.sqrt(np.mean(residuals(name, x) ** 2, axis=1)) for name, x in grids.items()}
-    best = min(fits, key=lambda name: float(np.min(fits[name])))
+    best = min(fits, key=lambda name: np.min(fits[name]))
     names = np.array(CHANNELS)[known]
     free = np.ones(len(names), dtype=bool)  # [M] values that may be anywhere
     if len(names) > 2 and np.sum(off > CLEAR) == 1:
-        name = names[int(np.argmax(off))]
+        name = names[np.argmax(off)]
         check = f"check {name} = {getattr(table, name)[row]:g} there."
         free = off > CLEAR
     elif len(names) < 2 or np.min(fits[best]) > CLEAR:
         check = "check slip, load and values there."
     else:
-        value = float(f"{grids[best][int(np.argmin(fits[best]))]:.2g}")
+        value = float(f"{grids[best][np.argmin(fits[best])]:.2g}")
         unit = " N" if best == "load" else ""
         check = (
             f"its values are those of a {best} of {value:g}{unit}, check {best} = "
@@ -800,9 +798,7 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
         # The value that tells most of the load or slip.
         free = np.arange(len(names)) == np.argmax(spread / allowed)
         off = residuals(best, np.array([value]))[0]
-    gain -= float(
-        np.sum(np.where(free, np.log(spread / noise), np.log(allowed / noise) + 0.5 * off**2))
-    )
+    gain -= np.sum(np.where(free, np.log(spread / noise), np.log(allowed / noise) + 0.5 * off**2))
     if gain < SURE:
         return ""
     if table.slip[row] in (table.slip.min(), table.slip.max()):
@@ -830,7 +826,7 @@ def _outliers(data: Data, noise: NoiseEstimate) -> tuple[list[str], list[str]]:
             "through the other values and is left out."
         )
         cells.append(words)
-        span = float(np.ptp(others)) if others.size >= FEWEST_ROWS else math.inf
+        span = np.ptp(others) if others.size >= FEWEST_ROWS else math.inf
         if np.min(np.abs(data.y[k, j] - others), initial=math.inf) > LONE * span:
             gross.append(words)
     return cells, gross
@@ -863,7 +859,7 @@ def _grades_doubted(data: Data) -> list[str]:
     grades = data.table.grade_deg[data.table.grade_deg != 0.0]
     if not look_like_radians([repr(float(g)) for g in grades]):
         return []
-    angle = math.degrees(abs(float(grades[0])))
+    angle = math.degrees(abs(grades[0]))
     return [f"grade_deg = {abs(grades[0]):g} is {angle:.0f} degrees in radians: expected degrees."]
 
 
@@ -892,7 +888,7 @@ def _channels_doubted(data: Data) -> list[str]:
             or (j == 1 and free and not np.any(y))
         ):
             continue
-        largest = float(np.max(np.abs(y) / over[known]))
+        largest = np.max(np.abs(y) / over[known])
         if np.ptp(y) == 0.0:
             out.append(
                 f"{name} is {y[0]:g} in every row: expected measured values, which change with "
@@ -982,7 +978,7 @@ def _no_resistance(data: Data, noise: NoiseEstimate) -> str:
     rows = _resisted(data, noise)
     if rows.sum() < FEWEST_ROWS:
         return ""
-    share, usual = (float(np.median(x[rows])) for x in _resistance(data.table, data.setup))
+    share, usual = (np.median(x[rows]) for x in _resistance(data.table, data.setup))
     if usual < NONE_HELD * HELD_SD or abs(share) > MOST_HELD * usual:
         return ""
     return (

@@ -88,7 +88,7 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
             sd[j] = given[j]
         else:
             origin[j] = "repeats" if repeat_freedom[j] >= FEWEST_REPEATS else "scatter"
-        values = int(used[:, j].sum())
+        values = used[:, j].sum()
         if values - basis.shape[1] < SPARE:
             if origin[j] == "scatter":
                 raise ParameterError(
@@ -104,7 +104,7 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
         alone |= used[:, j] & (leverage > ALONE)
         if origin[j] == "scatter":
             freedom[j] = used[:, j].sum() - basis.shape[1]
-            sd[j] = math.sqrt(float(np.sum(left[used[:, j]] ** 2)) / freedom[j])
+            sd[j] = math.sqrt(np.sum(left[used[:, j]] ** 2) / freedom[j])
     if "repeats" in origin:
         repeats = [text == "repeats" for text in origin]
         cleaned = dataclasses.replace(data, y=np.where(used, data.y, math.nan))
@@ -124,7 +124,7 @@ def given_noise(data: Data) -> list[float | None]:
     given = [data.table.channel_sd(data.setup, name) for name in CHANNELS]
     for j, name in enumerate(CHANNELS):
         values = data.y[data.measured[:, j], j]
-        least = LEAST_GIVEN * float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+        least = LEAST_GIVEN * np.sqrt(np.mean(values**2)) if values.size else 0.0
         sd = given[j]
         if sd is not None and sd < least:
             raise ParameterError(
@@ -216,13 +216,13 @@ def _without_outliers(
         known = keep & (leverage <= ALONE)
         spread = left / np.sqrt(np.maximum(1.0 - leverage, LEAST_FREE))
         # Where the surface errs by more than the noise, all values leave it: that is the scale.
-        scale = max(SD_OF_MEDIAN * float(np.median(np.abs(spread[keep]))), sd or SMALLEST_SD)
+        scale = max(SD_OF_MEDIAN * np.median(np.abs(spread[keep])), sd or SMALLEST_SD)
         far = np.abs(spread) / scale
         if sd is None:
-            freedom = int(keep.sum()) - basis.shape[1] - 1
-            far = np.maximum(far, _studentised(spread, float(np.sum(left[keep] ** 2)), freedom))
+            freedom = keep.sum() - basis.shape[1] - 1
+            far = np.maximum(far, _studentised(spread, np.sum(left[keep] ** 2), freedom))
         far[~known] = 0.0
-        worst = int(np.argmax(far))
+        worst = np.argmax(far)
         if far[worst] <= OUTLIER:
             break
         keep[worst] = False
@@ -263,7 +263,7 @@ def _refuse_no_scatter(data: Data, used: np.ndarray, sd: np.ndarray, origin: lis
         if origin[j] not in ("repeats", "scatter"):
             continue
         y = data.y[used[:, j], j]
-        if np.ptp(y) == 0.0 or sd[j] <= LEAST_NOISE * float(np.sqrt(np.mean(y**2))):
+        if np.ptp(y) == 0.0 or sd[j] <= LEAST_NOISE * np.sqrt(np.mean(y**2)):
             raise ParameterError(
                 f"{data.table.source}: noise of {name}: the values hardly scatter, so it cannot be "
                 "taken from them; expected noise in the setup"
@@ -294,7 +294,7 @@ def smooth_basis(data: Data) -> np.ndarray:
     plain = len(columns)
     columns += [column * c.scaled for column in tuple(columns) for c in sizes]
     columns += [c.scaled**2 for c in sizes if c.levels > 2]
-    cells = int(data.cell.max()) + 1
+    cells = data.cell.max() + 1
     basis = np.stack(columns, axis=1)
     kept = np.ones(len(columns), dtype=bool)
     if sizes and len(basis) >= len(columns):
@@ -314,7 +314,7 @@ def repeat_noise(data: Data, model: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     left = (data.y - model) / data.relative_sd
     total = np.zeros(3)
     freedom = np.zeros(3)
-    for k in range(int(data.cell.max()) + 1):
+    for k in range(data.cell.max() + 1):
         inside = data.cell == k
         load = data.rows.load[inside]
         if (

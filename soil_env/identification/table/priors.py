@@ -147,7 +147,7 @@ def middle_sinkage(sinkage: np.ndarray, radius: float) -> float:
     """Median [m] of the sinkages that are measured (not nan); `USUAL_SINKAGE` of a wheel of this
     radius [m] without any, or where the median is not above 0, as of a sensor with a wrong zero.
     """
-    middle = float(np.nanmedian(sinkage)) if np.any(np.isfinite(sinkage)) else 0.0
+    middle = np.nanmedian(sinkage) if np.any(np.isfinite(sinkage)) else 0.0
     return middle if middle > 0.0 else USUAL_SINKAGE * radius
 
 

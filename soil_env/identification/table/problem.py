@@ -102,7 +102,7 @@ def most_probable(
     `scipy.optimize.least_squares`. Without unknowns (`start` [0]) only J is computed.
     """
     if start.size == 0:
-        return start, float(np.sum((target - model(start)) ** 2)), True  # everything is known
+        return start, np.sum((target - model(start)) ** 2), True  # everything is known
 
     def residual(u):
         """Residuals [M + p], whose squares add up to J: those of the values, then those of u."""
@@ -235,7 +235,7 @@ class TableProblem:
         for channels with a guess only; `floor` [5] is the least that an estimate may be.
         `ParameterError` for a given noise so small that no digits are left to fit with.
         """
-        pull = _GUESS_FORCE * float(np.median(self.rows.load))
+        pull = _GUESS_FORCE * np.median(self.rows.load)
         guess = np.array(
             [_GUESS_SLIP, pull, _GUESS_SINKAGE * self.z_ref, pull, pull * self.rows.wheels[0, 0]]
         )
@@ -323,8 +323,7 @@ class TableProblem:
     @property
     def variances(self) -> np.ndarray:
         """Variances [N, 5] of the errors of `SOURCES` in each row."""
-        variances: np.ndarray = (self.noise * self.relative) ** 2
-        return variances
+        return (self.noise * self.relative) ** 2
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
         """An array [N, 3, ..] whitened by noise and form error [3 N, ..]."""
@@ -385,7 +384,7 @@ class TableProblem:
         """Derivatives [N, 3, C] of the model by the relative size of each of the C
         `stress_changes`; 0 where not measured.
         """
-        sinkage = float(np.median(self.steady(u, self.corrected)[:, 0]))
+        sinkage = np.median(self.steady(u, self.corrected)[:, 0])
         moved = form_error.by_stresses(
             lambda change: self.steady(u, self.corrected, change), self.values(u), sinkage
         )
@@ -424,7 +423,7 @@ class TableProblem:
             return 0.0
         whole = -np.sum(np.log(np.diagonal(self._whitener, axis1=1, axis2=2)))
         alone = 0.5 * np.sum(np.log(self.variances[:, 2:][self.measured]))
-        return float(whole - alone)
+        return whole - alone
 
     def allow_form_error(self, u: np.ndarray, error: LawError) -> None:
         """Let the base law err by a `LawError` at the whitened unknowns u [p].
@@ -521,9 +520,9 @@ class TableProblem:
         variances = self.variances
         for j in np.flatnonzero(self.estimated):  # never slip and load, the first two
             rows = self.measured[:, j - 2]
-            self.freedom[j] = max(float(np.sum(left[rows, j] / variances[rows, j])), LEAST_FREEDOM)
+            self.freedom[j] = max(np.sum(left[rows, j] / variances[rows, j]), LEAST_FREEDOM)
             # No row has an sd of its own where noise is estimated: one noise for all rows.
-            variance = float(np.sum(errors[rows, j] ** 2)) / self.freedom[j]
+            variance = np.sum(errors[rows, j] ** 2) / self.freedom[j]
             self.noise[j] = max(math.sqrt(variance), self.floor[j])
 
     def take_noise(self, noise: NoiseEstimate) -> None:

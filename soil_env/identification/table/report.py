@@ -85,7 +85,7 @@ def _channel_table(estimate: TableEstimate) -> Table:
     rows = []
     for name, fit in estimate.fits.items():
         noise = f"{fit.noise:.3g} {fit.unit}" + (" (estimated)" if fit.estimated else "")
-        count = int(np.sum(np.isfinite(fit.measured)))
+        count = np.sum(np.isfinite(fit.measured))
         rows.append(
             (
                 name.replace("_", " "),
@@ -128,12 +128,10 @@ def picture(estimate: TableEstimate) -> bytes:
     Groups of about the same load have a colour and a line each. More than `MOST_GROUPS` are grey,
     with crosses for the fit.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     factor = {"m": (1e3, "mm"), "N": (1.0, "N"), "N m": (1.0, "N m")}
     figure = Figure(figsize=(max(8.0, 4.4 * len(estimate.fits)), 5.8), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(
         2, len(estimate.fits), sharex=True, squeeze=False, height_ratios=(2.2, 1.0)
     )
@@ -161,7 +159,7 @@ def picture(estimate: TableEstimate) -> bytes:
             below.plot(slip, fit.residual[order], "o", ms=3.5, color=color)
         below.axhspan(-HALF_WIDTH, HALF_WIDTH, color="0.92", zorder=0)
         below.axhline(0.0, color="0.5", lw=0.8)
-        reach = max(LEAST_REACH, 1.1 * float(np.nanmax(np.abs(fit.residual))))
+        reach = max(LEAST_REACH, 1.1 * np.nanmax(np.abs(fit.residual)))
         below.set(xlabel="slip", ylim=(-reach, reach))
         top.set(title=name.replace("_", " "), ylabel=unit)
     axes[1, 0].set_ylabel("residual / noise")
