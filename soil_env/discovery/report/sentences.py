@@ -379,7 +379,7 @@ def cautions(report: Report) -> list[str]:
         worse_with=worse_with,
         at_bound=bounds,
         off_prior=off_prior,
-        buried=int(np.sum(fit.output[:, 0] >= SUNK * DEEPEST * problem.data.wheel.radius)),
+        buried=int(np.sum(fit.output[:, 0] >= SUNK * DEEPEST * problem.data.rows.wheels[:, 0])),
         remains=[
             (TITLES[n], g.over_noise[1])
             for n, g in report.gap.items()
@@ -418,9 +418,10 @@ def if_laws_err(report: Report) -> str:
         return ""
     said = joined(f"{title(r.name)} ({sure(r.probability)})" for r in ranks)
     first = max(report.finding.ranking, key=lambda r: r.if_laws_err[-1])
-    most = f"{title(first.name)} has {percent(first.if_laws_err[-1])}"
-    if first.if_laws_err[-1] < NAMED:
-        most = f"none exceeds {percent(first.if_laws_err[-1])}: then these runs name nothing"
+    then = first.if_laws_err[-1]
+    most = f"{title(first.name)} has {percent(then) if then < 0.995 else 'more than 99 %'}"
+    if then < NAMED:
+        most = f"none exceeds {percent(then)}: then these runs name nothing"
     return f"Most probable: {said}; if the laws err by {percent(LAW_ERRORS[-1])}, {most}."
 
 

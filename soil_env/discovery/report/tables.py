@@ -14,10 +14,12 @@ from soil_env.identification.table.data import CHANNELS
 
 from .sentences import (
     CONDITIONS,
+    MENTIONED,
     SOIL,
     TITLES,
     UNITS,
     amount,
+    closed_percent,
     figures,
     fixed,
     joined,
@@ -36,7 +38,7 @@ def effects(report: Report) -> Table:
     for e in report.effects:
         label = title(e.name)  # in the first row of the effect
         label += f", or {', '.join(title(a) for a in e.alternatives)}" if e.alternatives else ""
-        label += "" if e.share is None else f" (closes {percent(e.share)})"
+        label += "" if e.share is None else f" (closes {closed_percent(e.share)} %)"
         for name, p in e.parameters.items():
             unit = LISTED[e.name].parameter(name).unit
             interval = _interval(p) or ("at a bound" if report.is_free(e.name, name) else "set")
@@ -105,7 +107,7 @@ def ranking(report: Report, most: int | None = None) -> Table:
 def next_runs(report: Report) -> Table:
     """The runs to make next, in their order."""
     said = [percent(t.sure) for t in report.next_tests]
-    return _runs(report.next_tests, "right one then", said)
+    return _runs(report.next_tests, f"right one then{_if_listed(report)}", said)
 
 
 def surer_runs(report: Report) -> Table:
@@ -146,7 +148,12 @@ def next_predictions(report: Report, most: int | None = None) -> Table:
             names = " + ".join(map(title, p.name.split(" and ")))
             rows.append((k, names, fixed(p.probability, 2), *cells))
     channels = (f"{TITLES[n].split()[-1]} ± sd [{UNITS[n][0]}]" for n in report.channels)
-    return Table(("run", "exactly these effects", "p", *channels), rows)
+    return Table(("run", "exactly these effects", f"p{_if_listed(report)}", *channels), rows)
+
+
+def _if_listed(report: Report) -> str:
+    """End of a heading of probabilities that hold if one of the candidates is right."""
+    return ", if listed" if report.finding.unlisted >= MENTIONED else ""
 
 
 def untestable(report: Report) -> Table:
