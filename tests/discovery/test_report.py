@@ -395,6 +395,20 @@ def test_a_named_effect_is_shown_as_an_equation(planted_files):
     assert effect["source"] and effect["where"]["i"] == "slip"
 
 
+def test_an_equation_tells_the_sizes_of_a_wheel_that_all_rows_have(planted):
+    effect = dataclasses.replace(planted.effects[0], name="grousers", form="shear_radius")
+    effect = dataclasses.replace(effect, parameters={"shear_share": Interval(1.0, 0.5, 1.5)})
+    problem = copy.copy(planted.problem)
+    rows = problem.data.rows
+    wheels = rows.wheels.copy()
+    wheels[0, 2] = 0.0
+    problem.data = dataclasses.replace(problem.data, rows=rows._replace(wheels=wheels))
+    for there, height in ((planted.problem, ", 0.01 m"), (problem, "")):
+        report = dataclasses.replace(planted, problem=there, effects=(effect,))
+        where = equations.blocks(report)[0].where
+        assert where["h"] == f"lug height{height}" and where["r"] == "wheel radius, 0.15 m"
+
+
 def test_the_summary_follows_the_probabilities(planted):
     """One sentence for each verdict, with the probability of `Finding`; the same as in the table
     and report.json.

@@ -430,8 +430,7 @@ def curve_shares(report: Report) -> dict[str, float]:
     average = report.outlook.model.average
     if average is None:
         return {}
-    weights = dict(zip(CHANNELS, average.weight.tolist(), strict=True))
-    return {name: weights[name] for name in report.channels}
+    return {name: float(average.weight[CHANNELS.index(name)]) for name in report.channels}
 
 
 def foreseen(report: Report) -> str:
@@ -457,10 +456,11 @@ def foreseen(report: Report) -> str:
     if guess is not None and guess.times > GUESSED:
         name = "drawbar_pull" if "drawbar_pull" in report.channels else report.channels[0]
         j = CHANNELS.index(name)
-        unit, scale = UNITS[name]
-        said = f"{figure(scale * guess.mean[j])} ± {figure(scale * guess.sd[j])} {unit}"
-        place = _place(guess.conditions)
-        parts.append(f"It guesses at {place} ({TITLES[name]} {said}){_to_predict(report)}.")
+        said = f"{figure(UNITS[name][1] * guess.mean[j])} ± {amount(name, guess.sd[j])}"
+        parts.append(
+            f"It guesses at {_place(guess.conditions)} ({TITLES[name]} {said})"
+            f"{_to_predict(report)}."
+        )
     elif report.surer_runs:
         parts.append(f"It guesses nowhere{_to_predict(report)}.")
     return " ".join(parts)

@@ -106,28 +106,26 @@ def ranking(report: Report, most: int | None = None) -> Table:
 
 def next_runs(report: Report) -> Table:
     """The runs to make next, in their order."""
-    said = [percent(t.sure) for t in report.next_tests]
-    return _runs(report.next_tests, f"right one then{_if_listed(report)}", said)
+    shares = [t.sure for t in report.next_tests]
+    return _runs(report.next_tests, f"right one then{_if_listed(report)}", shares)
 
 
 def surer_runs(report: Report) -> Table:
     """The runs to make next for the prediction, in their order."""
-    said = [percent(run.left) for run in report.surer_runs]
-    return _runs(report.surer_runs, "mean sd left", said)
+    return _runs(report.surer_runs, "mean sd left", [run.left for run in report.surer_runs])
 
 
-def _runs(runs: Sequence[NextTest | SurerRun], last: str, said: Sequence[str]) -> Table:
+def _runs(runs: Sequence[NextTest | SurerRun], last: str, shares: Sequence[float]) -> Table:
     """Table of at least one run: number, conditions, cost, and a last column with the heading
-    `last` and the texts `said`.
+    `last` and the `shares`.
     """
-    names = list(runs[0].conditions)
     head = [
         f"{label} [{unit.strip()}]" if unit else label
-        for label, unit in (CONDITIONS[n] for n in names)
+        for label, unit in map(CONDITIONS.__getitem__, runs[0].conditions)
     ]
     rows = [
-        (k, *(f"{run.conditions[n]:.4g}" for n in names), figures(run.cost, 2), text)
-        for k, (run, text) in enumerate(zip(runs, said, strict=True), start=1)
+        (k, *(f"{x:.4g}" for x in run.conditions.values()), figures(run.cost, 2), percent(share))
+        for k, (run, share) in enumerate(zip(runs, shares, strict=True), start=1)
     ]
     return Table(("run", *head, "cost", last), rows)
 
