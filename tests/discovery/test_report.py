@@ -350,6 +350,11 @@ def test_no_further_run_is_asked_for_where_the_answer_is_sure(nothing):
         finding = dataclasses.replace(nothing.finding, hypotheses=(sure, other))
         report = dataclasses.replace(nothing, finding=finding, next_tests=())
         assert ("No further run is needed" in drawn.text(report)) == said
+    base = dataclasses.replace(base, probability=0.999)
+    other = dataclasses.replace(other, probability=0.001)
+    finding = dataclasses.replace(nothing.finding, hypotheses=(base, other))
+    report = dataclasses.replace(nothing, finding=finding, next_tests=())
+    assert "the right candidate has more than 99 % now" in sentences.after_next(report)
     last = SimpleNamespace(predicted=[SimpleNamespace(probability=0.5)] * 2, sure=1.0, repeat=False)
     runs = SimpleNamespace(next_tests=[last], verdict="ambiguous")
     assert "100 % after them. No further run is needed" in sentences.after_next(runs)
@@ -467,6 +472,16 @@ def test_a_stated_remainder_makes_a_name_partly(planted, before, after, verdict)
         verdict == "partly"
     )
     assert ("rises by 38 %" in said) == (after > before)
+
+
+def test_beside_two_names_a_third_effect_may_be_what_is_left(planted):
+    """A hypothesis has two listed effects at most."""
+    gap = planted.gap | {"torque": Gap(9.0, 4.0, 1.0)}
+    for effects in (planted.effects, 2 * planted.effects):
+        report = dataclasses.replace(planted, gap=gap, effects=effects)
+        (said,) = (x for x in sentences.cautions(report) if "torque stays at 4.0 times" in x)
+        assert ("a third effect" in said) == (len(effects) == 2)
+        assert said.endswith("or something that is not listed.")
 
 
 def test_a_soil_far_from_the_setup_is_a_caution(planted):

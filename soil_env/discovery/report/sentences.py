@@ -220,7 +220,7 @@ def is_decided(report: Report) -> bool:
 def after_next(report: Report) -> str:
     """Sentence on the probability of the right candidate after the next runs."""
     now = sure_of(report.finding) if is_decided(report) else right_now(report)
-    return filled("after_next.txt", report, now=percent(now))
+    return filled("after_next.txt", report, now=f"{closed_percent(now)} %")
 
 
 def _place(point: Mapping[str, float]) -> str:
