@@ -201,11 +201,11 @@ def least_sure(found: Prediction) -> Guess | None:
     used = problem.used.any(axis=0)
     known = found.at(problem.data.conditions).sd.max(axis=0)
     times = np.mean((there.sd / known)[:, used], axis=1)
-    times[there.mean[:, 0] > DEEPEST * problem.data.wheel.radius] = 0.0
+    wheel = problem.data.wheel
+    times[there.mean[:, 0] > DEEPEST * wheel.radius] = 0.0
     k = np.argmax(times)
     if times[k] == 0.0:
         return None
-    wheel = problem.data.wheel
     sizes = dict(zip(WHEEL, (wheel.radius, wheel.width, wheel.grouser_height), strict=True))
     point = {n: float(x[k]) for n, x in at.items()}
     # The wheel is that of the setup, and so is told where rows have others.

@@ -59,8 +59,8 @@ def _basis(
     return np.stack([level, driven, dragged] if braked else [level, driven + dragged], axis=1)
 
 
-def fit_curve(slip: np.ndarray, load: np.ndarray, y: np.ndarray, sd: np.ndarray | float) -> Curve:
-    """The curve through values y [N] with standard deviations `sd`.
+def fit_curve(slip: np.ndarray, load: np.ndarray, y: np.ndarray, sd: float) -> Curve:
+    """The curve through values y [N], each with the standard deviation `sd`.
 
     k is the best on the grid, with the powers `POWERS`. Where ln W spans more than `LEAST_SPAN`, k
     and the powers, these with their priors, are fitted from there. Braked rows have an amplitude of
@@ -69,13 +69,12 @@ def fit_curve(slip: np.ndarray, load: np.ndarray, y: np.ndarray, sd: np.ndarray 
     middle = gmean(load)
     x = np.log(load / middle)
     braked = int(np.sum(slip < BRAKED)) >= FEWEST_BRAKED
-    sd = np.broadcast_to(sd, y.shape)
 
     def fitted(scale: float, powers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(least-squares amplitudes, (curve - y)/sd of each row) at a scale of the slip and these
         powers.
         """
-        basis = _basis(slip, x, scale, powers, braked) / sd[:, None]
+        basis = _basis(slip, x, scale, powers, braked) / sd
         found = np.linalg.lstsq(basis, y / sd, rcond=1e-8)[0]
         return found, basis @ found - y / sd
 

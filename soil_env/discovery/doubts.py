@@ -43,17 +43,12 @@ def of_lone_rows(
     if (found.verdict, {*found.names}) == (finding.verdict, {*finding.names}):
         return ()
     rows = ", line ".join(
-        f"{table.row[k]} (slip {table.slip[k]:g}, load {table.load[k]:g} N)" for k in alone
+        f"{table.row[k]} (slip {table.slip[k]:g}, load {table.load[k]:g} N) stands alone in its "
+        "conditions"
+        for k in alone
     )
     named = " and ".join(LISTED[name].title for name in found.names) or "nothing"
-    stand, their, decide, them = (
-        ("stands", "its", "decides", "it")
-        if alone.size == 1
-        else ("stand", "their", "decide", "them")
-    )
     return (
-        (
-            f"Line {rows} {stand} alone in {their} conditions and {decide} what is named: without "
-            f"{them} that is {named}. Check slip and load there."
-        ),
+        f"Line {rows}. This decides what is named: without it that is {named}. Check slip and load "
+        "there.",
     )

@@ -12,11 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from soil_env.terramechanics.steady import DEEPEST
-
 from .evidence import Evidence
 from .next_tests import MOST, conditions, costs
 from .prediction import Prediction
+from .predictive import DEEPEST
 
 LARGEST = 300  # most runs to choose from
 
@@ -70,12 +69,15 @@ def surer_runs(model: Prediction, evidence: Evidence, most: int = MOST) -> tuple
 
     Each is the run that lowers the mean standard deviation most for its cost. The grid to choose
     from has the conditions on which the effects in `evidence` depend, without runs in which the
-    wheel would be buried. Of a large grid, `LARGEST` runs are drawn.
+    wheel would sink deeper than `predictive.DEEPEST` radii; none is left if all would. Of a large
+    grid, `LARGEST` runs are drawn.
     """
     problem = model.problem
     grid = conditions(problem, (evidence,))
     sinkage = model.mean_at(grid.value)[:, 0]
-    able = np.flatnonzero(sinkage < DEEPEST * problem.data.wheel.radius)
+    able = np.flatnonzero(sinkage < DEEPEST * grid.value["wheel_radius"])
+    if not able.size:
+        return ()
     able = np.sort(np.random.default_rng(0).permutation(able)[:LARGEST])
     grid = grid._replace(value={name: x[able] for name, x in grid.value.items()})
     seen = problem.used.any(axis=0)

@@ -112,7 +112,9 @@ def _listed(parts: Collection[str]) -> str:
 
 
 class Predicted(NamedTuple):
-    """A candidate at one run: its probability before it, and what it predicts, with noise."""
+    """A candidate at one run: its probability before it, if one of the candidates is right, and
+    what it predicts, with noise.
+    """
 
     name: str  # of its effects, with " and " between them
     probability: float
@@ -129,8 +131,8 @@ class NextTest:
     separates: tuple[str, str]  # candidates that it separates most
     channel: str  # in which it separates them most
     expected_sigma: float  # difference of their predictions there over its standard deviation
-    #: Least probability of the right candidate, on average, once this run and those before it are
-    #: made.
+    #: Least probability of the right candidate, if one is right, on average, once this run and
+    #: those before it are made.
     sure: float
     cost: float  # in the unit of the prices of the setup; a run costs 1 by default
     information: float  # [nat] expected at least, beyond the runs before it

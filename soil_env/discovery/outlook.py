@@ -22,6 +22,7 @@ from .prediction import Prediction, at_conditions, fit_prediction, independent
 
 FEWEST_GROUPS = 3  # levels or combinations, from which they are left out in turn
 FEWEST = 4  # values of a channel, from which it has a curve
+FEWEST_SLIPS = 3  # slips of these: a curve has a level, a rise and a scale of the slip
 #: Largest weight of the curve in an average: it knows no soil. Own choice, on docs/results/
 #: prediction.md.
 MOST_OF_CURVE = 0.5
@@ -58,15 +59,16 @@ def curves_of(problem: Problem) -> list[Curve | None] | None:
     """The generic curves (`curve`) through the values in use, by channel.
 
     None where a condition varies in the table that a curve does not know: any but slip and load. A
-    channel with less than `FEWEST` values has None. All rows count alike, whatever noise they
-    state: a curve misses a table by more than noise.
+    channel with less than `FEWEST` values or `FEWEST_SLIPS` has None. All rows count alike,
+    whatever noise they state: a curve misses a table by more than noise.
     """
     if set(independent(problem)) - {"slip", "load"}:
         return None
     rows = problem.data.rows
+    level = problem.data.varied["slip"].level
     return [
         fit_curve(rows.slip[use], rows.load[use], problem.data.y[use, j], problem.noise[j])
-        if use.sum() >= FEWEST
+        if use.sum() >= FEWEST and np.unique(level[use]).size >= FEWEST_SLIPS
         else None
         for j, use in enumerate(problem.used.T)
     ]

@@ -27,7 +27,6 @@ _NEAR = 4.0  # [sd] distance of a mean from a bound, above which the bound chang
 #: is no probability left to compute with.
 _OUTSIDE = 8.0
 _LEAST_LEFT = 1e-4  # least share of its variance that a bounded unknown keeps
-_JITTER = 1e-12  # variance that is added so that rounding leaves a covariance positive
 
 
 def problem_at(problem: Problem, conditions: Conditions) -> Problem:
@@ -111,7 +110,7 @@ def predicted(
     law = Law(there, fit.choices)
     out = law.output(u)
     sunk = law.guess
-    feasible = (sunk > 0.0) & (sunk < DEEPEST * there.data.wheel.radius)
+    feasible = (sunk > 0.0) & (sunk < DEEPEST * there.data.rows.wheels[:, 0])
     feasible &= np.all(np.isfinite(out), axis=1)
     out = finite(out)
     at = _conditions(there)
@@ -119,7 +118,9 @@ def predicted(
     theirs = errors(law, u, out, added, at)
     top = np.concatenate([law.derivatives(u), *theirs], axis=1)
     mean = out / there.noise + (top[:, p:] @ off[p:]).reshape(-1, 3)
-    root = top @ np.linalg.cholesky(covariance + _JITTER * np.eye(start.size))
+    # Rounding can leave a covariance of values that are nearly exact with eigenvalues below 0.
+    variance, axes = np.linalg.eigh(covariance)
+    root = top @ (axes * np.sqrt(np.maximum(variance, 0.0)))
     own = np.full(mean.shape, sizes.scatter**2)
     for choice, x in zip(fit.choices, added, strict=True):
         beta = sizes.effect * (ANY_FORM if LISTED[choice.effect].any_form else 1.0)

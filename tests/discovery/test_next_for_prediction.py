@@ -1,5 +1,8 @@
 """Runs that serve the prediction: the joint uncertainty, and what runs take from it."""
 
+import copy
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -7,6 +10,8 @@ from soil_env.discovery.calibrate import calibrate
 from soil_env.discovery.evidence import settle
 from soil_env.discovery.next_for_prediction import Uncertainty, surer_runs
 from soil_env.discovery.prediction import WIDER, fit_prediction
+from soil_env.discovery.predictive import DEEPEST
+from soil_env.measurement.setup import Rig
 from tests.discovery.files import PLANTED, data_of, table_text
 
 
@@ -62,3 +67,19 @@ def test_each_run_makes_the_prediction_surer_and_goes_beyond_the_table(problem, 
     assert len(runs) == 3 and left == sorted(left, reverse=True) and left[0] < 1.0
     assert runs[0].conditions["load"] > 180.0
     assert surer_runs(model, settle(problem, ()), 0) == ()
+
+
+def test_a_run_in_which_the_wheel_sinks_too_deep_is_not_proposed(problem, model):
+    """A table refuses a sinkage beyond the radius."""
+    evidence = settle(problem, ())
+    for loads, count in (((120.0, 400.0, 800.0), 4), ((5000.0, 9000.0), 0)):
+        there = copy.copy(problem)
+        setup = dataclasses.replace(problem.data.setup, rig=Rig(loads=loads))
+        there.data = dataclasses.replace(problem.data, setup=setup)
+        law = copy.copy(model.law)
+        law.problem = there
+        runs = surer_runs(dataclasses.replace(model, law=law), evidence, 4)
+        assert len(runs) == count
+        for run in runs:
+            at = {name: np.array([x]) for name, x in run.conditions.items()}
+            assert model.mean_at(at)[0, 0] < DEEPEST * problem.data.wheel.radius

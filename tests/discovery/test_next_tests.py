@@ -116,6 +116,27 @@ def test_every_run_can_be_made(case):
     assert np.all(np.diff([0.6**2 + 0.4**2, *(t.sure for t in runs)]) > 0.0)
 
 
+def test_a_run_can_be_made_by_the_radius_of_its_wheel(case):
+    """One sinkage is too deep for a small wheel, not for a large one."""
+    p, (candidate, _) = case
+    at = {n: np.full(2, x[0]) for n, x in p.data.conditions.items()}
+    at["load"] = np.array([2500.0, 5000.0])
+    at["wheel_radius"] = np.array([WHEEL.radius, 4.0 * WHEEL.radius])
+    mean, *_, feasible = predicted(p, problem_at(p, at), candidate)
+    assert np.all(mean[:, 0] * NOISE[0] > DEEPEST * WHEEL.radius)
+    assert feasible.tolist() == [False, True]
+
+
+def test_predictions_from_values_that_are_nearly_exact():
+    """Rounding leaves the covariance of their unknowns with eigenvalues below 0."""
+    p = problem(table({}), np.random.default_rng(0))
+    p.noise = p.noise * 1e-7
+    candidate = settle(p, ())
+    grid = {n: x[:2] for n, x in p.data.conditions.items()}
+    mean, root, own, _ = predicted(p, problem_at(p, grid), candidate)
+    assert np.all(np.isfinite(mean)) and np.all(np.isfinite(root)) and np.all(own > 0.0)
+
+
 def test_no_run_is_proposed_behind_one_that_decides(case, monkeypatch):
     p, candidates = case
     runs = proposed(p, candidates, (0.6, 0.4))

@@ -191,6 +191,15 @@ def test_few_values_of_a_channel_leave_its_fit_alone(tmp_path):
         assert math.isfinite(way.over_noise.corrected)
 
 
+def test_no_curve_is_drawn_through_two_slips(tmp_path):
+    """Any scale of the slip fits them: what the curve says of a third one is arbitrary."""
+    slips = (0.1, 0.3, 0.5)
+    problem = problem_of(tmp_path, table_text(PLANTED, loads=LOADS, slips=slips))
+    assert all(curve is not None for curve in curves_of(problem))
+    rest = problem.without(problem.data.rows.slip == 0.1)
+    assert curves_of(rest) == [None, None, None]
+
+
 def test_no_curve_is_averaged_in_where_its_loads_cannot_be_judged(tmp_path):
     """Two loads: neither is left out, so the errors are those of the fit alone, though the curve is
     exact for the torque.

@@ -17,7 +17,7 @@ from soil_env.discovery.corrected import Guess
 from soil_env.discovery.instrument import LISTED
 from soil_env.discovery.judgement import Gap, Interval
 from soil_env.discovery.next_for_prediction import SurerRun
-from soil_env.discovery.next_tests import open_checks
+from soil_env.discovery.next_tests import NextTest, open_checks
 from soil_env.discovery.prediction import fit_prediction
 from soil_env.discovery.report import equations, sentences, tables, words
 from soil_env.discovery.report.pictures import curves
@@ -25,6 +25,7 @@ from soil_env.identification.table import identify_table
 from soil_env.identification.table.data import CHANNELS
 from soil_env.measurement.doubts import one_load
 from soil_env.measurement.setup import Calibration, Prior, SoilPriors
+from soil_env.terramechanics.steady import DEEPEST
 from tests.discovery.files import PLANTED, SETUP, data_of, table_text, write_files
 
 KEYS = (
@@ -263,6 +264,45 @@ def test_a_gap_that_is_left_is_never_closed_by_100_percent(planted):
     said = sentences.summary(there)
     assert "more than 99 % of the gap" in said
     assert "interval 93 to more than 99 %" in said
+    effect = dataclasses.replace(planted.effects[0], share=0.9985)
+    table = tables.effects(dataclasses.replace(planted, effects=(effect,)))
+    assert "(closes more than 99 %)" in table.rows[0][0]
+
+
+def test_a_probability_is_never_100_percent(planted):
+    finding = planted.finding
+    certain = [
+        dataclasses.replace(h, if_laws_err=(0.0, float("slip_sinkage" in h.names)))
+        for h in finding.hypotheses
+    ]
+    there = dataclasses.replace(finding, hypotheses=tuple(certain))
+    said = sentences.if_laws_err(dataclasses.replace(planted, finding=there))
+    assert said.endswith("slip-sinkage has more than 99 %.")
+
+
+def test_runs_that_tell_listed_effects_apart_say_so_where_none_may_be_right(planted):
+    """Their probabilities add up to 1 without what is in no catalogue."""
+    test = NextTest({"slip": 0.1}, (), ("a", "b"), "torque", 1.0, 0.9, 1.0, 0.1)
+    for unlisted, end in ((0.96, ", if listed"), (0.02, "")):
+        base = dataclasses.replace(planted.finding.best(), probability=1.0 - unlisted)
+        other = dataclasses.replace(base, free=True, probability=unlisted)
+        finding = dataclasses.replace(planted.finding, hypotheses=(other, base))
+        there = dataclasses.replace(planted, finding=finding, next_tests=(test,))
+        assert tables.next_runs(there).header[-1] == f"right one then{end}"
+        assert f"p{end}" in tables.next_predictions(there).header
+
+
+def test_a_wheel_is_buried_by_the_radius_of_its_row(planted):
+    output = planted.fit.output.copy()
+    output[0, 0] = DEEPEST * planted.problem.data.wheel.radius
+    fit = dataclasses.replace(planted.fit, output=output)
+    for factor in (1.0, 2.0):
+        problem = copy.copy(planted.problem)
+        rows = problem.data.rows
+        rows = rows._replace(wheels=rows.wheels * factor)
+        problem.data = dataclasses.replace(problem.data, rows=rows)
+        cautions = sentences.cautions(dataclasses.replace(planted, problem=problem, fit=fit))
+        assert any("does not carry the load in 1 row." in x for x in cautions) == (factor == 1.0)
 
 
 def test_the_work_of_a_check_reads_one_thing_at_a_time():
@@ -310,6 +350,11 @@ def test_no_further_run_is_asked_for_where_the_answer_is_sure(nothing):
         finding = dataclasses.replace(nothing.finding, hypotheses=(sure, other))
         report = dataclasses.replace(nothing, finding=finding, next_tests=())
         assert ("No further run is needed" in drawn.text(report)) == said
+    base = dataclasses.replace(base, probability=0.999)
+    other = dataclasses.replace(other, probability=0.001)
+    finding = dataclasses.replace(nothing.finding, hypotheses=(base, other))
+    report = dataclasses.replace(nothing, finding=finding, next_tests=())
+    assert "the right candidate has more than 99 % now" in sentences.after_next(report)
     last = SimpleNamespace(predicted=[SimpleNamespace(probability=0.5)] * 2, sure=1.0, repeat=False)
     runs = SimpleNamespace(next_tests=[last], verdict="ambiguous")
     assert "100 % after them. No further run is needed" in sentences.after_next(runs)
@@ -353,6 +398,20 @@ def test_a_named_effect_is_shown_as_an_equation(planted_files):
     assert all(line in terminal for line in (*block.equation, *block.fitted, block.source))
     assert all(escape(line, quote=False) in page for line in (*block.equation, *block.fitted))
     assert effect["source"] and effect["where"]["i"] == "slip"
+
+
+def test_an_equation_tells_the_sizes_of_a_wheel_that_all_rows_have(planted):
+    effect = dataclasses.replace(planted.effects[0], name="grousers", form="shear_radius")
+    effect = dataclasses.replace(effect, parameters={"shear_share": Interval(1.0, 0.5, 1.5)})
+    problem = copy.copy(planted.problem)
+    rows = problem.data.rows
+    wheels = rows.wheels.copy()
+    wheels[0, 2] = 0.0
+    problem.data = dataclasses.replace(problem.data, rows=rows._replace(wheels=wheels))
+    for there, height in ((planted.problem, ", 0.01 m"), (problem, "")):
+        report = dataclasses.replace(planted, problem=there, effects=(effect,))
+        where = equations.blocks(report)[0].where
+        assert where["h"] == f"lug height{height}" and where["r"] == "wheel radius, 0.15 m"
 
 
 def test_the_summary_follows_the_probabilities(planted):
@@ -415,6 +474,16 @@ def test_a_stated_remainder_makes_a_name_partly(planted, before, after, verdict)
     assert ("rises by 38 %" in said) == (after > before)
 
 
+def test_beside_two_names_a_third_effect_may_be_what_is_left(planted):
+    """A hypothesis has two listed effects at most."""
+    gap = planted.gap | {"torque": Gap(9.0, 4.0, 1.0)}
+    for effects in (planted.effects, 2 * planted.effects):
+        report = dataclasses.replace(planted, gap=gap, effects=effects)
+        (said,) = (x for x in sentences.cautions(report) if "torque stays at 4.0 times" in x)
+        assert ("a third effect" in said) == (len(effects) == 2)
+        assert said.endswith("or something that is not listed.")
+
+
 def test_a_soil_far_from_the_setup_is_a_caution(planted):
     """Moved to 3.5 and 9 standard deviations of the setup, in the fit of the corrected model
     alone.
@@ -424,9 +493,14 @@ def test_a_soil_far_from_the_setup_is_a_caution(planted):
         u = planted.fit.u.copy()
         u[k] = (-far if far * 700 < 3700 else far) / PRIOR_WIDTH
         moved = dataclasses.replace(planted, fit=dataclasses.replace(planted.fit, u=u))
-        assert any(
-            "Cohesion c" in said and f" {far} " in said for said in sentences.cautions(moved)
+        (said,) = (said for said in sentences.cautions(moved) if "Cohesion c" in said)
+        assert f" {far} " in said and said.endswith("in the fit of the named effects alone.")
+        (said,) = (
+            said
+            for said in sentences.cautions(dataclasses.replace(moved, effects=()))
+            if "Cohesion c" in said
         )
+        assert said.endswith("in the fit of the base model alone.")
     assert not any("standard deviations" in said for said in sentences.cautions(planted))
 
 

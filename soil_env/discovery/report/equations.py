@@ -4,6 +4,8 @@ report.json.
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from soil_env.discovery.instrument import LISTED
 from soil_env.discovery.result import EffectFound, Report
 from soil_env.terramechanics.effects.text import fitted, legend, plain, published, used
@@ -50,16 +52,15 @@ def blocks(report: Report) -> list[Block]:
 def _of_effect(report: Report, e: EffectFound) -> Block:
     """`Block` of a named effect; its legend gives the numbers of soil, wheel and unit weight."""
     effect = LISTED[e.name]
-    wheel = report.model.wheel
     form = effect.form(e.form)
     known = {
         symbol: _number(report.soil[name].value, SOIL[name][1]) for name, symbol in _SYMBOLS.items()
     }
+    known["gamma"] = _number(report.model.density * report.model.gravity, "N/m3")
     known |= {
-        "r": _number(wheel.radius, "m"),
-        "b": _number(wheel.width, "m"),
-        "h": _number(wheel.grouser_height, "m"),
-        "gamma": _number(report.model.density * report.model.gravity, "N/m3"),
+        symbol: _number(size[0], "m")
+        for symbol, size in zip("rbh", report.problem.data.rows.wheels.T, strict=True)
+        if np.ptp(size) == 0.0
     }
     where = {}
     for symbol, meaning in legend(effect, form).items():

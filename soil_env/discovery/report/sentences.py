@@ -227,7 +227,7 @@ def after_next(report: Report) -> str:
     before and after them; or that no run is needed, where it `is_decided`.
     """
     now = sure_of(report.finding) if is_decided(report) else right_now(report)
-    return filled("after_next.txt", report, now=percent(now))
+    return filled("after_next.txt", report, now=f"{closed_percent(now)} %")
 
 
 def _place(point: Mapping[str, float]) -> str:
@@ -378,7 +378,7 @@ def cautions(report: Report) -> list[str]:
         worse_with=worse_with,
         at_bound=bounds,
         off_prior=off_prior,
-        buried=np.sum(fit.output[:, 0] >= SUNK * DEEPEST * problem.data.wheel.radius),
+        buried=np.sum(fit.output[:, 0] >= SUNK * DEEPEST * problem.data.rows.wheels[:, 0]),
         remains=[
             (TITLES[n], g.over_noise[1])
             for n, g in report.gap.items()
@@ -417,9 +417,10 @@ def if_laws_err(report: Report) -> str:
         return ""
     said = joined(f"{title(r.name)} ({sure(r.probability)})" for r in ranks)
     first = max(report.finding.ranking, key=lambda r: r.if_laws_err[-1])
-    most = f"{title(first.name)} has {percent(first.if_laws_err[-1])}"
-    if first.if_laws_err[-1] < NAMED:
-        most = f"none exceeds {percent(first.if_laws_err[-1])}: then these runs name nothing"
+    then = first.if_laws_err[-1]
+    most = f"{title(first.name)} has {percent(then) if then < 0.995 else 'more than 99 %'}"
+    if then < NAMED:
+        most = f"none exceeds {percent(then)}: then these runs name nothing"
     return f"Most probable: {said}; if the laws err by {percent(LAW_ERRORS[-1])}, {most}."
 
 
@@ -428,8 +429,7 @@ def curve_shares(report: Report) -> dict[str, float]:
     average = report.outlook.model.average
     if average is None:
         return {}
-    weights = dict(zip(CHANNELS, average.weight.tolist(), strict=True))
-    return {name: weights[name] for name in report.channels}
+    return {name: float(average.weight[CHANNELS.index(name)]) for name in report.channels}
 
 
 def foreseen(report: Report) -> str:

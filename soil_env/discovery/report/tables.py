@@ -14,10 +14,12 @@ from soil_env.identification.table.data import CHANNELS
 
 from .sentences import (
     CONDITIONS,
+    MENTIONED,
     SOIL,
     TITLES,
     UNITS,
     amount,
+    closed_percent,
     figures,
     fixed,
     joined,
@@ -36,7 +38,7 @@ def effects(report: Report) -> Table:
     for e in report.effects:
         label = title(e.name)  # in the first row of the effect
         label += f", or {', '.join(title(a) for a in e.alternatives)}" if e.alternatives else ""
-        label += "" if e.share is None else f" (closes {percent(e.share)})"
+        label += "" if e.share is None else f" (closes {closed_percent(e.share)} %)"
         for name, p in e.parameters.items():
             unit = LISTED[e.name].parameter(name).unit
             interval = _interval(p) or ("at a bound" if report.is_free(e.name, name) else "set")
@@ -106,30 +108,28 @@ def next_runs(report: Report) -> Table:
     """The runs to make next, in their order, with the probability of the right candidate after
     each; there has to be one.
     """
-    said = [percent(t.sure) for t in report.next_tests]
-    return _runs(report.next_tests, "right one then", said)
+    shares = [t.sure for t in report.next_tests]
+    return _runs(report.next_tests, f"right one then{_if_listed(report)}", shares)
 
 
 def surer_runs(report: Report) -> Table:
     """The runs to make next for the prediction, in their order, with the share of the mean standard
     deviation that is left after each; there has to be one.
     """
-    said = [percent(run.left) for run in report.surer_runs]
-    return _runs(report.surer_runs, "mean sd left", said)
+    return _runs(report.surer_runs, "mean sd left", [run.left for run in report.surer_runs])
 
 
-def _runs(runs: Sequence[NextTest | SurerRun], last: str, said: Sequence[str]) -> Table:
+def _runs(runs: Sequence[NextTest | SurerRun], last: str, shares: Sequence[float]) -> Table:
     """Table of at least one run: number, conditions, cost, and a last column with the heading
-    `last` and the texts `said`.
+    `last` and the `shares`.
     """
-    names = list(runs[0].conditions)
     head = [
         f"{label} [{unit.strip()}]" if unit else label
-        for label, unit in (CONDITIONS[n] for n in names)
+        for label, unit in map(CONDITIONS.__getitem__, runs[0].conditions)
     ]
     rows = [
-        (k, *(f"{run.conditions[n]:.4g}" for n in names), figures(run.cost, 2), text)
-        for k, (run, text) in enumerate(zip(runs, said, strict=True), start=1)
+        (k, *(f"{x:.4g}" for x in run.conditions.values()), figures(run.cost, 2), percent(share))
+        for k, (run, share) in enumerate(zip(runs, shares, strict=True), start=1)
     ]
     return Table(("run", *head, "cost", last), rows)
 
@@ -151,7 +151,12 @@ def next_predictions(report: Report, most: int | None = None) -> Table:
             rows.append((k, names, fixed(p.probability, 2), *cells))
     # The last word of a title: "pull" of "drawbar pull".
     channels = (f"{TITLES[n].split()[-1]} ± sd [{UNITS[n][0]}]" for n in report.channels)
-    return Table(("run", "exactly these effects", "p", *channels), rows)
+    return Table(("run", "exactly these effects", f"p{_if_listed(report)}", *channels), rows)
+
+
+def _if_listed(report: Report) -> str:
+    """End of a heading of probabilities that hold if one of the candidates is right."""
+    return ", if listed" if report.finding.unlisted >= MENTIONED else ""
 
 
 def untestable(report: Report) -> Table:
