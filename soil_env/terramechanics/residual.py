@@ -45,9 +45,6 @@ class ResidualTerm(Checked):
     ranges: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def _check_together(self) -> None:
-        object.__setattr__(
-            self, "ranges", {group: tuple(pair) for group, pair in self.ranges.items()}
-        )
         for name in ("powers", "ranges"):
             for group in getattr(self, name):
                 if group not in GROUPS:
