@@ -13,7 +13,6 @@ import copy
 import math
 import re
 import warnings
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from numbers import Real
 from typing import Self
@@ -23,7 +22,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env.identification.published import Traversability, published, soil_of_numbers
 from soil_env.identification.status import Status
-from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, Wheel
+from soil_env.parameters import Belief, Control, Noise, RoverScenario, Scenario, Soil, Wheel
 from soil_env.parameters.readings import largest_readings, reading_units
 from soil_env.parameters.sensors import SENSORS, Readings
 from soil_env.slip import rim_speeds, slips, travel_speeds
@@ -32,7 +31,7 @@ from soil_env.terramechanics.steady import steady_state
 from .ground import assess_ground
 from .identifier import HELD, instruments, observe_all
 from .memory import MEMORY, READING, WORK, Instruments
-from .prior import setting_of
+from .prior import limit_to_wheel, setting_of
 
 __all__ = [
     "LONGEST_STEP",
@@ -129,10 +128,6 @@ class OnlineIdentifier:
                 raise TypeError(
                     f"{name} = {value!r}: expected a {kind.__name__} of soil_env.parameters{known}"
                 )
-        if not isinstance(belief.soils, Mapping):
-            raise TypeError(
-                f"belief.soils = {belief.soils!r}: expected a mapping of names to weights"
-            )
         try:
             control = replace(Control(period=period), substep=min(period, _SUBSTEP))
             self._set(
@@ -152,7 +147,8 @@ class OnlineIdentifier:
     @classmethod
     def of_scenario(cls, scenario: Scenario) -> Self:
         """The identifier that an environment of this scenario runs; without the borders that its
-        camera sees, where the scenario has terrain classes.
+        camera sees, where the scenario has terrain classes. Of a rover it is that of the front
+        wheel by itself.
 
         Raises TypeError for anything but a `Scenario`, `ParameterError` for one whose belief has
         the method "none".
@@ -177,6 +173,8 @@ class OnlineIdentifier:
         if scenario.belief.method == "none":
             raise ParameterError("belief.method = 'none': expected 'filter'")
         self._setting = setting_of(scenario)
+        if isinstance(scenario, RoverScenario):
+            limit_to_wheel(self._setting[0], scenario)
         self._white = self._setting["white"][0, 0].copy()  # of sensors that measure
         self._units = reading_units(scenario)
         self._largest = largest_readings(wheel, scenario.gravity)
@@ -239,8 +237,8 @@ class OnlineIdentifier:
         return soil_of_numbers(asdict(self._estimate), scenario.belief, scenario.gravity)
 
     def traversability(self, load: float | None = None, pitch: float = 0.0) -> Traversability:
-        """Drawbar margin under `load` [N] (the weight if left out) at `pitch` [rad], uphill
-        positive.
+        """Drawbar margin at `pitch` [rad], uphill positive, by the best pull under the load that
+        was measured so far; best slip and torque under `load` [N] (the weight if left out).
 
         A load below 5 % of the weight counts as 5 % of it, as in the environments.
 
@@ -347,6 +345,7 @@ class OnlineIdentifier:
         reading.pitch = pitch
         instead = {"sinkage": self._sinkage, "load": self._weight * math.cos(pitch)}
         white = self._setting["white"][0, 0]
+        white["slip"] = 0.0 if r.slip != r.slip else self._white["slip"]
         for name in _FORCES:
             measured = getattr(r, name)
             missing = measured != measured
