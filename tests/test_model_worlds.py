@@ -112,6 +112,13 @@ def test_the_soil_of_a_table_is_driven_on():
     assert [str(w.message) for w in said] == ["Row 9 is wrong.", "No fit."]
 
 
+def test_a_soil_of_much_friction_is_simulated_as_it_is():
+    steep = replace(SOIL, friction_angle_deg=70.0)
+    env = SoilWheelEnv("mixed", observation="blind", model=replace(MODEL, soil=steep))
+    env.reset(seed=0)
+    assert env.true_soil().friction_angle_deg == pytest.approx(70.0)
+
+
 def test_a_true_soil_is_a_soil():
     env = SoilWheelEnv("sticky", observation="blind")
     env.reset(seed=2)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import soil_env  # noqa: F401  (registers SoilWheel-v0)
+from soil_env.envs.rover_env import SoilRoverEnv
 from soil_env.identification.online.memory import EXPONENT, GAIN, LN_K, PRESSURE, TANGENT
 from soil_env.identification.online.prior import prior_of_belief
 from soil_env.identification.online.residuals import PAYLOAD
@@ -237,6 +238,32 @@ def test_slip_from_the_speeds_and_a_speed_from_the_slip():
         assert b.friction_angle_deg == pytest.approx(a.friction_angle_deg, rel=1e-3)
         assert c.friction_angle_deg == pytest.approx(a.friction_angle_deg, rel=1e-3)
     assert a.friction_angle_deg != given.scenario.belief.friction_angle_deg
+
+
+def test_a_slip_sensor_that_is_silent_makes_no_slip_sharper():
+    """A slip that follows from the speeds has their noise, also where a sensor is stated."""
+    silent, without = (OnlineIdentifier(WHEEL, noise=Noise(slip=x)) for x in (1e-3, 0.0))
+    for k in range(60):
+        r = of_soil(0.25 - 0.15 * math.sin(0.2 * k))
+        a, b = silent.update(r), without.update(r)
+    assert a == b and a.friction_angle_sd_deg < 0.9 * Belief().friction_sd_deg
+
+
+def test_of_a_rover_it_is_the_identifier_of_the_front_wheel():
+    env = SoilRoverEnv(action="torque", scaled=False)
+    env.reset(seed=1)
+    worlds = env.simulation.worlds
+    radius = env.scenario.wheel.radius
+    identifier = OnlineIdentifier.of_scenario(env.scenario)
+    for k in range(160):
+        env.step([0.3 + 0.2 * math.sin(k / 7.0)] * 2)
+        read = worlds.readings[0, 0, 0]
+        given = {name: float(read[name]) for name in Readings._fields if name in read.dtype.names}
+        e = identifier.update(Readings(wheel_speed=read["rim_speed"] / radius, **given))
+    front = worlds.ids.estimate[0, 0], worlds.ids.sd[0, 0]
+    expected = math.degrees(front[0][0]), math.degrees(front[1][0]), math.exp(front[0][1])
+    found = e.friction_angle_deg, e.friction_angle_sd_deg, e.shear_modulus
+    assert found == pytest.approx(expected, rel=1e-6)
 
 
 ABSURD = [

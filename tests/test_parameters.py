@@ -19,6 +19,8 @@ from soil_env.measurement import Setup, SetupWheel
 from soil_env.measurement.setup import setup_of
 from soil_env.parameters import (
     EARTH_GRAVITY,
+    Belief,
+    CourseSpec,
     ParameterError,
     Scenario,
     Soil,
@@ -29,6 +31,7 @@ from soil_env.parameters import (
 from soil_env.simulation.world.courses import course_distribution
 from soil_env.terramechanics.effects import NO_EFFECTS
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel, rows_of
+from soil_env.terramechanics.residual import ResidualTable, ResidualTerm
 from tests.refusals import refused
 
 SOIL = {"friction_angle_deg": 30, "cohesion": 500, "shear_modulus": 0.02, "sinkage_exponent": 1.0}
@@ -218,6 +221,47 @@ def test_bad_input_is_named_in_one_line(kind, changes, words):
         (
             lambda: WheelSoilModel(ModelWheel(0.1, 0.1), residual=["slip"]),
             "WheelSoilModel.residual = ['slip']: expected a sequence of ResidualTerm",
+        ),
+        (lambda: ResidualTerm("torque", 0.1, 5), "ResidualTerm.powers = 5: expected a mapping"),
+        (
+            lambda: ResidualTerm("torque", 0.1, {"slip": 1.0}, {"slip": 3.0}),
+            "ResidualTerm.ranges.slip = 3.0: expected a list of 2 values",
+        ),
+        (
+            lambda: ResidualTable({"slip": 5}, {}),
+            "ResidualTable.axes.slip = 5: expected a list",
+        ),
+        (
+            lambda: ResidualTable({"slip": (0.0, 1.0)}, {"torque": [1, 2]}),
+            "ResidualTable.values.torque = [1, 2]: expected text",
+        ),
+        (
+            lambda: WheelSoilModel(ModelWheel(0.1, 0.1), effects={"grade": 5}),
+            "WheelSoilModel.effects.grade = 5: expected a mapping",
+        ),
+        (
+            lambda: Scenario(parameters.wheels()["planetary_rover"], {"dry_sand": None}),
+            "Scenario.soils.dry_sand = None: expected a number",
+        ),
+        (lambda: Belief(soils=["sand"]), "Belief.soils = ['sand']: expected a mapping"),
+        (
+            lambda: CourseSpec(patch_length=(1.0, 2.0, 3.0)),
+            "CourseSpec.patch_length = (1.0, 2.0, 3.0): expected a list of 2 values",
+        ),
+        (lambda: CourseSpec(classes=2.5), "CourseSpec.classes = 2.5: expected a whole number"),
+        (
+            lambda: CURVED.under(0.1, 0.1, 0.0, 9.81),
+            "load = 0: expected a finite number > 0",
+        ),
+        (
+            lambda: CURVED.under(0.1, 0.1, "ten", 9.81),
+            "load = 'ten': expected a number",
+        ),
+        (lambda: CURVED.line_at(0.0), "stress = 0: expected a finite number > 0"),
+        (lambda: CURVED.strength(-1.0), "stress = -1: expected a number >= 0 Pa"),
+        (
+            lambda: parameters.soils()["dry_sand"].lumped(0.0),
+            "soil: k_c/b + k_phi = nan for a wheel of width 0 m: expected > 0",
         ),
     ],
 )

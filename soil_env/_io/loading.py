@@ -98,7 +98,8 @@ class Checked:
     itself a parameter class is checked on construction, `FieldError` for a wrong one.
 
     A `quantity` is finite and in its range, or None where its type has None. Whole numbers in a
-    field of floats become floats: compiled code would be compiled anew for them.
+    field of floats become floats: compiled code would be compiled anew for them. Mappings, tuples
+    and texts are checked as those of a file.
     """
 
     def __post_init__(self) -> None:
@@ -119,9 +120,7 @@ class Checked:
                 if typing.get_origin(hint) is tuple and not isinstance(value, tuple):
                     raise FieldError(self, f.name, f" = {said(value)}: expected a tuple")
                 _check_quantity(self, f, value)
-                if float in (hint, *items):
-                    plain = tuple(map(float, value)) if isinstance(value, tuple) else float(value)
-                    object.__setattr__(self, f.name, plain)
+            object.__setattr__(self, f.name, _convert(hint, value, f"{own.__name__}.{f.name}"))
         self._check_together()
 
     def _check_together(self) -> None:

@@ -58,7 +58,7 @@ from soil_env.identification.table.rig import predict_table
 from soil_env.slip import sliding_speeds
 from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, Effects
 from soil_env.terramechanics.effects.entry import Bench
-from soil_env.terramechanics.model import Rows
+from soil_env.terramechanics.model import USUAL_DENSITY, Rows
 
 from .instrument import (
     LAWS,
@@ -76,7 +76,6 @@ PRIOR_WIDTH = 1.5  # factor of the sd of the setup's priors
 #: Size of the form error of an effect with `Effect.any_form` over that of other effects.
 ANY_FORM = 10.0
 AT_BOUND = 1e-4  # [prior sd] distance of an unknown from a bound, within which it does not move
-USUAL_DENSITY = 1500.0  # [kg/m3] of the soil where the setup gives none; own choice
 #: Lower bound of a parameter with a log-normal prior, over its centre, where its own bound is lower
 #: (0 has no logarithm); own choice.
 LEAST_OF_CENTRE = 1e-3

@@ -51,7 +51,9 @@ class CourseSpec(Checked):
         default=0.04,
         doc="best drawbar pull on level ground, below which a soil is drawn again",
     )
-    payload: tuple[float, float] = quantity("kg", 0.0, 1e5, default=(0.0, 4.0))
+    payload: tuple[float, float] = quantity(
+        "kg", 0.0, 1e5, default=(0.0, 4.0), doc="on the wheel, of a rover on each"
+    )
     halt_interval: tuple[float, float] = quantity(
         "m", 0.05, 1e6, default=(0.6, 1.5), doc="between commanded halts"
     )

@@ -77,7 +77,7 @@ class Scenario(Checked):
                 if not 0.0 <= weight <= _HEAVIEST or (weight == 0.0 and least == "> 0"):
                     expected = f"expected a weight {least}, at most {_HEAVIEST:g}"
                     raise ParameterError(f"{place}.{name} = {weight!r}: {expected}")
-        for name in self.soils:
+        for name in (*self.soils, *self.belief.soils):
             self.beneath(library[name])  # refuses moduli whose S is not positive for this wheel
         if self.belief.method == "none" and self.reward.information > 0.0:
             raise ParameterError(

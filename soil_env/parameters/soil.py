@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env._io.loading import Checked, ParameterError, quantity
+from soil_env._io.loading import Checked, ParameterError, number, quantity
 
 from .presets import library
 
@@ -53,8 +53,8 @@ def lumped_coefficient(k_c: float, k_phi: float, width: float) -> float:
 
     Raises `ParameterError` if it is not positive.
     """
-    s = k_c / width + k_phi
-    if s <= 0.0:
+    s = k_c / width + k_phi if width > 0.0 else math.nan
+    if not s > 0.0:
         raise ParameterError(
             f"soil: k_c/b + k_phi = {s:g} for a wheel of width {width:g} m: expected > 0"
         )
@@ -181,6 +181,8 @@ class Soil(Checked):
         """
         reference = self.reference_stress
         tau_r = self.cohesion + reference * self.tan_phi
+        if stress < 0.0 < reference:
+            raise ParameterError(f"stress = {stress:g}: expected a number >= 0 Pa")
         if stress >= reference or tau_r == 0.0:
             return self.cohesion + stress * self.tan_phi
         return float(tau_r * (stress / reference) ** (reference * self.tan_phi / tau_r))
@@ -193,6 +195,7 @@ class Soil(Checked):
         """
         if stress >= self.reference_stress:
             return self
+        _positive(stress=stress)
         strength = self.strength(stress)
         tau_r = self.cohesion + self.reference_stress * self.tan_phi
         cohesive = self.cohesion / tau_r if tau_r > 0.0 else 1.0  # 1 - m
@@ -212,6 +215,7 @@ class Soil(Checked):
         plate. The plate is as long as the contact, sqrt(2 r z), with z at most the radius. The
         error of the pull by that is at most 0.03 of the load (docs/physics/contact.md).
         """
+        _positive(radius=radius, width=width, load=load)
         soil = self.at(gravity)
         if soil.reference_stress > 0.0:
             s = soil.lumped(width)
@@ -265,6 +269,13 @@ class Soil(Checked):
             self.shear_length,
             *(NO_LAYER if self.layer is None else (self.layer.stiffness - 1.0, self.layer.depth)),
         )
+
+
+def _positive(**given: float) -> None:
+    """Raise `ParameterError` for a number by name that is not finite and above 0."""
+    for name, value in given.items():
+        if not 0.0 < number(float, value, name) < math.inf:
+            raise ParameterError(f"{name} = {value:g}: expected a finite number > 0")
 
 
 def correlation(default: float, doc: str = "") -> Any:

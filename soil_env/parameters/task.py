@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from soil_env._io.loading import Checked, FieldError, quantity
+from soil_env._io.loading import Checked, quantity
 
 #: Control periods that an action lasts unless `Control.repeat` says otherwise.
 ACTION_PERIODS = {"torque": 1, "wheel_speed": 1, "rim_acceleration": 5}
@@ -58,15 +58,10 @@ class Control(Checked):
     )
     repeat: int | None = quantity("control periods", 1, 1e5, default=None)
 
-    def _check_together(self) -> None:
-        """Raise `FieldError` for a `repeat` that is no whole number."""
-        if self.repeat is not None and self.repeat != int(self.repeat):
-            raise FieldError(self, "repeat", f" = {self.repeat!r}: expected a whole number")
-
     @property
     def action_periods(self) -> int:
         """Control periods that an action lasts."""
-        return ACTION_PERIODS[self.action] if self.repeat is None else int(self.repeat)
+        return ACTION_PERIODS[self.action] if self.repeat is None else self.repeat
 
     @property
     def duration(self) -> float:

@@ -41,7 +41,7 @@ from .residual import (
     residual_law,
 )
 from .steady import DEEPEST, Rim, Rows, floats, predict_rows
-from .validity import OutsideValidity, checked, outside
+from .validity import OutsideValidity, check, outside
 
 FORMAT = "soil_env model 1"
 STEEPEST = 60.0  # [deg] grade that a prediction is asked for, either way; own choice
@@ -139,7 +139,7 @@ class WheelSoilModel(Checked):
         super().__post_init__()
         pack_effects(self.effects)  # refuses what is unknown or out of range
         residual_law(self.residual)  # refuses too many terms
-        object.__setattr__(self, "validity", checked(self.validity))
+        check(self.validity)
 
     @property
     def density(self) -> float:
@@ -158,16 +158,15 @@ class WheelSoilModel(Checked):
 
     @property
     def needed(self) -> dict[str, str]:
-        """{condition: effect or law that depends on it}, for "speed" and "pass".
+        """{condition: effect or law that depends on it}; of several the last one is named.
 
-        A prediction to which a condition in it is not given is refused. Of several effects or laws
-        the last one is named.
+        A prediction to which "speed" or "pass" in it is not given is refused.
         """
         by = {name: CATALOGUE[name].varies for name in self.effects}
         groups = [group for term in self.residual for group in term.powers]
         by |= {f"the residual law by {group}": group for group in groups}
         by |= {f"the remainder by {group}": group for group in getattr(self.remainder, "axes", ())}
-        return {need: what for what, need in by.items() if need in ("speed", "pass")}
+        return {need: what for what, need in by.items() if need}
 
     def predict(self, conditions: Any | Mapping[str, ArrayLike]) -> Prediction:
         """Steady sinkage, drawbar pull and torque for a whole table of N rows, as a `Prediction`.
@@ -179,19 +178,27 @@ class WheelSoilModel(Checked):
         `grade_deg`, `wheel_radius`, `wheel_width`, `grouser_height` [m]. Raises `ParameterError`
         for unknown or missing names and for values that are not finite or out of range. The speed
         and the pass that an effect or the residual law depends on (`needed`) are missing unless
-        given in every row. Without the effect `grade`, `grade_deg` changes nothing: the load counts
-        as normal to the ground, and the pull as beyond the weight along it. Warns once for each
-        model (`OutsideValidity`) of conditions outside `validity`.
+        given in every row. Without an effect or law that goes with the grade, `grade_deg` changes
+        nothing, with a warning: the load counts as normal to the ground, and the pull as beyond the
+        weight along it. Warns once for each model (`OutsideValidity`) of conditions outside
+        `validity`.
         """
         if self.soil is None:
             raise ParameterError("WheelSoilModel: no soil: expected one, to predict with")
         c = rows_of(conditions, self.wheel)
-        for name, what in self.needed.items():
+        needed = self.needed
+        for name in sorted({"speed", "pass"} & needed.keys()):
             given = _mapping(conditions).get(name, math.nan)
             if np.any(np.isnan(np.asarray(given, dtype=float))):
                 raise ParameterError(
-                    f"conditions: missing {name}: expected it, since {what} goes with it"
+                    f"conditions: missing {name}: expected it, since {needed[name]} goes with it"
                 )
+        if np.any(c.conditions[:, 2]) and not {"grade", "grade_deg"} & needed.keys():
+            warnings.warn(
+                "grade_deg: no effect of this model depends on it: expected loads normal to the "
+                "ground",
+                stacklevel=2,
+            )
         beyond = outside(self.validity, c.slip, c.load, c.conditions)
         if beyond and not getattr(self, "_warned", False):
             object.__setattr__(self, "_warned", True)

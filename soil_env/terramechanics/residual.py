@@ -45,12 +45,9 @@ class ResidualTerm(Checked):
     ranges: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def _check_together(self) -> None:
-        """Turn each range into a tuple. Raise `ParameterError` for unknown groups, powers beyond
-        `MOST_POWER` and ranges that are not (low, high).
+        """Raise `ParameterError` for unknown groups, powers beyond `MOST_POWER` and ranges that are
+        not (low, high).
         """
-        object.__setattr__(
-            self, "ranges", {group: tuple(pair) for group, pair in self.ranges.items()}
-        )
         for name in ("powers", "ranges"):
             for group in getattr(self, name):
                 if group not in GROUPS:

@@ -5,11 +5,10 @@ the units of a measurement table.
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
-from soil_env._io.loading import ParameterError, number, unknown_key
+from soil_env._io.loading import ParameterError, unknown_key
 
 #: Conditions and their units, as the columns of a measurement table.
 CONDITIONS = MappingProxyType(
@@ -25,27 +24,13 @@ class OutsideValidity(UserWarning):
     """A model predicts conditions beyond those that it was fitted to."""
 
 
-def checked(validity: Mapping[str, Any], where: str = "validity") -> dict[str, tuple[float, float]]:
-    """The ranges of a mapping {condition: (lowest, highest)} as pairs of floats; `ParameterError`
-    for unknown conditions and for what is no finite range. Its message begins with `where`.
-    """
-    if not isinstance(validity, Mapping):
-        raise ParameterError(
-            f"{where}: expected a mapping of conditions to [lowest, highest], got {validity!r}"
-        )
-    out = {}
+def check(validity: Mapping[str, tuple[float, float]]) -> None:
+    """Raise `ParameterError` for unknown conditions and for a pair that is no range."""
     for name, pair in validity.items():
         if name not in CONDITIONS:
-            raise unknown_key(name, CONDITIONS, where)
-        try:
-            low, high = (number(float, x, where) for x in pair)
-        except (TypeError, ValueError):
-            low = math.nan
-            high = math.nan
-        if not -math.inf < low <= high < math.inf:
-            raise ParameterError(f"{where}.{name} = {pair!r}: expected [lowest, highest]")
-        out[name] = (low, high)
-    return out
+            raise unknown_key(name, CONDITIONS, "validity")
+        if not -math.inf < pair[0] <= pair[1] < math.inf:
+            raise ParameterError(f"validity.{name} = {pair}: expected [lowest, highest]")
 
 
 def seen(

@@ -19,6 +19,7 @@ import pytest
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main
 from soil_env.identification.table import identify_table
+from soil_env.identification.table.fit import _doubts
 from soil_env.identification.table.priors import BROAD
 from soil_env.identification.table.problem import TableProblem
 from soil_env.identification.table.report import text_of
@@ -397,6 +398,16 @@ def test_intervals_stay_within_what_a_soil_can_be(tmp_path, leave_out):
     angle = e.parameters["friction_angle_deg"]
     assert leave_out or (angle.low, angle.high) == pytest.approx((2.0, 65.0))
     assert not leave_out or any("degrees of freedom" in w for w in e.warnings)
+
+
+def test_a_solution_close_to_a_bound_is_said_to_be_at_it(tmp_path):
+    """The search may stop a little before a bound."""
+    problem = TableProblem(table_of(tmp_path, clean()), setup_of())
+    for off, said in ((1e-4, True), (0.1, False)):
+        u = np.zeros(len(problem.unknowns))
+        u[0] = problem.unknowns[0].at(BROAD["friction_angle_deg"].high - off)
+        words = " ".join(_doubts(problem, u, [], True))
+        assert ("At the end of its admissible range: friction angle" in words) == said
 
 
 def test_digging_that_the_setup_knows_is_taken_out(tmp_path):

@@ -81,6 +81,22 @@ def test_a_table_and_a_mapping_are_predicted_row_by_row(tmp_path):
     )
 
 
+def test_a_grade_that_changes_nothing_is_said():
+    slope = {"slip": 0.2, "load": 100.0, "grade_deg": 10.0}
+    plain = replace(MODEL, effects={}, residual=())
+    with pytest.warns(UserWarning, match="grade_deg: no effect of this model depends on it"):
+        found = plain.predict(slope)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        level = plain.predict(slope | {"grade_deg": 0.0})
+        for known in (
+            {"effects": {"grade": {"share": 1.0}}},
+            {"residual": (ResidualTerm("torque", 0.01, {"grade": 1.0}),)},
+        ):
+            assert np.any(stacked(replace(plain, **known).predict(slope)) != stacked(level))
+    np.testing.assert_array_equal(stacked(found), stacked(level))
+
+
 def test_a_missing_condition_is_level_fresh_soil_and_the_wheel_of_the_model():
     """A steady point is a turning wheel, however slow: friction shows without a speed."""
     plain = WheelSoilModel(WHEEL, SOIL)

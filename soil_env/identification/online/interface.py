@@ -14,7 +14,6 @@ import math
 import re
 import sys
 import warnings
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from numbers import Real
 from typing import Self
@@ -24,7 +23,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError, said
 from soil_env.identification.published import Traversability, published, soil_of_numbers
 from soil_env.identification.status import Status
-from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, Wheel
+from soil_env.parameters import Belief, Control, Noise, RoverScenario, Scenario, Soil, Wheel
 from soil_env.parameters.readings import largest_readings, reading_units
 from soil_env.parameters.sensors import SENSORS, Readings
 from soil_env.slip import rim_speeds, slips, travel_speeds
@@ -33,7 +32,7 @@ from soil_env.terramechanics.steady import steady_state
 from .ground import assess_ground
 from .identifier import HELD, instruments, observe_all
 from .memory import MEMORY, READING, WORK, Instruments
-from .prior import setting_of
+from .prior import limit_to_wheel, setting_of
 
 __all__ = [
     "LONGEST_STEP",
@@ -130,10 +129,6 @@ class OnlineIdentifier:
                 raise TypeError(
                     f"{name} = {value!r}: expected a {kind.__name__} of soil_env.parameters{known}"
                 )
-        if not isinstance(belief.soils, Mapping):
-            raise TypeError(
-                f"belief.soils = {belief.soils!r}: expected a mapping of names to weights"
-            )
         try:
             control = replace(Control(period=period), substep=min(period, _SUBSTEP))
             self._set(
@@ -153,7 +148,8 @@ class OnlineIdentifier:
     @classmethod
     def of_scenario(cls, scenario: Scenario) -> Self:
         """The identifier that an environment of this scenario runs; without the borders that its
-        camera sees, where the scenario has terrain classes.
+        camera sees, where the scenario has terrain classes. Of a rover it is that of the front
+        wheel by itself.
 
         Raises TypeError for anything but a `Scenario`, `ParameterError` for one whose belief has
         the method "none".
@@ -178,6 +174,8 @@ class OnlineIdentifier:
         if scenario.belief.method == "none":
             raise ParameterError("belief.method = 'none': expected 'filter'")
         self._setting = setting_of(scenario)
+        if isinstance(scenario, RoverScenario):
+            limit_to_wheel(self._setting[0], scenario)
         self._white = self._setting["white"][0, 0].copy()  # of sensors that measure
         self._units = reading_units(scenario)
         self._largest = largest_readings(wheel, scenario.gravity)
@@ -242,8 +240,9 @@ class OnlineIdentifier:
         return soil_of_numbers(asdict(self._estimate), scenario.belief, scenario.gravity)
 
     def traversability(self, load: float | None = None, pitch: float = 0.0) -> Traversability:
-        """Drawbar margin under `load` [N] at `pitch` [rad], uphill positive; without a load, under
-        the weight times cos(pitch).
+        """Drawbar margin at `pitch` [rad], uphill positive, by the best pull under the load that
+        was measured so far; best slip and torque under `load` [N], without one under the weight
+        times cos(pitch).
 
         A load below 5 % of the weight counts as 5 % of it, as in the environments.
 
@@ -352,6 +351,7 @@ class OnlineIdentifier:
         reading.pitch = pitch
         instead = {"sinkage": self._sinkage, "load": self._weight * math.cos(pitch)}
         white = self._setting["white"][0, 0]
+        white["slip"] = 0.0 if r.slip != r.slip else self._white["slip"]
         for name in _FORCES:
             measured = getattr(r, name)
             missing = measured != measured

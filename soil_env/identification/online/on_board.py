@@ -44,7 +44,7 @@ from .memory import (
     WORK,
 )
 from .pooling import POOL, forget_pool, hand_over_border, keep_knowledge, pool_with
-from .prior import setting_of
+from .prior import limit_to_wheel, setting_of
 
 CONVERGED = Status.CONVERGED.value
 OF_SOIL = 2 * QUANTITIES + 1  # entries of the observation on a soil: quantities, sds and a flag
@@ -54,9 +54,6 @@ LEAST_LEFT = 1e-6
 INFORMATION = 3  # index of the reward term of knowledge
 LN_10 = math.log(10.0)  # [-] ln K and ln S are divided by it: decimal logarithms are observed
 KILOPASCAL = 1e3  # [Pa] unit in which cohesion is observed
-#: White noise, in the units of `Noise`, of what a sensor of the body does not measure of one wheel,
-#: own choice: no weight beside what is measured.
-OF_BODY = 1e6
 
 #: Memory of the estimators of a wheel, and of a rover from its front wheel on.
 ON_WHEEL, ON_ROVER = (
@@ -138,20 +135,6 @@ def board_setting(scenario: Scenario, shown: Shown, warns: bool) -> np.ndarray:
         limit_to_wheel(board.identifier[0], scenario)
     board.warning = warning_setting(scenario)
     return setting
-
-
-def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
-    """Give no weight, in the `SETTING` of one wheel, to what sensors of the body do not measure of
-    it.
-
-    The accelerometer says nothing of it, and the load on a wheel changes with the pull. Nor does
-    the torque of a motor whose speed loop turns the wheel faster or slower: that at the end of a
-    period is not the mean over it.
-    """
-    setting["white"]["acceleration"] = OF_BODY * scenario.gravity
-    if scenario.control.action != "torque":
-        setting["white"]["motor_torque"] = OF_BODY * scenario.weight * scenario.wheel.radius
-    setting["load_varies"] = 1
 
 
 def compactions() -> list[float]:

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from soil_env._io.loading import ParameterError
-from soil_env.parameters import FLOW_LAW, Scenario
+from soil_env.parameters import FLOW_LAW, RoverScenario, Scenario
 from soil_env.parameters.readings import largest_sensed, reading_errors, reading_units
 
 from .identifier import start
@@ -41,6 +41,9 @@ LEAST_SCATTER = 1e-2
 LEAST_GAIN = 1e-3  # [-] least gain of slip-sinkage, whose logarithm is taken, own choice
 # [of the weight of the library] weight of a soil that is like none of the library, own choice
 STRANGE = 0.2
+#: White noise, in the units of `Noise`, of what a sensor of the body does not measure of one wheel,
+#: own choice: no weight beside what is measured.
+OF_BODY = 1e6
 _LEAST_WIDTH = 0.95  # [of the standard deviation] least of `widths`, own choice
 _WIDEST = 4.0  # [of the standard deviation] half width up to which `widths` are sought, own choice
 _DEPTH = 0.2  # [wheel radii] depth at which pressures are compared, own choice
@@ -229,3 +232,17 @@ def setting_of(scenario: Scenario) -> np.ndarray:
     s.prior = s.blank[0].estimate
     s.prior_sd = s.blank[0].sd
     return setting
+
+
+def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
+    """Give no weight, in the `SETTING` of one wheel, to what sensors of the body do not measure of
+    it.
+
+    The accelerometer says nothing of it, and the load on a wheel changes with the pull. Nor does
+    the torque of a motor whose speed loop turns the wheel faster or slower: that at the end of a
+    period is not the mean over it.
+    """
+    setting["white"]["acceleration"] = OF_BODY * scenario.gravity
+    if scenario.control.action != "torque":
+        setting["white"]["motor_torque"] = OF_BODY * scenario.weight * scenario.wheel.radius
+    setting["load_varies"] = 1

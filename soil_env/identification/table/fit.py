@@ -48,7 +48,7 @@ FAR_OFF_PRIOR = 5.0  # [prior sd] from which that is to be checked first where t
 #: Residual of a fit that allows for errors of the laws, over that of a fit with exact laws, from
 #: which its soil predicts badly.
 MUCH_WORSE = 2.0
-EDGE = 1e-6  # of the range or the prior sd of an unknown, within which it is at a bound
+EDGE = 1e-3  # of the range or the prior sd of an unknown, within which it is at a bound
 UNDETERMINED = 0.7  # share of the prior sd above which a parameter is not determined by the data
 TIED = 0.98  # correlation above which two parameters are tied
 SMALL = 0.2  # [noise] rms below which residuals are smaller than the given noise allows

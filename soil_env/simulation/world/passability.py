@@ -17,7 +17,8 @@ from soil_env.terramechanics.traversability import best_point_at
 
 REDRAWS = 200  # attempts at a soil
 CUT = 2.5  # [sigma] beyond which no property of a soil is drawn
-STEEPEST_FRICTION = math.radians(60.0)  # [rad] largest friction angle that is drawn
+# [rad] largest friction angle that is drawn about a mean below it
+STEEPEST_FRICTION = math.radians(60.0)
 SAFE_SINKAGE = 0.9  # [of the sinkage that ends an episode] most that a soil may ask for
 IMPASSABLE = -HUGE  # [of weight] pull of a wheel that would be bogged
 
@@ -102,7 +103,8 @@ def scattered(mean, share, owner, spec):
     rows = spec.factor
     variation = spec.variation
     friction = share * variation[0] * _deviation(rows[0], z)
-    phi = min(math.atan(mean.tan_phi) * (1.0 + friction), STEEPEST_FRICTION)
+    mean_phi = math.atan(mean.tan_phi)
+    phi = min(mean_phi * (1.0 + friction), max(mean_phi, STEEPEST_FRICTION))
     cohesion = mean.cohesion * _log_normal(share * variation[1], _deviation(rows[1], z))
     modulus = mean.shear_modulus * _log_normal(share * variation[2], _deviation(rows[2], z))
     stiffer = _log_normal(share * variation[3], _deviation(rows[3], z))
