@@ -138,7 +138,8 @@ def _check_quantity(owner: Checked, f: dataclasses.Field, value: typing.Any) -> 
     for x in map(_of_python, value if isinstance(value, tuple) else (value,)):
         is_number = isinstance(x, (int, float)) and not isinstance(x, bool)
         if not (is_number and low <= x <= high and abs(x) <= sys.float_info.max):
-            limits = f"[{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
+            end = ")" if high == math.inf else "]"
+            limits = f"[{_bound(low)}, {_bound(high)}{end} {f.metadata['unit']}".rstrip()
             means = f" ({doc})" if (doc := f.metadata["doc"]) else ""
             raise FieldError(
                 owner, f.name, f" = {said(value)}: expected a number in {limits}{means}"

@@ -168,7 +168,7 @@ def test_a_rig_is_asked_for_what_it_has_and_for_what_costs_little(case):
     [
         ({"cost": {"whel": 1}}, "unknown key 'whel'; did you mean 'wheel'?"),
         ({"cost": {"run": 0}}, "cost.run = 0: expected a number > 0"),
-        ({"loads": [0]}, "rig.loads = (0.0,): expected a number in [0.001, inf] N"),
+        ({"loads": [0]}, "rig.loads = (0.0,): expected a number in [0.001, inf) N"),
         ({"passes": [1.5]}, "rig.passes = 1.5: expected a whole number"),
     ],
 )

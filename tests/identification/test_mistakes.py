@@ -268,25 +268,26 @@ def test_a_load_in_kilograms_is_doubted_whatever_the_soil(tmp_path):
 
 def test_sound_tables_are_rarely_doubted(tmp_path):
     """At most 1 in 20 of 28 benchmark cases, half of them of few rows (5 of 28 has probability 0.01
-    at 1 in 20). `benchmarks.sound_tables` draws hundreds.
+    at 1 in 20); most of 16 with their loads in kilograms. `benchmarks.sound_tables` draws hundreds.
     """
-    found = []
+
+    def doubted(case):
+        write_case(case, tmp_path / "case", tmp_path / "truth.json")
+        files = (tmp_path / "case" / name for name in ("data.csv", "setup.yaml"))
+        return bool(examined(tmp_path, *(path.read_text() for path in files)))
+
+    sound = 0
+    kilograms = 0
     for name, k in itertools.product(
         ("one-rich-10", "none-rich-10", "one-rich-10-regimes", "none-rich-10-log_slip"), range(7)
     ):
         case = draw_case(11, Task(name, k))
         case = replace(case, columns={n: x[:: 9 if k % 2 else 1] for n, x in case.columns.items()})
-        in_kilograms = replace(
-            case, columns=case.columns | {"load": [w / 9.81 for w in case.columns["load"]]}
-        )
-        doubted = []
-        for there in (case, in_kilograms):
-            write_case(there, tmp_path / "case", tmp_path / "truth.json")
-            files = (tmp_path / "case" / name for name in ("data.csv", "setup.yaml"))
-            doubted.append(bool(examined(tmp_path, *(path.read_text() for path in files))))
-        found.append(doubted)
-    sound, kilograms = np.sum(found, axis=0)
-    assert sound < 5 and kilograms >= 24
+        sound += doubted(case)
+        if k < 4:
+            load = [w / 9.81 for w in case.columns["load"]]
+            kilograms += doubted(replace(case, columns=case.columns | {"load": load}))
+    assert sound < 5 and kilograms >= 14
 
 
 def with_cell(text: str, row: int, name: str, factor: float) -> str:

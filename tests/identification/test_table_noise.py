@@ -64,8 +64,13 @@ def test_noise_of_slip_and_load_is_noise_of_the_channels_by_their_slopes(effects
     assert again.noise * again.data.relative_sd == pytest.approx(found)
 
 
-def test_slips_that_were_read_with_noise_are_no_effect_where_that_is_told():
-    told = run(*noisy(0, 0.03))
+@pytest.fixture(scope="module")
+def told():
+    """Report of a table whose setup states the noise of its slips."""
+    return run(*noisy(0, 0.03))
+
+
+def test_slips_that_were_read_with_noise_are_no_effect_where_that_is_told(told):
     assert told.verdict in ("none", "undetermined") and told.finding.none > 0.5
     assert not told.effects
     assert run(*noisy(0, 0.03, stated=False)).verdict == "unlisted"
@@ -75,8 +80,8 @@ def test_slips_that_were_read_with_noise_are_no_effect_where_that_is_told():
     reason="friction that goes with the pressure would be overlooked under so much noise",
     strict=True,
 )
-def test_with_slips_of_known_noise_nothing_is_missing():
-    assert run(*noisy(0, 0.03)).verdict == "none"
+def test_with_slips_of_known_noise_nothing_is_missing(told):
+    assert told.verdict == "none"
 
 
 def test_a_dip_at_one_slip_of_every_load_is_no_row_of_outliers():

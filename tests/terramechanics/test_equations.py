@@ -180,6 +180,12 @@ def test_an_equation_has_all_that_its_form_frees_and_every_symbol_is_explained(e
     assert words - known - set(FUNCTIONS) - {"D1", "D2", "x", "k"} == set()
 
 
+def test_a_number_after_a_digit_is_in_brackets():
+    effect = effects.CATALOGUE["shear_softening"]
+    values = CASES["shear_softening-hump"]["shear_softening"] | {"sharpness": 2.56}
+    assert "tau_max 4 (2.56) (1 - x)" in text.fitted(effect, effect.forms[0], values)
+
+
 def test_soil_is_carried_faster_under_a_braked_wheel():
     """(1 - i)^3 with a signed i; 1 - i is 2 - r w/V there."""
     effect = effects.CATALOGUE["soil_flow"]

@@ -35,10 +35,12 @@ def fitted(
     """
 
     def number(match: re.Match) -> str:
-        """The value of a parameter, in brackets if it is negative or has a unit."""
+        """The value of a parameter, in brackets if negative, with a unit or after a digit."""
         p = effect.parameter(match[1])
         text = plain(values[p.name], digits) + (f" {p.unit}" if units and p.unit else "")
-        return f"({text})" if text.startswith("-") or " " in text else text
+        behind = form.equation[: match.start()].rstrip()
+        is_apart = text.startswith("-") or " " in text or behind[-1:].isdigit()
+        return f"({text})" if is_apart else text
 
     text = _PARAMETER.sub(number, form.equation)
     text = re.sub(r"\+ \(-([^()]*)\)", r"- \1", text)
