@@ -9,6 +9,7 @@ tilt of the setup, are in neither.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise, product
@@ -154,8 +155,10 @@ def _remainder(
     # `slip_bias.measured_slip`.
     scale = np.full(len(grid), 1.0 / (1.0 - bias["radius_error"]))
     at["slip"] = np.clip(slips_of_radius(at["slip"] - bias["offset"], scale), -1.0, 1.0)
-    # No range of validity: the nodes go beyond it, which is nothing to warn of.
-    law = np.stack(replace(model, validity={}).predict(at)[:3], axis=1)
+    with warnings.catch_warnings():
+        # The nodes go beyond the range of the model, which may have no law of grades.
+        warnings.simplefilter("ignore")
+        law = np.stack(model.predict(at)[:3], axis=1)
     radius = model.wheel.radius
     size = np.stack([np.full(len(grid), radius), at["load"], at["load"] * radius], axis=1)
     mean, sd = found.at(at, without)

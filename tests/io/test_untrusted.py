@@ -447,7 +447,7 @@ def test_damaged_cells_and_checksums(tmp_path):
         read_cell(tmp_path, "1", lambda found: {n: float(x) for n, x in found.items()})
 
     def checksums(path):
-        assert isinstance(code._checksums(), dict | None)
+        assert not code._check()
 
     (tmp_path / "cells").mkdir()
     content = json.dumps({f"metric{k}": 0.1 * k for k in range(9)}).encode()
@@ -458,5 +458,6 @@ def test_damaged_cells_and_checksums(tmp_path):
         cells(tmp_path / name)
     code = Kept.__new__(Kept)
     code._folder = tmp_path
+    code._drop = lambda: None  # the folder is that of the damaged files
     content = json.dumps({f"f{k}.nbi": f"{k:064x}" for k in range(4)}).encode()
     check_reading(checksums, content, tmp_path, CHECKSUMS)
