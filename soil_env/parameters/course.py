@@ -57,7 +57,7 @@ class CourseSpec(Checked):
     halt_interval: tuple[float, float] = quantity(
         "m", 0.05, 1e6, default=(0.6, 1.5), doc="between commanded halts"
     )
-    halt_time: float = quantity("s", 0.0, 1e3, default=0.8, doc="length of a halt; 0 = none")
+    halt_time: float = quantity("s", 0.0, 1e3, default=0.9, doc="length of a halt; 0 = none")
     classes: int = quantity(
         "", 0, MOST_CLASSES, default=0, doc="terrain classes; 0 = a soil of its own for each patch"
     )

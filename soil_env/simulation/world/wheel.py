@@ -404,12 +404,13 @@ def end_period(wheel, x_start, owner, rig):
 
     A halt begins where x reaches `next_halt`. The place of the halt after it is then drawn from the
     random stream of `owner`, `rig.halt_low` to `rig.halt_high` [m] further. In a halt its time left
-    falls by a period, to 0 at least.
+    falls by a period, to 0 at least. A rest that is due to rounding is none.
     """
     wheel.travel = wheel.x - x_start
     wheel.steps += 1
     if wheel.halt_left > 0.0:
-        wheel.halt_left = max(0.0, wheel.halt_left - rig.period)
+        left = wheel.halt_left - rig.period
+        wheel.halt_left = left if left > ROUNDING * rig.period else 0.0
     elif wheel.x >= wheel.next_halt:
         wheel.halt_left = rig.halt_time
         wheel.next_halt = wheel.x + between(owner, rig.halt_low, rig.halt_high)
