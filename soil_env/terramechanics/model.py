@@ -44,6 +44,7 @@ from .steady import DEEPEST, Rim, Rows, floats, predict_rows
 from .validity import OutsideValidity, check, outside
 
 FORMAT = "soil_env model 1"
+AT_NODE = 1e-6  # of the range of an axis, by which rounding may put a row beyond its last node
 STEEPEST = 60.0  # [deg] grade that a prediction is asked for, either way; own choice
 USUAL_DENSITY = 1500.0  # [kg/m3] of a model without a soil, the default of `Soil`
 
@@ -92,7 +93,8 @@ class Prediction(NamedTuple):
     drawbar_pull: np.ndarray  # [N]
     torque: np.ndarray  # [N m]
     supported: bool  # True if the soil carries the load in every row
-    #: [N, 3] standard deviations of a measurement of these three, NaN without a `remainder`.
+    #: [N, 3] standard deviations of a measurement of these three, NaN without a `remainder` and
+    #: beyond the nodes of its table.
     sd: np.ndarray
 
 
@@ -231,7 +233,7 @@ class WheelSoilModel(Checked):
                 groups = _groups(rows, felt, floats(soil), self.gravity, fx)
                 _add_residual(law, groups, rows, values, deviations)
                 if self.remainder is not None:
-                    sd[here] = deviations
+                    sd[here] = np.where(_within(self.remainder, groups), deviations, math.nan)
             out[here] = values
         return Prediction(out[:, 0], out[:, 1], out[:, 2], supported == c.slip.size, sd)
 
@@ -440,6 +442,18 @@ def _groups(rows, felt, soil, gravity, fx):
         rim = Rim(w[0], w[1], w[2], 0.0, 0.0, 0.0, 0.0)
         groups[k] = dimensionless_groups(at, soil, rim, gravity)
     return groups
+
+
+def _within(table: ResidualTable, groups: np.ndarray) -> np.ndarray:
+    """[N, 1] bool, True for rows with all of their `GROUPS` [N, 7] between the first and the last
+    node of the table's axes, `AT_NODE` of the range beyond them included.
+    """
+    inside = np.ones((len(groups), 1), dtype=bool)
+    for group, nodes in table.axes.items():
+        x = groups[:, [GROUPS.index(group)]]
+        slack = AT_NODE * (nodes[-1] - nodes[0])
+        inside &= (x >= nodes[0] - slack) & (x <= nodes[-1] + slack)
+    return inside
 
 
 @kept

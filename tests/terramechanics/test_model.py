@@ -217,6 +217,10 @@ def test_a_remainder_is_added_at_the_true_slip_with_its_deviations():
     assert found.drawbar_pull - plain.drawbar_pull == pytest.approx(at["load"] * (0.1 + 0.2 * true))
     assert found.sd[:, 2] == pytest.approx(at["load"] * 0.15 * np.array([0.02, 0.04]))
     assert np.all(np.isnan(plain.sd)) and np.all(found.sinkage == plain.sinkage)
+    beyond = WheelSoilModel(WHEEL, SOIL, {}, remainder=TABLE).predict(
+        conditions(slip=np.array([-0.3, 0.0, 1.0]))
+    )
+    assert np.isnan(beyond.sd).all(axis=1).tolist() == [True, False, False]
 
 
 @pytest.mark.parametrize(
