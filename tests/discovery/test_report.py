@@ -565,3 +565,7 @@ def test_a_soil_parameter_at_a_bound_is_not_said_to_be_assumed(planted):
     soil = planted.soil | {"cohesion": Interval(0.0, 0.0, 0.0)}
     rows = {row[0]: row[2] for row in tables.soil(dataclasses.replace(planted, soil=soil)).rows}
     assert rows["cohesion c"] == "at a bound" and rows["density"] == "given"
+
+
+def test_a_heavy_load_is_told_without_an_exponent():
+    assert sentences._place({"slip": 0.3, "load": 24000.0}) == "slip 0.3 at load 24000 N"

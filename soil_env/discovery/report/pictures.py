@@ -14,6 +14,7 @@ from soil_env.discovery.calibrate import Law
 from soil_env.discovery.prediction import at_conditions
 from soil_env.discovery.result import Report
 from soil_env.identification.table.data import CHANNELS
+from soil_env.terramechanics.effects.text import plain
 
 from .sentences import CONDITIONS, TITLES, UNITS
 
@@ -140,7 +141,7 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
 def _value(name: str, x: float) -> str:
     """A condition in words with its value, of `name` as the column of a table, and its unit."""
     label, unit = CONDITIONS[name]
-    return f"{label} {round(x, 1) if name == 'grade_deg' else x:.3g}{unit}"
+    return f"{label} {plain(round(x, 1) if name == 'grade_deg' else x)}{unit}"
 
 
 def curves(report: Report, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

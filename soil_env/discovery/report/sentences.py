@@ -27,6 +27,7 @@ from soil_env.discovery.unnamed import UNNAMED
 from soil_env.identification.table.data import CHANNELS, WHEEL
 from soil_env.identification.table.problem import usable_rows
 from soil_env.measurement.doubts import one_load
+from soil_env.terramechanics.effects.text import plain
 from soil_env.terramechanics.steady import DEEPEST
 from soil_env.terramechanics.validity import in_words
 
@@ -176,7 +177,7 @@ def _limit(name: str, limits: tuple[float, float], values: np.ndarray) -> str:
     """Limits (low, high) of a condition in words, where `values` are all that the table has of it:
     "slip 0.3 and above" or "and below" up to its ends, "slip 0.1 to 0.3", or one value.
     """
-    low, high = (f"{x:.3g}" for x in limits)
+    low, high = map(plain, limits)
     label, unit = CONDITIONS[name]
     if low == high:
         return f"{label} {low}{unit}"
@@ -235,15 +236,15 @@ def _place(point: Mapping[str, float]) -> str:
     pass and level ground are not said.
     """
     formats = {
-        "load": "load {:.4g} N",
-        "speed": "{:.3g} m/s",
-        "pass": "pass {:g}",
-        "grade_deg": "a grade of {:.3g} deg",
+        "load": "load {} N",
+        "speed": "{} m/s",
+        "pass": "pass {}",
+        "grade_deg": "a grade of {} deg",
     }
-    formats |= {name: f"{CONDITIONS[name][0]} {{:.3g}} m" for name in WHEEL}
+    formats |= {name: f"{CONDITIONS[name][0]} {{}} m" for name in WHEEL}
     usual = {"pass": 1.0, "grade_deg": 0.0}
     parts = [
-        said.format(point[name])
+        said.format(plain(point[name], 4))
         for name, said in formats.items()
         if name in point and point[name] != usual.get(name)
     ]

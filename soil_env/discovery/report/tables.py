@@ -11,6 +11,7 @@ from soil_env.discovery.next_tests import NextTest
 from soil_env.discovery.result import Report
 from soil_env.discovery.search import LAW_ERRORS
 from soil_env.identification.table.data import CHANNELS
+from soil_env.terramechanics.effects.text import plain
 
 from .sentences import (
     CONDITIONS,
@@ -128,7 +129,7 @@ def _runs(runs: Sequence[NextTest | SurerRun], last: str, shares: Sequence[float
         for label, unit in map(CONDITIONS.__getitem__, runs[0].conditions)
     ]
     rows = [
-        (k, *(f"{x:.4g}" for x in run.conditions.values()), figures(run.cost, 2), percent(share))
+        (k, *(plain(x, 4) for x in run.conditions.values()), figures(run.cost, 2), percent(share))
         for k, (run, share) in enumerate(zip(runs, shares, strict=True), start=1)
     ]
     return Table(("run", *head, "cost", last), rows)
@@ -143,7 +144,7 @@ def next_predictions(report: Report, most: int | None = None) -> Table:
         for p in test.predicted[:most]:
             values = zip(CHANNELS, p.mean, p.sd, strict=True)
             cells = [
-                f"{UNITS[name][1] * mean:.3g}±{UNITS[name][1] * sd:.2g}"
+                f"{plain(UNITS[name][1] * mean)}±{plain(UNITS[name][1] * sd, 2)}"
                 for name, mean, sd in values
                 if name in report.channels
             ]
