@@ -85,7 +85,7 @@ def said(value: object) -> str:
 
 
 def _bound(x: float) -> str:
-    """A bound as an error writes it: to six digits, but a longer whole number in full."""
+    """A bound as an error writes it: to six digits, a whole number that needs more in full."""
     short = f"{x:g}"
     return str(x) if isinstance(x, int) and float(short) != x else short
 

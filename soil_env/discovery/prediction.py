@@ -326,21 +326,23 @@ class Prediction:
         rows, values in [m, N, N m].
 
         The covariance is that of the remainder there with the M values of the table, whitened by
-        the covariance of the latter. A value is 0 where the law has none. `without`: errors of the
+        the covariance of the latter. The law counts as 0 where it has no value. `without`: errors of the
         rig that are left out, as in `at`.
         """
         values = self.values
         if "tilt_deg" in without:
             values |= {"tilt_deg": 0.0}
         choices = tuple(c for c in self.law.choices if c.effect not in without)
-        guess = np.zeros(there.data.rows.slip.size)
+        guess = np.zeros(there.data.rows.slip.size)  # none is known
         law = np.nan_to_num(there.predict(values, choices, guess))
         rows, channel = np.nonzero(self.problem.used)
         points = self.remainder.points(there)
         alike = self.remainder.correlation(points, self.remainder.table, self.learnt)[:, None, rows]
         ours = _scales(self.problem, self.output)[self.problem.used]
+        # in units of the noise of each value, as `covariance`
         ours = ours / self.remainder.relative[self.problem.used]
         theirs = self.learnt.size**2 * _scales(there, law)
+        # size^2 times scales and correlation, 0 between channels
         across = theirs[:, :, None] * (np.arange(3)[:, None] == channel) * alike * ours
         across = self.covariance.whiten(across.reshape(law.size, -1).T)
         remainder = across.T @ self.covariance.whiten(self.residual)

@@ -233,11 +233,12 @@ class Observer:
         return bool(known)
 
     def _identify(self) -> None:
-        """Let the estimators take the readings; the first readings of a drive reset them to the
-        prior.
+        """Let the estimators take the readings of one period, and write what they estimate into
+        the observation. The first readings of a drive only reset them to the prior.
         """
-        world = Stepped(self._worlds.state, self._worlds.samples[:, None], self._worlds.observation)
-        self._worlds.state["periods"] = 1
+        samples = self._worlds.samples[:, None]  # by wheel, axle and period, one of each
+        world = Stepped(self._worlds.state, samples, self._worlds.observation)
+        self._worlds.state["periods"] = 1  # that have samples
         order = STEP if self._begun else RESTART
         self._board.update(world, np.array([order]), 0, 1)
 

@@ -26,7 +26,7 @@ class Stamps:
     """Stamps of the rows of a table, or the messages of a topic, in the order of the recording."""
 
     def __init__(self, source: str, thing: str) -> None:
-        self.source = source
+        self.source = source  # column or topic in words, for notes
         self.thing = thing  # row or message
         self.times = array("q")  # [ns]
         self.recorded = array("q")  # [ns] of the recording of a message

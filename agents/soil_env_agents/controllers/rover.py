@@ -31,6 +31,7 @@ from ..inputs import Layout, starts
 _SLOWEST = 0.02  # [of top rim speed] of the body, where its turning is looked at
 _RATE_SHARE = 0.3  # of the newest reading in the mean of the pitch rate
 _TIME = 0.5  # [s] in which torque_by_load makes up for a lack of speed
+_LEAST_LOAD = 0.01  # [of its weight] load of a wheel that is lifted; own choice
 
 
 class RoverController:
@@ -135,7 +136,7 @@ class TorqueByLoad(RoverController):
         own = self.own
         axles = self.axles
         target = own.rim_speed(wheels, state).reshape(-1, axles)[:, 0]  # all ramps are alike
-        speed = batch[:, self.column["speed"]] * own.top_speed
+        speed = batch[:, self.column["speed"]] * own.top_speed  # [m/s]
         halted = batch[:, self.column["halted"]] > 0.5
         # [kg m] mass that the wheels of a side carry, times their radius.
         mass_arm = self.scenario.wheel.body_mass * axles * own.radius
@@ -144,9 +145,10 @@ class TorqueByLoad(RoverController):
         kept = np.where(state["begun"] | halted, 0.0, state.get("lack", 0.0 * speed))
         lack = np.clip(kept + (target - speed) * own.period, -1.0, 1.0)
         state["lack"] = lack
+        # [N m] of a side
         total = mass_arm * (self.scenario.gravity * slope + (target - speed + lack / _TIME) / _TIME)
         total = np.clip(total, -axles * own.stall, axles * own.stall)
-        load = np.maximum(wheels[:, own.column["load"]].reshape(-1, axles), 0.01)
+        load = np.maximum(wheels[:, own.column["load"]].reshape(-1, axles), _LEAST_LOAD)
         share = load / load.sum(axis=1, keepdims=True)
         return np.clip(total[:, None] * share / own.stall, -1.0, 1.0).astype(np.float32)
 

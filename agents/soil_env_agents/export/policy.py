@@ -161,7 +161,7 @@ def recorded(
     agent, scenario: Scenario, steps: int, world: WheelSoilModel | None
 ) -> dict[str, np.ndarray]:
     """`observation` [steps, D], `new_course` [steps] and `action` [steps, 1] of the agent on
-    held-out courses.
+    held-out courses, driven one after the other; `world`: model of their effects, None without.
     """
     recorder = _Recorder(agent)
     course = 0

@@ -393,8 +393,8 @@ def cautions(report: Report) -> list[str]:
 
 
 def rises(report: Report) -> list[str]:
-    """Channels whose held-out error is larger with the named effects by more than `WORSE`, in
-    sentences.
+    """Sentences on the channels whose held-out error is larger with the named effects than by the
+    base model, by more than `WORSE`; none without a named effect.
     """
     return [
         f"The held-out error of {TITLES[name]} rises by {percent(g.after / g.before - 1.0)} with "

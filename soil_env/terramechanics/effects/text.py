@@ -55,7 +55,7 @@ def used(form: Form) -> list[str]:
 
 def legend(effect: Effect, form: Form) -> dict[str, str]:
     """{symbol: meaning} of the symbols in a form's equation, but for its parameters: those of
-    `SYMBOLS`, then those of the effect. A meaning of the effect goes before that of `SYMBOLS`.
+    `SYMBOLS`, then those of the effect. A meaning of the effect replaces that of `SYMBOLS`.
     """
     words = set(_WORD.findall(_PARAMETER.sub("", form.equation)))
     return {
