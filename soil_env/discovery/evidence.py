@@ -103,7 +103,9 @@ class SizeGrid(NamedTuple):
     log_prior: np.ndarray  # [S]
     errors: tuple[np.ndarray, ...]  # K form errors [M, R] at the size 1, whitened
     table: np.ndarray  # [S, K] size of each of the `errors` at each point
-    first: int  # leading columns of `table` whose values many of its rows share
+    #: Leading columns of `table` whose values many of its rows share: `marginals` eliminates these
+    #: once for all of them.
+    first: int
 
 
 @cache

@@ -115,7 +115,9 @@ def draw_wheel(c: Canvas, centre: np.ndarray, size: float, angle: float, hub: Co
     """
 
     def at(radius: float, a: float) -> np.ndarray:
-        """Place [px] of a point of the wheel: its radius over that of the rim, angle [rad]."""
+        """Place [px] of a point of the wheel: its radius over that of the rim, its angle a [rad]
+        clockwise from the right.
+        """
         return centre + radius * size * np.array([math.cos(a), math.sin(a)])
 
     c.circle(centre, size, WHEEL)

@@ -79,8 +79,8 @@ def mix(known, u, setting, work):
     `known`, by its `information` and `gradient` at the soil u. The weights of the library, whose
     sum is 1, go into `work.weights`.
 
-    Sums are taken over the likeliest weight so far, so that none overflows. Soils below `UNLIKELY`
-    have the weight 0.
+    Sums are divided by the likeliest weight so far, so that none overflows. Soils below `UNLIKELY`
+    of the likeliest count as nothing.
     """
     mean = known.soil
     spread = known.spread

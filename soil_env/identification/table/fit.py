@@ -108,7 +108,7 @@ class ChannelFit:
 
     @property
     def residual(self) -> np.ndarray:
-        """(measured - fitted) / noise [N]; nan where not measured."""
+        """(measured - fitted) / (noise * relative), one a row; nan where not measured."""
         residual: np.ndarray = (self.measured - self.fitted) / (self.noise * self.relative)
         return residual
 

@@ -517,8 +517,8 @@ class Examined(NamedTuple):
 
     @contextmanager
     def named_first(self) -> Iterator[None]:
-        """Within this context a `ParameterError` about the rest names the rows and values left out
-        first.
+        """Within this context the message of a `ParameterError` about the rest begins with the rows
+        and values that are left out.
         """
         try:
             yield

@@ -263,11 +263,12 @@ class ThreadRecords(NamedTuple):
 
 @compiled_finite
 def _sense(rover, readings, sample, period, records):
-    """Fill the column `period` of `readings` [axles, periods], `SAMPLE`, and `sample`, the
-    `ROVER_SAMPLE` of that control period.
+    """Read the sensors of a rover at the end of a control period, and advance its odometry.
 
-    Readings of sensors of the body are the same for all axles. `records`: `ThreadRecords`, here and
-    below.
+    Fill `sample`, a `ROVER_SAMPLE`, then the readings in the column `period` of `readings`
+    [axles, periods], `SAMPLE`, whose halted, place and image stay 0. Those of the body are the same
+    for all axles, and are there before the slip follows from the speeds. `records`:
+    `ThreadRecords`, here and below.
     """
     task = records.task
     sense_body(rover, sample, records.sensors)

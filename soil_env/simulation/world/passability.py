@@ -149,7 +149,7 @@ def capacity(load, soil, numbers, nodes):
     torque; `load` in N. `soil`: `SoilState`; `numbers`: `CourseNumbers`; `nodes`: scratch.
 
     The point of best pull is found without a residual law, whose pull there is added. Where
-    strength depends on speed, it is the lesser one of starting (speed 0) and of driving
+    strength or bearing depends on speed, it is the lesser one of starting (speed 0) and of driving
     (`spec.speed`). `IMPASSABLE`:
 
     - where the soil does not carry the wheel at rest;
