@@ -326,8 +326,8 @@ class Prediction:
         rows, values in [m, N, N m].
 
         The covariance is that of the remainder there with the M values of the table, whitened by
-        the covariance of the latter. The law counts as 0 where it has no value. `without`: errors of the
-        rig that are left out, as in `at`.
+        the covariance of the latter. The law counts as 0 where it has no value. `without`: errors
+        of the rig that are left out, as in `at`.
         """
         values = self.values
         if "tilt_deg" in without:
