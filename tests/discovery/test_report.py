@@ -569,3 +569,14 @@ def test_a_soil_parameter_at_a_bound_is_not_said_to_be_assumed(planted):
 
 def test_a_heavy_load_is_told_without_an_exponent():
     assert sentences._place({"slip": 0.3, "load": 24000.0}) == "slip 0.3 at load 24000 N"
+
+
+def test_a_wheel_of_the_setup_that_no_row_has_is_told(planted):
+    """The corrected model and the priors are of it."""
+    for factor, told in ((1.0, False), (0.5, True)):
+        problem = copy.copy(planted.problem)
+        rows = problem.data.rows
+        rows = rows._replace(wheels=rows.wheels * [factor, 1.0, 1.0])
+        problem.data = dataclasses.replace(problem.data, rows=rows)
+        said = sentences.cautions(dataclasses.replace(planted, problem=problem))
+        assert any("No row has the wheel of the setup" in line for line in said) == told

@@ -363,11 +363,15 @@ def cautions(report: Report) -> list[str]:
         )
         if whole > WITH_OUTLIERS * kept:
             worse_with.append((TITLES[CHANNELS[j]], whole, kept))
+    wheel = problem.data.wheel
     text = _rendered(
         "cautions.txt",
         report,
         one_load=one_load(problem.data.table, setup),
         conditions=len(np.unique(problem.data.cell)),
+        no_row_has=not (problem.data.rows.wheels[:, :2] == [wheel.radius, wheel.width])
+        .all(1)
+        .any(),
         missing=[TITLES[name] for name in CHANNELS if name not in report.channels],
         from_scatter=[
             (TITLES[n], amount(n, noise.sd[j]))
