@@ -170,7 +170,7 @@ def command(smoke: bool, out: Path, data: Path) -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; return the exit status."""
-    return run(command, arguments, NAME)
+    return run(command, arguments, f"benchmarks.{NAME}")
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ class Block(NamedTuple):
 
     heading: str
     equation: list[str]  # as published, in symbols
-    fitted: list[str]  # the same with the fitted numbers; `equation` is taken if it is empty
+    fitted: list[str]  # the same with the fitted numbers
     numbers: list[tuple[str, str]]  # of each parameter: ("l", " = 0.0061 m (95 % ...): meaning")
     where: dict[str, str]  # meaning of the other symbols
     source: str
@@ -38,7 +38,7 @@ class Block(NamedTuple):
         """
         return {
             "equation": "; ".join(self.equation),
-            "fitted": "; ".join(self.fitted or self.equation),
+            "fitted": "; ".join(self.fitted),
             "where": self.where,
             "source": self.source,
         }
