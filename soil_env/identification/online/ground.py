@@ -84,6 +84,5 @@ def assess_ground(
     The margin is best pull less tan(pitch), at least -1. Where the motor has too little torque, or
     the soil does not carry the load, at every slip, the margin is -1 and the torque required 0.
     """
-    estimate = np.ascontiguousarray(estimate)
-    sd = np.ascontiguousarray(sd)
+    estimate, sd = map(np.ascontiguousarray, (estimate, sd))
     _assess(rows, estimate, sd, seen, setting, np.zeros(1, ARC_NODES), out)
