@@ -184,7 +184,7 @@ def advance(count, particles, grid, wheel, forces, step, vehicle):
             gather(grid, particles, q, step)
             strain(particles, q, step)
         if body.load > 0.0:
-            driven, _, _ = motor_torque(motor.command, motor.by_speed, wheel.speed, motor)
+            driven, _ = motor_torque(motor.command, motor.by_speed, wheel.speed, motor)
             wheel.up += step.time * (up - body.load) / body.mass_up
             wheel.along += step.time * (along - body.drag) / body.mass_along
             wheel.speed += step.time * (driven - moment) / body.inertia

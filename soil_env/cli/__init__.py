@@ -51,9 +51,8 @@ class _Commands(click.Group):
             raise click.UsageError(
                 f"unknown command {name!r}{nearest(name, _COMMANDS)} (known: {known})"
             )
-        module = _COMMANDS[name][0]
         try:
-            return import_module(module).command
+            return import_module(_COMMANDS[name][0]).command
         except ModuleNotFoundError as error:
             if (error.name or "").partition(".")[0] in ("soil_env", _AGENTS):
                 raise

@@ -6,22 +6,22 @@ import math
 import types
 import typing
 from collections.abc import Iterator
-from importlib import import_module
 from typing import Any
 
 import click
 
-from soil_env.measurement.setup import NUMBERS, Prior
-from soil_env.parameters import Soil
+from soil_env.logs.mapping import LogMap
+from soil_env.measurement.setup import NUMBERS, Prior, Setup
+from soil_env.parameters import RoverScenario, Scenario, Soil, Wheel
 
-#: Kind of file -> (module and name of the class that reads it, option or key that takes it).
-KINDS = {
-    "scenario": ("soil_env.parameters", "Scenario", "--scenario, a task of one wheel"),
-    "rover": ("soil_env.parameters", "RoverScenario", "--rover, a task of a rover"),
-    "wheel": ("soil_env.parameters", "Wheel", "`wheel` of a scenario"),
-    "soil": ("soil_env.parameters", "Soil", "`own_soils.NAME` of a scenario"),
-    "map": ("soil_env.logs.mapping", "LogMap", "--map of soil-env logs"),
-    "setup": ("soil_env.measurement.setup", "Setup", "--setup of soil-env identify and discover"),
+#: Kind of file -> (class that reads it, option or key that takes it).
+KINDS: dict[str, tuple[type, str]] = {
+    "scenario": (Scenario, "--scenario, a task of one wheel"),
+    "rover": (RoverScenario, "--rover, a task of a rover"),
+    "wheel": (Wheel, "`wheel` of a scenario"),
+    "soil": (Soil, "`own_soils.NAME` of a scenario"),
+    "map": (LogMap, "--map of soil-env logs"),
+    "setup": (Setup, "--setup of soil-env identify and discover"),
 }
 _SOIL = {f.name: f for f in dataclasses.fields(Soil)}
 _WIDTH = 34  # [characters] of the column of keys
@@ -36,11 +36,11 @@ def command(kind: str) -> None:
     soil-env describe scenario
     soil-env describe setup
     """
-    module, name, where = KINDS[kind]
+    cls, where = KINDS[kind]
     print(f"{kind}: {where}\n")
     if kind in ("scenario", "rover"):
         print(f"{'base':{_WIDTH}}  name or file of which the other keys are changes")
-    for line in keys_of(getattr(import_module(module), name)):
+    for line in keys_of(cls):
         print(line)
 
 

@@ -47,9 +47,8 @@ def command(recording: Path, map_file: Path, out: Path) -> None:
     log_map = read_map(map_file)
     check_own(out, (*ALWAYS, "steady.csv", "setup.yaml"), (recording, map_file))
     columns = (TextColumn("reading"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
-    hidden = not sys.stderr.isatty()
     with Progress(
-        *columns, console=Console(stderr=True), transient=True, disable=hidden
+        *columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
     ) as progress:
         task = progress.add_task("reading", total=None)
 

@@ -38,5 +38,4 @@ def command(out: Path | None, draws: int, seed: int) -> None:
         page.write(results, out, f"{asked} --out {shlex.quote(str(out))}")
         print(f"written: {out / 'paper.md'}, figures in {out / 'paper'}")
     else:
-        text = page.markdown(results, asked)
-        console().print(Markdown(text, hyperlinks=False))
+        console().print(Markdown(page.markdown(results, asked), hyperlinks=False))

@@ -83,9 +83,8 @@ def model_of(problem: Problem, choices: Sequence[Choice], values: Values) -> Whe
         gravity_measured=setup.gravity,
         source="calibrated by soil_env.discovery",
     )
-    rows = problem.data.rows
-    conditions = seen(rows.slip, rows.load, rows.conditions)
-    return WheelSoilModel(wheel, of_soil, effects, gravity=setup.gravity, validity=conditions)
+    validity = seen(problem.data.rows)
+    return WheelSoilModel(wheel, of_soil, effects, gravity=setup.gravity, validity=validity)
 
 
 def parameters(problem: Problem, choice: Choice, values: Values) -> dict[str, float]:

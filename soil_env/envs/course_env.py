@@ -284,8 +284,7 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
         blend of two. ResetNeeded before the first reset.
         """
         self._need_course("true_soil")
-        border = self.scenario.course.border
-        soil = soil_at(self.simulation.worlds.courses, 0, x, border)
+        soil = soil_at(self.simulation.worlds.courses, 0, x, self.scenario.course.border)
         return Soil.of_state(soil, self.scenario.gravity)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -389,8 +388,7 @@ class CourseVectorEnv(
         other seeds.
         """
         mask = self._mask(options)
-        seeds = self._seeds(seed)
-        for k, own in enumerate(seeds):
+        for k, own in enumerate(self._seeds(seed)):
             # at first also those that this reset leaves out, which a step may restart
             if not self._seeded or (own is not None and mask[k]):
                 self.simulation.seed(k, gymnasium.utils.seeding.np_random(own)[0])

@@ -25,22 +25,10 @@ STUCK = np.array([cause in IMMOBILISED for cause in Cause])  # [causes] bool, by
 _STUCK = STUCK.tolist()
 _CAUSES = tuple(cause.name for cause in Cause)
 _TERMS = tuple(f"reward_{name}" for name in REWARD_TERMS)
-STATE = (
-    "x",
-    "speed",
-    "wheel_speed",
-    "slip",
-    "sinkage",
-    "load",
-    "drawbar_pull",
-    "torque",
-    "motor_torque",
-    "grade",
-)
+STATE = names_of(WHEEL)[: names_of(WHEEL).index("grade") + 1]  # motion and forces
 assert WHEEL.fields is not None
 _TERMS_AT = WHEEL.fields["terms"][1] // 8  # place of the reward terms among the numbers of a wheel
 _TERMS_END = _TERMS_AT + len(REWARD_TERMS)
-assert names_of(WHEEL)[: len(STATE)] == STATE
 Info = dict[str, Any]  # of a vehicle, or arrays of many
 _COLUMNS = Traversability._fields
 # places of load and pitch in an observation
@@ -71,7 +59,6 @@ def flat(nested: Mapping[str, Any], prefix: str = "") -> Info:
     """
     prefixes = {
         "reward_terms": "reward_",
-        "estimate": "estimate_",
         "state": "",
         "traversability": "",
     }
@@ -162,8 +149,8 @@ class Infos(VehicleInfos):
         averages = simulation.worlds.recent
         # whether infos can have a traversability, which needs the averages for warnings
         self._shows_ground = averages is not None and len(averages) > 0
-        self._assess = None
-        self._foresight = None
+        self._assess: Any = None
+        self._foresight: Any = None
         if simulation.belief is not None:
             from soil_env.identification.online.ground import assess_ground
             from soil_env.identification.online.immobilisation import ImmobilisationWarning
@@ -188,8 +175,7 @@ class Infos(VehicleInfos):
         """Mark the traversability of the wheels `which` [wheels] bool as out of date, and keep the
         load and pitch observed now. It is computed from them when an info is asked for.
         """
-        worlds = self._simulation.worlds
-        self._seen[which] = worlds.observation[which][:, _SEEN]
+        self._seen[which] = self._simulation.worlds.observation[which][:, _SEEN]
         self._stale |= which
 
     def one(self, k: int) -> Info:
@@ -229,7 +215,6 @@ class Infos(VehicleInfos):
 
     def _foreseen(self, worlds: Any, rows: np.ndarray) -> np.ndarray:
         """Probabilities [n, 2] of immobilisation within `HORIZONS` of the wheels `rows` [n]."""
-        assert self._foresight is not None
         ids = worlds.ids
         return self._foresight.assess(rows, worlds.recent, ids.estimate, ids.sd).probabilities
 
@@ -242,7 +227,6 @@ class Infos(VehicleInfos):
         rows = rows[self._stale[rows]]
         if rows.size:
             ids = worlds.ids
-            assert self._assess is not None
             setting = self._simulation.belief
             self._assess(rows, ids.estimate, ids.sd, self._seen, setting, self._traversability)
             self._stale[rows] = False

@@ -24,7 +24,7 @@ from soil_env.parameters.readings import RESTART, STEP, Image, Shown, Stepped
 from soil_env.parameters.sensors import SensorReading
 from soil_env.simulation.task import layout
 from soil_env.simulation.task.observation import clip, write_sensors
-from soil_env.simulation.wheels import SAMPLE, new_setting, new_wheel_worlds, wheel_numbers
+from soil_env.simulation.wheels import new_setting, new_wheel_worlds, wheel_numbers
 from soil_env.simulation.world.camera import write_view
 from soil_env.simulation.world.sensors import NO_ERRORS, read_slip, roll_odometer
 from soil_env.simulation.world.wheel import commanded
@@ -50,7 +50,6 @@ def write_reading(state, samples, observation, setting, begun, slips, chooses):
         commanded(wheel, wheel.action, wheel.halt_left > 0.0, own.rig[0])
         roll_odometer(wheel, sample.speed, task.period)
     wheel.halt_left = sample.halted  # 1 or 0: only whether it is above 0 counts
-    sample.place = wheel.odometer
     if slips:
         sample.slip = 0.0
         read_slip(wheel, sample, own.sensors[0], NO_ERRORS)
@@ -119,15 +118,15 @@ class Observer:
         self._board = OnBoard(1, scenario, shown, True)
         self._warning = ImmobilisationWarning(scenario)
         # [m/s2] rate of a commanded rim speed
-        self._change = float(self._setting["rig"]["rim_step"][0, 0]) / scenario.control.period
+        self._change = self._setting["rig"]["rim_step"][0, 0] / scenario.control.period
         self.reset()
 
     def reset(self) -> None:
         """Begin a drive: forget all readings, and count those that are held from 0."""
         self._reader.reset()
-        self._worlds.state[:] = np.zeros((), self._worlds.state.dtype)
-        self._worlds.samples[:] = np.zeros((), SAMPLE)
-        self._board.memory[:] = np.zeros((), self._board.memory.dtype)
+        self._worlds.state[:] = 0
+        self._worlds.samples[:] = 0
+        self._board.memory[:] = 0
         self._last = SensorReading(*(0.0,) * len(SensorReading._fields))
         self._read: set[str] = set()  # names of readings that there have been
         self._image: Image | None = None
@@ -230,7 +229,7 @@ class Observer:
         self._worlds.samples[list(SensorReading._fields)] = tuple(values)
         if known:
             self._board.setting["identifier"]["white"][0, 0, 0] = self._reader.white
-        return bool(known)
+        return known
 
     def _identify(self) -> None:
         """Let the estimators take the readings of one period, and write what they estimate into

@@ -49,11 +49,11 @@ class Worlds(NamedTuple):
 
     state: np.ndarray  # [vehicles]
     courses: np.ndarray  # [vehicles]
-    samples: np.ndarray  # [vehicles, periods]
     observation: np.ndarray  # [vehicles, D] float32
     terms: np.ndarray  # [vehicles, 4] of the reward
     reward: np.ndarray  # [vehicles]
     cause: np.ndarray  # [vehicles] `Cause`
+    samples: Any = None  # of wheels
     ruts: Any = None  # of rovers
     readings: Any = None  # of rovers
     on_board: Any = None  # memory of the estimators
@@ -205,7 +205,7 @@ class Vehicles:
         [vehicles] bool.
         """
         streams = self._heads["stream"][which].copy()
-        self._heads[which] = np.zeros((), self._heads.dtype)
+        self._heads[which] = 0
         self._heads["stream"][which] = streams
 
     @property

@@ -6,8 +6,7 @@ import numpy as np
 
 from soil_env._compiled.flags import by_name
 from soil_env.parameters import Scenario
-from soil_env.simulation.task import layout, truth
-from soil_env.simulation.task.layout import bounds_of
+from soil_env.simulation.task.layout import bounds_of, layout, truth
 from soil_env.simulation.wheels import (
     Additions,
     WheelNumbers,
@@ -51,8 +50,9 @@ class Simulation(Vehicles):
         settings = [new_setting(self.numbers, identifies, chunk) for chunk in range(chunks)]
         drawn = course_numbers(scenario, model)
         courses = (drawn, float(drawn.drawn.spec.ahead))
-        first = len(layout("blind"))
-        on_board = self._estimators(variant, first, warnings) if identifies else None
+        on_board = None
+        if identifies:
+            on_board = self._estimators(variant, len(layout("blind")), warnings)
         self._begin((lay_wheels, step_wheels), worlds, courses, settings, on_board)
         self._check_drivable(new_wheel_worlds(1, scenario, self.numbers, (1, 1)))
 

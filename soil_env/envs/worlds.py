@@ -98,8 +98,7 @@ def world_of(
         "effects": {name: dict(values) for name, values in model.effects.items()},
     }
     if model.soil is not None:
-        soil = scenario.beneath(model.soil)._asdict()
-        world["soil"] = {**soil, "density": model.density}
+        world["soil"] = {**scenario.beneath(model.soil)._asdict(), "density": model.density}
     return world
 
 

@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError
 
-from .course_env import actions_of
+from .course_env import action_space, actions_of
 from .wheel_env import SoilWheelEnv
 
 
@@ -33,7 +33,7 @@ class LineAction(gymnasium.ActionWrapper, gymnasium.utils.RecordConstructorArgs)
             )
         self._inner = inner
         self._choice = inner.observation_names.index("choice")
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self.action_space = action_space(2)
 
     def action(self, action: ArrayLike) -> NDArray[np.float64]:
         """The number that counts now, as the action [1] of the plain environment, cut to [-1, 1];

@@ -1,7 +1,6 @@
 """Measurement tables and the setup files beside them."""
 
 from .setup import (
-    REQUIRED,
     NoiseLevels,
     Prior,
     Setup,
@@ -9,14 +8,9 @@ from .setup import (
     SoilPriors,
     read_setup,
 )
-from .table import COLUMNS, MEASURED, OPTIONAL, UNITS, Table, read_table
+from .table import Table, read_table
 
 __all__ = [
-    "COLUMNS",
-    "MEASURED",
-    "OPTIONAL",
-    "REQUIRED",
-    "UNITS",
     "NoiseLevels",
     "Prior",
     "Setup",

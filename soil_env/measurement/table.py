@@ -25,24 +25,14 @@ from .setup import MOST_SINKAGE_NOISE, REQUIRED, Setup, SetupWheel
 
 Channel = Literal["sinkage", "drawbar_pull", "torque"]
 MEASURED: tuple[Channel, ...] = ("sinkage", "drawbar_pull", "torque")
-OPTIONAL = (
-    "speed",
-    "pass",
-    "grade_deg",
-    "run",
-    "time",
-    "wheel_radius",
-    "wheel_width",
-    "grouser_height",
-)
 NOISE = tuple(f"{name}_sd" for name in MEASURED)  # 1-sigma of the value in the same row
-COLUMNS = REQUIRED + OPTIONAL + MEASURED + NOISE
 UNITS = {
     "slip": "",
     "load": "N",
     "speed": "m/s",
     "pass": "",
     "grade_deg": "deg",
+    "run": "",
     "time": "s",
     "wheel_radius": "m",
     "wheel_width": "m",
@@ -54,6 +44,7 @@ UNITS = {
     "drawbar_pull_sd": "N",
     "torque_sd": "N m",
 }
+COLUMNS = tuple(UNITS)
 
 DEEPEST = 1.0  # [m] a larger sinkage is taken for millimetres
 STEEPEST = 60.0  # [deg]

@@ -8,7 +8,6 @@ from soil_env._io.loading import ParameterError, config_dir, to_dict
 
 from .belief import Belief, refuse_idle_prior
 from .course import MOST_CLASSES, Camera, CourseSpec
-from .readings import sensor_noise
 from .rover import DEFAULT_ROVER, RoverScenario, load_rover, rover_names
 from .scenario import DEFAULT_SCENARIO, Scenario, load_scenario, scenario_names
 from .sensors import Noise, SensorReading
@@ -25,7 +24,7 @@ from .soil import (
     soils,
 )
 from .task import ACTION_PERIODS, Control, Limits, RewardWeights
-from .vehicle import MOST_AXLES, Vehicle, mass_of_wheel
+from .vehicle import MOST_AXLES, Vehicle
 from .wheel import LARGEST_WHEEL, Tyre, Wheel, check_lugs, geared, wheels, with_preset
 
 __all__ = [
@@ -63,11 +62,9 @@ __all__ = [
     "load_rover",
     "load_scenario",
     "lumped_coefficient",
-    "mass_of_wheel",
     "refuse_idle_prior",
     "rover_names",
     "scenario_names",
-    "sensor_noise",
     "soils",
     "to_dict",
     "wheels",

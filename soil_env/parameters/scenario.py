@@ -106,8 +106,8 @@ class Scenario(Checked):
 
     @property
     def periods(self) -> int:
-        """Control periods until the time limit, to the nearest whole number, at least 1."""
-        return max(1, round(self.control.time_limit / self.control.period))
+        """Control periods until the time limit, to the nearest whole number."""
+        return round(self.control.time_limit / self.control.period)
 
     @property
     def steps(self) -> int:

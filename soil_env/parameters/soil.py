@@ -342,8 +342,7 @@ def correlation_factor(owner: Checked, size: int, names: dict[tuple[int, int], s
     """
     correlations = np.eye(size)
     for (row, column), name in names.items():
-        correlations[row, column] = getattr(owner, name)
-        correlations[column, row] = getattr(owner, name)
+        correlations[column, row] = getattr(owner, name)  # `cholesky` reads the lower triangle
     try:
         return np.linalg.cholesky(correlations)
     except np.linalg.LinAlgError:

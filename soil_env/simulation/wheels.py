@@ -36,8 +36,8 @@ from .world.sensors import (
     SENSOR_NOISE,
     SensorErrors,
     mount_sensors,
-    read_place,
     read_slip,
+    roll_odometer,
     sense,
     sensor_errors,
     sensors_of,
@@ -49,9 +49,9 @@ ATTEMPTS = 100  # at a course in the middle of a run, where nobody can change th
 
 
 #: Of a wheel after a control period, for the estimators on board: whether it was in a commanded
-#: halt (0 or 1), its odometry [m], a `READING`, an `IMAGE`. The reading is not first: numba takes a
+#: halt (0 or 1), a `READING`, an `IMAGE`. The reading is not first: numba takes a
 #: record that begins like another for one, and warns.
-SAMPLE = record("halted", "place", *READING.names, *IMAGE.names)
+SAMPLE = record("halted", *READING.names, *IMAGE.names)
 
 
 #: Stands for the `Sight` of a wheel without a camera; nothing reads it.
@@ -98,7 +98,7 @@ def wheel_numbers(
     )
 
 
-MOST_ENTRIES = 128  # of an observation
+MOST_ENTRIES = 128  # of an observation, more than any has: with `MOST_CLASSES` and two routes
 #: `WheelNumbers` as compiled code takes them, with the work space of a thread.
 SETTING = record(
     rig=(RIG, 1),
@@ -124,17 +124,14 @@ def new_setting(numbers: WheelNumbers, recorded: bool, chunk: int) -> np.ndarray
     """Constants and work space of the thread of a chunk of the wheels, `SETTING` [1].
 
     `recorded`: True if a sample is kept of each wheel and period. `chunk`: number of the chunk,
-    from 0. ValueError for an observation of more than `MOST_ENTRIES`.
+    from 0.
     """
     setting = np.zeros(1, SETTING)
     for name in ("rig", "task", "sensors", "camera"):
         setting[name] = getattr(numbers, name)
     setting["recorded"] = recorded
     setting["chunk"] = chunk
-    entries = numbers.bounds.shape[1]
-    if entries > MOST_ENTRIES:
-        raise ValueError(f"observation of {entries} entries: expected at most {MOST_ENTRIES}")
-    setting["bounds"][0, :, :entries] = numbers.bounds
+    setting["bounds"][0, :, : numbers.bounds.shape[1]] = numbers.bounds
     return setting
 
 
@@ -227,7 +224,7 @@ def _sense(wheel, sample, course, records):
     task = records.task
     sense(wheel, sample, records.normals, records.sensors, records.errors, task.radius)
     read_slip(wheel, sample, records.sensors, records.errors)
-    read_place(wheel, sample, task.period)
+    sample.halted = 1.0 if wheel.halt_left > 0.0 else 0.0
     if records.camera.lines == 0:
         return NOWHERE
     sight = sight_of(wheel, course, records.camera)
@@ -276,6 +273,7 @@ def _step(wheel, action, course, records, samples, out):
         control_period(wheel, action, course, records.world)
         sample = samples[min(wheel.periods, samples.size - 1)]
         sight = _sense(wheel, sample, course, records)
+        roll_odometer(wheel, sample.speed, task.period)
         judge_period(wheel, task)
     wheel.reward = wheel.terms.sum()
     _observe(wheel, sample, course, records, sight, out)

@@ -129,8 +129,7 @@ class WheelSoilModel(Checked):
         """Take a `ModelWheel` of any wheel, check each field, effects, terms and `validity`, and
         turn the ranges of the latter into pairs of floats. `ParameterError` for a wrong one.
         """
-        if not isinstance(self.wheel, ModelWheel) and hasattr(self.wheel, "width"):
-            object.__setattr__(self, "wheel", ModelWheel.of(self.wheel))
+        object.__setattr__(self, "wheel", ModelWheel.of(self.wheel))
         are_terms = isinstance(self.residual, (tuple, list)) and all(
             isinstance(term, ResidualTerm) for term in self.residual
         )
@@ -201,7 +200,7 @@ class WheelSoilModel(Checked):
                 "ground",
                 stacklevel=2,
             )
-        beyond = outside(self.validity, c.slip, c.load, c.conditions)
+        beyond = outside(self.validity, c)
         if beyond and not getattr(self, "_warned", False):
             object.__setattr__(self, "_warned", True)
             warnings.warn(
@@ -306,10 +305,6 @@ def load_model(model: ModelLike) -> WheelSoilModel | None:
         return model
     if isinstance(model, Mapping):
         return WheelSoilModel.from_content(model)
-    if not isinstance(model, (str, Path)) or not str(model):
-        raise ParameterError(
-            f"model = {model!r}: expected the path of a model.yaml, a WheelSoilModel or None"
-        )
     return WheelSoilModel.load(model)
 
 
@@ -408,7 +403,7 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
         raise ParameterError(
             "conditions: grouser_height: expected metres, less than the wheel radius"
         )
-    refuse_lugs_on_tyre(float(np.max(column["grouser_height"], initial=0.0)), wheel.tyre)
+    refuse_lugs_on_tyre(np.max(column["grouser_height"], initial=0.0), wheel.tyre)
     if np.any(wheel.tyre_deflection > MOST_DEFLECTION * column["wheel_radius"]):
         least = wheel.tyre_deflection / MOST_DEFLECTION
         raise ParameterError(
@@ -437,8 +432,7 @@ def _groups(rows, felt, soil, gravity, fx):
     for k in range(rows.slip.size):
         w = rows.wheels[k]
         c = rows.conditions[k]
-        slip = true_slip(rows.slip[k], fx)
-        at = WorkingPoint(slip, felt[k], rows.load[k], c[0], c[1], c[2])
+        at = WorkingPoint(true_slip(rows.slip[k], fx), felt[k], rows.load[k], c[0], c[1], c[2])
         rim = Rim(w[0], w[1], w[2], 0.0, 0.0, 0.0, 0.0)
         groups[k] = dimensionless_groups(at, soil, rim, gravity)
     return groups

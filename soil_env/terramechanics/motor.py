@@ -9,14 +9,13 @@ LOOP_GAIN = 10.0
 
 @compiled
 def motor_torque(command, by_speed, wheel_speed, motor):
-    """(torque [N m], d torque/dw [N m s], available [N m]) of the motor for a command in [-1, 1] at
-    a wheel speed w [rad/s].
+    """(torque [N m], d torque/dw [N m s]) of the motor for a command in [-1, 1] at a wheel speed w
+    [rad/s].
 
     The command is a share of the stall torque or, with `by_speed`, of the no-load speed w_0, which
     a stiff speed loop then follows. Either way the torque stays between the lines of full voltage
     forward and backward, +-T_stall - T_stall w/w_0, and within +-T_stall: faster than w_0 the motor
-    brakes. `available` is the largest torque in the direction of the one asked for; below 0 the
-    motor can only brake. `motor` has `stall_torque` [N m] and `no_load_speed` [rad/s].
+    brakes. `motor` has `stall_torque` [N m] and `no_load_speed` [rad/s].
     """
     stall = motor.stall_torque
     line = stall / motor.no_load_speed  # [N m s] steepness of the torque-speed line
@@ -29,9 +28,8 @@ def motor_torque(command, by_speed, wheel_speed, motor):
     else:
         torque = command * stall
         slope = 0.0
-    available = -low if torque < 0.0 else high
     if torque > high:
-        return high, -line if -stall < high < stall else 0.0, available
+        return high, -line if -stall < high < stall else 0.0
     if torque < low:
-        return low, -line if -stall < low < stall else 0.0, available
-    return torque, slope, available
+        return low, -line if -stall < low < stall else 0.0
+    return torque, slope

@@ -6,7 +6,7 @@ from Python.
 """
 
 import math
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -100,21 +100,6 @@ class Rim(NamedTuple):
     tyre_deflection: float = 0.0  # [m] at any load
     tyre_compliance: float = 0.0  # [m/N]
     grip: float = 0.0  # [-] friction between tread and ground, 0: no such limit
-
-    @classmethod
-    def of(cls, wheel: Any) -> "Rim":
-        """The rim of a `Wheel`, or another one with its fields, with tyre and grip; lugs and unit
-        weight are 0.
-        """
-        return cls(
-            wheel.radius,
-            wheel.width,
-            0.0,
-            0.0,
-            wheel.tyre_deflection,
-            wheel.tyre_compliance,
-            wheel.grip,
-        )
 
 
 @inlined
@@ -458,8 +443,7 @@ def steady_at(nodes, point, soil, wheel, conditions, fx):
     the two logarithms is found by a bracketed secant in ln z, in which that difference is nearly
     straight.
     """
-    slip = true_slip(point.slip, fx)
-    balance = _balance(slip, point.load, soil, wheel, conditions, fx)
+    balance = _balance(true_slip(point.slip, fx), point.load, soil, wheel, conditions, fx)
     x, w, supported = _solve_balance(nodes, balance, wheel, fx, point.guess)
     z = math.exp(x)
     sinkage, pull, torque = _as_measured(w, z, balance, conditions.speed, wheel, fx)

@@ -126,11 +126,17 @@ def best_points(soils: np.ndarray, load: np.ndarray, wheel: Wheel) -> tuple[np.n
     `soils` [n, 13] are rows of `SoilState`, `load` [n] in N. All wheels have the sizes and the
     motor of `wheel`, whose stall torque is what is available.
     """
-    count = len(load)
-    slip = np.empty(count)
-    pull = np.empty(count)
-    rim = Rim.of(wheel)
-    nodes = np.zeros(1, ARC_NODES)
+    slip = np.empty(len(load))
+    pull = np.empty(len(load))
+    rim = Rim(
+        wheel.radius,
+        wheel.width,
+        0.0,
+        0.0,
+        wheel.tyre_deflection,
+        wheel.tyre_compliance,
+        wheel.grip,
+    )
     rows = np.ascontiguousarray(soils, dtype=float).view(SOIL)
-    _best_points(nodes, rows[:, 0], load, rim, wheel.stall_torque, slip, pull)
+    _best_points(np.zeros(1, ARC_NODES), rows[:, 0], load, rim, wheel.stall_torque, slip, pull)
     return slip, pull

@@ -4,16 +4,14 @@ the units of a measurement table.
 
 import math
 from collections.abc import Mapping
-from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from soil_env._io.loading import ParameterError, unknown_key
 
 #: Conditions and their units, as the columns of a measurement table.
-CONDITIONS = MappingProxyType(
-    {"slip": "", "load": "N", "speed": "m/s", "pass": "", "grade_deg": "deg"}
-)
+CONDITIONS = {"slip": "", "load": "N", "speed": "m/s", "pass": "", "grade_deg": "deg"}
 
 
 NEAR = 0.01  # [of the range] by which conditions may lie outside without a word; own choice
@@ -33,38 +31,30 @@ def check(validity: Mapping[str, tuple[float, float]]) -> None:
             raise ParameterError(f"validity.{name} = {pair}: expected [lowest, highest]")
 
 
-def seen(
-    slip: np.ndarray, load: np.ndarray, conditions: np.ndarray
-) -> dict[str, tuple[float, float]]:
-    """{condition: (lowest, highest)} of slips [N], loads [N] and `conditions` [N, 3]: travel speed
-    [m/s], pass, sine of the grade.
+def seen(rows: Any) -> dict[str, tuple[float, float]]:
+    """{condition: (lowest, highest)} of `steady.Rows`.
 
     A speed of 0 stands for one not known, and is left out; so is a condition without any row.
     Grades are in degrees, to six decimals.
     """
-    speed = conditions[:, 0]
+    speed, passes, sine = rows.conditions.T
     columns = {
-        "slip": slip,
-        "load": load,
+        "slip": rows.slip,
+        "load": rows.load,
         "speed": speed[speed > 0.0],
-        "pass": conditions[:, 1],
-        "grade_deg": np.round(np.degrees(np.arcsin(conditions[:, 2])), 6),
+        "pass": passes,
+        "grade_deg": np.round(np.degrees(np.arcsin(sine)), 6),
     }
     return {name: (float(x.min()), float(x.max())) for name, x in columns.items() if x.size}
 
 
-def outside(
-    validity: Mapping[str, tuple[float, float]],
-    slip: np.ndarray,
-    load: np.ndarray,
-    conditions: np.ndarray,
-) -> str:
+def outside(validity: Mapping[str, tuple[float, float]], rows: Any) -> str:
     """In words, each condition whose range over all rows leaves that of `validity`, with both
     ranges; "" if none.
 
     `NEAR` of the range, and at least `ROUNDING` of a bound, is tolerated.
     """
-    asked = seen(slip, load, conditions)
+    asked = seen(rows)
     out = []
     for name, (low, high) in validity.items():
         if name not in asked:

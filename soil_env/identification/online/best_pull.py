@@ -40,9 +40,8 @@ def _newton(x, slip, load, memory, setting, work):
     u = memory.soil
     n = u[EXPONENT]
     contact = work.contact[0]
-    ground = ground_of(u, setting)
     z = math.exp(x)
-    reaction(contact, ground, z, slip, load, setting.radius, setting.width)
+    reaction(contact, ground_of(u, setting), z, slip, load, setting.radius, setting.width)
     ln_s = contact.value[LN_S]
     gain = setting.dig_gain * math.exp(u[GAIN])
     ratio = slip_sinkage_ratio(slip, gain, setting.dig_recovery)

@@ -35,14 +35,6 @@ def _distance(a, b):
 
 
 @compiled
-def _joint_variance(a, b, share):
-    """Variance of (1 - share) x + share y, from the variances a of x and b of y, which are
-    independent.
-    """
-    return (1.0 - share) ** 2 * a + share * share * b
-
-
-@compiled
 def _merge(into, cell):
     """Average a `cell` into the cell `into`.
 
@@ -53,7 +45,7 @@ def _merge(into, cell):
     for name in literal_unroll(MEANS):
         into[name] += share * (cell[name] - into[name])
     for name in literal_unroll(VARIANCES):
-        into[name] = _joint_variance(into[name], cell[name], share)
+        into[name] = (1.0 - share) ** 2 * into[name] + share * share * cell[name]
     by_readings = cell.readings / (into.readings + cell.readings)
     off = cell.place - into.place
     square = (1.0 - by_readings) * into.spread**2 + by_readings * cell.spread**2

@@ -104,8 +104,7 @@ def _surprise(memory, setting, work):
     Their covariance is that of the residuals, with a larger error of the laws, and that of the
     unknowns of the last fit. After a border its place and the old soil count as known.
     """
-    cell = memory.cells[memory.cells_kept]
-    e = residuals(cell, memory, setting, work)
+    e = residuals(memory.cells[memory.cells_kept], memory, setting, work)
     J = work.slopes
     det = e.pull_weight * e.torque_weight - e.joint_weight**2
     error = (DOUBLED - 1.0) * memory.form_error**2 + FURTHER_ERROR
@@ -138,12 +137,11 @@ def _find_bearing(memory, reading, setting, work):
     u = memory.soil
     r = setting.radius
     load = memory.mass * setting.gravity * math.cos(reading.pitch)
-    ground = ground_of(u, setting)
     z = max(reading.sinkage - memory.u[SINKAGE_ZERO], LEAST_SINKAGE * r)
     slip = min(max(reading.slip, LOCKED), SPINNING)
     corrected = load * (1.0 - memory.u[LOAD_GAIN])
     contact = work.contact[0]
-    reaction(contact, ground, z, slip, corrected, r, setting.width)
+    reaction(contact, ground_of(u, setting), z, slip, corrected, r, setting.width)
     n = u[EXPONENT]
     # deeper: bearing sinkage over z, (s/S)^(1/n); `PRESSURE` is ln of S depth^n
     stronger = contact.value[LN_S] - u[PRESSURE] - memory.compaction * (n + 0.5)

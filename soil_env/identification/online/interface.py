@@ -388,4 +388,4 @@ def _bearing_sinkage(scenario: Scenario) -> float:
     wheel = scenario.wheel
     soil = soil_of_numbers(vars(scenario.belief), scenario.belief, scenario.gravity)
     state = soil.state(wheel.width)
-    return float(steady_state(0.0, scenario.weight, state, wheel.radius, wheel.width).sinkage)
+    return steady_state(0.0, scenario.weight, state, wheel.radius, wheel.width).sinkage

@@ -48,7 +48,7 @@ from .prior import limit_to_wheel, setting_of
 
 CONVERGED = Status.CONVERGED.value
 OF_SOIL = 2 * QUANTITIES + 1  # entries of the observation on a soil: quantities, sds and a flag
-MOST_ENTRIES = 256  # of an observation, own choice: room for its bounds in `BOARD_SETTING`
+MOST_ENTRIES = 256  # of an observation, more than any has: room for its bounds in `BOARD_SETTING`
 # [of the prior's] standard deviation below which nothing more counts as known, own choice
 LEAST_LEFT = 1e-6
 INFORMATION = 3  # index of the reward term of knowledge
@@ -107,7 +107,7 @@ def board_setting(scenario: Scenario, shown: Shown, warns: bool) -> np.ndarray:
 
     `shown`: where the observation has the estimate; `warns`: averages for the warning are kept.
     What the axles of a rover know is pooled, and what its sensors do not measure of one wheel gets
-    no weight (`limit_to_wheel`). Raises ValueError for more than `MOST_ENTRIES` observed.
+    no weight (`limit_to_wheel`).
     """
     setting = np.zeros(1, BOARD_SETTING)
     board = setting[0]
@@ -122,10 +122,7 @@ def board_setting(scenario: Scenario, shown: Shown, warns: bool) -> np.ndarray:
     board.first = shown.first
     board.camera = scenario.course.classes
     board.lines = scenario.course.lines
-    entries = len(shown.low)
-    if entries > MOST_ENTRIES:
-        raise ValueError(f"observation of {entries} entries: expected at most {MOST_ENTRIES}")
-    board.bounds[:, :entries] = shown.low, shown.high
+    board.bounds[:, : len(shown.low)] = shown.low, shown.high
     board.identifier = setting_of(scenario)
     if isinstance(scenario, RoverScenario):
         board.pooled = 1
@@ -139,9 +136,8 @@ def board_setting(scenario: Scenario, shown: Shown, warns: bool) -> np.ndarray:
 
 def compactions() -> list[float]:
     """ln(S_N/S)/(n + 1/2) of the floor of a rut, for 0, 1, ... wheels ahead; the same for all n."""
-    exponent = 0.5  # with which n + 1/2 is 1
     stiffness = uncompiled(rut_stiffness)
-    return [math.log(stiffness(1.0 + k, exponent, COMPACTION)) for k in range(MOST_AXLES)]
+    return [math.log(stiffness(1.0 + k, 0.5, COMPACTION)) for k in range(MOST_AXLES)]
 
 
 class OnBoard:
@@ -155,8 +151,7 @@ class OnBoard:
         self, vehicles: int, scenario: Scenario, shown: Shown, warns: bool = False
     ) -> None:
         self.setting = board_setting(scenario, shown, warns)
-        pooled = self.setting["pooled"][0] > 0
-        self.memory = np.zeros(vehicles, ON_ROVER if pooled else ON_WHEEL)
+        self.memory = np.zeros(vehicles, ON_ROVER if self.setting["pooled"][0] else ON_WHEEL)
         #: `SETTING` [1] of the identifier
         self.identifier: np.ndarray = self.setting["identifier"][0].copy()
         self._work: dict[int, np.ndarray] = {}  # work space of each thread
@@ -386,8 +381,7 @@ def _take_period(vehicle, samples, period, board, work):
         vehicle.changed = 1
     if board.camera > 0:
         if furthest == RENEWED and clear_of_borders(front.since, front.left, numbers):
-            known = vehicle.classes[0]
-            remember_class(known, int(front.here), int(front.patch), memory, numbers)
+            remember_class(vehicle.classes[0], int(front.here), int(front.patch), memory, numbers)
         _see_ahead(vehicle, front, board)
     if board.pooled > 0:
         # after a new point what all know of the ground under every wheel, else on borders only

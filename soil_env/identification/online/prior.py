@@ -202,7 +202,7 @@ def setting_of(scenario: Scenario) -> np.ndarray:
     s.length = scenario.relaxation * wheel.radius
     s.depth = depth_of(scenario)
     s.exponent = belief.sinkage_exponent
-    s.off = int(belief.method == "none")
+    s.off = belief.method == "none"
     white, zero, gain = reading_errors(scenario)
     least = LEAST_SD * np.array(reading_units(scenario))
     least[0] = 0.0  # of the slip, the first: white noise of 0 tells that there is no slip sensor

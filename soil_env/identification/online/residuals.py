@@ -167,12 +167,11 @@ def residuals(cell, memory, setting, work):
     weight = setting.weight
     share, by_place = _blend(cell, memory, setting, work)
     soil = work.soil
-    ground = ground_of(soil, setting)
     sinkage = max(cell.sinkage - u[SINKAGE_ZERO], SHALLOWEST * radius)
     load = cell.load * (1.0 - u[LOAD_GAIN])
     slip = min(cell.most_likely_slip, MOST_SLIP)
     contact = work.contact[0]
-    reaction(contact, ground, sinkage, slip, load, radius, setting.width)
+    reaction(contact, ground_of(soil, setting), sinkage, slip, load, radius, setting.width)
     by = contact.by
     to_pull = 1.0 / weight
     to_torque = (1.0 + u[TORQUE_GAIN]) / (weight * radius)

@@ -76,8 +76,8 @@ def _solve_stage(rover, course, ruts, number, h, forced, world):
         foot.rim_start = stage.rim
         own = World(rig, world.acting, scratch.nodes[a])
         ahead = ground_ahead(wheel, stage, course, ruts[a], rig.border, world.acting.effects)
-        at = stand(wheel, stage, ahead, wheel.load, own)  # tyre and grip by the last stage's load
-        _keep_stand(foot, at)
+        # tyre and grip by the last stage's load
+        _keep_stand(foot, stand(wheel, stage, ahead, wheel.load, own))
     stage = _stage_of(number, h, rover.wheels[0], scratch.feet[0], rig)
     equation = equation_of(stage.speed, stage.implicit, rover.mass, rig)
     speed, converged = solve_speeds(rover, equation, world)
@@ -164,8 +164,7 @@ def _drive_period(rover, course, ruts, world):
     speeds found are taken. Only the first failure of a period repeats the step at full length.
     """
     rig = world.rig
-    steps = steps_for(_change_ahead(rover, world))
-    longest = rig.period / (rig.substeps * steps)
+    longest = rig.period / (rig.substeps * steps_for(_change_ahead(rover, world)))
     left = rig.period
     h = longest
     failed = False

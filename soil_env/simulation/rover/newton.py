@@ -150,7 +150,7 @@ def foresee(rover, equation, world):
         foot = world.stage.feet[a]
         found = world.stage.found[a]
         put_fields(found, last_force(wheel), FORCES)
-        torque, slope, _ = motor_torque(foot.command, foot.by_speed > 0, wheel.wheel_speed, rig)
+        torque, slope = motor_torque(foot.command, foot.by_speed > 0, wheel.wheel_speed, rig)
         found.rim = rig.radius * wheel.wheel_speed
         found.residual = found.rim - foot.rim_start - equation.by_torque * (torque - wheel.torque)
         found.motor_slope = slope
@@ -202,7 +202,7 @@ def _evaluate(v, equation, world):
         trial = world.stage.trial[a]
         u = trial.rim
         force = reaction(world.stage.nodes[a], foot, v, u, rig, foot, world.acting)
-        torque, slope, _ = motor_torque(foot.command, foot.by_speed > 0, u / rig.radius, rig)
+        torque, slope = motor_torque(foot.command, foot.by_speed > 0, u / rig.radius, rig)
         put_fields(trial, force, FORCES)
         trial.residual = u - foot.rim_start - equation.by_torque * (torque - force.torque)
         trial.motor_slope = slope

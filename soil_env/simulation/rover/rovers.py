@@ -25,8 +25,8 @@ from soil_env.simulation.world.passability import CourseDistribution
 from soil_env.simulation.world.sensors import (
     SensorErrors,
     mount_sensors,
-    read_place,
     read_slip,
+    roll_odometer,
     sense,
     sense_body,
     sensor_errors,
@@ -56,12 +56,8 @@ from .task import (
 DEEPEST_ALONE = 0.5
 
 
-#: Of a rover after a control period, for the estimators on board, beside readings of its wheels.
-ROVER_SAMPLE = record(
-    "place",  # [m] by odometry
-    "halted",  # 1 in a commanded halt, else 0
-    *BODY,  # readings of the sensors of the body
-)
+#: Readings of the sensors of a rover's body in a control period.
+OF_BODY = record(*BODY)
 
 
 class RoverScratch(NamedTuple):
@@ -70,7 +66,7 @@ class RoverScratch(NamedTuple):
     stage: np.ndarray  # [1] `STAGE`
     normals: np.ndarray  # [1] `NORMALS`
     readings: np.ndarray  # [axles, 1] `SAMPLE`
-    sample: np.ndarray  # [1] `ROVER_SAMPLE`
+    body: np.ndarray  # [1] `OF_BODY`
 
 
 def new_rover_scratch() -> RoverScratch:
@@ -79,21 +75,20 @@ def new_rover_scratch() -> RoverScratch:
         np.zeros(1, STAGE),
         np.zeros(1, NORMALS),
         np.zeros((MOST_AXLES, 1), SAMPLE),
-        np.zeros(1, ROVER_SAMPLE),
+        np.zeros(1, OF_BODY),
     )
 
 
 class RoverWorlds(NamedTuple):
     """Arrays that the compiled step reads and writes, one row a rover; axles from the front on.
 
-    Where nothing is recorded, `readings` and `samples` have no rows.
+    Where nothing is recorded, `readings` has no rows.
     """
 
     state: np.ndarray  # [rovers] `ROVER`
     ruts: np.ndarray  # [rovers, axles, cells] `RUT`
     courses: np.ndarray  # [rovers] `course_dtype`; what is left in its cells is in `ruts`
     readings: np.ndarray  # [rovers, axles, periods] `SAMPLE` of the last step
-    samples: np.ndarray  # [rovers, periods] `ROVER_SAMPLE` of the last step
     observation: np.ndarray  # [rovers, D] float32
 
 
@@ -164,7 +159,6 @@ def new_rover_worlds(
         np.zeros((rovers, axles, courses["cells"].shape[1]), RUT),
         courses,
         np.zeros((kept_rovers, axles, periods), SAMPLE),
-        np.zeros((kept_rovers, periods), ROVER_SAMPLE),
         np.zeros((rovers, numbers.bounds.shape[1]), dtype=np.float32),
     )
 
@@ -259,31 +253,31 @@ class ThreadRecords(NamedTuple):
     sensors: Any  # `SENSOR_NOISE`
     errors: SensorErrors
     normals: Any  # `NORMALS`
+    body: Any  # `OF_BODY`
 
 
 @compiled_finite
-def _sense(rover, readings, sample, period, records):
-    """Read the sensors of a rover at the end of a control period, and advance its odometry.
+def _sense(rover, readings, period, records):
+    """Read the sensors of a rover at the end of a control period.
 
-    Fill `sample`, a `ROVER_SAMPLE`, then the readings in the column `period` of `readings`
-    [axles, periods], `SAMPLE`, whose halted, place and image stay 0. Those of the body are the same
-    for all axles, and are there before the slip follows from the speeds. `records`:
-    `ThreadRecords`, here and below.
+    Fill the readings in the column `period` of `readings` [axles, periods], `SAMPLE`, whose halted,
+    place and image stay 0. Those of the body are the same for all axles, and are there before the
+    slip follows from the speeds. `records`: `ThreadRecords`, here and below.
     """
     task = records.task
-    sense_body(rover, sample, records.sensors)
-    read_place(rover, sample, task.period)
+    body = records.body
+    sense_body(rover, body, records.sensors)
     for a in range(records.world.suspension.axles):
         wheel = rover.wheels[a]
         reading = readings[a, period]
         sense(wheel, reading, records.normals, records.sensors, records.errors, task.radius)
         for name in literal_unroll(BODY):
-            reading[name] = sample[name]
+            reading[name] = body[name]
         read_slip(wheel, reading, records.sensors, records.errors)
 
 
 @compiled_finite
-def _restart(rover, readings, samples, records):
+def _restart(rover, readings, records):
     """Begin the episode of a rover that rests at the start of its course: set the pitch of its
     body, draw the errors of its sensors, and read them into column 0.
     """
@@ -292,22 +286,23 @@ def _restart(rover, readings, samples, records):
         mount_sensors(rover.wheels[a], records.normals, records.sensors)
     rover.cause = RUNNING
     rover.periods = 1  # samples to read, as after a step of one period
-    _sense(rover, readings, samples[0], 0, records)
+    _sense(rover, readings, 0, records)
 
 
 @compiled_finite
-def _step(rover, commands, course, ruts, readings, samples, records):
+def _step(rover, commands, course, ruts, readings, records):
     """Take a rover through the control periods of an action, until its episode ends: drive, sense,
     judge, reward.
 
-    `readings` [axles, periods], `samples` [periods]: of all periods, or one column of the last.
+    `readings` [axles, periods]: of all periods, or one column of the last.
     """
     task = records.task
     begin_step(rover)
     while rover.periods < task.action_periods and rover.cause == RUNNING:
         control_period(rover, commands, course, ruts, records.world)
-        period = min(rover.periods, samples.size - 1)
-        _sense(rover, readings, samples[period], period, records)
+        period = min(rover.periods, readings.shape[1] - 1)
+        _sense(rover, readings, period, records)
+        roll_odometer(rover, readings[0, period].speed, task.period)
         judge_period(rover, task)
     rover.reward = rover.terms.sum()
 
@@ -340,9 +335,14 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
     """
     world = RoverWorld(numbers.rig[0], numbers.acting, numbers.suspension[0], scratch.stage[0])
     records = ThreadRecords(
-        world, numbers.task[0], numbers.sensors[0], numbers.errors, scratch.normals[0]
+        world,
+        numbers.task[0],
+        numbers.sensors[0],
+        numbers.errors,
+        scratch.normals[0],
+        scratch.body[0],
     )
-    recorded = worlds.samples.shape[0] > 0
+    recorded = worlds.readings.shape[0] > 0
     for j in range(first, end):
         order = orders[j]
         if order != STEP and order != RESTART:
@@ -350,11 +350,10 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
         rover = worlds.state[j]
         course = worlds.courses[j]
         readings = worlds.readings[j] if recorded else scratch.readings
-        samples = worlds.samples[j] if recorded else scratch.sample
         if order == STEP:
-            _step(rover, actions[j], course, worlds.ruts[j], readings, samples, records)
+            _step(rover, actions[j], course, worlds.ruts[j], readings, records)
         else:
-            _restart(rover, readings, samples, records)
+            _restart(rover, readings, records)
         out = worlds.observation[j]
         _observe(rover, readings, course, records, out)
         clip(out, numbers.bounds)

@@ -13,9 +13,8 @@ from numba import literal_unroll
 from soil_env._compiled.flags import compiled, compiled_finite
 from soil_env.parameters.sensors import SENSORS
 from soil_env.simulation.task import AXLES, ObservedNumber, layout
-from soil_env.simulation.task.observation import ENTRIES_OF_SOIL, write_soil
+from soil_env.simulation.task.observation import ENTRIES_OF_SOIL, write_soil_under
 from soil_env.simulation.world.sensors import NAMES
-from soil_env.simulation.world.terrain import piece_at, soil_on
 
 # Names of the readings of the body and of an axle.
 BODY = tuple(sensor.name for sensor in SENSORS if sensor.of_body)
@@ -84,7 +83,4 @@ def first_soil(axles: int) -> int:
 def write_true_soils(out, rover, axles, course, border):
     """Fill `out` [axles x 7] with the true soil under each axle of a rover."""
     for a in range(axles):
-        wheel = rover.wheels[a]
-        patch = piece_at(course.patches, wheel.x, wheel.patch)
-        soil = soil_on(course.patches, wheel.x, patch, border)
-        write_soil(out[a * ENTRIES_OF_SOIL :], soil)
+        write_soil_under(out[a * ENTRIES_OF_SOIL :], rover.wheels[a], course, border)

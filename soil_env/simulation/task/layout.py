@@ -126,8 +126,6 @@ def layout(variant: str, course: CourseSpec | None = None) -> tuple[ObservedNumb
     On a `course` with terrain classes the entries of the camera follow, then, but for `blind`,
     those of the soil of each route ahead.
     """
-    if not isinstance(variant, str):
-        raise ParameterError(f"observation = {variant!r}: expected one of {', '.join(VARIANTS)}")
     if variant not in VARIANTS:
         raise unknown_value(variant, VARIANTS, "observation")
     entries = _BLIND + {"blind": (), "identified": _IDENTIFIED, "true_soil": _TRUE}[variant]

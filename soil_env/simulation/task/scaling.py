@@ -33,7 +33,7 @@ class Scaling:
         if not isinstance(scaled, (bool, np.bool_)):
             raise ParameterError(f"scaled = {scaled!r}: expected True or False")
         self.entries = tuple(entries)
-        self.scaled = bool(scaled)
+        self.scaled = scaled
         names = [e.name for e in self.entries]
         self.centre = np.array([e.centre for e in self.entries], dtype=np.float32)
         self.scale = np.array([e.scale for e in self.entries], dtype=np.float32)

@@ -98,8 +98,6 @@ def take_image(image, wheel, course, sight, camera):
     """
     ahead = patch_ahead(course, sight, camera)
     p = max(ahead, 0)
-    straight = course.routes[p, 0]
-    beside = course.routes[p, 1]
     image.patch = sight.patch
     image.since = sight.since
     image.left = sight.left
@@ -108,8 +106,8 @@ def take_image(image, wheel, course, sight, camera):
     image.chosen = 1.0 if route_chosen(wheel, course, p) else 0.0
     image.lines = course.forks[p].routes
     image.taken = course.forks[p].taken
-    image.label_0 = straight.label
-    image.label_1 = beside.label
+    image.label_0 = course.routes[p, 0].label
+    image.label_1 = course.routes[p, 1].label
     image.grade_0 = seen_grade(course, p, 0)
     image.grade_1 = seen_grade(course, p, 1)
 

@@ -173,7 +173,7 @@ def account(wheel, end, stage, drive, rig):
     r = rig.radius
     turning = wheel.wheel_speed
     turning_after = end.rim / r
-    torque, _, available = motor_torque(drive.command, drive.by_speed, turning_after, rig)
+    torque, _ = motor_torque(drive.command, drive.by_speed, turning_after, rig)
     force = end.force
     wheel.motor_work += stage.first * wheel.motor_torque * turning
     wheel.motor_work += stage.last * torque * turning_after
@@ -187,7 +187,6 @@ def account(wheel, end, stage, drive, rig):
     rotating = rig.inertia / (r * r) * (change_u * change_u - lead_u * lead_u)
     wheel.numerical_work += 0.5 * (travelling + rotating)
     wheel.motor_torque = torque
-    wheel.available_torque = available
 
 
 @inlined
@@ -272,8 +271,7 @@ def drive_period(wheel, drive, course, world):
     """
     rig = world.rig
     begin_period(wheel)
-    steps = steps_for(change_ahead(wheel, drive, rig))
-    longest = rig.period / (rig.substeps * steps)
+    longest = rig.period / (rig.substeps * steps_for(change_ahead(wheel, drive, rig)))
     left = rig.period
     h = longest
     failed = False

@@ -103,7 +103,7 @@ def foreseen(wheel, drive, back_v, back_u, h, along, rig):
     cv = h / wheel.mass
     cu = h * rig.radius / rig.inertia
     force = last_force(wheel)
-    torque, slope, _ = motor_torque(drive.command, drive.by_speed, wheel.wheel_speed, rig)
+    torque, slope = motor_torque(drive.command, drive.by_speed, wheel.wheel_speed, rig)
     f1 = back_v - cv * (force.drawbar_pull - along)
     f2 = back_u - cu * (torque - force.torque)
     return newton_step(f1, f2, cv, cu, force, force.torque_u - slope / rig.radius)
@@ -159,7 +159,7 @@ def solve_speeds(wheel, stage, footing, along, drive, world, extra):
     tries = 0
     for _ in range(PASSES):
         trial = reaction(world.nodes, footing, try_v, try_u, rig, extra, world.acting)
-        torque, slope, _ = motor_torque(drive.command, drive.by_speed, try_u / r, rig)
+        torque, slope = motor_torque(drive.command, drive.by_speed, try_u / r, rig)
         f1 = try_v - stage.speed - cv * (trial.drawbar_pull - along)
         f2 = try_u - stage.rim - cu * (torque - trial.torque)
         reached = max(abs(f1), abs(f2))
@@ -178,7 +178,7 @@ def solve_speeds(wheel, stage, footing, along, drive, world, extra):
             by_shear = max(abs(dv), abs(du)) * curvature / (abs(u) + REST_SPEED)
             if norm * min(norm / before, by_shear) < PREDICTED * TOLERANCE:
                 ahead = moved(force, dv, du)
-                torque, _, _ = motor_torque(drive.command, drive.by_speed, (u + du) / r, rig)
+                torque, _ = motor_torque(drive.command, drive.by_speed, (u + du) / r, rig)
                 f1 = v + dv - stage.speed - cv * (ahead.drawbar_pull - along)
                 f2 = u + du - stage.rim - cu * (torque - ahead.torque)
                 small = max(abs(f1), abs(f2)) < FIRST_ORDER * TOLERANCE

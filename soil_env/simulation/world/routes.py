@@ -59,8 +59,7 @@ def _draw_route(course, route, load, numbers, nodes):
     `capacity` [of load] under a `load` [N]. The pull may be too little: no soil is drawn again.
     """
     spec = numbers.drawn.spec
-    mean = soil_of(course.library[route.terrain])
-    soil = scattered(mean, spec.class_scatter, course, spec)
+    soil = scattered(soil_of(course.library[route.terrain]), spec.class_scatter, course, spec)
     put_soil(route, soil)
     route.capacity = capacity(load, soil, numbers, nodes)
 
@@ -120,9 +119,8 @@ def set_route(course, p, route):
     """Let the course lead along a `route` of patch p, 0 or 1: the patch gets its soil, the `FORK`
     notes it as `taken`.
     """
-    taken = course.routes[p, route]
     course.forks[p].taken = route
-    put_soil(course.patches[p], soil_of(taken))
+    put_soil(course.patches[p], soil_of(course.routes[p, route]))
 
 
 @compiled

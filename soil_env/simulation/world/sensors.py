@@ -111,17 +111,6 @@ def roll_odometer(vehicle, speed, period):
 
 
 @compiled_finite
-def read_place(vehicle, sample, period):
-    """Fill `place` [m] and `halted` of a `sample` whose speed is read. The place is the odometry,
-    which is advanced by a control `period` [s] first, but not at the start of a course.
-    """
-    if vehicle.steps > 0:  # not at the start of a course
-        roll_odometer(vehicle, sample.speed, period)
-    sample.place = vehicle.odometer
-    sample.halted = 1.0 if vehicle.halt_left > 0.0 else 0.0
-
-
-@compiled_finite
 def sense(wheel, reading, normals, sensors, errors, radius):
     """Fill the record `reading` (`READING`) with readings of a wheel of `radius` [m]: the truth,
     then gain, zero and white noise as `Noise` says.

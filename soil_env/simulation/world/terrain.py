@@ -170,7 +170,7 @@ def cell_at(cells, x):
 
     Places before it belong to it, places beyond the last cell to the last.
     """
-    return min(max(int(math.floor(x / CELL)) + CELLS_BEHIND, 0), cells.size - 1)
+    return min(max(math.floor(x / CELL) + CELLS_BEHIND, 0), cells.size - 1)
 
 
 @compiled
@@ -261,8 +261,7 @@ def _sample(courses, k, x, border, places):
         place = places[i]
         place.patch = piece_at(course.patches, x[i], 0)
         put_soil(place, soil_on(course.patches, x[i], place.patch, border))
-        slope = piece_at(course.slopes, x[i], 0)
-        place.grade = grade_on(course.slopes, x[i], slope, border)
+        place.grade = grade_on(course.slopes, x[i], piece_at(course.slopes, x[i], 0), border)
 
 
 def places_on(courses: np.ndarray, k: int, x: np.ndarray, border: float) -> np.ndarray:

@@ -48,7 +48,7 @@ STANDING = 1e-12  # [-] relaxation in a stage, or [m] of travel, below which not
 #: A wheel; all fields have eight bytes. Numbers that follow from others in the same step are kept
 #: for sensors and info.
 WHEEL = record(
-    # motion and forces
+    # motion and forces, up to the grade: `info["state"]`
     "x",  # [m] distance along the course
     "speed",  # V [m/s]
     "wheel_speed",  # w [rad/s]
@@ -68,7 +68,6 @@ WHEEL = record(
     "rut_depth",  # [m] of the ground under the wheel where it has been before
     # of the last stage
     "mass",  # [kg]
-    "available_torque",  # [N m] of the motor at this wheel speed, in the direction asked for
     "pull_by_speed",  # dDP/dV [N s/m] at the end of the last stage
     "pull_by_rim",  # dDP/d(r w)
     "torque_by_speed",  # dT/dV [N s]
@@ -449,6 +448,5 @@ def settle_at(wheel, x, mass, course, world):
     wheel.mass = mass
     wheel.load = load
     wheel.grade = grade
-    wheel.available_torque = rig.stall_torque
     wheel.converged = 1
     wheel.cell = cell_at(course.cells, x)

@@ -197,7 +197,8 @@ def test_wheels_with_tyres_are_in_the_steady_state_of_their_slip_and_load():
         a = driven(simulation, 0.3, 150)
         scenario = simulation.scenario
         ground = scenario.beneath(scenario.library[soil])
-        rim = Rim.of(scenario.wheel)
+        w = scenario.wheel
+        rim = Rim(w.radius, w.width, 0.0, 0.0, w.tyre_deflection, w.tyre_compliance, w.grip)
         assert a.body["x"] > 1.0 and a.body["converged"] == 1
         for i in range(scenario.axles):
             here = in_rut(ground, 1.0 + i, None)
