@@ -185,8 +185,8 @@ def _ground_table(parts: list[Ground]) -> Table:
     times = ("ground", "from [s]", "to [s]", "differs")
     header = (*times, "friction angle", "K", "S", "points", "slip")
     caption = (
-        "differs: the probability that its soil is not that of the ground before; -: none was "
-        "current"
+        "differs: the probability that its soil is not that of the ground before; -: no current "
+        "estimate"
     )
     return Table(header, rows, caption)
 

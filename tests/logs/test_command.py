@@ -339,6 +339,8 @@ def test_the_estimate_of_a_ground_is_its_surest(log_map):
     some = dataclasses.replace(found, values=values, status=status, ground=np.ones(size, int))
     assert some.surest_on(1)["cohesion"] == 3.0 and some.surest_on(2) is None
     assert some.surest_on(1)["friction_angle_sd_deg"] == PICKED * 0.5
+    for name in ("best_pull", "drawbar_margin"):
+        assert (some.surest_on(1)[name], some.surest_on(1)[f"{name}_sd"]) == (1.0, PICKED)
 
 
 def test_no_number_of_a_ground_is_cut_on_the_terminal():
