@@ -30,6 +30,7 @@ class Channel:
     #: Infinite or NaN: a range finder without an echo (REP 117), a sensor that is off.
     empty: int = 0
     unusable: int = 0  # out of any range
+    per_second: float = math.nan  # readings, over their own duration; NaN of fewer than two
     interpolated: float = 0.0  # share of the steps
     missing: float = 0.0  # share of the steps
     #: [ns] of usable readings. While a recording is read: indices of their stamps in `Stamps`.

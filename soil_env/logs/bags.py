@@ -441,7 +441,10 @@ def number(
             raise _wrong(message, said) from None
         return uphill(*parts)
     if not isinstance(value, Real):
-        raise _wrong(message, f"{where}: is no number but {_kind(value)}{_near(message, steps)}")
+        hint = _near(message, steps)
+        if all(hasattr(value, name) for name in "xyzw"):
+            hint = ": expected unit quaternion with an orientation, which is of pitch only"
+        raise _wrong(message, f"{where}: is no number but {_kind(value)}{hint}")
     return float(value)
 
 
@@ -507,13 +510,17 @@ def _paths(value: Any, prefix: str = "", depth: int = _DEEPEST) -> list[str]:
         return [
             p for n, v in fields.items() for p in _paths(v, f"{prefix}.{n}".lstrip("."), depth - 1)
         ]
-    return [f"{prefix}[0]"] if hasattr(value, "__len__") and not isinstance(value, str) else []
+    if isinstance(value, str) or not hasattr(value, "__len__"):
+        return []
+    return [] if len(value) and isinstance(value[0], str) else [f"{prefix}[0]"]
 
 
 def _kind(value: Any) -> str:
     """What a value is that is no number, in words for an error."""
     if value is None:
         return "null"
+    if isinstance(value, str):
+        return f"text {value[:20]!r}"
     if hasattr(value, "__len__"):
         return f"a list of {len(value)}"
     return type(value).__name__.removesuffix("_")  # bool_ and str_ of numpy

@@ -148,7 +148,11 @@ class _Reader:
         channel.readings = value.size
         channel.empty = int(np.sum(~known))
         channel.unusable = int(np.sum(known & ~plausible))
-        stamps = times[index[plausible]]
+        stamps = times[index]
+        length = np.ptp(stamps) * 1e-9 if stamps.size else 0.0  # [s]
+        if length > 0.0:
+            channel.per_second = (stamps.size - 1) / length
+        stamps = stamps[plausible]
         si = si[plausible]
         channel.times = array("q", stamps.tobytes())
         channel.values = array("d", si.tobytes())

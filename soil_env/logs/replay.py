@@ -96,8 +96,8 @@ class Replay:
         """The surest estimate on a ground, by `COLUMNS`; None where none was current.
 
         It is that with the least product of the sds over those of the prior among those with
-        status CONVERGED, with its sds times `PICKED`. The last one errs more: after a border that
-        `_grounds` does not count the identifier began anew.
+        status CONVERGED, with all its sds times `PICKED`. The last one errs more: after a border
+        that `_grounds` does not count the identifier began anew.
         """
         current = np.flatnonzero((self.ground == ground) & (self.status == Status.CONVERGED))
         if not current.size:
@@ -105,7 +105,7 @@ class Replay:
         sds = [self.values[sd][current] / getattr(self.prior, sd) for sd in SD_OF.values()]
         k = current[np.argmin(np.sum(np.log(sds), axis=0))]
         picked = {name: float(values[k]) for name, values in self.values.items()}
-        return picked | {sd: PICKED * picked[sd] for sd in SD_OF.values()}
+        return {name: x * (PICKED if "_sd" in name else 1.0) for name, x in picked.items()}
 
     def learnt(self, current: bool = False) -> dict[str, float]:
         """Least standard deviation of each parameter over that of the prior; 1: nothing learnt.

@@ -16,7 +16,7 @@ from soil_env.online import Status
 from .align import Aligned
 from .mapping import LogMap, si_unit
 from .replay import SD_OF, Replay, contradiction, findings
-from .steady import Ground, Steady, advice, cell, commands, files, grounds
+from .steady import GAP, Ground, Steady, advice, cell, commands, files, grounds
 
 ALWAYS = ("report.html", "log.json", "estimates.csv", "estimates.png", "readings.png")
 _DATES = 10**9 * 86400 * 3650  # [ns] from 1970, about ten years: before it a time is no date
@@ -92,7 +92,7 @@ def report_of(
         "grounds": _ground_table(parts),
         "steady": advice(found, parts, steady),
     }
-    estimates = _estimates_picture(found)
+    estimates = _estimates_picture(found, log.period)
     readings = _readings_picture(log, steady, log_map)
     shaded = "Readings over time in SI units; steady windows are shaded."
     grey = (
@@ -132,13 +132,12 @@ def _date(time: int) -> str:
 
 def _channel_table(log: Aligned) -> Table:
     """Source, rate, gaps and range of each reading; a constant has only source and range."""
-    length = max(log.time[-1] - log.time[0], log.period)
     rows = []
     for name, c in log.channels.items():
         counted = ["", "", "", ""]
         if c.readings:
             shares = (f"{c.interpolated:.0%}", f"{c.missing:.0%}")
-            counted = [str(c.readings), f"{c.readings / length:.1f}", *shares]
+            counted = [str(c.readings), cell(c.per_second, ".1f"), *shares]
         known = log.readings[name][np.isfinite(log.readings[name])]
         span = "-"
         if known.size:
@@ -172,7 +171,7 @@ def _ground_table(parts: list[Ground]) -> Table:
     rows = []
     for g in parts:
         e = g.estimate
-        cells = ("no current estimate", "", "")
+        cells = ("-", "-", "-")
         slip = [row["slip"] for row in g.points.rows]
         if e is not None:
             cells = (
@@ -184,8 +183,11 @@ def _ground_table(parts: list[Ground]) -> Table:
         span = f"{min(slip):.2f} to {max(slip):.2f}" if slip else ""
         rows.append((g.number, *time, *cells, len(slip), span))
     times = ("ground", "from [s]", "to [s]", "differs")
-    header = (*times, "friction angle", "K", "S", "steady points", "slip")
-    caption = "differs: the probability that its soil is not that of the ground before"
+    header = (*times, "friction angle", "K", "S", "points", "slip")
+    caption = (
+        "differs: the probability that its soil is not that of the ground before; -: no current "
+        "estimate"
+    )
     return Table(header, rows, caption)
 
 
@@ -197,19 +199,26 @@ def _figure(rows: int, height: float) -> tuple[Figure, np.ndarray]:
     return figure, axes
 
 
-def _thinned(size: int) -> np.ndarray:
-    """Indices of at most `_MOST_POINTS` of `size` points, the first and the last among them."""
-    return np.linspace(0, size - 1, min(size, _MOST_POINTS)).astype(int)
+def _drawn(time: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """(Indices, times) of at most `_MOST_POINTS` of the steps `time` [N], the first and the last
+    among them.
+
+    Between two with a gap between them is one more point whose time is NaN, so that no line leads
+    over the gap.
+    """
+    part = np.cumsum(np.diff(time, prepend=time[:1]) > GAP * period)
+    k = np.linspace(0, time.size - 1, min(time.size, _MOST_POINTS)).astype(int)
+    gaps = np.flatnonzero(np.diff(part[k])) + 1
+    return np.insert(k, gaps, 0), np.insert(time[k], gaps, math.nan)
 
 
-def _estimates_picture(found: Replay) -> bytes:
+def _estimates_picture(found: Replay, period: float) -> bytes:
     """Picture of the soil and the drawbar margin over time, with 95 % intervals of the soil.
 
     Estimates whose status is not CONVERGED are grey.
     """
     figure, axes = _figure(len(_SHOWN) + 1, 7.5)
-    k = _thinned(found.time.size)
-    t = found.time[k]
+    k, t = _drawn(found.time, period)
     valid = found.status[k] == Status.CONVERGED
     for axis, (name, (scale, label)) in zip(axes, _SHOWN.items(), strict=False):
         value = scale * found.values[name][k]
@@ -233,9 +242,10 @@ def _estimates_picture(found: Replay) -> bytes:
 def _readings_picture(log: Aligned, steady: Steady, log_map: LogMap) -> bytes:
     """Picture of every reading over time, with the steady windows shaded."""
     figure, axes = _figure(len(log.readings), 1.0 + 1.1 * len(log.readings))
-    k = _thinned(log.time.size)
     for axis, (name, values) in zip(axes, log.readings.items(), strict=True):
-        axis.plot(log.time[k], values[k], lw=0.8)
+        known = np.isfinite(values)
+        k, t = _drawn(log.time[known], log.period)
+        axis.plot(t, values[known][k], lw=0.8, marker=".", ms=2.0)  # a lone reading has no line
         for row in steady.rows:
             end = row["start"] + log_map.windows.duration
             axis.axvspan(row["start"], end, color="C1", alpha=0.25, lw=0)

@@ -42,7 +42,7 @@ _COLUMNS = ("slip", "load", "speed", "grade_deg", "run", "time", *MEASURED)
 _LEAST_SD = 1e-9  # in the unit of a channel: a smaller scatter is rounding
 _LEAST_SPREAD = 0.01  # [-] of the slips of a table; own choice, below it they count as one slip
 _STARTS = 4  # places at which a window is tried within its own length
-_GAP = 1.5  # [periods] between steps, from which they are of two drives; neighbours have 1
+GAP = 1.5  # [periods] between steps, from which they are of two drives; neighbours have 1
 # Most change of a mean from the first half of a steady window to the second; own choices.
 _SLIP_CHANGE = 0.03  # [-]
 _SPEED_CHANGE = 0.05  # [of the rim speed] of travel and rim speed
@@ -169,7 +169,7 @@ def _drives(log: Aligned, rim: np.ndarray, log_map: LogMap) -> np.ndarray:
     drives.
     """
     driving = np.abs(rim) > log_map.windows.wheel_speed * log_map.wheel.radius
-    gap = np.diff(log.time, prepend=log.time[:1]) > _GAP * log.period
+    gap = np.diff(log.time, prepend=log.time[:1]) > GAP * log.period
     begins = driving & (gap | ~np.concatenate(([False], driving[:-1])))
     return np.where(driving, np.cumsum(begins) - 1, -1)
 
@@ -401,7 +401,7 @@ def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
     if few and len(grounds) > 1:
         out.append(
             f"Too few points for a table are on ground {few}. Hold two wheel speeds or more there, "
-            "each for a second."
+            "each for the duration of a window."
         )
     return [
         *out,

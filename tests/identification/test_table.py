@@ -19,7 +19,7 @@ import pytest
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main
 from soil_env.identification.table import identify_table
-from soil_env.identification.table.fit import _doubts
+from soil_env.identification.table.fit import UNDETERMINED, _doubts
 from soil_env.identification.table.priors import BROAD
 from soil_env.identification.table.problem import TableProblem
 from soil_env.identification.table.report import text_of
@@ -259,6 +259,20 @@ def test_wheels_of_two_widths_share_k_c_and_k_phi(tmp_path):
     assert model.predict(table).sinkage == pytest.approx(table.sinkage, rel=1e-2)
     assert e.parameters["sinkage_coefficient"].value == pytest.approx(k_c / 0.12 + k_phi, rel=5e-3)
     assert e.parameters["friction_angle_deg"].value == pytest.approx(31.0, rel=5e-3)
+
+
+def test_a_warning_of_s_is_not_of_the_stiffness_that_the_data_determine(tmp_path):
+    """S follows its prior through n, while the data determine S z^n."""
+    rows = clean()[:8]
+    n = Prior(SAND.sinkage_exponent, 0.05)
+    S = Prior(SAND.sinkage_coefficient, 0.12 * SAND.sinkage_coefficient)
+    table = table_of(tmp_path, rows, np.random.default_rng(1))
+    e = identify_table(table, setup_of((), sinkage_exponent=n, sinkage_coefficient=S))
+    assert e.parameters["sinkage_coefficient"].sd_over_prior > UNDETERMINED
+    assert e.parameters["reference_pressure"].sd_over_prior < 0.5
+    words = " ".join(e.warnings)
+    assert "do not determine the sinkage coefficient S" in words
+    assert "determine the stiffness" not in words
 
 
 def test_names_what_the_data_cannot_tell(tmp_path):

@@ -18,8 +18,8 @@ from soil_env.identification.table.priors import soil_unknowns
 from soil_env.logs import read_map, replay, steady_windows
 from soil_env.logs.align import Aligned, Channel
 from soil_env.logs.replay import COLUMNS, ESTIMATED, PICKED, _grounds, findings
-from soil_env.logs.report import report_of
-from soil_env.logs.steady import advice, commands, files, grounds, setup_text
+from soil_env.logs.report import _drawn, _ground_table, report_of
+from soil_env.logs.steady import Ground, Steady, advice, commands, files, grounds, setup_text
 from soil_env.measurement.setup import read_setup
 from soil_env.measurement.table import read_table
 from soil_env.online import OnlineIdentifier, Status
@@ -144,6 +144,19 @@ def test_a_gap_starts_the_identifier_anew(log_map):
         again.values["shear_modulus"][-1], rel=1e-9
     )
     assert two.values["shear_modulus"][-1] != one.values["shear_modulus"][-1]
+
+
+def test_no_line_of_a_picture_leads_over_a_gap():
+    """Nor is a point lost: first, last and those beside the gap are drawn."""
+    time = np.array([0.0, 0.1, 0.2, 30.0, 30.1])
+    drawn, shown = _drawn(time, 0.1)
+    assert np.array_equal(shown, [0.0, 0.1, 0.2, math.nan, 30.0, 30.1], equal_nan=True)
+    assert np.array_equal(time[drawn][np.isfinite(shown)], time)
+    many = 0.1 * np.arange(100_000) + 50.0 * (np.arange(100_000) >= 70_000)
+    drawn, shown = _drawn(many, 0.1)
+    assert np.isnan(shown).sum() == 1 and shown.size < 4100
+    assert (shown[0], shown[-1]) == (many[0], many[-1])
+    assert [_drawn(many[:n], 0.1)[1].tolist() for n in (0, 1)] == [[], [0.0]]
 
 
 def test_a_gap_that_the_map_allows_warns_of_nothing(log_map):
@@ -326,6 +339,26 @@ def test_the_estimate_of_a_ground_is_its_surest(log_map):
     some = dataclasses.replace(found, values=values, status=status, ground=np.ones(size, int))
     assert some.surest_on(1)["cohesion"] == 3.0 and some.surest_on(2) is None
     assert some.surest_on(1)["friction_angle_sd_deg"] == PICKED * 0.5
+    for name in ("best_pull", "drawbar_margin"):
+        assert (some.surest_on(1)[name], some.surest_on(1)[f"{name}_sd"]) == (1.0, PICKED)
+
+
+def test_no_number_of_a_ground_is_cut_on_the_terminal():
+    estimate = {
+        "friction_angle_deg": 33.2,
+        "friction_angle_sd_deg": 12.9,
+        "shear_modulus": 8.27e-3,
+        "shear_modulus_relative_sd": 0.32,
+        "sinkage_coefficient": 1.96e6,
+        "sinkage_coefficient_relative_sd": 0.33,
+    }
+    points = Steady([{"slip": -0.1}, {"slip": -0.2}])
+    parts = [
+        Ground(10, 1000.0, 1005.0, math.nan, points, estimate),
+        Ground(11, 1005.1, 1009.0, 0.7, Steady(), None),
+    ]
+    said = _ground_table(parts).text(2)
+    assert "33.2 +- 12.9 deg" in said and "..." not in said
 
 
 def test_borders_without_another_soil_are_no_grounds(log_map):

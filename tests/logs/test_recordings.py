@@ -197,6 +197,12 @@ def test_units_gear_and_motor_constant(tmp_path):
             {"topic": "/joint_states", "field": "position[0]"},
             ("/joint_states", "position[0]", "0 values"),
         ),
+        (
+            "torque",
+            {"topic": "/joint_states", "field": "name[0]"},
+            ("no number but text 'wheel'", "effort[0]"),
+        ),
+        ("pitch", {"topic": "/imu", "field": "orientation"}, ("orientation", "unit quaternion")),
         ("sinkage", {"column": "z"}, ("sinkage", "column z", "topic")),
     ],
 )
@@ -531,6 +537,20 @@ def test_a_file_without_a_message_is_refused(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(ParameterError, match=name):
         read(tmp_path / name)
+
+
+def test_the_rate_of_a_channel_is_over_its_own_duration(tmp_path):
+    """The wheel speed, which makes the time axis, may come for a small part of the recording."""
+    rows = [f"{0.1 * k:.1f},,0.3," for k in range(201)]
+    rows[100:103] = ["10.0,2,0.3,", "10.1,2,0.3,0.1", "10.2,2,0.3,"]
+    (tmp_path / "drive.csv").write_text("\n".join(["t,w,v,p", *rows]))
+    columns = {"wheel_speed": "w", "speed": "v", "pitch": "p", "sinkage": None}
+    changes = {name: of and {"column": of} for name, of in columns.items()}
+    changes |= {"torque": None, "time": {"column": "t"}}
+    channels = read(tmp_path / "drive.csv", changes).channels
+    assert channels["wheel_speed"].per_second == pytest.approx(10.0)
+    assert channels["speed"].per_second == pytest.approx(10.0)
+    assert np.isnan(channels["pitch"].per_second)
 
 
 def test_a_value_that_cannot_be_is_left_out_and_counted(tmp_path):

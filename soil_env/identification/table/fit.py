@@ -42,6 +42,8 @@ LABELS = {
     "cohesion": "cohesion",
     "tilt_deg": "tilt of the rig",
 }
+#: Labels of single parameters of the setup: S itself, where `LABELS` has S z^n of the correlations.
+_SINGLE = LABELS | {"sinkage_coefficient": "sinkage coefficient S"}
 SYMBOLS = dict(zip(LABELS.values(), ("phi", "K", "S z^n", "n", "c", "tilt"), strict=True))
 OFF_PRIOR = 3.0  # [prior sd] from the prior, beyond which a solution under noise alone is doubted
 FAR_OFF_PRIOR = 5.0  # [prior sd] from which that is to be checked first where the base model fits
@@ -489,7 +491,7 @@ def _undetermined(
     (`TIED`). `labels` of the fitted ones, in the order of the `correlation` [p, p].
     """
     words = [
-        f"The data do not determine the {LABELS[name]}: its standard deviation is "
+        f"The data do not determine the {_SINGLE[name]}: its standard deviation is "
         f"{p.sd_over_prior:.0%} of the prior's."
         for name, p in parameters.items()
         if name in LABELS and p.sd_over_prior > UNDETERMINED
@@ -511,7 +513,7 @@ def _off_prior(problem: TableProblem, plain: _Plain) -> list[tuple[float, str]]:
     return [
         (
             abs(d),
-            f"Were the stress laws exact, the {LABELS[unknown.name]} would be {abs(d):.1f} "
+            f"Were the stress laws exact, the {_SINGLE[unknown.name]} would be {abs(d):.1f} "
             "standard deviations from its prior: prior, table or laws are wrong.",
         )
         for unknown, d in zip(problem.unknowns, plain.u, strict=True)
@@ -530,7 +532,7 @@ def _doubts(
     low, high = problem.bounds
     edge = EDGE * np.minimum(1.0, high - low)
     at_end = [
-        LABELS[unknown.name]
+        _SINGLE[unknown.name]
         for unknown in compress(problem.unknowns, (u <= low + edge) | (u >= high - edge))
     ]
     if at_end:
