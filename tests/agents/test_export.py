@@ -225,6 +225,18 @@ def test_models_of_plain_sb3(tmp_path, algorithm):
     assert memory is None and len(np.unique(found)) > 5
 
 
+def test_an_export_and_a_model_of_plain_sb3_are_refused_on_a_rover(tmp_path, scenario, capsys):
+    assert export(saved(tmp_path / "run", scenario, "blind"), tmp_path / "out") == 0
+    plain = tmp_path / "plain.zip"
+    A2C("MlpPolicy", SoilWheelVecEnv(1, scenario), policy_kwargs={"net_arch": [4]}).save(plain)
+    for path in (tmp_path / "out", plain):
+        capsys.readouterr()
+        assert soil_env(["drive", f"--policy={path}", "--rover=lunar_micro_rover"]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert "of a rover: expected an agent of train.py, or module:Class" in error
+
+
 def test_an_action_that_differs_is_not_exported(tmp_path, scenario, capsys, monkeypatch):
     folder = saved(tmp_path / "run", scenario)
     plain = Agent._normalised
