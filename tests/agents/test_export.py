@@ -220,9 +220,12 @@ def test_models_of_plain_sb3(tmp_path, algorithm):
     )
     x[::3, env.observation_names.index("ahead_log10_sinkage_coefficient")] = 0.0  # out of sight
     expected, _ = model.predict(scaling(x), deterministic=True)
-    found, memory = ExportedAgent(tmp_path / "out" / "policy.onnx").predict(x)
+    exported = ExportedAgent(tmp_path / "out" / "policy.onnx")
+    found, memory = exported.predict(x)
     np.testing.assert_allclose(found, expected, atol=1e-5)
     assert memory is None and len(np.unique(found)) > 5
+    with pytest.raises(ParameterError, match="episode_start: 2 values: expected 40"):
+        exported.predict(x, None, [True, False])
 
 
 def test_an_export_and_a_model_of_plain_sb3_are_refused_on_a_rover(tmp_path, scenario, capsys):
