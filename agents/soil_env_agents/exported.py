@@ -109,10 +109,10 @@ class ExportedAgent(inputs.Observing):
         [D], and the memory for the next call; ParameterError as `agent.Agent.predict`."""
         inputs.switch(deterministic)  # an exported agent has no other
         batch = np.atleast_2d(self._layout.observed(observation))
+        fresh = inputs.starts(episode_start, len(batch), state is None)
         if not self.policy.kept:
             action, memory = self.policy.act(batch)
         else:
-            fresh = inputs.starts(episode_start, len(batch), state is None)
             kept = inputs.memory(state, (len(batch), self.policy.kept))
             action, memory = self.policy.act(batch, kept, fresh)
         return (action[0] if np.ndim(observation) == 1 else action), memory

@@ -14,7 +14,7 @@ import pytest
 import yaml
 from scipy import stats
 
-from soil_env._io.loading import load, to_dict
+from soil_env._io.loading import ParameterError, load, to_dict
 from soil_env.cli import main as soil_env
 from soil_env.envs.wheels import Simulation
 from soil_env.parameters import load_scenario
@@ -483,6 +483,20 @@ def test_a_glob_finds_each_model_once_and_no_other_files(tmp_path):
     for pattern in ("**", "run/*"):
         (found,) = parse(f"a={tmp_path}/{pattern}").values()
         assert found.source == str(tmp_path / "run" / "model.zip")
+
+
+def test_a_glob_names_the_run_folders_whose_training_is_not_done(capsys, tmp_path):
+    for run in ("done", "killed"):
+        (tmp_path / run).mkdir()
+        (tmp_path / run / "config.yaml").touch()
+    (tmp_path / "done" / "model.zip").touch()
+    for pattern in ("*", "**", "*/model.zip"):
+        (found,) = parse(f"a={tmp_path}/{pattern}").values()
+        assert found.source == str(tmp_path / "done" / "model.zip")
+        said = " ".join(capsys.readouterr().out.split())
+        assert said.endswith(f"left out {tmp_path / 'killed'}: training is not done.")
+    with pytest.raises(ParameterError, match="no model matches; .*killed: training is not done"):
+        parse(f"a={tmp_path}/k*")
 
 
 def test_a_controller_that_fails_on_the_way_is_named(capsys, tmp_path):

@@ -220,9 +220,24 @@ def test_models_of_plain_sb3(tmp_path, algorithm):
     )
     x[::3, env.observation_names.index("ahead_log10_sinkage_coefficient")] = 0.0  # out of sight
     expected, _ = model.predict(scaling(x), deterministic=True)
-    found, memory = ExportedAgent(tmp_path / "out" / "policy.onnx").predict(x)
+    exported = ExportedAgent(tmp_path / "out" / "policy.onnx")
+    found, memory = exported.predict(x)
     np.testing.assert_allclose(found, expected, atol=1e-5)
     assert memory is None and len(np.unique(found)) > 5
+    with pytest.raises(ParameterError, match="episode_start: 2 values: expected 40"):
+        exported.predict(x, None, [True, False])
+
+
+def test_an_export_and_a_model_of_plain_sb3_are_refused_on_a_rover(tmp_path, scenario, capsys):
+    assert export(saved(tmp_path / "run", scenario, "blind"), tmp_path / "out") == 0
+    plain = tmp_path / "plain.zip"
+    A2C("MlpPolicy", SoilWheelVecEnv(1, scenario), policy_kwargs={"net_arch": [4]}).save(plain)
+    for path in (tmp_path / "out", plain):
+        capsys.readouterr()
+        assert soil_env(["drive", f"--policy={path}", "--rover=lunar_micro_rover"]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert "of a rover: expected an agent of train.py, or module:Class" in error
 
 
 def test_an_action_that_differs_is_not_exported(tmp_path, scenario, capsys, monkeypatch):

@@ -17,6 +17,7 @@ from soil_env._io.loading import ParameterError, unknown_key, unknown_value
 from ..cli import again
 from ..controllers import CONTROLLERS
 from ..exported import POLICY
+from ..progress import show
 from .comparing import ORACLE
 
 
@@ -156,10 +157,13 @@ def _sources(spec: str, classical: Collection[str]) -> tuple[str, list[str]]:
         return "class", [spec]
     if any(c in spec for c in "*?[") and not Path(spec).exists():
         found = sorted(p for p in glob.glob(spec, recursive=True) if _is_model(Path(p)))
+        undone = _undone(spec)
+        left_out = f"{', '.join(undone)}: training is not done" if undone else ""
         if not found:
-            raise ParameterError(
-                f"controllers: {spec}: no model matches; expected .zip files or run folders"
-            )
+            expected = left_out or "expected .zip files or run folders"
+            raise ParameterError(f"controllers: {spec}: no model matches; {expected}")
+        if undone:
+            show(f"controllers: {spec}: left out {left_out}.")
         return "model", list(dict.fromkeys(str(_file_of(Path(p))) for p in found))
     path = Path(spec)
     if path.suffix in MODELS or path.is_dir() or ("/" in spec and not path.is_file()):
@@ -178,6 +182,16 @@ def _sources(spec: str, classical: Collection[str]) -> tuple[str, list[str]]:
 def _is_model(path: Path) -> bool:
     """True for the file of a model, by its name, and for a folder that holds one."""
     return path.suffix in MODELS or (path.is_dir() and _file_of(path).is_file())
+
+
+def _undone(pattern: str) -> list[str]:
+    """Run folders without a model that a pattern of run folders, or of their model.zip, matches."""
+    folders = sorted(map(Path, glob.glob(pattern.removesuffix("/model.zip"), recursive=True)))
+    return [
+        str(path)
+        for path in dict.fromkeys(folders)
+        if (path / "config.yaml").is_file() and not _file_of(path).is_file()
+    ]
 
 
 def _file_of(path: Path) -> Path:

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from soil_env._io.loading import ParameterError, load, one_line
+from soil_env._io.loading import ParameterError, one_line
 from soil_env.envs.wheel_env import observation_space
-from soil_env.parameters import Control, CourseSpec, Scenario
+from soil_env.parameters import Control, CourseSpec, RoverScenario, Scenario
 from soil_env.simulation.task import VARIANTS, layout
 from soil_env.simulation.task.scaling import Scaling
 
@@ -92,11 +92,21 @@ def _check_action(path: Path, own: Control, scenario: Scenario) -> None:
         )
 
 
+def _check_wheel(path: Path, scenario: Scenario) -> None:
+    """ParameterError for the scenario of a rover: only agents of train.py and classes drive it."""
+    if isinstance(scenario, RoverScenario):
+        raise ParameterError(
+            f"controllers: {path}: for scenario {scenario.name!r} of a rover: expected an agent of "
+            "train.py, or module:Class"
+        )
+
+
 def _exported(path: Path, scenario: Scenario) -> ExportedAgent:
     """The agent of a policy.onnx; ParameterError where it does not fit the scenario.
 
     One that reads constants of another wheel (`CommonScaling.added`) gets a warning.
     """
+    _check_wheel(path, scenario)
     try:
         agent = ExportedAgent(path)
     except ParameterError as error:
@@ -109,13 +119,12 @@ def _exported(path: Path, scenario: Scenario) -> ExportedAgent:
             f"controllers: {path}: reads {own} numbers, scenario {scenario.name!r} has {asked}"
         )
     if agent.content.get("network") == "DefaultPolicy":
-        made_for = load(Scenario, agent.content["scenario"], f"controllers: {path}: scenario")
-        constants, asked_for = (CommonScaling(task).added for task in (made_for, scenario))
+        constants, asked_for = (CommonScaling(task).added for task in (agent.scenario, scenario))
         if not np.allclose(constants, asked_for):
             anew = again("export", "default", "--scenario", scenario.name)
             _warn(
-                f"{path}: exported for the wheel of {made_for.name!r}, that of {scenario.name!r} "
-                f"differs: {anew}"
+                f"{path}: exported for the wheel of {agent.scenario.name!r}, that of "
+                f"{scenario.name!r} differs: {anew}"
             )
     return agent
 
@@ -124,9 +133,10 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
     """A model of SB3 or sb3-contrib that train.py did not write; it is unpickled, which runs code.
 
     Its algorithm follows from its policy class and data (`_ALGORITHMS`), its variant from the
-    observation space. ParameterError where one is unknown, where the action has another shape, or
-    with a vecnormalize.pkl beside it, whose normalisation would be missing.
+    observation space. ParameterError where one is unknown, where the action has another shape, with
+    a vecnormalize.pkl beside it, whose normalisation would be missing, and on a rover.
     """
+    _check_wheel(path, scenario)
     data = saved.read_mapping(path, "data")
     if data is None:
         raise ParameterError(f"{path}: not a model of Stable-Baselines3 (it has no data)")
@@ -171,9 +181,8 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
     names = [e.name for e in layout(variant, scenario.course)]
     shape = model.action_space.shape
     of_line = shape == (2,) and "choice" in names  # trained with LineAction
-    axles = getattr(scenario, "axles", 1)
-    if shape != (axles,) and not of_line:
-        raise ParameterError(f"{path}: trained with actions of shape {shape}: expected ({axles},)")
+    if shape != (1,) and not of_line:
+        raise ParameterError(f"{path}: trained with actions of shape {shape}: expected (1,)")
     choice = names.index("choice") if of_line else None
     return _Plain(model, variant, scaling, choice, scenario)
 
