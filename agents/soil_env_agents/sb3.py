@@ -106,6 +106,7 @@ class CourseVecEnv(NativeVecEnv):
         self._lengths = np.zeros(env.num_envs, dtype=np.int64)
         self._start = time.time()
         self._actions: np.ndarray | None = None
+        self._begun = False  # there are courses
 
     @property
     def scaling(self):
@@ -116,13 +117,17 @@ class CourseVecEnv(NativeVecEnv):
         """New courses; follows the seeds set by `seed`, else goes on."""
         seen, _ = self.env.reset(seed=self._seeds)
         self._reset_seeds()
+        self._begun = True
+        self._actions = None
         self._returns[:] = 0.0
         self._lengths[:] = 0
         return seen
 
     def true_soil(self) -> np.ndarray:
-        """Observations of the variant `true_soil` now, in its units [num_envs, D]."""
-        if not self.env.unwrapped._seeded:
+        """Observations of the variant `true_soil` now, in its units [num_envs, D]; ResetNeeded
+        before the first reset.
+        """
+        if not self._begun:
             raise ResetNeeded("true_soil() before reset()")
         return self._true_soil()
 

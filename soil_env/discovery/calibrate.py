@@ -578,7 +578,8 @@ class Law:
     def fitted(self, start: np.ndarray, whiten: ArrayFunction) -> tuple[np.ndarray, bool]:
         """(most probable u, True if the search converged), from u = `start`.
 
-        `whiten` turns values over the noise into values that are independent under a covariance.
+        `whiten`: C^-1/2 of values over the noise, [M] or [M, p], with C their covariance. The
+        derivatives are over the noise already.
         """
         over_noise = self.problem.whiten
         u, _, converged = most_probable(

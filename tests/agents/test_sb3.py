@@ -96,6 +96,10 @@ def test_what_it_cannot_take_is_one_line(own):
     env.step(np.zeros((1, *env.action_space.shape)))
     with pytest.raises(ResetNeeded):  # an action is taken once
         env.step_wait()
+    env.step_async(np.zeros((1, *env.action_space.shape)))
+    env.reset()
+    with pytest.raises(ResetNeeded):  # and not on the course after it
+        env.step_wait()
     env.set_options({})
     with pytest.raises(ParameterError, match="reset options = .*'x'.*: expected none"):
         env.set_options({"x": 1})

@@ -233,8 +233,8 @@ class OnlineIdentifier:
         return bool(self._memory["crossing"][0] > 0.0)
 
     def soil(self) -> Soil:
-        """The identified soil, with the belief's exponent and recovery of digging; each number
-        within its bounds.
+        """The identified soil, with the belief's exponent, recovery of digging and flow; each
+        number within its bounds.
         """
         scenario = self.scenario
         return soil_of_numbers(asdict(self._estimate), scenario.belief, scenario.gravity)

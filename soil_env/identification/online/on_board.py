@@ -295,8 +295,12 @@ def _show_ahead(vehicle, sample, board, out):
 
 @compiled
 def show_estimate(vehicle, sample, board, out):
-    """Fill what is identified into the observation `out` [D] of a vehicle: of each axle from the
-    entry `board.first` on, then of the classes ahead. All of `out` is cut to its bounds.
+    """Fill what is identified into the observation `out` [D] of a vehicle, and cut all of `out` to
+    its bounds.
+
+    From the entry `board.first` on these are `OF_SOIL` of each axle (`write_estimate`): of a
+    rover what all wheels know of the ground under that axle (`POOL`), of a wheel what it knows
+    itself. With a camera also the last entries, on the classes ahead (`_show_ahead`).
 
     `vehicle`: its memory, `ON_WHEEL` or `ON_ROVER`; `sample`: the last `SAMPLE` of its front axle;
     `board`: `BOARD_SETTING`.
