@@ -19,7 +19,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, update_wrapper
 from pathlib import Path
 from tempfile import TemporaryFile
-from types import ModuleType
+from types import FunctionType, ModuleType
 from typing import Any
 
 import numba
@@ -292,6 +292,7 @@ class _Compilations(Listener):
 
     def __init__(self) -> None:
         self.of: set[Callable[..., Any]] = set()  # `py_func` of every `Kept`
+        self.done: set[Callable[..., Any]] = set()  # functions compiled in this process
         self._patience = 0.0  # [s]; `PATIENCE` after the first
         self._done = threading.Event()
         self._watcher: threading.Thread | None = None
@@ -310,8 +311,10 @@ class _Compilations(Listener):
             self._patience = PATIENCE
 
     def on_end(self, event: Event) -> None:
-        """End the thread of `on_start`, if there is one."""
-        if event.data["dispatcher"].py_func in self.of and self._watcher is not None:
+        """Note that a function is compiled, and end the thread of `on_start`, if it has one."""
+        function = event.data["dispatcher"].py_func
+        self.done.add(function)
+        if function in self.of and self._watcher is not None:
             self._done.set()
             self._watcher.join()
 
@@ -335,20 +338,19 @@ def _explain(function: Callable[..., Any], done: threading.Event, patience: floa
         return
     called = called_by(function)
     while not done.wait(PACE):
-        ready = sum(bool(f.overloads) for f in called)
+        ready = len(called & _compilations.done)
         text = f"compiling, at the first use only: {ready} of at most {len(called)} functions"
         print(f"\rsoil_env: {text}\x1b[K", end="", file=sys.stderr, flush=True)
     print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
 
-def called_by(function: Callable[..., Any]) -> set[Any]:
-    """Numba's compiled functions that a Python function names, directly or through one that it
-    names.
+def called_by(function: Callable[..., Any]) -> set[Callable[..., Any]]:
+    """Python functions that a compiled function names, directly or through one that it names.
 
     Names are global ones, and attributes of modules that it names. A name counts also where the
     function does not call it, so these are at least the functions called.
     """
-    found: set[Any] = set()
+    found: set[Callable[..., Any]] = set()
     left = [function]
     while left:
         one = left.pop()
@@ -357,9 +359,10 @@ def called_by(function: Callable[..., Any]) -> set[Any]:
         for module in [thing for thing in known if isinstance(thing, ModuleType)]:
             known += [getattr(module, name) for name in names if hasattr(module, name)]
         for thing in known:
-            if hasattr(thing, "overloads") and thing not in found:
-                found.add(thing)
-                left.append(thing.py_func)
+            called = getattr(thing, "py_func", thing)  # an inlined one is numba's own object
+            if isinstance(called, FunctionType) and called not in found:
+                found.add(called)
+                left.append(called)
     return found
 
 

@@ -19,29 +19,23 @@ by `cache.kept`, all others by `compiled` and the like. What to know of numba he
 from typing import Any
 
 import numpy as np
-from numba import literal_unroll, njit
+from numba import njit
+from numba.extending import register_jitable
 
 # No function is handed on as a value, so none needs the wrapper that numba makes for that.
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
 _EXACT: dict[str, Any] = {"fastmath": {"contract", "nsz"}, **_OPTIONS}
 #: Sums keep their order; a product and a sum may be fused, so that results differ between machines
 #: by rounding only.
-compiled: Any = njit(**_EXACT)
+compiled: Any = register_jitable(**_EXACT)
 #: As `compiled`, for functions that never meet NaN or infinity: a minimum is then one instruction
 #: and not a branch.
-compiled_finite: Any = njit(fastmath={"contract", "nsz", "nnan", "ninf"}, **_OPTIONS)
+compiled_finite: Any = register_jitable(fastmath={"contract", "nsz", "nnan", "ninf"}, **_OPTIONS)
 #: Loops that sum: LLVM may change the order of a sum, without which it vectorises none. They are
 #: put into their callers.
-compiled_sums: Any = njit(fastmath={"contract", "nsz", "reassoc"}, forceinline=True, **_OPTIONS)
+compiled_sums: Any = register_jitable(fastmath={"contract", "nsz", "reassoc"}, forceinline=True, **_OPTIONS)
 #: Put into the caller, whose other options then hold.
 inlined: Any = njit(**_EXACT, inline="always")
-
-
-def uncompiled(function: Any) -> Any:
-    """Return the Python function of a compiled one, for a call that is not worth a compilation; any
-    other function as it is.
-    """
-    return getattr(function, "py_func", function)
 
 
 #: Stands for infinity in `compiled_finite` functions: more than any number there.
@@ -60,18 +54,6 @@ def record(*numbers: str, **others: tuple[Any, ...]) -> np.dtype[Any]:
     # A shape 1 becomes (1,), since NumPy before 2.0 takes (type, 1) for the type alone.
     fields += [(n, kind, np.broadcast_shapes(*shape)) for n, (kind, *shape) in others.items()]
     return np.dtype((np.record, fields))
-
-
-@compiled
-def put_fields(row, values, names):
-    """Write a tuple of numbers into the fields `names` of the record `row`, in their order.
-
-    `names`: a tuple of texts that is a global constant, since numba unrolls the loop over it.
-    """
-    k = 0
-    for name in literal_unroll(names):
-        row[name] = values[k]
-        k += 1
 
 
 def by_name(one: np.record) -> dict[str, Any]:

@@ -26,7 +26,6 @@ import numpy as np
 import yaml
 from scipy.signal import detrend
 
-from soil_env._compiled.flags import uncompiled
 from soil_env._io.loading import plural
 from soil_env.measurement.table import MEASURED
 from soil_env.online import Estimate
@@ -190,7 +189,7 @@ def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bo
     rim, speed, slid = (
         np.mean(np.abs(v)) for v in (part["rim"], part["speed"], part["rim"] - part["speed"])
     )
-    rate, _ = uncompiled(excavation_rate)(
+    rate, _ = excavation_rate(
         speed, slid, 0.0, log_map.belief.dig_recovery, log_map.relaxation * radius
     )
     # Share of the way left that the sinkage comes in the time between the two means.

@@ -27,7 +27,7 @@ from soil_env._compiled.elementary import (
     sin_cos,
     smoothed_sign,
 )
-from soil_env._compiled.flags import compiled, compiled_sums, inlined, put_fields, record
+from soil_env._compiled.flags import compiled, compiled_sums, inlined, record
 from soil_env.parameters.wheel import MOST_DEFLECTION
 
 # Gauss-Legendre nodes of each zone of the arc; the two zones share the normal stress
@@ -89,7 +89,6 @@ class Arc(NamedTuple):
     radius: float  # [m] of the circle that carries the normal stress
 
 
-ARC = Arc._fields
 _OF_NODE = (
     "stress",  # [m^n rad] normal stress for S = 1, times the weight of the node
     "weight",  # [rad] of the node in an integral over the arc
@@ -104,7 +103,7 @@ SPLIT_ARC = record(**dict.fromkeys(_OF_NODE, ("f8", SPLIT_NODES)))
 #: Scratch of a thread for one arc. `rate`, `turned` and `split` belong to the last motion given to
 #: `shear_integrals`, all other fields to any motion.
 ARC_NODES = record(
-    *ARC,
+    *Arc._fields,
     "exponent",  # n [-]
     rise=("f8", NODES),  # [-] (1 - cos(theta))/2
     **dict.fromkeys(_OF_NODE, ("f8", NODES)),
@@ -495,7 +494,11 @@ def lay_nodes(nodes, arc, n):
     front node and the rear node of one u have the same normal stress.
     """
     r = arc.radius
-    put_fields(nodes, arc, ARC)
+    nodes.theta1 = arc.theta1
+    nodes.theta2 = arc.theta2
+    nodes.thetam = arc.thetam
+    nodes.sheared_from = arc.sheared_from
+    nodes.radius = arc.radius
     nodes.exponent = n
     front = arc.theta1 - arc.thetam
     rear = arc.thetam - arc.theta2

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soil_env._compiled.elementary import smoothed_sign
-from soil_env._compiled.flags import compiled, inlined, record, uncompiled
+from soil_env._compiled.flags import compiled, inlined, record
 from soil_env.slip import signed_slip, slip_ratio
 
 from .contact import (
@@ -138,7 +138,7 @@ def acting_on(
         return BASE
     effects = NO_EFFECTS if effects is None else effects
     packed = np.array(effects, EFFECTS)[()]
-    law = uncompiled(stretched)(uncompiled(mobilisation)(effects), 1.0 / shear_ratio)
+    law = stretched(mobilisation(effects), 1.0 / shear_ratio)
     return Acting(packed, law, residual_law() if residual is None else residual)
 
 

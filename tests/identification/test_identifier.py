@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings, strategies as st
 
-from soil_env._compiled.flags import uncompiled
 from soil_env.identification import Status
 from soil_env.identification.online.identifier import (
     DOUBT,
@@ -118,7 +117,7 @@ def test_on_the_floor_of_a_rut_the_soil_is_less_sure_by_what_ruts_differ():
     sd = []
     for compaction in (0.0, compactions()[1]):
         now.compaction = compaction
-        uncompiled(publish)(now.soil, now.spread, now, now, wheel.set)
+        publish(now.soil, now.spread, now, now, wheel.set)
         sd.append(now.fresh_sd[:5].copy())
     n = float(now.soil[EXPONENT])
     further = math.sqrt(sd[1][2] ** 2 - sd[0][2] ** 2) / widening(now, wheel.set)

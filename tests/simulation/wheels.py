@@ -7,7 +7,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from soil_env._compiled.flags import HUGE, uncompiled
+from soil_env._compiled.flags import HUGE
 from soil_env.envs.rovers import RoverSimulation
 from soil_env.envs.wheels import Simulation
 from soil_env.parameters import RoverScenario, SoilState, load_scenario
@@ -92,7 +92,7 @@ def _settle(wheel, mass, course, numbers, fx):
 
     world = World(numbers.rig[0], numbers.acting, None)
     with patch.object(in_world, "steady_at", steady):
-        uncompiled(in_world.settle_at)(wheel, 0.0, mass, course, world)
+        in_world.settle_at(wheel, 0.0, mass, course, world)
 
 
 def on_uniform_ground(

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 from numba import njit
 
-from soil_env._compiled.flags import record, uncompiled
+from soil_env._compiled.flags import record
 from soil_env.parameters import soils
 from soil_env.slip import braked_share
 from soil_env.terramechanics import contact, reaction
@@ -77,10 +77,8 @@ def wheel_with(case):
         rig["grip"] = 0.7
     rig["unit_weight"] = 1500.0 * GRAVITY
     rig["gravity"] = GRAVITY
-    rig["shear_ratio"] = uncompiled(grousers.shear_radius_ratio)(rig[0], acting.effects)
-    rig["rim_ratio"] = (
-        rig["shear_ratio"] * uncompiled(grousers.contact_radius)(rig[0], acting.effects) / R
-    )
+    rig["shear_ratio"] = grousers.shear_radius_ratio(rig[0], acting.effects)
+    rig["rim_ratio"] = rig["shear_ratio"] * grousers.contact_radius(rig[0], acting.effects) / R
     return rig, acting
 
 

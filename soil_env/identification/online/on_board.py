@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import compiled, record, uncompiled
+from soil_env._compiled.flags import compiled, record
 from soil_env.identification.status import Status
 from soil_env.parameters import RoverScenario, Scenario
 from soil_env.parameters.readings import RESTART, RUNNING, STEP, Shown, Stepped
@@ -136,8 +136,7 @@ def board_setting(scenario: Scenario, shown: Shown, warns: bool) -> np.ndarray:
 
 def compactions() -> list[float]:
     """ln(S_N/S)/(n + 1/2) of the floor of a rut, for 0, 1, ... wheels ahead; the same for all n."""
-    stiffness = uncompiled(rut_stiffness)
-    return [math.log(stiffness(1.0 + k, 0.5, COMPACTION)) for k in range(MOST_AXLES)]
+    return [math.log(rut_stiffness(1.0 + k, 0.5, COMPACTION)) for k in range(MOST_AXLES)]
 
 
 class OnBoard:

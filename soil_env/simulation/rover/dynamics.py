@@ -6,7 +6,7 @@ of an axle.
 """
 
 from soil_env._compiled.elementary import sin_cos
-from soil_env._compiled.flags import compiled_finite, inlined, put_fields
+from soil_env._compiled.flags import compiled_finite, inlined
 from soil_env.simulation.world.dynamics import (
     FINEST,
     GAMMA,
@@ -34,7 +34,7 @@ from soil_env.simulation.world.wheel import (
 from soil_env.terramechanics.ground import put_soil, soil_of
 
 from .body import set_pitch
-from .newton import EXTRA, FOOTING, equation_of, foresee, solve_speeds
+from .newton import equation_of, foresee, solve_speeds
 from .ruts import copy_rut_behind
 
 
@@ -54,8 +54,22 @@ def _keep_stand(foot, at):
     foot.rolled = at.ground.rolled
     foot.grade = at.ground.grade
     foot.along = at.along
-    put_fields(foot, at.footing, FOOTING)
-    put_fields(foot, at.extra, EXTRA)
+    footing = at.footing
+    foot.theta1 = footing.theta1
+    foot.p_cos = footing.p_cos
+    foot.p_sin = footing.p_sin
+    foot.tan_phi = footing.tan_phi
+    foot.cohesion = footing.cohesion
+    foot.shear_modulus = footing.shear_modulus
+    foot.carry = footing.carry
+    foot.most_carried = footing.most_carried
+    extra = at.extra
+    foot.lift = extra.lift
+    foot.bulldozing = extra.bulldozing
+    foot.blades = extra.blades
+    foot.pull = extra.pull
+    foot.torque = extra.torque
+    foot.unfelt = extra.unfelt
 
 
 @inlined

@@ -13,7 +13,7 @@ normal to the body. What a function leaves in `feet`, `found` and `trial` it lea
 from typing import Any, NamedTuple
 
 from soil_env._compiled.elementary import sin_cos
-from soil_env._compiled.flags import HUGE, compiled_finite, inlined, put_fields, record
+from soil_env._compiled.flags import HUGE, compiled_finite, inlined, record
 from soil_env.parameters import MOST_AXLES, SoilState
 from soil_env.simulation.world.newton import (
     LEAST_GAIN,
@@ -43,10 +43,7 @@ from .body import LOAD_TOLERANCE, axle_loads, weight_of
 # before; the last is kept
 TURNS = 4
 
-# Names of what a wheel stands on; the load follows from the suspension.
-FOOTING = tuple(name for name in Footing._fields if name != "load")
-EXTRA = ExtraForces._fields
-_NOT_SHEARED = [name for name in SoilState._fields if name not in FOOTING]
+_NOT_SHEARED = [name for name in SoilState._fields if name not in Footing._fields]
 #: What the wheel of an axle is to do in a control period and what it stands on in a stage. It has
 #: the fields of a `Drive`, a `Footing`, an `ExtraForces` and the `SoilState` of a `Ground`.
 FOOT = record(
@@ -63,10 +60,9 @@ FOOT = record(
     "along",  # [N] weight along the grade
     *Footing._fields,
     *_NOT_SHEARED,
-    *EXTRA,
+    *ExtraForces._fields,
     by_speed=("i8",),
 )
-FORCES = Reaction._fields
 #: Rotation of an axle at some speeds, with the `Reaction` there.
 TURNING = record(
     "rim",  # u [m/s]
@@ -74,7 +70,7 @@ TURNING = record(
     "motor_slope",  # d T_motor/dw [N m s]
     "change",  # [m/s] of u in a step of Newton's method
     "change_v",  # [-] of u with V in such a step
-    *FORCES,
+    *Reaction._fields,
 )
 
 
@@ -110,6 +106,21 @@ def equation_of(speed, duration, mass, rig):
     V* = `speed` [m/s].
     """
     return Equation(speed, duration / mass, duration * rig.radius / rig.inertia)
+
+
+@inlined
+def _put_reaction(turning, force):
+    """Write a `Reaction` into a `TURNING`."""
+    turning.load = force.load
+    turning.drawbar_pull = force.drawbar_pull
+    turning.torque = force.torque
+    turning.sinkage_coefficient = force.sinkage_coefficient
+    turning.pull_v = force.pull_v
+    turning.pull_u = force.pull_u
+    turning.torque_v = force.torque_v
+    turning.torque_u = force.torque_u
+    turning.sinkage_coefficient_v = force.sinkage_coefficient_v
+    turning.sinkage_coefficient_u = force.sinkage_coefficient_u
 
 
 @compiled_finite
@@ -149,7 +160,7 @@ def foresee(rover, equation, world):
         wheel = rover.wheels[a]
         foot = world.stage.feet[a]
         found = world.stage.found[a]
-        put_fields(found, last_force(wheel), FORCES)
+        _put_reaction(found, last_force(wheel))
         torque, slope = motor_torque(foot.command, foot.by_speed > 0, wheel.wheel_speed, rig)
         found.rim = rig.radius * wheel.wheel_speed
         found.residual = found.rim - foot.rim_start - equation.by_torque * (torque - wheel.torque)
@@ -203,7 +214,7 @@ def _evaluate(v, equation, world):
         u = trial.rim
         force = reaction(world.stage.nodes[a], foot, v, u, rig, foot, world.acting)
         torque, slope = motor_torque(foot.command, foot.by_speed > 0, u / rig.radius, rig)
-        put_fields(trial, force, FORCES)
+        _put_reaction(trial, force)
         trial.residual = u - foot.rim_start - equation.by_torque * (torque - force.torque)
         trial.motor_slope = slope
         pull += force.drawbar_pull - foot.along

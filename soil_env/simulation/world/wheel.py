@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soil_env._compiled.elementary import exp, power
-from soil_env._compiled.flags import compiled, compiled_finite, inlined, record, uncompiled
+from soil_env._compiled.flags import compiled, compiled_finite, inlined, record
 from soil_env._compiled.random_streams import between
 from soil_env.parameters import Scenario, SoilState
 from soil_env.parameters.wheel import refuse_lugs_on_tyre
@@ -210,8 +210,8 @@ def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarra
         rig.grouser_height = model.wheel.grouser_height
         rig.unit_weight = model.density * scenario.gravity
     effects = acting_in(model, 1.0).effects
-    rig.shear_ratio = uncompiled(shear_radius_ratio)(rig, effects)
-    rig.rim_ratio = rig.shear_ratio * uncompiled(contact_radius)(rig, effects) / w.radius
+    rig.shear_ratio = shear_radius_ratio(rig, effects)
+    rig.rim_ratio = rig.shear_ratio * contact_radius(rig, effects) / w.radius
     rig.relaxation = scenario.relaxation * w.radius
     rig.border = scenario.course.border
     rig.halt_low, rig.halt_high = scenario.course.halt_interval
