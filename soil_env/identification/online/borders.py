@@ -39,16 +39,18 @@ def begin_soil(memory, setting, work):
     memory.settled = 0
     memory.cells_kept = 0
     memory.u[:HERE] = 0.0
-    memory.u[:SOIL] = setting.soil_mean
-    memory.soil[:] = setting.soil_mean
-    memory.prior_mean[:] = setting.soil_mean
+    for i in range(SOIL):
+        memory.u[i] = setting.soil_mean[i]
+    memory.soil = setting.soil_mean
+    memory.prior_mean = setting.soil_mean
     memory.gradient[:] = 0.0
-    memory.covariance[:] = setting.soil_covariance
-    memory.spread[:] = setting.soil_covariance
-    memory.prior_precision[:] = setting.soil_precision
+    memory.covariance = setting.soil_covariance
+    memory.spread = setting.soil_covariance
+    memory.prior_precision = setting.soil_precision
     memory.information[:] = 0.0
-    memory.fresh[:PUBLISHED] = setting.prior[:PUBLISHED]
-    memory.fresh_sd[:PUBLISHED] = setting.prior_sd[:PUBLISHED]
+    for i in range(PUBLISHED):
+        memory.fresh[i] = setting.prior[i]
+        memory.fresh_sd[i] = setting.prior_sd[i]
     memory.steady[:] = 0.0
     load = memory.mass * setting.gravity if memory.mass > 0.0 else setting.weight
     renew_best_pull(memory, load, setting, work)
@@ -66,13 +68,15 @@ def begin_border(memory, setting, work, place, variance):
     memory.crossing = 1.0
     memory.behind = 1
     memory.borders += 1
-    memory.old[:] = memory.estimate
-    memory.old_sd[:] = memory.sd
+    memory.old = memory.estimate
+    memory.old_sd = memory.sd
     memory.u[PLACE] = place
-    memory.u[OLD:] = memory.soil
-    memory.old_mean[:] = memory.soil
+    memory.old_mean = memory.soil
     memory.old_form_error = memory.form_error
-    work.normal[:SOIL, :SOIL] = OLD_DOUBT * memory.spread
+    for i in range(SOIL):
+        memory.u[OLD + i] = memory.soil[i]
+        for j in range(SOIL):
+            work.normal[i, j] = OLD_DOUBT * memory.spread[i, j]
     invert_whole(work.normal, SOIL, work, memory.old_precision)
     begin_soil(memory, setting, work)
 
@@ -136,5 +140,5 @@ def blend_estimates(into, memory, setting):
 @compiled
 def take_fresh(known):
     """Publish the fresh estimate of a record with `ESTIMATES`, `known`, off borders."""
-    known.estimate[:] = known.fresh
-    known.sd[:] = known.fresh_sd
+    known.estimate = known.fresh
+    known.sd = known.fresh_sd

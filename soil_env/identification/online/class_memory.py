@@ -41,8 +41,9 @@ def forget_classes(classes, setting):
     for c in range(MOST_CLASSES):
         known = classes.of[c]
         known.patches = 0
-        known.estimate[:] = setting.prior
-        known.sd[:] = np.maximum(setting.prior_sd, LEAST_SD)
+        known.estimate = setting.prior
+        for i in range(QUANTITIES):
+            known.sd[i] = max(setting.prior_sd[i], LEAST_SD)
 
 
 @compiled

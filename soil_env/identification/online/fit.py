@@ -85,8 +85,10 @@ def _normal_equations(memory, setting, work, size):
     _write_prior(memory, setting, work, size)
     A = work.normal
     g = work.gradient
-    g[:size] = work.prior_gradient[:size]
-    A[:size, :size] = work.prior[:size, :size]
+    for i in range(size):
+        g[i] = work.prior_gradient[i]
+        for j in range(size):
+            A[i, j] = work.prior[i, j]
     J = work.slopes
     forces = 0.0
     sinkage = 0.0

@@ -352,9 +352,8 @@ def instruments(memory, setting, work, out):
     one = memory[0]
     scratch = work[0]
     weigh_unknowns(one, setting[0], scratch)
-    out[0, :] = one.u[SOIL:HERE]
-    out[1, :] = scratch.sd[SOIL:HERE]
     if one.points > 0:
         invert(one.factor, HERE, scratch.scratch, scratch.inverse)
-        for i in range(SOIL, HERE):
-            out[1, i - SOIL] = math.sqrt(scratch.inverse[i, i])
+    for i in range(SOIL, HERE):
+        out[0, i - SOIL] = one.u[i]
+        out[1, i - SOIL] = math.sqrt(scratch.inverse[i, i]) if one.points > 0 else scratch.sd[i]

@@ -252,7 +252,8 @@ def _write_inputs(recent, x, sd, numbers, out):
     estimate x [6] and the standard deviations sd [6] (`PUBLISHED_*`). The load is the average over
     2 s. `numbers`: `SETTING`.
     """
-    out[:_AVERAGES] = recent[:_AVERAGES]
+    for i in range(_AVERAGES):
+        out[i] = recent[i]
     out[_AVERAGES] = math.log(_SHORTEST + recent[_AVERAGES])
     load = recent[_LOAD] * numbers.weight
     area = numbers.radius * numbers.width
@@ -269,7 +270,8 @@ def _write_inputs(recent, x, sd, numbers, out):
     )
     for i in range(len(ground)):
         out[_SEEN + i] = ground[i]
-    out[BLIND:] = recent[_SEEN:]
+    for i in range(BLIND, out.size):
+        out[i] = recent[_SEEN + i - BLIND]
 
 
 class Assessed(NamedTuple):

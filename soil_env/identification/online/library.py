@@ -40,8 +40,10 @@ def join(known, u, mean, precision, work):
     log-density at the soil u into `work.gradient`. `known`: a record with the `information` of the
     readings and the `gradient` of their log-likelihood at u.
     """
-    work.normal[:SOIL, :SOIL] = known.information
-    work.gradient[:SOIL] = known.gradient
+    for i in range(SOIL):
+        work.gradient[i] = known.gradient[i]
+        for j in range(SOIL):
+            work.normal[i, j] = known.information[i, j]
     add_gaussian(precision, mean, u, 1.0, SOIL, work.normal, work.gradient)
     factorise(work.normal, SOIL, work.factor)
 

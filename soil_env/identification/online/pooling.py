@@ -63,8 +63,8 @@ def forget_pool(pool, memory):
     """Set a wheel's pool to the estimate of its identifier before the first point, with no soil."""
     pool.borders[:] = -1
     pool.status = memory.status
-    pool.fresh[:] = memory.estimate
-    pool.fresh_sd[:] = memory.sd
+    pool.fresh = memory.estimate
+    pool.fresh_sd = memory.sd
     _publish_fresh(pool)
 
 
@@ -72,8 +72,8 @@ def forget_pool(pool, memory):
 def _publish_fresh(pool):
     """Publish the fresh estimate of a `POOL`, and keep it as the old one for the next border."""
     take_fresh(pool)
-    pool.old[:] = pool.fresh
-    pool.old_sd[:] = pool.fresh_sd
+    pool.old = pool.fresh
+    pool.old_sd = pool.fresh_sd
 
 
 @compiled
@@ -90,8 +90,10 @@ def keep_knowledge(pool, memory, setting, work):
     pool.border_places[s] = memory.border
     join(memory, memory.u, setting.soil_mean, setting.soil_precision, work)
     solve_joined(work)
-    pool.shared[s, :] = memory.u[:SHARED] + work.step[:SHARED]
-    pool.shared_covariance[s, :, :] = work.inverse[:SHARED, :SHARED]
+    for i in range(SHARED):
+        pool.shared[s, i] = memory.u[i] + work.step[i]
+        for j in range(SHARED):
+            pool.shared_covariance[s, i, j] = work.inverse[i, j]
 
 
 @compiled
@@ -158,8 +160,8 @@ def pool_with(pools, axles, own, memory, setting, work):
     if memory.status == Status.NO_DATA.value:
         forget_pool(pool, memory)
         return
-    pool.information[:] = memory.information
-    pool.gradient[:] = memory.gradient
+    pool.information = memory.information
+    pool.gradient = memory.gradient
     s = memory.borders % SOILS
     u = memory.u
     for a in range(axles):

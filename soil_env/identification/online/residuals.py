@@ -96,7 +96,8 @@ def _blend(cell, memory, setting, work):
     mean. Elsewhere it is 1.
     """
     u = memory.u
-    work.soil[:] = u[:SOIL]
+    for i in range(SOIL):
+        work.soil[i] = u[i]
     if cell.place_error == 0.0:
         return 1.0, 0.0
     length = setting.border
@@ -294,9 +295,10 @@ def weigh_unknowns(memory, setting, work):
     load gain includes `PAYLOAD`. That of the place of a border is the length of a border.
     """
     sd = work.sd
-    sd[:SOIL] = setting.soil_sd
     sd[PLACE] = setting.border
-    sd[OLD:] = setting.soil_sd
+    for i in range(SOIL):
+        sd[i] = setting.soil_sd[i]
+        sd[OLD + i] = setting.soil_sd[i]
     inertial = 0.0
     motor = 0.0
     readings = 0.0
