@@ -322,6 +322,7 @@ def control_period(wheel, action, course, world):
     x_start = wheel.x
     rig = world.rig
     drive_period(wheel, commanded(wheel, action, wheel.halt_left > 0.0, rig), course, world)
-    _at_fork(wheel, course, action, rig)
+    if rig.sight > 0.0:
+        _at_fork(wheel, course, action, rig)
     set_slip(wheel, rig)
     end_period(wheel, x_start, wheel, rig)

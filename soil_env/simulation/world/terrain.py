@@ -113,7 +113,8 @@ def piece_at(pieces, x, piece):
     """Index of the patch or slope at x [m], sought from the index `piece`; those not drawn begin at
     `HUGE`. Before the first one it is 0, beyond the last drawn one that one.
     """
-    while piece + 1 < pieces.size and x >= pieces[piece + 1].start:
+    # by its own end first: the next one, which begins there, is seldom in the processor's cache
+    while x >= pieces[piece].end and piece + 1 < pieces.size and pieces[piece + 1].start < HUGE:
         piece += 1
     while piece > 0 and x < pieces[piece].start:
         piece -= 1
@@ -133,8 +134,9 @@ def border_near(pieces, x, piece, border):
     first = piece if at_end else piece - 1
     place = here.end if at_end else here.start
     t = (x - place) / border + 0.5
-    drawn = first >= 0 and first + 1 < pieces.size and pieces[first + 1].start < HUGE
-    if not drawn or t <= 0.0 or t >= 1.0:
+    if t <= 0.0 or t >= 1.0 or first < 0 or first + 1 >= pieces.size:
+        return piece, 0.0
+    if pieces[first + 1].start == HUGE:
         return piece, 0.0
     return first, smooth_step(t)[0]
 

@@ -132,7 +132,7 @@ RIG = record(
     # command
     "rim_step",
     "halt_step",  # [of top rim speed] that a halt lowers the command by in a period
-    "sight",  # [m] before a patch from which its routes are seen
+    "sight",  # [m] before a patch from which its routes are seen; 0: there is one route
     substeps=("i8",),  # of a control period
     speed_command=("i8",),  # 1 if the drive follows a commanded rim speed
 )
@@ -223,7 +223,7 @@ def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarra
     if c.action == "rim_acceleration":
         rig.rim_step = c.rim_acceleration * c.period / top
     rig.halt_step = c.halt_deceleration * c.period / top
-    rig.sight = scenario.camera.range
+    rig.sight = scenario.camera.range if scenario.course.lines > 1 else 0.0
     return packed
 
 
