@@ -77,23 +77,27 @@ def sensors_of(scenario: Scenario) -> np.ndarray:
 
 
 @compiled_finite
+def _of_reading(normals, i):
+    """Number of the reading i among the `NORMALS`."""
+    return normals.first[i // 2] if i % 2 == 0 else normals.second[i // 2]
+
+
+@compiled_finite
 def _scatter(out, sd, wheel, normals):
-    """Add random normal numbers, whose standard deviations the record `sd` has, to the fields of
-    the record `out`, from the stream of a wheel. `out` and `sd` have the fields of a `READING`;
-    `normals` is scratch (`NORMALS`).
+    """Fill the record `out` with random normal numbers, whose standard deviations the record `sd`
+    has, from the stream of a wheel. Both are a `READING`; `normals` is scratch (`NORMALS`).
     """
     draw_normals(wheel, normals, PAIRS)
     i = 0
     for name in literal_unroll(NAMES):
-        k = i // 2
-        out[name] += sd[name] * (normals.first[k] if i % 2 == 0 else normals.second[k])
+        out[name] = sd[name] * _of_reading(normals, i)
         i += 1
 
 
 @compiled_finite
 def mount_sensors(wheel, normals, sensors):
     """Draw zeros and gains of the sensors of a wheel for a course into `wheel.zero` and
-    `wheel.gain`, to which they are added: the caller has set both to 0.
+    `wheel.gain`.
 
     `sensors`: `SENSOR_NOISE`; `normals` is scratch.
     """
@@ -134,9 +138,13 @@ def sense(wheel, reading, normals, sensors, errors, radius):
     reading.acceleration = wheel.drawbar_pull / wheel.mass
     zero = wheel.zero[0]
     gain = wheel.gain[0]
+    white = sensors.white[0]
+    draw_normals(wheel, normals, PAIRS)
+    i = 0
     for name in literal_unroll(NAMES):
-        reading[name] = (1.0 + gain[name]) * reading[name] + zero[name]
-    _scatter(reading, sensors.white[0], wheel, normals)
+        value = (1.0 + gain[name]) * reading[name] + zero[name]
+        reading[name] = value + white[name] * _of_reading(normals, i)
+        i += 1
 
 
 @compiled_finite
