@@ -345,11 +345,13 @@ def _explain(function: Callable[..., Any], done: threading.Event, patience: floa
 
 
 def called_by(function: Callable[..., Any]) -> set[Callable[..., Any]]:
-    """Python functions that a compiled function names, directly or through one that it names.
+    """Python functions of the same package that a compiled function names, directly or through one
+    that it names.
 
     Names are global ones, and attributes of modules that it names. A name counts also where the
     function does not call it, so these are at least the functions called.
     """
+    package = function.__module__.partition(".")[0]
     found: set[Callable[..., Any]] = set()
     left = [function]
     while left:
@@ -361,8 +363,9 @@ def called_by(function: Callable[..., Any]) -> set[Callable[..., Any]]:
         for thing in known:
             called = getattr(thing, "py_func", thing)  # an inlined one is numba's own object
             if isinstance(called, FunctionType) and called not in found:
-                found.add(called)
-                left.append(called)
+                if called.__module__.partition(".")[0] == package:
+                    found.add(called)
+                    left.append(called)
     return found
 
 

@@ -1,8 +1,10 @@
 """Decorators of compiled functions, and the numpy records that they share.
 
 Compiled functions are plain Python on numbers, named tuples and numpy records; with
-NUMBA_DISABLE_JIT=1 the same code runs without a compiler. A function that Python calls is decorated
-by `cache.kept`, all others by `compiled` and the like. What to know of numba here:
+NUMBA_DISABLE_JIT=1 the same code runs without a compiler. A function that Python calls compiled is
+decorated by `cache.kept`, all others by `compiled` and the like: numba compiles those where a
+compiled function calls them, and to Python they are the plain functions that they were. What to
+know of numba here:
 
 - A function costs about a tenth of a second of compilation. Those that are called in one place are
   put into their callers (`inlined`).
@@ -12,7 +14,9 @@ by `cache.kept`, all others by `compiled` and the like. What to know of numba he
   an array within one, has not. So arrays stay in the function that Python calls.
 - A record is told from another by its fields in order: none may begin with all fields of another
   (`tests/compiled/test_records.py`). No field may be called like an attribute of numpy's records.
-- A literal number as an argument (`f(x, 1)`) compiles a version of its own.
+- A function is compiled once for each decorator of its callers, whose flags may differ.
+- A slice that is set to an array (`a[:] = b`) compiles the text of its error, for a second. Fields
+  of records that are arrays are set whole (`one.a = other.b`), all others number by number.
 - A function that is compiled by itself cannot return a tuple that holds a record.
 """
 
@@ -33,7 +37,9 @@ compiled: Any = register_jitable(**_EXACT)
 compiled_finite: Any = register_jitable(fastmath={"contract", "nsz", "nnan", "ninf"}, **_OPTIONS)
 #: Loops that sum: LLVM may change the order of a sum, without which it vectorises none. They are
 #: put into their callers.
-compiled_sums: Any = register_jitable(fastmath={"contract", "nsz", "reassoc"}, forceinline=True, **_OPTIONS)
+compiled_sums: Any = register_jitable(
+    fastmath={"contract", "nsz", "reassoc"}, forceinline=True, **_OPTIONS
+)
 #: Put into the caller, whose other options then hold.
 inlined: Any = njit(**_EXACT, inline="always")
 
