@@ -174,8 +174,8 @@ def _drives(log: Aligned, rim: np.ndarray, log_map: LogMap) -> np.ndarray:
 
 
 def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bool:
-    """True if the means of the two halves of a window agree; `part`: columns [n] of `_columns`, in
-    steps of a `period` [s].
+    """True if the means of the two halves of a window agree, and those of its middle half and the
+    rest; `part`: columns [n] of `_columns`, in steps of a `period` [s].
 
     False where slip or speed is missing or the wheel travels backward. The limit of the sinkage is
     the share of the way left that half a window covers, so a slow wheel has a small one.
@@ -208,13 +208,15 @@ def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bo
 
 
 def _change(values: np.ndarray) -> float:
-    """Size of the difference between the means of the two halves of `values` [n], without NaN; 0 if
-    a half is not measured.
+    """Size of the difference between the means of the two halves of `values` [n], without NaN, or
+    between the middle half and the rest, if larger: a rise and a fall. 0 if a half is not measured.
     """
-    first, second = np.split(values, [values.size // 2])
-    if np.isnan(first).all() or np.isnan(second).all():
-        return 0.0
-    return abs(np.nanmean(second) - np.nanmean(first))
+    change = 0.0
+    for shift in (0, values.size // 4):
+        first, second = np.split(np.roll(values, shift), [values.size // 2])
+        if not (np.isnan(first).all() or np.isnan(second).all()):
+            change = max(change, abs(np.nanmean(second) - np.nanmean(first)))
+    return change
 
 
 def _scatter(values: np.ndarray) -> float:

@@ -109,11 +109,13 @@ def test_steady_points_are_the_points_that_were_driven(log_map, tmp_path):
 
 
 def test_what_changes_is_not_steady(log_map):
-    """A ramp of slip; a wheel at rest; a sinkage that has not come to its end yet though it changes
-    little.
+    """A ramp of slip; one up and down within a window; a wheel at rest; a sinkage that has not come
+    to its end yet though it changes little.
     """
     ramp = made(log_map, [(s, 0.1) for s in np.linspace(0.1, 0.9, 60)])
     assert not steady_windows(ramp, log_map).rows
+    up_and_down = [0.1, 0.2, 0.3, 0.4, 0.5, 0.5, 0.4, 0.3, 0.2, 0.1]
+    assert not steady_windows(made(log_map, [(s, 0.1) for s in up_and_down]), log_map).rows
     still = made(log_map, [(0.2, 3.0)])
     assert len(steady_windows(still, log_map).rows) == 3
     still.readings["wheel_speed"][:] = 0.0
