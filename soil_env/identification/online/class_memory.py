@@ -11,7 +11,6 @@ each quantity by itself. Where two differ by more than they allow, chi-squared w
 together (Birge 1932, Physical Review 40:207-227).
 """
 
-
 from soil_env._compiled.flags import compiled, record
 from soil_env.parameters.course import MOST_CLASSES
 
