@@ -561,7 +561,8 @@ def usable_rows(table: Table, setup: Setup) -> np.ndarray:
         if not 0.0 < table.sinkage[k] <= radius[k]:
             raise ParameterError(
                 f"{table.source}: row {table.row[k]}, sinkage = {table.sinkage[k]:g}: expected "
-                f"metres in (0, {radius[k]:g}], the wheel radius, or an empty cell where it hardly sinks"
+                f"metres in (0, {radius[k]:g}], the wheel radius, or an empty cell where it hardly "
+                "sinks"
             )
     slope = use & pull & (np.nan_to_num(table.grade_deg) != 0.0)
     if setup.load == "normal" and slope.sum() > 1 and np.all(table.drawbar_pull[slope] == 0.0):
