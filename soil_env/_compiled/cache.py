@@ -345,13 +345,18 @@ def _explain(function: Callable[..., Any], done: threading.Event, patience: floa
 
 
 def called_by(function: Callable[..., Any]) -> set[Callable[..., Any]]:
-    """Python functions of the same package that a compiled function names, directly or through one
-    that it names.
+    """Functions of the same package that a compiled function names, directly or through one that it
+    names.
 
-    Names are global ones, and attributes of modules that it names. A name counts also where the
-    function does not call it, so these are at least the functions called.
+    Names are global ones, and attributes of modules of the package that it names. A name counts
+    also where the function does not call it, so these are at least the functions called.
     """
     package = function.__module__.partition(".")[0]
+
+    def of_package(name: str) -> bool:
+        """True for the name of a module of the package."""
+        return name.partition(".")[0] == package
+
     found: set[Callable[..., Any]] = set()
     left = [function]
     while left:
@@ -359,11 +364,12 @@ def called_by(function: Callable[..., Any]) -> set[Callable[..., Any]]:
         names = one.__code__.co_names
         known = [one.__globals__[name] for name in names if name in one.__globals__]
         for module in [thing for thing in known if isinstance(thing, ModuleType)]:
-            known += [getattr(module, name) for name in names if hasattr(module, name)]
+            if of_package(module.__name__):
+                known += [getattr(module, name) for name in names if hasattr(module, name)]
         for thing in known:
             called = getattr(thing, "py_func", thing)  # an inlined one is numba's own object
-            if isinstance(called, FunctionType) and called not in found:
-                if called.__module__.partition(".")[0] == package:
+            if isinstance(called, FunctionType) and of_package(called.__module__):
+                if called not in found:
                     found.add(called)
                     left.append(called)
     return found
