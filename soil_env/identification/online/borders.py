@@ -6,7 +6,7 @@ soil's; over a border one soil passes into the next.
 
 import math
 
-from soil_env._compiled.flags import compiled
+from soil_env._compiled.flags import compiled, inlined
 
 from .best_pull import renew_best_pull
 from .linear import invert_whole
@@ -81,7 +81,7 @@ def begin_border(memory, setting, work, place, variance):
     begin_soil(memory, setting, work)
 
 
-@compiled
+@inlined
 def see_border(memory, sample, camera_sd, setting, work):
     """Begin a border, and an empty point, where a camera sees another class of ground begin within
     half a border; True if it did.

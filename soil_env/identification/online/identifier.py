@@ -8,7 +8,7 @@ memory.py.
 import math
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import compiled
+from soil_env._compiled.flags import compiled, inlined
 from soil_env.identification.status import Status
 
 from .best_pull import renew_best_pull
@@ -221,7 +221,7 @@ def _contradicted(memory, setting):
     return misfit > CONTRADICTION or memory.form_error > LARGE_FORM_ERROR * setting.model_error
 
 
-@compiled
+@inlined
 def _complete(memory, reading, alone, setting, work):
     """Close the open point and take it into account, in one of three ways.
 

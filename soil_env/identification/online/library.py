@@ -9,7 +9,7 @@ With each Gaussian of the library it gives a posterior and its weight; their mix
 
 import math
 
-from soil_env._compiled.flags import compiled
+from soil_env._compiled.flags import compiled, inlined
 
 from .linear import add_gaussian, factorise, invert, invert_whole, solve, solve_half
 from .memory import SOIL
@@ -118,7 +118,7 @@ def mix(known, u, setting, work):
         work.weights[k] = weight / total if weight >= UNLIKELY else 0.0
 
 
-@compiled
+@inlined
 def lean(memory, setting, work):
     """Give the next fit one Gaussian as prior, in `prior_mean` and `prior_precision`: the moments
     of the library's soils under `work.weights` of `mix`. So the fit is linearised near the soils

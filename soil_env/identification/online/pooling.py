@@ -14,7 +14,7 @@ slip-sinkage are not pooled: a wheel behind another bears on a floor whose stiff
 
 import math
 
-from soil_env._compiled.flags import compiled, record
+from soil_env._compiled.flags import compiled, inlined, record
 from soil_env.identification.status import Status
 
 from .borders import begin_border, blend_estimates, take_fresh
@@ -76,7 +76,7 @@ def _publish_fresh(pool):
     pool.old_sd = pool.fresh_sd
 
 
-@compiled
+@inlined
 def keep_knowledge(pool, memory, setting, work):
     """Keep what a renewed identifier (`memory`) knows of its soil for the other wheels, in the
     `POOL` of its wheel. It is mean and covariance of the shared unknowns, under the prior of one
@@ -96,7 +96,7 @@ def keep_knowledge(pool, memory, setting, work):
             pool.shared_covariance[s, i, j] = work.inverse[i, j]
 
 
-@compiled
+@inlined
 def hand_over_border(front, memory, behind, setting, work):
     """Begin the next border of a wheel that runs `behind` [m] behind the front one, once this wheel
     is past its beginning. That is half a border's length before its middle, which is where the
@@ -146,7 +146,7 @@ def _add_share(pool, u, covariance, mean, share, work):
     add_gaussian(work.inverse, mean, u, share, SHARED, pool.information, pool.gradient)
 
 
-@compiled
+@inlined
 def pool_with(pools, axles, own, memory, setting, work):
     """Renew what all wheels of a rover know of the ground under the one on the axle `own`, in its
     `POOL` of `pools` [axles]; `memory`: `MEMORY` of its identifier.
