@@ -233,7 +233,8 @@ class Observer:
 
     def _identify(self) -> None:
         """Let the estimators take the readings of one period, and write what they estimate into
-        the observation. The first readings of a drive only reset them to the prior.
+        the observation. The first readings of a drive reset them to the prior, and begin the
+        averages for the warning.
         """
         samples = self._worlds.samples[:, None]  # by wheel, axle and period, one of each
         world = Stepped(self._worlds.state, samples, self._worlds.observation)

@@ -35,7 +35,7 @@ class RoverInfos(VehicleInfos):
     renew = after_step
 
     def _groups(self, which: np.ndarray, identified: bool) -> Info:
-        """States of body and axles, and if `identified` the estimate of each axle; all rovers."""
+        """States of body and axles of all rovers, and if `identified` the estimate of each axle."""
         w = self._simulation.worlds
         info: Info = {"state": {name: w.state[name].copy() for name in _OF_BODY}}
         known = estimates(w.known, self.scenario) if identified else {}

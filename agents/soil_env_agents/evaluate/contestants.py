@@ -146,7 +146,9 @@ def _sources(spec: str, classical: Collection[str]) -> tuple[str, list[str]]:
     """(`Contestant.kind`, `Contestant.source` of each member) of one entry without its NAME=.
 
     The first that fits: a classical controller, the shipped policy, module:Class, a pattern of
-    models, the path of one. A path need not exist: who reads it says that it is missing. Raises
+    models, the path of one. A model is a file (`MODELS`), or a run or export folder that holds one.
+    A pattern leaves out run folders without a model, with a line that names them. A path with the
+    suffix of a model or with a / need not exist: who reads it says that it is missing. Raises
     `ParameterError` for anything else.
     """
     if spec in classical:
@@ -160,7 +162,7 @@ def _sources(spec: str, classical: Collection[str]) -> tuple[str, list[str]]:
         undone = _undone(spec)
         left_out = f"{', '.join(undone)}: training is not done" if undone else ""
         if not found:
-            expected = left_out or "expected .zip files or run folders"
+            expected = left_out or "expected files of models, or run or export folders"
             raise ParameterError(f"controllers: {spec}: no model matches; {expected}")
         if undone:
             show(f"controllers: {spec}: left out {left_out}.")

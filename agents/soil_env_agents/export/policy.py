@@ -67,8 +67,8 @@ def onnx_model(agent, description: dict):
 
 
 def _normalised(x: Values, agent) -> Values:
-    """Input of the network, float32, as `Agent._normalised` computes it; other models have no
-    normalisation.
+    """Input of the network, float32, as `Agent._normalised` computes it; x as it is for a policy
+    that has no `mean`, and scales it itself if at all.
     """
     if not hasattr(agent, "mean"):
         return x

@@ -384,7 +384,9 @@ class _AsIs(NamedTuple):
 
 
 def _as_is(data: Data) -> _AsIs:
-    """The table as it is: fitted under a rough noise, then under the noise about that fit."""
+    """The table as it is: fitted under a rough noise, then, from there, under the noise about that
+    fit and without its outliers (values that `NoiseEstimate.used` leaves out).
+    """
     plain = _plain(data.table, data.setup)
     rough = _fit(plain, _rough(data))
     noise = _noise(data, rough)

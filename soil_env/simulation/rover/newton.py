@@ -303,8 +303,8 @@ def solve_speeds(rover, equation, world):
     """(V [m/s], True if converged) at the end of a stage; `found` gets the rim speeds and the
     reactions.
 
-    Speeds are solved at fixed axle loads, then the loads are renewed from the forces, at most
-    `TURNS` times.
+    Speeds are solved at fixed axle loads, at most `TURNS` times, with the loads renewed from the
+    forces in between.
     """
     weight = weight_of(rover, world.rig.gravity)
     v = _begin(rover, equation, weight, world)
