@@ -60,9 +60,9 @@ def curves_of(problem: Problem) -> list[Curve | None] | None:
     """The generic curves (`curve`) through the values in use, by channel.
 
     None where a condition varies that a curve does not know: any but slip and load. A pass or a
-    grade counts even if it follows from these, as where a wheel climbs by itself. A channel with
-    less than `FEWEST` values or `FEWEST_SLIPS` has None. All rows count alike, whatever noise they
-    state: a curve misses a table by more than noise.
+    grade counts even if it follows from these, as of a wheel that climbs. A channel with less than
+    `FEWEST` values or `FEWEST_SLIPS` has None. All rows count alike, whatever noise they state: a
+    curve misses a table by more than noise.
     """
     rows = problem.data.rows
     passes_grades = rows.conditions[:, 1:]
@@ -78,15 +78,12 @@ def curves_of(problem: Problem) -> list[Curve | None] | None:
 
 
 def outlook(problem: Problem) -> Outlook:
-    """The fit of all effects, averaged with a curve, and the errors of predictions of what is left
-    out of the table.
+    """The fit of all effects, averaged with a curve, and the errors of what is left out.
 
-    Left out one after the other are the levels of the slip, those of the load, and the combinations
-    of all conditions but the slip, where there are `FEWEST_GROUPS`. Unknowns are fitted anew to the
-    rest; the remainder keeps what was learnt from all rows.
+    Of each kind `FEWEST_GROUPS` are needed. Unknowns are fitted anew to the rest; the remainder
+    keeps what was learnt from all rows.
 
-    The curve is averaged in where slip and load alone vary, and each that varies has
-    `FEWEST_GROUPS` levels.
+    The curve is averaged in where slip and load alone vary, with so many levels each.
     """
     # The base model, and all effects with a remainder.
     models = (fit_prediction(problem, (), smooth=False), fit_prediction(problem))

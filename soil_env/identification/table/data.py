@@ -163,9 +163,7 @@ def prepare(table: Table, setup: Setup) -> Data:
             "every row, or wheel.grouser_height in the setup"
         )
     no_speed = np.isnan(table.speed)
-    if "speed" not in table.given or not np.any(np.isfinite(table.speed)):
-        rows.conditions[:, 0] = 0.0
-    elif np.any(no_speed):
+    if np.any(no_speed) and not np.all(no_speed):
         raise ParameterError(
             f"{table.source}: row {table.row[no_speed][0]}, speed is empty: expected it in every "
             "row or in none"
@@ -210,8 +208,8 @@ def _refuse_units(table: Table, setup: Setup, rows: Rows, y: np.ndarray) -> None
 
     Load and forces are judged by their medians; `y` [N, 3] as in `Data`. Sinkages below 0
     throughout are refused unless they rise with the load, as sinkages with a wrong zero do. Torque
-    is refused if it is negative in all of three or more driven rows, a normal load if the pull is 0
-    in all of two or more rows on grades.
+    is refused if negative in all of three or more driven rows, a normal load if the pull is 0 in
+    all of two or more rows on grades.
     """
 
     def refuse(wrong: bool, text: str) -> None:

@@ -871,11 +871,12 @@ def _channels_doubted(data: Data) -> list[str]:
     is no doubt where the load is vertical: the wheel may climb by itself.
     """
     out = []
-    size = data.rows.load * data.rows.wheels[:, 0]
+    load = data.rows.load
+    radius = data.rows.wheels[:, 0]
     for j, name, unit, over in (
-        (0, "sinkage", "", data.rows.wheels[:, 0]),
-        (1, "drawbar_pull", "newtons", data.rows.load),
-        (2, "torque", "newton metres", size),
+        (0, "sinkage", "", radius),
+        (1, "drawbar_pull", "newtons", load),
+        (2, "torque", "newton metres", load * radius),
     ):
         known = data.measured[:, j]
         y = data.y[known, j]
