@@ -20,6 +20,7 @@ from .calibrate import Problem
 from .curve import Average, Curve, at_curves, fit_curve
 from .prediction import Prediction, at_conditions, fit_prediction, independent
 
+LEVEL = 0.01  # range of the sine of the grade, up to which it is constant
 FEWEST_GROUPS = 3  # levels or combinations, from which they are left out in turn
 FEWEST = 4  # values of a channel, from which it has a curve
 FEWEST_SLIPS = 3  # slips of these: a curve has a level, a rise and a scale of the slip
@@ -58,13 +59,15 @@ class Outlook(NamedTuple):
 def curves_of(problem: Problem) -> list[Curve | None] | None:
     """The generic curves (`curve`) through the values in use, by channel.
 
-    None where a condition varies in the table that a curve does not know: any but slip and load. A
-    channel with less than `FEWEST` values or `FEWEST_SLIPS` has None. All rows count alike,
-    whatever noise they state: a curve misses a table by more than noise.
+    None where a condition varies that a curve does not know: any but slip and load. A pass or a
+    grade counts even if it follows from these, as of a wheel that climbs. A channel with less than
+    `FEWEST` values or `FEWEST_SLIPS` has None. All rows count alike, whatever noise they state: a
+    curve misses a table by more than noise.
     """
-    if set(independent(problem)) - {"slip", "load"}:
-        return None
     rows = problem.data.rows
+    passes_grades = rows.conditions[:, 1:]
+    if {*independent(problem)} - {"slip", "load"} or np.any(np.ptp(passes_grades, axis=0) > LEVEL):
+        return None
     level = problem.data.varied["slip"].level
     return [
         fit_curve(rows.slip[use], rows.load[use], problem.data.y[use, j], problem.noise[j])
@@ -75,15 +78,12 @@ def curves_of(problem: Problem) -> list[Curve | None] | None:
 
 
 def outlook(problem: Problem) -> Outlook:
-    """The fit of all effects, averaged with a curve, and the errors of predictions of what is left
-    out of the table.
+    """The fit of all effects, averaged with a curve, and the errors of what is left out.
 
-    Left out one after the other are the levels of the slip, those of the load, and the combinations
-    of all conditions but the slip, where there are `FEWEST_GROUPS`. Unknowns are fitted anew to the
-    rest; the remainder keeps what was learnt from all rows.
+    Of each kind `FEWEST_GROUPS` are needed. Unknowns are fitted anew to the rest; the remainder
+    keeps what was learnt from all rows.
 
-    The curve is averaged in where slip and load alone vary, and each that varies has
-    `FEWEST_GROUPS` levels.
+    The curve is averaged in where slip and load alone vary, with so many levels each.
     """
     # The base model, and all effects with a remainder.
     models = (fit_prediction(problem, (), smooth=False), fit_prediction(problem))

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from soil_env._io.loading import ParameterError
 from soil_env.discovery.corrected import corrected
 from soil_env.discovery.curve import at_curves
 from soil_env.discovery.outlook import (
@@ -28,6 +29,7 @@ from tests.discovery.files import (
     sand_text,
     table_text,
     with_column,
+    world,
 )
 
 
@@ -50,6 +52,35 @@ def test_no_curve_is_drawn_over_conditions_that_it_does_not_know(tmp_path):
     assert found.model.average is None
     passes = found.left_out[-1]
     assert passes.what == ("pass",) and math.isnan(passes.over_noise.curve)
+
+
+def climbing() -> str:
+    """A table of a wheel that climbs by itself, by hand: the load is vertical, the pull 0."""
+    slip, load = (x.ravel() for x in np.meshgrid((0.1, 0.2, 0.35, 0.5), (80.0, 120.0, 180.0)))
+    low = np.zeros(slip.size)
+    high = low + 0.7  # [rad]
+    for _ in range(40):  # bisection of pull along the slope = weight along it
+        grade = 0.5 * (low + high)
+        found = world({}).predict({"slip": slip, "load": load * np.cos(grade)})
+        climbs = found.drawbar_pull > load * np.sin(grade)
+        low = np.where(climbs, grade, low)
+        high = np.where(climbs, high, grade)
+    rows = np.stack([slip, load, np.degrees(grade), found.sinkage, 0.0 * slip, found.torque])
+    lines = (",".join(f"{x:.8g}" for x in row) + "\n" for row in rows.T)
+    return "slip,load,grade_deg,sinkage,drawbar_pull,torque\n" + "".join(lines)
+
+
+def test_the_pull_of_a_wheel_that_climbs_by_itself_is_not_0_on_the_level(tmp_path):
+    problem = problem_of(tmp_path, climbing(), SETUP + "load: vertical\n")
+    assert "grade_deg" not in problem.data.varied  # it follows from slip and load
+    model = corrected(outlook(problem).model)
+    rows = model.predict(problem.data.table)
+    assert np.max(np.abs(rows.drawbar_pull)) < NOISE["drawbar_pull"]
+    level = {"slip": 0.3, "load": 120.0}
+    pull = world({}).predict(level).drawbar_pull
+    assert model.predict(level).drawbar_pull == pytest.approx(pull, abs=NOISE["drawbar_pull"])
+    with pytest.raises(ParameterError, match="0 on every grade, .*: expected load: vertical"):
+        problem_of(tmp_path, climbing())
 
 
 def test_the_curve_has_the_weight_with_which_the_average_errs_least(planted_problem):

@@ -163,15 +163,13 @@ def prepare(table: Table, setup: Setup) -> Data:
             "every row, or wheel.grouser_height in the setup"
         )
     no_speed = np.isnan(table.speed)
-    if "speed" not in table.given or not np.any(np.isfinite(table.speed)):
-        rows.conditions[:, 0] = 0.0
-    elif np.any(no_speed):
+    if np.any(no_speed) and not np.all(no_speed):
         raise ParameterError(
             f"{table.source}: row {table.row[no_speed][0]}, speed is empty: expected it in every "
             "row or in none"
         )
     y = np.stack([getattr(table, name) for name in CHANNELS], axis=1)
-    _refuse_units(table, rows, y)
+    _refuse_units(table, setup, rows, y)
     varied: dict[str, Factor] = {}
     for name, value in conditions_of(rows).items():
         found = _factor(name, value)
@@ -205,12 +203,13 @@ def _follows(factor: Factor, others: Mapping[str, Factor]) -> bool:
     return bool(np.std(own) < OWN * np.std(value))
 
 
-def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
+def _refuse_units(table: Table, setup: Setup, rows: Rows, y: np.ndarray) -> None:
     """`ParameterError` where a whole column has a unit or a sign that cannot be right.
 
     Load and forces are judged by their medians; `y` [N, 3] as in `Data`. Sinkages below 0
     throughout are refused unless they rise with the load, as sinkages with a wrong zero do. Torque
-    is refused if it is negative in all of three or more driven rows.
+    is refused if negative in all of three or more driven rows, a normal load if the pull is 0 in
+    all of two or more rows on grades.
     """
 
     def refuse(wrong: bool, text: str) -> None:
@@ -254,6 +253,12 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
             "sinkage is negative in every row: expected metres below the surface, positive "
             "downward",
         )
+    pull = y[(rows.conditions[:, 2] != 0.0) & np.isfinite(y[:, 1]), 1]
+    refuse(
+        setup.load == "normal" and pull.size > 1 and not np.any(pull),
+        "drawbar_pull = 0 on every grade, as of a wheel that climbs by itself: expected load: "
+        "vertical in the setup",
+    )
     driven = y[(rows.slip > SURELY_DRIVEN) & np.isfinite(y[:, 2]), 2]
     refuse(
         driven.size > 2 and bool(np.all(driven < 0.0)),

@@ -870,16 +870,15 @@ def _channels_doubted(data: Data) -> list[str]:
     newtons (`WEAK`).
 
     Judged are `FEWEST_VALUES` or more over a range of slip of `LEAST_SPAN`. A pull of 0 throughout
-    is no doubt where the wheel may climb by itself: where grades vary, or with a vertical load.
+    is no doubt where the load is vertical: the wheel may climb by itself.
     """
     out = []
-    # A wheel that climbs freely pulls nothing.
-    free = data.setup.load == "vertical" or "grade_deg" in data.varied
-    size = data.rows.load * data.rows.wheels[:, 0]
+    load = data.rows.load
+    radius = data.rows.wheels[:, 0]
     for j, name, unit, over in (
-        (0, "sinkage", "", data.rows.wheels[:, 0]),
-        (1, "drawbar_pull", "newtons", data.rows.load),
-        (2, "torque", "newton metres", size),
+        (0, "sinkage", "", radius),
+        (1, "drawbar_pull", "newtons", load),
+        (2, "torque", "newton metres", load * radius),
     ):
         known = data.measured[:, j]
         y = data.y[known, j]
@@ -887,7 +886,7 @@ def _channels_doubted(data: Data) -> list[str]:
         if (
             y.size < FEWEST_VALUES
             or np.ptp(slips) < LEAST_SPAN
-            or (j == 1 and free and not np.any(y))
+            or (j == 1 and data.setup.load == "vertical" and not np.any(y))
         ):
             continue
         largest = np.max(np.abs(y) / over[known])

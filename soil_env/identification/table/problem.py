@@ -539,8 +539,7 @@ def usable_rows(table: Table, setup: Setup) -> np.ndarray:
     force where S has a prior.
 
     `ParameterError` where no row is left, where none of those has a force, and where a sinkage is
-    not above 0, or larger than the radius. So too for a load normal to the ground if two rows or
-    more on grades all have a pull of 0.
+    not above 0, or larger than the radius.
     """
     seen, pull, torque = (~np.isnan(getattr(table, name)) for name in MEASURED)
     has_stiffness = setup.soil.lumped(setup.wheel.width) is not None
@@ -564,11 +563,4 @@ def usable_rows(table: Table, setup: Setup) -> np.ndarray:
                 f"metres in (0, {radius[k]:g}], the wheel radius, or an empty cell where it hardly "
                 "sinks"
             )
-    slope = use & pull & (np.nan_to_num(table.grade_deg) != 0.0)
-    if setup.load == "normal" and slope.sum() > 1 and np.all(table.drawbar_pull[slope] == 0.0):
-        raise ParameterError(
-            f"{table.source}: drawbar_pull = 0 on every grade, as of a wheel that climbs by "
-            "itself: expected load: vertical in the setup, so that the weight along the slope "
-            "counts"
-        )
     return use
