@@ -314,7 +314,7 @@ def load_agent(path: str | Path) -> Agent:
     cls, arguments = network(info.ppo, info.observation_names)
     policy = cls(
         box,
-        action_space(info.task.axles if isinstance(info.task, RoverScenario) else 1),
+        action_space(getattr(info.task, "axles", 1)),
         lambda _: 0.0,  # learning rate: it is not trained
         **arguments,
     )
@@ -324,7 +324,7 @@ def load_agent(path: str | Path) -> Agent:
 
 
 @dataclass
-class Agent(inputs.Observing):
+class Agent(inputs.Remembering):
     """A trained agent. It takes observations in their units, whatever it was trained on.
 
     The units are those of `SoilWheel-v0` and `SoilRover-v0` with `scaled=False`; for scaled
@@ -347,34 +347,8 @@ class Agent(inputs.Observing):
         self.name = NAMES[self.variant]
         entries = entries_of(self.info.task, self.variant)
         self.scaling = Scaling(entries)
-        self._layout = inputs.Layout(entries, self.variant)
+        self.layout = inputs.Layout(entries, self.variant)
 
-    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """(actions [n, A] in [-1, 1], memory for the next call) for observations [n, D] in their
-        units; actions [A] for [D]. As SB3's predict; A is 1, or the axles of a rover.
-
-        `state`: memory that the last call for these n courses returned, None at first; an agent
-        without a history returns it as it is. `episode_start` [n] bool: courses that begin, where
-        nothing is remembered; by default all if `state` is None, else none. Unless `deterministic`,
-        actions are drawn from the policy's distribution.
-
-        Raises ParameterError for another D, for NaN, for an entry out of the bounds of the layout,
-        and for a `state` or `episode_start` of another size. Scaled observations of the start of a
-        course are refused too.
-        """
-        seen = self._layout.observed(observation)
-        batch = self.scaling(np.atleast_2d(seen))
-        fresh = inputs.starts(episode_start, len(batch), state is None)
-        if self.history is not None:
-            kept = inputs.memory(state, (len(batch), self.history.kept))
-            batch, state = self.history.observe(batch, kept, fresh)
-        action, _ = self.policy.predict(
-            self._normalised(batch), deterministic=inputs.switch(deterministic)
-        )
-        return (action[0] if seen.ndim == 1 else action), state
-
-    def _normalised(self, seen: np.ndarray) -> np.ndarray:
-        """Input of the network [n, D] float32 for scaled observations [n, D], history included:
-        standard deviations from the mean of the training, cut at `clip`.
-        """
-        return np.clip((seen - self.mean) / self.sd, -self.clip, self.clip).astype(np.float32)
+    def act(self, x, deterministic):
+        """The mean action of the policy, or one drawn from its distribution."""
+        return self.policy.predict(x, deterministic=deterministic)[0]

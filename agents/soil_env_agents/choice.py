@@ -147,7 +147,12 @@ class Chooser(BaseCallback):
             loss = functional.binary_cross_entropy_with_logits(
                 score, torch.from_numpy(env.passed[at])
             )
-            self.optimizer.zero_grad()
-            loss.backward()
-            self.optimizer.step()
+            descend(self.optimizer, loss)
         self.learned = env.count
+
+
+def descend(optimizer: torch.optim.Optimizer, loss: torch.Tensor) -> None:
+    """Make one step of gradient descent."""
+    optimizer.zero_grad()
+    loss.backward()
+    optimizer.step()

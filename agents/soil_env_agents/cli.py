@@ -34,20 +34,11 @@ _FAILURES = (ParameterError, OSError, MemoryError)  # that end a command with on
 _BEGINNINGS = ("study.yaml", "config.yaml", "scenario.yaml")
 
 
-def keys_argument(command: Callable) -> Callable:
-    """Add the argument `keys`: all options that the command does not have."""
-    return click.argument("keys", nargs=-1, type=click.UNPROCESSED, metavar="[--KEY VALUE]...")(
-        command
-    )
-
-
-def allow_code_option(command: Callable) -> Callable:
-    """Add --allow-code."""
-    return click.option(
-        "--allow-code", is_flag=True, help="Import the modules that the study's file names."
-    )(command)
-
-
+#: The argument `keys`: all options that the command does not have.
+keys_argument = click.argument("keys", nargs=-1, type=click.UNPROCESSED, metavar="[--KEY VALUE]...")
+allow_code_option = click.option(
+    "--allow-code", is_flag=True, help="Import the modules that the study's file names."
+)
 #: --scenario, with a default.
 scenario_option = click.option(
     "--scenario",
@@ -99,9 +90,10 @@ def overrides(arguments: list[str] | tuple[str, ...], file_option: str = "") -> 
             meant = f"; did you mean {file_option} {key}?" if is_file else ""
             raise ParameterError(f"{key!r}: expected --key value{meant}")
         name, equals, value = key[2:].partition("=")
-        if name.replace("-", "_") in given:
+        path = name.replace("-", "_")
+        if path in given:
             raise ParameterError(f"--{name}: given twice: expected one value")
-        given.add(name.replace("-", "_"))
+        given.add(path)
         if not equals:
             if not rest:
                 raise ParameterError(f"{key}: expected a value after it")
@@ -112,7 +104,7 @@ def overrides(arguments: list[str] | tuple[str, ...], file_option: str = "") -> 
             entry: Any = value if name in _TEXT else parse_yaml(value)
         except yaml.YAMLError:
             entry = value
-        for part in reversed(name.replace("-", "_").split(".")):
+        for part in reversed(path.split(".")):
             entry = {part: entry}
         out = merge(out, entry)
     return out

@@ -150,24 +150,11 @@ class TrainConfig(OfWorld):
     )
     ppo: PPOConfig = PPOConfig()
 
-    def __post_init__(self):
-        """Check the fields and fill in defaults; FieldError for a wrong one, and where no wheel is
-        left in the world without a hidden effect.
-        """
-        super().__post_init__()
-        self._resolve()
-        if self.hidden_worlds >= self.ppo.num_envs:
-            raise FieldError(
-                self,
-                "hidden_worlds",
-                f" = {self.hidden_worlds}: expected fewer than ppo.num_envs wheels",
-            )
-
-    def _resolve(self) -> None:
+    def _check_together(self) -> None:
         """Fill in the scenario and the oracle's courses: for None up to 50, of a rover none.
 
-        FieldError for a scenario or courses of the oracle beside a rover, and for more of these
-        than are compared.
+        FieldError for a scenario or courses of the oracle beside a rover, for more of these than
+        are compared, and where no wheel is left in the world without a hidden effect.
         """
         beside = f"expected none beside rover = {self.rover!r}"
         if self.rover and self.scenario:
@@ -185,6 +172,12 @@ class TrainConfig(OfWorld):
         if self.oracle_courses is None:
             object.__setattr__(self, "oracle_courses", 0 if self.rover else min(50, self.courses))
         check_oracle(self, self.oracle_courses, self.courses)
+        if self.hidden_worlds >= self.ppo.num_envs:
+            raise FieldError(
+                self,
+                "hidden_worlds",
+                f" = {self.hidden_worlds}: expected fewer than ppo.num_envs wheels",
+            )
 
 
 def load_config(mapping: dict, where: str) -> TrainConfig:

@@ -29,7 +29,7 @@ _EXPECTED = (
 )
 
 
-class DefaultPolicy(inputs.Observing):
+class DefaultPolicy(inputs.Remembering):
     """A trained student with `predict` on observations `identified` of the `scenario`, in their
     units; `path`: its weights.
 
@@ -39,6 +39,7 @@ class DefaultPolicy(inputs.Observing):
 
     name = NAME
     variant = "identified"
+    clip = CLIP
 
     def __init__(self, scenario: Scenario | str, path: str | Path = WEIGHTS):
         if not isinstance(scenario, (Scenario, RoverScenario)):
@@ -83,23 +84,12 @@ class DefaultPolicy(inputs.Observing):
             raise ParameterError(
                 f"{path}: layers whose shapes do not fit each other: {_EXPECTED}"
             ) from None
-        self.clip = CLIP
         self.scenario = scenario
-        self._layout = inputs.Layout(layout(self.variant, scenario.course), self.variant)
+        self.layout = inputs.Layout(layout(self.variant, scenario.course), self.variant)
 
-    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """(actions [n, 1] in [-1, 1], memory for the next call) for observations [n, D] in their
-        units, or actions [1] for [D]; arguments and errors as of `agent.Agent.predict`.
-        """
-        inputs.switch(deterministic)  # checked only: actions are never drawn
-        seen = self._layout.observed(observation)
-        batch = self.scaling(np.atleast_2d(seen))
-        fresh = inputs.starts(episode_start, len(batch), state is None)
-        kept = inputs.memory(state, (len(batch), self.history.kept))
-        batch, state = self.history.observe(batch, kept, fresh)
-        normal = np.clip((batch - self.mean) / self.sd, -self.clip, self.clip).astype(np.float32)
-        action = np.clip(self.action(normal), -1.0, 1.0)
-        return (action[0] if seen.ndim == 1 else action), state
+    def act(self, x, deterministic):
+        """The one action, whatever `deterministic` says."""
+        return np.clip(self.action(x), -1.0, 1.0)
 
     def action(self, x):
         """Actions [n, 1], not yet cut to [-1, 1], for normalised observations [n, D] with their

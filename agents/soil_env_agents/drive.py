@@ -84,9 +84,9 @@ def command(
     if given("every") != ParameterSource.DEFAULT and suffix in ("", ".png"):
         raise ParameterError(f"--every {every}: expected --out with a .gif or .mp4, a video")
     if out is not None:
-        if out.suffix not in _SUFFIXES:
+        if suffix not in _SUFFIXES:
             raise ParameterError(f"--out {out}: expected a file {', '.join(_SUFFIXES)}")
-        if out.suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
+        if suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
             raise ParameterError(
                 f'--out {out}: needs imageio-ffmpeg, pip install "soil_env[video]"; or a .gif'
             )
@@ -128,7 +128,9 @@ def command(
             f"periods{early}"
         )
     if out is not None:
-        _save(out, next(iter(films.values())) if len(films) == 1 else _side_by_side(films))
+        frames = next(iter(films.values())) if len(films) == 1 else _side_by_side(films)
+        content = _video(frames) if suffix == ".mp4" else _picture(frames, suffix)
+        write_own(out.parent, {out.name: content})
         print(f"written: {out}")
 
 
@@ -189,16 +191,10 @@ def _drive(
     return frames, info, steps
 
 
-def _save(path: Path, frames: list[np.ndarray]) -> None:
-    """Save the frames in the format of the suffix of `path`: .mp4 or .gif, a video of ten frames a
-    second, or .png, the first frame.
-    """
-    content = _video(frames) if path.suffix == ".mp4" else _picture(frames, path.suffix)
-    write_own(path.parent, {path.name: content})
-
-
 def _video(frames: list[np.ndarray]) -> bytes:
-    """Frames as MP4, which ffmpeg writes into a temporary folder; OSError where it lacks some."""
+    """Frames as MP4, ten a second, which ffmpeg writes into a temporary folder; OSError where it
+    lacks some.
+    """
     from imageio_ffmpeg import count_frames_and_secs, write_frames
 
     with tempfile.TemporaryDirectory() as there:

@@ -4,8 +4,6 @@ import json
 import math
 from pathlib import Path
 
-import numpy as np
-
 from soil_env._io.loading import ParameterError, load, one_line
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import VARIANTS, check_version, layout
@@ -81,8 +79,7 @@ class ExportedAgent(inputs.Observing):
         try:
             self.variant = self.content["observation"]
             self.scenario = load(Scenario, self.content["scenario"], f"{path}: scenario")
-            self.control = self.scenario.control
-            self._layout = self._checked_layout()
+            self.layout = self._checked_layout()
         except (LookupError, TypeError) as error:
             raise ParameterError(
                 f"{path}: its description is damaged ({type(error).__name__}: {error}); export "
@@ -104,15 +101,9 @@ class ExportedAgent(inputs.Observing):
             )
         return inputs.Layout(own, self.variant)
 
-    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """Actions [n, 1] for observations [n, D] in the units of `content["inputs"]`, or [1] for
-        [D], and the memory for the next call; ParameterError as `agent.Agent.predict`."""
-        inputs.switch(deterministic)  # an exported agent has no other
-        batch = np.atleast_2d(self._layout.observed(observation))
-        fresh = inputs.starts(episode_start, len(batch), state is None)
+    def _answer(self, batch, state, fresh, deterministic):
+        inputs.switch(deterministic)  # checked only: an exported agent has no other
         if not self.policy.kept:
-            action, memory = self.policy.act(batch)
-        else:
-            kept = inputs.memory(state, (len(batch), self.policy.kept))
-            action, memory = self.policy.act(batch, kept, fresh)
-        return (action[0] if np.ndim(observation) == 1 else action), memory
+            return self.policy.act(batch)
+        kept = inputs.memory(state, (len(batch), self.policy.kept))
+        return self.policy.act(batch, kept, fresh)

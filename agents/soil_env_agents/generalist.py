@@ -211,7 +211,7 @@ def weights_of(model: PPO, history: int, made: dict) -> dict[str, np.ndarray]:
 
 
 @click.command()
-@click.option("--config", type=PATH, default=None, metavar="YAML", help="Default: the shipped one.")
+@click.option("--config", type=PATH, metavar="YAML", help="Default: the shipped one.")
 @click.option("--out", type=PATH, required=True, metavar="FILE", help="The weights, .npz.")
 @click.option("--workers", type=int, metavar="N", help="Processes that choose teachers.")
 def command(config: Path | None, out: Path, workers: int | None) -> None:

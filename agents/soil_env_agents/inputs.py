@@ -13,6 +13,8 @@ from soil_env.parameters import Scenario
 from soil_env.simulation.task import ObservedNumber
 from soil_env.simulation.task.scaling import Scaling
 
+from .history import History
+
 _ROUNDING = 1e-5  # of the range of an entry: added by scaling and back
 #: Entries that are exactly 0 at the start of a course, so that a scaled observation is known there.
 _BEGIN = ("odometry", "rim_command")
@@ -74,13 +76,39 @@ class Layout:
 
 
 class Observing:
-    """Base of the controllers of a wheel, which have a `scenario` and a `variant`: observations of
-    the wheel's readings.
+    """Base of the controllers, which have a `scenario`, a `variant` and the `layout` of its
+    observation: `predict`, and observations of a wheel's readings.
     """
 
     scenario: Scenario
     variant: str
+    layout: Layout
     _observer: Observer | None = None
+
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
+        """(actions [n, A] float32 in [-1, 1], state for the next call) for observations [n, D] in
+        their units; actions [A] for [D]. As SB3's predict; A is 1, or the axles of a rover.
+
+        `state`: what the last call for these n courses returned, None at first; an agent without a
+        memory returns it as it is. `episode_start` [n] bool: courses that begin, where nothing is
+        remembered; by default all if `state` is None, else none. Unless `deterministic`, a trained
+        agent draws its actions from the policy's distribution; for others it is without effect.
+
+        Raises ParameterError for another D, for NaN, for an entry out of the bounds of the layout,
+        and for a `state` or `episode_start` of another size. Scaled observations of the start of a
+        course are refused too.
+        """
+        seen = self.layout.observed(observation)
+        batch = np.atleast_2d(seen)
+        fresh = starts(episode_start, len(batch), state is None)
+        action, state = self._answer(batch, state, fresh, deterministic)
+        return (action[0] if seen.ndim == 1 else action), state
+
+    def _answer(self, batch: np.ndarray, state, fresh: np.ndarray, deterministic: bool):
+        """`predict` for checked observations [n, D] float32; `fresh` [n] bool: courses that
+        begin.
+        """
+        raise NotImplementedError
 
     @property
     def observer(self) -> Observer:
@@ -102,6 +130,35 @@ class Observing:
     def reset(self) -> None:
         """Begin a drive of the wheel: forget its readings."""
         self.observer.reset()
+
+
+class Remembering(Observing):
+    """Base of the agents with a network, which reads scaled observations with their `history`, if
+    it has one, normalised by the `mean` and `sd` of the training, cut at `clip`.
+    """
+
+    scaling: Scaling
+    history: History | None
+    mean: np.ndarray
+    sd: np.ndarray
+    clip: float
+
+    def normalised(self, seen):
+        """Input of the network [n, D] float32 for scaled observations [n, D], history included;
+        arrays, or values of an ONNX graph.
+        """
+        return np.clip((seen - self.mean) / self.sd, -self.clip, self.clip).astype(np.float32)
+
+    def _answer(self, batch, state, fresh, deterministic):
+        batch = self.scaling(batch)
+        if self.history is not None:
+            kept = memory(state, (len(batch), self.history.kept))
+            batch, state = self.history.observe(batch, kept, fresh)
+        return self.act(self.normalised(batch), switch(deterministic)), state
+
+    def act(self, x: np.ndarray, deterministic: bool) -> np.ndarray:
+        """Actions [n, A] in [-1, 1] for inputs of the network [n, D]."""
+        raise NotImplementedError
 
 
 def starts(episode_start, count: int, default: bool) -> np.ndarray:

@@ -1,7 +1,6 @@
 """The native vector environments as Stable-Baselines3 `VecEnv`s."""
 
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,14 +9,11 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
 from soil_env._io.loading import ParameterError
-from soil_env.envs.course_env import CourseVectorEnv
 from soil_env.envs.rover_env import SoilRoverVectorEnv
 from soil_env.envs.rovers import RoverSimulation
 from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.envs.wheels import Simulation
-from soil_env.parameters import DEFAULT_ROVER, DEFAULT_SCENARIO
 from soil_env.simulation.task import Cause, layout, truth
-from soil_env.terramechanics.model import load_model
 
 _OWN = {"autoreset_mode": AutoresetMode.DISABLED, "info": "none"}  # keywords of `CourseVecEnv`
 
@@ -75,30 +71,23 @@ class CourseVecEnv(NativeVecEnv):
     the scenario ends an episode as being stuck does; what `max_episode_steps` or a wrapper of `env`
     truncates is truncated here.
 
-    `kind` makes the environment; `task`, its scenario or rover, `observation`, `model` and the
+    `kind` makes the environment; `task`, its scenario or rover and the observation, and the
     `options` are its arguments.
     """
 
-    def __init__(
-        self,
-        kind: Callable[..., CourseVectorEnv],
-        num_envs: int,
-        task,
-        observation: str,
-        model,
-        options: dict,
-    ):
+    kind: type[Any]
+
+    def __init__(self, num_envs: int = 1, *task: Any, **options: Any):
         for name, value in _OWN.items():
             if name in options:
                 raise ParameterError(
                     f"{name} = {options[name]!r:.60}: expected none: {type(self).__name__} sets "
                     f"{value!r}, as Stable-Baselines3 needs it"
                 )
-        self.model = load_model(model)
-        self.observation_variant = observation
-        env = kind(num_envs, task, observation, model=self.model, **_OWN, **options)
+        env = self.kind(num_envs, *task, **_OWN, **options)
         self.env: Any = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        self.model = env.model
         self.scenario = env.scenario
         self.simulation = env.simulation
         self.observation_names = env.observation_names
@@ -150,10 +139,9 @@ class CourseVecEnv(NativeVecEnv):
         infos: list[dict[str, Any]] = [{}] * self.num_envs
         if done.any():
             now = round(time.time() - self._start, 6)
-            last = seen
             for k in np.flatnonzero(done):
                 infos[k] = {
-                    "terminal_observation": last[k],
+                    "terminal_observation": seen[k],
                     "TimeLimit.truncated": bool(truncated[k] and not terminated[k]),
                     "episode": {"r": float(self._returns[k]), "l": int(self._lengths[k]), "t": now},
                     "cause": Cause(self.simulation.worlds.cause[k]).name,
@@ -165,23 +153,14 @@ class CourseVecEnv(NativeVecEnv):
 
 
 class SoilWheelVecEnv(CourseVecEnv):
-    """`num_envs` wheels; keyword arguments as in `SoilWheelVectorEnv`."""
+    """`num_envs` wheels; arguments as in `SoilWheelVectorEnv`."""
 
+    kind = SoilWheelVectorEnv
     simulation: Simulation
 
-    def __init__(
-        self,
-        num_envs: int = 1,
-        scenario=DEFAULT_SCENARIO,
-        observation="identified",
-        model=None,
-        **options,
-    ):
-        super().__init__(SoilWheelVectorEnv, num_envs, scenario, observation, model, options)
-
     def _true_soil(self):
-        names = [e.name for e in layout(self.observation_variant, self.scenario.course)]
-        own = dict(zip(names, self.simulation.worlds.observation.T, strict=True))
+        observed = self.simulation.worlds.observation
+        own = dict(zip(self.env.unwrapped.observation_names, observed.T, strict=True))
         own |= zip(
             (e.name for e in truth(self.scenario.course)),
             self.simulation.true_soils().T,
@@ -191,19 +170,10 @@ class SoilWheelVecEnv(CourseVecEnv):
 
 
 class SoilRoverVecEnv(CourseVecEnv):
-    """`num_envs` rovers; keyword arguments as in `SoilRoverVectorEnv`."""
+    """`num_envs` rovers; arguments as in `SoilRoverVectorEnv`."""
 
+    kind = SoilRoverVectorEnv
     simulation: RoverSimulation
-
-    def __init__(
-        self,
-        num_envs: int = 1,
-        rover=DEFAULT_ROVER,
-        observation="identified",
-        model=None,
-        **options,
-    ):
-        super().__init__(SoilRoverVectorEnv, num_envs, rover, observation, model, options)
 
     def _true_soil(self):
         return self.simulation.true_soil()

@@ -18,7 +18,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 from torch.nn import functional
 
-from .choice import Chooser
+from .choice import Chooser, descend
 from .teachers import Teachers
 
 ROUND = 64  # steps of each wheel
@@ -137,7 +137,7 @@ def teach(
         for i in range(updates):
             share = LAST_RATE * (1.0 - i / updates) if last else 1.0 - k / rounds
             optimizer.param_groups[0]["lr"] = RATE * max(share, LEAST_RATE)
-            _descend(optimizer, _lesson_loss(policy, env, kept, kept.drawn(rng)))
+            descend(optimizer, _lesson_loss(policy, env, kept, kept.drawn(rng)))
         chooser.learn(1.0 - k / rounds)  # the share of the training that is left
         progress((k + 1) * ROUND * wheels)
     returns, ended = kept.returns(model.gamma)
@@ -145,7 +145,7 @@ def teach(
     for _ in range(min(VALUE_STEPS, math.ceil(VALUE_PASSES * ended.size / BATCH))):
         at = kept.drawn(rng, ended)
         value = policy.predict_values(torch.from_numpy(env.normalize_obs(kept.seen[at])))[:, 0]
-        _descend(optimizer, functional.mse_loss(value, torch.from_numpy(returns[at])))
+        descend(optimizer, functional.mse_loss(value, torch.from_numpy(returns[at])))
     model.num_timesteps = rounds * ROUND * wheels
 
 
@@ -158,10 +158,3 @@ def _lesson_loss(policy, env: VecNormalize, kept: Lessons, at) -> torch.Tensor:
         torch.from_numpy(env.normalize_obs(kept.seen[at]))
     ).distribution.mean
     return (weight * (mean - action).square().mean(dim=1)).mean()
-
-
-def _descend(optimizer: torch.optim.Optimizer, loss: torch.Tensor) -> None:
-    """Make one step of gradient descent."""
-    optimizer.zero_grad()
-    loss.backward()
-    optimizer.step()

@@ -90,11 +90,10 @@ class RoverTeacher(RoverController):
 
     def __init__(self, scenario: RoverScenario):
         super().__init__(scenario, "best_slip_true")
-        manner = MANNERS.get(scenario.name, Manner())
-        self.own = _OfWheels(scenario)
-        rims = {name: getattr(manner, name) * self.own.top_speed for name in ("start", "speed")}
-        self.own.settings |= rims | {"acceleration": manner.acceleration}
-        self.own.shares = manner.shares
+        manner = MANNERS.get(scenario.name, Manner())._asdict()
+        shares = manner.pop("shares")
+        self.own = _OfWheels(scenario, **manner)
+        self.own.shares = shares
 
 
 def teacher_of(part: VecEnv) -> Teacher | RoverTeacher:

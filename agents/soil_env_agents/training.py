@@ -61,15 +61,11 @@ class _Watch(BaseCallback):
             causes, returns = zip(*self.ended, strict=True)
             stuck = np.isin(causes, _STUCK).mean()
             finished = np.mean([cause == "FINISHED" for cause in causes])
-            for name, value in (
-                ("immobilised", stuck),
-                ("finished", finished),
-                ("return", np.mean(returns)),
-            ):
-                self.logger.record(f"courses/{name}", value)
-            note = (
-                f"return {np.mean(returns):.2f}, immobilised {stuck:.1%}, finished {finished:.1%}"
-            )
+            mean = np.mean(returns)
+            self.logger.record("courses/immobilised", stuck)
+            self.logger.record("courses/finished", finished)
+            self.logger.record("courses/return", mean)
+            note = f"return {mean:.2f}, immobilised {stuck:.1%}, finished {finished:.1%}"
         self.bar.update(self.num_timesteps, note=note)
 
     def _on_rollout_start(self) -> None:

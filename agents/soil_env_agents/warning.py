@@ -333,7 +333,7 @@ def train(sizes: Sizes) -> dict[str, Any]:
 
 @click.command()
 @click.option("--out", type=PATH, required=True, metavar="FILE", help="The weights, .json.")
-@click.option("--courses", type=click.IntRange(4), default=None, help="Of each (default 900).")
+@click.option("--courses", type=click.IntRange(4), help="Of each (default 900).")
 def command(out: Path, courses: int | None) -> None:
     """Train the probability of immobilisation."""
     if out.suffix != ".json":

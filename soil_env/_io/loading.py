@@ -511,4 +511,5 @@ def shipped_dir(name: str) -> Path:
     clone. Where it is missing, its path in the clone.
     """
     here = Path(__file__).resolve().parents[1]  # soil_env/
-    return next((p for p in (here / name, here.parent / name) if p.is_dir()), here.parent / name)
+    installed = here / name
+    return installed if installed.is_dir() else here.parent / name

@@ -272,7 +272,7 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
             )
             return None
         self._need_course("render")
-        return self._view().draw(self.simulation, 0)
+        return self._view().draw(self.simulation)
 
     def _need_course(self, method: str) -> None:
         """ResetNeeded, by `method` of the environment, where no reset has drawn a course yet."""
@@ -300,7 +300,7 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
     def _record(self) -> None:
         """Record what has happened for the view, with a render mode; with "human" draw it too."""
         if self.render_mode is not None:
-            self._view().record(self.simulation, 0)
+            self._view().record(self.simulation)
             if self.render_mode == "human":
                 self.render()
 

@@ -43,14 +43,14 @@ class Profile(NamedTuple):
         return np.interp(0.5 * (x[1:] + x[:-1]), self.x, self.friction)
 
 
-def profile_of(courses: np.ndarray, k: int, border: float, before: float, beyond: float) -> Profile:
-    """Profile of course k, from `before` [m] before its start to `beyond` [m] past it.
+def profile_of(courses: np.ndarray, border: float, before: float, beyond: float) -> Profile:
+    """Profile of the first course, from `before` [m] before its start to `beyond` [m] past it.
 
     Distances are along the slope, and the start has height and place 0. `border` [m]: length over
     which one soil passes into the next.
     """
     x = np.arange(-before, beyond, 0.5 * CELL)
-    places = places_on(courses, k, x, border)
+    places = places_on(courses, 0, x, border)
     grade = places["grade"]
     friction = np.degrees(np.arctan(places["tan_phi"]))
 

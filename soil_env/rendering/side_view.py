@@ -53,8 +53,8 @@ COLOURS = {  # dark, pale
 }
 
 
-def shown_wheels(simulation: Any, j: int) -> list[State]:
-    """State of each wheel of vehicle j by name, the front one first.
+def shown_wheels(simulation: Any) -> list[State]:
+    """State of each wheel of the first vehicle by name, the front one first.
 
     Added to the state of the simulation are the `name` of the axle, or "wheel", and the undisturbed
     `soil` under it. `rut` [m] is the depth that wheels ahead left, 0 for a single wheel.
@@ -62,16 +62,16 @@ def shown_wheels(simulation: Any, j: int) -> list[State]:
     """
     worlds = simulation.worlds
     scenario = simulation.scenario
-    state = worlds.state[j]
+    state = worlds.state[0]
     if isinstance(scenario, RoverScenario):
         known = worlds.known
-        own: Any = j  # rows [axles, ...] of `known`
+        own: Any = 0  # rows [axles, ...] of `known`
         names = axle_names(scenario.axles)
         records = state["wheels"]  # rows for the most axles that a rover has
         ruts = state.axles["floor"].tolist()
     else:
         known = worlds.ids
-        own = [j]  # rows [1, ...] of `known`
+        own = [0]  # rows [1, ...] of `known`
         names = ("wheel",)
         records = [state]
         ruts = [0.0]
@@ -80,7 +80,7 @@ def shown_wheels(simulation: Any, j: int) -> list[State]:
     wheels = []
     for a, (name, record, rut) in enumerate(zip(names, records, ruts, strict=False)):
         w = by_name(record) | {"name": name, "rut": rut}
-        w["soil"] = soil_at(worlds.courses, j, w["x"], scenario.course.border)
+        w["soil"] = soil_at(worlds.courses, 0, w["x"], scenario.course.border)
         for key in ("estimate", "sd", "status"):
             w[key] = None if known is None else getattr(known, key)[own][a]
         wheels.append(w)
@@ -161,13 +161,13 @@ def width_of(simulation: Any) -> float:
 def draw_side_view(
     c: Canvas,
     simulation: Any,
-    j: int,
     wheels: list[State],
     profile: Profile,
     bounds: tuple[float, float],
     angles: np.ndarray,
 ) -> None:
-    """Draw vehicle j with its `shown_wheels` in a camera that moves with it, its readings above.
+    """Draw the first vehicle with its `shown_wheels` in a camera that moves with it, its readings
+    above.
 
     `angles` [wheels] in rad: what the wheels have turned. `bounds`: (least, greatest) phi [deg]
     that the soil colours span. The surface is lower by the ruts that are left (depths normal to
@@ -180,13 +180,13 @@ def draw_side_view(
     posture = None  # of a rover
     hubs = hubs_of(simulation, wheels, profile)
     if isinstance(scenario, RoverScenario):
-        body = by_name(worlds.state[j])
-        rut_depth = (worlds.ruts["floor"][j] + worlds.ruts["depth"][j]).max(axis=0)
+        body = by_name(worlds.state[0])
+        rut_depth = (worlds.ruts["floor"][0] + worlds.ruts["depth"][0]).max(axis=0)
         vehicle = scenario.vehicle
         posture = posture_of(vehicle, hubs, body["pitch"])
     else:
         body = wheels[0] | {"pitch": wheels[0]["grade"]}
-        rut_depth = worlds.courses["cells"]["depth"][j]
+        rut_depth = worlds.courses["cells"]["depth"][0]
     middle = 0.5 * (wheels[0]["x"] + wheels[-1]["x"])
     place = np.add(SCENE[:2], np.multiply(AT, SCENE[2:]))
     scene = Scene(SCENE, SCENE[2] / width, place, profile.at(middle))
@@ -220,7 +220,7 @@ def draw_side_view(
     c.clip(None)
     c.box(scene.box, None, canvas.GRID)
     draw_scale_bar(c, scene)
-    _draw_readings(c, simulation, body, Cause(int(worlds.cause[j])))
+    _draw_readings(c, simulation, body, Cause(int(worlds.cause[0])))
 
 
 def _draw_body(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) -> None:

@@ -1,4 +1,4 @@
-"""View of one course of a simulation: canvas, window, and the history that charts show."""
+"""View of the first course of a simulation: canvas, window, and the history that charts show."""
 
 import math
 from collections import deque
@@ -20,8 +20,8 @@ _POINTS = 600  # samples of the history over the `SPAN` of the charts, at most
 
 
 class CourseView:
-    """Draws one course of a simulation of wheels or rovers: `clear` at a reset, `record` after it
-    and after each step, `draw` a frame.
+    """Draws the first course of a simulation of wheels or rovers: `clear` at a reset, `record`
+    after it and after each step, `draw` a frame.
 
     `mode`: "rgb_array" returns pictures, "human" shows them in a window.
     """
@@ -43,13 +43,13 @@ class CourseView:
         self._history.clear()
         self._angles = 0.0
 
-    def record(self, simulation: Any, k: int) -> None:
-        """Turn the wheels by a step, and add the state of vehicle k to the history.
+    def record(self, simulation: Any) -> None:
+        """Turn the wheels by a step, and add the state of the vehicle to the history.
 
         Only every `_every`-th state is added, so that the history stays within `_POINTS`.
         """
-        steps = simulation.steps[k]
-        wheels = shown_wheels(simulation, k)
+        steps = simulation.steps[0]
+        wheels = shown_wheels(simulation)
         self._angles = self._angles + np.array([w["wheel_speed"] for w in wheels]) * self._step
         if steps % (self._every * self.scenario.control.action_periods) == 0:
             sample = [steps * self.scenario.control.period]
@@ -57,32 +57,32 @@ class CourseView:
                 sample += sample_of(simulation, w, self.scenario.belief.sinkage_exponent)
             self._history.append(sample)
 
-    def _paint(self, canvas: Canvas, simulation: Any, k: int) -> None:
-        """Draw vehicle k as it is now on a cleared canvas; all of its course has to be drawn from
+    def _paint(self, canvas: Canvas, simulation: Any) -> None:
+        """Draw the vehicle as it is now on a cleared canvas; all of its course has to be drawn from
         the soils (`simulation.complete`).
         """
-        wheels = shown_wheels(simulation, k)
+        wheels = shown_wheels(simulation)
         width = width_of(simulation)
         length = self.scenario.course.length
         border = self.scenario.course.border
-        profile = profile_of(simulation.worlds.courses, k, border, width, length + 2.0 * width)
+        profile = profile_of(simulation.worlds.courses, border, width, length + 2.0 * width)
         bounds = friction_range(simulation)
         angles = np.broadcast_to(self._angles, len(wheels))  # 0 before the first record
-        draw_side_view(canvas, simulation, k, wheels, profile, bounds, angles)
+        draw_side_view(canvas, simulation, wheels, profile, bounds, angles)
         draw_table(canvas, wheels, bounds)
         draw_course(canvas, profile, length, [w["x"] for w in wheels], bounds)
         colours = [COLOURS[w["name"]] for w in wheels]
         history = np.reshape(self._history, (-1, 1 + QUANTITIES * len(wheels))).T
         draw_charts(canvas, history, colours, identified=wheels[0]["status"] is not None)
 
-    def draw(self, simulation: Any, k: int) -> np.ndarray | None:
-        """Picture of vehicle k as uint8 [height, width, 3]; in mode "human" it goes to the window,
-        and None is returned.
+    def draw(self, simulation: Any) -> np.ndarray | None:
+        """Picture of the vehicle as uint8 [height, width, 3]; in mode "human" it goes to the
+        window, and None is returned.
         """
         self._canvas = self._canvas or Canvas()
         self._canvas.clear()
-        simulation.complete(k)
-        self._paint(self._canvas, simulation, k)
+        simulation.complete(0)
+        self._paint(self._canvas, simulation)
         surface = self._canvas.finish()
         if self.mode == "human":
             self._show(surface)

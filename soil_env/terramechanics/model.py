@@ -245,7 +245,7 @@ class WheelSoilModel(Checked):
         """
         content = {
             "format": FORMAT,
-            "wheel": _without_off(self.wheel),
+            "wheel": {k: v for k, v in to_dict(self.wheel).items() if (k, v) not in _OFF},
             "effects": {
                 name: {k: float(v) for k, v in values.items()}
                 for name, values in self.effects.items()
@@ -308,13 +308,7 @@ def load_model(model: ModelLike) -> WheelSoilModel | None:
     return WheelSoilModel.load(model)
 
 
-def _without_off(wheel: ModelWheel) -> dict[str, Any]:
-    """The mapping of a wheel, without the keys of tyre and grip where it has none."""
-    keys = to_dict(wheel)
-    off = {"tyre": None, "grip": 0.0}
-    return {name: value for name, value in keys.items() if name not in off or value != off[name]}
-
-
+_OFF = (("tyre", None), ("grip", 0.0))  # entries of a wheel without a tyre or a limit of grip
 _OPTIONAL = {"speed": 0.0, "pass": 1.0, "grade_deg": 0.0}  # values where they are not given
 _SIZES = ("wheel_radius", "wheel_width", "grouser_height")  # those of the model if not given
 #: Name of a condition, its least and largest value, and what a message expects.

@@ -242,9 +242,9 @@ def test_an_export_and_a_model_of_plain_sb3_are_refused_on_a_rover(tmp_path, sce
 
 def test_an_action_that_differs_is_not_exported(tmp_path, scenario, capsys, monkeypatch):
     folder = saved(tmp_path / "run", scenario)
-    plain = Agent._normalised
+    plain = Agent.act
     monkeypatch.setattr(
-        "soil_env_agents.agent.Agent._normalised", lambda self, x: 1.5 * plain(self, x)
+        "soil_env_agents.agent.Agent.act", lambda self, x, *rest: plain(self, 1.5 * x, *rest)
     )
     assert export(folder, tmp_path / "out") == 2
     assert "differs by" in capsys.readouterr().err and not (tmp_path / "out").exists()

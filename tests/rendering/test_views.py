@@ -32,7 +32,7 @@ def start(rover=None, changes=None, mode="rgb_array", variant="identified"):
         scenario = load_rover(rover, {"control": {"action": "wheel_speed"}, **(changes or {})})
     simulation = started(scenario, variant, [1])
     view = CourseView(scenario, mode)
-    view.record(simulation, 0)
+    view.record(simulation)
     return simulation, view
 
 
@@ -40,7 +40,7 @@ def drive(simulation, view, steps, command=0.4):
     """Drive on, recording every step."""
     for _ in range(steps):
         simulation.step(0, command)
-        view.record(simulation, 0)
+        view.record(simulation)
 
 
 def near(picture, colour, tolerance=12):
@@ -51,7 +51,7 @@ def near(picture, colour, tolerance=12):
 def ground(simulation):
     """`Profile` of the course."""
     border = simulation.scenario.course.border
-    return profile_of(simulation.worlds.courses, 0, border, 1.0, 60.0)
+    return profile_of(simulation.worlds.courses, border, 1.0, 60.0)
 
 
 def hubs(simulation):
@@ -60,7 +60,7 @@ def hubs(simulation):
     """
     left, top, width, height = SCENE
     scale = width / width_of(simulation)
-    wheels = shown_wheels(simulation, 0)
+    wheels = shown_wheels(simulation)
     up = hubs_of(simulation, wheels, ground(simulation)) - ground(simulation).at(
         0.5 * (wheels[0]["x"] + wheels[-1]["x"])
     )
@@ -82,7 +82,7 @@ def ring(picture, x, y, radius):
 def test_wheels_are_drawn_where_they_are_and_bear_what_they_bear(rover):
     simulation, view = start(rover)
     drive(simulation, view, 40)
-    picture = view.draw(simulation, 0)
+    picture = view.draw(simulation)
     places, scale = hubs(simulation)
     radius = simulation.scenario.wheel.radius * scale
     for x, y in places:
@@ -108,7 +108,7 @@ def test_stresses_sum_to_the_forces_on_every_wheel(rover, command):
     wheel = simulation.scenario.wheel
     r = wheel.radius
     area = wheel.radius * wheel.width
-    for w in shown_wheels(simulation, 0):
+    for w in shown_wheels(simulation):
         angle, normal, shear = stresses_under(w, r, wheel.width)
         side = math.copysign(1.0, w["speed"])
         load = area * integral(normal * np.cos(angle) + side * shear * np.sin(angle), angle)
@@ -125,10 +125,10 @@ def test_ruts_lower_the_ground_behind_the_wheels(rover):
     """By their depth; ahead of the wheels the picture is as without."""
     simulation, view = start(rover, {"course": {"grade_deg": [-1.0, 0.0]}})
     drive(simulation, view, 60)
-    with_rut = view.draw(simulation, 0)
+    with_rut = view.draw(simulation)
     worlds = simulation.worlds
     places, scale = hubs(simulation)
-    last = shown_wheels(simulation, 0)[-1]
+    last = shown_wheels(simulation)[-1]
     if rover is None:
         cells = worlds.courses["cells"][0]
         left = [cells["depth"]]
@@ -148,7 +148,7 @@ def test_ruts_lower_the_ground_behind_the_wheels(rover):
     else:
         worlds.ruts["depth"] = 0.0
         worlds.ruts["floor"] = 0.0
-    without = view.draw(simulation, 0)
+    without = view.draw(simulation)
     radius = simulation.scenario.wheel.radius * scale
     sky = [
         near(p[:, int(places[-1, 0] - 1.5 * radius)], canvas.SKY, 6).sum()
@@ -168,7 +168,7 @@ def test_where_nothing_is_identified_no_estimate_is_drawn(variant):
         belief = {"soils": {}, "friction_angle_deg": prior, "shear_modulus": 4e-4 * prior}
         simulation, renderer = start(changes={"belief": belief}, variant=variant)
         drive(simulation, renderer, 20)
-        pictures.append(renderer.draw(simulation, 0))
+        pictures.append(renderer.draw(simulation))
     assert np.array_equal(*pictures) == (variant == "blind")
 
 
@@ -179,7 +179,7 @@ def test_off_screen_pictures_need_no_display():
         "assert 'pygame' not in sys.modules\n"
         "from tests.rendering.test_views import start\n"
         "simulation, renderer = start()\n"
-        "assert renderer.draw(simulation, 0).any()\n"
+        "assert renderer.draw(simulation).any()\n"
         "import pygame\n"
         "assert not pygame.display.get_init()\n"
     )
@@ -201,13 +201,13 @@ def test_a_window_shows_the_picture(monkeypatch):
     off_screen = CourseView(simulation.scenario, "rgb_array")
     for _ in range(3):
         drive(simulation, a, 1)
-        assert a.draw(simulation, 0) is None and b.draw(simulation, 0) is None
+        assert a.draw(simulation) is None and b.draw(simulation) is None
     shown = pygame.surfarray.array3d(a._window.get_surface()).transpose(1, 0, 2)
     off_screen._history = a._history
     off_screen._angles = a._angles
-    assert np.array_equal(shown, off_screen.draw(simulation, 0))
+    assert np.array_equal(shown, off_screen.draw(simulation))
     a.close()
-    assert b.draw(simulation, 0) is None
+    assert b.draw(simulation) is None
     for view in (a, b, b, off_screen):
         view.close()
     pygame.display.quit()

@@ -12,7 +12,7 @@ from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout
 from soil_env.terramechanics.motor import LOOP_GAIN
 
-from ..inputs import Layout, Observing, starts
+from ..inputs import Layout, Observing
 
 _CHOICE = 0.01  # smallest action that chooses a route; the drive is held meanwhile
 
@@ -90,17 +90,10 @@ class Controller(Observing):
         """
         raise NotImplementedError
 
-    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """Actions [n, 1] float32 in [-1, 1] (or [1] for one observation) and the state for the next
-        call; `deterministic` is without effect.
-
-        ParameterError for an observation of another layout or variant, and for one that is scaled.
-        """
-        batch = np.atleast_2d(self.layout.observed(observation)).astype(np.float64)
-        fresh = starts(episode_start, len(batch), state is None)
+    def _answer(self, batch, state, fresh, deterministic):
+        batch = batch.astype(np.float64)
         state = self.state_for(batch, state, fresh)
-        action = self.act(batch, state)
-        return (action[0] if np.ndim(observation) == 1 else action), state
+        return self.act(batch, state), state
 
     def act(self, batch: np.ndarray, state: dict) -> np.ndarray:
         """Actions [n, 1] for checked observations [n, D]; advances `state`."""
@@ -162,7 +155,7 @@ class Controller(Observing):
                 for name, n in self.memory.items()
             }
             fresh = np.ones(len(batch), dtype=bool)
-        state = {key: value.copy() for key, value in state.items()}
+        state = dict(state)
         for name, columns in self.memory.items():
             state[name] = np.where(fresh[:, None] if columns else fresh, 0.0, state[name])
         state["fresh"] = fresh

@@ -26,7 +26,7 @@ from soil_env.simulation.rover.task import axle_names, rover_layout
 from soil_env.simulation.task import layout
 
 from ..controllers import CONTROLLERS, make_controller
-from ..inputs import Layout, starts
+from ..inputs import Layout, Observing
 
 _SLOWEST = 0.02  # [of top rim speed] of the body, where its turning is looked at
 _RATE_SHARE = 0.3  # of the newest reading in the mean of the pitch rate
@@ -34,16 +34,17 @@ _TIME = 0.5  # [s] in which torque_by_load makes up for a lack of speed
 _LEAST_LOAD = 0.01  # [of its weight] load of a wheel that is lifted; own choice
 
 
-class RoverController:
+class RoverController(Observing):
     """The controller `of_wheel` for each wheel.
 
     `own` is that controller; `settings` are its. `drives`: values of the scenario's `control`, by
     their keys, that it needs in place of the scenario's.
     """
 
+    scenario: RoverScenario
     drives: dict[str, Any] = {}
 
-    def __init__(self, scenario: RoverScenario, of_wheel: str = "soft_start", **settings: float):
+    def __init__(self, scenario: RoverScenario, of_wheel: str, **settings: float):
         self.own = make_controller(of_wheel, scenario, **settings)
         self.scenario = scenario
         self.variant = self.own.variant
@@ -63,16 +64,11 @@ class RoverController:
             ]
         )
 
-    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """Actions [n, axles] float32 (or [axles] for one observation) and the state for the next
-        call; ParameterError as `Controller.predict`.
-        """
-        batch = np.atleast_2d(self.layout.observed(observation)).astype(np.float64)
-        fresh = starts(episode_start, len(batch), state is None)
+    def _answer(self, batch, state, fresh, deterministic):
+        batch = batch.astype(np.float64)
         wheels = batch[:, self._columns].reshape(len(batch) * self.axles, -1)
         state = {**self.own.state_for(wheels, state, np.repeat(fresh, self.axles)), "begun": fresh}
-        action = self.command(batch, wheels, state).reshape(len(batch), self.axles)
-        return (action[0] if np.ndim(observation) == 1 else action), state
+        return self.command(batch, wheels, state).reshape(len(batch), self.axles), state
 
     def command(self, batch: np.ndarray, wheels: np.ndarray, state: dict) -> np.ndarray:
         """Actions of all wheels, n x axles numbers with those of a rover side by side.
@@ -96,11 +92,6 @@ class VelocitySync(RoverController):
     the commanded speed. On even slopes all go alike.
     """
 
-    def __init__(self, scenario: RoverScenario, of_wheel: str = "soft_start", **settings: float):
-        super().__init__(scenario, of_wheel, **settings)
-        v = scenario.vehicle
-        self.arms = v.centre - np.array(v.axles)  # [m] of the axles ahead of the centre
-
     def rim_speeds(self, batch, wheels, state):
         """Rim speeds [m/s], [n x axles]: the ramp times the speed of each axle over that of the
         fastest; keeps `pitch` and `rate` [n] in `state`.
@@ -114,7 +105,9 @@ class VelocitySync(RoverController):
         state["pitch"] = pitch
         state["rate"] = rate
         speed = np.maximum(np.abs(batch[:, self.column["speed"]]), _SLOWEST) * self.own.top_speed
-        going = np.hypot(speed[:, None], rate[:, None] * self.arms)
+        v = self.scenario.vehicle
+        arms = v.centre - np.array(v.axles)  # [m] of the axles ahead of the centre
+        going = np.hypot(speed[:, None], rate[:, None] * arms)
         share = going / going.max(axis=1, keepdims=True)
         return self.own.rim_speed(wheels, state) * share.reshape(-1)
 

@@ -22,13 +22,10 @@ class FullThrottle(Controller):
 
     name = "full_throttle"
 
-    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """The setting `share`, 1 without one, for each observation, [n, 1] float32 (or [1] for
-        one), and the `state` as it is. The other arguments are without effect.
-        """
-        seen = self.layout.observed(observation)
-        shape = (1,) if seen.ndim == 1 else (len(seen), 1)
-        return np.full(shape, self.settings.get("share", 1.0), dtype=np.float32), state
+    def _answer(self, batch, state, fresh, deterministic):
+        """The setting `share`, 1 without one, for each observation, and the `state` as it is."""
+        share = self.settings.get("share", 1.0)
+        return np.full((len(batch), 1), share, dtype=np.float32), state
 
 
 class ConstantTorque(FullThrottle):
@@ -45,13 +42,10 @@ class BestRoute(Controller):
     variant = "identified"
     bounds = {"share": ConstantTorque.bounds["share"]._replace(default=0.3)}
 
-    def rim_speed(self, observation, state):
-        """Zeros [n], which `command` does not use: no rim speed is followed."""
-        return np.zeros(len(observation))
-
-    def command(self, batch, rim_speed, state):
-        """The share of the largest action, [n, 1]."""
-        return np.full((len(batch), 1), self.settings["share"], dtype=np.float32)
+    def act(self, batch, state):
+        """The share of the largest action, [n, 1], at a halt with the choice of a route."""
+        share = np.full((len(batch), 1), self.settings["share"], dtype=np.float32)
+        return self.chosen(batch, share, self.prefers_other_route(batch))
 
 
 class ConstantSpeed(Controller):

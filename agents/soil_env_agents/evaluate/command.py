@@ -12,7 +12,7 @@ from click.core import ParameterSource
 from soil_env._io.files import alone, check_outputs, is_unused
 from soil_env._io.loading import ParameterError, to_dict
 from soil_env.cli.running import PATH, WholeNumber
-from soil_env.parameters import Scenario, load_scenario
+from soil_env.parameters import load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .. import cells
@@ -175,9 +175,9 @@ def carry_out(
     job = evaluation.Job(asked, None if engine is cells.in_process else 1, ship)
     runs = evaluation.run(asked, folder, engine, job)
     result = evaluation.result(asked, runs)
-    written = report.write(result, runs, folder)
+    report.write(result, runs, folder)
     report.print_table(result)
-    show(f"Written to {folder}: {', '.join(written)}")
+    show(f"Written to {folder}: {', '.join(report.FILES)}")
     return result
 
 
@@ -232,7 +232,8 @@ def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
         c
         for c in asked.controllers.values()
         if not c.settings
-        and ((c.kind == "classical" and c.source == c.name) or _is_own(c, asked.scenario))
+        and (c.kind == "class" or (c.kind == "classical" and c.source == c.name))
+        and bounds_of_settings(c.source, asked.scenario)
     ]
     for name, count in Counter(c.name for c in own).items():
         if count > 1:
@@ -249,8 +250,3 @@ def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
     found = tuned_settings(asked.scenario, asked.tuning_courses, names, asked.world, log)
     tuned = {name: found[source] for name, source in sources.items() if source in found}
     return dataclasses.replace(asked, tuned={**asked.tuned, **tuned}, codes=codes)
-
-
-def _is_own(contestant: contestants.Contestant, scenario: Scenario) -> bool:
-    """True for a `module:Class` with settings to tune (`bounds`)."""
-    return contestant.kind == "class" and bool(bounds_of_settings(contestant.source, scenario))

@@ -20,7 +20,8 @@ ORACLE_BLOCK = 10
 #: Metrics that are compared course by course; the last two are of rovers.
 PAIRED = ("immobilised", "finished", "return", "energy_per_metre", "fighting", "wheel_force")
 _UNDEFINED = {"value": None, "low": None, "high": None}
-BY_SEED = ("immobilised", "finished", "return")
+#: Metrics that are shown by training seed, in differences and in the figure of a study.
+MAIN = ("immobilised", "finished", "return")
 
 
 def comparison(
@@ -93,7 +94,7 @@ def comparison(
         "controllers": {
             n: {m: _metric(m, scores[n][m], samples[n][m]) for m in names} for n in runs
         },
-        "by_seed": {n: {m: [st.mean(row) for row in scores[n][m]] for m in BY_SEED} for n in runs},
+        "by_seed": {n: {m: [st.mean(row) for row in scores[n][m]] for m in MAIN} for n in runs},
         "iqm": {n: iqm(n) for n in runs},
         "paired": {
             a: {b: {m: difference(a, b, m) for m in paired} for b in others[a]} for a in runs

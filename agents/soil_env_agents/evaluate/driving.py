@@ -194,9 +194,12 @@ def run_block(
     detailed: bool = False,
 ) -> Runs:
     """`run_courses` with all courses side by side, however many."""
+    kind = _Detailed if detailed else _Totals
+    if isinstance(scenario, RoverScenario):
+        kind = _OfRovers
     totals: _Totals | None = None
     for sim, alive in drive(controller, scenario, seed, courses, model, threads, detailed):
-        totals = totals or _totals(sim, scenario, len(courses), detailed)
+        totals = totals or kind(sim)
         totals.add(alive)
     assert totals is not None
     return totals.runs()
@@ -282,13 +285,13 @@ def drive(
 def _commands(
     action, alive: np.ndarray, scenario: Scenario, when: str, courses: range
 ) -> np.ndarray:
-    """The `action` of a controller as commands in [-1, 1], [count] or, of rovers, [count, axles].
+    """The `action` of a controller as commands in [-1, 1], [courses, axles].
 
     Larger actions are cut. ParameterError for another shape, and for an action that is not finite
-    on a course that is `alive` [count], with `when` and the course in its text.
+    on a course that is `alive` [courses], with `when` and the course in its text.
     """
     action = np.asarray(action, dtype=np.float64)
-    axles = scenario.axles if isinstance(scenario, RoverScenario) else 1
+    axles = getattr(scenario, "axles", 1)
     if action.shape != (len(alive), axles):
         raise ParameterError(
             f"action of shape {list(action.shape)}: expected [{len(alive)}, {axles}]"
@@ -298,31 +301,28 @@ def _commands(
         value = action[bad[0]].tolist()
         said = value[0] if axles == 1 else value
         raise ParameterError(f"action {said} {when} {courses[bad[0]]}: expected a finite number")
-    commands = np.clip(np.nan_to_num(action), -1.0, 1.0)
-    return commands if isinstance(scenario, RoverScenario) else commands[:, 0]
+    return np.clip(np.nan_to_num(action), -1.0, 1.0)
 
 
 class _Totals:
-    """Sums over the time of `count` courses side by side."""
+    """Sums over the time of the courses of a simulation, side by side."""
 
-    def __init__(self, sim, scenario: Scenario, count: int):
-        self.sim = sim
+    def __init__(self, sim):
         self.worlds = sim.worlds
         self.state = sim.worlds.state  # of the wheels, or of rovers
-        self.scenario = scenario
-        self.count = count
-        # [count] each: [J], [-], control periods not at a halt, [m], [-], control periods.
+        self.scenario = sim.scenario
+        # [courses] each: [J], [-], control periods not at a halt, [m], [-], control periods.
         self.energy, self.slip, self.driving, self.sinkage, self.returns, self.steps = np.zeros(
-            (6, count)
+            (6, sim.count)
         )
 
     def work(self) -> np.ndarray:
-        """Work of the motors in this control period [J], [count], at least 0."""
+        """Work of the motors in this control period [J], [courses], at least 0."""
         return np.maximum(self.state["motor_work"], 0.0)
 
     def add(self, alive: np.ndarray) -> np.ndarray:
-        """Take in one control period; returns the `alive` courses that are not at a halt [count]
-        bool.
+        """Take in one control period; returns the `alive` courses that are not at a halt
+        [courses] bool.
         """
         s = self.state
         driving = alive & (s["halt_left"] == 0.0)
@@ -355,15 +355,15 @@ class _Totals:
 class _OfRovers(_Totals):
     """The same of rovers, with the metrics `OF_ROVERS`."""
 
-    def __init__(self, sim, scenario: RoverScenario, count: int):
-        super().__init__(sim, scenario, count)
-        self.axles = scenario.axles
+    def __init__(self, sim):
+        super().__init__(sim)
+        self.axles = self.scenario.axles
         # Sums of shares: see `further_metrics`.
-        self.fighting, self.force = np.zeros((2, count))
+        self.fighting, self.force = np.zeros((2, sim.count))
 
     def work(self) -> np.ndarray:
-        """Work of the motors of both sides in this control period [J], [count]; the state has that
-        of one side.
+        """Work of the motors of both sides in this control period [J], [courses]; the state has
+        that of one side.
         """
         return 2.0 * self.state["motor_work"]
 
@@ -395,11 +395,11 @@ class _OfRovers(_Totals):
 class _Detailed(_Totals):
     """The same of wheels, with the metrics `DETAILED`."""
 
-    def __init__(self, sim, scenario: Scenario, count: int):
-        super().__init__(sim, scenario, count)
-        self.foresight = Foresight(scenario, count)
-        # [count] each: [J] by the drawbar pull and by the motor, where a wheel pulls.
-        self.drawbar_work, self.drive_work = np.zeros((2, count))
+    def __init__(self, sim):
+        super().__init__(sim)
+        self.foresight = Foresight(self.scenario, sim.count)
+        # [courses] each: [J] by the drawbar pull and by the motor, where a wheel pulls.
+        self.drawbar_work, self.drive_work = np.zeros((2, sim.count))
         # [courses] of each control period: slip, sinkage [mm], True while driving
         self.slips: list[np.ndarray] = []
         self.depths: list[np.ndarray] = []
@@ -436,15 +436,6 @@ class _Detailed(_Totals):
         for name, series in (("slip", self.slips), ("sinkage", self.depths)):
             out[f"{name}_p50"], out[f"{name}_p95"] = _percentiles(np.array(series), drove)
         return out
-
-
-def _totals(sim, scenario: Scenario | RoverScenario, count: int, detailed: bool) -> _Totals:
-    """Empty sums over `count` courses: of rovers, of wheels with the metrics `DETAILED` if
-    `detailed`, else of wheels.
-    """
-    if isinstance(scenario, RoverScenario):
-        return _OfRovers(sim, scenario, count)
-    return _Detailed(sim, scenario, count) if detailed else _Totals(sim, scenario, count)
 
 
 def _percentiles(series, mask):

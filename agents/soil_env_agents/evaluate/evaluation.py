@@ -113,7 +113,7 @@ class Job:
     `ship`: take the models along, for machines that do not have the files.
     """
 
-    def __init__(self, asked: Evaluation, threads: int | None = 1, ship: bool = False):
+    def __init__(self, asked: Evaluation, threads: int | None, ship: bool):
         self.asked = asked
         self.threads = threads
         self.controllers = asked.contestants()

@@ -73,7 +73,7 @@ def load_model(path: Path, scenario: Scenario):
         saved.check_layout(agent.info, path, scenario)
     except ParameterError as error:
         raise ParameterError(f"controllers: {str(error).removeprefix('controllers: ')}") from None
-    _check_action(path, agent.info.task.control, scenario)
+    _check_action(path, agent.scenario.control, scenario)
     return agent
 
 
@@ -111,7 +111,7 @@ def _exported(path: Path, scenario: Scenario) -> ExportedAgent:
         agent = ExportedAgent(path)
     except ParameterError as error:
         raise ParameterError(f"controllers: {error}") from None
-    _check_action(path, agent.control, scenario)
+    _check_action(path, agent.scenario.control, scenario)
     own = len(agent.content["inputs"])
     asked = len(layout(agent.variant, scenario.course))
     if own != asked:
@@ -229,16 +229,15 @@ class _Plain(Observing):
         self.scaling = scaling
         self.choice = choice
 
-    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """(actions, state) as of SB3's predict, for observations in their units; one that scaled
-        its observations gets them scaled.
+    def _answer(self, batch, state, fresh, deterministic):
+        """(actions, state) as of SB3's predict; a model that scaled its observations gets them
+        scaled.
 
         A model trained with `LineAction` has two actions: the second is taken where a route is
         chosen, else the first.
         """
-        seen = self.layout.observed(observation)
-        action, state = self.model.predict(self.scaling(seen), state, episode_start, deterministic)
+        action, state = self.model.predict(self.scaling(batch), state, fresh, deterministic)
         if self.choice is not None:
-            choosing = np.asarray(observation)[..., [self.choice]] > 0.5
-            action = np.where(choosing, action[..., 1:], action[..., :1])
+            choosing = batch[:, [self.choice]] > 0.5
+            action = np.where(choosing, action[:, 1:], action[:, :1])
         return action, state

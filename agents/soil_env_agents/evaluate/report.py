@@ -16,7 +16,7 @@ from .comparing import ORACLE
 from .driving import RATES, Runs
 from .tables import bracketed, cell, difference, draw_metrics, save_csv
 
-_FILES = ("evaluation.json", "evaluation.md", "courses.csv", "metrics.png")
+FILES = ("evaluation.json", "evaluation.md", "courses.csv", "metrics.png")
 _PANELS = (
     "immobilised",
     "finished",
@@ -67,14 +67,13 @@ def _values(values: Mapping[str, float]) -> str:
     return ", ".join(f"{key} {value:.4g}" for key, value in values.items())
 
 
-def write(result: Mapping, runs: Mapping[str, list[Runs]], folder: Path) -> list[str]:
-    """Write evaluation.json and .md, courses.csv and metrics.png; returns their names."""
+def write(result: Mapping, runs: Mapping[str, list[Runs]], folder: Path) -> None:
+    """Write the `FILES`."""
     write_json(folder / "evaluation.json", result)
     save_csv(folder / "courses.csv", _courses(runs, list(result["metrics"])))
     panels = [m for m in _PANELS if m in result["metrics"]]
     replace_file(folder / "metrics.png", draw_metrics({"": result["controllers"]}, panels))
     replace_file(folder / "evaluation.md", page(result))
-    return list(_FILES)
 
 
 def _courses(runs: Mapping[str, list[Runs]], metrics: list[str]) -> list[list]:
@@ -114,11 +113,10 @@ def page(result: Mapping) -> str:
         metrics.append([f"{m.replace('_', ' ')}{bracketed(unit)}", about["meaning"], *cells])
     iqm = [*(cell(result["iqm"][n]) for n in names), *("" for _ in limits)]
     metrics.append(["interquartile mean of return", "", *iqm])
-    shown = ("immobilised", "finished", "return")
     paired = []
     for i, a in enumerate(names):
         for b in names[:i]:
-            cells = (difference(m, result["paired"][a][b][m]) for m in shown)
+            cells = (difference(m, result["paired"][a][b][m]) for m in comparing.MAIN)
             paired.append([f"`{a}` - `{b}`", *cells, cell(result["improvement"][a][b])])
     parts = [
         f"# Controllers on scenario {result['scenario']}{comparing.other_world(result)}",
@@ -135,6 +133,6 @@ def page(result: Mapping) -> str:
             "Differences on the same courses, of rates in percentage points, and the probability "
             "of the higher return:"
         ),
-        Table(["controllers", *shown, "P(higher return)"], paired).markdown(),
+        Table(["controllers", *comparing.MAIN, "P(higher return)"], paired).markdown(),
     ]
     return "\n\n".join(parts) + "\n"

@@ -91,9 +91,9 @@ class Graph:
             dtype=next((v.dtype for v in (x, y) if isinstance(v, Traced)), None),
         )
 
-    def info(self, x: Traced, shape: Sequence | None = None):
+    def info(self, x: Traced, shape: Sequence):
         """ONNX description of an input or output `x`: name, type and `shape`, of numbers, and of
-        names for lengths that are open; None: nothing is said of the shape.
+        names for lengths that are open.
         """
         return helper.make_tensor_value_info(x.label, _TYPES[x.dtype.name], shape)
 

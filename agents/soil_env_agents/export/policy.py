@@ -49,7 +49,9 @@ def onnx_model(agent, description: dict):
         raw, kept = history.observe(raw, memory, fresh)
         inputs += [graph.info(fresh, ["n"]), graph.info(memory, ["n", history.kept])]
         results = [(kept, "next_history", history.kept)]
-    x = _normalised(raw, agent)
+    x = raw
+    if hasattr(agent, "normalised"):  # models of other programs have no normalisation
+        x = agent.normalised(raw.astype(np.float64))
     if shipped:
         action = agent.action(x)
     else:
@@ -64,17 +66,6 @@ def onnx_model(agent, description: dict):
         for x, name, size in results
     ]
     return graph.model(inputs, outputs, {"policy": json.dumps(plain(description))})
-
-
-def _normalised(x: Values, agent) -> Values:
-    """Input of the network, float32, as `Agent._normalised` computes it; x as it is for a policy
-    that has no `mean`, and scales it itself if at all.
-    """
-    if not hasattr(agent, "mean"):
-        return x
-    return np.clip((x.astype(np.float64) - agent.mean) / agent.sd, -agent.clip, agent.clip).astype(
-        np.float32
-    )
 
 
 def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None) -> dict:

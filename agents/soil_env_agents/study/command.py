@@ -96,5 +96,5 @@ def command(
     content = results.result(asked, out)
     if not content["scenarios"]:
         raise ParameterError(f"{out}: no cell is done; expected a study that has run")
-    written = results.write(content, out)
-    show(results.table(content, bounds=False), f"Written to {out}: {', '.join(written)}")
+    results.write(content, out)
+    show(results.table(content, bounds=False), f"Written to {out}: {', '.join(results.FILES)}")

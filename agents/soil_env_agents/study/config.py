@@ -184,7 +184,9 @@ class Study(Checked):
         scenario = self.targets[cell.source].scenario
         task = {"rover" if isinstance(scenario, RoverScenario) else "scenario": scenario.name}
         content = model.content() if model else {}
-        own = {"model": content, "name": str(cell), "runs": str(runs), "seed": _seed_of(cell)}
+        # The same for all arms; far from the next one, as wheel k of a training has seed + k.
+        seed = 1_000_003 * (cell.seed + 1)
+        own = {"model": content, "name": str(cell), "runs": str(runs), "seed": seed}
         return load(
             TrainConfig, {**self.arms[cell.arm].train, **task, **own}, f"arms.{cell.arm}.train"
         )
@@ -211,13 +213,6 @@ class Cell:
     def __str__(self) -> str:
         """Name of the cell, also of its files."""
         return f"{self.source}-{self.arm}-{self.seed}"
-
-
-def _seed_of(cell: Cell) -> int:
-    """Seed of a training, the same for all arms; far from the next one, as wheel k of a training
-    has seed + k.
-    """
-    return 1_000_003 * (cell.seed + 1)
 
 
 def read_config(path: Path, changes: dict | None = None) -> Study:

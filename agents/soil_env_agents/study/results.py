@@ -11,7 +11,6 @@ from ..evaluate.tables import cell, draw_metrics, points
 from . import work
 from .config import Study
 
-_PANELS = ("immobilised", "finished", "return")
 FILES = ("study.json", "study.md", "study.png")
 
 
@@ -84,8 +83,8 @@ def table(content: dict, bounds: bool = True) -> Table:
     )
 
 
-def write(content: dict, folder: Path) -> list[str]:
-    """Write study.json, study.md and study.png; returns their names."""
+def write(content: dict, folder: Path) -> None:
+    """Write the `FILES`."""
     write_json(folder / FILES[0], content)
     found = [
         f"World `{name}`: {effects or 'no effects'}." for name, effects in content["worlds"].items()
@@ -93,5 +92,4 @@ def write(content: dict, folder: Path) -> list[str]:
     page = ["# Study", *found, table(content).markdown(), "![Study](study.png)"]
     replace_file(folder / FILES[1], "\n\n".join(page) + "\n")
     rows = {name: entry["controllers"] for name, entry in content["scenarios"].items()}
-    replace_file(folder / FILES[2], draw_metrics(rows, _PANELS))
-    return list(FILES)
+    replace_file(folder / FILES[2], draw_metrics(rows, comparing.MAIN))
