@@ -39,7 +39,7 @@ from soil_env.simulation.task.scaling import Scaling
 from . import inputs
 from .archives import check_unpacked
 from .config import NAMES, PPOConfig
-from .history import History, columns_of_routes
+from .history import History, Remembering, columns_of_routes
 
 # Members of the zip.
 INFO = "soil_env.json"
@@ -324,7 +324,7 @@ def load_agent(path: str | Path) -> Agent:
 
 
 @dataclass
-class Agent(inputs.Remembering):
+class Agent(Remembering):
     """A trained agent. It takes observations in their units, whatever it was trained on.
 
     The units are those of `SoilWheel-v0` and `SoilRover-v0` with `scaled=False`; for scaled

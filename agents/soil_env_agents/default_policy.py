@@ -15,7 +15,7 @@ from soil_env.simulation.task import check_version, layout
 
 from . import common_layout, inputs
 from .archives import check_unpacked
-from .history import History, columns_of_routes
+from .history import History, Remembering, columns_of_routes
 
 WEIGHTS = Path(__file__).with_name("default_policy.npz")
 NAME = "default_policy"
@@ -29,7 +29,7 @@ _EXPECTED = (
 )
 
 
-class DefaultPolicy(inputs.Remembering):
+class DefaultPolicy(Remembering):
     """A trained student with `predict` on observations `identified` of the `scenario`, in their
     units; `path`: its weights.
 

@@ -13,6 +13,9 @@ import numpy as np
 from gymnasium import spaces
 
 from soil_env.simulation.task import AXLES, ROUTES
+from soil_env.simulation.task.scaling import Scaling
+
+from .inputs import Observing, memory, switch
 
 #: Entries of the observation that are kept.
 READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "rim_speed")
@@ -128,6 +131,35 @@ class History:
             bounds.append(np.concatenate([side, history]).astype(np.float32))
         low, high = bounds
         return spaces.Box(low, high, dtype=np.float32)
+
+
+class Remembering(Observing):
+    """Base of the agents with a network, which reads scaled observations with their `history`, if
+    it has one, normalised by the `mean` and `sd` of the training, cut at `clip`.
+    """
+
+    scaling: Scaling
+    history: History | None
+    mean: np.ndarray
+    sd: np.ndarray
+    clip: float
+
+    def normalised(self, seen):
+        """Input of the network [n, D] float32 for scaled observations [n, D], history included;
+        arrays, or values of an ONNX graph.
+        """
+        return np.clip((seen - self.mean) / self.sd, -self.clip, self.clip).astype(np.float32)
+
+    def _answer(self, batch, state, fresh, deterministic):
+        batch = self.scaling(batch)
+        if self.history is not None:
+            kept = memory(state, (len(batch), self.history.kept))
+            batch, state = self.history.observe(batch, kept, fresh)
+        return self.act(self.normalised(batch), switch(deterministic)), state
+
+    def act(self, x: np.ndarray, deterministic: bool) -> np.ndarray:
+        """Actions [n, A] in [-1, 1] for inputs of the network [n, D]."""
+        raise NotImplementedError
 
 
 def columns_of_routes(names: Sequence[str], history: int) -> list[list[int]]:

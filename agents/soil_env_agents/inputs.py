@@ -13,8 +13,6 @@ from soil_env.parameters import Scenario
 from soil_env.simulation.task import ObservedNumber
 from soil_env.simulation.task.scaling import Scaling
 
-from .history import History
-
 _ROUNDING = 1e-5  # of the range of an entry: added by scaling and back
 #: Entries that are exactly 0 at the start of a course, so that a scaled observation is known there.
 _BEGIN = ("odometry", "rim_command")
@@ -130,35 +128,6 @@ class Observing:
     def reset(self) -> None:
         """Begin a drive of the wheel: forget its readings."""
         self.observer.reset()
-
-
-class Remembering(Observing):
-    """Base of the agents with a network, which reads scaled observations with their `history`, if
-    it has one, normalised by the `mean` and `sd` of the training, cut at `clip`.
-    """
-
-    scaling: Scaling
-    history: History | None
-    mean: np.ndarray
-    sd: np.ndarray
-    clip: float
-
-    def normalised(self, seen):
-        """Input of the network [n, D] float32 for scaled observations [n, D], history included;
-        arrays, or values of an ONNX graph.
-        """
-        return np.clip((seen - self.mean) / self.sd, -self.clip, self.clip).astype(np.float32)
-
-    def _answer(self, batch, state, fresh, deterministic):
-        batch = self.scaling(batch)
-        if self.history is not None:
-            kept = memory(state, (len(batch), self.history.kept))
-            batch, state = self.history.observe(batch, kept, fresh)
-        return self.act(self.normalised(batch), switch(deterministic)), state
-
-    def act(self, x: np.ndarray, deterministic: bool) -> np.ndarray:
-        """Actions [n, A] in [-1, 1] for inputs of the network [n, D]."""
-        raise NotImplementedError
 
 
 def starts(episode_start, count: int, default: bool) -> np.ndarray:
