@@ -74,7 +74,8 @@ class _Commands(click.Group):
 def soil_env() -> None:
     """Wheels on soil they do not know: drive, train, identify, discover.
 
-    Exit status: 0 done, 2 bad input (one line, which names what it keeps), 130 interrupted.
+    Exit status: 0 done; 2 bad input, with one line on stderr; 130 interrupted, 143 by SIGTERM.
+    The line of a command that can go on also names the folder of what is finished.
     """
 
 
