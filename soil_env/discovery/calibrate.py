@@ -41,12 +41,12 @@ from soil_env.identification.table.form_error import (
 from soil_env.identification.table.noise import NoiseEstimate, find_noise, with_noise_of_conditions
 from soil_env.identification.table.priors import (
     BROAD,
-    USUAL_SINKAGE,
     Unknown,
     Values,
     bounds_of,
     given_laws,
     given_prior,
+    middle_sinkage,
     parameters_at,
     soil_unknowns,
 )
@@ -262,15 +262,13 @@ class Problem:
         """Sizes of this rig, which priors of effects scale with.
 
         `speed` and `sliding` are geometric means: that of sliding over the rows that slip, or that
-        of travel if none does. Both are 0 if a row has no speed. The sinkage is the median of its
-        amounts, since a wrong zero makes it negative, or `USUAL_SINKAGE` if none was measured.
+        of travel if none does. Both are 0 if a row has no speed. The sinkage is the
+        `middle_sinkage` of its amounts, since a wrong zero makes it negative.
         """
         rows = self.data.rows
         r = self.data.wheel.radius
         wheel = self.data.setup.wheel
         speed = rows.conditions[:, 0]
-        z = self.data.y[:, 0]
-        sinkage = np.nanmedian(np.abs(z)) if np.any(np.isfinite(z)) else USUAL_SINKAGE * r
         middle = 0.0
         sliding = 0.0
         if np.all(speed > 0.0):
@@ -282,7 +280,7 @@ class Problem:
             radius=r,
             load=load,
             pressure=load / (r * self.data.wheel.width),
-            sinkage=sinkage,
+            sinkage=middle_sinkage(np.abs(self.data.y[:, 0]), r),
             speed=middle,
             median_speed=np.median(speed),
             highest_speed=np.max(speed),
