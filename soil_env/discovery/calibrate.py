@@ -35,14 +35,18 @@ from soil_env.identification.table.form_error import (
     by_stresses,
     compressed,
     finite,
+    in_channels,
     whitened,
 )
 from soil_env.identification.table.noise import NoiseEstimate, find_noise, with_noise_of_conditions
 from soil_env.identification.table.priors import (
-    USUAL_SINKAGE,
+    BROAD,
     Unknown,
+    Values,
     bounds_of,
     given_laws,
+    given_prior,
+    middle_sinkage,
     parameters_at,
     soil_unknowns,
 )
@@ -126,6 +130,11 @@ class Sizes(NamedTuple):
 EXACT = Sizes()
 
 
+def sinkage_guess(output: np.ndarray) -> np.ndarray:
+    """[N] sinkages [m] of an output [N, 3], 0 for negative ones, from which a prediction starts."""
+    return np.maximum(output[:, 0], 0.0)
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A fitted model: N rows, M values in use, p unknowns.
@@ -141,11 +150,10 @@ class Fit:
     added: tuple[np.ndarray, ...]  # [N, 3] what each effect adds to them
     residual: np.ndarray  # [M] whitened (y - f) of the values in use
     jacobian: np.ndarray  # [M, p] d(f)/d(u), whitened
-    #: [M, R] whitened form error of the base law at the size 1, for each of `ALL_LAW_LENGTHS`.
-    law: tuple[np.ndarray, ...]
-    effect: np.ndarray  # [M, R] the same of the effects
+    #: Whitened blocks [M, R] at the size 1: nuisances of the instrument, form error of the effects,
+    #: and that of the base law for each of `ALL_LAW_LENGTHS`.
+    form_errors: tuple[np.ndarray, ...]
     free: tuple[np.ndarray, ...]  # [M, R] of a smooth anonymous contribution to each channel
-    rig: np.ndarray  # [M, R] of the nuisances of the instrument
     converged: bool
     sizes: Sizes = EXACT  # under which the unknowns are most probable
 
@@ -159,13 +167,6 @@ class Fit:
         low, high = bounds_of(self.unknowns)
         return np.minimum(self.u - low, high - self.u) > AT_BOUND
 
-    @property
-    def form_errors(self) -> tuple[np.ndarray, ...]:
-        """Whitened blocks [M, R] at the size 1: nuisances of the instrument, form error of the
-        effects, and that of the base law for each of `ALL_LAW_LENGTHS`.
-        """
-        return (self.rig, self.effect, *self.law)
-
     def columns(self, sizes: Sizes) -> np.ndarray:
         """[M, R] whitened form errors, nuisances and smooth contributions at these sizes, side by
         side.
@@ -177,7 +178,7 @@ class Fit:
             (*self.form_errors, *self.free), (*sizes.of_form_errors, *sizes.free), strict=True
         )
         return np.concatenate(
-            [size * block for block, size in blocks if size > 0.0] or [self.effect[:, :0]], axis=1
+            [size * block for block, size in blocks if size > 0.0] or [self.jacobian[:, :0]], axis=1
         )
 
     def linearised(self) -> tuple[np.ndarray, np.ndarray]:
@@ -261,15 +262,13 @@ class Problem:
         """Sizes of this rig, which priors of effects scale with.
 
         `speed` and `sliding` are geometric means: that of sliding over the rows that slip, or that
-        of travel if none does. Both are 0 if a row has no speed. The sinkage is the median of its
-        amounts, since a wrong zero makes it negative, or `USUAL_SINKAGE` if none was measured.
+        of travel if none does. Both are 0 if a row has no speed. The sinkage is the
+        `middle_sinkage` of its amounts, since a wrong zero makes it negative.
         """
         rows = self.data.rows
         r = self.data.wheel.radius
         wheel = self.data.setup.wheel
         speed = rows.conditions[:, 0]
-        z = self.data.y[:, 0]
-        sinkage = np.nanmedian(np.abs(z)) if np.any(np.isfinite(z)) else USUAL_SINKAGE * r
         middle = 0.0
         sliding = 0.0
         if np.all(speed > 0.0):
@@ -281,7 +280,7 @@ class Problem:
             radius=r,
             load=load,
             pressure=load / (r * self.data.wheel.width),
-            sinkage=sinkage,
+            sinkage=middle_sinkage(np.abs(self.data.y[:, 0]), r),
             speed=middle,
             median_speed=np.median(speed),
             highest_speed=np.max(speed),
@@ -296,10 +295,7 @@ class Problem:
 
         False for the tilt and for parameters of effects.
         """
-        soil = self.data.setup.soil
-        if unknown.name == "sinkage_coefficient":
-            return soil.lumped(self.data.wheel.width) is not None
-        return getattr(soil, unknown.name, None) is not None
+        return unknown.name in BROAD and given_prior(self.data.setup, unknown.name) is not None
 
     def unknowns(self, choices: Choices) -> tuple[Unknown, ...]:
         """Unknowns of a model: soil first, then the free parameters of the effects in order.
@@ -324,7 +320,7 @@ class Problem:
         mean = self.laws["dig_gain"] if name == "slip_sinkage_gain" else p.neutral
         return Unknown(name, mean, sd, max(low, p.low), min(high, p.high), log=False)
 
-    def effects(self, choices: Choices, values: dict[str, float]) -> Effects:
+    def effects(self, choices: Choices, values: Values) -> Effects:
         """`Effects` of the world: those of the `choices` that are in the catalogue, with parameters
         `values` by name; all else neutral.
         """
@@ -369,10 +365,6 @@ class Problem:
 
         out = in_balance(loaded(rows, outside, self.bench.load), outside, outcome)
         return reading(changed(out, rows, outside, self.bench), outside, rows.wheels[:, 0])
-
-    def sinkage_guess(self, fit: Fit) -> np.ndarray:
-        """[N] sinkages [m] of a fit, 0 for negative ones, from which a prediction starts."""
-        return np.maximum(fit.output[:, 0], 0.0)
 
     @property
     def sd(self) -> np.ndarray:
@@ -431,8 +423,8 @@ class Problem:
         output = law.output(u)
         residual = self.whiten(self.data.y) - self.whiten(output)
         added = law.added(u, output)
-        of_law, effect, rig = law.form_errors(u, output, added)
-        free = [_in_channel(self.free_functions, size) for size in np.diag(self.size)]
+        form_errors = law.form_errors(u, output, added)
+        free = [in_channels(self.free_functions, size) for size in np.diag(self.size)]
         return Fit(
             choices=choices,
             unknowns=law.unknowns,
@@ -441,10 +433,8 @@ class Problem:
             added=added,
             residual=np.where(np.isfinite(residual), residual, _NO_VALUE),
             jacobian=law.derivatives(u),
-            law=tuple(map(self.whiten, of_law)),
-            effect=self.whiten(effect),
+            form_errors=tuple(map(self.whiten, form_errors)),
             free=tuple(map(self.whiten, free)),
-            rig=self.whiten(rig),
             converged=converged,
             sizes=counted,
         )
@@ -544,9 +534,9 @@ class Law:
         output: np.ndarray,
         added: Sequence[np.ndarray],
         at: Conditions | None = None,
-    ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
-        """(form errors of the base law for each of `ALL_LAW_LENGTHS`, form errors of the effects,
-        nuisances of the instrument), each [N, 3, R] in [m, N, N m], at u and at the size 1.
+    ) -> list[np.ndarray]:
+        """Blocks as in `Fit.form_errors`, each [N, 3, R] in [m, N, N m], at u and at the size 1:
+        nuisances of the instrument, form errors of the effects, those of the base law.
 
         The error of the base law acts on the stresses. That of an effect is a factor on what it has
         `added`, of its own for each channel that the effect `moves`. For an effect with `any_form`
@@ -569,11 +559,11 @@ class Law:
             functions = functions_of(problem.effect_process(choice))
             moved = np.array([name in LAWS[choice.effect].moves for name in CHANNELS])
             units = [ANY_FORM * moved] if LAWS[choice.effect].any_form else np.eye(3)[moved]
-            blocks += [_in_channel(functions, factor * unit) for unit in units]
+            blocks += [in_channels(functions, factor * unit) for unit in units]
         named = tuple(c.effect for c in self.choices)
         data = problem.data
         rig = nuisances(data.setup, problem.bench, data.rows, finite(output), named)
-        return laws, np.concatenate(blocks, axis=2), rig
+        return [rig, np.concatenate(blocks, axis=2), *laws]
 
     def fitted(self, start: np.ndarray, whiten: ArrayFunction) -> tuple[np.ndarray, bool]:
         """(most probable u, True if the search converged), from u = `start`.
@@ -591,11 +581,6 @@ class Law:
             **COARSE,
         )
         return u, converged
-
-
-def _in_channel(functions: np.ndarray, factor: np.ndarray) -> np.ndarray:
-    """[N, 3, R] functions [N, R] times a factor [3] or [N, 3] for the channels."""
-    return functions[:, None, :] * np.broadcast_to(factor, (len(functions), 3))[:, :, None]
 
 
 def calibrate(data: Data) -> tuple[Problem, NoiseEstimate]:
@@ -617,7 +602,7 @@ def calibrate(data: Data) -> tuple[Problem, NoiseEstimate]:
 
     def base(rows: Rows) -> np.ndarray:
         """Values [N, 3] of the calibrated base model."""
-        return first.predict(fit.parameters(), (), first.sinkage_guess(fit), rows)
+        return first.predict(fit.parameters(), (), sinkage_guess(fit.output), rows)
 
     data, counted = with_noise_of_conditions(data, base)
     noise = dataclasses.replace(find_noise(data, fit.output), of_conditions=counted)

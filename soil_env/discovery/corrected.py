@@ -37,7 +37,7 @@ from soil_env.terramechanics.residual import (
 from soil_env.terramechanics.steady import Rim
 from soil_env.terramechanics.validity import seen
 
-from .calibrate import Problem
+from .calibrate import Problem, sinkage_guess
 from .instrument import INSTRUMENT, LISTED, Choice
 from .prediction import Prediction, independent
 from .predictive import DEEPEST
@@ -93,7 +93,7 @@ def parameters(problem: Problem, choice: Choice, values: Values) -> dict[str, fl
     They are those that its form frees, those that the form sets, and the references, which the
     table sets.
     """
-    numbers = problem.effects((choice,), dict(values))._asdict() | dict(values)
+    numbers = {**problem.effects((choice,), values)._asdict(), **values}
     out = {}
     for p in LISTED[choice.effect].parameters:
         full = f"{choice.effect}_{p.name}"
@@ -115,11 +115,11 @@ def corrected(found: Prediction, named: Sequence[str] = ()) -> WheelSoilModel:
     problem = found.problem
     left = [name for name in (*INSTRUMENT, *SENSED) if name not in {*named} & {*SENSED}]
     choices = tuple(c for c in found.law.choices if c.effect not in left)
-    output = problem.predict(found.values, choices, np.maximum(found.output[:, 0], 0.0))
+    output = problem.predict(found.values, choices, sinkage_guess(found.output))
     # `output` stays that of all effects: those that are left out change little even together.
     for name in dict.fromkeys(c.effect for c in choices if c.effect != "soil_flow"):
         fewer = tuple(c for c in choices if c.effect != name)
-        there = problem.predict(found.values, fewer, np.maximum(output[:, 0], 0.0))
+        there = problem.predict(found.values, fewer, sinkage_guess(output))
         if np.max(np.abs(there - output) / problem.noise) < LITTLE:
             choices = fewer
     model = model_of(problem, choices, found.values)

@@ -118,8 +118,7 @@ class Average(NamedTuple):
         A condition that is constant in the table has to be the same, or NaN.
         """
         table = self.table
-        sides = [np.any(side) for side in (table.slip < BRAKED, table.slip >= BRAKED)]
-        known = np.where(rows.slip < BRAKED, *sides)
+        known = np.isin(rows.slip < BRAKED, table.slip < BRAKED)
         ours = np.concatenate([table.wheels, table.conditions], axis=1)
         theirs = np.concatenate([rows.wheels, rows.conditions], axis=1)
         constant = np.ptp(ours, axis=0) == 0.0

@@ -36,6 +36,7 @@ from soil_env.identification.table.form_error import (
     SIZES,
     NormalEquations,
     Process,
+    in_channels,
     log_diagonal,
     marginals,
     mixed,
@@ -44,7 +45,7 @@ from soil_env.identification.table.form_error import (
 from soil_env.identification.table.priors import bounds_of
 from soil_env.identification.table.problem import side_by_side
 
-from .calibrate import ALL_LAW_LENGTHS, Fit, Law, Problem, Sizes
+from .calibrate import ALL_LAW_LENGTHS, Fit, Law, Problem, Sizes, sinkage_guess
 from .instrument import INSTRUMENT, LISTED, Choice, Choices, Names
 
 log_sum = np.logaddexp.reduce  # on short arrays a tenth of the time of `logsumexp`
@@ -171,8 +172,7 @@ def weigh(problem: Problem, fit: Fit, over: SizeGrid | None = None) -> Evidence:
     laws = np.array([s.law for s in sizes])
     of_size = log_sum(log.reshape(len(scales), -1), axis=0) - total
     by_law = {
-        float(x): float(log_sum(of_size[laws == x]) - log_sum(log_prior[laws == x]))
-        for x in np.unique(laws)
+        x: log_sum(of_size[laws == x]) - log_sum(log_prior[laws == x]) for x in np.unique(laws)
     }
     share = np.exp(log - total)
     of = dict(zip(sizes, share.reshape(len(scales), -1).sum(axis=0).tolist(), strict=True))
@@ -188,11 +188,9 @@ def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     `mean` [S, p] and `covariance` [S, p, p] are those of the unknowns without bounds.
     """
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    out = np.zeros(len(mean))
-    for k, unknown in enumerate(fit.unknowns):
-        low, high = unknown.bounds
-        out += _between((low - mean[:, k]) / sd[:, k], (high - mean[:, k]) / sd[:, k])
-        out -= _between(np.array([low]), np.array([high]))[0]
+    low, high = bounds_of(fit.unknowns)
+    of_each = _between((low - mean) / sd, (high - mean) / sd) - _between(low, high)
+    out: np.ndarray = of_each.sum(axis=1)
     return out
 
 
@@ -250,7 +248,7 @@ class _Further:
         columns = []
         self.owner = []
         base = problem.whiten(first.fit.output)
-        guess = problem.sinkage_guess(first.fit)
+        guess = sinkage_guess(first.fit.output)
         for k, choice in enumerate(choices):
             own = [u for u in problem.unknowns((choice,)) if u.name in choice.free]
             beside = (*first.fit.choices, choice)
@@ -401,7 +399,7 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
     and the shear stress may have a value for each bed: "PLACE with bed".
     """
     at = problem.data.conditions | problem.data.elapsed
-    moved = Law(problem, fit.choices, problem.sinkage_guess(fit)).stresses(fit.u, fit.output)
+    moved = Law(problem, fit.choices, sinkage_guess(fit.output)).stresses(fit.u, fit.output)
     channels: dict[str, np.ndarray] = {
         name: np.broadcast_to(size, fit.output.shape)
         for name, size, used in zip(CHANNELS, np.diag(problem.size), problem.used.T, strict=True)
@@ -426,14 +424,13 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
         for place, change in places.items():
             if names[-1] in _OWNED.get(place, ()):
                 continue
-            errors = change[:, :, None] * functions[:, None, :]
+            errors = in_channels(functions, change)
             out[f"{place} with {' and '.join(names)}"] = problem.whiten(errors)
     beds = problem.data.beds
     if FEWEST_BEDS <= beds.max() + 1 <= min(MOST_BEDS, beds.size // ROWS_OF_BED):
+        of_bed = np.eye(beds.max() + 1)[beds]
         for place, change in zip(_STRESSES[:2], moved, strict=False):
-            out[f"{place} with bed"] = problem.whiten(
-                change[:, :, None] * np.eye(beds.max() + 1)[beds][:, None, :]
-            )
+            out[f"{place} with bed"] = problem.whiten(in_channels(of_bed, change))
     return out
 
 
@@ -479,7 +476,7 @@ def anonymous_grid(
         rows.append((*s.of_form_errors, *(x for _, x in first), *s.free, *patterned))
     errors = (*fit.form_errors, *(by[name] for name, _ in first), *fit.free, *by.values())
     # Nuisances, the error of effects, those of the base law and the pattern `beside` lead.
-    return SizeGrid(sizes, log_prior, errors, np.array(rows), 2 + len(fit.law) + len(first))
+    return SizeGrid(sizes, log_prior, errors, np.array(rows), len(fit.form_errors) + len(first))
 
 
 def in_place_of_effects(problem: Problem, plain: Evidence) -> Evidence:

@@ -240,9 +240,10 @@ class Choice(NamedTuple):
     form: int  # index in `Effect.forms`
 
     @property
+    @cache  # noqa: B019 (records of the catalogue: few; fits ask for it often)
     def free(self) -> tuple[str, ...]:
         """Names `<effect>_<parameter>` of the parameters that the form leaves to be fitted."""
-        return _free(self)
+        return tuple(f"{self.effect}_{p}" for p in LAWS[self.effect].forms[self.form].free)
 
     @property
     def fixed(self) -> dict[str, float]:
@@ -252,12 +253,6 @@ class Choice(NamedTuple):
 
 Choices = tuple[Choice, ...]
 Names = tuple[str, ...]  # a set of effects
-
-
-@cache
-def _free(choice: Choice) -> tuple[str, ...]:
-    """`Choice.free`, cached since fits ask for it often."""
-    return tuple(f"{choice.effect}_{p}" for p in LAWS[choice.effect].forms[choice.form].free)
 
 
 def _stated(calibration: Calibration) -> dict[str, float | None]:
@@ -315,13 +310,14 @@ def odds(setup: Setup, bench: Bench) -> dict[str, float]:
     """
     own = _sd_of_nuisances(setup.calibration, bench)
     usual = _sd_of_nuisances(Calibration(), bench)
-    for name, most in (("force_offset", bench.load), ("torque_offset", bench.load * bench.radius)):
+    for name, most, limit in (
+        ("force_offset", bench.load, "the middle load"),
+        ("torque_offset", bench.load * bench.radius, "the middle load times the radius"),
+    ):
         if own[name] > most:
-            limit = f"at most {most:.3g}, the middle load" + (
-                " times the radius" if name == "torque_offset" else ""
-            )
             raise ParameterError(
-                f"{setup.source}: calibration.{name} = {own[name]:g}: expected {limit}"
+                f"{setup.source}: calibration.{name} = {own[name]:g}: expected at most {most:.3g}, "
+                f"{limit}"
             )
     return {name: min(own[name] / usual[name], 1.0) for name in INSTRUMENT}
 

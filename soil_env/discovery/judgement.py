@@ -95,21 +95,21 @@ def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
     """
     a, e = fit.linearised()
     ways = folds(problem.data)
-    rows = np.nonzero(problem.used)[0]
+    used = problem.used
+    rows = np.nonzero(used)[0]
     jacobian = a[: fit.residual.size]
     normal = a.T @ a
     residual = e[: fit.residual.size]
     laws = fit.free_unknowns.sum()  # the columns after these are form errors
     error = np.zeros(residual.size)  # [noise] measured less predicted
-    for out in (group[rows] for way in ways for group in way):
+    for out in (way[rows] == k for way in ways for k in range(way.max() + 1)):
         j = jacobian[out]
         r = residual[out]
         # Solution of the normal equations without the values that are held out.
         moved = np.linalg.solve(normal - j.T @ j, a.T @ e - j.T @ r)
         # The linear problem is over the noise times the scatter.
         error[out] += fit.sizes.scatter * (r - j[:, :laws] @ moved[:laws]) / len(ways)
-    predicted = np.full(problem.used.shape, math.nan)
-    used = problem.used
+    predicted = np.full(used.shape, math.nan)
     predicted[used] = problem.data.y[used] - error * problem.sd[used]
     return predicted
 
@@ -158,10 +158,10 @@ def closed_interval(
     each value was predicted without its own group.
     """
     weight = np.ones((_CLOSED_DRAWS, problem.data.rows.slip.size))
-    for way in folds(problem.data):
-        group = np.argmax(np.stack(way), axis=0)
-        equal = np.full(len(way), 1.0 / len(way))
-        weight *= rng.multinomial(len(way), equal, size=_CLOSED_DRAWS)[:, group]
+    for group in folds(problem.data):
+        count = group.max() + 1
+        equal = np.full(count, 1.0 / count)
+        weight *= rng.multinomial(count, equal, size=_CLOSED_DRAWS)[:, group]
     total = []  # [draws] gap before, gap after
     for held in (before, after):
         square = np.where(problem.used, ((problem.data.y - held) / problem.rms_noise) ** 2, 0.0)

@@ -360,7 +360,7 @@ def information(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
     """[G] least information [nat] about which of K candidates is right: I of the module's
     docstring; `share` [K], `overlap` [K, K, G].
     """
-    out: np.ndarray = -share @ np.log(np.einsum("j,ijg->ig", share, overlap))
+    out: np.ndarray = -share @ np.log(share @ overlap)
     return out
 
 
@@ -368,7 +368,7 @@ def sureness(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
     """[G] least average probability of the right candidate after a run (by Jensen's inequality);
     `share` [K], `overlap` [K, K, G].
     """
-    out: np.ndarray = share**2 @ (1.0 / np.einsum("j,ijg->ig", share, overlap))
+    out: np.ndarray = share**2 @ (1.0 / (share @ overlap))
     return out
 
 
@@ -423,16 +423,16 @@ def _levels(problem: Problem) -> dict[str, list[float]]:
     and its least and largest grade.
     """
     column = problem.data.conditions
-    most = float(column["pass"].max())
+    most = column["pass"].max()
     grade = column["grade_deg"]
     around = {
         "slip": list(SLIPS),
         "load": _around(column["load"], *LOAD_FACTORS),
         "speed": _around(column["speed"], *SPEED_FACTORS) if problem.bench.speed > 0.0 else [0.0],
         "pass": sorted({1.0, 2.0, most, most + 1.0}),
-        "grade_deg": sorted({float(grade.min()), float(grade.max())}),
+        "grade_deg": sorted({grade.min(), grade.max()}),
     }
-    return {n: sorted(map(float, x)) or around[n] for n, x in _of_rig(problem).items()}
+    return {n: sorted(x) or around[n] for n, x in _of_rig(problem).items()}
 
 
 def _could_show(problem: Problem, name: str) -> bool:
@@ -461,15 +461,15 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
     if any("drivetrain_friction_viscous" in c.free for c in choices):
         needed.add("speed")
     usual = {
-        "speed": float(np.median(column["speed"])),
-        "pass": float(column["pass"].min()),
-        "grade_deg": min(max(0.0, float(grade.min())), float(grade.max())),
+        "speed": np.median(column["speed"]),
+        "pass": column["pass"].min(),
+        "grade_deg": np.clip(0.0, grade.min(), grade.max()),
     }
     levels = _levels(problem)
     of_rig = _of_rig(problem)
     for name in usual.keys() - needed:
         nearest = min(of_rig[name] or [usual[name]], key=lambda x: abs(x - usual[name]))
-        levels[name] = [float(nearest)]
+        levels[name] = [nearest]
     height = problem.data.wheel.grouser_height  # where the rig states none
     wheels = [
         (w.radius, w.width, height if w.grouser_height is None else w.grouser_height)
@@ -490,8 +490,8 @@ def _around(x: np.ndarray, below: float, above: float) -> list[float]:
 
     Levels that the table does not have are rounded to two significant digits.
     """
-    low = float(x.min())
-    high = float(x.max())
+    low = x.min()
+    high = x.max()
     middle = _round((low * high) ** 0.5) if high > _WIDE * low else low
     return sorted({_round(below * low), low, middle, high, _round(above * high)})
 

@@ -108,10 +108,10 @@ def outlook(problem: Problem) -> Outlook:
     for split, (groups, held) in left.items():
         averaged = held.copy()  # without an average as it is
         for k in range(groups.max() + 1 if full.average else 0):
+            group = groups == k
             # The weight for a group is that of the other rows.
-            weight = curve_weight(problem, of_kinds, groups != k)
-            mixed = held[1] + weight * finite(held[2] - held[1])
-            averaged[1, groups == k] = mixed[groups == k]
+            weight = curve_weight(problem, of_kinds, ~group)
+            averaged[1, group] += weight * finite(held[2, group] - held[1, group])
         out.append(_errors(problem, split, splits[split], averaged))
     return Outlook(full, tuple(out))
 
@@ -166,8 +166,8 @@ def _errors(problem: Problem, split: str, what: tuple[str, ...], held: np.ndarra
 
     def size(values: np.ndarray, noise: float) -> Errors:
         """`Errors` of deviations [3, m] by base model, average and curve, and `noise` beside."""
-        base, full, curve = np.sqrt(np.mean(values**2, axis=1))
-        return Errors(float(base), float(full), float(curve), noise)
+        base, full, curve = np.sqrt(np.mean(values**2, axis=1)).tolist()
+        return Errors(base, full, curve, noise)
 
     errors: dict[str, Errors] = {
         name: size(off[:, used, j], float(problem.rms_noise[j]))

@@ -33,7 +33,7 @@ from soil_env.identification.table.form_error import (
 )
 from soil_env.terramechanics.model import rows_of
 
-from .calibrate import Law, Problem
+from .calibrate import Law, Problem, sinkage_guess
 from .curve import LEAST_SPAN, Average
 from .instrument import LISTED, Choices
 from .search import candidates, forms
@@ -215,11 +215,6 @@ class _Covariance(NamedTuple):
             out[channel.places] = solve_triangular(channel.root, values[channel.places], lower=True)
         return out
 
-    @property
-    def log_size(self) -> float:
-        """Half the logarithm of the determinant of the covariance."""
-        return sum(log_diagonal(channel.root) for channel in self.channels)
-
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
@@ -304,8 +299,7 @@ class Prediction:
         of the unknowns, and A'A - B'B is what the table tells. `law` and `across` are those of
         `_means`.
         """
-        guess = np.maximum(law[:, 0], 0.0)
-        top = law_of(there, self.law.choices, guess).derivatives(self.u)
+        top = law_of(there, self.law.choices, sinkage_guess(law)).derivatives(self.u)
         # The values are known through the unknowns and through the remainder: with J whitened,
         # (C + J J')^-1 = C^-1 - C^-1 J (I + J'J)^-1 J' C^-1.
         j = self.covariance.whiten(self.jacobian)
@@ -372,7 +366,7 @@ def fit_prediction(
     law = law_of(problem, effects_to_fit(problem) if choices is None else choices)
     low, high = law.bounds
     # From the prior mean, 0, but off the bounds: a start on a bound would stay there.
-    u = np.clip(np.zeros(low.size), low + OFF_BOUND, high - OFF_BOUND)
+    u = np.clip(0.0, low + OFF_BOUND, high - OFF_BOUND)
     u = np.where(high - low < 2.0 * OFF_BOUND, 0.5 * (low + high), u)
     if not smooth:
         return _fitted(law, u, NO_REMAINDER)
@@ -441,7 +435,8 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
         v = c.whiten(e)
         a = v - b @ (b.T @ v)
         off = (x - usual) / SPREAD
-        value = 0.5 * (v @ a + off @ off) + c.log_size + log_diagonal(of_unknowns)
+        log_size = sum(log_diagonal(channel.root) for channel in c.channels)  # ln|C|/2
+        value = 0.5 * (v @ a + off @ off) + log_size + log_diagonal(of_unknowns)
         slope = off / SPREAD
         for k, (places, root, of_remainder, noise) in enumerate(c.channels):
             # g = (K^-1 - a a')/2 within the channel.

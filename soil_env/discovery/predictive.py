@@ -15,7 +15,7 @@ from scipy.stats import truncnorm
 
 from soil_env.identification.table.form_error import INPUTS, LENGTHS, Conditions, Process, finite
 
-from .calibrate import ALL_LAW_LENGTHS, ANY_FORM, Fit, Law, Problem
+from .calibrate import ALL_LAW_LENGTHS, ANY_FORM, Fit, Law, Problem, sinkage_guess
 from .evidence import Evidence
 from .instrument import LISTED
 from .prediction import at_conditions
@@ -79,12 +79,11 @@ def predicted(
     )
 
     def errors(law, u, output, added, at):
-        """Form errors of the base law, those of effects, and nuisances, at their sizes; each
-        [M, R], over the noise. Arguments are those of `Law.form_errors`.
+        """Form errors at their sizes, without those of size 0; each [M, R], over the noise.
+        Arguments are those of `Law.form_errors`.
         """
-        of_law, effect, rig = law.form_errors(u, output, added, at)
-        blocks = (sizes.law * of_law[sizes.span], sizes.effect * effect, sizes.rig * rig)
-        return map(law.problem.whiten, blocks)
+        blocks = zip(law.form_errors(u, output, added, at), sizes.of_form_errors, strict=True)
+        return [law.problem.whiten(size * block) for block, size in blocks if size > 0.0]
 
     table = problem.data.conditions | problem.data.elapsed
     # The table with the functions that it shares with the other rows.
@@ -92,7 +91,7 @@ def predicted(
     ours.law_processes = there.law_processes
     ours.effect_processes = there.effect_processes
     known = errors(
-        Law(ours, fit.choices, problem.sinkage_guess(fit)),
+        Law(ours, fit.choices, sinkage_guess(fit.output)),
         fit.u,
         np.nan_to_num(fit.output),
         fit.added,

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import NamedTuple
 
@@ -245,7 +245,7 @@ class Finding:
         out = [
             Rank(
                 n,
-                float(max(h.score for h in self.hypotheses if n in h.names) - without),
+                max(h.score for h in self.hypotheses if n in h.names) - without,
                 self.share(n),
                 self.if_laws_err(n),
             )
@@ -361,12 +361,12 @@ class Entry(NamedTuple):
     free: bool = False  # with an anonymous contribution or law
 
 
+@dataclass(frozen=True)
 class _Sets:
     """Evidence of sets of effects in the forms that were tried."""
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        self.found: dict[Names, dict[Choices, Evidence]] = {}
+    problem: Problem
+    found: dict[Names, dict[Choices, Evidence]] = field(default_factory=dict)
 
     def add(self, choices: Choices, near: Evidence | None) -> Evidence:
         """Evidence of a set in these forms, fitted if it was not before; `near`: as in `settle`."""

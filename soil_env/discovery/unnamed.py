@@ -157,16 +157,10 @@ def factors(rows: Rows, values: Values, bench: Bench) -> np.ndarray | None:
     out = np.ones((rows.slip.size, len(BY_ROW)))
     for name in laws:
         parameter, by = _ANONYMOUS[name]
-        out[:, BY_ROW.index(parameter)] *= _factor(rows, by, bench) ** values[f"{name}_power"]
+        # Base of the power: the speed over the middle one, or the pass number.
+        base = rows.conditions[:, _COLUMNS[by]] / (bench.speed if by == "speed" else 1.0)
+        out[:, BY_ROW.index(parameter)] *= base ** values[f"{name}_power"]
     return out if laws else None
-
-
-def _factor(rows: Rows, by: str, bench: Bench) -> np.ndarray:
-    """[N] base of the power that multiplies a soil parameter: the speed over the middle one, or the
-    pass number; `by`: "speed" or "pass".
-    """
-    column = rows.conditions[:, _COLUMNS[by]]
-    return column / bench.speed if by == "speed" else column
 
 
 def changed(out: np.ndarray, rows: Rows, values: Values, bench: Bench) -> np.ndarray:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from soil_env._io.loading import ParameterError
+from soil_env.measurement.table import with_default
 from soil_env.online import slips
 from soil_env.slip import travel_speeds
 
@@ -58,7 +59,7 @@ class Aligned:
     def get(self, name: str, other: float | np.ndarray = math.nan) -> np.ndarray:
         """Readings [N] of a channel; `other`, a number or [N], where it is not measured."""
         values = self.readings.get(name, np.full(len(self), math.nan))
-        return np.where(np.isnan(values), other, values)
+        return with_default(values, other)
 
     def motion(self, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(Rim speed [m/s], travel speed [m/s], slip) [N] of a wheel of `radius` [m].
@@ -78,7 +79,7 @@ class Aligned:
         """
         rim, speed, _ = self.motion(radius)
         steps = np.minimum(np.diff(self.time, prepend=self.time[:1]), self.period)
-        return np.cumsum(np.abs(np.nan_to_num(np.where(np.isnan(speed), rim, speed))) * steps)
+        return np.cumsum(np.abs(np.nan_to_num(with_default(speed, rim))) * steps)
 
 
 def align(

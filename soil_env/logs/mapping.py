@@ -260,7 +260,7 @@ def read_map(path: str | Path) -> LogMap:
     if isinstance(wheel, dict):
         if "body_mass" not in wheel:  # what is measured is relative to the weight
             raise ParameterError(f"{where}: wheel: missing body_mass, the mass [kg] on this wheel")
-        mapping = mapping | {"wheel": _WHEEL | wheel}
+        mapping["wheel"] = _WHEEL | wheel
     belief = mapping.get("belief") or {}
     if isinstance(belief, dict):
         refuse_idle_prior(belief, where)

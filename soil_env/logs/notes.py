@@ -1,6 +1,7 @@
 """Remarks on a recording, and counts of what could not be read of it."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from soil_env._io.loading import ParameterError
@@ -8,17 +9,17 @@ from soil_env._io.loading import ParameterError
 Progress = Callable[[int, int], None]  # read, of how much in all: bytes, or rows of Parquet
 
 
+@dataclass
 class Notes:
     """Remarks on a recording while it is read, the topics seen in it, and the progress."""
 
-    def __init__(self, path: Path, progress: Progress = lambda done, size: None) -> None:
-        self.path = path
-        self.lines: list[str] = []
-        self.topics: dict[str, str] = {}  # seen, with their type
-        self.file = ""  # being read
-        self.size = 0  # of all files, as in `Progress`
-        self.before = 0  # of the files that have been read
-        self._progress = progress
+    path: Path
+    progress: Progress = lambda done, size: None
+    lines: list[str] = field(default_factory=list)
+    topics: dict[str, str] = field(default_factory=dict)  # seen, with their type
+    file: str = ""  # being read
+    size: int = 0  # of all files, as in `Progress`
+    before: int = 0  # of the files that have been read
 
     def add(self, line: str) -> None:
         """Add a sentence, once."""
@@ -27,18 +28,18 @@ class Notes:
 
     def report(self, position: int) -> None:
         """Show that the present file has been read up to `position`, in bytes or rows."""
-        self._progress(self.before + position, self.size)
+        self.progress(self.before + position, self.size)
 
 
+@dataclass
 class Faults:
     """Count of the messages, rows or cells of one place, and of those that cannot be read."""
 
-    def __init__(self, place: str, things: str) -> None:
-        self.place = place  # file, topic, column or field, for messages
-        self.things = things  # what is counted, plural
-        self.count = 0
-        self.wrong = 0  # of the count
-        self.first = ""  # fault
+    place: str  # file, topic, column or field, for messages
+    things: str  # what is counted, plural
+    count: int = 0
+    wrong: int = 0  # of the count
+    first: str = ""  # fault
 
     def add(self, where: str, reason: object) -> None:
         """Count a fault; `where`, the message or row, and `reason`, at most 300 characters, are

@@ -382,11 +382,10 @@ def findings(found: Replay, log: Aligned) -> list[str]:
     return lines
 
 
-def contradiction(found: Replay) -> tuple[str, bool]:
-    """(sentence on the share of the steps in which the readings contradict the model, True if it is
-    most of them); ("", False) where it is little.
+def contradiction(found: Replay) -> tuple[list[str], list[str]]:
+    """(doubts, further findings): a sentence on the share of the steps in which the readings
+    contradict the model, a doubt if it is most of them; none where it is little.
     """
     misfit = np.mean(found.status == Status.MISFIT)
-    if misfit <= _CONTRADICTS:
-        return "", False
-    return _MISFIT.format(100.0 * misfit), misfit > _MOSTLY
+    said = [_MISFIT.format(100.0 * misfit)] if misfit > _CONTRADICTS else []
+    return (said, []) if misfit > _MOSTLY else ([], said)

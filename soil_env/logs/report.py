@@ -52,14 +52,13 @@ def report_of(
     """
     parts = grounds(found, steady)  # between borders to another soil
     length = log.time[-1] - log.time[0]
-    contradicts, first = contradiction(found)  # a sentence, and whether it comes first
-    said = [contradicts] if contradicts else []
+    doubted, further = contradiction(found)
     # What the texts and log.json share.
     values: dict[str, Any] = {
         "recording": recording,
-        "doubts": log.doubts + (said if first else []),
+        "doubts": log.doubts + doubted,
         "notes": log.notes,
-        "findings": findings(found, log) + ([] if first else said),
+        "findings": findings(found, log) + further,
         "warnings": found.warnings,
     }
     facts = values | {  # for log.json

@@ -169,7 +169,7 @@ def _drives(log: Aligned, rim: np.ndarray, log_map: LogMap) -> np.ndarray:
     """
     driving = np.abs(rim) > log_map.windows.wheel_speed * log_map.wheel.radius
     gap = np.diff(log.time, prepend=log.time[:1]) > GAP * log.period
-    begins = driving & (gap | ~np.concatenate(([False], driving[:-1])))
+    begins = driving & (gap | np.diff(driving, prepend=False))
     return np.where(driving, np.cumsum(begins) - 1, -1)
 
 
@@ -259,7 +259,7 @@ class Ground:
 def grounds(found: Replay, steady: Steady) -> list[Ground]:
     """The grounds of a log in the order of the drive, with the steady points of each."""
     out = []
-    for number in sorted({*found.ground.tolist()}):
+    for number in np.unique(found.ground).tolist():
         time = found.time[found.ground == number].tolist()
         differs = found.differs[number - 1]
         points = Steady([row for row in steady.rows if row["ground"] == number], steady.noise)

@@ -5,7 +5,7 @@ whatever model it is fitted with.
 import numpy as np
 
 from .setup import Setup
-from .table import Table
+from .table import Table, with_default
 
 MOST_GRIP = 1.5  # force over load that soil may always give; beyond it the load is doubted
 DRIVEN = 0.15  # slip from which the strength of the soil is mobilised
@@ -29,7 +29,7 @@ def load_doubt(table: Table, setup: Setup) -> str:
     """
     radius = table.radius(setup.wheel)
     driven = table.rim_slip(setup) > DRIVEN
-    sinkage = np.where(np.isnan(table.sinkage), USUAL_SINKAGE * radius, table.sinkage)
+    sinkage = with_default(table.sinkage, USUAL_SINKAGE * radius)
     depth = np.clip(sinkage, 0.0, radius)
     # Arc of contact up to the lowest point, times the width [m2].
     area = table.width(setup.wheel) * radius * np.arccos(1.0 - depth / radius)

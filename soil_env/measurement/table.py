@@ -12,7 +12,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -70,6 +70,11 @@ _GROUPED = re.compile(r"[-+]?\d+(?:[,.'\u2019\s]\d+)+")
 Rows = Sequence[tuple[int, list[str]]]  # line of the file and cells
 
 
+def with_default(values: np.ndarray, other: np.ndarray | float) -> np.ndarray:
+    """The values [N], and the `other`, a number or [N], where they are NaN."""
+    return np.where(np.isnan(values), other, values)
+
+
 @dataclass(frozen=True, eq=False)
 class Table:
     """Columns [N] of a measurement table, read-only; NaN where a cell is empty or the column
@@ -117,26 +122,28 @@ class Table:
         """The table with the values that are `used` alone, [N, 3] bool with a column for each of
         `MEASURED`; others count as not measured.
         """
-        values: dict[str, Any] = {
-            name: np.where(used[:, j], getattr(self, name), math.nan)
-            for j, name in enumerate(MEASURED)
-        }
-        return dataclasses.replace(self, **values)
+        values = np.where(used, self.values, math.nan)
+        return dataclasses.replace(self, **dict(zip(MEASURED, values.T, strict=True)))
+
+    @property
+    def values(self) -> np.ndarray:
+        """[N, 3] values, with a column for each of `MEASURED`; NaN where not measured."""
+        return np.stack([getattr(self, name) for name in MEASURED], axis=1)
 
     def radius(self, wheel: SetupWheel) -> np.ndarray:
         """Wheel radius [m] of each row: the override where there is one."""
-        return np.where(np.isnan(self.wheel_radius), wheel.radius, self.wheel_radius)
+        return with_default(self.wheel_radius, wheel.radius)
 
     def width(self, wheel: SetupWheel) -> np.ndarray:
         """Wheel width [m] of each row: the override where there is one."""
-        return np.where(np.isnan(self.wheel_width), wheel.width, self.wheel_width)
+        return with_default(self.wheel_width, wheel.width)
 
     def height(self, wheel: SetupWheel) -> np.ndarray:
         """Grouser height [m] of each row: the override where there is one; nan where neither row
         nor wheel has a height.
         """
         known = math.nan if wheel.grouser_height is None else wheel.grouser_height
-        return np.where(np.isnan(self.grouser_height), known, self.grouser_height)
+        return with_default(self.grouser_height, known)
 
     def channel_sd(self, setup: Setup, name: str) -> float | None:
         """1-sigma of a channel in its unit: the setup's, else the median of its `_sd` column; None
@@ -155,7 +162,7 @@ class Table:
         if np.all(np.isnan(own)):
             return np.ones((1, 3))
         level = np.array([self.channel_sd(setup, name) or 1.0 for name in MEASURED])
-        return np.where(np.isnan(own), 1.0, own / level)
+        return with_default(own / level, 1.0)
 
     def rim_slip(self, setup: Setup) -> np.ndarray:
         """Slip [N] by the radius of the rim; converted where the setup says that the column is by
@@ -206,7 +213,7 @@ def read_table(
         given=frozenset(header),
         row=np.array([line for line, _ in rows]),
         # What is cut here is refused by `_check_rows`.
-        passes=np.clip(np.where(np.isnan(passes), 1.0, passes), 0, MOST_PASSES).astype(int),
+        passes=np.clip(with_default(passes, 1.0), 0, MOST_PASSES).astype(int),
         run=np.array(_texts("run", header, rows)),
         **columns,
     )
@@ -452,7 +459,7 @@ def _check_whole(table: Table) -> None:
     """Raise `ParameterError` for a row without any measured value, and for a table that has one
     slip only.
     """
-    nothing = np.all([np.isnan(getattr(table, name)) for name in MEASURED], axis=0)
+    nothing = np.all(np.isnan(table.values), axis=1)
     if np.any(nothing):
         line = table.row[nothing][0]
         raise ParameterError(

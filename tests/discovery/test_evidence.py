@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from soil_env.discovery import evidence
-from soil_env.discovery.calibrate import Law, Sizes
+from soil_env.discovery.calibrate import Law, Sizes, sinkage_guess
 from soil_env.discovery.instrument import Choice
 from soil_env.discovery.search import forms
 from tests.discovery.tables import NOISE, problem, table
@@ -65,7 +65,7 @@ def test_the_evidence_is_the_density_of_the_table(data, effect):
 @pytest.mark.parametrize("size", [0.0, 0.1])
 def test_the_size_of_the_law_error_is_learned(data, size):
     rng = np.random.default_rng(1)
-    law = problem(data, rng).fit().law[0]
+    law = problem(data, rng).fit().form_errors[2]
     errors = np.zeros_like(data.y)
     errors[data.measured] = law @ (size * rng.normal(size=law.shape[1]))
     result = evidence.settle(problem(data, rng, errors * NOISE), ())
@@ -78,7 +78,7 @@ def test_the_posterior_covers_the_soil_under_a_law_error(data):
     true = {"friction_angle_deg": 31.0, "shear_modulus": 0.028, "sinkage_coefficient": 740000.0}
     inside = {"form error": 0, "noise alone": 0}
     for _ in range(15):
-        law = problem(data, rng).fit().law[0]
+        law = problem(data, rng).fit().form_errors[2]
         errors = np.zeros_like(data.y)
         errors[data.measured] = law @ (0.1 * rng.normal(size=law.shape[1]))
         p = problem(data, rng, errors * NOISE)
@@ -174,7 +174,7 @@ def test_beds_that_differ_are_a_pattern_of_the_stress():
         if "bed" in name
     ]
     fit = p.fit()
-    softer = Law(p, (), p.sinkage_guess(fit)).stresses(fit.u, fit.output)[0]
+    softer = Law(p, (), sinkage_guess(fit.output)).stresses(fit.u, fit.output)[0]
     off = np.array([0.2, -0.15, 0.1, -0.2, 0.15, -0.1])[bed]
     q = problem(there, np.random.default_rng(3), softer * off[:, None])
     free = evidence.anonymous(q, evidence.settle(q, ()))

@@ -93,7 +93,10 @@ def test_a_setup_can_rule_errors_out(level):
     exact = Calibration(*[0.0] * len(instrument.INSTRUMENT))
     setup = dataclasses.replace(level.setup, calibration=exact)
     p = problem(dataclasses.replace(level, setup=setup), np.random.default_rng(0))
-    assert not set(instrument.INSTRUMENT) & set(candidates(p)[0]) and p.fit().rig.shape[1] == 0
+    assert (
+        not set(instrument.INSTRUMENT) & set(candidates(p)[0])
+        and p.fit().form_errors[0].shape[1] == 0
+    )
     read = setup_of(
         {"wheel": {"radius": 0.1, "width": 0.1}, "calibration": {"force_gain": 0.01}}, "here"
     )

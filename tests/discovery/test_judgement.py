@@ -128,7 +128,7 @@ def test_one_bad_group_widens_it(problem):
     after = predictions(problem, 1.0, rng)
     spread = after + 1.5 * NOISE * np.sign(rng.normal(size=after.shape))
     only = after.copy()
-    group = folds(problem.data)[0][0]
+    group = folds(problem.data)[0] == 0
     only[group] += 1.5 * NOISE * np.sqrt(group.size / group.sum())
     wide, narrow = (
         np.ptp(closed_interval(problem, before, a, np.random.default_rng(0)))

@@ -73,7 +73,7 @@ def test_a_model_that_leaves_a_pattern_is_told_from_laws_that_err():
     rng = np.random.default_rng(6)
     base = problem(data, rng)
     law = np.zeros_like(data.y)
-    columns = base.fit().law[0]
+    columns = base.fit().form_errors[2]
     law[base.used] = columns @ (0.1 * rng.normal(size=columns.shape[1]))
     band = np.where(np.abs(data.rows.slip - 0.3) < 0.08, 15.0, 0.0)
     for added, left in ((law * NOISE, False), (np.outer(band, [0.0, 1.0, 0.0]), True)):

@@ -49,7 +49,7 @@ def law_error(data, size, seed):
     p = Problem(data, NOISE_SD.copy(), data.measured)
     fit = p.fit()
     errors = np.zeros_like(data.y)
-    errors[p.used] = fit.law[0] @ (size * rng.normal(size=fit.law[0].shape[1]))
+    errors[p.used] = fit.form_errors[2] @ (size * rng.normal(size=fit.form_errors[2].shape[1]))
     return errors * NOISE_SD
 
 

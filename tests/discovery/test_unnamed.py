@@ -1,9 +1,12 @@
 """Anonymous laws of few numbers: what they do, and that listed effects are held against them."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from soil_env.discovery import evidence, search
+from soil_env.discovery.calibrate import Problem
 from soil_env.discovery.instrument import LISTED, Choice
 from soil_env.discovery.unnamed import UNNAMED, changed, factors, loaded
 from soil_env.identification.table.data import CHANNELS
@@ -96,3 +99,13 @@ def test_bulldozing_keeps_its_name():
         table({"bulldozing": {"rankine": 0.6}}, speeds=(0.03, 0.12)), np.random.default_rng(2)
     )
     assert search.search(p).names == ("bulldozing",) and not {*UNNAMED} & {*LISTED}
+
+
+def test_a_median_sinkage_of_0_scales_no_law():
+    """A force that goes with the sinkage has a value where half of the sinkages read 0."""
+    p = problem(table(), np.random.default_rng(0))
+    y = p.data.y.copy()
+    y[np.arange(len(y)) % 3 > 0, 0] = 0.0
+    q = Problem(dataclasses.replace(p.data, y=y), p.noise, p.used)
+    there = q.predict(p.fit().parameters() | values("force"), (Choice("force", 0),), y[:, 0])
+    assert np.all(np.isfinite(there))

@@ -98,7 +98,7 @@ def _coordinates(table: Table, setup: Setup) -> np.ndarray:
     for name, length in _LENGTHS.items():
         value = coordinate(name, conditions) / length
         columns += [np.nan_to_num(value), _APART * np.isnan(value)]
-    columns += [_APART * np.isnan(getattr(table, name)) for name in MEASURED]
+    columns += [*(_APART * np.isnan(table.values).T)]
     x = np.stack(columns, axis=1)
     return x[:, np.ptp(x, axis=0) > 0.0]
 

@@ -91,12 +91,17 @@ class Data:
         return conditions_of(self.rows)
 
     @property
-    def groups(self) -> list[np.ndarray]:
-        """Indices [n] of the rows of each combination of the levels of all conditions but slip; all
+    def group(self) -> np.ndarray:
+        """[N] number from 0 of the combination of the levels of all conditions but slip; 0 in all
         rows where nothing else varies.
         """
         others = [c.level for name, c in self.varied.items() if name != "slip"]
-        label = combinations_of(others or [np.zeros_like(self.cell)])
+        return combinations_of(others or [np.zeros_like(self.cell)])
+
+    @property
+    def groups(self) -> list[np.ndarray]:
+        """Indices [n] of the rows of each `group`."""
+        label = self.group
         return [np.flatnonzero(label == k) for k in range(label.max() + 1)]
 
     @property
@@ -116,7 +121,7 @@ class Data:
         time is missing or all are the same.
         """
         time = self.table.time
-        known = "time" in self.table.given and np.all(np.isfinite(time)) and np.ptp(time) > 0.0
+        known = np.all(np.isfinite(time)) and np.ptp(time) > 0.0
         return {"elapsed": (time - time.min()) / np.ptp(time)} if known else {}
 
 
@@ -168,7 +173,7 @@ def prepare(table: Table, setup: Setup) -> Data:
             f"{table.source}: row {table.row[no_speed][0]}, speed is empty: expected it in every "
             "row or in none"
         )
-    y = np.stack([getattr(table, name) for name in CHANNELS], axis=1)
+    y = table.values
     _refuse_units(table, setup, rows, y)
     varied: dict[str, Factor] = {}
     for name, value in conditions_of(rows).items():
@@ -287,9 +292,7 @@ def _factor(name: str, value: np.ndarray) -> Factor:
     steps = np.diff(x[order]) > gap
     level = np.empty(x.size, dtype=int)
     level[order] = np.concatenate([[0], np.cumsum(steps)])
-    ends = np.flatnonzero(np.concatenate([steps, [True]]))
-    starts = np.concatenate([[0], ends[:-1] + 1])
-    widest = np.max(x[order][ends] - x[order][starts])
+    widest = max(map(np.ptp, np.split(x[order], np.flatnonzero(steps) + 1)))
     many = level.max() > max(_MOST_LEVELS, x.size // _ROWS_OF_LEVEL)
     if name in ("slip", "load", "speed", "grade_deg") and (many or widest > _CHAIN * gap):
         bins = max(2, min(_MOST_BINS, x.size // _ROWS_OF_BIN))
@@ -300,15 +303,13 @@ def _factor(name: str, value: np.ndarray) -> Factor:
     return Factor(name, value, level, scaled)
 
 
-def folds(data: Data) -> list[list[np.ndarray]]:
-    """Cross-validation folds: one or two ways to cut the table into groups [N, bool], which are
-    held out one at a time.
+def folds(data: Data) -> list[np.ndarray]:
+    """Cross-validation folds: one or two ways to cut the table into groups, which are held out one
+    at a time; for each way the number [N] from 0 of the group of each row.
 
     The groups of the first way are the levels of slip. Those of the second are the combinations of
     the other conditions, where there are more than two.
     """
-    slip = data.varied["slip"]
-    ways = [[slip.level == k for k in range(slip.levels)]]
-    if len(data.groups) > 2:
-        ways.append([np.isin(np.arange(slip.level.size), rows) for rows in data.groups])
-    return ways
+    slip = data.varied["slip"].level
+    others = data.group
+    return [slip, others] if others.max() > 1 else [slip]

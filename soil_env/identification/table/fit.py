@@ -31,9 +31,12 @@ from .priors import LARGEST_LOG, given_laws, given_prior, stiffness
 from .problem import LAW_ERRORS, LEAST_FREEDOM, SOURCES, TableProblem
 
 LEVEL = 0.5  # [deg] grade below which a row counts as level, as a usual level of a rig is good to
-#: Indices of the six parameters in their coordinates: phi [deg], ln K, ln S, n, c [Pa], tilt [deg].
-PHI, LN_K, LN_S, EXPONENT, COHESION, TILT = range(6)
-#: Their labels in sentences, in that order, by the names of a setup.
+#: Indices of three of the six parameters in their coordinates: phi [deg], ln K, ln S, n, c [Pa],
+#: tilt [deg].
+PHI = 0
+LN_S = 2
+EXPONENT = 3
+#: Labels of the six in sentences, in that order, by the names of a setup.
 LABELS = {
     "friction_angle_deg": "friction angle",
     "shear_modulus": "shear deformation modulus",
@@ -45,6 +48,18 @@ LABELS = {
 #: Labels of single parameters of the setup: S itself, where `LABELS` has S z^n of the correlations.
 _SINGLE = LABELS | {"sinkage_coefficient": "sinkage coefficient S"}
 SYMBOLS = dict(zip(LABELS.values(), ("phi", "K", "S z^n", "n", "c", "tilt"), strict=True))
+#: Unit of each parameter of a `TableEstimate`.
+PARAMETER_UNITS = {
+    "friction_angle_deg": "deg",
+    "shear_modulus": "m",
+    "sinkage_coefficient": "N/m^(n+2)",
+    "sinkage_exponent": "",
+    "cohesion": "Pa",
+    "reference_pressure": "Pa",
+    "tilt_deg": "deg",
+}
+#: Parameters whose intervals are computed in the logarithm.
+LOGARITHMIC = ("shear_modulus", "sinkage_coefficient", "reference_pressure")
 OFF_PRIOR = 3.0  # [prior sd] from the prior, beyond which a solution under noise alone is doubted
 FAR_OFF_PRIOR = 5.0  # [prior sd] from which that is to be checked first where the base model fits
 #: Residual of a fit that allows for errors of the laws, over that of a fit with exact laws, from
@@ -302,7 +317,7 @@ def _summary(
     whole = covariance_about(u, share, mean, under)
     covariance = by_u @ whole @ by_u.T
     sd = np.sqrt(np.diag(covariance))
-    prior_sd = np.sqrt(np.sum(by_u**2, axis=1))
+    prior_sd = np.linalg.norm(by_u, axis=1)
     correlation = covariance / np.outer(sd, sd)
     condition = np.linalg.cond(problem.derivatives(u) @ np.linalg.inv(by_u) * prior_sd)
     fits = {
@@ -352,7 +367,7 @@ def _soil(problem: TableProblem, u: np.ndarray) -> Soil:
     density = problem.setup.soil.density
     known = {**given_laws(problem.setup), "gravity_measured": problem.setup.gravity}
     known |= {"density": density.value} if density else {}
-    values = dict(problem.values(u))
+    values = problem.values(u)
     known |= stiffness(problem.setup, values.pop("sinkage_coefficient"))
     return Soil.within(values | known)
 
@@ -371,30 +386,25 @@ def _parameters(
     # [sd] half of an interval
     reach = float(ndtri(0.975) if math.isinf(freedom) else stdtrit(freedom, 0.975))
     values = problem.values(u)
-    range_of = {k.name: (k.low, k.high) for k in problem.unknowns}
+    s = values["sinkage_coefficient"]
+    values["reference_pressure"] = s * problem.z_ref ** values["sinkage_exponent"]
     to_pressure = scaling[LN_S] + math.log(problem.z_ref) * scaling[EXPONENT]
-    ln_s = math.log(values["sinkage_coefficient"])
-    n = values["sinkage_exponent"]
+    derivatives = dict(zip(LABELS, scaling, strict=True)) | {"reference_pressure": to_pressure}
+    range_of = {k.name: (k.low, k.high) for k in problem.unknowns}
     out = {}
-    for name, value, by_u, unit in (
-        ("friction_angle_deg", values["friction_angle_deg"], scaling[PHI], "deg"),
-        ("shear_modulus", math.log(values["shear_modulus"]), scaling[LN_K], "m"),
-        ("sinkage_coefficient", ln_s, scaling[LN_S], "N/m^(n+2)"),
-        ("sinkage_exponent", n, scaling[EXPONENT], ""),
-        ("cohesion", values["cohesion"], scaling[COHESION], "Pa"),
-        ("reference_pressure", ln_s + n * math.log(problem.z_ref), to_pressure, "Pa"),
-        ("tilt_deg", values.get("tilt_deg", 0.0), scaling[TILT], "deg"),
-    ):
-        if name == "tilt_deg" and problem.setup.tilt_deg is None:
+    for name, unit in PARAMETER_UNITS.items():
+        if name not in values:  # the tilt
             continue
+        value = float(math.log(values[name]) if name in LOGARITHMIC else values[name])
+        by_u = derivatives[name]
         half = reach * math.sqrt(by_u @ covariance @ by_u)
         least, most = range_of.get(name, (-math.inf, math.inf))
-        low = max(float(value - half), least)
-        high = min(float(value + half), most)
+        low = max(value - half, least)
+        high = min(value + half, most)
         cut = (low == least, high == most) if half > 0.0 else ()
         at_bound = tuple(compress(("low", "high"), cut))
-        estimate = [float(value), low, high]
-        if name in ("shear_modulus", "sinkage_coefficient", "reference_pressure"):
+        estimate = [value, low, high]
+        if name in LOGARITHMIC:
             estimate = [math.exp(min(x, LARGEST_LOG)) for x in estimate]
         elif name != "tilt_deg" and abs(value) < _ZERO * half:
             estimate[0] = 0.0

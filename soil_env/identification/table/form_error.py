@@ -187,6 +187,11 @@ def coordinates(conditions: Conditions, names: tuple[str, ...]) -> np.ndarray:
     )
 
 
+def in_channels(functions: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """[N, 3, R] functions [N, R] times a factor [3] or [N, 3] for the channels."""
+    return functions[:, None, :] * factor[..., None]
+
+
 def finite(values: np.ndarray) -> np.ndarray:
     """The values, but 0 where they are not finite: there the model that gave them has none."""
     return np.where(np.isfinite(values), values, 0.0)

@@ -728,7 +728,7 @@ def _goes_on(data: Data, row: int, rest: _AsIs) -> bool:
     `rest` to all others, in the channel where that is largest. Then the row is not wrong: the model
     misses what grows with slip.
     """
-    (group,) = (rows for rows in data.groups if row in rows)
+    group = np.flatnonzero(data.group == data.group[row])
     model = rest.fit.problem.steady(rest.fit.u, data.rows)[row]
     off = (data.y[row] - model) / rest.noise.sd
     if not np.any(np.isfinite(off)):
@@ -963,7 +963,7 @@ def _outpulls_the_rim(data: Data, noise: NoiseEstimate) -> str:
     return _over_the_axle(
         data,
         noise,
-        np.ones_like(data.rows.slip),
+        1.0,
         "drawbar_pull is {:.2g} times torque over radius in the middle of the rows, and soil holds "
         "a driven wheel back",
     )
@@ -989,12 +989,12 @@ def _no_resistance(data: Data, noise: NoiseEstimate) -> str:
     )
 
 
-def _over_the_axle(data: Data, noise: NoiseEstimate, ratio: np.ndarray, words: str) -> str:
+def _over_the_axle(data: Data, noise: NoiseEstimate, ratio: np.ndarray | float, words: str) -> str:
     """`words` with the median of DP `ratio`/(T/r) over the driven rows on the level, if it exceeds
     1 by more than noise (`SURE_GAIN`) and errors of gains (`GAINED`); "" else.
 
-    `ratio`: for each row the travel speed over that of the rim to compare powers, 1 to compare
-    forces. `words` has a place for the median. Three rows are needed, and a positive torque.
+    `ratio`: [N] travel speed over that of the rim to compare powers, 1 to compare forces. `words`
+    has a place for the median. Three rows are needed, and a positive torque.
     """
     level = np.abs(data.rows.conditions[:, 2]) < LEVEL
     both = noise.used[:, 1] & noise.used[:, 2] & (data.rows.slip > 0.0) & level

@@ -28,7 +28,7 @@ from soil_env.terramechanics.effects import NO_EFFECTS
 from soil_env.terramechanics.model import Rows
 
 from . import form_error
-from .form_error import LAW_LENGTHS, Process, finite
+from .form_error import LAW_LENGTHS, Process, finite, in_channels
 from .noise import NoiseEstimate
 from .priors import (
     Unknown,
@@ -189,7 +189,7 @@ class TableProblem:
         self.rows = Rows(*(column[use] for column in rows))
         self._take_conditions(self.rows)
         #: [N, 3] measured sinkage [m], drawbar pull [N] and torque [N m]; nan where not measured.
-        self.y = np.stack([getattr(table, name)[use] for name in MEASURED], axis=1)
+        self.y = table.values[use]
         self.measured = np.isfinite(self.y)
         #: [N, 5] noise in a row over that of its source, which is 1 for slip and load.
         relative = np.ones((len(table), 5))
@@ -316,8 +316,8 @@ class TableProblem:
         """
         self.F = by_conditions
         self.V = np.einsum("kcj,j,kdj->kcd", self.F, self.noise[:2] ** 2, self.F)
-        for c in range(3):
-            self.V[:, c, c] += np.where(self.measured[:, c], self.variances[:, 2 + c], 1.0)
+        own = np.where(self.measured, self.variances[:, 2:], 1.0)
+        self.V += own[:, :, None] * np.eye(3)
         self._whitener = np.linalg.inv(np.linalg.cholesky(self.V))
 
     @property
@@ -356,13 +356,6 @@ class TableProblem:
         flat = differences(lambda x: self.predict(x).ravel(), u, self.unknowns)
         return flat.reshape(*self.y.shape, -1)
 
-    def covariance(self, u: np.ndarray) -> np.ndarray:
-        """Covariance [p, p] of the whitened unknowns, linearised at u: inverse of the normal matrix
-        with the priors.
-        """
-        j = self.derivatives(u)
-        return np.linalg.inv(np.eye(u.size) + j.T @ j)
-
     def law_errors(self, u: np.ndarray, span: int) -> tuple[np.ndarray, np.ndarray]:
         """(form errors of the stresses [3 N, C R], form errors of the channels [3 N, 3 R]), of size
         1 and whitened by the noise; C are the `stress_changes`, R the functions of the process.
@@ -374,7 +367,7 @@ class TableProblem:
         base = self.predict(u)
         functions = self.processes[span].at_points
         moved = self._by_stresses(u)[..., None] * functions[:, None, None, :]
-        own = [(base * unit)[:, :, None] * functions[:, None, :] for unit in np.eye(3)]
+        own = [in_channels(functions, base * unit) for unit in np.eye(3)]
         return (
             self.by_noise(moved.reshape(*base.shape, -1)),
             self.by_noise(np.concatenate(own, axis=2)),
@@ -488,7 +481,10 @@ class TableProblem:
         gain = self.variances[:, :, None] * np.swapaxes(np.linalg.solve(self.V, B), 1, 2)
         by_u = np.einsum("kjc,kcp->kjp", gain, j)
         left = np.einsum("kjc,kcj->kj", gain, B) * self.variances
-        left -= np.einsum("kjp,pq,kjq->kj", by_u, self.covariance(u), by_u)
+        # Covariance of the unknowns, linearised at u: inverse of the normal matrix with the priors.
+        whitened = self.derivatives(u)
+        covariance = np.linalg.inv(np.eye(u.size) + whitened.T @ whitened)
+        left -= np.einsum("kjp,pq,kjq->kj", by_u, covariance, by_u)
         return np.einsum("kjc,kc->kj", gain, e), left
 
     def correct(self, u: np.ndarray) -> None:
@@ -541,7 +537,7 @@ def usable_rows(table: Table, setup: Setup) -> np.ndarray:
     `ParameterError` where no row is left, where none of those has a force, and where a sinkage is
     not above 0, or larger than the radius.
     """
-    seen, pull, torque = (~np.isnan(getattr(table, name)) for name in MEASURED)
+    seen, pull, torque = ~np.isnan(table.values).T
     has_stiffness = setup.soil.lumped(setup.wheel.width) is not None
     use = seen | (pull & torque) | ((pull | torque) & has_stiffness)
     if not np.any(use):
