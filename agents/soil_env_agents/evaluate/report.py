@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from soil_env._io.document import Table
-from soil_env._io.files import replace_file, write_json
+from soil_env._io.files import json_text, replace_files
 from soil_env.simulation.task import Cause
 
 from ..progress import show
 from . import comparing
 from .comparing import ORACLE
 from .driving import RATES, Runs
-from .tables import bracketed, cell, difference, draw_metrics, save_csv
+from .tables import bracketed, cell, csv_text, difference, draw_metrics
 
 _FILES = ("evaluation.json", "evaluation.md", "courses.csv", "metrics.png")
 _PANELS = (
@@ -68,12 +68,18 @@ def _values(values: Mapping[str, float]) -> str:
 
 
 def write(result: Mapping, runs: Mapping[str, list[Runs]], folder: Path) -> list[str]:
-    """Write evaluation.json and .md, courses.csv and metrics.png; returns their names."""
-    write_json(folder / "evaluation.json", result)
-    save_csv(folder / "courses.csv", _courses(runs, list(result["metrics"])))
+    """Write evaluation.json and .md, courses.csv and metrics.png, all or none; returns their names.
+
+    evaluation.json comes last: where it is, the others are.
+    """
     panels = [m for m in _PANELS if m in result["metrics"]]
-    replace_file(folder / "metrics.png", draw_metrics({"": result["controllers"]}, panels))
-    replace_file(folder / "evaluation.md", page(result))
+    files = {
+        "evaluation.md": page(result),
+        "courses.csv": csv_text(_courses(runs, list(result["metrics"]))),
+        "metrics.png": draw_metrics({"": result["controllers"]}, panels),
+        "evaluation.json": json_text(result),
+    }
+    replace_files(folder, files)
     return list(_FILES)
 
 
