@@ -234,7 +234,7 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
             try:
                 with _curves_named(folder / "tensorboard"):
                     model.learn(left, callback=calls, reset_num_timesteps=False, tb_log_name="PPO")
-            except (KeyboardInterrupt, OSError):
+            except (KeyboardInterrupt, OSError, SystemExit):  # rich ends so where nobody reads
                 model.num_timesteps = watch.learnt
                 ppo.save(model, checkpoint)
                 raise

@@ -227,10 +227,12 @@ class Killed(BaseException):
 
 
 @pytest.mark.usefixtures("unrendered")
-@pytest.mark.parametrize("end", [KeyboardInterrupt, Killed, OSError(28, "full", "curves")])
+@pytest.mark.parametrize(
+    "end", [KeyboardInterrupt, Killed, SystemExit, OSError(28, "full", "curves")]
+)
 def test_a_training_that_was_stopped_is_resumed(capsys, tmp_path, monkeypatch, end):
     """In the third of four rollouts: steps of it, which nothing was learnt from, do not count. An
-    interrupt and a full disk need no checkpoint before.
+    interrupt, a full disk and a reader that has gone need no checkpoint before.
     """
     step = SoilWheelVecEnv.step_wait
     calls = []
@@ -253,8 +255,8 @@ def test_a_training_that_was_stopped_is_resumed(capsys, tmp_path, monkeypatch, e
 
     with monkeypatch.context() as patch:
         patch.setattr(SoilWheelVecEnv, "step_wait", stopped)
-        if end is Killed:
-            with pytest.raises(Killed):
+        if end in (Killed, SystemExit):
+            with pytest.raises(end):
                 run(capsys, *asked)
         else:
             code, _, err = run(capsys, *asked)

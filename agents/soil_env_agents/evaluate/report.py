@@ -73,7 +73,7 @@ def write(result: Mapping, runs: Mapping[str, list[Runs]], folder: Path) -> list
     evaluation.json comes last: where it is, the others are.
     """
     panels = [m for m in _PANELS if m in result["metrics"]]
-    files = {
+    files: dict[str, bytes | str] = {
         "evaluation.md": page(result),
         "courses.csv": csv_text(_courses(runs, list(result["metrics"]))),
         "metrics.png": draw_metrics({"": result["controllers"]}, panels),
