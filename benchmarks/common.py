@@ -112,6 +112,13 @@ def study_options(name: str) -> Callable[[Callable], Callable]:
     return lambda command: smoke(out(command))
 
 
+def name_of(study: str, smoke: bool) -> str:
+    """Name of the files of a study that goes on with what they hold: another one with --smoke,
+    whose numbers mean nothing.
+    """
+    return f"{study}_smoke" if smoke else study
+
+
 def ready(out: Path, name: str) -> Path:
     """Make the folder of the results and return the path of NAME.json in it, which is not written.
 

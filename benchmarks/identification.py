@@ -27,6 +27,7 @@ from benchmarks import drives
 from benchmarks.common import (
     machine,
     machine_text,
+    name_of,
     read_json,
     ready,
     short,
@@ -261,7 +262,8 @@ def tables(result: dict[str, Any]) -> dict[str, Table]:
 )
 def command(smoke: bool, out: Path, courses: int, seed: int, only: tuple[str, ...]) -> None:
     """Measure the calibration of the online identifier in every drive that ships; resumes."""
-    file = ready(out, NAME)
+    kept = name_of(NAME, smoke)
+    file = ready(out, kept)
     settings = {"seed": seed, "courses": 2 if smoke else courses}
     result = read_json(file) if file.exists() else {}
     if not settings.items() <= result.items():  # rows of other courses do not count
@@ -281,7 +283,7 @@ def command(smoke: bool, out: Path, courses: int, seed: int, only: tuple[str, ..
         f"by `python -m benchmarks.{NAME}` on {machine_text(result['machine'])}. Of a rover "
         "what its wheels know together."
     )
-    write(out, NAME, "Identification, measured", text, tables(result))
+    write(out, kept, "Identification, measured", text, tables(result))
 
 
 if __name__ == "__main__":

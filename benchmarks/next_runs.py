@@ -17,7 +17,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from benchmarks.common import read_json, ready, short, study_options, write
+from benchmarks.common import name_of, read_json, ready, short, study_options, write
 from benchmarks.prediction import Case, cases
 from benchmarks.rigs import data_option
 from soil_env._io.document import Table as Page
@@ -151,7 +151,8 @@ def tables_of(found: dict[str, dict[str, list[list[float]]]]) -> dict[str, Page]
 @data_option
 def command(smoke: bool, out: Path, data: Path) -> None:
     """Runs chosen for prediction against runs drawn at random."""
-    file = ready(out, NAME)
+    kept = name_of(NAME, smoke)
+    file = ready(out, kept)
     # {table: {way: `errors` of each draw}}; draws that are there are not made again.
     found = read_json(file) if file.exists() else {}
     draws = 1 if smoke else DRAWS
@@ -165,7 +166,7 @@ def command(smoke: bool, out: Path, data: Path) -> None:
         print(f"{name}: done", flush=True)
         if smoke:
             break
-    write(out, NAME, "Next runs", TEXT.format(draws=draws, seed=SEED), tables_of(found))
+    write(out, kept, "Next runs", TEXT.format(draws=draws, seed=SEED), tables_of(found))
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -19,7 +19,7 @@ import os
 import signal
 import socket
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Generator, Hashable, Iterable
+from collections.abc import Callable, Collection, Generator, Hashable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
@@ -137,10 +137,9 @@ def load_study(cls, folder: Path, check: Callable[[dict, str], None] | None = No
 
 
 def clear(folder: Path) -> None:
-    """Forget the study of a folder and its finished cells; other files stay."""
+    """Forget the finished cells of a folder; its study stays until another replaces it."""
     for path in (folder / "cells").glob("*.json"):
         path.unlink()
-    (folder / STUDY).unlink()
 
 
 def cell_file(folder: Path, cell: Hashable) -> Path:
@@ -285,6 +284,21 @@ def _begin(work: Callable) -> None:
     end_with_parent()
 
 
+@contextlib.contextmanager
+def _ctrl_c_held_back() -> Iterator[None]:
+    """Hold SIGINT back inside the block, and in processes started there until `_begin`: Ctrl-C of a
+    terminal reaches them during their imports, too. Windows has no such block.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _call(cell):
     """Result of a cell, in a worker process."""
     _Worker.busy = True
@@ -313,7 +327,8 @@ def processes(work: Callable, cells: Iterable, *, workers: int) -> Generator[tup
         try:
             while left or running:
                 while left and len(running) < workers:
-                    future = pool.submit(_call, left[0])
+                    with _ctrl_c_held_back():
+                        future = pool.submit(_call, left[0])
                     running[future] = left.popleft()
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     result = future.result()

@@ -89,8 +89,12 @@ def command(config: Path | None, resume: Path | None, keys: tuple[str, ...]) -> 
     with begun_in(folder, new, made=new), alone(folder), continued_by(line, folder):
         show(f"Run folder: {folder}")
         if all((folder / name).is_file() for name in (training.MODEL, comparison.DONE)):
-            show(f"Already finished. Delete its {comparison.DONE} to compare again.")
+            show(
+                f"Already finished: edits count no more. Delete its {training.MODEL} to train "
+                f"again from step 0, its {comparison.DONE} to compare again."
+            )
             return
+        (folder / comparison.DONE).unlink(missing_ok=True)  # of a model that is trained again
         try:
             agent = training.train(folder, settings, scenario)
         except MemoryError as error:

@@ -3,8 +3,11 @@ done.
 """
 
 import shutil
+import threading
 import time
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -183,8 +186,8 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario)
 def _learn(folder: Path, config: TrainConfig, scenario) -> None:
     """Train as a student of the teacher, then by PPO up to `timesteps`; save model.zip.
 
-    A checkpoint is saved after the student, every `checkpoint_every` steps and at an interrupt of
-    PPO. With one the training goes on from there, and there is no student.
+    A checkpoint is saved after the student, every `checkpoint_every` steps, and where an interrupt
+    or a failed write ends PPO. With one the training goes on from there, and there is no student.
     """
     checkpoint = folder / CHECKPOINT
     worlds: World = config.world
@@ -225,12 +228,38 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
             watch = _Watch(folder, config.checkpoint_every, bar)
             calls = [schedules, chooser, watch]
             try:
-                model.learn(left, callback=calls, reset_num_timesteps=False, tb_log_name="PPO")
-            except KeyboardInterrupt:
+                with _curves_named(folder / "tensorboard"):
+                    model.learn(left, callback=calls, reset_num_timesteps=False, tb_log_name="PPO")
+            except (KeyboardInterrupt, OSError, SystemExit):  # rich ends so where nobody reads
                 model.num_timesteps = watch.learnt
                 ppo.save(model, checkpoint)
                 raise
     ppo.save(model, folder / MODEL)
+
+
+@contextmanager
+def _curves_named(folder: Path) -> Iterator[None]:
+    """Inside the block an error of the thread in which TensorBoard writes has the `folder` as its
+    file, and no traceback is printed in that thread.
+    """
+    failed = []
+    usual = threading.excepthook
+
+    def note(error) -> None:
+        """Hook of Python for an exception that ends a thread."""
+        failed.append(error.exc_value)
+        if not isinstance(error.exc_value, OSError):
+            usual(error)
+
+    threading.excepthook = note
+    try:
+        yield
+    except OSError as error:
+        if any(error is own for own in failed):
+            raise OSError(error.errno, error.strerror, str(folder)) from None
+        raise
+    finally:
+        threading.excepthook = usual
 
 
 def trained(config: TrainConfig, scenario: Scenario | RoverScenario) -> Path:
@@ -239,7 +268,8 @@ def trained(config: TrainConfig, scenario: Scenario | RoverScenario) -> Path:
     """
     run = Path(config.runs) / config.name
     if run.is_dir() and not (run / "scenario.yaml").is_file():  # its start was interrupted
-        (run / "config.yaml").unlink(missing_ok=True)
+        for rest in ("config.yaml", *map(BEGUN.format, ("config", "scenario"))):
+            (run / rest).unlink(missing_ok=True)
         if not is_unused(run):
             raise ParameterError(f"{run}: holds other files: expected a run folder, or none")
         shutil.rmtree(run)

@@ -18,7 +18,7 @@ import click
 import numpy as np
 from scipy.stats import t as student_t
 
-from benchmarks.common import read_json, ready, short, study_options, write
+from benchmarks.common import name_of, read_json, ready, short, study_options, write
 from benchmarks.continuum import loop, rig
 from benchmarks.continuum.rig import LOADS, RIM_SPEED, SHAPES, SLIPS, SOILS, TABLES, WHEELS
 from benchmarks.continuum.soil import Bed
@@ -86,7 +86,8 @@ def pile_command(workers: int) -> None:
 @click.option("--workers", type=WholeNumber(1), default=2, show_default=True, help="Processes.")
 def loop_command(smoke: bool, out: Path, only: str | None, beds: int, workers: int) -> None:
     """Learn models from tables, tune a rule in them and let it drive on the continuum."""
-    file = ready(out, "continuum")
+    kept = name_of("continuum", smoke)
+    file = ready(out, kept)
     # {table: what `_learnt` gives, and under "drives" {"MODEL BED": `loop.Drive` as a dict}}.
     found = read_json(file) if file.exists() else {}
     for table in (only,) if only else WHEELS:
@@ -105,7 +106,7 @@ def loop_command(smoke: bool, out: Path, only: str | None, beds: int, workers: i
             drives[f"{model} {bed}"] = short(drive._asdict())
             write_json(file, found)
             print(f"{table}: drive {done} of {len(left)}", flush=True)
-    write(out, "continuum", "From a table to a drive", TEXT.format(beds=beds), pages(found))
+    write(out, kept, "From a table to a drive", TEXT.format(beds=beds), pages(found))
 
 
 def _learnt(table: str) -> dict:

@@ -34,8 +34,10 @@ def replace_files(folder: str | Path, contents: Mapping[str, bytes | str]) -> No
     """Write files into `folder`, made if need be: all of them are on the disk before the first
     replaces another.
     """
-    Path(folder).mkdir(parents=True, exist_ok=True)
-    _replace({Path(folder) / name: content for name, content in contents.items()})
+    places = {Path(folder) / name: content for name, content in contents.items()}
+    for path in places:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    _replace(places)
 
 
 def _replace(contents: Mapping[Path, bytes | str]) -> None:
@@ -108,7 +110,6 @@ def write_own(folder: str | Path, contents: Mapping[str, bytes | str]) -> None:
         new = _digest(_bytes(content))
         # Also the digest of the old file, which is still there if a kill comes before the renaming.
         known[name] = [new, *known.get(name, ())[:1]]
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
     replace_files(folder, {MANIFEST: json_text(known), **contents})
 
 
@@ -150,7 +151,7 @@ def alone(folder: str | Path) -> Iterator[None]:
         with suppress(NotImplementedError):  # a disk without locks
             lock.acquire(timeout=0)
     except Timeout:
-        said = "another command is at work in this folder: expected another --out, or its end"
+        said = "another command is at work in this folder: expected another folder, or its end"
         raise FileExistsError(errno.EEXIST, said, str(folder)) from None
     try:
         yield

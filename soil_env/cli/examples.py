@@ -1,11 +1,10 @@
 """`soil-env examples`."""
 
-import shutil
 from pathlib import Path
 
 import click
 
-from soil_env._io.files import check_outputs, is_unused
+from soil_env._io.files import check_outputs, is_unused, replace_files
 from soil_env._io.loading import ParameterError, shipped_dir
 
 from .running import PATH
@@ -26,7 +25,5 @@ def command(folder: Path) -> None:
     if not is_unused(folder):
         raise ParameterError(f"{folder}: is not empty: expected a new folder")
     check_outputs(folder, map(str, files))
-    for file in files:
-        (folder / file).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(source / file, folder / file)
+    replace_files(folder, {str(file): (source / file).read_bytes() for file in files})
     print(f"written: {len(files)} files in {folder}; begin with {folder / 'README.md'}")

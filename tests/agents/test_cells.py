@@ -2,8 +2,10 @@
 file is named.
 """
 
+import signal
 import subprocess
 import sys
+import time
 from functools import partial
 from types import ModuleType
 
@@ -62,6 +64,43 @@ def test_workers_of_a_parent_that_was_killed_save_and_end(importable, tmp_path, 
     parent.wait()
     alive = psutil.wait_procs(workers, timeout=60.0)[1]
     assert alive == [] and (tmp_path / "interrupted").exists()
+
+
+IMPORTING = """
+import time
+from pathlib import Path
+
+from soil_env_agents import cells
+from tests.agents import tasks
+
+if __name__ == "__main__":
+    try:
+        list(cells.processes(tasks.double, [(1, ""), (2, "")], workers=2))
+    except KeyboardInterrupt:
+        print("interrupted")
+else:
+    Path("importing").touch()
+    time.sleep(60.0)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_ctrl_c_during_the_imports_of_a_worker_prints_nothing(importable, tmp_path, monkeypatch):
+    """A terminal sends it to all processes; here the parent gets it last."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "parent.py").write_text(IMPORTING)
+    pipe = subprocess.PIPE
+    parent = subprocess.Popen(
+        [sys.executable, "parent.py"], stdout=pipe, stderr=pipe, start_new_session=True
+    )
+    while not (tmp_path / "importing").exists():
+        assert parent.poll() is None
+        time.sleep(0.01)
+    for worker in psutil.Process(parent.pid).children():
+        worker.send_signal(signal.SIGINT)
+    time.sleep(0.5)
+    parent.send_signal(signal.SIGINT)
+    assert parent.communicate(timeout=60.0) == (b"interrupted\n", b"")
 
 
 def test_bad_input_found_by_a_worker_comes_back(engine):

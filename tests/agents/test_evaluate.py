@@ -21,7 +21,7 @@ from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause
 from soil_env_agents import cells, ppo
 from soil_env_agents.controllers import make_controller
-from soil_env_agents.evaluate import command, comparing
+from soil_env_agents.evaluate import command, comparing, report
 from soil_env_agents.evaluate.contestants import parse
 from soil_env_agents.evaluate.driving import (
     HELD_OUT_SET,
@@ -284,6 +284,17 @@ def test_a_kill_and_processes_give_the_same_table(tmp_path, monkeypatch, importa
     )
     assert main(*asked, f"--out={calm}") == 0
     same(out, calm)
+
+
+def test_results_that_cannot_all_be_written_are_not_there(tmp_path, monkeypatch):
+    """evaluation.json among them, by which train.py knows that a comparison is done."""
+
+    def full(*_):
+        raise OSError(28, "full", "metrics.png")
+
+    monkeypatch.setattr(report, "draw_metrics", full)
+    assert main(*SHORT, "--controllers=full_throttle", f"--out={tmp_path / 'out'}") == 2
+    assert not [p for p in (tmp_path / "out").glob("[!.]*.*") if p.name != "study.yaml"]
 
 
 @pytest.mark.parametrize("controllers", [["a"], {"a": 3}, None])

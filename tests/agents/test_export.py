@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 from dataclasses import replace
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 import yaml
 from stable_baselines3 import A2C, SAC
 
+from soil_env._io import files
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main as soil_env
 from soil_env.envs.wheel_env import SoilWheelEnv, observation_space
@@ -248,6 +250,18 @@ def test_an_action_that_differs_is_not_exported(tmp_path, scenario, capsys, monk
     )
     assert export(folder, tmp_path / "out") == 2
     assert "differs by" in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+def test_a_full_temporary_folder_is_named(tmp_path, scenario, capsys, monkeypatch):
+    """It may be full where --out is not."""
+
+    def full(content):
+        raise OSError(28, "full")
+
+    monkeypatch.setattr(files, "_bytes", full)
+    monkeypatch.setattr(Path, "write_bytes", lambda path, content: full(content))
+    assert export("default", tmp_path / "out") == 2
+    assert "policy.onnx: full" in capsys.readouterr().err
 
 
 def test_files_that_are_not_known_are_named(tmp_path, scenario):

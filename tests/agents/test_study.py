@@ -24,7 +24,7 @@ from soil_env_agents.evaluate.driving import run_courses
 from soil_env_agents.evaluate.models import load_model
 from soil_env_agents.study import work
 from soil_env_agents.study.config import Study, read_config
-from soil_env_agents.training import open_run
+from soil_env_agents.training import BEGUN, open_run
 from tests.refusals import refused_command
 
 WORLDS = config_dir() / "worlds"
@@ -163,7 +163,11 @@ def test_lost_cells_are_done_again_and_give_the_same(finished, copied, elsewhere
     """By work that can be sent to other processes, and to machines that do not share the folder."""
     for name in ("mixed-true_soil-1", "mixed-full_throttle-0", "mixed-identified-0"):
         (copied / "cells" / f"{name}.json").unlink()
-    shutil.rmtree(copied / "trained" / "mixed-identified-0")
+    run = copied / "trained" / "mixed-identified-0"
+    shutil.rmtree(run)
+    run.mkdir()  # as a kill leaves it that comes while the folder is begun
+    for name in ("config.yaml", BEGUN.format("config")):
+        (run / name).touch()
     kept = copied / "trained" / "mixed-true_soil-1" / "model.zip"
     before = kept.stat().st_mtime_ns
 

@@ -1,6 +1,7 @@
 """train.py as its user meets it: run folders, refusals in one line, interrupt, kill and resume."""
 
 import json
+import threading
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 import train
 from soil_env._io.loading import to_dict
 from soil_env.parameters import load_scenario
-from soil_env_agents import cli, comparison, training
+from soil_env_agents import cells, cli, comparison, training
 from soil_env_agents.agent import load_agent, read_info
 from soil_env_agents.config import load_config
 from soil_env_agents.controllers import CONTROLLERS
@@ -226,16 +227,20 @@ class Killed(BaseException):
 
 
 @pytest.mark.usefixtures("unrendered")
-@pytest.mark.parametrize("end", [KeyboardInterrupt, Killed])
+@pytest.mark.parametrize(
+    "end", [KeyboardInterrupt, Killed, SystemExit, OSError(28, "full", "curves")]
+)
 def test_a_training_that_was_stopped_is_resumed(capsys, tmp_path, monkeypatch, end):
-    """In the third of four rollouts: steps of it, which nothing was learnt from, do not count."""
+    """In the third of four rollouts: steps of it, which nothing was learnt from, do not count. An
+    interrupt, a full disk and a reader that has gone need no checkpoint before.
+    """
     step = SoilWheelVecEnv.step_wait
     calls = []
     folder = tmp_path / "n"
     asked = [
         *TINY[1:],
         "--timesteps=512",
-        f"--checkpoint_every={ROLLOUT}",
+        f"--checkpoint_every={ROLLOUT if end is Killed else 10**6}",
         "--runs",
         tmp_path,
         "--name",
@@ -250,12 +255,13 @@ def test_a_training_that_was_stopped_is_resumed(capsys, tmp_path, monkeypatch, e
 
     with monkeypatch.context() as patch:
         patch.setattr(SoilWheelVecEnv, "step_wait", stopped)
-        if end is Killed:
-            with pytest.raises(Killed):
+        if end in (Killed, SystemExit):
+            with pytest.raises(end):
                 run(capsys, *asked)
         else:
             code, _, err = run(capsys, *asked)
-            assert code == 130 and f"--resume {folder}" in err and "Traceback" not in err
+            assert code == (130 if end is KeyboardInterrupt else 2)
+            assert f"--resume {folder}" in err and "Traceback" not in err
     reached = read_info(folder / "checkpoint.zip").timesteps
     assert not (folder / "model.zip").exists()
     assert reached == 2 * ROLLOUT
@@ -274,6 +280,48 @@ def test_a_training_that_was_stopped_is_resumed(capsys, tmp_path, monkeypatch, e
     first, *rest = steps_logged(folder)
     assert [p.name for p in (folder / "tensorboard").iterdir()] == ["PPO_0"]
     assert len(rest) == 1 and rest[0] and all(step > reached for step in rest[0])
+
+
+@pytest.mark.usefixtures("unrendered")
+def test_a_model_that_is_trained_again_is_compared_again(capsys, tmp_path, monkeypatch):
+    """Also where the comparison with the new model is interrupted, or cannot begin."""
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    def full(*_):
+        raise OSError(28, "full", "study.yaml")
+
+    folder = tmp_path / "n"
+    assert run(capsys, *TINY, "--runs", tmp_path, "--name", "n")[0] == 0
+    before = json.loads((folder / comparison.DONE).read_text())
+    (folder / "model.zip").unlink()
+    edited = (folder / "config.yaml").read_text().replace("seed: 0", "seed: 1")
+    (folder / "config.yaml").write_text(edited)
+    with monkeypatch.context() as patch:
+        patch.setattr(comparison, "compare", interrupt)
+        assert run(capsys, "--resume", folder)[0] == 130
+    with monkeypatch.context() as patch:
+        patch.setattr(cells, "save_study", full)
+        assert run(capsys, "--resume", folder)[0] == 2
+    code, out, err = run(capsys, "--resume", folder)
+    assert code == 0 and "Already finished" not in out, err
+    after = json.loads((folder / comparison.DONE).read_text())["controllers"]
+    assert after["agent_identified"] != before["controllers"]["agent_identified"]
+
+
+def test_an_error_of_the_thread_of_tensorboard_names_its_folder(capsys):
+    failed = OSError(28, "full")
+
+    def fail():
+        raise failed
+
+    thread = threading.Thread(target=fail)
+    with pytest.raises(OSError, match="curves"), training._curves_named(Path("curves")):
+        thread.start()
+        thread.join()
+        raise failed
+    assert capsys.readouterr().err == ""
 
 
 def test_a_shipped_config_is_found_by_its_name(tmp_path, monkeypatch):

@@ -200,6 +200,21 @@ def test_a_drive_on_the_continuum_slips_more_uphill(monkeypatch):
     assert uphill.sinkage > 0.0
 
 
+def test_drives_without_meaning_are_not_gone_on_with(tmp_path, monkeypatch):
+    kept = json.loads((RESULTS / "continuum.json").read_text(encoding="utf-8"))
+    driven = []
+
+    def here(work, cells, workers):
+        driven.append(len(cells))
+        return ((cell, loop.Drive(*(0.1 for _ in loop.Drive._fields))) for cell in cells)
+
+    monkeypatch.setattr(continuum, "_learnt", lambda table: {**kept[table]})
+    monkeypatch.setattr(continuum, "processes", here)
+    wanted = ["loop", "--out", str(tmp_path), "--only", "loam_lugged"]
+    assert [continuum.main([*wanted, *more]) for more in (["--smoke"], [], [])] == [0, 0, 0]
+    assert driven == [6, 6, 0]
+
+
 def test_the_page_shows_the_kept_figures():
     kept = json.loads((RESULTS / "continuum.json").read_text(encoding="utf-8"))
     page = (RESULTS / "continuum.md").read_text(encoding="utf-8")

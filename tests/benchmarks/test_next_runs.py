@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks import next_runs
+from benchmarks.common import read_json
 from benchmarks.prediction import Case
 from tests.discovery.files import PLANTED, data_of, table_text
 
@@ -25,3 +26,13 @@ def test_runs_are_added_to_the_same_first_ones(tmp_path):
     assert min(map(min, found.values())) > 0.0
     page = next_runs.tables_of({"own": {way: [errors] for way, errors in found.items()}})
     assert "| own | chosen |" in next(iter(page.values())).markdown()
+
+
+def test_numbers_without_meaning_are_not_gone_on_with(tmp_path, monkeypatch):
+    monkeypatch.setattr(next_runs, "tables", lambda data: {"own": None})
+    monkeypatch.setattr(next_runs, "errors", lambda case, way, draw, most: [8.0] * (most + 1))
+    for arguments in (["--smoke"], []):
+        assert next_runs.main([*arguments, "--out", str(tmp_path)]) == 0
+    of = read_json(tmp_path / "next_runs.json")["own"]
+    wanted = [[8.0] * (next_runs.MOST + 1)] * next_runs.DRAWS
+    assert of == dict.fromkeys(next_runs.WAYS, wanted)

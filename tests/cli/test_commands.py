@@ -6,6 +6,7 @@ import os
 
 import pytest
 
+from soil_env._io import files
 from soil_env._io.loading import shipped_dir
 from soil_env.cli import _COMMANDS, main
 from tests.refusals import refused_command
@@ -64,6 +65,15 @@ def test_discover_says_nothing_but_why_it_refuses(capsys, tmp_path):
         capsys, "discover", str(tmp_path / "table.csv"), *TABLE[1:], "--out", str(tmp_path / "out")
     )
     assert "table.csv" in said
+
+
+def test_examples_on_a_full_disk_name_the_file_that_is_not_written(capsys, monkeypatch, tmp_path):
+    def full(content):
+        raise OSError(28, "full")
+
+    monkeypatch.setattr(files, "_bytes", full)
+    assert f"{tmp_path / 'mine'}" in refusal(capsys, "examples", str(tmp_path / "mine"))
+    assert not [p for p in (tmp_path / "mine").rglob("*") if p.is_file()]
 
 
 def test_examples_are_copied_once(capsys, monkeypatch, tmp_path):

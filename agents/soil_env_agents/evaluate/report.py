@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 
 from soil_env._io.document import Table
-from soil_env._io.files import replace_file, write_json
+from soil_env._io.files import json_text, replace_files
 from soil_env.simulation.task import Cause
 
 from ..progress import show
 from . import comparing
 from .comparing import ORACLE
 from .driving import RATES, Runs
-from .tables import bracketed, cell, difference, draw_metrics, save_csv
+from .tables import bracketed, cell, csv_text, difference, draw_metrics
 
-FILES = ("evaluation.json", "evaluation.md", "courses.csv", "metrics.png")
+FILES = ("evaluation.md", "courses.csv", "metrics.png", "evaluation.json")
 _PANELS = (
     "immobilised",
     "finished",
@@ -68,12 +68,15 @@ def _values(values: Mapping[str, float]) -> str:
 
 
 def write(result: Mapping, runs: Mapping[str, list[Runs]], folder: Path) -> None:
-    """Write the `FILES`."""
-    write_json(folder / "evaluation.json", result)
-    save_csv(folder / "courses.csv", _courses(runs, list(result["metrics"])))
+    """Write the `FILES`, all or none. evaluation.json comes last: where it is, the others are."""
     panels = [m for m in _PANELS if m in result["metrics"]]
-    replace_file(folder / "metrics.png", draw_metrics({"": result["controllers"]}, panels))
-    replace_file(folder / "evaluation.md", page(result))
+    contents = (
+        page(result),
+        csv_text(_courses(runs, list(result["metrics"]))),
+        draw_metrics({"": result["controllers"]}, panels),
+        json_text(result),
+    )
+    replace_files(folder, dict(zip(FILES, contents, strict=True)))
 
 
 def _courses(runs: Mapping[str, list[Runs]], metrics: list[str]) -> list[list]:

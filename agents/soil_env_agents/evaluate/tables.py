@@ -3,14 +3,13 @@
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from soil_env._io.document import Table, plot_text
-from soil_env._io.files import picture_of, replace_file
+from soil_env._io.files import picture_of
 
 from .driving import MEANINGS, RATES
 
@@ -94,11 +93,11 @@ def legend(columns: Iterable[Column], metrics: Mapping[str, tuple[str, str]]) ->
     return f"Columns: {'; '.join(entries)}"
 
 
-def save_csv(path: Path, rows: Iterable[Iterable[object]]) -> None:
-    """Write a table as CSV; the first row is its heading."""
+def csv_text(rows: Iterable[Iterable[object]]) -> str:
+    """A table as CSV; the first row is its heading."""
     text = io.StringIO(newline="")
     csv.writer(text).writerows(rows)
-    replace_file(path, text.getvalue())
+    return text.getvalue()
 
 
 def draw_metrics(rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[str]) -> bytes:

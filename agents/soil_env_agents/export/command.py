@@ -11,7 +11,7 @@ import click
 import numpy as np
 import yaml
 
-from soil_env._io.files import check_own, plain, write_own
+from soil_env._io.files import check_own, plain, replace_file, write_own
 from soil_env._io.loading import ParameterError, nearest
 from soil_env.cli.running import PATH, WholeNumber
 from soil_env.parameters import DEFAULT_SCENARIO, RoverScenario, Scenario, load_scenario
@@ -86,7 +86,7 @@ def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
     onnx.checker.check_model(model, full_check=True)
     content = model.SerializeToString()
     with tempfile.TemporaryDirectory() as there:
-        (Path(there) / POLICY).write_bytes(content)
+        replace_file(Path(there) / POLICY, content)
         worst, times = compared(Policy(Path(there) / POLICY), course)
     if worst > policy.TOLERANCE:
         raise ParameterError(
