@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from .elementary import half_cos, half_sin, log
-from .flags import compiled, compiled_sums, record
+from .flags import compiled, compiled_sums
 
 WEYL = np.uint64(0x9E3779B97F4A7C15)  # odd, 2^64 over the golden ratio
 # multipliers and shifts of the mixing function (Stafford's variant 13)
@@ -23,9 +23,9 @@ SHIFT_LAST = np.uint64(31)
 SHIFT_TO_UNIT = np.uint64(11)  # leaves the 53 bits of a float64
 TO_UNIT = 2.0**-53
 
-#: Scratch of `draw_normals`: the numbers of pair i are `first[i]` and `second[i]`; eight for the
-#: width of a register.
-NORMALS = record(first=("f8", 8), second=("f8", 8))
+#: Shape of the scratch of `draw_normals`: the numbers of pair i are [0, i] and [1, i]; eight for
+#: the width of a register.
+NORMALS = (2, 8)
 
 
 def seed_stream(rng: np.random.Generator) -> np.uint64:
@@ -67,14 +67,14 @@ def normal_pair(owner):
 
 @compiled
 def draw_normals(owner, normals, pairs):
-    """Fill the first `pairs`, at most 8, of the record `normals` (`NORMALS`) with standard normal
-    numbers, two words of the stream of `owner` a pair.
+    """Fill the first `pairs`, at most 8, of `normals` [`NORMALS`] with standard normal numbers,
+    two words of the stream of `owner` a pair.
 
     The others become 0 and take nothing from the stream.
     """
     for i in range(8):
-        normals.first[i] = uniform(owner) if i < pairs else 0.0
-        normals.second[i] = uniform(owner) if i < pairs else 0.0
+        normals[0, i] = uniform(owner) if i < pairs else 0.0
+        normals[1, i] = uniform(owner) if i < pairs else 0.0
     _to_normal(normals)
 
 
@@ -85,11 +85,11 @@ def _to_normal(normals):
     It is `normal_pair` by functions that LLVM vectorises, so results differ by rounding.
     """
     for i in range(8):
-        radius = math.sqrt(-2.0 * log(1.0 - normals.first[i]))
+        radius = math.sqrt(-2.0 * log(1.0 - normals[0, i]))
         # Half a turn back brings the angle into the range of `half_sin`; sine and cosine of the
         # angle change sign.
-        angle = math.pi * (2.0 * normals.second[i] - 1.0)
+        angle = math.pi * (2.0 * normals[1, i] - 1.0)
         sine = half_sin(angle)
         cosine = half_cos(angle)
-        normals.first[i] = radius * (2.0 * sine * sine - 1.0)
-        normals.second[i] = radius * (-2.0 * sine * cosine)
+        normals[0, i] = radius * (2.0 * sine * sine - 1.0)
+        normals[1, i] = radius * (-2.0 * sine * cosine)

@@ -23,7 +23,7 @@ from soil_env.simulation.task.scaling import Scaling
 from soil_env.simulation.world.terrain import soil_at
 from soil_env.terramechanics.model import ModelLike, WheelSoilModel, load_model
 
-from .infos import NESTED, Info
+from .infos import NESTED, Info, masked
 from .vehicles import Vehicles
 from .worlds import for_each, storable, with_model, world_of
 
@@ -490,9 +490,9 @@ class CourseVectorEnv(
         """Last observations and infos of the courses that have ended, before they are reset, as
         Gymnasium names them.
 
-        `final_obs` [N] objects: an observation [D], None where a course goes on; `final_info`: see
-        `VehicleInfos.final`, absent where infos are "none". `_final_obs` and `_final_info` [N] bool
-        say which have ended.
+        `final_obs` [N] objects: an observation [D], None where a course goes on; `final_info`: the
+        info, `masked`; absent where infos are "none". `_final_obs` and `_final_info` [N] bool say
+        which have ended.
         """
         worlds = self.simulation.worlds
         ended = self._done.copy()
@@ -501,5 +501,5 @@ class CourseVectorEnv(
             final[k] = self.scaling(worlds.observation[k])
         out: Info = {"final_obs": final, "_final_obs": ended}
         if self.infos.kind != "none":
-            out |= {"final_info": self.infos.final(ended), "_final_info": ended.copy()}
+            out |= {"final_info": masked(self.infos.many(), ended), "_final_info": ended.copy()}
         return out

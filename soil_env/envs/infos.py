@@ -8,7 +8,7 @@ import numpy as np
 from soil_env._compiled.flags import names_of
 from soil_env._io.loading import ParameterError
 from soil_env.identification import Status
-from soil_env.identification.published import FORESEEN, HORIZONS, Traversability, published
+from soil_env.identification.published import FORESEEN, Traversability, published
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
 from soil_env.simulation.world.wheel import WHEEL
@@ -113,25 +113,17 @@ class VehicleInfos:
         if self.kind == "short":
             short = dict(zip(_TERMS, terms.values(), strict=True))
             return _whole(info | {"x": worlds.state["x"].copy()} | short)
-        every = np.ones(worlds.cause.size, dtype=np.bool_)
-        full = info | {"reward_terms": terms} | self._groups(every, asks(self.kind))
+        full = info | {"reward_terms": terms} | self._groups()
         return full if self.kind != "numeric" else _whole(flat(full))
-
-    def final(self, ended: np.ndarray) -> Info:
-        """Info of the vehicles that have `ended` [vehicles] bool, before a reset; 0 for all others,
-        and beside each key `_key` with `ended`.
-        """
-        return masked(self.many(), ended)
 
     def _terms(self) -> dict[str, np.ndarray]:
         """Terms of the reward, arrays [vehicles]."""
         terms = self._simulation.worlds.terms
         return {name: terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
 
-    def _groups(self, which: np.ndarray, identified: bool) -> Info:
-        """Groups of a full info, arrays [vehicles]: states, and if `identified` what is estimated.
-
-        What is computed for them needs to be right only for the vehicles `which` [vehicles] bool.
+    def _groups(self) -> Info:
+        """Groups of a full info, arrays [vehicles]: states, and what is estimated if the kind asks
+        for it.
         """
         raise NotImplementedError
 
@@ -146,9 +138,6 @@ class Infos(VehicleInfos):
     def __init__(self, simulation: Simulation, kind: str) -> None:
         super().__init__(simulation, kind)
         wheels = simulation.count
-        averages = simulation.worlds.recent
-        # whether infos can have a traversability, which needs the averages for warnings
-        self._shows_ground = averages is not None and len(averages) > 0
         self._assess: Any = None
         self._foresight: Any = None
         if simulation.belief is not None:
@@ -166,7 +155,7 @@ class Infos(VehicleInfos):
         """Mark traversabilities as out of date whose estimate a step has changed, or whose wheel it
         has reset, `reset` [wheels] bool. Nothing where no info needs them.
         """
-        if self._shows_ground:
+        if asks(self.kind):
             which = (self._simulation.worlds.changed > 0) | reset
             if which.any():
                 self.renew(which)
@@ -232,30 +221,16 @@ class Infos(VehicleInfos):
             self._stale[rows] = False
         return self._traversability
 
-    def final(self, ended: np.ndarray) -> Info:
-        """Info of the wheels that have `ended` [wheels] bool, before a reset; 0 for all others.
-
-        It is that of `kind`, with the groups of "full" if something is identified, else of "state".
-        """
-        x = self._simulation.worlds.state["x"].copy()
-        info = self.many() | {"reward_terms": self._terms(), "x": x}
-        return masked(info | self._groups(ended, self._shows_ground), ended)
-
-    def _groups(self, which: np.ndarray, identified: bool) -> Info:
-        """State, and if `identified` estimate and traversability, arrays [wheels].
-
-        The traversability is up to date for the wheels `which` only.
-        """
+    def _groups(self) -> Info:
+        """State, and if the kind asks for them estimate and traversability, arrays [wheels]."""
         worlds = self._simulation.worlds
         groups = {"state": {name: worlds.state[name].copy() for name in STATE}}
-        if not identified:
+        if not asks(self.kind):
             return groups
-        foreseen = np.zeros((which.size, len(HORIZONS)))
-        rows = np.flatnonzero(which)
+        rows = np.arange(self._simulation.count)
         ground = dict(zip(_COLUMNS, self._renewed(worlds, rows).T.copy(), strict=True))
         ground["passable"] = ground["passable"] > 0.0
-        foreseen[rows] = self._foreseen(worlds, rows)
-        ground |= dict(zip(FORESEEN, foreseen.T.copy(), strict=True))
+        ground |= dict(zip(FORESEEN, self._foreseen(worlds, rows).T.copy(), strict=True))
         return {
             "estimate": estimates(worlds.ids, self.scenario),
             "traversability": ground,

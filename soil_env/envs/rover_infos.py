@@ -9,7 +9,7 @@ from soil_env.identification import Status
 from soil_env.simulation.rover.task import axle_names
 from soil_env.simulation.task import Cause
 
-from .infos import NESTED, STATE, Info, VehicleInfos, estimates
+from .infos import NESTED, STATE, Info, VehicleInfos, asks, estimates
 from .rovers import RoverSimulation
 
 _OF_BODY = ("x", "speed", "pitch", "slip", "sinkage", "drawbar_pull", "motor_work")
@@ -34,11 +34,13 @@ class RoverInfos(VehicleInfos):
 
     renew = after_step
 
-    def _groups(self, which: np.ndarray, identified: bool) -> Info:
-        """States of body and axles of all rovers, and if `identified` the estimate of each axle."""
+    def _groups(self) -> Info:
+        """States of body and axles of all rovers, and the estimate of each axle if the kind asks
+        for it.
+        """
         w = self._simulation.worlds
         info: Info = {"state": {name: w.state[name].copy() for name in _OF_BODY}}
-        known = estimates(w.known, self.scenario) if identified else {}
+        known = estimates(w.known, self.scenario) if asks(self.kind) else {}
         for a, axle in enumerate(self._axles):
             wheels = w.state["wheels"][:, a]
             info[axle] = {"state": {name: wheels[name].copy() for name in _OF_WHEEL}}

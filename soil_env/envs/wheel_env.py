@@ -345,9 +345,9 @@ class SoilWheelVectorEnv(CourseVectorEnv):
     same trajectory, bit for bit, as a `SoilWheelEnv` reset with s and given the same actions. A
     single seed s seeds wheel k with s + k. `autoreset_mode`, `max_episode_steps` (as
     `gymnasium.wrappers.TimeLimit` truncates) and the arrays [N] of `info`: docs/guide/vector.md.
-    Other keyword arguments as in `SoilWheelEnv`. `final_info` has the groups of "full" too, of
-    "state" where nothing is identified. It is 0 for wheels that have not ended, and has beside each
-    `KEY` an array `_KEY` that says which have. No rendering.
+    Other keyword arguments as in `SoilWheelEnv`. `final_info` has what `info` has. It is 0 for
+    wheels that have not ended, and has beside each `KEY` an array `_KEY` that says which have. No
+    rendering.
     """
 
     def __init__(
@@ -372,13 +372,7 @@ class SoilWheelVectorEnv(CourseVectorEnv):
         self.scenario: Scenario = self._in_world(task, model, scatter, changes)
         self._set_spaces(layout(observation, self.scenario.course), action_space(), scaled)
         info = checked(info)
-        # then `final_info` has the groups of "full" whatever `info` is
-        finals = (
-            self.autoreset_mode == AutoresetMode.SAME_STEP
-            and info != "none"
-            and observation == "identified"
-        )
         self.simulation: Simulation = Simulation(
-            self.num_envs, self.scenario, observation, threads, self.model, finals or asks(info)
+            self.num_envs, self.scenario, observation, threads, self.model, asks(info)
         )
         self.infos: Infos = Infos(self.simulation, info)

@@ -84,7 +84,6 @@ class Table:
     """
 
     source: str  # the file, for messages
-    given: frozenset[str]  # columns of the file
     row: np.ndarray  # line of the file, int
     slip: np.ndarray  # [-] in [-1, 1]
     load: np.ndarray  # [N]
@@ -210,7 +209,6 @@ def read_table(
     passes = _column(path, "pass", header, rows)
     table = Table(
         source=str(path),
-        given=frozenset(header),
         row=np.array([line for line, _ in rows]),
         # What is cut here is refused by `_check_rows`.
         passes=np.clip(with_default(passes, 1.0), 0, MOST_PASSES).astype(int),

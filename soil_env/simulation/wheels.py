@@ -109,7 +109,7 @@ SETTING = record(
     recorded=("i8",),  # 1 if each step is kept for what runs on board
     chunk=("i8",),  # number of the thread's chunk of the wheels
     nodes=(ARC_NODES, 1),
-    normals=(NORMALS, 1),
+    normals=("f8", NORMALS),
 )
 
 
@@ -161,7 +161,7 @@ class ThreadRecords(NamedTuple):
     sensors: Any  # `SENSOR_NOISE`
     errors: SensorErrors
     camera: Any  # `CAMERA`
-    normals: Any  # `NORMALS`
+    normals: np.ndarray  # [`NORMALS`]
 
 
 @inlined
@@ -293,7 +293,7 @@ def step_wheels(state, courses, samples, observation, setting, added, span):
     own = setting[0]
     world = World(own.rig[0], added.acting, own.nodes[0])
     records = ThreadRecords(
-        world, own.task[0], own.sensors[0], added.errors, own.camera[0], own.normals[0]
+        world, own.task[0], own.sensors[0], added.errors, own.camera[0], own.normals
     )
     for k in range(span[0], span[1]):
         wheel = state[k]

@@ -104,7 +104,7 @@ def test_what_depends_on_time_alone_is_unlisted():
     data = planted({}).data
     rng = np.random.default_rng(3)
     time = rng.permutation(len(data.table)).astype(float)
-    names = {**vars(data.table), "time": time, "given": data.table.given | {"time"}}
+    names = {**vars(data.table), "time": time}
     data = dataclasses.replace(data, table=type(data.table)(**names))
     drift = np.outer(3.0 * np.sin(4.0 * time / time.max()), [0.0, 0.0, 1.0])
     finding = search(problem(data, rng, drift))

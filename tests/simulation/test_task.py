@@ -85,7 +85,7 @@ def _write(worlds, sample, setting, rows, sensed):
     own = setting[0]
     world = World(own.rig[0], BASE, own.nodes[0])
     records = ThreadRecords(
-        world, own.task[0], own.sensors[0], NO_ERRORS, own.camera[0], own.normals[0]
+        world, own.task[0], own.sensors[0], NO_ERRORS, own.camera[0], own.normals
     )
     for i in range(len(rows)):
         if sensed:

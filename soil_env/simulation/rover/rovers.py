@@ -64,7 +64,7 @@ class RoverScratch(NamedTuple):
     """Work arrays of a thread."""
 
     stage: np.ndarray  # [1] `STAGE`
-    normals: np.ndarray  # [1] `NORMALS`
+    normals: np.ndarray  # [`NORMALS`]
     readings: np.ndarray  # [axles, 1] `SAMPLE`
     body: np.ndarray  # [1] `OF_BODY`
 
@@ -73,7 +73,7 @@ def new_rover_scratch() -> RoverScratch:
     """Work arrays of one thread."""
     return RoverScratch(
         np.zeros(1, STAGE),
-        np.zeros(1, NORMALS),
+        np.zeros(NORMALS),
         np.zeros((MOST_AXLES, 1), SAMPLE),
         np.zeros(1, OF_BODY),
     )
@@ -252,7 +252,7 @@ class ThreadRecords(NamedTuple):
     task: Any  # `TASK`
     sensors: Any  # `SENSOR_NOISE`
     errors: SensorErrors
-    normals: Any  # `NORMALS`
+    normals: np.ndarray  # [`NORMALS`]
     body: Any  # `OF_BODY`
 
 
@@ -339,7 +339,7 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
         numbers.task[0],
         numbers.sensors[0],
         numbers.errors,
-        scratch.normals[0],
+        scratch.normals,
         scratch.body[0],
     )
     recorded = worlds.readings.shape[0] > 0

@@ -29,7 +29,7 @@ SENSOR_NOISE = record(
 #: Pairs of normal numbers of all sensors of a wheel; a pair is that of two readings, one after the
 #: other.
 PAIRS = (len(NAMES) + 1) // 2
-assert PAIRS <= NORMALS["first"].shape[0]
+assert PAIRS <= NORMALS[1]
 # [-] `slow` of `SENSOR_NOISE` over the white noise of both speeds, so that a wheel at rest reads
 # little slip; own choice
 SLOW = 3.0
@@ -77,20 +77,14 @@ def sensors_of(scenario: Scenario) -> np.ndarray:
 
 
 @compiled_finite
-def _of_reading(normals, i):
-    """Number of the reading i among the `NORMALS`."""
-    return normals.first[i // 2] if i % 2 == 0 else normals.second[i // 2]
-
-
-@compiled_finite
 def _scatter(out, sd, wheel, normals):
     """Fill the record `out` with random normal numbers, whose standard deviations the record `sd`
-    has, from the stream of a wheel. Both are a `READING`; `normals` is scratch (`NORMALS`).
+    has, from the stream of a wheel. Both are a `READING`; `normals` is scratch [`NORMALS`].
     """
     draw_normals(wheel, normals, PAIRS)
     i = 0
     for name in literal_unroll(NAMES):
-        out[name] = sd[name] * _of_reading(normals, i)
+        out[name] = sd[name] * normals[i % 2, i // 2]
         i += 1
 
 
@@ -143,7 +137,7 @@ def sense(wheel, reading, normals, sensors, errors, radius):
     i = 0
     for name in literal_unroll(NAMES):
         value = (1.0 + gain[name]) * reading[name] + zero[name]
-        reading[name] = value + white[name] * _of_reading(normals, i)
+        reading[name] = value + white[name] * normals[i % 2, i // 2]
         i += 1
 
 

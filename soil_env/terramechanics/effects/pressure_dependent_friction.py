@@ -31,12 +31,14 @@ def middle_pressure(bench: Bench) -> dict[str, float]:
     return {"reference_pressure": bench.pressure}
 
 
+#: Not fitted: `middle_pressure`.
+REFERENCE = P("reference_pressure", "p0", 1.0, 1e7, 0.0, "reference pressure", "Pa", 1e4)
 EFFECT = Effect(
     "pressure_dependent_friction",
     "friction that changes with pressure",
     (
         P("exponent", "m", -1.0, 1.0, 0.12, "power of the pressure"),
-        P("reference_pressure", "p0", 1.0, 1e7, 0.0, "reference pressure", "Pa", 1e4),
+        REFERENCE,
     ),
     (
         Form(

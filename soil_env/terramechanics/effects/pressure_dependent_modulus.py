@@ -4,7 +4,7 @@ from soil_env._compiled.flags import compiled
 from soil_env.terramechanics.ground import with_strength
 
 from .entry import Effect, EffectParameter as P, Form
-from .pressure_dependent_friction import middle_pressure, pressure_factor
+from .pressure_dependent_friction import REFERENCE, middle_pressure, pressure_factor
 
 
 @compiled
@@ -23,7 +23,7 @@ EFFECT = Effect(
     "shear modulus that changes with pressure",
     (
         P("exponent", "m", -3.0, 3.0, 0.6, "power of the pressure"),
-        P("reference_pressure", "p0", 1.0, 1e7, 0.0, "reference pressure", "Pa", 1e4),
+        REFERENCE,
     ),
     (
         Form(
