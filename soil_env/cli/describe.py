@@ -5,7 +5,7 @@ import inspect
 import math
 import types
 import typing
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any
 
 import click
@@ -23,6 +23,16 @@ KINDS: dict[str, tuple[type, str]] = {
     "map": (LogMap, "--map of soil-env logs"),
     "setup": (Setup, "--setup of soil-env identify and discover"),
 }
+#: Keys of a `Scenario` that a rover has not: it sees no terrain classes, and its mass is the
+#: vehicle's.
+NO_ROVER = (
+    "camera",
+    "course.classes",
+    "course.class_scatter",
+    "course.lines",
+    "course.halt_before",
+    "wheel.body_mass",
+)
 _SOIL = {f.name: f for f in dataclasses.fields(Soil)}
 _WIDTH = 34  # [characters] of the column of keys
 
@@ -40,21 +50,23 @@ def command(kind: str) -> None:
     print(f"{kind}: {where}\n")
     if kind in ("scenario", "rover"):
         print(f"{'base':{_WIDTH}}  name or file of which the other keys are changes")
-    for line in keys_of(cls):
+    for line in keys_of(cls, without=NO_ROVER if kind == "rover" else ()):
         print(line)
 
 
-def keys_of(cls: type, above: str = "") -> Iterator[str]:
+def keys_of(cls: type, above: str = "", without: Collection[str] = ()) -> Iterator[str]:
     """Yield a line for each key of a dataclass, then a heading and the lines of each dataclass in
     it.
 
-    `above`: path of keys before a name, with its dot. A `Prior` has no lines of its own: its key
+    `above`: path of keys before a name, with its dot; `without`: keys that are left out. A `Prior` has no lines of its own: its key
     shows unit and range of the number of that name in `Soil`, and that it may have a standard
     deviation, if it may. Only `tilt_deg` of a setup is none of those, and is in degrees.
     """
     hints = typing.get_type_hints(cls)
     within: list[tuple[str, type]] = []
-    for f in (f for f in dataclasses.fields(cls) if f.init):
+    for f in dataclasses.fields(cls):
+        if not f.init or above + f.name in without:
+            continue
         hint = hints[f.name]
         inner = _class_in(hint)
         kind = _range(f) or _kind(hint)
@@ -69,7 +81,7 @@ def keys_of(cls: type, above: str = "") -> Iterator[str]:
     for place, inner in within:
         first = (inspect.getdoc(inner) or "").split("\n\n")[0].replace("\n", " ")
         yield f"\n{place[:-1]}: {first}"
-        yield from keys_of(inner, place)
+        yield from keys_of(inner, place, without)
 
 
 def _class_in(hint: Any) -> type | None:

@@ -6,7 +6,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.cli import main
 from soil_env.cli.describe import KINDS, keys_of
 from soil_env.measurement.setup import NUMBERS, Prior, SoilPriors
-from soil_env.parameters import Scenario, load_scenario, to_dict
+from soil_env.parameters import Scenario, load_rover, load_scenario, to_dict
 
 
 def paths(mapping, above=""):
@@ -33,6 +33,17 @@ def test_the_keys_of_a_scenario_are_all_there_with_unit_range_and_default():
     assert words.startswith("[m] 1 to 10000; default 10")
     assert "torque | wheel_speed | rim_acceleration" in described["control.action"]
     assert "required" in described["wheel.radius"]
+
+
+@pytest.mark.parametrize("changes", [{"course": {"classes": 2}}, {"wheel": {"body_mass": 3.0}}])
+def test_keys_that_a_rover_refuses_are_not_offered(changes, capsys):
+    with pytest.raises(ParameterError):
+        load_rover(changes=changes)
+    ((above, keys),) = changes.items()
+    (key,) = keys
+    assert main(["describe", "rover"]) == 0
+    offered = [line.split()[0] for line in capsys.readouterr().out.splitlines() if line]
+    assert f"{above}.{key}" not in offered and "wheel.radius" in offered
 
 
 def test_an_unknown_kind_is_one_line(capsys):
