@@ -58,9 +58,10 @@ def keys_of(cls: type, above: str = "", without: Collection[str] = ()) -> Iterat
     """Yield a line for each key of a dataclass, then a heading and the lines of each dataclass in
     it.
 
-    `above`: path of keys before a name, with its dot; `without`: keys that are left out. A `Prior` has no lines of its own: its key
-    shows unit and range of the number of that name in `Soil`, and that it may have a standard
-    deviation, if it may. Only `tilt_deg` of a setup is none of those, and is in degrees.
+    `above`: path of keys before a name, with its dot; `without`: keys that are left out. A `Prior`
+    has no lines of its own: its key shows unit and range of the number of that name in `Soil`, and
+    that it may have a standard deviation, if it may. Only `tilt_deg` of a setup is none of those,
+    and is in degrees.
     """
     hints = typing.get_type_hints(cls)
     within: list[tuple[str, type]] = []
