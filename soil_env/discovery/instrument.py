@@ -342,7 +342,7 @@ def in_balance(rows: Rows, values: Values, outcome: Callable[[Rows], np.ndarray]
     An arm adds a share of torque/radius to the stated load, a spring takes its rate times the
     sinkage off, so load and outcome depend on each other. The load is extrapolated once from three
     loads, the stated one and two updates (Aitken 1926, Proc. R. Soc. Edinb. 46:289-305). It stays
-    within `PRESSED`.
+    within `PRESSED`; at its ends there is no balance, and the outcome is NaN.
     """
     arm = values.get("arm_load_share", 0.0)
     spring = values.get("spring_load_rate", 0.0)
@@ -364,8 +364,10 @@ def in_balance(rows: Rows, values: Values, outcome: Callable[[Rows], np.ndarray]
     # Where the load hardly changes, an infinite first change makes the ratio 0: `second` is taken.
     change = np.where(np.abs(first - start) > STEADY * start, first - start, math.inf)
     ratio = np.clip((second - first) / change, *GROWTH)
-    limit = np.clip(first + (second - first) / (1.0 - ratio), *np.outer(PRESSED, start))
-    return outcome(rows._replace(load=limit))
+    low, high = np.outer(PRESSED, start)
+    limit = np.clip(first + (second - first) / (1.0 - ratio), low, high)
+    balanced = (low < limit) & (limit < high)
+    return np.where(balanced[:, None], outcome(rows._replace(load=limit)), math.nan)
 
 
 def reading(out: np.ndarray, values: Values, radius: np.ndarray) -> np.ndarray:

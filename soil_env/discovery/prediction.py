@@ -57,6 +57,7 @@ LEFT_OUT = (
 FLOW = {"rim_flow": (0.1, 0.02), "braked_peak": (0.25, 0.12)}
 ROUNDS = 2  # of fitting the unknowns and learning the remainder, in turn
 OFF_BOUND = 0.3  # [prior sd] least distance of the start from a bound; own choice
+JUST_OFF = 1e-6  # [prior sd] the same of another start of the base model
 IMPOSSIBLE = 1e10  # -ln of the likelihood where it cannot be computed
 FORCE_SCALE = 0.3  # of the load: scale of pull, and of torque over the radius; own choice
 LEAST_SINKAGE = 0.004  # [radii] least scale of the sinkage; own choice
@@ -364,18 +365,29 @@ def fit_prediction(
         law.derivatives.know(near.u, near.jacobian[problem.used[near.problem.used]])
         return _fitted(law, near.u, near.learnt)
     law = law_of(problem, effects_to_fit(problem) if choices is None else choices)
-    low, high = law.bounds
     # From the prior mean, 0, but off the bounds: a start on a bound would stay there.
-    u = np.clip(0.0, low + OFF_BOUND, high - OFF_BOUND)
-    u = np.where(high - low < 2.0 * OFF_BOUND, 0.5 * (low + high), u)
+    u = _inside(law, OFF_BOUND)
     if not smooth:
-        return _fitted(law, u, NO_REMAINDER)
+        # Of a soil whose mean is near a bound, `OFF_BOUND` may lead to a poorer minimum.
+        both = (
+            _fitted(law_of(problem, law.choices), start, NO_REMAINDER)
+            for start in (u, _inside(law, JUST_OFF))
+        )
+        return min(both, key=lambda fit: round(fit.residual @ fit.residual + fit.u @ fit.u, 1))
     learnt = USUAL
     for _ in range(ROUNDS):
         found = _fitted(law, u, learnt)
         u = found.u
         learnt = _learn(found, learnt)
     return _fitted(law, u, learnt)
+
+
+def _inside(law: Law, off: float) -> np.ndarray:
+    """[p] whitened unknowns at the prior mean, but `off` [prior sd] or more inside the bounds, in
+    the middle where these are too near to each other.
+    """
+    low, high = law.bounds
+    return np.where(high - low < 2.0 * off, 0.5 * (low + high), np.clip(0.0, low + off, high - off))
 
 
 def law_of(problem: Problem, choices: Choices, guess: np.ndarray | None = None) -> Law:

@@ -70,6 +70,16 @@ def test_a_load_that_yields_is_in_balance_with_what_it_causes(level, name, value
     assert out == pytest.approx(rigid, rel=2e-3, abs=1e-4)
 
 
+def test_a_load_without_balance_has_no_outcome(level):
+    """A spring takes off more than the wheel carries: at the least load that is sought, every rate
+    would do the same, and the fit of one would seem perfect.
+    """
+    p = problem(level, np.random.default_rng(0))
+    values = p.fit().parameters() | {"spring_load_rate": 1e5}
+    out = p.predict(values, (instrument.Choice("spring_load", 0),), np.zeros(len(level.table)))
+    assert np.isnan(out).all()
+
+
 @pytest.mark.parametrize(
     "name, value", [("tilt", 3.0), ("force_crosstalk", 0.08), ("arm_load", 0.3)]
 )

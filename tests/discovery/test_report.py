@@ -507,6 +507,21 @@ def test_a_soil_far_from_the_setup_is_a_caution(planted):
     assert not any("standard deviations" in said for said in sentences.cautions(planted))
 
 
+def test_a_bound_is_said_of_the_fit_that_is_there(planted):
+    """Stated are the numbers of another fit, which may be elsewhere."""
+    fit = planted.fit
+    k = [u.name for u in fit.unknowns].index("slip_sinkage_gain")
+    u = fit.u.copy()
+    u[k] = fit.unknowns[k].bounds[1]
+    moved = dataclasses.replace(planted, fit=dataclasses.replace(fit, u=u))
+    for report, named in (
+        (moved, "named effects"),
+        (dataclasses.replace(moved, effects=()), "base model"),
+    ):
+        (said,) = (said for said in sentences.cautions(report) if "bound of its range" in said)
+        assert said.endswith(f"(10) in the fit of the {named} alone.")
+
+
 def test_a_stiffness_by_bekker_s_moduli_is_given_as_well(planted):
     """k_c and k_phi in place of S: far from their sum over the width is as far from the setup."""
     problem = copy.copy(planted.problem)

@@ -112,6 +112,16 @@ def test_a_force_that_does_not_change_says_nothing_of_its_unit(tmp_path, column)
         assert not math.isnan(mistakes._by_rises(rises, data, other))
 
 
+def test_zeros_are_read_in_no_other_unit(tmp_path):
+    """A wheel that climbs freely pulls nothing, in newtons and in kilograms alike."""
+    text = with_column(
+        changed(table_text({}), "drawbar_pull", lambda x: 0.0), "grade_deg", lambda row: 5.0
+    )
+    data = data_of(tmp_path, text, SETUP + "load: vertical\n")
+    names = {other.name for other in mistakes.readings(data.table, data.setup)}
+    assert {"torque_kg", "load"} <= names and not {"pull_kg", "forces"} & names
+
+
 def test_exchanged_columns_are_doubted(tmp_path):
     lines = [line.split(",") for line in table_text({}).splitlines()]
     a = lines[0].index("drawbar_pull")

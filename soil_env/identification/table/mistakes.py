@@ -171,7 +171,9 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
     ):
         # Two forces that are wrong alike show only beside the torque.
         needed = columns if len(columns) == 1 else (*columns, "torque")
-        if all(known.get(column, True) for column in needed):  # every table has loads
+        # Zeros are the same in every unit, and so leave nothing but a larger noise.
+        changes = all(np.nansum(np.abs(getattr(table, column))) > 0.0 for column in columns)
+        if changes and all(known.get(column, True) for column in needed):  # every table has loads
             both = " and ".join(columns)
             add(
                 name,
