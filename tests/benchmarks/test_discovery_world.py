@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from benchmarks.discovery.forms import FORMS
@@ -23,6 +22,13 @@ GROUND = Ground(30.0, 1500.0, 0.018, 770000.0, 0.85, 1600.0)
 WHEEL = Wheel(0.15, 0.12)
 S = GROUND.sinkage_coefficient
 TAN = math.tan(math.pi / 6)
+
+
+def judged_as(ground: Ground) -> reference.Ground:
+    return reference.Ground(*(getattr(ground, name) for name in SOIL))
+
+
+JUDGED = judged_as(GROUND)
 
 
 def grid() -> Rows:
@@ -82,9 +88,9 @@ def entry_of(out: np.ndarray, k: int) -> float:
 def test_base_world_agrees_with_adaptive_quadrature(soil):
     """Eqs. (1)-(3) at the sinkage found: the load comes back, pull and torque agree."""
     out = predict(soil, WHEEL, ROWS).stack()
-    ground = reference.Ground(*(getattr(soil, name) for name in SOIL))
     for k in (0, 4, 17, 31, 44):
-        judged(reference.forces(ground, ROWS.slip[k], entry_of(out, k), 0.15, 0.12), out, k, 4e-5)
+        ref = reference.forces(judged_as(soil), ROWS.slip[k], entry_of(out, k), 0.15, 0.12)
+        judged(ref, out, k, 4e-5)
 
 
 def test_no_balance_is_nan_and_braking_gives_negative_torque():
@@ -92,71 +98,45 @@ def test_no_balance_is_nan_and_braking_gives_negative_torque():
     assert np.all(predict(GROUND, WHEEL, replace(ROWS, slip=np.full(45, -0.4))).torque < 0.0)
 
 
-def stresses(entry, slip, arm=0.15):
-    """sigma(theta) of Eqs. (7), (8), and j/K(theta) at a shear radius."""
-    start = math.acos(min(0.15 * math.cos(entry) / arm, 1.0))
-
-    def sigma(t):
-        t = t if t >= 0.5 * entry else entry - t
-        return S * max(0.15 * (math.cos(t) - math.cos(entry)), 0.0) ** 0.85
-
-    def ratio(t):
-        return arm * ((start - t) - (1.0 - slip) * (math.sin(start) - math.sin(t))) / 0.018
-
-    return sigma, ratio
-
-
-def agrees(out, k, tau_of, arm=0.15, force=0.0, scale=3e-4):
-    """Compare row k with quadrature of the stresses; `tau_of(sigma, ratio)` [Pa], and a lug force
-    at theta1/2 [N].
-    """
+def integral(out, k, shape):
+    """Integral [N] of shape(theta, sigma, j/K) over the contact of row k."""
     entry = entry_of(out, k)
-    sigma, ratio = stresses(entry, ROWS.slip[k], arm)
 
-    def tau(t):
-        return tau_of(sigma(t), ratio(t))
+    def at(theta):
+        sigma = reference.normal_stress(theta, JUDGED, 0.15, entry, 0.0, 0.5 * entry)
+        j = reference.shear_displacement(theta, ROWS.slip[k], 0.15, entry)
+        return shape(theta, sigma, j / JUDGED.shear_modulus)
 
-    def total(f):
-        halves = ((0.0, 0.5 * entry), (0.5 * entry, entry))
-        return 0.12 * sum(quad(f, a, b, epsabs=0.0, epsrel=1e-10, limit=300)[0] for a, b in halves)
-
-    load = total(
-        lambda t: 0.15 * sigma(t) * math.cos(t) + arm * tau(t) * math.sin(t)
-    ) + force * math.sin(entry / 2)
-    pull = total(
-        lambda t: arm * tau(t) * math.cos(t) - 0.15 * sigma(t) * math.sin(t)
-    ) + force * math.cos(entry / 2)
-    assert load == pytest.approx(ROWS.load[k], rel=scale)
-    assert abs(pull - out[1, k]) < scale * ROWS.load[k]
-    assert arm * arm * total(tau) + force * 0.155 == pytest.approx(out[2, k], rel=scale)
+    return 0.12 * 0.15 * reference.integrate(at, (0.0, 0.5 * entry, entry))
 
 
-def janosi(sigma, ratio):
-    return (1500.0 + sigma * TAN) * -math.expm1(-ratio)
+def agrees(out, k, tau):
+    """Compare row k with quadrature of the stresses; `tau(sigma, j/K)` [Pa]."""
+    load = integral(out, k, lambda t, s, q: s * math.cos(t) + tau(s, q) * math.sin(t))
+    pull = integral(out, k, lambda t, s, q: tau(s, q) * math.cos(t) - s * math.sin(t))
+    torque = 0.15 * integral(out, k, lambda t, s, q: tau(s, q))
+    judged(reference.Result(load, pull, pull, torque, load), out, k, 3e-4)
 
 
 @pytest.mark.parametrize(
-    ("effect", "exit_of", "shift"),
+    ("effect", "exit_", "shift"),
     [
-        (hidden("constant_exit", 0.15), lambda a: -0.15, lambda a, i: 0.0),
-        (hidden("shift_in_degrees", 0.2), lambda a: 0.0, lambda a, i: 0.2 * i),
+        (hidden("constant_exit", 0.15), -0.15, lambda a, i: 0.0),
+        (hidden("shift_in_degrees", 0.2), 0.0, lambda a, i: 0.2 * i),
         (
             hidden("shift_saturating", 0.3, slip=0.1),
-            lambda a: 0.0,
+            0.0,
             lambda a, i: 0.3 * (1.0 - math.exp(-i / 0.1)) * a,
         ),
     ],
 )
-def test_contact_geometry_agrees_with_adaptive_quadrature(effect, exit_of, shift):
+def test_contact_geometry_agrees_with_adaptive_quadrature(effect, exit_, shift):
     out = table(effect)
-    ground = reference.Ground(*(getattr(GROUND, n) for n in SOIL))
     for k in (1, 23, 44):
+        slip = ROWS.slip[k]
         entry = entry_of(out, k)
-        exit_ = exit_of(entry)
-        middle = 0.5 * (entry + exit_) + shift(entry, ROWS.slip[k])
-        judged(
-            reference.forces(ground, ROWS.slip[k], entry, 0.15, 0.12, exit_, middle), out, k, 1e-4
-        )
+        middle = 0.5 * (entry + exit_) + shift(entry, slip)
+        judged(reference.forces(JUDGED, slip, entry, 0.15, 0.12, exit_, middle), out, k, 1e-4)
 
 
 def test_deeper_sinkage_with_stresses_scaled_to_the_load():
@@ -169,7 +149,7 @@ def test_deeper_sinkage_with_stresses_scaled_to_the_load():
     for k in (2, 43):
 
         def forces(log_factor, k=k):
-            soil = reference.Ground(30.0, 1500.0, 0.018, S * math.exp(log_factor), 0.85)
+            soil = JUDGED._replace(sinkage_coefficient=S * math.exp(log_factor))
             return reference.forces(soil, ROWS.slip[k], entry_of(out, k), 0.15, 0.12)
 
         root = brentq(lambda x, k=k: forces(x).load / ROWS.load[k] - 1.0, -3.0, 1.0, xtol=1e-10)
@@ -202,36 +182,24 @@ def test_softening_follows_its_law(effect, law):
 
 def test_lugs_shear_the_soil_at_their_sides_and_push_on_it():
     h = 0.02 / 0.12
+    cohesion = 1500.0 * (1.0 + 2.0 * h)
+    friction = TAN * (1.0 + 0.64 * h * (0.5 * math.pi - math.atan(h)))
+    out = table(hidden("sheared_sides", 0.02))
     for k in (3, 40):
-        agrees(
-            table(hidden("sheared_sides", 0.02)),
-            k,
-            lambda sigma, ratio: (
-                -math.expm1(-ratio)
-                * (
-                    1500.0 * (1.0 + 2.0 * h)
-                    + sigma * TAN * (1.0 + 0.64 * h * (0.5 * math.pi - math.atan(h)))
-                )
-            ),
-        )
+        agrees(out, k, lambda sigma, ratio: -math.expm1(-ratio) * (cohesion + sigma * friction))
     out = table(hidden("passive_ripple_mean", 0.01, lugs=18))
     entry = entry_of(out, 30)
-    (sigma, ratio) = stresses(entry_of(out, 30), ROWS.slip[30])
 
-    def force(t):  # of the lugs in one rad: N = 3
+    def force(t):  # of the lugs in one rad, over b r: N = 3
         depth = 0.15 * (math.cos(t) - math.cos(entry)) + 0.005
         pressure = 15696.0 * depth * 3.0 + 2.0 * 1500.0 * math.sqrt(3.0)
-        return 18 / (2.0 * math.pi) * 0.12 * 0.01 * pressure * math.tanh(ROWS.slip[30] / 0.03)
+        return 18 / (2.0 * math.pi) * 0.01 / 0.15 * pressure * math.tanh(ROWS.slip[30] / 0.03)
 
-    def pull(t):
-        return 0.12 * 0.15 * (
-            janosi(sigma(t), ratio(t)) * math.cos(t) - sigma(t) * math.sin(t)
-        ) + force(t) * math.cos(t)
+    def pull(t, sigma, ratio):
+        thrust = (1500.0 + sigma * TAN) * -math.expm1(-ratio) + force(t)
+        return thrust * math.cos(t) - sigma * math.sin(t)
 
-    halves = ((0.0, 0.5 * entry), (0.5 * entry, entry))
-    assert sum(quad(pull, a, b)[0] for a, b in halves) == pytest.approx(
-        out[1, 30], abs=3e-4 * ROWS.load[30]
-    )
+    assert integral(out, 30, pull) == pytest.approx(out[1, 30], abs=3e-4 * ROWS.load[30])
 
 
 def test_bulldozing_by_hand():
@@ -310,68 +278,32 @@ def test_grade_takes_the_weight_component(name):
 
 
 def test_errors_of_sensors_and_drive():
-    base = table()
+    z, pull, torque = table()
     omega = ROWS.speed / (0.15 * (1.0 - ROWS.slip))
     np.testing.assert_allclose(
         table(hidden("slip_gain", 0.2)),
         world(replace(ROWS, slip=ROWS.slip * (1.2 - 0.2 * ROWS.slip))),
         rtol=1e-9,
     )
-    drive = {"unit": 10.0, "omega": 0.6, "load": 50.0, "share": 0.4}
-    for name, s, side, channel, read in (
-        (
-            "bending_frame",
-            -0.002,
-            {"load": 50.0, "power": 0.5},
-            0,
-            base[0] - 0.002 * (ROWS.load / 50.0) ** 0.5,
-        ),
-        (
-            "stribeck",
-            0.05,
-            drive,
-            2,
-            base[2] + 0.5 * (1.0 + 0.8 * np.exp(-((omega / 0.6) ** 2))) / 1.4,
-        ),
-        (
-            "axle_load",
-            0.05,
-            drive,
-            2,
-            base[2] + 0.5 * (0.6 + 0.4 * np.hypot(ROWS.load, base[1]) / 50.0),
-        ),
-        (
-            "warming_seal",
-            0.1,
-            {"load": 50.0, "radius": 0.2, "time": 4400.0, "warm": 0.25},
-            2,
-            base[2] + np.exp(-ROWS.time / 1100.0),
-        ),
-        (
-            "slack_load_cell",
-            0.04,
-            {"load": 50.0},
-            1,
-            np.sign(base[1]) * np.maximum(np.abs(base[1]) - 2.0, 0.0),
-        ),
-        (
-            "saturating_torque",
-            0.2,
-            {"load": 50.0, "radius": 0.2},
-            2,
-            base[2] / (1.0 + 0.04 * np.abs(base[2])),
-        ),
-        ("tilt", 2.0, {}, 1, base[1] - ROWS.load * math.tan(math.radians(2.0))),
-        ("force_offset", 0.04, {"load": 50.0}, 1, base[1] + 2.0),
-        ("force_gain", -0.1, {}, 1, 0.9 * base[1]),
-        ("torque_offset", 0.04, {"load": 50.0, "radius": 0.2}, 2, base[2] + 0.4),
-        ("torque_gain", 0.05, {}, 2, 1.05 * base[2]),
-        ("force_crosstalk", 0.1, {}, 1, base[1] + 0.1 * base[2] / 0.15),
-        ("torque_crosstalk", -0.2, {}, 2, base[2] - 0.2 * base[1] * 0.15),
+    side = {"unit": 10.0, "omega": 0.6, "load": 50.0, "share": 0.4, "power": 0.5}
+    side |= {"radius": 0.2, "time": 4400.0, "warm": 0.25}
+    for name, s, channel, read in (
+        ("bending_frame", -0.002, 0, z - 0.002 * (ROWS.load / 50.0) ** 0.5),
+        ("stribeck", 0.05, 2, torque + 0.5 * (1.0 + 0.8 * np.exp(-((omega / 0.6) ** 2))) / 1.4),
+        ("axle_load", 0.05, 2, torque + 0.5 * (0.6 + 0.4 * np.hypot(ROWS.load, pull) / 50.0)),
+        ("warming_seal", 0.1, 2, torque + np.exp(-ROWS.time / 1100.0)),
+        ("slack_load_cell", 0.04, 1, np.sign(pull) * np.maximum(np.abs(pull) - 2.0, 0.0)),
+        ("saturating_torque", 0.2, 2, torque / (1.0 + 0.04 * np.abs(torque))),
+        ("tilt", 2.0, 1, pull - ROWS.load * math.tan(math.radians(2.0))),
+        ("force_offset", 0.04, 1, pull + 2.0),
+        ("force_gain", -0.1, 1, 0.9 * pull),
+        ("torque_offset", 0.04, 2, torque + 0.4),
+        ("torque_gain", 0.05, 2, 1.05 * torque),
+        ("force_crosstalk", 0.1, 1, pull + 0.1 * torque / 0.15),
+        ("torque_crosstalk", -0.2, 2, torque - 0.2 * pull * 0.15),
     ):
-        np.testing.assert_allclose(
-            table(hidden(name, s, **side))[channel], read, rtol=1e-10, atol=1e-12
-        )
+        found = table(hidden(name, s, **side))[channel]
+        np.testing.assert_allclose(found, read, rtol=1e-10, atol=1e-12, err_msg=name)
 
 
 @pytest.mark.parametrize("name, s", [("arm_load", 0.4), ("arm_load", -0.4), ("spring_load", 0.2)])
