@@ -53,6 +53,13 @@ class NoPredict:
     """Has no predict."""
 
 
+class Old:
+    """Takes observations only."""
+
+    def predict(self, obs):
+        return 0.3
+
+
 class OtherVariant(Half):
     variant = "blnd"
 
@@ -66,13 +73,6 @@ WrongShape = answering(lambda obs: (np.zeros(len(obs)), None))
 Alone = answering(lambda obs: np.zeros((len(obs), 1)))
 Complex = answering(lambda obs: (np.full((len(obs), 1), 0.4 + 1.0j), None))
 OneNaN = answering(lambda obs: (np.where(np.arange(len(obs)) == 1, np.nan, 0.4)[:, None], None))
-
-
-class WrongCall(Half):
-    """Fails within a library."""
-
-    def predict(self, obs, state=None, episode_start=None, deterministic=True):
-        return np.reshape(obs, (len(obs), 1)), state
 
 
 class Exits:
