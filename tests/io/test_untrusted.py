@@ -352,10 +352,17 @@ def ros_bag(folder, storage):
     return next(p for p in (folder / "bag").iterdir() if p.suffix != ".yaml")
 
 
+COLUMNS = {
+    "t": [f"2026-05-04T09:30:{k:02d}" for k in range(12)],
+    "w": [2.0 + 0.1 * k for k in range(12)],
+    "v": [250 + k for k in range(12)],
+}
+
+
 def rover_table(folder):
     """Columns of TABLE_MAP as CSV."""
-    lines = [f"2026-05-04T09:30:{k:02d},{2.0 + 0.1 * k},{250 + k}" for k in range(12)]
-    (folder / "whole.csv").write_text("\n".join(["t,w,v", *lines]) + "\n")
+    lines = [",".join(map(str, row)) for row in zip(*COLUMNS.values(), strict=True)]
+    (folder / "whole.csv").write_text("\n".join([",".join(COLUMNS), *lines]) + "\n")
     return folder / "whole.csv"
 
 
@@ -363,13 +370,8 @@ def rover_parquet(folder):
     """Columns of TABLE_MAP as Parquet."""
     pyarrow = pytest.importorskip("pyarrow")
     parquet = pytest.importorskip("pyarrow.parquet")
-    columns = {
-        "t": [f"2026-05-04T09:30:{k:02d}" for k in range(12)],
-        "w": 12 * [2.5],
-        "v": 12 * [250],
-    }
     plain = {"compression": "none", "use_dictionary": False, "write_statistics": False}
-    parquet.write_table(pyarrow.table(columns), folder / "whole.parquet", **plain)
+    parquet.write_table(pyarrow.table(COLUMNS), folder / "whole.parquet", **plain)
     return folder / "whole.parquet"
 
 
