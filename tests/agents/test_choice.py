@@ -49,12 +49,11 @@ def test_lines_taken_are_kept_with_what_became_of_them():
     second = [-0.5, 0.3, 0.3, 0.1, 0.0, 0.0, -0.2, 0.0]
     for action in np.array([first, second], dtype=np.float32).T:
         env.step(action[:, None])
-    taken = env.taken[: env.count, 0]
-    passed = env.passed[: env.count]
     # Steps 0, 3 and 6 choose; wheel 0 finishes in step 4, wheel 1 is bogged in step 8; the last of
     # wheel 0 is open.
     kept = [(0.1, 1.0), (0.4, 1.0), (3.2, 1.0), (3.3, 1.0), (6.4, 0.0)]
-    assert [(pytest.approx(float(x)), y) for x, y in zip(taken, passed, strict=True)] == kept
+    found = np.stack([env.taken[: env.count, 0], env.passed[: env.count]], axis=1)
+    assert found == pytest.approx(np.array(kept))
 
 
 def test_the_line_that_is_passed_more_often_gets_the_higher_score():
@@ -63,8 +62,7 @@ def test_the_line_that_is_passed_more_often_gets_the_higher_score():
     rng = np.random.default_rng(1)
     env = chooser.env
     env.reset()
-    size = len(env.routes[0])
-    rows = rng.normal(size=(4000, size)).astype(np.float32)
+    rows = rng.normal(size=(4000, len(env.routes[0]))).astype(np.float32)
     env.taken[:4000] = rows
     env.count = 4000
     env.passed[:4000] = rng.random(4000) < 1.0 / (1.0 + np.exp(-3.0 * rows[:, 2]))
@@ -72,18 +70,18 @@ def test_the_line_that_is_passed_more_often_gets_the_higher_score():
     chooser.learn(1.0, passes=60)
     moved = {name for name, x in model.policy.state_dict().items() if not x.equal(before[name])}
     assert moved and all("line_net" in name for name in moved)
-    seen = rng.normal(size=(500, env.observation_space.shape[0])).astype(np.float32)
+    seen = rng.normal(size=(500, *env.observation_space.shape)).astype(np.float32)
     seen[:, env.choice] = 1.0
     action = model.predict(seen)[0][:, 0]
-    ahead, beside = (seen[:, columns[2]] for columns in env.routes)
-    apart = np.abs(ahead - beside) > 0.5
-    assert np.mean((action > 0.0)[apart] == (ahead > beside)[apart]) > 0.9
-    model.policy.zero_grad()
-    model.policy.evaluate_actions(torch.from_numpy(seen), torch.zeros(500, 1))[1].sum().backward()
-    of_routes = model.policy.mlp_extractor.line_net
-    noise = model.policy.log_std
+    better = np.subtract(*(seen[:, columns[2]] for columns in env.routes))  # ahead over beside
+    apart = np.abs(better) > 0.5
+    assert np.mean((action * better > 0.0)[apart]) > 0.9
+    policy = model.policy
+    policy.zero_grad()
+    policy.evaluate_actions(torch.from_numpy(seen), torch.zeros(500, 1))[1].sum().backward()
     # PPO leaves the choice.
-    assert noise.grad is not None and all(x.grad is None for x in of_routes.parameters())
+    assert policy.log_std.grad is not None
+    assert all(x.grad is None for x in policy.mlp_extractor.line_net.parameters())
 
 
 def test_where_nothing_is_chosen_nothing_is_learned():

@@ -335,8 +335,7 @@ def test_planning_changes_nothing_in_the_world_and_foresees_no_noise():
     before = [memory(sim.worlds, k) for k in range(3)]
     action, _ = oracle.predict(sim.worlds.observation)
     assert action.shape == (3, 1) and np.isfinite(action).all()
-    for k in range(3):
-        assert memory(sim.worlds, k) == before[k]
+    assert [memory(sim.worlds, k) for k in range(3)] == before
     clones = oracle.clones.worlds
     assert (clones.state["x"] != 0.0).any()  # they have driven
     assert not np.isin(clones.state["stream"], sim.worlds.state["stream"]).any()

@@ -29,22 +29,17 @@ GROUNDS = ("mixed", "two_lines", "loose_slopes", "sticky", "field_vehicle", "uns
 TINY = {
     "grounds": {"two_lines": {"wheels": 8}, "field_vehicle": {"wheels": 4, "hidden": 0.75}},
     "hidden": 2,
+    "effects": ["stress_peak_shift", "bulldozing"],
+    "ppo": {"num_envs": 12, "batch_size": 64, "layer": 8, "threads": 1},
 }
-TINY["effects"] = ["stress_peak_shift", "bulldozing"]
-TINY["ppo"] = {"num_envs": 12, "batch_size": 64, "layer": 8, "threads": 1}
 
 
 @pytest.fixture(scope="module")
 def trained():
     """A model after a few steps on two grounds."""
+    few = [("ROUNDS", ((2, 1),)), ("OF_GROUND", ((2, 1),)), ("ACCELERATIONS", (1.0,))]
     with pytest.MonkeyPatch.context() as patch:
-        few = {
-            "ROUNDS": ((2, 1),),
-            "OF_GROUND": ((2, 1),),
-            "ACCELERATIONS": (1.0,),
-            "SHARES": (0.6,),
-        }
-        for name, value in few.items():
+        for name, value in (*few, ("SHARES", (0.6,))):
             patch.setattr(generalist, name, value)
         model = generalist.load(generalist.Generalist, TINY, "").build()
     student.teach(model, 1000, 0)
@@ -82,24 +77,20 @@ def test_a_reading_that_the_common_layout_lacks_is_left_out(monkeypatch):
 
 
 def test_common_layout_is_that_of_two_lines_with_a_flag_the_drive_and_the_misfit():
+    read = {"slip": 0.275, "drawbar_pull": 0.3, "load": 1.5, "best_pull": 0.25}
     for name, camera in (("two_lines", 1.0), ("mixed", 0.0)):
         env = SoilWheelEnv(name, scaled=True)
         seen, _ = env.reset(seed=1)
         values = env.physical(seen)
-        own = dict(zip(COMMON, range(len(values)), strict=False))
-        for entry, k in own.items():
-            values[k] = {"slip": 0.275, "drawbar_pull": 0.3, "load": 1.5, "best_pull": 0.25}.get(
-                entry.name, values[k]
-            )
+        for k, entry in enumerate(COMMON[: len(values)]):
+            values[k] = read.get(entry.name, values[k])
         common = CommonScaling(env.scenario)(values[None])[0]
-        np.testing.assert_allclose(common[: seen.size], env.scaling(values[None])[0], atol=1e-5)
-        assert not common[seen.size : len(COMMON)].any() and len(common) == len(NAMES)
-        np.testing.assert_allclose(
-            common[len(COMMON) :][: len(ADDED)], [camera, 0.2, 1.5857, 0.15], rtol=1e-3
-        )
-        np.testing.assert_allclose(
-            common[len(COMMON) + len(ADDED) :], [-0.05, 0.5, 0.5, 0.0, 0.0], atol=1e-5
-        )
+        assert len(common) == len(NAMES)
+        shared, added, bands = np.split(common, [len(COMMON), len(COMMON) + len(ADDED)])
+        assert shared[: seen.size] == pytest.approx(env.scaling(values[None])[0], abs=1e-5)
+        assert not shared[seen.size :].any()
+        assert added == pytest.approx(np.array([camera, 0.2, 1.5857, 0.15]), rel=1e-3)
+        assert bands == pytest.approx(np.array([-0.05, 0.5, 0.5, 0.0, 0.0]), abs=1e-5)
 
 
 def test_history_keeps_the_misfit_of_each_band_of_slip():
@@ -107,20 +98,15 @@ def test_history_keeps_the_misfit_of_each_band_of_slip():
     is.
     """
     history = History(NAMES, 1)
-    seen = np.zeros((1, len(NAMES)), dtype=np.float32)
-    misfit = NAMES.index("misfit")
-    band = NAMES.index("slip_band_2")
+    seen = np.zeros((6, 1, len(NAMES)), dtype=np.float32)
+    seen[:3, 0, NAMES.index("slip_band_2")] = 1.0
+    seen[:, 0, NAMES.index("misfit")] = [-0.2] * 3 + [0.4] * 3
     kept = np.zeros((1, history.kept), dtype=np.float32)
-    fresh = np.array([True])
-    for step in range(6):
-        seen[0, band] = float(step < 3)
-        seen[0, misfit] = -0.2 if step < 3 else 0.4
-        observed, kept = history.observe(seen, kept, fresh)
-        fresh = np.array([False])
+    for step, now in enumerate(seen):
+        observed, kept = history.observe(now, kept, np.array([step == 0]))
     share = 1.0 - (1.0 - BAND_SHARE) ** 3
-    np.testing.assert_allclose(
-        observed[0, -8:], [0.0, 0.0, -0.2, share, 0.0, 0.0, 0.0, 0.0], atol=1e-6
-    )
+    expected = [0.0, 0.0, -0.2, share, 0.0, 0.0, 0.0, 0.0]
+    np.testing.assert_allclose(observed[0, -8:], expected, atol=1e-6)
 
 
 def test_other_tasks_are_refused():
@@ -139,14 +125,13 @@ def test_weights_are_small_arrays_without_pickles(tmp_path):
     with np.load(WEIGHTS, allow_pickle=False) as archive:
         arrays = dict(archive)
     made = json.loads(str(arrays["made"]))
-    held_out = load_scenario("unseen").soils
     grounds = made["config"]["grounds"]
-    trained_on = [
-        load_scenario(own["scenario"] or name, own["changes"]) for name, own in grounds.items()
-    ]
-    soils = set().union(*(s.soils for s in trained_on), *(s.belief.soils for s in trained_on))
-    assert not {"mars_simulant_dlr", "mars_slope_soil"} & soils and "mars_slope_soil" in held_out
-    assert "unseen" not in grounds
+    soils = set()
+    for name, own in grounds.items():
+        task = load_scenario(own["scenario"] or name, own["changes"])
+        soils |= {*task.soils, *task.belief.soils}
+    assert not {"mars_simulant_dlr", "mars_slope_soil"} & soils and "unseen" not in grounds
+    assert "mars_slope_soil" in load_scenario("unseen").soils
     bad = tmp_path / "bad.npz"
     good = WEIGHTS.read_bytes()
     reading = partial(DefaultPolicy, "mixed", bad)
@@ -171,11 +156,11 @@ def test_the_file_acts_as_the_trained_model(trained, tmp_path):
     model = trained
     np.savez(tmp_path / "weights.npz", **generalist.weights_of(model, 7, {}))
     env = model.get_vec_normalize_env()
+    policy = DefaultPolicy("two_lines", tmp_path / "weights.npz")
     seen = env.reset()
     for _ in range(5):
         action = model.predict(seen, deterministic=True)[0]
-        policy = DefaultPolicy(load_scenario("two_lines"), tmp_path / "weights.npz")
-        np.testing.assert_allclose(np.clip(policy.action(seen), -1, 1), action, atol=1e-5)
+        np.testing.assert_allclose(policy.act(seen, True), action, atol=1e-5)
         seen = env.step(action)[0]
 
 
@@ -193,12 +178,10 @@ def test_teachers_of_several_grounds_and_hidden_worlds(trained):
     ]
     teachers = Teachers(env)
     for part, own in teachers.parts:
+        asked = part.teacher
         top = part.scenario.wheel.radius * part.scenario.wheel.no_load_speed
-        assert own.settings["speed"] == pytest.approx(part.teacher["speed"] * top)
-        assert (
-            own.settings["acceleration"] == part.teacher["acceleration"]
-            and own.share == part.teacher["share"]
-        )
+        assert own.settings["speed"] == pytest.approx(asked["speed"] * top)
+        assert (own.settings["acceleration"], own.share) == (asked["acceleration"], asked["share"])
     action, weight = teachers.lesson(np.ones(12, dtype=bool))
     assert action.shape == (12, 1) and weight.shape == (12,)
 
@@ -223,15 +206,14 @@ def test_it_is_a_contestant_and_drives_from_the_command(capsys, tmp_path):
         (contestant,) = parse(text).values()
         assert contestant.name == default_policy.NAME
         check(contestant, scenario)
-    assert load(contestant, scenario).variant == DefaultPolicy("mixed").variant == "identified"
+    assert load(contestant, scenario).variant == "identified"
     assert soil_env("drive --policy default --scenario loose_slopes --seed 2".split()) == 0
     assert capsys.readouterr().out.startswith("default_policy: ")
     asked = ["export", "defualt", f"--out={tmp_path}"]
     said = refused_command(capsys, "soil-env export", soil_env, *asked)
     assert "did you mean 'default'?" in said.err
-    assert (
-        load(parse(str(WEIGHTS))["default_policy/0"], scenario).made == DefaultPolicy("mixed").made
-    )
+    (of_file,) = parse(str(WEIGHTS)).values()
+    assert load(of_file, scenario).made == DefaultPolicy("mixed").made
 
 
 @pytest.mark.parametrize("name", ["mixed", "two_lines"])
