@@ -188,7 +188,7 @@ def test_an_argument_that_predict_cannot_take_is_named(tmp_path, scenario, steps
     ]
     if steps:
         wrong += [
-            (rows[:2], state, None, "expected what the last predict"),
+            (rows[:2], state, None, "state: an array of shape"),
             (rows, "x", None, "state = 'x': expected"),
             (rows, np.full_like(state, np.nan), None, "state: a number that is not finite"),
         ]

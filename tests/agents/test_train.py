@@ -3,6 +3,7 @@
 import json
 import threading
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import yaml
@@ -114,13 +115,11 @@ def test_a_run_its_folder_and_its_resumption(capsys, tmp_path, monkeypatch):
 def test_the_verdict_is_against_the_best_that_does_not_know_the_soil():
     rates = {"agent_blind": 0.9, "soft_start": 0.89, "full_throttle": 0.5, "best_slip_true": 0.93}
     rows = {name: {"finished": {"value": x}} for name, x in rates.items()}
-    paired = {
-        "agent_blind": {"soft_start": {"finished": {"value": 0.01, "low": -0.02, "high": 0.04}}}
-    }
+    finished = {"value": 0.01, "low": -0.02, "high": 0.04}
+    paired = {"agent_blind": {"soft_start": {"finished": finished}}}
     text = comparison.verdict({"controllers": rows, "paired": paired}, "agent_blind")
-    assert (
-        "agent_blind against soft_start" in text and "+1.0 [-2.0, +4.0] percentage points" in text
-    )
+    assert "agent_blind against soft_start" in text
+    assert "+1.0 [-2.0, +4.0] percentage points" in text
 
 
 def test_overrides_are_read_as_yaml_and_names_as_text():
@@ -173,30 +172,28 @@ def test_runs_that_are_a_file_are_named(capsys, tmp_path):
 
 
 def test_a_training_that_fails_before_any_work_leaves_no_folder(capsys, tmp_path, monkeypatch):
-    def fail(*_):
-        raise MemoryError("of a test")
-
-    monkeypatch.setattr(training, "train", fail)
+    checkpoint = tmp_path / "n" / training.CHECKPOINT
     asked = [*TINY, "--runs", tmp_path, "--name", "n"]
+    monkeypatch.setattr(training, "train", Mock(side_effect=MemoryError))
     assert "keeps" not in refused(capsys, *asked)
     assert not list(tmp_path.iterdir())
 
-    def fail_late(folder, *_):
-        (folder / training.CHECKPOINT).write_bytes(b"work")
-        fail()
+    def fail_late(*_):
+        checkpoint.write_bytes(b"work")
+        raise MemoryError
 
     monkeypatch.setattr(training, "train", fail_late)
     said = refused(capsys, *asked)
     assert f"go on with: soil-env train --resume {tmp_path / 'n'}\n" in said
-    assert (tmp_path / "n" / training.CHECKPOINT).is_file()
+    assert checkpoint.is_file()
 
 
 def test_an_existing_run_is_not_overwritten(capsys, tmp_path):
     (tmp_path / "n").mkdir()
     (tmp_path / "n" / "precious").write_text("x")
     err = refused(capsys, *TINY, "--runs", tmp_path, "--name", "n")
-    assert str(tmp_path / "n") in err and "exists" in err and "--resume" in err
-    assert [p.name for p in (tmp_path / "n").iterdir()] == ["precious"]
+    assert all(part in err for part in (str(tmp_path / "n"), "exists", "--resume"))
+    assert shown(tmp_path / "n") == {"precious"}
 
 
 class Killed(BaseException):
@@ -252,25 +249,20 @@ def test_a_training_that_was_stopped_is_resumed(capsys, tmp_path, monkeypatch, e
 @pytest.mark.usefixtures("unrendered")
 def test_a_model_that_is_trained_again_is_compared_again(capsys, tmp_path, monkeypatch):
     """Also where the comparison with the new model is interrupted, or cannot begin."""
-
-    def interrupt(*_):
-        raise KeyboardInterrupt
-
-    def full(*_):
-        raise OSError(28, "full", "study.yaml")
-
     folder = tmp_path / "n"
     assert run(capsys, *TINY, "--runs", tmp_path, "--name", "n")[0] == 0
     before = json.loads((folder / comparison.DONE).read_text())
     (folder / "model.zip").unlink()
     edited = (folder / "config.yaml").read_text().replace("seed: 0", "seed: 1")
     (folder / "config.yaml").write_text(edited)
-    with monkeypatch.context() as patch:
-        patch.setattr(comparison, "compare", interrupt)
-        assert run(capsys, "--resume", folder)[0] == 130
-    with monkeypatch.context() as patch:
-        patch.setattr(cells, "save_study", full)
-        assert run(capsys, "--resume", folder)[0] == 2
+    full = OSError(28, "full", "study.yaml")
+    for where, name, error, status in (
+        (comparison, "compare", KeyboardInterrupt, 130),
+        (cells, "save_study", full, 2),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(where, name, Mock(side_effect=error))
+            assert run(capsys, "--resume", folder)[0] == status
     code, out, err = run(capsys, "--resume", folder)
     assert code == 0 and "Already finished" not in out, err
     after = json.loads((folder / comparison.DONE).read_text())["controllers"]
@@ -279,11 +271,7 @@ def test_a_model_that_is_trained_again_is_compared_again(capsys, tmp_path, monke
 
 def test_an_error_of_the_thread_of_tensorboard_names_its_folder(capsys):
     failed = OSError(28, "full")
-
-    def fail():
-        raise failed
-
-    thread = threading.Thread(target=fail)
+    thread = threading.Thread(target=Mock(side_effect=failed))
     with pytest.raises(OSError, match="curves"), training._curves_named(Path("curves")):
         thread.start()
         thread.join()
@@ -293,10 +281,7 @@ def test_an_error_of_the_thread_of_tensorboard_names_its_folder(capsys):
 
 def test_a_shipped_config_is_found_by_its_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert (
-        load_config(yaml.safe_load(cli.config_file("smoke.yaml").read_text()), "x").timesteps
-        == 8192
-    )
+    assert yaml.safe_load(cli.config_file("smoke.yaml").read_text())["timesteps"] == 8192
     (tmp_path / "smoke.yaml").write_text("timesteps: 5\n")
     assert cli.config_file("smoke.yaml") == Path("smoke.yaml")
     assert cli.config_file("no/smoke.yaml") == Path("no/smoke.yaml")
