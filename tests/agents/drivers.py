@@ -1,5 +1,7 @@
 """Controllers of a user, and observations of wheels that drive."""
 
+import sys
+
 import numpy as np
 
 from soil_env.simulation.task import Cause
@@ -36,14 +38,11 @@ class Counting(Half):
         return np.full((len(obs), 1), 0.3 + 0.5 * np.sin(0.01 * self.calls)), state
 
 
-class LateNaN(Half):
+class LateNaN(Counting):
     """Fails after a while: its last action is no number."""
 
-    calls = 0
-
-    def predict(self, obs, state=None, episode_start=None, deterministic=True):
-        self.calls += 1
-        action = np.full((len(obs), 1), 0.4)
+    def predict(self, obs, **more):
+        action, state = super().predict(obs, **more)
         if self.calls > 3:
             action[-1] = np.nan
         return action, state
@@ -51,6 +50,13 @@ class LateNaN(Half):
 
 class NoPredict:
     """Has no predict."""
+
+
+class Old:
+    """Takes observations only."""
+
+    def predict(self, obs):
+        return 0.3
 
 
 class OtherVariant(Half):
@@ -65,19 +71,8 @@ def answering(answer):
 WrongShape = answering(lambda obs: (np.zeros(len(obs)), None))
 Alone = answering(lambda obs: np.zeros((len(obs), 1)))
 Complex = answering(lambda obs: (np.full((len(obs), 1), 0.4 + 1.0j), None))
+Exits = answering(lambda obs: sys.exit())
 OneNaN = answering(lambda obs: (np.where(np.arange(len(obs)) == 1, np.nan, 0.4)[:, None], None))
-
-
-class WrongCall(Half):
-    """Fails within a library."""
-
-    def predict(self, obs, state=None, episode_start=None, deterministic=True):
-        return np.reshape(obs, (len(obs), 1)), state
-
-
-class Exits:
-    def predict(self, obs, state=None, episode_start=None, deterministic=True):
-        raise SystemExit
 
 
 class ExitsWhenMade:

@@ -7,14 +7,15 @@ import subprocess
 import sys
 import time
 from functools import partial
+from pathlib import Path
 from types import ModuleType
 
 import psutil
 import pytest
 
-from soil_env._io.loading import ParameterError
 from soil_env_agents import cells
 from tests.agents import tasks as work
+from tests.refusals import refused
 
 
 @pytest.fixture(params=["processes", "ray"])
@@ -49,16 +50,21 @@ if __name__ == "__main__":
 """
 
 
+def begun(script):
+    """Process of a script that is begun in the current folder."""
+    Path("parent.py").write_text(script)
+    pipe = subprocess.PIPE
+    command = [sys.executable, "parent.py"]
+    return subprocess.Popen(command, stdout=pipe, stderr=pipe, start_new_session=True)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_workers_of_a_parent_that_was_killed_save_and_end(importable, tmp_path, monkeypatch):
     """One is at work and one is idle."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "parent.py").write_text(PARENT)
-    parent = subprocess.Popen(
-        [sys.executable, "parent.py"], stdout=subprocess.PIPE, start_new_session=True
-    )
+    parent = begun(PARENT)
     assert parent.stdout.readline() == b"('short', None)\n"
-    workers = [p for p in psutil.Process(parent.pid).children(recursive=True)]
+    workers = psutil.Process(parent.pid).children(recursive=True)
     assert len(workers) >= 2
     parent.kill()
     parent.wait()
@@ -88,11 +94,7 @@ else:
 def test_ctrl_c_during_the_imports_of_a_worker_prints_nothing(importable, tmp_path, monkeypatch):
     """A terminal sends it to all processes; here the parent gets it last."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "parent.py").write_text(IMPORTING)
-    pipe = subprocess.PIPE
-    parent = subprocess.Popen(
-        [sys.executable, "parent.py"], stdout=pipe, stderr=pipe, start_new_session=True
-    )
+    parent = begun(IMPORTING)
     while not (tmp_path / "importing").exists():
         assert parent.poll() is None
         time.sleep(0.01)
@@ -104,8 +106,7 @@ def test_ctrl_c_during_the_imports_of_a_worker_prints_nothing(importable, tmp_pa
 
 
 def test_bad_input_found_by_a_worker_comes_back(engine):
-    with pytest.raises(ParameterError, match="^no 5$"):
-        list(engine(work.refuse, [(5, "")]))
+    assert refused(lambda: list(engine(work.refuse, [(5, "")]))) == "no 5"
 
 
 @pytest.mark.parametrize("content", ["{", "{}", "[1]"])
@@ -113,39 +114,33 @@ def test_a_damaged_cell_is_named(tmp_path, content):
     cells.fill(lambda x: {"value": x}, [1], tmp_path, cells.in_process, lambda cell: None)
     path = cells.cell_file(tmp_path, 1)
     path.write_text(content)
-    with pytest.raises(ParameterError, match="1.json: is damaged .*; delete it") as error:
-        cells.read_cell(tmp_path, 1, lambda content: content["value"])
-    assert "\n" not in str(error.value)
+    reading = partial(cells.read_cell, tmp_path, 1, lambda content: content["value"])
+    refused(reading, "1.json: is damaged ", "; delete it")
 
 
-def test_a_worker_with_other_code_is_refused(monkeypatch):
-    with pytest.raises(ParameterError, match=r"a worker has soil_env .*, the study 0.1.0\+other"):
-        cells._on_node(work.double, "0.1.0+other", (1, ""))
+def test_a_worker_with_other_code_is_refused():
+    asked = partial(cells._on_node, work.double, "0.1.0+other", (1, ""))
+    refused(asked, "a worker has soil_env ", ", the study 0.1.0+other")
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("ray", "given", "said"),
     [
-        ({"engine": "rey"}, "did you mean 'ray'"),
-        ({"engine": "local", "workers": 0}, "--workers 0"),
-        ({"engine": "local", "address": "auto"}, "only with --engine ray"),
-        ({"engine": "ray", "address": "a:1", "workers": 2}, "only without --address"),
+        ("installed", ("rey",), "did you mean 'ray'"),
+        ("installed", ("local", 0), "--workers 0"),
+        ("installed", ("local", None, "auto"), "only with --engine ray"),
+        ("installed", ("ray", 2, "a:1"), "only without --address"),
+        (
+            "installed",
+            ("ray", None, "localhost:1"),
+            "no cluster at localhost:1 ... expected HOST:PORT",
+        ),
+        ("", ("ray",), "--engine ray: Ray is not installed; ... 'soil_env[ray]'"),
     ],
 )
-def test_options_that_fit_no_engine_are_refused(given, said):
-    with pytest.raises(ParameterError, match=said):
-        cells.choose(**given)
-
-
-def test_ray_that_is_not_installed_and_a_cluster_that_is_not_there_are_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(
-        ParameterError, match=r"^--engine ray: Ray is not installed; .* 'soil_env\[ray\]'$"
-    ):
-        cells.choose("ray")
-    monkeypatch.setitem(sys.modules, "ray", ModuleType("ray"))
-    with pytest.raises(ParameterError, match="no cluster at localhost:1 .*; expected HOST:PORT"):
-        cells.choose("ray", address="localhost:1")
+def test_an_engine_that_cannot_be_as_asked_is_refused(monkeypatch, ray, given, said):
+    monkeypatch.setitem(sys.modules, "ray", ModuleType("ray") if ray else None)
+    refused(partial(cells.choose, *given), *said.split(" ... "))
 
 
 def test_what_was_made_from_something_else_is_done_again(tmp_path, capsys):

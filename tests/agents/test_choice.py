@@ -1,5 +1,7 @@
 """Choice of a route: what is kept of the routes taken, and that the better route is learned."""
 
+import copy
+
 import numpy as np
 import pytest
 import torch
@@ -7,10 +9,8 @@ from gymnasium import spaces
 
 from soil_env.parameters import load_scenario
 from soil_env_agents import choice, ppo
-from soil_env_agents.config import PPOConfig
 from soil_env_agents.sb3 import NativeVecEnv
-
-CONFIG = PPOConfig(num_envs=16, n_steps=16, batch_size=64, layer=16, history=2, threads=1)
+from tests.agents.learnt import WITH_ROUTES
 
 
 class _Forks(NativeVecEnv):
@@ -23,27 +23,20 @@ class _Forks(NativeVecEnv):
         super().__init__(2, box, spaces.Box(-1.0, 1.0, (1,), np.float32))
         self.step_count = 0
 
-    def seen(self):
-        choosing = float(self.step_count % 3 == 0)
-        k = self.step_count
-        return np.array(
-            [[choosing, k + 0.1, k + 0.2], [choosing, k + 0.3, k + 0.4]], dtype=np.float32
-        )
-
     def reset(self):
-        return self.seen()
+        k = self.step_count
+        choosing = float(k % 3 == 0)
+        rows = [[choosing, k + 0.1, k + 0.2], [choosing, k + 0.3, k + 0.4]]
+        return np.array(rows, dtype=np.float32)
 
     def step_async(self, actions):
         self.step_count += 1
 
     def step_wait(self):
-        ends = {4: (0, "FINISHED"), 8: (1, "BOGGED")}.get(self.step_count)
-        dones = np.zeros(2, dtype=bool)
-        infos = [{}, {}]
-        if ends:
-            dones[ends[0]] = True
-            infos[ends[0]] = {"cause": ends[1]}
-        return self.seen(), np.zeros(2), dones, infos
+        finished = self.step_count == 4
+        bogged = self.step_count == 8
+        infos = [{"cause": "FINISHED"}, {"cause": "BOGGED"}]
+        return self.reset(), np.zeros(2), np.array([finished, bogged]), infos
 
 
 def test_lines_taken_are_kept_with_what_became_of_them():
@@ -52,56 +45,47 @@ def test_lines_taken_are_kept_with_what_became_of_them():
     """
     env = choice.ChoiceVecEnv(_Forks(), 0, [[1], [2]])
     env.reset()
-    for action in (
-        [0.5, -0.5],
-        [0.3, 0.3],
-        [-0.3, 0.3],
-        [-0.1, 0.1],
-        [0.0, 0.0],
-        [0.0, 0.0],
-        [0.2, -0.2],
-        [0, 0],
-    ):
-        env.step(np.array(action, dtype=np.float32)[:, None])
-    taken = env.taken[: env.count, 0]
-    passed = env.passed[: env.count]
+    first = [0.5, 0.3, -0.3, -0.1, 0.0, 0.0, 0.2, 0.0]
+    second = [-0.5, 0.3, 0.3, 0.1, 0.0, 0.0, -0.2, 0.0]
+    for action in np.array([first, second], dtype=np.float32).T:
+        env.step(action[:, None])
     # Steps 0, 3 and 6 choose; wheel 0 finishes in step 4, wheel 1 is bogged in step 8; the last of
     # wheel 0 is open.
     kept = [(0.1, 1.0), (0.4, 1.0), (3.2, 1.0), (3.3, 1.0), (6.4, 0.0)]
-    assert [(pytest.approx(float(x)), y) for x, y in zip(taken, passed, strict=True)] == kept
+    found = np.stack([env.taken[: env.count, 0], env.passed[: env.count]], axis=1)
+    assert found == pytest.approx(np.array(kept))
 
 
 def test_the_line_that_is_passed_more_often_gets_the_higher_score():
-    model = ppo.build(load_scenario("two_lines"), "identified", CONFIG, 0)
+    model = ppo.build(load_scenario("two_lines"), "identified", WITH_ROUTES, 0)
     chooser = choice.Chooser(model, np.random.default_rng(0))
     rng = np.random.default_rng(1)
     env = chooser.env
     env.reset()
-    size = len(env.routes[0])
-    rows = rng.normal(size=(4000, size)).astype(np.float32)
+    rows = rng.normal(size=(4000, len(env.routes[0]))).astype(np.float32)
     env.taken[:4000] = rows
     env.count = 4000
     env.passed[:4000] = rng.random(4000) < 1.0 / (1.0 + np.exp(-3.0 * rows[:, 2]))
-    before = {name: x.clone() for name, x in model.policy.state_dict().items()}
+    before = copy.deepcopy(model.policy.state_dict())
     chooser.learn(1.0, passes=60)
     moved = {name for name, x in model.policy.state_dict().items() if not x.equal(before[name])}
     assert moved and all("line_net" in name for name in moved)
-    seen = rng.normal(size=(500, env.observation_space.shape[0])).astype(np.float32)
+    seen = rng.normal(size=(500, *env.observation_space.shape)).astype(np.float32)
     seen[:, env.choice] = 1.0
     action = model.predict(seen)[0][:, 0]
-    ahead, beside = (seen[:, columns[2]] for columns in env.routes)
-    apart = np.abs(ahead - beside) > 0.5
-    assert np.mean((action > 0.0)[apart] == (ahead > beside)[apart]) > 0.9
-    model.policy.zero_grad()
-    model.policy.evaluate_actions(torch.from_numpy(seen), torch.zeros(500, 1))[1].sum().backward()
-    of_routes = model.policy.mlp_extractor.line_net
-    noise = model.policy.log_std
+    better = np.subtract(*(seen[:, columns[2]] for columns in env.routes))  # ahead over beside
+    apart = np.abs(better) > 0.5
+    assert np.mean((action * better > 0.0)[apart]) > 0.9
+    policy = model.policy
+    policy.zero_grad()
+    policy.evaluate_actions(torch.from_numpy(seen), torch.zeros(500, 1))[1].sum().backward()
     # PPO leaves the choice.
-    assert noise.grad is not None and all(x.grad is None for x in of_routes.parameters())
+    assert policy.log_std.grad is not None
+    assert all(x.grad is None for x in policy.mlp_extractor.line_net.parameters())
 
 
 def test_where_nothing_is_chosen_nothing_is_learned():
-    model = ppo.build(load_scenario("mixed"), "identified", CONFIG, 0)
+    model = ppo.build(load_scenario("mixed"), "identified", WITH_ROUTES, 0)
     chooser = choice.Chooser(model, np.random.default_rng(0))
     chooser.learn(1.0)
     assert chooser.env is None and chooser.choosing.shape == (16, 1) and not chooser.choosing.any()

@@ -2,33 +2,29 @@
 stays as it is.
 """
 
+from functools import partial
+
 import numpy as np
 import pytest
 
-from soil_env._io.loading import ParameterError
 from soil_env.envs.wheels import Simulation
 from soil_env.parameters import load_scenario
-from soil_env.parameters.readings import STEP
+from soil_env.parameters.readings import IDLE, STEP
 from soil_env.simulation.task import Cause
 from soil_env_agents.controllers.cloning import clone
+from tests.refusals import refused
 from tests.simulation.wheels import started
 
 WHEELS = 5
 CLONES = 11
 
 
-def memory(part, wheel, name="worlds"):
-    """{name: bytes} of everything that is kept of one wheel."""
-    if part is None:
-        return {}
-    if isinstance(part, tuple):
-        out = {}
-        for field in part._fields:
-            if field == "samples":  # which every step writes anew
-                continue
-            out |= memory(getattr(part, field), wheel, f"{name}.{field}")
-        return out
-    return {name: part[wheel].tobytes()} if len(part) else {}
+def memory(part, wheel):
+    """Bytes of everything that is kept of one wheel, by name."""
+    if isinstance(part, tuple):  # every step writes the samples anew
+        kept = part._asdict() | {"samples": None}
+        return {name: memory(own, wheel) for name, own in kept.items()}
+    return None if part is None or not len(part) else part[wheel].tobytes()
 
 
 def driven(scenario, variant, steps=60, seed=4):
@@ -47,21 +43,22 @@ def test_a_clone_stepped_alike_gives_the_same_bit_for_bit(variant):
     scenario = load_scenario("mixed")
     sim = driven(scenario, variant)
     other = Simulation(CLONES, scenario, variant, threads=1)
-    pairs = {0: 3, 7: 1, 10: 3, 2: 4}  # place: wheel
-    clone(sim, list(pairs.values()), other, list(pairs))
-    for place, wheel in pairs.items():
-        assert memory(sim.worlds, wheel) == memory(other.worlds, place)
+    places = [0, 7, 10, 2]
+    wheels = [3, 1, 3, 4]
+    clone(sim, wheels, other, places)
     rng = np.random.default_rng(1)
-    going = np.full(CLONES, -1, dtype=np.int64)
-    going[list(pairs)] = list(pairs.values())
+    going = np.full(CLONES, IDLE)
+    going[places] = STEP
+    of = np.zeros(CLONES, dtype=np.int64)
+    of[places] = wheels
     halts = 0
-    for _ in range(150):
+    for _ in range(151):
+        for place, wheel in zip(places, wheels, strict=True):
+            assert memory(sim.worlds, wheel) == memory(other.worlds, place)
         commands = rng.uniform(0.1, 0.8, WHEELS)
         sim.step_all(commands, np.full(WHEELS, STEP))
-        other.step_all(commands[going], np.where(going >= 0, STEP, 2).astype(np.int8))
+        other.step_all(commands[of], going)
         halts += int((sim.worlds.state["halt_left"] > 0.0).sum())
-        for place, wheel in pairs.items():
-            assert memory(sim.worlds, wheel) == memory(other.worlds, place)
     assert halts > 20  # halts, drawn from the stream, are among what is the same
 
 
@@ -82,8 +79,9 @@ def test_worlds_of_another_scenario_and_lists_that_do_not_match_are_refused():
     scenario = load_scenario("mixed")
     longer = load_scenario("mixed", {"course": {"length": 30.0}})
     sim = started(scenario, "blind")
-    for other in (Simulation(2, longer, "blind"), Simulation(2, scenario, "identified")):
-        with pytest.raises(ParameterError, match="expected the same scenario"):
-            clone(sim, [0], other, [0])
-    with pytest.raises(ParameterError, match="one for each"):
-        clone(sim, [0, 1], Simulation(2, scenario, "blind"), [0])
+    for wheels, task, variant, said in (
+        ([0], longer, "blind", "expected the same scenario"),
+        ([0], scenario, "identified", "expected the same scenario"),
+        ([0, 1], scenario, "blind", "one for each"),
+    ):
+        refused(partial(clone, sim, wheels, Simulation(2, task, variant), [0]), said)

@@ -14,12 +14,12 @@ import pytest
 import yaml
 from scipy import stats
 
-from soil_env._io.loading import ParameterError, load, to_dict
+from soil_env._io.loading import load, to_dict
 from soil_env.cli import main as soil_env
 from soil_env.envs.wheels import Simulation
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause
-from soil_env_agents import cells, ppo
+from soil_env_agents import cells
 from soil_env_agents.controllers import make_controller
 from soil_env_agents.evaluate import command, comparing, report
 from soil_env_agents.evaluate.contestants import parse
@@ -34,10 +34,12 @@ from soil_env_agents.evaluate.driving import (
 from soil_env_agents.evaluate.evaluation import Evaluation
 from soil_env_agents.evaluate.statistics import wilson
 from tests.agents.drivers import Counting, Half
+from tests.agents.learnt import saved
 from tests.refusals import refused, refused_command
 
 ROOT = Path(__file__).resolve().parents[2]
 DRIVERS = "tests.agents.drivers"
+RULES = "soil_env_agents.controllers.wheel"
 FIXED = "--settings.fixed_slip.slip=0.2"
 SHORT = (
     "--changes.control.time_limit=6 --changes.course.length=2 --courses=7 --block=3 --resamples=50 "
@@ -57,10 +59,9 @@ def evaluate(out, controllers, *more):
     return main(f"--controllers={controllers}", f"--out={out}", *short, *more)
 
 
-def started(*arguments):
-    """Ended process of `soil-env evaluate`."""
-    command = [sys.executable, "-m", "soil_env.cli", "evaluate", *arguments]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+def refusal(capsys, *arguments):
+    """The line of a refused evaluation."""
+    return refused_command(capsys, "soil-env evaluate", soil_env, "evaluate", *arguments).err
 
 
 def result_of(folder):
@@ -83,11 +84,7 @@ def models(tmp_path_factory):
     """
     folder = tmp_path_factory.mktemp("models")
     for seed in (0, 1):
-        config = ppo.PPOConfig(num_envs=4, n_steps=8, batch_size=32, n_epochs=1, layer=4)
-        model = ppo.build(load_scenario(), "blind", config, seed)
-        model.learn(64)
-        (folder / f"seed_{seed}").mkdir()
-        ppo.save(model, folder / f"seed_{seed}" / "model.zip")
+        saved(folder / f"seed_{seed}", load_scenario(), "blind", seed, history=7)
     return folder
 
 
@@ -125,11 +122,8 @@ def test_a_comparison_of_known_runs():
         "b": [runs_of(returns.mean(axis=0) - 1.0)],
     }
     found = comparing.comparison(scenario, 3, runs, resamples=400)
-    assert (
-        found["members"] == {"a": 2, "b": 1}
-        and found["courses"] == 40
-        and found["scenario"] == "mixed"
-    )
+    assert found["members"] == {"a": 2, "b": 1}
+    assert (found["courses"], found["scenario"]) == (40, "mixed")
     a = found["controllers"]["a"]
     b = found["controllers"]["b"]
     assert a["finished"]["value"] == pytest.approx(0.75)
@@ -144,9 +138,7 @@ def test_a_comparison_of_known_runs():
     assert found["paired"]["b"]["a"]["return"]["high"] == pytest.approx(-paired["return"]["low"])
     p = found["improvement"]["a"]["b"]
     q = found["improvement"]["b"]["a"]
-    assert p["value"] + q["value"] == pytest.approx(1.0) and p["low"] == pytest.approx(
-        1.0 - q["high"]
-    )
+    assert (p["value"], p["low"]) == pytest.approx((1.0 - q["value"], 1.0 - q["high"]))
     assert found == comparing.comparison(scenario, 3, runs, resamples=400)
 
 
@@ -162,40 +154,30 @@ def test_values_are_means_over_the_courses_that_are_listed(done):
             expected = pytest.approx(np.mean(values), rel=1e-4, abs=1e-9) if values else None
             assert metrics[metric]["value"] == expected
         for cause in ("ENTRAPPED", "STALLED", "BOGGED", "TIME_LIMIT", "FINISHED"):
-            assert metrics[cause.lower()]["value"] == pytest.approx(
-                np.mean([row["cause"] == cause for row in own])
-            )
+            share = np.mean([row["cause"] == cause for row in own])
+            assert metrics[cause.lower()]["value"] == pytest.approx(share)
 
 
 def test_settings_are_tuned_once_and_drive_the_held_out_courses_of_train(tmp_path, capsys):
-    scenario = load_scenario(
-        "two_lines", {"course": {"length": 2.0}, "control": {"time_limit": 6.0}}
-    )
+    short = {"course": {"length": 2.0}, "control": {"time_limit": 6.0}}
+    scenario = load_scenario("two_lines", short)
     out = tmp_path / "out"
-    asked = [option for option in SHORT if not option.startswith(("--tuning", "--seed"))] + [
-        "--controllers=fixed_slip,constant_speed,full_throttle",
-        f"--out={out}",
-        "--tuning-courses=2",
-        "--settings.constant_speed.speed=0.3",
-    ]
+    asked = [option for option in SHORT if not option.startswith(("--tuning", "--seed"))]
+    asked += ["--controllers=fixed_slip,constant_speed,full_throttle", f"--out={out}"]
+    asked += ["--tuning-courses=2", "--settings.constant_speed.speed=0.3"]
     assert main(*asked) == 0
     assert "Tuning: 2 of 2 courses" in capsys.readouterr().out  # on 2 courses there is one trial
     kept = yaml.safe_load((out / "study.yaml").read_text())["tuned"]
     result = result_of(out)
     assert set(kept) == {"fixed_slip"} and set(kept["fixed_slip"]) == {"slip", "start", "speed"}
-    assert (
-        result["settings"]["fixed_slip"] == kept["fixed_slip"]
-        and result["chosen"]["fixed_slip"] == "tuned"
-    )
-    assert result["settings"]["constant_speed"] == {"speed": 0.3}
+    settings = {**kept, "constant_speed": {"speed": 0.3}, "full_throttle": {}}
+    assert result["settings"] == settings and result["chosen"]["fixed_slip"] == "tuned"
     for name, row in result["controllers"].items():
-        controller = make_controller(name, scenario, **result["settings"].get(name, {}))
+        controller = make_controller(name, scenario, **settings[name])
         theirs = run_courses(controller, scenario, HELD_OUT_SET, 7)
-        for metric in METRICS:
-            assert row[metric]["value"] == pytest.approx(theirs.metric(metric).mean(), rel=1e-12), (
-                name,
-                metric,
-            )
+        expected = {metric: theirs.metric(metric).mean() for metric in METRICS}
+        found = {metric: row[metric]["value"] for metric in METRICS}
+        assert found == pytest.approx(expected, rel=1e-12), name
     assert main(*asked) == 0 and "Tuning" not in capsys.readouterr().out
 
 
@@ -205,24 +187,16 @@ def test_a_module_in_the_current_folder_is_found(tmp_path, monkeypatch):
         f"from {DRIVERS} import Half\nhalf = Half()\ndef make(scenario):\n    return half\n"
     )
     monkeypatch.chdir(tmp_path)
-    assert (
-        evaluate(
-            tmp_path / "out", ",".join(f"{f}=mine_of_test:{f}" for f in ("make", "half", "Half"))
-        )
-        == 0
-    )
+    three = ",".join(f"{f}=mine_of_test:{f}" for f in ("make", "half", "Half"))
+    assert evaluate(tmp_path / "out", three) == 0
     rows = result_of(tmp_path / "out")["controllers"]
     assert rows["make"] == rows["half"] == rows["Half"]
 
 
 def test_effects_of_a_world_and_the_limit_of_the_oracle(tmp_path, capsys):
     world = ROOT / "configs/worlds/bulldozing.yaml"
-    assert (
-        evaluate(
-            tmp_path / "with", "soft_start", f"--model={world}", "--courses=3", "--oracle-courses=2"
-        )
-        == 0
-    )
+    more = [f"--model={world}", "--oracle-courses=2", "--courses=3"]
+    assert evaluate(tmp_path / "with", "soft_start", *more) == 0
     page = (tmp_path / "with" / "evaluation.md").read_text()
     for text in (capsys.readouterr().out, page):
         assert "in a world with bulldozing" in text
@@ -231,25 +205,18 @@ def test_effects_of_a_world_and_the_limit_of_the_oracle(tmp_path, capsys):
     assert "in a world" not in capsys.readouterr().out
     there = result_of(tmp_path / "with")
     plain = result_of(tmp_path / "without")
-    assert list(there["model"]["effects"]) == ["bulldozing"] and "model" not in plain
-    assert (
-        there["controllers"]["soft_start"]["return"] != plain["controllers"]["soft_start"]["return"]
-    )
-    assert there["limit"]["courses"] == 2 and there["limit"]["metrics"]["finished"]["value"] in (
-        0.0,
-        0.5,
-        1.0,
-    )
-    rows = csv.DictReader((tmp_path / "with" / "courses.csv").read_text().splitlines())
-    finished = [row["cause"] == "FINISHED" for row in rows]
+    assert list(there["model"]["effects"]) == ["bulldozing"]
+    assert not {"model", "limit"} & plain.keys()
+    returns = [found["controllers"]["soft_start"]["return"] for found in (there, plain)]
+    assert returns[0] != returns[1]
     limit = there["limit"]
-    assert set(limit["nobody"]) <= {k for k in (0, 1) if not finished[k]}
-    assert len(limit["nobody"]) <= 2.0 - 2.0 * limit["metrics"]["finished"]["value"]
-    assert "Of the first 2 courses" in (tmp_path / "with" / "evaluation.md").read_text()
-    assert (
-        "oracle (first 2 courses)" in (tmp_path / "with" / "evaluation.md").read_text()
-        and "limit" not in plain
-    )
+    finished = limit["metrics"]["finished"]["value"]
+    assert limit["courses"] == 2 and finished in (0.0, 0.5, 1.0)
+    rows = csv.DictReader((tmp_path / "with" / "courses.csv").read_text().splitlines())
+    failed = {k for k, row in enumerate(rows) if row["cause"] != "FINISHED"}
+    assert set(limit["nobody"]) <= failed & {0, 1}
+    assert len(limit["nobody"]) <= 2.0 - 2.0 * finished
+    assert "Of the first 2 courses" in page and "oracle (first 2 courses)" in page
 
 
 class Killed(BaseException):
@@ -300,10 +267,7 @@ def test_results_that_cannot_all_be_written_are_not_there(tmp_path, monkeypatch)
 @pytest.mark.parametrize("controllers", [["a"], {"a": 3}, None])
 def test_a_damaged_study_is_refused_in_one_line(controllers, tmp_path, capsys):
     (tmp_path / cells.STUDY).write_text(yaml.safe_dump({"controllers": controllers}))
-    said = refused_command(
-        capsys, "soil-env evaluate", lambda given: main(*given), "--resume", tmp_path
-    )
-    assert f"{cells.STUDY}: controllers" in said.err
+    assert f"{cells.STUDY}: controllers" in refusal(capsys, "--resume", tmp_path)
 
 
 def test_tuned_settings_that_are_no_mapping_are_refused():
@@ -314,19 +278,17 @@ def test_tuned_settings_that_are_no_mapping_are_refused():
 
 def test_ray_gives_what_one_process_gives(cluster, everyone, done, tmp_path):
     """The models travel with the cells."""
-    command = [f"--controllers={everyone}", FIXED, *SHORT, "--engine=ray"]
-    ended = started(*command, f"--out={tmp_path}", f"--address={cluster.address}")
+    asked = [f"--controllers={everyone}", FIXED, *SHORT, "--engine=ray", f"--out={tmp_path}"]
+    command = [sys.executable, "-m", "soil_env.cli", "evaluate", *asked]
+    ended = subprocess.run(
+        [*command, f"--address={cluster.address}"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert ended.returncode == 0, ended.stderr[-2000:]
     same(tmp_path, done)
-
-
-RAMP = """
-import numpy as np
-
-class Ramp:
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        return np.full((len(observation), 1), {}), state
-"""
 
 
 BOUNDED = """
@@ -347,14 +309,14 @@ class Bounded:
 
 def test_an_edited_class_or_study_is_driven_again(capsys, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
-    module = tmp_path / "ramp_of_a_test.py"
-    module.write_text(RAMP.format(0.1))
+    module = tmp_path / "driver_of_a_test.py"
+    module.write_text(BOUNDED)
     out = tmp_path / "out"
-    asked = [*SHORT, "--controllers=mine=ramp_of_a_test:Ramp,soft_start", f"--out={out}"]
+    asked = [*SHORT, "--controllers=mine=driver_of_a_test:Bounded,soft_start", f"--out={out}"]
     assert main(*asked) == 0
     rule, mine = (out / "cells" / f"{n}-0-0.json" for n in ("soft_start", "mine"))
     before = [p.stat().st_mtime_ns for p in (rule, mine)]
-    module.write_text(RAMP.format(0.9) + "\n")
+    module.write_text(BOUNDED + "\n# edited\n")
     assert main(*asked) == 0 and "done again" in capsys.readouterr().out
     after = [p.stat().st_mtime_ns for p in (rule, mine)]
     assert after[0] == before[0] and after[1] > before[1]
@@ -370,8 +332,8 @@ def test_a_model_that_has_changed_is_refused_and_other_code_drives_again(capsys,
     shutil.copy(models / "seed_0" / "model.zip", mine)
     assert evaluate(out, f"ppo={mine}", "--courses=2") == 0
     shutil.copy(models / "seed_1" / "model.zip", mine)
-    assert main("--resume", str(out)) == 2
-    assert "the model has changed since the study began" in capsys.readouterr().err
+    changed = "the model has changed since the study began"
+    assert changed in refusal(capsys, "--resume", out)
     shutil.copy(models / "seed_0" / "model.zip", mine)
     text = (out / "study.yaml").read_text()
     assert f"version: {cells.code_version()}\n" in text
@@ -412,134 +374,97 @@ def test_what_other_code_or_another_class_tuned_is_tuned_again(tmp_path, monkeyp
     assert tuned(study) == ["bounded_of_a_test:Bounded"]
 
 
-def test_classes_of_one_name_are_not_tuned_together(tmp_path, monkeypatch, capsys):
-    monkeypatch.syspath_prepend(str(tmp_path))
-    (tmp_path / "pair_of_a_test.py").write_text(BOUNDED + "\n\nclass Other(Bounded):\n    pass\n")
-    controllers = "mine=pair_of_a_test:Bounded,mine=pair_of_a_test:Other"
-    assert evaluate(tmp_path / "out", controllers, "--tuning-courses=2", "--courses=2") == 2
-    assert "'mine': 2 classes to tune: expected a name for each" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
+REFUSED = {  # controllers: parts of the message
+    "fixd_slip": "'fixd_slip' ... did you mean 'fixed_slip'?",
+    "missing.zip": "missing.zip ... No such file",
+    __file__: "test_evaluate.py: no trained agent: expected a run folder ... a controller",
+    "{models}/seed_*": "2 models ... NAME=",
+    "{models}/seed_0,{models}/seed_0": "'seed_0' twice",
+    "a={models}/seed_0,a={models}/seed_*": "'a': {models}/seed_0/model.zip twice",
+    "oracle": "--oracle-courses N",
+    f"{DRIVERS}:Halve": "'Halve' ... did you mean 'Half'?",
+    f"{DRIVERS}:NoPredict": "no method predict",
+    f"{DRIVERS}:WrongShape": "drivers:WrongShape ... of shape [3]: expected [3, 1]",
+    f"{DRIVERS}:Complex": "an action that is no number: expected shape",
+    f"{DRIVERS}:Alone": "predict gave one value: expected (action, state)",
+    f"{DRIVERS}:OneNaN": "predict gave nan for wheel 1: expected finite numbers",
+    f"{DRIVERS}:OtherVariant": "'blnd' ... blind, identified, true_soil",
+    f"{DRIVERS}:Raises": "OSError: no such device ... drivers.py line",
+    f"{DRIVERS}:Exits": "drivers:Exits: predict failed (SystemExit ... drivers.py line",
+    f"{DRIVERS}:ExitsWhenMade": "cannot be made (SystemExit: no licence",
+}
+REFUSED_OPTIONS = {
+    "--oracle-courses=9": "--oracle-courses = 9",
+    "--settings.full_throttle.slip=0.1": "full_throttle has no settings",
+    "--changes.course.lenght=2": "lenght ... did you mean 'length'?",
+    "--settings=3": "--settings: expected --settings.KEY VALUE",
+    "--model=": "model = '': expected the path of a model.yaml",
+    "--tuning-courses=2 --seed=1000001": "--seed 1000001 ... tuned on",
+    f"--tuning-courses=2 --controllers=mine={RULES}:SoftStart,mine={RULES}:FixedSlip": (
+        "'mine': 2 classes to tune: expected a name for each"
+    ),
+    "--resume={models}": "takes only the engine",
+    "--controler=fixed_slip": "unknown option --controler; did you mean '--controllers'?",
+}
 
 
 @pytest.mark.parametrize(
-    "arguments, parts",
+    "options, said",
     [
-        (["--controllers=fixd_slip"], ("'fixd_slip'", "did you mean 'fixed_slip'?")),
-        (["--controllers=missing.zip"], ("missing.zip", "No such file")),
-        (
-            [f"--controllers={__file__}"],
-            ("test_evaluate.py: no trained agent: expected a run folder", "a controller"),
-        ),
-        (["--controllers={models}/seed_*"], ("2 models", "NAME=")),
-        (["--controllers={models}/seed_0,{models}/seed_0"], ("'seed_0' twice",)),
-        ([f"--controllers={DRIVERS}:Halve"], ("'Halve'", "did you mean 'Half'?")),
-        ([f"--controllers={DRIVERS}:NoPredict"], ("no method predict",)),
-        (
-            [f"--controllers={DRIVERS}:WrongShape"],
-            (f"{DRIVERS}:WrongShape", "of shape [3]: expected [3, 1]"),
-        ),
-        ([f"--controllers={DRIVERS}:Complex"], ("an action that is no number: expected shape",)),
-        ([f"--controllers={DRIVERS}:Alone"], ("predict gave one value: expected (action, state)",)),
-        (
-            [f"--controllers={DRIVERS}:OneNaN"],
-            ("predict gave nan for wheel 1: expected finite numbers",),
-        ),
-        ([f"--controllers={DRIVERS}:WrongCall"], ("predict failed (ValueError", "drivers.py line")),
-        ([f"--controllers={DRIVERS}:OtherVariant"], ("'blnd'", "blind, identified, true_soil")),
-        ([f"--controllers={DRIVERS}:Raises"], ("OSError: no such device", "drivers.py line")),
-        (
-            [f"--controllers={DRIVERS}:Exits"],
-            (f"{DRIVERS}:Exits: predict failed (SystemExit", "drivers.py line"),
-        ),
-        ([f"--controllers={DRIVERS}:ExitsWhenMade"], ("cannot be made (SystemExit: no licence",)),
-        (
-            ["--controllers=a={models}/seed_0,a={models}/seed_*"],
-            ("'a': {models}/seed_0/model.zip twice",),
-        ),
-        (["--controllers=oracle"], ("--oracle-courses N",)),
-        (["--oracle-courses=9"], ("--oracle-courses = 9",)),
-        (
-            ["--settings.full_throttle.slip=0.1", "--controllers=full_throttle"],
-            ("full_throttle has no settings",),
-        ),
-        (["--changes.course.lenght=2"], ("lenght", "did you mean 'length'?")),
-        (["--settings=3"], ("--settings: expected --settings.KEY VALUE",)),
-        (["--model="], ("model = '': expected the path of a model.yaml",)),
-        (["--tuning-courses=2", "--seed=1000001"], ("--seed 1000001", "tuned on")),
-        (["--resume={models}"], ("takes only the engine",)),
+        *((f"--controllers={name}", said) for name, said in REFUSED.items()),
+        *REFUSED_OPTIONS.items(),
+        ("", "expected --controllers and --out"),
     ],
 )
 def test_bad_input_is_refused_in_one_line_and_nothing_is_written(
-    capsys, tmp_path, models, arguments, parts
+    capsys, tmp_path, models, options, said
 ):
-    arguments = [a.format(models=models) for a in arguments]
-    given = {a.split("=")[0] for a in arguments}
-    usual = (*SHORT, "--controllers=full_throttle", f"--out={tmp_path / 'out'}")
-    assert main(*(a for a in usual if a.split("=")[0] not in given), *arguments) == 2
-    error = capsys.readouterr().err
-    assert (
-        error.startswith("soil-env evaluate: error: ")
-        and error.count("\n") == 1
-        and len(error) < 700
-    )
-    for part in parts:
-        assert part.format(models=models) in error
+    more = options.format(models=models).split()
+    if options and "--control" not in options:
+        more.append("--controllers=full_throttle")
+    given = [option for option in SHORT if option.split("=")[0] not in options]
+    error = refusal(capsys, *given, *more, f"--out={tmp_path / 'out'}")
+    assert len(error) < 700
+    assert all(part in error for part in said.format(models=models).split(" ... ")), error
     assert not list(tmp_path.iterdir())
 
 
-def test_a_glob_finds_each_model_once_and_no_other_files(tmp_path):
-    (tmp_path / "run" / "comparison").mkdir(parents=True)
-    for name in ("model.zip", "config.yaml", "comparison/evaluation.json"):
-        (tmp_path / "run" / name).touch()
-    for pattern in ("**", "run/*"):
+def test_a_glob_finds_models_once_and_names_runs_whose_training_is_not_done(capsys, tmp_path):
+    for run in ("done/comparison", "killed"):
+        (tmp_path / run).mkdir(parents=True)
+    for name in ("killed/config.yaml", "done/config.yaml", "done/comparison/evaluation.json"):
+        (tmp_path / name).touch()
+    model = tmp_path / "done" / "model.zip"
+    model.touch()
+    killed = f"left out {tmp_path / 'killed'}: training is not done."
+    for pattern, ends in (("*", killed), ("**", killed), ("*/model.zip", killed), ("done/*", "")):
         (found,) = parse(f"a={tmp_path}/{pattern}").values()
-        assert found.source == str(tmp_path / "run" / "model.zip")
-
-
-def test_a_glob_names_the_run_folders_whose_training_is_not_done(capsys, tmp_path):
-    for run in ("done", "killed"):
-        (tmp_path / run).mkdir()
-        (tmp_path / run / "config.yaml").touch()
-    (tmp_path / "done" / "model.zip").touch()
-    for pattern in ("*", "**", "*/model.zip"):
-        (found,) = parse(f"a={tmp_path}/{pattern}").values()
-        assert found.source == str(tmp_path / "done" / "model.zip")
+        assert found.source == str(model)
         said = " ".join(capsys.readouterr().out.split())
-        assert said.endswith(f"left out {tmp_path / 'killed'}: training is not done.")
-    with pytest.raises(ParameterError, match="no model matches; .*killed: training is not done"):
-        parse(f"a={tmp_path}/k*")
+        assert said.endswith(ends) and bool(said) == bool(ends)
+    refused(lambda: parse(f"a={tmp_path}/k*"), "no model matches; ", "killed: training is not done")
 
 
 def test_a_controller_that_fails_on_the_way_is_named(capsys, tmp_path):
-    assert evaluate(tmp_path / "out", f"full_throttle,mine={DRIVERS}:LateNaN") == 2
+    """What was done before is kept; where nothing was, nothing is left."""
+    out = tmp_path / "out"
+    late = f"mine={DRIVERS}:LateNaN"
+    assert evaluate(out, f"full_throttle,{late}") == 2
     error = capsys.readouterr().err
-    assert (
-        error.count("\n") == 1 and "action nan in step 3" in error and f"{DRIVERS}:LateNaN" in error
-    )
-    assert len(list((tmp_path / "out" / "cells").iterdir())) == 1  # what was done before is kept
-    resume = f"soil-env evaluate --resume {tmp_path / 'out'} --allow-code"
+    assert error.count("\n") == 1 and "action nan in step 3" in error and late[5:] in error
+    assert len(list((out / "cells").iterdir())) == 1
+    resume = f"soil-env evaluate --resume {out} --allow-code"
     assert error.endswith(f"keeps what is done; once that is mended go on with: {resume}\n")
-
-
-def test_a_controller_that_fails_before_anything_is_done_leaves_nothing(capsys, tmp_path):
     (tmp_path / "empty").mkdir()
     for name in ("new", "empty"):
-        assert evaluate(tmp_path / name, f"mine={DRIVERS}:LateNaN") == 2
+        assert evaluate(tmp_path / name, late) == 2
         assert "keeps" not in capsys.readouterr().err
-    assert [str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*")] == ["empty"]
-
-
-def test_a_misspelt_option_is_named_before_one_that_is_missing(capsys, tmp_path):
-    assert main("--controler=full_throttle", f"--out={tmp_path / 'out'}") == 2
-    error = capsys.readouterr().err
-    assert "unknown option --controler; did you mean '--controllers'?" in error
-    assert main(f"--out={tmp_path / 'out'}") == 2
-    assert "expected --controllers and --out" in capsys.readouterr().err
+    assert {p.name for p in tmp_path.iterdir()} == {"out", "empty"}
+    assert not list((tmp_path / "empty").iterdir())
 
 
 TASK = load_scenario("mixed", {"control": {"time_limit": 25.0, "action": "torque"}})
 SEED = 12345
-FIELDS = [f for f in Runs.__dataclass_fields__ if f != "more"]
 
 
 @pytest.mark.parametrize(
@@ -550,6 +475,7 @@ def test_runs_equal_a_loop_over_one_wheel(name):
         name, TASK, **({"slip": 0.45, "start": 0.15} if name == "fixed_slip" else {})
     )
     got = run_courses(controller, TASK, SEED, 6, detailed=True)
+    every = vars(got) | {name: got.metric(name) for name in got.names}
     pulled = 0
     for course in range(6):
         sim = Simulation(1, TASK, controller.variant, threads=1)
@@ -565,51 +491,38 @@ def test_runs_equal_a_loop_over_one_wheel(name):
             )
             sim.step(0, float(action[0, 0]))
             returns += float(w.terms[0].sum())
-            s = sim.wheel(0)
-            rows.append(
-                [
-                    s[k]
-                    for k in (
-                        "motor_work",
-                        "sinkage",
-                        "best_x",
-                        "x",
-                        "slip",
-                        "halt_left",
-                        "drawbar_pull",
-                        "travel",
-                    )
-                ]
-            )
-        work, sinkage, furthest, x, slip, halt, pull, travel = np.array(rows).T
+            rows.append(w.state[0].copy())
+        seen = np.array(rows)
+        work = seen["motor_work"]
+        pull = seen["drawbar_pull"]
+        furthest = seen["best_x"].max()
         # furthest within a period, from which a braked wheel may roll back by its end
-        assert 0.0 <= furthest.max() - max(x.max(), 0.0) < 1e-3
+        assert 0.0 <= furthest - max(seen["x"].max(), 0.0) < 1e-3
         assert got.cause[course] == w.cause[0]
-        one = {field: getattr(got, field)[course] for field in FIELDS} | {
-            n: got.metric(n)[course] for n in got.names
-        }
-        under_way = halt == 0.0
-        pulls = (halt == 0.0) & (pull > 0.0) & (work > 0.0)
+        under_way = seen["halt_left"] == 0.0
+        pulls = under_way & (pull > 0.0) & (work > 0.0)
         expected = {
             "time": 0.1 * len(rows),
-            "distance": max(furthest.max(), 0.0),
+            "distance": max(furthest, 0.0),
             "energy": np.maximum(work, 0.0).sum(),
             "return": returns,
-            "sinkage": 1000.0 * sinkage.mean(),
-            "slip": slip[under_way].mean(),
+            "sinkage": 1000.0 * seen["sinkage"].mean(),
+            "slip": seen["slip"][under_way].mean(),
         }
         expected["speed"] = expected["distance"] / expected["time"]
         expected["energy_per_metre"] = expected["energy"] / max(expected["distance"], 0.1)
-        for metric, series in (("slip", slip), ("sinkage", 1000.0 * sinkage)):
-            expected |= {
-                f"{metric}_p{q}": np.quantile(series[under_way], q / 100) for q in (50, 95)
-            }
-        assert {key: one[key] for key in expected} == pytest.approx(expected, rel=1e-9)
-        efficiency = one["tractive_efficiency"]  # NaN where the wheel rolls downhill all the way
+        for metric, unit in (("slip", 1.0), ("sinkage", 1000.0)):
+            for q in (50, 95):
+                seen_there = unit * seen[metric][under_way]
+                expected[f"{metric}_p{q}"] = np.quantile(seen_there, q / 100)
+        found = {key: every[key][course] for key in expected}
+        assert found == pytest.approx(expected, rel=1e-9)
+        efficiency = every["tractive_efficiency"][
+            course
+        ]  # NaN where the wheel rolls downhill all the way
         if pulls.any():
-            assert efficiency == pytest.approx(
-                np.maximum(pull * travel, 0.0)[pulls].sum() / work[pulls].sum()
-            )
+            useful = np.maximum(pull * seen["travel"], 0.0)[pulls]
+            assert efficiency == pytest.approx(useful.sum() / work[pulls].sum())
             assert 0.0 < efficiency < 1.0
         assert np.isfinite(efficiency) == pulls.any()
         pulled += pulls.any()

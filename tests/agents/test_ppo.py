@@ -5,6 +5,7 @@ refused.
 import json
 import zipfile
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,17 +16,12 @@ from stable_baselines3.common.callbacks import ConvertCallback
 from soil_env.parameters import load_rover, load_scenario
 from soil_env.simulation.task import layout
 from soil_env_agents.agent import INFO, load_agent, read_info
-from soil_env_agents.config import PPOConfig
 from soil_env_agents.evaluate.models import load_model
 from soil_env_agents.ppo import Schedules, build, resume, save
 from soil_env_agents.sb3 import SoilWheelVecEnv
 from tests.agents.drivers import observations
+from tests.agents.learnt import ROLLOUT, TINY, learnt
 from tests.refusals import refused
-
-TINY = PPOConfig(
-    num_envs=8, n_steps=16, batch_size=32, n_epochs=2, layer=8, learning_rate=1e-3, history=0
-)
-ROLLOUT = TINY.num_envs * TINY.n_steps
 
 
 @pytest.fixture(scope="module")
@@ -35,9 +31,7 @@ def scenario():
 
 @pytest.fixture(scope="module")
 def model(scenario):
-    model = build(scenario, "identified", TINY, 0)
-    model.learn(3 * ROLLOUT)
-    return model
+    return learnt(scenario, steps=3 * ROLLOUT)
 
 
 @pytest.fixture()
@@ -58,17 +52,15 @@ def test_resume_goes_on_with_weights_optimizer_normalisation_and_learning_rate(
     saved, model, scenario
 ):
     again = resume(saved, scenario, "identified", TINY, 0, None)
-    env = again.get_vec_normalize_env()
-    old = model.get_vec_normalize_env()
     assert again.num_timesteps == 3 * ROLLOUT
-    for mine, theirs in ((env.obs_rms, old.obs_rms), (env.ret_rms, old.ret_rms)):
+    for moments in ("obs_rms", "ret_rms"):
+        mine, theirs = (getattr(m.get_vec_normalize_env(), moments) for m in (again, model))
         for name in ("mean", "var", "count"):
             np.testing.assert_allclose(getattr(mine, name), getattr(theirs, name))
-    torch.testing.assert_close(
-        again.policy.state_dict(), model.policy.state_dict(), rtol=0.0, atol=0.0
+    mine, theirs = (
+        (m.policy.state_dict(), m.policy.optimizer.state_dict()["state"]) for m in (again, model)
     )
-    mine, theirs = (m.policy.optimizer.state_dict()["state"] for m in (again, model))
-    assert mine
+    assert mine[1]
     torch.testing.assert_close(mine, theirs, rtol=0.0, atol=0.0)
     rates = []
     update = again.train
@@ -91,9 +83,8 @@ def test_the_exploration_narrows_over_a_training_or_is_learned(scenario, final, 
     model.num_timesteps = ROLLOUT  # as after a student
     watch = ConvertCallback(lambda *_: seen.append(model.policy.log_std.item()) or True)
     model.learn(3 * ROLLOUT, callback=[Schedules(config), watch], reset_num_timesteps=False)
-    assert seen[:: TINY.n_steps] == pytest.approx(
-        [-1.0 - falls * k / 4 for k in (1, 2, 3)], abs=0.0 if falls else 0.1
-    )
+    expected = [-1.0 - falls * k / 4 for k in (1, 2, 3)]
+    assert seen[:: TINY.n_steps] == pytest.approx(expected, abs=0.0 if falls else 0.1)
     assert len(set(seen)) == 3 and model.policy.log_std.requires_grad == (final is None)
 
 
@@ -106,30 +97,28 @@ def test_resume_starts_new_courses_with_new_noise(saved, scenario):
         model.learn(0, reset_num_timesteps=False)
         seen = model.get_vec_normalize_env().get_original_obs()
         x = np.zeros_like(seen)
-        noise = model.predict(x, deterministic=False)[0] - model.predict(x, deterministic=True)[0]
-        return seen, noise
+        return seen, model.predict(x)[0] - model.predict(x, deterministic=True)[0]
 
-    start = first(build(scenario, "identified", TINY, 0))
-    again, repeat = (first(resume(saved, scenario, "identified", TINY, 0, None)) for _ in range(2))
-    np.testing.assert_array_equal(again[0], repeat[0])
-    np.testing.assert_array_equal(again[1], repeat[1])
-    assert np.abs(start[0][:, None] - again[0][None]).max(axis=2).min() > 1e-3
-    assert np.abs(start[1] - again[1]).max() > 1e-3
+    of = (scenario, "identified", TINY, 0)
+    seen, noise = first(build(*of))
+    (later, other), repeat = (first(resume(saved, *of, None)) for _ in range(2))
+    np.testing.assert_array_equal(later, repeat[0])
+    np.testing.assert_array_equal(other, repeat[1])
+    assert np.abs(seen[:, None] - later).max(axis=2).min() > 1e-3
+    assert np.abs(noise - other).max() > 1e-3
 
 
-@pytest.mark.parametrize("key, asked", [("layer", 16), ("history", 2), ("activation", "tanh")])
-def test_resume_refuses_another_network_or_observation(saved, scenario, key, asked):
-    refused(
-        lambda: resume(saved, scenario, "blind", TINY, 0, None),
-        "observation 'identified', not 'blind'",
-    )
-    config = replace(TINY, **{key: asked})
-    refused(
-        lambda: resume(saved, scenario, "identified", config, 0, None),
-        f"{key} {getattr(TINY, key)!r}, not",
-    )
+def test_resume_refuses_another_network_or_observation(saved, scenario):
     other = load_scenario("two_lines")
-    refused(lambda: resume(saved, other, "identified", TINY, 0, None), "another observation layout")
+    for task, variant, changes, said in (
+        (scenario, "blind", {}, "observation 'identified', not 'blind'"),
+        (scenario, "identified", {"layer": 16}, "layer 8, not"),
+        (scenario, "identified", {"history": 2}, "history 0, not"),
+        (scenario, "identified", {"activation": "tanh"}, "activation 'relu', not"),
+        (other, "identified", {}, "another observation layout"),
+    ):
+        config = replace(TINY, **changes)
+        refused(partial(resume, saved, task, variant, config, 0, None), said)
 
 
 def edit(path, **changes):
@@ -153,21 +142,21 @@ def test_another_layout_is_refused_and_the_difference_named(saved):
 
 
 @pytest.mark.parametrize(
-    "key, value",
+    "key, value, said",
     [
-        ("mean", [0.0] * 5),
-        ("var", [-1.0] * 22),
-        ("clip", "ten"),
-        ("observation", "identifed"),
-        ("timesteps", 1.5),
-        ("scenario", {"course": {"lenght": 3}}),
-        ("ppo", {"layers": 3}),
-        ("new", 3),
+        ("mean", [0.0] * 5, "mean"),
+        ("var", [-1.0] * 22, "var"),
+        ("clip", "ten", "clip"),
+        ("observation", "identifed", "observation"),
+        ("timesteps", 1.5, "timesteps"),
+        ("scenario", {"course": {"lenght": 3}}, "lenght"),
+        ("ppo", {"layers": 3}, "layers"),
+        ("new", 3, "new"),
     ],
 )
-def test_a_description_with_a_wrong_entry(saved, key, value):
+def test_a_description_with_a_wrong_entry(saved, key, value, said):
     edit(saved, **{key: value})
-    refused(lambda: read_info(saved), "model.zip", INFO, "lenght" if key == "scenario" else key)
+    refused(lambda: read_info(saved), "model.zip", INFO, said)
 
 
 def test_an_agent_of_a_rover_does_not_drive_a_wheel(tmp_path, scenario):
@@ -184,31 +173,27 @@ def test_an_argument_that_predict_cannot_take_is_named(tmp_path, scenario, steps
     save(build(scenario, "blind", replace(TINY, history=steps), 0), tmp_path / "model.zip")
     agent = load_model(tmp_path / "model.zip", scenario)
     rows = np.tile(observations(scenario, "blind", 1), (3, 1))
+    _, state = agent.predict(rows, None, np.ones(3, dtype=bool))
+    assert agent.predict(rows, state, [False] * 3)[0].shape == (3, 1)
     nan = rows.copy()
     beyond = rows.copy()
     nan[1, 3] = np.nan
     beyond[2, 10] = 1.5
-    for given, said in (
-        ((nan,), "observation[1]: load = nan: expected -10 to 10 (of weight)"),
-        ((beyond,), "observation[2]: halted = 1.5: expected 0 to 1"),
-        (("xyz",), "observation = 'xyz': expected numbers"),
-        ((np.zeros((3, 24)),), "expected 14 numbers, those of observation 'blind'"),
-        ((rows, None, [True]), "episode_start: 1 values: expected 3"),
-    ):
-        refused(lambda given=given: agent.predict(*given), said)
-    _, state = agent.predict(rows, None, np.ones(3, dtype=bool))
-    assert agent.predict(rows, state, [False] * 3)[0].shape == (3, 1)
+    wrong = [
+        (nan, None, None, "observation[1]: load = nan: expected -10 to 10 (of weight)"),
+        (beyond, None, None, "observation[2]: halted = 1.5: expected 0 to 1"),
+        ("xyz", None, None, "observation = 'xyz': expected numbers"),
+        (np.zeros((3, 24)), None, None, "expected 14 numbers, those of observation 'blind'"),
+        (rows, None, [True], "episode_start: 1 values: expected 3"),
+    ]
     if steps:
-        refused(
-            lambda: agent.predict(rows[:2], state),
-            "state: an array of shape",
-            "expected what the last predict",
-        )
-        refused(lambda: agent.predict(rows, "x"), "state = 'x': expected")
-        refused(
-            lambda: agent.predict(rows, np.full_like(state, np.nan)),
-            "state: a number that is not finite",
-        )
+        wrong += [
+            (rows[:2], state, None, "state: an array of shape"),
+            (rows, "x", None, "state = 'x': expected"),
+            (rows, np.full_like(state, np.nan), None, "state: a number that is not finite"),
+        ]
+    for *given, said in wrong:
+        refused(partial(agent.predict, *given), said)
 
 
 def small(algorithm, env):
@@ -217,17 +202,8 @@ def small(algorithm, env):
 
 
 @pytest.mark.parametrize("scaled", [True, False])
-@pytest.mark.parametrize(
-    "algorithm, variant",
-    [
-        (PPO, "blind"),
-        (PPO, "true_soil"),
-        (A2C, "blind"),
-        (SAC, "blind"),
-        (TD3, "blind"),
-        (DDPG, "blind"),
-    ],
-)
+@pytest.mark.parametrize("variant", ["blind", "true_soil"])
+@pytest.mark.parametrize("algorithm", [PPO, A2C, SAC, TD3, DDPG])
 def test_a_plain_model_acts_as_before(tmp_path, scenario, algorithm, variant, scaled):
     env = SoilWheelVecEnv(2, scenario, variant, scaled=scaled)
     model = small(algorithm, env)

@@ -7,7 +7,6 @@ import json
 import numpy as np
 import pytest
 
-from soil_env import ParameterError
 from soil_env.cli import main
 from soil_env.parameters import load_rover
 from soil_env.simulation.rover.task import rover_layout
@@ -15,17 +14,16 @@ from soil_env_agents import comparison, training
 from soil_env_agents.config import TrainConfig
 from soil_env_agents.controllers.rover import ROVER_CONTROLLERS, make_rover_controller
 from soil_env_agents.evaluate.driving import METRICS, OF_ROVERS, run_courses
+from tests.agents.test_train import TINY
+from tests.refusals import refused
 
+AXLES = ("front", "middle", "rear")
 SHORT = {"course": {"length": 3.0}, "control": {"time_limit": 20.0}}
 
 
-def observed(variant, axles, **changes):
-    """One observation in units, of 0 but for `changes`."""
-    names = [e.name for e in rover_layout(variant, axles)]
-    out = np.zeros(len(names))
-    for name, value in changes.items():
-        out[names.index(name)] = value
-    return out
+def observed(variant, **values):
+    """One observation in units, of 0 but for `values`, of a rover with three axles."""
+    return np.array([values.get(entry.name, 0.0) for entry in rover_layout(variant, 3)])
 
 
 @pytest.fixture(scope="module")
@@ -45,26 +43,19 @@ def test_every_controller_drives_every_rover(name):
 def test_a_wheel_that_slips_is_slowed_down_alone(scenario):
     """The limiter asks less of the rear wheel, whose slip is over its limit, than of the others."""
     controller = make_rover_controller("slip_limiter", scenario, slip=0.3, acceleration=1.0)
-    even = {
-        f"{axle}_{name}": 0.5
-        for axle in ("front", "middle", "rear")
-        for name in ("rim_speed", "rim_command")
-    }
+    even = {f"{axle}_{name}": 0.5 for axle in AXLES for name in ("rim_speed", "rim_command")}
+    slips = {"front_slip": 0.1, "middle_slip": 0.1, "rear_slip": 0.7}
+    seen = observed("blind", **even, **slips)[None]
     state = None
-    fresh = np.array([True])
-    for _ in range(5):
-        slips = {"front_slip": 0.1, "middle_slip": 0.1, "rear_slip": 0.7}
-        action, state = controller.predict(
-            observed("blind", 3, **even, **slips)[None], state, fresh
-        )
-        fresh = np.array([False])
+    for step in range(5):
+        action, state = controller.predict(seen, state, np.array([step == 0]))
     assert action[0, 2] < action[0, 0] == action[0, 1]
 
 
 def test_torques_go_by_the_loads(scenario):
     controller = make_rover_controller("torque_by_load", scenario)
     loads = {"front_load": 0.5, "middle_load": 1.0, "rear_load": 2.0}
-    action, _ = controller.predict(observed("blind", 3, **loads))
+    action, _ = controller.predict(observed("blind", **loads))
     assert action / action[0] == pytest.approx(np.array([1.0, 2.0, 4.0]))
 
 
@@ -74,14 +65,10 @@ def test_velocity_is_synchronised_with_the_turning_body(scenario):
     """
     controller = make_rover_controller("velocity_sync", scenario, acceleration=10.0)
     state = None
-    fresh = np.array([True])
-    pitch = -1.0
-    for _ in range(41):
+    for step in range(41):
         before = state
-        seen = observed("blind", 3, speed=0.3, pitch=pitch)[None]
-        _, state = controller.predict(seen, before, fresh)
-        fresh = np.array([False])
-        pitch = pitch + 0.05
+        seen = observed("blind", speed=0.3, pitch=0.05 * step - 1.0)[None]
+        _, state = controller.predict(seen, before, np.array([step == 0]))
     wheels = seen[:, controller._columns].reshape(3, -1)
     rims = controller.rim_speeds(seen, wheels, dict(before))
     rate = 0.05 / controller.own.period
@@ -105,9 +92,9 @@ def test_best_slip_reads_the_soil_under_each_wheel(scenario):
         "log10_shear_modulus": -2.3,
         "load": 1.0,
     }
-    known = {f"{axle}_{k}": v for axle in ("front", "middle", "rear") for k, v in soil.items()}
-    seen = observed("true_soil", 3, **known | {"rear_log10_shear_modulus": -1.5})[None]
-    _, state = controller.predict(seen, None, np.array([True]))
+    known = {f"{axle}_{k}": v for axle in AXLES for k, v in soil.items()}
+    seen = observed("true_soil", **known | {"rear_log10_shear_modulus": -1.5})[None]
+    _, state = controller.predict(seen)
     assert state["slip"][2] > state["slip"][0] == state["slip"][1]
 
 
@@ -115,55 +102,18 @@ def test_energy_is_of_both_sides(scenario):
     """Work of the motors over distance, less slip, is that of the climb and of motion resistance of
     the whole rover.
     """
-    easy = load_rover(
-        "mars_rover",
-        SHORT
-        | {
-            "course": {
-                "length": 6.0,
-                "grade_deg": [8.0, 8.0],
-                "first_grade_deg": [8.0, 8.0],
-                "least_pull": 0.24,
-            }
-        },
-    )
+    slope = {"grade_deg": [8.0, 8.0], "first_grade_deg": [8.0, 8.0]}
+    course = {"length": 6.0, "least_pull": 0.24, **slope}
+    easy = load_rover("mars_rover", SHORT | {"course": course})
     runs = run_courses(make_rover_controller("soft_start", easy), easy, 5, 4)
     climb = 899.0 * 3.71 * np.sin(np.radians(8.0))
     work = runs.metric("energy_per_metre") * (1.0 - runs.slip)
     assert np.all(work > 1.5 * climb) and np.all(work < 3.0 * climb)
 
 
-SMALL = [
-    "--timesteps",
-    "512",
-    "--courses",
-    "6",
-    "--tuning_courses",
-    "2",
-    "--changes.course.length",
-    "2",
-    "--changes.control.time_limit",
-    "10",
-    "--ppo.num_envs",
-    "8",
-    "--ppo.n_steps",
-    "32",
-    "--ppo.batch_size",
-    "64",
-    "--ppo.n_epochs",
-    "1",
-    "--ppo.layer",
-    "8",
-]
-
-
 def test_train_writes_the_comparison(tmp_path):
-    assert (
-        main(
-            ["train", "--config", "rover.yaml", "--name", "small", "--runs", str(tmp_path), *SMALL]
-        )
-        == 0
-    )
+    asked = ["--config=rover.yaml", "--name=small", f"--runs={tmp_path}", *TINY]
+    assert main(["train", *asked]) == 0
     result = json.loads((tmp_path / "small" / comparison.DONE).read_text())
     assert set(result["controllers"]) == {*ROVER_CONTROLLERS, "agent_identified"}
     for metrics in result["controllers"].values():
@@ -172,19 +122,8 @@ def test_train_writes_the_comparison(tmp_path):
     assert main(["train", "--resume", str(tmp_path / "small")]) == 0
 
 
-@pytest.mark.parametrize("given", [["--oracle_courses", "50"], ["--scenario", "two_lines"]])
-def test_what_only_a_wheel_has_is_refused(given, tmp_path, capsys):
-    """Also where it is what a wheel has by default."""
-    assert main(["train", "--config", "rover.yaml", "--runs", str(tmp_path), *given, *SMALL]) == 2
-    said = capsys.readouterr().err
-    assert f"{given[0][2:]} = " in said
-    assert "expected none beside rover = 'mars_rover'" in said and not list(tmp_path.iterdir())
-
-
 def test_a_training_without_identification_is_refused_before_it_begins():
     """A controller that the agent is compared with reads the identified soil."""
-    config = TrainConfig(
-        observation="blind", changes={"belief": {"method": "none"}}, rover="mars_rover"
-    )
-    with pytest.raises(ParameterError, match="best_slip_identified"):
-        training.scenario_of(config)
+    changes = {"belief": {"method": "none"}}
+    config = TrainConfig(observation="blind", changes=changes, rover="mars_rover")
+    refused(lambda: training.scenario_of(config), "best_slip_identified")

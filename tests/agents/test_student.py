@@ -9,12 +9,10 @@ from stable_baselines3.common.callbacks import ConvertCallback
 
 from soil_env.parameters import load_rover, load_scenario
 from soil_env_agents import ppo, student
-from soil_env_agents.config import PPOConfig
-from soil_env_agents.environment import hidden_worlds, normalised
+from soil_env_agents.environment import SeveralWorlds, hidden_worlds, normalised
 from soil_env_agents.sb3 import SoilRoverVecEnv, SoilWheelVecEnv
 from soil_env_agents.teachers import Teachers
-
-CONFIG = PPOConfig(num_envs=16, n_steps=16, batch_size=64, layer=16, history=2, threads=1)
+from tests.agents.learnt import WITH_ROUTES as CONFIG
 
 
 def test_the_teacher_sees_what_an_environment_with_the_true_soil_observes():
@@ -24,21 +22,19 @@ def test_the_teacher_sees_what_an_environment_with_the_true_soil_observes():
     scenario = load_scenario("two_lines", {"camera": {"border_noise": 0.0}})
     worlds = hidden_worlds(scenario, 2, 0)
     envs = normalised(scenario, "identified", CONFIG, 3, worlds).unwrapped
-    plain = [
-        SoilWheelVecEnv(8, scenario, "true_soil", model=world, scaled=False, threads=1)
-        for world in worlds
-    ]
-    envs.seed(5)
-    envs.reset()
-    for k, env in enumerate(plain):
-        env.seed(5 + 8 * k)
+
+    options = {"scaled": False, "threads": 1}
+    parts = [SoilWheelVecEnv(8, scenario, "true_soil", model=w, **options) for w in worlds]
+    plain = SeveralWorlds(parts)
+    for env in (envs, plain):
+        env.seed(5)
         env.reset()
     rng = np.random.default_rng(0)
     for _ in range(100):
         actions = rng.uniform(-0.2, 0.6, (16, 1)).astype(np.float32)
         envs.step(actions)
-        for part, env, own in zip(envs.parts, plain, np.split(actions, 2), strict=True):
-            np.testing.assert_array_equal(part.true_soil(), env.step(own)[0])
+        true = np.concatenate([part.true_soil() for part in envs.parts])
+        np.testing.assert_array_equal(true, plain.step(actions)[0])
 
 
 def test_returns_are_those_of_courses_that_have_ended():
@@ -82,8 +78,9 @@ def test_a_rover_has_a_student():
     model = ppo.build(rover, "blind", CONFIG, 0)
     env = model.get_env().unwrapped
     plain = SoilRoverVecEnv(16, rover, "true_soil", scaled=False, threads=1)
-    env.seed(5), plain.seed(5)
-    env.reset(), plain.reset()
+    for one in (env, plain):
+        one.seed(5)
+        one.reset()
     for _ in range(20):
         actions = np.full((16, 3), 0.4, dtype=np.float32)
         env.step(actions)

@@ -27,7 +27,7 @@ from soil_env_agents.study.config import Study, read_config
 from soil_env_agents.training import BEGUN, open_run
 from tests.refusals import refused_command
 
-WORLDS = config_dir() / "worlds"
+WORLD = config_dir() / "worlds" / "bulldozing.yaml"
 PPO = {"num_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1, "layer": 4, "threads": 1}
 CONFIG = {
     "changes": {"course": {"length": 2.0}, "control": {"time_limit": 6.0}},
@@ -52,9 +52,9 @@ CONFIG = {
 
 def config(folder, **changes):
     """A small study as a file in `folder`."""
-    shutil.copy(WORLDS / "bulldozing.yaml", folder / "effect.yaml")
+    shutil.copy(WORLD, folder / "effect.yaml")
     path = folder / "study.yaml"
-    path.write_text(yaml.safe_dump({**CONFIG, **changes}, sort_keys=False))
+    path.write_text(yaml.safe_dump(CONFIG | changes, sort_keys=False))
     return path
 
 
@@ -87,16 +87,18 @@ def copied(finished, tmp_path):
 
 
 def test_a_module_that_only_a_file_names_is_not_imported(capsys, tmp_path, copied):
+    """The command line may name it."""
     path = config(tmp_path, arms={"mine": {"controller": "a_module_of_others:Thing"}})
-    out = tmp_path / "new"
-    for given in (["--config", str(path), "--out", str(out)], ["--out", str(copied)]):
-        assert soil_env(["study", *given]) == 2
-        err = capsys.readouterr().err
-        assert "which would be imported and run: expected --allow-code" in err, err
-        assert err.count("\n") == 1 and not out.exists()
+    new = ["--config", path, "--out", tmp_path / "new"]
     named = ["--arms.mine.controller", "a_module_of_others:Thing"]
-    assert soil_env(["study", "--config", str(path), "--out", str(out), *named]) == 2
-    assert "cannot be imported" in capsys.readouterr().err  # the command line may name it
+    run = "which would be imported and run: expected --allow-code"
+    for given, said in (
+        (new, run),
+        (["--out", copied], run),
+        ([*new, *named], "cannot be imported"),
+    ):
+        err = refused_command(capsys, "soil-env study", soil_env, "study", *given).err
+        assert said in err and not (tmp_path / "new").exists()
 
 
 def test_the_shipped_policy_may_stand_among_the_controllers(tmp_path):
@@ -107,16 +109,14 @@ def test_the_shipped_policy_may_stand_among_the_controllers(tmp_path):
 def test_every_arm_is_compared_on_every_scenario(finished):
     result = read(finished)
     assert list(result["scenarios"]) == ["mixed", "elsewhere"] and result["baseline"] == "mine"
+    members = dict.fromkeys(("full_throttle", "soft_start", *CONFIG["arms"]), 1)
+    members |= {"identified": 2, "true_soil": 2}
     for name, entry in result["scenarios"].items():
-        assert list(entry["controllers"]) == ["full_throttle", "soft_start", *CONFIG["arms"]]
+        assert list(entry["controllers"]) == list(members) and entry["members"] == members
         assert entry["trained_on"] == "mixed" and bool(entry["model"]) == (name == "elsewhere")
-        assert entry["members"] == {
-            a: 2 if a in ("identified", "true_soil") else 1 for a in entry["controllers"]
-        }
-    assert (
-        result["settings"]["mixed-soft_start-0"].keys() == CONTROLLERS["soft_start"].bounds.keys()
-    )
-    assert result["settings"]["mixed-given-0"] == {"speed": 0.2}
+    settings = result["settings"]
+    assert settings["mixed-soft_start-0"].keys() == CONTROLLERS["soft_start"].bounds.keys()
+    assert settings["mixed-given-0"] == {"speed": 0.2}
 
 
 def test_arms_are_trained_by_the_config_and_judged_as_they_drive(finished):
@@ -126,7 +126,7 @@ def test_arms_are_trained_by_the_config_and_judged_as_they_drive(finished):
     asked = cells.load_study(Study, finished)
     result = read(finished)
     settings = result["settings"]["mixed-soft_start-0"]
-    seeds = []
+    runs = [finished / "trained" / f"mixed-identified-{k}" for k in (0, 1)]
     for name, target in asked.targets.items():
 
         def drive(controller, target=target):
@@ -135,26 +135,15 @@ def test_arms_are_trained_by_the_config_and_judged_as_they_drive(finished):
             ).returns.mean()
 
         by_seed = {arm: own["return"] for arm, own in result["scenarios"][name]["by_seed"].items()}
-        for k in (0, 1):
-            folder = finished / "trained" / f"mixed-identified-{k}"
-            trained, scenario = open_run(folder)
-            assert (
-                trained.hidden_worlds == 1
-                and trained.ppo.history == 2
-                and scenario.control.time_limit == 6.0
-            )
-            seeds.append(trained.seed)
-            assert by_seed["identified"][k] == pytest.approx(
-                drive(load_model(folder / "model.zip", target.scenario))
-            )
+        agents = [load_model(run / "model.zip", target.scenario) for run in runs]
+        assert by_seed["identified"] == pytest.approx([drive(agent) for agent in agents])
         soft = make_controller("soft_start", target.scenario, **settings)
         assert by_seed["soft_start"] == [pytest.approx(drive(soft))]
         assert by_seed["true_soil"][0] != by_seed["true_soil"][1]
-    assert abs(seeds[0] - seeds[1]) > 65536  # wheel k of a training has seed + k
-    assert (
-        asked.targets["elsewhere"].world.effects
-        == WheelSoilModel.load(WORLDS / "bulldozing.yaml").effects
-    )
+    (first, task), (second, _) = map(open_run, runs)
+    assert (first.hidden_worlds, first.ppo.history, task.control.time_limit) == (1, 2, 6.0)
+    assert abs(first.seed - second.seed) > 65536  # wheel k of a training has seed + k
+    assert asked.targets["elsewhere"].world.effects == WheelSoilModel.load(WORLD).effects
 
 
 @pytest.mark.usefixtures("unrendered")
@@ -176,27 +165,24 @@ def test_lost_cells_are_done_again_and_give_the_same(finished, copied, elsewhere
 
     work.fill(cells.load_study(Study, copied), copied, sent, elsewhere)
     assert (kept.stat().st_mtime_ns == before) != elsewhere
-    assert load_agent(copied / "trained" / "mixed-identified-0").info.observation == "identified"
+    assert load_agent(run).info.observation == "identified"
     assert main(["--out", copied, "--report"]) == 0
     assert (copied / "study.json").read_bytes() == (finished / "study.json").read_bytes()
 
 
 @pytest.mark.usefixtures("unrendered")
 def test_a_study_grows_by_seeds_and_by_nothing_else(finished, copied, tmp_path, capsys):
-    assert "tuning_courses" in refused(
-        capsys, "--config", config(tmp_path, tuning_courses=2), "--out", copied
-    )
-    assert "arms" in refused(
-        capsys, "--config", config(tmp_path), "--out", copied, "--train.timesteps", "100"
-    )
-    assert "option --sedes; did you mean '--seeds'?" in refused(
-        capsys, "--out", copied, "--sedes", "3"
-    )
-    assert "only with --config" in refused(capsys, "--out", copied, "--train.timesteps", "3")
-    assert "holds no study" in refused(
-        capsys, "--config", config(tmp_path), "--out", copied / "cells"
-    )
-    assert "no such folder" in refused(capsys, "--out", tmp_path / "none")
+    longer = ["--train.timesteps", "100"]
+    asked = ["--config", config(tmp_path)]
+    for out, given, said in (
+        (copied, [*asked, "--tuning_courses", "2"], "tuning_courses"),
+        (copied, [*asked, *longer], "arms"),
+        (copied, ["--sedes", "3"], "option --sedes; did you mean '--seeds'?"),
+        (copied, longer, "only with --config"),
+        (copied / "cells", asked, "holds no study"),
+        (tmp_path / "none", [], "no such folder"),
+    ):
+        assert said in refused(capsys, *given, "--out", out)
     study = copied / "study.yaml"
     begun = study.read_text()
     study.write_text(begun.replace("version: 0.1.0+", "version: 0.0.9+"))
@@ -228,43 +214,34 @@ def test_an_arm_is_made_in_its_world(tmp_path):
     effects count.
     """
     term = ResidualTerm("drawbar_pull", -0.04, {"slip": 1.0}, {"slip": [0.1, 0.3]})
-    fitted = WheelSoilModel(
-        ModelWheel(0.15, 0.15), soils()["dry_sand"], {"bulldozing": {"rankine": 1.0}}, (term,)
-    )
+    effects = {"bulldozing": {"rankine": 1.0}}
+    fitted = WheelSoilModel(ModelWheel(0.15, 0.15), soils()["dry_sand"], effects, (term,))
     fitted.save(tmp_path / "found.yaml")
     arms = {"plain": {"world": "none"}, "corrected": {"world": "found"}, "own": {}}
-    changes = {
-        "worlds": {"none": {}, "found": {"model": "found.yaml"}},
-        "scenarios": {"mixed": {"model": "effect.yaml"}},
-    }
-    path = config(tmp_path, controllers=[], arms=arms, seeds=1, **changes)
+    worlds = {"none": {}, "found": {"model": "found.yaml"}}
+    scenarios = {"mixed": {"model": "effect.yaml"}}
+    changes = {"worlds": worlds, "scenarios": scenarios, "controllers": [], "seeds": 1}
+    path = config(tmp_path, arms=arms, **changes)
     assert main(["--config", path, "--out", tmp_path / "out"]) == 0
-    worlds = {
-        name: open_run(tmp_path / "out" / "trained" / f"mixed-{name}-0")[0].world for name in arms
-    }
-    assert worlds["plain"] is None and list(worlds["own"].effects["bulldozing"]) == ["hegedus"]
-    found = worlds["corrected"]
-    assert found.effects == fitted.effects and found.soil is None and found.residual == ()
+    runs = tmp_path / "out" / "trained"
+    plain, found, own = (open_run(runs / f"mixed-{name}-0")[0].world for name in arms)
+    assert plain is None and list(own.effects["bulldozing"]) == ["hegedus"]
+    assert (found.effects, found.soil, found.residual) == (fitted.effects, None, ())
     assert read(tmp_path / "out")["worlds"] == {"none": {}, "found": fitted.effects}
 
 
 def test_a_study_of_a_rover(tmp_path):
-    changes = {"course": {"length": 2.0}, "control": {"time_limit": 8.0}}
-    train = {"timesteps": 128, "ppo": {**PPO, "history": 0}}
-    moon = {"moon": {"rover": "lunar_micro_rover"}}
-    arms = {"blind": {"train": {"observation": "blind"}}}
-    own = {
-        "scenarios": moon,
-        "changes": changes,
-        "train": train,
-        "arms": arms,
-        "controllers": ["torque_by_load"],
-    }
-    assert main(["--config", config(tmp_path, seeds=1, **own), "--out", tmp_path / "out"]) == 0
-    entry = read(tmp_path / "out")["scenarios"]["moon"]
-    assert (
-        list(entry["controllers"]) == ["torque_by_load", "blind"] and "fighting" in entry["metrics"]
+    path = config(
+        tmp_path,
+        seeds=1,
+        scenarios={"moon": {"rover": "lunar_micro_rover"}},
+        arms={"blind": {"train": {"observation": "blind"}}},
+        controllers=["torque_by_load"],
     )
+    assert main(["--config", path, "--out", tmp_path / "out"]) == 0
+    entry = read(tmp_path / "out")["scenarios"]["moon"]
+    assert list(entry["controllers"]) == ["torque_by_load", "blind"]
+    assert "fighting" in entry["metrics"]
     assert "wheel_force" in entry["paired"]["blind"]["torque_by_load"]
 
 
@@ -273,13 +250,13 @@ def test_the_shipped_configs_can_be_read(name):
     study = read_config(config_dir() / name)
     assert study.compared_with in study.arms and len(study.cells()) > 3
     if name == "study.yaml":
-        assert set(CONTROLLERS) < set(study.arms) and study.fed_by("mixed") == ["mixed", "unseen"]
+        assert CONTROLLERS.keys() < study.arms.keys()
+        assert study.fed_by("mixed") == ["mixed", "unseen"]
         mixed, unseen = (study.targets[name] for name in ("mixed", "unseen"))
-        assert unseen.world is not None and not set(mixed.scenario.soils) & set(
-            unseen.scenario.soils
-        )
+        assert unseen.world is not None
+        assert not mixed.scenario.soils.keys() & unseen.scenario.soils.keys()
     if name == "study_rover.yaml":
-        assert set(ROVER_CONTROLLERS) < set(study.arms)
+        assert ROVER_CONTROLLERS.keys() < study.arms.keys()
 
 
 @pytest.mark.parametrize(
@@ -314,17 +291,14 @@ def test_a_bad_config_is_refused_in_one_line(tmp_path, capsys, changes, said):
     assert not out.exists()
 
 
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
+def test_bad_worlds_are_refused_in_one_line(tmp_path, capsys):
+    path = config(tmp_path, scenarios={"mixed": {"model": "effect.yaml"}})
+    world = yaml.safe_load((tmp_path / "effect.yaml").read_text())
+    for changes, expected in (
         ({"effects": {}}, "no effects"),
         ({"wheel": {"radius": 0.3, "width": 0.15}}, "that of scenario"),
         ({"soil": dataclasses.asdict(soils()["dry_sand"])}, "expected no soil"),
-    ],
-)
-def test_bad_worlds_are_refused_in_one_line(changes, expected, tmp_path, capsys):
-    path = config(tmp_path, scenarios={"mixed": {"model": "world.yaml"}})
-    world = yaml.safe_load((tmp_path / "effect.yaml").read_text()) | changes
-    (tmp_path / "world.yaml").write_text(yaml.safe_dump(world))
-    assert expected in refused(capsys, "--config", path, "--out", tmp_path / "out")
-    assert not (tmp_path / "out").exists()
+    ):
+        (tmp_path / "effect.yaml").write_text(yaml.safe_dump(world | changes))
+        assert expected in refused(capsys, "--config", path, "--out", tmp_path / "out")
+        assert not (tmp_path / "out").exists()

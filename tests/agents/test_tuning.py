@@ -1,12 +1,13 @@
 """Tuning by Optuna: the best trial is kept, an interrupted tuning ends as one without a break."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 import pytest
 import yaml
 
-from soil_env._io.loading import ParameterError, config_dir
+from soil_env._io.loading import config_dir
 from soil_env.cli import main as soil_env
 from soil_env.cli.running import run
 from soil_env.parameters import load_rover, load_scenario
@@ -18,6 +19,7 @@ from soil_env_agents.evaluate import tuning
 from soil_env_agents.evaluate.driving import TUNING_SET, run_courses
 from soil_env_agents.evaluate.tuning import shipped_settings, tuned_settings
 from soil_env_agents.progress import Bar
+from tests.refusals import refused, refused_command
 
 pytest.importorskip("optuna")
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,13 +38,12 @@ def test_every_range_lies_within_the_bounds_of_its_setting(vehicle):
     scenario = load_scenario(vehicle)
     top = scenario.wheel.radius * scenario.wheel.no_load_speed
     for name, controller in CONTROLLERS.items():
-        for end in (0, 1):
-            ranges = {
-                key: s.tuned[end] * (top if s.rim_speed else 1.0)
-                for key, s in controller.bounds.items()
-            }
-            make_controller(name, scenario, **ranges)
-        assert all(s.tuned[0] <= s.default <= s.tuned[1] for s in controller.bounds.values()), name
+        for key, setting in controller.bounds.items():
+            low, high = setting.tuned
+            assert low <= setting.default <= high, name
+            for end in (low, high):
+                value = end * top if setting.rim_speed else end
+                make_controller(name, scenario, **{key: value})
 
 
 def test_the_trial_that_finishes_most_is_kept_then_the_highest_return(few):
@@ -51,18 +52,13 @@ def test_the_trial_that_finishes_most_is_kept_then_the_highest_return(few):
     bar = Bar("Tuning", {"constant_torque": 48}, "courses")
     trials = tuning.tried("constant_torque", space, SHORT, 8, None, None, bar)
     best = max(trials, key=lambda t: (t["finished"], t["return"]))
-    assert (
-        chosen == {"constant_torque": {"share": best["share"]}}
-        and len({t["finished"] for t in trials}) > 1
-    )
-    runs = run_courses(
-        make_controller("constant_torque", SHORT, share=best["share"]), SHORT, TUNING_SET, 8
-    )
-    assert (
-        runs.metric("finished").mean() == best["finished"] and runs.returns.mean() == best["return"]
-    )
-    defaults = make_controller("constant_torque", SHORT).settings
-    assert trials[0]["share"] == defaults["share"]  # tried first
+    assert chosen == {"constant_torque": {"share": best["share"]}}
+    assert len({t["finished"] for t in trials}) > 1
+    controller = make_controller("constant_torque", SHORT, share=best["share"])
+    runs = run_courses(controller, SHORT, TUNING_SET, 8)
+    assert runs.metric("finished").mean() == best["finished"]
+    assert runs.returns.mean() == best["return"]
+    assert trials[0]["share"] == space["share"].default  # tried first
 
 
 def test_an_interrupted_tuning_ends_as_one_without_a_break(few, tmp_path, monkeypatch):
@@ -92,14 +88,10 @@ def test_an_interrupted_tuning_ends_as_one_without_a_break(few, tmp_path, monkey
 
 
 def test_controllers_of_a_rover_are_tuned_in_the_space_of_their_wheels(few):
-    rover = load_rover(
-        "lunar_micro_rover", {"course": {"length": 1.0}, "control": {"time_limit": 6.0}}
-    )
-    chosen = tuned_settings(rover, 2, ("velocity_sync", "slip_limiter"))
-    own = {name: CONTROLLERS[ROVER_CONTROLLERS[name].of_wheel].bounds for name in chosen}
-    assert {name: set(c) for name, c in chosen.items()} == {
-        name: set(bounds) for name, bounds in own.items()
-    }
+    short = {"course": {"length": 1.0}, "control": {"time_limit": 6.0}}
+    rover = load_rover("lunar_micro_rover", short)
+    for name, settings in tuned_settings(rover, 2, ("velocity_sync", "slip_limiter")).items():
+        assert settings.keys() == CONTROLLERS[ROVER_CONTROLLERS[name].of_wheel].bounds.keys()
 
 
 def test_a_class_with_settings_is_tuned_set_and_driven_as_a_shipped_one(
@@ -111,22 +103,23 @@ def test_a_class_with_settings_is_tuned_set_and_driven_as_a_shipped_one(
     world = str(config_dir() / "worlds" / "bulldozing.yaml")
     short = ["--changes.course.length=2", "--changes.control.time_limit=12", "--courses=6"]
     asked = ["evaluate", f"--controllers=soft_start,mine={source}", *short, f"--model={world}"]
-    assert soil_env([*asked, "--tuning-courses=6", f"--out={tmp_path / 'tuned'}"]) == 0
-    found = json.loads((tmp_path / "tuned" / "evaluation.json").read_text())
+
+    def evaluated(*options):
+        assert soil_env([*asked, *options, f"--out={tmp_path / options[0]}"]) == 0
+        return json.loads((tmp_path / options[0] / "evaluation.json").read_text())
+
+    found = evaluated("--tuning-courses=6")
     assert found["chosen"] == {"soft_start": "tuned", "mine": "tuned"}
-    settings = found["settings"]["mine"]
-    assert set(settings) == {"acceleration", "speed", "caution"}
-    chosen = tuned_settings(
-        load_scenario("mixed"), 4, (source,), WheelSoilModel.load(world), anew=True
-    )
-    assert set(chosen[source]) == set(settings)
-    given = ["--settings.mine.caution=2.5", "--tuning-courses=0"]
-    assert soil_env([*asked, *given, f"--out={tmp_path / 'given'}"]) == 0
-    found = json.loads((tmp_path / "given" / "evaluation.json").read_text())
+    settings = found["settings"]["mine"].keys()
+    assert settings == {"acceleration", "speed", "caution"}
+    model = WheelSoilModel.load(world)
+    chosen = tuned_settings(load_scenario("mixed"), 4, (source,), model, anew=True)
+    assert chosen[source].keys() == settings
+    found = evaluated("--settings.mine.caution=2.5", "--tuning-courses=0")
     assert found["settings"]["mine"]["caution"] == 2.5
     for wrong, said in (("caution=99", "expected a number in (0, 10]"), ("cation=1", "caution")):
-        assert soil_env([*asked, f"--settings.mine.{wrong}", f"--out={tmp_path / 'x'}"]) == 2
-        assert said in capsys.readouterr().err
+        more = [f"--settings.mine.{wrong}", f"--out={tmp_path / 'x'}"]
+        assert said in refused_command(capsys, "soil-env", soil_env, *asked, *more).err
 
 
 def test_the_command_writes_settings_that_the_package_finds(tmp_path, monkeypatch):
@@ -166,12 +159,10 @@ def test_shipped_settings_serve_an_unchanged_scenario_only(name):
 
 
 def test_controllers_without_settings_are_refused(tmp_path, capsys):
-    asked = ["tune", "--controllers=full_throttle", f"--out={tmp_path / 'out'}"]
-    assert soil_env(asked) == 2
-    assert "--controllers: full_throttle: nothing to tune" in capsys.readouterr().err
-    asked[1] = "--controllers=soft_start,full_throttle"
-    assert soil_env(asked) == 2
-    assert "--controllers: full_throttle: nothing to tune" in capsys.readouterr().err
+    for names in ("full_throttle", "soft_start,full_throttle"):
+        asked = ["tune", f"--controllers={names}", f"--out={tmp_path / 'out'}"]
+        error = refused_command(capsys, "soil-env tune", soil_env, *asked).err
+        assert "--controllers: full_throttle: nothing to tune" in error
     assert not (tmp_path / "out").exists()
 
 
@@ -189,5 +180,5 @@ def test_a_file_that_no_tuning_wrote_is_refused(content, tmp_path, monkeypatch):
     (tmp_path / tuning.TUNED).mkdir()
     (tmp_path / tuning.TUNED / "mixed.yaml").write_text(yaml.safe_dump(content))
     monkeypatch.setattr(tuning, "config_dir", lambda: tmp_path)
-    with pytest.raises(ParameterError, match="mixed.yaml: expected courses and settings"):
-        shipped_settings(load_scenario("mixed"), 2)
+    reading = partial(shipped_settings, load_scenario("mixed"), 2)
+    refused(reading, "mixed.yaml: expected courses and settings")

@@ -12,6 +12,7 @@ from benchmarks.continuum.soil import EDGE, GRAVITY, Bed, Material, strain
 from benchmarks.continuum.wheel import FASTEST_OUT, HELD, START, Rig, Shape, outline
 from soil_env.parameters import soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env_agents.cells import in_process
 
 SAND = Material(friction=math.tan(math.radians(30.0)))
 LOAM = Material(friction=math.tan(math.radians(24.0)), cohesion=800.0)
@@ -35,17 +36,20 @@ def strengths(particles, material):
 
 def test_a_bed_at_rest_bears_its_own_weight():
     bed = rig()
-    depth = bed.surface - bed.particles.position[:, 1]
-    upright = -bed.particles.stress[:, 1]
-    assert np.mean(upright) == pytest.approx(SAND.density * GRAVITY * np.mean(depth), rel=0.05)
+    depth = np.mean(bed.surface - bed.particles.position[:, 1])
+    upright = -np.mean(bed.particles.stress[:, 1])
+    assert upright == pytest.approx(SAND.density * GRAVITY * depth, rel=0.05)
 
 
 def test_soil_that_touches_nothing_falls_freely():
     falling = rig()
     falling.particles.position[:, 1] += 0.1
-    falling.particles.velocity[:] = 0.0
-    falling.particles.gradient[:] = 0.0
-    falling.particles.stress[:] = 0.0
+    for values in (
+        falling.particles.velocity,
+        falling.particles.gradient,
+        falling.particles.stress,
+    ):
+        values[:] = 0.0
     falling.body = falling.body._replace(load=0.0)
     steps = round(0.05 / falling.step.time)
     falling.forward(0.05)
@@ -64,10 +68,10 @@ def test_a_grain_that_swells_has_a_largest_volume():
 
 def test_a_lug_that_overruns_a_grain_does_not_throw_it():
     wheel = rig(shape=LUGGED)
-    held = wheel.wheel.copy()
-    deep = np.array([[held["x"] + 1e-4, held["z"] - LUGGED.radius - 0.006]])
-    assert outline(*(deep[0] - (held["x"], held["z"])), held["angle"], LUGGED)[0] < -0.004
-    wheel.particles.position[:1] = deep
+    held = wheel.wheel
+    away = np.array([1e-4, -LUGGED.radius - 0.006])
+    assert outline(*away, held.angle, LUGGED)[0] < -0.004
+    wheel.particles.position[0] = away + (held.x, held.z)
     wheel.particles.velocity[:] = 0.0
     wheel.wheel.along = wheel.wheel.speed = 0.0
     fastest = 0.0
@@ -112,13 +116,12 @@ def test_a_wheel_that_slips_more_pulls_more_and_sinks_deeper():
 
 
 def test_the_motor_turns_a_free_wheel_and_gravity_pulls_it_back_on_a_slope():
-    free = rig(slope=math.radians(40.0))
-    free.let_go(mass=LOAD / GRAVITY, inertia=0.5, stall_torque=20.0, no_load_speed=5.0)
-    free.forward(0.1, 0.0, True)
-    assert free.wheel.along < 0.0
     level = rig()
-    level.let_go(mass=LOAD / GRAVITY, inertia=0.5, stall_torque=20.0, no_load_speed=5.0)
-    level.forward(0.5, 0.3, True)
+    uphill = rig(slope=math.radians(40.0))
+    for free, seconds, command in ((level, 0.5, 0.3), (uphill, 0.1, 0.0)):
+        free.let_go(mass=LOAD / GRAVITY, inertia=0.5, stall_torque=20.0, no_load_speed=5.0)
+        free.forward(seconds, command, True)
+    assert uphill.wheel.along < 0.0
     assert level.wheel.along > 0.02 and level.wheel.speed == pytest.approx(1.5, abs=0.3)
     assert level.body.mass_along < HELD
 
@@ -128,24 +131,20 @@ def test_the_normal_of_a_wheel_is_the_slope_of_the_distance_to_it(shape):
     rng = np.random.default_rng(1)
     step = 1e-7
     kinks = 0
-    for _ in range(300):
-        away = shape.radius + rng.uniform(-0.01, 0.03)
-        at = rng.uniform(0.0, 2.0 * math.pi)
-        x, z = away * math.cos(at), away * math.sin(at)
-        angle = rng.uniform(-7.0, 7.0)
-        distance, along, up = outline(x, z, angle, shape)
-        assert along**2 + up**2 == pytest.approx(1.0)
+    for away, at, angle in rng.uniform([-0.01, 0.0, -7.0], [0.03, 2.0 * math.pi, 7.0], (300, 3)):
+        x = (shape.radius + away) * math.cos(at)
+        z = (shape.radius + away) * math.sin(at)
+        distance, *normal = outline(x, z, angle, shape)
+        assert math.hypot(*normal) == pytest.approx(1.0)
         further = outline(x + step, z, angle, shape)[0], outline(x, z + step, angle, shape)[0]
-        slope = (np.array(further) - distance) / step
-        kinks += not np.allclose(slope, (along, up), atol=0.1)
+        kinks += not np.allclose((np.array(further) - distance) / step, normal, atol=0.1)
     assert kinks <= 15
 
 
 def test_lugs_turn_with_the_wheel_clockwise():
     top = LUGGED.radius + LUGGED.lug_height
-    angle = 0.1
-    on_top = top * math.cos(-angle), top * math.sin(-angle)
-    assert outline(*on_top, angle, LUGGED)[0] == pytest.approx(0.0, abs=1e-12)
+    on_top = top * math.cos(-0.1), top * math.sin(-0.1)
+    assert outline(*on_top, 0.1, LUGGED)[0] == pytest.approx(0.0, abs=1e-12)
     assert outline(*on_top, 0.0, LUGGED)[0] > 0.005
 
 
@@ -153,16 +152,11 @@ def test_tables_go_on_with_what_is_missing(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(continuum, "LOADS", (40.0,))
     monkeypatch.setattr(continuum, "SLIPS", (0.1, 0.2))
     asked = []
-
-    def row(cell):
-        asked.append(cell)
-        return [0.01, 5.0, 2.0, 1e-4, 0.1, 0.01]
-
-    def here(work, cells, workers):
-        return ((cell, work(cell)) for cell in cells)
-
-    monkeypatch.setattr(rows_of, "row", row)
-    monkeypatch.setattr(continuum, "processes", here)
+    row = [0.01, 5.0, 2.0, 1e-4, 0.1, 0.01]
+    monkeypatch.setattr(rows_of, "row", lambda cell: asked.append(cell) or row)
+    monkeypatch.setattr(
+        continuum, "processes", lambda work, cells, workers: in_process(work, cells)
+    )
     wanted = ["rig", "--out", str(tmp_path), "--only", "loam_lugged"]
     assert continuum.main(wanted) == 0
     file = tmp_path / "loam_lugged.csv"
@@ -174,8 +168,7 @@ def test_tables_go_on_with_what_is_missing(tmp_path, monkeypatch, capsys):
 
 
 def test_soil_piles_up_within_some_radii_of_travel():
-    bed = Bed(length=1.2, depth=0.12, spacing=0.02)
-    assert 0.02 < rows_of.piling(("sand", 80.0), bed) < 0.4
+    assert 0.02 < rows_of.piling(("sand", 80.0), COARSE._replace(length=1.2)) < 0.4
 
 
 def test_the_rule_is_tuned_to_the_steepest_grade_of_its_slip():
@@ -188,12 +181,12 @@ def test_the_rule_is_tuned_to_the_steepest_grade_of_its_slip():
 
 def test_a_drive_on_the_continuum_slips_more_uphill(monkeypatch):
     monkeypatch.setattr(loop, "SECONDS", 2.0)
-    bed = Bed(length=0.8, depth=0.12, spacing=0.02)
+    bed = COARSE._replace(length=0.8)
     drives = []
     for grade in (0.0, 6.0):
-        load = loop.LOAD * math.cos(math.radians(grade))
-        rng = np.random.default_rng(0)
-        wheel = Rig(bed, SAND, SMOOTH, load, rng, math.radians(grade))
+        slope = math.radians(grade)
+        load = loop.LOAD * math.cos(slope)
+        wheel = Rig(bed, SAND, SMOOTH, load, np.random.default_rng(0), slope)
         drives.append(loop.on_continuum(wheel, loop.scenario_of(SMOOTH, grade), grade))
     level, uphill = drives
     assert level.slip < uphill.slip < 1.0 and 0.0 < uphill.distance < level.distance
@@ -202,11 +195,12 @@ def test_a_drive_on_the_continuum_slips_more_uphill(monkeypatch):
 
 def test_drives_without_meaning_are_not_gone_on_with(tmp_path, monkeypatch):
     kept = json.loads((RESULTS / "continuum.json").read_text(encoding="utf-8"))
+    drive = loop.Drive._make([0.1] * len(loop.Drive._fields))
     driven = []
 
     def here(work, cells, workers):
         driven.append(len(cells))
-        return ((cell, loop.Drive(*(0.1 for _ in loop.Drive._fields))) for cell in cells)
+        return dict.fromkeys(cells, drive).items()
 
     monkeypatch.setattr(continuum, "_learnt", lambda table: {**kept[table]})
     monkeypatch.setattr(continuum, "processes", here)

@@ -5,7 +5,7 @@ import multiprocessing
 import subprocess
 import sys
 import time
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -47,40 +47,38 @@ def test_covariance_of_law_errors_is_that_of_drawn_ones():
     """Tables of 300 drawn errors of 2 % against the first-order covariance: sd of every channel,
     and correlations.
     """
-    b = bench()
+    rows = vars(bench().rows)
     some = np.linspace(0, len(bench().rows) - 1, 12).astype(int)
-    b = replace(b, rows=Rows(*(getattr(b.rows, f.name)[some] for f in fields(b.rows))))
+    b = replace(bench(), rows=Rows(**{name: values[some] for name, values in rows.items()}))
     contact = b.contact()
     entry = np.arccos(1.0 - b.base[:1].T / contact.radius)
     wanted = 0.02**2 * covariance(contact, entry, b.pressure, b.load)
     rng = np.random.default_rng(1)
     drawn = []
     for _ in range(300):
-        error = StressError(
-            0.02, b.pressure, b.load, *(RandomFunction.draw(rng, LENGTHS) for _ in range(2))
-        )
+        functions = (RandomFunction.draw(rng, LENGTHS) for _ in range(2))
+        error = StressError(0.02, b.pressure, b.load, *functions)
         drawn.append((replace(b, error=error).base - b.base).ravel())
     seen = np.cov(np.array(drawn).T)
-    ratio = np.sqrt(np.diag(seen) / np.diag(wanted))
+    sd = np.sqrt(np.diag(wanted))
+    ratio = np.sqrt(np.diag(seen)) / sd
     assert np.all((ratio > 0.8) & (ratio < 1.25))
-    assert np.max(np.abs(seen - wanted) / np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))) < 0.4
+    assert np.max(np.abs(seen - wanted) / np.outer(sd, sd)) < 0.4
 
 
-def log_factors(kind, slip, count=300):
+def log_factors(kind, slip):
     """Logarithms [count, slips] of the factor on the normal stress by errors of size 1, at one
     place of the arc.
     """
     rng = np.random.default_rng(0)
     n = len(slip)
+    b = bench()
+    rows = Rows(np.array(slip), *(np.full(n, x) for x in (b.load, 0.05, 1.0, 0.0, 0.0)))
+    arc = Arc(*(np.full((n, 1), x) for x in (0.5, 0.25, 0.0, 0.2)), sigma=b.pressure)
     out = []
-    for _ in range(count):
-        rows = Rows(np.array(slip), *(np.full(n, x) for x in (bench().load, 0.05, 1.0, 0.0, 0.0)))
-        contact = Contact(rows, Wheel(0.15, 0.15), bench().ground)
-        StressError.draw(rng, 1.0, bench().pressure, bench().load, kind)(contact)
-        arc = Arc(
-            *(np.full((n, 1), x) for x in (0.5, 0.25, 0.0, 0.2)),
-            sigma=np.full((n, 1), bench().pressure),
-        )
+    for _ in range(300):
+        contact = Contact(rows, Wheel(0.15, 0.15), b.ground)
+        StressError.draw(rng, 1.0, b.pressure, b.load, kind)(contact)
         out.append(np.log(contact.normal[0](1.0, arc)).ravel())
     return np.array(out)
 
@@ -97,9 +95,8 @@ def test_kinds_of_law_errors_differ_in_slip():
     assert np.mean((border > 0.05) & (border < 0.55)) > 0.95
     assert np.median(np.max(change, axis=1) / np.median(change, axis=1)) > 4.0
     left, right = log_factors(regimes, [0.02, 0.62]).T
-    assert (
-        np.std(left) == pytest.approx(1.0, abs=0.15) and abs(np.corrcoef(left, right)[0, 1]) < 0.25
-    )
+    assert np.std(left) == pytest.approx(1.0, abs=0.15)
+    assert abs(np.corrcoef(left, right)[0, 1]) < 0.25
 
 
 def test_limits_rise_with_the_law_error_and_with_a_partner():
@@ -110,9 +107,8 @@ def test_limits_rise_with_the_law_error_and_with_a_partner():
     wrong = Measure(replace(bench(), error=error))
     assert exact.size(effect) > 1.5 * wrong.size(effect) > 0.0
     strength, size = wrong.strength(effect, 3.0)
-    assert size == pytest.approx(3.0, rel=0.05) and wrong.size(
-        effect.at(strength)
-    ) == pytest.approx(size)
+    assert size == pytest.approx(3.0, rel=0.05)
+    assert wrong.size(effect.at(strength)) == pytest.approx(size)
     partner = Hidden(two, 0.5 * two.cap(bench()), two.side(np.random.default_rng(0), bench()))
     assert exact.size(effect, [partner]) < 0.5 * exact.size(effect)  # nearly the same force
 
@@ -140,16 +136,9 @@ def test_kinds_that_are_held_back_come_only_when_they_are_asked_for(tmp_path, ca
     for held_out, expected in ((False, known), (True, known | held)):
         cases = [t for t in tasks(held_out=held_out) if GROUPS[t.group].kind == "unlisted"]
         assert {GROUPS[t.group].hidden(t.index)[0].name for t in cases} == expected
-    options = [
-        "run",
-        "--entrant",
-        "workflow",
-        "--group",
-        "unlisted-rich-held-10",
-        "--out",
-        str(tmp_path),
-    ]
-    assert command.main(options) == 2 and "--held-out" in capsys.readouterr().err
+    asked = "run --entrant workflow --group unlisted-rich-held-10 --out"
+    assert command.main([*asked.split(), str(tmp_path)]) == 2
+    assert "--held-out" in capsys.readouterr().err
 
 
 def test_errors_of_the_instrument_are_within_their_ranges_and_all_come():
@@ -163,9 +152,8 @@ def test_errors_of_the_instrument_are_within_their_ranges_and_all_come():
         "spring_load": (0.05, 0.3),
     }
     group = GROUPS["instrument-rich-10"]
-    assert [sum(group.hidden(k)[0] is form for k in range(group.count)) for form in INSTRUMENT] == [
-        3
-    ] * 10
+    drawn = [group.hidden(k)[0] for k in range(group.count)]
+    assert [drawn.count(form) for form in INSTRUMENT] == [3] * 10
     for k in range(10):
         (effect,) = draw_case(100031, Task(group.name, k)).truth["effects"]
         low, high = ranges.get(effect["name"], (0.02, 0.1))
@@ -178,121 +166,78 @@ def test_errors_of_the_instrument_are_within_their_ranges_and_all_come():
 def test_cases_are_read_by_the_workflows_reader_and_hold_no_truth(tmp_path, name):
     case = draw_case(100007, task_of(name))
     write_case(case, tmp_path / "case", tmp_path / "truth" / "x.json")
-    table = read_table(
-        tmp_path / "case" / "data.csv", read_setup(tmp_path / "case" / "setup.yaml").wheel
-    )
+    files = sorted((tmp_path / "case").iterdir())
+    assert [p.name for p in files] == ["data.csv", "setup.yaml"]
+    table = read_table(files[0], read_setup(files[1]).wheel)
     assert len(table) == case.truth["rows"] == case.clean.shape[1]
-    assert sorted(p.name for p in (tmp_path / "case").iterdir()) == ["data.csv", "setup.yaml"]
-    text = "".join(p.read_text() for p in (tmp_path / "case").iterdir())
+    text = "".join(p.read_text() for p in files)
     truth = json.loads((tmp_path / "truth" / "x.json").read_text())
-    assert not any(e["form"] in text for e in truth["effects"])
     for e in truth["effects"]:
-        assert e["size"] > 0.0 and (
-            truth["kind"] != "one" or not truth["counts"] or e["size"] >= 1.9
-        )
+        assert e["form"] not in text and e["size"] > 0.0
+        assert truth["kind"] != "one" or not truth["counts"] or e["size"] >= 1.9
 
 
 def test_case_follows_from_its_seed_and_name_and_has_its_law_error():
     a, b, c = (draw_case(seed, Task("one-rich-10", 4)) for seed in (100008, 100008, 100009))
-    assert (
-        a.columns == b.columns
-        and a.setup == b.setup
-        and a.truth == b.truth
-        and a.columns != c.columns
-    )
+    assert (a.columns, a.setup, a.truth) == (b.columns, b.setup, b.truth)
+    assert a.columns != c.columns
     exact = replace(a.bench, error=None).truth(a.effects)
-    assert np.max(np.abs(a.clean - exact) / np.array(a.bench.noise)[:, None]) > 1.0
+    noise = np.array(a.bench.noise)[:, None]
+    assert np.max(np.abs(a.clean - exact) / noise) > 1.0
     errors = np.array([a.columns[n] for n in CHANNELS]) - a.clean
-    noise = errors / np.array(a.bench.noise)[:, None]
-    assert noise.std() == pytest.approx(1.0, abs=0.12)
+    assert (errors / noise).std() == pytest.approx(1.0, abs=0.12)
+
+
+GRADE = ("grade",)
+GROUSERS = ("grousers",)
+TILT = ("tilt",)
+BOTH = (*GRADE, *GROUSERS)
+SWING = ("swing",)
 
 
 @pytest.mark.parametrize(
     ("kind", "names", "answer", "expected"),
     [
+        ("one", GRADE, Answer("named", GRADE, (), {"grade": 0.9}), "first -wrong -second"),
+        ("one", GRADE, Answer("named", GROUSERS), "-first -included wrong"),
         (
             "one",
-            ["grade"],
-            Answer("named", ("grade",), (), {"grade": 0.9}),
-            {"first": 1, "wrong": 0, "second": 0},
-        ),
-        ("one", ["grade"], Answer("named", ("grousers",)), {"first": 0, "included": 0, "wrong": 1}),
-        (
-            "one",
-            ["grade"],
-            Answer("ambiguous", ("grousers",), ("grade",), {"grousers": 0.45, "grade": 0.4}),
-            {"first": 0, "included": 1, "wrong": 0},
+            GRADE,
+            Answer("ambiguous", GROUSERS, GRADE, {"grousers": 0.45, "grade": 0.4}),
+            "-first included -wrong",
         ),
         (
             "one",
-            ["grade"],
-            Answer("named", ("grade", "tilt"), (), {"grade": 0.9, "tilt": 0.6}),
-            {"first": 1, "second": 1, "wrong": 1},
+            GRADE,
+            Answer("named", (*GRADE, *TILT), (), {"grade": 0.9, "tilt": 0.6}),
+            "first second wrong",
         ),
-        (
-            "two",
-            ["grade", "grousers"],
-            Answer("named", ("grousers", "grade")),
-            {"both": 1, "covered": 1},
-        ),
-        (
-            "two",
-            ["grade", "grousers"],
-            Answer("partly", ("grade",), ("tilt",), beside=("grousers", "tilt")),
-            {"both": 0, "covered": 1},
-        ),
-        (
-            "two",
-            ["grade", "grousers"],
-            Answer("partly", ("grade",), ("tilt",), beside=("tilt",)),
-            {"both": 0, "covered": 0},
-        ),
-        (
-            "two",
-            ["grade", "grousers"],
-            Answer("named", ("grousers", "grade", "multipass")),
-            {"both": 0},
-        ),
-        ("none", [], Answer("none", (), (), {"grade": 0.3}), {"none": 1}),
-        ("none", [], Answer("ambiguous", ("grade",), (), {"grade": 0.4}), {"none": 0}),
-        (
-            "unlisted",
-            ["swing"],
-            Answer("partly", ("grade",), (), {"grade": 0.7}),
-            {"unlisted": 0, "misled": 1},
-        ),
-        (
-            "unlisted",
-            ["swing"],
-            Answer("unlisted", (), ("grade",), {"grade": 0.3}),
-            {"unlisted": 1, "misled": 0},
-        ),
+        ("two", BOTH, Answer("named", BOTH[::-1]), "both covered"),
+        ("two", BOTH, Answer("partly", GRADE, TILT, beside=(*GROUSERS, *TILT)), "-both covered"),
+        ("two", BOTH, Answer("partly", GRADE, TILT, beside=TILT), "-both -covered"),
+        ("two", BOTH, Answer("named", (*BOTH, "multipass")), "-both"),
+        ("none", (), Answer("none", (), (), {"grade": 0.3}), "none"),
+        ("none", (), Answer("ambiguous", GRADE, (), {"grade": 0.4}), "-none"),
+        ("unlisted", SWING, Answer("partly", GRADE, (), {"grade": 0.7}), "-unlisted misled"),
+        ("unlisted", SWING, Answer("unlisted", (), GRADE, {"grade": 0.3}), "unlisted -misled"),
         (
             "instrument",
-            ["tilt"],
-            Answer("named", ("bulldozing",), ("tilt",), {"bulldozing": 0.7}),
-            {"instrument": 1, "soil": 1},
+            TILT,
+            Answer("named", ("bulldozing",), TILT, {"bulldozing": 0.7}),
+            "instrument soil",
         ),
-        (
-            "instrument",
-            ["wheel_radius"],
-            Answer("named", ("slip_bias",)),
-            {"instrument": 0, "soil": 0},
-        ),
+        ("instrument", ("wheel_radius",), Answer("named", ("slip_bias",)), "-instrument -soil"),
     ],
 )
 def test_judgement_of_an_answer(kind, names, answer, expected):
-    truth = {
-        "case": f"{kind}-rich-10-000",
-        "kind": kind,
-        "sort": "",
-        "law_error": 0.1,
-        "effects": [{"name": n} for n in names],
-        "counts": True,
-    }
+    """`expected`: what is counted, and with a minus what is not."""
+    truth = {"case": f"{kind}-rich-10-000", "kind": kind, "sort": "", "law_error": 0.1}
+    truth |= {"effects": [{"name": n} for n in names], "counts": True}
     record = Record(truth, answer, 1.0)
-    assert {key: targets([record])[key]["count"] for key in expected} == expected
-    assert figures([record])["groups"][f"{kind}-rich-10"].keys() >= expected.keys()
+    shown = figures([record])["groups"][f"{kind}-rich-10"]
+    for key in expected.split():
+        name = key.removeprefix("-")
+        assert targets([record])[name]["count"] == (key == name) and name in shown
 
 
 def test_reliability_by_hand():
@@ -311,32 +256,29 @@ def says_grade(data, setup):
 
 
 def test_run_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
-    options = ["run", "--entrant", f"{__name__}:says_grade", "--label", "grade", "--seed", "100010"]
-    options += ["--group", "none-rich-10", "--group", "one-rich-10", "--out", str(tmp_path)]
-    assert command.main([*options, "--limit", "40"]) == 0
-    before = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "answers" / "grade").iterdir()}
-    asked = []
+    asked = ["run", "--entrant", f"{__name__}:says_grade", "--label=grade", f"--out={tmp_path}"]
+    groups = "--seed=100010 --group=none-rich-10 --group=one-rich-10".split()
+    answers = tmp_path / "answers" / "grade"
+    done = []
     original = command.ask
-    monkeypatch.setattr(command, "ask", lambda *a: asked.append(a[-1]) or original(*a))
-    assert command.main([*options, "--limit", "100"]) == 0
-    after = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "answers" / "grade").iterdir()}
-    assert (
-        before
-        and asked
-        and before.items() <= after.items()
-        and len(after) == len(before) + len(asked)
-    )
+    monkeypatch.setattr(command, "ask", lambda *a: done.append(a[-1]) or original(*a))
+
+    def written(limit):
+        assert command.main([*asked, *groups, f"--limit={limit}"]) == 0
+        return {p.name: p.stat().st_mtime_ns for p in answers.iterdir()}
+
+    before = written(40)
+    after = written(100)
+    assert 0 < len(before) < len(after) == len(done) and before.items() <= after.items()
     found = json.loads((tmp_path / "discovery.json").read_text())
     assert found["entrants"]["grade"]["cases"] == len(after)
     capsys.readouterr()
-    assert command.main([*options[:5], "--seed", "100011", "--out", str(tmp_path)]) == 2
+    assert command.main([*asked, "--seed=100011"]) == 2
     error = capsys.readouterr().err
     assert "100010" in error and "100011" in error and error.count("\n") == 1
-    (tmp_path / "answers" / "grade" / next(iter(after))).write_text("{")
-    assert (
-        command.main(["score", "--out", str(tmp_path)]) == 2
-        and "delete the file" in capsys.readouterr().err
-    )
+    (answers / next(iter(after))).write_text("{")
+    assert command.main(["score", f"--out={tmp_path}"]) == 2
+    assert "delete the file" in capsys.readouterr().err
 
 
 def test_processes_of_the_command_find_their_work(tmp_path):

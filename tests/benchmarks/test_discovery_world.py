@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from benchmarks.discovery.forms import FORMS
@@ -25,21 +24,23 @@ S = GROUND.sinkage_coefficient
 TAN = math.tan(math.pi / 6)
 
 
-def grid() -> Rows:
-    """Three loads, speeds, passes, grades and five slips in a fixed order that mixes them."""
-    k = np.arange(45)
-    block = k // 5
-    return Rows(
-        np.tile([0.06, 0.2, 0.33, 0.47, 0.6], 9),
-        np.array([45.0, 70.0, 105.0])[block % 3],
-        np.array([0.02, 0.06, 0.15])[block // 3],
-        1.0 + (block // 3 + 2 * block) % 3,
-        np.array([-1.0, 0.0, 1.0])[(block // 3 + block) % 3],
-        100.0 * k,
-    )
+def judged_as(ground: Ground) -> reference.Ground:
+    return reference.Ground(*(getattr(ground, name) for name in SOIL))
 
 
-ROWS = grid()
+JUDGED = judged_as(GROUND)
+
+
+BLOCK = np.arange(45) // 5
+#: Three loads, speeds, passes, grades and five slips in a fixed order that mixes them.
+ROWS = Rows(
+    np.tile([0.06, 0.2, 0.33, 0.47, 0.6], 9),
+    np.array([45.0, 70.0, 105.0])[BLOCK % 3],
+    np.array([0.02, 0.06, 0.15])[BLOCK // 3],
+    1.0 + (BLOCK // 3 + 2 * BLOCK) % 3,
+    np.array([-1.0, 0.0, 1.0])[(BLOCK // 3 + BLOCK) % 3],
+    100.0 * np.arange(45),
+)
 BENCH = Bench(
     WHEEL,
     GROUND,
@@ -82,9 +83,9 @@ def entry_of(out: np.ndarray, k: int) -> float:
 def test_base_world_agrees_with_adaptive_quadrature(soil):
     """Eqs. (1)-(3) at the sinkage found: the load comes back, pull and torque agree."""
     out = predict(soil, WHEEL, ROWS).stack()
-    ground = reference.Ground(*(getattr(soil, name) for name in SOIL))
     for k in (0, 4, 17, 31, 44):
-        judged(reference.forces(ground, ROWS.slip[k], entry_of(out, k), 0.15, 0.12), out, k, 4e-5)
+        ref = reference.forces(judged_as(soil), ROWS.slip[k], entry_of(out, k), 0.15, 0.12)
+        judged(ref, out, k, 4e-5)
 
 
 def test_no_balance_is_nan_and_braking_gives_negative_torque():
@@ -92,84 +93,57 @@ def test_no_balance_is_nan_and_braking_gives_negative_torque():
     assert np.all(predict(GROUND, WHEEL, replace(ROWS, slip=np.full(45, -0.4))).torque < 0.0)
 
 
-def stresses(entry, slip, arm=0.15):
-    """sigma(theta) of Eqs. (7), (8), and j/K(theta) at a shear radius."""
-    start = math.acos(min(0.15 * math.cos(entry) / arm, 1.0))
-
-    def sigma(t):
-        t = t if t >= 0.5 * entry else entry - t
-        return S * max(0.15 * (math.cos(t) - math.cos(entry)), 0.0) ** 0.85
-
-    def ratio(t):
-        return arm * ((start - t) - (1.0 - slip) * (math.sin(start) - math.sin(t))) / 0.018
-
-    return sigma, ratio
-
-
-def agrees(out, k, tau_of, arm=0.15, force=0.0, scale=3e-4):
-    """Compare row k with quadrature of the stresses; `tau_of(sigma, ratio)` [Pa], and a lug force
-    at theta1/2 [N].
-    """
+def integral(out, k, shape):
+    """Integral [N] of shape(theta, sigma, j/K) over the contact of row k."""
     entry = entry_of(out, k)
-    sigma, ratio = stresses(entry, ROWS.slip[k], arm)
 
-    def tau(t):
-        return tau_of(sigma(t), ratio(t))
+    def at(theta):
+        sigma = reference.normal_stress(theta, JUDGED, 0.15, entry, 0.0, 0.5 * entry)
+        j = reference.shear_displacement(theta, ROWS.slip[k], 0.15, entry)
+        return shape(theta, sigma, j / JUDGED.shear_modulus)
 
-    def total(f):
-        halves = ((0.0, 0.5 * entry), (0.5 * entry, entry))
-        return 0.12 * sum(quad(f, a, b, epsabs=0.0, epsrel=1e-10, limit=300)[0] for a, b in halves)
-
-    load = total(
-        lambda t: 0.15 * sigma(t) * math.cos(t) + arm * tau(t) * math.sin(t)
-    ) + force * math.sin(entry / 2)
-    pull = total(
-        lambda t: arm * tau(t) * math.cos(t) - 0.15 * sigma(t) * math.sin(t)
-    ) + force * math.cos(entry / 2)
-    assert load == pytest.approx(ROWS.load[k], rel=scale)
-    assert abs(pull - out[1, k]) < scale * ROWS.load[k]
-    assert arm * arm * total(tau) + force * 0.155 == pytest.approx(out[2, k], rel=scale)
+    return 0.12 * 0.15 * reference.integrate(at, (0.0, 0.5 * entry, entry))
 
 
-def janosi(sigma, ratio):
-    return (1500.0 + sigma * TAN) * -math.expm1(-ratio)
+def agrees(out, k, tau):
+    """Compare row k with quadrature of the stresses; `tau(sigma, j/K)` [Pa]."""
+    load = integral(out, k, lambda t, s, q: s * math.cos(t) + tau(s, q) * math.sin(t))
+    pull = integral(out, k, lambda t, s, q: tau(s, q) * math.cos(t) - s * math.sin(t))
+    torque = 0.15 * integral(out, k, lambda t, s, q: tau(s, q))
+    judged(reference.Result(load, pull, pull, torque, load), out, k, 3e-4)
 
 
 @pytest.mark.parametrize(
-    ("effect", "exit_of", "shift"),
+    ("effect", "exit_", "shift"),
     [
-        (hidden("constant_exit", 0.15), lambda a: -0.15, lambda a, i: 0.0),
-        (hidden("shift_in_degrees", 0.2), lambda a: 0.0, lambda a, i: 0.2 * i),
+        (hidden("constant_exit", 0.15), -0.15, lambda a, i: 0.0),
+        (hidden("shift_in_degrees", 0.2), 0.0, lambda a, i: 0.2 * i),
         (
             hidden("shift_saturating", 0.3, slip=0.1),
-            lambda a: 0.0,
+            0.0,
             lambda a, i: 0.3 * (1.0 - math.exp(-i / 0.1)) * a,
         ),
     ],
 )
-def test_contact_geometry_agrees_with_adaptive_quadrature(effect, exit_of, shift):
+def test_contact_geometry_agrees_with_adaptive_quadrature(effect, exit_, shift):
     out = table(effect)
-    ground = reference.Ground(*(getattr(GROUND, n) for n in SOIL))
     for k in (1, 23, 44):
+        slip = ROWS.slip[k]
         entry = entry_of(out, k)
-        exit_ = exit_of(entry)
-        middle = 0.5 * (entry + exit_) + shift(entry, ROWS.slip[k])
-        judged(
-            reference.forces(ground, ROWS.slip[k], entry, 0.15, 0.12, exit_, middle), out, k, 1e-4
-        )
+        middle = 0.5 * (entry + exit_) + shift(entry, slip)
+        judged(reference.forces(JUDGED, slip, entry, 0.15, 0.12, exit_, middle), out, k, 1e-4)
 
 
 def test_deeper_sinkage_with_stresses_scaled_to_the_load():
     before = table()[0]
     out = table(hidden("slid_distance", 0.2))
     entry = np.arccos(1.0 - before / 0.15)
-    np.testing.assert_allclose(
-        out[0], before + 0.03 * (entry - (1.0 - ROWS.slip) * np.sin(entry)), rtol=1e-9
-    )
+    slid = entry - (1.0 - ROWS.slip) * np.sin(entry)
+    np.testing.assert_allclose(out[0], before + 0.03 * slid, rtol=1e-9)
     for k in (2, 43):
 
         def forces(log_factor, k=k):
-            soil = reference.Ground(30.0, 1500.0, 0.018, S * math.exp(log_factor), 0.85)
+            soil = JUDGED._replace(sinkage_coefficient=S * math.exp(log_factor))
             return reference.forces(soil, ROWS.slip[k], entry_of(out, k), 0.15, 0.12)
 
         root = brentq(lambda x, k=k: forces(x).load / ROWS.load[k] - 1.0, -3.0, 1.0, xtol=1e-10)
@@ -202,36 +176,24 @@ def test_softening_follows_its_law(effect, law):
 
 def test_lugs_shear_the_soil_at_their_sides_and_push_on_it():
     h = 0.02 / 0.12
+    cohesion = 1500.0 * (1.0 + 2.0 * h)
+    friction = TAN * (1.0 + 0.64 * h * (0.5 * math.pi - math.atan(h)))
+    out = table(hidden("sheared_sides", 0.02))
     for k in (3, 40):
-        agrees(
-            table(hidden("sheared_sides", 0.02)),
-            k,
-            lambda sigma, ratio: (
-                -math.expm1(-ratio)
-                * (
-                    1500.0 * (1.0 + 2.0 * h)
-                    + sigma * TAN * (1.0 + 0.64 * h * (0.5 * math.pi - math.atan(h)))
-                )
-            ),
-        )
+        agrees(out, k, lambda sigma, ratio: -math.expm1(-ratio) * (cohesion + sigma * friction))
     out = table(hidden("passive_ripple_mean", 0.01, lugs=18))
     entry = entry_of(out, 30)
-    (sigma, ratio) = stresses(entry_of(out, 30), ROWS.slip[30])
 
-    def force(t):  # of the lugs in one rad: N = 3
+    def force(t):  # of the lugs in one rad, over b r: N = 3
         depth = 0.15 * (math.cos(t) - math.cos(entry)) + 0.005
         pressure = 15696.0 * depth * 3.0 + 2.0 * 1500.0 * math.sqrt(3.0)
-        return 18 / (2.0 * math.pi) * 0.12 * 0.01 * pressure * math.tanh(ROWS.slip[30] / 0.03)
+        return 18 / (2.0 * math.pi) * 0.01 / 0.15 * pressure * math.tanh(ROWS.slip[30] / 0.03)
 
-    def pull(t):
-        return 0.12 * 0.15 * (
-            janosi(sigma(t), ratio(t)) * math.cos(t) - sigma(t) * math.sin(t)
-        ) + force(t) * math.cos(t)
+    def pull(t, sigma, ratio):
+        thrust = (1500.0 + sigma * TAN) * -math.expm1(-ratio) + force(t)
+        return thrust * math.cos(t) - sigma * math.sin(t)
 
-    halves = ((0.0, 0.5 * entry), (0.5 * entry, entry))
-    assert sum(quad(pull, a, b)[0] for a, b in halves) == pytest.approx(
-        out[1, 30], abs=3e-4 * ROWS.load[30]
-    )
+    assert integral(out, 30, pull) == pytest.approx(out[1, 30], abs=3e-4 * ROWS.load[30])
 
 
 def test_bulldozing_by_hand():
@@ -243,17 +205,11 @@ def test_bulldozing_by_hand():
     k_c = (37.2 - 0.577) * 0.75
     k_gamma = (2.0 * 20.1 / 0.577 + 1.0) * 0.75
     wedge = 0.12 * np.sin(entry + math.pi / 6) / (2.0 * np.sin(entry) * math.cos(math.pi / 6))
-    for name, force, scale in (
-        (
-            "crescent",
-            (0.12 + z) * (0.5 * 15696.0 * z**2 * 3.0 + 2.0 * 1500.0 * z * math.sqrt(3.0)),
-            1e-9,
-        ),
-        ("terzaghi", wedge * (2.0 * z * 1500.0 * k_c + 15696.0 * z**2 * k_gamma), 0.02),
-    ):
-        np.testing.assert_allclose(
-            table()[1] - table(hidden(name, 1.0, crescent=1.0))[1], force, rtol=scale
-        )
+    crescent = (0.12 + z) * (0.5 * 15696.0 * z**2 * 3.0 + 2.0 * 1500.0 * z * math.sqrt(3.0))
+    terzaghi = wedge * (2.0 * z * 1500.0 * k_c + 15696.0 * z**2 * k_gamma)
+    for name, force, scale in (("crescent", crescent, 1e-9), ("terzaghi", terzaghi, 0.02)):
+        lost = table()[1] - table(hidden(name, 1.0, crescent=1.0))[1]
+        np.testing.assert_allclose(lost, force, rtol=scale)
 
 
 COMPACTED = 1.0 + 0.3 * np.log(ROWS.passes)
@@ -310,68 +266,29 @@ def test_grade_takes_the_weight_component(name):
 
 
 def test_errors_of_sensors_and_drive():
-    base = table()
+    z, pull, torque = table()
     omega = ROWS.speed / (0.15 * (1.0 - ROWS.slip))
-    np.testing.assert_allclose(
-        table(hidden("slip_gain", 0.2)),
-        world(replace(ROWS, slip=ROWS.slip * (1.2 - 0.2 * ROWS.slip))),
-        rtol=1e-9,
-    )
-    drive = {"unit": 10.0, "omega": 0.6, "load": 50.0, "share": 0.4}
-    for name, s, side, channel, read in (
-        (
-            "bending_frame",
-            -0.002,
-            {"load": 50.0, "power": 0.5},
-            0,
-            base[0] - 0.002 * (ROWS.load / 50.0) ** 0.5,
-        ),
-        (
-            "stribeck",
-            0.05,
-            drive,
-            2,
-            base[2] + 0.5 * (1.0 + 0.8 * np.exp(-((omega / 0.6) ** 2))) / 1.4,
-        ),
-        (
-            "axle_load",
-            0.05,
-            drive,
-            2,
-            base[2] + 0.5 * (0.6 + 0.4 * np.hypot(ROWS.load, base[1]) / 50.0),
-        ),
-        (
-            "warming_seal",
-            0.1,
-            {"load": 50.0, "radius": 0.2, "time": 4400.0, "warm": 0.25},
-            2,
-            base[2] + np.exp(-ROWS.time / 1100.0),
-        ),
-        (
-            "slack_load_cell",
-            0.04,
-            {"load": 50.0},
-            1,
-            np.sign(base[1]) * np.maximum(np.abs(base[1]) - 2.0, 0.0),
-        ),
-        (
-            "saturating_torque",
-            0.2,
-            {"load": 50.0, "radius": 0.2},
-            2,
-            base[2] / (1.0 + 0.04 * np.abs(base[2])),
-        ),
-        ("tilt", 2.0, {}, 1, base[1] - ROWS.load * math.tan(math.radians(2.0))),
-        ("force_offset", 0.04, {"load": 50.0}, 1, base[1] + 2.0),
-        ("force_gain", -0.1, {}, 1, 0.9 * base[1]),
-        ("torque_offset", 0.04, {"load": 50.0, "radius": 0.2}, 2, base[2] + 0.4),
-        ("torque_gain", 0.05, {}, 2, 1.05 * base[2]),
-        ("force_crosstalk", 0.1, {}, 1, base[1] + 0.1 * base[2] / 0.15),
-        ("torque_crosstalk", -0.2, {}, 2, base[2] - 0.2 * base[1] * 0.15),
+    slipping = replace(ROWS, slip=ROWS.slip * (1.2 - 0.2 * ROWS.slip))
+    np.testing.assert_allclose(table(hidden("slip_gain", 0.2)), world(slipping), rtol=1e-9)
+    side = {"unit": 10.0, "omega": 0.6, "load": 50.0, "share": 0.4, "power": 0.5}
+    side |= {"radius": 0.2, "time": 4400.0, "warm": 0.25}
+    for name, s, channel, read in (
+        ("bending_frame", -0.002, 0, z - 0.002 * (ROWS.load / 50.0) ** 0.5),
+        ("stribeck", 0.05, 2, torque + 0.5 * (1.0 + 0.8 * np.exp(-((omega / 0.6) ** 2))) / 1.4),
+        ("axle_load", 0.05, 2, torque + 0.5 * (0.6 + 0.4 * np.hypot(ROWS.load, pull) / 50.0)),
+        ("warming_seal", 0.1, 2, torque + np.exp(-ROWS.time / 1100.0)),
+        ("slack_load_cell", 0.04, 1, np.sign(pull) * np.maximum(np.abs(pull) - 2.0, 0.0)),
+        ("saturating_torque", 0.2, 2, torque / (1.0 + 0.04 * np.abs(torque))),
+        ("tilt", 2.0, 1, pull - ROWS.load * math.tan(math.radians(2.0))),
+        ("force_offset", 0.04, 1, pull + 2.0),
+        ("force_gain", -0.1, 1, 0.9 * pull),
+        ("torque_offset", 0.04, 2, torque + 0.4),
+        ("torque_gain", 0.05, 2, 1.05 * torque),
+        ("force_crosstalk", 0.1, 1, pull + 0.1 * torque / 0.15),
+        ("torque_crosstalk", -0.2, 2, torque - 0.2 * pull * 0.15),
     ):
-        np.testing.assert_allclose(
-            table(hidden(name, s, **side))[channel], read, rtol=1e-10, atol=1e-12
-        )
+        found = table(hidden(name, s, **side))[channel]
+        np.testing.assert_allclose(found, read, rtol=1e-10, atol=1e-12, err_msg=name)
 
 
 @pytest.mark.parametrize("name, s", [("arm_load", 0.4), ("arm_load", -0.4), ("spring_load", 0.2)])
@@ -379,9 +296,7 @@ def test_a_rig_that_yields_is_a_rigid_one_under_another_load(name, s):
     out = table(hidden(name, s, load=70.0))
     z, _, torque = out
     load = ROWS.load + (s * torque / 0.15 if name == "arm_load" else -70.0 * s * z / 0.015)
-    np.testing.assert_allclose(
-        out, predict(GROUND, WHEEL, replace(ROWS, load=load)).stack(), rtol=1e-6
-    )
+    np.testing.assert_allclose(out, world(replace(ROWS, load=load)), rtol=1e-6)
 
 
 def test_wrong_radius_is_another_wheel_at_another_slip():
@@ -398,10 +313,7 @@ def test_form_is_nothing_at_zero_and_moves_only_its_channels(form):
         np.testing.assert_allclose(b.truth([Hidden(form, 0.0, side)]), b.base, rtol=1e-7)
     for sign in form.signs:
         strength = sign * max(0.5 * form.cap(b), form.floor)
-        moved = np.max(np.abs(b.truth([Hidden(form, strength, side)]) - b.base), axis=1) / np.array(
-            b.noise
-        )
-        assert {c for c, size in zip(CHANNELS, moved, strict=True) if size > 1e-3} == set(
-            form.channels
-        )
+        away = np.abs(b.truth([Hidden(form, strength, side)]) - b.base)
+        moved = np.max(away, axis=1) / b.noise
+        assert set(np.array(CHANNELS)[moved > 1e-3]) == set(form.channels)
         assert moved.max() > 0.5

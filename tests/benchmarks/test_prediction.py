@@ -6,8 +6,8 @@ import pytest
 from benchmarks import prediction
 from benchmarks.continuum.rig import LOADS, WHEELS
 from benchmarks.rigs import DATA
-from soil_env._io.loading import ParameterError
 from tests.discovery.files import PLANTED, data_of, problem_of, table_text
+from tests.refusals import refused
 
 measured = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data in {DATA}")
 
@@ -18,12 +18,10 @@ def test_a_load_left_out_of_a_table_of_the_model_is_predicted(tmp_path):
     found = prediction.figures(prediction.Case("own", data.table, data.setup, (out,)))
     assert found["rows"] == out.sum() and set(found["errors"]) == set(prediction.METHODS)
     over = found["over_noise"]
-    assert over["all effects"] < min(1.4, over["curve"], over["base model"])
+    best = min(over["curve"], over["base model"])
+    assert over["all effects"] < min(1.4, best)
     ratios = prediction.ratios([found])
-    assert ratios["curve"] == {
-        "mean": 1.0,
-        "worst": over["curve"] / min(over["curve"], over["base model"]),
-    }
+    assert ratios["curve"] == {"mean": 1.0, "worst": over["curve"] / best}
     parts = ("chosen", "fresh")
     pages = prediction.tables_of(dict.fromkeys(parts, [found]), dict.fromkeys(parts, ratios))
     assert len(pages) == 4 and "| own |" in next(iter(pages.values())).markdown()
@@ -57,5 +55,4 @@ def test_every_measured_case_leaves_each_of_its_rows_out():
 
 
 def test_missing_measurements_are_one_line(tmp_path):
-    with pytest.raises(ParameterError, match="expected all_smooth_data.mat"):
-        list(prediction.cases(tmp_path))
+    refused(lambda: list(prediction.cases(tmp_path)), "expected all_smooth_data.mat")

@@ -25,15 +25,14 @@ def test_a_drive_from_readings_is_that_of_the_evaluation():
 
 def test_every_error_is_three_standard_deviations():
     weight = SCENARIO.gravity * SCENARIO.wheel.body_mass
+    noise = SCENARIO.noise
     reading = SensorReading(*np.linspace(1.0, 2.0, len(SensorReading._fields)).tolist())
     pull = reading.drawbar_pull
     found = misread(reading, Case(error="drawbar_pull_zero"), -1.0, SCENARIO)
-    assert found.drawbar_pull == pytest.approx(
-        pull - 3.0 * SCENARIO.noise.drawbar_pull_zero * weight
-    )
+    assert found.drawbar_pull == pytest.approx(pull - 3.0 * noise.drawbar_pull_zero * weight)
     assert found._replace(drawbar_pull=pull) == reading
     found = misread(reading, Case(error="torque_gain"), 1.0, SCENARIO)
-    assert found.torque == pytest.approx((1.0 + 3.0 * SCENARIO.noise.torque_gain) * reading.torque)
+    assert found.torque == pytest.approx((1.0 + 3.0 * noise.torque_gain) * reading.torque)
     for case in robustness.cases().values():
         changed = misread(reading, case, 1.0, SCENARIO)
         assert (changed != reading) == bool(case.error or case.dead)

@@ -12,11 +12,8 @@ from soil_env.cli import _COMMANDS, main
 from tests.refusals import refused_command
 
 EXAMPLES = shipped_dir("examples")
-TABLE = [
-    str(EXAMPLES / "data" / "single_wheel.csv"),
-    "--setup",
-    str(EXAMPLES / "data" / "setup.yaml"),
-]
+DATA = EXAMPLES / "data"
+TABLE = [DATA / "single_wheel.csv", "--setup", DATA / "setup.yaml"]
 
 
 def refusal(capsys, *arguments):
@@ -30,18 +27,14 @@ def refusal(capsys, *arguments):
 def test_help_fits_a_screen_and_an_unknown_option_is_refused(name, capsys):
     assert main([name, "--help"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert (
-        lines[0].startswith(f"Usage: soil-env {name}")
-        and len(lines) <= 50
-        and max(map(len, lines)) <= 110
-    )
+    assert lines[0].startswith(f"Usage: soil-env {name}")
+    assert len(lines) <= 50 and max(map(len, lines)) <= 110
     assert refusal(capsys, name, "--no-such-option").startswith(f"soil-env {name}: error: ")
 
 
 def test_an_unknown_command_is_refused_with_the_nearest(capsys):
-    assert "unknown command 'identfy'; did you mean 'identify'? (known: drive, " in refusal(
-        capsys, "identfy"
-    )
+    said = "unknown command 'identfy'; did you mean 'identify'? (known: drive, "
+    assert said in refusal(capsys, "identfy")
 
 
 def test_without_arguments_the_help_is_printed(capsys):
@@ -53,18 +46,15 @@ def test_without_arguments_the_help_is_printed(capsys):
 def test_a_folder_that_cannot_be_made_is_refused_before_the_work(arguments, capsys, tmp_path):
     assert "'--out': is empty: expected a path" in refusal(capsys, *arguments, "--out", "")
     (tmp_path / "file").write_text("mine")
-    assert str(tmp_path / "file") in refusal(
-        capsys, *arguments, "--out", str(tmp_path / "file" / "out")
-    )
+    file = tmp_path / "file"
+    assert str(file) in refusal(capsys, *arguments, "--out", file / "out")
     assert os.listdir(tmp_path) == ["file"]
 
 
 def test_discover_says_nothing_but_why_it_refuses(capsys, tmp_path):
-    (tmp_path / "table.csv").write_text("slip,load\n0.1,100\n")
-    said = refusal(
-        capsys, "discover", str(tmp_path / "table.csv"), *TABLE[1:], "--out", str(tmp_path / "out")
-    )
-    assert "table.csv" in said
+    table = tmp_path / "table.csv"
+    table.write_text("slip,load\n0.1,100\n")
+    assert "table.csv" in refusal(capsys, "discover", table, *TABLE[1:], "--out", tmp_path / "out")
 
 
 def test_examples_on_a_full_disk_name_the_file_that_is_not_written(capsys, monkeypatch, tmp_path):
@@ -72,16 +62,15 @@ def test_examples_on_a_full_disk_name_the_file_that_is_not_written(capsys, monke
         raise OSError(28, "full")
 
     monkeypatch.setattr(files, "_bytes", full)
-    assert f"{tmp_path / 'mine'}" in refusal(capsys, "examples", str(tmp_path / "mine"))
-    assert not [p for p in (tmp_path / "mine").rglob("*") if p.is_file()]
+    mine = tmp_path / "mine"
+    assert str(mine) in refusal(capsys, "examples", mine)
+    assert not [p for p in mine.rglob("*") if p.is_file()]
 
 
 def test_examples_are_copied_once(capsys, monkeypatch, tmp_path):
-    assert main(["examples", str(tmp_path / "mine")]) == 0
-    assert (tmp_path / "mine" / "README.md").is_file()
-    capsys.readouterr()
-    assert "is not empty: expected a new folder" in refusal(
-        capsys, "examples", str(tmp_path / "mine")
-    )
+    mine = tmp_path / "mine"
+    assert main(["examples", str(mine)]) == 0
+    assert (mine / "README.md").is_file()
+    assert "is not empty: expected a new folder" in refusal(capsys, "examples", mine)
     monkeypatch.chdir(EXAMPLES.parent)
     assert "has the examples already" in refusal(capsys, "examples")

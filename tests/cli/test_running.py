@@ -56,28 +56,31 @@ def test_ctrl_c_during_the_imports_is_one_line(tmp_path):
     assert found == (130, "", "\nsoil-env discover: interrupted\n")
 
 
+IMPORTING = """
+import signal
+before = [signal.getsignal(s) for s in (2, 15)]
+import soil_env, soil_env.env, soil_env.cli
+assert before == [signal.getsignal(s) for s in (2, 15)]
+"""
+
+
 @WITH_SIGNALS
 def test_importing_the_package_changes_no_signal_handler():
-    handlers = "[signal.getsignal(s) for s in (2, 15)]"
-    code = (
-        "import signal\n"
-        f"before = {handlers}\n"
-        "import soil_env, soil_env.env, soil_env.cli\n"
-        f"assert before == {handlers}"
-    )
-    assert ended("-c", code)[0] == 0
+    assert ended("-c", IMPORTING)[0] == 0
+
+
+THROUGH_EXEC = """
+try:
+    exec('raise KeyboardInterrupt')
+except KeyboardInterrupt:
+    print('caught')
+leave(130)
+"""
 
 
 @WITH_SIGNALS
 def test_an_interrupt_that_passed_through_exec_is_status_130():
-    code = (
-        "try:\n"
-        "    exec('raise KeyboardInterrupt')\n"
-        "except KeyboardInterrupt:\n"
-        "    print('caught')\n"
-        "leave(130)"
-    )
-    assert ended("-c", MINE + code) == (130, "caught\n", "")
+    assert ended("-c", MINE + THROUGH_EXEC) == (130, "caught\n", "")
 
 
 @WITH_SIGNALS
@@ -87,17 +90,15 @@ def test_sigterm_is_an_interrupt_unless_it_is_ignored(capsys):
         time.sleep(0.5)
 
     before = signal.getsignal(signal.SIGTERM)
-    assert run(command_of(work), [], "mine") == TERMINATED
-    assert (
-        capsys.readouterr().err == "\nmine: interrupted\n"
-        and signal.getsignal(signal.SIGTERM) is before
-    )
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
-        assert (
-            run(command_of(work), [], "mine") == 0
-            and signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
-        )
+        for handler, status, said in (
+            (before, TERMINATED, "\nmine: interrupted\n"),
+            (signal.SIG_IGN, 0, ""),
+        ):
+            signal.signal(signal.SIGTERM, handler)
+            assert run(command_of(work), [], "mine") == status
+            assert capsys.readouterr().err == said
+            assert signal.getsignal(signal.SIGTERM) is handler
     finally:
         signal.signal(signal.SIGTERM, before)
 
@@ -203,17 +204,13 @@ def test_a_reader_that_has_gone_ends_a_command_silently(say):
 def test_a_print_that_fails_is_one_line():
     with open("/dev/full", "w") as full:
         found = ended("-c", saying("print('x', flush=True)"), stdout=full)
-    assert found == (
-        2,
-        None,
-        "mine: error: the output cannot be written (No space left on device)\n",
-    )
+    said = "mine: error: the output cannot be written (No space left on device)\n"
+    assert found == (2, None, said)
 
 
 def test_a_whole_number_is_required(capsys):
-    command = click.Command(
-        "mine", params=[click.Option(["--n"], type=WholeNumber())], callback=lambda n: None
-    )
+    option = click.Option(["--n"], type=WholeNumber())
+    command = click.Command("mine", params=[option], callback=lambda n: None)
     for text in ("abc", "-1", "1.5", "nan", "1e400", "", "1_0", "\u0661"):
         assert run(command, ["--n", text], "mine") == 2
         assert f"{text!r}: expected a whole number >= 0" in capsys.readouterr().err

@@ -10,6 +10,7 @@ import sys
 import gymnasium
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 
 from soil_env.parameters import load_rover, load_scenario, rover_names
 from soil_env.rendering import canvas
@@ -29,7 +30,7 @@ def start(rover=None, changes=None, mode="rgb_array", variant="identified"):
     if rover is None:
         scenario = load_scenario("mixed", changes or {})
     else:
-        scenario = load_rover(rover, {"control": {"action": "wheel_speed"}, **(changes or {})})
+        scenario = load_rover(rover, {"control": {"action": "wheel_speed"}} | (changes or {}))
     simulation = started(scenario, variant, [1])
     view = CourseView(scenario, mode)
     view.record(simulation)
@@ -61,21 +62,19 @@ def hubs(simulation):
     left, top, width, height = SCENE
     scale = width / width_of(simulation)
     wheels = shown_wheels(simulation)
-    up = hubs_of(simulation, wheels, ground(simulation)) - ground(simulation).at(
-        0.5 * (wheels[0]["x"] + wheels[-1]["x"])
-    )
+    profile = ground(simulation)
+    middle = 0.5 * (wheels[0]["x"] + wheels[-1]["x"])
+    up = hubs_of(simulation, wheels, profile) - profile.at(middle)
     return np.array([left + AT[0] * width, top + AT[1] * height]) + up * scale * (1.0, -1.0), scale
 
 
 def ring(picture, x, y, radius):
     """Share of a wheel's rim, by angle, that is drawn in the colour of the rim."""
     a = np.linspace(0.0, 2.0 * math.pi, 120, endpoint=False)
-    places = [
-        (y + share * radius * np.sin(a), x + share * radius * np.cos(a)) for share in (0.94, 0.97)
-    ]
-    return np.any(
-        [near(picture[tuple(np.rint(p).astype(int))], canvas.RIM, 40) for p in places], axis=0
-    ).mean()
+    out = radius * np.array([[0.94], [0.97]])
+    rows = np.rint(y + out * np.sin(a)).astype(int)
+    columns = np.rint(x + out * np.cos(a)).astype(int)
+    return near(picture[rows, columns], canvas.RIM, 40).any(axis=0).mean()
 
 
 @VEHICLES
@@ -92,11 +91,6 @@ def test_wheels_are_drawn_where_they_are_and_bear_what_they_bear(rover):
         assert near(below, canvas.LIGHT_BLUE).sum() > 15  # of the stresses
 
 
-def integral(values, x):
-    """Trapezoidal rule."""
-    return float(np.sum(0.5 * (values[1:] + values[:-1]) * np.diff(x)))
-
-
 @pytest.mark.parametrize("command", [0.5, 0.9, -0.3])
 @VEHICLES
 def test_stresses_sum_to_the_forces_on_every_wheel(rover, command):
@@ -111,12 +105,11 @@ def test_stresses_sum_to_the_forces_on_every_wheel(rover, command):
     for w in shown_wheels(simulation):
         angle, normal, shear = stresses_under(w, r, wheel.width)
         side = math.copysign(1.0, w["speed"])
-        load = area * integral(normal * np.cos(angle) + side * shear * np.sin(angle), angle)
-        pull = area * integral(shear * np.cos(angle) - side * normal * np.sin(angle), angle)
+        up = normal * np.cos(angle) + side * shear * np.sin(angle)
+        along = shear * np.cos(angle) - side * normal * np.sin(angle)
+        load, pull, torque = area * trapezoid([up, along, r * shear], angle)
         assert load == pytest.approx(w["load"], rel=0.02)
-        assert r * area * integral(shear, angle) == pytest.approx(
-            w["torque"], abs=0.03 * w["load"] * r
-        )
+        assert torque == pytest.approx(w["torque"], abs=0.03 * w["load"] * r)
         assert pull == pytest.approx(w["drawbar_pull"], abs=0.03 * w["load"])
 
 
@@ -129,32 +122,22 @@ def test_ruts_lower_the_ground_behind_the_wheels(rover):
     worlds = simulation.worlds
     places, scale = hubs(simulation)
     last = shown_wheels(simulation)[-1]
-    if rover is None:
-        cells = worlds.courses["cells"][0]
-        left = [cells["depth"]]
-    else:  # behind the rear wheel: its own rut in that of the front wheel
-        cells = worlds.ruts[0, -1]
-        left = [cells["depth"], cells["floor"]]
-    x = last["x"]
-    place = ground(simulation).at(last["x"])
+    # Behind the rear wheel of a rover: its own rut in that of the front wheel.
+    left = ["depth"] if rover is None else ["depth", "floor"]
+    cells = worlds.courses["cells"][0] if rover is None else worlds.ruts[0, -1]
+    profile = ground(simulation)
+    (hub,) = hubs_of(simulation, [last], profile)
     deep = simulation.scenario.wheel.radius - last["sinkage"] - last["rut"]
-    assert math.dist(hubs_of(simulation, [last], ground(simulation))[0], place) == pytest.approx(
-        deep, rel=1e-9
-    )
-    behind = math.floor(x / CELL) + CELLS_BEHIND - 4
-    depth = scale * sum(float(array[behind]) for array in left)
-    if rover is None:
-        worlds.courses["cells"]["depth"] = 0.0
-    else:
-        worlds.ruts["depth"] = 0.0
-        worlds.ruts["floor"] = 0.0
+    assert math.dist(hub, profile.at(last["x"])) == pytest.approx(deep, rel=1e-9)
+    behind = math.floor(last["x"] / CELL) + CELLS_BEHIND - 4
+    depth = scale * sum(float(cells[name][behind]) for name in left)
+    for name in left:
+        (worlds.courses["cells"] if rover is None else worlds.ruts)[name] = 0.0
     without = view.draw(simulation)
     radius = simulation.scenario.wheel.radius * scale
-    sky = [
-        near(p[:, int(places[-1, 0] - 1.5 * radius)], canvas.SKY, 6).sum()
-        for p in (with_rut, without)
-    ]
-    assert depth > 3.0 and sky[0] - sky[1] == pytest.approx(depth, abs=4.0)
+    column = int(places[-1, 0] - 1.5 * radius)
+    more, less = (near(p[:, column], canvas.SKY, 6).sum() for p in (with_rut, without))
+    assert depth > 3.0 and more - less == pytest.approx(depth, abs=4.0)
     # Below the key of the stresses.
     ahead = np.s_[200:, int(places[0, 0] + 1.7 * radius) : SCENE[2]]
     assert np.array_equal(with_rut[ahead], without[ahead])
@@ -215,20 +198,20 @@ def test_a_window_shows_the_picture(monkeypatch):
 
 @pytest.mark.parametrize("name", ["SoilWheel-v0", "SoilRover-v0"])
 def test_drawing_changes_neither_the_episode_nor_an_earlier_picture(name):
-    drawn, plain = (
+    both = [
         gymnasium.make(name, render_mode=mode, action="wheel_speed") for mode in ("rgb_array", None)
-    )
-    for env in (drawn, plain):
+    ]
+    drawn, plain = both
+    for env in both:
         env.reset(seed=5)
     first = drawn.render()
     kept = first.copy()
     np.testing.assert_array_equal(drawn.render(), first)
+    action = np.full(drawn.action_space.shape, 0.5, np.float32)
     for k in range(30):
-        a, b = (
-            env.step(np.full(env.action_space.shape, 0.5, np.float32)) for env in (drawn, plain)
-        )
-        np.testing.assert_array_equal(a[0], b[0])
-        assert a[1:] == b[1:]
+        (seen, *told), (own, *expected) = (env.step(action) for env in both)
+        np.testing.assert_array_equal(seen, own)
+        assert told == expected
         if k % 10 == 0:
             drawn.render()
     np.testing.assert_array_equal(first, kept)
