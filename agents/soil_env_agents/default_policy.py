@@ -11,18 +11,17 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import RoverScenario, Scenario, load_scenario
-from soil_env.simulation.task import check_version, layout
+from soil_env.simulation.task import ROUTES, check_version, layout
 
 from . import common_layout, inputs
 from .archives import check_unpacked
-from .history import History, Remembering, columns_of_routes
+from .history import History, Remembering
 
 WEIGHTS = Path(__file__).with_name("default_policy.npz")
 NAME = "default_policy"
 MOST_BYTES = 2**26  # unpacked; the shipped file has a fourth of a megabyte
 CLIP = 10.0  # of a normalised input
-#: Of the drive, and of the score of a route; each with a weight [out, in] and a bias [out].
-LAYERS = ("policy_0", "policy_1", "action", "line_0", "line_1", "score")
+LAYERS = ("policy_0", "policy_1", "action")  # each with a weight [out, in] and a bias [out]
 _EXPECTED = (
     f"expected an .npz of {__package__}.generalist; the shipped one comes again with an "
     "installation"
@@ -74,7 +73,7 @@ class DefaultPolicy(Remembering):
                 f"{common_layout.__name__}"
             )
         self.choice = names.index("choice")
-        self.routes = columns_of_routes(names, self.history.steps)
+        self.margins = [[names.index(f"{route}_margin")] for route in ROUTES]
         try:  # layers that do not fit each other raise ValueError or give another shape
             with np.errstate(over="ignore", invalid="ignore"):
                 tried = self.action(np.zeros((1, self.mean.size), dtype=np.float32))
@@ -95,10 +94,11 @@ class DefaultPolicy(Remembering):
         """Actions [n, 1], not yet cut to [-1, 1], for normalised observations [n, D] with their
         history; arrays, or values of an ONNX graph.
 
-        Where a route is chosen an action is the score of the route ahead less that of the other.
+        Where a route is chosen an action is the margin of the route ahead less that of the other,
+        whose moments are the same.
         """
-        drive = _network(self.layers[:3], x)
-        ahead, beside = (_network(self.layers[3:], x[:, columns]) for columns in self.routes)
+        drive = _network(self.layers, x)
+        ahead, beside = (x[:, column] for column in self.margins)
         # The entry is normalised: where it is 1 it is above its mean, else below.
         return np.where(np.greater(x[:, [self.choice]], 0.0), ahead - beside, drive)
 

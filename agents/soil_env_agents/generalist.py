@@ -196,7 +196,6 @@ def weights_of(model: PPO, history: int, made: dict) -> dict[str, np.ndarray]:
     modules = [  # linear layers, every other of which is an activation
         *policy.mlp_extractor.policy_net[::2],
         policy.action_net,
-        *policy.mlp_extractor.line_net[::2],
     ]
     out = {"mean": env.obs_rms.mean, "sd": np.sqrt(env.obs_rms.var + env.epsilon)}
     for name, module in zip(default_policy.LAYERS, modules, strict=True):
