@@ -168,7 +168,9 @@ def independent(x, others):
 
 
 @BOTH
-@pytest.mark.parametrize(("noise", "count"), [(ZEROS, 2 * len(NAMES)), ({}, 12)])
+@pytest.mark.parametrize(
+    ("noise", "count"), [(ZEROS, 2 * len(NAMES)), ({}, 12)], ids=["all", "default"]
+)
 def test_zeros_and_gains_have_the_stated_deviations(load, noise, count):
     """Of each sensor, all or those of the scenario, over 2000 courses: normal, of mean 0,
     independent of each other, of those of other wheels, and of those of the course before.
@@ -239,7 +241,7 @@ def test_white_noise_about_zeros_and_gains_has_the_stated_deviation(load):
     unit = units(sim.scenario)
     rng = np.random.default_rng(1)
     rows = []
-    for _ in range(250):
+    for _ in range(400):
         step(sim, rng)
         off = errors(sim)
         for name in OF_BODY:
@@ -334,6 +336,7 @@ def test_the_observation_has_the_readings_in_its_units(name):
         readings = read(sim)
         for reading, unit in (units(scenario) | of).items():
             columns = np.flatnonzero(names == reading)
+            assert columns.size == (1 if reading in OF_BODY else wheels_of(sim).shape[1])
             stated = readings[reading][:, : columns.size] / unit
             stated = np.clip(stated, *sim.numbers.bounds[:, columns])
             seen = sim.worlds.observation[:, columns]
