@@ -3,6 +3,7 @@
 import pytest
 
 from soil_env.discovery import run
+from soil_env.discovery.prediction import fit_prediction
 from tests.discovery.files import LOADS, PLANTED, problem_of, table_text, write_files
 
 
@@ -31,3 +32,9 @@ def nothing(tmp_path_factory):
 def planted_problem(tmp_path_factory):
     """Calibrated problem of a table with slip-sinkage."""
     return problem_of(tmp_path_factory.mktemp("problem"), table_text(PLANTED, loads=LOADS))
+
+
+@pytest.fixture(scope="session")
+def learnt(planted_problem):
+    """Prediction of the calibrated problem."""
+    return fit_prediction(planted_problem)

@@ -1,5 +1,6 @@
 """Small synthetic tables with a planted effect, for the tests of the discovery workflow."""
 
+import copy
 import csv
 import dataclasses
 import itertools
@@ -44,21 +45,29 @@ def world(effects: dict) -> WheelSoilModel:
     return WheelSoilModel(ModelWheel(0.15, 0.12, 0.01), soil, effects)
 
 
+def csv_text(names, rows) -> str:
+    """Table of rows of numbers, as a file of CSV has it."""
+    lines = (",".join(f"{x:.12g}" for x in row) for row in rows)
+    return "\n".join((",".join(names), *lines, ""))
+
+
 def table_text(
-    effects: dict, loads=(100, 150, 220), slips=SLIPS, channels=tuple(NOISE), seed=0, **conditions
+    effects: dict,
+    loads=(100, 150, 220),
+    slips=SLIPS,
+    channels=tuple(NOISE),
+    seed=0,
+    noise=1.0,
+    **conditions,
 ) -> str:
     """CSV of `world(effects)` with noise at all combinations of the conditions."""
     names = ("load", *conditions, "slip")
     at = np.array(list(itertools.product(loads, *conditions.values(), slips)), dtype=float)
     predicted = world(effects).predict(dict(zip(names, at.T, strict=True)))
     values = np.stack(predicted[:3], axis=1)
-    values += np.random.default_rng(seed).normal(size=values.shape) * list(NOISE.values())
+    values += noise * np.random.default_rng(seed).normal(size=values.shape) * list(NOISE.values())
     chosen = [list(NOISE).index(name) for name in channels]
-    lines = [",".join((*names, *channels))]
-    lines += [
-        ",".join(f"{x:.6g}" for x in (*a, *v[chosen])) for a, v in zip(at, values, strict=True)
-    ]
-    return "\n".join(lines) + "\n"
+    return csv_text((*names, *channels), np.hstack([at, values[:, chosen]]))
 
 
 def write_files(folder, table: str, setup: str = SETUP):
@@ -76,10 +85,12 @@ def data_of(folder, table: str, setup: str = SETUP) -> Data:
 
 
 def with_column(text: str, name: str, value) -> str:
-    """The table with a column, new or in place of its own: `value` of each row {name: number}."""
+    """The table with a column, new or in place of its own: `value` of each row {name: number}, or
+    "".
+    """
     rows = list(csv.DictReader(text.splitlines()))
     for row in rows:
-        row[name] = repr(value({key: float(x) for key, x in row.items()}))
+        row[name] = str(value({key: float(x) for key, x in row.items()}))
     return "\n".join(",".join(line) for line in (rows[0], *(row.values() for row in rows))) + "\n"
 
 
@@ -111,9 +122,14 @@ def sand_text(slips, noise=0.0):
     """Table of `on_sand` under three loads, with `noise` times that of `SAND_SETUP`."""
     slip, load, y = on_sand(slips, (60.0, 100.0, 160.0))
     y = y + noise * np.random.default_rng(5).normal(size=y.shape) * [3e-4, 0.7, 0.1]
-    rows = np.column_stack([slip, load, y]).tolist()
-    lines = (",".join(f"{x:.6g}" for x in row) + "\n" for row in rows)
-    return "slip,load,sinkage,drawbar_pull,torque\n" + "".join(lines)
+    return csv_text(("slip", "load", *NOISE), np.column_stack([slip, load, y]))
+
+
+def with_data(problem: Problem, **changes) -> Problem:
+    """The problem with other fields of its data."""
+    out = copy.copy(problem)
+    out.data = dataclasses.replace(problem.data, **changes)
+    return out
 
 
 def problem_of(folder, text: str, setup: str = SETUP) -> Problem:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from soil_env.discovery.calibrate import Problem
-from soil_env.identification.table.data import Data
-from tests.discovery.files import SETUP, SLIPS, data_of, world
+from soil_env.identification.table.data import CHANNELS, Data
+from tests.discovery.files import SETUP, SLIPS, csv_text, data_of, world
 
 NOISE = np.array([0.0009, 1.5, 0.2])
 WHEEL = world({}).wheel
@@ -25,14 +25,22 @@ def table(
     c = np.array(list(itertools.product(slips, loads, speeds, passes, grades)) * repeats)
     names = ("slip", "load", "speed", "pass", "grade_deg")
     values = world(effects or {}).predict(dict(zip(names, c.T, strict=True)))
-    lines = [",".join(("run", *names, "sinkage", "drawbar_pull", "torque"))]
-    for k, row in enumerate(c):
-        lines.append(",".join(map(repr, (k, *map(float, row), *(float(v[k]) for v in values[:3])))))
+    rows = np.column_stack([np.arange(len(c)), c, *values[:3]])
     with tempfile.TemporaryDirectory() as folder:
-        return data_of(Path(folder), "\n".join(lines) + "\n", _SETUP)
+        return data_of(Path(folder), csv_text(("run", *names, *CHANNELS), rows), _SETUP)
 
 
 def problem(data: Data, rng: np.random.Generator, added=0.0) -> Problem:
     """The problem of a table with noise and what is `added` [N, 3] to its values."""
     y = data.y + added + NOISE * rng.normal(size=data.y.shape)
     return Problem(dataclasses.replace(data, y=y), NOISE.copy(), data.measured)
+
+
+def law_error(data: Data, rng: np.random.Generator, size: float) -> np.ndarray:
+    """Smooth relative errors of the stress laws [N, 3], linear in their size, which no effect
+    makes.
+    """
+    law = problem(data, rng).fit().form_errors[2]
+    errors = np.zeros_like(data.y)
+    errors[data.measured] = law @ (size * rng.normal(size=law.shape[1]))
+    return errors * NOISE

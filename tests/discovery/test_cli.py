@@ -62,11 +62,6 @@ BAD = {
         SETUP,
         r"row 3, speed is empty",
     ),
-    "unknown column": (
-        TABLE.replace("drawbar_pull", "drawbar_pul", 1),
-        SETUP,
-        r"'drawbar_pul'; .*'drawbar_pull'",
-    ),
     "misspelt key": (
         TABLE,
         SETUP.replace("cohesion:", "cohesoin:", 1),

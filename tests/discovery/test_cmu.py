@@ -20,7 +20,6 @@ DATA = Path(
 CMU = DATA / "cmu_single_wheel"
 measured = pytest.mark.skipif(not CMU.is_dir(), reason=f"no measured data in {CMU}")
 WHEELS = {"smooth": "all_smooth_data.mat", "grouser": "all_grouser_data.mat"}
-NAMES = tuple(WHEELS.values())
 
 # slip angle, commanded and measured rim speed [mm/s], forces along, across and up in the sensor's
 # frame, Z [mm]
@@ -33,44 +32,30 @@ TRIALS = (
 )
 
 
-def saved(folder, trials=TRIALS, names=NAMES, **changes):
-    """`folder` with .mat files of the repository's structure: a column of structs of 1 x 1 cells of
-    mixed types.
+def saved(folder):
+    """Write .mat files of the repository's structure into a folder: a column of structs of 1 x 1
+    cells of mixed types.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    fields = (
-        "avg_Fx",
-        "avg_Fy",
-        "avg_Fz",
-        "avg_Vx",
-        "avg_Vry",
-        "avg_Z",
-        "polyx",
-        "Vry",
-        "beta",
-        "trial_num",
-        "slip",
-    )
-    results = np.empty((len(trials), 1), dtype=[(f, "O") for f in fields])
-    for k, (beta, command, rim, fx, fy, fz, z) in enumerate(trials):
-        slip = (rim - 10) / max(10, rim)
-        cells = (
-            fx,
-            fy,
-            fz,
-            9.99,
-            rim,
-            np.float32(z),
-            np.ones((1, 2), np.float32),
-            np.uint8(command),
-            np.uint8(beta),
-        )
-        results[k, 0] = (*cells, np.uint8(1), slip)
-        for field, value in changes.items():
-            results[k, 0][field] = value
-    for name in names:
-        savemat(folder / name, {"all_results": results})
-    return folder
+    cells = [
+        {
+            "avg_Fx": fx,
+            "avg_Fy": fy,
+            "avg_Fz": fz,
+            "avg_Vx": 9.99,
+            "avg_Vry": rim,
+            "avg_Z": np.float32(z),
+            "polyx": np.ones((1, 2), np.float32),
+            "Vry": np.uint8(command),
+            "beta": np.uint8(beta),
+            "trial_num": np.uint8(1),
+            "slip": (rim - 10) / max(10, rim),
+        }
+        for beta, command, rim, fx, fy, fz, z in TRIALS
+    ]
+    results = np.array([tuple(row.values()) for row in cells], [(name, "O") for name in cells[0]])
+    for name in WHEELS.values():
+        savemat(folder / name, {"all_results": results[:, None]})
 
 
 def test_tables_and_setups_of_a_made_file(tmp_path, capsys):

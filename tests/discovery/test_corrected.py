@@ -8,21 +8,18 @@ import math
 import numpy as np
 import pytest
 
-from soil_env.discovery.calibrate import calibrate
 from soil_env.discovery.corrected import MOST, corrected, least_sure, model_of
 from soil_env.discovery.outlook import outlook
 from soil_env.discovery.prediction import fit_prediction
 from soil_env.parameters import Noise
-from tests.discovery.files import NOISE, PLANTED, SETUP, changed, data_of, table_text
+from tests.discovery.files import LOADS, NOISE, PLANTED, SETUP, changed, problem_of, table_text
 from tests.simulation import wheels
-
-LOADS = (80.0, 120.0, 180.0)
 
 
 @pytest.fixture(scope="module")
 def prediction(tmp_path_factory):
     text = changed(table_text(PLANTED, loads=LOADS), "drawbar_pull", lambda x: x + 6.0)
-    model = outlook(calibrate(data_of(tmp_path_factory.mktemp("table"), text))[0]).model
+    model = outlook(problem_of(tmp_path_factory.mktemp("table"), text)).model
     average = model.average._replace(weight=np.array([0.2, 0.1, 0.3]))
     return dataclasses.replace(model, average=average)
 
@@ -69,7 +66,7 @@ def test_the_least_sure_conditions_are_beyond_the_table(prediction):
 def test_a_guess_tells_the_wheel_where_the_table_has_several(tmp_path, prediction):
     """It is that of the setup, and loads of another wheel are no loads of its own."""
     assert "wheel_radius" not in least_sure(prediction).conditions
-    problem = calibrate(data_of(tmp_path, table_text({}, LOADS, wheel_radius=(0.12, 0.2))))[0]
+    problem = problem_of(tmp_path, table_text({}, LOADS, wheel_radius=(0.12, 0.2)))
     there = least_sure(fit_prediction(problem)).conditions
     assert there["wheel_radius"] == 0.15 and "wheel_width" not in there
 
@@ -78,7 +75,7 @@ def test_a_model_has_the_stiffness_of_each_width_that_the_fit_has(tmp_path):
     moduli = "k_c: {value: 2e4, sd: 1e4}\n  k_phi: {value: 6e5, sd: 8e4}"
     setup = SETUP.replace("sinkage_coefficient: {value: 770000, sd: 88000}", moduli)
     text = table_text({}, LOADS, wheel_width=(0.08, 0.16))
-    problem = calibrate(data_of(tmp_path, text, setup))[0]
+    problem = problem_of(tmp_path, text, setup)
     fit = problem.fit(())
     found = model_of(problem, (), fit.parameters()).predict(problem.data.table)
     assert np.stack(found[:3], axis=1) == pytest.approx(fit.output, rel=1e-4, abs=1e-4)
@@ -108,7 +105,7 @@ def test_a_drive_in_the_world_of_the_model_is_as_it_predicts(model):
 def test_a_vertical_load_and_a_tilted_rig(tmp_path):
     """The tilt of the setup is the rig's, and the model has none."""
     setup = SETUP + "tilt_deg: {value: 2, sd: 0.01}\n"
-    found = fit_prediction(calibrate(data_of(tmp_path, table_text({}, loads=LOADS), setup))[0])
+    found = fit_prediction(problem_of(tmp_path, table_text({}, loads=LOADS), setup))
     at = {"slip": np.array([0.2]), "load": np.array([120.0])}
     tilted, level = found.at(at).mean[0, 1], corrected(found).predict(at).drawbar_pull[0]
     assert level - tilted == pytest.approx(120.0 * math.sin(math.radians(2.0)), rel=0.1)

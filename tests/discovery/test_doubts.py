@@ -3,17 +3,7 @@
 from soil_env.discovery import doubts
 from soil_env.discovery.calibrate import calibrate
 from soil_env.discovery.search import search
-from tests.discovery.files import PLANTED, data_of, table_text
-
-LOADS = (100, 120, 150, 180, 220)
-
-
-def with_slip(text: str, line: int, slip: str) -> str:
-    """The table with another slip in a line of the file; the second column is slip."""
-    lines = text.splitlines()
-    cells = lines[line - 1].split(",")
-    lines[line - 1] = ",".join([cells[0], slip, *cells[2:]])
-    return "\n".join(lines) + "\n"
+from tests.discovery.files import PLANTED, data_of, table_text, with_column
 
 
 def test_a_table_whose_rows_check_each_other_raises_no_doubt(planted, nothing):
@@ -22,7 +12,11 @@ def test_a_table_whose_rows_check_each_other_raises_no_doubt(planted, nothing):
 
 
 def test_a_mistyped_slip_that_decides_is_told(tmp_path):
-    text = with_slip(table_text(PLANTED, LOADS), 5, "1.0")
+    text = with_column(
+        table_text(PLANTED, (100, 120, 150, 180, 220)),
+        "slip",
+        lambda row: 1.0 if row["load"] == 100.0 and row["slip"] == 0.3 else row["slip"],
+    )
     problem, noise = calibrate(data_of(tmp_path, text))
     found = doubts.of_lone_rows(problem, noise, search(problem), lambda text: None)
     assert noise.alone.tolist().count(True) == 1 and noise.alone[3]

@@ -13,7 +13,7 @@ from soil_env.discovery import evidence
 from soil_env.discovery.calibrate import Law, Sizes, sinkage_guess
 from soil_env.discovery.instrument import Choice
 from soil_env.discovery.search import forms
-from tests.discovery.tables import NOISE, problem, table
+from tests.discovery.tables import NOISE, law_error, problem, table
 
 SPEEDS = (0.03, 0.12)
 
@@ -65,10 +65,7 @@ def test_the_evidence_is_the_density_of_the_table(data, effect):
 @pytest.mark.parametrize("size", [0.0, 0.1])
 def test_the_size_of_the_law_error_is_learned(data, size):
     rng = np.random.default_rng(1)
-    law = problem(data, rng).fit().form_errors[2]
-    errors = np.zeros_like(data.y)
-    errors[data.measured] = law @ (size * rng.normal(size=law.shape[1]))
-    result = evidence.settle(problem(data, rng, errors * NOISE), ())
+    result = evidence.settle(problem(data, rng, law_error(data, rng, size)), ())
     assert result.typical("law") < 0.05 if size == 0.0 else 0.05 < result.typical("law") < 0.2
 
 
@@ -78,10 +75,7 @@ def test_the_posterior_covers_the_soil_under_a_law_error(data):
     true = {"friction_angle_deg": 31.0, "shear_modulus": 0.028, "sinkage_coefficient": 740000.0}
     inside = {"form error": 0, "noise alone": 0}
     for _ in range(15):
-        law = problem(data, rng).fit().form_errors[2]
-        errors = np.zeros_like(data.y)
-        errors[data.measured] = law @ (0.1 * rng.normal(size=law.shape[1]))
-        p = problem(data, rng, errors * NOISE)
+        p = problem(data, rng, law_error(data, rng, 0.1))
         result = evidence.settle(p, ())
         plain = p.fit()
         a, _ = plain.linearised()

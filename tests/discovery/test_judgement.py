@@ -1,7 +1,5 @@
 """Worth of a finding: intervals, the share of the gap that is closed, shares of it, the ranking."""
 
-import copy
-import dataclasses
 import math
 from types import SimpleNamespace
 
@@ -15,6 +13,7 @@ from soil_env.discovery.judgement import closed_interval
 from soil_env.discovery.search import Finding, Hypothesis
 from soil_env.identification.table.data import folds
 from soil_env.identification.table.priors import Unknown
+from tests.discovery.files import with_data
 from tests.discovery.tables import NOISE, table
 
 
@@ -112,8 +111,7 @@ def test_noise_of_single_rows_is_no_gap(problem):
     """Errors as large as the noise of each row, which differs by ten between rows."""
     rng = np.random.default_rng(3)
     relative = 10.0 ** rng.uniform(-0.5, 0.5, problem.data.y.shape)
-    own = copy.copy(problem)
-    own.data = dataclasses.replace(problem.data, relative_sd=relative)
+    own = with_data(problem, relative_sd=relative)
     as_noise = own.data.y + relative * NOISE * rng.normal(size=relative.shape)
     for gap in judgement.gaps(own, as_noise, as_noise).values():
         assert gap.over_noise[0] == pytest.approx(1.0, abs=0.25)

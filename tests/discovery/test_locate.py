@@ -6,7 +6,7 @@ import pytest
 from soil_env.discovery.evidence import settle
 from soil_env.discovery.locate import locate, structure
 from tests.discovery.files import problem_of, table_text
-from tests.discovery.tables import NOISE, problem, table
+from tests.discovery.tables import NOISE, law_error, problem, table
 
 SPEEDS = (0.02, 0.06, 0.2)
 
@@ -70,13 +70,9 @@ def test_planted_box_is_found(channel, size, box):
 def test_a_model_that_leaves_a_pattern_is_told_from_laws_that_err():
     """A band of slip in the pull, and an error of the laws of a tenth."""
     data = table(speeds=SPEEDS)
-    rng = np.random.default_rng(6)
-    base = problem(data, rng)
-    law = np.zeros_like(data.y)
-    columns = base.fit().form_errors[2]
-    law[base.used] = columns @ (0.1 * rng.normal(size=columns.shape[1]))
+    law = law_error(data, np.random.default_rng(6), 0.1)
     band = np.where(np.abs(data.rows.slip - 0.3) < 0.08, 15.0, 0.0)
-    for added, left in ((law * NOISE, False), (np.outer(band, [0.0, 1.0, 0.0]), True)):
+    for added, left in ((law, False), (np.outer(band, [0.0, 1.0, 0.0]), True)):
         p = problem(data, np.random.default_rng(7), added)
         assert (structure(p, settle(p, ())) < 1e-3) == left
 
@@ -84,6 +80,6 @@ def test_a_model_that_leaves_a_pattern_is_told_from_laws_that_err():
 @pytest.mark.parametrize("loads", [(100.0,), (60.0, 160.0)])
 def test_a_table_too_small_for_any_box_has_no_disagreement(tmp_path, loads):
     """Two rows: the least table that is read."""
-    p = problem_of(tmp_path, "\n".join(table_text({}, loads).split("\n")[:3]) + "\n")
+    p = problem_of(tmp_path, "\n".join(table_text({}, loads).split("\n")[:3]))
     assert len(p.data.table) == 2
     assert locate(p, p.fit()) == ()

@@ -6,24 +6,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from soil_env.discovery.calibrate import calibrate
 from soil_env.discovery.evidence import settle
 from soil_env.discovery.next_for_prediction import Uncertainty, surer_runs
-from soil_env.discovery.prediction import WIDER, fit_prediction
+from soil_env.discovery.prediction import WIDER
 from soil_env.discovery.predictive import DEEPEST
 from soil_env.measurement.setup import Rig
-from tests.discovery.files import PLANTED, data_of, table_text
-
-
-@pytest.fixture(scope="module")
-def problem(tmp_path_factory):
-    text = table_text(PLANTED, loads=(80.0, 120.0, 180.0))
-    return calibrate(data_of(tmp_path_factory.mktemp("table"), text))[0]
-
-
-@pytest.fixture(scope="module")
-def model(problem):
-    return fit_prediction(problem)
+from tests.discovery.files import with_data
 
 
 def normal(rng, runs, channels):
@@ -51,35 +39,34 @@ def test_runs_leave_what_the_conditional_normal_distribution_has():
     assert uncertain.mean_sd() == pytest.approx(np.mean(np.sqrt(np.diag(left))))
 
 
-def test_the_joint_uncertainty_has_the_stated_standard_deviations(model):
+def test_the_joint_uncertainty_has_the_stated_standard_deviations(learnt):
     at = {"slip": np.array([0.1, 0.4, 0.4]), "load": np.array([80.0, 120.0, 300.0])}
-    joint = model.joint_at(at)
-    own = np.einsum("ncnc->nc", joint) + model.variance_of_run
-    stated = model.at(at).sd / WIDER / model.problem.noise
+    joint = learnt.joint_at(at)
+    own = np.einsum("ncnc->nc", joint) + learnt.variance_of_run
+    stated = learnt.at(at).sd / WIDER / learnt.problem.noise
     assert np.sqrt(own) == pytest.approx(stated, rel=1e-6)
     assert np.linalg.eigvalsh(joint.reshape(9, 9)).min() > -1e-9
     assert joint == pytest.approx(joint.transpose(2, 3, 0, 1))
 
 
-def test_each_run_makes_the_prediction_surer_and_goes_beyond_the_table(problem, model):
-    runs = surer_runs(model, settle(problem, ()), 3)
+def test_each_run_makes_the_prediction_surer_and_goes_beyond_the_table(planted_problem, learnt):
+    evidence = settle(planted_problem, ())
+    runs = surer_runs(learnt, evidence, 3)
     left = [run.left for run in runs]
     assert len(runs) == 3 and left == sorted(left, reverse=True) and left[0] < 1.0
     assert runs[0].conditions["load"] > 180.0
-    assert surer_runs(model, settle(problem, ()), 0) == ()
+    assert surer_runs(learnt, evidence, 0) == ()
 
 
-def test_a_run_in_which_the_wheel_sinks_too_deep_is_not_proposed(problem, model):
+def test_a_run_in_which_the_wheel_sinks_too_deep_is_not_proposed(planted_problem, learnt):
     """A table refuses a sinkage beyond the radius."""
-    evidence = settle(problem, ())
+    evidence = settle(planted_problem, ())
     for loads, count in (((120.0, 400.0, 800.0), 4), ((5000.0, 9000.0), 0)):
-        there = copy.copy(problem)
-        setup = dataclasses.replace(problem.data.setup, rig=Rig(loads=loads))
-        there.data = dataclasses.replace(problem.data, setup=setup)
-        law = copy.copy(model.law)
-        law.problem = there
-        runs = surer_runs(dataclasses.replace(model, law=law), evidence, 4)
+        law = copy.copy(learnt.law)
+        setup = planted_problem.data.setup.changed(rig=Rig(loads=loads))
+        law.problem = with_data(planted_problem, setup=setup)
+        runs = surer_runs(dataclasses.replace(learnt, law=law), evidence, 4)
         assert len(runs) == count
         for run in runs:
             at = {name: np.array([x]) for name, x in run.conditions.items()}
-            assert model.mean_at(at)[0, 0] < DEEPEST * problem.data.wheel.radius
+            assert learnt.mean_at(at)[0, 0] < DEEPEST * planted_problem.data.wheel.radius

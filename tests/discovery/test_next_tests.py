@@ -2,7 +2,6 @@
 be.
 """
 
-import copy
 import dataclasses
 
 import numpy as np
@@ -32,6 +31,7 @@ from soil_env.discovery.predictive import DEEPEST, predicted, problem_at
 from soil_env.discovery.search import ODDS, Finding, Hypothesis
 from soil_env.identification.table.data import CHANNELS
 from soil_env.measurement.setup import Rig, SetupWheel, setup_of
+from tests.discovery.files import with_data
 from tests.discovery.tables import NOISE, WHEEL, problem, table
 from tests.refusals import refused
 
@@ -52,11 +52,7 @@ def model(problem, fit):
 
 def with_rig(problem, **rig):
     """The problem with a rig in its setup."""
-    out = copy.copy(problem)
-    out.data = dataclasses.replace(
-        problem.data, setup=dataclasses.replace(problem.data.setup, rig=Rig(**rig))
-    )
-    return out
+    return with_data(problem, setup=problem.data.setup.changed(rig=Rig(**rig)))
 
 
 @pytest.fixture(scope="module")
@@ -80,8 +76,7 @@ def test_uncertainty_of_the_predictions_is_the_spread_of_refits(case):
     }
     found = []
     for _ in range(60):
-        q = copy.copy(p)
-        q.data = dataclasses.replace(p.data, y=base + NOISE * rng.normal(size=base.shape))
+        q = with_data(p, y=base + NOISE * rng.normal(size=base.shape))
         q.soil = tuple(
             k._replace(mean=k.mean + k.sd * (centre[k.name] + rng.normal())) for k in p.soil
         )
@@ -149,17 +144,17 @@ def test_a_rig_is_asked_for_what_it_has_and_for_what_costs_little(case):
     last = {name: float(x[-1]) for name, x in p.data.conditions.items()}
     wheels = (SetupWheel(0.15, 0.12), SetupWheel(0.2, 0.12))
     rig = {"slips": (0.2, 0.4), "loads": (90.0, last["load"]), "speeds": (0.02,), "wheels": wheels}
+
+    def asked(name, runs):
+        return {t.conditions[name] for t in runs}
+
     runs = proposed(with_rig(p, **rig), candidates, (0.6, 0.4))
-    assert {t.conditions["slip"] for t in runs} <= {0.2, 0.4} and {
-        t.conditions["load"] for t in runs
-    } <= {90.0, 150.0}
-    assert {t.conditions["speed"] for t in runs} == {0.02} and 0.2 in {
-        t.conditions["wheel_radius"] for t in runs
-    }
+    assert asked("slip", runs) <= {0.2, 0.4} and asked("load", runs) <= {90.0, 150.0}
+    assert asked("speed", runs) == {0.02} and 0.2 in asked("wheel_radius", runs)
     runs = proposed(with_rig(p, **rig | {"wheels": wheels[1:]}), candidates, (0.6, 0.4))
-    assert {t.conditions["wheel_radius"] for t in runs} == {0.2}  # named, as the table has another
+    assert asked("wheel_radius", runs) == {0.2}  # named, as the table has another
     dear = proposed(with_rig(p, **rig, cost={"wheel": 100.0}), candidates, (0.6, 0.4))
-    kept = {t.conditions["wheel_radius"] for t in dear if t.cost == 1.0}
+    kept = asked("wheel_radius", [t for t in dear if t.cost == 1.0])
     assert kept <= {last["wheel_radius"]} and sum(t.cost for t in dear) <= 104.0
 
 
@@ -226,16 +221,15 @@ def test_who_is_left():
     assert again[0].repeat and not any(t.repeat for t in again[1:])
     off = np.abs(p.data.y - a.fit.output) / NOISE  # by the most probable candidate
     assert again[0].conditions["slip"] == p.data.rows.slip[np.argmax(off.max(axis=1))]
-    q = copy.copy(p)
     y = p.data.y.copy()
     y[3, 1] += 40.0 * NOISE[1]
-    q.data = dataclasses.replace(p.data, y=y)
+    q = with_data(p, y=y)
     q.used = p.used & (y == p.data.y)  # left out as an outlier
     outlier = proposed(q, (settle(q, ()),), (1.0,), repeat=True)[0].conditions
     assert (outlier["slip"], outlier["load"]) == (p.data.rows.slip[3], p.data.rows.load[3])
     noisy = np.ones_like(y)
     noisy[3, 1] = 100.0  # that value is known to be 100 times as uncertain: not missed
-    q.data = dataclasses.replace(q.data, relative_sd=noisy)
+    q = with_data(q, relative_sd=noisy)
     other = proposed(q, (settle(q, ()),), (1.0,), repeat=True)[0].conditions
     assert (other["slip"], other["load"]) != (outlier["slip"], outlier["load"])
     # The table has one pass: an effect that no pass could show has its prior odds, and runs of

@@ -24,6 +24,7 @@ from tests.discovery.files import (
     PLANTED,
     SAND_SETUP,
     SETUP,
+    csv_text,
     on_sand,
     problem_of,
     sand_text,
@@ -66,8 +67,7 @@ def climbing() -> str:
         low = np.where(climbs, grade, low)
         high = np.where(climbs, high, grade)
     rows = np.stack([slip, load, np.degrees(grade), found.sinkage, 0.0 * slip, found.torque])
-    lines = (",".join(f"{x:.8g}" for x in row) + "\n" for row in rows.T)
-    return "slip,load,grade_deg,sinkage,drawbar_pull,torque\n" + "".join(lines)
+    return csv_text(("slip", "load", "grade_deg", *NOISE), rows.T)
 
 
 def test_the_pull_of_a_wheel_that_climbs_by_itself_is_not_0_on_the_level(tmp_path):
@@ -175,14 +175,18 @@ def test_an_average_is_of_what_the_curves_know(planted_problem):
     assert same.tolist() == [True, False, True, True]
 
 
-def test_errors_of_the_outlook_are_those_of_the_average(tmp_path):
-    """The torque is that of a curve; each level of a condition has the weight of the other rows."""
-    text = with_column(
-        table_text({}, loads=LOADS),
+def by_a_curve(loads) -> str:
+    """A table whose torque is exactly that of a curve."""
+    return with_column(
+        table_text({}, loads=loads),
         "torque",
         lambda row: row["load"] * (0.09 - 0.08 * math.exp(-row["slip"] / 0.3)),
     )
-    found = outlook(problem_of(tmp_path, text))
+
+
+def test_errors_of_the_outlook_are_those_of_the_average(tmp_path):
+    """The torque is that of a curve; each level of a condition has the weight of the other rows."""
+    found = outlook(problem_of(tmp_path, by_a_curve(LOADS)))
     assert found.model.average is not None and found.model.average.weight[2] > 0.0
     assert all(math.isfinite(way.over_noise.corrected) for way in found.left_out)
     problem = found.model.problem
@@ -208,13 +212,12 @@ def test_few_values_of_a_channel_leave_its_fit_alone(tmp_path):
     """Five torques: where a load is left out there is no curve through the rest, though the others
     give it a weight.
     """
-    header, *lines = table_text(PLANTED, loads=LOADS).splitlines()
-    rows = [dict(zip(header.split(","), line.split(","), strict=True)) for line in lines]
-    for row in rows:
-        at = (float(row["slip"]), float(row["load"]))
-        if at[0] != 0.05 and at not in ((0.2, 120.0), (0.42, 80.0)):
-            row["torque"] = ""
-    text = "\n".join([header, *(",".join(row.values()) for row in rows)]) + "\n"
+    kept = {*((0.05, load) for load in LOADS), (0.2, 120.0), (0.42, 80.0)}
+    text = with_column(
+        table_text(PLANTED, loads=LOADS),
+        "torque",
+        lambda row: row["torque"] if (row["slip"], row["load"]) in kept else "",
+    )
     problem = problem_of(tmp_path, text)
     assert problem.used[:, 2].sum() == 5
     for way in outlook(problem).left_out:
@@ -235,12 +238,7 @@ def test_no_curve_is_averaged_in_where_its_loads_cannot_be_judged(tmp_path):
     """Two loads: neither is left out, so the errors are those of the fit alone, though the curve is
     exact for the torque.
     """
-    text = with_column(
-        table_text({}, loads=(80.0, 180.0)),
-        "torque",
-        lambda row: row["load"] * (0.09 - 0.08 * math.exp(-row["slip"] / 0.3)),
-    )
-    problem = problem_of(tmp_path, text)
+    problem = problem_of(tmp_path, by_a_curve((80.0, 180.0)))
     found = outlook(problem)
     assert found.model.average is None and [way.split for way in found.left_out] == ["slip"]
     models = (fit_prediction(problem, (), smooth=False), fit_prediction(problem))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from soil_env._io.loading import ParameterError
-from soil_env.discovery.calibrate import calibrate
 from soil_env.discovery.outlook import curves_of
 from soil_env.discovery.prediction import (
     FLOW,
@@ -21,7 +20,7 @@ from tests.discovery.files import (
     NOISE,
     PLANTED,
     SETUP,
-    changed,
+    csv_text,
     data_of,
     problem_of,
     table_text,
@@ -37,11 +36,6 @@ def truth(effects, slip, load):
 
 def over_noise(values):
     return math.sqrt(float(np.mean((values / list(NOISE.values())) ** 2)))
-
-
-@pytest.fixture(scope="module")
-def learnt(planted_problem):
-    return fit_prediction(planted_problem)
 
 
 def test_rows_that_were_not_made_are_predicted_within_the_stated_deviations(
@@ -134,14 +128,7 @@ def test_conditions_of_scattered_runs_are_each_their_own(tmp_path):
     rng = np.random.default_rng(1)
     ends = {"slip": (0.05, 0.5), "load": (80, 180), "speed": (0.05, 0.2), "grade_deg": (-5, 5)}
     values = [rng.integers(1, 4, 60), *(rng.uniform(*both, 60) for both in ends.values())]
-    table = (
-        ",".join(("pass", *ends, "torque"))
-        + "\n"
-        + "".join(
-            ",".join(f"{x:.4g}" for x in (*row, 1.0 + 3.0 * row[1])) + "\n"
-            for row in zip(*values, strict=True)
-        )
-    )
+    table = csv_text(("pass", *ends, "torque"), np.stack([*values, 1.0 + 3.0 * values[1]], axis=1))
     assert set(data_of(tmp_path, table).varied) == {"pass", *ends}
 
 
@@ -160,13 +147,12 @@ soil:
   density: 1600
 noise: {sinkage: 0.0006, drawbar_pull: 0.8, torque: 0.1}
 """
-    problem = calibrate(data_of(tmp_path, table_text({}), setup))[0]
+    problem = problem_of(tmp_path, table_text({}), setup)
     assert fit_prediction(problem, (), smooth=False).values["cohesion"] > 1500.0
 
 
 def test_a_table_of_one_channel_is_predicted(tmp_path):
-    text = table_text(PLANTED, loads=LOADS, channels=("drawbar_pull",))
-    problem = problem_of(tmp_path, changed(text, "drawbar_pull", 1.0))
+    problem = problem_of(tmp_path, table_text(PLANTED, loads=LOADS, channels=("drawbar_pull",)))
     found = fit_prediction(problem).at({"slip": np.array([0.25]), "load": np.array([120.0])})
     y = truth(PLANTED, [0.25], [120.0])
     assert abs(found.mean[0, 1] - y[0, 1]) < 2.0

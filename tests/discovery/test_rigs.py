@@ -16,42 +16,26 @@ from soil_env.discovery.locate import boxes
 from soil_env.discovery.next_tests import conditions
 from soil_env.discovery.report.pictures import groups
 from soil_env.identification.table.data import WHEEL, folds
-from tests.discovery.files import NOISE, SETUP, SLIPS, data_of, world, write_files
+from tests.discovery.files import (
+    NOISE,
+    PLANTED,
+    SETUP,
+    SLIPS,
+    csv_text,
+    data_of,
+    problem_of,
+    table_text,
+    with_column,
+    world,
+    write_files,
+)
 
 LUGS = {"grousers": {"shear_share": 1.0}}
 
 
-def two_wheels(
-    sizes=((0.15, 0.0), (0.15, 0.02)), loads=(100, 150, 220), seed=0, tilt=0.0, **columns
-) -> str:
-    """A table with noise of wheels of (radius, grouser height), on the same soil at the same slips
-    and loads.
-    """
-    rng = np.random.default_rng(seed)
-    lines = []
-    for radius, height in sizes:
-        for load in loads:
-            normal = load * math.cos(math.radians(tilt))
-            along = load * math.sin(math.radians(tilt))
-            at = {"slip": SLIPS, "load": normal, "wheel_radius": radius, "grouser_height": height}
-            values = np.stack(world(LUGS).predict(at)[:3], axis=1) - [0.0, along, 0.0]
-            values += rng.normal(size=values.shape) * list(NOISE.values())
-            more = [str(x) for x in columns.values()]
-            lines += [
-                ",".join([*map(repr, (i, load, radius, height, *map(float, v))), *more])
-                for i, v in zip(SLIPS, values, strict=True)
-            ]
-    names = (
-        "slip",
-        "load",
-        "wheel_radius",
-        "grouser_height",
-        "sinkage",
-        "drawbar_pull",
-        "torque",
-        *columns,
-    )
-    return "\n".join([",".join(names), *lines]) + "\n"
+def two_wheels(seed=0) -> str:
+    """A table of wheels without lugs and with lugs of 2 cm."""
+    return table_text(LUGS, seed=seed, grouser_height=(0.0, 0.02))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -83,13 +67,13 @@ def test_the_noise_of_a_row_is_its_own(tmp_path):
     outliers.
     """
     rng = np.random.default_rng(3)
-    lines = two_wheels(torque_sd=0.1).splitlines()
-    for k in range(7, 13):
-        cells = lines[k].split(",")
-        cells[-2:] = [repr(float(cells[-2]) + rng.normal()), "1.0"]
-        lines[k] = ",".join(cells)
-    setup = SETUP.replace(", torque: 0.1", "")
-    data = data_of(tmp_path, "\n".join(lines) + "\n", setup)
+
+    def noisy(row):
+        return row["load"] == 100.0 and row["grouser_height"] > 0.0
+
+    text = with_column(two_wheels(), "torque_sd", lambda row: 1.0 if noisy(row) else 0.1)
+    text = with_column(text, "torque", lambda row: row["torque"] + noisy(row) * rng.normal())
+    data = data_of(tmp_path, text, SETUP.replace(", torque: 0.1", ""))
     problem, noise = calibrate(data)
     assert noise.used.all() and noise.sd[2] == 0.1 and data.relative_sd[8, 2] == 10.0
     whitened = np.full(problem.used.shape, np.nan)
@@ -102,7 +86,7 @@ def hilly() -> str:
     the grade.
     """
     rng = np.random.default_rng(0)
-    lines = ["slip,load,grade_deg,sinkage,drawbar_pull,torque"]
+    rows = []
     for load, grade in itertools.product((100.0, 200.0), (-8.0, 0.0, 8.0)):
         b = math.radians(grade)
         values = np.stack(
@@ -110,16 +94,13 @@ def hilly() -> str:
         )
         values[:, 1] -= load * math.sin(b)
         values += rng.normal(size=values.shape) * list(NOISE.values())
-        lines += [
-            ",".join(f"{x:.7g}" for x in (i, load, grade, *v))
-            for i, v in zip(SLIPS, values, strict=True)
-        ]
-    return "\n".join(lines) + "\n"
+        rows += [(i, load, grade, *v) for i, v in zip(SLIPS, values, strict=True)]
+    return csv_text(("slip", "load", "grade_deg", *NOISE), rows)
 
 
 def fitted(folder, text, more=""):
     """(rms of what the base model leaves, in noise; the problem; its fit)"""
-    problem = calibrate(data_of(folder, text, SETUP + more))[0]
+    problem = problem_of(folder, text, SETUP + more)
     fit = problem.fit()
     return float(np.sqrt(np.mean(fit.residual**2))), problem, fit
 
@@ -149,9 +130,12 @@ def test_a_report_of_two_wheels_on_a_rig_that_is_not_level(tmp_path):
     """The whole workflow: the lugs are named, a curve is drawn for each wheel, the tilt stands
     beside the soil.
     """
-    report = run(
-        *write_files(tmp_path, two_wheels(tilt=1.0), SETUP + "tilt_deg: {value: 0, sd: 1}\n")
+    tilted = with_column(
+        two_wheels(),
+        "drawbar_pull",
+        lambda row: row["drawbar_pull"] - row["load"] * math.sin(math.radians(1.0)),
     )
+    report = run(*write_files(tmp_path, tilted, SETUP + "tilt_deg: {value: 0, sd: 1}\n"))
     assert "grousers" in {e.name for e in report.effects}
     assert report.soil["tilt_deg"].low < 1.0 < report.soil["tilt_deg"].high
     assert {label.partition(", ")[2] for label, _ in groups(report)} == {
@@ -165,14 +149,9 @@ def test_values_of_little_noise_are_no_outliers_of_a_surface_that_is_off(tmp_pat
     any polynomial comes.
     """
     setup = SETUP.split("noise:")[0] + "noise: {sinkage: 1e-6, drawbar_pull: 1e-3, torque: 2e-4}\n"
-    slips = np.linspace(-0.3, 0.6, 14)
-    lines = ["slip,load,sinkage,drawbar_pull,torque"]
-    for load in (60.0, 100.0, 150.0, 220.0):
-        found = world({"slip_sinkage": {"gain": 1.5}}).predict({"slip": slips, "load": load})
-        rows = zip(slips, *found[:3], strict=True)
-        lines += [",".join(f"{x:.9g}" for x in (i, load, *v)) for i, *v in rows]
-    text = "\n".join(lines) + "\n"
+    loads = (60.0, 100.0, 150.0, 220.0)
+    text = table_text(PLANTED, loads, np.linspace(-0.3, 0.6, 14), noise=0.0)
     assert calibrate(data_of(tmp_path, text, setup))[1].used.all()
-    wrong = text.replace(lines[20], lines[20].replace(lines[20].split(",")[3], "90"))
+    wrong = text.replace(text.splitlines()[20].split(",")[3], "90")
     used = calibrate(data_of(tmp_path, wrong, setup))[1].used
     assert np.argwhere(~used).tolist() == [[19, 1]]

@@ -42,8 +42,9 @@ def test_an_anonymous_law_is_found_in_its_channels_and_absent_at_strength_zero(l
         np.allclose(a, b)
         for a, b in zip(loaded(rows, off, p.bench.load)[1:3], rows[1:3], strict=True)
     )
-    there = p.predict(p.fit().parameters() | values(law), (Choice(law, 0),), np.zeros(len(clean.y)))
-    moved = there - p.predict(p.fit().parameters(), (), np.zeros(len(clean.y)))
+    soil = p.fit().parameters()
+    there = p.predict(soil | values(law), (Choice(law, 0),), np.zeros(len(clean.y)))
+    moved = there - p.predict(soil, (), np.zeros(len(clean.y)))
     assert {c for c, m in zip(CHANNELS, moved.T, strict=True) if np.any(m)} == {*UNNAMED[law].moves}
     q = problem(clean, np.random.default_rng(0), moved)
     base = evidence.settle(q, ())

@@ -2,7 +2,6 @@
 example.
 """
 
-import copy
 import dataclasses
 import math
 from pathlib import Path
@@ -26,6 +25,7 @@ from tests.discovery.files import (
     data_of,
     table_text,
     with_column,
+    with_data,
     world,
     write_files,
 )
@@ -63,17 +63,22 @@ def searched(planted, monkeypatch):
     monkeypatch.setattr(workflow, "search", lambda problem, say: planted.finding)
 
 
+def spoil(monkeypatch, bad):
+    """Held-out predictions of choices that are `bad` err by 20 times the noise more."""
+
+    def predicted(problem, fit):
+        right = judgement.held_out_predictions(problem, fit)
+        return right + (20.0 * problem.noise if bad(fit.choices) else 0.0)
+
+    monkeypatch.setattr(workflow, "held_out_predictions", predicted)
+
+
 @pytest.mark.usefixtures("searched")
 def test_what_predicts_worse_than_the_base_model_is_not_named(tmp_path, monkeypatch):
     """As where the law errs in a way that no form error has: evidence for effects that fail on
     held-out rows.
     """
-
-    def predicted(problem, fit):
-        bad = any(choice.effect == "slip_sinkage" for choice in fit.choices)
-        return judgement.held_out_predictions(problem, fit) + (20.0 * problem.noise if bad else 0.0)
-
-    monkeypatch.setattr(workflow, "held_out_predictions", predicted)
+    spoil(monkeypatch, lambda choices: any(c.effect == "slip_sinkage" for c in choices))
     report = run(*write_files(tmp_path, table_text(PLANTED)), seed=1)
     assert (
         "slip_sinkage",
@@ -87,12 +92,7 @@ def test_what_predicts_worse_than_the_base_model_is_not_named(tmp_path, monkeypa
 @pytest.mark.usefixtures("searched")
 def test_a_name_is_refuted_only_in_all_its_probable_forms(planted, tmp_path, monkeypatch):
     stated = planted.fit.choices
-
-    def predicted(problem, fit):
-        bad = fit.choices == stated
-        return judgement.held_out_predictions(problem, fit) + (20.0 * problem.noise if bad else 0.0)
-
-    monkeypatch.setattr(workflow, "held_out_predictions", predicted)
+    spoil(monkeypatch, lambda choices: choices == stated)
     monkeypatch.setattr(workflow, "REPORTED", 1e-9)
     report = run(*write_files(tmp_path, table_text(PLANTED)), seed=1)
     assert report.finding.refuted == () and report.finding.names == ("slip_sinkage",)
@@ -155,15 +155,14 @@ def test_a_soil_is_far_from_what_the_setup_gives(planted, given):
     """The stiffness of the soil, given by itself or by Bekker's moduli; it may be anything where
     the setup says nothing of it.
     """
-    problem = copy.copy(planted.problem)
-    soil = problem.data.setup.soil
+    data = planted.problem.data
+    soil = data.setup.soil
     stiffness = soil.sinkage_coefficient
     if given != "sinkage_coefficient":
         soil = dataclasses.replace(soil, sinkage_coefficient=None)
     if given == "k_c and k_phi":
         soil = dataclasses.replace(soil, k_c=Prior(0.0, 0.0), k_phi=stiffness)
-    setup = dataclasses.replace(problem.data.setup, soil=soil)
-    problem.data = dataclasses.replace(problem.data, setup=setup)
+    problem = with_data(planted.problem, setup=data.setup.changed(soil=soil))
     model = planted.finding.best().evidence
     k = [unknown.name for unknown in problem.soil].index("sinkage_coefficient")
     for far in (0.9, 1.1):

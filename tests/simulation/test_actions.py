@@ -35,40 +35,29 @@ def test_rim_acceleration_moves_a_commanded_speed_that_the_wheel_follows():
         assert seen[COLUMN["rim_speed"]] * top == pytest.approx(expected, abs=lag)
 
 
-def test_halts_take_the_commanded_speed_back_to_zero():
-    sim = simulation("rim_acceleration", course={"grade_deg": [-1.0, 0.0]})
-    starts = 0
-    state = sim.worlds.state
-    halted = False
-    for _ in range(200):
-        before = halted
-        halted = state["halt_left"][0] > 0.0
-        sim.step(0, 0.4)
-        if halted:
-            assert state["rim_command"][0] == state["last_action"][0] == 0.0
-        elif before:
-            starts += 1
-            assert (
-                state["rim_command"][0] == pytest.approx(0.4 * 0.03 / 0.75)
-                and state["last_action"][0] == 0.4
-            )
-        if sim.worlds.cause[0] != Cause.RUNNING:
-            break
-    assert starts >= 2
-
-
 @pytest.mark.parametrize("mode", ACTION_PERIODS)
 def test_a_halt_brakes_evenly_and_locks_no_wheel(mode):
-    """The command falls by 0.1 m/s in a period; the rim follows, so it slides little."""
+    """The command falls by 0.1 m/s in a period; the rim follows, so it slides little. A commanded
+    speed starts again at 0.
+    """
     sim = simulation(mode, course={"grade_deg": [-1.0, 0.0]})
     state = sim.worlds.state
     top = sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
     braked = 0
+    starts = 0
+    halted = False
     for _ in range(400):
         before = float(state["halt_command"][0])
+        stood = halted
         halted = state["halt_left"][0] > 0.0
         sim.step(0, 0.4)
+        if stood and not halted:
+            starts += 1
+            commands = {"torque": 0.0, "wheel_speed": 0.4, "rim_acceleration": 0.4 * 0.03 / 0.75}
+            assert state["rim_command"][0] == pytest.approx(commands[mode])
+            assert state["last_action"][0] == 0.4
         if halted:
+            assert state["rim_command"][0] == state["last_action"][0] == 0.0
             after = float(state["halt_command"][0])
             assert after == pytest.approx(max(before - 0.1 / top, 0.0))
             if after > 0.0:
@@ -76,7 +65,7 @@ def test_a_halt_brakes_evenly_and_locks_no_wheel(mode):
                 assert state["slip"][0] > -0.6
         if sim.worlds.cause[0] != Cause.RUNNING:
             break
-    assert braked >= 2
+    assert braked >= 2 and starts >= 2
 
 
 @pytest.mark.parametrize("mode", ACTION_PERIODS)

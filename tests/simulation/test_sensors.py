@@ -3,17 +3,18 @@ of the two speeds that were read.
 """
 
 import math
+import re
 from dataclasses import fields
 
 import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from soil_env.envs.rover_env import SoilRoverEnv, SoilRoverVectorEnv
-from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
-from soil_env.parameters import Noise, load_rover, load_scenario
+from soil_env.parameters import Noise, load_rover, load_scenario, rover_names
 from soil_env.parameters.readings import IDLE, RESTART, STEP
 from soil_env.parameters.sensors import SENSORS, Readings, SensorReading, calibrated
+from soil_env.simulation.rover.task import rover_layout
+from soil_env.simulation.task import layout
 from tests.simulation.wheels import started
 
 COURSES = 2000
@@ -35,23 +36,16 @@ def named(name):
     return "wheel_speed" if name == "rim_speed" else name
 
 
-DECLARED = "soil_env/parameters/sensors.py: "
-
-
 def test_what_is_declared_of_a_sensor_has_its_fields():
-    """The names of sensors stand in four places of one file."""
+    """The names of sensors stand in four places of soil_env/parameters/sensors.py: one row, field
+    and white noise for each, in one order.
+    """
     names = [sensor.name for sensor in SENSORS]
-    assert [named(name) for name in SensorReading._fields] == names, (
-        f"{DECLARED}SENSORS and SensorReading: expected one row and one field for each sensor, in "
-        "the same order"
-    )
-    assert {*names, "time"} == set(Readings._fields), (
-        f"{DECLARED}Readings: expected a field for each of SENSORS, and the time"
-    )
-    white = {f.name for f in fields(Noise) if not f.name.endswith(("_zero", "_gain"))}
-    assert white == set(names), f"{DECLARED}Noise: expected the white noise of each of SENSORS"
-    for name in {f.name.removesuffix("_zero").removesuffix("_gain") for f in fields(Noise)}:
-        assert name in names, f"{DECLARED}Noise: {name!r} is none of SENSORS"
+    assert [named(name) for name in SensorReading._fields] == names
+    assert {*names, "time"} == set(Readings._fields)
+    of_noise = {f.name for f in fields(Noise)}
+    assert {name for name in of_noise if not name.endswith(("_zero", "_gain"))} == set(names)
+    assert {name.removesuffix("_zero").removesuffix("_gain") for name in of_noise} == set(names)
 
 
 def scenario_of(load, noise):
@@ -85,15 +79,16 @@ def mounted(sim, kind):
 
 
 def drawn(sim):
-    """Zeros and gains [vehicles, axles x sensors x 2] of all sensors, over their sd."""
-    scenario = sim.scenario
-    noise = vars(scenario.noise)
-    unit = units(scenario)
+    """Zeros and gains [vehicles, axles x numbers] of the sensors, over their sd; those without a
+    deviation are 0, and left out.
+    """
+    noise = vars(sim.scenario.noise)
     rows = []
-    for name in NAMES:
-        zero = mounted(sim, "zero")[name] / unit[name]
-        gain = mounted(sim, "gain")[name]
-        rows += [zero / noise[f"{named(name)}_zero"], gain / noise[f"{named(name)}_gain"]]
+    for kind, unit in (("zero", units(sim.scenario)), ("gain", dict.fromkeys(NAMES, 1.0))):
+        for name, values in mounted(sim, kind).items():
+            sd = noise[f"{named(name)}_{kind}"] * unit[name]
+            assert sd > 0.0 or not values.any(), (kind, name)
+            rows += [values / sd] if sd > 0.0 else []
     return np.concatenate(rows, axis=1)
 
 
@@ -173,12 +168,17 @@ def independent(x, others):
 
 
 @BOTH
-def test_zeros_and_gains_have_the_stated_deviations(load):
-    """Of each sensor, over 2000 courses: normal, of mean 0, independent of each other, of those of
-    other wheels, and of those of the course before.
+@pytest.mark.parametrize(
+    ("noise", "count"), [(ZEROS, 2 * len(NAMES)), ({}, 12)], ids=["all", "default"]
+)
+def test_zeros_and_gains_have_the_stated_deviations(load, noise, count):
+    """Of each sensor, all or those of the scenario, over 2000 courses: normal, of mean 0,
+    independent of each other, of those of other wheels, and of those of the course before.
     """
-    sim = started(scenario_of(load, ZEROS), "blind", range(COURSES))
+    sim = started(scenario_of(load, noise), "blind", range(COURSES))
     x = drawn(sim)
+    assert x.shape[1] == count * wheels_of(sim).shape[1]
+    assert not wheels_of(sim)["zero"]["slip"].any() and not wheels_of(sim)["gain"]["slip"].any()
     assert fits((x**2).sum(axis=0), COURSES)
     assert centred(x)
     assert min(kstest(column, "norm").pvalue for column in x.T) > RARE / x.shape[1]
@@ -187,25 +187,6 @@ def test_zeros_and_gains_have_the_stated_deviations(load):
     assert np.all(x != again)
     assert fits((again**2).sum(axis=0), COURSES)
     assert independent(x, np.hstack([np.roll(x, 1, axis=0), again]))
-
-
-@BOTH
-def test_the_default_sensors_have_the_zeros_and_gains_of_the_scenario(load):
-    """And none where the scenario has none."""
-    sim = started(scenario_of(load, {}), "blind", range(400))
-    noise = vars(sim.scenario.noise)
-    unit = units(sim.scenario)
-    some = 0
-    for kind in ("zero", "gain"):
-        for name, values in mounted(sim, kind).items():
-            sd = noise[f"{named(name)}_{kind}"] * (unit[name] if kind == "zero" else 1.0)
-            some += sd > 0.0
-            if sd > 0.0:
-                assert fits(((values / sd) ** 2).sum(), values.size), (kind, name)
-            else:
-                assert not values.any(), (kind, name)
-    assert some == 12
-    assert not wheels_of(sim)["zero"]["slip"].any() and not wheels_of(sim)["gain"]["slip"].any()
 
 
 @BOTH
@@ -228,9 +209,6 @@ def test_calibrated_sensors_have_neither_zero_nor_gain(load):
     noise = calibrated(own)
     white = {name: vars(own)[name] for name in map(named, SensorReading._fields)}
     assert vars(noise) == dict.fromkeys(vars(noise), 0.0) | white
-    sim = started(scenario_of(load, vars(noise)), "blind", range(20))
-    for kind in ("zero", "gain"):
-        assert not any(values.any() for values in mounted(sim, kind).values())
 
 
 @BOTH
@@ -241,17 +219,16 @@ def test_without_white_noise_a_reading_is_gain_times_truth_and_zero(load, noise)
     """To rounding, of every wheel over a drive with halts, ends and new courses."""
     sim = started(scenario_of(load, noise | WHITE), "identified", range(16))
     rng = np.random.default_rng(1)
-    changed = {name: False for name in NAMES}
+    changed = set()
     for _ in range(120):
         true = truth(sim)
         for name, off in errors(sim).items():
             assert np.abs(off).max() < 1e-10 * units(sim.scenario)[name], name
-            changed[name] |= bool(np.any(read(sim)[name] != true[name]))
+            if np.any(read(sim)[name] != true[name]):
+                changed.add(name)
         step(sim, rng)
     some = set() if noise and noise is not ZEROS else set(NAMES)
-    assert {name for name in NAMES if changed[name]} == some - (
-        {"rim_speed"} if not noise else set()
-    )
+    assert changed == some - ({"rim_speed"} if not noise else set())
 
 
 @BOTH
@@ -264,7 +241,7 @@ def test_white_noise_about_zeros_and_gains_has_the_stated_deviation(load):
     unit = units(sim.scenario)
     rng = np.random.default_rng(1)
     rows = []
-    for _ in range(100):
+    for _ in range(400):
         step(sim, rng)
         off = errors(sim)
         for name in OF_BODY:
@@ -335,27 +312,34 @@ def test_a_wheel_at_rest_has_little_slip(load):
         assert fits(9.0 * (of_axle**2).sum(), of_axle.size)
 
 
-@pytest.mark.parametrize(
-    ("one", "many"),
-    [(SoilWheelEnv, SoilWheelVectorEnv), (SoilRoverEnv, SoilRoverVectorEnv)],
-    ids=["wheel", "rover"],
-)
-def test_single_and_vector_environments_read_the_same_bit_for_bit(one, many):
-    """Zeros, gains and observations, on two courses one after the other."""
-    envs = many(3, scaled=False, noise=ZEROS)
-    singles = [one(scaled=False, noise=ZEROS) for _ in range(3)]
-    rng = np.random.default_rng(0)
-    seen = []
-    for seeds in ([11, 12, 13], [None] * 3):
-        observations, _ = envs.reset(seed=seeds)
-        rows = [env.reset(seed=seed)[0] for env, seed in zip(singles, seeds, strict=True)]
-        np.testing.assert_array_equal(observations, rows)
-        for _ in range(8):
-            actions = rng.uniform(0.2, 0.5, envs.action_space.shape)
-            observations = envs.step(actions)[0]
-            rows = [env.step(action)[0] for env, action in zip(singles, actions, strict=True)]
-            np.testing.assert_array_equal(observations, rows)
-        for k, env in enumerate(singles):
-            np.testing.assert_array_equal(drawn(env.simulation)[0], drawn(envs.simulation)[k])
-        seen.append(drawn(envs.simulation))
-    assert np.all(seen[0] != seen[1])
+@pytest.mark.parametrize("name", ["mixed", *rover_names()])
+def test_the_observation_has_the_readings_in_its_units(name):
+    """Relative to weight, wheel radius, top rim speed and gravity, those of a rover's body once;
+    the odometry sums up the readings of the speed.
+    """
+    own = {"control": {"action": "torque", "repeat": 1}}
+    scenario = load_scenario(name, own) if name == "mixed" else load_rover(name, own)
+    variant = "identified"
+    entries = layout(variant) if name == "mixed" else rover_layout(variant, scenario.axles)
+    names = np.array([re.sub("^(front|middle|rear)_", "", entry.name) for entry in entries])
+    wheel = scenario.wheel
+    top = wheel.radius * wheel.no_load_speed
+    of = {"slip": 1.0, "sinkage": wheel.radius, "speed": top, "rim_speed": top}
+    of |= {"acceleration": scenario.gravity}
+    sim = started(scenario, variant, range(16))
+    rng = np.random.default_rng(4)
+    metres = scenario.course.length / scenario.control.period
+    for _ in range(30):
+        before = sim.worlds.observation[:, names == "odometry"]
+        going = sim.worlds.cause == 0
+        step(sim, rng)
+        readings = read(sim)
+        for reading, unit in (units(scenario) | of).items():
+            columns = np.flatnonzero(names == reading)
+            assert columns.size == (1 if reading in OF_BODY else wheels_of(sim).shape[1])
+            stated = readings[reading][:, : columns.size] / unit
+            stated = np.clip(stated, *sim.numbers.bounds[:, columns])
+            seen = sim.worlds.observation[:, columns]
+            np.testing.assert_allclose(seen, stated, rtol=1e-6, atol=1e-7, err_msg=reading)
+        moved = (sim.worlds.observation[:, names == "odometry"] - before)[going] * metres
+        np.testing.assert_allclose(moved, readings["speed"][going, :1], atol=1e-4)

@@ -17,7 +17,7 @@ from soil_env.terramechanics.residual import ResidualTable, ResidualTerm
 from soil_env.terramechanics.steady import Conditions, Rim, steady_with
 from soil_env.terramechanics.traversability import best_working_point_with
 from tests.simulation import wheels as bench
-from tests.simulation.courses import EVEN, course, margin
+from tests.simulation.courses import course, margin
 from tests.terramechanics.cases import ACTING, CASES, EQUATION_10, LUG, RESIDUAL, TOGETHER, WHEEL
 
 SOFT = SoilState(math.tan(math.radians(34.0)), 1500.0, 0.012, 4e5, 0.8, 1.0, 0.5)
@@ -31,10 +31,10 @@ def model_of(effects, residual=(), soil=None, remainder=None):
 STILL = {"course": {"length": 40.0}, "noise": {f.name: 0.0 for f in dataclasses.fields(Noise)}}
 
 
-def on_uniform_ground(effects, soil, grade, mode="wheel_speed", residual=(), remainder=None):
+def on_uniform_ground(effects, soil, grade, residual=(), remainder=None):
     """One wheel at rest on one soil and grade, in a world with `effects`, without halts."""
     model = None if effects is None else model_of(effects, residual, remainder=remainder)
-    return bench.on_uniform_ground(soil, grade, mode, model, **STILL)
+    return bench.on_uniform_ground(soil, grade, "wheel_speed", model, **STILL)
 
 
 #: Lugs shear at a larger radius, at which the lengths of a softening law count, too.
@@ -126,20 +126,10 @@ def test_a_residual_law_acts_as_it_predicts(residual, remainder):
     """Its groups are those of the undisturbed soil and of the weight, whatever effects are on
     beside it.
     """
-    soil = Soil(
-        friction_angle_deg=34.0,
-        cohesion=1500.0,
-        shear_modulus=0.012,
-        sinkage_coefficient=4e5,
-        sinkage_exponent=0.8,
-        dig_gain=1.0,
-        dig_recovery=0.5,
-    )
+    soil = Soil.of_state(SOFT)
     effects = {"penetration_rate": {"exponent": 0.4}, "grade": {"share": 1.0}}
     grade = math.radians(-3.0)
-    wheels = on_uniform_ground(
-        effects, soil.state(0.15), grade, residual=residual, remainder=remainder
-    )
+    wheels = on_uniform_ground(effects, SOFT, grade, residual=residual, remainder=remainder)
     wheels.drive([0.35] * 250)
     w = wheels.now()
     weight = w.mass * wheels.rig.gravity
@@ -293,21 +283,3 @@ def test_a_least_pull_of_minus_the_weight_takes_soil_that_bogs_the_wheel():
         SoilWheelEnv(load_scenario("mixed", changes | {"course": {"least_pull": -0.99}}))
     env = SoilWheelEnv(load_scenario("mixed", changes | {"course": {"least_pull": -1.0}}))
     assert np.all(np.isfinite(env.reset(seed=0)[0]))
-
-
-def test_patches_are_drawn_from_the_soil_of_the_model():
-    soil = Soil(
-        friction_angle_deg=31.0,
-        cohesion=900.0,
-        shear_modulus=0.02,
-        sinkage_coefficient=8e5,
-        sinkage_exponent=0.9,
-        dig_gain=1.5,
-        dig_recovery=0.5,
-    )
-    model = model_of({}, soil=soil)
-    even = course(0, load_scenario("mixed", {"spread": EVEN}), model).patches
-    for name, value in zip(SoilState._fields, soil.state(0.15), strict=True):
-        np.testing.assert_allclose(even[name], value, rtol=1e-9)
-    friction = course(0, load_scenario("mixed"), model).patches["tan_phi"]
-    assert np.ptp(friction) > 0.0 and np.all(np.abs(np.degrees(np.arctan(friction)) - 31.0) < 10.0)

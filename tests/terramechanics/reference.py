@@ -7,6 +7,7 @@ the equation of its source. SI units, angles in rad.
 """
 
 import math
+from collections import defaultdict
 from typing import NamedTuple
 
 from scipy.integrate import quad
@@ -153,26 +154,36 @@ class Site(NamedTuple):
     unit_weight: float = 0.0  # [N/m3]
 
 
-def rate_law(speed, reference_speed, power, slope):
-    """(v/v0)^m or 1 + a ln(v/v0), at least 0.1; soil below v0/50 counts as loaded at rest."""
-    ratio = max(speed / reference_speed, 0.02)
-    return max(ratio**power if slope == 0.0 else 1.0 + slope * math.log(ratio), 0.1)
+class Numbers(dict):
+    """Parameters of an effect by name, 0 where one is not given."""
+
+    def __missing__(self, name):
+        return 0.0
+
+
+def rate_law(speed, rate, reference_speed):
+    """(v/v0)^m or 1 + a ln(v/v0), at least 0.1, by the parameters of a `rate`; soil below v0/50
+    counts as loaded at rest.
+    """
+    ratio = max(speed / rate.get("reference_speed", reference_speed), 0.02)
+    slope = rate["slope"]
+    return max(1.0 + slope * math.log(ratio) if slope else ratio ** rate["exponent"], 0.1)
 
 
 def mobilised_share(j, K, softening):
     """Share of the strength at j [m] >= 0: Janosi & Hanamoto, with a peak, or decaying to a
     residual.
     """
-    sharpness = softening.get("sharpness", 0.0)
-    if sharpness > 0.0 and softening.get("slope_kept", 0.0):
+    sharpness = softening["sharpness"]
+    if sharpness > 0.0 and softening["slope_kept"]:
         K *= 4.0 * sharpness / (1.0 + sharpness)  # e = j/K at the start, as Janosi & Hanamoto
     x = math.exp(-j / K)
     if sharpness > 0.0:
         # x where the law is stationary
         top = 0.5 * (sharpness - 1.0) / sharpness if sharpness > 1.0 else 0.0
         return (1.0 - x) * (1.0 + sharpness * x) / ((1.0 - top) * (1.0 + sharpness * top))
-    drop = softening.get("drop", 0.0)
-    beyond = max(j - softening.get("onset", 0.0), 0.0)
+    drop = softening["drop"]
+    beyond = max(j - softening["onset"], 0.0)
     return (1.0 - x) * (1.0 - drop + drop * math.exp(-beyond / softening.get("length", 0.05)))
 
 
@@ -206,32 +217,10 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
     `effects` is {name: {parameter: value}}, each effect as in the equation of its source. The
     sinkage is the first root of Eq. (1). `digging` is the (gain, recovery) of the soil itself.
     """
-    fx = {
-        name: effects.get(name, {})
-        for name in (
-            "slip_sinkage",
-            "rear_contact",
-            "stress_peak_shift",
-            "soil_flow",
-            "grousers",
-            "bulldozing",
-            "multipass",
-            "penetration_rate",
-            "shear_rate",
-            "shear_softening",
-            "pressure_dependent_friction",
-            "pressure_dependent_modulus",
-            "grade",
-            "drivetrain_friction",
-            "slip_bias",
-            "sinkage_offset",
-        )
-    }
+    fx = defaultdict(Numbers, {name: Numbers(values) for name, values in effects.items()})
     bias = fx["slip_bias"]
-    travelled = (1.0 - slip if slip >= 0.0 else 1.0 / (1.0 + slip)) * (
-        1.0 - bias.get("radius_error", 0.0)
-    )
-    i = (1.0 - travelled if travelled <= 1.0 else 1.0 / travelled - 1.0) + bias.get("offset", 0.0)
+    travelled = travel_over_rim(slip) * (1.0 - bias["radius_error"])
+    i = (1.0 - travelled if travelled <= 1.0 else 1.0 / travelled - 1.0) + bias["offset"]
     size = abs(i)
     ahead = travel_over_rim(i)  # V/(r w)
     wheel_speed = site.speed / (site.r * ahead)
@@ -241,82 +230,69 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
     dig = fx["slip_sinkage"]
     track = fx["multipass"]
     way = 1.0 - size if i > 0.0 else 1.0
-    own = 1.0 + dig.get("gain", 0.0) * size / (way + dig.get("recovery", 0.5) * size)
-    shown = own if dig.get("apparent", 0.0) else 1.0  # a reading, of soil that digs by itself
+    own = 1.0 + dig["gain"] * size / (way + dig.get("recovery", 0.5) * size)
+    shown = own if dig["apparent"] else 1.0  # a reading, of soil that digs by itself
     k = own
-    if "gain" not in dig or dig.get("apparent", 0.0):
+    if "gain" not in dig or dig["apparent"]:
         k = 1.0 + digging[0] * size / (way + digging[1] * size)
-    extra = dig.get("length", 0.0) * size / (1.0 - size)
-    n = soil.sinkage_exponent + dig.get("exponent_slope", 0.0) * size
+    extra = dig["length"] * size / (1.0 - size)
+    n = soil.sinkage_exponent + dig["exponent_slope"] * size
     S = soil.sinkage_coefficient
     K = soil.shear_modulus
     done = site.passes - 1.0
     tan_phi = math.tan(math.radians(soil.friction_angle_deg))
     c = soil.cohesion
-    normal = load * (1.0 - fx["grade"].get("share", 0.0) * (1.0 - math.cos(site.grade)))
+    normal = load * (1.0 - fx["grade"]["share"] * (1.0 - math.cos(site.grade)))
     pressure = normal / (site.b * site.r)
     rubs = fx["pressure_dependent_friction"]
     stretch = fx["pressure_dependent_modulus"]
-    S *= (1.0 - abs(site.grade) / math.atan(tan_phi)) ** (2.0 * fx["grade"].get("weakening", 0.0))
-    S *= site.passes ** track.get("hardening", 0.0)
+    S *= (1.0 - abs(site.grade) / math.atan(tan_phi)) ** (2.0 * fx["grade"]["weakening"])
+    S *= site.passes ** track["hardening"]
     if done > 0.0:
-        grown = 1.0 + track.get("gain", 0.0) * (1.0 - math.exp(-done / track.get("passes", 1.0)))
-        grown += track.get("per_pass", 0.0) * done
-        S *= grown + track.get("slip_gain", 0.0) * (
-            1.0 - math.exp(-size / track.get("slip_scale", 0.2))
-        )
-        power = 1.0 - track.get("compaction", 0.0)
+        grown = 1.0 + track["gain"] * (1.0 - math.exp(-done / track.get("passes", 1.0)))
+        grown += track["per_pass"] * done
+        S *= grown + track["slip_gain"] * (1.0 - math.exp(-size / track.get("slip_scale", 0.2)))
+        power = 1.0 - track["compaction"]
         S *= (site.passes**power - done**power) ** (-n - 0.5)
-    c *= site.passes ** track.get("cohesion", 0.0)
-    rate = fx["penetration_rate"]
-    S *= rate_law(
-        site.speed,
-        rate.get("reference_speed", 0.05),
-        rate.get("exponent", 0.0),
-        rate.get("slope", 0.0),
-    )
+    c *= site.passes ** track["cohesion"]
+    S *= rate_law(site.speed, fx["penetration_rate"], 0.05)
     rate = fx["shear_rate"]
-    strength = rate_law(
-        sliding,
-        rate.get("reference_speed", 0.02),
-        rate.get("exponent", 0.0),
-        rate.get("slope", 0.0),
-    )
-    tan_phi = tan_phi * strength * site.passes ** track.get("strength", 0.0)
-    tan_phi *= (pressure / rubs.get("reference_pressure", 1e4)) ** rubs.get("exponent", 0.0)
-    K *= (pressure / stretch.get("reference_pressure", 1e4)) ** stretch.get("exponent", 0.0)
+    strength = rate_law(sliding, rate, 0.02)
+    tan_phi = tan_phi * strength * site.passes ** track["strength"]
+    tan_phi *= (pressure / rubs.get("reference_pressure", 1e4)) ** rubs["exponent"]
+    K *= (pressure / stretch.get("reference_pressure", 1e4)) ** stretch["exponent"]
     c = c * strength
     c *= max(
-        1.0 + rate.get("cohesion", 0.0) * math.log(1.0 + sliding / rate.get("onset_speed", 0.02)),
+        1.0 + rate["cohesion"] * math.log(1.0 + sliding / rate.get("onset_speed", 0.02)),
         0.1,
     )
-    K *= site.passes ** -track.get("stiffening", 0.0)
+    K *= site.passes ** -track["stiffening"]
 
     # the wheel
     lugs = fx["grousers"]
     shift = fx["stress_peak_shift"]
     flow = fx["soil_flow"]
     rear = fx["rear_contact"]
-    R = site.r + lugs.get("radius_share", 0.0) * site.lug  # carries the normal stress
-    Q = R + lugs.get("shear_share", 0.0) * site.lug  # shears the soil
-    lag = ahead * (site.r if lugs.get("slip_at_rim", 0.0) else Q)  # V/w
+    R = site.r + lugs["radius_share"] * site.lug  # carries the normal stress
+    Q = R + lugs["shear_share"] * site.lug  # shears the soil
+    lag = ahead * (site.r if lugs["slip_at_rim"] else Q)  # V/w
 
     def arc(z):
         theta1 = math.acos(1.0 - z / R)
-        theta2 = -rear.get("ratio", 0.0) * theta1
+        theta2 = -rear["ratio"] * theta1
         middle = 0.5 * (theta1 + (theta2 if rear.get("peak_follows", 1.0) else 0.0))
-        middle += (shift.get("offset", 0.0) + shift.get("slope", 0.0) * size) * theta1
+        middle += (shift["offset"] + shift["slope"] * size) * theta1
         margin = 0.05 * (theta1 - theta2)
         middle = min(max(middle, theta2 + margin), theta1 - margin)
         braked = max(-i, 0.0)
-        middle += flow.get("braked_peak", 0.0) * braked / (1.0 + braked) * theta1
+        middle += flow["braked_peak"] * braked / (1.0 + braked) * theta1
         return theta1, theta2, min(middle, theta1 - margin)
 
     def displacement(theta, theta1):
         # where the lug tips enter, Ding et al. (2011)
         start = math.acos(min(R * math.cos(theta1) / Q, 1.0))
         tips = 1.0 - lag / Q if lag <= Q else Q / lag - 1.0  # their slip
-        share = carried(tips, flow.get("rim_flow", 0.0), tan_phi, theta1, start)
+        share = carried(tips, flow["rim_flow"], tan_phi, theta1, start)
         return (Q + share * lag) * (start - theta) - lag * (math.sin(start) - math.sin(theta))
 
     def sums(z, *shapes):
@@ -362,20 +338,16 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
 
     # forces beside the stresses under the rim, and what the sensors make of it
     push = fx["bulldozing"]
-    pull -= push.get("rankine", 0.0) * site.b * passive_pressure(tan_phi, c, z, site.unit_weight)
-    pull -= push.get("hegedus", 0.0) * site.b * hegedus(tan_phi, c, z, site.unit_weight)
-    pull -= fx["grade"].get("share", 0.0) * load * math.sin(site.grade)
-    if lugs.get("blades", 0.0):
+    pull -= push["rankine"] * site.b * passive_pressure(tan_phi, c, z, site.unit_weight)
+    pull -= push["hegedus"] * site.b * hegedus(tan_phi, c, z, site.unit_weight)
+    pull -= fx["grade"]["share"] * load * math.sin(site.grade)
+    if lugs["blades"]:
         above = 0.5 * site.unit_weight * z
         one = site.b * passive_pressure(tan_phi, c, site.lug, site.unit_weight, above)
         thrust = math.copysign(lugs["blades"] * arc(z)[0] * one, i)
         pull += thrust
         torque += thrust * (site.r + 0.5 * site.lug)
     drive = fx["drivetrain_friction"]
-    torque += (
-        drive.get("constant", 0.0)
-        + drive.get("share", 0.0) * abs(torque)
-        + drive.get("viscous", 0.0) * wheel_speed
-    )
-    measured = min(z * shown, 1.5 * site.r) + fx["sinkage_offset"].get("offset", 0.0)
+    torque += drive["constant"] + drive["share"] * abs(torque) + drive["viscous"] * wheel_speed
+    measured = min(z * shown, 1.5 * site.r) + fx["sinkage_offset"]["offset"]
     return SteadyResult(measured, pull, torque, up / normal)

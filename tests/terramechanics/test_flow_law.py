@@ -10,7 +10,7 @@ from hypothesis import assume, example, given, settings, strategies as st
 from scipy.optimize import brentq
 
 from soil_env.parameters import SoilState, soils
-from soil_env.slip import braked_share, motion_from_slip
+from soil_env.slip import motion_from_slip
 from soil_env.terramechanics import contact
 from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
 from soil_env.terramechanics.steady import steady_state
@@ -46,15 +46,6 @@ soil_with_flow = st.builds(
     st.floats(0.0, 0.9),
     st.floats(0.0, 1.5),
 )
-
-
-@pytest.mark.parametrize("law", [EQUATION_10, {}], ids=["equation 10", "flow"])
-def test_on_hard_ground_a_wheel_rolls_freely_without_slip(law):
-    """A wheel that is braked to a slip of -0.03 on ground that hardly yields takes a brake."""
-    soil = soils()["dry_sand"].state(R)
-    hard = soil._replace(sinkage_coefficient=1e9, cohesion=0.0, dig_gain=0.0, **law)
-    at = steady_state(-0.03, LOAD, hard, R, R)
-    assert at.sinkage < 0.005 * R and at.torque < 0.0
 
 
 @pytest.mark.parametrize(
@@ -106,21 +97,6 @@ def test_steady_forces_are_those_of_quadrature(soil, slip):
     assert max(map(abs, off)) < 1e-4 * max(LOAD, 0.3 * judge.scale)
 
 
-def test_the_displacement_is_the_way_of_the_rim_over_the_soil():
-    """dj/dt of a point of the rim is r w + kappa V - V cos(theta)."""
-    theta1 = 0.9
-    for slip in (-0.7, 0.0, 0.4):
-        share = reference.carried(slip, 0.1, 0.6, theta1)
-        travel = reference.travel_over_rim(slip)
-        for theta in (0.1, 0.5, 0.8):
-            h = 1e-5
-            ahead, behind = (
-                reference.shear_displacement(theta + d, slip, R, theta1, share) for d in (h, -h)
-            )
-            rate = R * (1.0 + share * travel - travel * math.cos(theta))
-            assert (behind - ahead) / (2.0 * h) == pytest.approx(rate, rel=1e-6)
-
-
 def test_an_arc_in_which_the_shear_turns_needs_the_split():
     """Difference of 400 braked arcs with K/r of 0.002 to 0.01, over their load without cohesion."""
     rng = np.random.default_rng(0)
@@ -132,7 +108,7 @@ def test_an_arc_in_which_the_shear_turns_needs_the_split():
         n = rng.uniform(0.3, 1.5)
         tan_phi = math.tan(rng.uniform(0.1, 0.8))
         arc = (theta1, 0.0, 0.5 * theta1, *motion_from_slip(slip), K, n, R)
-        plain, split = (arc_integrals(*arc, split=of)[0] for of in (False, True))
+        plain, split = (arc_integrals(*arc, split=of) for of in (False, True))
         change = max(abs(plain.pe_cos - split.pe_cos), abs(plain.pe - split.pe))
         off.append(tan_phi * change / plain.p_cos)
     assert np.quantile(off, 0.9) == pytest.approx(1.2e-3, rel=0.1)
@@ -151,27 +127,16 @@ def test_without_flow_it_is_equation_10(name):
             np.testing.assert_allclose(little, plain, rtol=1e-6, atol=1e-6)
 
 
-@settings(max_examples=60, deadline=None)
-@given(soil=soil_with_flow)
-def test_forces_are_continuous_through_slip_0(soil):
-    left, right = (steady_state(slip, LOAD, soil, R, R) for slip in (-1e-6, 1e-6))
-    assume(left.supported and right.supported)
-    assert abs(left.drawbar_pull - right.drawbar_pull) < 1e-4 * LOAD
-    assert abs(left.torque - right.torque) < 1e-4 * LOAD * R
-    assert abs(left.sinkage - right.sinkage) < 1e-4 * R
-
-
 @settings(max_examples=100, deadline=None)
-@given(soil=soil_with_flow, slip=st.floats(-1.0, 1.0))
-def test_power_is_lost_and_a_locked_wheel_is_not_pushed_forward(soil, slip):
+@given(soil=soil_with_flow, slip=st.just(-1.0) | st.floats(-1.0, 1.0))
+def test_power_is_lost(soil, slip):
+    """Also by a locked wheel, which is therefore not pushed forward."""
     at = steady_state(slip, LOAD, soil, R, R)
     assume(at.supported)
     rim, travel = motion_from_slip(slip)
     fastest = max(rim, travel)
     lost = (at.torque / R * rim - at.drawbar_pull * travel) / fastest
     assert lost > 0.0
-    locked = steady_state(-1.0, LOAD, soil, R, R)
-    assert locked.drawbar_pull < 0.0 or not locked.supported
 
 
 @pytest.mark.parametrize("name", sorted(soils()))
@@ -212,23 +177,6 @@ def test_the_carried_share_is_bounded_smooth_and_mirrored(rim, travel, carry, mo
     assert by_travel == pytest.approx((ahead - behind) / (2.0 * h), abs=size)
 
 
-@pytest.mark.parametrize(
-    ("rim", "travel", "share"),
-    [(1.0, 1.0, 1.0), (1.0, 0.5, 0.125), (1.0, 0.0, 0.0), (0.5, 1.0, 3.375), (0.0, 1.0, 8.0)],
-)
-def test_the_carried_share_is_a_power_of_the_slip(rim, travel, share):
-    assert contact.carried_share(rim, travel, 0.0)[0] == pytest.approx(share)
-
-
-@pytest.mark.parametrize(
-    ("rim", "travel", "braked"),
-    [(0.5, 1.0, 0.5), (1.0, 0.5, 0.0), (0.0, 1.0, 1.0), (-0.5, -1.0, 0.5), (-0.3, 1.0, 1.0)],
-)
-def test_the_braked_share_is_that_of_the_slip(rim, travel, braked):
-    assert braked_share(rim, travel, 1e-6) == pytest.approx(braked, abs=1e-6)
-    assert braked_share(0.0, 0.0, 1e-3) == 0.0
-
-
 @pytest.mark.parametrize("slip", [s for s in SLIPS if s < 0.95])
 @pytest.mark.parametrize("name", ["dry_sand", "lete_sand", "grenville_loam"])
 def test_the_world_has_the_law_of_the_steady_state(name, slip):
@@ -242,15 +190,3 @@ def test_the_world_has_the_law_of_the_steady_state(name, slip):
     assert f.drawbar_pull == pytest.approx(at.drawbar_pull, abs=2e-4 * LOAD)
     assert f.torque == pytest.approx(at.torque, abs=2e-4 * LOAD * R)
     assert f.sinkage_coefficient == pytest.approx(soil.sinkage_coefficient, rel=1e-3)
-
-
-def test_in_reverse_the_forces_are_mirrored():
-    soil = soils()["lete_sand"].state(R)._replace(**FLOW)
-    wheel = wheel_with("none")
-    for v, u in ((0.3, 0.4), (0.3, 0.1), (0.2, -0.1), (0.05, -0.4)):
-        ahead, back = (
-            react(ground_under(0.02, s * v, s * u, soil, wheel), s * v, s * u, LOAD, wheel)
-            for s in (1.0, -1.0)
-        )
-        assert back.drawbar_pull == pytest.approx(-ahead.drawbar_pull, abs=1e-9)
-        assert back.torque == pytest.approx(-ahead.torque, abs=1e-9)

@@ -13,7 +13,7 @@ import yaml
 from scipy.optimize import brentq
 
 from soil_env.measurement.table import read_table
-from soil_env.parameters import Soil, soils, wheels
+from soil_env.parameters import Layer, Soil, Tyre, soils, wheels
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTable, ResidualTerm
 from soil_env.terramechanics.steady import LEVEL, Conditions, Rim, steady_with
@@ -31,9 +31,10 @@ EFFECTS = {
     "multipass": {"hardening": 0.2},
 }
 TERMS = (
-    ResidualTerm("sinkage", 0.01, {"slip": 2.0}, {"slip": [0.0, 0.5]}),
+    ResidualTerm("sinkage", 0.01, {"slip": 2.0}, {"slip": [0.2, 0.5]}),
     ResidualTerm("drawbar_pull", -0.05, {"load": 1.0, "pass": 1.0}),
     ResidualTerm("torque", 0.02),
+    ResidualTerm("torque", 0.03, {"slip": 1.0, "load": -0.5}),
 )
 TABLE = ResidualTable(
     {"slip": (0.0, 1.0)},
@@ -242,16 +243,20 @@ def test_conditions_that_a_term_goes_with_are_asked_for(model, name):
 
 
 def test_residual_terms_are_added():
-    """z + r 0.01 i^2 (i at most 0.5), DP - W 0.05 N W/(S b r^(n+1)), T + W r 0.02."""
+    """z + r 0.01 i^2 (i from 0.2 to 0.5), DP - W 0.05 N W/(S b r^(n+1)), T + W r (0.02 + 0.03 i
+    (W/(S b r^(n+1)))^-0.5).
+    """
     plain = MODEL.predict(conditions(**{"pass": 2}))
     found = WheelSoilModel(WHEEL, SOIL, EFFECTS, TERMS).predict(conditions(**{"pass": 2}))
-    i = np.minimum(conditions()["slip"], 0.5)
-    assert found.sinkage == pytest.approx(plain.sinkage + 0.15 * 0.01 * i**2)
+    slip = conditions()["slip"]
+    held = np.clip(slip, 0.2, 0.5)
+    assert found.sinkage == pytest.approx(plain.sinkage + 0.15 * 0.01 * held**2)
     bearing = 9e5 * 0.12 * 0.15**1.9
     assert found.drawbar_pull == pytest.approx(
         plain.drawbar_pull - 90.0 * 0.05 * 2.0 * 90.0 / bearing
     )
-    assert found.torque == pytest.approx(plain.torque + 90.0 * 0.15 * 0.02)
+    added = 0.02 + 0.03 * slip * (90.0 / bearing) ** -0.5
+    assert found.torque == pytest.approx(plain.torque + 90.0 * 0.15 * added)
 
 
 @pytest.mark.parametrize(
@@ -281,8 +286,12 @@ def test_the_group_of_the_sinkage_is_that_of_the_contact(soil, effects, depth):
         WheelSoilModel(WHEEL, BEKKER, {"slip_bias": {"offset": 1e-7}}),
         WheelSoilModel(WHEEL, SOIL, EFFECTS, TERMS, gravity=1.62, validity={"slip": (0.0, 0.6)}),
         WheelSoilModel(WHEEL, SOIL, EFFECTS, remainder=TABLE),
+        WheelSoilModel(
+            ModelWheel(0.15, 0.12, 0.0, Tyre(stiffness=12000.0), 0.8),
+            replace(SOIL, layer=Layer(0.03, 1e4)),
+        ),
     ],
-    ids=["plain", "bekker", "residual", "remainder"],
+    ids=["plain", "bekker", "residual", "remainder", "tyre and layer"],
 )
 def test_save_and_load(tmp_path, model):
     path = tmp_path / "model.yaml"
@@ -305,7 +314,6 @@ BARE = {
     ("change", "message"),
     [
         ({"wheels": {}}, "unknown key 'wheels'; did you mean 'wheel'"),
-        ({"formt": "x"}, "unknown key 'formt'; did you mean 'format'"),
         ({"format": "soil_env model 2"}, "expected format: 'soil_env model 1'"),
         (
             {"wheel": {"radius": 15, "width": 0.12}},

@@ -7,13 +7,11 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.residual import (
-    CHANNELS,
     COLUMNS,
     GROUPS,
     ResidualTable,
@@ -59,12 +57,6 @@ def test_groups_by_hand():
     }
     assert tuple(expected) == GROUPS
     assert found == pytest.approx(tuple(expected.values()))
-
-
-@pytest.mark.parametrize(("x", "held"), [(0.05, 0.2), (0.2, 0.2), (0.3, 0.3), (0.5, 0.4)])
-def test_groups_are_held_inside_their_range(x, held):
-    term = ResidualTerm("torque", 2.0, {"slip": 1.0}, {"slip": [0.2, 0.4], "pass": [5.0, 6.0]})
-    assert value([term], (x, *POINT[1:]))[2] == pytest.approx(2.0 * held)
 
 
 def table_of(function, **axes):
@@ -132,18 +124,3 @@ def test_downhill_and_rest():
         assert found == pytest.approx(expected)
     for power in (-6.0, -1.0, -0.5, 0.5, 1.0, 2.0):
         assert value([ResidualTerm("torque", 1.0, {"slip": power})], (0.0, *POINT[1:]))[2] == 0.0
-
-
-powers = st.dictionaries(st.sampled_from(GROUPS), st.floats(-2.0, 2.0), max_size=3)
-
-
-@settings(max_examples=60, deadline=None)
-@given(coefficient=st.floats(-5.0, 5.0), powers=powers, channel=st.sampled_from(CHANNELS))
-def test_a_term_is_a_product_and_terms_add_up(coefficient, powers, channel):
-    term = ResidualTerm(channel, coefficient, powers, {name: [0.01, 3.0] for name in powers})
-    expected = 0.1 + coefficient * math.prod(
-        POINT[GROUPS.index(name)] ** p for name, p in powers.items()
-    )
-    assert value([term, ResidualTerm(channel, 0.1)])[CHANNELS.index(channel)] == pytest.approx(
-        expected
-    )

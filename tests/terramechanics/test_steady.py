@@ -37,7 +37,7 @@ def excess(slip, load, soil, depths):
     rim, travel = motion_from_slip(slip)
 
     def carried(theta1):
-        q, *_ = arc_integrals(
+        q = arc_integrals(
             theta1, 0.0, 0.5 * theta1, rim, travel, soil.shear_modulus, soil.sinkage_exponent, R
         )
         return forces(q, left, soil.tan_phi, soil.cohesion, R, B, 1.0).load

@@ -1,7 +1,6 @@
 """Tyres, their grip, and firm ground below a cover: limits, and an empirical traction curve."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -118,16 +117,6 @@ def test_a_cover_passes_smoothly_into_the_firm_ground_below():
     assert deep[-1] > 0.06 and held[-1] < 0.03 and np.all(np.diff(held) > 0.0)
 
 
-def test_a_wheel_that_slips_stands_on_the_rock_below_its_cover():
-    """Slip digs through the cover, not into the rock."""
-    soil = soils()["rock_with_sand_cover"]
-    depth = soil.layer.depth
-    deep = replace(soil, layer=None)
-    for slip in (0.3, 0.6, 0.9):
-        found = predicted(TYRE, soil, slip)[0].sinkage
-        assert found < depth < predicted(TYRE, deep, slip)[0].sinkage + 0.5 * depth
-
-
 @pytest.mark.parametrize("stiffness", [10.0, 1e3, 1e6])
 def test_firm_ground_lies_as_deep_however_firm_it_is(stiffness):
     """At its depth half of the decades are passed; at 0.85 of it less than a tenth."""
@@ -167,10 +156,7 @@ def test_what_contradicts_itself_is_refused_in_one_line(make, said):
     refused(make, said)
 
 
-def test_a_model_keeps_tyre_and_layer_in_its_file(tmp_path):
-    model = WheelSoilModel(TYRE, ground(1e6, layer=Layer(0.03, 1e4)))
-    model.save(tmp_path / "model.yaml")
-    again = WheelSoilModel.load(tmp_path / "model.yaml")
-    assert again.wheel == TYRE and again.soil == model.soil
+def test_wheels_and_states_of_soils_keep_tyre_and_layer():
     assert ModelWheel.of(wheels()["husky"]).tyre == Tyre(stiffness=12000.0)
-    assert Soil.of_state(model.soil.state(WIDTH)).layer == model.soil.layer
+    layer = Layer(0.03, 1e4)
+    assert Soil.of_state(ground(1e6, layer=layer).state(WIDTH)).layer == layer
