@@ -175,8 +175,6 @@ def test_the_base_model_fits_the_pulls_that_it_made_itself(tmp_path):
     pulls = {0.0: 17.2, 0.05: 24.4, 0.1: 30.6, 0.2: 40.9, 0.4: 55.2, 0.6: 64.3, 0.75: 69.0}
     lines = [f"{slip},170,{pull}" for slip, pull in pulls.items()]
     setup = "wheel: {radius: 0.225, width: 0.2}\nnoise: {drawbar_pull: 4}\n"
-    problem, _ = calibrate(
-        data_of(tmp_path, "\n".join(["slip,load,drawbar_pull", *lines]) + "\n", setup)
-    )
+    problem = problem_of(tmp_path, "\n".join(["slip,load,drawbar_pull", *lines]) + "\n", setup)
     residual = fit_prediction(problem, (), smooth=False).residual
     assert residual == pytest.approx(np.zeros(7), abs=0.5)
