@@ -44,7 +44,8 @@ from soil_env.terramechanics.model import WheelSoilModel, load_model
 from soil_env_agents.controllers import CONTROLLERS
 
 NAME = "identification"
-SEED = 20261127  # nothing was chosen on its courses, nor changed after they were seen
+#: Of the courses, the same since 2026-11-27: the identifier has been changed with them in view.
+SEED = 20261127
 #: Scenarios with the laws of the identifier.
 OWN = ("two_lines", "mixed", "loose_slopes", "sticky", "field_vehicle", "unseen")
 ONE_SOIL = "mixed, one soil"  # a course

@@ -242,6 +242,21 @@ def test_discovery():
         assert numbers(rows[question]) == pytest.approx(said, abs=0.51), question
 
 
+def test_discovery_says_what_does_not_count():
+    """Tables with effects that hardly show are in no share of the page; how many, and with them."""
+    content = json.loads((RESULTS / "discovery.json").read_text())["entrants"]["workflow"]
+    every = content["all"]
+    text = " ".join(PAGE.read_text(encoding="utf-8").split())
+    said = re.search(
+        rf"Not counted are ({NUMBER}) tables .*? With them (.*?) are named first, both (.*?)\. ",
+        text,
+    )
+    assert float(said[1]) == content["cases"] - content["counting"]
+    for words, target in ((said[2], "first"), (said[3], "both")):
+        share = [100.0 * every[target][key] for key in ("value", "low", "high")]
+        assert numbers(words) == pytest.approx([*share, every[target]["of"]], abs=0.51)
+
+
 @pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
 def test_make_results_takes_no_result_of_other_code(importable):
     """What goes on where it was interrupted works in a folder of this code alone."""
