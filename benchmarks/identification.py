@@ -106,7 +106,8 @@ def cases() -> dict[str, Case]:
 
 def measure(case: Case, courses: int, seed: int) -> dict[str, Any]:
     """Drive and judge a row: plain values of the case, its number of "courses" and "steps",
-    "prior_rms", and the `statistics` of `SHIPPED` and of each of the identifiers beside it.
+    "prior_rms", the `statistics` of `SHIPPED` and of each of the identifiers beside it, and the
+    tuned "settings" of the driver of a wheel.
 
     They are of `drives.QUANTITIES` in `drives.UNITS`, of a rover of those of the soil, by all
     wheels. "prior_rms" [q] is the root mean square error of the prior means. It and "steps" are
@@ -140,6 +141,8 @@ def measure(case: Case, courses: int, seed: int) -> dict[str, Any]:
     prior = drives.prior_of(scenario)[:count]
     units = drives.UNITS[:count]
     row: dict[str, Any] = case._asdict() | {"courses": courses}
+    if case.scenario not in ROVERS:
+        row["settings"] = drives.settings_of(case.drive, scenario)
     for log, names in zip(logs, ({drives.OWN: SHIPPED}, {n: n for n in shadows}), strict=True):
         here = log["driven"]
         course = np.nonzero(here)[1]
