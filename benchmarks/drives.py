@@ -66,7 +66,12 @@ def controller_of(name: str, scenario: Scenario) -> Any:
     if name == "ramp":
         top = SoftStart(scenario).top_speed
         return make_controller("soft_start", scenario, acceleration=top / 15.0, speed=top)
-    return make_controller(name, scenario, **shipped_settings(scenario, 1).get(name, {}))
+    return make_controller(name, scenario, **settings_of(name, scenario))
+
+
+def settings_of(name: str, scenario: Scenario) -> dict[str, float]:
+    """Tuned settings that ship for a controller on the scenario, {} where it has its defaults."""
+    return shipped_settings(scenario, 1).get(name, {})
 
 
 #: Standard deviations of zeros and gains, in the units of `Noise`; both sensors of a quantity have

@@ -44,7 +44,8 @@ from soil_env.terramechanics.model import WheelSoilModel, load_model
 from soil_env_agents.controllers import CONTROLLERS
 
 NAME = "identification"
-SEED = 20261127  # nothing was chosen on its courses, nor changed after they were seen
+#: Of the courses, the same since 2026-11-27: the identifier has been changed with them in view.
+SEED = 20261127
 #: Scenarios with the laws of the identifier.
 OWN = ("two_lines", "mixed", "loose_slopes", "sticky", "field_vehicle", "unseen")
 ONE_SOIL = "mixed, one soil"  # a course
@@ -105,7 +106,8 @@ def cases() -> dict[str, Case]:
 
 def measure(case: Case, courses: int, seed: int) -> dict[str, Any]:
     """Drive and judge a row: plain values of the case, its number of "courses" and "steps",
-    "prior_rms", and the `statistics` of `SHIPPED` and of each of the identifiers beside it.
+    "prior_rms", the `statistics` of `SHIPPED` and of each of the identifiers beside it, and the
+    tuned "settings" of the driver of a wheel.
 
     They are of `drives.QUANTITIES` in `drives.UNITS`, of a rover of those of the soil, by all
     wheels. "prior_rms" [q] is the root mean square error of the prior means. It and "steps" are
@@ -139,6 +141,8 @@ def measure(case: Case, courses: int, seed: int) -> dict[str, Any]:
     prior = drives.prior_of(scenario)[:count]
     units = drives.UNITS[:count]
     row: dict[str, Any] = case._asdict() | {"courses": courses}
+    if case.scenario not in ROVERS:
+        row["settings"] = drives.settings_of(case.drive, scenario)
     for log, names in zip(logs, ({drives.OWN: SHIPPED}, {n: n for n in shadows}), strict=True):
         here = log["driven"]
         course = np.nonzero(here)[1]

@@ -1,5 +1,5 @@
-"""What the default policy and the best rule still finish when a sensor errs or is dead, in worlds
-with effects, and on another wheel.
+"""What the default policy and a rule with its default settings still finish when a sensor errs or
+is dead, in worlds with effects, and on another wheel.
 
     python -m benchmarks.robustness                  26 core minutes; docs/results/robustness.*
     python -m benchmarks.robustness --smoke --out X  every part in seconds; numbers mean nothing
@@ -61,12 +61,13 @@ DRIVERS = ("default_policy", "best_slip_identified")
 
 
 TEXT = (
-    "The default policy and the rule `best_slip_identified` on {courses} courses, set 3000473, the "
-    "same for all. Each error of a sensor is three times its standard deviation in the scenario, "
-    "up on one course and down on the next, on top of the sensors that ship; a dead sensor reads "
-    "nothing. Neither the identifier nor a driver is told of it, nor of the worlds; of the wheels "
-    "as the rows say. Changes are to the first row, with 95 % intervals, paired by course; worlds "
-    "and wheels change the courses too, whose soils are drawn so that this wheel could pass."
+    "The default policy and the rule `best_slip_identified`, with its default settings, on "
+    "{courses} courses, set 3000473, the same for all. Each error of a sensor is three times its"
+    " standard deviation in the scenario, up on one course and down on the next, on top of the "
+    "sensors that ship; a dead sensor reads nothing. Neither the identifier nor a driver is told"
+    " of it, nor of the worlds; of the wheels as the rows say. Changes are to the first row, "
+    "with 95 % intervals, paired by course; worlds and wheels change the courses too, whose "
+    "soils are drawn so that this wheel could pass."
 )
 
 

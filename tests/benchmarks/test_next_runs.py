@@ -19,7 +19,7 @@ def test_the_share_of_runs_that_chosen_ones_need():
 
 def test_runs_are_added_to_the_same_first_ones(tmp_path):
     data = data_of(tmp_path, table_text(PLANTED, loads=(80.0, 120.0, 180.0)))
-    case = Case("own", data.table, data.setup, ())
+    case = Case("wheel", "own", data.table, data.setup, ())
     found = {way: next_runs.errors(case, way, 0, 2) for way in next_runs.WAYS}
     assert {len(errors) for errors in found.values()} == {3}
     assert len({errors[0] for errors in found.values()}) == 1

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import sem, t
 
 from benchmarks import prediction
 from benchmarks.continuum.rig import LOADS, WHEELS
@@ -15,16 +16,28 @@ measured = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data in {D
 def test_a_load_left_out_of_a_table_of_the_model_is_predicted(tmp_path):
     data = data_of(tmp_path, table_text(PLANTED))
     out = data.table.load == 150.0
-    found = prediction.figures(prediction.Case("own", data.table, data.setup, (out,)))
+    found = prediction.figures(prediction.Case("wheel", "own", data.table, data.setup, (out,)))
     assert found["rows"] == out.sum() and set(found["errors"]) == set(prediction.METHODS)
     over = found["over_noise"]
     best = min(over["curve"], over["base model"])
     assert over["all effects"] < min(1.4, best)
     ratios = prediction.ratios([found])
-    assert ratios["curve"] == {"mean": 1.0, "worst": over["curve"] / best}
+    assert ratios["curve"] == {"mean": 1.0, "interval": None, "worst": over["curve"] / best}
     parts = ("chosen", "fresh")
     pages = prediction.tables_of(dict.fromkeys(parts, [found]), dict.fromkeys(parts, ratios))
     assert len(pages) == 4 and "| own |" in next(iter(pages.values())).markdown()
+
+
+def test_the_interval_of_a_geometric_mean_is_that_of_wheels_not_of_splits():
+    of_wheels = np.array([0.5, 0.7, 1.1, 0.4, 1.2])
+    wheels = list("abcde")
+    low, high = prediction.by_wheel(of_wheels, wheels)
+    sample = np.log(of_wheels)
+    expected = t.interval(0.95, 4, sample.mean(), sem(sample))
+    assert (low, high) == pytest.approx(np.exp(expected))
+    # Each split twice is no more evidence.
+    again = prediction.by_wheel(np.tile(of_wheels, 2), 2 * wheels)
+    assert again == pytest.approx((low, high))
 
 
 def test_straight_lines_meet_the_next_slips_where_the_load_is_one(tmp_path):
