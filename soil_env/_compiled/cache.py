@@ -352,11 +352,6 @@ def called_by(function: Callable[..., Any]) -> set[Callable[..., Any]]:
     also where the function does not call it, so these are at least the functions called.
     """
     package = function.__module__.partition(".")[0]
-
-    def of_package(name: str) -> bool:
-        """True for the name of a module of the package."""
-        return name.partition(".")[0] == package
-
     found: set[Callable[..., Any]] = set()
     left = [function]
     while left:
@@ -364,14 +359,14 @@ def called_by(function: Callable[..., Any]) -> set[Callable[..., Any]]:
         names = one.__code__.co_names
         known = [one.__globals__[name] for name in names if name in one.__globals__]
         for module in [thing for thing in known if isinstance(thing, ModuleType)]:
-            if of_package(module.__name__):
+            if module.__name__.startswith(package):
                 known += [getattr(module, name) for name in names if hasattr(module, name)]
         for thing in known:
             called = getattr(thing, "py_func", thing)  # an inlined one is numba's own object
-            if isinstance(called, FunctionType) and of_package(called.__module__):
-                if called not in found:
-                    found.add(called)
-                    left.append(called)
+            own = isinstance(called, FunctionType) and called.__module__.startswith(package)
+            if own and called not in found:
+                found.add(called)
+                left.append(called)
     return found
 
 

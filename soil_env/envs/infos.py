@@ -109,17 +109,12 @@ class VehicleInfos:
             return {}
         worlds = self._simulation.worlds
         info = {"cause": worlds.cause.copy(), "immobilised": STUCK[worlds.cause]}
-        terms = self._terms()
+        terms = {name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
         if self.kind == "short":
             short = dict(zip(_TERMS, terms.values(), strict=True))
             return _whole(info | {"x": worlds.state["x"].copy()} | short)
         full = info | {"reward_terms": terms} | self._groups()
         return full if self.kind != "numeric" else _whole(flat(full))
-
-    def _terms(self) -> dict[str, np.ndarray]:
-        """Terms of the reward, arrays [vehicles]."""
-        terms = self._simulation.worlds.terms
-        return {name: terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
 
     def _groups(self) -> Info:
         """Groups of a full info, arrays [vehicles]: states, and what is estimated if the kind asks

@@ -169,11 +169,10 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
         ("load", ("load",), "kilograms", EARTH_GRAVITY, "newtons"),
         ("forces", ("load", "drawbar_pull"), "kilograms", EARTH_GRAVITY, "newtons"),
     ):
-        # Two forces that are wrong alike show only beside the torque.
+        # Two forces that are wrong alike show only beside the torque. Zeros are the same in every
+        # unit, and so leave nothing but a larger noise.
         needed = columns if len(columns) == 1 else (*columns, "torque")
-        # Zeros are the same in every unit, and so leave nothing but a larger noise.
-        changes = all(np.nansum(np.abs(getattr(table, column))) > 0.0 for column in columns)
-        if changes and all(known.get(column, True) for column in needed):  # every table has loads
+        if all(np.nansum(np.abs(getattr(table, column))) > 0.0 for column in needed):
             both = " and ".join(columns)
             add(
                 name,
