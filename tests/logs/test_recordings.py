@@ -14,7 +14,7 @@ import pytest
 
 from soil_env import ParameterError
 from soil_env.logs import read_map, read_recording, replay
-from tests.logs.bags import example, write_json_mcap, write_map, write_mcap
+from tests.logs.bags import MAP, example, write_json_mcap, write_map, write_mcap
 from tests.refusals import refused
 
 NS = 1_000_000_000
@@ -53,20 +53,19 @@ def test_the_identifier_on_the_bag_gives_what_it_gave_online(drives, storage):
     """
     folder, log_map, online, _ = drives
     found = replay(read_recording(folder / storage, log_map), log_map)
-    for name, sd, logarithmic in (
-        ("friction_angle_deg", "friction_angle_sd_deg", False),
-        ("shear_modulus", "shear_modulus_relative_sd", True),
-        ("sinkage_coefficient", "sinkage_coefficient_relative_sd", True),
+    for name, sd in (
+        ("friction_angle_deg", "friction_angle_sd_deg"),
+        ("shear_modulus", "shear_modulus_relative_sd"),
+        ("sinkage_coefficient", "sinkage_coefficient_relative_sd"),
     ):
         after = found.values[name]
         before, spread = (np.array([e[key] for e in online]) for key in (name, sd))
-        apart = np.log(after / before) if logarithmic else after - before
-        apart = np.abs(apart) / spread
         near = np.abs(after / before - 1.0)
+        apart = near / spread * (1.0 if "relative" in sd else before)
         assert np.max(apart) < APART and np.mean(near < 2e-4) > 0.9
         near = np.abs(found.values[sd] / spread - 1.0)
         assert np.max(near) < 1e-2 and np.mean(near < 1e-3) > 0.9
-    assert [s for s in found.status] == [type(found.prior.status)[e["status"]] for e in online]
+    assert list(found.status) == [type(found.prior.status)[e["status"]] for e in online]
     learnt = found.learnt(current=True)
     assert learnt["friction_angle_deg"] < 0.6 and learnt["shear_modulus"] < 0.3
     assert found.values["shear_modulus"].max() > 1.1 * found.values["shear_modulus"].min()
@@ -140,17 +139,11 @@ def test_csv_and_parquet_give_what_the_bag_gives(drives, tmp_path):
 
 def test_units_gear_and_motor_constant(tmp_path):
     bag = write_json_mcap(tmp_path / "a.mcap", steps=30)
+    own = MAP["channels"]
     changes = {
-        "wheel_speed": {"topic": "/drive", "field": "speed", "unit": "rpm", "gear": 4, "sign": -1},
-        "motor_torque": {
-            "topic": "/drive",
-            "field": "motor.current",
-            "unit": "A",
-            "motor_constant": 0.05,
-            "gear": 100,
-            "efficiency": 0.5,
-        },
-        "sinkage": {"topic": "/odom", "field": "depth", "unit": "mm", "sign": -1, "offset": 0.15},
+        "wheel_speed": own["wheel_speed"] | {"unit": "rpm", "gear": 4, "sign": -1},
+        "motor_torque": own["torque"] | {"efficiency": 0.5},
+        "sinkage": own["sinkage"] | {"sign": -1, "offset": 0.15},
         "load": {"constant": 0.15, "unit": "kN"},
         "torque": None,
     }
@@ -522,7 +515,7 @@ def test_a_value_that_cannot_be_is_left_out_and_counted(tmp_path):
     assert (channel.empty, channel.unusable, channel.readings) == (1, 0, 20)  # infinite
     assert any("wheel_speed" in note and "1 of 20" in note for note in found.notes)
     assert found.readings["wheel_speed"] == pytest.approx(2.0)  # interpolated there
-    millimetres = {"topic": "/odom", "field": "depth", "unit": "m"}
+    millimetres = MAP["channels"]["sinkage"] | {"unit": "m"}
     found = read(tmp_path / "a.mcap", {"sinkage": millimetres})
     assert found.channels["sinkage"].unusable == 20 and np.isnan(found.readings["sinkage"]).all()
     assert sum("sinkage" in note for note in found.notes) == 1
