@@ -49,6 +49,12 @@ def examined(folder, text, setup=SETUP):
         return (str(error),)
 
 
+def usual(folder):
+    """(`Data` of a sound table, its noise)."""
+    data = data_of(folder, table_text({}))
+    return data, mistakes._as_is(data).noise
+
+
 def over_travel_speed(slip):
     """(r w - V)/V of (r w - V)/(r w)."""
     return slip / (1.0 - slip)
@@ -119,8 +125,7 @@ def test_a_force_in_kilograms_is_told_where_a_missing_effect_hides_it(count, mis
 
 @pytest.mark.parametrize("column", [1, 2])
 def test_a_force_that_does_not_change_says_nothing_of_its_unit(tmp_path, column):
-    data = data_of(tmp_path, table_text({}))
-    noise = mistakes._as_is(data).noise
+    data, noise = usual(tmp_path)
     before = mistakes._rises(data, noise)
     data.y[:, column] = 0.0
     rises = mistakes._rises(data, noise)
@@ -183,8 +188,7 @@ def test_a_diameter_for_the_radius_is_told(tmp_path):
 
 def test_a_wheel_that_gains_power_is_doubted(tmp_path):
     """Pull times travel speed is at most torque times rotational speed, whatever the soil."""
-    data = data_of(tmp_path, table_text({}))
-    noise = mistakes._as_is(data).noise
+    data, noise = usual(tmp_path)
     assert mistakes._gains_power(data, noise) == ""
     data.y[:, 1] = 30.0
     data.y[:, 2] = 0.15 * 40.0
@@ -213,8 +217,7 @@ def test_a_pull_without_the_resistance_is_doubted(tmp_path):
 
 def test_a_pull_that_falls_at_much_slip_alone_is_no_mistake(tmp_path):
     """Only tables that begin at low slip and end below zero say anything about the sign."""
-    data = data_of(tmp_path, table_text({}))
-    noise = mistakes._as_is(data).noise
+    data, noise = usual(tmp_path)
     assert mistakes._pull_falls(data, noise) == "" and load_doubt(data.table, data.setup) == ""
     pull = data.y[:, 1]
     slip = data.rows.slip
