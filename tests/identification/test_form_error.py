@@ -32,18 +32,19 @@ def kernel(names):
 
 
 def test_the_functions_have_the_covariance_of_the_process():
-    process = Process.over(CONDITIONS)
-    assert set(process.names) == {"slip", "load", "pass"}  # the speed does not vary
-    assert process.at_points @ process.at_points.T == pytest.approx(
-        kernel(("slip", "load", "pass")), abs=0.03
-    )
-    of_a_law = Process.over(CONDITIONS, of=INPUTS)  # what goes with the pass is no error of the law
-    assert of_a_law.at_points @ of_a_law.at_points.T == pytest.approx(
-        kernel(("slip", "load")), abs=0.03
-    )
-    over = Process.over(CONDITIONS, of=INPUTS, lengths=form_error.LAW_LENGTHS[1])
-    expected = kernel(("load",)) * gauss(CONDITIONS["slip"], 0.6)
-    assert over.at_points @ over.at_points.T == pytest.approx(expected, abs=0.03)
+    # the speed does not vary
+    assert set(Process.over(CONDITIONS).names) == {"slip", "load", "pass"}
+    for options, expected in (
+        ({}, kernel(("slip", "load", "pass"))),
+        # what goes with the pass is no error of the law
+        ({"of": INPUTS}, kernel(("slip", "load"))),
+        (
+            {"of": INPUTS, "lengths": form_error.LAW_LENGTHS[1]},
+            kernel(("load",)) * gauss(CONDITIONS["slip"], 0.6),
+        ),
+    ):
+        at = Process.over(CONDITIONS, **options).at_points
+        assert at @ at.T == pytest.approx(expected, abs=0.03)
 
 
 def test_errors_over_the_logarithm_of_slip_change_fast_at_little_slip_and_differ_by_its_sign():
