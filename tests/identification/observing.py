@@ -1,8 +1,9 @@
 """Parts of the online identifier as Python calls them, one wheel with its identifier, readings by
-the laws that it knows, and simulations of identified wheels.
+the laws that it knows, and simulations of identified wheels; the wheel and the soil of most tests.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,10 +13,8 @@ from soil_env.identification.online import (
     best_pull,
     borders,
     cells,
-    class_memory,
     fit,
     forces,
-    immobilisation,
     library,
     linear,
     pooling,
@@ -37,13 +36,21 @@ from soil_env.identification.online.memory import (
     WORK,
 )
 from soil_env.identification.online.prior import setting_of
-from soil_env.parameters import FLOW_LAW
+from soil_env.parameters import FLOW_LAW, Belief, load_scenario, soils
 from soil_env.parameters.readings import Image
 from soil_env.parameters.sensors import SensorReading
 from tests.simulation import wheels
 
+SCENARIO = load_scenario("mixed")  # whose belief has a library of soils
+PLAIN = replace(SCENARIO, belief=Belief())
+R = SCENARIO.wheel.radius
+B = SCENARIO.wheel.width
+W = SCENARIO.weight
+SAND = soils()["dry_sand"].state(B)
+NEAR = SAND._replace(sinkage_exponent=1.05)  # as the belief knows the exponent nearly
 #: Columns of `react`: value and derivatives by tan phi, c, n, ln K, sinkage and slip.
 SLOPES = 1 + forces.CONTACT["by"].shape[1]
+SUBSTEPS = 20  # of a control period, in `driven`
 
 
 @kept
@@ -108,18 +115,8 @@ def _mix(memory, setting, work):
 
 
 @kept
-def _remember(memory):
-    cells.remember(memory[0])
-
-
-@kept
 def _begin_border(memory, setting, work, place, variance):
     borders.begin_border(memory[0], setting[0], work[0], place, variance)
-
-
-@kept
-def _put_on_border(memory, k, setting):
-    borders.put_on_border(memory[0], memory[0].cells[k], setting[0])
 
 
 IMAGE = record(*Image._fields)
@@ -131,44 +128,8 @@ def _see_border(memory, images, camera_sd, setting, work):
 
 
 @kept
-def _blend(memory, setting):
-    borders.blend_estimates(memory[0], memory[0], setting[0])
-
-
-@kept
 def _best_pull(memory, load, setting, work):
     best_pull.renew_best_pull(memory[0], load, setting[0], work[0])
-
-
-@kept
-def shares_at(behind, length, out):
-    """`borders.share_at` of many distances, into `out` [n, 2]."""
-    for k in range(behind.size):
-        out[k, 0], out[k, 1] = borders.share_at(behind[k], length)
-
-
-@kept
-def forget_classes(classes, setting):
-    """`class_memory.forget_classes` of the first wheel."""
-    class_memory.forget_classes(classes[0], setting[0])
-
-
-@kept
-def remember_class(classes, c, patch, memory, setting):
-    """`class_memory.remember_class` of the first wheel."""
-    class_memory.remember_class(classes[0], c, patch, memory[0], setting[0])
-
-
-@kept
-def clear_of_borders(since, left, setting):
-    """`class_memory.clear_of_borders`."""
-    return class_memory.clear_of_borders(since, left, setting[0])
-
-
-@kept
-def forget_pool(pools, a, memory):
-    """`pooling.forget_pool` of axle a."""
-    pooling.forget_pool(pools[a], memory[a])
 
 
 @kept
@@ -187,14 +148,6 @@ def pool_with(pools, own, memory, setting, work):
 def hand_over_border(pools, a, memory, behind, setting, work):
     """`pooling.hand_over_border` from the front wheel to that on axle a."""
     pooling.hand_over_border(pools[0], memory[a], behind, setting[0], work[0])
-
-
-@kept
-def follow_averages(recent, readings, halted, setting, warning):
-    """Averages [RECENT] of `readings` [T], the first of them at the start of a course."""
-    immobilisation.begin_averages(recent, readings[0], setting[0], warning[0])
-    for k in range(1, len(readings)):
-        immobilisation.average(recent, readings[k], halted[k], setting[0], warning[0])
 
 
 def readings_of(rows):
@@ -247,11 +200,6 @@ class Identified:
         now["spread"][0] = covariance
 
     @property
-    def errors(self):
-        """Standard deviations of the white noise."""
-        return self.setting["white"][0, 0]
-
-    @property
     def covariance(self):
         """Covariance of all unknowns, by the factor of the last fit."""
         size = ALL if self.now.behind else 2 * SOIL
@@ -271,7 +219,7 @@ class Identified:
     def remember(self, cell):
         """Take a cell as the newest."""
         self.memory["cells"][0, self.now.cells_kept] = cell
-        _remember(self.memory)
+        cells.remember(self.now)
 
     def mix(self):
         """Mean and covariance under the library by the last fit, and the prior of the next one."""
@@ -280,16 +228,10 @@ class Identified:
     def begin_border(self, place, variance):
         _begin_border(self.memory, self.setting, self.work, float(place), float(variance))
 
-    def put_on_border(self, k):
-        _put_on_border(self.memory, k, self.setting)
-
     def see_border(self, image, camera_sd):
         """True if an `Image` begins a border."""
         images = np.array([tuple(map(float, image))], dtype=IMAGE)
         return _see_border(self.memory, images, camera_sd, self.setting, self.work)
-
-    def blend(self):
-        _blend(self.memory, self.setting)
 
     def renew_best_pull(self, load, times=1):
         for _ in range(times):
@@ -309,12 +251,16 @@ def unknowns_of(soil, setting):
     return u
 
 
-def reactions(soil, sinkage, slip, load, wheel):
-    """(pull [N], torque [N m], ln s) on a soil, its own arrays [n] where there are several."""
-    of = (soil.tan_phi, soil.cohesion, soil.sinkage_exponent, math.log(soil.shear_modulus))
-    columns = np.broadcast_arrays(*of, sinkage, slip, load, wheel.radius, wheel.width)
-    flow = [float(np.ravel(getattr(soil, name))[0]) for name in FLOW_LAW]
-    return react(np.stack(columns, axis=-1).reshape(-1, 9), flow)[:, :, 0].T
+def law_of(soil):
+    """(tan phi, c, n, ln K), `FLOW_LAW` of a soil."""
+    stress = (soil.tan_phi, soil.cohesion, soil.sinkage_exponent, math.log(soil.shear_modulus))
+    return stress, [getattr(soil, name) for name in FLOW_LAW]
+
+
+def reactions(soil, sinkage, slip, load, radius=R, width=B):
+    """(pull [N], torque [N m], ln s) on a soil."""
+    stress, flow = law_of(soil)
+    return react([*stress, sinkage, slip, load, radius, width], flow)[0, :, 0]
 
 
 def flow_of(setting):
@@ -322,7 +268,7 @@ def flow_of(setting):
     return [float(setting[name]) for name in FLOW_LAW]
 
 
-def driven(soil, slips, scenario, speed=0.2, load=None, substeps=20, sunk=None):
+def driven(soil, slips, scenario, speed=0.2, load=None, sunk=None):
     """Noise-free `SensorReading`s of a steady rim speed [m/s] at the `slips` [T] of its periods, by
     the laws of the identifier: forces at slip and sinkage, sinkage by the law of slip-sinkage.
 
@@ -331,19 +277,19 @@ def driven(soil, slips, scenario, speed=0.2, load=None, substeps=20, sunk=None):
     wheel = scenario.wheel
     load = scenario.weight if load is None else load
     length = scenario.relaxation * wheel.radius
-    step = scenario.control.period / substeps
+    step = scenario.control.period / SUBSTEPS
     sinkage = 0.1 * wheel.radius if sunk is None else sunk
-    settling = 200 * substeps if sunk is None else substeps
-    of = (soil.tan_phi, soil.cohesion, soil.sinkage_exponent, math.log(soil.shear_modulus))
+    settling = 200 * SUBSTEPS if sunk is None else SUBSTEPS
+    stress, flow = law_of(soil)
     steps = []
     for slip in slips:
         travel = speed * (1.0 - slip) if slip >= 0.0 else speed / (1.0 + slip)
-        row = (*of, sinkage, slip, load, wheel.radius, wheel.width, travel, abs(speed - travel))
-        steps += [(*row, step / length)] * (substeps if steps else settling) + [(*row, 0.0)]
+        row = (*stress, sinkage, slip, load, wheel.radius, wheel.width, travel, abs(speed - travel))
+        steps += [(*row, step / length)] * (SUBSTEPS if steps else settling) + [(*row, 0.0)]
     steps = np.array(steps)
     out = np.empty((len(steps), 3, SLOPES))
     law = np.array([soil.dig_recovery, soil.dig_gain, math.log(soil.sinkage_coefficient)])
-    _react(steps, np.array([getattr(soil, n) for n in FLOW_LAW]), law, np.zeros(1, WORK), out)
+    _react(steps, np.array(flow), law, np.zeros(1, WORK), out)
     rows = []
     for k in np.flatnonzero(steps[:, -1] == 0.0):
         sinkage, slip, *_, travel, _, _ = steps[k, 4:].tolist()

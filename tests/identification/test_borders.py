@@ -3,7 +3,6 @@ soils.
 """
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,25 +11,16 @@ from hypothesis import given, settings, strategies as st
 from soil_env.identification.online import borders
 from soil_env.identification.online.identifier import MOVED
 from soil_env.identification.online.memory import HERE, OLD, PLACE, QUANTITIES, SOIL
-from soil_env.parameters import Belief, load_scenario, soils
 from soil_env.parameters.readings import Image
-from tests.identification.observing import Identified, driven, shares_at
+from tests.identification.observing import PLAIN, SAND, Identified, driven
 
-SCENARIO = replace(load_scenario("mixed"), belief=Belief())
-LENGTH = SCENARIO.belief.border
-SAND = soils()["dry_sand"].state(SCENARIO.wheel.width)
-(STEADY,) = driven(SAND, [0.2], SCENARIO, speed=0.3)
-OTHER = soils()["lunar_nominal"].state(SCENARIO.wheel.width)
+LENGTH = PLAIN.belief.border
+(STEADY,) = driven(SAND, [0.2], PLAIN, speed=0.3)
 SLIPS = 0.3 + 0.2 * np.sin(0.12 * np.arange(200))
-STEP = STEADY.speed * SCENARIO.control.period
+STEP = STEADY.speed * PLAIN.control.period
 
 
-def share_at(behind, length=LENGTH):
-    """(shares, slopes) at distances [n]."""
-    behind = np.atleast_1d(np.asarray(behind, dtype=float))
-    out = np.empty((len(behind), 2))
-    shares_at(behind, length, out)
-    return out.T
+share_at = np.vectorize(borders.share_at)  # (shares, slopes) at many distances
 
 
 @given(st.floats(-3.0, 3.0), st.floats(0.01, 10.0))
@@ -50,28 +40,13 @@ def test_the_share_of_the_new_soil_is_a_smooth_step(behind, length):
 @pytest.mark.parametrize("rise_deg", [-12.0, 4.0])
 def test_another_grade_is_no_border(rise_deg):
     """Forces at the load of another slope are those of the same soil."""
-    wheel = Identified(SCENARIO)
-    wheel.observe(driven(SAND, SLIPS, SCENARIO))
+    wheel = Identified(PLAIN)
+    wheel.observe(driven(SAND, SLIPS, PLAIN))
     pitch = math.radians(rise_deg)
-    load = SCENARIO.weight * math.cos(pitch)
-    rows = driven(SAND, SLIPS, SCENARIO, load=load)
+    load = PLAIN.weight * math.cos(pitch)
+    rows = driven(SAND, SLIPS, PLAIN, load=load)
     wheel.observe([r._replace(pitch=pitch) for r in rows])
     assert wheel.now.borders == 0 and wheel.now.points > 30
-
-
-def test_forces_of_another_soil_are_a_border():
-    """Within half a metre, and the soil behind it is found."""
-    wheel = Identified(SCENARIO)
-    wheel.observe(driven(SAND, SLIPS, SCENARIO))
-    place = wheel.now.place
-    rows = driven(OTHER, SLIPS, SCENARIO)
-    crossed = None
-    for row in rows:
-        wheel.observe([row])
-        if crossed is None and wheel.now.borders > 0:
-            crossed = wheel.now.place
-    assert crossed is not None and crossed - place < 0.5
-    assert abs(wheel.now.estimate[0] - math.atan(OTHER.tan_phi)) < 3.0 * wheel.now.sd[0]
 
 
 def seen(left, label, here=0.0, taken=0.0):
@@ -84,7 +59,7 @@ def seen(left, label, here=0.0, taken=0.0):
 def test_a_camera_sees_where_another_class_begins():
     """Once the wheel comes to the passage, on either line, and not where the class goes on."""
     for taken in (0.0, 1.0):
-        wheel = Identified(SCENARIO)
+        wheel = Identified(PLAIN)
         wheel.observe([STEADY] * 30)
         for left, label in ((0.6 * LENGTH, 1.0), (0.4 * LENGTH, 0.0)):
             assert not wheel.see_border(seen(left, label, taken=taken), 0.04)
@@ -97,68 +72,56 @@ def test_a_camera_sees_where_another_class_begins():
 
 def test_another_soil_begins_at_its_prior_and_the_old_one_is_kept():
     """What was known, doubted a little, is the prior of the old soil; its instruments are not."""
-    wheel = Identified(SCENARIO)
-    wheel.observe(driven(SAND, np.linspace(0.1, 0.5, 60), SCENARIO))
+    wheel = Identified(PLAIN)
+    wheel.observe(driven(SAND, np.linspace(0.1, 0.5, 60), PLAIN))
     before = wheel.memory.copy()[0]
     assert before.cells_kept > 1
     wheel.begin_border(7.0, 0.2**2)
     now = wheel.now
-    np.testing.assert_array_equal(now.old_mean, before.u[:SOIL])
-    np.testing.assert_array_equal(now.u[OLD:], before.u[:SOIL])
     doubted = np.linalg.inv(borders.OLD_DOUBT * before.covariance)
     sd = np.sqrt(np.diag(before.covariance))
     unit = np.outer(sd, sd)
     np.testing.assert_allclose(now.old_precision * unit, doubted * unit, rtol=1e-6, atol=1e-6)
-    np.testing.assert_array_equal(now.u[:SOIL], wheel.set.soil_mean)
-    np.testing.assert_array_equal(now.covariance, wheel.set.soil_covariance)
-    np.testing.assert_array_equal(now.u[SOIL:HERE], 0.0)
+    for found, expected in (
+        (now.old_mean, before.u[:SOIL]),
+        (now.u[OLD:], before.u[:SOIL]),
+        (now.u[:SOIL], wheel.set.soil_mean),
+        (now.covariance, wheel.set.soil_covariance),
+        (now.u[SOIL:HERE], 0.0),
+        (now.old, before.estimate),
+        (now.fresh, wheel.set.prior),
+    ):
+        np.testing.assert_array_equal(found, expected)
     assert (now.u[PLACE], now.border, now.border_variance) == (7.0, 7.0, 0.2**2)
     assert (now.behind, now.crossing, now.borders, now.cells_kept) == (1, 1.0, 1, 0)
-    np.testing.assert_array_equal(now.old, before.estimate)
-    np.testing.assert_array_equal(now.fresh, wheel.set.prior)
 
 
-def blended(behind, sd=0.02):
-    """A wheel at a distance behind the middle of a border, whose place has an `sd`, with what is
-    published.
-    """
-    wheel = Identified(SCENARIO)
+@pytest.mark.parametrize("behind", [-0.5, -0.3, 0.0, 0.2, 0.5])
+def test_on_a_border_it_is_a_blend_that_is_as_sure_as_its_place(behind):
+    """Against draws of both soils and of the place."""
+    wheel = Identified(PLAIN)
     now = wheel.now
     now.border = 1.0
-    now.border_variance = sd**2
-    now.place = 1.0 + behind
+    now.border_variance = 0.01**2
+    now.place = 1.0 + behind * LENGTH
     now.old[:] = np.arange(QUANTITIES)
     now.old_sd[:] = 0.2
     now.fresh[:] = np.arange(QUANTITIES) + 1.0
     now.fresh_sd[:] = 0.3
-    wheel.blend()
-    return wheel
-
-
-@pytest.mark.parametrize(("behind", "name"), [(-0.5, "old"), (0.5, "fresh")])
-def test_at_the_ends_of_a_border_it_is_one_soil(behind, name):
-    wheel = blended(behind * LENGTH)
-    np.testing.assert_allclose(wheel.now.estimate, getattr(wheel.now, name), rtol=1e-12)
-    np.testing.assert_allclose(wheel.now.sd, getattr(wheel.now, f"{name}_sd"), rtol=1e-12)
-
-
-@pytest.mark.parametrize("behind", [-0.3, 0.0, 0.2])
-def test_on_a_border_it_is_a_blend_that_is_as_sure_as_its_place(behind):
-    """Against draws of both soils and of the place."""
-    wheel = blended(behind * LENGTH, sd=0.01)
+    borders.blend_estimates(now, now, wheel.set)
     rng = np.random.default_rng(3)
-    draws = 200_000
-    old = wheel.now.old[1] + 0.2 * rng.normal(size=draws)
-    fresh = wheel.now.fresh[1] + 0.3 * rng.normal(size=draws)
-    share = share_at(behind * LENGTH - 0.01 * rng.normal(size=draws))[0]
+    draws = 50_000
+    old = now.old[1] + 0.2 * rng.normal(size=draws)
+    fresh = now.fresh[1] + 0.3 * rng.normal(size=draws)
+    share = share_at(behind * LENGTH - 0.01 * rng.normal(size=draws), LENGTH)[0]
     ground = old + share * (fresh - old)
-    assert wheel.now.estimate[1] == pytest.approx(ground.mean(), abs=0.01)
-    assert wheel.now.sd[1] == pytest.approx(ground.std(), rel=0.03)
+    assert now.estimate[1] == pytest.approx(ground.mean(), abs=0.01)
+    assert now.sd[1] == pytest.approx(ground.std(), rel=0.03)
 
 
 def test_behind_a_border_the_ground_is_of_the_new_soil():
     """Every reading on it moves the estimate; at its end the fresh one is published."""
-    wheel = Identified(SCENARIO)
+    wheel = Identified(PLAIN)
     wheel.observe([STEADY] * 20)
     wheel.begin_border(wheel.now.place + 0.3 * LENGTH, (0.1 * LENGTH) ** 2)
     readings = math.ceil(0.8 * LENGTH / STEP) - 1
@@ -172,7 +135,7 @@ def test_behind_a_border_the_ground_is_of_the_new_soil():
 
 def test_cells_on_a_border_have_an_error_of_their_place():
     """Those before and behind have none."""
-    wheel = Identified(SCENARIO)
+    wheel = Identified(PLAIN)
     wheel.observe([STEADY] * 20)
     assert np.all(wheel.cells["place_error"] == 0.0)
     middle = wheel.now.place + 0.5 * LENGTH

@@ -10,7 +10,6 @@ from soil_env.identification.online.memory import BEST_PULL, MEMORY
 from soil_env.identification.online.prior import setting_of
 from soil_env.parameters import SoilState, load_scenario
 from soil_env.terramechanics.traversability import best_working_point
-from tests.identification import observing
 from tests.identification.observing import started
 
 SCENARIO = load_scenario("two_lines")
@@ -25,7 +24,7 @@ SD = WIDE * np.array([0.3, 0.4, 0.3, 0.7, 0.5, 0.2])
 def kept():
     """The memory of one wheel."""
     kept = np.zeros(1, class_memory.CLASSES)
-    observing.forget_classes(kept, SETTING)
+    class_memory.forget_classes(kept[0], SETTING[0])
     return kept
 
 
@@ -37,7 +36,7 @@ def remember(kept, c, patch, estimate, sd):
     memory["estimate"] = estimate
     memory["sd"] = sd
     memory["sd"][0, BEST_PULL] /= class_memory.WIDER
-    observing.remember_class(kept, c, patch, memory, SETTING)
+    class_memory.remember_class(kept[0], c, patch, memory[0], SETTING[0])
 
 
 def combined(posteriors):
@@ -67,7 +66,7 @@ def test_precisions_of_patches_add_up_and_the_prior_counts_once(kept):
     remember(kept, 0, 3, PRIOR - 5.0 * WIDE, 1.2 * WIDE)
     check(kept, 0, *combined(posteriors))
     assert kept["of"]["patches"][0, :3].tolist() == [4, 0, 3]
-    observing.forget_classes(kept, SETTING)  # a new course
+    class_memory.forget_classes(kept[0], SETTING[0])  # a new course
     check(kept, 0, PRIOR, WIDE)
     remember(kept, 0, 0, ESTIMATE, SD)
     check(kept, 0, ESTIMATE, SD)
@@ -90,7 +89,7 @@ def test_an_estimate_near_a_border_is_not_of_one_soil():
         (0.99 * behind, 0.51 * length, False),
         (1.01 * behind, 0.49 * length, False),
     ):
-        assert observing.clear_of_borders(since, left, SETTING) == clear
+        assert class_memory.clear_of_borders(since, left, SETTING[0]) == clear
 
 
 @pytest.fixture(scope="module")
@@ -116,15 +115,14 @@ def learnt():
     library = sim.worlds.courses["library"]
     wheel = scenario.wheel
     rows = []
-    for k in range(wheels):
-        for c in np.flatnonzero(kept["patches"][k]):
-            load = sim.worlds.state["mass"][k] * scenario.gravity
-            soil = SoilState(*library[k, c])
-            best = best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
-            known = kept[k, c]
-            rows.append(
-                (best.drawbar_pull / load, known["estimate"][BEST_PULL], known["sd"][BEST_PULL])
-            )
+    for k, c in np.argwhere(kept["patches"]):
+        load = sim.worlds.state["mass"][k] * scenario.gravity
+        soil = SoilState(*library[k, c])
+        best = best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
+        known = kept[k, c]
+        rows.append(
+            (best.drawbar_pull / load, known["estimate"][BEST_PULL], known["sd"][BEST_PULL])
+        )
     return np.transpose(rows)
 
 

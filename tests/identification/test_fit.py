@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from soil_env.identification.online.borders import share_at
 from soil_env.identification.online.fit import CONTRADICTS, FARTHEST, FASTEST, GROWS, LARGEST_ERROR
 from soil_env.identification.online.memory import (
     ALL,
@@ -30,18 +31,24 @@ from soil_env.identification.online.memory import (
     TORQUE_GAIN,
     TORQUE_ZERO,
 )
-from soil_env.parameters import FLOW_LAW, Belief, SoilState, load_scenario, soils
+from soil_env.parameters import FLOW_LAW, Belief, SoilState
 from soil_env.terramechanics.steady import steady_state
-from tests.identification.observing import Identified, flow_of, reactions, shares_at, unknowns_of
+from tests.identification.observing import (
+    NEAR,
+    PLAIN,
+    B,
+    Identified,
+    R,
+    W,
+    flow_of,
+    reactions,
+    unknowns_of,
+)
 from tests.terramechanics.cases import EQUATION_10
 
-SCENARIO = replace(load_scenario("mixed"), belief=Belief())
-R = SCENARIO.wheel.radius
-B = SCENARIO.wheel.width
-W = SCENARIO.weight
 SLIPS = np.array([-0.15, 0.05, 0.12, 0.2, 0.3, 0.42, 0.55, 0.7])
 assert len(SLIPS) == CELLS
-FLOW = {name: getattr(SCENARIO.belief, name) for name in FLOW_LAW}
+FLOW = {name: getattr(PLAIN.belief, name) for name in FLOW_LAW}
 SHARP = {"slip": 0.002, "sinkage": 2e-4, "pull": 1e-3, "torque": 1e-3}
 TWO_SENSORS = 0.3  # share of the second sensor of pull and torque
 
@@ -62,7 +69,7 @@ def steady_cells(u, setting, slips=SLIPS, noise=SHARP, load=None):
     cells = np.zeros(len(slips), CELL)
     for cell, slip in zip(cells, slips, strict=True):
         sinkage = steady_state(slip, load, soil, R, B).sinkage
-        ((pull,), (torque,), _) = reactions(soil, sinkage, slip, load, SCENARIO.wheel)
+        pull, torque, _ = reactions(soil, sinkage, slip, load)
         speed_error = u[SPEED_GAIN] * (1.0 - abs(slip))
         values = {
             "slip": slip - speed_error,
@@ -89,7 +96,7 @@ def steady_cells(u, setting, slips=SLIPS, noise=SHARP, load=None):
 def put(wheel, cells):
     wheel.memory["cells"][0, : len(cells)] = cells
     wheel.memory["cells_kept"] = len(cells)
-    wheel.memory["mass"] = W / SCENARIO.gravity
+    wheel.memory["mass"] = W / PLAIN.gravity
     wheel.memory["weighings"] = 8.0
 
 
@@ -97,29 +104,20 @@ def begin(soil=None, law=None):
     """(a wheel at its prior, unknowns [HERE] of a soil, that of the prior if none is given, and
     instruments without an error); `law`: another `FLOW_LAW` of the belief.
     """
-    wheel = Identified(replace(SCENARIO, belief=Belief(**law)) if law else SCENARIO)
+    wheel = Identified(replace(PLAIN, belief=Belief(**law)) if law else PLAIN)
     u = np.zeros(HERE)
     u[:SOIL] = wheel.set.soil_mean if soil is None else unknowns_of(soil, wheel.set)
     return wheel, u
 
 
-def test_without_readings_it_is_the_prior():
-    wheel, _ = begin()
-    np.testing.assert_array_equal(wheel.now.estimate, wheel.set.prior)
-    np.testing.assert_array_equal(wheel.now.sd, wheel.set.prior_sd)
-    wheel.renew(2)
-    np.testing.assert_array_equal(wheel.now.u[:SOIL], wheel.set.soil_mean)
-    scale = np.outer(wheel.set.soil_sd, wheel.set.soil_sd)
-    expected = wheel.set.soil_covariance / scale
-    np.testing.assert_allclose(wheel.now.covariance / scale, expected, atol=1e-12)
-
-
-@pytest.mark.parametrize("count", [1, 3, CELLS])
+@pytest.mark.parametrize("count", [0, 1, 3, CELLS])
 def test_the_covariance_is_that_of_the_normal_equations(count):
     """Prior and slopes of all residuals by their weights, inverted by numpy; at a soil that the fit
-    need not leave.
+    need not leave, and without readings at the prior.
     """
     wheel, u = begin()
+    np.testing.assert_array_equal(wheel.now.estimate, wheel.set.prior)
+    np.testing.assert_array_equal(wheel.now.sd, wheel.set.prior_sd)
     put(wheel, steady_cells(u, wheel.set, SLIPS[:count]))
     wheel.renew()
     np.testing.assert_allclose(wheel.now.u[:SOIL], u[:SOIL], rtol=1e-4, atol=1e-3)
@@ -128,48 +126,15 @@ def test_the_covariance_is_that_of_the_normal_equations(count):
     A[SOIL:, SOIL:] = np.diag(wheel.work["sd"][0, SOIL:HERE] ** -2.0)
     for k in range(count):
         e, slopes = wheel.residuals(k)
-        weights = [[e.pull_weight, e.joint_weight, 0.0], [e.joint_weight, e.torque_weight, 0.0]]
-        weights.append([0.0, 0.0, e.sinkage_weight])
-        J = slopes[:, :HERE]
-        A += J.T @ np.array(weights) @ J
+        weights = np.diag([e.pull_weight, e.torque_weight, e.sinkage_weight])
+        weights[0, 1] = weights[1, 0] = e.joint_weight
+        A += slopes[:, :HERE].T @ weights @ slopes[:, :HERE]
     expected = np.linalg.inv(A)
     sd = np.sqrt(np.diag(expected))
     found = wheel.covariance / np.outer(sd, sd)
     np.testing.assert_allclose(found, expected / np.outer(sd, sd), atol=2e-3)
     of_soil = wheel.now.covariance / np.outer(sd, sd)[:SOIL, :SOIL]
     np.testing.assert_allclose(of_soil, found[:SOIL, :SOIL], atol=1e-9)
-
-
-SAND = soils()["dry_sand"].state(B)
-NEAR = SAND._replace(sinkage_exponent=1.05)  # as the belief knows the exponent nearly
-
-
-@pytest.mark.parametrize(
-    ("instrument", "error"),
-    [
-        (None, 0.0),
-        (LOAD_GAIN, 0.01),
-        (PULL_ZERO, -0.012),
-        (TORQUE_GAIN, 0.03),
-        (TORQUE_ZERO, 0.006),
-        (SINKAGE_ZERO, 0.002),
-        (SPEED_GAIN, 0.012),
-    ],
-)
-def test_noise_free_readings_give_the_soil_and_the_error_of_an_instrument(instrument, error):
-    """Of broad excitation: all unknowns within twice their standard deviations, in which friction
-    and K are far better known than before.
-    """
-    wheel, u = begin(NEAR)
-    if instrument is not None:
-        u[instrument] = error
-    put(wheel, steady_cells(u, wheel.set))
-    wheel.renew(15)
-    sd = np.sqrt(np.diag(wheel.covariance))
-    off = np.abs(wheel.now.u[:HERE] - u) / sd
-    assert off.max() < 2.0, off
-    assert np.all(sd[[TANGENT, LN_K]] < 0.5 * wheel.set.soil_sd[[TANGENT, LN_K]])
-    assert wheel.now.misfit < 0.5 and wheel.now.form_error == wheel.set.model_error
 
 
 def drawn(rng, wheel):
@@ -248,7 +213,8 @@ def test_readings_of_another_law_make_the_laws_err():
         if wheel.now.misfit > CONTRADICTS:
             contradicted += 1
             grown = wheel.now.form_error / before
-            assert GROWS - 1e-9 <= grown <= FASTEST or wheel.now.form_error == LARGEST_ERROR
+            assert grown <= FASTEST + 1e-9
+            assert grown >= GROWS - 1e-9 or wheel.now.form_error == LARGEST_ERROR
         else:
             assert wheel.now.form_error <= before
     assert contradicted > 0 and wheel.now.misfit < GROWS**2 * CONTRADICTS
@@ -257,17 +223,6 @@ def test_readings_of_another_law_make_the_laws_err():
     put(wheel, steady_cells(u, wheel.set))
     wheel.renew(60)
     assert wheel.now.form_error == wheel.set.model_error and wheel.now.misfit < 0.5
-
-
-def test_more_of_another_law_is_more_of_a_contradiction():
-    found = []
-    for size in (0.0, 0.05, 0.1, 0.2):
-        wheel, u = begin(NEAR)
-        put(wheel, contradicting(wheel, u, size))
-        wheel.renew(30)
-        found.append(wheel.now.form_error)
-    assert found[0] == wheel.set.model_error and found == sorted(found)
-    assert found[3] > 2.0 * found[1]
 
 
 def test_the_soil_stays_where_soils_are():
@@ -289,10 +244,9 @@ def cells_on_border(u, old, place, setting):
     """Cells at shares of the new soil in between, and three behind."""
     length = setting.border
     behind = length * np.array([-0.3, -0.15, 0.0, 0.15, 0.3])
-    shares = np.empty((len(behind), 2))
-    shares_at(behind, length, shares)
     cells = []
-    for share, slip in zip(shares[:, 0], (0.1, 0.2, 0.3, 0.15, 0.25), strict=True):
+    for place_on, slip in zip(behind, (0.1, 0.2, 0.3, 0.15, 0.25), strict=True):
+        share, _ = share_at(place_on, length)
         blend = u.copy()
         blend[:SOIL] = share * u[:SOIL] + (1.0 - share) * old
         cells.append(steady_cells(blend, setting, [slip])[0])

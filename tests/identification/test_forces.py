@@ -12,7 +12,7 @@ from soil_env.parameters import soils
 from soil_env.terramechanics.contact import layer_firmness
 from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
 from soil_env.terramechanics.steady import steady_state
-from tests.identification.observing import react
+from tests.identification.observing import react, reactions
 from tests.terramechanics import reference
 from tests.terramechanics.cases import FLOW
 
@@ -35,17 +35,6 @@ depth = st.floats(0.005, 0.6).map(lambda share: share * R)
 
 def row_of(ground, sinkage, slip, load=LOAD):
     return [math.tan(math.radians(ground[0])), *ground[1:], sinkage, slip, load, R, B]
-
-
-def carried(row, law=()):
-    """`react`, assumed that the normal stress bears a tenth of the load: cohesion bears the rest.
-
-    S is proportional to the load that is left to it.
-    """
-    found = react(row, *law)[0]
-    twice = react([*row[:6], 2.0 * row[6], *row[7:]], *law)[0]
-    assume(twice[LN_S, 0] - found[LN_S, 0] < math.log(11.0))
-    return found
 
 
 @settings(max_examples=40, deadline=None)
@@ -78,8 +67,7 @@ def test_at_the_steady_sinkage_the_forces_are_those_of_the_steady_state(name, sl
     soil = soils()[name].state(B)._replace(**law)
     at = steady_state(slip, LOAD, soil, R, B)
     assume(at.supported)
-    row = [soil.tan_phi, soil.cohesion, soil.sinkage_exponent, math.log(soil.shear_modulus)]
-    found = react([*row, at.sinkage, slip, LOAD, R, B], soil[7:])[0, :, 0]
+    found = reactions(soil, at.sinkage, slip, LOAD, R, B)
     ratio = slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery)
     available = math.log(soil.sinkage_coefficient) - soil.sinkage_exponent * math.log(ratio)
     available += math.log(layer_firmness(at.sinkage, soil))
@@ -94,7 +82,10 @@ def test_derivatives_are_those_of_finite_differences(soil, sinkage, slip, law):
     """Central ones, to a millionth of the scale on which a quantity varies."""
     assume(not law or abs(slip) > 1e-3)  # the stress peak begins to move at slip 0
     row = row_of(soil, sinkage, slip)
-    found = carried(row, law)
+    found = react(row, *law)[0]
+    twice = react([*row[:6], 2.0 * row[6], *row[7:]], *law)[0]
+    # The normal stress bears a tenth of the load, which S is in proportion to: cohesion the rest.
+    assume(twice[LN_S, 0] - found[LN_S, 0] < math.log(11.0))
     scales = np.array([0.3, 500.0, 0.3, 0.3, sinkage, 0.3])
     h = 1e-5
     ahead = np.tile(row, (6, 1))
@@ -105,13 +96,3 @@ def test_derivatives_are_those_of_finite_differences(soil, sinkage, slip, law):
     np.testing.assert_allclose(
         found[:, 1:] * scales / UNIT[:, None], slopes / UNIT[:, None], rtol=2e-6, atol=2e-6
     )
-
-
-@pytest.mark.parametrize("slip", [-0.3, 0.0, 0.4])
-def test_more_load_mobilises_more_of_the_soil(slip):
-    """At a given sinkage S, pull and torque grow with the load, without cohesion in proportion."""
-    soil = soils()["dry_sand"].state(B)
-    row = [soil.tan_phi, 0.0, soil.sinkage_exponent, math.log(soil.shear_modulus), 0.02, slip]
-    light, heavy = react([[*row, load, R, B] for load in (100.0, 150.0)])[:, :, 0]
-    np.testing.assert_allclose(heavy[:2], 1.5 * light[:2], rtol=1e-9)
-    assert heavy[LN_S] - light[LN_S] == pytest.approx(math.log(1.5), rel=1e-9)

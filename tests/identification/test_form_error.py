@@ -32,18 +32,19 @@ def kernel(names):
 
 
 def test_the_functions_have_the_covariance_of_the_process():
-    process = Process.over(CONDITIONS)
-    assert set(process.names) == {"slip", "load", "pass"}  # the speed does not vary
-    assert process.at_points @ process.at_points.T == pytest.approx(
-        kernel(("slip", "load", "pass")), abs=0.03
-    )
-    of_a_law = Process.over(CONDITIONS, of=INPUTS)  # what goes with the pass is no error of the law
-    assert of_a_law.at_points @ of_a_law.at_points.T == pytest.approx(
-        kernel(("slip", "load")), abs=0.03
-    )
-    over = Process.over(CONDITIONS, of=INPUTS, lengths=form_error.LAW_LENGTHS[1])
-    expected = kernel(("load",)) * gauss(CONDITIONS["slip"], 0.6)
-    assert over.at_points @ over.at_points.T == pytest.approx(expected, abs=0.03)
+    # the speed does not vary
+    assert set(Process.over(CONDITIONS).names) == {"slip", "load", "pass"}
+    for options, expected in (
+        ({}, kernel(("slip", "load", "pass"))),
+        # what goes with the pass is no error of the law
+        ({"of": INPUTS}, kernel(("slip", "load"))),
+        (
+            {"of": INPUTS, "lengths": form_error.LAW_LENGTHS[1]},
+            kernel(("load",)) * gauss(CONDITIONS["slip"], 0.6),
+        ),
+    ):
+        at = Process.over(CONDITIONS, **options).at_points
+        assert at @ at.T == pytest.approx(expected, abs=0.03)
 
 
 def test_errors_over_the_logarithm_of_slip_change_fast_at_little_slip_and_differ_by_its_sign():
@@ -135,50 +136,37 @@ def test_stress_changes_scale_the_stresses():
     )
 
 
-def test_resultant_and_spread_move_as_errors_along_the_arc_move_them():
-    """Errors correlated over half of the arc, on a stress of n = 1 with its peak midway."""
-    x = np.linspace(0.0, 1.0, 81)  # theta over the entry angle
-
-    def stress(peak, n):  # (7), (8)
-        front = np.where(x > peak, x, 1.0 - x / peak * (1.0 - peak))
-        sigma = np.maximum(np.cos(0.5 * front) - np.cos(0.5), 0.0) ** n
-        return sigma / sigma.sum()
-
-    def moments(w):
-        return x @ w, (x - x @ stress(0.5, 1.0)) ** 2 @ w
-
-    errors = np.random.default_rng(0).standard_normal((x.size, 20000))
-    errors = np.linalg.cholesky(gauss(x, 0.5) + 1e-9 * np.eye(x.size)) @ errors
-    size = 0.01
-    wrong = stress(0.5, 1.0)[:, None] * (1.0 + size * errors)
-    place, spread = (np.std(m) / size for m in moments(wrong / wrong.sum(axis=0)))
-    step = 0.01
-    by_peak = (moments(stress(0.5 + step, 1.0))[0] - moments(stress(0.5, 1.0))[0]) / step
-    by_exponent = (moments(stress(0.5, 1.0 + step))[1] - moments(stress(0.5, 1.0))[1]) / step
-    assert form_error._MOVED == pytest.approx(place / by_peak, rel=0.05)
-    assert form_error._SPREAD == pytest.approx(-spread / by_exponent, rel=0.05)
+X = np.linspace(0.0, 1.0, 401)  # theta over the entry angle
 
 
-def test_the_resultant_of_the_shear_stress_moves_as_errors_along_the_arc_move_it():
-    """Errors correlated over half of the arc, multiplying Janosi's shear stress under a normal
-    stress of n = 1.
+def normal(peak, n, entry=0.5):
+    """Normal stress of (7), (8), without its size."""
+    front = np.where(X > peak, X, 1.0 - X / peak * (1.0 - peak))
+    return np.maximum(np.cos(entry * front) - np.cos(entry), 0.0) ** n
+
+
+def shear(ln_more_K):
+    """Janosi's shear stress at slip 0.3 and K of a tenth of the radius, under `normal`."""
+    entry = 0.7  # [rad]
+    j = entry * (1.0 - X) - 0.7 * (np.sin(entry) - np.sin(entry * X))
+    return normal(0.5, 1.0, entry) * (1.0 - np.exp(-j / (0.1 * np.exp(ln_more_K))))
+
+
+def moved(stress, moment):
+    """How far the parameter of a stress has to go from 0 to change a moment by as much as relative
+    errors do that are correlated over half of the arc.
     """
-    x = np.linspace(0.0, 1.0, 401)  # theta over the entry angle
-    entry = 0.7  # [rad], -, [of the radius]
-    slip = 0.3
-    K = 0.1
-    sigma = np.cos(entry * np.where(x > 0.5, x, 1.0 - x)) - np.cos(entry)
-    j = entry * (1.0 - x) - (1.0 - slip) * (np.sin(entry) - np.sin(entry * x))
+    less, share, more = (stress(d) / stress(d).sum() for d in (-0.01, 0.0, 0.01))
+    weight = share * (moment - share @ moment)
+    return np.sqrt(weight @ gauss(X, 0.5) @ weight) / ((more - less) @ moment / 0.02)
 
-    def shear(ln_more_K):
-        return sigma * (1.0 - np.exp(-j / (K * np.exp(ln_more_K))))
 
-    def place(ln_more_K):
-        return x @ shear(ln_more_K) / shear(ln_more_K).sum()
-
-    weight = shear(0.0) / shear(0.0).sum() * (x - place(0.0))
-    by_error = np.sqrt(weight @ gauss(x, 0.5) @ weight)
-    by_K = (place(0.01) - place(-0.01)) / 0.02
-    assert form_error._TURNED == pytest.approx(by_error / abs(by_K), rel=0.05)
+def test_resultant_and_spread_move_as_errors_along_the_arc_move_them():
+    """Of a normal stress of n = 1 with its peak midway, and of the shear stress under it."""
+    middle = np.average(X, weights=normal(0.5, 1.0))
+    spread = moved(lambda more: normal(0.5, 1.0 + more), (X - middle) ** 2)
+    assert form_error._MOVED == pytest.approx(moved(lambda by: normal(0.5 + by, 1.0), X), rel=0.05)
+    assert form_error._SPREAD == pytest.approx(-spread, rel=0.05)
+    assert form_error._TURNED == pytest.approx(abs(moved(shear, X)), rel=0.05)
     lost = -np.log(shear(0.01).sum() / shear(-0.01).sum()) / 0.02
     assert form_error._STRONGER == pytest.approx(lost, rel=0.05)

@@ -14,11 +14,10 @@ from soil_env.identification.online.ground import (
 from soil_env.identification.online.points import LIFTED
 from soil_env.identification.online.prior import setting_of
 from soil_env.identification.published import Traversability
-from soil_env.parameters import SoilState, load_scenario
+from soil_env.parameters import SoilState
 from soil_env.terramechanics.traversability import best_working_point
-from tests.identification.observing import flow_of
+from tests.identification.observing import SCENARIO, flow_of
 
-SCENARIO = load_scenario("mixed")
 WHEEL = SCENARIO.wheel
 SETTING = setting_of(SCENARIO)
 PRIOR = SETTING["prior"][0, :5]
@@ -39,20 +38,12 @@ def soil_of(estimate):
     """`SoilState` of (phi, ln K, ln S, c, l)."""
     phi, ln_K, ln_S, c, gain = estimate
     s = SETTING[0]
-    S = min(math.exp(ln_S), STIFFEST)
-    dig_gain = min(s.dig_gain * math.exp(gain), MOST_DIGGING)
-    stress = math.tan(phi), max(c, 0.0), math.exp(ln_K), S
-    return SoilState(*stress, s.exponent, dig_gain, s.dig_recovery, *flow_of(s))
+    stress = math.tan(phi), c, math.exp(ln_K), math.exp(ln_S)
+    return SoilState(*stress, s.exponent, s.dig_gain * math.exp(gain), s.dig_recovery, *flow_of(s))
 
 
 @settings(max_examples=40, deadline=None)
-@given(
-    st.floats(-1.0, 1.0),
-    st.floats(-1.0, 1.0),
-    st.floats(-1.0, 1.0),
-    st.floats(0.0, 1.3),
-    st.floats(-0.4, 0.4),
-)
+@given(*[st.floats(-1.0, 1.0)] * 3, st.floats(0.0, 1.3), st.floats(-0.4, 0.4))
 def test_slip_and_torque_are_those_of_the_best_working_point(strength, K, S, load, pitch):
     """The margin is the best pull that is published, over the grade."""
     estimate = PRIOR + np.array([0.15 * strength, K, S, 300.0 * strength, 0.3 * K])

@@ -1,6 +1,8 @@
 """Warning of immobilisation: its inputs by their definitions, its network against numpy."""
 
 import math
+from collections import Counter
+from itertools import zip_longest
 
 import numpy as np
 import pytest
@@ -11,43 +13,39 @@ from soil_env.identification.online.prior import setting_of
 from soil_env.parameters import load_scenario
 from soil_env.parameters.sensors import SensorReading
 from soil_env.simulation.task import layout
-from tests.identification.observing import follow_averages, readings_of
+from tests.identification.observing import readings_of
 
 SCENARIO = load_scenario("mixed")
 READING = SensorReading(0.3, 0.03, 10.0, 150.0, 5.0, 0.1, 0.15, 0.1, 6.0, 1.2)
 
 
-def follow(readings, halted=None, scenario=SCENARIO):
+def follow(readings, halted=(), scenario=SCENARIO):
     """Memory of one wheel [RECENT] after the first of `readings` at the start and the others in a
     period each.
     """
     recent = np.zeros(im.RECENT)
-    stands = np.zeros(len(readings)) if halted is None else np.array([0.0, *map(float, halted)])
-    settings = setting_of(scenario), im.warning_setting(scenario)
-    follow_averages(recent, readings_of(readings), stands, *settings)
+    settings = setting_of(scenario)[0], im.warning_setting(scenario)[0]
+    first, *others = readings_of(readings)
+    im.begin_averages(recent, first, *settings)
+    for reading, stands in zip_longest(others, halted, fillvalue=False):
+        im.average(recent, reading, float(stands), *settings)
     return recent
 
 
 AVERAGES = len(im.SCALES) * len(im.Channels._fields)
 
 
-def by_matrices(inputs, net):
-    """Probabilities [n, 2] of rows `inputs` [n, inputs] by the network, in numpy."""
-    x = np.clip((inputs - net.mean) * net.scale, -im.LARGEST, im.LARGEST)
-    x = np.tanh(np.tanh(x @ net.first + net.first_bias) @ net.second + net.second_bias)
-    early, late = (0.5 + 0.5 * np.tanh(0.5 * (x @ net.last + net.last_bias))).T
-    return np.stack([early, early + (1.0 - early) * late], axis=1)
-
-
 def test_the_compiled_network_is_the_one_of_matrices():
-    warning = im.ImmobilisationWarning(SCENARIO)
     rng = np.random.default_rng(1)
-    k = np.arange(200)
     recent = np.abs(rng.normal(size=(200, im.RECENT)))
     estimate = 0.3 * rng.normal(size=(200, 6))
     sd = np.abs(rng.normal(size=(200, 6)))
-    found = warning.assess(k, recent, estimate, sd)
-    expected = by_matrices(found.inputs, im.shipped_network())
+    found = im.ImmobilisationWarning(SCENARIO).assess(np.arange(200), recent, estimate, sd)
+    net = im.shipped_network()
+    x = np.clip((found.inputs - net.mean) * net.scale, -im.LARGEST, im.LARGEST)
+    x = np.tanh(np.tanh(x @ net.first + net.first_bias) @ net.second + net.second_bias)
+    early, late = (0.5 + 0.5 * np.tanh(0.5 * (x @ net.last + net.last_bias))).T
+    expected = np.stack([early, early + (1.0 - early) * late], axis=1)
     np.testing.assert_allclose(found.probabilities, expected, rtol=1e-10)
 
 
@@ -98,76 +96,61 @@ def test_inputs_have_the_estimate_without_dimension():
     wheel = SCENARIO.wheel
     n = SCENARIO.belief.sinkage_exponent
     area = wheel.radius * wheel.width
-    assert found["strength"] == pytest.approx(math.tan(0.5) + 600.0 * area / 150.0)
-    assert found["log_modulus"] == pytest.approx(math.log(0.015 / wheel.radius))
-    assert found["log_bearing"] == pytest.approx(
-        math.log(8e5 * wheel.radius**n * area / SCENARIO.weight)
-    )
-    assert found["log_digging"] == pytest.approx(math.log(SCENARIO.belief.dig_gain) + 0.2)
-    assert [found[name] for name in ("phi_sd", "modulus_sd", "bearing_sd", "digging_sd")] == [
-        0.1,
-        0.2,
-        0.3,
-        0.5,
-    ]
+    expected = {
+        "strength": math.tan(0.5) + 600.0 * area / 150.0,
+        "log_modulus": math.log(0.015 / wheel.radius),
+        "log_bearing": math.log(8e5 * wheel.radius**n * area / SCENARIO.weight),
+        "log_digging": math.log(SCENARIO.belief.dig_gain) + 0.2,
+        "phi_sd": 0.1,
+        "modulus_sd": 0.2,
+        "bearing_sd": 0.3,
+        "digging_sd": 0.5,
+    }
+    assert {name: found[name] for name in expected} == pytest.approx(expected)
 
 
-def views(steps):
-    """(inputs of the view, observation, radius) by name after each of `steps` steps to the line
-    with more margin.
-    """
+def test_with_a_camera_the_view_is_that_of_the_observation():
+    """On the way to the line with more margin."""
     env = SoilWheelEnv("two_lines", observation="identified", action="torque", repeat=1)
     env.reset(seed=3)
     worlds = env.simulation.worlds
     warning = im.ImmobilisationWarning(env.scenario)
+    radius = env.scenario.wheel.radius
     names = [e.name for e in layout("identified", env.scenario.course)]
     observed = dict(zip(names, worlds.observation[0].tolist(), strict=True))
-    for _ in range(steps):
-        beside = observed["choice"] and observed["beside_margin"] > observed["ahead_margin"]
-        *_, ended, _, _ = env.step([-0.1 if beside else 0.45])
-        known = worlds.ids
-        found = warning.assess(np.array([0]), worlds.recent, known.estimate, known.sd)
-        observed = dict(zip(names, worlds.observation[0].tolist(), strict=True))
-        yield (
-            dict(zip(im.INPUTS, found.inputs[0].tolist(), strict=True)),
-            observed,
-            env.scenario.wheel.radius,
-        )
+    ways = set()
+    forks = Counter()
+    before = None
+    ended = False
+    for _ in range(1200):
         if ended:
             env.reset()
             observed = dict(zip(names, worlds.observation[0].tolist(), strict=True))
-
-
-def test_with_a_camera_the_view_is_that_of_the_observation():
-    ways = []
-    forks = {"open": 0, "settled": 0}
-    before = None
-    for found, observed, radius in views(1200):
+        beside = observed["choice"] and observed["beside_margin"] > observed["ahead_margin"]
+        *_, ended, _, _ = env.step([-0.1 if beside else 0.45])
+        known = worlds.ids
+        assessed = warning.assess(np.array([0]), worlds.recent, known.estimate, known.sd)
+        found = dict(zip(im.INPUTS, assessed.inputs[0].tolist(), strict=True))
+        observed = dict(zip(names, worlds.observation[0].tolist(), strict=True))
         assert found["camera"] == 1.0
         assert found["ahead_seen"] == (observed["ahead_friction_angle"] > 0.0)
         if not found["ahead_seen"]:
             before = None
             continue
-        assert found["border_ahead"] * radius == pytest.approx(
-            observed["border_distance"], abs=1e-6
-        )
+        near = pytest.approx(observed["border_distance"], abs=1e-6)
+        assert found["border_ahead"] * radius == near
         two = observed["beside_friction_angle"] > 0.0
-        margins = [
-            observed["ahead_margin"],
-            observed["beside_margin"] if two else observed["ahead_margin"],
-        ]
-        assert sorted([found["line_margin"], found["beside_margin"]]) == pytest.approx(
-            sorted(margins), abs=1e-6
-        )
+        ahead = observed["ahead_margin"]
+        margins = sorted([ahead, observed["beside_margin"] if two else ahead])
+        seen = sorted([found["line_margin"], found["beside_margin"]])
+        assert seen == pytest.approx(margins, abs=1e-6)
         settled = found["line_chosen"] == 1.0
         assert settled or two
         if two:
-            forks["settled" if settled else "open"] += 1
-            ways.append(
-                "ahead" if found["line_margin"] == pytest.approx(margins[0], abs=1e-6) else "beside"
-            )
+            forks[settled] += 1
+            ways.add(found["line_margin"] == pytest.approx(ahead, abs=1e-6))
             # not back over a border, by noise
             if settled and before is False and observed["border_distance"] > 0.2:
                 assert observed["choice"] == 1.0  # it is settled at the halt before the fork
         before = settled if two else None
-    assert min(forks.values()) > 20 and set(ways) == {"ahead", "beside"}
+    assert min(forks[True], forks[False]) > 20 and ways == {True, False}

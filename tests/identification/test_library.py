@@ -1,9 +1,6 @@
 """The library of soils as prior, against the same mixture by numpy and scipy."""
 
-from dataclasses import replace
-
 import numpy as np
-import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.special import softmax
 from scipy.stats import multivariate_normal
@@ -11,10 +8,7 @@ from scipy.stats import multivariate_normal
 from soil_env.identification.online.library import UNLIKELY
 from soil_env.identification.online.memory import SOIL
 from soil_env.identification.online.prior import STRANGE, of_library, prior_of_belief
-from soil_env.parameters import Belief, load_scenario
-from tests.identification.observing import Identified
-
-SCENARIO = load_scenario("mixed")
+from tests.identification.observing import PLAIN, SCENARIO, Identified
 
 
 def fitted(wheel, info, truth):
@@ -37,7 +31,14 @@ def soils_of(scenario):
     """[(weight, mean, covariance)] of the library, and one of soils that are like none of it."""
     soils = of_library(scenario)
     total = sum(weight for weight, _, _ in soils)
-    return [*soils, (STRANGE * total, *prior_of_belief(scenario))]
+    return [*soils, (STRANGE * total or 1.0, *prior_of_belief(scenario))]
+
+
+def moments(weights, means, spreads):
+    """(mean, covariance) of a mixture of Gaussians."""
+    mean = weights @ means
+    away = means - mean
+    return mean, np.tensordot(weights, spreads, 1) + (away.T * weights) @ away
 
 
 def mixture(scenario, info, truth):
@@ -58,24 +59,24 @@ def mixture(scenario, info, truth):
         spread = np.linalg.inv(np.linalg.inv(covariance) + info)
         means.append(spread @ (np.linalg.solve(covariance, mean) + info @ truth))
         spreads.append(spread)
-    mean = weights @ means
-    away = np.array(means) - mean
-    return weights, mean, np.tensordot(weights, spreads, 1) + (away.T * weights) @ away
+    return weights, *moments(weights, np.array(means), spreads)
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.floats(0.1, 10.0))
-def test_the_posterior_is_the_mixture_of_those_of_its_soils(seed, strength):
-    """Whatever prior the fit was linearised under: after the first fit it is another."""
-    wheel = Identified(SCENARIO)
+@given(st.sampled_from([SCENARIO, PLAIN]), st.integers(0, 2**32 - 1), st.floats(0.1, 10.0))
+def test_the_posterior_is_the_mixture_of_those_of_its_soils(scenario, seed, strength):
+    """Whatever prior the fit was linearised under: after the first fit it is another. Without a
+    library it is that of the fit.
+    """
+    wheel = Identified(scenario)
     rng = np.random.default_rng(seed)
-    unit = np.outer(wheel.set.soil_sd, wheel.set.soil_sd)
+    sd = wheel.set.soil_sd
+    unit = np.outer(sd, sd)
     for _ in range(2):
         info, truth = random_information(wheel, rng, strength)
         fitted(wheel, info, truth)
         wheel.mix()
-        _, mean, spread = mixture(SCENARIO, info, truth)
-        sd = wheel.set.soil_sd
+        _, mean, spread = mixture(scenario, info, truth)
         np.testing.assert_allclose((wheel.now["soil"] - mean) / sd, 0.0, atol=1e-4)
         np.testing.assert_allclose(wheel.now.spread / unit, spread / unit, atol=1e-4)
 
@@ -91,41 +92,9 @@ def test_the_next_fit_has_the_soils_that_are_left_for_a_prior():
     weights = np.where(weights < UNLIKELY * weights.max(), 0.0, weights)
     weights /= weights.sum()
     assert 1 <= np.count_nonzero(weights) < len(weights)
-    soils = soils_of(SCENARIO)
-    means = np.array([mean for _, mean, _ in soils])
-    mean = weights @ means
-    away = means - mean
-    spreads = [covariance for _, _, covariance in soils]
-    covariance = np.tensordot(weights, spreads, 1) + (away.T * weights) @ away
+    _, means, spreads = zip(*soils_of(SCENARIO), strict=True)
+    mean, covariance = moments(weights, np.array(means), spreads)
     sd = wheel.set.soil_sd
     np.testing.assert_allclose(wheel.now.prior_mean / sd, mean / sd, atol=1e-4)
     product = wheel.now.prior_precision @ covariance / np.outer(1.0 / sd, sd)
     np.testing.assert_allclose(product, np.eye(SOIL), atol=1e-3)
-
-
-def test_without_a_library_it_is_the_fit():
-    wheel = Identified(replace(SCENARIO, belief=Belief()))
-    fitted(wheel, *random_information(wheel, np.random.default_rng(0), 3.0))
-    wheel.mix()
-    sd = wheel.set.soil_sd
-    np.testing.assert_allclose(wheel.now["soil"] / sd, wheel.now.u[:SOIL] / sd, atol=1e-6)
-    unit = np.outer(sd, sd)
-    np.testing.assert_allclose(wheel.now.spread / unit, wheel.now.covariance / unit, atol=1e-6)
-    np.testing.assert_allclose(wheel.now.prior_mean / sd, wheel.set.soil_mean / sd, atol=1e-6)
-
-
-@pytest.mark.parametrize("name", ["mixed", "sticky"])
-def test_readings_of_a_soil_of_the_library_leave_that(name):
-    """By sharp information on it the others are excluded."""
-    scenario = load_scenario(name)
-    wheel = Identified(scenario)
-    for k, (_, mean, covariance) in enumerate(of_library(scenario)):
-        wheel.start()
-        info = np.linalg.inv(1e-2 * covariance)
-        fitted(wheel, info, mean)
-        wheel.mix()
-        weights, expected, _ = mixture(scenario, info, mean)
-        assert np.argmax(weights) == k
-        np.testing.assert_allclose(
-            (wheel.now["soil"] - expected) / wheel.set.soil_sd, 0.0, atol=1e-4
-        )

@@ -14,13 +14,10 @@ SHAPE = (LARGEST + 2, LARGEST + 2)  # arrays may be larger than the system
 def solved(a, right, m):
     """(U, U^-1 right, A^-1 right, first block of A^-1) with rubbish beyond what counts."""
     n = len(a)
-    matrix = np.full(SHAPE, np.nan)
+    matrix, factor, scratch, inverse = np.full((4, *SHAPE), np.nan)
+    given_right, half, x = np.full((3, SHAPE[0]), np.nan)
     matrix[:n, :n] = np.where(np.tri(n, k=-1) > 0, np.nan, a)  # the upper triangle is given
-    arrays = [np.full(SHAPE, np.nan) for _ in range(3)]
-    vectors = [np.full(SHAPE[0], np.nan) for _ in range(3)]
-    vectors[0][:n] = right
-    factor, scratch, inverse = arrays
-    given_right, half, x = vectors
+    given_right[:n] = right
     solve_system(matrix, n, m, given_right, factor, half, x, scratch, inverse)
     for array, size in ((factor, n), (scratch, m), (inverse, m)):
         beyond = np.ones(SHAPE, dtype=bool)

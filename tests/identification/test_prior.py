@@ -157,12 +157,16 @@ def test_what_is_known_is_no_unknown():
 
 def test_the_sensors_are_those_of_the_scenario():
     """White noise, zeros and gains in the units of readings; an exact sensor has a little noise."""
-    noise = {"drawbar_pull": 0.02, "torque_zero": 0.03, "speed_gain": 0.04, "load": 0.0}
-    scenario = load_scenario("mixed", {"noise": noise})
+    noise = {"drawbar_pull": 0.02, "torque": 0.05, "sinkage": 0.003, "speed": 0.007}
+    others = {"torque_zero": 0.03, "speed_gain": 0.04, "load": 0.0}
+    scenario = load_scenario("mixed", {"noise": noise | others})
     setting = prior.setting_of(scenario)[0]
     weight = scenario.weight
-    assert setting.white[0].drawbar_pull == pytest.approx(0.02 * weight)
-    assert setting.zero[0].torque == pytest.approx(0.03 * weight * scenario.wheel.radius)
+    radius = scenario.wheel.radius
+    units = {"drawbar_pull": weight, "torque": weight * radius, "sinkage": 1.0, "speed": 1.0}
+    for name, size in noise.items():
+        assert setting.white[0][name] == pytest.approx(size * units[name]), name
+    assert setting.zero[0].torque == pytest.approx(0.03 * weight * radius)
     assert setting.gain[0].speed == pytest.approx(0.04)
     assert setting.white[0].load == pytest.approx(LEAST_SD * weight)
     assert setting.white[0].slip == 0.0  # there is none

@@ -35,16 +35,10 @@ def log_of(driven, scenario):
     rows = driven["readings"][driven["alive"]]
     wheel = scenario.wheel
     period = scenario.control.period
-    twist = scenario.weight * wheel.radius
-    unit = {
-        "drawbar_pull": scenario.weight,
-        "load": scenario.weight,
-        "torque": twist,
-        "motor_torque": twist,
-    }
-    fields = {"wheel_speed": "rim_speed"}
-    readings = {name: rows[fields.get(name, name)].astype(float) for name in UNITS}
-    readings["wheel_speed"] /= wheel.radius
+    unit = dict.fromkeys(("drawbar_pull", "load"), scenario.weight)
+    unit |= dict.fromkeys(("torque", "motor_torque"), scenario.weight * wheel.radius)
+    readings = {name: rows[name].astype(float) for name in UNITS if name != "wheel_speed"}
+    readings["wheel_speed"] = rows["rim_speed"] / wheel.radius
     readings["sinkage"][np.abs(readings["sinkage"]) > wheel.radius] = math.nan  # as of a recording
     sources = {
         name: Source(
@@ -88,20 +82,19 @@ def changed(log, without=(), **factors):
     return replace(log, readings=readings)
 
 
-#: Readings left out, factors of others, mass in the map over that of the wheel; where, what is
-#: proposed.
+#: Factors of readings, or of the mass in the map; where, what is proposed.
 WRONG = {
-    "rpm": ((), {"wheel_speed": 30.0 / math.pi}, 1.0, "column wheel_speed", "wheel_speed in rpm"),
-    "backwards": ((), {"wheel_speed": -1.0}, 1.0, "column wheel_speed", "sign"),
-    "km/h": ((), {"speed": 3.6}, 1.0, "column speed", "km/h"),
-    "mN m": ((), {"torque": 90.0}, 1.0, "column torque", "another unit|unit mN m"),
-    "torque": ((), {"torque": -1.0}, 1.0, "column torque", "sign"),
-    "kN": ((), {"load": 1e-3}, 1.0, "column load", "unit kN"),
-    "slip": ((), {"slip": -1.0}, 1.0, "column slip", "sign"),
-    "sinkage": ((), {"sinkage": 1e-3}, 1.0, "column sinkage", "unit"),
-    "g": ((), {"acceleration": 30.0}, 1.0, "column acceleration", "axis"),
-    "downhill pitch": ((), {"pitch": -1.0}, 1.0, "column pitch", "sign"),
-    "a tenth of the mass": ((), {}, 0.1, "column load", "body_mass 1[4-9]"),
+    "rpm": ({"wheel_speed": 30.0 / math.pi}, "column wheel_speed", "wheel_speed in rpm"),
+    "backwards": ({"wheel_speed": -1.0}, "column wheel_speed", "sign"),
+    "km/h": ({"speed": 3.6}, "column speed", "km/h"),
+    "mN m": ({"torque": 90.0}, "column torque", "another unit|unit mN m"),
+    "torque": ({"torque": -1.0}, "column torque", "sign"),
+    "kN": ({"load": 1e-3}, "column load", "unit kN"),
+    "slip": ({"slip": -1.0}, "column slip", "sign"),
+    "sinkage": ({"sinkage": 1e-3}, "column sinkage", "unit"),
+    "g": ({"acceleration": 30.0}, "column acceleration", "axis"),
+    "downhill pitch": ({"pitch": -1.0}, "column pitch", "sign"),
+    "a tenth of the mass": ({"mass": 0.1}, "column load", "body_mass 1[4-9]"),
 }
 
 
@@ -119,12 +112,12 @@ def test_a_wheel_speed_of_zero_while_the_wheel_travels_is_doubted(logs):
     assert "rim speed of 0 times" in of_speeds and "stuck" in stuck
 
 
-@pytest.mark.parametrize("wrong", WRONG)
-def test_each_wrong_reading_is_doubted_in_one_line(logs, wrong):
-    without, factors, mass, where, proposed = WRONG[wrong]
+@pytest.mark.parametrize(("factors", "where", "proposed"), WRONG.values(), ids=WRONG)
+def test_each_wrong_reading_is_doubted_in_one_line(logs, factors, where, proposed):
     for log, log_map in logs["mixed"]:
-        wheel = replace(log_map.wheel, body_mass=mass * log_map.wheel.body_mass)
-        found = doubts(changed(log, without, **factors), replace(log_map, wheel=wheel))
+        mass = factors.get("mass", 1.0) * log_map.wheel.body_mass
+        wheel = replace(log_map.wheel, body_mass=mass)
+        found = doubts(changed(log, **factors), replace(log_map, wheel=wheel))
         assert len(found) == 1 and where in found[0] and re.search(proposed, found[0]), found
         assert "expected" in found[0]
 
