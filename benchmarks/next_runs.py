@@ -16,6 +16,7 @@ from pathlib import Path
 
 import click
 import numpy as np
+from scipy.stats import t
 
 from benchmarks.common import name_of, read_json, ready, short, study_options, write
 from benchmarks.prediction import Case, cases
@@ -40,7 +41,9 @@ TEXT = (
     "Root mean square error over the noise of held-out rows, geometric mean over {draws} draws of "
     "the held-out and the first rows (seed {seed}), after a share of the further runs. Share "
     "needed: of the runs of a random choice, until these err no more than it does at its end. "
-    "Spread: each run is the furthest from those made, in slip and ln(load) over their ranges."
+    "Spread: each run is the furthest from those made, in slip and ln(load) over their ranges. "
+    "Ratios of errors have 95 % intervals over the draws (Student, of their logarithms); where one "
+    "holds 1, the chosen runs do not err less for sure."
 )
 
 
@@ -132,18 +135,37 @@ def needed(chosen: np.ndarray, random: np.ndarray) -> float:
 
 
 def tables_of(found: dict[str, dict[str, list[list[float]]]]) -> dict[str, Page]:
-    """The table of the page, of {table: {way: `errors` of each draw}}."""
+    """The tables of the page, of {table: {way: `errors` of each draw}}."""
     lines = []
+    ratios = []
     for name, of in found.items():
-        mean = {way: np.exp(np.mean(np.log(of[way]), axis=0)) for way in WAYS}
+        logs = {way: np.log(of[way]) for way in WAYS}
+        mean = {way: np.exp(log.mean(axis=0)) for way, log in logs.items()}
         steps = mean["random"].size - 1
         shown = [0, steps // 4, steps // 2, steps]
+        for way in WAYS[1:]:
+            off = logs["chosen"] - logs[way]
+            ratios.append([name, way, *(ratio(off[:, k]) for k in shown[1:])])
         for way in WAYS:
             lines.append([name, way, *(f"{mean[way][k]:.3g}" for k in shown), ""])
         for line, way in zip(lines[-3:-1], WAYS, strict=False):  # not random, the last
             line[-1] = f"{needed(mean[way], mean['random']):.2f}"
-    head = ["table", "runs", "0", "a quarter", "half", "all", "share needed"]
-    return {"Error over the noise": Page(head, lines)}
+    shares = ["a quarter", "half", "all"]
+    return {
+        "Error over the noise": Page(["table", "runs", "0", *shares, "share needed"], lines),
+        "Error of the chosen runs over that of others": Page(["table", "others", *shares], ratios),
+    }
+
+
+def ratio(logs: np.ndarray) -> str:
+    """Geometric mean, with its interval by Student's t, of ratios whose logarithms are `logs` [n];
+    without one where n is 1.
+    """
+    mean = logs.mean()
+    if logs.size < 2:
+        return f"{math.exp(mean):.2f}"
+    half = t.ppf(0.975, logs.size - 1) * logs.std(ddof=1) / math.sqrt(logs.size)
+    return f"{math.exp(mean):.2f} [{math.exp(mean - half):.2f}, {math.exp(mean + half):.2f}]"
 
 
 @click.command(NAME)
