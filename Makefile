@@ -97,7 +97,7 @@ RESULTS := $(if $(QUICK),runs/quick,docs/results)
 MADE = runs/$(if $(QUICK),quick_)results_$(shell $(PY) -c 'from soil_env_agents.cells import code_version as v; print(v())')
 results: $(TEST_READY)  ## make the tables of docs/results anew, in hours; QUICK=1: in minutes, into runs/quick, and compared with docs/results
 	$(eval MADE := $(MADE))
-	$(BIN)/soil-env study --config configs/study_default_policy.yaml --out $(MADE)/agents $(if $(QUICK),--courses 100)
+	$(BIN)/soil-env study --config configs/study_default_policy.yaml --out $(MADE)/agents $(if $(QUICK),--courses 100 --tuning_courses 100)
 	mkdir -p $(RESULTS)
 	sed -e 's/^# .*/# Agents and rules/' -e '/study.png/d' $(MADE)/agents/study.md > $(RESULTS)/agents.md
 	$(PY) -m benchmarks.gravity --out $(RESULTS)
