@@ -23,7 +23,9 @@ SHORT = {"course": {"length": 3.0}, "control": {"time_limit": 20.0}}
 
 def observed(variant, **values):
     """One observation in units, of 0 but for `values`, of a rover with three axles."""
-    return np.array([values.get(entry.name, 0.0) for entry in rover_layout(variant, 3)])
+    names = [entry.name for entry in rover_layout(variant, 3)]
+    assert values.keys() <= set(names)
+    return np.array([values.get(name, 0.0) for name in names])
 
 
 @pytest.fixture(scope="module")

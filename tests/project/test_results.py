@@ -111,7 +111,7 @@ def test_what_is_said_of_agent_and_rules():
         round(-max(behind["constant_torque"][0], behind["soft_start"][0])),
         round(behind["best_slip_true"][0]),
     ]
-    said = re.search(r"The agent leads every rule on (.*?), and none elsewhere", text)
+    said = re.search(r"The agent leads the best rule on (.*?), nowhere else", text)
     lead = [
         row["ground"]
         for row in tables(PAGE)["Agent and rules on every ground"]

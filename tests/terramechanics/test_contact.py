@@ -88,6 +88,15 @@ def test_small_shear_modulus_mobilises_everything(slip, sign):
     )
 
 
+def test_spinning_wheel_shears_over_the_whole_arc():
+    """At slip 1 the shear displacement is r (theta1 - theta): Int e has a closed form."""
+    k = 0.03
+    r = 0.15
+    theta1 = 0.8
+    q = arc_integrals(theta1, 0.0, 0.4, *motion_from_slip(1.0), k, 1.0, r)
+    assert q.e == pytest.approx(theta1 - k / r * (1.0 - math.exp(-r * theta1 / k)), rel=1e-6)
+
+
 def test_exponent_zero_is_constant_stress():
     q = arc_integrals(0.8, 0.0, 0.4, 1.0, 0.8, 0.01, 0.0, 0.15)
     assert (q.p_cos, q.p_sin) == pytest.approx((math.sin(0.8), 1.0 - math.cos(0.8)), rel=1e-9)
