@@ -22,6 +22,7 @@ from .prediction import Prediction, at_conditions, fit_prediction, independent
 
 LEVEL = 0.01  # range of the sine of the grade, up to which it is constant
 FEWEST_GROUPS = 3  # levels or combinations, from which they are left out in turn
+MOST_GROUPS = 10  # of them: the 1st and the 11th are left out together; each costs a fit
 FEWEST = 4  # values of a channel, from which it has a curve
 FEWEST_SLIPS = 3  # slips of these: a curve has a level, a rise and a scale of the slip
 #: Largest weight of the curve in an average: it knows no soil. Own choice, on docs/results/
@@ -80,13 +81,12 @@ def curves_of(problem: Problem) -> list[Curve | None] | None:
 def outlook(problem: Problem) -> Outlook:
     """The fit of all effects, averaged with a curve, and the errors of what is left out.
 
-    Of each kind `FEWEST_GROUPS` are needed. Unknowns are fitted anew to the rest; the remainder
-    keeps what was learnt from all rows.
+    Of each kind `FEWEST_GROUPS` are needed; more than `MOST_GROUPS` are dealt out to so many. Left
+    out is left out of all: effects, unknowns and remainder are fitted anew to the rest.
 
     The curve is averaged in where slip and load alone vary, with so many levels each.
     """
-    # The base model, and all effects with a remainder.
-    models = (fit_prediction(problem, (), smooth=False), fit_prediction(problem))
+    full = fit_prediction(problem)
     curves = curves_of(problem)
     others = tuple(name for name in independent(problem) if name != "slip")
     splits: dict[str, tuple[str, ...]] = {"slip": ("slip",)}
@@ -96,10 +96,10 @@ def outlook(problem: Problem) -> Outlook:
         splits["condition"] = others
     left = {}  # by split: (number of the group of each row [N], predictions of `_left_out`)
     for split, what in splits.items():
-        groups = combinations_of([problem.data.varied[name].level for name in what])
+        levels = combinations_of([problem.data.varied[name].level for name in what])
+        groups = levels % MOST_GROUPS
         if groups.max() + 1 >= FEWEST_GROUPS:
-            left[split] = (groups, _left_out(problem, models, groups))
-    full = models[1]
+            left[split] = (groups, _left_out(problem, groups))
     of_kinds = [held for _, held in left.values()]
     if curves is not None and len(left) == len(splits):
         average = Average(curve_weight(problem, of_kinds), curves, problem.data.rows)
@@ -116,9 +116,7 @@ def outlook(problem: Problem) -> Outlook:
     return Outlook(full, tuple(out))
 
 
-def _left_out(
-    problem: Problem, models: tuple[Prediction, Prediction], groups: np.ndarray
-) -> np.ndarray:
+def _left_out(problem: Problem, groups: np.ndarray) -> np.ndarray:
     """[3, N, 3] predictions of the rows of each group by fits to the rest: by the base model, by
     all effects, by the curve. NaN where there is no curve.
     """
@@ -127,8 +125,8 @@ def _left_out(
         group = groups == k
         rest = problem.without(group)
         at = {name: x[group] for name, x in problem.data.conditions.items()}
-        for j, model in enumerate(models):
-            held[j, group] = fit_prediction(rest, near=model).mean_at(at)
+        held[0, group] = fit_prediction(rest, (), smooth=False).mean_at(at)
+        held[1, group] = fit_prediction(rest).mean_at(at)
         curves = curves_of(rest)
         if curves is not None:
             held[2, group] = at_curves(curves, at_conditions(rest, at).data.rows)

@@ -345,25 +345,13 @@ class Prediction:
 
 
 def fit_prediction(
-    problem: Problem,
-    choices: Choices | None = None,
-    smooth: bool = True,
-    near: Prediction | None = None,
+    problem: Problem, choices: Choices | None = None, smooth: bool = True
 ) -> Prediction:
     """The fit of the effects that the table can carry, or of `choices`, with a remainder.
 
     Unknowns and remainder are found in turn, `ROUNDS` times, and the unknowns once more at last. If
     not `smooth`, there is no remainder and the fit is under the noise alone.
-
-    `near` is a fit to a table with more values in use. The fit then has the effects of `near`,
-    starts from its unknowns, and keeps what it learnt of the remainder; other arguments do not
-    count.
     """
-    if near is not None:
-        law = law_of(problem, near.law.choices)
-        # Derivatives at the start are those of `near`, in the values that are still in use.
-        law.derivatives.know(near.u, near.jacobian[problem.used[near.problem.used]])
-        return _fitted(law, near.u, near.learnt)
     law = law_of(problem, effects_to_fit(problem) if choices is None else choices)
     # From the prior mean, 0, but off the bounds: a start on a bound would stay there.
     u = _inside(law, OFF_BOUND)

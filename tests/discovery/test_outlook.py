@@ -10,6 +10,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.discovery.corrected import corrected
 from soil_env.discovery.curve import at_curves
 from soil_env.discovery.outlook import (
+    MOST_GROUPS,
     MOST_OF_CURVE,
     _left_out,
     curve_weight,
@@ -43,6 +44,31 @@ def test_the_outlook_tells_how_well_each_model_predicts(planted_problem):
         assert over.corrected < over.curve and over.noise == 1.0
         assert set(way.errors) == set(NOISE)
         assert way.errors["torque"].noise == NOISE["torque"]
+
+
+def test_what_is_left_out_is_left_out_of_all(planted_problem, tmp_path):
+    """It is predicted as by a table without these rows, learnt of which is nothing."""
+    levels = planted_problem.data.varied["slip"].level
+    group = levels == levels.max()
+    slip, load = planted_problem.data.rows.slip[group], planted_problem.data.rows.load[group]
+    lines = table_text(PLANTED, loads=LOADS).splitlines()
+    kept = [lines[0], *(line for line, out in zip(lines[1:], group, strict=True) if not out)]
+    rest = problem_of(tmp_path, "\n".join(kept))
+    alone = fit_prediction(rest).mean_at({"slip": slip, "load": load})
+    held = _left_out(planted_problem, group.astype(int))
+    assert np.abs(held[1, group] - alone) / list(NOISE.values()) == pytest.approx(0.0, abs=0.02)
+
+
+def test_many_levels_are_left_out_in_ten_groups(tmp_path, monkeypatch):
+    problem = problem_of(tmp_path, table_text({}, slips=np.linspace(0.05, 0.6, 12).round(3)))
+    groups = []
+    monkeypatch.setattr(
+        "soil_env.discovery.outlook._left_out",
+        lambda _, of: groups.append(of) or np.tile(problem.data.y, (3, 1, 1)),
+    )
+    outlook(problem)
+    assert [np.unique(of).size for of in groups] == [MOST_GROUPS, 3]
+    assert np.ptp(problem.data.varied["slip"].level[groups[0] == 1]) == MOST_GROUPS
 
 
 def test_no_curve_is_drawn_over_conditions_that_it_does_not_know(tmp_path):
@@ -194,10 +220,7 @@ def test_errors_of_the_outlook_are_those_of_the_average(tmp_path):
     for way in (slips, loads):
         name = way.what[0]
         level = problem.data.varied[name].level
-        models = (fit_prediction(problem, (), smooth=False), fit_prediction(problem))
-        held = {
-            n: _left_out(problem, models, problem.data.varied[n].level) for n in ("slip", "load")
-        }
+        held = {n: _left_out(problem, problem.data.varied[n].level) for n in ("slip", "load")}
         off = np.full(problem.used.shape, np.nan)
         for k in range(level.max() + 1):
             weight = curve_weight(problem, list(held.values()), level != k)
@@ -241,8 +264,7 @@ def test_no_curve_is_averaged_in_where_its_loads_cannot_be_judged(tmp_path):
     problem = problem_of(tmp_path, by_a_curve((80.0, 180.0)))
     found = outlook(problem)
     assert found.model.average is None and [way.split for way in found.left_out] == ["slip"]
-    models = (fit_prediction(problem, (), smooth=False), fit_prediction(problem))
-    held = _left_out(problem, models, problem.data.varied["slip"].level)
+    held = _left_out(problem, problem.data.varied["slip"].level)
     off = (held[1] - problem.data.y)[problem.used[:, 2], 2]
     assert found.left_out[0].errors["torque"].corrected == pytest.approx(np.sqrt(np.mean(off**2)))
     assert curve_weight(problem, [held])[2] > 0.0

@@ -59,15 +59,6 @@ def test_far_rows_are_less_sure(learnt):
     assert np.all(far > 2.0 * near)
 
 
-def test_a_refit_near_another_is_that_of_its_rows_alone(planted_problem, learnt):
-    group = planted_problem.data.varied["slip"].level == 2
-    rest = planted_problem.without(group)
-    rows = planted_problem.data.rows
-    at = {"slip": rows.slip[group], "load": rows.load[group]}
-    near, alone = (fit_prediction(rest, near=of).mean_at(at) for of in (learnt, None))
-    assert over_noise(near - alone) < 0.5
-
-
 def test_the_deviations_of_a_model_without_remainder_are_those_of_noise_and_soil(tmp_path):
     problem = problem_of(tmp_path, table_text({}, loads=LOADS))
     found = fit_prediction(problem, (), smooth=False).at({"slip": [0.25], "load": [120.0]})
