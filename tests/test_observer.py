@@ -159,6 +159,9 @@ def test_what_cannot_be_is_refused_in_one_line():
             mixed.observe(readings)
     with pytest.raises(ValueError, match="action"):
         mixed.observe(Readings(2.0, 0.27), math.nan)
+    for wrong in ({"halted": "no"}, {"chooses": 1.0}):
+        with pytest.raises(ParameterError, match="expected True or False"):
+            mixed.observe(Readings(2.0, 0.27), **wrong)
     for scenario, variant in ((load_rover(), "blind"), (load_scenario("mixed"), "true_soil")):
         with pytest.raises(ParameterError, match="expected"):
             Observer(scenario, variant)

@@ -4,7 +4,7 @@ import json
 import math
 from pathlib import Path
 
-from soil_env._io.loading import ParameterError, load, one_line
+from soil_env._io.loading import ParameterError, load, one_line, truth
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import VARIANTS, check_version, layout
 
@@ -102,7 +102,7 @@ class ExportedAgent(inputs.Observing):
         return inputs.Layout(own, self.variant)
 
     def _answer(self, batch, state, fresh, deterministic):
-        inputs.switch(deterministic)  # checked only: an exported agent has no other
+        truth(deterministic, "deterministic")  # checked only: an exported agent has no other
         if not self.policy.kept:
             return self.policy.act(batch)
         kept = inputs.memory(state, (len(batch), self.policy.kept))

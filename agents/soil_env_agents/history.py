@@ -12,10 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 from gymnasium import spaces
 
+from soil_env._io.loading import truth
 from soil_env.simulation.task import AXLES, ROUTES
 from soil_env.simulation.task.scaling import Scaling
 
-from .inputs import Observing, memory, switch
+from .inputs import Observing, memory
 
 #: Entries of the observation that are kept.
 READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "rim_speed")
@@ -155,7 +156,7 @@ class Remembering(Observing):
         if self.history is not None:
             kept = memory(state, (len(batch), self.history.kept))
             batch, state = self.history.observe(batch, kept, fresh)
-        return self.act(self.normalised(batch), switch(deterministic)), state
+        return self.act(self.normalised(batch), truth(deterministic, "deterministic")), state
 
     def act(self, x: np.ndarray, deterministic: bool) -> np.ndarray:
         """Actions [n, A] in [-1, 1] for inputs of the network [n, D]."""

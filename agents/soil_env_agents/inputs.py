@@ -147,13 +147,6 @@ def starts(episode_start, count: int, default: bool) -> np.ndarray:
     return fresh
 
 
-def switch(deterministic) -> bool:
-    """`deterministic` as a bool; ParameterError for anything but True or False."""
-    if not isinstance(deterministic, (bool, np.bool_)):
-        raise ParameterError(f"deterministic = {deterministic!r:.60}: expected True or False")
-    return bool(deterministic)
-
-
 def memory(state, shape: tuple[int, ...]) -> np.ndarray:
     """A memory of this `shape`, float32, zeros for None; ParameterError for anything else."""
     if state is None:

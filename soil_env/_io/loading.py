@@ -18,6 +18,7 @@ from dataclasses import field
 from decimal import Context
 from pathlib import Path
 
+import numpy as np
 import yaml
 
 # Characters of an error's message, and of its two ends where it is longer; own choices.
@@ -314,6 +315,13 @@ def _convert(hint, value, where: str):
         raise TypeError(f"{where}: no rule to load a {hint!r}")
     expect(isinstance(value, hint), "true or false" if hint is bool else "text")
     return value
+
+
+def truth(value: object, where: str) -> bool:
+    """`value` as Python's bool; `ParameterError`, with the place `where`, for anything else."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise ParameterError(f"{where} = {value!r:.60}: expected True or False")
+    return bool(value)
 
 
 def number(kind: type, value, where: str):

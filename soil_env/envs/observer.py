@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soil_env._compiled.cache import kept
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import ParameterError, truth
 from soil_env.identification.online.immobilisation import ImmobilisationWarning, shares_of
 from soil_env.identification.online.interface import OnlineIdentifier, Readings
 from soil_env.identification.online.on_board import OnBoard
@@ -147,15 +147,17 @@ class Observer:
         `action` in [-1, 1]: that of the period; of no effect in the first call after a `reset`.
         `halted`: the wheel is at a commanded halt now; `chooses`: its action chooses a route.
         `image`: of the camera, where the scenario has terrain classes; the last one stays without.
-        Raises TypeError and ValueError as `OnlineIdentifier.update`, for readings and times that
-        cannot be.
+        Raises ParameterError where `halted` or `chooses` is not True or False, TypeError and
+        ValueError as `OnlineIdentifier.update`, for readings and times that cannot be.
         """
+        rests = truth(halted, "halted")
+        choosing = truth(chooses, "chooses")
         period = self._reader.check(readings)
         acted = actions_of(np.atleast_1d(np.asarray(action)), (1,))
         self._read_image(image)
         self._set_period(period)
         known = self._read_sensors(readings, period)
-        self._worlds.samples[0, 0].halted = 1.0 if halted else 0.0
+        self._worlds.samples[0, 0].halted = float(rests)
         self._worlds.state[0].action = acted[0]
         write_reading(
             self._worlds.state,
@@ -164,7 +166,7 @@ class Observer:
             self._setting,
             self._begun,
             readings.slip != readings.slip,
-            bool(chooses),
+            choosing,
         )
         if known or not self._begun:
             self._identify()

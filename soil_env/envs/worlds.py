@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
-from soil_env._io.loading import Checked, ParameterError, to_dict
+from soil_env._io.loading import Checked, ParameterError, to_dict, truth
 from soil_env.parameters import Scenario, SoilSpread, Wheel, geared
 from soil_env.terramechanics.model import WheelSoilModel
 
@@ -35,9 +35,7 @@ def with_model(
     about the soil of the model. Raises ParameterError for `scatter` without a model, a radius or
     width in `changes` that is not the model's, and a wheel or soil that the scenario cannot have.
     """
-    if not isinstance(scatter, (bool, np.bool_)):
-        raise ParameterError(f"scatter = {scatter!r:.60}: expected True or False")
-    if model is None and scatter:
+    if truth(scatter, "scatter") and model is None:
         raise ParameterError("scatter = True: expected a `model` whose soil it scatters about")
     if model is None or scatter:
         return scenario

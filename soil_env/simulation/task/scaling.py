@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import truth
 
 from .layout import ROUTES, ObservedNumber, bounds_of
 
@@ -30,10 +30,8 @@ class Scaling:
 
         Raises `ParameterError` for a `scaled` that is not True or False.
         """
-        if not isinstance(scaled, (bool, np.bool_)):
-            raise ParameterError(f"scaled = {scaled!r}: expected True or False")
         self.entries = tuple(entries)
-        self.scaled = scaled
+        self.scaled = truth(scaled, "scaled")
         names = [e.name for e in self.entries]
         self.centre = np.array([e.centre for e in self.entries], dtype=np.float32)
         self.scale = np.array([e.scale for e in self.entries], dtype=np.float32)
