@@ -7,16 +7,15 @@ particles.
 
 The wheels are those of `benchmarks.rigs` and `benchmarks.continuum`, as measurement tables with the
 setups that a user would write. Rows are left out by rim speed, slip or load, and predicted by the
-base model, by it with a remainder, by all effects in one fit with a remainder, by this averaged
-with a generic curve, by the curve alone, and by a Gaussian process over slip and load that knows no
-law of soils.
+base model, by it with a remainder, by all effects in one fit with a remainder, by a generic curve,
+and by a Gaussian process over slip and load that knows no law of soils.
 """
 
 import math
 import tempfile
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +37,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.cli.running import leave, run
 from soil_env.discovery.calibrate import Problem, calibrate
 from soil_env.discovery.curve import at_curves
-from soil_env.discovery.outlook import curves_of, outlook
+from soil_env.discovery.outlook import curves_of
 from soil_env.discovery.prediction import fit_prediction
 from soil_env.identification.table.data import prepare
 from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors
@@ -57,17 +56,16 @@ METHODS = (
     "base model",
     "base and remainder",
     "all effects",
-    "with the curve",
     "curve",
     "Gaussian process",
     "straight line",
 )
 TEXT = (
     "Root mean square of predicted less measured values of rows that were left out. All effects: "
-    "every effect that the table can carry in one fit, with a smooth remainder. With the curve: "
-    "these averaged with it, as `soil-env discover` predicts. Straight line: "
+    "every effect that the table can carry in one fit, with a smooth remainder, as "
+    "`soil-env discover` predicts. Straight line: "
     "between the next slips, where all rows have one load. The last columns: share of the "
-    "values within one and two standard deviations that it states. Priors, averages and widths "
+    "values within one and two standard deviations that it states. Priors and widths "
     "were chosen with the first sixteen splits in view. The other wheels are of three papers: "
     "`ding` (Ding et al. 2011), `kls1` (Wang & Han 2016) and `rashid` (Hurrell et al. 2025). They "
     "were first met when all this was done, and nothing was chosen on them. Geometric means have "
@@ -141,7 +139,7 @@ def _each(values: np.ndarray) -> tuple[np.ndarray, ...]:
 def figures(case: Case, folds: int | None = None) -> dict:
     """Row of the page of a case: errors by method, of sinkage [m], pull [N] and torque [N m], over
     the rows that were left out; of all of them over the noise; shares of the values within one and
-    two of the standard deviations that "with the curve" states.
+    two of the standard deviations that "all effects" states.
 
     Only the first `folds` of the groups are left out, None: all. The noise is the estimate from the
     rows without the last group. An error is NaN where a channel has no prediction or measurement.
@@ -162,16 +160,13 @@ def figures(case: Case, folds: int | None = None) -> dict:
         curves = curves_of(problem)
         if curves is None:
             raise ParameterError(f"{case.name}: conditions vary that no curve knows")
-        model = outlook(problem).model
-        full = replace(model, average=None).at(conditions)
-        averaged = model.at(conditions)
+        full = fit_prediction(problem).at(conditions)
         curve = at_curves(curves, rows_of(conditions, problem.data.wheel))
-        sd[out] = averaged.sd
+        sd[out] = full.sd
         predicted = (
             base.mean,
             near.mean,
             full.mean,
-            averaged.mean,
             curve,
             _without_law(problem, conditions),
             _straight_lines(problem, conditions["slip"]),
@@ -180,7 +175,7 @@ def figures(case: Case, folds: int | None = None) -> dict:
             found[name][out] = values
     off = {name: np.where(np.isfinite(y), values - y, np.nan) for name, values in found.items()}
     left = np.any(np.stack(case.groups[:folds]), axis=0)
-    scaled = np.abs(off["with the curve"] / sd)[left]
+    scaled = np.abs(off["all effects"] / sd)[left]
     scaled = scaled[np.isfinite(scaled)]
     return {
         "wheel": case.wheel,

@@ -5,8 +5,6 @@ without a law of soils.
 
 after the shear curve of Janosi & Hanamoto (1961); W0 is the middle load. The amplitudes a and b are
 linear, k is sought on a grid; where the loads differ, k, p, q and m are fitted.
-
-An `Average` mixes the curves of the three channels with a model of the soil.
 """
 
 import math
@@ -94,36 +92,6 @@ def fit_curve(slip: np.ndarray, load: np.ndarray, y: np.ndarray, sd: float) -> C
         powers = found[:3]
         scale = math.exp(found[3])
     return Curve(middle, float(scale), powers, fitted(scale, powers)[0], braked)
-
-
-class Average(NamedTuple):
-    """Generic curves of a table, and their weight beside a model of the soil."""
-
-    weight: np.ndarray  # [3] of the curve of each channel, in [0, 1]
-    curves: list[Curve | None]  # None for a channel with too few values
-    table: Rows  # rows that the curves were fitted to
-
-    def shift(self, mean: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
-        """(what to add to values `mean` [N, 3] of a model at `rows` for the average, standard
-        deviation [N, 3] of a mixture of both values); 0 where the curves do not tell.
-        """
-        apart = at_curves(self.curves, rows) - mean
-        apart[~(np.isfinite(apart) & self._known(rows)[:, None])] = 0.0
-        return self.weight * apart, np.sqrt(self.weight * (1.0 - self.weight)) * np.abs(apart)
-
-    def _known(self, rows: Rows) -> np.ndarray:
-        """[N] True at `rows` of which the curves may tell: with the wheel of the table, braked ones
-        only if it has braked rows, driven ones only if it has driven rows.
-
-        A condition that is constant in the table has to be the same, or NaN.
-        """
-        table = self.table
-        known = np.isin(rows.slip < BRAKED, table.slip < BRAKED)
-        ours = np.concatenate([table.wheels, table.conditions], axis=1)
-        theirs = np.concatenate([rows.wheels, rows.conditions], axis=1)
-        constant = np.ptp(ours, axis=0) == 0.0
-        same = np.isclose(theirs, ours[0]) | np.isnan(theirs)
-        return known & np.all(same[:, constant], axis=1)
 
 
 def at_curves(curves: list[Curve | None], rows: Rows) -> np.ndarray:

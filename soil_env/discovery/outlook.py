@@ -1,23 +1,20 @@
-"""How well the runs of a table are predicted by the others, and the average with a generic curve
-that follows from it.
+"""How well the runs of a table are predicted by the others.
 
 Levels of slip and load, and combinations of all conditions but the slip, are left out one after the
 other. What is left predicts them: the base model, the fit of all effects (`prediction`) and a curve
-(`curve`). The better the curve does, the larger is its weight in the average.
+(`curve`).
 """
 
 from __future__ import annotations
 
-import dataclasses
 from typing import NamedTuple
 
 import numpy as np
 
 from soil_env.identification.table.data import CHANNELS, combinations_of
-from soil_env.identification.table.form_error import finite
 
 from .calibrate import Problem
-from .curve import Average, Curve, at_curves, fit_curve
+from .curve import Curve, at_curves, fit_curve
 from .prediction import Prediction, at_conditions, fit_prediction, independent
 
 LEVEL = 0.01  # range of the sine of the grade, up to which it is constant
@@ -25,9 +22,6 @@ FEWEST_GROUPS = 3  # levels or combinations, from which they are left out in tur
 MOST_GROUPS = 10  # of them: the 1st and the 11th are left out together; each costs a fit
 FEWEST = 4  # values of a channel, from which it has a curve
 FEWEST_SLIPS = 3  # slips of these: a curve has a level, a rise and a scale of the slip
-#: Largest weight of the curve in an average: it knows no soil. Own choice, on docs/results/
-#: prediction.md.
-MOST_OF_CURVE = 0.5
 
 
 class Errors(NamedTuple):
@@ -36,7 +30,7 @@ class Errors(NamedTuple):
     """
 
     base: float  # by the base model
-    corrected: float  # by all effects and a remainder, averaged with the curve
+    corrected: float  # by all effects and a remainder
     curve: float  # by a generic curve; NaN where the curve does not know the conditions
     noise: float
 
@@ -79,41 +73,24 @@ def curves_of(problem: Problem) -> list[Curve | None] | None:
 
 
 def outlook(problem: Problem) -> Outlook:
-    """The fit of all effects, averaged with a curve, and the errors of what is left out.
+    """The fit of all effects, and the errors of what is left out.
 
     Of each kind `FEWEST_GROUPS` are needed; more than `MOST_GROUPS` are dealt out to so many. Left
     out is left out of all: effects, unknowns and remainder are fitted anew to the rest.
-
-    The curve is averaged in where slip and load alone vary, with so many levels each.
     """
-    full = fit_prediction(problem)
-    curves = curves_of(problem)
     others = tuple(name for name in independent(problem) if name != "slip")
     splits: dict[str, tuple[str, ...]] = {"slip": ("slip",)}
     if "load" in others:
         splits["load"] = ("load",)
     if {*others} - {"load"}:
         splits["condition"] = others
-    left = {}  # by split: (number of the group of each row [N], predictions of `_left_out`)
+    found = []
     for split, what in splits.items():
         levels = combinations_of([problem.data.varied[name].level for name in what])
         groups = levels % MOST_GROUPS
         if groups.max() + 1 >= FEWEST_GROUPS:
-            left[split] = (groups, _left_out(problem, groups))
-    of_kinds = [held for _, held in left.values()]
-    if curves is not None and len(left) == len(splits):
-        average = Average(curve_weight(problem, of_kinds), curves, problem.data.rows)
-        full = dataclasses.replace(full, average=average)
-    out = []
-    for split, (groups, held) in left.items():
-        averaged = held.copy()  # without an average as it is
-        for k in range(groups.max() + 1 if full.average else 0):
-            group = groups == k
-            # The weight for a group is that of the other rows.
-            weight = curve_weight(problem, of_kinds, ~group)
-            averaged[1, group] += weight * finite(held[2, group] - held[1, group])
-        out.append(_errors(problem, split, splits[split], averaged))
-    return Outlook(full, tuple(out))
+            found.append(_errors(problem, split, what, _left_out(problem, groups)))
+    return Outlook(fit_prediction(problem), tuple(found))
 
 
 def _left_out(problem: Problem, groups: np.ndarray) -> np.ndarray:
@@ -133,37 +110,14 @@ def _left_out(problem: Problem, groups: np.ndarray) -> np.ndarray:
     return held
 
 
-def curve_weight(
-    problem: Problem, left_out: list[np.ndarray], rows: np.ndarray | slice = slice(None)
-) -> np.ndarray:
-    """[3] weight of the curve in the average with all effects, by channel.
-
-    For each kind of rows that were left out, stacking has the weight of the least squared error
-    (Breiman 1996, Machine Learning 24:49-64). The weight is the geometric mean of these, at most
-    `MOST_OF_CURVE`: 0 where the curve does not help with each kind.
-
-    `left_out`: for each kind, values [3, N, 3] as by `_left_out`; `rows`: those to judge by.
-    """
-    weight = np.ones(len(CHANNELS))
-    for held in left_out:
-        full, curve = ((values - problem.data.y) / problem.sd for values in held[1:])
-        known = problem.used & np.isfinite(full) & np.isfinite(curve)
-        off = np.where(known, full, 0.0)[rows]
-        apart = np.where(known, full - curve, 0.0)[rows]
-        size = np.sum(apart**2, axis=0)
-        least = np.sum(off * apart, axis=0) / np.where(size > 0.0, size, 1.0)
-        weight *= np.clip(least, 0.0, 1.0) ** (1.0 / len(left_out))
-    return np.minimum(weight, MOST_OF_CURVE)
-
-
 def _errors(problem: Problem, split: str, what: tuple[str, ...], held: np.ndarray) -> LeftOut:
-    """`LeftOut` of predictions [3, N, 3] of values that were left out: by the base model, by the
-    average, and by the curve.
+    """`LeftOut` of predictions [3, N, 3] of values that were left out: by the base model, by all
+    effects, and by the curve.
     """
     off = held - problem.data.y
 
     def size(values: np.ndarray, noise: float) -> Errors:
-        """`Errors` of deviations [3, m] by base model, average and curve, and `noise` beside."""
+        """`Errors` of deviations [3, m] by base model, all effects and curve, beside `noise`."""
         base, full, curve = np.sqrt(np.mean(values**2, axis=1)).tolist()
         return Errors(base, full, curve, noise)
 

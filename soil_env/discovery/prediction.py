@@ -9,8 +9,6 @@ over the conditions with a correlation k; a is its size relative to the scale s 
 sizes and lengths and the noise are those of the largest marginal likelihood, linearised about the
 fit (Kennedy & O'Hagan 2001, J. R. Stat. Soc. B 63:425-464). Which effect is there is another
 question (`search`): effects that the table cannot tell apart predict the same.
-
-Where `outlook` has found a generic curve to predict well, the prediction is an average with it.
 """
 
 from __future__ import annotations
@@ -34,7 +32,7 @@ from soil_env.identification.table.form_error import (
 from soil_env.terramechanics.model import rows_of
 
 from .calibrate import Law, Problem, sinkage_guess
-from .curve import LEAST_SPAN, Average
+from .curve import LEAST_SPAN
 from .instrument import LISTED, Choices
 from .search import candidates, forms
 
@@ -231,7 +229,6 @@ class Prediction:
     residual: np.ndarray  # [M] measured less these values
     jacobian: np.ndarray  # [M, p] their derivatives by u
     covariance: _Covariance  # of the M values
-    average: Average | None = None  # with curves; None: the fit alone
 
     @property
     def problem(self) -> Problem:
@@ -247,9 +244,6 @@ class Prediction:
         """Predicted values at conditions [N] by the columns of a table, and their standard
         deviations with the noise of a run, widened by `WIDER`.
 
-        Where the fit is averaged with a curve, the variance is that of a mixture of both, the curve
-        as uncertain as the fit.
-
         `without`: errors of the rig that the mean leaves out, "tilt_deg" for the tilt of the setup.
         """
         there = at_conditions(self.problem, conditions)
@@ -258,16 +252,7 @@ class Prediction:
         own = (self.learnt.size * _scales(there, law)) ** 2
         variance = np.sum(top**2, axis=0) - np.sum(known**2, axis=0) + np.sum(shared**2, axis=0)
         sd = np.sqrt(np.maximum(variance.reshape(law.shape) + own, 0.0) + self.variance_of_run)
-        # Curves are of what the rig reads: the shift is that of the fit with all errors of the rig.
-        read = self._means(there)[0] if without else mean
-        shift, apart = self._towards_curves(read, there)
-        return Predicted(mean + shift, np.hypot(WIDER * sd * self.problem.noise, apart))
-
-    def _towards_curves(self, mean: np.ndarray, there: Problem) -> tuple[np.ndarray, np.ndarray]:
-        """`Average.shift` of the `mean` [N, 3] of the fit at the rows of `there`; 0 without one."""
-        if self.average is None:
-            return np.zeros(mean.shape), np.zeros(mean.shape)
-        return self.average.shift(mean, there.data.rows)
+        return Predicted(mean, WIDER * sd * self.problem.noise)
 
     @property
     def variance_of_run(self) -> np.ndarray:
@@ -277,9 +262,7 @@ class Prediction:
         return 1.0 + self.learnt.beyond**2
 
     def joint_at(self, conditions: Conditions) -> np.ndarray:
-        """[N, 3, N, 3] covariance of the true values at conditions, over the noise, by the fit
-        alone.
-        """
+        """[N, 3, N, 3] covariance of the true values at conditions, over the noise."""
         there = at_conditions(self.problem, conditions)
         _, law, across = self._means(there)
         top, known, shared = self._covariance_factors(there, law, across)
@@ -310,9 +293,7 @@ class Prediction:
 
     def mean_at(self, conditions: Conditions) -> np.ndarray:
         """[N, 3] predicted values at conditions [N], without standard deviations."""
-        there = at_conditions(self.problem, conditions)
-        mean = self._means(there)[0]
-        return mean + self._towards_curves(mean, there)[0]
+        return self._means(at_conditions(self.problem, conditions))[0]
 
     def _means(
         self, there: Problem, without: Collection[str] = ()

@@ -54,8 +54,8 @@ ALIKE = 0.17
 #: `benchmarks.discovery`; between 1 and 2.5 hardly a share of its answers moves.
 TEMPERATURE = 1.75
 NAMED = 0.5  # probability from which an answer is given, such as a name
-#: Probability, if the laws err by the largest of `LAW_ERRORS`, from which a name is sure; otherwise
-#: it is likely.
+#: Probability, if the laws err by the largest of `LAW_ERRORS`, from which a name is sure; from
+#: `NAMED` it is likely.
 SURE = 0.8
 #: Relative errors of the base law, for which probabilities are given beside those over all sizes.
 LAW_ERRORS = (0.03, 0.1)
@@ -154,10 +154,10 @@ class Finding:
             if {*names} <= {*h.names} and not {*without} & {*h.names}
         )
 
-    def if_laws_err(self, name: str) -> tuple[float, ...]:
-        """Probability that an effect is missing if the laws err, for each of `LAW_ERRORS`."""
-        with_it = [h.if_laws_err for h in self.hypotheses if name in h.names]
-        return tuple(map(sum, zip(*with_it, strict=True)))
+    def if_laws_err(self, *names: str) -> tuple[float, ...]:
+        """`share` if the laws err, for each of `LAW_ERRORS`."""
+        with_all = [h.if_laws_err for h in self.hypotheses if {*names} <= {*h.names}]
+        return tuple(map(sum, zip(*with_all, strict=True)))
 
     def is_sure(self, name: str) -> bool:
         """True if an effect is sure to be missing: with `SURE` even if the laws err by the largest
@@ -209,12 +209,14 @@ class Finding:
         """Effects that are stated to be missing.
 
         They are taken in the order of their probabilities. One is stated if it and those stated
-        before it are missing together with a probability of `NAMED`.
+        before it are missing together with a probability of `NAMED`, also if the laws err by the
+        largest of `LAW_ERRORS`.
         """
         named: Names = ()
         for name in sorted(self.tried, key=lambda n: -self.share(n)):
-            if self.share(*named, name) >= NAMED:
-                named = (*named, name)
+            all_of = (*named, name)
+            if self.share(*all_of) >= NAMED and self.if_laws_err(*all_of)[-1] >= NAMED:
+                named = all_of
         return named
 
     @cached_property

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from soil_env.discovery.corrected import MOST, corrected, least_sure, model_of
-from soil_env.discovery.outlook import outlook
 from soil_env.discovery.prediction import fit_prediction
 from soil_env.parameters import Noise
 from tests.discovery.files import LOADS, NOISE, PLANTED, SETUP, changed, problem_of, table_text
@@ -19,9 +18,7 @@ from tests.simulation import wheels
 @pytest.fixture(scope="module")
 def prediction(tmp_path_factory):
     text = changed(table_text(PLANTED, loads=LOADS), "drawbar_pull", lambda x: x + 6.0)
-    model = outlook(problem_of(tmp_path_factory.mktemp("table"), text)).model
-    average = model.average._replace(weight=np.array([0.2, 0.1, 0.3]))
-    return dataclasses.replace(model, average=average)
+    return fit_prediction(problem_of(tmp_path_factory.mktemp("table"), text))
 
 
 @pytest.fixture(scope="module")

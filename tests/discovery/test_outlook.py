@@ -1,6 +1,5 @@
-"""What is left out and predicted, and the average with a curve that follows from it."""
+"""What is left out and predicted."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -8,16 +7,13 @@ import pytest
 
 from soil_env._io.loading import ParameterError
 from soil_env.discovery.corrected import corrected
-from soil_env.discovery.curve import at_curves
 from soil_env.discovery.outlook import (
     MOST_GROUPS,
-    MOST_OF_CURVE,
     _left_out,
-    curve_weight,
     curves_of,
     outlook,
 )
-from soil_env.discovery.prediction import at_conditions, fit_prediction
+from soil_env.discovery.prediction import fit_prediction
 from soil_env.terramechanics.validity import OutsideValidity
 from tests.discovery.files import (
     LOADS,
@@ -75,9 +71,7 @@ def test_no_curve_is_drawn_over_conditions_that_it_does_not_know(tmp_path):
     text = table_text({}, loads=(100.0,), **{"pass": (1, 2, 3)})
     problem = problem_of(tmp_path, text)
     assert curves_of(problem) is None
-    found = outlook(problem)
-    assert found.model.average is None
-    passes = found.left_out[-1]
+    passes = outlook(problem).left_out[-1]
     assert passes.what == ("pass",) and math.isnan(passes.over_noise.curve)
 
 
@@ -99,7 +93,7 @@ def climbing() -> str:
 def test_the_pull_of_a_wheel_that_climbs_by_itself_is_not_0_on_the_level(tmp_path):
     problem = problem_of(tmp_path, climbing(), SETUP + "load: vertical\n")
     assert "grade_deg" not in problem.data.varied  # it follows from slip and load
-    model = corrected(outlook(problem).model)
+    model = corrected(fit_prediction(problem))
     rows = model.predict(problem.data.table)
     assert np.max(np.abs(rows.drawbar_pull)) < NOISE["drawbar_pull"]
     level = {"slip": 0.3, "load": 120.0}
@@ -107,64 +101,6 @@ def test_the_pull_of_a_wheel_that_climbs_by_itself_is_not_0_on_the_level(tmp_pat
     assert model.predict(level).drawbar_pull == pytest.approx(pull, abs=NOISE["drawbar_pull"])
     with pytest.raises(ParameterError, match="0 on every grade, .*: expected load: vertical"):
         problem_of(tmp_path, climbing())
-
-
-def test_the_curve_has_the_weight_with_which_the_average_errs_least(planted_problem):
-    y = planted_problem.data.y
-    sd = planted_problem.sd
-    rng = np.random.default_rng(0)
-    off = rng.normal(size=(2, *y.shape)) * sd
-    full = y + off[0]
-    held = np.stack([y, full, y + 3.0 * off[1]])
-    weight = curve_weight(planted_problem, [held])
-
-    def error(at):
-        return np.sum(((1.0 - at) * (full - y) + at * (held[2] - y)) ** 2 / sd**2, axis=0)
-
-    assert np.all((0.0 < weight) & (weight < 0.3))
-    for other in (weight - 0.02, weight + 0.02):
-        assert np.all(error(weight) < error(other))
-    curve_right = np.stack([y, full, y])
-    assert curve_weight(planted_problem, [curve_right]) == pytest.approx(MOST_OF_CURVE)
-    full_right = np.stack([y, y, full])
-    assert curve_weight(planted_problem, [full_right]).tolist() == [0.0] * 3
-    assert curve_weight(planted_problem, [full_right, curve_right]).tolist() == [0.0] * 3
-    unknown = np.stack([y, full, np.full(y.shape, np.nan)])
-    assert curve_weight(planted_problem, [unknown]).tolist() == [0.0] * 3
-
-
-def averaged(problem, weight):
-    """The prediction of a problem with a given weight [3] of its curves."""
-    model = outlook(problem).model
-    assert model.average is not None
-    average = model.average._replace(weight=np.array(weight))
-    return dataclasses.replace(model, average=average)
-
-
-def test_an_average_lies_between_fit_and_curve_and_is_less_sure(planted_problem):
-    weight = np.array([0.3, 0.1, 0.0])
-    model = averaged(planted_problem, weight)
-    at = {"slip": np.array([0.08, 0.3, 0.5]), "load": np.array([100.0, 150.0, 240.0])}
-    alone = dataclasses.replace(model, average=None).at(at)
-    both = model.at(at)
-    apart = (
-        at_curves(model.average.curves, at_conditions(planted_problem, at).data.rows) - alone.mean
-    )
-    assert both.mean == pytest.approx(alone.mean + weight * apart)
-    assert model.mean_at(at) == pytest.approx(both.mean)
-    spread = np.sqrt(weight * (1.0 - weight)) * np.abs(apart)
-    assert both.sd == pytest.approx(np.hypot(alone.sd, spread))
-
-
-def test_an_error_of_the_rig_that_is_left_out_does_not_come_back_by_the_curve(tmp_path):
-    """Prediction with and without a tilt differ by its pull, averaged with a curve or not."""
-    text = table_text(PLANTED, loads=LOADS)
-    problem = problem_of(tmp_path, text, SETUP + "tilt_deg: {value: 0, sd: 1}\n")
-    model = averaged(problem, [0.5, 0.5, 0.5])
-    at = {"slip": np.array([0.1, 0.4]), "load": np.array([120.0, 200.0])}
-    alone = dataclasses.replace(model, average=None)
-    level, level_alone = (m.at(at, ["tilt_deg"]).mean for m in (model, alone))
-    assert model.at(at).mean - level == pytest.approx(alone.at(at).mean - level_alone)
 
 
 @pytest.mark.parametrize(
@@ -181,7 +117,7 @@ def test_braked_rows_are_predicted_from_driven_ones_where_soil_flows(tmp_path, s
     problem = problem_of(tmp_path, sand_text(slips), setup)
     slip, load, true = on_sand((-0.4, -0.2), (100.0,))
     at = {"slip": slip, "load": load}
-    found = outlook(problem).model
+    found = fit_prediction(problem)
     with pytest.warns(OutsideValidity):
         simulated = np.stack(corrected(found).predict(at)[:3], axis=1)
     for mean in (found.mean_at(at), simulated):
@@ -191,50 +127,8 @@ def test_braked_rows_are_predicted_from_driven_ones_where_soil_flows(tmp_path, s
     assert np.all(base[:, 1] > 15.0) and np.all(base[:, 2] > 2.0)
 
 
-def test_an_average_is_of_what_the_curves_know(planted_problem):
-    """Not of another wheel, nor of braked slips where no row is braked."""
-    model = averaged(planted_problem, [0.5, 0.5, 0.5])
-    alone = dataclasses.replace(model, average=None)
-    at = {"slip": np.array([-0.3, 0.2, 0.2, 0.2]), "load": np.full(4, 120.0)}
-    at |= {"wheel_radius": np.array([0.15, 0.15, 0.2, 0.15]), "pass": np.array([1, 1, 1, 2])}
-    same = np.all(model.mean_at(at) == alone.mean_at(at), axis=1)
-    assert same.tolist() == [True, False, True, True]
-
-
-def by_a_curve(loads) -> str:
-    """A table whose torque is exactly that of a curve."""
-    return with_column(
-        table_text({}, loads=loads),
-        "torque",
-        lambda row: row["load"] * (0.09 - 0.08 * math.exp(-row["slip"] / 0.3)),
-    )
-
-
-def test_errors_of_the_outlook_are_those_of_the_average(tmp_path):
-    """The torque is that of a curve; each level of a condition has the weight of the other rows."""
-    found = outlook(problem_of(tmp_path, by_a_curve(LOADS)))
-    assert found.model.average is not None and found.model.average.weight[2] > 0.0
-    assert all(math.isfinite(way.over_noise.corrected) for way in found.left_out)
-    problem = found.model.problem
-    (slips, loads) = found.left_out
-    for way in (slips, loads):
-        name = way.what[0]
-        level = problem.data.varied[name].level
-        held = {n: _left_out(problem, problem.data.varied[n].level) for n in ("slip", "load")}
-        off = np.full(problem.used.shape, np.nan)
-        for k in range(level.max() + 1):
-            weight = curve_weight(problem, list(held.values()), level != k)
-            mean = (1.0 - weight) * held[name][1] + weight * held[name][2]
-            off[level == k] = (mean - problem.data.y)[level == k]
-        for j, channel in enumerate(NOISE):
-            error = np.sqrt(np.mean(off[problem.used[:, j], j] ** 2))
-            assert way.errors[channel].corrected == pytest.approx(error)
-
-
 def test_few_values_of_a_channel_leave_its_fit_alone(tmp_path):
-    """Five torques: where a load is left out there is no curve through the rest, though the others
-    give it a weight.
-    """
+    """Five torques: where a load is left out there is no curve through the rest."""
     kept = {*((0.05, load) for load in LOADS), (0.2, 120.0), (0.42, 80.0)}
     text = with_column(
         table_text(PLANTED, loads=LOADS),
@@ -255,16 +149,3 @@ def test_no_curve_is_drawn_through_two_slips(tmp_path):
     assert all(curve is not None for curve in curves_of(problem))
     rest = problem.without(problem.data.rows.slip == 0.1)
     assert curves_of(rest) == [None, None, None]
-
-
-def test_no_curve_is_averaged_in_where_its_loads_cannot_be_judged(tmp_path):
-    """Two loads: neither is left out, so the errors are those of the fit alone, though the curve is
-    exact for the torque.
-    """
-    problem = problem_of(tmp_path, by_a_curve((80.0, 180.0)))
-    found = outlook(problem)
-    assert found.model.average is None and [way.split for way in found.left_out] == ["slip"]
-    held = _left_out(problem, problem.data.varied["slip"].level)
-    off = (held[1] - problem.data.y)[problem.used[:, 2], 2]
-    assert found.left_out[0].errors["torque"].corrected == pytest.approx(np.sqrt(np.mean(off**2)))
-    assert curve_weight(problem, [held])[2] > 0.0

@@ -88,22 +88,6 @@ def test_a_guess_where_only_the_slip_varies_is_told(planted):
     assert "It guesses at slip 0.9 (drawbar pull " in told and "not to learn what is" in told
 
 
-def test_the_share_of_the_curve_in_the_corrected_model_is_told(planted):
-    average = planted.outlook.model.average
-
-    def told(*weight):
-        model = dataclasses.replace(
-            planted.outlook.model, average=average._replace(weight=np.array(weight))
-        )
-        report = dataclasses.replace(planted, outlook=planted.outlook._replace(model=model))
-        assert sentences.curve_shares(report) == dict(zip(report.channels, weight, strict=True))
-        return sentences.foreseen(report)
-
-    shares = "averaged with the curve, which has 25 % of the sinkage and 7 % of the torque."
-    assert shares in told(0.25, 0.004, 0.07)
-    assert "averaged" not in told(0.0, 0.0, 0.0)
-
-
 def test_a_strength_that_no_effect_may_have_is_no_smallest_one(planted):
     """The largest `rim_flow` is 0.12; a table that would show 0.84 shows none."""
 

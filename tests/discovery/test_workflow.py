@@ -117,7 +117,7 @@ def test_a_second_effect_is_refuted_by_an_interval(
     finding = dataclasses.replace(
         planted.finding,
         hypotheses=(
-            dataclasses.replace(pair, probability=0.9),
+            dataclasses.replace(pair, probability=0.9, if_laws_err=(0.9, 0.9)),
             *(
                 dataclasses.replace(h, probability=0.1 * h.probability / rest)
                 for h in planted.finding.hypotheses

@@ -145,7 +145,6 @@ def content(report: Report) -> dict[str, Any]:
             "remainder": {n: g.remainder for n, g in report.gap.items()},
             "closed": report.closed,
             "prediction": {way.split: way.errors for way in report.outlook.left_out},
-            "curve_weight": sentences.curve_shares(report),
             "foreseen": sentences.foreseen(report),
             "if_laws_err": sentences.if_laws_err(report),
             "guess": report.guess,

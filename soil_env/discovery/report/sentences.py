@@ -32,7 +32,6 @@ from soil_env.terramechanics.steady import DEEPEST
 from soil_env.terramechanics.validity import in_words
 
 GUESSED = 1.5  # sd of a prediction over the largest within the table, from which it is a guess
-LEAST_SHARE = 0.01  # weight of the generic curve that is mentioned
 MENTIONED = 0.05  # least probability of a remainder beside a name that is mentioned
 LITTLE = 0.02  # rise of the probability of the right candidate below which runs would hardly help
 SCATTERED = 1.2  # [noise] scatter of the values that is worth a caution
@@ -429,14 +428,6 @@ def if_laws_err(report: Report) -> str:
     return f"Most probable: {said}; if the laws err by {percent(LAW_ERRORS[-1])}, {most}."
 
 
-def curve_shares(report: Report) -> dict[str, float]:
-    """Weight of the generic curve in the corrected model, by measured channel; empty without it."""
-    average = report.outlook.model.average
-    if average is None:
-        return {}
-    return {name: float(average.weight[CHANNELS.index(name)]) for name in report.channels}
-
-
 def foreseen(report: Report) -> str:
     """Sentences on how well runs that were not made are predicted: errors of what was left out, and
     where the corrected model guesses.
@@ -445,11 +436,6 @@ def foreseen(report: Report) -> str:
     return filled(
         "foreseen.txt",
         report,
-        shares=[
-            f"{percent(weight)} of the {TITLES[name]}"
-            for name, weight in curve_shares(report).items()
-            if weight >= LEAST_SHARE
-        ],
         guesses=guess is not None and guess.times > GUESSED,
         channel="drawbar_pull" if "drawbar_pull" in report.channels else report.channels[0],
     )
@@ -507,7 +493,8 @@ def rule() -> str:
         f"Before the table, the odds that an effect is missing are {listed} for each that is "
         f"listed, {rig} for each error of the instrument, {law} for each of {len(UNNAMED)} laws "
         f"without a name, and {other} for anything else. The laws of the model count as "
-        "approximate, by an amount that the table decides. What has 50 % or more is stated."
+        "approximate, by an amount that the table decides. What has 50 % or more is stated, a name "
+        f"if it has that too where the laws err by {percent(LAW_ERRORS[-1])}."
     )
 
 
