@@ -106,7 +106,7 @@ def loop_command(smoke: bool, out: Path, only: str | None, beds: int, workers: i
             drives[f"{model} {bed}"] = short(drive._asdict())
             write_json(file, found)
             print(f"{table}: drive {done} of {len(left)}", flush=True)
-    write(out, kept, "From a table to a drive", TEXT.format(beds=beds), pages(found))
+    write(out, kept, "From a table to a drive", TEXT.format(beds=beds), pages(found, beds))
 
 
 def _learnt(table: str) -> dict:
@@ -152,8 +152,8 @@ def _interval(values: Sequence[float], scale: float, digits: int) -> str:
     return f"{mean} [{low}, {high}]"
 
 
-def pages(found: dict) -> dict[str, Table]:
-    """The tables of the page, by heading, of what `loop_command` found."""
+def pages(found: dict, beds: int) -> dict[str, Table]:
+    """The tables of the page, by heading, of what `loop_command` found, on the first `beds`."""
     errors = []
     drives = []
     shown = (("slip", 1.0, 2), ("distance", 1.0, 2), ("sinkage", 1e3, 1))  # key, factor, decimals
@@ -162,7 +162,7 @@ def pages(found: dict) -> dict[str, Table]:
             sinkage, pull, torque = of["errors"][model]
             cells = (f"{1e3 * sinkage:.2g}", f"{pull:.2g}", f"{torque:.2g}")
             errors.append([table, model, *cells])
-            done = [drive for key, drive in of["drives"].items() if key.split()[0] == model]
+            done = [of["drives"][f"{model} {bed}"] for bed in range(beds)]
             columns = [
                 text
                 for key, scale, digits in shown
