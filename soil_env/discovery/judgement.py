@@ -59,13 +59,13 @@ class Gap(NamedTuple):
 
 
 def intervals(finding: Finding, own: Evidence) -> dict[str, Interval]:
-    """Posterior mean and 95 % interval of every unknown, from the same posterior as the names.
+    """Posterior mean and 95 % interval of every unknown, in its unit.
 
     Those of the soil are of the mixture of all hypotheses and sizes of form errors, each with its
     probability. Those of the effects are of `own`, the model of the named effects, over the sizes.
     An unknown that is fitted in its logarithm is normal there. No end is beyond a bound.
     """
-    p = len(finding.best().evidence.fit.unknowns)
+    p = len(finding.best().evidence.fit.unknowns)  # of the soil, which come first in all models
     share = np.array([h.probability for h in finding.hypotheses])
     mean = np.stack([h.evidence.mean[:p] for h in finding.hypotheses])
     within = np.stack([h.evidence.covariance[:p, :p] for h in finding.hypotheses])

@@ -19,7 +19,7 @@ from .next_tests import Check, NextTest
 from .outlook import Outlook
 from .search import Finding
 
-WORSE = 0.1  # relative rise of a held-out error by the named effects, above which it is stated
+WORSE = 0.1  # relative rise of a held-out error by effects, above which it is stated
 LEFT = 1.5  # [noise] held-out error above which a model is said to miss a channel; own choice
 
 

@@ -117,7 +117,7 @@ class Observer:
         shown = Shown(variant == "identified", len(layout("blind")), *numbers.bounds)
         self._board = OnBoard(1, scenario, shown, True)
         self._warning = ImmobilisationWarning(scenario)
-        # [m/s2] rate of a commanded rim speed
+        # [1/s] change of a commanded rim speed, over the top one, by an action of 1; 0 for others
         self._change = self._setting["rig"]["rim_step"][0, 0] / scenario.control.period
         self.reset()
 
@@ -245,8 +245,8 @@ class Observer:
         self._board.update(world, np.array([order]), 0, 1)
 
     def _set_period(self, period: float) -> None:
-        """Set the `period` [s] since the last readings in all settings that have one: identifier,
-        averages for the warning, odometry, and the step of a commanded rim speed.
+        """Set the `period` [s] since the last readings where an observation depends on it:
+        identifier, averages for the warning, odometry, and the step of a commanded rim speed.
         """
         board = self._board.setting
         if board["identifier"]["period"][0, 0] == period:

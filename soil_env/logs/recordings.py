@@ -28,7 +28,7 @@ def read_recording(
     path: str | Path, log_map: LogMap, progress: Progress = lambda done, size: None
 ) -> Aligned:
     """The readings of a bag (a folder, .mcap, .db3), a CSV or a Parquet file, as `log_map`
-    describes it.
+    describes it, with notes and doubts.
 
     `progress` is called with the bytes (of Parquet: rows) read so far and those in all. Raises
     `ParameterError` for a recording of another format, a topic, field or column that it does not

@@ -47,10 +47,12 @@ def report_of(
 ) -> tuple[dict[str, bytes | str], str]:
     """(Contents of the files of a replayed log by name, text for the terminal).
 
-    The files are `ALWAYS` and the tables and setups of steady points. Nothing is written;
+    `log` has the readings, `found` the estimates at its steps, `steady` the points of its steady
+    windows. The files are `ALWAYS` and the tables and setups of steady points. Nothing is written;
     `recording` and `folder`, where the files will be, are named in the texts.
     """
-    parts = grounds(found, steady)  # between borders to another soil
+    parts = grounds(found, steady)  # parted by borders to another soil and by gaps
+    # A misfit: a doubt if it lasts for most of the drive, else a further finding.
     length = log.time[-1] - log.time[0]
     doubted, further = contradiction(found)
     # What the texts and log.json share.
@@ -111,7 +113,7 @@ def report_of(
         "estimates.png": estimates,
         "readings.png": readings,
     }
-    # a table and its setup for each ground with enough steady points
+    # steady.csv and setup.yaml; of several grounds also those of each that has enough points
     written |= files(parts, steady, log_map, found.prior)
     text = render(
         "soil_env.logs:report.txt",

@@ -243,7 +243,7 @@ def _row(part: dict[str, np.ndarray], start: float, period: float) -> Point:
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The ground between two borders to other soils: its steady points and the surest
+    """The ground between two borders to other soils or gaps: its steady points and the surest
     estimate on it.
     """
 

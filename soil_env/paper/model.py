@@ -169,8 +169,8 @@ def newton_raphson(
     going = np.arange(len(x))  # searches under way
 
     def misfit(who: np.ndarray, soil: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(measured less predicted pulls [N] of the searches `who` at their soils, the Jacobian of
-        the predicted pulls by (phi [rad], K, S)).
+        """(measured less predicted pulls [g, 3] in newtons of the searches `who` [g] at soils
+        [g, 3] as in `guess`, Jacobian [g, 3, 3] of the predicted pulls by (phi [rad], K, S)).
         """
         y = forces(np.repeat(soil, 3, axis=0), slip[who].ravel(), sinkage[who].ravel(), e)
         return pull[who] - y[:, 0].reshape(-1, 3), y[:, 3:].reshape(-1, 3, 3)

@@ -236,8 +236,8 @@ class Oracle:
         """
         w = self.clones.worlds
         n = len(batch)
-        what = np.full(w.cause.size, IDLE)
-        what[:n] = STEP
+        orders = np.full(w.cause.size, IDLE)
+        orders[:n] = STEP
         commands = np.zeros(w.cause.size)
         done = np.full(n, float(self.steps))  # step of the end, the horizon without one
         for step in range(self.steps):
@@ -245,11 +245,11 @@ class Oracle:
                 batch = w.observation[:n].astype(np.float64)
                 state = self.dreamer.state_for(batch, state, np.zeros(n, dtype=bool))
             commands[:n] = self.dreamer.act(batch, state)[:, 0]
-            self.clones.step_all(commands, what)
-            ended = (what[:n] == STEP) & (w.cause[:n] != _RUNNING)
+            self.clones.step_all(commands, orders)
+            ended = (orders[:n] == STEP) & (w.cause[:n] != _RUNNING)
             done[ended] = step
-            what[:n][ended] = IDLE
-            if (what[:n] == IDLE).all():
+            orders[:n][ended] = IDLE
+            if (orders[:n] == IDLE).all():
                 break
         return self._value(n, done)
 

@@ -53,7 +53,7 @@ def fill(study: Study, folder: Path, engine: cells.Engine, elsewhere: bool) -> N
         show(f"{cell}: done, {left} of {len(todo)} cells left")
 
     def kept(work, missing):
-        """The engine, which also puts the files of run folders into this one."""
+        """The engine, which also writes the files of a training made elsewhere to trained/CELL."""
         for cell, content in engine(work, missing):
             if files := content.pop("files", {}):
                 replace_files(folder / "trained" / str(cell), files)

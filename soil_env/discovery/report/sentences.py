@@ -442,8 +442,11 @@ def foreseen(report: Report) -> str:
 
 
 def simulate(report: Report) -> str:
-    """Clause on what to simulate with: model.yaml, but the soil of `soil-env identify`, if it takes
-    the table, for what the base model predicted better when that was left out.
+    """Clause on what to simulate with: model.yaml.
+
+    For levels that were not measured it is the soil of `soil-env identify`, if that takes the
+    table, where model.yaml erred more than the base model, by `WORSE`, and more than the noise:
+    of levels that were left out.
     """
     better = [
         _level(way.what)

@@ -165,8 +165,8 @@ def with_noise_of_conditions(
 
 
 def _derivatives(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -> np.ndarray:
-    """Derivatives [N, 3] of the smooth surface by the condition `name`, slip or load; `predict` as
-    in `with_noise_of_conditions`.
+    """Derivatives [N, 3] of the smooth surface by the condition `name`, slip or load, in the units
+    of channel and condition; `predict`: values [N, 3] of the base model at rows.
 
     The surface is the base model and polynomials that are fitted to what it leaves; these count
     only if the condition varies. 0 where the model has no value.
@@ -180,7 +180,7 @@ def _derivatives(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -
     if name in data.varied:
         factor = data.varied[name]
         span = np.ptp(np.log(value) if name in LOGARITHMIC else value)
-        scaled_by_value = np.ptp(factor.scaled) / span / unit
+        scaled_by_value = np.ptp(factor.scaled) / span / unit  # d(scaled) / d(condition)
         shifted = dataclasses.replace(factor, scaled=factor.scaled + SHIFT)
         basis = smooth_basis(data)
         moved = smooth_basis(dataclasses.replace(data, varied=data.varied | {name: shifted}))
