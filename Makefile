@@ -107,7 +107,7 @@ results: $(TEST_READY)  ## make the tables of docs/results anew, in hours; QUICK
 	$(if $(QUICK),,$(PY) -m benchmarks.continuum loop --out $(MADE)/continuum && cp $(MADE)/continuum/continuum.* $(RESULTS))
 	$(PY) -m benchmarks.identification --out $(MADE)/identification --courses $(if $(QUICK),30,60) && cp $(MADE)/identification/identification.* $(RESULTS)
 	$(PY) -m benchmarks.robustness --out $(RESULTS) $(if $(QUICK),--courses 20)
-	$(PY) -m benchmarks.discovery run --held-out --entrant workflow --seed 2103 --limit $(if $(QUICK),12,240) --out $(MADE)/discovery --publish $(RESULTS)
+	$(PY) -m benchmarks.discovery run --held-out --entrant workflow --seed 20261129 --limit $(if $(QUICK),12,240) --out $(MADE)/discovery --publish $(RESULTS)
 	$(PY) -m benchmarks.throughput --out $(RESULTS) $(if $(QUICK),--smoke)
 	$(if $(QUICK),$(PY) -m pytest -q tests/project/test_results.py)
 
