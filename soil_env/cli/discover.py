@@ -35,7 +35,7 @@ from .table_files import table_arguments
     show_default=True,
     help="What these runs are to tell best: what is missing, or what other runs would give.",
 )
-@click.option("--quiet", is_flag=True, help="Print only the conclusion, in one line.")
+@click.option("--quiet", is_flag=True, help="Print only verdict and summary, in one line.")
 @table_arguments
 def command(
     data: Path,

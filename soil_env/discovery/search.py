@@ -54,7 +54,7 @@ ALIKE = 0.17
 #: `benchmarks.discovery`; between 1 and 2.5 hardly a share of its answers moves.
 TEMPERATURE = 1.75
 NAMED = 0.5  # probability from which an answer is given, such as a name
-#: Probability, if the laws err by the largest of `LAW_ERRORS`, from which a name is sure; from
+#: Probability, also if the laws err by the largest of `LAW_ERRORS`, from which a name is sure; from
 #: `NAMED` it is likely.
 SURE = 0.8
 #: Relative errors of the base law, for which probabilities are given beside those over all sizes.
@@ -160,10 +160,10 @@ class Finding:
         return tuple(map(sum, zip(*with_all, strict=True)))
 
     def is_sure(self, name: str) -> bool:
-        """True if an effect is sure to be missing: with `SURE` even if the laws err by the largest
+        """True if an effect is sure to be missing: with `SURE`, also if the laws err by the largest
         of `LAW_ERRORS`. Otherwise a name is only likely.
         """
-        return self.if_laws_err(name)[-1] >= SURE
+        return min(self.share(name), self.if_laws_err(name)[-1]) >= SURE
 
     @property
     def none(self) -> float:

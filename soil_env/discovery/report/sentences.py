@@ -413,19 +413,24 @@ def added(report: Report) -> str:
 
 
 def if_laws_err(report: Report) -> str:
-    """Sentence on the most probable effects, and on which is most probable if the laws err by the
-    largest of `LAW_ERRORS`; "" where no effect is `MENTIONED`.
+    """Sentence on the most probable effects, and on the named ones if the laws err by the largest
+    of `LAW_ERRORS`, or else on the most probable one then; "" where no effect is `MENTIONED`.
     """
     ranks = [r for r in report.finding.ranking if r.probability >= MENTIONED][:3]
     if not ranks:
         return ""
     said = joined(f"{title(r.name)} ({sure(r.probability)})" for r in ranks)
     first = max(report.finding.ranking, key=lambda r: r.if_laws_err[-1])
-    then = first.if_laws_err[-1]
-    most = f"{title(first.name)} has {percent(then) if then < 0.995 else 'more than 99 %'}"
-    if then < NAMED:
-        most = f"none exceeds {percent(then)}: then these runs name nothing"
-    return f"Most probable: {said}; if the laws err by {percent(LAW_ERRORS[-1])}, {most}."
+    named = [r for r in report.finding.ranking if r.name in report.finding.names] or [first]
+    then = joined(f"{title(r.name)} has {_not_all(r.if_laws_err[-1])}" for r in named)
+    if first.if_laws_err[-1] < NAMED:
+        then = f"none exceeds {percent(first.if_laws_err[-1])}: then these runs name nothing"
+    return f"Most probable: {said}; if the laws err by {percent(LAW_ERRORS[-1])}, {then}."
+
+
+def _not_all(p: float) -> str:
+    """A probability in percent, which never reads 100 %."""
+    return percent(p) if p < 0.995 else "more than 99 %"
 
 
 def foreseen(report: Report) -> str:
