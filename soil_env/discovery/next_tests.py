@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.identification.table.data import CHANNELS, WHEEL
+from soil_env.slip import travel_speeds
 
 from .calibrate import Problem
 from .evidence import Evidence, settle
@@ -45,6 +46,7 @@ ENOUGH = 0.995  # probability of the right candidate from which no further run i
 BASE = "base model"
 _LARGEST = 3000  # most runs of a grid
 _SAME = 1e-6  # relative difference of a condition below which no price is paid for a change
+_SAME_RIM = 0.05  # relative difference of rim speeds, up to which a table has one; own choice
 _WIDE = 1.1  # largest over least value, from which a middle between them is a level of its own
 
 
@@ -451,7 +453,7 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
 
     A condition on which no candidate depends has one value: the median speed, the least pass, the
     grade nearest to 0 in the range of the table. If the rig lists values, it is the nearest of
-    these.
+    these. If it lists no speeds and the table has one rim speed, runs have that (`_of_rim`).
     """
     column = problem.data.conditions
     grade = column["grade_deg"]
@@ -479,9 +481,22 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
     if len(points) > _LARGEST:
         points = points[np.sort(np.random.default_rng(0).permutation(len(points))[:_LARGEST])]
     value = dict(zip((*levels, *WHEEL), points.T, strict=True))
+    if not of_rig["speed"] and "speed" not in needed:
+        value["speed"] = _of_rim(column["speed"], column["slip"], value["slip"], value["speed"])
     always = ("slip", "load", "speed") if problem.bench.speed > 0.0 else ("slip", "load")
     asked = (n for n, x in value.items() if n in always or np.ptp([*x, *column[n]]) > 0.0)
     return Grid(value, tuple(asked))
+
+
+def _of_rim(speed: np.ndarray, slip: np.ndarray, at: np.ndarray, usual: np.ndarray) -> np.ndarray:
+    """Travel speeds [m/s], [G], at slips `at` [G] at the one rim speed of a table with these travel
+    speeds and slips [N]; where it has several, the `usual` ones [G].
+    """
+    of_rim = travel_speeds(1.0, slip)  # over the rim speed
+    rim = np.median(speed[of_rim > 0.0] / of_rim[of_rim > 0.0])
+    if np.allclose(speed, rim * of_rim, rtol=_SAME_RIM):
+        return travel_speeds(rim, at)
+    return usual
 
 
 def _around(x: np.ndarray, below: float, above: float) -> list[float]:

@@ -10,6 +10,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from soil_env._io.loading import ParameterError
+from soil_env.discovery.calibrate import calibrate
 from soil_env.discovery.corrected import model_of
 from soil_env.discovery.evidence import settle
 from soil_env.discovery.instrument import Choice, ruled_out
@@ -17,6 +18,7 @@ from soil_env.discovery.next_tests import (
     LEAST,
     SLIPS,
     NextTest,
+    conditions,
     decided,
     information,
     next_checks,
@@ -29,12 +31,15 @@ from soil_env.discovery.next_tests import (
 )
 from soil_env.discovery.predictive import DEEPEST, predicted, problem_at
 from soil_env.discovery.search import ODDS, Finding, Hypothesis
-from soil_env.identification.table.data import CHANNELS
-from soil_env.measurement.setup import Rig, SetupWheel, setup_of
+from soil_env.identification.table.data import CHANNELS, prepare
+from soil_env.measurement.setup import Rig, SetupWheel, read_setup, setup_of
+from soil_env.measurement.table import read_table
+from tests.conftest import ROOT
 from tests.discovery.files import with_data
 from tests.discovery.tables import NOISE, WHEEL, problem, table
 from tests.refusals import refused
 
+DATA = ROOT / "examples" / "data"
 ONE_LOAD = {"loads": (150.0,)}
 
 
@@ -53,6 +58,20 @@ def model(problem, fit):
 def with_rig(problem, **rig):
     """The problem with a rig in its setup."""
     return with_data(problem, setup=problem.data.setup.changed(rig=Rig(**rig)))
+
+
+def test_runs_have_the_one_rim_speed_of_a_table():
+    """As of README's table, whose wheel turns at 0.2 m/s; those of the rig, if it lists some."""
+    setup = read_setup(DATA / "continuum.setup.yaml")
+    p, _ = calibrate(prepare(read_table(DATA / "continuum.csv", setup.wheel), setup))
+    run = conditions(p, ()).value
+    assert np.unique(run["slip"]).size > 4
+    assert run["speed"] == pytest.approx(0.2 * (1.0 - run["slip"]), rel=0.01)
+    assert set(conditions(with_rig(p, speeds=(0.1, 0.3)), ()).value["speed"]) == {0.1}
+    rows = p.data.rows
+    at_one_speed = rows.conditions * [0.0, 1.0, 1.0] + [0.1, 0.0, 0.0]  # of several rim speeds
+    other = with_data(p, rows=rows._replace(conditions=at_one_speed))
+    assert set(conditions(other, ()).value["speed"]) == {0.1}
 
 
 @pytest.fixture(scope="module")

@@ -169,6 +169,8 @@ def test_a_name_is_stated_if_it_holds_where_laws_err():
         assert finding.candidates == tuple("ab"[len(names) :])
     finding = stated(shares, if_laws_err={"ab": 0.1, "a": 0.3, "": 0.6})
     assert finding.verdict == "ambiguous" and not finding.is_sure("a")
+    even = stated({"a": 0.55, "": 0.45}, if_laws_err={"a": 0.9, "": 0.1})
+    assert even.names == ("a",) and not even.is_sure("a")
 
 
 def test_candidates_are_those_beside_the_names_too():
