@@ -43,7 +43,7 @@ def test_the_outlook_tells_how_well_each_model_predicts(planted_problem):
 
 
 def test_what_is_left_out_is_left_out_of_all(planted_problem, tmp_path):
-    """It is predicted as by a table without these rows, learnt of which is nothing."""
+    """It is predicted as by a table that never had these rows."""
     levels = planted_problem.data.varied["slip"].level
     group = levels == levels.max()
     slip, load = planted_problem.data.rows.slip[group], planted_problem.data.rows.load[group]
