@@ -251,7 +251,21 @@ def test_a_probability_is_never_100_percent(planted):
         for h in planted.finding.hypotheses
     )
     said = sentences.if_laws_err(with_hypotheses(planted, certain))
-    assert said.endswith("slip-sinkage has more than 99 %.")
+    assert said.endswith("slip-sinkage has more than 99.9 %.")
+
+
+def test_every_name_has_its_probability_if_laws_err(planted):
+    pair = next(h for h in planted.finding.hypotheses if len(h.names) == 2 and not h.free)
+    first, second = sorted(pair.names, key=lambda name: name != "slip_sinkage")
+    share = {pair.names: (0.9, 0.6), (first,): (0.1, 0.4)}
+    found = []
+    for h in planted.finding.hypotheses:
+        now, then = share.get(h.names, (0.0, 0.0)) if not h.free else (0.0, 0.0)
+        found.append(dataclasses.replace(h, probability=now, if_laws_err=(now, then)))
+    report = with_hypotheses(planted, found)
+    assert {*report.finding.names} == {first, second}
+    said = sentences.if_laws_err(report)
+    assert said.endswith(f"has more than 99.9 % and {sentences.title(second)} has 60 %.")
 
 
 def test_runs_that_tell_listed_effects_apart_say_so_where_none_may_be_right(planted):

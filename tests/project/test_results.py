@@ -205,6 +205,10 @@ def test_predictions():
     (fresh,) = re.findall(r"nothing was chosen, likewise: (.*?)\*\*", text)
     said = re.findall(rf"({NUMBER}) \(({NUMBER})\)", fresh)
     assert [list(pair) for pair in said] == [shown(known["fresh"][name]) for name in names.values()]
+    heads = ("Sinkage [mm] / drawbar pull [N] / torque [N m], wheels " + t for t in PARTS.values())
+    held = ([float(row["1 sd [%]"]) for row in pages[head]] for head in heads)
+    said = re.search(r"one sd hold (\d+) to (\d+) and (\d+) to (\d+) %", text)
+    assert numbers(" ".join(said.groups())) == [end(x) for x in held for end in (min, max)]
     said = re.search(rf"Straight lines between slips have ({NUMBER}) \(({NUMBER})\)", text)
     assert list(said.groups()) == shown(known["fresh"]["straight line"])
     fitted = known["fresh"]["all effects"]

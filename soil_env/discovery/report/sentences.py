@@ -422,15 +422,10 @@ def if_laws_err(report: Report) -> str:
     said = joined(f"{title(r.name)} ({sure(r.probability)})" for r in ranks)
     first = max(report.finding.ranking, key=lambda r: r.if_laws_err[-1])
     named = [r for r in report.finding.ranking if r.name in report.finding.names] or [first]
-    then = joined(f"{title(r.name)} has {_not_all(r.if_laws_err[-1])}" for r in named)
+    then = joined(f"{title(r.name)} has {sure(r.if_laws_err[-1])}" for r in named)
     if first.if_laws_err[-1] < NAMED:
         then = f"none exceeds {percent(first.if_laws_err[-1])}: then these runs name nothing"
     return f"Most probable: {said}; if the laws err by {percent(LAW_ERRORS[-1])}, {then}."
-
-
-def _not_all(p: float) -> str:
-    """A probability in percent, which never reads 100 %."""
-    return percent(p) if p < 0.995 else "more than 99 %"
 
 
 def foreseen(report: Report) -> str:
