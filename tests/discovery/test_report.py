@@ -100,20 +100,29 @@ def test_a_strength_that_no_effect_may_have_is_no_smallest_one(planted):
     assert smallest(0.84) == "none up to 0.12" and smallest(0.08) == "0.08"
 
 
-@pytest.mark.parametrize(("errors", "said"), [((1.8, 3.1), 1), ((3.1, 1.8), 0), ((0.5, 0.9), 0)])
-def test_it_is_told_where_the_base_model_predicts_better(planted, errors, said):
-    """Not where both err by less than the noise."""
+@pytest.mark.parametrize(
+    ("base", "corrected", "curve", "said"),
+    [
+        (1.8, 3.1, math.nan, "with the soil of `soil-env identify` alone"),
+        (1.8, 3.1, 2.0, "with the soil of `soil-env identify` alone"),
+        (1.8, 3.1, 1.7, "trust a plain curve through the rows more"),
+        (3.3, 3.1, 1.7, "trust a plain curve through the rows more"),
+        (3.1, 1.8, 1.7, ""),
+        (0.5, 0.9, 0.4, ""),
+    ],
+)
+def test_it_is_told_where_another_model_predicts_better(planted, base, corrected, curve, said):
+    """Not by less than a tenth, or where all err by less than the noise."""
     (way, *_) = planted.outlook.left_out
-    base, corrected = errors
-    over = way.over_noise._replace(base=base, corrected=corrected)
+    over = way.over_noise._replace(base=base, corrected=corrected, curve=curve)
     outlook = planted.outlook._replace(left_out=(way._replace(over_noise=over),))
     told = words.next_step(dataclasses.replace(planted, outlook=outlook))
-    assert told.count("for a slip that you have not measured, with the soil of") == said
+    assert told.count("for a slip that you have not measured") == bool(said) and said in told
 
 
 def test_the_soil_of_identify_is_not_recommended_where_identify_refuses_the_table(planted):
     (way, *_) = planted.outlook.left_out
-    way = way._replace(over_noise=way.over_noise._replace(base=1.8, corrected=3.1))
+    way = way._replace(over_noise=way.over_noise._replace(base=1.8, corrected=3.1, curve=2.0))
     report = dataclasses.replace(planted, outlook=planted.outlook._replace(left_out=(way,)))
     for kept, said in (((0,), False), ((1,), False), ((0, 1), True)):
         values = np.tile(np.isin(np.arange(3), kept), (len(planted.problem.data.table), 1))
@@ -240,6 +249,8 @@ def test_a_gap_that_is_left_is_never_closed_by_100_percent(planted):
     said = sentences.summary(there)
     assert "more than 99 % of the gap" in said
     assert "interval 93 to more than 99 %" in said
+    whole = dataclasses.replace(planted, closed=1.0, closed_interval=(1.0, 1.0))
+    assert "100 % of the gap" in (said := sentences.summary(whole)) and "interval" not in said
     effect = dataclasses.replace(planted.effects[0], share=0.9985)
     table = tables.effects(dataclasses.replace(planted, effects=(effect,)))
     assert "(closes more than 99 %)" in table.rows[0][0]

@@ -442,21 +442,34 @@ def foreseen(report: Report) -> str:
 
 
 def simulate(report: Report) -> str:
-    """Clause on what to simulate with: model.yaml.
+    """Clause on what to simulate with: model.yaml, and what to trust instead for levels that were
+    not measured.
 
-    For levels that were not measured it is the soil of `soil-env identify`, if that takes the
-    table, where model.yaml erred more than the base model, by `WORSE`, and more than the noise:
-    of levels that were left out.
+    That is, by the levels that were left out, the soil of `soil-env identify` if the base model
+    erred less and the command takes the table, and a plain curve if that erred least.
     """
-    better = [
-        _level(way.what)
-        for way in report.outlook.left_out
-        if way.over_noise.corrected > max((1.0 + WORSE) * way.over_noise.base, 1.0)
-    ]
-    if not better or not _identifiable(report):
-        return "simulate with model.yaml"
-    new = f"for {joined(better)} that you have not measured"
-    return f"simulate with model.yaml; {new}, with the soil of `soil-env identify` alone"
+    by_curve = []
+    by_identify = []
+    for way in report.outlook.left_out:
+        over = way.over_noise
+        if over.curve <= over.base and _erred_less(over.curve, over.corrected):
+            by_curve.append(_level(way.what))
+        elif _erred_less(over.base, over.corrected) and _identifiable(report):
+            by_identify.append(_level(way.what))
+    said = ["simulate with model.yaml"]
+    new = "for {} that you have not measured, "
+    if by_identify:
+        said.append(new.format(joined(by_identify)) + "with the soil of `soil-env identify` alone")
+    if by_curve:
+        said.append(new.format(joined(by_curve)) + "trust a plain curve through the rows more")
+    return "; ".join(said)
+
+
+def _erred_less(error: float, corrected: float) -> bool:
+    """True if the corrected model erred more than `error`, by `WORSE`, and more than the noise; both
+    errors over the noise. False for an `error` of NaN.
+    """
+    return corrected > 1.0 and corrected > (1.0 + WORSE) * error
 
 
 def _identifiable(report: Report) -> bool:
