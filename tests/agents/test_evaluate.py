@@ -32,6 +32,7 @@ from soil_env_agents.evaluate.driving import (
     run_courses,
 )
 from soil_env_agents.evaluate.evaluation import Evaluation
+from soil_env_agents.evaluate.own import code_digest
 from soil_env_agents.evaluate.statistics import wilson
 from tests.agents.drivers import Counting, Half
 from tests.agents.learnt import saved
@@ -324,6 +325,29 @@ def test_an_edited_class_or_study_is_driven_again(capsys, tmp_path, monkeypatch)
     study.write_text(study.read_text().replace("length: ", "length: 1", 1))
     assert main("--resume", str(out), "--allow-code") == 0
     assert rule.stat().st_mtime_ns > after[0]
+
+
+def test_the_code_of_a_class_is_its_module_and_what_of_the_users_it_imports(tmp_path, monkeypatch):
+    """Also in a function or a package, and not what is installed or missing."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    module = tmp_path / "driver_with_helpers.py"
+    module.write_text(f"import helper_of_a_test, no_such_module\n{BOUNDED}")
+    helper = tmp_path / "helper_of_a_test.py"
+    helper.write_text("def f():\n    from package_of_a_test import values\n")
+    package = tmp_path / "package_of_a_test"
+    package.mkdir()
+    found = []
+    for path in (package / "__init__.py", package / "values.py", helper, module):
+        path.touch()
+        found.append(code_digest("driver_with_helpers:Bounded"))
+        path.write_text(path.read_text() + "\nX = 1\n")
+    found.append(code_digest("driver_with_helpers:Bounded"))
+    assert len({*found}) == len(found) and "" not in found
+    (tmp_path / "unrelated.py").write_text("X = 1\n")
+    assert code_digest("driver_with_helpers:Bounded") == found[-1]
+    helper.write_text("not Python")
+    assert code_digest("driver_with_helpers:Bounded") not in ("", found[-1])
+    assert code_digest("no_such_module:Bounded") == ""
 
 
 def test_a_model_that_has_changed_is_refused_and_other_code_drives_again(capsys, tmp_path, models):

@@ -6,10 +6,12 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
+import site
 import sys
 import sysconfig
 import traceback
 from collections.abc import Callable, Mapping
+from modulefinder import ModuleFinder
 from pathlib import Path
 from typing import Any
 
@@ -44,15 +46,37 @@ def imported(spec: str) -> Any:
 
 
 def code_digest(source: str) -> str:
-    """SHA-256 of the file of the module of `module:Thing`; empty if it cannot be found."""
+    """SHA-256 of the file of the module of `module:Thing`, and of the modules that it imports,
+    directly or not, from folders on Python's path where nothing is installed; empty if the module
+    cannot be found.
+    """
     if "" not in sys.path:
         sys.path.append("")
+    name = source.partition(":")[0]
     try:
-        found = importlib.util.find_spec(source.partition(":")[0])
-        content = Path(found.origin).read_bytes() if found and found.origin else b""
+        found = importlib.util.find_spec(name)
+        if not found or not found.origin:
+            return ""
+        files = sorted({found.origin, *_imported_files(name)})
+        content = [Path(file).read_bytes() for file in files]
     except (ImportError, ValueError, OSError):
         return ""
-    return hashlib.sha256(content).hexdigest()
+    return hashlib.sha256(b"".join(content)).hexdigest()
+
+
+def _imported_files(name: str) -> set[str]:
+    """Files of a module and of what it imports from folders on Python's path where nothing is
+    installed, by its import statements; none if one of them cannot be read.
+    """
+    installed = (*site.getsitepackages(), *map(sysconfig.get_path, ("stdlib", "platlib")))
+    own = [folder for folder in sys.path if not folder.startswith(installed)]
+    finder = ModuleFinder(own, excludes=("soil_env", "soil_env_agents"))
+    try:
+        finder.import_hook(name)
+    except (ImportError, SyntaxError, ValueError):
+        return set()
+    files = (getattr(module, "__file__", None) for module in finder.modules.values())
+    return {file for file in files if file}
 
 
 def bounds_of_settings(source: str, scenario: Scenario) -> Mapping[str, Setting]:
