@@ -466,8 +466,8 @@ def simulate(report: Report) -> str:
 
 
 def _erred_less(error: float, corrected: float) -> bool:
-    """True if the corrected model erred more than `error`, by `WORSE`, and more than the noise; both
-    errors over the noise. False for an `error` of NaN.
+    """True if the corrected model erred more than the noise, and more than `error` by `WORSE`; both
+    errors are over the noise. False for an `error` of NaN.
     """
     return corrected > 1.0 and corrected > (1.0 + WORSE) * error
 
