@@ -127,7 +127,7 @@ class Sizes(NamedTuple):
         return (self.rig, self.effect, *laws)
 
 
-EXACT = Sizes()
+NOISE_ALONE = Sizes()  # no form error, and values that scatter as their noise says
 
 
 def sinkage_guess(output: np.ndarray) -> np.ndarray:
@@ -155,7 +155,7 @@ class Fit:
     form_errors: tuple[np.ndarray, ...]
     free: tuple[np.ndarray, ...]  # [M, R] of a smooth anonymous contribution to each channel
     converged: bool
-    sizes: Sizes = EXACT  # under which the unknowns are most probable
+    sizes: Sizes = NOISE_ALONE  # under which the unknowns are most probable
 
     def parameters(self) -> dict[str, float]:
         """Values of the unknowns by name, in their own units."""
@@ -394,7 +394,7 @@ class Problem:
         self,
         choices: Choices = (),
         start: dict[str, float] | None = None,
-        sizes: Sizes = EXACT,
+        sizes: Sizes = NOISE_ALONE,
         near: Fit | None = None,
     ) -> Fit:
         """Most probable parameters of the model with the given effects.
@@ -419,7 +419,7 @@ class Problem:
         if near is not None and near.choices == choices and np.allclose(u, near.u, 0.0, _SAME):
             law.derivatives.know(u, near.jacobian)
         u, converged = law.fitted(u, lambda values: whitened(root, values / sizes.scatter))
-        counted = sizes if near is not None else EXACT._replace(scatter=sizes.scatter)
+        counted = sizes if near is not None else NOISE_ALONE._replace(scatter=sizes.scatter)
         output = law.output(u)
         residual = self.whiten(self.data.y) - self.whiten(output)
         added = law.added(u, output)
