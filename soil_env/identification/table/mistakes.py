@@ -33,14 +33,8 @@ from soil_env.terramechanics.model import Rows
 
 from .data import CHANNELS, Data, prepare
 from .form_error import finite
-from .noise import (
-    SMALLEST_SD,
-    NoiseEstimate,
-    find_noise,
-    given_noise,
-    with_noise_of_conditions,
-)
-from .problem import COARSE, TableProblem
+from .noise import SMALLEST_SD, NoiseEstimate, find_noise, given_noise, with_noise_of_conditions
+from .problem import COARSE, NO_VALUE, TableProblem
 
 UNUSUAL = math.log(1e-3)  # log of the prior probability of a mistake of one kind
 SURE = 8.5  # log of the evidence for another reading, from which it is told
@@ -63,7 +57,6 @@ CLEAR = 3.0  # [noise and law error] within which a row fits with another load o
 WRONG = 4.0  # [noise and law error] from which a row is wrong
 GROSS = 6.0  # the same in a small table whose noise is not known
 LAW_ERROR = 0.1  # relative error of the laws in the unit of `CLEAR`, `WRONG` and `GROSS`
-NO_VALUE = 1e3  # [noise and law error] residual where the model has no value
 ROUGH = 0.05  # of the spread of a channel: its noise where none is known yet
 # Values tried in place of a wrong load or slip: least, largest, number. Own choices.
 LOADS_TRIED = (0.01, 100.0, 401)  # over the load in the table
