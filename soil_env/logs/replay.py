@@ -104,8 +104,10 @@ class Replay:
             return None
         sds = [self.values[sd][current] / getattr(self.prior, sd) for sd in SD_OF.values()]
         k = current[np.argmin(np.sum(np.log(sds), axis=0))]
-        picked = {name: float(values[k]) for name, values in self.values.items()}
-        return {name: x * (PICKED if "_sd" in name else 1.0) for name, x in picked.items()}
+        return {
+            name: float(values[k]) * (PICKED if "_sd" in name else 1.0)
+            for name, values in self.values.items()
+        }
 
     def learnt(self, current: bool = False) -> dict[str, float]:
         """Least standard deviation of each parameter over that of the prior; 1: nothing learnt.
