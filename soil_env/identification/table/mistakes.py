@@ -118,7 +118,8 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
     A reading is left out where the table cannot show it, or where it would be impossible.
     """
     out = []
-    known: dict[str, bool] = {name: np.isfinite(getattr(table, name)).any() for name in CHANNELS}
+    has_pull = np.isfinite(table.drawbar_pull).any()
+    has_torque = np.isfinite(table.torque).any()
 
     def add(
         name: str,
@@ -138,14 +139,14 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
         otherwise = dataclasses.replace(table, **columns)
         out.append(Reading(name, words, remedy, otherwise, there, np.array(scale), source))
 
-    if known["drawbar_pull"]:
+    if has_pull:
         add(
             "pull",
             "With the sign of drawbar_pull turned",
             "expected drawbar_pull positive where the wheel pulls",
             drawbar_pull=-table.drawbar_pull,
         )
-    if known["drawbar_pull"] and known["torque"]:
+    if has_pull and has_torque:
         add(
             "columns",
             "With the columns of drawbar_pull and torque exchanged",
@@ -174,7 +175,7 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
                 [factor if channel in columns else 1.0 for channel in CHANNELS],
                 **{column: factor * getattr(table, column) for column in columns},
             )
-    if known["drawbar_pull"] or known["torque"]:  # sinkage alone may rise or fall with slip
+    if has_pull or has_torque:  # sinkage alone may rise or fall with slip
         add(
             "slip",
             "With the sign of slip turned",
