@@ -493,8 +493,8 @@ def log_prior(names: Names, free: bool = False, *, of_rig: Mapping[str, float]) 
 
     `of_rig`: odds of errors of the instrument over the usual ones, by name (`instrument.odds`).
     """
-    of = {name: RIG_ODDS * of_rig.get(name, 1.0) if name in INSTRUMENT else ODDS for name in names}
-    return sum(map(math.log, of.values())) + free * math.log(UNLISTED_ODDS)
+    of = [RIG_ODDS * of_rig[name] if name in INSTRUMENT else ODDS for name in names]
+    return sum(map(math.log, of)) + free * math.log(UNLISTED_ODDS)
 
 
 def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Say) -> None:
