@@ -165,14 +165,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
                 "crosstalk of the torque in the drawbar pull",
                 "The load cell reads a part of the torque as pull.",
                 (PULL,),
-                _p(
-                    "share",
-                    "x",
-                    "",
-                    0.5,
-                    0.08,
-                    "torque over radius that is read as drawbar pull",
-                ),
+                _p("share", "x", "", 0.5, 0.08, "torque over radius that is read as drawbar pull"),
                 "DP_measured = DP + {share} T/r",
             ),
             _entry(
@@ -180,14 +173,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
                 "crosstalk of the drawbar pull in the torque",
                 "The torque sensor reads a part of the pull as torque.",
                 (TORQUE,),
-                _p(
-                    "share",
-                    "x",
-                    "",
-                    0.5,
-                    0.08,
-                    "drawbar pull that is read as torque over radius",
-                ),
+                _p("share", "x", "", 0.5, 0.08, "drawbar pull that is read as torque over radius"),
                 "T_measured = T + {share} r DP",
             ),
             _entry(
@@ -213,14 +199,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
                 "a load that goes with the sinkage",
                 "A spring or the weight of an arm changes the load as the wheel sinks.",
                 CHANNELS,
-                _p(
-                    "rate",
-                    "k",
-                    "N/m",
-                    1e6,
-                    0.0,
-                    "load that is lost over a metre of sinkage",
-                ),
+                _p("rate", "k", "N/m", 1e6, 0.0, "load that is lost over a metre of sinkage"),
                 "W_true = W - {rate} z",
                 _within("rate", 2.0, 8.0, lambda bench: bench.load / bench.radius),
             ),
@@ -351,20 +330,20 @@ def in_balance(rows: Rows, values: Values, outcome: Callable[[Rows], np.ndarray]
     r = rows.wheels[:, 0]
     if arm == spring == 0.0:
         return out
+    low, high = np.outer(PRESSED, start)
 
     def load_from(out: np.ndarray) -> np.ndarray:
         """Load [N] of each row under an outcome [N, 3], within `PRESSED`; sinkage and torque count
         as 0 where they are NaN.
         """
         z, _, torque = np.nan_to_num(out).T
-        return np.clip(start + arm * torque / r - spring * z, *np.outer(PRESSED, start))
+        return np.clip(start + arm * torque / r - spring * z, low, high)
 
     first = load_from(out)
     second = load_from(outcome(rows._replace(load=first)))
     # Where the load hardly changes, an infinite first change makes the ratio 0: `second` is taken.
     change = np.where(np.abs(first - start) > STEADY * start, first - start, math.inf)
     ratio = np.clip((second - first) / change, *GROWTH)
-    low, high = np.outer(PRESSED, start)
     limit = np.clip(first + (second - first) / (1.0 - ratio), low, high)
     balanced = (low < limit) & (limit < high)
     return np.where(balanced[:, None], outcome(rows._replace(load=limit)), math.nan)

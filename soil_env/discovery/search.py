@@ -18,8 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.identification.table.data import CHANNELS
-
 from .calibrate import Problem
 from .evidence import (
     Detectable,
@@ -330,7 +328,7 @@ def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
     data = problem.data
     by_setup = ruled_out(data.setup)
     for name, effect in LISTED.items():
-        if not problem.used[:, [CHANNELS.index(k) for k in effect.moves]].any():
+        if {*effect.moves}.isdisjoint(problem.channels):
             reasons[name] = f"{' and '.join(effect.moves)} not measured"
         elif reason := by_setup.get(name) or effect.hidden(problem.bench):
             reasons[name] = reason
@@ -479,11 +477,10 @@ def _unnamed(problem: Problem, base: Evidence, nearest: Names) -> list[Entry]:
     `nearest`: the listed effect that explains most, which they are said to resemble; without it
     there are no entries.
     """
-    seen = {k for k, used in zip(CHANNELS, problem.used.T, strict=True) if used.any()}
     laws = [
         law
         for law in UNNAMED.values()
-        if law.varies in (None, *problem.data.varied) and {*law.moves} <= seen
+        if law.varies in (None, *problem.data.varied) and {*law.moves} <= {*problem.channels}
     ]
     found = [settle(problem, (Choice(law.name, 0),), base) for law in laws if nearest]
     log_odds = math.log(UNNAMED_ODDS)
@@ -496,8 +493,8 @@ def log_prior(names: Names, free: bool = False, *, of_rig: Mapping[str, float]) 
 
     `of_rig`: odds of errors of the instrument over the usual ones, by name (`instrument.odds`).
     """
-    of = {name: RIG_ODDS * of_rig.get(name, 1.0) if name in INSTRUMENT else ODDS for name in names}
-    return sum(map(math.log, of.values())) + free * math.log(UNLISTED_ODDS)
+    of = [RIG_ODDS * of_rig[name] if name in INSTRUMENT else ODDS for name in names]
+    return sum(map(math.log, of)) + free * math.log(UNLISTED_ODDS)
 
 
 def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Say) -> None:

@@ -182,9 +182,8 @@ def changed(out: np.ndarray, rows: Rows, values: Values, bench: Bench) -> np.nda
             share = _slip_share(rows, values["slip_force_slip"])
         else:
             share = (np.maximum(out[:, 0], 0.0) / bench.sinkage) ** values[f"{name}_power"]
-            share = share * (
-                1.0 if name == "force" else 1.0 - 1.0 / np.maximum(rows.conditions[:, 1], 1.0)
-            )
+        if name == "rut_force":
+            share = share * (1.0 - 1.0 / np.maximum(rows.conditions[:, 1], 1.0))
         out[:, 1] -= values[f"{name}_pull"] * bench.load * share
         out[:, 2] += values[f"{name}_torque"] * size * share
     for name, j, scale in (

@@ -90,12 +90,7 @@ def _digest(given: Table | Setup | str | Path) -> str | None:
 
 
 def _conclude(
-    table: Table,
-    setup: Setup,
-    settings: Settings,
-    say: Say,
-    next_runs: int,
-    goal: str,
+    table: Table, setup: Setup, settings: Settings, say: Say, next_runs: int, goal: str
 ) -> Report:
     """Go through all stages of the workflow, and return what they found.
 

@@ -30,13 +30,7 @@ from soil_env.terramechanics.model import Rows
 from . import form_error
 from .form_error import LAW_LENGTHS, Process, finite, in_channels
 from .noise import NoiseEstimate
-from .priors import (
-    Unknown,
-    bounds_of,
-    middle_sinkage,
-    parameters_at,
-    soil_unknowns,
-)
+from .priors import Unknown, bounds_of, middle_sinkage, parameters_at, soil_unknowns
 from .rig import predict_table
 
 SOURCES = ("slip", "load", *MEASURED)  # of error; the last three are the channels
@@ -44,7 +38,7 @@ STEP = 1e-3  # [prior sd] of an unknown, for differences
 #: Factor on the sinkages from which the balance of the load starts, for differences. From its own
 #: solution the balance ends at once, and what a small step changes is lost in its tolerance.
 OFF_GUESS = 1.001
-_FAR = 1e3  # [sd] residual where the model has no value
+NO_VALUE = 1e3  # [sd] residual where the model has no value
 #: Options of `scipy.optimize.least_squares` for a fit that counts.
 FINE = MappingProxyType({"xtol": 1e-9, "ftol": 1e-11, "gtol": 1e-9, "max_nfev": 100})
 #: The same to compare fits whose costs are far apart.
@@ -98,8 +92,8 @@ def most_probable(
     `bounds` (lower [p], upper [p]) of u.
 
     `target` [M] and the values [M] and derivatives [M, p] of the model are whitened. A residual
-    where the model has no value is `_FAR`. Trust-region reflective method; `options` are those of
-    `scipy.optimize.least_squares`. Without unknowns (`start` [0]) only J is computed.
+    where the model has no value is `NO_VALUE`. Trust-region reflective method; `options` are those
+    of `scipy.optimize.least_squares`. Without unknowns (`start` [0]) only J is computed.
     """
     if start.size == 0:
         return start, np.sum((target - model(start)) ** 2), True  # everything is known
@@ -107,7 +101,7 @@ def most_probable(
     def residual(u):
         """Residuals [M + p], whose squares add up to J: those of the values, then those of u."""
         e = target - model(u)
-        return np.concatenate([np.where(np.isfinite(e), e, _FAR), u])
+        return np.concatenate([np.where(np.isfinite(e), e, NO_VALUE), u])
 
     def jacobian(u):
         """Derivatives [M + p, p] of `residual` by u."""
@@ -401,9 +395,9 @@ class TableProblem:
         # Each span has two blocks: of the stresses, and of the channels.
         for row, of in zip(sizes, LAW_ERRORS, strict=True):
             row[2 * of.span : 2 * of.span + 2] = of.size, of.own * of.size
-        log, mean, covariance = form_error.marginals(
-            form_error.NormalEquations.of(j, blocks, np.where(np.isfinite(e), e, _FAR)), sizes, u
-        )
+        residual = np.where(np.isfinite(e), e, NO_VALUE)
+        normal = form_error.NormalEquations.of(j, blocks, residual)
+        log, mean, covariance = form_error.marginals(normal, sizes, u)
         log += np.log(np.tile(form_error.size_prior(), len(LAW_LENGTHS) * len(CHANNELS_OWN)))
         return log - self._widening(), mean, covariance
 
