@@ -20,13 +20,18 @@ from ..controllers import CONTROLLERS, Setting, within_bounds
 from ..controllers.rover import ROVER_CONTROLLERS, controllers_of
 
 
+def _search_here() -> None:
+    """Have modules in the current folder found, by an installed command too."""
+    if "" not in sys.path:
+        sys.path.append("")
+
+
 def imported(spec: str) -> Any:
     """What `module:Thing` names, where Thing may have dots; ParameterError in one line if it cannot
     be imported. The current folder is put on Python's path.
     """
     module_name, _, attribute = spec.partition(":")
-    if "" not in sys.path:
-        sys.path.append("")  # an installed command finds modules in the current folder too
+    _search_here()
     try:
         thing = importlib.import_module(module_name)
     except (Exception, SystemExit) as error:  # the module may raise anything
@@ -45,8 +50,7 @@ def imported(spec: str) -> Any:
 
 def code_digest(source: str) -> str:
     """SHA-256 of the file of the module of `module:Thing`; empty if it cannot be found."""
-    if "" not in sys.path:
-        sys.path.append("")
+    _search_here()
     try:
         found = importlib.util.find_spec(source.partition(":")[0])
         content = Path(found.origin).read_bytes() if found and found.origin else b""
