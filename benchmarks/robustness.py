@@ -62,7 +62,7 @@ DRIVERS = ("default_policy", "best_slip_identified")
 
 TEXT = (
     "The default policy and the rule `best_slip_identified`, tuned on the ground without any of "
-    "this, on {courses} courses, set 3000473, the same for all. Each error of a sensor is three "
+    "this, on {courses} courses, set {seed}, the same for all. Each error of a sensor is three "
     "times its standard deviation in the scenario, up on one course and down on the next, on top "
     "of the sensors that ship; a dead sensor reads nothing. Neither the identifier nor a driver is "
     "told of it, nor of the worlds; of the wheels as the rows say. Changes are to the first row, "
@@ -224,7 +224,7 @@ def command(smoke: bool, out: Path, courses: int, workers: int) -> None:
     said = f"python -m benchmarks.{NAME}" + (f" --courses {courses}" if courses != COURSES else "")
     write_json(path, short({"command": said, "seed": SEED, "courses": courses, "rows": result}))
     heads = ["row", "agent", "change", "rule", "change", "agent minus rule"]
-    text = TEXT.format(courses=courses)
+    text = TEXT.format(courses=courses, seed=SEED)
     write(out, NAME, "Robustness", text, {f"Courses of {GROUND} finished [%]": Table(heads, table)})
 
 
