@@ -64,11 +64,7 @@ def blocks(page: Path, *languages: str) -> list[re.Match]:
 def printed_below(page: Path, found: list[re.Match], anywhere: bool = False) -> list[str]:
     """Text blocks that stand right below these blocks, as what they print; `anywhere`: the next."""
     text = page.read_text(encoding="utf-8")
-    below = (
-        re.compile(r"^```text\n(.*?)^```", re.M | re.S)
-        if anywhere
-        else re.compile(r"\n\n```text\n(.*?)^```", re.M | re.S)
-    )
+    below = re.compile(("" if anywhere else r"\n\n") + r"^```text\n(.*?)^```", re.M | re.S)
     looked = [(below.search if anywhere else below.match)(text, block.end()) for block in found]
     return [match[1] for match in looked if match]
 
@@ -133,27 +129,35 @@ def test_the_discovery_of_the_page():
     compare_discovery(DOCS / "guide" / "discovery.md", "rig.csv", said)
 
 
-@pytest.mark.slow
-def test_the_discovery_of_the_readme(tmp_path, monkeypatch, unrendered):
-    readme = ROOT / "README.md"
-    command = next(b for b in blocks(readme, "sh") if b["code"].startswith("soil-env discover"))
+@pytest.fixture
+def output_of(tmp_path, monkeypatch, unrendered):
+    """Function that runs the command in a block, in a folder with examples/data, and returns what
+    it prints.
+    """
     monkeypatch.chdir(tmp_path)
     shutil.copytree(ROOT / "examples" / "data", tmp_path / "examples" / "data")
-    done = CliRunner().invoke(soil_env, shlex.split(command["code"])[1:])
-    assert done.exit_code == 0, done.output
-    compare_discovery(readme, "continuum.csv", done.output)
+
+    def run(command: re.Match) -> str:
+        done = CliRunner().invoke(soil_env, shlex.split(command["code"])[1:])
+        assert done.exit_code == 0, done.output
+        return done.output
+
+    return run
 
 
-def test_the_identification_of_the_page(tmp_path, monkeypatch, unrendered):
+@pytest.mark.slow
+def test_the_discovery_of_the_readme(output_of):
+    readme = ROOT / "README.md"
+    command = next(b for b in blocks(readme, "sh") if b["code"].startswith("soil-env discover"))
+    compare_discovery(readme, "continuum.csv", output_of(command))
+
+
+def test_the_identification_of_the_page(output_of):
     """The first command of the page prints the table below it."""
     page = DOCS / "guide" / "identify.md"
     command = blocks(page, "sh")[0]
-    monkeypatch.chdir(tmp_path)
-    shutil.copytree(ROOT / "examples" / "data", tmp_path / "examples" / "data")
-    done = CliRunner().invoke(soil_env, shlex.split(command["code"])[1:])
-    assert done.exit_code == 0, done.output
     (printed,) = printed_below(page, [command], anywhere=True)
-    assert printed in done.output
+    assert printed in output_of(command)
 
 
 def test_the_ros_node_of_the_page_identifies(monkeypatch):

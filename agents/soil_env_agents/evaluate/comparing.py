@@ -13,7 +13,6 @@ from . import statistics as st
 from .driving import MEANINGS, RATES, Runs
 from .tables import COLUMNS, OF_ROVERS, legend, metric_table
 
-RESAMPLES = 2000  # of the bootstraps
 ORACLE = "oracle"  # its name in tables; no contestant may have it
 #: Courses that it drives side by side: it is slow, and a block is what an interruption loses.
 ORACLE_BLOCK = 10
@@ -30,7 +29,8 @@ def comparison(
     runs: Mapping[str, Sequence[Runs]],
     settings: Mapping | None = None,
     oracle: Runs | None = None,
-    resamples: int = RESAMPLES,
+    *,
+    resamples: int,
 ) -> dict:
     """The comparison of controllers; `runs`: for each the runs of each training seed.
 
@@ -157,7 +157,7 @@ def table(result: Mapping) -> tuple[Table, str]:
     entries = {name + seeds[name]: row for name, row in result["controllers"].items()} | limit_rows(
         result
     )
-    return metric_table(entries, columns, title), legend(columns, MEANINGS)
+    return metric_table(entries, columns, title), legend(columns)
 
 
 def other_world(result: Mapping) -> str:

@@ -22,13 +22,18 @@ from ..controllers import CONTROLLERS, Setting, within_bounds
 from ..controllers.rover import ROVER_CONTROLLERS, controllers_of
 
 
+def _search_here() -> None:
+    """Have modules in the current folder found, by an installed command too."""
+    if "" not in sys.path:
+        sys.path.append("")
+
+
 def imported(spec: str) -> Any:
     """What `module:Thing` names, where Thing may have dots; ParameterError in one line if it cannot
     be imported. The current folder is put on Python's path.
     """
     module_name, _, attribute = spec.partition(":")
-    if "" not in sys.path:
-        sys.path.append("")  # an installed command finds modules in the current folder too
+    _search_here()
     try:
         thing = importlib.import_module(module_name)
     except (Exception, SystemExit) as error:  # the module may raise anything
@@ -50,8 +55,7 @@ def code_digest(source: str) -> str:
     directly or not, from folders on Python's path where nothing is installed; empty if the module
     cannot be found.
     """
-    if "" not in sys.path:
-        sys.path.append("")
+    _search_here()
     name = source.partition(":")[0]
     try:
         found = importlib.util.find_spec(name)

@@ -14,7 +14,7 @@ from ..progress import show
 from . import comparing
 from .comparing import ORACLE
 from .driving import RATES, Runs
-from .tables import bracketed, cell, csv_text, difference, draw_metrics
+from .tables import cell, csv_text, difference, draw_metrics, heading
 
 FILES = ("evaluation.md", "courses.csv", "metrics.png", "evaluation.json")
 _PANELS = (
@@ -111,9 +111,8 @@ def page(result: Mapping) -> str:
     for m, about in result["metrics"].items():
         rate = m in RATES
         columns = [*result["controllers"].values(), *limits.values()]
-        unit = "%" if rate else about["unit"]
         cells = (cell(c[m], 100.0 if rate else 1.0, 1 if rate else 2) for c in columns)
-        metrics.append([f"{m.replace('_', ' ')}{bracketed(unit)}", about["meaning"], *cells])
+        metrics.append([heading(m), about["meaning"], *cells])
     iqm = [*(cell(result["iqm"][n]) for n in names), *("" for _ in limits)]
     metrics.append(["interquartile mean of return", "", *iqm])
     paired = []
