@@ -147,8 +147,8 @@ class ChoosingPolicy(ActorCriticPolicy):
         )
 
     def _get_action_dist_from_latent(self, latent_pi: torch.Tensor):
-        """Normal distribution of the actions [n, 1], of what `ChoosingExtractor.forward_actor`
-        gives [n, hidden + 2].
+        """Normal distribution of the actions [n, 1] for what `ChoosingExtractor.forward_actor`
+        returns, [n, hidden + 2].
 
         Its mean is the difference of the scores where a route is chosen, so that an action above 0
         takes the route ahead; elsewhere it is the output of `action_net`.

@@ -101,8 +101,8 @@ class RoverTeacher(RoverController):
 
 
 def teacher_of(part: VecEnv) -> Teacher | RoverTeacher:
-    """The teacher of the wheels or rovers of a vector environment, with the settings that it names,
-    if any.
+    """The teacher of the wheels or rovers of a vector environment; of wheels with the settings
+    `part.teacher`, if it has some.
     """
     if isinstance(part.scenario, RoverScenario):
         return RoverTeacher(part.scenario)

@@ -279,19 +279,18 @@ def ruled_out(setup: Setup) -> dict[str, str]:
     return known | ({"tilt": "tilt_deg of the setup has it"} if setup.tilt_deg is not None else {})
 
 
-def odds(setup: Setup, bench: Bench) -> dict[str, float]:
-    """Prior odds by name of the errors of a rig, over those of a rig whose setup states nothing; at
-    most 1.
+def odds_factors(setup: Setup, bench: Bench) -> dict[str, float]:
+    """Factors on the prior odds of the errors of a rig, by name: 1 if the setup states nothing.
 
     A rig that is known five times better than usual is wrong a fifth as often, since somebody
-    looked. Raises `ParameterError` for a stated zero error of the pull above the median load, or of
-    the torque above this load times the radius.
+    looked. One that is known worse keeps the usual odds. Raises `ParameterError` for a stated zero
+    error of the pull above the median load, or of the torque above this load times the radius.
     """
     own = _sd_of_nuisances(setup.calibration, bench)
     usual = _sd_of_nuisances(Calibration(), bench)
     for name, most, limit in (
-        ("force_offset", bench.load, "the middle load"),
-        ("torque_offset", bench.load * bench.radius, "the middle load times the radius"),
+        ("force_offset", bench.load, "the median load"),
+        ("torque_offset", bench.load * bench.radius, "the median load times the radius"),
     ):
         if own[name] > most:
             raise ParameterError(

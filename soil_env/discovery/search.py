@@ -29,12 +29,12 @@ from .evidence import (
     promised,
     settle,
 )
-from .instrument import INSTRUMENT, LISTED, Choice, Choices, Names, odds, ruled_out
+from .instrument import INSTRUMENT, LISTED, Choice, Choices, Names, odds_factors, ruled_out
 from .unnamed import UNNAMED
 
 #: Prior odds that a listed effect of the soil or the drive is missing, and that the instrument has
 #: a listed error, each independent of the others: none is there with 32 %. An error is less
-#: probable where the setup states that the rig is known better than usual (`instrument.odds`). No
+#: probable where the setup states that the rig is known better than usual (`odds_factors`). No
 #: single name has odds of its own.
 ODDS = 0.06  # of the soil or the drive
 RIG_ODDS = 0.04  # of the instrument
@@ -400,7 +400,7 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
     1/`TEMPERATURE`. `Finding.detectable` is of effects of soil and drive alone.
     """
     names, untestable = candidates(problem)
-    prior = partial(log_prior, of_rig=odds(problem.data.setup, problem.bench))
+    prior = partial(log_prior, of_rig=odds_factors(problem.data.setup, problem.bench))
     sets = _Sets(problem)
     say("base model")
     base = sets.add((), None)
@@ -491,7 +491,7 @@ def log_prior(names: Names, free: bool = False, *, of_rig: Mapping[str, float]) 
     """Log prior odds of a set of effects against the base model; `free`: with an anonymous
     contribution.
 
-    `of_rig`: odds of errors of the instrument over the usual ones, by name (`instrument.odds`).
+    `of_rig`: odds of errors of the instrument over the usual ones, by name (`odds_factors`).
     """
     of = [RIG_ODDS * of_rig[name] if name in INSTRUMENT else ODDS for name in names]
     return sum(map(math.log, of)) + free * math.log(UNLISTED_ODDS)

@@ -2,7 +2,7 @@
 
 A mechanism that nobody has listed is likelier to have few numbers than to be a free function of the
 conditions (`evidence.patterns`). So a name must explain a table better than these laws do. W, z0
-and V0 are the middle load, sinkage and speed of the table. W_row is the load of a row, N the pass
+and V0 are the median load, sinkage and speed of the table. W_row is the load of a row, N the pass
 number; every parameter is a pure number:
 
     force                     DP - a W (z/z0)^m,  T + b W r (z/z0)^m  soil beside or on the wheel

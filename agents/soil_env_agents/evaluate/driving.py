@@ -59,7 +59,7 @@ DETAILED = {
     "false_foresight": ("share of driving time", "under alarm on courses without immobilisation"),
     "tractive_efficiency": (
         "-",
-        "drawbar work over motor work while driving with a drawbar pull > 0",
+        "drawbar work over motor work, in periods in which both are > 0",
     ),
     "slip_p50": ("-", "median signed slip over time, halts left out"),
     "slip_p95": ("-", "95th percentile of signed slip over time, halts left out"),

@@ -34,8 +34,9 @@ _CHOSEN = {
 
 
 def print_table(result: Mapping) -> None:
-    """Print the main metrics of all controllers."""
-    rows = result["controllers"]
+    """Print the main metrics of all controllers, courses that nobody finished, settings, and of
+    detailed drives the immobilisations that were foreseen.
+    """
     show(*comparing.table(result), *comparing.nobody(result), *settings(result))
     if "foreseen" not in result["metrics"]:
         return
@@ -43,7 +44,7 @@ def print_table(result: Mapping) -> None:
         f"{name} {cell(row['foreseen'], 100.0, 0, bounds=False)} % "
         f"{cell(row['foreseen_distance'], bounds=False)} m "
         f"{cell(row['foreseen_time'], digits=1, bounds=False)} s"
-        for name, row in rows.items()
+        for name, row in result["controllers"].items()
     )
     show(f"Immobilisations foreseen, distance and time ahead: {'; '.join(foreseen)}")
 

@@ -170,7 +170,7 @@ class TableProblem:
         zeros = np.zeros(len(table))
         # A smooth rim; speed 0 and pass 1, since the base model does not depend on them.
         wheels = np.column_stack([table.radius(setup.wheel), table.width(setup.wheel), zeros])
-        grade = np.sin(np.radians(np.nan_to_num(table.grade_deg)))  # level where none is given
+        sin_grade = np.sin(np.radians(np.nan_to_num(table.grade_deg)))  # level where none is given
         self.table = table
         self.setup = setup
         self.use = use
@@ -178,16 +178,16 @@ class TableProblem:
             table.rim_slip(setup),
             table.load,
             wheels,
-            np.column_stack([zeros, zeros + 1.0, grade]),
+            np.column_stack([zeros, zeros + 1.0, sin_grade]),
         )
         self.rows = Rows(*(column[use] for column in rows))
         self._take_conditions(self.rows)
         #: [N, 3] measured sinkage [m], drawbar pull [N] and torque [N m]; nan where not measured.
         self.y = table.values[use]
         self.measured = np.isfinite(self.y)
-        #: [N, 5] noise in a row over that of its source, which is 1 for slip and load.
-        relative = np.ones((len(table), 5))
+        relative = np.ones((len(table), 5))  # of slip and load it stays 1
         relative[:, 2:] = table.relative_sd(setup)
+        #: [N, 5] noise of each value over that of its source.
         self.relative = relative[use]
         #: [m] reference sinkage
         self.z_ref = middle_sinkage(self.y[:, 0], setup.wheel.radius)
@@ -211,6 +211,7 @@ class TableProblem:
             )
         #: Form error of the base law that is in the weights beside the noise; None for none.
         self.form_error: form_error.Compression | None = None
+        # With slopes of 0, errors of slip and load do not count before the first `correct`.
         self.weigh(np.zeros((*self.y.shape, 2)))
 
     def _take_conditions(self, corrected: Rows) -> None:
