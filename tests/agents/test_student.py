@@ -50,8 +50,9 @@ def test_the_ramp_of_a_teacher_begins_at_the_speed_of_the_rim(action):
     teacher = Teacher(scenario)
     ramp = teacher.state_for(seen, None, np.ones(8, dtype=bool))["ramp"]
     rim = seen[:, teacher.column["rim_speed"]] * teacher.top_speed
-    print(action, ramp, rim)
-    np.testing.assert_allclose(ramp, rim, rtol=0.03)
+    drives = rim > 0.05  # the others are halted
+    assert drives.sum() >= 4
+    np.testing.assert_allclose(ramp[drives], rim[drives], rtol=0.03)
 
 
 def test_returns_are_those_of_courses_that_have_ended():
