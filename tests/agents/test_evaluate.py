@@ -410,6 +410,7 @@ REFUSED = {  # controllers: parts of the message
     f"{DRIVERS}:NoPredict": "no method predict",
     f"{DRIVERS}:WrongShape": "drivers:WrongShape ... of shape [3]: expected [3, 1]",
     f"{DRIVERS}:Complex": "an action that is no number: expected shape",
+    f"{DRIVERS}:Huge": "an action that is no number: expected shape",
     f"{DRIVERS}:Alone": "predict gave one value: expected (action, state)",
     f"{DRIVERS}:OneNaN": "predict gave nan for wheel 1: expected finite numbers",
     f"{DRIVERS}:OtherVariant": "'blnd' ... blind, identified, true_soil",
