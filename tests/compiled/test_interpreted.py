@@ -2,8 +2,6 @@
 
 import os
 import pickle
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -12,6 +10,7 @@ from numba import config
 from soil_env.parameters import load_rover, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 from tests.conftest import ROOT
+from tests.programs import python
 from tests.simulation.wheels import started
 from tests.terramechanics.cases import RESIDUAL, TOGETHER, WHEEL
 
@@ -67,15 +66,8 @@ def interpreted(tmp_path_factory):
         "runs = {name: run(name) for name, run in RUNS.items()}\n"
         "Path(sys.argv[1]).write_bytes(pickle.dumps(runs))\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-W", "error::RuntimeWarning", "-c", code, str(file)],
-        env=os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)},
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=600,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
+    env = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}
+    python("-W", "error::RuntimeWarning", "-c", code, file, env=env)
     return pickle.loads(file.read_bytes())
 
 

@@ -19,8 +19,9 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 import soil_env
+from tests.conftest import ROOT
+from tests.programs import python
 
-ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 ALLOWED = {
     line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")
@@ -43,10 +44,7 @@ def wheel(tmp_path_factory):
         else:
             shutil.copy(ROOT / name, source)
     program = f"from setuptools import build_meta; build_meta.build_wheel({str(target)!r})"
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=source, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
+    done = python("-c", program, cwd=source)
     assert "is absent from the `packages` configuration" not in done.stderr
     return next(target.iterdir())
 
@@ -86,10 +84,7 @@ def test_the_sdist_holds_all_that_the_checks_of_make_test_need(tmp_path):
         (source / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, source / name)
     program = f"from setuptools import build_meta; build_meta.build_sdist({str(tmp_path)!r})"
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=source, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
+    python("-c", program, cwd=source)
     with tarfile.open(next(tmp_path.glob("*.tar.gz"))) as archive:
         held = {name.partition("/")[2] for name in archive.getnames()}
     assert names <= held, sorted(names - held)
@@ -236,10 +231,7 @@ def test_first_use_where_nothing_can_be_written(wheel, tmp_path):
         "{});print(model.predict({'slip': [0.2], 'load': 100.0}).drawbar_pull[0] > 0.0, "
         "soil_env.__file__)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, env=env, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
+    done = python("-c", program, cwd=tmp_path, env=env)
     assert done.stdout.split() == ["True", str(home / "soil_env" / "__init__.py")]
     assert "soil_env: compiling" in done.stderr
     assert nowhere.is_file() and not list(home.rglob("*.nb[ic]"))
