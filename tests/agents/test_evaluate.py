@@ -5,9 +5,6 @@ a plain loop.
 import csv
 import json
 import shutil
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,9 +33,10 @@ from soil_env_agents.evaluate.own import code_digest
 from soil_env_agents.evaluate.statistics import wilson
 from tests.agents.drivers import Counting, Half
 from tests.agents.learnt import saved
+from tests.conftest import ROOT
+from tests.programs import python
 from tests.refusals import refused, refused_command
 
-ROOT = Path(__file__).resolve().parents[2]
 DRIVERS = "tests.agents.drivers"
 RULES = "soil_env_agents.controllers.wheel"
 FIXED = "--settings.fixed_slip.slip=0.2"
@@ -280,15 +278,7 @@ def test_tuned_settings_that_are_no_mapping_are_refused():
 def test_ray_gives_what_one_process_gives(cluster, everyone, done, tmp_path):
     """The models travel with the cells."""
     asked = [f"--controllers={everyone}", FIXED, *SHORT, "--engine=ray", f"--out={tmp_path}"]
-    command = [sys.executable, "-m", "soil_env.cli", "evaluate", *asked]
-    ended = subprocess.run(
-        [*command, f"--address={cluster.address}"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert ended.returncode == 0, ended.stderr[-2000:]
+    python("-m", "soil_env.cli", "evaluate", *asked, f"--address={cluster.address}")
     same(tmp_path, done)
 
 

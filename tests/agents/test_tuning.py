@@ -2,7 +2,6 @@
 
 import json
 from functools import partial
-from pathlib import Path
 
 import pytest
 import yaml
@@ -19,10 +18,10 @@ from soil_env_agents.evaluate import tuning
 from soil_env_agents.evaluate.driving import TUNING_SET, run_courses
 from soil_env_agents.evaluate.tuning import shipped_settings, tuned_settings
 from soil_env_agents.progress import Bar
+from tests.conftest import ROOT
 from tests.refusals import refused, refused_command
 
 pytest.importorskip("optuna")
-ROOT = Path(__file__).resolve().parents[2]
 SHORT = load_scenario("mixed", {"course": {"length": 2.0}, "control": {"time_limit": 12.0}})
 
 

@@ -19,8 +19,9 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 import soil_env
+from tests.conftest import ROOT
+from tests.programs import python
 
-ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 ALLOWED = {
     line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")
@@ -30,11 +31,7 @@ ALLOWED = {
 def build(kind, source, target):
     """Build a "wheel" or an "sdist" of a folder into another without network; its stderr."""
     program = f"from setuptools import build_meta; build_meta.build_{kind}({str(target)!r})"
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=source, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    return done.stderr
+    return python("-c", program, cwd=source).stderr
 
 
 @pytest.fixture(scope="module")
@@ -239,10 +236,7 @@ def test_first_use_where_nothing_can_be_written(wheel, tmp_path):
         "{});print(model.predict({'slip': [0.2], 'load': 100.0}).drawbar_pull[0] > 0.0, "
         "soil_env.__file__)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, env=env, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
+    done = python("-c", program, cwd=tmp_path, env=env)
     assert done.stdout.split() == ["True", str(home / "soil_env" / "__init__.py")]
     assert "soil_env: compiling" in done.stderr
     assert nowhere.is_file() and not list(home.rglob("*.nb[ic]"))

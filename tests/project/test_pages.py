@@ -13,7 +13,6 @@ import os
 import re
 import shlex
 import shutil
-import subprocess
 import sys
 from enum import Enum
 from pathlib import Path
@@ -27,8 +26,9 @@ from click.testing import CliRunner
 from soil_env.cli import soil_env
 from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
 from soil_env.simulation.task import Cause
+from tests.conftest import ROOT
+from tests.programs import python
 
-ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 GUIDE = sorted((DOCS / "guide").glob("*.md"))
 OUTSIDE = [
@@ -95,15 +95,7 @@ def test_the_python_of_a_page_runs(page, tmp_path):
     shutil.copytree(ROOT / "examples", tmp_path / "examples")
     code = "\n".join(block["code"] for block in blocks(page, "python") if not block["reason"])
     (tmp_path / "page.py").write_text(code, encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, "page.py"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=SECONDS,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
+    done = python("page.py", cwd=tmp_path, timeout=SECONDS)
     for printed in printed_below(page, blocks(page, "python")):
         assert printed in done.stdout, done.stdout
 
@@ -196,16 +188,7 @@ def help_of(*command: str) -> str:
         "COLUMNS": "200",
         "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path]),
     }
-    done = subprocess.run(
-        [sys.executable, *command, "--help"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        env=environment,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-1000:]
-    return done.stdout
+    return python(*command, "--help", env=environment).stdout
 
 
 def check_options(words: list[str], text: str) -> None:
