@@ -1,5 +1,5 @@
-"""Controllers by their source, the name of a shipped one or `module:Thing`: their settings, and
-what makes them.
+"""Controllers by their source, the name of a shipped one or `module:Thing`: their code and their
+settings; what is made of a `module:Thing`.
 """
 
 import hashlib
@@ -10,7 +10,7 @@ import site
 import sys
 import sysconfig
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from modulefinder import ModuleFinder
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from soil_env._io.loading import ParameterError, nearest
 from soil_env.parameters import RoverScenario, Scenario
 
 from ..controllers import CONTROLLERS, Setting, within_bounds
-from ..controllers.rover import ROVER_CONTROLLERS, controllers_of
+from ..controllers.rover import ROVER_CONTROLLERS
 
 
 def _search_here() -> None:
@@ -99,16 +99,6 @@ def bounds_of_settings(source: str, scenario: Scenario) -> Mapping[str, Setting]
         raise ParameterError(
             f"controllers: {source}: bounds = {bounds!r:.80}: expected {{name: Setting}}"
         ) from None
-
-
-def maker(source: str, scenario: Scenario) -> Callable[..., Any]:
-    """Function that makes a controller, a shipped one or `module:Class`, of its settings, given as
-    keywords.
-    """
-    if ":" in source:
-        return lambda **settings: made(source, scenario, settings, f"settings.{source}")
-    _, make = controllers_of(scenario)
-    return lambda **settings: make(source, scenario, **settings)
 
 
 def made(source: str, scenario: Scenario, settings: dict, where: str) -> Any:
