@@ -60,7 +60,7 @@ def test_groups_by_hand():
 
 
 def table_of(function, **axes):
-    """A table of (z/r, DP/W, T/(W r)) by a function of the groups, and ten times their size as sd."""
+    """A table of (z/r, DP/W, T/(W r)) by a function of the groups; as sd ten times their size."""
     nodes = np.array(list(itertools.product(*axes.values())))
     values = np.array([function(dict(zip(axes, x, strict=True))) for x in nodes])
     columns = np.concatenate([values, 10.0 * np.abs(values)], axis=1).T
