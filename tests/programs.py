@@ -7,10 +7,10 @@ from tests.conftest import ROOT
 
 
 def python(*arguments, **options):
-    """Process of Python with these arguments, in the clone's folder, that has ended with status
-    0.
+    """Run Python with these arguments in the clone's folder; AssertionError with its stderr unless
+    it ends with status 0.
     """
-    options = {"cwd": ROOT, "timeout": 600} | options
+    options = {"cwd": ROOT} | options
     done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, **options)
     assert done.returncode == 0, done.stderr[-2000:]
     return done

@@ -67,7 +67,7 @@ def normalised(
 
 
 def even_shares(wheels: int, parts: int) -> list[int]:
-    """Numbers of wheels of so many `parts`, which differ by one at most."""
+    """Number of wheels in each of so many `parts`; they differ by one at most."""
     return np.diff(np.linspace(0, wheels, parts + 1).astype(int)).tolist()
 
 

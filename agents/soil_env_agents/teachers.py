@@ -88,7 +88,7 @@ class _OfWheels(Teacher):
 
 
 class RoverTeacher(RoverController):
-    """`best_slip_true` of a rover whose ramps go on from the speeds that the student commands now,
+    """`best_slip_true` of a rover whose ramps go on from the present rim speeds of the student,
     with the settings of `MANNERS`, by the scenario's name.
     """
 

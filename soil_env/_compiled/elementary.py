@@ -2,8 +2,8 @@
 of a contact arc.
 
 Errors relative to the true value: exp 3e-15, log 1e-15 (absolute below 1); sin and cos of a half
-angle 2e-15 of full scale, of a whole one 4e-15. Arguments are reduced as in fdlibm (Sun
-Microsystems 1993). The coefficients are own fits of minimax polynomials, which tests judge.
+angle 2e-15 of full scale, of a whole one 4e-15. The arguments of exp, log and asin are reduced as
+in fdlibm (Sun Microsystems 1993). The polynomials are our own minimax fits; tests check the errors.
 """
 
 import math

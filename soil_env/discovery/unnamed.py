@@ -1,9 +1,9 @@
 """Anonymous laws with few numbers: laws of no catalogue with which listed effects are compared.
 
 A mechanism that nobody has listed is likelier to have few numbers than to be a free function of the
-conditions (`evidence.patterns`). So a name must explain a table better than these laws do. W, z0
-and V0 are the median load, sinkage and speed of the table. W_row is the load of a row, N the pass
-number; every parameter is a pure number:
+conditions (`evidence.patterns`). So a name must explain a table better than these laws do. W and
+z0 are the median load and sinkage of the table, V0 the geometric mean of its speeds. W_row is the
+load of a row, N the pass number; every parameter is a pure number:
 
     force                     DP - a W (z/z0)^m,  T + b W r (z/z0)^m  soil beside or on the wheel
     rut_force                 the same times 1 - 1/N                  the same in a rut
@@ -135,7 +135,7 @@ def _radius_factor(rows: Rows, gain: float, load: float) -> np.ndarray:
 
 def loaded(rows: Rows, values: Values, load: float) -> Rows:
     """Rows with the load that `slip_load` makes, or the wheel radius that `soft_wheel` makes, if
-    `values` hold the parameters of one of them; `load`: the middle one [N].
+    `values` hold the parameters of one of them; `load`: the median one [N].
     """
     if "soft_wheel_gain" in values:
         wheels = rows.wheels.copy()
@@ -157,7 +157,7 @@ def factors(rows: Rows, values: Values, bench: Bench) -> np.ndarray | None:
     out = np.ones((rows.slip.size, len(BY_ROW)))
     for name in laws:
         parameter, by = _ANONYMOUS[name]
-        # Base of the power: the speed over the middle one, or the pass number.
+        # Base of the power: the speed over its geometric mean, or the pass number.
         base = rows.conditions[:, _COLUMNS[by]] / (bench.speed if by == "speed" else 1.0)
         out[:, BY_ROW.index(parameter)] *= base ** values[f"{name}_power"]
     return out if laws else None

@@ -244,7 +244,7 @@ def _fits_under_noise(problem: Problem, finding: Finding, own: Evidence) -> Fits
     """
     sizes = NOISE_ALONE._replace(scatter=own.sizes.scatter)
     starts: Fits = {(n,): finding.best(n).evidence.fit for n in finding.names}
-    # The fit of one name alone is that of `own`, which replaces the first.
+    # With one name, the fit of `own` replaces that of its best form.
     starts |= {finding.names: own.fit, (): finding.best().evidence.fit}
     return {
         names: problem.fit(fit.choices, fit.parameters(), sizes) for names, fit in starts.items()

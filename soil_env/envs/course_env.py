@@ -92,7 +92,7 @@ def scenario_changes(
 
 
 def real_numbers(values: ArrayLike) -> NDArray[np.float64]:
-    """`values` as float64; TypeError or ValueError for text, complex numbers, numbers beyond
+    """`values` as float64; TypeError or ValueError for text, complex numbers, integers beyond
     float64, and whatever else NumPy cannot read.
     """
     given = np.asarray(values)

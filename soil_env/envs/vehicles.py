@@ -85,7 +85,7 @@ class Vehicles:
         self._chunk = count  # vehicles that a thread takes at a time
         if self._threads > 1:
             self._chunk = max(-(-count // (CHUNKS * self._threads)), LEAST)
-        self._orders = np.full(count, IDLE)  # of `_one`, else IDLE
+        self._orders = np.full(count, IDLE)  # the order that `_one` follows; IDLE otherwise
 
     def _begin(
         self,

@@ -318,26 +318,37 @@ def test_an_edited_class_or_study_is_driven_again(capsys, tmp_path, monkeypatch)
 
 
 def test_the_code_of_a_class_is_its_module_and_what_of_the_users_it_imports(tmp_path, monkeypatch):
-    """Also in a function or a package, and not what is installed or missing."""
+    """Also in a function, in a package with or without __init__.py, and by a relative import; not
+    what is installed, missing, or a folder that has the name of a library.
+    """
     monkeypatch.syspath_prepend(str(tmp_path))
-    module = tmp_path / "driver_with_helpers.py"
-    module.write_text(f"import helper_of_a_test, no_such_module\n{BOUNDED}")
-    helper = tmp_path / "helper_of_a_test.py"
-    helper.write_text("def f():\n    from package_of_a_test import values\n")
-    package = tmp_path / "package_of_a_test"
-    package.mkdir()
-    found = []
-    for path in (package / "__init__.py", package / "values.py", helper, module):
-        path.touch()
-        found.append(code_digest("driver_with_helpers:Bounded"))
-        path.write_text(path.read_text() + "\nX = 1\n")
-    found.append(code_digest("driver_with_helpers:Bounded"))
-    assert len({*found}) == len(found) and "" not in found
-    (tmp_path / "unrelated.py").write_text("X = 1\n")
-    assert code_digest("driver_with_helpers:Bounded") == found[-1]
-    helper.write_text("not Python")
-    assert code_digest("driver_with_helpers:Bounded") not in ("", found[-1])
-    assert code_digest("no_such_module:Bounded") == ""
+    files = {
+        "drivers_of_mine/mine.py": f"import helper_of_mine, yaml, no_such_module\n{BOUNDED}",
+        "drivers_of_mine/near.py": "X = 1\n",
+        "helper_of_mine.py": "def f():\n    from package_of_mine import values as v\n",
+        "package_of_mine/__init__.py": "from . import of_init\n",
+        "package_of_mine/of_init.py": "X = 1\n",
+        "package_of_mine/values.py": "from .deep.down import X\n",
+        "package_of_mine/deep/down.py": "from ...helper_of_mine import f\nimport not_read\n",
+    }
+    source = "drivers_of_mine.mine:Bounded"
+    for name, text in {**files, "yaml/readme.txt": "", "other.py": ""}.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    found = [code_digest(source)]
+    for name in files:
+        with open(tmp_path / name, "a") as file:
+            file.write("Y = 2\n")
+        found.append(code_digest(source))
+    unread = list(files).index("drivers_of_mine/near.py")
+    assert found.pop(unread) == found[unread] and len({*found}) == len(found) and "" not in found
+    (tmp_path / "other.py").write_text("X = 1\n")
+    assert code_digest(source) == found[-1]
+    (tmp_path / "helper_of_mine.py").write_text("not Python")
+    broken = code_digest(source)
+    (tmp_path / "drivers_of_mine/mine.py").write_text(f"import helper_of_mine\n{BOUNDED}# edited")
+    assert len({"", found[-1], broken, code_digest(source)}) == 4
+    assert code_digest("no_such_module:Bounded") == "" != code_digest("yaml:YAMLObject")
 
 
 def test_a_model_that_has_changed_is_refused_and_other_code_drives_again(capsys, tmp_path, models):

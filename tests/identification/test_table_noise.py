@@ -70,7 +70,6 @@ def told():
     return run(*noisy(0, 0.03))
 
 
-@pytest.mark.usefixtures("nothing_left_out")
 def test_slips_that_were_read_with_noise_are_no_effect_where_that_is_told(told):
     assert told.verdict in ("none", "undetermined") and told.finding.none > 0.5
     assert not told.effects

@@ -2,6 +2,7 @@
 print, and that every figure is shown.
 """
 
+import os
 import re
 from types import SimpleNamespace
 
@@ -60,7 +61,8 @@ def test_a_notebook(name):
 
 def test_a_notebook_is_a_script(tmp_path):
     """One of them as `python NAME.py`, the cheapest: the others differ by what they call."""
-    done = python(ROOT / "examples" / "own_wheel_and_soil.py", cwd=tmp_path)
+    env = os.environ | {"MPLBACKEND": "Agg"}
+    done = python(ROOT / "examples" / "own_wheel_and_soil.py", cwd=tmp_path, env=env)
     assert "FINISHED" in done.stdout and (tmp_path / "beach.yaml").is_file()
 
 

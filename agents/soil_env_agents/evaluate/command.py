@@ -223,7 +223,7 @@ def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
     """`asked` with tuned settings of the controllers that have none by --settings.
 
     These are classical ones under their own name, and classes with `bounds`. A class is tuned again
-    where its source has changed.
+    where its code has changed (`code_digest`).
     """
     if not asked.tuning_courses:
         return asked

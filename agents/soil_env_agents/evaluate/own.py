@@ -2,6 +2,7 @@
 settings; what is made of a `module:Thing`.
 """
 
+import ast
 import hashlib
 import importlib
 import importlib.util
@@ -10,8 +11,7 @@ import site
 import sys
 import sysconfig
 import traceback
-from collections.abc import Mapping
-from modulefinder import ModuleFinder
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -51,9 +51,10 @@ def imported(spec: str) -> Any:
 
 
 def code_digest(source: str) -> str:
-    """SHA-256 of the file of the module of `module:Thing`, and of the modules that it imports,
-    directly or not, from folders on Python's path where nothing is installed; empty if the module
-    cannot be found.
+    """SHA-256 of the file of the module of `module:Thing`, and of what it imports from the folder
+    that the module was found in, directly or not; empty if the module cannot be found.
+
+    Of an installed module it is that of its file alone.
     """
     _search_here()
     name = source.partition(":")[0]
@@ -61,26 +62,58 @@ def code_digest(source: str) -> str:
         found = importlib.util.find_spec(name)
         if not found or not found.origin:
             return ""
-        files = sorted({found.origin, *_imported_files(name)})
-        content = [Path(file).read_bytes() for file in files]
-    except (ImportError, ValueError, OSError):
+        file = Path(found.origin)
+        files = {file}
+        folder = file.parents[name.count(".") + (file.stem == "__init__")]
+        if not any(folder.is_relative_to(place) for place in _installed()):
+            files |= _imported_files(name, folder)
+        content = [file.read_bytes() for file in sorted(files)]
+    except (ImportError, ValueError, OSError, IndexError):
         return ""
     return hashlib.sha256(b"".join(content)).hexdigest()
 
 
-def _imported_files(name: str) -> set[str]:
-    """Files of a module and of what it imports from folders on Python's path where nothing is
-    installed, by its import statements; none if one of them cannot be read.
+def _installed() -> list[str]:
+    """Folders of Python and of what is installed for it."""
+    paths = [sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")]
+    return [*paths, *site.getsitepackages(), site.getusersitepackages()]
+
+
+def _imported_files(name: str, folder: Path) -> set[Path]:
+    """Files in a folder of a module, of its packages and of what it imports by import statements,
+    directly or not; a file that is no Python imports nothing.
     """
-    installed = (*site.getsitepackages(), *map(sysconfig.get_path, ("stdlib", "platlib")))
-    own = [folder for folder in sys.path if not folder.startswith(installed)]
-    finder = ModuleFinder(own, excludes=("soil_env", "soil_env_agents"))
+    files: set[Path] = set()
+    left = [name]
+    while left:
+        parts = left.pop().split(".")
+        if parts[0] == "soil_env":  # of a clone; `code_version` has it
+            continue
+        for count in range(1, len(parts) + 1):
+            base = folder.joinpath(*parts[:count])
+            for file in (base / "__init__.py", base.with_name(f"{base.name}.py")):
+                if file.is_file() and file not in files:
+                    files.add(file)
+                    package = parts[:count] if file.stem == "__init__" else parts[: count - 1]
+                    left += _imported_names(file, package)
+    return files
+
+
+def _imported_names(file: Path, package: list[str]) -> Iterator[str]:
+    """Names of what the import statements of a file import, those from its own `package`, the names
+    of its parts, written out.
+    """
     try:
-        finder.import_hook(name)
-    except (ImportError, SyntaxError, ValueError):
-        return set()
-    files = (getattr(module, "__file__", None) for module in finder.modules.values())
-    return {file for file in files if file}
+        tree = ast.parse(file.read_bytes())
+    except (SyntaxError, ValueError):
+        return
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            above = package[: len(package) + 1 - node.level] if node.level else []
+            origin = [*above, *filter(None, [node.module])]
+            yield from (".".join([*origin, alias.name]) for alias in node.names)
 
 
 def bounds_of_settings(source: str, scenario: Scenario) -> Mapping[str, Setting]:

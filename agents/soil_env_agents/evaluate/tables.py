@@ -82,7 +82,7 @@ def bracketed(unit: str) -> str:
 
 
 def heading(metric: str) -> str:
-    """A metric with its unit, of a rate %."""
+    """Name of a metric with its unit; that of a rate is %."""
     unit = "%" if metric in RATES else MEANINGS[metric][0]
     return f"{metric.replace('_', ' ')}{bracketed(unit)}"
 

@@ -440,17 +440,18 @@ def simulate(report: Report) -> str:
     """Clause on what to simulate with: model.yaml, and what to trust instead for levels that were
     not measured.
 
-    That is, by the levels that were left out, the soil of `soil-env identify` if the base model
-    erred less and the command takes the table, and a plain curve if that erred least.
+    By the errors of what was left out that is the soil of `soil-env identify`, if the base model
+    erred least and the command takes the table. Else it is a plain curve, if that erred less.
     """
     by_curve = []
     by_identify = []
     for way in report.outlook.left_out:
         over = way.over_noise
-        if over.curve <= over.base and _erred_less(over.curve, over.corrected):
-            by_curve.append(_level(way.what))
-        elif _erred_less(over.base, over.corrected) and _identifiable(report):
+        base_first = not over.curve <= over.base and _identifiable(report)
+        if base_first and _erred_less(over.base, over.corrected):
             by_identify.append(_level(way.what))
+        elif _erred_less(over.curve, over.corrected):
+            by_curve.append(_level(way.what))
     said = ["simulate with model.yaml"]
     new = "for {} that you have not measured, "
     if by_identify:

@@ -98,7 +98,7 @@ def renew_best_pull(memory, load, setting, work):
             for _ in range(FIRST_STEPS):
                 x, _, _ = _newton(x, SLIP[k], load, memory, setting, work)
         after, slope, ratio = _newton(x, SLIP[k], load, memory, setting, work)
-        memory.steady[k] = after
+        memory.steady[k] = after if math.isfinite(after) else 0.0
         deeper = contact.by[PULL, BY_SINKAGE] * math.exp(x)
         # the forces are those before the last step: the pull is extended over it
         pull = contact.value[PULL] + deeper * (after - x)

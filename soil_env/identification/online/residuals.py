@@ -292,8 +292,8 @@ def weigh_unknowns(memory, setting, work):
 
     Of the instruments they are prior standard deviations, which follow from zeros and gains of the
     sensors. Where two sensors measure one quantity, each counts by its mean share in the cells.
-    Where no load was weighed, that of the load gain includes `PAYLOAD`. Of the soils they are those
-    of the setting, whatever prior the memory has, of the place of a border the length of a border.
+    Where no load was weighed, that of the load gain includes `PAYLOAD`. Those of the soils are of
+    the setting, whatever prior the memory has. That of the place of a border is its length.
     """
     sd = work.sd
     sd[PLACE] = setting.border

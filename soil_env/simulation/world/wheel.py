@@ -64,8 +64,8 @@ WHEEL = record(
     "best_x",  # [m] furthest x so far: ground beyond it is fresh
     "lowest_x",  # [m] least x so far: ground before it is fresh
     "sinking",  # dz/dt [m/s] in the last stage
-    # [of the travel] sliding of a braked wheel whose steady pile is as large as the present one;
-    # > 0: the pile is on the side of larger x
+    # [of the travel] sliding at which a steady pile would be as large as the present one; > 0: the
+    # pile is on the side of larger x
     "braked",
     "rut_depth",  # [m] of the ground under the wheel where it has been before
     # of the last stage
