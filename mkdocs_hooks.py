@@ -85,11 +85,8 @@ def finished(scenario: str) -> str:
     head, _, *rows = [
         [cell.strip() for cell in line.split("|")[1:-1]] for line in lines if line.startswith("|")
     ]
-    found = [
-        {"arm": row["arm"], "finished [%]": row["finished [%]"]}
-        for row in (dict(zip(head, cells, strict=True)) for cells in rows)
-        if row["scenario"] == scenario
-    ]
+    arms = [dict(zip(head, cells, strict=True)) for cells in rows]
+    found = [row for row in arms if row["scenario"] == scenario]
     if not found:
         raise PluginError(f"docs/results/agents.md: expected rows of {scenario}, found none")
     columns = [" | ".join(row[key] for row in found) for key in ("arm", "finished [%]")]
@@ -119,8 +116,7 @@ def api_pages() -> dict[str, tuple[str, str]]:
         parts = module.split(".")
         is_package = path.name == "__init__.py"
         own_page = parts[0] == "soil_env" and len(parts) > 1 and (is_package or len(parts) > 2)
-        page = parts[0] if parts[0] != "soil_env" else parts[1] if own_page else "soil_env"
-        sections[page].append(module)
+        sections[parts[1] if own_page else parts[0]].append(module)
     pages = {}
     for page, names in sorted(
         sections.items(), key=lambda e: (e[0] != "soil_env", e[0] in PACKAGES, e)
@@ -152,12 +148,8 @@ def resolve(name: str) -> str:
     """Return the full dotted name of "forces" or "contact.forces"; LookupError unless exactly one
     module defines it.
     """
-    *tail, last = name.split(".")
-    homes = [
-        h
-        for h in definitions().get(last, [])
-        if h.split(".")[len(h.split(".")) - len(tail) :] == tail
-    ]
+    last = name.rpartition(".")[2]
+    homes = [h for h in definitions().get(last, []) if f".{h}.{last}".endswith(f".{name}")]
     if len(homes) != 1:
         raise LookupError(f"{name}: expected one module that defines it, found {homes or 'none'}")
     return f"{homes[0]}.{last}"

@@ -3,6 +3,7 @@ page of tables.
 """
 
 import json
+import math
 import os
 import platform
 from collections.abc import Callable, Iterable, Mapping
@@ -13,12 +14,12 @@ from typing import Any
 
 import click
 import numpy as np
-from scipy.stats import binomtest
+from scipy.stats import binomtest, t
 
 from soil_env._io.document import Table
 from soil_env._io.files import check_outputs, make_folder, plain, replace_files
 from soil_env._io.loading import ParameterError, one_line
-from soil_env.cli.running import PATH
+from soil_env.cli.running import PATH, WholeNumber
 from soil_env.measurement.setup import Setup, read_setup
 from soil_env.measurement.table import Table as MeasuredTable, read_table
 
@@ -71,6 +72,11 @@ def share(values: Iterable[bool]) -> dict | None:
     }
 
 
+def half_interval(values: np.ndarray) -> float:
+    """Half of the 95 % interval of the mean of `values` [n], at least two, by Student's t."""
+    return float(t.ppf(0.975, len(values) - 1) * values.std(ddof=1) / math.sqrt(len(values)))
+
+
 def machine() -> dict[str, Any]:
     """What figures are measured with: {processor, cores, load, python, numpy, numba}.
 
@@ -110,6 +116,11 @@ def study_options(name: str) -> Callable[[Callable], Callable]:
         "--smoke", is_flag=True, help="Run every part in seconds; numbers mean nothing."
     )
     return lambda command: smoke(out(command))
+
+
+workers_option = click.option(
+    "--workers", type=WholeNumber(1), default=2, show_default=True, help="Processes."
+)
 
 
 def name_of(study: str, smoke: bool) -> str:

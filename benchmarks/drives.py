@@ -12,7 +12,7 @@ from soil_env.envs.rovers import RoverSimulation
 from soil_env.identification.online.interface import UNMEASURED
 from soil_env.identification.online.on_board import Known, OnBoard
 from soil_env.identification.online.prior import setting_of
-from soil_env.parameters import RoverScenario, Scenario, SoilState, load_rover
+from soil_env.parameters import RoverScenario, Scenario, SoilState, config_dir, load_rover
 from soil_env.parameters.readings import IDLE, RESTART, STEP, Shown, reading_units
 from soil_env.simulation.task import Cause
 from soil_env.simulation.world.sensors import sensors_of
@@ -72,6 +72,11 @@ def controller_of(name: str, scenario: Scenario) -> Any:
 def settings_of(name: str, scenario: Scenario) -> dict[str, float]:
     """Tuned settings that ship for a controller on the scenario, {} where it has its defaults."""
     return shipped_settings(scenario, 1).get(name, {})
+
+
+def shipped_world(name: str) -> WheelSoilModel:
+    """The model of a world of configs/worlds."""
+    return WheelSoilModel.load(config_dir() / "worlds" / f"{name}.yaml")
 
 
 #: Standard deviations of zeros and gains, in the units of `Noise`; both sensors of a quantity have

@@ -35,10 +35,8 @@ MEASURED = {
     ("sinkage / contact length", 0.2): ((0.04, 0.08), (0.05, 0.08)),
     ("sinkage / contact length", 0.7): ((0.11, 0.16), (0.10, 0.12)),
 }
-COHESIONS = (
-    150.0,
-    500.0,
-)  # [Pa] of dry simulants: own choice, what was driven on is not known here
+#: [Pa] of dry simulants: own choice, what was driven on is not known here.
+COHESIONS = (150.0, 500.0)
 EXPONENT = 1.0  # [-] n of regolith
 #: Start and bounds of phi [deg], K [m], S [N/m^3] and the gain of digging.
 UNKNOWNS = np.log([[25.0, 0.01, 1e7, 5.0], [5.0, 1e-3, 1e4, 0.01], [60.0, 0.2, 1e9, 8.0]])

@@ -39,9 +39,9 @@ from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import WholeNumber, leave, run
 from soil_env.identification import Status
-from soil_env.parameters import config_dir, load_scenario
+from soil_env.parameters import load_scenario
 from soil_env.parameters.sensors import calibrated
-from soil_env.terramechanics.model import WheelSoilModel, load_model
+from soil_env.terramechanics.model import WheelSoilModel
 from soil_env_agents.controllers import CONTROLLERS
 
 NAME = "identification"
@@ -127,7 +127,7 @@ def measure(case: Case, courses: int, seed: int) -> dict[str, Any]:
         if case.action:
             changes["control"] = {"action": case.action}
         scenario = load_scenario("mixed" if case.scenario == ONE_SOIL else case.scenario, changes)
-        model = load_model(config_dir() / "worlds" / f"{case.world}.yaml") if case.world else None
+        model = drives.shipped_world(case.world) if case.world else None
         if case.scenario == "mixed" and not case.world and not case.action:
             kinds |= {name: {"missing": missing} for name, missing in SUBSETS.items()}
         record = partial(drives.record, drives.controller_of(case.drive, scenario))

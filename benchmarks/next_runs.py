@@ -16,9 +16,8 @@ from pathlib import Path
 
 import click
 import numpy as np
-from scipy.stats import t
 
-from benchmarks.common import name_of, read_json, ready, short, study_options, write
+from benchmarks.common import half_interval, name_of, read_json, ready, short, study_options, write
 from benchmarks.prediction import Case, cases
 from benchmarks.rigs import data_option
 from soil_env._io.document import Table as Page
@@ -58,7 +57,7 @@ def tables(folder: Path) -> dict[str, Case]:
     return found
 
 
-def errors(case: Case, way: str, draw: int, most: int = MOST) -> list[float]:
+def errors(case: Case, way: str, draw: int, most: int) -> list[float]:
     """Root mean square error of the held-out rows over the noise, after the first runs and each
     further one, while there is a choice and for `most` further runs.
 
@@ -164,7 +163,7 @@ def ratio(logs: np.ndarray) -> str:
     mean = logs.mean()
     if logs.size < 2:
         return f"{math.exp(mean):.2f}"
-    half = t.ppf(0.975, logs.size - 1) * logs.std(ddof=1) / math.sqrt(logs.size)
+    half = half_interval(logs)
     return f"{math.exp(mean):.2f} [{math.exp(mean - half):.2f}, {math.exp(mean + half):.2f}]"
 
 
@@ -191,10 +190,5 @@ def command(smoke: bool, out: Path, data: Path) -> None:
     write(out, kept, "Next runs", TEXT.format(draws=draws, seed=SEED), tables_of(found))
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; return the exit status."""
-    return run(command, arguments, f"benchmarks.{NAME}")
-
-
 if __name__ == "__main__":
-    leave(main())
+    leave(run(command, None, f"benchmarks.{NAME}"))

@@ -230,7 +230,7 @@ def predict(x: np.ndarray, rig: Rig, rows: np.ndarray, law: Law) -> np.ndarray:
     return out
 
 
-def fit(rig: Rig, rows: np.ndarray, law: Law, starts: int = len(STARTS)) -> np.ndarray:
+def fit(rig: Rig, rows: np.ndarray, law: Law, starts: int) -> np.ndarray:
     """Unknowns [7] of `soil_of` that fit the `rows` (indices) best under their priors, from the
     first `starts` of `STARTS`.
     """
@@ -276,7 +276,7 @@ def splits(rig: Rig) -> list[tuple[str, list[tuple[np.ndarray, np.ndarray]]]]:
     return [("driving rows", [(np.flatnonzero(driving), rows)]), ("rows of other slips", slips)]
 
 
-def choose(rigs: list[Rig], starts: int, growths: tuple[float, ...] = GROWTHS) -> Law:
+def choose(rigs: list[Rig], starts: int, growths: tuple[float, ...]) -> Law:
     """The law with which soils of the first fold of the first split of each rig predict its rows
     best, those of locked wheels left out.
 

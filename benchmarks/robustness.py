@@ -18,18 +18,17 @@ from typing import NamedTuple
 import click
 import numpy as np
 
-from benchmarks.common import ready, short, study_options, write
-from benchmarks.drives import settings_of
+from benchmarks.common import ready, short, study_options, workers_option, write
+from benchmarks.drives import settings_of, shipped_world
 from soil_env._io.document import Table
 from soil_env._io.files import write_json
 from soil_env.cli.running import WholeNumber, leave, run
 from soil_env.online import Observer, Readings
-from soil_env.parameters import Scenario, config_dir, load_scenario
+from soil_env.parameters import Scenario, load_scenario
 from soil_env.parameters.readings import IDLE, STEP, Image, reading_errors
 from soil_env.parameters.sensors import SensorReading
 from soil_env.simulation.task import Cause
 from soil_env.simulation.task.layout import layout
-from soil_env.terramechanics.model import load_model
 from soil_env_agents.cells import processes
 from soil_env_agents.controllers import make_controller
 from soil_env_agents.default_policy import DefaultPolicy
@@ -63,7 +62,7 @@ DRIVERS = ("default_policy", "best_slip_identified")
 
 TEXT = (
     "The default policy and the rule `best_slip_identified`, tuned on the ground without any of "
-    "this, on {courses} courses, set 3000473, the same for all. Each error of a sensor is three "
+    "this, on {courses} courses, set {seed}, the same for all. Each error of a sensor is three "
     "times its standard deviation in the scenario, up on one course and down on the next, on top "
     "of the sensors that ship; a dead sensor reads nothing. Neither the identifier nor a driver is "
     "told of it, nor of the worlds; of the wheels as the rows say. Changes are to the first row, "
@@ -109,13 +108,16 @@ def misread(reading: SensorReading, case: Case, sign: float, scenario: Scenario)
     return reading._replace(**{sensor: value + sign * TIMES * off})
 
 
-def driven(case: Case, driver: str, courses: int) -> np.ndarray:
-    """[courses] True where the driver of this name finishes a course, with the changes of the case.
+def driven(cell: tuple[str, str], courses: int) -> np.ndarray:
+    """[courses] True where a driver finishes a course with the changes of a row; `cell`: name of
+    the row in `cases`, name of the driver.
 
     The driver and its `Observer` know the scenario `known`. The world has the wheel of `true`, and
     is stepped by single control periods, so that each set of readings can be changed. The error is
     up on odd courses and down on even ones.
     """
+    name, driver = cell
+    case = cases()[name]
     known = load_scenario(GROUND, OTHER_WHEEL if case.other else {})
     true = known
     if case.smaller:
@@ -125,7 +127,7 @@ def driven(case: Case, driver: str, courses: int) -> np.ndarray:
         DefaultPolicy(known) if driver == DRIVERS[0] else make_controller(driver, known, **settings)
     )
     stepped = replace(true, control=replace(true.control, repeat=1))
-    world = load_model(config_dir() / "worlds" / f"{case.world}.yaml") if case.world else None
+    world = shipped_world(case.world) if case.world else None
     rngs = [course_rng(SEED, k) for k in range(courses)]
     sim = simulate(rngs, stepped, controller.variant, threads=1, model=world)
     observers = [Observer(known, controller.variant) for _ in range(courses)]
@@ -154,20 +156,13 @@ def driven(case: Case, driver: str, courses: int) -> np.ndarray:
                 chooses=bool(worlds.observation[k, choice]),
             )
         if period % held == 0:
-            first = np.full(courses, period == 0)
-            action, memory = controller.predict(seen, state=memory, episode_start=first)
+            action, memory = controller.predict(seen, memory)
             action = np.clip(action, -1.0, 1.0)
         sim.step_all(action[:, 0], what)
         what[worlds.cause != Cause.RUNNING.value] = IDLE
         if not (what == STEP).any():
             break
     return worlds.cause == Cause.FINISHED.value
-
-
-def row(cell: tuple[str, str], courses: int) -> np.ndarray:
-    """`driven` of a `cell`: name of the row in `cases`, name of the driver."""
-    name, driver = cell
-    return driven(cases()[name], driver, courses)
 
 
 def difference(a: np.ndarray, b: np.ndarray) -> dict[str, float]:
@@ -190,7 +185,7 @@ def in_percent(value: dict[str, float]) -> str:
 @click.command(NAME)
 @study_options(NAME)
 @click.option("--courses", type=WholeNumber(2), default=COURSES, show_default=True)
-@click.option("--workers", type=WholeNumber(1), default=2, show_default=True, help="Processes.")
+@workers_option
 def command(smoke: bool, out: Path, courses: int, workers: int) -> None:
     """Finished courses with wrong and dead sensors, in other worlds and on other wheels."""
     path = ready(out, NAME)
@@ -199,7 +194,7 @@ def command(smoke: bool, out: Path, courses: int, workers: int) -> None:
     found: dict[str, dict[str, np.ndarray]] = {name: {} for name in names}
     cells = [(name, driver) for name in names for driver in DRIVERS]
     for k, ((name, driver), finished) in enumerate(
-        processes(partial(row, courses=courses), cells, workers=workers), 1
+        processes(partial(driven, courses=courses), cells, workers=workers), 1
     ):
         found[name][driver] = finished
         print(f"{k} of {len(cells)}: {name}, {driver}: {finished.mean():.1%}", flush=True)
@@ -229,7 +224,7 @@ def command(smoke: bool, out: Path, courses: int, workers: int) -> None:
     said = f"python -m benchmarks.{NAME}" + (f" --courses {courses}" if courses != COURSES else "")
     write_json(path, short({"command": said, "seed": SEED, "courses": courses, "rows": result}))
     heads = ["row", "agent", "change", "rule", "change", "agent minus rule"]
-    text = TEXT.format(courses=courses)
+    text = TEXT.format(courses=courses, seed=SEED)
     write(out, NAME, "Robustness", text, {f"Courses of {GROUND} finished [%]": Table(heads, table)})
 
 

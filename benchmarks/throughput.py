@@ -112,15 +112,15 @@ class Checkout:
         return found
 
 
-def compared(rounds: list[dict[str, list[float]]], names: list[str]) -> dict[str, Any]:
+def compared(rounds: list[dict[str, list[float]]]) -> dict[str, Any]:
     """{environment: {checkout: spread of its steps a second}}, with the "ratio" of the first to the
     second if two were measured.
 
-    `rounds`: {checkout: rates of the environments `names`} of each round.
+    `rounds`: {checkout: rates of `ENVIRONMENTS`} of each round.
     """
     sides = list(rounds[0])
     out: dict[str, Any] = {}
-    for i, name in enumerate(names):
+    for i, name in enumerate(ENVIRONMENTS):
         out[name] = {side: spread([r[side][i] for r in rounds]) for side in sides}
         if len(sides) == 2:
             out[name]["ratio"] = spread([r[sides[0]][i] / r[sides[1]][i] for r in rounds])
@@ -144,8 +144,7 @@ def command(smoke: bool, out: Path, against: Path | None) -> None:
         side.start(size, min(2, about["cores"]), seconds)
     # The first round warms up and does not count.
     found = [{name: side.rates() for name, side in sides.items()} for _ in range(rounds + 1)][1:]
-    names = list(ENVIRONMENTS)
-    results = compared(found, names)
+    results = compared(found)
     content = {"machine": about, "size": size, "rates": results, "first_starts": firsts}
     write_json(file, content)
     text = (

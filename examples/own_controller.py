@@ -44,11 +44,12 @@ def main() -> None:
     )
     controller = Uphill(env.unwrapped.scenario)
     observation, info = env.reset(seed=1)
-    state, start, over = None, [True], False
+    state = None
+    over = False
     while not over:
-        action, state = controller.predict(observation, state, start)
+        action, state = controller.predict(observation, state)
         observation, _, terminated, truncated, info = env.step(action)
-        start, over = [False], terminated or truncated
+        over = terminated or truncated
     print(f"{info['cause']} at {info['state']['x']:.1f} m")
 
 

@@ -38,7 +38,7 @@ from soil_env.simulation.task.scaling import Scaling
 
 from . import inputs
 from .archives import check_unpacked
-from .config import NAMES, PPOConfig
+from .config import NAMES, PPOConfig, task_of
 from .history import History, Remembering, columns_of_routes
 
 # Members of the zip.
@@ -73,8 +73,7 @@ class Info(Checked):
     @cached_property
     def task(self) -> Scenario | RoverScenario:
         """The scenario that the agent was trained on, that of a rover if it has a `vehicle`."""
-        kind = RoverScenario if "vehicle" in self.scenario else Scenario
-        return load(kind, self.scenario, "scenario")
+        return task_of(self.scenario)
 
     @cached_property
     def history(self) -> History | None:
@@ -132,7 +131,7 @@ class ChoosingPolicy(ActorCriticPolicy):
     of the two routes: exchanged routes give the opposite choice (Bromley et al. 1993, NIPS 6).
     """
 
-    def __init__(self, *args, choice: int = 0, routes: Sequence[list[int]] = (), **kwargs):
+    def __init__(self, *args, choice: int, routes: Sequence[list[int]], **kwargs):
         # Before SB3's constructor, which calls `_build_mlp_extractor`.
         self.of_choice: dict[str, Any] = {"choice": choice, "routes": routes}
         super().__init__(*args, **kwargs)
@@ -148,8 +147,8 @@ class ChoosingPolicy(ActorCriticPolicy):
         )
 
     def _get_action_dist_from_latent(self, latent_pi: torch.Tensor):
-        """Normal distribution of the actions [n, 1], of what `ChoosingExtractor.forward_actor`
-        gives [n, hidden + 2].
+        """Normal distribution of the actions [n, 1] for what `ChoosingExtractor.forward_actor`
+        returns, [n, hidden + 2].
 
         Its mean is the difference of the scores where a route is chosen, so that an action above 0
         takes the route ahead; elsewhere it is the output of `action_net`.
@@ -241,7 +240,7 @@ def read_info(path: Path) -> Info:
         raise ParameterError(f"{path}: {INFO}: {error}") from None
     except ValueError as error:
         raise ParameterError(f"{path}: trained on another observation layout: {error}") from None
-    check_layout(info, path)
+    check_layout(info, path, info.task)
     for key in ("mean", "var"):
         values = np.array(getattr(info, key))
         if (
@@ -255,13 +254,12 @@ def read_info(path: Path) -> Info:
     return info
 
 
-def check_layout(info: Info, where, scenario: Scenario | RoverScenario | None = None) -> None:
+def check_layout(info: Info, where, scenario: Scenario | RoverScenario) -> None:
     """ParameterError if a model was trained on other entries of its observation variant than this
-    version has on `scenario`, or on the other kind of vehicle; None: the model's own scenario.
+    version has on `scenario`, or on the other kind of vehicle.
 
     `where`: what the model was read from, at the beginning of the message.
     """
-    scenario = info.task if scenario is None else scenario
     if isinstance(info.task, RoverScenario) != isinstance(scenario, RoverScenario):
         own, other = (
             ("rover", "wheel") if isinstance(info.task, RoverScenario) else ("wheel", "rover")

@@ -75,7 +75,7 @@ class OtherStudy(ParameterError):
     """A folder holds a study that a command began here, but another one than is asked for."""
 
 
-def is_begun(study, folder: Path, ignored: Collection[str] = ()) -> bool:
+def is_begun(study, folder: Path, ignored: Collection[str]) -> bool:
     """True if `folder` holds this study (a dataclass) already; False for one that is missing, which
     is made, or empty.
 
@@ -193,10 +193,11 @@ def fill(
     made_from = {}
     for cell in cells:
         made_from[cell] = _digest(needs(cell))
-        if is_done(folder, cell, needs):
+        path = cell_file(folder, cell)
+        if _made_from(path) == made_from[cell]:
             (found or progress)(cell)
         else:
-            stale += cell_file(folder, cell).is_file()
+            stale += path.is_file()
             missing.append(cell)
     if stale:
         show(
@@ -213,8 +214,7 @@ def fill(
 
 def is_done(folder: Path, cell: Cell, needs: Callable[[Cell], object]) -> bool:
     """True if a cell has a file that was made from what `needs` says now."""
-    path = cell_file(folder, cell)
-    return path.is_file() and _made_from(path) == _digest(needs(cell))
+    return _made_from(cell_file(folder, cell)) == _digest(needs(cell))
 
 
 def _digest(needed: object) -> str:
@@ -223,12 +223,12 @@ def _digest(needed: object) -> str:
 
 
 def _made_from(path: Path) -> str | None:
-    """Digest of what the file of a finished cell was made from; None if it is damaged or has
-    none.
+    """Digest of what the file of a finished cell was made from; None if there is no file, or if it
+    is damaged or has none.
     """
     try:
         return json.loads(path.read_text(encoding="utf-8")).get(MADE_FROM)
-    except (ValueError, AttributeError):
+    except (FileNotFoundError, ValueError, AttributeError):
         return None
 
 

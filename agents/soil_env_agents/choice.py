@@ -123,8 +123,8 @@ class Chooser(BaseCallback):
         """Learn from the choices of the rollout, and of those before."""
         self.learn(self.left)
 
-    def learn(self, left: float, passes: float = PASSES) -> None:
-        """Go on by as many updates as make `passes` over the choices since the last call. Each
+    def learn(self, left: float) -> None:
+        """Go on by as many updates as make `PASSES` over the choices since the last call. Each
         draws `BATCH` of all choices that are kept.
 
         `left`: share of the training that is left, with which the learning rate falls. Nothing
@@ -138,7 +138,7 @@ class Chooser(BaseCallback):
         mean = moments.mean[env.routes[0]]
         sd = np.sqrt(moments.var[env.routes[0]] + self.normalised.epsilon)
         self.optimizer.param_groups[0]["lr"] = RATE * max(left, LEAST_RATE)
-        for _ in range(int(passes * (env.count - self.learned) / BATCH)):
+        for _ in range(int(PASSES * (env.count - self.learned) / BATCH)):
             at = self.rng.integers(min(env.count, KEPT), size=BATCH)
             routes = np.clip(
                 (env.taken[at] - mean) / sd, -self.normalised.clip_obs, self.normalised.clip_obs

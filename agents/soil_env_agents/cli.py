@@ -27,7 +27,8 @@ from soil_env.parameters import DEFAULT_SCENARIO
 
 #: Settings of a click command that takes --KEY VALUE beside its options, as the argument `keys`.
 WITH_KEYS = {"ignore_unknown_options": True}
-_TEXT = ("scenario", "name", "runs", "observation", "model")  # keys whose value is always text
+# Keys whose value is always text.
+_TEXT = ("scenario", "rover", "name", "runs", "observation", "model")
 _PACKAGES = ("stable_baselines3", "tensorboard", "torch")  # of the extra `train`
 _FAILURES = (ParameterError, OSError, MemoryError)  # that end a command with one line
 #: Files of a folder in which no work is done yet, beside hidden ones.

@@ -15,7 +15,7 @@ from .controllers.rover import controllers_of
 from .default_policy import NAME, DefaultPolicy
 from .evaluate.command import carry_out
 from .evaluate.contestants import SHIPPED_CLASS, Contestant, digest
-from .evaluate.evaluation import Evaluation
+from .evaluate.evaluation import Evaluation, as_begun
 from .evaluate.tables import points
 from .progress import show
 
@@ -52,8 +52,7 @@ def compare(
         detailed=False,
     )
     try:
-        if cells.is_begun(asked, folder, ignored=("tuned", "codes")):
-            asked = cells.load_study(Evaluation, folder)
+        asked = as_begun(asked, folder)
     except cells.OtherStudy:
         cells.clear(folder)  # of a model that was trained again
     result = carry_out(asked, folder)

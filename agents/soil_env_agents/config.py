@@ -96,6 +96,11 @@ class OfWorld(Checked):
         return WheelSoilModel.from_content(self.model, "model") if self.model else None
 
 
+def task_of(content: dict) -> Scenario | RoverScenario:
+    """The scenario in the content of its file, that of a rover if it has a `vehicle`."""
+    return load(RoverScenario if "vehicle" in content else Scenario, content, "scenario")
+
+
 class OfTask(OfWorld):
     """Base of a configuration with `task`, the content of a scenario or of a rover's."""
 
@@ -104,7 +109,7 @@ class OfTask(OfWorld):
     @cached_property
     def scenario(self) -> Scenario | RoverScenario:
         """The scenario, of a wheel or of a rover."""
-        return load(RoverScenario if "vehicle" in self.task else Scenario, self.task, "scenario")
+        return task_of(self.task)
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,12 @@ def command(
         raise ParameterError(
             f"--scenario {scenario}: expected none beside --rover, whose file has its own"
         )
-    task = load_scenario(scenario) if rover is None else load_rover(rover)
+    if rover is None:
+        task = load_scenario(scenario)
+        make = partial(gymnasium.make, "soil_env:SoilWheel-v0", scenario=task)
+    else:
+        task = load_rover(rover)
+        make = partial(gymnasium.make, "soil_env:SoilRover-v0", rover=task, info="full")
     if policy is not None and controller is not None:
         raise ParameterError(
             f"--policy {policy}: expected none beside --controller {controller}; several are one "
@@ -107,16 +112,16 @@ def command(
         drivers = {
             c.name: load(c, task) for c in parse(named, known=controllers_of(task)[0]).values()
         }
-    make = partial(gymnasium.make, "soil_env:SoilWheel-v0", scenario=task, repeat=1, scaled=False)
-    if rover is not None:
-        make = partial(
-            gymnasium.make, "soil_env:SoilRover-v0", rover=task, repeat=1, scaled=False, info="full"
-        )
     film_every = every if suffix in (".gif", ".mp4") else 0
     films = {}
     for name, driver in drivers.items():
         control = getattr(driver, "drives", {})
-        env = make(observation=driver.variant, render_mode="rgb_array" if out else None, **control)
+        env = make(
+            observation=driver.variant,
+            render_mode="rgb_array" if out else None,
+            scaled=False,
+            **{"repeat": 1} | control,
+        )
         held = replace(task.control, **control).action_periods
         with controllers_as(option):
             frames, info, steps = _drive(env, name, driver, held, seed, frame, film_every)

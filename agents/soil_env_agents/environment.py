@@ -54,7 +54,7 @@ def normalised(
     world brings effects and grouser height of its model; wheel and soils stay the scenario's.
     """
     worlds = list(world) if isinstance(world, Sequence) else [world]
-    shares = np.diff(np.linspace(0, config.num_envs, len(worlds) + 1).astype(int))
+    shares = even_shares(config.num_envs, len(worlds))
     kind = SoilRoverVecEnv if isinstance(scenario, RoverScenario) else SoilWheelVecEnv
     # `scatter`: the scenario's wheel and soils in the world of a model.
     parts = [
@@ -64,6 +64,11 @@ def normalised(
         for share, one in zip(shares, worlds, strict=True)
     ]
     return side_by_side(parts, config, seed)
+
+
+def even_shares(wheels: int, parts: int) -> list[int]:
+    """Numbers of wheels of so many `parts`, which differ by one at most."""
+    return np.diff(np.linspace(0, wheels, parts + 1).astype(int)).tolist()
 
 
 def side_by_side(parts: Sequence[CourseVecEnv], config: PPOConfig, seed: int) -> VecNormalize:
@@ -131,7 +136,7 @@ class SeveralWorlds(NativeVecEnv):
         )
         self._starts = np.cumsum([0, *(part.num_envs for part in self.parts)])[:-1].tolist()
 
-    def owners(self, indices=None) -> list[VecEnv]:
+    def owners(self, indices) -> list[VecEnv]:
         """The part of each of these wheels."""
         return [self._owner[k] for k in self._get_indices(indices)]
 

@@ -42,7 +42,7 @@ from . import common_layout, default_policy, ppo, student
 from .cells import Engine, choose, in_process
 from .choice import Chooser
 from .config import PPOConfig
-from .environment import HIDDEN, CommonVecEnv, hidden_worlds, side_by_side
+from .environment import HIDDEN, CommonVecEnv, even_shares, hidden_worlds, side_by_side
 from .evaluate.driving import run_courses
 from .progress import Bar, show
 from .teachers import Teacher, teacher_settings
@@ -96,7 +96,7 @@ class Generalist(Checked):
         seed = self.seed + list(self.grounds).index(name)
         return scenario, hidden_worlds(scenario, self.hidden, seed, self.effects)
 
-    def teacher(self, cell: tuple[str, int], threads: int | None = None) -> dict[str, float]:
+    def teacher(self, cell: tuple[str, int], threads: int | None) -> dict[str, float]:
         """Settings of the teacher for a (ground, world): 0 for the world without an effect, from 1
         for the hidden ones.
 
@@ -130,10 +130,7 @@ class Generalist(Checked):
             scenario, hidden = self.ground(name)
             in_hidden = round(own.hidden * own.wheels) if hidden else 0
             # Wheels in the world without an effect, then in each hidden one.
-            shares = (
-                own.wheels - in_hidden,
-                *np.diff(np.linspace(0, in_hidden, len(hidden) + 1).astype(int)).tolist(),
-            )
+            shares = (own.wheels - in_hidden, *even_shares(in_hidden, len(hidden)))
             for k, (share, world) in enumerate(zip(shares, [None, *hidden], strict=True)):
                 part = CommonVecEnv(
                     share,

@@ -23,7 +23,7 @@ class NativeVecEnv(VecEnv):
 
     render_mode = None
 
-    def owners(self, indices=None) -> list[VecEnv]:
+    def owners(self, indices) -> list[VecEnv]:
         """For each of these courses the vector environment that has its attributes."""
         own: list[VecEnv] = [self] * self.num_envs
         return [own[k] for k in self._get_indices(indices)]

@@ -12,12 +12,14 @@ from soil_env.parameters import RoverScenario, Scenario
 from .controllers.rover import RoverController
 from .controllers.wheel import BestSlipTrue
 
-#: Of the teacher: start and speed [of the top rim speed], acceleration [m/s2], and as share the
-#: limit of the slip over the best slip. Found with 36 trials a scenario on 700 development courses
-#: each; where they
-#: were alike they are one.
-SETTINGS = {"start": 0.08, "acceleration": 0.25, "speed": 0.54, "share": 1.05}
-OF_SCENARIOS = {
+#: Settings of the teacher, found with 36 trials a scenario on 700 development courses each.
+SETTINGS = {
+    "start": 0.08,  # [of the top rim speed]
+    "acceleration": 0.25,  # [m/s2]
+    "speed": 0.54,  # [of the top rim speed]
+    "share": 1.05,  # limit of the slip over the best slip
+}
+SETTINGS_OF_SCENARIOS = {
     "loose_slopes": {"start": 0.13, "acceleration": 0.31, "speed": 0.85},
     "sticky": {"start": 0.1, "acceleration": 0.43, "speed": 0.58},
     "field_vehicle": {"start": 0.04, "acceleration": 0.3, "speed": 0.36, "share": 1.5},
@@ -43,7 +45,7 @@ MANNERS = {
 
 
 class Teacher(BestSlipTrue):
-    """`best_slip_true` whose ramp goes on from the speed that the student commands now.
+    """`best_slip_true` whose ramp goes on from the present rim speed of the student.
 
     `settings` are those of `SETTINGS`, in their units; others are `teacher_settings`.
     """
@@ -56,12 +58,14 @@ class Teacher(BestSlipTrue):
         self.share = own["share"]
 
     def state_for(self, batch, state, fresh):
-        """The state of `BestSlipTrue`, with the ramp [m/s] at the commanded rim speed, or at the
-        measured one where the action is another, less the droop and at least 0.
+        """The state of `BestSlipTrue`, with the ramp [m/s] at the rim speed that the student
+        commands, or at the measured one where the action is a torque; at least 0.
         """
         state = super().state_for(batch, state, fresh)
-        name = "rim_command" if self.action == "rim_acceleration" else "rim_speed"
-        rim = batch[:, self.column[name]] - self.droop(batch)
+        if self.action == "torque":
+            rim = batch[:, self.column["rim_speed"]]
+        else:
+            rim = batch[:, self.column["rim_command"]] - self.droop(batch)  # as `command` adds it
         state["ramp"] = np.maximum(rim, 0.0) * self.top_speed
         return state
 
@@ -97,8 +101,8 @@ class RoverTeacher(RoverController):
 
 
 def teacher_of(part: VecEnv) -> Teacher | RoverTeacher:
-    """The teacher of the wheels or rovers of a vector environment, with the settings that it names,
-    if any.
+    """The teacher of the wheels or rovers of a vector environment; of wheels with the settings
+    `part.teacher`, if it has some.
     """
     if isinstance(part.scenario, RoverScenario):
         return RoverTeacher(part.scenario)
@@ -107,7 +111,7 @@ def teacher_of(part: VecEnv) -> Teacher | RoverTeacher:
 
 def teacher_settings(scenario: Scenario) -> dict[str, float]:
     """Settings of the teacher of a scenario in a world without hidden effects."""
-    return SETTINGS | OF_SCENARIOS.get(scenario.name, {})
+    return SETTINGS | SETTINGS_OF_SCENARIOS.get(scenario.name, {})
 
 
 class Teachers:

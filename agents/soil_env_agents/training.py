@@ -95,10 +95,12 @@ def scenario_of(config: TrainConfig) -> Scenario | RoverScenario:
 
 
 def make_run_folder(config: TrainConfig, scenario: Scenario | RoverScenario) -> Path:
-    """Create the run folder `runs`/`name` with its resolved config.yaml and scenario.yaml, and a
-    copy of each (`BEGUN`). ParameterError where it exists or cannot be written.
+    """Create the run folder `runs`/`name` and return it.
 
-    Without a name it is named after observation, scenario and time.
+    It has the resolved config.yaml and scenario.yaml, and a copy of each (`BEGUN`), by which a
+    resumed run tells what was edited. Without a name it is named after observation, scenario and
+    time. ParameterError for a name that is a path, and where the folder exists or cannot be
+    written.
     """
     name = config.name or f"{config.observation}-{scenario.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     if Path(name).name != name:

@@ -16,9 +16,17 @@ from pathlib import Path
 
 import click
 import numpy as np
-from scipy.stats import t as student_t
 
-from benchmarks.common import name_of, read_json, ready, short, study_options, write
+from benchmarks.common import (
+    half_interval,
+    name_of,
+    read_json,
+    ready,
+    short,
+    study_options,
+    workers_option,
+    write,
+)
 from benchmarks.continuum import loop, rig
 from benchmarks.continuum.rig import LOADS, RIM_SPEED, SHAPES, SLIPS, SOILS, TABLES, WHEELS
 from benchmarks.continuum.soil import Bed
@@ -31,6 +39,7 @@ from soil_env_agents.cells import processes
 NAME = "benchmarks.continuum"
 PILE_LOADS = (80.0, 180.0)  # [N]
 BEDS = 3  # of each drive, alike but for the disorder of the particles
+_only_option = click.option("--only", type=click.Choice(list(WHEELS)), help="One table.")
 TEXT = (
     "A wheel on a continuum that shares no equation with soil_env is measured under 40, 80 and 120 "
     "N; discovery corrects the base model. Errors: root mean square over the rows of 180 N, which "
@@ -47,7 +56,7 @@ def command() -> None:
 
 @command.command("rig")
 @click.option("--out", type=PATH, default=TABLES, metavar="DIR", help="Folder of the tables.")
-@click.option("--only", type=click.Choice(list(WHEELS)), help="One table.")
+@_only_option
 @click.option("--workers", type=WholeNumber(1), default=1, show_default=True, help="Processes.")
 def rig_command(out: Path, only: str | None, workers: int) -> None:
     """Measure what the tables still lack: a wheel at forced slips under loads."""
@@ -70,7 +79,7 @@ def rig_command(out: Path, only: str | None, workers: int) -> None:
 
 
 @command.command("pile")
-@click.option("--workers", type=WholeNumber(1), default=2, show_default=True, help="Processes.")
+@workers_option
 def pile_command(workers: int) -> None:
     """Travel in which soil piles up ahead of a wheel that is suddenly braked."""
     cells = product(SOILS, PILE_LOADS)
@@ -81,9 +90,9 @@ def pile_command(workers: int) -> None:
 
 @command.command("loop")
 @study_options("continuum")
-@click.option("--only", type=click.Choice(list(WHEELS)), help="One table.")
+@_only_option
 @click.option("--beds", type=WholeNumber(2), default=BEDS, show_default=True, help="Of each drive.")
-@click.option("--workers", type=WholeNumber(1), default=2, show_default=True, help="Processes.")
+@workers_option
 def loop_command(smoke: bool, out: Path, only: str | None, beds: int, workers: int) -> None:
     """Learn models from tables, tune a rule in them and let it drive on the continuum."""
     kept = name_of("continuum", smoke)
@@ -147,7 +156,7 @@ def _interval(values: Sequence[float], scale: float, digits: int) -> str:
     "MEAN [LOW, HIGH]", with so many decimals (`digits`).
     """
     of = scale * np.asarray(values)
-    half = student_t.ppf(0.975, len(of) - 1) * of.std(ddof=1) / math.sqrt(len(of))
+    half = half_interval(of)
     mean, low, high = (f"{x:.{digits}f}" for x in (of.mean(), of.mean() - half, of.mean() + half))
     return f"{mean} [{low}, {high}]"
 

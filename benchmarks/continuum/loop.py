@@ -103,20 +103,6 @@ def scenario_of(shape: Shape, grade: float) -> Scenario:
     return load_scenario("mixed", settings(shape, grade))
 
 
-def task(shape: Shape, grade: float, model: WheelSoilModel) -> gymnasium.Env:
-    """Environment of the drive up a grade [deg]: exactly the wheel and the soil of a model, with
-    observations as controllers read them (`scaled=False`).
-    """
-    return gymnasium.make(
-        "soil_env:SoilWheel-v0",
-        scenario="mixed",
-        model=model,
-        observation=VARIANT,
-        scaled=False,
-        **settings(shape, grade),
-    )
-
-
 def _drive(scenario: Scenario, step: Callable, observation: np.ndarray) -> Drive:
     """Let the rule drive for `SECONDS` from an `observation` [D].
 
@@ -126,9 +112,8 @@ def _drive(scenario: Scenario, step: Callable, observation: np.ndarray) -> Drive
     controller = make_controller(CONTROLLER, scenario, speed=SPEED, acceleration=ACCELERATION)
     memory = None
     found = []
-    for period in range(round(SECONDS / scenario.control.period)):
-        first = np.full(1, period == 0)
-        action, memory = controller.predict(observation[None], memory, first)
+    for _ in range(round(SECONDS / scenario.control.period)):
+        action, memory = controller.predict(observation[None], memory)
         observation, *state = step(action[0])
         found.append(state)
     place, slips, sinkage = np.array(found).T
@@ -136,8 +121,15 @@ def _drive(scenario: Scenario, step: Callable, observation: np.ndarray) -> Drive
 
 
 def simulated(shape: Shape, grade: float, model: WheelSoilModel) -> Drive:
-    """A drive up a grade [deg] in the environment of a model."""
-    env = task(shape, grade, model)
+    """A drive up a grade [deg] in an environment with exactly the wheel and the soil of a model."""
+    env = gymnasium.make(
+        "soil_env:SoilWheel-v0",
+        scenario="mixed",
+        model=model,
+        observation=VARIANT,
+        scaled=False,
+        **settings(shape, grade),
+    )
     observation, _ = env.reset(seed=0)
     last = [observation, 0.0, 0.0, 0.0]
     over = False

@@ -28,8 +28,6 @@ SOILS = {
     "sand": Material(friction=math.tan(math.radians(30.0))),
     "loam": Material(friction=math.tan(math.radians(24.0)), cohesion=800.0),
 }
-#: Friction angles [deg] in direct shear.
-SHEAR_TESTS = {name: math.degrees(math.atan(soil.friction)) for name, soil in SOILS.items()}
 SHEAR_TEST_SD = 1.0  # [deg] of a shear test
 COHESION_SD = 100.0  # [Pa]
 CALIBRATED = (  # errors that a computed rig has not
@@ -143,7 +141,9 @@ def write_table(folder: Path, table: str, rows: dict[tuple[float, float], list[s
     """
     lines = [",".join(HEAD), *(",".join(rows[key]) for key in sorted(rows))]
     soil, shape = WHEELS[table]
+    material = SOILS[soil]
     outline = SHAPES[shape]
+    friction_angle = math.degrees(math.atan(material.friction))  # in direct shear
     wheel = {"radius": outline.radius, "width": outline.width}
     wheel["grouser_height"] = outline.lug_height
     if outline.lugs:
@@ -151,9 +151,9 @@ def write_table(folder: Path, table: str, rows: dict[tuple[float, float], list[s
     setup = {
         "wheel": wheel,
         "soil": {
-            "friction_angle_deg": {"value": round(SHEAR_TESTS[soil], 1), "sd": SHEAR_TEST_SD},
-            "cohesion": {"value": SOILS[soil].cohesion, "sd": COHESION_SD},
-            "density": SOILS[soil].density,
+            "friction_angle_deg": {"value": round(friction_angle, 1), "sd": SHEAR_TEST_SD},
+            "cohesion": {"value": material.cohesion, "sd": COHESION_SD},
+            "density": material.density,
         },
         "calibration": dict.fromkeys(CALIBRATED, 0),
     }

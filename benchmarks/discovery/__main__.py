@@ -21,7 +21,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from functools import partial, reduce
+from functools import partial
 from pathlib import Path
 
 import click
@@ -174,7 +174,9 @@ def _of_cases(work: Callable) -> Callable:
             help="Folder of the scores (default: that of --out).",
         ),
     )
-    return reduce(lambda inner, option: option(inner), reversed(options), work)
+    for option in reversed(options):
+        work = option(work)
+    return work
 
 
 @command.command("run")

@@ -69,7 +69,8 @@ def folder() -> Path | None:
 
 
 def _hash_of_sources() -> str:
-    """First 16 hexadecimal digits of the SHA-256 of numba's version and all files of `SOURCES`.
+    """First 16 hexadecimal digits of the SHA-256 of numba's version and all `.py` files of
+    `SOURCES`.
 
     Without the version, environments with two of them would drop each other's code again and again.
     """

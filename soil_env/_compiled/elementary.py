@@ -2,8 +2,8 @@
 of a contact arc.
 
 Errors relative to the true value: exp 3e-15, log 1e-15 (absolute below 1); sin and cos of a half
-angle 2e-15 of full scale, of a whole one 4e-15. The coefficients are those of minimax polynomials,
-those of exp, log and asin as in fdlibm (Sun Microsystems 1993).
+angle 2e-15 of full scale, of a whole one 4e-15. Arguments are reduced as in fdlibm (Sun
+Microsystems 1993). The coefficients are own fits of minimax polynomials, which tests judge.
 """
 
 import math
@@ -109,6 +109,8 @@ def asin_root(t):
     """asin(sqrt(t)) for t cut to [0, 1]: s + s^3 P(s^2) with s = sqrt(t).
 
     Above t = 1/4 it is asin(s) = pi/2 - 2 asin(sqrt((1 - s)/2)), whose argument is small again.
+    The argument is a square so that 2 asin(sqrt(z/2r)) gives the entry angle without the
+    cancellation of acos(1 - z/r).
     """
     t = max(min(t, 1.0), 0.0)
     near_one = t > 0.25

@@ -114,7 +114,9 @@ def write_own(folder: str | Path, contents: Mapping[str, bytes | str]) -> None:
 
 
 def drop_own(folder: str | Path, names: Iterable[str]) -> None:
-    """Delete those files of a folder that `write_own` wrote and nobody changed since."""
+    """Delete those of the files `names` of a folder that `write_own` wrote and nobody changed
+    since; their digests stay.
+    """
     folder = Path(folder)
     known = _manifest(folder)
     for name in names:

@@ -86,8 +86,8 @@ def keys_of(cls: type, above: str = "", without: Collection[str] = ()) -> Iterat
 
 
 def _class_in(hint: Any) -> type | None:
-    """The dataclass that a type hint names, alone, as one of several, or as the values of a
-    mapping; None without one.
+    """The dataclass that a type hint names, alone, as one of several, or as the elements of a
+    tuple or the values of a mapping; None without one.
     """
     kinds = (hint, *typing.get_args(hint))
     return next((k for k in kinds if isinstance(k, type) and dataclasses.is_dataclass(k)), None)

@@ -38,7 +38,12 @@ from soil_env.identification.table.form_error import (
     in_channels,
     whitened,
 )
-from soil_env.identification.table.noise import NoiseEstimate, find_noise, with_noise_of_conditions
+from soil_env.identification.table.noise import (
+    SMALLEST_SD,
+    NoiseEstimate,
+    find_noise,
+    with_noise_of_conditions,
+)
 from soil_env.identification.table.priors import (
     BROAD,
     Unknown,
@@ -52,6 +57,7 @@ from soil_env.identification.table.priors import (
 )
 from soil_env.identification.table.problem import (
     COARSE,
+    NO_VALUE,
     OFF_GUESS,
     ArrayFunction,
     Last,
@@ -64,16 +70,7 @@ from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, Effects
 from soil_env.terramechanics.effects.entry import Bench
 from soil_env.terramechanics.model import USUAL_DENSITY, Rows
 
-from .instrument import (
-    LAWS,
-    LISTED,
-    Choice,
-    Choices,
-    in_balance,
-    nuisances,
-    reading,
-    true_rows,
-)
+from .instrument import LAWS, LISTED, Choice, Choices, in_balance, nuisances, reading, true_rows
 from .unnamed import changed, factors, loaded
 
 PRIOR_WIDTH = 1.5  # factor of the sd of the setup's priors
@@ -86,11 +83,9 @@ LEAST_OF_CENTRE = 1e-3
 #: Noise of a first fit over the standard deviation of the channel, where the setup gives none; own
 #: choice.
 ROUGH_NOISE = 0.05
-LEAST_NOISE = 1e-12  # [m, N, N m] of a first fit, if all values of the channel are equal
 #: [prior sd] distance of a start from a bound; also that of two starts that are taken as the same.
 _SAME = 1e-6
 _OFF_NEUTRAL = 0.3  # [prior sd] start of a strength whose bound is its neutral value; own choice
-_NO_VALUE = 1e3  # [noise] residual where the model has no value
 _LAW_FUNCTIONS = 24  # most functions of the process of the base law's error
 _EFFECT_FUNCTIONS = 24  # most functions of the process of an effect's form error
 _FREE_FUNCTIONS = 40  # most functions of an anonymous contribution
@@ -127,7 +122,7 @@ class Sizes(NamedTuple):
         return (self.rig, self.effect, *laws)
 
 
-EXACT = Sizes()
+NOISE_ALONE = Sizes()  # no form error, and values that scatter as their noise says
 
 
 def sinkage_guess(output: np.ndarray) -> np.ndarray:
@@ -155,7 +150,7 @@ class Fit:
     form_errors: tuple[np.ndarray, ...]
     free: tuple[np.ndarray, ...]  # [M, R] of a smooth anonymous contribution to each channel
     converged: bool
-    sizes: Sizes = EXACT  # under which the unknowns are most probable
+    sizes: Sizes = NOISE_ALONE  # under which the unknowns are most probable
 
     def parameters(self) -> dict[str, float]:
         """Values of the unknowns by name, in their own units."""
@@ -290,6 +285,11 @@ class Problem:
             smooth=wheel.grouser_height == 0.0 and not np.any(rows.wheels[:, 2]),
         )
 
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels with a value in use, in the order of `CHANNELS`."""
+        return tuple(name for name, used in zip(CHANNELS, self.used.T, strict=True) if used.any())
+
     def is_given(self, unknown: Unknown) -> bool:
         """True if the setup gives a prior of this soil parameter, of S also by `k_c` and `k_phi`.
 
@@ -394,7 +394,7 @@ class Problem:
         self,
         choices: Choices = (),
         start: dict[str, float] | None = None,
-        sizes: Sizes = EXACT,
+        sizes: Sizes = NOISE_ALONE,
         near: Fit | None = None,
     ) -> Fit:
         """Most probable parameters of the model with the given effects.
@@ -403,7 +403,7 @@ class Problem:
         `near`: a fit to the same table, whose form errors at these `sizes` are in the covariance.
         Without it the covariance is that of the noise times the scatter, and no other size counts.
         No start is nearer to a bound than `_SAME`. Output, derivatives and form errors of the `Fit`
-        are those at its optimum; a residual is `_NO_VALUE` where the model has no value there.
+        are those at its optimum; a residual is `NO_VALUE` where the model has no value there.
         """
         law = Law(self, choices)
         low, high = law.bounds
@@ -419,7 +419,7 @@ class Problem:
         if near is not None and near.choices == choices and np.allclose(u, near.u, 0.0, _SAME):
             law.derivatives.know(u, near.jacobian)
         u, converged = law.fitted(u, lambda values: whitened(root, values / sizes.scatter))
-        counted = sizes if near is not None else EXACT._replace(scatter=sizes.scatter)
+        counted = sizes if near is not None else NOISE_ALONE._replace(scatter=sizes.scatter)
         output = law.output(u)
         residual = self.whiten(self.data.y) - self.whiten(output)
         added = law.added(u, output)
@@ -431,7 +431,7 @@ class Problem:
             u=u,
             output=output,
             added=added,
-            residual=np.where(np.isfinite(residual), residual, _NO_VALUE),
+            residual=np.where(np.isfinite(residual), residual, NO_VALUE),
             jacobian=law.derivatives(u),
             form_errors=tuple(map(self.whiten, form_errors)),
             free=tuple(map(self.whiten, free)),
@@ -593,7 +593,7 @@ def calibrate(data: Data) -> tuple[Problem, NoiseEstimate]:
     spread = [np.nanstd(y) if np.isfinite(y).any() else 1.0 for y in data.y.T]
     rough = np.array(
         [
-            getattr(data.setup.noise, name) or max(ROUGH_NOISE * sd, LEAST_NOISE)
+            getattr(data.setup.noise, name) or max(ROUGH_NOISE * sd, SMALLEST_SD)
             for name, sd in zip(CHANNELS, spread, strict=True)
         ]
     )

@@ -3,7 +3,7 @@ without a law of soils.
 
     y = (W/W0)^p a + (W/W0)^q b [1 - exp(-|i| / (k (W/W0)^m))]        i >= 0, b of its own for i < 0
 
-after the shear curve of Janosi & Hanamoto (1961); W0 is the middle load. The amplitudes a and b are
+after the shear curve of Janosi & Hanamoto (1961); W0 is the median load. The amplitudes a and b are
 linear, k is sought on a grid; where the loads differ, k, p, q and m are fitted.
 """
 

@@ -402,8 +402,8 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
     moved = Law(problem, fit.choices, sinkage_guess(fit.output)).stresses(fit.u, fit.output)
     channels: dict[str, np.ndarray] = {
         name: np.broadcast_to(size, fit.output.shape)
-        for name, size, used in zip(CHANNELS, np.diag(problem.size), problem.used.T, strict=True)
-        if used.any()
+        for name, size in zip(CHANNELS, np.diag(problem.size), strict=True)
+        if name in problem.channels
     }
     alone = [n for n in LENGTHS if n in at and np.ptp(at[n]) > 0.0]
     alone_with_slip = Process.over(at, of=("slip",), most=_FUNCTIONS).at_points
@@ -434,9 +434,7 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
     return out
 
 
-def anonymous_grid(
-    problem: Problem, plain: Evidence, fit: Fit, beside: Pattern | None = None
-) -> SizeGrid:
+def anonymous_grid(problem: Problem, plain: Evidence, fit: Fit, beside: Pattern | None) -> SizeGrid:
     """`SizeGrid` of an anonymous contribution about a fit: its sizes in each of the three kinds,
     beside the most probable sizes of the other form errors.
 

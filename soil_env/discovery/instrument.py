@@ -165,14 +165,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
                 "crosstalk of the torque in the drawbar pull",
                 "The load cell reads a part of the torque as pull.",
                 (PULL,),
-                _p(
-                    "share",
-                    "x",
-                    "",
-                    0.5,
-                    0.08,
-                    "torque over radius that is read as drawbar pull",
-                ),
+                _p("share", "x", "", 0.5, 0.08, "torque over radius that is read as drawbar pull"),
                 "DP_measured = DP + {share} T/r",
             ),
             _entry(
@@ -180,14 +173,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
                 "crosstalk of the drawbar pull in the torque",
                 "The torque sensor reads a part of the pull as torque.",
                 (TORQUE,),
-                _p(
-                    "share",
-                    "x",
-                    "",
-                    0.5,
-                    0.08,
-                    "drawbar pull that is read as torque over radius",
-                ),
+                _p("share", "x", "", 0.5, 0.08, "drawbar pull that is read as torque over radius"),
                 "T_measured = T + {share} r DP",
             ),
             _entry(
@@ -213,14 +199,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType(
                 "a load that goes with the sinkage",
                 "A spring or the weight of an arm changes the load as the wheel sinks.",
                 CHANNELS,
-                _p(
-                    "rate",
-                    "k",
-                    "N/m",
-                    1e6,
-                    0.0,
-                    "load that is lost over a metre of sinkage",
-                ),
+                _p("rate", "k", "N/m", 1e6, 0.0, "load that is lost over a metre of sinkage"),
                 "W_true = W - {rate} z",
                 _within("rate", 2.0, 8.0, lambda bench: bench.load / bench.radius),
             ),
@@ -300,19 +279,18 @@ def ruled_out(setup: Setup) -> dict[str, str]:
     return known | ({"tilt": "tilt_deg of the setup has it"} if setup.tilt_deg is not None else {})
 
 
-def odds(setup: Setup, bench: Bench) -> dict[str, float]:
-    """Prior odds by name of the errors of a rig, over those of a rig whose setup states nothing; at
-    most 1.
+def odds_factors(setup: Setup, bench: Bench) -> dict[str, float]:
+    """Factors on the prior odds of the errors of a rig, by name: 1 if the setup states nothing.
 
     A rig that is known five times better than usual is wrong a fifth as often, since somebody
-    looked. Raises `ParameterError` for a stated zero error of the pull above the median load, or of
-    the torque above this load times the radius.
+    looked. One that is known worse keeps the usual odds. Raises `ParameterError` for a stated zero
+    error of the pull above the median load, or of the torque above this load times the radius.
     """
     own = _sd_of_nuisances(setup.calibration, bench)
     usual = _sd_of_nuisances(Calibration(), bench)
     for name, most, limit in (
-        ("force_offset", bench.load, "the middle load"),
-        ("torque_offset", bench.load * bench.radius, "the middle load times the radius"),
+        ("force_offset", bench.load, "the median load"),
+        ("torque_offset", bench.load * bench.radius, "the median load times the radius"),
     ):
         if own[name] > most:
             raise ParameterError(
@@ -351,20 +329,20 @@ def in_balance(rows: Rows, values: Values, outcome: Callable[[Rows], np.ndarray]
     r = rows.wheels[:, 0]
     if arm == spring == 0.0:
         return out
+    low, high = np.outer(PRESSED, start)
 
     def load_from(out: np.ndarray) -> np.ndarray:
         """Load [N] of each row under an outcome [N, 3], within `PRESSED`; sinkage and torque count
         as 0 where they are NaN.
         """
         z, _, torque = np.nan_to_num(out).T
-        return np.clip(start + arm * torque / r - spring * z, *np.outer(PRESSED, start))
+        return np.clip(start + arm * torque / r - spring * z, low, high)
 
     first = load_from(out)
     second = load_from(outcome(rows._replace(load=first)))
     # Where the load hardly changes, an infinite first change makes the ratio 0: `second` is taken.
     change = np.where(np.abs(first - start) > STEADY * start, first - start, math.inf)
     ratio = np.clip((second - first) / change, *GROWTH)
-    low, high = np.outer(PRESSED, start)
     limit = np.clip(first + (second - first) / (1.0 - ratio), low, high)
     balanced = (low < limit) & (limit < high)
     return np.where(balanced[:, None], outcome(rows._replace(load=limit)), math.nan)

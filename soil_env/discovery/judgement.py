@@ -148,8 +148,8 @@ def closed(problem: Problem, gap: dict[str, Gap]) -> float | None:
 def closed_interval(
     problem: Problem, before: np.ndarray, after: np.ndarray, rng: np.random.Generator
 ) -> tuple[float, float] | None:
-    """95 % interval of `closed` for held-out predictions [N, 3]; None where less than `_LEAST_GAP`
-    of the draws have a gap.
+    """95 % interval of `closed` for held-out predictions [N, 3], over the draws that have a gap;
+    None where less than `_LEAST_GAP` of them have one.
 
     Values of one slip share the error of that slip, and values of one combination of the other
     conditions share another. Slips and combinations are drawn with replacement; a row counts as

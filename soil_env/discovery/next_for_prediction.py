@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from .evidence import Evidence
-from .next_tests import MOST, conditions, costs
+from .next_tests import conditions, costs
 from .prediction import Prediction
 from .predictive import DEEPEST
 
@@ -64,7 +64,7 @@ class Uncertainty:
         return solve_triangular(root, across, lower=True)
 
 
-def surer_runs(model: Prediction, evidence: Evidence, most: int = MOST) -> tuple[SurerRun, ...]:
+def surer_runs(model: Prediction, evidence: Evidence, most: int) -> tuple[SurerRun, ...]:
     """At most `most` runs that make the prediction surer, in the order to make them.
 
     Each is the run that lowers the mean standard deviation most for its cost. The grid to choose

@@ -23,12 +23,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize
 
-from soil_env.identification.table.form_error import (
-    LENGTHS,
-    Conditions,
-    coordinates,
-    log_diagonal,
-)
+from soil_env.identification.table.form_error import LENGTHS, Conditions, coordinates, log_diagonal
 from soil_env.terramechanics.model import rows_of
 
 from .calibrate import Law, Problem, sinkage_guess

@@ -102,7 +102,7 @@ class Report:
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of the channels with a value in use, in the order of `CHANNELS`."""
-        return tuple(name for j, name in enumerate(CHANNELS) if self.problem.used[:, j].any())
+        return self.problem.channels
 
     @property
     def law_error(self) -> float:

@@ -18,8 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.identification.table.data import CHANNELS
-
 from .calibrate import Problem
 from .evidence import (
     Detectable,
@@ -31,12 +29,12 @@ from .evidence import (
     promised,
     settle,
 )
-from .instrument import INSTRUMENT, LISTED, Choice, Choices, Names, odds, ruled_out
+from .instrument import INSTRUMENT, LISTED, Choice, Choices, Names, odds_factors, ruled_out
 from .unnamed import UNNAMED
 
 #: Prior odds that a listed effect of the soil or the drive is missing, and that the instrument has
 #: a listed error, each independent of the others: none is there with 32 %. An error is less
-#: probable where the setup states that the rig is known better than usual (`instrument.odds`). No
+#: probable where the setup states that the rig is known better than usual (`odds_factors`). No
 #: single name has odds of its own.
 ODDS = 0.06  # of the soil or the drive
 RIG_ODDS = 0.04  # of the instrument
@@ -330,7 +328,7 @@ def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
     data = problem.data
     by_setup = ruled_out(data.setup)
     for name, effect in LISTED.items():
-        if not problem.used[:, [CHANNELS.index(k) for k in effect.moves]].any():
+        if {*effect.moves}.isdisjoint(problem.channels):
             reasons[name] = f"{' and '.join(effect.moves)} not measured"
         elif reason := by_setup.get(name) or effect.hidden(problem.bench):
             reasons[name] = reason
@@ -402,7 +400,7 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
     1/`TEMPERATURE`. `Finding.detectable` is of effects of soil and drive alone.
     """
     names, untestable = candidates(problem)
-    prior = partial(log_prior, of_rig=odds(problem.data.setup, problem.bench))
+    prior = partial(log_prior, of_rig=odds_factors(problem.data.setup, problem.bench))
     sets = _Sets(problem)
     say("base model")
     base = sets.add((), None)
@@ -479,11 +477,10 @@ def _unnamed(problem: Problem, base: Evidence, nearest: Names) -> list[Entry]:
     `nearest`: the listed effect that explains most, which they are said to resemble; without it
     there are no entries.
     """
-    seen = {k for k, used in zip(CHANNELS, problem.used.T, strict=True) if used.any()}
     laws = [
         law
         for law in UNNAMED.values()
-        if law.varies in (None, *problem.data.varied) and {*law.moves} <= seen
+        if law.varies in (None, *problem.data.varied) and {*law.moves} <= {*problem.channels}
     ]
     found = [settle(problem, (Choice(law.name, 0),), base) for law in laws if nearest]
     log_odds = math.log(UNNAMED_ODDS)
@@ -494,10 +491,10 @@ def log_prior(names: Names, free: bool = False, *, of_rig: Mapping[str, float]) 
     """Log prior odds of a set of effects against the base model; `free`: with an anonymous
     contribution.
 
-    `of_rig`: odds of errors of the instrument over the usual ones, by name (`instrument.odds`).
+    `of_rig`: odds of errors of the instrument over the usual ones, by name (`odds_factors`).
     """
-    of = {name: RIG_ODDS * of_rig.get(name, 1.0) if name in INSTRUMENT else ODDS for name in names}
-    return sum(map(math.log, of.values())) + free * math.log(UNLISTED_ODDS)
+    of = [RIG_ODDS * of_rig[name] if name in INSTRUMENT else ODDS for name in names]
+    return sum(map(math.log, of)) + free * math.log(UNLISTED_ODDS)
 
 
 def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Say) -> None:

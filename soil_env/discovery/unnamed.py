@@ -2,7 +2,7 @@
 
 A mechanism that nobody has listed is likelier to have few numbers than to be a free function of the
 conditions (`evidence.patterns`). So a name must explain a table better than these laws do. W, z0
-and V0 are the middle load, sinkage and speed of the table. W_row is the load of a row, N the pass
+and V0 are the median load, sinkage and speed of the table. W_row is the load of a row, N the pass
 number; every parameter is a pure number:
 
     force                     DP - a W (z/z0)^m,  T + b W r (z/z0)^m  soil beside or on the wheel
@@ -182,9 +182,8 @@ def changed(out: np.ndarray, rows: Rows, values: Values, bench: Bench) -> np.nda
             share = _slip_share(rows, values["slip_force_slip"])
         else:
             share = (np.maximum(out[:, 0], 0.0) / bench.sinkage) ** values[f"{name}_power"]
-            share = share * (
-                1.0 if name == "force" else 1.0 - 1.0 / np.maximum(rows.conditions[:, 1], 1.0)
-            )
+        if name == "rut_force":
+            share = share * (1.0 - 1.0 / np.maximum(rows.conditions[:, 1], 1.0))
         out[:, 1] -= values[f"{name}_pull"] * bench.load * share
         out[:, 2] += values[f"{name}_torque"] * size * share
     for name, j, scale in (

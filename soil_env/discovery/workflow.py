@@ -20,7 +20,7 @@ from soil_env.measurement.setup import Setup, read_setup
 from soil_env.measurement.table import Table, read_table
 
 from . import doubts, judgement
-from .calibrate import EXACT, PRIOR_WIDTH, Fit, Problem, calibrate
+from .calibrate import NOISE_ALONE, PRIOR_WIDTH, Fit, Problem, calibrate
 from .corrected import corrected, least_sure, parameters
 from .evidence import Evidence, settle
 from .instrument import LISTED, Names, ruled_out
@@ -90,12 +90,7 @@ def _digest(given: Table | Setup | str | Path) -> str | None:
 
 
 def _conclude(
-    table: Table,
-    setup: Setup,
-    settings: Settings,
-    say: Say,
-    next_runs: int,
-    goal: str,
+    table: Table, setup: Setup, settings: Settings, say: Say, next_runs: int, goal: str
 ) -> Report:
     """Go through all stages of the workflow, and return what they found.
 
@@ -244,14 +239,15 @@ def _fits_under_noise(problem: Problem, finding: Finding, own: Evidence) -> Fits
 
     They are of the base model, of all named effects in the forms of `own` and, where two are named,
     of each alone in its best form. Names and intervals follow from fits with form errors.
-    Predictions are made by the laws alone, without form errors, and for these a fit under noise
-    alone is the best (White 1982, Econometrica 50:1-25).
+    Predictions are made by the laws alone. Of these the fit under noise alone comes closest to the
+    data, in the sense of Kullback and Leibler (White 1982, Econometrica 50:1-25).
     """
-    noise_alone = EXACT._replace(scatter=own.sizes.scatter)
-    near: Fits = {(n,): finding.best(n).evidence.fit for n in finding.names}
-    near |= {finding.names: own.fit, (): finding.best().evidence.fit}
+    sizes = NOISE_ALONE._replace(scatter=own.sizes.scatter)
+    starts: Fits = {(n,): finding.best(n).evidence.fit for n in finding.names}
+    # The fit of one name alone is that of `own`, which replaces the first.
+    starts |= {finding.names: own.fit, (): finding.best().evidence.fit}
     return {
-        some: problem.fit(fit.choices, fit.parameters(), noise_alone) for some, fit in near.items()
+        names: problem.fit(fit.choices, fit.parameters(), sizes) for names, fit in starts.items()
     }
 
 

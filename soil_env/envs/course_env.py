@@ -92,13 +92,16 @@ def scenario_changes(
 
 
 def real_numbers(values: ArrayLike) -> NDArray[np.float64]:
-    """`values` as float64; TypeError or ValueError for text, complex numbers, and whatever else
-    NumPy cannot read.
+    """`values` as float64; TypeError or ValueError for text, complex numbers, numbers beyond
+    float64, and whatever else NumPy cannot read.
     """
     given = np.asarray(values)
-    if given.dtype.kind not in "biufO":
+    if given.dtype.kind not in "biufO":  # "O": objects such as fractions and large integers
         raise TypeError(f"numbers of type {given.dtype}: expected real ones")
-    return given.astype(np.float64, copy=False)
+    try:
+        return given.astype(np.float64, copy=False)
+    except OverflowError as error:
+        raise ValueError(str(error)) from None
 
 
 def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -111,7 +114,7 @@ def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
     what = "action" if len(shape) == 1 else "actions"
     try:
         a = real_numbers(actions)
-    except (TypeError, ValueError, OverflowError):
+    except (TypeError, ValueError):
         given = " ".join(repr(actions).split())
         raise ValueError(
             f"{what} = {given:.80}: expected numbers in [-1, 1], shape {shape}"

@@ -67,14 +67,14 @@ class Worlds(NamedTuple):
 class Vehicles:
     """Base of the simulations of many wheels and of many rovers.
 
-    `count`: number of vehicles; `threads`: most threads, None for one a processor. A subclass gives
-    the arrays and the compiled functions to `_begin`. All randomness of vehicle k
-    follows from the seed given to `seed`. Restarts and steps raise RuntimeError where no soil is
-    found for a course.
+    `count`: number of vehicles; `threads`: most threads, None for one a processor. A subclass sets
+    `numbers` and `_actions`, and gives the other arrays and the compiled functions to `_begin`. All
+    randomness of vehicle k follows from the seed given to `seed`. Restarts and steps raise
+    RuntimeError where no soil is found for a course.
     """
 
     numbers: Any  # constants of the compiled step
-    _actions: np.ndarray  # a row a vehicle, a column a motor
+    _actions: np.ndarray  # a row a vehicle, a column an action
     _vehicle = "wheel"
     _sampled_by = "samples"  # array of the world that those on board read
 
@@ -85,7 +85,7 @@ class Vehicles:
         self._chunk = count  # vehicles that a thread takes at a time
         if self._threads > 1:
             self._chunk = max(-(-count // (CHUNKS * self._threads)), LEAST)
-        self._orders = np.full(count, IDLE)
+        self._orders = np.full(count, IDLE)  # of `_one`, else IDLE
 
     def _begin(
         self,
@@ -177,7 +177,8 @@ class Vehicles:
         self._one(k, COMPLETE, self._draw)
 
     def step(self, k: int, action: Any) -> None:
-        """One step of vehicle k: the control periods of an `action`, one number or one a motor.
+        """One step of vehicle k: the control periods of an `action`, of a rover one for each
+        axle.
 
         Ground that this step needs and is not drawn yet is drawn first.
         """
@@ -187,7 +188,9 @@ class Vehicles:
         self._one(k, STEP, self._drive)
 
     def step_all(self, actions: np.ndarray, orders: np.ndarray) -> None:
-        """One step with `actions`, one a motor; `orders` [vehicles] int8: STEP, RESTART or IDLE."""
+        """One step with `actions`, of rovers one for each axle; `orders` [vehicles] int8: STEP,
+        RESTART or IDLE.
+        """
         restarts = orders == RESTART
         if restarts.any():
             self._clear(restarts)

@@ -15,7 +15,7 @@ from soil_env.online import slips
 from soil_env.parameters.sensors import SENSORS, sizes_of
 
 from .align import Aligned
-from .mapping import GEARED, TIMES, UNITS, LogMap, is_converted, si_factor, si_unit
+from .mapping import CONVERTED, GEARED, TIMES, UNITS, LogMap, si_factor, si_unit
 
 _STANDS = 0.13  # [rad/s] wheel speed, or travel speed over radius, below which a wheel stands
 _LEAST = 10  # steps that drive, below which nothing is compared
@@ -131,13 +131,13 @@ class _Doubts:
         An empty list for a reading that takes more than a factor, as a current does.
         """
         unit = self.map.channels[name].unit
-        if is_converted(name, unit):
+        if unit in CONVERTED:
             return []
         now = si_factor(name, unit)
         return [
             u
             for u, f in UNITS[name].items()
-            if f != now and low <= f / now <= high and not is_converted(name, u)
+            if f != now and low <= f / now <= high and u not in CONVERTED
         ]
 
     def _unit_in_words(self, name: str, low: float, high: float) -> str:

@@ -34,10 +34,9 @@ _OTHERS = {
     "rad": {"deg": math.pi / 180.0, "quaternion": 1.0},
     "m/s2": {"g": 9.80665},
 }
-#: Units that take more than a factor, each with the SI unit of the reading that is made of it. A
-#: torque is made of the current of a motor. The uphill pitch is made of the orientation of the
-#: body, x forward and z up as in ROS (REP 103).
-_CONVERTED = {"A": "N m", "quaternion": "rad"}
+#: Units that take more than a factor. A torque is made of the current of a motor, the uphill pitch
+#: of the orientation of the body, x forward and z up as in ROS (REP 103).
+CONVERTED = ("A", "quaternion")
 #: Units of each reading, the first being the one that readings are turned into.
 UNITS: dict[str, dict[str, float]] = {
     s.name: {s.unit: 1.0} | _OTHERS.get(s.unit, {}) for s in SENSORS
@@ -91,11 +90,6 @@ class Source(Checked):
 def si_unit(name: str) -> str:
     """SI unit of the reading `name`; "" for a number without one."""
     return next(iter(UNITS[name]))
-
-
-def is_converted(name: str, unit: str | None) -> bool:
-    """True if the reading `name` is made of this unit by more than a factor (`_CONVERTED`)."""
-    return unit is not None and _CONVERTED.get(unit) == si_unit(name)
 
 
 def si_factor(name: str, unit: str | None) -> float:
@@ -206,8 +200,7 @@ class LogMap(Checked):
             raise FieldError(self, f"{place}.unit", str(unknown_value(s.unit, UNITS[name])))
         if abs(s.sign) != 1.0:
             raise FieldError(self, f"{place}.sign", f" = {s.sign:g}: expected 1 or -1")
-        of_current = s.unit == "A" and is_converted(name, s.unit)
-        if of_current != (s.motor_constant is not None):
+        if (s.unit == "A") != (s.motor_constant is not None):
             raise FieldError(
                 self, place, ": expected motor_constant [N m/A] with a torque in A, and only there"
             )

@@ -35,7 +35,7 @@ def read_recording(
     have, and one without a single reading of the wheel speed.
     """
     path = Path(path)
-    stamps = log_map.time if _check_kind(path, log_map) else None
+    stamps = _stamp_column(path, log_map)
     reader = _Reader(log_map, Notes(path, progress))
     if stamps is not None:
         reader.read_table(stamps)
@@ -52,8 +52,8 @@ def read_recording(
     return found
 
 
-def _check_kind(path: Path, log_map: LogMap) -> bool:
-    """True for a table, False for a bag, by the name of the path.
+def _stamp_column(path: Path, log_map: LogMap) -> TimeColumn | None:
+    """The column of time stamps of a table, None for a bag, by the name of the path.
 
     `ParameterError` for neither, for a missing or empty file, and for a map whose channels or time
     are those of the other kind.
@@ -77,7 +77,7 @@ def _check_kind(path: Path, log_map: LogMap) -> bool:
             raise ParameterError(f"channels.{name}: is a {source.place}: expected {expected}")
     if table and log_map.time is None:
         raise ParameterError(f"time: expected {{column: ..., unit: s}} for the table {path.name}")
-    return table
+    return log_map.time if table else None
 
 
 class _Reader:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
+from scipy.special import expit
 
 from soil_env.online import Estimate, OnlineIdentifier, Readings, Status
 from soil_env.parameters import Soil
@@ -46,7 +47,6 @@ _COMPARED = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "cohe
 _SEEN = 0.8  # prior probability that there is another soil behind a border that the identifier saw
 _DOUBTED = 0.1  # [prior sd] by which every estimate may be off beside its own sd
 _LEAST_VARIANCE = 1e-9  # [of the prior's] that is divided by
-_LARGEST_LOG_ODDS = 50.0  # [-] keeps exp finite; the probability is 0 or 1 to 21 digits
 #: (least, greatest) value of a soil's parameters; without the gain of slip-sinkage, of which little
 #: may be known.
 _BOUNDS = {
@@ -104,8 +104,10 @@ class Replay:
             return None
         sds = [self.values[sd][current] / getattr(self.prior, sd) for sd in SD_OF.values()]
         k = current[np.argmin(np.sum(np.log(sds), axis=0))]
-        picked = {name: float(values[k]) for name, values in self.values.items()}
-        return {name: x * (PICKED if "_sd" in name else 1.0) for name, x in picked.items()}
+        return {
+            name: float(values[k]) * (PICKED if "_sd" in name else 1.0)
+            for name, values in self.values.items()
+        }
 
     def learnt(self, current: bool = False) -> dict[str, float]:
         """Least standard deviation of each parameter over that of the prior; 1: nothing learnt.
@@ -309,7 +311,7 @@ def _probability_of_two(one: np.ndarray, other: np.ndarray) -> float:
     apart = 2.0 - v - w + doubt
     odds = 0.5 * np.sum(np.log(same / apart) + away**2 * (1.0 / same - 1.0 / apart))
     odds += math.log(_SEEN / (1.0 - _SEEN))
-    return 1.0 / (1.0 + math.exp(-min(max(odds, -_LARGEST_LOG_ODDS), _LARGEST_LOG_ODDS)))
+    return float(expit(odds))
 
 
 def _pooled(one: np.ndarray, other: np.ndarray) -> np.ndarray:

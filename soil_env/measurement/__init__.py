@@ -1,13 +1,6 @@
 """Measurement tables and the setup files beside them."""
 
-from .setup import (
-    NoiseLevels,
-    Prior,
-    Setup,
-    SetupWheel,
-    SoilPriors,
-    read_setup,
-)
+from .setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_setup
 from .table import Table, read_table
 
 __all__ = [

@@ -213,9 +213,9 @@ class Calibration(Checked):
     """Standard deviations to which a rig is known before its runs; 0 where it is exact.
 
     `tilt_deg` is of its level, gains and `wheel_radius` are relative. A zero (`offset`) that is
-    None is 0.3 % of the middle load (times the radius for torque). A crosstalk is the share of the
+    None is 0.3 % of the median load (times the radius for torque). A crosstalk is the share of the
     other force that a sensor reads. `arm_load` is the share of torque/radius that loads the wheel.
-    `spring_load` is the rate of a spring that loads it; None is a tenth of the middle load over the
+    `spring_load` is the rate of a spring that loads it; None is a tenth of the median load over the
     radius.
     """
 

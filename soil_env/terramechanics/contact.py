@@ -379,14 +379,14 @@ def most_carried(arc):
 
 @compiled
 def most_by_angle(arc):
-    """Derivative of `most_carried` by the entry angle [1/rad], on an arc without lugs, where shear
-    begins at that angle.
+    """Derivative of `most_carried` by the entry angle theta1 > 0 [1/rad], on an arc without lugs,
+    where shear begins at that angle.
     """
-    cosine, half_sine = _cosine_of_rise(arc)
-    rising = -2.0 * RISING_FROM * half_sine / math.sqrt(cosine * cosine + LEAST_COSINE)
-    # both are derivatives of the logarithm of a factor of `most_carried`
-    flowing = 2.0 * (1.0 - _flowing(arc)) * half_cos(arc.theta1) / half_sin(arc.theta1)
-    return (rising + flowing) * most_carried(arc)
+    cosine, sine_over_two = _cosine_of_rise(arc)
+    # derivatives of the logarithms of both factors of `most_carried`
+    ln_rising = -2.0 * RISING_FROM * sine_over_two / math.sqrt(cosine * cosine + LEAST_COSINE)
+    ln_flowing = 2.0 * (1.0 - _flowing(arc)) * half_cos(arc.theta1) / half_sin(arc.theta1)
+    return (ln_rising + ln_flowing) * most_carried(arc)
 
 
 @compiled

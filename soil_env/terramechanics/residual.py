@@ -97,14 +97,13 @@ class ResidualTable(Checked):
         for name in self.values:
             if name not in COLUMNS:
                 raise unknown_key(name, COLUMNS, "values")
-        self.columns  # noqa: B018  # refuses what is no number
+        self.columns()  # raises for values that are wrong
 
-    @property
     def columns(self) -> np.ndarray:
         """Values by `COLUMNS`, [combinations of nodes, 6], 0 in a column that is not given.
 
-        Raises `ParameterError` for a column of another length, or with a value beyond `LARGEST`
-        or a standard deviation beyond `MOST_SD`.
+        Raises `ParameterError` for a column of another length or with text that is no number, for a
+        value beyond `LARGEST`, and for a standard deviation below 0 or beyond `MOST_SD`.
         """
         count = math.prod(map(len, self.axes.values()))
         out = np.zeros((count, len(COLUMNS)))
@@ -113,11 +112,11 @@ class ResidualTable(Checked):
                 column = np.array(text.split(), dtype=float)
             except ValueError:
                 column = np.empty(0)
-            most = LARGEST if name in CHANNELS else MOST_SD
-            if column.size != count or not np.all(np.abs(column) <= most):
+            low, high = (-LARGEST, LARGEST) if name in CHANNELS else (0.0, MOST_SD)
+            if column.size != count or not np.all((column >= low) & (column <= high)):
                 raise ParameterError(
                     f"values: {name} = {text[:20]!r}...: expected {count} numbers in "
-                    f"[{-most:g}, {most:g}], one for each combination of nodes"
+                    f"[{low:g}, {high:g}], one for each combination of nodes"
                 )
             out[:, COLUMNS.index(name)] = column
         return out
@@ -166,7 +165,7 @@ def residual_law(
         packed.count[: packed.axes] = [len(nodes) for nodes in table.axes.values()]
         nodes = np.concatenate(list(table.axes.values()))
         packed.nodes[: nodes.size] = nodes
-        columns = table.columns
+        columns = table.columns()
         packed.table[: len(columns)] = columns
     return packed
 

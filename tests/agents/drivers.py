@@ -71,6 +71,7 @@ def answering(answer):
 WrongShape = answering(lambda obs: (np.zeros(len(obs)), None))
 Alone = answering(lambda obs: np.zeros((len(obs), 1)))
 Complex = answering(lambda obs: (np.full((len(obs), 1), 0.4 + 1.0j), None))
+Huge = answering(lambda obs: (np.full((len(obs), 1), 10**400), None))
 Exits = answering(lambda obs: sys.exit())
 OneNaN = answering(lambda obs: (np.where(np.arange(len(obs)) == 1, np.nan, 0.4)[:, None], None))
 

@@ -56,7 +56,8 @@ def test_lines_taken_are_kept_with_what_became_of_them():
     assert found == pytest.approx(np.array(kept))
 
 
-def test_the_line_that_is_passed_more_often_gets_the_higher_score():
+def test_the_line_that_is_passed_more_often_gets_the_higher_score(monkeypatch):
+    monkeypatch.setattr(choice, "PASSES", 60)
     model = ppo.build(load_scenario("two_lines"), "identified", WITH_ROUTES, 0)
     chooser = choice.Chooser(model, np.random.default_rng(0))
     rng = np.random.default_rng(1)
@@ -67,7 +68,7 @@ def test_the_line_that_is_passed_more_often_gets_the_higher_score():
     env.count = 4000
     env.passed[:4000] = rng.random(4000) < 1.0 / (1.0 + np.exp(-3.0 * rows[:, 2]))
     before = copy.deepcopy(model.policy.state_dict())
-    chooser.learn(1.0, passes=60)
+    chooser.learn(1.0)
     moved = {name for name, x in model.policy.state_dict().items() if not x.equal(before[name])}
     assert moved and all("line_net" in name for name in moved)
     seen = rng.normal(size=(500, *env.observation_space.shape)).astype(np.float32)

@@ -5,9 +5,6 @@ a plain loop.
 import csv
 import json
 import shutil
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,12 +29,14 @@ from soil_env_agents.evaluate.driving import (
     run_courses,
 )
 from soil_env_agents.evaluate.evaluation import Evaluation
+from soil_env_agents.evaluate.own import code_digest
 from soil_env_agents.evaluate.statistics import wilson
 from tests.agents.drivers import Counting, Half
 from tests.agents.learnt import saved
+from tests.conftest import ROOT
+from tests.programs import python
 from tests.refusals import refused, refused_command
 
-ROOT = Path(__file__).resolve().parents[2]
 DRIVERS = "tests.agents.drivers"
 RULES = "soil_env_agents.controllers.wheel"
 FIXED = "--settings.fixed_slip.slip=0.2"
@@ -279,15 +278,7 @@ def test_tuned_settings_that_are_no_mapping_are_refused():
 def test_ray_gives_what_one_process_gives(cluster, everyone, done, tmp_path):
     """The models travel with the cells."""
     asked = [f"--controllers={everyone}", FIXED, *SHORT, "--engine=ray", f"--out={tmp_path}"]
-    command = [sys.executable, "-m", "soil_env.cli", "evaluate", *asked]
-    ended = subprocess.run(
-        [*command, f"--address={cluster.address}"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert ended.returncode == 0, ended.stderr[-2000:]
+    python("-m", "soil_env.cli", "evaluate", *asked, f"--address={cluster.address}")
     same(tmp_path, done)
 
 
@@ -324,6 +315,29 @@ def test_an_edited_class_or_study_is_driven_again(capsys, tmp_path, monkeypatch)
     study.write_text(study.read_text().replace("length: ", "length: 1", 1))
     assert main("--resume", str(out), "--allow-code") == 0
     assert rule.stat().st_mtime_ns > after[0]
+
+
+def test_the_code_of_a_class_is_its_module_and_what_of_the_users_it_imports(tmp_path, monkeypatch):
+    """Also in a function or a package, and not what is installed or missing."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    module = tmp_path / "driver_with_helpers.py"
+    module.write_text(f"import helper_of_a_test, no_such_module\n{BOUNDED}")
+    helper = tmp_path / "helper_of_a_test.py"
+    helper.write_text("def f():\n    from package_of_a_test import values\n")
+    package = tmp_path / "package_of_a_test"
+    package.mkdir()
+    found = []
+    for path in (package / "__init__.py", package / "values.py", helper, module):
+        path.touch()
+        found.append(code_digest("driver_with_helpers:Bounded"))
+        path.write_text(path.read_text() + "\nX = 1\n")
+    found.append(code_digest("driver_with_helpers:Bounded"))
+    assert len({*found}) == len(found) and "" not in found
+    (tmp_path / "unrelated.py").write_text("X = 1\n")
+    assert code_digest("driver_with_helpers:Bounded") == found[-1]
+    helper.write_text("not Python")
+    assert code_digest("driver_with_helpers:Bounded") not in ("", found[-1])
+    assert code_digest("no_such_module:Bounded") == ""
 
 
 def test_a_model_that_has_changed_is_refused_and_other_code_drives_again(capsys, tmp_path, models):
@@ -386,6 +400,7 @@ REFUSED = {  # controllers: parts of the message
     f"{DRIVERS}:NoPredict": "no method predict",
     f"{DRIVERS}:WrongShape": "drivers:WrongShape ... of shape [3]: expected [3, 1]",
     f"{DRIVERS}:Complex": "an action that is no number: expected shape",
+    f"{DRIVERS}:Huge": "an action that is no number: expected shape",
     f"{DRIVERS}:Alone": "predict gave one value: expected (action, state)",
     f"{DRIVERS}:OneNaN": "predict gave nan for wheel 1: expected finite numbers",
     f"{DRIVERS}:OtherVariant": "'blnd' ... blind, identified, true_soil",

@@ -11,7 +11,7 @@ from soil_env.parameters import load_rover, load_scenario
 from soil_env_agents import ppo, student
 from soil_env_agents.environment import SeveralWorlds, hidden_worlds, normalised
 from soil_env_agents.sb3 import SoilRoverVecEnv, SoilWheelVecEnv
-from soil_env_agents.teachers import Teachers
+from soil_env_agents.teachers import Teacher, Teachers
 from tests.agents.learnt import WITH_ROUTES as CONFIG
 
 
@@ -35,6 +35,24 @@ def test_the_teacher_sees_what_an_environment_with_the_true_soil_observes():
         envs.step(actions)
         true = np.concatenate([part.true_soil() for part in envs.parts])
         np.testing.assert_array_equal(true, plain.step(actions)[0])
+
+
+@pytest.mark.parametrize("action", ["rim_acceleration", "wheel_speed", "torque"])
+def test_the_ramp_of_a_teacher_begins_at_the_speed_of_the_rim(action):
+    """In a steady drive, where the rim turns as commanded but for the droop."""
+    scenario = load_scenario("mixed", {"control": {"action": action}})
+    env = SoilWheelVecEnv(8, scenario, "true_soil", scaled=False, threads=1)
+    env.seed(3)
+    env.reset()
+    for k in range(20):
+        given = 0.2 if action != "rim_acceleration" or k < 4 else 0.0
+        seen = env.step(np.full((8, 1), given, np.float32))[0]
+    teacher = Teacher(scenario)
+    ramp = teacher.state_for(seen, None, np.ones(8, dtype=bool))["ramp"]
+    rim = seen[:, teacher.column["rim_speed"]] * teacher.top_speed
+    drives = rim > 0.05  # the others are halted
+    assert drives.sum() >= 4
+    np.testing.assert_allclose(ramp[drives], rim[drives], rtol=0.03)
 
 
 def test_returns_are_those_of_courses_that_have_ended():

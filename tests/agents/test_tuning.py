@@ -2,7 +2,6 @@
 
 import json
 from functools import partial
-from pathlib import Path
 
 import pytest
 import yaml
@@ -19,10 +18,10 @@ from soil_env_agents.evaluate import tuning
 from soil_env_agents.evaluate.driving import TUNING_SET, run_courses
 from soil_env_agents.evaluate.tuning import shipped_settings, tuned_settings
 from soil_env_agents.progress import Bar
+from tests.conftest import ROOT
 from tests.refusals import refused, refused_command
 
 pytest.importorskip("optuna")
-ROOT = Path(__file__).resolve().parents[2]
 SHORT = load_scenario("mixed", {"course": {"length": 2.0}, "control": {"time_limit": 12.0}})
 
 
@@ -120,6 +119,25 @@ def test_a_class_with_settings_is_tuned_set_and_driven_as_a_shipped_one(
     for wrong, said in (("caution=99", "expected a number in (0, 10]"), ("cation=1", "caution")):
         more = [f"--settings.mine.{wrong}", f"--out={tmp_path / 'x'}"]
         assert said in refused_command(capsys, "soil-env", soil_env, *asked, *more).err
+
+
+def test_a_class_that_fails_in_a_tuning_is_an_error_of_one_line(tmp_path, monkeypatch, capsys):
+    """As in an evaluation."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    code = """
+from soil_env_agents.controllers import Controller, Setting
+
+class Fails(Controller):
+    bounds = {"gain": Setting(1.0, "1", "any", (0.5, 2.0))}
+
+    def predict(self, *arguments, **more):
+        return 1 / 0
+"""
+    (tmp_path / "fails_when_tuned.py").write_text(code)
+    asked = ["tune", "--controllers=fails_when_tuned:Fails", "--actions=torque", "--courses=2"]
+    said = refused_command(capsys, "soil-env tune", soil_env, *asked, f"--out={tmp_path / 'o'}")
+    assert "fails_when_tuned:Fails: predict failed (ZeroDivisionError" in said.err
+    assert "fails_when_tuned.py line 8" in said.err
 
 
 def test_the_command_writes_settings_that_the_package_finds(tmp_path, monkeypatch):

@@ -4,12 +4,11 @@ what to install.
 
 import json
 import os
-import subprocess
 import sys
 from importlib.util import find_spec
-from pathlib import Path
 
 from soil_env.cli import _COMMANDS
+from tests.programs import python
 
 REFUSED = [["train", "--timesteps", "64"], ["export", "runs/x", "--out", "o"]]
 HELPS = [[name, "--help"] for name in ("train", "evaluate", "export", "study", "tune")]
@@ -55,20 +54,14 @@ print([name for name in sys.modules if name in ("torch", "stable_baselines3")])
 
 
 def test_help_loads_neither_torch_nor_sb3():
-    root = Path(__file__).resolve().parents[2]
-    command = [sys.executable, "-c", HELP, json.dumps(list(_COMMANDS))]
-    ended = subprocess.run(command, capture_output=True, text=True, cwd=root, timeout=300)
-    assert ended.returncode == 0, ended.stderr
-    assert ended.stdout == "[]\n"
+    assert python("-c", HELP, json.dumps(list(_COMMANDS))).stdout == "[]\n"
 
 
 def test_without_the_extra_train(tmp_path):
     exported = [["export", "default", f"--out={tmp_path}", "--steps=3"]] * bool(find_spec("onnx"))
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    command = [sys.executable, "-c", BARE, json.dumps(REFUSED + exported + HELPS)]
-    ended = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300)
-    assert ended.returncode == 0, ended.stderr
-    said = json.loads(ended.stdout)
+    commands = json.dumps(REFUSED + exported + HELPS)
+    said = json.loads(python("-c", BARE, commands, env=environment).stdout)
     needs = "error: needs Stable-Baselines3: pip install 'soil_env[train]'\n"
     for (name, *_), found in zip(REFUSED, said, strict=False):
         assert found == [2, "", f"soil-env {name}: {needs}"]

@@ -1,24 +1,23 @@
 """The wheel on a continuum: the laws that its soil and its contact have to keep."""
 
-import json
 import math
 
 import numpy as np
 import pytest
 
-from benchmarks.common import RESULTS
+from benchmarks.common import RESULTS, read_json
 from benchmarks.continuum import __main__ as continuum, loop, rig as rows_of
-from benchmarks.continuum.soil import EDGE, GRAVITY, Bed, Material, strain
-from benchmarks.continuum.wheel import FASTEST_OUT, HELD, START, Rig, Shape, outline
+from benchmarks.continuum.soil import EDGE, GRAVITY, Bed, strain
+from benchmarks.continuum.wheel import FASTEST_OUT, HELD, START, Rig, outline
 from soil_env.parameters import soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env_agents.cells import in_process
 
-SAND = Material(friction=math.tan(math.radians(30.0)))
-LOAM = Material(friction=math.tan(math.radians(24.0)), cohesion=800.0)
+SAND = rows_of.SOILS["sand"]
+LOAM = rows_of.SOILS["loam"]
 COARSE = Bed(length=0.6, depth=0.12, spacing=0.02)
-SMOOTH = Shape(radius=0.15, width=0.1)
-LUGGED = Shape(radius=0.15, width=0.1, lugs=12, lug_height=0.012, lug_thickness=0.012)
+SMOOTH = rows_of.SHAPES["smooth"]
+LUGGED = rows_of.SHAPES["lugged"]
 LOAD = 60.0  # [N]
 
 
@@ -194,7 +193,7 @@ def test_a_drive_on_the_continuum_slips_more_uphill(monkeypatch):
 
 
 def test_drives_without_meaning_are_not_gone_on_with(tmp_path, monkeypatch):
-    kept = json.loads((RESULTS / "continuum.json").read_text(encoding="utf-8"))
+    kept = read_json(RESULTS / "continuum.json")
     drive = loop.Drive._make([0.1] * len(loop.Drive._fields))
     driven = []
 
@@ -210,7 +209,7 @@ def test_drives_without_meaning_are_not_gone_on_with(tmp_path, monkeypatch):
 
 
 def test_the_page_shows_the_kept_figures():
-    kept = json.loads((RESULTS / "continuum.json").read_text(encoding="utf-8"))
+    kept = read_json(RESULTS / "continuum.json")
     page = (RESULTS / "continuum.md").read_text(encoding="utf-8")
     for heading, table in continuum.pages(kept, continuum.BEDS).items():
         assert f"## {heading}\n\n{table.markdown()}" in page

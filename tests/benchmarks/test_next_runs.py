@@ -6,6 +6,7 @@ import pytest
 from benchmarks import next_runs
 from benchmarks.common import read_json
 from benchmarks.prediction import Case
+from soil_env.cli.running import run
 from tests.discovery.files import PLANTED, data_of, table_text
 
 
@@ -32,7 +33,7 @@ def test_numbers_without_meaning_are_not_gone_on_with(tmp_path, monkeypatch):
     monkeypatch.setattr(next_runs, "tables", lambda data: {"own": None})
     monkeypatch.setattr(next_runs, "errors", lambda case, way, draw, most: [8.0] * (most + 1))
     for arguments in (["--smoke"], []):
-        assert next_runs.main([*arguments, "--out", str(tmp_path)]) == 0
+        assert run(next_runs.command, [*arguments, "--out", str(tmp_path)], "next_runs") == 0
     of = read_json(tmp_path / "next_runs.json")["own"]
     wanted = [[8.0] * (next_runs.MOST + 1)] * next_runs.DRAWS
     assert of == dict.fromkeys(next_runs.WAYS, wanted)

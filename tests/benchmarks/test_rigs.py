@@ -1,7 +1,6 @@
 """Rigs: a wheel of the model itself is predicted to its noise; the measured ones give every row."""
 
 import itertools
-import json
 import math
 from functools import partial
 
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import rigs
+from benchmarks.common import read_json
 from soil_env.cli.running import run
 from soil_env.parameters import soils
 from tests.refusals import refused
@@ -48,7 +48,7 @@ def test_a_missing_folder_is_one_line(tmp_path):
 @measured
 def test_every_rig_has_its_rows(tmp_path):
     assert run(rigs.command, ["--smoke", "--out", str(tmp_path)], "rigs") == 0
-    found = json.loads((tmp_path / "rigs.json").read_text(encoding="utf-8"))
+    found = read_json(tmp_path / "rigs.json")
     rows = found["rows"]
     laws = {"Eq. (10)", "flow, continuum", "flow, CMU", "flow, presets"}
     assert {r["law"] for r in rows} == laws

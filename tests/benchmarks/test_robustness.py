@@ -20,7 +20,7 @@ def test_a_drive_from_readings_is_that_of_the_evaluation():
     runs = run_courses(make_controller(rule, SCENARIO), SCENARIO, robustness.SEED, 8)
     finished = runs.metric("finished") > 0.5
     assert 0 < finished.sum() < 8
-    np.testing.assert_array_equal(robustness.driven(Case(), rule, 8), finished)
+    np.testing.assert_array_equal(robustness.driven(("as shipped", rule), 8), finished)
 
 
 def test_every_error_is_three_standard_deviations():

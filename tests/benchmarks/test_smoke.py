@@ -1,8 +1,7 @@
 """Smoke runs: speed of the environments, mistakes in tables."""
 
-import json
-
 from benchmarks import scattered_tables, sound_tables
+from benchmarks.common import read_json
 from benchmarks.stepping import ENVIRONMENTS
 from benchmarks.throughput import command
 from soil_env.cli.running import run
@@ -10,7 +9,7 @@ from soil_env.cli.running import run
 
 def test_throughput_measures_wheels_and_rovers_side_by_side(tmp_path):
     assert run(command, ["--smoke", "--out", str(tmp_path)], "speed") == 0
-    result = json.loads((tmp_path / "throughput.json").read_text(encoding="utf-8"))
+    result = read_json(tmp_path / "throughput.json")
     assert set(result["rates"]) == set(ENVIRONMENTS)
     for rate in result["rates"].values():
         assert 0.0 < rate["here"]["low"] <= rate["here"]["median"] <= rate["here"]["high"]

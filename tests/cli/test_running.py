@@ -13,8 +13,8 @@ import pytest
 
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import TERMINATED, WholeNumber, run
+from tests.conftest import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 WITH_SIGNALS = pytest.mark.skipif(sys.platform == "win32", reason="signals")
 MINE = "import os, signal, sys, time\nimport click\nfrom soil_env.cli.running import leave, run\n"
 

@@ -118,19 +118,16 @@ def test_a_further_version_announces_its_compilation(call, kept):
     assert result == LOADED and len(said) == 1 and "compiling kernel_of_a_test.f " in said[0]
 
 
-def half(content):
-    """The first half of a file."""
-    return content[: len(content) // 2]
+def shortened(file):
+    """A file of which half is missing."""
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 2])
 
 
-@pytest.mark.parametrize("kind", ["nbc", "nbi"])
-@pytest.mark.parametrize("damage", [half, lambda content: b"\xff" * len(content)])
-def test_damaged_code_is_dropped_and_compiled_anew(call, kept, kind, damage):
-    (file,) = kept.rglob(f"*.{kind}")
-    file.write_bytes(damage(file.read_bytes()))
-    result, said = call()
-    assert result == COMPILED and sum("damaged" in line for line in said) == 1
-    assert call() == (LOADED, [])
+def overwritten(file):
+    """An index of as many other bytes."""
+    (index,) = file.parent.glob("*.nbi")
+    index.write_bytes(b"\xff" * index.stat().st_size)
 
 
 def unloadable(file):
@@ -152,8 +149,8 @@ def nested(file):
     (file.parent.parent / cache.CHECKSUMS).write_text("[" * 100_000)
 
 
-@pytest.mark.parametrize("damage", [unloadable, unreadable, nested])
-def test_files_that_cannot_be_loaded_are_dropped_once(call, kept, damage):
+@pytest.mark.parametrize("damage", [shortened, overwritten, unloadable, unreadable, nested])
+def test_damaged_code_is_dropped_once_and_compiled_anew(call, kept, damage):
     (file,) = kept.rglob("*.nbc")
     damage(file)
     result, said = call()

@@ -1,11 +1,8 @@
-"""What importing and stepping an environment leaves behind in numba and in the process: nothing."""
-
-import subprocess
-import sys
+"""What importing and stepping environments leaves behind in numba and in the process: nothing."""
 
 import pytest
 
-from tests.conftest import ROOT
+from tests.programs import python
 
 CODE = """
 import gc, json, operator, signal, sys
@@ -43,15 +40,17 @@ def left():
         "signals": {int(s): repr(signal.getsignal(s)) for s in signal.valid_signals()},
         "garbage": [gc.isenabled(), len(gc.callbacks), gc.get_threshold()],
         "tracing": [repr(sys.gettrace()), repr(sys.getprofile()), repr(sys.excepthook)],
+        "identifier": [n for n in sys.modules if n.startswith("soil_env.identification.online")],
     }
 
 
 plain(0.5)
 before = left()
 import gymnasium
-env = gymnasium.make(sys.argv[1], observation="blind", belief={"method": "none"})
-env.reset(seed=0)
-env.step(env.action_space.sample())
+blind = {"observation": "blind", "belief": {"method": "none"}}  # without the identifier
+for env in (gymnasium.make(sys.argv[1], **blind), gymnasium.make_vec(sys.argv[1], 2, **blind)):
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
 after = left()
 print(json.dumps([name for name in before if before[name] != after[name]]))
 """
@@ -59,6 +58,4 @@ print(json.dumps([name for name in before if before[name] != after[name]]))
 
 @pytest.mark.parametrize("name", ["soil_env:SoilWheel-v0", "soil_env:SoilRover-v0"])
 def test_an_environment_leaves_numba_and_the_process_as_they_were(name):
-    command = [sys.executable, "-c", CODE, name]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600)
-    assert done.stdout.strip() == "[]", done.stderr[-2000:]
+    assert python("-c", CODE, name).stdout == "[]\n"

@@ -1,8 +1,7 @@
 """NUMBA_DISABLE_JIT=1: the same functions as Python, for a debugger, give the same numbers."""
 
 import os
-import subprocess
-import sys
+import pickle
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ from numba import config
 from soil_env.parameters import load_rover, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 from tests.conftest import ROOT
+from tests.programs import python
 from tests.simulation.wheels import started
 from tests.terramechanics.cases import RESIDUAL, TOGETHER, WHEEL
 
@@ -55,28 +55,30 @@ RUNS = {
 }
 
 
+@pytest.fixture(scope="module")
+def interpreted(tmp_path_factory):
+    """{name of a run: {name: numbers}} by one process in which nothing is compiled."""
+    file = tmp_path_factory.mktemp("interpreted") / "runs.pickle"
+    code = (
+        "import pickle, sys\n"
+        "from pathlib import Path\n"
+        "from tests.compiled.test_interpreted import RUNS\n"
+        "runs = {name: run(name) for name, run in RUNS.items()}\n"
+        "Path(sys.argv[1]).write_bytes(pickle.dumps(runs))\n"
+    )
+    env = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}
+    python("-W", "error::RuntimeWarning", "-c", code, file, env=env)
+    return pickle.loads(file.read_bytes())
+
+
 @pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 @pytest.mark.parametrize("name", RUNS)
-def test_python_gives_what_the_compiled_code_gives(name, tmp_path):
-    code = (
-        "import sys, numpy as np\n"
-        "from tests.compiled.test_interpreted import RUNS\n"
-        "np.savez(sys.argv[2], **RUNS[sys.argv[1]](sys.argv[1]))\n"
-    )
-    file = tmp_path / "interpreted.npz"
-    done = subprocess.run(
-        [sys.executable, "-W", "error::RuntimeWarning", "-c", code, name, str(file)],
-        env=os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)},
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=600,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    interpreted = dict(np.load(file))
+def test_python_gives_what_the_compiled_code_gives(name, interpreted):
     compiled = RUNS[name](name)
-    assert compiled.keys() == interpreted.keys()
+    assert compiled.keys() == interpreted[name].keys()
     for key, value in compiled.items():
         tolerance = 1e-6 if value.dtype == np.float32 else 1e-9
         scale = 1e-12 * np.abs(value[np.isfinite(value)]).max(initial=0.0)
-        np.testing.assert_allclose(interpreted[key], value, rtol=tolerance, atol=scale, err_msg=key)
+        np.testing.assert_allclose(
+            interpreted[name][key], value, rtol=tolerance, atol=scale, err_msg=key
+        )

@@ -119,7 +119,7 @@ def test_a_rig_that_is_known_better_is_wrong_less_often(level):
         tilt_deg=0.1, force_gain=0.04, torque_offset=0.0015 * p.bench.load * p.bench.radius
     )
     expected = dict.fromkeys(instrument.INSTRUMENT, 1.0) | {"tilt": 0.2, "torque_offset": 0.5}
-    assert instrument.odds(
+    assert instrument.odds_factors(
         dataclasses.replace(level.setup, calibration=known), p.bench
     ) == pytest.approx(expected)
     assert search_module.log_prior(("tilt",), of_rig={"tilt": 0.2}) == pytest.approx(

@@ -4,7 +4,6 @@ example.
 
 import dataclasses
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,8 +28,6 @@ from tests.discovery.files import (
     world,
     write_files,
 )
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_the_planted_effect_is_named(planted):
@@ -58,9 +55,10 @@ def test_forms_of_one_pair_leave_place_for_other_pairs(planted):
 
 @pytest.fixture()
 def searched(planted, monkeypatch):
-    """The search of the planted table, which was made once: what follows it is made anew."""
+    """Search and outlook of the planted table, which were made once: the rest is made anew."""
     assert planted.finding.refuted == ()
     monkeypatch.setattr(workflow, "search", lambda problem, say: planted.finding)
+    monkeypatch.setattr(workflow, "outlook", lambda problem: planted.outlook)
 
 
 def spoil(monkeypatch, bad):
@@ -104,6 +102,7 @@ def test_a_name_is_refuted_only_in_all_its_probable_forms(planted, tmp_path, mon
     assert content(report)["effects"][0]["form"] == other.name
 
 
+@pytest.mark.usefixtures("searched")
 @pytest.mark.parametrize("factors, refuted", [((0.8, 1.3), False), ((1.3, 1.3), True)])
 def test_a_second_effect_is_refuted_by_an_interval(
     planted, tmp_path, monkeypatch, factors, refuted
@@ -248,6 +247,7 @@ def test_what_is_unlisted_is_in_the_corrected_model(tmp_path):
     assert report.closed is None and report.finding.unlisted > 0.5
 
 
+@pytest.mark.usefixtures("nothing_left_out")
 def test_a_sensor_that_is_not_linear_is_to_be_checked(tmp_path):
     text = changed(table_text({}, loads=(60, 120, 220)), "torque", lambda x: x / (1.0 + 0.08 * x))
     report = run(*write_files(tmp_path, text))

@@ -70,6 +70,7 @@ def told():
     return run(*noisy(0, 0.03))
 
 
+@pytest.mark.usefixtures("nothing_left_out")
 def test_slips_that_were_read_with_noise_are_no_effect_where_that_is_told(told):
     assert told.verdict in ("none", "undetermined") and told.finding.none > 0.5
     assert not told.effects
@@ -84,6 +85,7 @@ def test_with_slips_of_known_noise_nothing_is_missing(told):
     assert told.verdict == "none"
 
 
+@pytest.mark.usefixtures("nothing_left_out")
 def test_a_dip_at_one_slip_of_every_load_is_no_row_of_outliers():
     """Its deepest values leave the smooth surface as far as outliers do, and the others at that
     slip leave it too.

@@ -11,7 +11,6 @@ import pickle
 import re
 import time
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,11 +22,11 @@ from soil_env.measurement.setup import read_setup
 from soil_env.measurement.table import read_table
 from soil_env.parameters import load_rover, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
+from tests.conftest import ROOT
 from tests.fuzz_cases import damaged, damaged_zip
 from tests.logs.bags import MAP, example, write_map, write_mcap
 from tests.refusals import refused
 
-ROOT = Path(__file__).resolve().parents[2]
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"{b}: &{b} [{', '.join(['*' + a] * 10)}]\n"
     for a, b in zip("abcdefgh", "bcdefghi", strict=True)

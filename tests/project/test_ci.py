@@ -4,11 +4,11 @@ import os
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.conftest import ROOT
+
 #: `make train` writes its process and lasts until it is ended; `make test` fails.
 MAKE = """#!/bin/sh
 case "$1" in

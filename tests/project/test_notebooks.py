@@ -2,18 +2,16 @@
 print, and that every figure is shown.
 """
 
-import os
 import re
-import subprocess
-import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+from tests.conftest import ROOT
+from tests.programs import python
+
 hooks = pytest.importorskip("mkdocs_notebooks", reason="jupytext is in the extra docs")
 
-ROOT = Path(__file__).resolve().parents[2]
 pytestmark = [pytest.mark.documents, pytest.mark.slow]
 #: Notebook -> patterns of what it prints.
 SAID = {
@@ -62,15 +60,7 @@ def test_a_notebook(name):
 
 def test_a_notebook_is_a_script(tmp_path):
     """One of them as `python NAME.py`, the cheapest: the others differ by what they call."""
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "examples" / "own_wheel_and_soil.py")],
-        cwd=tmp_path,
-        env={**os.environ, "MPLBACKEND": "Agg"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
+    done = python(ROOT / "examples" / "own_wheel_and_soil.py", cwd=tmp_path)
     assert "FINISHED" in done.stdout and (tmp_path / "beach.yaml").is_file()
 
 

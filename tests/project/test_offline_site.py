@@ -6,13 +6,13 @@ import json
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
+from tests.conftest import ROOT
+
 pytest.importorskip("material", reason="mkdocs-material is in the extra docs")
 
-ROOT = Path(__file__).resolve().parents[2]
 pytestmark = [pytest.mark.documents, pytest.mark.slow]
 
 

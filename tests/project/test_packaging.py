@@ -19,18 +19,25 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 import soil_env
+from tests.conftest import ROOT
+from tests.programs import python
 
-ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 ALLOWED = {
     line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")
 }
 
 
+def build(kind, source, target):
+    """Build a "wheel" or an "sdist" of a folder into another without network; its stderr."""
+    program = f"from setuptools import build_meta; build_meta.build_{kind}({str(target)!r})"
+    return python("-c", program, cwd=source).stderr
+
+
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """Built without network from a copy of what the Dockerfile copies: a build leaves products
-    beside the sources.
+    """Built from a copy of what the Dockerfile copies: a build leaves products beside the
+    sources.
     """
     pytest.importorskip("setuptools", "77", reason="setuptools is in the extra test")
     source = tmp_path_factory.mktemp("source")
@@ -42,12 +49,8 @@ def wheel(tmp_path_factory):
             )
         else:
             shutil.copy(ROOT / name, source)
-    program = f"from setuptools import build_meta; build_meta.build_wheel({str(target)!r})"
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=source, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    assert "is absent from the `packages` configuration" not in done.stderr
+    said = build("wheel", source, target)
+    assert "is absent from the `packages` configuration" not in said
     return next(target.iterdir())
 
 
@@ -85,14 +88,18 @@ def test_the_sdist_holds_all_that_the_checks_of_make_test_need(tmp_path):
     for name in names:
         (source / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, source / name)
-    program = f"from setuptools import build_meta; build_meta.build_sdist({str(tmp_path)!r})"
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=source, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
+    build("sdist", source, tmp_path)
     with tarfile.open(next(tmp_path.glob("*.tar.gz"))) as archive:
         held = {name.partition("/")[2] for name in archive.getnames()}
     assert names <= held, sorted(names - held)
+
+
+def required(*extras):
+    """Requirements of the project, and of some of its extras."""
+    asked = [*PROJECT["dependencies"]]
+    for extra in extras:
+        asked += PROJECT["optional-dependencies"][extra]
+    return [Requirement(text) for text in asked]
 
 
 def test_versions_that_are_written_twice_agree():
@@ -105,17 +112,13 @@ def test_the_versions_that_were_run_are_in_the_range_of_each_dependency():
         re.findall(r"^([\w.-]+)==(\S+)", (ROOT / "constraints.txt").read_text(), re.MULTILINE)
     )
     pinned = {canonicalize_name(name): version for name, version in pinned.items()}
-    required = [*PROJECT["dependencies"]]
-    for extra in PROJECT["optional-dependencies"].values():
-        required += extra
     found = 0
-    for requirement in map(Requirement, required):
+    for requirement in required(*PROJECT["optional-dependencies"]):
         version = pinned.get(canonicalize_name(requirement.name))
         assert version is None or version in requirement.specifier, requirement
         found += version is not None
     assert found > len(PROJECT["dependencies"])
-    run = {canonicalize_name(Requirement(d).name) for d in PROJECT["dependencies"]}
-    assert run <= set(pinned)
+    assert {canonicalize_name(requirement.name) for requirement in required()} <= set(pinned)
 
 
 def test_the_image_has_the_extras_of_every_command():
@@ -154,10 +157,7 @@ def imported(*folders):
 )
 def test_what_is_imported_is_declared(folders, extras):
     """Not only what a dependency happens to need, which has bounds of its own."""
-    declared = [*PROJECT["dependencies"]]
-    for extra in extras:
-        declared += PROJECT["optional-dependencies"][extra]
-    declared = {canonicalize_name(Requirement(d).name) for d in declared}
+    declared = {canonicalize_name(requirement.name) for requirement in required(*extras)}
     known = metadata.packages_distributions()
     for module in imported(*folders):
         by = {canonicalize_name(name) for name in known.get(module, [module])}
@@ -236,10 +236,7 @@ def test_first_use_where_nothing_can_be_written(wheel, tmp_path):
         "{});print(model.predict({'slip': [0.2], 'load': 100.0}).drawbar_pull[0] > 0.0, "
         "soil_env.__file__)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, env=env, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
+    done = python("-c", program, cwd=tmp_path, env=env)
     assert done.stdout.split() == ["True", str(home / "soil_env" / "__init__.py")]
     assert "soil_env: compiling" in done.stderr
     assert nowhere.is_file() and not list(home.rglob("*.nb[ic]"))

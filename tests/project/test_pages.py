@@ -13,7 +13,6 @@ import os
 import re
 import shlex
 import shutil
-import subprocess
 import sys
 from enum import Enum
 from pathlib import Path
@@ -27,8 +26,9 @@ from click.testing import CliRunner
 from soil_env.cli import soil_env
 from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
 from soil_env.simulation.task import Cause
+from tests.conftest import ROOT
+from tests.programs import python
 
-ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 GUIDE = sorted((DOCS / "guide").glob("*.md"))
 OUTSIDE = [
@@ -64,11 +64,7 @@ def blocks(page: Path, *languages: str) -> list[re.Match]:
 def printed_below(page: Path, found: list[re.Match], anywhere: bool = False) -> list[str]:
     """Text blocks that stand right below these blocks, as what they print; `anywhere`: the next."""
     text = page.read_text(encoding="utf-8")
-    below = (
-        re.compile(r"^```text\n(.*?)^```", re.M | re.S)
-        if anywhere
-        else re.compile(r"\n\n```text\n(.*?)^```", re.M | re.S)
-    )
+    below = re.compile(("" if anywhere else r"\n\n") + r"^```text\n(.*?)^```", re.M | re.S)
     looked = [(below.search if anywhere else below.match)(text, block.end()) for block in found]
     return [match[1] for match in looked if match]
 
@@ -99,15 +95,7 @@ def test_the_python_of_a_page_runs(page, tmp_path):
     shutil.copytree(ROOT / "examples", tmp_path / "examples")
     code = "\n".join(block["code"] for block in blocks(page, "python") if not block["reason"])
     (tmp_path / "page.py").write_text(code, encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, "page.py"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=SECONDS,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
+    done = python("page.py", cwd=tmp_path, timeout=SECONDS)
     for printed in printed_below(page, blocks(page, "python")):
         assert printed in done.stdout, done.stdout
 
@@ -133,27 +121,35 @@ def test_the_discovery_of_the_page():
     compare_discovery(DOCS / "guide" / "discovery.md", "rig.csv", said)
 
 
-@pytest.mark.slow
-def test_the_discovery_of_the_readme(tmp_path, monkeypatch, unrendered):
-    readme = ROOT / "README.md"
-    command = next(b for b in blocks(readme, "sh") if b["code"].startswith("soil-env discover"))
+@pytest.fixture
+def output_of(tmp_path, monkeypatch, unrendered):
+    """Function that runs the command in a block, in a folder with examples/data, and returns what
+    it prints.
+    """
     monkeypatch.chdir(tmp_path)
     shutil.copytree(ROOT / "examples" / "data", tmp_path / "examples" / "data")
-    done = CliRunner().invoke(soil_env, shlex.split(command["code"])[1:])
-    assert done.exit_code == 0, done.output
-    compare_discovery(readme, "continuum.csv", done.output)
+
+    def run(command: re.Match) -> str:
+        done = CliRunner().invoke(soil_env, shlex.split(command["code"])[1:])
+        assert done.exit_code == 0, done.output
+        return done.output
+
+    return run
 
 
-def test_the_identification_of_the_page(tmp_path, monkeypatch, unrendered):
+@pytest.mark.slow
+def test_the_discovery_of_the_readme(output_of):
+    readme = ROOT / "README.md"
+    command = next(b for b in blocks(readme, "sh") if b["code"].startswith("soil-env discover"))
+    compare_discovery(readme, "continuum.csv", output_of(command))
+
+
+def test_the_identification_of_the_page(output_of):
     """The first command of the page prints the table below it."""
     page = DOCS / "guide" / "identify.md"
     command = blocks(page, "sh")[0]
-    monkeypatch.chdir(tmp_path)
-    shutil.copytree(ROOT / "examples" / "data", tmp_path / "examples" / "data")
-    done = CliRunner().invoke(soil_env, shlex.split(command["code"])[1:])
-    assert done.exit_code == 0, done.output
     (printed,) = printed_below(page, [command], anywhere=True)
-    assert printed in done.output
+    assert printed in output_of(command)
 
 
 def test_the_ros_node_of_the_page_identifies(monkeypatch):
@@ -192,16 +188,7 @@ def help_of(*command: str) -> str:
         "COLUMNS": "200",
         "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path]),
     }
-    done = subprocess.run(
-        [sys.executable, *command, "--help"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        env=environment,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-1000:]
-    return done.stdout
+    return python(*command, "--help", env=environment).stdout
 
 
 def check_options(words: list[str], text: str) -> None:

@@ -3,7 +3,6 @@
 `make results QUICK=1` writes quick results and runs the comparison; without them it is skipped.
 """
 
-import json
 import math
 import os
 import re
@@ -16,6 +15,7 @@ import pytest
 from scipy.stats import binom, binomtest
 
 from benchmarks import identification
+from benchmarks.common import read_json
 from benchmarks.drives import settings_of
 from benchmarks.prediction import PARTS, ratios
 from soil_env.parameters import load_scenario
@@ -27,6 +27,7 @@ PAGE = DOCS / "results.md"
 RESULTS = DOCS / "results"
 QUICK = ROOT / "runs" / "quick"
 NUMBER = r"[-+]?\d+(?:\.\d+)?"
+INTERVAL = rf"({NUMBER}) \[({NUMBER}), ({NUMBER})\]"
 #: Of a quick share and the one of the page: a tenth of a per cent of the pairs by chance alone.
 CONFIDENCE = 0.999
 COURSES = 30  # of each quick drive of the identifier; errors of its sensors are one draw a course
@@ -43,6 +44,16 @@ pytestmark = pytest.mark.documents
 def numbers(cell: str) -> list[float]:
     """The numbers of a cell of a table."""
     return [float(x) for x in re.findall(NUMBER, cell)]
+
+
+def said_on(page, pattern: str) -> list[float]:
+    """Numbers in the groups of the first match of `pattern` in the text of a page, as one line."""
+    return [float(x) for x in re.search(pattern, text_of(page)).groups()]
+
+
+def text_of(page) -> str:
+    """Text of a page as one line."""
+    return " ".join(page.read_text(encoding="utf-8").split())
 
 
 def first_table(name: str, beginning: str) -> list[dict[str, str]]:
@@ -80,15 +91,10 @@ def test_agents_and_rules():
 
 def test_the_page_of_studies_has_the_figure_of_the_results():
     """What the agent lacks on `two_lines` to the best rule that does not know the soil."""
-    text = (DOCS / "guide" / "study.md").read_text(encoding="utf-8")
-    said = re.search(rf"({NUMBER}) \[({NUMBER}), ({NUMBER})\] points behind on `two_lines`", text)
+    said = said_on(DOCS / "guide" / "study.md", rf"{INTERVAL} points behind on `two_lines`")
     row = tables(PAGE)["Agent and rules on every ground"][0]
     value, low, high = numbers(row[list(row)[7]].split(" ", 1)[1])
-    assert row["ground"] == "`two_lines`" and [float(x) for x in said.groups()] == [
-        -value,
-        -high,
-        -low,
-    ]
+    assert row["ground"] == "`two_lines`" and said == [-value, -high, -low]
 
 
 def test_what_is_said_of_agent_and_rules():
@@ -99,19 +105,18 @@ def test_what_is_said_of_agent_and_rules():
         for row in rows
         if row["scenario"] == "two_lines" and row["arm"] != "default"
     }
-    text = " ".join(PAGE.read_text(encoding="utf-8").split())
-    said = re.search(
+    said = said_on(
+        PAGE,
         rf"({NUMBER}) points more than the best blind rule, as many as the best slip on the "
         rf"identified soil, ({NUMBER}) fewer than on the true soil",
-        text,
     )
     _, low, high = behind["best_slip_identified"]
     assert low < 0.0 < high
-    assert [float(x) for x in said.groups()] == [
+    assert said == [
         round(-max(behind["constant_torque"][0], behind["soft_start"][0])),
         round(behind["best_slip_true"][0]),
     ]
-    said = re.search(r"The agent leads the best rule on (.*?), nowhere else", text)
+    said = re.search(r"The agent leads the best rule on (.*?), nowhere else", text_of(PAGE))
     lead = [
         row["ground"]
         for row in tables(PAGE)["Agent and rules on every ground"]
@@ -123,11 +128,8 @@ def test_what_is_said_of_agent_and_rules():
         rules = [row for row in ours if row["arm"] not in ("default", "best_slip_true")]
         best = max(rules, key=lambda row: numbers(row["finished [%]"])[0])
         value, low, high = numbers(best["finished - default [points]"])
-        more = (-value, -high, -low) if value < 0 else (value, low, high)
-        said = re.search(
-            rf"({NUMBER}) \[({NUMBER}), ({NUMBER})\](?: points more| fewer) with `{world}`", text
-        )
-        assert tuple(float(x) for x in said.groups()) == more
+        more = [-value, -high, -low] if value < 0 else [value, low, high]
+        assert said_on(PAGE, rf"{INTERVAL}(?: points more| fewer) with `{world}`") == more
 
 
 def test_identification():
@@ -149,7 +151,7 @@ def test_identification():
 
 def test_identification_was_driven_by_the_rules_that_ship():
     """Rules that were tuned anew drive otherwise: their rows are measured again."""
-    rows = json.loads((RESULTS / "identification.json").read_text())["rows"]
+    rows = read_json(RESULTS / "identification.json")["rows"]
     for name, case in identification.cases().items():
         if case.scenario in (*identification.ROVERS, identification.ONE_SOIL):
             continue
@@ -187,7 +189,7 @@ def test_predictions():
         "all effects in one fit": "all effects",
         "Gaussian process": "Gaussian process",
     }
-    text = " ".join(PAGE.read_text(encoding="utf-8").split())
+    text = text_of(PAGE)
     pages = tables(RESULTS / "prediction.md")
     known = {
         part: {row["method"]: row for row in pages[f"Errors over the noise, wheels {title}"]}
@@ -207,24 +209,23 @@ def test_predictions():
     assert [list(pair) for pair in said] == [shown(known["fresh"][name]) for name in names.values()]
     heads = ("Sinkage [mm] / drawbar pull [N] / torque [N m], wheels " + t for t in PARTS.values())
     held = ([float(row["1 sd [%]"]) for row in pages[head]] for head in heads)
-    said = re.search(r"one sd hold (\d+) to (\d+) and (\d+) to (\d+) %", text)
-    assert numbers(" ".join(said.groups())) == [end(x) for x in held for end in (min, max)]
+    said = said_on(PAGE, r"one sd hold (\d+) to (\d+) and (\d+) to (\d+) %")
+    assert said == [end(x) for x in held for end in (min, max)]
     said = re.search(rf"Straight lines between slips have ({NUMBER}) \(({NUMBER})\)", text)
     assert list(said.groups()) == shown(known["fresh"]["straight line"])
     fitted = known["fresh"]["all effects"]
     of_curve, of_lines = (
         numbers(fitted[f"over {of}, geometric mean"]) for of in ("the curve's", "straight lines")
     )
-    for page in (text, " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())):
-        said = re.search(rf"({NUMBER}) (?:is )?\[({NUMBER}), ({NUMBER})\] (?:for|of a curve)", page)
-        assert [float(x) for x in said.groups()] == of_curve
-        said = re.search(rf"({NUMBER}) \[({NUMBER}), ({NUMBER})\] of (?:a )?straight line", page)
-        assert [float(x) for x in said.groups()] == of_lines
+    for page in (PAGE, ROOT / "README.md"):
+        pattern = rf"({NUMBER}) (?:is )?\[({NUMBER}), ({NUMBER})\] (?:for|of a curve)"
+        assert said_on(page, pattern) == of_curve
+        assert said_on(page, rf"{INTERVAL} of (?:a )?straight line") == of_lines
 
 
 def test_what_the_page_of_physics_says_of_predictions():
     """Geometric mean and worst of the splits of four rigs of others, and of the own continuum."""
-    rows = json.loads((RESULTS / "prediction.json").read_text())["rows"]["chosen"]
+    rows = read_json(RESULTS / "prediction.json")["rows"]["chosen"]
     own = [row for row in rows if row["wheel"].startswith(("sand", "loam"))]
     others = [row for row in rows if row not in own]
     methods = ("all effects", "base and remainder", "Gaussian process")
@@ -233,7 +234,7 @@ def test_what_the_page_of_physics_says_of_predictions():
         for name in names:
             part = ratios(splits)[name]
             found += [f"{part[key]:.2f}" for key in ("mean", "worst")]
-    text = " ".join((DOCS / "physics" / "discovery.md").read_text(encoding="utf-8").split())
+    text = text_of(DOCS / "physics" / "discovery.md")
     (said,) = re.findall(r"On \[wheels that nobody here made\].*?the curve is better", text)
     assert re.findall(r"\d\.\d\d", said) == found
     assert f"largest slip of the braked continuum wheel, {found[1]}," in text
@@ -254,7 +255,7 @@ TARGETS = {
 
 def discovered(folder) -> dict[str, dict[str, float]]:
     """Shares of right answers by question."""
-    return json.loads((folder / "discovery.json").read_text())["entrants"]["workflow"]["targets"]
+    return read_json(folder / "discovery.json")["entrants"]["workflow"]["targets"]
 
 
 def test_discovery():
@@ -269,12 +270,11 @@ def test_discovery():
 
 def test_discovery_says_what_does_not_count():
     """Tables with effects that hardly show are in no share of the page; how many, and with them."""
-    content = json.loads((RESULTS / "discovery.json").read_text())["entrants"]["workflow"]
+    content = read_json(RESULTS / "discovery.json")["entrants"]["workflow"]
     every = content["all"]
-    text = " ".join(PAGE.read_text(encoding="utf-8").split())
     said = re.search(
         rf"Not counted are ({NUMBER}) tables .*? With them (.*?) are named first, both (.*?)\. ",
-        text,
+        text_of(PAGE),
     )
     assert float(said[1]) == content["cases"] - content["counting"]
     for words, target in ((said[2], "first"), (said[3], "both")):

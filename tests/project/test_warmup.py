@@ -1,15 +1,10 @@
 """After `soil-env warmup` the commands, the renderer and the controllers compile nothing."""
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
 
 from soil_env._compiled.cache import COMPILED
+from tests.programs import python
 
-ROOT = Path(__file__).resolve().parents[2]
 CODE = """
 import gc, sys
 from pathlib import Path
@@ -75,15 +70,7 @@ print("late:", late)
 
 @pytest.mark.slow
 @pytest.mark.skipif(not COMPILED, reason="nothing is compiled")
-def test_what_is_documented_compiles_nothing_after_the_warm_up(tmp_path):
+def test_what_is_documented_compiles_nothing_after_the_warm_up(tmp_path, importable):
     """Nor loads versions that the warm-up has not used: another run may have kept them."""
-    done = subprocess.run(
-        [sys.executable, "-c", CODE, str(tmp_path)],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        env=os.environ
-        | {"PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))},
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
+    done = python("-c", CODE, tmp_path)
     assert done.stdout.strip().splitlines()[-1] == "late: []"

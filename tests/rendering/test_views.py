@@ -4,8 +4,6 @@ video.
 
 import math
 import os
-import subprocess
-import sys
 
 import gymnasium
 import numpy as np
@@ -20,6 +18,7 @@ from soil_env.rendering.view import CourseView
 from soil_env.rendering.wheels import stresses_under
 from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND
 from tests.conftest import ROOT
+from tests.programs import python
 from tests.simulation.wheels import started
 
 VEHICLES = pytest.mark.parametrize("rover", [None, *rover_names()], ids=["wheel", *rover_names()])
@@ -168,8 +167,7 @@ def test_off_screen_pictures_need_no_display():
     )
     env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     env |= {"SDL_VIDEODRIVER": "nonexistent", "PYTHONPATH": str(ROOT)}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env)
-    assert done.returncode == 0, done.stderr
+    python("-c", code, env=env)
 
 
 def test_a_window_shows_the_picture(monkeypatch):

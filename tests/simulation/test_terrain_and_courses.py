@@ -76,7 +76,7 @@ def test_a_start_takes_a_few_patches_however_long_the_course():
 
 
 def test_a_course_has_room_for_its_whole_length():
-    """Beyond 100 m, too, which needs compiled code of its own."""
+    """Beyond 100 m, too."""
     scenario = load_scenario("mixed", {"course": {"length": 1000.0}})
     room = terrain.new_courses(1, scenario).dtype
     spec = scenario.course

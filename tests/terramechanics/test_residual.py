@@ -108,6 +108,8 @@ def test_a_table_is_linear_between_its_nodes_and_held_at_its_ends():
         ({"slip": [0.1, 0.2]}, {"torque": "1 2 3"}, "expected 2 numbers"),
         ({"slip": [0.1, 0.2]}, {"torque": "1 x"}, "expected 2 numbers"),
         ({"slip": [0.1, 0.2]}, {"torque": "1 11"}, r"expected 2 numbers in \[-10, 10\]"),
+        ({"slip": [0.1, 0.2]}, {"torque_sd": "1 -1"}, r"torque_sd .* numbers in \[0, 1e\+06\]"),
+        ({"slip": [0.1, 0.2]}, {"torque": "1 x"}, r"torque = '1 x'"),
     ],
 )
 def test_wrong_tables_are_refused(axes, values, message):

@@ -139,9 +139,8 @@ def command(
     code = ["--allow-code"] if contestants.code_in(to_dict(asked)) else []
     unused = is_unused(folder)
     with begun_in(folder, new=unused, made=not folder.exists()), alone(folder):
-        # What tuning wrote into the study that the folder holds may differ; all else is refused.
-        if resume is None and cells.is_begun(asked, folder, ignored=("tuned", "codes")):
-            asked = cells.load_study(Evaluation, folder)
+        if resume is None:
+            asked = evaluation.as_begun(asked, folder)
         with continued_by(again("evaluate", "--resume", folder, *code), folder):
             carry_out(asked, folder, selected, ship=engine == "ray")
 

@@ -13,7 +13,6 @@ from . import statistics as st
 from .driving import MEANINGS, RATES, Runs
 from .tables import COLUMNS, OF_ROVERS, legend, metric_table
 
-RESAMPLES = 2000  # of the bootstraps
 ORACLE = "oracle"  # its name in tables; no contestant may have it
 #: Courses that it drives side by side: it is slow, and a block is what an interruption loses.
 ORACLE_BLOCK = 10
@@ -30,20 +29,26 @@ def comparison(
     runs: Mapping[str, Sequence[Runs]],
     settings: Mapping | None = None,
     oracle: Runs | None = None,
-    resamples: int = RESAMPLES,
+    *,
+    resamples: int,
 ) -> dict:
     """The comparison of controllers; `runs`: for each the runs of each training seed.
 
     `seed` is that of the courses and of the bootstrap; `settings`, {name: settings} of controllers
-    that have some, are passed on. The result is
+    that have some, are passed on. The result has the keys
 
-    {"scenario", "courses", "seed", "settings", "members": {name: number of training seeds},
-    "metrics": {metric: {...}}, "controllers": {name: {metric: {"value", "low", "high"}}},
-    "by_seed": {name: {metric: [mean of each training seed]}}, "iqm": {name: interquartile mean of
-    the return}, "paired": {a: {b: {metric: a - b on the same courses}}}, "improvement": {a: {b:
-    probability of the higher return}}}; "limit" (see `_limit`) where the `oracle` has driven the
-    first courses. Each value but those "by_seed" is a {"value", "low", "high"} with a 95 % interval
-    (`statistics`); in "controllers" and "limit" it is None where it is not defined.
+    - scenario, courses, seed, settings: what was compared
+    - members: {name: number of training seeds}
+    - metrics: {metric: its unit and meaning}
+    - controllers: {name: {metric: interval}}
+    - by_seed: {name: {metric: [mean of each training seed]}}, of `MAIN`
+    - iqm: {name: interval of the interquartile mean of the return}
+    - paired: {a: {b: {metric: interval of a - b on the same courses}}}, of `PAIRED`
+    - improvement: {a: {b: interval of the probability of the higher return}}
+    - limit: see `_limit`, where the `oracle` has driven the first courses
+
+    An interval is {"value", "low", "high"} at 95 % (`statistics`), in "controllers" and "limit"
+    with None where the metric is not defined.
     """
     first = next(iter(runs.values()))[0]
     names = first.names  # of metrics
@@ -64,11 +69,11 @@ def comparison(
         """Bounds of a - b of the metric `m` on the same courses."""
         x = scores[a][m]
         y = scores[b][m]
-        drawn_ones = samples[a][m] - samples[b][m]
+        of_draws = samples[a][m] - samples[b][m]
         return (
-            st.difference_bounds(x, y, drawn_ones)
+            st.difference_bounds(x, y, of_draws)
             if m in RATES
-            else st.bounds(st.mean(x) - st.mean(y), drawn_ones)
+            else st.bounds(st.mean(x) - st.mean(y), of_draws)
         )
 
     def iqm(name: str) -> dict:
@@ -80,8 +85,8 @@ def comparison(
         """Bounds of the probability that a has a higher return than b."""
         x = scores[a]["return"]
         y = scores[b]["return"]
-        drawn_ones = st.improvement_samples(x, y, members[a], members[b], drawn.courses)
-        return st.bounds(st.probability_of_improvement(x, y), drawn_ones)
+        of_draws = st.improvement_samples(x, y, members[a], members[b], drawn.courses)
+        return st.bounds(st.probability_of_improvement(x, y), of_draws)
 
     others = {a: [b for b in runs if b != a] for a in runs}
     return {
@@ -157,7 +162,7 @@ def table(result: Mapping) -> tuple[Table, str]:
     entries = {name + seeds[name]: row for name, row in result["controllers"].items()} | limit_rows(
         result
     )
-    return metric_table(entries, columns, title), legend(columns, MEANINGS)
+    return metric_table(entries, columns, title), legend(columns)
 
 
 def other_world(result: Mapping) -> str:

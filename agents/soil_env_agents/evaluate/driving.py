@@ -59,7 +59,7 @@ DETAILED = {
     "false_foresight": ("share of driving time", "under alarm on courses without immobilisation"),
     "tractive_efficiency": (
         "-",
-        "drawbar work over motor work while driving with a drawbar pull > 0",
+        "drawbar work over motor work, in periods in which both are > 0",
     ),
     "slip_p50": ("-", "median signed slip over time, halts left out"),
     "slip_p95": ("-", "95th percentile of signed slip over time, halts left out"),
@@ -189,9 +189,9 @@ def run_block(
     scenario: Scenario,
     seed: int,
     courses: range,
-    model: WheelSoilModel | None = None,
-    threads: int | None = None,
-    detailed: bool = False,
+    model: WheelSoilModel | None,
+    threads: int | None,
+    detailed: bool,
 ) -> Runs:
     """`run_courses` with all courses side by side, however many."""
     kind = _Detailed if detailed else _Totals
@@ -209,8 +209,8 @@ def simulate(
     rngs: Sequence[np.random.Generator],
     scenario: Scenario,
     variant: str,
-    threads: int | None = None,
-    model: WheelSoilModel | None = None,
+    threads: int | None,
+    model: WheelSoilModel | None,
     warnings: bool = False,
 ) -> Simulation | RoverSimulation:
     """The simulation of wheels, or rovers, of a scenario, each at the start of the course that its

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from soil_env._io.loading import ParameterError, quantity, to_dict
 
-from ..cells import Engine, code_version, fill, read_cell
+from ..cells import Engine, code_version, fill, is_begun, load_study, read_cell
 from ..config import OfTask, check_oracle
 from ..controllers.oracle import Oracle
 from ..progress import Bar
@@ -95,6 +95,15 @@ def _cut(courses: int, size: int, controllers: Collection[str]) -> list[Block]:
         for first in range(0, courses, size)
         for controller in controllers
     ]
+
+
+def as_begun(asked: Evaluation, folder: Path) -> Evaluation:
+    """The evaluation of `folder` if that is `asked`, but for what tuning has written into it; else
+    `asked`. Errors as of `cells.is_begun`.
+    """
+    if is_begun(asked, folder, ignored=("tuned", "codes")):
+        return load_study(Evaluation, folder)
+    return asked
 
 
 def check_controllers(asked: Evaluation) -> None:
@@ -234,7 +243,7 @@ def result(asked: Evaluation, runs: dict[str, list[Runs]]) -> dict:
     }
     same = ("tuning_courses", "block", "resamples", "version", *(["model"] if asked.model else []))
     return {
-        **comparison(asked.scenario, asked.seed, own, settings, oracle, asked.resamples),
+        **comparison(asked.scenario, asked.seed, own, settings, oracle, resamples=asked.resamples),
         "sources": {
             name: [c.source for c in contestants.values() if c.name == name] for name in own
         },

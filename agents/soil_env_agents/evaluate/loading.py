@@ -3,7 +3,9 @@ line.
 """
 
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -45,18 +47,27 @@ def load(contestant: Contestant, scenario: Scenario, content: bytes | None = Non
             file = Path(folder) / source.name
             file.write_bytes(content)
             return load_model(file, scenario)
-    return _from_class(contestant, scenario)
+    return _from_class(contestant.source, contestant.name, scenario, contestant.settings)
 
 
-def _from_class(contestant: Contestant, scenario: Scenario):
-    """The controller of a `module:Thing`, wrapped (`_Wrapped`); ParameterError where it cannot be
-    made, has no `predict`, or names a `variant` that does not exist. Without one it reads
-    `identified`.
+def maker(source: str, scenario: Scenario) -> Callable[..., Any]:
+    """Function that makes a controller, a shipped one or `module:Class`, of its settings, given as
+    keywords.
     """
-    spec = contestant.source
-    name = contestant.name
+    if ":" in source:
+        return lambda **settings: _from_class(source, source, scenario, settings)
+    _, make = controllers_of(scenario)
+    return lambda **settings: make(source, scenario, **settings)
+
+
+def _from_class(spec: str, name: str, scenario: Scenario, settings: dict):
+    """The controller of a `module:Thing`, named `name` in messages and wrapped (`_Wrapped`).
+
+    ParameterError where it cannot be made, has no `predict`, or names a `variant` that does not
+    exist. Without one it reads `identified`.
+    """
     try:
-        thing = made(spec, scenario, contestant.settings, f"--settings.{name}")
+        thing = made(spec, scenario, settings, f"--settings.{name}")
     except ParameterError as error:
         own = str(error).startswith(("controllers: ", "--settings."))
         raise ParameterError(str(error) if own else f"controllers: {name}: {error}") from None

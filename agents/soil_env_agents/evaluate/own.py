@@ -1,15 +1,17 @@
-"""Controllers by their source, the name of a shipped one or `module:Thing`: their settings, and
-what makes them.
+"""Controllers by their source, the name of a shipped one or `module:Thing`: their code and their
+settings; what is made of a `module:Thing`.
 """
 
 import hashlib
 import importlib
 import importlib.util
 import inspect
+import site
 import sys
 import sysconfig
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from modulefinder import ModuleFinder
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,13 @@ from soil_env._io.loading import ParameterError, nearest
 from soil_env.parameters import RoverScenario, Scenario
 
 from ..controllers import CONTROLLERS, Setting, within_bounds
-from ..controllers.rover import ROVER_CONTROLLERS, controllers_of
+from ..controllers.rover import ROVER_CONTROLLERS
+
+
+def _search_here() -> None:
+    """Have modules in the current folder found, by an installed command too."""
+    if "" not in sys.path:
+        sys.path.append("")
 
 
 def imported(spec: str) -> Any:
@@ -25,8 +33,7 @@ def imported(spec: str) -> Any:
     be imported. The current folder is put on Python's path.
     """
     module_name, _, attribute = spec.partition(":")
-    if "" not in sys.path:
-        sys.path.append("")  # an installed command finds modules in the current folder too
+    _search_here()
     try:
         thing = importlib.import_module(module_name)
     except (Exception, SystemExit) as error:  # the module may raise anything
@@ -44,15 +51,36 @@ def imported(spec: str) -> Any:
 
 
 def code_digest(source: str) -> str:
-    """SHA-256 of the file of the module of `module:Thing`; empty if it cannot be found."""
-    if "" not in sys.path:
-        sys.path.append("")
+    """SHA-256 of the file of the module of `module:Thing`, and of the modules that it imports,
+    directly or not, from folders on Python's path where nothing is installed; empty if the module
+    cannot be found.
+    """
+    _search_here()
+    name = source.partition(":")[0]
     try:
-        found = importlib.util.find_spec(source.partition(":")[0])
-        content = Path(found.origin).read_bytes() if found and found.origin else b""
+        found = importlib.util.find_spec(name)
+        if not found or not found.origin:
+            return ""
+        files = sorted({found.origin, *_imported_files(name)})
+        content = [Path(file).read_bytes() for file in files]
     except (ImportError, ValueError, OSError):
         return ""
-    return hashlib.sha256(content).hexdigest()
+    return hashlib.sha256(b"".join(content)).hexdigest()
+
+
+def _imported_files(name: str) -> set[str]:
+    """Files of a module and of what it imports from folders on Python's path where nothing is
+    installed, by its import statements; none if one of them cannot be read.
+    """
+    installed = (*site.getsitepackages(), *map(sysconfig.get_path, ("stdlib", "platlib")))
+    own = [folder for folder in sys.path if not folder.startswith(installed)]
+    finder = ModuleFinder(own, excludes=("soil_env", "soil_env_agents"))
+    try:
+        finder.import_hook(name)
+    except (ImportError, SyntaxError, ValueError):
+        return set()
+    files = (getattr(module, "__file__", None) for module in finder.modules.values())
+    return {file for file in files if file}
 
 
 def bounds_of_settings(source: str, scenario: Scenario) -> Mapping[str, Setting]:
@@ -71,16 +99,6 @@ def bounds_of_settings(source: str, scenario: Scenario) -> Mapping[str, Setting]
         raise ParameterError(
             f"controllers: {source}: bounds = {bounds!r:.80}: expected {{name: Setting}}"
         ) from None
-
-
-def maker(source: str, scenario: Scenario) -> Callable[..., Any]:
-    """Function that makes a controller, a shipped one or `module:Class`, of its settings, given as
-    keywords.
-    """
-    if ":" in source:
-        return lambda **settings: made(source, scenario, settings, f"settings.{source}")
-    _, make = controllers_of(scenario)
-    return lambda **settings: make(source, scenario, **settings)
 
 
 def made(source: str, scenario: Scenario, settings: dict, where: str) -> Any:

@@ -14,7 +14,7 @@ from ..progress import show
 from . import comparing
 from .comparing import ORACLE
 from .driving import RATES, Runs
-from .tables import bracketed, cell, csv_text, difference, draw_metrics
+from .tables import cell, csv_text, difference, draw_metrics, heading
 
 FILES = ("evaluation.md", "courses.csv", "metrics.png", "evaluation.json")
 _PANELS = (
@@ -34,8 +34,9 @@ _CHOSEN = {
 
 
 def print_table(result: Mapping) -> None:
-    """Print the main metrics of all controllers."""
-    rows = result["controllers"]
+    """Print the main metrics of all controllers, courses that nobody finished, settings, and of
+    detailed drives the immobilisations that were foreseen.
+    """
     show(*comparing.table(result), *comparing.nobody(result), *settings(result))
     if "foreseen" not in result["metrics"]:
         return
@@ -43,7 +44,7 @@ def print_table(result: Mapping) -> None:
         f"{name} {cell(row['foreseen'], 100.0, 0, bounds=False)} % "
         f"{cell(row['foreseen_distance'], bounds=False)} m "
         f"{cell(row['foreseen_time'], digits=1, bounds=False)} s"
-        for name, row in rows.items()
+        for name, row in result["controllers"].items()
     )
     show(f"Immobilisations foreseen, distance and time ahead: {'; '.join(foreseen)}")
 
@@ -111,9 +112,8 @@ def page(result: Mapping) -> str:
     for m, about in result["metrics"].items():
         rate = m in RATES
         columns = [*result["controllers"].values(), *limits.values()]
-        unit = "%" if rate else about["unit"]
         cells = (cell(c[m], 100.0 if rate else 1.0, 1 if rate else 2) for c in columns)
-        metrics.append([f"{m.replace('_', ' ')}{bracketed(unit)}", about["meaning"], *cells])
+        metrics.append([heading(m), about["meaning"], *cells])
     iqm = [*(cell(result["iqm"][n]) for n in names), *("" for _ in limits)]
     metrics.append(["interquartile mean of return", "", *iqm])
     paired = []

@@ -60,8 +60,9 @@ def interval(value: float, samples: np.ndarray) -> tuple[float, float]:
 
 
 def wilson(successes: float, trials: float) -> tuple[float, float]:
-    """Wilson (1927) score interval (low, high) of a proportion at `LEVEL`; both arguments may be
-    fractions of a count.
+    """Wilson (1927) score interval (low, high) of a proportion at `LEVEL`.
+
+    `trials` > 0, and neither argument needs to be a whole number.
     """
     p = successes / trials
     z = _NORMAL

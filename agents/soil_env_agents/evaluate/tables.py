@@ -67,9 +67,7 @@ def difference(metric: str, m: Mapping) -> str:
     return points(m) if metric in RATES else cell(m, sign=True)
 
 
-def metric_table(
-    entries: Mapping[str, Mapping], columns: Sequence[Column], caption: str = ""
-) -> Table:
+def metric_table(entries: Mapping[str, Mapping], columns: Sequence[Column], caption: str) -> Table:
     """A row for each controller, of {controller: {metric: {"value", "low", "high"}}}."""
     rows = [
         [name, *(cell(metrics[c.metric], c.factor, c.digits, bounds=c.bounds) for c in columns)]
@@ -83,11 +81,17 @@ def bracketed(unit: str) -> str:
     return "" if unit == "-" else f" [{unit}]"
 
 
-def legend(columns: Iterable[Column], metrics: Mapping[str, tuple[str, str]]) -> str:
-    """One line with the meaning of the columns, of {metric: (unit, meaning)}."""
+def heading(metric: str) -> str:
+    """A metric with its unit, of a rate %."""
+    unit = "%" if metric in RATES else MEANINGS[metric][0]
+    return f"{metric.replace('_', ' ')}{bracketed(unit)}"
+
+
+def legend(columns: Iterable[Column]) -> str:
+    """One line with the meaning of the columns."""
     entries = []
     for c in columns:
-        unit, meaning = metrics[c.metric]
+        unit, meaning = MEANINGS[c.metric]
         unit = "%" if c.factor == 100.0 else unit
         entries.append(f"{c.heading}: {meaning}" + ("" if unit in c.heading else bracketed(unit)))
     return f"Columns: {'; '.join(entries)}"
@@ -100,14 +104,13 @@ def csv_text(rows: Iterable[Iterable[object]]) -> str:
     return text.getvalue()
 
 
-def draw_metrics(rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[str]) -> bytes:
+def draw_metrics(rows: Mapping[str, Mapping[str, Mapping]], metrics: Sequence[str]) -> bytes:
     """PNG of {group: {controller: {metric: {"value", "low", "high"}}}}: a row of panels for each
     group, a column for each metric, rates in %.
 
     A panel has a point with its interval for each controller, the first on top. Metrics that are
     not defined have none.
     """
-    metrics = list(metrics)
     most = max(map(len, rows.values()))
     figure = Figure(
         figsize=(2.4 * len(metrics), len(rows) * (0.35 * most + 1.0) + 0.4), layout="constrained"
@@ -116,7 +119,7 @@ def draw_metrics(rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[st
     for line, (group, entries) in zip(axes, rows.items(), strict=True):
         names = list(entries)[::-1]
         for axis, metric in zip(line, metrics, strict=True):
-            unit, factor = ("%", 100.0) if metric in RATES else (MEANINGS[metric][0], 1.0)
+            factor = 100.0 if metric in RATES else 1.0
             for y, name in enumerate(names):
                 if (m := entries[name][metric])["value"] is not None:
                     value, low, high = (factor * m[key] for key in ("value", "low", "high"))
@@ -125,7 +128,7 @@ def draw_metrics(rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[st
             axis.set_ylim(-0.6, len(names) - 0.4)
             axis.xaxis.set_major_locator(MaxNLocator(3))
             axis.grid(alpha=0.3)
-            axis.set_xlabel(f"{metric.replace('_', ' ')}{bracketed(unit)}")
+            axis.set_xlabel(heading(metric))
         line[0].set_yticks(range(len(names)), [plot_text(name) for name in names])
         line[0].set_title(plot_text(group), loc="left", fontsize=9)
     # The same bytes for the same figure.

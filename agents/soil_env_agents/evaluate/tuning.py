@@ -25,7 +25,8 @@ from ..controllers import Setting, checked_settings
 from ..controllers.rover import controllers_of
 from ..progress import Bar
 from .driving import TUNING_SET, run_courses
-from .own import bounds_of_settings, code_digest, maker
+from .loading import maker
+from .own import bounds_of_settings, code_digest
 
 TUNED = "tuned"  # folder of configs/
 TRIALS = 40  # settings tried of each controller

@@ -2,14 +2,14 @@
 (`identification.online.immobilisation`).
 
 An alarm comes on where the probability reaches the threshold on its card, and goes off after
-`RELEASE` s below half of that (`KEPT`), so that it does not flicker. Halts do not count. The
+`RELEASE` s below half of that (`KEPT`), so that it does not flicker. Halts do not count here. The
 identifier runs with every controller, so every controller has the same alarm; the true soil is not
 used.
 
 *Complete immobilisation* is the last moment at which the wheel got further at the least mean speed
-that the task asks for (`no_progress_distance` over `no_progress_time`), and for a bogged wheel the
-end. An immobilisation is *foreseen* if the alarm is on at that moment; distance and time count from
-the moment when it came on.
+that the task asks for (`no_progress_distance` over `no_progress_time`) or faster. For a bogged
+wheel it is the end. An immobilisation is *foreseen* if the alarm is on at that moment. Distance and
+time count from the moment when it came on, the time with halts.
 
 Published for another method, machine and ground: 1.8 m and 2.9 s on average, a four-wheeled rover
 in snow, ASME J. Autonomous Vehicles and Systems 2(3) 031001 (2022).
@@ -76,13 +76,15 @@ class Foresight:
         self.mobile_lead = np.full((count, 2), np.nan)
 
     def step(self, worlds: Worlds, alive: np.ndarray) -> None:
-        """Take in one control period of the wheels that are `alive` [count]."""
+        """Take in one control period of the wheels that are `alive` [count]: their alarms, and the
+        lead of those that are mobile, NaN without an alarm.
+        """
         rows = np.flatnonzero(alive)
         period = self.period
         best = worlds.state["best_x"]
         driving = alive & (worlds.state["halt_left"] == 0.0)
         found = self.warning.assess(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
-        self.probability[rows] = found.probabilities[:, -1]
+        self.probability[rows] = found.probabilities[:, -1]  # within the last of `HORIZONS`, 5 s
         self.time[alive] += period
         come = self.alarms.step(self.probability, driving)
         self.start_time[come] = self.time[come]
@@ -106,7 +108,7 @@ class Foresight:
         """[count, 2]: distance [m] and time [s] from the alarm to complete immobilisation, NaN
         without an alarm.
 
-        `bogged` [count] bool: wheels that were mobile to the end. Meaningful for immobilised wheels
-        only.
+        To be called after the last control period. `bogged` [count] bool: wheels whose complete
+        immobilisation is the end. Meaningful for immobilised wheels only.
         """
         return np.where(bogged[:, None], self._lead(worlds), self.mobile_lead)

@@ -43,12 +43,6 @@ class Graph:
         self.nodes: list = []
         #: (name, value) by type, shape and bytes.
         self.constants: dict[tuple, tuple[str, np.ndarray]] = {}
-        self.names = 0  # given so far
-
-    def name(self) -> str:
-        """A new name."""
-        self.names += 1
-        return f"v{self.names}"
 
     def input(self, name: str, dtype: str) -> Traced:
         """A value for an input of the graph; `info` describes it to `model`."""
@@ -61,12 +55,10 @@ class Graph:
         kept = self.constants.setdefault(key, (f"c{len(self.constants)}", array))
         return Traced(self, kept[0], array.dtype)
 
-    def node(
-        self, op: str, *inputs, dtype=None, outputs: Sequence[str] | None = None, **attributes
-    ) -> Traced:
-        """The first output of a new node; inputs that are no `Traced` become constants of the type
-        of the others. `op` and `attributes` are those of ONNX, `dtype` that of the output, by
-        default that of the inputs.
+    def node(self, op: str, *inputs, dtype=None, name: str = "", **attributes) -> Traced:
+        """The output of a new node; inputs that are no `Traced` become constants of the type of the
+        others. `op` and `attributes` are those of ONNX, `dtype` and `name` those of the output, by
+        default the type of the inputs and a new name.
         """
         known = next(
             (x.dtype for x in inputs if isinstance(x, Traced) and x.dtype != bool),
@@ -75,21 +67,10 @@ class Graph:
         given = [
             x if isinstance(x, Traced) or x is None else self.constant(x, known) for x in inputs
         ]
-        names = list(outputs or [self.name()])
-        self.nodes.append(
-            helper.make_node(op, ["" if x is None else x.label for x in given], names, **attributes)
-        )
-        return Traced(self, names[0], np.dtype(dtype or known))
-
-    def where(self, mask, x, y) -> Traced:
-        """x where `mask`, else y."""
-        return self.node(
-            "Where",
-            mask,
-            x,
-            y,
-            dtype=next((v.dtype for v in (x, y) if isinstance(v, Traced)), None),
-        )
+        label = name or f"v{len(self.nodes) + 1}"
+        labels = ["" if x is None else x.label for x in given]
+        self.nodes.append(helper.make_node(op, labels, [label], **attributes))
+        return Traced(self, label, np.dtype(dtype or known))
 
     def info(self, x: Traced, shape: Sequence):
         """ONNX description of an input or output `x`: name, type and `shape`, of numbers, and of
@@ -132,7 +113,9 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
         TypeError for any other function.
         """
         if function is np.where:
-            return self.graph.where(*args)
+            _, x, y = args
+            known = next((v.dtype for v in (x, y) if isinstance(v, Traced)), None)
+            return self.graph.node("Where", *args, dtype=known)
         if function is np.clip:
             x, low, high = args
             return np.minimum(np.maximum(x, low), high)

@@ -62,7 +62,7 @@ def onnx_model(agent, description: dict):
         action = np.where(np.greater(seen[:, [choice]], 0.5), action[:, [1]], action[:, [0]])
     results = [(np.clip(action, -1.0, 1.0), "action", 1), *results]
     outputs = [
-        graph.info(graph.node("Identity", x, outputs=[name], dtype=x.dtype), ["n", size])
+        graph.info(graph.node("Identity", x, name=name, dtype=x.dtype), ["n", size])
         for x, name, size in results
     ]
     return graph.model(inputs, outputs, {"policy": json.dumps(plain(description))})

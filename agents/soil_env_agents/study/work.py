@@ -92,7 +92,8 @@ class Work:
     def __call__(self, cell: Cell) -> dict:
         """{"settings": of a controller, {} of an agent, "driven": {target: columns of `Runs`}}.
 
-        Without a folder also "files": {name: content} of the run folder of a training.
+        Without a folder also "files": {name: content} of the files in the run folder of a training,
+        {} of a controller.
         """
         if self.folder is not None:
             return self._done(cell, self.folder)

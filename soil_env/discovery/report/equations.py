@@ -6,20 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from soil_env._io.loading import SYMBOLS
 from soil_env.discovery.instrument import LISTED
 from soil_env.discovery.result import EffectFound, Report
 from soil_env.terramechanics.effects.text import fitted, legend, plain, published, used
 
 from .sentences import SOIL
-
-#: Symbol of each soil parameter in the equations.
-_SYMBOLS = {
-    "friction_angle_deg": "phi",
-    "cohesion": "c",
-    "shear_modulus": "K",
-    "sinkage_coefficient": "S",
-    "sinkage_exponent": "n",
-}
 
 
 class Block(NamedTuple):
@@ -54,7 +46,7 @@ def _of_effect(report: Report, e: EffectFound) -> Block:
     effect = LISTED[e.name]
     form = effect.form(e.form)
     known = {
-        symbol: _number(report.soil[name].value, SOIL[name][1]) for name, symbol in _SYMBOLS.items()
+        symbol: _number(report.soil[name].value, SOIL[name][1]) for symbol, name in SYMBOLS.items()
     }
     known["gamma"] = _number(report.model.density * report.model.gravity, "N/m3")
     known |= {
@@ -92,6 +84,6 @@ def _of_effect(report: Report, e: EffectFound) -> Block:
     )
 
 
-def _number(x: float, unit: str = "", digits: int = 4) -> str:
+def _number(x: float, unit: str, digits: int = 4) -> str:
     """A number in so many significant digits (`text.plain`), and its unit if it has one."""
     return f"{plain(x, digits)} {unit}".rstrip()

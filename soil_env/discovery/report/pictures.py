@@ -124,15 +124,15 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
     data = report.problem.data
     varied = data.varied
     others = [c for name, c in varied.items() if name != "slip"]
-    found = []  # (mean square error over the noise, number, rows)
-    for k, rows in enumerate(data.groups):
+    found = []  # (mean square error over the noise, rows)
+    for rows in data.groups:
         if np.unique(varied["slip"].level[rows]).size >= min(FEWEST_SLIPS, varied["slip"].levels):
             off = (data.y - report.held_out_before)[rows] / report.problem.sd[rows]
-            found.append((np.nanmean(off**2) if np.isfinite(off).any() else 0.0, k, rows))
-    found.sort(key=lambda f: f[:2])
+            found.append((np.nanmean(off**2) if np.isfinite(off).any() else 0.0, rows))
+    found.sort(key=lambda f: f[0])
     evenly = np.linspace(0, len(found) - 1, min(CURVES, len(found))).round().astype(int)
     out = []
-    for _, _, rows in (found[k] for k in evenly):
+    for _, rows in (found[k] for k in evenly):
         parts = [_value(c.name, np.median(c.value[rows])) for c in others]
         out.append((", ".join(parts), rows[np.argsort(data.rows.slip[rows], kind="stable")]))
     return out
@@ -172,10 +172,7 @@ def _slip(report: Report) -> Figure:
         axis.set_xlabel("slip")
     for (label, rows), line in zip(picked, axes, strict=False):
         slip, base, corrected = curves(report, rows)
-        lines = [
-            (base, BEFORE, "base model"),
-            (corrected, AFTER, "corrected model"),
-        ]
+        lines = [(base, BEFORE, "base model"), (corrected, AFTER, "corrected model")]
         measured_slip = data.rows.slip[rows]
         for name, ax in zip(report.channels, line, strict=True):
             j = CHANNELS.index(name)

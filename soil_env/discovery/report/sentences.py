@@ -25,7 +25,9 @@ from soil_env.discovery.search import (
 )
 from soil_env.discovery.unnamed import UNNAMED
 from soil_env.identification.table.data import CHANNELS, WHEEL
+from soil_env.identification.table.fit import PARAMETER_UNITS
 from soil_env.identification.table.problem import usable_rows
+from soil_env.identification.table.report import LABELS
 from soil_env.measurement.doubts import one_load
 from soil_env.terramechanics.effects.text import plain
 from soil_env.terramechanics.steady import DEEPEST
@@ -43,15 +45,8 @@ WITH_OUTLIERS = 1.2
 SUNK = 0.999  # share of `DEEPEST` from which a wheel is buried, since the prediction ends there
 TINY = 1e-6  # [unit of the parameter] largest value of a parameter that is at a bound of 0
 #: (label, unit) of each soil parameter.
-SOIL = {
-    "friction_angle_deg": ("friction angle", "deg"),
-    "cohesion": ("cohesion c", "Pa"),
-    "shear_modulus": ("shear deformation modulus K", "m"),
-    "sinkage_coefficient": ("sinkage coefficient S", "N/m^(n+2)"),
-    "sinkage_exponent": ("sinkage exponent n", ""),
-    "density": ("density", "kg/m3"),
-    "tilt_deg": ("tilt of the rig", "deg"),
-}
+SOIL = {name: (label, PARAMETER_UNITS[name]) for name, label in LABELS.items()}
+SOIL["density"] = ("density", "kg/m3")
 #: (unit that is shown, factor on the SI value) of each channel.
 UNITS = {"sinkage": ("mm", 1e3), "drawbar_pull": ("N", 1.0), "torque": ("N m", 1.0)}
 TITLES = {"sinkage": "sinkage", "drawbar_pull": "drawbar pull", "torque": "torque"}
@@ -466,8 +461,8 @@ def simulate(report: Report) -> str:
 
 
 def _erred_less(error: float, corrected: float) -> bool:
-    """True if the corrected model erred more than `error`, by `WORSE`, and more than the noise; both
-    errors over the noise. False for an `error` of NaN.
+    """True if the corrected model erred more than the noise, and more than `error` by `WORSE`; both
+    errors are over the noise. False for an `error` of NaN.
     """
     return corrected > 1.0 and corrected > (1.0 + WORSE) * error
 

@@ -53,8 +53,7 @@ def next_step(report: Report) -> str:
         for c in open_checks(ruled_out(setup))
         if found.get(c.name, 0.0) >= LIKELY or suspected & {*INSTRUMENT} & {*c.decides}
     ]
-    before = setup.checked
-    done = list(dict.fromkeys((*before, *(n for c in checks for n in c.decides))))
+    done = list(dict.fromkeys((*setup.checked, *(n for c in checks for n in c.decides))))
     of_sensor = report.finding.hypotheses[0].law in OF_SENSORS and report.verdict == "unlisted"
     return filled(
         "next_step.txt",

@@ -79,13 +79,13 @@ def _pull_slopes(deeper, slope, ratio, memory, setting, work):
 
 @compiled
 def renew_best_pull(memory, load, setting, work):
-    """Renew the best pull [of load] in `fresh`, its standard deviation in `fresh_sd` and `steady`,
-    the ln of the steady sinkages [m]. The measured `load` [N] is corrected by the gain of its
-    sensor.
+    """Renew the best pull [of load] in `fresh` and its standard deviation in `fresh_sd`. In
+    `steady`, renew the ln of the steady sinkages [m].
 
-    It is the largest pull at any `SLIP`; slips at which the torque exceeds the motor's are left
-    out. The pull is at least -1 of load. Where no slip is left, or a number is not finite, it is -1
-    with a standard deviation of 1, and the sinkages start anew.
+    The best pull is the largest at any `SLIP`, and at least -1 of load. Slips at which the torque
+    exceeds the motor's, or the pull is not a number, are left out. Where no slip is left, or the
+    result is not finite, it is -1 with a standard deviation of 1, and the sinkages start anew. The
+    measured `load` [N] is corrected by the gain of its sensor.
     """
     load *= 1.0 - memory.u[LOAD_GAIN]
     contact = work.contact[0]
@@ -102,7 +102,7 @@ def renew_best_pull(memory, load, setting, work):
         deeper = contact.by[PULL, BY_SINKAGE] * math.exp(x)
         # the forces are those before the last step: the pull is extended over it
         pull = contact.value[PULL] + deeper * (after - x)
-        if contact.value[TORQUE] > setting.stall_torque or pull <= best:
+        if contact.value[TORQUE] > setting.stall_torque or not pull > best:
             continue
         best = pull
         _pull_slopes(deeper, slope, ratio, memory, setting, work)

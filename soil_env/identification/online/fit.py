@@ -122,13 +122,14 @@ def _apply_step(memory, setting, work, size):
     """Add `work.step` to the first `size` unknowns; return the share of it that is taken, at most
     1.
 
-    It is shortened until no unknown moves by more than its prior standard deviation. Then both
-    soils are held within `FARTHEST`, and tan phi at `LEAST_TANGENT` or above.
+    It is shortened until no unknown moves by more than its scale `work.sd` (`weigh_unknowns`). Then
+    both soils are held within `FARTHEST`, and tan phi of the present one at `LEAST_TANGENT` or
+    above. The returned share does not count what that cuts off.
     """
     u = memory.u
     share = 1.0
     for i in range(size):
-        share = min(share, work.sd[i] / abs(work.step[i]))
+        share = min(share, work.sd[i] / abs(work.step[i]))  # a step of 0 gives infinity
     for i in range(size):
         u[i] += share * work.step[i]
     for i in range(SOIL):

@@ -142,15 +142,13 @@ def compactions() -> list[float]:
 class OnBoard:
     """Estimators of many wheels or rovers; they follow the orders that the world has followed.
 
-    `vehicles`: their number; `shown`: where the observation has the estimate; `warns`: keep the
-    averages for the warning of immobilisation. ValueError as of `board_setting`.
+    `count`: number of vehicles; `shown`: where the observation has the estimate; `warns`: keep the
+    averages for the warning of immobilisation. Raises as `setting_of`.
     """
 
-    def __init__(
-        self, vehicles: int, scenario: Scenario, shown: Shown, warns: bool = False
-    ) -> None:
+    def __init__(self, count: int, scenario: Scenario, shown: Shown, warns: bool = False) -> None:
         self.setting = board_setting(scenario, shown, warns)
-        self.memory = np.zeros(vehicles, ON_ROVER if self.setting["pooled"][0] else ON_WHEEL)
+        self.memory = np.zeros(count, ON_ROVER if self.setting["pooled"][0] else ON_WHEEL)
         #: `SETTING` [1] of the identifier
         self.identifier: np.ndarray = self.setting["identifier"][0].copy()
         self._work: dict[int, np.ndarray] = {}  # work space of each thread

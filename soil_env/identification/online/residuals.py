@@ -57,7 +57,7 @@ LAW_ERROR = 0.06
 BORDER_LAW_ERROR = 0.3  # [of z_b (1 - exp(-A))] that of a cell on a border, own choice
 # [standard deviations] of a residual of the law of sinkage beyond which its variance grows with its
 # square, own choice. Cut there, at full weight, it makes the fit sure of a wrong S.
-FARTHEST = 3.0
+LINEAR_TO = 3.0
 
 
 class Residuals(NamedTuple):
@@ -276,7 +276,7 @@ def _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work):
     of_point = setting.white[0].sinkage ** 2 / READINGS
     variance = (1.0 + (1.0 - come * a) ** 2) * of_point / cell.changes
     variance += (law * come * a * bearing) ** 2 + place * place
-    return residual, 1.0 / max(variance, (residual / FARTHEST) ** 2)
+    return residual, 1.0 / max(variance, (residual / LINEAR_TO) ** 2)
 
 
 # [of weight] standard deviation of the load where no sensor measures it, own choice
@@ -288,11 +288,12 @@ EXACTLY = 1e-5
 
 @compiled
 def weigh_unknowns(memory, setting, work):
-    """Write the prior standard deviations of all unknowns [ALL], in their units, into `work.sd`.
+    """Write scales of all unknowns [ALL], in their units, into `work.sd`.
 
-    Those of the instruments follow from zeros and gains of the sensors. Where two sensors measure
-    one quantity, each counts by its mean share in the cells. Where no load was weighed, that of the
-    load gain includes `PAYLOAD`. That of the place of a border is the length of a border.
+    Of the instruments they are prior standard deviations, which follow from zeros and gains of the
+    sensors. Where two sensors measure one quantity, each counts by its mean share in the cells.
+    Where no load was weighed, that of the load gain includes `PAYLOAD`. Of the soils they are those
+    of the setting, whatever prior the memory has, of the place of a border the length of a border.
     """
     sd = work.sd
     sd[PLACE] = setting.border

@@ -33,14 +33,8 @@ from soil_env.terramechanics.model import Rows
 
 from .data import CHANNELS, Data, prepare
 from .form_error import finite
-from .noise import (
-    SMALLEST_SD,
-    NoiseEstimate,
-    find_noise,
-    given_noise,
-    with_noise_of_conditions,
-)
-from .problem import COARSE, TableProblem
+from .noise import SMALLEST_SD, NoiseEstimate, find_noise, given_noise, with_noise_of_conditions
+from .problem import COARSE, NO_VALUE, TableProblem
 
 UNUSUAL = math.log(1e-3)  # log of the prior probability of a mistake of one kind
 SURE = 8.5  # log of the evidence for another reading, from which it is told
@@ -63,7 +57,6 @@ CLEAR = 3.0  # [noise and law error] within which a row fits with another load o
 WRONG = 4.0  # [noise and law error] from which a row is wrong
 GROSS = 6.0  # the same in a small table whose noise is not known
 LAW_ERROR = 0.1  # relative error of the laws in the unit of `CLEAR`, `WRONG` and `GROSS`
-NO_VALUE = 1e3  # [noise and law error] residual where the model has no value
 ROUGH = 0.05  # of the spread of a channel: its noise where none is known yet
 # Values tried in place of a wrong load or slip: least, largest, number. Own choices.
 LOADS_TRIED = (0.01, 100.0, 401)  # over the load in the table
@@ -125,7 +118,8 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
     A reading is left out where the table cannot show it, or where it would be impossible.
     """
     out = []
-    known: dict[str, bool] = {name: np.isfinite(getattr(table, name)).any() for name in CHANNELS}
+    has_pull = np.isfinite(table.drawbar_pull).any()
+    has_torque = np.isfinite(table.torque).any()
 
     def add(
         name: str,
@@ -145,14 +139,14 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
         otherwise = dataclasses.replace(table, **columns)
         out.append(Reading(name, words, remedy, otherwise, there, np.array(scale), source))
 
-    if known["drawbar_pull"]:
+    if has_pull:
         add(
             "pull",
             "With the sign of drawbar_pull turned",
             "expected drawbar_pull positive where the wheel pulls",
             drawbar_pull=-table.drawbar_pull,
         )
-    if known["drawbar_pull"] and known["torque"]:
+    if has_pull and has_torque:
         add(
             "columns",
             "With the columns of drawbar_pull and torque exchanged",
@@ -181,7 +175,7 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
                 [factor if channel in columns else 1.0 for channel in CHANNELS],
                 **{column: factor * getattr(table, column) for column in columns},
             )
-    if known["drawbar_pull"] or known["torque"]:  # sinkage alone may rise or fall with slip
+    if has_pull or has_torque:  # sinkage alone may rise or fall with slip
         add(
             "slip",
             "With the sign of slip turned",

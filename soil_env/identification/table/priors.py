@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.measurement.setup import STEEPEST_TILT, Prior, Setup
-from soil_env.parameters import FLOW_LAW, Soil, SoilState
+from soil_env.measurement.setup import NUMBERS, STEEPEST_TILT, Prior, Setup
+from soil_env.parameters import Soil, SoilState
 
 USUAL_SINKAGE = 0.08  # [radii] where none was measured
 LARGEST_LOG = 700.0  # an exponential of more overflows
@@ -181,15 +181,11 @@ def stiffness(setup: Setup, coefficient: float) -> dict[str, float]:
     return {"k_c": ratio * k_c.value, "k_phi": ratio * k_phi.value}
 
 
-#: Parameters of a soil that are given, not fitted.
-_GIVEN = ("dig_gain", "dig_recovery", *FLOW_LAW)
-
-
 def given_laws(setup: Setup) -> dict[str, float]:
     """Parameters of slip-sinkage and of the `FLOW_LAW` by name, as the setup gives them; the
     defaults of `Soil` where it says nothing.
     """
-    given = {name: getattr(setup.soil, name) for name in _GIVEN}
+    given = {name: getattr(setup.soil, name) for name in NUMBERS}
     return {
         name: float(prior.value if prior else getattr(Soil, name)) for name, prior in given.items()
     }

@@ -30,13 +30,7 @@ from soil_env.terramechanics.model import Rows
 from . import form_error
 from .form_error import LAW_LENGTHS, Process, finite, in_channels
 from .noise import NoiseEstimate
-from .priors import (
-    Unknown,
-    bounds_of,
-    middle_sinkage,
-    parameters_at,
-    soil_unknowns,
-)
+from .priors import Unknown, bounds_of, middle_sinkage, parameters_at, soil_unknowns
 from .rig import predict_table
 
 SOURCES = ("slip", "load", *MEASURED)  # of error; the last three are the channels
@@ -44,7 +38,7 @@ STEP = 1e-3  # [prior sd] of an unknown, for differences
 #: Factor on the sinkages from which the balance of the load starts, for differences. From its own
 #: solution the balance ends at once, and what a small step changes is lost in its tolerance.
 OFF_GUESS = 1.001
-_FAR = 1e3  # [sd] residual where the model has no value
+NO_VALUE = 1e3  # [sd] residual where the model has no value
 #: Options of `scipy.optimize.least_squares` for a fit that counts.
 FINE = MappingProxyType({"xtol": 1e-9, "ftol": 1e-11, "gtol": 1e-9, "max_nfev": 100})
 #: The same to compare fits whose costs are far apart.
@@ -98,8 +92,8 @@ def most_probable(
     `bounds` (lower [p], upper [p]) of u.
 
     `target` [M] and the values [M] and derivatives [M, p] of the model are whitened. A residual
-    where the model has no value is `_FAR`. Trust-region reflective method; `options` are those of
-    `scipy.optimize.least_squares`. Without unknowns (`start` [0]) only J is computed.
+    where the model has no value is `NO_VALUE`. Trust-region reflective method; `options` are those
+    of `scipy.optimize.least_squares`. Without unknowns (`start` [0]) only J is computed.
     """
     if start.size == 0:
         return start, np.sum((target - model(start)) ** 2), True  # everything is known
@@ -107,7 +101,7 @@ def most_probable(
     def residual(u):
         """Residuals [M + p], whose squares add up to J: those of the values, then those of u."""
         e = target - model(u)
-        return np.concatenate([np.where(np.isfinite(e), e, _FAR), u])
+        return np.concatenate([np.where(np.isfinite(e), e, NO_VALUE), u])
 
     def jacobian(u):
         """Derivatives [M + p, p] of `residual` by u."""
@@ -176,7 +170,7 @@ class TableProblem:
         zeros = np.zeros(len(table))
         # A smooth rim; speed 0 and pass 1, since the base model does not depend on them.
         wheels = np.column_stack([table.radius(setup.wheel), table.width(setup.wheel), zeros])
-        grade = np.sin(np.radians(np.nan_to_num(table.grade_deg)))  # level where none is given
+        sin_grade = np.sin(np.radians(np.nan_to_num(table.grade_deg)))  # level where none is given
         self.table = table
         self.setup = setup
         self.use = use
@@ -184,16 +178,16 @@ class TableProblem:
             table.rim_slip(setup),
             table.load,
             wheels,
-            np.column_stack([zeros, zeros + 1.0, grade]),
+            np.column_stack([zeros, zeros + 1.0, sin_grade]),
         )
         self.rows = Rows(*(column[use] for column in rows))
         self._take_conditions(self.rows)
         #: [N, 3] measured sinkage [m], drawbar pull [N] and torque [N m]; nan where not measured.
         self.y = table.values[use]
         self.measured = np.isfinite(self.y)
-        #: [N, 5] noise in a row over that of its source, which is 1 for slip and load.
-        relative = np.ones((len(table), 5))
+        relative = np.ones((len(table), 5))  # of slip and load it stays 1
         relative[:, 2:] = table.relative_sd(setup)
+        #: [N, 5] noise of each value over that of its source.
         self.relative = relative[use]
         #: [m] reference sinkage
         self.z_ref = middle_sinkage(self.y[:, 0], setup.wheel.radius)
@@ -217,6 +211,7 @@ class TableProblem:
             )
         #: Form error of the base law that is in the weights beside the noise; None for none.
         self.form_error: form_error.Compression | None = None
+        # With slopes of 0, errors of slip and load do not count before the first `correct`.
         self.weigh(np.zeros((*self.y.shape, 2)))
 
     def _take_conditions(self, corrected: Rows) -> None:
@@ -401,9 +396,9 @@ class TableProblem:
         # Each span has two blocks: of the stresses, and of the channels.
         for row, of in zip(sizes, LAW_ERRORS, strict=True):
             row[2 * of.span : 2 * of.span + 2] = of.size, of.own * of.size
-        log, mean, covariance = form_error.marginals(
-            form_error.NormalEquations.of(j, blocks, np.where(np.isfinite(e), e, _FAR)), sizes, u
-        )
+        residual = np.where(np.isfinite(e), e, NO_VALUE)
+        normal = form_error.NormalEquations.of(j, blocks, residual)
+        log, mean, covariance = form_error.marginals(normal, sizes, u)
         log += np.log(np.tile(form_error.size_prior(), len(LAW_LENGTHS) * len(CHANNELS_OWN)))
         return log - self._widening(), mean, covariance
 

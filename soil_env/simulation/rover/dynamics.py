@@ -47,14 +47,17 @@ def _stage_of(number, h, wheel, foot, rig):
 
 
 @inlined
-def _keep_stand(foot, at):
-    """Write a `Stand` into a `FOOT`, but for its load, which follows from the suspension."""
-    put_soil(foot, at.ground.soil)
-    foot.sinkage = at.ground.sinkage
-    foot.rolled = at.ground.rolled
-    foot.grade = at.ground.grade
-    foot.along = at.along
-    footing = at.footing
+def _keep_stand(foot, stand):
+    """Write a `Stand` into a `FOOT`, but for the load of its footing, which follows from the
+    suspension.
+    """
+    put_soil(foot, stand.ground.soil)
+    foot.sinkage = stand.ground.sinkage
+    foot.rolled = stand.ground.rolled
+    foot.grade = stand.ground.grade
+    foot.along = stand.along
+    # After the soil, three of whose values it replaces: strength and K are those of this contact.
+    footing = stand.footing
     foot.theta1 = footing.theta1
     foot.p_cos = footing.p_cos
     foot.p_sin = footing.p_sin
@@ -63,7 +66,7 @@ def _keep_stand(foot, at):
     foot.shear_modulus = footing.shear_modulus
     foot.carry = footing.carry
     foot.most_carried = footing.most_carried
-    extra = at.extra
+    extra = stand.extra
     foot.lift = extra.lift
     foot.bulldozing = extra.bulldozing
     foot.blades = extra.blades

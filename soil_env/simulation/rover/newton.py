@@ -45,7 +45,8 @@ TURNS = 4
 
 _NOT_SHEARED = [name for name in SoilState._fields if name not in Footing._fields]
 #: What the wheel of an axle is to do in a control period and what it stands on in a stage. It has
-#: the fields of a `Drive`, a `Footing`, an `ExtraForces` and the `SoilState` of a `Ground`.
+#: the fields of a `Drive`, a `Footing`, an `ExtraForces` and the `SoilState` of a `Ground`, whose
+#: strength and K are those of the footing.
 FOOT = record(
     "start",  # [m] where the control period began
     "speed_before",  # [m/s] V at the beginning of the step

@@ -222,7 +222,7 @@ def lay_rovers(worlds, numbers, orders, scratch, first, end):
     """
     nodes = scratch.stage[0].nodes[0]
     s = numbers.suspension
-    ahead = s.wheelbase + numbers.drawn.spec.ahead  # [m] before the rear axle
+    ahead = s.wheelbase + numbers.drawn.spec.ahead  # [m] ahead of the rear axle
     failed = 0
     for j in range(first, end):
         order = orders[j]

@@ -97,8 +97,8 @@ def loop_change(du, wheel, drive, rig):
 
 @compiled_finite
 def change_ahead(wheel, drive, rig):
-    """Foreseen change of V or r w, whichever is larger, in a step of the usual length [of the top
-    rim speed]. It is foreseen by the reaction of the last stage; that of r w goes through
+    """Foreseen change of V or of r w, the larger one [of the top rim speed], in a step of the usual
+    length. It is foreseen by the reaction of the last stage; that of r w goes through
     `loop_change`.
     """
     along = rig.gravity * wheel.mass * sin_cos(wheel.grade)[0]

@@ -98,8 +98,9 @@ def _draw_camera_errors(course, p, spec):
     """Draw the errors of the camera in patch p, and where the wheel is halted before it.
 
     Each route gets a `label`, that of another class with probability `label_error` if there are
-    several, and a `grade_error` [rad]. The `FORK` gets a `border_error` [m] and `halt` [m], from
-    the beginning of the patch and so below 0. A patch with one route takes as many numbers.
+    several classes, and a `grade_error` [rad]. The `FORK` gets a `border_error` [m] and `halt` [m],
+    from the beginning of the patch and so below 0. A patch with one route draws for its second one
+    too, which is overwritten later.
     """
     fork = course.forks[p]
     for i in range(2):

@@ -203,9 +203,9 @@ def pass_at(cells, x):
 
 @compiled
 def rut_at(cells, x):
-    """(depth of the ruts of the wheels ahead, depth below it of the own rut) [m] at x [m].
+    """(depth of the ruts of the wheels ahead, depth of the own rut below that) [m] at x [m].
 
-    Both are linear between the middles of the cells, and 0 on fresh ground.
+    Both are linear between the middles of the cells, and 0 a cell or more from any rut.
     """
     i, way = between_cells(cells.size, x)
     here = cells[i]

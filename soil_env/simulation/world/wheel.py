@@ -3,7 +3,8 @@
     m dV/dt = DP - m g sin(grade)    travel; m = wheel with its share of the body, and payload
     J dw/dt = T_motor - T            rotation
     dz/dt   = B z_w - A z            sinkage on fresh ground, `slip_sinkage.excavation_rate`
-    ds/dt   = |V| (s_i - s)/L_s      soil piled ahead of a braked wheel, `pile_up`
+    ds/dt   = |V| (s_i - s)/L_s      soil piled ahead of a braked wheel, `pile_up`;
+                                     s_i = sign(V) max(-slip, 0)
     W       = m g cos(grade)         Eq. (1), met at every instant
 
 z_w is the depth at which undisturbed soil carries the same pressure as the wheel now has under it
@@ -63,7 +64,8 @@ WHEEL = record(
     "best_x",  # [m] furthest x so far: ground beyond it is fresh
     "lowest_x",  # [m] least x so far: ground before it is fresh
     "sinking",  # dz/dt [m/s] in the last stage
-    # [of the travel] slid by a braked wheel, as soil piled ahead answers to it; negative: behind
+    # [of the travel] sliding of a braked wheel whose steady pile is as large as the present one;
+    # > 0: the pile is on the side of larger x
     "braked",
     "rut_depth",  # [m] of the ground under the wheel where it has been before
     # of the last stage
@@ -72,7 +74,7 @@ WHEEL = record(
     "pull_by_rim",  # dDP/d(r w)
     "torque_by_speed",  # dT/dV [N s]
     "torque_by_rim",  # dT/d(r w)
-    "bearing_sinkage",  # z_w [m] below the undisturbed surface
+    "bearing_sinkage",  # z_w [m] from where `sinkage` is measured
     "unfelt",  # [m] sinkage of a residual law, which is read beyond z
     # of the last control period
     "motor_work",  # [J] in the last control period
@@ -331,15 +333,16 @@ def sink(wheel, ground, mobilised, path, rig):
 
 @inlined
 def pile_up(wheel, braked, moved, rig):
-    """Let `wheel.braked`, the share of sliding that the piled soil answers to, follow the present
-    share `braked` over a stage in which the wheel `moved` [m].
+    """Let `wheel.braked` relax to `braked` >= 0, the present sliding over the travel, in a stage in
+    which the wheel `moved` [m].
 
-    It follows exponentially, over `PILING` radii of travel. Its sign is that of the travel, so a
-    wheel that turns back leaves the pile behind.
+    `wheel.braked` is the sliding whose steady pile is as large as the present one. It relaxes over
+    `PILING` radii of travel, to `braked` with the sign of the travel. A wheel that turns back has
+    the pile behind it, where nothing is pushed (`dynamics.stand`).
     """
     if moved < 0.0:
         braked = -braked
-    if wheel.braked != 0.0 or braked != 0.0:
+    if wheel.braked != 0.0 or braked != 0.0:  # saves the `exp` of most wheels
         left = exp(-abs(moved) / (PILING * rig.radius))
         wheel.braked = braked + (wheel.braked - braked) * left
 
@@ -382,15 +385,16 @@ def relax_sinkage(sinkage, bearing, onto, path, soil, length):
 def leave_ruts(wheel, cells):
     """Mark the cells that a wheel has left in a stage as passed, and enter the next ones.
 
-    A cell is left once the wheel reaches the middle of the next (`cell_after`). It keeps the
-    deeper one of `rut_depth` and z_w, but no more of z_w than the present sinkage. In a cell that
-    is entered for the first time `rut_depth` begins at the present sinkage, else at that of the
-    cell. `cells`: `RUT` of the wheel.
+    A cell is left once the wheel reaches the middle of the next (`cell_after`). It keeps
+    `rut_depth`, to which the wheel sank in it. A wheel that rises into an older, shallower rut
+    presses it at least to the depth that carries it: z_w, or the present sinkage if that is less.
+    In a cell that is entered for the first time `rut_depth` begins at the present sinkage, else at
+    the depth of the cell. `cells`: `RUT` of the wheel.
     """
     after = cell_after(cells.size, wheel.cell, wheel.x)
     while wheel.cell != after:
-        rolled = min(wheel.bearing_sinkage, wheel.sinkage)
-        leave_rut(cells[wheel.cell], max(wheel.rut_depth, rolled))
+        pressed = min(wheel.bearing_sinkage, wheel.sinkage)
+        leave_rut(cells[wheel.cell], max(wheel.rut_depth, pressed))
         wheel.cell += 1 if after > wheel.cell else -1
         depth = cells[wheel.cell].depth
         wheel.rut_depth = depth if depth > 0.0 else wheel.sinkage

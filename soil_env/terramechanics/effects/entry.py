@@ -55,7 +55,7 @@ class Bench(NamedTuple):
     load: float  # [N] median
     pressure: float  # [Pa] `Passage.pressure` of that load
     sinkage: float  # [m] median
-    speed: float  # [m/s] geometric mean of the travel speed, 0 = not known in every row
+    speed: float  # [m/s] geometric mean of the travel speed, 0 unless known in every row
     median_speed: float  # [m/s]
     highest_speed: float  # [m/s], 0 = not known
     sliding: float  # [m/s] geometric mean of the sliding speed, 0 = not known
