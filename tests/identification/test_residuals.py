@@ -27,7 +27,7 @@ from soil_env.identification.online.memory import (
     TORQUE_ZERO,
 )
 from soil_env.identification.online.on_board import compactions
-from soil_env.identification.online.residuals import BORDER_ERROR, FARTHEST
+from soil_env.identification.online.residuals import BORDER_ERROR, LINEAR_TO
 from soil_env.parameters import FLOW_LAW
 from soil_env.terramechanics.effects.multipass import COMPACTION, rut_stiffness
 from tests.identification.observing import SCENARIO, B, Identified, R, W, react
@@ -249,7 +249,7 @@ def test_a_residual_of_the_law_of_sinkage_is_cut_where_it_is_no_error_of_that():
     wheel, cell = placed(5)
     cell["rise"] += 1.0
     e = vector(wheel)[2]
-    assert e.sinkage**2 * e.sinkage_weight == pytest.approx(FARTHEST**2)
+    assert e.sinkage**2 * e.sinkage_weight == pytest.approx(LINEAR_TO**2)
     cell["changes"] = 0.0
     e = vector(wheel)[2]
     assert (e.sinkage, e.sinkage_weight) == (0.0, 0.0)

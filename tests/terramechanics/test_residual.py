@@ -60,10 +60,10 @@ def test_groups_by_hand():
 
 
 def table_of(function, **axes):
-    """A table of (z/r, DP/W, T/(W r)) by a function of the groups, and ten times that as sd."""
+    """A table of (z/r, DP/W, T/(W r)) by a function of the groups; as sd ten times their size."""
     nodes = np.array(list(itertools.product(*axes.values())))
     values = np.array([function(dict(zip(axes, x, strict=True))) for x in nodes])
-    columns = np.concatenate([values, 10.0 * values], axis=1).T
+    columns = np.concatenate([values, 10.0 * np.abs(values)], axis=1).T
     text = [" ".join(map(repr, map(float, column))) for column in columns]
     return ResidualTable(axes, dict(zip(COLUMNS, text, strict=True)))
 
