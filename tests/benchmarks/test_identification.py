@@ -31,5 +31,7 @@ def test_rows_are_finite_and_measured_once(tmp_path, monkeypatch, capsys):
             assert all(np.all(np.isfinite(values)) for values in found.values())
             assert np.all(np.array(found["rms"]) > 0.0) and found["holds_68"] != [0.0] * 3
     wrong = partial(run, study.command, name="identification")
+    said = refused_command(capsys, "identification", wrong, "--courses=3", f"--out={tmp_path}")
+    assert f"identification.json: rows of seed {study.SEED} and courses 2; expected" in said.err
     said = refused_command(capsys, "identification", wrong, "--only=stickyy", *arguments)
     assert "stickyy" in said.err
