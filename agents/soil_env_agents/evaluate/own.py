@@ -100,12 +100,12 @@ def _imported_files(name: str, folder: Path) -> set[Path]:
 
 
 def _imported_names(file: Path, package: list[str]) -> Iterator[str]:
-    """Names of what the import statements of a file import, those from its own `package`, the names
-    of its parts, written out.
+    """Names of what the import statements of a file import, relative ones as absolute; `package`:
+    the parts of the name of its package.
     """
     try:
         tree = ast.parse(file.read_bytes())
-    except (SyntaxError, ValueError):
+    except (OSError, SyntaxError, ValueError):
         return
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
