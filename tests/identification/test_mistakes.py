@@ -264,8 +264,9 @@ def test_a_load_in_kilograms_is_doubted_whatever_the_soil(tmp_path):
 
 def test_sound_tables_are_rarely_doubted(tmp_path):
     """At most 1 in 20 of 28 benchmark cases, of a third or a ninth of their rows (5 of 28 has
-    probability 0.01 at 1 in 20); most of 16 with their loads in kilograms. `benchmarks.sound_tables`
-    draws hundreds.
+    probability 0.01 at 1 in 20); most of 16 with their loads in kilograms.
+
+    `benchmarks.sound_tables` draws hundreds.
     """
 
     def doubted(case):
