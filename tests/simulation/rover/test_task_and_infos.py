@@ -38,7 +38,7 @@ def test_a_rover_starts_on_its_slopes(rover):
     """Height of each axle above the rear one: the integral of the slopes between, each shorter than
     the wheelbase.
     """
-    course = {"length": 5.0, "slope_length": [0.2, 0.25], "border": 0.05}
+    course = {"length": 3.0, "slope_length": [0.2, 0.25], "border": 0.05}
     env = SoilRoverEnv(rover, course=course)
     env.reset(seed=4)
     axles = env.scenario.axles
