@@ -1,6 +1,6 @@
 """Calibration of the online identifier in every drive that ships: docs/results/identification.*
 
-    python -m benchmarks.identification --out X           all rows, half an hour; goes on where it
+    python -m benchmarks.identification --out X           all rows, 20 minutes; goes on where it
                                                           was interrupted
     python -m benchmarks.identification --only two_lines  rows of this scenario anew, the others as
                                                           they are
@@ -248,9 +248,9 @@ def tables(result: dict[str, Any]) -> dict[str, Table]:
 @click.option(
     "--courses",
     type=WholeNumber(1),
-    default=150,
+    default=60,
     metavar="N",
-    help="Courses of each row (default 150).",
+    help="Courses of each row (default 60).",
 )
 @click.option(
     "--seed",

@@ -149,6 +149,40 @@ def test_identification():
             ), (name, column)
 
 
+def test_what_is_said_of_identification():
+    """Ranges of the scenarios of the page over all drives, rovers, and worlds with effects."""
+    judged = {row["scenario"].replace("`", "") for row in tables(PAGE)["Identification"]}
+    shipped = {row["scenario"]: row for row in first_table("identification", "as shipped")}
+    ranges = []
+    for kind in ("as shipped", "twice", "drift"):
+        rows = first_table("identification", kind)
+        held = [numbers(row["in any drive"]) for row in rows if row["scenario"] in judged]
+        ranges += [min(low for low, _ in held), max(high for _, high in held)]
+    said = (
+        rf"In single drives ({NUMBER}) to ({NUMBER}) % hold; with twice the errors ({NUMBER}) to "
+        rf"({NUMBER}), drifting zeros ({NUMBER}) to ({NUMBER})\."
+    )
+    assert said_on(PAGE, said) == ranges
+    for rover in ("field_rover", "lunar_micro_rover", "mars_rover"):
+        of_page = said_on(PAGE, rf"`{rover}` ({NUMBER}) / ({NUMBER}) / ({NUMBER})")
+        assert of_page == numbers(shipped[rover]["68 % hold"])
+    lugs = shipped["mixed with grousers"]
+    two = shipped["mixed with two_effects"]
+    said = rf"With lugs ({NUMBER}) % hold for ln K, .* with two effects ({NUMBER}) for ln S"
+    assert said_on(PAGE, said) == [numbers(lugs["68 % hold"])[1], numbers(two["68 % hold"])[2]]
+    assert numbers(lugs["RMS"])[0] > numbers(lugs["prior RMS"])[0]
+    spread = [x for name in judged for x in numbers(shipped[name]["± in a drive"])]
+    assert said_on(PAGE, rf"shares of a drive ± ({NUMBER}) to ({NUMBER})") == [
+        min(spread),
+        max(spread),
+    ]
+    sensors = {row["sensors"]: row for row in first_table("identification", "Without some")}
+    all_of_them, fewer = (numbers(sensors[name]["mean sd"]) for name in ("errors", "no torque"))
+    assert [round(100.0 * (1.0 - b / a)) for a, b in zip(all_of_them, fewer, strict=True)][:2] == (
+        said_on(DOCS / "guide" / "online.md", rf"are ({NUMBER}) to ({NUMBER}) % smaller")
+    )
+
+
 def test_identification_was_driven_by_the_rules_that_ship():
     """Rules that were tuned anew drive otherwise: their rows are measured again."""
     rows = read_json(RESULTS / "identification.json")["rows"]

@@ -73,10 +73,10 @@ def code_digest(source: str) -> str:
     return hashlib.sha256(b"".join(content)).hexdigest()
 
 
-def _installed() -> list[str]:
+def _installed() -> tuple[str, ...]:
     """Folders of Python and of what is installed for it."""
     paths = [sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")]
-    return [*paths, *site.getsitepackages(), site.getusersitepackages()]
+    return (*paths, *site.getsitepackages(), site.getusersitepackages())
 
 
 def _imported_files(name: str, folder: Path) -> set[Path]:
@@ -178,8 +178,7 @@ def describe(error: BaseException) -> str:
         for f in traceback.extract_tb(error.__traceback__)
         if not f.filename.startswith((*ours, "<frozen"))
     ]
-    libraries = tuple(sysconfig.get_paths()[name] for name in ("stdlib", "purelib", "platlib"))
-    frames = [f for f in frames if not f.filename.startswith(libraries)] or frames
+    frames = [f for f in frames if not f.filename.startswith(_installed())] or frames
     where = f", {Path(frames[-1].filename).name} line {frames[-1].lineno}" if frames else ""
     message = (str(error).splitlines() or [""])[0][:200]
     return f"{type(error).__name__}: {message}{where}"
