@@ -67,18 +67,6 @@ def unrendered(monkeypatch):
     monkeypatch.setattr(Figure, "draw", lambda figure, renderer: None)
 
 
-@pytest.fixture()
-def nothing_left_out(monkeypatch):
-    """Reports of discovery leave no rows out to predict them, which takes longer than the search
-    where there are many.
-    """
-    from soil_env.discovery import workflow
-    from soil_env.discovery.outlook import Outlook
-    from soil_env.discovery.prediction import fit_prediction
-
-    monkeypatch.setattr(workflow, "outlook", lambda problem: Outlook(fit_prediction(problem), ()))
-
-
 @pytest.fixture(scope="session")
 def cluster():
     """A Ray cluster of two nodes of one CPU each, on this machine."""

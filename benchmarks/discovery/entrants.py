@@ -89,7 +89,7 @@ def workflow(data: Path, setup: Path) -> Answer:
     Of an ambiguous verdict the first candidate is named if it is more probable than nothing or
     something unlisted.
     """
-    report = content(run(data, setup))
+    report = content(run(data, setup, leave_out=False))
     named = tuple(e["name"] for e in report["effects"])
     others = dict.fromkeys(a for e in report["effects"] for a in e["alternatives"])
     if not named:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.stats import truncnorm
 
 from soil_env.identification.table.form_error import INPUTS, LENGTHS, Conditions, Process, finite
@@ -99,8 +100,11 @@ def predicted(
     )
     a = np.concatenate([fit.jacobian, *known], axis=1) / sizes.scatter
     start = np.concatenate([fit.u, np.zeros(a.shape[1] - p)])
-    # Posterior of unknowns and coefficients of form errors, less the fit.
-    covariance = np.linalg.inv(np.eye(start.size) + a.T @ a)
+    # Posterior of unknowns and coefficients of form errors, less the fit. The inverse of I + a'a is
+    # that of R'R: by R no variance is negative, however exact the values are.
+    factor = np.linalg.qr(np.concatenate([a, np.eye(start.size)]), mode="r")
+    inverse = solve_triangular(factor, np.eye(start.size))
+    covariance = inverse @ inverse.T
     off, covariance = _within_bounds(
         fit, covariance @ (a.T @ fit.residual / sizes.scatter - start), covariance
     )

@@ -28,7 +28,8 @@ from .judgement import Interval, held_out_predictions
 from .locate import locate, structure
 from .next_for_prediction import surer_runs
 from .next_tests import MOST, next_checks, next_tests
-from .outlook import outlook
+from .outlook import Outlook, outlook
+from .prediction import fit_prediction
 from .report import check_folder, write
 from .result import EffectFound, Report, Settings
 from .search import REPORTED, TEMPERATURE, Finding, Say, forms, search
@@ -42,6 +43,7 @@ def run(
     seed: int = 0,
     next_runs: int = MOST,
     goal: Literal["name", "predict"] = "name",
+    leave_out: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> Report:
     """Find where table and model disagree, name the missing effect, add it, and report how far the
@@ -50,7 +52,9 @@ def run(
     `table` and `setup` are read ones or files. `out` is a folder for report.json, report.html and
     model.yaml, which are written at the end, all of them or none. `seed` is that of the simulated
     null distributions. `next_runs` is how many are proposed, with the `goal` to "name" what is
-    missing or to "predict". `progress` receives the text of each stage, "stage" or "stage: step".
+    missing or to "predict". Without `leave_out` no rows are left out to see how well the others
+    predict them, which takes most of the time where there are many. `progress` receives the text of
+    each stage, "stage" or "stage: step".
 
     Raises `ParameterError` with one line for bad input, and where `out` cannot be written.
     """
@@ -73,7 +77,7 @@ def run(
     )
     # The matrices are small: threads of the BLAS cost more than they give.
     with threadpool_limits(1):
-        report = _conclude(rows, read, settings, say, next_runs, goal)
+        report = _conclude(rows, read, settings, say, next_runs, goal, leave_out)
     if out is not None:
         say("writing")
         write(report, Path(out))
@@ -90,12 +94,19 @@ def _digest(given: Table | Setup | str | Path) -> str | None:
 
 
 def _conclude(
-    table: Table, setup: Setup, settings: Settings, say: Say, next_runs: int, goal: str
+    table: Table,
+    setup: Setup,
+    settings: Settings,
+    say: Say,
+    next_runs: int,
+    goal: str,
+    leave_out: bool,
 ) -> Report:
     """Go through all stages of the workflow, and return what they found.
 
     `next_runs`: how many are proposed. With the `goal` "name" they tell what is missing, with
-    "predict" they make the prediction surer; there are none of the other kind.
+    "predict" they make the prediction surer; there are none of the other kind. `leave_out`: as of
+    `run`.
     """
     say("looking for mistakes")
     table, setup, dense = binned(table, setup)
@@ -120,7 +131,7 @@ def _conclude(
     gap = judgement.gaps(problem, before, after)
     closed = judgement.closed(problem, gap) if final.choices else None
     say("predicting with all effects")
-    foreseen = outlook(problem)
+    foreseen = outlook(problem) if leave_out else Outlook(fit_prediction(problem), ())
     say("choosing the next runs")
     runs = next_tests(problem, finding, next_runs) if goal == "name" else ()
     surer = surer_runs(foreseen.model, own, next_runs) if goal == "predict" else ()

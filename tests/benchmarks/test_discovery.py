@@ -302,7 +302,6 @@ def test_interrupt_ends_the_processes_at_once():
     assert time.monotonic() < begun + 60.0
 
 
-@pytest.mark.usefixtures("nothing_left_out")
 def test_the_workflow_answers_that_errors_of_the_shear_stress_along_the_arc_are_no_effect():
     """A table of this benchmark, of which an earlier workflow was sure of shear softening."""
     answer = entrant("workflow")(DATA / "law_error.csv", DATA / "law_error.setup.yaml")

@@ -519,10 +519,9 @@ def test_lugs_of_which_nothing_is_stated_are_a_caution(planted):
     assert any("gives no grouser_height: the base model has a smooth wheel" in x for x in said)
 
 
-@pytest.mark.usefixtures("nothing_left_out")
 def test_digging_of_the_setup_is_no_missing_effect(tmp_path):
     setup = SETUP.replace("soil:\n", "soil:\n  dig_gain: 1.5\n")
-    report = run(*write_files(tmp_path, table_text(PLANTED), setup))
+    report = run(*write_files(tmp_path, table_text(PLANTED), setup), leave_out=False)
     assert report.verdict == "none"
     assert any(
         "has the slip-sinkage of the setup (dig_gain 1.5)" in said

@@ -135,7 +135,8 @@ def test_a_report_of_two_wheels_on_a_rig_that_is_not_level(tmp_path):
         "drawbar_pull",
         lambda row: row["drawbar_pull"] - row["load"] * math.sin(math.radians(1.0)),
     )
-    report = run(*write_files(tmp_path, tilted, SETUP + "tilt_deg: {value: 0, sd: 1}\n"))
+    files = write_files(tmp_path, tilted, SETUP + "tilt_deg: {value: 0, sd: 1}\n")
+    report = run(*files, leave_out=False)
     assert "grousers" in {e.name for e in report.effects}
     assert report.soil["tilt_deg"].low < 1.0 < report.soil["tilt_deg"].high
     assert {label.partition(", ")[2] for label, _ in groups(report)} == {
