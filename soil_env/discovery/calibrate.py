@@ -39,9 +39,9 @@ from soil_env.identification.table.form_error import (
     whitened,
 )
 from soil_env.identification.table.noise import (
-    SMALLEST_SD,
     NoiseEstimate,
     find_noise,
+    rough_noise,
     with_noise_of_conditions,
 )
 from soil_env.identification.table.priors import (
@@ -80,9 +80,6 @@ AT_BOUND = 1e-4  # [prior sd] distance of an unknown from a bound, within which 
 #: Lower bound of a parameter with a log-normal prior, over its centre, where its own bound is lower
 #: (0 has no logarithm); own choice.
 LEAST_OF_CENTRE = 1e-3
-#: Noise of a first fit over the standard deviation of the channel, where the setup gives none; own
-#: choice.
-ROUGH_NOISE = 0.05
 #: [prior sd] distance of a start from a bound; also that of two starts that are taken as the same.
 _SAME = 1e-6
 _OFF_NEUTRAL = 0.3  # [prior sd] start of a strength whose bound is its neutral value; own choice
@@ -586,18 +583,11 @@ class Law:
 def calibrate(data: Data) -> tuple[Problem, NoiseEstimate]:
     """(`Problem`, estimate of its noise) of a table, with outliers left out.
 
-    A first fit of the base model under a rough noise gives the surface about which noise and
+    A first fit of the base model under `rough_noise` gives the surface about which noise and
     outliers are found. Noise of slip and load that the setup states counts as noise of the
     channels. The noise is known as well as that of the channel with the fewest degrees of freedom.
     """
-    spread = [np.nanstd(y) if np.isfinite(y).any() else 1.0 for y in data.y.T]
-    rough = np.array(
-        [
-            getattr(data.setup.noise, name) or max(ROUGH_NOISE * sd, SMALLEST_SD)
-            for name, sd in zip(CHANNELS, spread, strict=True)
-        ]
-    )
-    first = Problem(data, rough, data.measured)
+    first = Problem(data, rough_noise(data), data.measured)
     fit = first.fit()
 
     def base(rows: Rows) -> np.ndarray:

@@ -17,7 +17,7 @@ from .evidence import Evidence
 from .instrument import Names
 from .search import Finding
 
-SURE = 1.959964  # [sd] of a 95 % interval
+SD_OF_95 = 1.959964  # [sd] of a 95 % interval
 _CLOSED_DRAWS = 2000  # of the groups, for the interval of `closed`
 _LEAST_GAP = 0.5  # share of these draws that have a gap to close, below which no interval is given
 
@@ -76,11 +76,11 @@ def intervals(finding: Finding, own: Evidence) -> dict[str, Interval]:
 
 
 def _interval(unknown: Unknown, u: float, sd: float) -> Interval:
-    """Value and ends at u and u ± `SURE` sd of the normal distribution, each cut to the bounds."""
+    """Value and ends at u and u ± `SD_OF_95` sd of a normal distribution, within the bounds."""
     return Interval(
         *(
             float(unknown.value(np.clip(x, *unknown.bounds)))
-            for x in (u, u - SURE * sd, u + SURE * sd)
+            for x in (u, u - SD_OF_95 * sd, u + SD_OF_95 * sd)
         )
     )
 

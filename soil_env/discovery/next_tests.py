@@ -113,7 +113,7 @@ def _listed(parts: Collection[str]) -> str:
     return (" and " if short else "; ").join(parts)
 
 
-class Predicted(NamedTuple):
+class PredictedRun(NamedTuple):
     """A candidate at one run: its probability before it, if one of the candidates is right, and
     what it predicts, with noise.
     """
@@ -129,7 +129,7 @@ class NextTest:
     """One run to make."""
 
     conditions: dict[str, float]  # slip, load [N] and what else matters, as the columns of a table
-    predicted: tuple[Predicted, ...]  # by every candidate, the most probable first
+    predicted: tuple[PredictedRun, ...]  # by every candidate, the most probable first
     separates: tuple[str, str]  # candidates that it separates most
     channel: str  # in which it separates them most
     expected_sigma: float  # difference of their predictions there over its standard deviation
@@ -318,7 +318,7 @@ def proposed(
 
 def _described(
     problem: Problem, of: Candidates, own: np.ndarray, g: int
-) -> tuple[tuple[Predicted, ...], tuple[str, str], str, float]:
+) -> tuple[tuple[PredictedRun, ...], tuple[str, str], str, float]:
     """What `NextTest` says of run g: (predicted, separates, channel, expected_sigma).
 
     `own` [K, C]: standard deviations of the predictions of this run. The rival of the first
@@ -334,7 +334,9 @@ def _described(
     rival = np.argmax(of.share * off.max(axis=1))
     j = np.argmax(off[rival])
     values = ((mean * problem.noise).tolist(), (sd * problem.noise).tolist())
-    said = tuple(Predicted(*row) for row in zip(of.names, of.share.tolist(), *values, strict=True))
+    said = tuple(
+        PredictedRun(*row) for row in zip(of.names, of.share.tolist(), *values, strict=True)
+    )
     return said, (of.names[0], of.names[rival]), CHANNELS[j], float(off[rival, j])
 
 

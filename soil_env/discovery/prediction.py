@@ -56,7 +56,7 @@ FORCE_SCALE = 0.3  # of the load: scale of pull, and of torque over the radius; 
 LEAST_SINKAGE = 0.004  # [radii] least scale of the sinkage; own choice
 #: Factor on the standard deviations, measured on rigs: linearised intervals held too rarely.
 WIDER = 1.15
-FAR = 12.0  # largest |logarithm| of a size or length that is tried
+MOST_LOG = 12.0  # largest |logarithm| of a size or length that is tried
 STEPS_TO_LEARN = 25  # most steps of the search for sizes and lengths; own choice
 
 
@@ -395,10 +395,10 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
         three sizes, two lengths, three noises.
 
         With the covariance K of the values and a = K^-1 e, the derivative of the likelihood's part
-        is (tr(K^-1 dK) - a'dK a)/2. `IMPOSSIBLE` with the slope 0 beyond `FAR`, and where the
+        is (tr(K^-1 dK) - a'dK a)/2. `IMPOSSIBLE` with the slope 0 beyond `MOST_LOG`, and where the
         covariance without unknowns is not positive definite.
         """
-        if np.any(np.abs(x) > FAR):
+        if np.any(np.abs(x) > MOST_LOG):
             return IMPOSSIBLE, np.zeros(x.size)
         learnt = Learnt.from_logarithms(x)
         try:

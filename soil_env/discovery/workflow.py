@@ -166,7 +166,7 @@ def _conclude(
 STRUCTURED = 1e-3  # p value of a pattern, below which a model does not explain the table
 #: [sd of the setup's prior] distance of a soil parameter from the setup's value, beyond which a
 #: model is refuted; own choice.
-FAR = 8.0
+REFUTED_AT = 8.0
 Fits = dict[Names, Fit]  # by set of effects
 Held = dict[Names, np.ndarray]  # held-out predictions [N, 3] by set of effects
 
@@ -273,12 +273,12 @@ def _worse(problem: Problem, before: np.ndarray, after: np.ndarray, seed: int) -
 
 
 def _far(problem: Problem, model: Evidence) -> bool:
-    """True if a soil parameter that the setup gives is further than `FAR` from its value there in
-    the posterior mean of a model.
+    """True if a soil parameter that the setup gives is further than `REFUTED_AT` from its value
+    there in the posterior mean of a model.
     """
     # The means of a fit are in units of the widened prior, those of the soil first.
     return any(
-        abs(mean) > FAR / PRIOR_WIDTH and problem.is_given(unknown)
+        abs(mean) > REFUTED_AT / PRIOR_WIDTH and problem.is_given(unknown)
         for unknown, mean in zip(problem.soil, model.mean, strict=False)
     )
 

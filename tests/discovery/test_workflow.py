@@ -166,7 +166,7 @@ def test_a_soil_is_far_from_what_the_setup_gives(planted, given):
     k = [unknown.name for unknown in problem.soil].index("sinkage_coefficient")
     for far in (0.9, 1.1):
         mean = np.zeros(model.mean.size)
-        mean[k] = far * workflow.FAR / PRIOR_WIDTH
+        mean[k] = far * workflow.REFUTED_AT / PRIOR_WIDTH
         moved = dataclasses.replace(model, mean=mean)
         assert workflow._far(problem, moved) == (far > 1.0 and given != "nothing")
 

@@ -37,7 +37,7 @@ GUESSED = 1.5  # sd of a prediction over the largest within the table, from whic
 MENTIONED = 0.05  # least probability of a remainder beside a name that is mentioned
 LITTLE = 0.02  # rise of the probability of the right candidate below which runs would hardly help
 SCATTERED = 1.2  # [noise] scatter of the values that is worth a caution
-FAR = 3.0  # [sd of the setup] from the setup's value at which a soil parameter is worth a caution
+CAUTION_AT = 3.0  # [sd of the setup] of a soil parameter from its value there: worth a caution
 FEW = 6  # different conditions, below which a table shows hardly any misfit
 ORDINARY = 3.0  # [noise] residual under the final model up to which an outlier would be ordinary
 #: rms residual of a channel with its outliers over that without, from which both are stated.
@@ -346,7 +346,7 @@ def cautions(report: Report) -> list[str]:
         elif problem.is_given(unknown):
             # Distance in sd of the setup's prior, which the fit widened.
             far = abs(PRIOR_WIDTH * widened[unknown.name].at(value))
-            off_prior += [(label, far)] if far > FAR else []
+            off_prior += [(label, far)] if far > CAUTION_AT else []
     residual = np.abs(problem.data.y - fit.output) / problem.sd
     dropped = problem.data.measured & ~problem.used
     worse_with = []

@@ -24,7 +24,7 @@ MOST = 120  # bins
 FINE = 0.04  # [correlation lengths of a form error] extent of a bin that is not cut further
 JUMP = 0.25  # share of the extent of a bin, above which a gap between values is where it is cut
 FEWEST = 8  # values of a bin, of which one may be an outlier
-FAR = 8.0  # [sd] from the median of a bin, beyond which a value is an outlier
+OUTLIER_AT = 8.0  # [sd] from the median of a bin, beyond which a value is an outlier
 #: Rows of a bin if all `MOST` were equal, over the fewest that a part of a cut may have; own
 #: choice.
 _PART = 4
@@ -159,13 +159,13 @@ def _merged(values: np.ndarray) -> Any:
 def _without_outliers(values: np.ndarray, usual: float) -> tuple[float, int]:
     """(mean without outliers, number of outliers) of the values of a bin.
 
-    Outliers are beyond `FAR` sd from the median. The sd is that of a normal distribution whose
-    median distance from the median is that of the bin or, if this is larger, `usual`: the median
-    over all bins. Fewer than `FEWEST` values have no outliers. If one is nan, the mean is, without
-    outliers.
+    Outliers are beyond `OUTLIER_AT` sd from the median. The sd is that of a normal distribution
+    whose median distance from the median is that of the bin or, if this is larger, `usual`: the
+    median over all bins. Fewer than `FEWEST` values have no outliers. If one is nan, the mean is,
+    without outliers.
     """
     if values.size < FEWEST:
         return np.mean(values), 0
-    reach = FAR * SD_OF_MEDIAN * max(median_abs_deviation(values), usual)
+    reach = OUTLIER_AT * SD_OF_MEDIAN * max(median_abs_deviation(values), usual)
     kept = ~(np.abs(values - np.median(values)) > reach)
     return np.mean(values[kept]), values.size - kept.sum()

@@ -33,7 +33,13 @@ from soil_env.terramechanics.model import Rows
 
 from .data import CHANNELS, Data, prepare
 from .form_error import finite
-from .noise import SMALLEST_SD, NoiseEstimate, find_noise, given_noise, with_noise_of_conditions
+from .noise import (
+    NoiseEstimate,
+    find_noise,
+    given_noise,
+    rough_noise,
+    with_noise_of_conditions,
+)
 from .problem import COARSE, NO_VALUE, TableProblem
 
 UNUSUAL = math.log(1e-3)  # log of the prior probability of a mistake of one kind
@@ -57,7 +63,6 @@ CLEAR = 3.0  # [noise and law error] within which a row fits with another load o
 WRONG = 4.0  # [noise and law error] from which a row is wrong
 GROSS = 6.0  # the same in a small table whose noise is not known
 LAW_ERROR = 0.1  # relative error of the laws in the unit of `CLEAR`, `WRONG` and `GROSS`
-ROUGH = 0.05  # of the spread of a channel: its noise where none is known yet
 # Values tried in place of a wrong load or slip: least, largest, number. Own choices.
 LOADS_TRIED = (0.01, 100.0, 401)  # over the load in the table
 SLIPS_TRIED = (-0.95, 0.95, 191)
@@ -287,7 +292,7 @@ def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
 
     For the table as it is, a given noise of slip and load lets values lie further off before they
     are outliers, but does not enter the noise. Where the values do not show their noise it is
-    `_rough`, and all values are used.
+    `rough_noise`, and all values are used.
     """
 
     def surface(rows: Rows) -> np.ndarray:
@@ -308,23 +313,9 @@ def _noise(data: Data, fit: _Fit) -> NoiseEstimate:
         return dataclasses.replace(found, used=find_noise(wide, model).used)
     except ParameterError:
         alone = np.zeros(len(model), dtype=bool)
-        return NoiseEstimate(_rough(data), np.full(3, math.inf), ("",) * 3, data.measured, alone)
-
-
-def _rough(data: Data, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
-    """[3] noise of the channels before any fit: as given, else `ROUGH` times the sd of the values
-    in `rows` (bool or a slice; all by default). `ROUGH` itself of a channel without values.
-    """
-    out = np.full(len(CHANNELS), ROUGH)
-    for j, name in enumerate(CHANNELS):
-        known = data.table.channel_sd(data.setup, name)
-        y = data.y[rows, j]
-        y = y[np.isfinite(y)]
-        if known is not None:
-            out[j] = known
-        elif y.size:
-            out[j] = max(ROUGH * np.std(y), SMALLEST_SD)
-    return out
+        return NoiseEstimate(
+            rough_noise(data), np.full(3, math.inf), ("",) * 3, data.measured, alone
+        )
 
 
 class Better(NamedTuple):
@@ -383,7 +374,7 @@ def _as_is(data: Data) -> _AsIs:
     fit and without its outliers (values that `NoiseEstimate.used` leaves out).
     """
     plain = _plain(data.table, data.setup)
-    rough = _fit(plain, _rough(data))
+    rough = _fit(plain, rough_noise(data))
     noise = _noise(data, rough)
     return _AsIs(data, noise, _fit(plain, noise.sd, noise.used, rough.u))
 
@@ -398,7 +389,7 @@ def _other_readings(start: _AsIs) -> list[Better]:
     """
     data, noise, first = start
     plain = first.reading
-    rough = _rough(data)
+    rough = rough_noise(data)
     others = readings(data.table, data.setup)
     rises = _rises(data, noise)
     by_rises = [_by_rises(rises, data, other) for other in others]
@@ -541,7 +532,7 @@ def examine(table: Table, setup: Setup) -> Examined:
     """
     data = prepare(table, setup)
     given_noise(data)  # refuses one that leaves no digits
-    _problem(_plain(table, setup), _rough(data), None, scarce=False)  # refuses too few values
+    _problem(_plain(table, setup), rough_noise(data), None, scarce=False)  # refuses too few values
     always = [*setup.doubts(), *_grades_doubted(data)]
     dead = _channels_doubted(data)
     if dead:  # what else could be read into such a table says nothing
@@ -676,7 +667,7 @@ def _noise_without_a_row(data: Data, sd: np.ndarray) -> np.ndarray:
     wrong one, whichever it is.
     """
     rows = np.arange(len(data.table))
-    return np.min([sd, *(_rough(data, rows != row) for row in rows)], axis=0)
+    return np.min([sd, *(rough_noise(data, rows != row) for row in rows)], axis=0)
 
 
 def _worst_row(data: Data, off: np.ndarray, sd: np.ndarray) -> int:

@@ -37,6 +37,7 @@ ALONE = 0.8  # leverage on the smooth surface above which a value is checked by 
 #: Scatter over the size of the values below which they are rounded or computed, not measured.
 LEAST_NOISE = 1e-5
 LEAST_GIVEN = 1e-6  # the same of noise that the setup gives; less leaves no digits to fit with
+ROUGH = 0.05  # of the spread of a channel: its noise before any fit; own choice
 SMALLEST_SD = 1e-12  # [unit of the channel] of any noise, since it divides
 FEWEST_REPEATS = 6  # degrees of freedom of repeats, from which noise is taken from them; own choice
 SPARE = 3  # values of a channel beyond the functions of the surface, at least
@@ -113,6 +114,22 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
         freedom[repeats] = repeat_freedom[repeats]
     _refuse_no_scatter(data, used, sd, origin)
     return NoiseEstimate(np.maximum(sd, SMALLEST_SD), freedom, tuple(origin), used, alone)
+
+
+def rough_noise(data: Data, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
+    """[3] noise of the channels before any fit: as given, else `ROUGH` times the sd of the values
+    in `rows` (bool or a slice; all by default). `ROUGH` itself of a channel without values.
+    """
+    out = np.full(len(CHANNELS), ROUGH)
+    for j, name in enumerate(CHANNELS):
+        known = data.table.channel_sd(data.setup, name)
+        y = data.y[rows, j]
+        y = y[np.isfinite(y)]
+        if known is not None:
+            out[j] = known
+        elif y.size:
+            out[j] = max(ROUGH * np.std(y), SMALLEST_SD)
+    return out
 
 
 def given_noise(data: Data) -> list[float | None]:
