@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from soil_env.identification.table import identify_table
-from soil_env.identification.table.bins import DENSE, MOST, binned
+from soil_env.identification.table.bins import DENSE, MOST, MOST_OF_SERIES, binned
 from soil_env.identification.table.data import folds, prepare
 from tests.discovery.files import NOISE, SETUP, data_of, world
 
@@ -35,7 +35,10 @@ def dense(folder, count, seed=0, correlated=20, added=0.0):
 def test_bins_keep_loads_apart_and_are_few(tmp_path):
     data = dense(tmp_path, 3000)
     found = binned(data.table, data.setup)
-    assert MOST // 2 < len(found.table) <= MOST and "3000 rows are taken in" in found.words
+    assert (
+        MOST_OF_SERIES // 2 < len(found.table) <= MOST_OF_SERIES
+        and "3000 rows are taken in" in found.words
+    )
     assert "named stands for the bin that begins with it" in found.words
     near = np.min(np.abs(found.table.load[:, None] / [100.0, 150.0, 220.0] - 1.0), axis=1)
     assert np.all(near < 0.01)
@@ -52,6 +55,31 @@ def test_rows_at_few_conditions_are_binned_from_a_hundred_on(tmp_path):
     found = binned(held, data.setup)
     assert len(found.table) <= 9 and "180 rows are taken in" in found.words
     assert binned(held.only(np.arange(100)), data.setup).words == ""
+
+
+def test_a_condition_that_is_held_is_one_bin_each_time(tmp_path):
+    """Ten stretches of 60 rows whose slip and load scatter: a bin cut across a stretch would share
+    its errors with the next one. The slips of the last three are those of the first.
+    """
+    data = dense(tmp_path, 600)
+    rng = np.random.default_rng(1)
+    held = np.repeat([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.05, 0.1, 0.2], 60)
+    table = dataclasses.replace(
+        data.table,
+        slip=held + rng.normal(0.0, 0.004, 600),
+        load=100.0 + rng.normal(0.0, 1.5, 600),
+    )
+    found = binned(table, data.setup)
+    assert "600 rows are taken in 10 bins of 60 to 60 rows" in found.words
+    assert found.table.slip == pytest.approx(held[::60], abs=0.003)
+
+
+def test_a_series_has_few_bins_and_a_table_of_any_rows_more(tmp_path):
+    """Neighbouring bins of a series share the errors that go on from row to row."""
+    data = dense(tmp_path, 3000)
+    shuffled = data.table.only(np.random.default_rng(1).permutation(3000))
+    assert len(binned(data.table, data.setup).table) <= MOST_OF_SERIES
+    assert len(binned(shuffled, data.setup).table) == MOST
 
 
 def test_bins_are_few_whatever_varies(tmp_path):

@@ -21,14 +21,23 @@ DENSE = 240  # rows above which every table is binned
 #: Rows above which a table is binned if its bins have `FEWEST` or more rows on average.
 REPEATED = 100
 MOST = 120  # bins
+#: Bins of a series, a dense table in which a row is mostly within `NEAR` of the one before. Errors
+#: that go on from row to row are shared by neighbouring bins if these are short; own choice.
+MOST_OF_SERIES = 40
+NEAR = 0.25  # [correlation lengths] own choice
 FINE = 0.04  # [correlation lengths of a form error] extent of a bin that is not cut further
 JUMP = 0.25  # share of the extent of a bin, above which a gap between values is where it is cut
 FEWEST = 8  # values of a bin, of which one may be an outlier
 OUTLIER_AT = 8.0  # [sd] from the median of a bin, beyond which a value is an outlier
-#: Rows of a bin if all `MOST` were equal, over the fewest that a part of a cut may have; own
+#: Rows of a bin if all were equal, over the fewest that a part of a cut may have; own
 #: choice.
 _PART = 4
-_WIDE = 1.0  # [correlation lengths] extent from which a bin is cut, however small a part is
+_WIDE = 1.0  # [correlation lengths] extent from which a bin is cut whatever its parts are
+# A condition is held while consecutive rows only scatter about it (`_held`); own choices.
+_STRETCHED = 0.8  # share of the rows of a bin that the next row of the table follows, at least
+_ALTERNATING = 0.1  # share of these that the cut parts from the next row, at least
+_SCATTER = 0.25  # range over that of the whole table along the coordinate, at most, or `NEAR`
+_BREAK = 8  # rows of other bins between two stretches at the same conditions, at least
 # Correlation lengths of the coordinates in which rows are compared.
 _LENGTHS = {name: LENGTHS[name] for name in LENGTHS if name != "elapsed"} | {"log_slip": 0.8}
 _APART = 10.0  # correlation lengths between rows whose channels or overrides differ
@@ -51,7 +60,9 @@ def binned(table: Table, setup: Setup) -> Binned:
     """
     if len(table) <= REPEATED:
         return Binned(table, setup, "")
-    bins = _bins(_coordinates(table, setup))
+    x = _coordinates(table, setup)
+    series = len(table) > DENSE and np.median(np.max(np.abs(np.diff(x, axis=0)), axis=1)) < NEAR
+    bins = _bins(x, MOST_OF_SERIES if series else MOST)
     if len(table) <= DENSE and len(table) < FEWEST * len(bins):
         return Binned(table, setup, "")
     columns: dict[str, Any] = {
@@ -74,8 +85,8 @@ def binned(table: Table, setup: Setup) -> Binned:
         f"The table is dense: its {len(table)} rows are taken in {len(bins)} bins of {min(sizes)} "
         f"to {max(sizes)} rows at about the same conditions. The mean of a bin counts as one "
         "value, and its noise is the scatter of the means, not what the setup says of single "
-        "rows: errors that go on from row to row count once. A row that is named stands for the "
-        "bin that begins with it, and its values are means."
+        "rows: errors that go on from row to row count once, unless they outlast a bin. A row that "
+        "is named stands for the bin that begins with it, and its values are means."
     )
     if outliers:
         words += f" Values left out that are far from the others of their bin: {outliers}."
@@ -103,25 +114,54 @@ def _coordinates(table: Table, setup: Setup) -> np.ndarray:
     return x[:, np.ptp(x, axis=0) > 0.0]
 
 
-def _bins(x: np.ndarray) -> list[np.ndarray]:
+def _bins(x: np.ndarray, most: int) -> list[np.ndarray]:
     """Row numbers of each bin of the coordinates x [N, D], in the order of their first rows.
 
-    The widest bin is cut in two until all are `FINE`, or there are `MOST`. A bin that is narrower
-    than `_WIDE` also stays whole if a part of it would have too few rows (`_PART`).
+    The widest bin is cut in two until all are `FINE`, or there are `most`. A bin that is narrower
+    than `_WIDE` also stays whole if a part of it would have too few rows (`_PART`), or if it is
+    `_held`: parts that alternate from row to row share the errors that go on from row to row. If
+    the condition is held more than once, each time has a bin of its own.
     """
-    few = max(1, len(x) // (_PART * MOST))
+    few = max(1, len(x) // (_PART * most))
     bins = [np.arange(len(x))]
     extents = [_extent(x)]  # 0 for a bin that stays whole
-    while len(bins) < MOST and max(extents) > FINE:
+    while len(bins) < most and max(extents) > FINE:
         widest = np.argmax(extents)
         parts = _cut(x, bins[widest])
-        if min(map(len, parts)) < few and extents[widest] < _WIDE:
-            extents[widest] = 0.0
-            continue
+        if extents[widest] < _WIDE:
+            if _held(x, bins[widest], parts[0]):
+                parts = _times(bins[widest])
+            if min(map(len, parts)) < few:
+                extents[widest] = 0.0
+                continue
         del bins[widest], extents[widest]
         bins += parts
         extents += [_extent(x[part]) for part in parts]
     return sorted(bins, key=lambda rows: rows[0])
+
+
+def _held(x: np.ndarray, rows: np.ndarray, part: np.ndarray) -> bool:
+    """True if the `rows` of x [N, D] are stretches of the table that scatter about one condition:
+    they are narrow, and consecutive rows are now in the `part` of a cut, now in the other.
+    """
+    ranges = np.ptp(x[rows], axis=0)
+    widest = np.argmax(ranges)
+    follows = np.diff(rows) == 1
+    changes = np.diff(np.isin(rows, part))
+    return bool(
+        ranges[widest] < max(NEAR, _SCATTER * np.ptp(x[:, widest]))
+        and np.mean(follows) > _STRETCHED
+        and np.mean(changes[follows]) > _ALTERNATING
+    )
+
+
+def _times(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two parts of the `rows` of a bin, before and after its longest break; the second is empty if
+    there is none of `_BREAK` rows.
+    """
+    gaps = np.diff(rows)
+    longest = np.argmax(gaps)
+    return np.split(rows, [longest + 1 if gaps[longest] > _BREAK else rows.size])
 
 
 def _extent(x: np.ndarray) -> float:
@@ -132,18 +172,23 @@ def _extent(x: np.ndarray) -> float:
 def _cut(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two parts of the `rows` of x [N, D], cut along the coordinate where their range is largest.
 
-    The cut is at the widest gap if that is more than `JUMP` of the range. Else it is at the median,
-    or at the change of value that is nearest to it.
+    The cut is at the widest gap if that is more than `JUMP` of the range, else at the widest one of
+    the middle half by the same rule. Else it is at the median, or at the change of value that is
+    nearest to it.
     """
     here = x[rows]
     value = here[:, np.argmax(np.ptp(here, axis=0))]
     order = np.argsort(value, kind="stable")
     gaps = np.diff(value[order])
     first = value.size // 2  # number of rows in the first part
-    widest = np.argmax(gaps)
-    if gaps[widest] > JUMP * np.ptp(value):
-        first = widest + 1
-    elif gaps[first - 1] == 0.0:  # equal values stay together
+    quarter = value.size // 4
+    for begin in (0, quarter):
+        inner = gaps[begin : gaps.size - begin]
+        widest = np.argmax(inner)
+        if inner[widest] > JUMP * np.sum(inner):
+            first = begin + widest + 1
+            break
+    if gaps[first - 1] == 0.0:  # equal values stay together
         changes = np.flatnonzero(gaps)
         first = changes[np.argmin(np.abs(changes - first))] + 1
     return np.sort(rows[order[:first]]), np.sort(rows[order[first:]])
