@@ -43,9 +43,9 @@ def draw(rng: np.random.Generator, rows: int, shared: bool) -> tuple[Sound, Soil
     """(a table of so many `rows` that a rig could measure, its soil); slip and load err in each row
     by itself, or, if `shared`, in all rows of a drive together.
 
-    The soil is a preset with S of the drawn wheel in place of k_c and k_phi, and without
-    slip-sinkage. Six of ten setups state the noise of the channels, all that of slip and load.
-    Draws are repeated until soil and wheel could be those of a rig (`of_a_rig`).
+    The soil is a preset with S of the drawn wheel in place of k_c and k_phi, without slip-sinkage,
+    flow along the rim and growth of K. Six of ten setups state the noise of the channels, all that
+    of slip and load. Draws are repeated until soil and wheel could be those of a rig (`of_a_rig`).
     """
     known = [s for s in soils().values() if s.reference_stress == 0.0 and s.layer is None]
     while True:
@@ -53,7 +53,8 @@ def draw(rng: np.random.Generator, rows: int, shared: bool) -> tuple[Sound, Soil
         r = math.exp(rng.uniform(math.log(0.05), math.log(0.35)))
         b = r * rng.uniform(0.4, 1.2)
         stiffness = preset.lumped(b)
-        soil = replace(preset, k_c=None, k_phi=None, sinkage_coefficient=stiffness, dig_gain=0.0)
+        lumped = {"k_c": None, "k_phi": None, "sinkage_coefficient": stiffness}
+        soil = replace(preset, **lumped, dig_gain=0.0, rim_flow=0.0, shear_growth=0.0)
         z = r * rng.uniform(0.03, 0.2)
         pressure = stiffness * z**soil.sinkage_exponent
         middle = 0.6 * b * math.sqrt(2.0 * r * z) * pressure

@@ -16,7 +16,7 @@ import jinja2
 WIDTH = 100  # characters of a line on the terminal
 #: How a cell of a column of numbers begins; an empty one and a dash count.
 _NUMBER = re.compile(r"[-+]?\.?\d|[-+]?(inf|nan)\b|-?$")
-_LEAST_WIDTH = 12  # characters that a column keeps whose cells are cut; own choice
+_LEAST_WIDTH = 12  # characters that a column keeps whose cells are broken; own choice
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,9 @@ class Table:
         """Aligned columns for the terminal, the caption above; every line begins with `indent`
         spaces.
 
-        Where a line would be longer than `WIDTH`, cells of the widest column of text are cut, but
-        not below its header and `_LEAST_WIDTH`. Numbers are never cut, so a line may stay longer.
+        Where a line would be longer than `WIDTH`, cells of the widest column of text take several
+        lines, but it stays as wide as its header and `_LEAST_WIDTH`. Numbers are never broken, so a
+        line may stay longer.
         """
         lines = [[str(cell) for cell in line] for line in (self.header, *self.rows)]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
@@ -63,9 +64,7 @@ class Table:
             least = max(len(lines[0][longest]), _LEAST_WIDTH)
             most = min(max(widths[longest] - over, least), widths[longest])
             widths[longest] = most
-            for line in lines:
-                cell = line[longest]
-                line[longest] = cell if len(cell) <= most else cell[: most - 3] + "..."
+            lines = [part for line in lines for part in _broken(line, longest, most)]
         sides = [">" if number else "<" for number in numbers]
         shown = [self.caption] if self.caption else []
         for line in lines:
@@ -82,6 +81,15 @@ class Table:
             bool(self.rows) and all(_NUMBER.match(str(row[k])) for row in self.rows)
             for k in range(len(self.header))
         ]
+
+
+def _broken(line: Sequence[str], column: int, width: int) -> list[list[str]]:
+    """The `line` of a table, whose cell in a `column` takes so many lines that none is longer than
+    `width`; the other cells are in the first of them.
+    """
+    first, *others = textwrap.wrap(line[column], width) or [""]
+    below = [[part if k == column else "" for k in range(len(line))] for part in others]
+    return [[first if k == column else cell for k, cell in enumerate(line)], *below]
 
 
 def _markdown_row(cells: Sequence[object]) -> str:

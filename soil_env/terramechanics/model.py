@@ -109,8 +109,8 @@ class WheelSoilModel(Checked):
     was fitted to measurements, which has slip-sinkage as an effect. Without a soil a model is a set
     of effects for worlds that bring their own soils; it cannot predict. `validity`: conditions that
     a fitted model has seen, {"slip": (low, high), "load": ..., "speed": ..., "pass": ...,
-    "grade_deg": ...} in the units of a measurement table. The first prediction beyond them gives
-    the warning `OutsideValidity`.
+    "grade_deg": ...} in the units of a measurement table. A prediction beyond them gives the
+    warning `OutsideValidity`.
     """
 
     more_keys: ClassVar = ("format",)  # of a model.yaml, beside the fields
@@ -181,8 +181,7 @@ class WheelSoilModel(Checked):
         and the pass that an effect or the residual law depends on (`needed`) are missing unless
         given in every row. Without an effect or law that goes with the grade, `grade_deg` changes
         nothing, with a warning: the load counts as normal to the ground, and the pull as beyond the
-        weight along it. Warns once for each model (`OutsideValidity`) of conditions outside
-        `validity`.
+        weight along it. Warns (`OutsideValidity`) of conditions outside `validity`.
         """
         if self.soil is None:
             raise ParameterError("WheelSoilModel: no soil: expected one, to predict with")
@@ -201,8 +200,7 @@ class WheelSoilModel(Checked):
                 stacklevel=2,
             )
         beyond = outside(self.validity, c)
-        if beyond and not getattr(self, "_warned", False):
-            object.__setattr__(self, "_warned", True)
+        if beyond:
             warnings.warn(
                 f"predicting outside what the model was fitted to: {beyond}",
                 OutsideValidity,

@@ -23,6 +23,14 @@ def test_a_short_column_beside_long_numbers_is_not_widened():
     assert table.text().splitlines()[1] == "ab  " + "1" * WIDTH
 
 
+def test_a_long_text_is_broken_between_words_and_not_cut():
+    words = "shear modulus that goes with the pressure, " * 3
+    _, *lines = Table(("effect", "value", "unit"), [(words, "1" * 40, "m")]).text().split("\n")
+    assert max(map(len, lines)) <= WIDTH and len(lines) > 1
+    assert " ".join(line[: lines[0].index("1")].strip() for line in lines) == words.strip()
+    assert lines[0].endswith("m") and not lines[1].endswith("m")
+
+
 def test_a_page_loads_nothing_and_escapes_text_but_not_a_table():
     style = "p { color: red; }"
     text = html_page("a < b", TABLE.html() + html_image(b"\x89PNG", 'x "y"'), style)

@@ -53,11 +53,12 @@ def soil(report: Report) -> Table:
     setup knows, "assumed" for a density that it leaves out, "at a bound" for a fitted value there.
     """
     rows = []
-    for name, p in report.soil.items():
+    for name, found in report.soil.items():
+        p = Interval(*map(not_tiny, found))
         label, unit = SOIL[name]
         unfitted = "assumed" if name == "density" else "at a bound"
         origin = _interval(p) or ("given" if report.known(name) else unfitted)
-        rows.append((label, figures(not_tiny(p.value)), origin, unit))
+        rows.append((label, figures(p.value), origin, unit))
     return Table(("parameter", "value", "95 % interval", "unit"), rows)
 
 

@@ -3,6 +3,7 @@
 from soil_env.discovery.instrument import INSTRUMENT, ruled_out
 from soil_env.discovery.next_tests import open_checks
 from soil_env.discovery.result import LEFT, Report
+from soil_env.discovery.search import NAMED
 from soil_env.discovery.unnamed import OF_SENSORS
 
 from .sentences import filled, runs_help, title
@@ -34,6 +35,8 @@ def conclusion(report: Report) -> str:
         beside=[title(n) for n in finding.candidates if finding.share(*finding.names, n) >= LIKELY],
         rivals=[name for p, name in sorted(rivals, reverse=True) if p >= LIKELY],
         base_misses=base_misses(report),
+        # A name is withheld only since the laws may err.
+        by_laws=max(map(finding.share, finding.tried), default=0.0) >= NAMED,
     )
 
 

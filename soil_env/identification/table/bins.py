@@ -161,7 +161,8 @@ def _times(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     gaps = np.diff(rows)
     longest = np.argmax(gaps)
-    return np.split(rows, [longest + 1 if gaps[longest] > _BREAK else rows.size])
+    end = longest + 1 if gaps[longest] > _BREAK else rows.size
+    return rows[:end], rows[end:]
 
 
 def _extent(x: np.ndarray) -> float:

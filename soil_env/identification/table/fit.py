@@ -629,9 +629,9 @@ def _predicts_badly(plain: _Plain, fits: dict[str, ChannelFit]) -> str:
     if ratio[name] < MUCH_WORSE:
         return ""
     return (
-        f" Do not simulate with this soil: without the error of the laws it misses "
-        f"{name.replace('_', ' ')} by {fits[name].rms:.2g} {fits[name].unit}. model.yaml of "
-        "soil-env discover is for that."
+        f" Do not simulate with this soil before soil-env discover has compared it with its "
+        f"model.yaml: without the error of the laws it misses {name.replace('_', ' ')} by "
+        f"{fits[name].rms:.2g} {fits[name].unit}."
     )
 
 
