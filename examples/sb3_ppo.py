@@ -4,7 +4,7 @@
 
 With 400,000 steps, seed 0, in a minute or two on two cores:
 
-    400000 steps: return 3.43, 55 % of 200 finished
+    400000 steps: return 3.56, 55 % of 200 finished
 
 A soft start finishes about six of ten of such courses. Time is better spent on `soil-env train`.
 """

@@ -26,7 +26,7 @@ from soil_env.cli.running import WholeNumber
 from soil_env.parameters import DEFAULT_SCENARIO
 
 #: Settings of a click command that takes --KEY VALUE beside its options, as the argument `keys`.
-WITH_KEYS = {"ignore_unknown_options": True}
+WITH_KEYS = {"ignore_unknown_options": True, "help_option_names": ["-h", "--help"]}
 _TEXT = ("scenario", "name", "runs", "observation", "model")  # keys whose value is always text
 _PACKAGES = ("stable_baselines3", "tensorboard", "torch")  # of the extra `train`
 _FAILURES = (ParameterError, OSError, MemoryError)  # that end a command with one line

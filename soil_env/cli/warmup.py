@@ -9,6 +9,7 @@ import multiprocessing
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -24,7 +25,7 @@ from soil_env.parameters import SoilState, load_scenario, soils, wheels
 from soil_env.parameters.readings import Image
 from soil_env.terramechanics.effects import switched_on
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
-from soil_env.terramechanics.residual import WorkingPoint
+from soil_env.terramechanics.residual import ResidualTerm, WorkingPoint
 from soil_env.terramechanics.steady import LEVEL, Rim, steady_with
 from soil_env.terramechanics.traversability import best_points, best_working_point_with
 
@@ -121,7 +122,12 @@ def _predictions() -> None:
     model = _with_effects()
     soil = soils()["lete_sand"].state(0.15)
     rim = Rim(0.15, 0.15, 0.0, 0.0)
-    for predictor in (WheelSoilModel(model.wheel, model.soil), model):
+    law = ResidualTerm("drawbar_pull", 0.01, {})  # any law of what is left
+    for predictor in (
+        WheelSoilModel(model.wheel, model.soil),
+        model,
+        replace(model, residual=(law,)),
+    ):
         predictor.predict({"slip": np.array([0.1, 0.3]), "load": 100.0})
         fx = switched_on(predictor.numbers)
         steady_with(0.1, 100.0, soil, rim, LEVEL, fx)

@@ -157,9 +157,10 @@ class Vehicles:
             self._lay(trial, self.course_numbers, orders, self._scratch[0], 0, 1)
             if vehicles["reward"][0] < 0.0:
                 raise ParameterError(
-                    f"scenario {self.scenario.name!r}: no soil leaves this {self._vehicle} a "
-                    f"drawbar pull of course.least_pull = {self.scenario.course.least_pull:g} of "
-                    "its weight; expected firmer soils, more stall torque or a lower least_pull"
+                    f"scenario {self.scenario.name!r}: no soil leaves this {self._vehicle}, with "
+                    f"{self.scenario.weight:.4g} N on a wheel, a drawbar pull of "
+                    f"course.least_pull = {self.scenario.course.least_pull:g} of its weight; "
+                    "expected firmer soils, less mass, more stall torque or a lower least_pull"
                 )
 
     def seed(self, k: int, rng: np.random.Generator) -> None:

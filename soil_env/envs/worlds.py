@@ -1,6 +1,8 @@
 """The world of an environment with a model: exactly its wheel and soil, or soils about it."""
 
 import copy
+import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from enum import Enum
@@ -13,6 +15,7 @@ from gymnasium.envs.registration import EnvSpec
 from soil_env._io.loading import Checked, ParameterError, to_dict, truth
 from soil_env.parameters import Scenario, SoilSpread, Wheel, geared
 from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.terramechanics.validity import OutsideValidity
 
 OF_MODEL = "model"  # name of its soil in a scenario
 _EXACT = SoilSpread(
@@ -32,12 +35,24 @@ def with_model(
     identifier stays.
 
     Without a model, or with `scatter`, the scenario stays as it is; with `scatter` its spread is
-    about the soil of the model. Raises ParameterError for `scatter` without a model, a radius or
+    about the soil of the model. Warns (`OutsideValidity`) of a weight on the wheel beyond the loads
+    that the model was fitted to. Raises ParameterError for `scatter` without a model, a radius or
     width in `changes` that is not the model's, and a wheel or soil that the scenario cannot have.
     """
     if truth(scatter, "scatter") and model is None:
         raise ParameterError("scatter = True: expected a `model` whose soil it scatters about")
-    if model is None or scatter:
+    if model is None:
+        return scenario
+    low, high = model.validity.get("load", (0.0, math.inf))
+    if not low <= scenario.weight <= high:
+        warnings.warn(
+            f"the wheel carries {scenario.weight:.4g} N, and the model was fitted to loads of "
+            f"{low:.4g} to {high:.4g} N: expected wheel.body_mass = "
+            f"{math.sqrt(low * high) / scenario.gravity:.2g} or so",
+            OutsideValidity,
+            stacklevel=4,
+        )
+    if scatter:
         return scenario
     wheel = scenario.wheel
     sizes = {"radius": model.wheel.radius, "width": model.wheel.width}

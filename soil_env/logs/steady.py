@@ -292,14 +292,19 @@ def files(
     out = {}
     if len(grounds) > 1 and not steady.reason:
         out["steady.csv"] = (
-            f"# points of {len(grounds)} grounds, named in column run: no single soil fits them\n"
-            + steady.table()
+            f"# points of {plural(_driven(grounds), 'ground')}, named in column run: no single "
+            "soil fits them\n" + steady.table()
         )
         out["setup.yaml"] = setup_text(log_map, steady, prior, None)
     for table, setup, ground in tables_to_fit(grounds):
         out[table] = ground.points.table()
         out[setup] = setup_text(log_map, ground.points, prior, ground.estimate)
     return out
+
+
+def _driven(grounds: list[Ground]) -> int:
+    """Number of grounds with steady points."""
+    return sum(bool(ground.points.rows) for ground in grounds)
 
 
 def setup_text(
@@ -395,8 +400,8 @@ def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
     else:
         changes = ", ".join(f"{g.begin:.1f}" for g in grounds[1:])
         out.append(
-            f"{count} of {len(grounds)} grounds, which change at {changes} s. Fit one ground at a "
-            "time."
+            f"{count} of {plural(_driven(grounds), 'ground')}. The ground changes at {changes} s. "
+            "Fit one ground at a time."
         )
     few = ", ".join(str(g.number) for g in grounds if g.points.reason)
     if few and len(grounds) > 1:

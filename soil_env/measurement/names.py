@@ -40,7 +40,7 @@ OTHERS = {
     ),
     "pass": ("1 on fresh soil", "passes pass_number n_pass passage"),
     "grade_deg": ("degrees, positive uphill", "grade slope slope_angle inclination incline"),
-    "time": ("s", "timestamp t"),
+    "time": ("s from any start", "timestamp t date datetime date_time"),
     "run": ("a name or number", "test trial experiment run_id test_id"),
     "wheel_radius": ("m, half the diameter", "radius r diameter wheel_diameter"),
     "wheel_width": ("m", "width b"),

@@ -337,6 +337,8 @@ def setup_of(mapping: dict[str, Any], where: str) -> Setup:
         raise ParameterError(
             f"{where}: missing wheel: expected wheel: {{radius: ..., width: ...}} in metres"
         )
+    if isinstance(wheel := mapping.get("wheel"), dict) and "diameter" in wheel:
+        raise ParameterError(f"{where}: wheel.diameter: expected wheel.radius, half of it")
     setup: Setup = load(Setup, mapping, where)
     object.__setattr__(setup, "source", where)
     return setup

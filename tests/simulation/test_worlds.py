@@ -4,6 +4,7 @@ and random driving.
 
 import dataclasses
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTable, ResidualTerm
 from soil_env.terramechanics.steady import Conditions, Rim, steady_with
 from soil_env.terramechanics.traversability import best_working_point_with
+from soil_env.terramechanics.validity import OutsideValidity
 from tests.simulation import wheels as bench
 from tests.simulation.courses import course, margin
 from tests.terramechanics.cases import ACTING, CASES, EQUATION_10, LUG, RESIDUAL, TOGETHER, WHEEL
@@ -275,6 +277,17 @@ def test_a_residual_law_counts_on_the_soils():
         pulls += [margin(patch, 0.0, drawn.mass, scenario) for patch in drawn.patches]
     assert min(pulls) == pytest.approx(scenario.course.least_pull + 0.05, abs=0.02)
     assert min(pulls) >= scenario.course.least_pull + 0.05 - 1e-6
+
+
+@pytest.mark.parametrize("scatter", [False, True])
+def test_a_weight_beyond_the_loads_of_a_model_is_warned_of(scatter):
+    model = dataclasses.replace(model_of({}), validity={"load": (60.0, 140.0)})
+    with pytest.warns(OutsideValidity, match=r"carries 147.2 N, .*body_mass = 9.3"):
+        SoilWheelEnv("mixed", model=model, scatter=scatter)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        wheel = {"body_mass": 9.3}
+        SoilWheelEnv("mixed", model=model, scatter=scatter, wheel=wheel)
 
 
 def test_a_least_pull_of_minus_the_weight_takes_soil_that_bogs_the_wheel():

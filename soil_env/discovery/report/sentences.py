@@ -35,7 +35,7 @@ from soil_env.terramechanics.validity import in_words
 
 GUESSED = 1.5  # sd of a prediction over the largest within the table, from which it is a guess
 MENTIONED = 0.05  # least probability of a remainder beside a name that is mentioned
-LITTLE = 0.05  # rise of the probability of the right candidate below which runs would hardly help
+LITTLE = 0.03  # rise of the probability of the right candidate below which runs would hardly help
 SCATTERED = 1.2  # [noise] scatter of the values that is worth a caution
 CAUTION_AT = 3.0  # [sd of the setup] of a soil parameter from its value there: worth a caution
 FEW = 6  # different conditions, below which a table shows hardly any misfit
@@ -252,9 +252,8 @@ def summary(report: Report) -> str:
     """
     finding = report.finding
     gap = report.gap
-    alone = " as the only listed effect" if finding.remainder >= MENTIONED else " alone"
     shares = [
-        f"{title(' and '.join(n))}{alone * (len(n) == 1)} ({sure(p)})"
+        f"{title(' and '.join(n))} ({sure(p)})"
         for n, p in sorted(finding.by_effects.items(), key=lambda item: -item[1])
         if n and p >= REPORTED
     ]

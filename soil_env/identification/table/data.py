@@ -17,7 +17,7 @@ from .form_error import LOGARITHMIC
 
 CHANNELS = MEASURED  # sinkage, drawbar_pull, torque
 UNKNOWN_HEIGHT = 0.08  # [radii] lug height where the setup gives none
-LEAST_PRESSURE = 20.0  # [Pa] load over radius times width, below which its unit is wrong
+LEAST_PRESSURE = 100.0  # [Pa] load over radius times width, below which its unit is wrong
 MOST_PRESSURE = 1e7  # [Pa] load over radius times width, above which its unit is wrong
 #: Pull over load, or torque over load times radius, beyond which the unit is wrong.
 MOST_FORCE = 5.0

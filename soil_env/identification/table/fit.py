@@ -664,8 +664,8 @@ def _not_modelled(problem: TableProblem) -> list[str]:
         (unseen, f"No sinkage in {unseen} of {len(table)} rows: it follows from the load there."),
         (
             np.any(table.passes[used] > 1),
-            "Rows with pass > 1 are taken as fresh soil: the base model has no compaction by "
-            "earlier passes.",
+            "Rows with pass > 1 are taken as fresh soil, since the base model has no compaction by "
+            "earlier passes: fit pass 1 alone, or run soil-env discover.",
         ),
         (
             problem.setup.load == "normal" and np.any(np.abs(table.grade_deg[used]) > LEVEL),
