@@ -15,7 +15,7 @@ from gymnasium.envs.registration import EnvSpec
 from soil_env._io.loading import Checked, ParameterError, to_dict, truth
 from soil_env.parameters import Scenario, SoilSpread, Wheel, geared
 from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.terramechanics.validity import OutsideValidity
+from soil_env.terramechanics.validity import NEAR, OutsideValidity
 
 OF_MODEL = "model"  # name of its soil in a scenario
 _EXACT = SoilSpread(
@@ -44,7 +44,7 @@ def with_model(
     if model is None:
         return scenario
     low, high = model.validity.get("load", (0.0, math.inf))
-    if not low <= scenario.weight <= high:
+    if not (1.0 - NEAR) * low <= scenario.weight <= (1.0 + NEAR) * high:
         warnings.warn(
             f"the wheel carries {scenario.weight:.4g} N, and the model was fitted to loads of "
             f"{low:.4g} to {high:.4g} N: expected wheel.body_mass = "
