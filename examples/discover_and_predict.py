@@ -39,7 +39,7 @@ middle = (
     & (table.speed == np.median(table.speed))
 )
 at = {
-    "slip": np.linspace(0.05, 0.6, 30),
+    "slip": np.linspace(0.04, 0.57, 30),
     "load": np.median(table.load),
     "speed": np.median(table.speed),
     "pass": 1,
@@ -68,12 +68,15 @@ for k, slip in enumerate(runs["slip"]):
     )
 
 # %% [markdown]
-# What to measure next, and the corrected model as a world to drive in.
+# What to measure next, and the corrected model as a world to drive in, with a weight on the wheel
+# that was measured.
 
 # %%
 for test in report.next_tests[:2]:
     print({name: round(value, 3) for name, value in test.conditions.items()})
 report.model.save("model.yaml")
-env = gymnasium.make("soil_env:SoilWheel-v0", scenario="mixed", model="model.yaml", scatter=True)
+wheel = {"body_mass": 7.0}  # [kg] of the loads that were measured
+options = {"scenario": "mixed", "wheel": wheel, "model": "model.yaml", "scatter": True}
+env = gymnasium.make("soil_env:SoilWheel-v0", **options)
 observation, info = env.reset(seed=1)
 print(info["world"]["effects"])

@@ -102,7 +102,7 @@ def _drop_output() -> None:
     """Discard further output after a failed print, since Python flushes again at its end, which
     would fail with a traceback.
     """
-    with suppress(OSError, ValueError):
+    with suppress(AttributeError, OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
