@@ -108,12 +108,24 @@ def machine_text(machine: dict[str, Any]) -> str:
 
 def study_options(name: str) -> Callable[[Callable], Callable]:
     """Decorator that gives a command the options --smoke, a flag, and --out, a path, of the study
-    of this name.
+    of this name. With --smoke another folder than that of the results has to be given.
     """
+
+    def elsewhere(context: click.Context, _: click.Parameter, out: Path) -> Path:
+        """The folder; ParameterError for that of the results with --smoke."""
+        if context.params["smoke"] and out == RESULTS:
+            raise ParameterError("--smoke: numbers mean nothing: expected --out, another folder")
+        return out
+
     text = f"Folder of {name}.json and {name}.md (default docs/results)."
-    out = click.option("--out", type=PATH, metavar="OUT", default=RESULTS, help=text)
+    out = click.option(
+        "--out", type=PATH, metavar="OUT", default=RESULTS, callback=elsewhere, help=text
+    )
     smoke = click.option(
-        "--smoke", is_flag=True, help="Run every part in seconds; numbers mean nothing."
+        "--smoke",
+        is_flag=True,
+        is_eager=True,
+        help="Run every part in seconds; numbers mean nothing.",
     )
     return lambda command: smoke(out(command))
 

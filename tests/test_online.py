@@ -240,6 +240,19 @@ def test_slip_from_the_speeds_and_a_speed_from_the_slip():
     assert a.friction_angle_deg != given.scenario.belief.friction_angle_deg
 
 
+@pytest.mark.parametrize("slip", [-1.2, -1.0, -0.99, 0.99, 1.2])
+def test_a_locked_or_spinning_wheel_tells_one_speed_only(slip):
+    """Of a locked wheel the travel speed does not follow, of a spinning one that of the rim."""
+    identifier = OnlineIdentifier(WHEEL)
+    r = STEADY._replace(slip=slip)
+    for lacking in (r._replace(speed=math.nan), r._replace(wheel_speed=math.nan, speed=0.2)):
+        identifier.update(lacking._replace(time=math.nan))
+    rim, speed = identifier._speeds(r._replace(speed=math.nan))
+    assert math.isnan(speed) == (slip < 0.0) and not speed < 0.0
+    rim, _ = identifier._speeds(r._replace(wheel_speed=math.nan, speed=0.2))
+    assert math.isnan(rim) == (slip > 0.0)
+
+
 def test_a_slip_sensor_that_is_silent_makes_no_slip_sharper():
     """A slip that follows from the speeds has their noise, also where a sensor is stated."""
     silent, without = (OnlineIdentifier(WHEEL, noise=Noise(slip=x)) for x in (1e-3, 0.0))

@@ -139,6 +139,9 @@ def test_curved_strength_meets_the_straight_one_with_its_slope():
     slope = (CURVED.strength(at) - CURVED.strength(at - step)) / step
     assert slope == pytest.approx(CURVED.tan_phi, rel=1e-4)
     assert CURVED.strength(0.0) == 0.0 < straight.strength(0.0)
+    for soil in (CURVED, straight):
+        with pytest.raises(ParameterError, match="stress = -1: expected"):
+            soil.strength(-1.0)
 
 
 @pytest.mark.parametrize("stress", [10.0, 800.0, 1.9e4])
@@ -358,6 +361,31 @@ def test_a_file_changes_the_scenario_that_its_base_names(tmp_path):
         ({"lenght": 1}, r"unknown key 'lenght' \(known: base, belief, "),
     ):
         assert re.search(said, refused(partial(load_scenario, given)))
+
+
+def test_a_file_without_soils_gives_the_belief_no_library(tmp_path):
+    """That of its base neither names soils; numbers of the prior may stand beside the mixture."""
+    base = tmp_path / "base.yaml"
+    base.write_text("wheel: planetary_rover\n", encoding="utf-8")
+    own = tmp_path / "own.yaml"
+    text = "base: base.yaml\nsoils: {dry_sand: 1}\nbelief: {friction_angle_deg: 35}\n"
+    own.write_text(text, encoding="utf-8")
+    belief = load_scenario(own).belief
+    assert belief.friction_angle_deg == 35.0 and not belief.soils
+
+
+def test_parts_may_be_objects_of_a_scenario_or_of_its_changes():
+    mixed = load_scenario("mixed")
+    assert load_scenario("mixed", {"belief": mixed.belief}) == mixed
+    longer = {**to_dict(mixed), "course": dataclasses.replace(mixed.course, length=20.0)}
+    assert load_scenario(longer, {"course": {"border": 0.25}}).course.length == 20.0
+
+
+def test_two_routes_may_be_chosen_up_to_a_border_before_the_end_of_a_patch():
+    """1.2 - 0.3 is a little less than 0.9."""
+    routes = {"classes": 3, "lines": 2, "patch_length": [1.2, 2.0], "border": 0.3}
+    changes = {"course": {**routes, "halt_before": [0.4, 0.9]}}
+    assert load_scenario("mixed", changes).course.halt_before == (0.4, 0.9)
 
 
 def test_none_is_a_number_only_where_it_has_a_meaning():

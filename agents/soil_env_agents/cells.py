@@ -228,7 +228,7 @@ def _made_from(path: Path) -> str | None:
     """
     try:
         return json.loads(path.read_text(encoding="utf-8")).get(MADE_FROM)
-    except (FileNotFoundError, ValueError, AttributeError):
+    except (FileNotFoundError, ValueError, AttributeError, RecursionError):
         return None
 
 

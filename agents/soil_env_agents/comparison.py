@@ -10,9 +10,10 @@ from soil_env.parameters import RoverScenario, Scenario
 
 from . import cells
 from .agent import Agent
+from .common_layout import CommonScaling
 from .config import TrainConfig
 from .controllers.rover import controllers_of
-from .default_policy import NAME, DefaultPolicy
+from .default_policy import NAME
 from .evaluate.command import carry_out
 from .evaluate.contestants import SHIPPED_CLASS, Contestant, digest
 from .evaluate.evaluation import Evaluation, as_begun
@@ -32,13 +33,13 @@ def compare(
     the agent on the held-out courses; print a `verdict`.
 
     Results are in the folder `FOLDER` of `run`, as of `soil-env evaluate`. An interrupted
-    comparison goes on; one that was begun with another model or config is deleted first.
+    comparison goes on; results of one that was begun with another model or config are discarded.
     """
     folder = run / FOLDER
     model = str(run / "model.zip")
     controllers = [Contestant(name, 0, "classical", name) for name in controllers_of(scenario)[0]]
     with suppress(ParameterError):  # of a scenario that the policy of the package cannot drive
-        DefaultPolicy(scenario)
+        CommonScaling(scenario)
         controllers.append(Contestant(NAME, 0, "class", SHIPPED_CLASS))
     controllers.append(Contestant(agent.name, 0, "model", model, digest(model)))
     asked = Evaluation(
@@ -54,7 +55,7 @@ def compare(
     try:
         asked = as_begun(asked, folder)
     except cells.OtherStudy:
-        cells.clear(folder)  # of a model that was trained again
+        cells.clear(folder)  # of a model that was trained again, or of another config
     result = carry_out(asked, folder)
     show(verdict(result, agent.name))
 

@@ -286,7 +286,8 @@ def threshold(scores: Sequence[np.ndarray], found: Sequence[Drives]) -> float:
 
 
 def train(sizes: Sizes) -> dict[str, Any]:
-    """Content of immobilisation.json: weights by name, alarm, and how both were made (`card`).
+    """Content of immobilisation.json: weights by name, alarm, and how weights and alarm were made
+    (`card`).
 
     All `FAMILIES` drive `SCENARIOS`, the random ones on a third of the courses. The network is fit
     to a share of the periods whose outcome is known. The alarm is the `threshold` for the
@@ -333,7 +334,9 @@ def train(sizes: Sizes) -> dict[str, Any]:
 
 @click.command()
 @click.option("--out", type=PATH, required=True, metavar="FILE", help="The weights, .json.")
-@click.option("--courses", type=click.IntRange(4), help="Of each (default 900).")
+@click.option(
+    "--courses", type=click.IntRange(4), help="Of each scenario and family (default 900)."
+)
 def command(out: Path, courses: int | None) -> None:
     """Train the probability of immobilisation."""
     if out.suffix != ".json":

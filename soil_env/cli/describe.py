@@ -121,7 +121,7 @@ def _kind(hint: Any) -> str:
 def _default(f: Any) -> str:
     """The default in words, "required" without one, "" where it is empty, None or a dataclass.
 
-    NaN is the default of numbers that are then taken from the usual wheel.
+    NaN is the default of numbers that follow from others where they are left out.
     """
     if f.default is f.default_factory is dataclasses.MISSING:
         return "required"
@@ -131,5 +131,5 @@ def _default(f: Any) -> str:
     if isinstance(value, tuple):
         return f"default [{', '.join(f'{x:g}' for x in value)}]"
     if isinstance(value, float):
-        return "left out: as the usual wheel" if math.isnan(value) else f"default {value:g}"
+        return "left out: follows from others" if math.isnan(value) else f"default {value:g}"
     return f"default {value}"

@@ -455,9 +455,9 @@ class Problem:
 class Law:
     """The model of a table with some effects as a function of the whitened unknowns u [p].
 
-    `guess` [N]: sinkages [m] that a prediction starts from; every `output` overwrites them with
-    its own. `priors`: (mean, sd) by name of unknowns that have another than by
-    `Problem.unknowns`.
+    `guess` [N]: sinkages [m] that a prediction starts from; every `output` overwrites this array
+    with its own. `priors`: (mean, sd) by name of unknowns whose prior differs from that of
+    `Problem.unknowns`, of the logarithm where that has it.
     """
 
     def __init__(
@@ -490,7 +490,11 @@ class Law:
         return self.problem.predict(self.values(u), self.choices, self.guess)
 
     def _derivatives(self, u: np.ndarray) -> np.ndarray:
-        """[M, p] `derivatives` at u; each prediction starts off the solution (`OFF_GUESS`)."""
+        """[M, p] `derivatives` at u, near which `output` was called last.
+
+        Each prediction starts from sinkages a little off (`OFF_GUESS`) those found then, from which
+        the solver would end at once.
+        """
 
         def model(x: np.ndarray) -> np.ndarray:
             """[M] whitened output at whitened unknowns x [p]."""

@@ -57,7 +57,7 @@ class Check(NamedTuple):
 
     name: str
     work: str  # what to do, in words
-    decides: Names  # errors of the rig
+    decides: Names  # names in `LISTED`
 
 
 #: Beginning of the work of a check, and what each error that it decides adds to that.
@@ -95,14 +95,15 @@ WORK = {
 }
 
 
-def open_checks(known: Collection[str] = ()) -> tuple[Check, ...]:
-    """The checks, each with the work for those of its errors that are not `known` yet; none where
-    all are known.
+def open_checks(ruled_out: Collection[str] = ()) -> tuple[Check, ...]:
+    """The checks, each with the work for those of its errors that are not `ruled_out` yet; none
+    where all are.
     """
     out = []
     for name, (begin, parts) in WORK.items():
-        left = {error: part for error, part in parts.items() if error not in known}
+        left = {error: part for error, part in parts.items() if error not in ruled_out}
         if left:
+            # two errors may need the same reading
             out.append(Check(name, begin + _listed(dict.fromkeys(left.values())), tuple(left)))
     return tuple(out)
 

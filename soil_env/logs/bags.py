@@ -171,8 +171,8 @@ class _Decoder:
     def _decoded(self, store: Any, kind: str, data: bytes) -> Any:
         """Decode a message by the definitions of `store`.
 
-        A type within it that these lack is a `KeyError`. It is taken from those of ROS 2, if it is
-        one of them, and the message decoded again.
+        rosbags raises `KeyError` for a nested type without a definition. That of the current ROS 2
+        is added then, if it has one, and the message is decoded again.
         """
         while True:
             try:

@@ -84,8 +84,8 @@ def markdown(results: Results, command: str) -> str:
 
 
 def _comparison(rows: Sequence[Row]) -> Table:
-    """Table of printed numbers, the recomputed ones by each reading, and their differences; these
-    are taken from the rounded numbers.
+    """Table of printed numbers, the recomputed ones by each reading of the paper, and their
+    differences; these are taken from the rounded numbers.
     """
     header = ["", "printed", *(text for name in READINGS for text in (name, "difference"))]
     lines = []

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from soil_env._io.loading import Checked, FieldError, quantity
 
 MOST_CLASSES = 6  # [-] terrain classes of a course; own choice
+_ROUNDING = 1e-9  # [m] of a difference of lengths
 
 
 @dataclass(frozen=True)
@@ -86,8 +87,8 @@ class CourseSpec(Checked):
             self._check_lines()
 
     def _check_lines(self) -> None:
-        """Raise `FieldError` where two routes have no classes, no halts to choose one in, or no
-        place for such a halt.
+        """Raise `FieldError` where two routes have fewer than two classes, no halts to choose one
+        in, or no place for such a halt.
         """
         if self.classes < 2:
             raise FieldError(
@@ -99,7 +100,7 @@ class CourseSpec(Checked):
             )
         low, high = self.halt_before
         most = self.patch_length[0] - self.border
-        if low < self.border or high > most:
+        if low < self.border or high > most + _ROUNDING:
             raise FieldError(
                 self,
                 "halt_before",

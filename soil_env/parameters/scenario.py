@@ -271,17 +271,19 @@ def _check_kind(mapping: Keys, changes: Keys, folder: str, where: str) -> None:
 def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
     """The mapping of a scenario with `changes` over it, and a preset of its wheel by its values.
 
-    `soils` in the changes replace the whole mixture, and that of the belief where it was the same;
-    `belief.soils` there replace the whole library. A wheel in the changes that is no mapping, as
-    the name of a preset, replaces the whole wheel. Neither argument is modified.
+    `soils` in the changes replace the whole mixture, and without those of weight 0 also the library
+    of the belief, where the two were equal; `belief.soils` there replace the whole library. A wheel
+    in the changes that is no mapping, such as the name of a preset, replaces the whole wheel.
+    Neither argument is modified.
     """
-    mapping = dict(mapping)
+    mapping = {key: _plain(value) for key, value in mapping.items()}
     changes = dict(changes)
     belief = _mapping(mapping.get("belief"))
     asked = _mapping(_plain(changes.get("belief")))  # the changes of the belief
     if "soils" in changes:  # replaces the whole mixture
         given = changes.pop("soils")
-        if belief.get("soils") == mapping.get("soils"):  # the belief knows which soils may come
+        # A library that was the mixture still follows it.
+        if "soils" in mapping and belief.get("soils") == mapping["soils"]:
             kept = given
             if isinstance(given, dict):
                 kept = {name: weight for name, weight in given.items() if weight != 0.0}
@@ -291,7 +293,8 @@ def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
     if "soils" in asked:
         belief = belief | {"soils": asked["soils"]}
         mapping["belief"] = belief
-    refuse_idle_prior(belief | asked, where, asked)
+    named = asked if isinstance(changes.get("belief"), dict) else ()  # a `Belief` has all fields
+    refuse_idle_prior(belief | asked, where, named)
     if "wheel" in changes and not isinstance(changes["wheel"], dict):
         mapping["wheel"] = changes.pop("wheel")
     if isinstance(mapping.get("wheel"), str):

@@ -85,7 +85,8 @@ class Soil(Checked):
 
     `rim_flow`, `braked_peak` and `shear_growth` widen the shear law of Eq. (10), which it is with
     the default 0 of each (docs/physics/contact.md, "Soil that flows along the rim"). Their form
-    follows Wong & Reece (1967, part II); their values are fitted here, `benchmarks.rigs`.
+    follows Wong & Reece (1967, part II). `rim_flow` and `shear_growth` are fitted here, the shift
+    of the peak is set by hand, `benchmarks.rigs`.
     """
 
     friction_angle_deg: float = quantity("deg", 0.0, 89.9)
@@ -176,12 +177,13 @@ class Soil(Checked):
         """Shear strength [Pa] at a normal stress [Pa]: c + stress tan(phi) from `reference_stress`
         on.
 
-        Below it the strength is tau_r (stress/reference)^m. At the reference it has the value tau_r
-        and the slope of the straight line, so m = reference tan(phi)/tau_r.
+        Below it the strength is tau_r (stress/reference)^m, with tau_r = c + reference tan(phi)
+        that at the reference. m = reference tan(phi)/tau_r makes its slope there that of the line.
+        ParameterError for a negative stress.
         """
         reference = self.reference_stress
         tau_r = self.cohesion + reference * self.tan_phi
-        if stress < 0.0 < reference:
+        if stress < 0.0:
             raise ParameterError(f"stress = {stress:g}: expected a number >= 0 Pa")
         if stress >= reference or tau_r == 0.0:
             return self.cohesion + stress * self.tan_phi

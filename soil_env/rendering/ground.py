@@ -85,7 +85,8 @@ def depth_of_ruts(x: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def press_down(surface: np.ndarray, hubs: np.ndarray, r: float) -> None:
-    """Lower the heights of a `surface` in place to the rims of wheels of radius r [m].
+    """Lower the heights of a `surface` in place to the rims of wheels of radius r [m]: the world
+    keeps the rut under a wheel only once it has passed.
 
     `surface` [n, 2] and `hubs` [wheels, 2]: horizontal place and height [m].
     """

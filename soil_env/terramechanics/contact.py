@@ -35,8 +35,8 @@ NODES_PER_ZONE = 8
 NODES = 2 * NODES_PER_ZONE  # those of the front zone, then those of the rear zone
 # [-] 4 times the square of the bound of `most_carried` where the cosine in it is 0; own choice
 LEAST_COSINE = 0.01
-# [of the angle where shear begins] above which soil flows up along a locked rim, fitted here
-# (benchmarks.rigs): at 1 locked wheels sink and drag 1.5 times as much as measured, and more
+# [of the angle where shear begins] above which soil flows up along a locked rim. Set by hand on the
+# CMU wheels (benchmarks.rigs): at 1 locked wheels sink and drag 1.5 times as much, and more
 RISING_FROM = 0.75
 # [radii] sinkage at which half of the bound of `most_carried` is left. Own assumption: soil that is
 # not there cannot flow. Wheels of the rigs sink by 0.01 or more, and say little about it
@@ -136,7 +136,7 @@ def stretched(law, factor):
 
 
 class ArcIntegrals(NamedTuple):
-    """Integrals over the contact arc [theta2, theta1], for S = 1 [m^n] or without stress [-].
+    """Integrals over the contact arc [theta2, theta1], for S = 1 [m^n rad] or without stress [rad].
 
     p(theta) is the normal stress for S = 1, e(theta) in [-1, 1] the mobilised share of the shear
     strength.
@@ -343,7 +343,7 @@ def carried_share(rim, travel, floor):
 
 
 @compiled
-def _cosine_of_rise(arc):
+def _cos_sin_of_rise(arc):
     """(cosine, half the sine) of the angle above which soil flows up along a locked rim:
     `RISING_FROM` of the angle where the shear of an `Arc` begins.
     """
@@ -366,13 +366,13 @@ def _flowing(arc):
 def most_carried(arc):
     """Bound on the share of the travel speed at which soil is carried along the rim.
 
-    It is the speed of a locked rim along itself, over V, at `RISING_FROM` of the angle where shear
-    begins: the cosine of that angle. Soil in front of a locked wheel rises as in front of a blade.
-    Above that angle it overtakes the rim and lifts it, below that angle it drags the rim back. The
-    bound is smoothed to stay above 0 where the axle is below the ground. On hard ground, where a
-    wheel hardly sinks, it falls to 0 (`_flowing`).
+    It is the component of the travel speed along a locked rim, over V, at `RISING_FROM` of the
+    angle where shear begins: the cosine of that angle. Soil in front of a locked wheel rises as in
+    front of a blade. Above that angle it overtakes the rim and lifts it, below that angle it drags
+    the rim back. The bound is smoothed to stay above 0 where the axle is below the ground. On hard
+    ground, where a wheel hardly sinks, it falls to 0 (`_flowing`).
     """
-    cosine, _ = _cosine_of_rise(arc)
+    cosine, _ = _cos_sin_of_rise(arc)
     rising = 0.5 * (cosine + math.sqrt(cosine * cosine + LEAST_COSINE))
     return rising * _flowing(arc)
 
@@ -382,7 +382,7 @@ def most_by_angle(arc):
     """Derivative of `most_carried` by the entry angle theta1 > 0 [1/rad], on an arc without lugs,
     where shear begins at that angle.
     """
-    cosine, sine_over_two = _cosine_of_rise(arc)
+    cosine, sine_over_two = _cos_sin_of_rise(arc)
     # derivatives of the logarithms of both factors of `most_carried`
     ln_rising = -2.0 * RISING_FROM * sine_over_two / math.sqrt(cosine * cosine + LEAST_COSINE)
     ln_flowing = 2.0 * (1.0 - _flowing(arc)) * half_cos(arc.theta1) / half_sin(arc.theta1)

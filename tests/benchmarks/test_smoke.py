@@ -16,6 +16,11 @@ def test_throughput_measures_wheels_and_rovers_side_by_side(tmp_path):
     assert (tmp_path / "throughput.md").exists()
 
 
+def test_numbers_without_meaning_replace_no_results(capsys):
+    assert run(command, ["--smoke"], "speed") == 2
+    assert "--smoke: numbers mean nothing: expected --out" in capsys.readouterr().err
+
+
 def test_rates_of_doubts_about_tables_are_printed(monkeypatch, capsys):
     some = {k: v for k, v in sound_tables.MISTAKES.items() if k == "sign of the slip"}
     monkeypatch.setattr(sound_tables, "MISTAKES", some)

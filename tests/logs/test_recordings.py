@@ -160,7 +160,7 @@ def test_units_gear_and_motor_constant(tmp_path):
         (
             "torque",
             {"topic": "/joint_state", "field": "effort[0]"},
-            ("/joint_state", "/joint_states"),
+            ("'/joint_state'", "did you mean '/joint_states'"),
         ),
         (
             "speed",

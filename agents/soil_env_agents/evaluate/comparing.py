@@ -32,7 +32,8 @@ def comparison(
     *,
     resamples: int,
 ) -> dict:
-    """The comparison of controllers; `runs`: for each the runs of each training seed.
+    """The comparison of controllers; `runs`: for each controller one `Runs` a
+    training seed.
 
     `seed` is that of the courses and of the bootstrap; `settings`, {name: settings} of controllers
     that have some, are passed on. The result has the keys
@@ -44,7 +45,8 @@ def comparison(
     - by_seed: {name: {metric: [mean of each training seed]}}, of `MAIN`
     - iqm: {name: interval of the interquartile mean of the return}
     - paired: {a: {b: {metric: interval of a - b on the same courses}}}, of `PAIRED`
-    - improvement: {a: {b: interval of the probability of the higher return}}
+    - improvement: {a: {b: interval of the probability of the higher return; ties count
+      half}}
     - limit: see `_limit`, where the `oracle` has driven the first courses
 
     An interval is {"value", "low", "high"} at 95 % (`statistics`), in "controllers" and "limit"

@@ -66,7 +66,9 @@ class Evaluation(OfTask):
         }
 
     def blocks(self) -> list[Block]:
-        """All cells; block by block, so that an interrupted evaluation has all controllers."""
+        """All blocks by their first course, then by controller, so that an interrupted evaluation
+        has the same courses of each; those of the oracle come last.
+        """
         return [
             *_cut(self.courses, self.block, self.controllers),
             *_cut(self.oracle_courses, ORACLE_BLOCK, [ORACLE]),

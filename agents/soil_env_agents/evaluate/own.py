@@ -136,7 +136,7 @@ def bounds_of_settings(source: str, scenario: Scenario) -> Mapping[str, Setting]
 
 def made(source: str, scenario: Scenario, settings: dict, where: str) -> Any:
     """The object of `module:Thing`; a class with `bounds` is called with the scenario and its
-    `settings`, any other with the scenario where it takes one argument, else without. So is a
+    `settings`, any other with the scenario where it `_takes_scenario`, else without. So is a
     function; an object with `predict` is returned as it is. ParameterError where the call fails.
     `where`: place of the settings, for messages.
     """
@@ -147,7 +147,7 @@ def made(source: str, scenario: Scenario, settings: dict, where: str) -> Any:
         try:
             if known:
                 return thing(scenario, **values)
-            return thing(scenario) if _takes_one(thing) else thing()
+            return thing(scenario) if _takes_scenario(thing) else thing()
         except ParameterError:
             raise
         except (Exception, SystemExit) as error:
@@ -157,15 +157,17 @@ def made(source: str, scenario: Scenario, settings: dict, where: str) -> Any:
     return thing
 
 
-def _takes_one(thing) -> bool:
-    """True for something that can be called with one argument, by its signature; False where it has
-    none.
+def _takes_scenario(thing) -> bool:
+    """True for something that can be called with one argument, which it needs or calls `scenario`;
+    False for a callable without a readable signature.
     """
     try:
-        inspect.signature(thing).bind(None)
+        signature = inspect.signature(thing)
+        signature.bind(None)
     except (TypeError, ValueError):
         return False
-    return True
+    first = next(iter(signature.parameters.values()))
+    return first.default is first.empty or first.name == "scenario"
 
 
 def describe(error: BaseException) -> str:

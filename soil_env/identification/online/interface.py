@@ -26,7 +26,7 @@ from soil_env.identification.status import Status
 from soil_env.parameters import Belief, Control, Noise, RoverScenario, Scenario, Soil, Wheel
 from soil_env.parameters.readings import largest_readings, reading_units
 from soil_env.parameters.sensors import SENSORS, Readings
-from soil_env.slip import rim_speeds, slips, travel_speeds
+from soil_env.slip import LEAST_TRAVEL_RATIO, rim_speeds, slips, travel_speeds
 from soil_env.terramechanics.steady import steady_state
 
 from .ground import assess_ground
@@ -317,15 +317,17 @@ class OnlineIdentifier:
         """(rim speed, travel speed) [m/s]; one that was not measured follows from a measured slip,
         of a wheel going forward, and is NaN without a slip.
 
-        A rim speed does not follow from a slip of 1. Raises ValueError for speeds beyond
-        `largest_readings`.
+        A wheel with a slip of nearly 1 spins, with one of nearly -1 it is locked
+        (`LEAST_TRAVEL_RATIO`). The speed of the rim, or that of travel, does not follow then.
+        Raises ValueError for speeds beyond `largest_readings`.
         """
         rim = r.wheel_speed * self._radius
         speed = r.speed
+        most = 1.0 - LEAST_TRAVEL_RATIO
         if speed != speed:
-            speed = float(travel_speeds(rim, r.slip))
-        elif rim != rim and r.slip < 1.0:
-            rim = float(rim_speeds(speed, r.slip))
+            speed = float(travel_speeds(rim, min(r.slip, 1.0))) if r.slip >= -most else math.nan
+        elif rim != rim and r.slip <= most:
+            rim = float(rim_speeds(speed, max(r.slip, -1.0)))
         if abs(rim) > self._largest.wheel_speed * self._radius or abs(speed) > self._largest.speed:
             raise ValueError(
                 f"{r}: expected the speeds of a wheel; the slip leads beyond {self._largest}"

@@ -120,9 +120,11 @@ def mix(known, u, setting, work):
 
 @inlined
 def lean(memory, setting, work):
-    """Give the next fit one Gaussian as prior, in `prior_mean` and `prior_precision`: the moments
-    of the library's soils under `work.weights` of `mix`. So the fit is linearised near the soils
-    that are left.
+    """Give the next fit one Gaussian as prior, in `prior_mean` and `prior_precision`: mean and
+    covariance of the mixture of the library's own Gaussians, by `work.weights` of `mix`.
+
+    It only moves the point of linearisation near the soils that are left. What the readings tell
+    is what the fit adds to this prior (`write_information`), so none counts twice.
     """
     mean = memory.prior_mean
     mean[:] = 0.0

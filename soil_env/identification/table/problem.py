@@ -62,7 +62,7 @@ CHANNELS_OWN = (0.0, 1.0)
 
 class LawError(NamedTuple):
     """A form error: relative error of the stresses of the base law, which changes slowly with slip,
-    load and angle (`form_error`).
+    load and size of the wheel (`form_error`).
     """
 
     span: int  # index in `form_error.LAW_LENGTHS`
@@ -255,7 +255,8 @@ class TableProblem:
 
     @property
     def processes(self) -> list[Process]:
-        """Processes of the form error over the corrected conditions, one for each of `LAW_LENGTHS`.
+        """Gaussian processes of the form error over the corrected conditions, as their leading
+        eigenfunctions, one for each of `LAW_LENGTHS`.
 
         The measured conditions would not do: their errors are in the residuals too, and the two
         together look like an error of the laws.
@@ -405,7 +406,9 @@ class TableProblem:
     def _widening(self) -> float:
         """Half of ln|V| less half of ln|V| without errors of slip and load, summed over the rows.
 
-        It is subtracted from the evidence: errors that explain more make each value less probable.
+        It is subtracted from the log evidence, as a part of the normalisation of the Gaussian. It
+        is the same for all sizes of a form error, and counts where readings of a table are compared
+        (`mistakes`). The noise of the channels is left out, as it goes with the unit of a reading.
         """
         if not np.any(self.noise[:2] > 0.0):
             return 0.0

@@ -6,8 +6,8 @@ therefore the elimination of all rim speeds, at a cost that is linear in the axl
 reaction are those of `simulation.world`.
 
 `world` is a `RoverWorld`, `equation` the `Equation` of the stage, `weight` [N] that of one side,
-normal to the body. What a function leaves in `feet`, `found` and `trial` it leaves in `world.stage`
-(`STAGE`).
+normal to the body. Masses and forces are those of one side, with one wheel an axle. What a function
+leaves in `feet`, `found` and `trial` it leaves in `world.stage` (`STAGE`).
 """
 
 from typing import Any, NamedTuple
@@ -150,10 +150,11 @@ def newton_step(residual, equation, world):
 
 @compiled_finite
 def foresee(rover, equation, world):
-    """dV [m/s] of a rover in a stage, by the reactions of the last stage to first order.
+    """dV [m/s] of a rover from its present speed to the end of a stage, by the reactions of the
+    last stage to first order.
 
-    `found` gets those reactions and the `change` of u of each axle. The stage begins at V* of
-    `equation` and at `rim_start` of each axle.
+    `found` gets those reactions and the `change` of u of each axle, likewise from the present rim
+    speed. The stage begins at V* of `equation` and at `rim_start` of each axle.
     """
     rig = world.rig
     residual = rover.wheels[0].speed - equation.speed
@@ -166,6 +167,7 @@ def foresee(rover, equation, world):
         found.rim = rig.radius * wheel.wheel_speed
         found.residual = found.rim - foot.rim_start - equation.by_torque * (torque - wheel.torque)
         found.motor_slope = slope
+        # by the grade of the last stage, since `foot.along` of this one may not be known yet
         along = rig.gravity * wheel.mass * sin_cos(wheel.grade)[0]
         residual -= equation.by_pull * (wheel.drawbar_pull - along)
     return newton_step(residual, equation, world)

@@ -127,8 +127,10 @@ def begin_step(vehicle):
 
 @compiled_finite
 def judge_period(vehicle, task):
-    """Judge the last control period of a vehicle (`judge`), count it, and add it to the first three
-    of its reward `terms` (see REWARD_TERMS), each times its factor of `RewardWeights`.
+    """Judge a vehicle after a control period (`judge`), count the period, and add its progress,
+    energy and immobilisation to the reward `terms`, each times its factor of `RewardWeights`.
+
+    Work and mass of a rover are those of one side.
 
     Progress: distance travelled / course length. Energy: -(motor work, at least 0) / (weight with
     payload x course length). Immobilisation: -1 once, when the episode ends unfinished, also by the

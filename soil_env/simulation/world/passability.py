@@ -20,7 +20,7 @@ CUT = 2.5  # [sigma] beyond which no property of a soil is drawn
 # [rad] largest friction angle that is drawn about a mean below it
 STEEPEST_FRICTION = math.radians(60.0)
 SAFE_SINKAGE = 0.9  # [of the sinkage that ends an episode] most that a soil may ask for
-IMPASSABLE = -HUGE  # [of weight] pull of a wheel that would be bogged
+IMPASSABLE = -HUGE  # [of weight] pull of a wheel that cannot pass, for whatever reason
 
 _PAIR = ("f8", 2)  # (low, high) of a uniform distribution
 #: Distribution of courses, as compiled code takes `CourseSpec`, `Camera` and `SoilSpread`.
@@ -149,8 +149,8 @@ def capacity(load, soil, numbers, nodes):
     torque; `load` in N. `soil`: `SoilState`; `numbers`: `CourseNumbers`; `nodes`: scratch.
 
     The point of best pull is found without a residual law, whose pull there is added. Where
-    strength or bearing depends on speed, it is the lesser one of starting (speed 0) and of driving
-    (`spec.speed`). `IMPASSABLE`:
+    strength or bearing depends on speed, the result is the lesser of the pulls when starting
+    (speed 0) and when driving (`spec.speed`). `IMPASSABLE`:
 
     - where the soil does not carry the wheel at rest;
     - where it sinks deeper than `SAFE_SINKAGE` allows, at rest or at that point;
@@ -170,6 +170,7 @@ def capacity(load, soil, numbers, nodes):
         at = Conditions(speed, 1.0, 0.0)
         best = best_point_at(nodes, load, soil, rim, at, effects, spec.stall_torque)
         point = WorkingPoint(best.slip, best.sinkage, load, at.speed, at.passes, at.sin_grade)
+        # the sinkage of a residual law is read by sensors only
         _, pull, torque = residual_under(numbers.acting.residual, point, soil, rig)
         if best.sinkage > deepest or best.torque + torque * load * rig.radius > spec.stall_torque:
             return IMPASSABLE
