@@ -84,3 +84,17 @@ class ExitsWhenMade:
 class Raises:
     def __init__(self):
         raise OSError("no such device\nand more")
+
+
+class Ramp(Half):
+    """A class with a number of its own, which is not the scenario."""
+
+    def __init__(self, rate=0.1):
+        self.rate = float(rate)
+
+
+class Knowing(Half):
+    """A class that may know the scenario."""
+
+    def __init__(self, scenario=None):
+        self.scenario = scenario

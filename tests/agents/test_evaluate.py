@@ -18,7 +18,7 @@ from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause
 from soil_env_agents import cells
 from soil_env_agents.controllers import make_controller
-from soil_env_agents.evaluate import command, comparing, report
+from soil_env_agents.evaluate import command, comparing, own, report
 from soil_env_agents.evaluate.contestants import parse
 from soil_env_agents.evaluate.driving import (
     HELD_OUT_SET,
@@ -349,6 +349,13 @@ def test_the_code_of_a_class_is_its_module_and_what_of_the_users_it_imports(tmp_
     (tmp_path / "drivers_of_mine/mine.py").write_text(f"import helper_of_mine\n{BOUNDED}# edited")
     assert len({"", found[-1], broken, code_digest(source)}) == 4
     assert code_digest("no_such_module:Bounded") == "" != code_digest("yaml:YAMLObject")
+
+
+def test_a_class_gets_the_scenario_where_it_names_it():
+    """An optional number of a class is not the scenario."""
+    mixed = load_scenario("mixed")
+    ramp, knowing = (own.made(f"{DRIVERS}:{x}", mixed, {}, "") for x in ("Ramp", "Knowing"))
+    assert ramp.rate == 0.1 and knowing.scenario is mixed
 
 
 def test_a_model_that_has_changed_is_refused_and_other_code_drives_again(capsys, tmp_path, models):
