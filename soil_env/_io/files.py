@@ -107,9 +107,10 @@ def write_own(folder: str | Path, contents: Mapping[str, bytes | str]) -> None:
     check_own(folder, contents)
     known = _manifest(folder)
     for name, content in contents.items():
-        new = _digest(_bytes(content))
-        # Also the digest of the old file, which is still there if a kill comes before the renaming.
-        known[name] = [new, *known.get(name, ())[:1]]
+        known[name] = [_digest(_bytes(content))]
+        # Also that of the old file, which is still there if a kill comes before the renaming.
+        if (folder / name).exists():
+            known[name].append(_digest((folder / name).read_bytes()))
     replace_files(folder, {MANIFEST: json_text(known), **contents})
 
 

@@ -8,6 +8,7 @@ import os
 import numpy as np
 import pytest
 
+from soil_env._io import files
 from soil_env._io.files import (
     MANIFEST,
     alone,
@@ -115,6 +116,21 @@ def test_an_input_is_no_output_even_where_it_is_own(tmp_path):
     (tmp_path / "link.csv").symlink_to(tmp_path / "a.csv")
     with pytest.raises(FileExistsError, match="is read by this command"):
         check_own(tmp_path, ("a.csv",), (tmp_path / "link.csv",))
+
+
+def test_after_two_kills_before_the_renaming_the_old_file_is_still_own(tmp_path, monkeypatch):
+    write_own(tmp_path, {"a": "one"})
+    whole = files.replace_files
+    for text in ("two", "three"):
+        with monkeypatch.context() as patch:
+            patch.setattr(
+                files,
+                "replace_files",
+                lambda folder, contents: whole(folder, {MANIFEST: contents[MANIFEST]}),
+            )
+            write_own(tmp_path, {"a": text})
+    write_own(tmp_path, {"a": "four"})
+    assert (tmp_path / "a").read_text() == "four"
 
 
 def test_a_full_disk_leaves_own_files_own(tmp_path):
