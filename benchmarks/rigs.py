@@ -441,19 +441,19 @@ def command(data: Path, smoke: bool, out: Path) -> None:
     laws["flow, presets"] = Law(preset.rim_flow, preset.braked_peak, preset.shear_growth)
     starts, folds = (1, 1) if smoke else (len(STARTS), None)
     rows = all_figures(rigs, laws, starts, folds)
-    of_shear_tests = moduli({name: laws[name] for name in ("Eq. (10)", "flow, presets")})
+    found_moduli = moduli({name: laws[name] for name in ("Eq. (10)", "flow, presets")})
     constants = {name: law._asdict() for name, law in laws.items()}
     content = {
         "command": f"python -m benchmarks.{NAME}",
         "laws": constants,
         "rows": rows,
-        "moduli": of_shear_tests,
+        "moduli": found_moduli,
     }
     write_json(path, short(content))
     tables = {
         "Constants": constants_of(laws),
         "Root mean square of predicted less measured": table_of(rows),
-        "Shear deformation modulus on the soil of Ding et al. (2011)": moduli_of(of_shear_tests),
+        "Shear deformation modulus on the soil of Ding et al. (2011)": moduli_of(found_moduli),
     }
     write(out, NAME, "Rigs", TEXT, tables)
 

@@ -273,7 +273,7 @@ def probabilities(network: Network, found: Drives) -> np.ndarray:
 def threshold(scores: Sequence[np.ndarray], found: Sequence[Drives]) -> float:
     """The lowest threshold, to a thousandth, of an alarm that is false for at most `FALSE`.
 
-    `scores`: `probabilities` of each of the `found` drives.
+    `scores`: `probabilities` of each of the `found` drives. ParameterError where none finished.
     """
     low = 0.0
     high = 1.0
@@ -281,6 +281,10 @@ def threshold(scores: Sequence[np.ndarray], found: Sequence[Drives]) -> float:
         middle = 0.5 * (low + high)
         times = [d.false(s, middle) for s, d in zip(scores, found, strict=True)]
         under, driven = np.sum(times, axis=0)
+        if driven == 0:
+            raise ParameterError(
+                "no course was finished to set the alarm on: expected more courses"
+            )
         low, high = (middle, high) if under > FALSE * driven else (low, middle)
     return high
 

@@ -284,7 +284,14 @@ def test_the_group_of_the_sinkage_is_that_of_the_contact(soil, effects, depth):
     [
         WheelSoilModel(ModelWheel(0.15, 0.12), SOIL),
         WheelSoilModel(WHEEL, BEKKER, {"slip_bias": {"offset": 1e-7}}),
-        WheelSoilModel(WHEEL, SOIL, EFFECTS, TERMS, gravity=1.62, validity={"slip": (0.0, 0.6)}),
+        WheelSoilModel(
+            WHEEL,
+            replace(SOIL, gravity_measured=9.81),
+            EFFECTS,
+            TERMS,
+            gravity=1.62,
+            validity={"slip": (0.0, 0.6)},
+        ),
         WheelSoilModel(WHEEL, SOIL, EFFECTS, remainder=TABLE),
         WheelSoilModel(
             ModelWheel(0.15, 0.12, 0.0, Tyre(stiffness=12000.0), 0.8),

@@ -328,7 +328,7 @@ def test_a_wheel_that_rolls_leaves_a_stiffer_floor_on_which_the_next_sinks_less(
         "shear_modulus": 0.01,
         "sinkage_exponent": 1.0,
     }
-    own = {"even": soil | {"sinkage_coefficient": 1e6}}
+    own = {"even": soil | {"sinkage_coefficient": 1e6, "gravity_measured": 9.81}}
     vehicle = {"centre_height": -0.1}  # on the ground: pulls do not shift the loads
     scenario = uniform("lunar_micro_rover", "even", own_soils=own, vehicle=vehicle)
     a = driven(started(scenario), 0.3, 200)
