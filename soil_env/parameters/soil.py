@@ -177,8 +177,9 @@ class Soil(Checked):
         """Shear strength [Pa] at a normal stress [Pa]: c + stress tan(phi) from `reference_stress`
         on.
 
-        Below it the strength is tau_r (stress/reference)^m, with tau_r = c + reference tan(phi)
-        that at the reference. m = reference tan(phi)/tau_r makes its slope there that of the line.
+        Below it the strength is tau_r (stress/reference)^m, with tau_r = c + reference tan(phi),
+        the strength at the reference. With m = reference tan(phi)/tau_r it meets the straight line
+        there with its slope.
         ParameterError for a negative stress.
         """
         reference = self.reference_stress

@@ -66,6 +66,9 @@ def over_travel_speed(slip):
         ({"load": KG}, "With load as kilograms (times 9.81)"),
         ({"load": KG, "drawbar_pull": KG}, "With load and drawbar_pull as kilograms"),
         ({"drawbar_pull": KG}, "With drawbar_pull as kilograms (times 9.81)"),
+        ({"load": 1e-3, "drawbar_pull": 1e-3}, "expected newtons (if it is kN, multiply by 1000)"),
+        # 56 Pa on radius times width, as 1 kN on a wheel of 0.15 m by 0.12 m
+        ({"load": 0.01, "drawbar_pull": 0.01}, "expected newtons (if it is kN, multiply by 1000)"),
         ({"drawbar_pull": -1.0}, "drawbar_pull falls with slip in every group of rows"),
         ({"drawbar_pull": 1e-3}, "expected newtons (if it is kilonewtons, times 1000)"),
         ({"torque": KG}, "With torque as kilogram metres (times 9.81)"),

@@ -45,8 +45,8 @@ def comparison(
     - by_seed: {name: {metric: [mean of each training seed]}}, of `MAIN`
     - iqm: {name: interval of the interquartile mean of the return}
     - paired: {a: {b: {metric: interval of a - b on the same courses}}}, of `PAIRED`
-    - improvement: {a: {b: interval of the probability of the higher return; ties count
-      half}}
+    - improvement: {a: {b: interval of the probability of the higher return}}, where ties
+      count half
     - limit: see `_limit`, where the `oracle` has driven the first courses
 
     An interval is {"value", "low", "high"} at 95 % (`statistics`), in "controllers" and "limit"
