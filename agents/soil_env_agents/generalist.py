@@ -68,6 +68,9 @@ class OnGround(Checked):
     hidden: float = quantity(
         "share of the wheels that are in worlds with a hidden effect", 0.1, 0.9, default=0.5
     )
+    creep_sinkage: float = quantity(
+        "of the radius", 0.05, 100.0, default=0.5, doc="sinkage from which the teachers creep"
+    )
 
 
 @dataclass(frozen=True)
@@ -102,16 +105,17 @@ class Generalist(Checked):
 
         Each hidden world has the teacher that does best in it, and the world without an effect the
         one that does best in all worlds of the ground: at the start of a course the student cannot
-        distinguish them. On a ground without hidden worlds they are {}, the defaults.
+        distinguish them. On a ground without hidden worlds they are the ground's own.
         """
         name, world = cell
         scenario, hidden = self.ground(name)
+        own = teacher_settings(scenario) | {"creep_sinkage": self.grounds[name].creep_sinkage}
         if world:
-            return chosen(scenario, [hidden[world - 1]], ROUNDS, threads)
+            return chosen(scenario, own, [hidden[world - 1]], ROUNDS, threads)
         if not hidden:
-            return {}
+            return own
         # The world without an effect counts as much as all hidden ones together.
-        return chosen(scenario, [*[None] * len(hidden), *hidden], OF_GROUND, threads)
+        return chosen(scenario, own, [*[None] * len(hidden), *hidden], OF_GROUND, threads)
 
     def build(
         self, progress: Callable[[int], None] = lambda _: None, engine: Engine = in_process
@@ -150,6 +154,7 @@ class Generalist(Checked):
 
 def chosen(
     scenario: Scenario,
+    own: dict[str, float],
     worlds: Sequence[WheelSoilModel | None],
     rounds: Sequence[tuple[int, int]],
     threads: int | None = None,
@@ -157,11 +162,10 @@ def chosen(
     """Settings of the teacher with the highest mean return in `worlds`, after `rounds` of (courses
     in each world, settings left).
 
-    Tried are `ACCELERATIONS` x `SHARES` times the scenario's own settings, and `SOFT_START`. The
+    Tried are `ACCELERATIONS` x `SHARES` times the settings `own`, and `own` with `SOFT_START`. The
     better ones of each round drive other courses in the next (successive halving: Jamieson &
     Talwalkar 2016, AISTATS). All settings drive the same courses, of the set `TEACHING_SET`.
     """
-    own = teacher_settings(scenario)
     first = 0  # course of a round; every world of it has courses of its own
     tried = [
         own | {"acceleration": a * own["acceleration"], "share": b * own["share"]}

@@ -9,6 +9,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from soil_env.parameters import RoverScenario, Scenario
 
+from .controllers.base import CREEP_SINKAGE
 from .controllers.rover import RoverController
 from .controllers.wheel import BestSlipTrue
 
@@ -18,6 +19,7 @@ SETTINGS = {
     "acceleration": 0.25,  # [m/s2]
     "speed": 0.54,  # [of the top rim speed]
     "share": 1.05,  # limit of the slip over the best slip
+    "creep_sinkage": CREEP_SINKAGE.default,  # [of the radius]
 }
 SETTINGS_OF_SCENARIOS = {
     "loose_slopes": {"start": 0.13, "acceleration": 0.31, "speed": 0.85},
@@ -54,7 +56,8 @@ class Teacher(BestSlipTrue):
         own = teacher_settings(scenario) | settings
         top = scenario.wheel.radius * scenario.wheel.no_load_speed
         rims = {name: own[name] * top for name in ("start", "speed")}
-        super().__init__(scenario, acceleration=own["acceleration"], **rims)
+        same = {name: own[name] for name in ("acceleration", "creep_sinkage")}
+        super().__init__(scenario, **same, **rims)
         self.share = own["share"]
 
     def state_for(self, batch, state, fresh):

@@ -193,8 +193,9 @@ def test_the_teacher_of_a_softening_world_starts_gently():
     """
     scenario = load_scenario("sticky")
     world = WheelSoilModel(ModelWheel(0.15, 0.15), effects={"shear_softening": {"sharpness": 3.5}})
-    settings = generalist.chosen(scenario, [world], ((30, 1),))
-    assert settings["acceleration"] < 0.5 * teacher_settings(scenario)["acceleration"]
+    own = teacher_settings(scenario)
+    settings = generalist.chosen(scenario, own, [world], ((30, 1),))
+    assert settings["acceleration"] < 0.5 * own["acceleration"]
     drivers = Teacher(scenario), Teacher(scenario, **settings)
     own, better = (run_courses(d, scenario, 77, 60, model=world).returns.mean() for d in drivers)
     assert better > own + 1.0

@@ -43,6 +43,11 @@ ACCELERATION = Setting(
     0.1, "m/s2", "of the rim, from rest and after halts", (0.02, 1.0), True, high=100.0
 )
 
+CREEP_SINKAGE = Setting(
+    2.0, "of the radius", "sinkage from which the rim only creeps", (0.3, 2.0), True, high=100.0
+)
+_CREEP_SPEED = 0.1  # [of the top rim speed] from that sinkage on; chosen
+
 
 class Controller(Observing):
     """Base: a rim speed that the drive follows.
@@ -194,15 +199,25 @@ class Controller(Observing):
 
 
 class Ramped(Controller):
-    """Base: the rim speed rises by at most an acceleration, from rest and after every halt."""
+    """Base: the rim speed rises by at most an acceleration, from rest and after every halt, and a
+    deep wheel creeps.
 
-    bounds = {"acceleration": ACCELERATION, "speed": SPEED}
+    A deep wheel that is braked for a halt digs further, the more the faster it was.
+    """
+
+    bounds = {"acceleration": ACCELERATION, "speed": SPEED, "creep_sinkage": CREEP_SINKAGE}
     memory = {**Controller.memory, "ramp": 0}
 
     def ramp(self, batch, state: dict, acceleration, speed):
         """Highest rim speed now [m/s], [n], for an acceleration [m/s2] up to a speed [m/s], 0 at a
         halt; kept in `state`.
+
+        The top falls evenly with the sinkage, from `speed` at half of `creep_sinkage` to the
+        creeping speed.
         """
-        risen = np.minimum(state["ramp"] + acceleration * self.period, speed)
+        deep = batch[:, self.column["sinkage"]] / self.settings["creep_sinkage"]
+        share = np.clip(2.0 - 2.0 * deep, 0.0, 1.0)
+        top = share * speed + (1.0 - share) * np.minimum(speed, _CREEP_SPEED * self.top_speed)
+        risen = np.minimum(state["ramp"] + acceleration * self.period, top)
         state["ramp"] = np.where(self.halted(batch), 0.0, risen)
         return state["ramp"]
