@@ -127,18 +127,21 @@ class Chooser(BaseCallback):
         """Go on by as many updates as make `PASSES` over the choices since the last call. Each
         draws `BATCH` of all choices that are kept.
 
-        `left`: share of the training that is left, with which the learning rate falls. Nothing
-        happens while fewer than `BATCH` choices are kept.
+        `left`: share of the training that is left, with which the learning rate falls. Choices too
+        few for one update, or fewer than `BATCH` that are kept, wait for the next call.
         """
         if self.env is None or min(self.env.count, KEPT) < BATCH:
             return
         env = self.env
+        updates = int(PASSES * (env.count - self.learned) / BATCH)
+        if not updates:
+            return
         # Normalised as VecNormalize does; the moments of both routes are the same (`Moments`).
         moments = self.normalised.obs_rms
         mean = moments.mean[env.routes[0]]
         sd = np.sqrt(moments.var[env.routes[0]] + self.normalised.epsilon)
         self.optimizer.param_groups[0]["lr"] = RATE * max(left, LEAST_RATE)
-        for _ in range(int(PASSES * (env.count - self.learned) / BATCH)):
+        for _ in range(updates):
             at = self.rng.integers(min(env.count, KEPT), size=BATCH)
             routes = np.clip(
                 (env.taken[at] - mean) / sd, -self.normalised.clip_obs, self.normalised.clip_obs

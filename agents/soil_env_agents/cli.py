@@ -74,15 +74,17 @@ def engine_options(command: Callable) -> Callable:
 
 
 def overrides(arguments: list[str] | tuple[str, ...], file_option: str = "") -> dict:
-    """['--ppo.gamma', '0.9'] or ['--ppo.gamma=0.9'] -> {'ppo': {'gamma': 0.9}}; a - in a key is
-    read as _. Values are read as YAML, but those of `_TEXT`, and what is no YAML, stay text.
+    """['--ppo.gamma', '0.9'] or ['--ppo.gamma=0.9'] -> {'ppo': {'gamma': 0.9}}.
+
+    A - in a key is read as _, but in NAME of settings.NAME.KEY, which may have points too. Values
+    are read as YAML, but those of `_TEXT`, and what is no YAML, stay text.
 
     ParameterError for a key given twice or without a value, and for what is no key. There a YAML
     file is answered by the option `file_option` that takes it, if there is one.
     """
     out: dict = {}
     rest = list(arguments)
-    given: set[str] = set()
+    given: set[tuple[str, ...]] = set()
     while rest:
         key = rest.pop(0)
         if not key.startswith("--") or key == "--":
@@ -90,7 +92,7 @@ def overrides(arguments: list[str] | tuple[str, ...], file_option: str = "") -> 
             meant = f"; did you mean {file_option} {key}?" if is_file else ""
             raise ParameterError(f"{key!r}: expected --key value{meant}")
         name, equals, value = key[2:].partition("=")
-        path = name.replace("-", "_")
+        path = _path(name)
         if path in given:
             raise ParameterError(f"--{name}: given twice: expected one value")
         given.add(path)
@@ -104,10 +106,19 @@ def overrides(arguments: list[str] | tuple[str, ...], file_option: str = "") -> 
             entry: Any = value if name in _TEXT else parse_yaml(value)
         except yaml.YAMLError:
             entry = value
-        for part in reversed(path.split(".")):
+        for part in reversed(path):
             entry = {part: entry}
         out = merge(out, entry)
     return out
+
+
+def _path(name: str) -> tuple[str, ...]:
+    """Keys from the outermost to that of the value, of the option --NAME (`overrides`)."""
+    head, _, rest = name.partition(".")
+    owner, _, key = rest.rpartition(".")
+    if head == "settings" and owner:
+        return head, owner, key.replace("-", "_")
+    return tuple(name.replace("-", "_").split("."))
 
 
 def unknown_option(key: str, known: Iterable[str]) -> ParameterError:

@@ -23,7 +23,7 @@ from .progress import show
 FOLDER = "comparison"  # in a run folder, with the files of `soil-env evaluate`
 DONE = f"{FOLDER}/evaluation.json"
 _BLOCK = 500  # courses side by side
-_WITH_TRUE_SOIL = ("best_slip_true", "agent_true")
+_WITH_TRUE_SOIL = "best_slip_true"
 
 
 def compare(
@@ -66,7 +66,7 @@ def verdict(result: dict, name: str) -> str:
     """
     rows = result["controllers"]
     best = max(
-        (n for n in rows if n not in (name, *_WITH_TRUE_SOIL)),
+        (n for n in rows if n not in (name, _WITH_TRUE_SOIL)),
         key=lambda n: rows[n]["finished"]["value"],
     )
     difference = points(result["paired"][name][best]["finished"])

@@ -109,9 +109,10 @@ def command(
     option = "--controller" if policy is None else "--policy"
     with controllers_as(option):
         named = next((n for n in (controller, policy) if n is not None), "best_slip_identified")
-        drivers = {
-            c.name: load(c, task) for c in parse(named, known=controllers_of(task)[0]).values()
-        }
+        asked = list(parse(named, known=controllers_of(task)[0]).values())
+        drivers = {c.name: load(c, task) for c in asked}
+        if len(drivers) < len(asked):
+            raise ParameterError(f"controllers: {named!r}: expected one of each name")
     film_every = every if suffix in (".gif", ".mp4") else 0
     films = {}
     for name, driver in drivers.items():

@@ -104,6 +104,6 @@ class ExportedAgent(inputs.Observing):
     def _answer(self, batch, state, fresh, deterministic):
         truth(deterministic, "deterministic")  # checked only: an exported agent has no other
         if not self.policy.kept:
-            return self.policy.act(batch)
+            return self.policy.act(batch)[0], state
         kept = inputs.memory(state, (len(batch), self.policy.kept))
         return self.policy.act(batch, kept, fresh)

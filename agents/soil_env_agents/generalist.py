@@ -25,6 +25,7 @@ import soil_env
 from soil_env._io.files import check_outputs, make_folder, replace_file
 from soil_env._io.loading import (
     Checked,
+    FieldError,
     ParameterError,
     config_dir,
     load,
@@ -87,10 +88,27 @@ class Generalist(Checked):
     ppo: PPOConfig = PPOConfig()  # but for its num_envs
 
     def _check_together(self) -> None:
-        """ParameterError for an effect that is none of `HIDDEN`."""
+        """ParameterError for what would fail, or be another policy, after hours of training: an
+        effect that is none of `HIDDEN`, no ground or effect, a hidden world without a wheel, and a
+        network that `DefaultPolicy` does not have.
+        """
         for name in self.effects:
             if name not in HIDDEN:
                 raise unknown_value(name, HIDDEN, "effects")
+        for name in ("grounds", "effects"):
+            if not getattr(self, name):
+                raise FieldError(self, name, ": is empty: expected at least one")
+        for name, own in self.grounds.items():
+            in_hidden = round(own.hidden * own.wheels)
+            if not self.hidden <= in_hidden < own.wheels:
+                raise ParameterError(
+                    f"grounds.{name}: {in_hidden} of {own.wheels} wheels in {self.hidden} hidden "
+                    "worlds: expected one at least in each world"
+                )
+        if self.ppo.activation != "relu":
+            raise ParameterError(f"ppo.activation = {self.ppo.activation!r}: expected 'relu'")
+        if not self.ppo.history:
+            raise ParameterError("ppo.history = 0: expected past steps, which the policy reads")
 
     def ground(self, name: str) -> tuple[Scenario, list[WheelSoilModel]]:
         """The scenario of a ground and its worlds with a hidden effect."""

@@ -49,7 +49,7 @@ class Layout:
         """
         try:
             seen = np.asarray(observation, dtype=np.float32)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise ParameterError(f"observation = {observation!r:.60}: expected numbers") from None
         count = len(self.entries)
         if seen.ndim not in (1, 2) or seen.shape[-1] != count:
@@ -134,7 +134,12 @@ def starts(episode_start, count: int, default: bool) -> np.ndarray:
     """Mask of the courses that begin, [count] bool, all `default` where `episode_start` is None;
     ParameterError for another number of them, and for text.
     """
-    flags = np.full(count, default) if episode_start is None else np.asarray(episode_start)
+    if episode_start is None:
+        return np.full(count, default)
+    try:
+        flags = np.asarray(episode_start)
+    except ValueError:  # rows of several lengths
+        flags = np.empty(0, dtype=object)
     if flags.dtype.kind not in "biuf":
         raise ParameterError(
             f"episode_start = {episode_start!r:.60}: expected True or False for each observation"
@@ -157,7 +162,7 @@ def memory(state, shape: tuple[int, ...]) -> np.ndarray:
     )
     try:
         kept = np.asarray(state, dtype=np.float32)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ParameterError(f"state = {state!r:.60}: {expected}") from None
     if kept.shape != shape:
         raise ParameterError(f"state: an array of shape {kept.shape}: {expected}")

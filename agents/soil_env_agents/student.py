@@ -32,8 +32,8 @@ FLIPPED = 0.1  # least share of the choices turned round, so that dead ends are 
 LAST_UPDATES = 4  # times as many updates after the last round
 LAST_RATE = 0.3  # of `RATE`, from which the learning rate then falls
 LEAST_RATE = 0.02  # of `RATE`
-VALUE_STEPS = 600  # of the value network
-VALUE_PASSES = 30  # over the steps whose return is known, at most, of these steps
+VALUE_STEPS = 600  # most updates of the value network
+VALUE_PASSES = 30  # most passes of these updates over the steps whose return is known
 
 
 class Lessons:

@@ -1,5 +1,6 @@
 """`soil-env tune`: settings of the classical controllers for a scenario."""
 
+import shlex
 from pathlib import Path
 from typing import get_args, get_type_hints
 
@@ -101,9 +102,10 @@ def command(
         "version": code_version(),
         "settings": settings,
     }
-    typed = f"soil-env tune --scenario {scenario} --courses {courses} --actions {actions}"
-    typed += f" --controllers {controllers}" if controllers else ""
-    typed += f" --model {model}" if model else ""
-    made = f"# Settings of controllers, found by {typed}\n"
+    typed = ["--scenario", scenario, "--courses", courses, "--actions", actions]
+    typed += ["--controllers", controllers] if controllers else []
+    typed += ["--model", model] if model else []
+    command = shlex.join(["soil-env", "tune", *map(str, typed)])
+    made = f"# Settings of controllers, found by {command}\n"
     write_own(out, {f"{name}.yaml": made + yaml.safe_dump(content, sort_keys=False)})
     show(f"Written: {out / name}.yaml")

@@ -320,7 +320,7 @@ def train(sizes: Sizes) -> dict[str, Any]:
     card = {
         "what": f"Probability that the wheel stops for good within {HORIZONS[0]:g} and "
         f"{HORIZONS[1]:g} s of driving",
-        "command": "python -m soil_env_agents.warning",
+        "command": "python -m soil_env_agents.warning --out FILE",
         "scales": list(SCALES),
         "version": soil_env.__version__,
         "scenarios": list(SCENARIOS),

@@ -68,6 +68,10 @@ def test_the_line_that_is_passed_more_often_gets_the_higher_score(monkeypatch):
     env.count = 4000
     env.passed[:4000] = rng.random(4000) < 1.0 / (1.0 + np.exp(-3.0 * rows[:, 2]))
     before = copy.deepcopy(model.policy.state_dict())
+    chooser.learned = env.count - 20
+    chooser.learn(1.0)  # too few that are new: they wait for the next call
+    assert chooser.learned == env.count - 20
+    chooser.learned = 0
     chooser.learn(1.0)
     moved = {name for name, x in model.policy.state_dict().items() if not x.equal(before[name])}
     assert moved and all("line_net" in name for name in moved)

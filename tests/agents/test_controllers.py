@@ -213,6 +213,31 @@ def test_soft_start_rises_at_its_acceleration_anew_after_every_halt(action):
     assert np.median(off) < 0.04
 
 
+@pytest.mark.parametrize("state", [{"integral": np.zeros(1)}, {"integral": 3, "ramp": 0}, 5])
+def test_the_state_of_another_controller_is_refused(state):
+    controller = make_controller("soft_start", load_scenario("mixed"))
+    refused(lambda: controller.state_for(blind(), state, np.array([False])), "state = ")
+
+
+def test_drives_of_one_name_are_refused(capsys):
+    asked = ["drive", "--scenario=mixed", "--controller=a=soft_start,a=fixed_slip"]
+    refused_command(capsys, "soil-env drive", main, *asked)
+
+
+def test_a_deep_wheel_creeps():
+    """From half of the sinkage on its top speed falls, and it never exceeds the setting."""
+    scenario = load_scenario("mixed")
+    for speed, tops in ((0.5, (0.5, 0.5, 0.3, 0.1, 0.1)), (0.05, (0.05,) * 5)):
+        top = make_controller("soft_start", scenario).top_speed
+        controller = make_controller(
+            "soft_start", scenario, acceleration=100.0, speed=speed * top, creep_sinkage=0.4
+        )
+        for sinkage, expected in zip((0.0, 0.2, 0.3, 0.4, 0.7), tops, strict=True):
+            seen = blind(sinkage=sinkage)
+            state = controller.state_for(seen, None, np.array([True]))
+            assert controller.rim_speed(seen, state) == pytest.approx(expected * top)
+
+
 def test_slip_limiter_waits_where_a_soft_start_digs():
     """On loose sand with a steep ramp: the slip stays at its limit, where it does not with the ramp
     alone.

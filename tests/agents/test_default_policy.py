@@ -201,6 +201,20 @@ def test_the_teacher_of_a_softening_world_starts_gently():
     assert better > own + 1.0
 
 
+@pytest.mark.parametrize(
+    "changes, said",
+    [
+        ({"ppo": {"activation": "tanh"}}, "ppo.activation = 'tanh': expected 'relu'"),
+        ({"ppo": {"history": 0}}, "ppo.history = 0: expected past steps"),
+        ({"hidden": 6}, "grounds.two_lines: 4 of 8 wheels in 6 hidden worlds"),
+        ({"effects": []}, "effects: is empty"),
+        ({"grounds": {}}, "grounds: is empty"),
+    ],
+)
+def test_a_training_that_would_fail_at_its_end_is_refused(changes, said):
+    refused(lambda: generalist.load(generalist.Generalist, TINY | changes, ""), said)
+
+
 def test_it_is_a_contestant_and_drives_from_the_command(capsys, tmp_path):
     scenario = load_scenario("mixed")
     for text in ("default_policy", "default"):

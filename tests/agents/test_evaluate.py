@@ -29,6 +29,7 @@ from soil_env_agents.evaluate.driving import (
     run_courses,
 )
 from soil_env_agents.evaluate.evaluation import Evaluation
+from soil_env_agents.evaluate.loading import load as load_contestant
 from soil_env_agents.evaluate.own import code_digest
 from soil_env_agents.evaluate.statistics import wilson
 from tests.agents.drivers import Counting, Half
@@ -420,7 +421,7 @@ REFUSED = {  # controllers: parts of the message
     f"{DRIVERS}:Complex": "an action that is no number: expected shape",
     f"{DRIVERS}:Huge": "an action that is no number: expected shape",
     f"{DRIVERS}:Alone": "predict gave one value: expected (action, state)",
-    f"{DRIVERS}:OneNaN": "predict gave nan for wheel 1: expected finite numbers",
+    f"{DRIVERS}:OneNaN": "predict gave nan for observation 1: expected finite numbers",
     f"{DRIVERS}:OtherVariant": "'blnd' ... blind, identified, true_soil",
     f"{DRIVERS}:Raises": "OSError: no such device ... drivers.py line",
     f"{DRIVERS}:Exits": "drivers:Exits: predict failed (SystemExit ... drivers.py line",
@@ -431,6 +432,7 @@ REFUSED_OPTIONS = {
     "--settings.full_throttle.slip=0.1": "full_throttle has no settings",
     "--changes.course.lenght=2": "lenght ... did you mean 'length'?",
     "--settings=3": "--settings: expected --settings.KEY VALUE",
+    "--controllers=my-c.d=soft_start --settings.my-c.d.sped=1": "'sped' ... 'speed'",
     "--model=": "model = '': expected the path of a model.yaml",
     "--tuning-courses=2 --seed=1000001": "--seed 1000001 ... tuned on",
     f"--tuning-courses=2 --controllers=mine={RULES}:SoftStart,mine={RULES}:FixedSlip": (
@@ -568,6 +570,27 @@ def test_return_is_compared_without_the_information_that_an_agent_was_paid_for()
         run_courses(make_controller("fixed_slip", task), task, SEED, 4) for task in (TASK, paid)
     )
     np.testing.assert_array_equal(got.returns, plain.returns)
+
+
+class Torques(Half):
+    """Acts in another way than the scenario."""
+
+    drives = {"action": "torque", "repeat": 1}
+    attached = False
+
+    def attach(self, *_):
+        self.attached = True
+
+
+def test_a_class_drives_as_it_says(monkeypatch):
+    """A controller that is named module:Class has its `drives`, and is attached."""
+    monkeypatch.setitem(globals(), "made_of_it", thing := Torques())
+    (asked,) = parse(f"{__name__}:made_of_it").values()
+    task = load_scenario("mixed", {"course": {"length": 1.0}})
+    named = run_courses(load_contestant(asked, task), task, SEED, 3)
+    assert thing.attached
+    np.testing.assert_array_equal(named.energy, run_courses(thing, task, SEED, 3).energy)
+    refused(lambda: run_courses(thing, task, SEED, 0), "courses = 0: expected at least one")
 
 
 def test_nan_for_a_course_that_has_ended_is_allowed():

@@ -9,7 +9,8 @@ from gymnasium.spaces import Box
 
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import layout
-from soil_env_agents import ppo
+from soil_env_agents import inputs, ppo
+from soil_env_agents.controllers import make_controller
 from soil_env_agents.environment import HIDDEN, HistoryVecEnv, SeveralWorlds, hidden_worlds
 from soil_env_agents.evaluate.driving import run_courses
 from soil_env_agents.evaluate.models import load_model
@@ -17,6 +18,7 @@ from soil_env_agents.history import READINGS, SHARE, History
 from soil_env_agents.sb3 import SoilWheelVecEnv
 from tests.agents.drivers import Half
 from tests.agents.learnt import learnt
+from tests.refusals import refused
 
 SHORT = {"course": {"length": 2.0}, "control": {"time_limit": 4.0}}
 NAMES = [e.name for e in layout("blind")]
@@ -104,6 +106,14 @@ def test_a_loaded_agent_drives_as_it_was_trained(tmp_path, name, variant, steps)
         raw, _, fresh, _ = plain.step(action)
     assert raw.shape[1] + steps * len(READINGS) <= len(agent.mean)
     assert agent.predict(raw[0])[0].shape == (1,)
+
+
+def test_what_are_no_numbers_is_refused(scenario):
+    agent = make_controller("soft_start", scenario)
+    huge = [10**400] * len(agent.layout.entries)
+    refused(lambda: agent.predict(huge), "expected numbers")
+    refused(lambda: inputs.memory(huge, (1,)), "expected what the last predict")
+    refused(lambda: inputs.starts([[True], [True, False]], 2, False), "expected True or False")
 
 
 def test_a_class_is_remembered_by_what_it_felt_like_while_driving():

@@ -61,6 +61,15 @@ def test_torques_go_by_the_loads(scenario):
     assert action / action[0] == pytest.approx(np.array([1.0, 2.0, 4.0]))
 
 
+def test_torques_are_of_a_ramp_in_their_own_time(scenario):
+    """Torques act for a control period, not for the half second of the scenario's action."""
+    controller = make_rover_controller("torque_by_load", scenario, acceleration=0.1)
+    state = None
+    for step in range(4):
+        _, state = controller.predict(observed("blind")[None], state, np.array([step == 0]))
+    assert state["ramp"] == pytest.approx(4 * 0.1 * scenario.control.period)
+
+
 def test_velocity_is_synchronised_with_the_turning_body(scenario):
     """While the body pitches, axles far from its centre go faster; the speeds are those of a rigid
     body.

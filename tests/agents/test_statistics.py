@@ -99,6 +99,11 @@ def test_the_difference_of_rates_is_covered_where_hardly_a_course_differs(alone)
     assert covered / trials > 0.92
 
 
+def test_a_difference_of_rates_is_at_most_one():
+    got = st.difference_bounds(np.ones((1, 5)), np.zeros((1, 5)), np.ones(200))
+    assert (got["value"], got["high"]) == (1.0, 1.0) and 0.0 < got["low"] < 1.0
+
+
 @pytest.mark.parametrize("n", [1, 5, 20, 1000])
 def test_wilson_agrees_with_scipy(n):
     for k in sorted({0, 1, n // 3, n - 1, n}):

@@ -277,6 +277,14 @@ def test_the_shipped_configs_can_be_read(name):
             "arms.a: world: unknown value 'nowhere' (expected none)",
         ),
         ({"arms": {"a": {"controller": "nomod:Thing"}}}, "nomod:Thing: cannot be imported"),
+        (
+            {
+                "scenarios": {"r": {"rover": "mars_rover"}},
+                "controllers": [],
+                "arms": {"a": {"controller": "soft_start", "settings": {"nonsense": 3}}},
+            },
+            "'nonsense'",
+        ),
         ({"held_out": 1_000_001}, "held_out = 1000001: controllers are tuned on this set"),
         ({"sead": 1}, "study.yaml: unknown key 'sead'; did you mean 'seeds'"),
         ({"controllers": 5}, "study.yaml: controllers = 5: expected a list of names"),

@@ -12,10 +12,11 @@ from soil_env.cli.running import run
 from soil_env.parameters import load_rover, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env_agents import tune
-from soil_env_agents.controllers import CONTROLLERS, make_controller
+from soil_env_agents.controllers import CONTROLLERS, Setting, make_controller
 from soil_env_agents.controllers.rover import ROVER_CONTROLLERS
 from soil_env_agents.evaluate import tuning
 from soil_env_agents.evaluate.driving import TUNING_SET, run_courses
+from soil_env_agents.evaluate.own import bounds_of_settings
 from soil_env_agents.evaluate.tuning import shipped_settings, tuned_settings
 from soil_env_agents.progress import Bar
 from tests.conftest import ROOT
@@ -110,7 +111,7 @@ def test_a_class_with_settings_is_tuned_set_and_driven_as_a_shipped_one(
     found = evaluated("--tuning-courses=6")
     assert found["chosen"] == {"soft_start": "tuned", "mine": "tuned"}
     settings = found["settings"]["mine"].keys()
-    assert settings == {"acceleration", "speed", "caution"}
+    assert settings == {"acceleration", "speed", "creep_sinkage", "caution"}
     model = WheelSoilModel.load(world)
     chosen = tuned_settings(load_scenario("mixed"), 4, (source,), model, anew=True)
     assert chosen[source].keys() == settings
@@ -119,6 +120,13 @@ def test_a_class_with_settings_is_tuned_set_and_driven_as_a_shipped_one(
     for wrong, said in (("caution=99", "expected a number in (0, 10]"), ("cation=1", "caution")):
         more = [f"--settings.mine.{wrong}", f"--out={tmp_path / 'x'}"]
         assert said in refused_command(capsys, "soil-env", soil_env, *asked, *more).err
+
+
+@pytest.mark.parametrize("ends", [(0.0, 1.0), (2.0, 1.0), (1.0,)])
+def test_a_range_that_cannot_be_drawn_from_is_refused(ends, monkeypatch):
+    wrong = type("Wrong", (), {"bounds": {"gain": Setting(1.0, "1", "any", ends, True)}})
+    monkeypatch.setitem(globals(), "Wrong", wrong)
+    refused(lambda: bounds_of_settings(f"{__name__}:Wrong", load_scenario("mixed")), "bounds")
 
 
 def test_a_class_that_fails_in_a_tuning_is_an_error_of_one_line(tmp_path, monkeypatch, capsys):

@@ -148,7 +148,8 @@ class Controller(Observing):
         ParameterError for a `state` of another number of rows, or that is none of a controller.
         """
         if state is not None and not (
-            isinstance(state, dict) and len(state.get("integral", ())) == len(batch)
+            isinstance(state, dict)
+            and all(np.shape(state.get(name))[:1] == (len(batch),) for name in self.memory)
         ):
             raise ParameterError(
                 f"state = {state!r:.60}: expected what the last predict of {len(batch)} "

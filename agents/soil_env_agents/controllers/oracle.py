@@ -206,7 +206,7 @@ class Oracle:
         first, second = (np.exp(rng.uniform(low, high, shape)) for _ in range(2))
         speed, later_speed = (rng.uniform(*SPEEDS, shape) * top for _ in range(2))
         back = np.where(rng.random(shape) < BACKING_SHARE, rng.uniform(*BACKING, shape), 0.0)
-        left = rng.uniform(0.0, 0.6 * HORIZON, shape)
+        left = rng.uniform(0.0, 0.6 * self.steps * self.driver.period, shape)
         other_route = rng.random(shape) < 0.5
         drawn = Plans(back, left, first, speed, second, later_speed, other_route)
         speeds = np.multiply(SPEEDS, top)

@@ -16,6 +16,7 @@ one for each wheel.
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,7 +46,8 @@ class RoverController(Observing):
     drives: dict[str, Any] = {}
 
     def __init__(self, scenario: RoverScenario, of_wheel: str, **settings: float):
-        self.own = make_controller(of_wheel, scenario, **settings)
+        driven = replace(scenario, control=replace(scenario.control, **self.drives))
+        self.own = make_controller(of_wheel, driven, **settings)
         self.scenario = scenario
         self.variant = self.own.variant
         self.settings = self.own.settings

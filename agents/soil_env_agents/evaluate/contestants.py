@@ -28,8 +28,8 @@ class Contestant:
     name: str
     member: int
     kind: str  # "classical", "model" or "class"
-    source: str  # name of the controller, path of the zip, or module:Thing
-    digest: str = ""  # SHA-256 of the zip
+    source: str  # name of the controller, path of the model's file, or module:Thing
+    digest: str = ""  # SHA-256 of that file
     settings: dict = field(default_factory=dict)  # of a controller that has some
 
     @property

@@ -176,6 +176,8 @@ def run_courses(
     network the last bits may depend on how many courses are driven side by side.
     """
     every = courses if isinstance(courses, range) else range(courses)
+    if not every:
+        raise ParameterError(f"courses = {courses}: expected at least one")
     return Runs.join(
         [
             run_block(controller, scenario, seed, every[k : k + _BATCH], model, threads, detailed)
@@ -362,10 +364,8 @@ class _OfRovers(_Totals):
         self.fighting, self.force = np.zeros((2, sim.count))
 
     def work(self) -> np.ndarray:
-        """Work of the motors of both sides in this control period [J], [courses]; the state has
-        that of one side.
-        """
-        return 2.0 * self.state["motor_work"]
+        """As that of `_Totals`, of the motors of both sides; the state has that of one."""
+        return 2.0 * super().work()
 
     def add(self, alive: np.ndarray) -> np.ndarray:
         """As that of `_Totals`, and over the weight: the pull that wheels lose against each other,

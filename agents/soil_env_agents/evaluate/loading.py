@@ -92,6 +92,9 @@ class _Wrapped:
         self.spec = spec
         self.axles = axles
         self.settings: dict[str, float] = getattr(thing, "settings", {})
+        self.drives: dict = getattr(thing, "drives", {})
+        if hasattr(thing, "attach"):
+            self.attach = thing.attach
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """(actions [n, axles], state) of the object's own `predict`, which gets a copy of the
@@ -151,9 +154,11 @@ def check(contestant: Contestant, scenario: Scenario, model: WheelSoilModel | No
         deterministic=True,
     )
     action, _ = _checked(answer, (3, getattr(scenario, "axles", 1)), contestant.label)
-    wrong = np.flatnonzero(~np.isfinite(action))
+    wrong = np.argwhere(~np.isfinite(action))
     if wrong.size:
-        given = f"{action[wrong[0], 0]} for wheel {wrong[0]}"
+        course, axle = wrong[0]
+        of_axle = f", axle {axle}" if action.shape[1] > 1 else ""
+        given = f"{action[course, axle]} for observation {course}{of_axle}"
         raise ParameterError(
             f"controllers: {contestant.label}: predict gave {given}: expected finite numbers"
         )

@@ -7,6 +7,7 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
+import math
 import site
 import sys
 import sysconfig
@@ -127,11 +128,19 @@ def bounds_of_settings(source: str, scenario: Scenario) -> Mapping[str, Setting]
         return CONTROLLERS[ROVER_CONTROLLERS[source].of_wheel if rover else source].bounds
     bounds = getattr(imported(source), "bounds", {})
     try:
-        return {name: Setting(*setting) for name, setting in bounds.items()}
-    except (AttributeError, TypeError):
+        found = {name: Setting(*setting) for name, setting in bounds.items()}
+        for name, setting in found.items():
+            low, high = setting.tuned
+            if not 0.0 <= low <= high < math.inf or (setting.log and low == 0.0):
+                raise ParameterError(
+                    f"controllers: {source}: bounds[{name!r}].tuned = {setting.tuned}: expected "
+                    "0 <= low <= high, and low above 0 where it is drawn in the logarithm"
+                )
+    except (AttributeError, TypeError, ValueError):
         raise ParameterError(
             f"controllers: {source}: bounds = {bounds!r:.80}: expected {{name: Setting}}"
         ) from None
+    return found
 
 
 def made(source: str, scenario: Scenario, settings: dict, where: str) -> Any:

@@ -108,8 +108,8 @@ def difference_bounds(a: np.ndarray, b: np.ndarray, samples: np.ndarray) -> dict
     half = _NORMAL * math.sqrt((won + lost - (won - lost) ** 2) / n)
     out = bounds(mean(a) - mean(b), samples)
     return out | {
-        "low": min(out["low"], won - lost - half),
-        "high": max(out["high"], won - lost + half),
+        "low": max(-1.0, min(out["low"], float(won - lost - half))),
+        "high": min(1.0, max(out["high"], float(won - lost + half))),
     }
 
 

@@ -173,7 +173,7 @@ def tried(
         study.sampler = optuna.samplers.TPESampler(
             seed=int(np.random.SeedSequence([number]).generate_state(1)[0])
         )
-        if number == 0:
+        if number == 0 and not study.get_trials(states=(state.WAITING,)):
             defaults = {
                 key: float(np.clip(s.default * (top if s.rim_speed else 1.0), *bounds[key]))
                 for key, s in space.items()

@@ -136,7 +136,7 @@ class Study(Checked):
             return
         if arm.train:
             raise ParameterError(f"arms.{name}: expected controller or train, not both")
-        known, _ = controllers_of(scenario)
+        known, make = controllers_of(scenario)
         if ":" in arm.controller:
             loading.load(
                 Contestant(name, 0, "class", arm.controller, settings=arm.settings), scenario
@@ -147,6 +147,8 @@ class Study(Checked):
             )
         elif known is CONTROLLERS:
             checked_settings(arm.controller, scenario, arm.settings, f"arms.{name}.settings")
+        else:
+            make(arm.controller, scenario, **arm.settings)
 
     def renewed(self, version: str) -> Study:
         """This study by other code."""
