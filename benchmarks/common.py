@@ -113,7 +113,7 @@ def study_options(name: str) -> Callable[[Callable], Callable]:
 
     def elsewhere(context: click.Context, _: click.Parameter, out: Path) -> Path:
         """The folder; ParameterError for that of the results with --smoke."""
-        if context.params["smoke"] and out == RESULTS:
+        if context.params["smoke"] and out.resolve() == RESULTS:
             raise ParameterError("--smoke: numbers mean nothing: expected --out, another folder")
         return out
 

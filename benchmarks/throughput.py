@@ -18,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,7 @@ class Checkout:
         self.root = root
 
     def start(self, size: int, threads: int, seconds: float) -> None:
-        """Start the worker and wait until all of it is compiled; RuntimeError where it has ended
+        """Start the worker and wait until all of it is compiled; ParameterError where it has ended
         before.
 
         `size`: environments in a vector environment; `seconds` of a measurement of each.
@@ -72,19 +73,22 @@ class Checkout:
             stdout=subprocess.PIPE,
             text=True,
         )
-        if self._answer() != "ready":
-            raise RuntimeError(f"the worker in {self.root} has ended")
+        self._answer()
 
     def _answer(self) -> str:
-        """The next line of the worker, "" if it has ended."""
+        """The next line of the worker; ParameterError where it has ended."""
         assert self.worker.stdout is not None
-        return self.worker.stdout.readline().strip()
+        line = self.worker.stdout.readline().strip()
+        if not line:
+            raise ParameterError(f"the worker in {self.root} has ended: expected its rates")
+        return line
 
     def rates(self) -> list[float]:
         """Measure once: steps a second of each of `ENVIRONMENTS`, in their order."""
         assert self.worker.stdin is not None
-        self.worker.stdin.write("\n")
-        self.worker.stdin.flush()
+        with suppress(BrokenPipeError):  # it has ended, which `_answer` says
+            self.worker.stdin.write("\n")
+            self.worker.stdin.flush()
         found: list[float] = json.loads(self._answer())
         return found
 

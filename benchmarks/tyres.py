@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.common import RESULTS
 from soil_env._io.files import replace_files
-from soil_env.cli.running import PATH
+from soil_env.cli.running import PATH, leave, run
 from soil_env.parameters import EARTH_GRAVITY, Soil, wheels
 from soil_env.terramechanics import contact
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
@@ -112,4 +112,4 @@ def main(out: Path) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    leave(run(main, None, "benchmarks.tyres"))

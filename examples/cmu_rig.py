@@ -58,7 +58,12 @@ def read_runs(path: Path, wheel: str) -> list[tuple]:
     rows = []
     repeats = {}
     for number, entry in enumerate(results.ravel(), start=1):
-        run = {field: float(np.asarray(entry[field]).item()) for field in FIELDS}
+        try:
+            run = {field: float(np.asarray(entry[field]).item()) for field in FIELDS}
+        except (TypeError, ValueError):
+            raise ParameterError(
+                f"{path}: all_results({number}): expected one number in each of {', '.join(FIELDS)}"
+            ) from None
         if run["beta"] != 0.0 or run["Vry"] < TRAVEL:
             continue
         rim = run["avg_Vry"]
@@ -79,7 +84,7 @@ def read_runs(path: Path, wheel: str) -> list[tuple]:
         raise ParameterError(
             f"{path}: none of its {results.size} runs is left: expected some with beta = 0"
         )
-    return [row for _, row in sorted(rows)]
+    return [row for _, row in sorted(rows, key=lambda of_rim: of_rim[0])]
 
 
 def setup_text(wheel: str) -> str:

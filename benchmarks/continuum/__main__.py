@@ -162,7 +162,9 @@ def _interval(values: Sequence[float], scale: float, digits: int) -> str:
 
 
 def pages(found: dict, beds: int) -> dict[str, Table]:
-    """The tables of the page, by heading, of what `loop_command` found, on the first `beds`."""
+    """The tables of the page, by heading, of what `loop_command` found, on the first `beds`;
+    without the drives of a table that is not driven on all of them.
+    """
     errors = []
     drives = []
     shown = (("slip", 1.0, 2), ("distance", 1.0, 2), ("sinkage", 1e3, 1))  # key, factor, decimals
@@ -171,7 +173,10 @@ def pages(found: dict, beds: int) -> dict[str, Table]:
             sinkage, pull, torque = of["errors"][model]
             cells = (f"{1e3 * sinkage:.2g}", f"{pull:.2g}", f"{torque:.2g}")
             errors.append([table, model, *cells])
-            done = [of["drives"][f"{model} {bed}"] for bed in range(beds)]
+            keys = [f"{model} {bed}" for bed in range(beds)]
+            done = [of["drives"][key] for key in keys if key in of["drives"]]
+            if len(done) < beds:
+                continue
             columns = [
                 text
                 for key, scale, digits in shown

@@ -11,7 +11,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "examples"
 #: Script -> (arguments, pattern of the output, module it needs).
 RUNS = {
     "own_controller": ("", r"^(FINISHED|ENTRAPPED|STALLED|BOGGED) at \d+\.\d m$", "numpy"),
-    "cleanrl_ppo": ("600 8", r"^600 steps: return -?\d+\.\d\d, \d+ % of 8 finished$", "torch"),
+    "cleanrl_ppo": ("600 8", r"^8192 steps: return -?\d+\.\d\d, \d+ % of 8 finished$", "torch"),
     "sb3_ppo": ("600 8", r"^600 steps: return -?\d+\.\d\d, \d+ % of 8", "stable_baselines3"),
     "sb3_sac": ("600 8", r"^600 steps: return -?\d+\.\d\d, \d+ % of 8", "stable_baselines3"),
     "sb3_td3": ("600 8", r"^600 steps: return -?\d+\.\d\d, \d+ % of 8", "stable_baselines3"),

@@ -149,7 +149,7 @@ class Controller(Observing):
         """
         if state is not None and not (
             isinstance(state, dict)
-            and all(np.shape(state.get(name))[:1] == (len(batch),) for name in self.memory)
+            and all(np.asarray(state.get(name)).shape[:1] == (len(batch),) for name in self.memory)
         ):
             raise ParameterError(
                 f"state = {state!r:.60}: expected what the last predict of {len(batch)} "

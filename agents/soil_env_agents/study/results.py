@@ -5,6 +5,7 @@ from pathlib import Path
 from soil_env._io.document import Table
 from soil_env._io.files import replace_file, write_json
 from soil_env._io.loading import to_dict
+from soil_env.terramechanics.model import WheelSoilModel
 
 from ..evaluate import comparing
 from ..evaluate.tables import cell, draw_metrics, points
@@ -18,7 +19,7 @@ def result(study: Study, folder: Path) -> dict:
     """The content of study.json, of the cells that are done.
 
     {"version", "courses", "arms": {name: its config}, "baseline", "settings": {cell: settings of
-    its controller, given or tuned}, "worlds": {name: effects}, "scenarios": {name: a `comparison`
+    its controller, given or tuned}, "worlds": {name: what acts}, "scenarios": {name: a `comparison`
     of the arms, "trained_on", and "model" of its world}}. Scenarios on which no arm is done are
     left out.
     """
@@ -29,9 +30,7 @@ def result(study: Study, folder: Path) -> dict:
         "baseline": study.compared_with,
         "courses": study.courses,
         "settings": settings,
-        "worlds": {
-            name: dict(w.world.effects) if w.world else {} for name, w in study.worlds.items()
-        },
+        "worlds": {name: _acting(w.world) if w.world else {} for name, w in study.worlds.items()},
         "scenarios": {
             name: {
                 **comparing.comparison(
@@ -43,6 +42,12 @@ def result(study: Study, folder: Path) -> dict:
             for name, own in runs.items()
         },
     }
+
+
+def _acting(world: WheelSoilModel) -> dict:
+    """Effects of a world with their parameters, and how many terms its residual has, if any."""
+    residual = {"residual": f"{len(world.residual)} terms"} if world.residual else {}
+    return {**world.effects, **residual}
 
 
 def table(content: dict, bounds: bool = True) -> Table:
@@ -87,7 +92,7 @@ def write(content: dict, folder: Path) -> None:
     """Write the `FILES`."""
     write_json(folder / FILES[0], content)
     found = [
-        f"World `{name}`: {effects or 'no effects'}." for name, effects in content["worlds"].items()
+        f"World `{name}`: {acting or 'no effects'}." for name, acting in content["worlds"].items()
     ]
     page = ["# Study", *found, table(content).markdown(), "![Study](study.png)"]
     replace_file(folder / FILES[1], "\n\n".join(page) + "\n")
