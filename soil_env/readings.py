@@ -2,6 +2,5 @@
 
 from soil_env.parameters.readings import (
     Image as Image,
-    sensor_noise as sensor_noise,
 )
 from soil_env.parameters.sensors import SensorReading as SensorReading

@@ -55,8 +55,10 @@ def folder() -> Path | None:
     `__pycache__` of the sources if they are a clone, the user's cache.
     """
     installed = not {"site-packages", "dist-packages"}.isdisjoint(PACKAGE.parts)
-    own = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "soil_env"
-    places = [own] if installed else [PACKAGE / "__pycache__", own]
+    places = [] if installed else [PACKAGE / "__pycache__"]
+    with suppress(RuntimeError):  # a user without a home
+        own = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        places.append(own / "soil_env")
     if config.CACHE_DIR:
         places.insert(0, Path(config.CACHE_DIR))
     for place in places:

@@ -23,6 +23,7 @@ from filelock import FileLock, Timeout
 #: In a folder of results: the digests of the files that commands wrote there, by name.
 MANIFEST = ".soil_env.json"
 LOCK = ".soil_env.lock"
+_WITHOUT_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # errors of such a disk
 
 
 def replace_file(path: str | Path, content: bytes | str) -> None:
@@ -31,7 +32,7 @@ def replace_file(path: str | Path, content: bytes | str) -> None:
 
 
 def replace_files(folder: str | Path, contents: Mapping[str, bytes | str]) -> None:
-    """Write files into `folder`, made if need be: all of them are on the disk before the first
+    """Write files into `folder`, made if need be: all of them are written in full before the first
     replaces another.
     """
     places = {Path(folder) / name: content for name, content in contents.items()}
@@ -151,11 +152,15 @@ def alone(folder: str | Path) -> Iterator[None]:
     make_folder(folder)
     lock = FileLock(Path(folder) / LOCK)
     try:
-        with suppress(NotImplementedError):  # a disk without locks
-            lock.acquire(timeout=0)
+        lock.acquire(timeout=0)
     except Timeout:
         said = "another command is at work in this folder: expected another folder, or its end"
         raise FileExistsError(errno.EEXIST, said, str(folder)) from None
+    except NotImplementedError:
+        pass
+    except OSError as error:
+        if error.errno not in _WITHOUT_LOCKS:
+            raise
     try:
         yield
     finally:

@@ -53,6 +53,10 @@ class FieldError(ParameterError):
         self.problem = problem
         super().__init__(f"{type(owner).__name__}.{name}{problem}")
 
+    def __reduce__(self) -> tuple[typing.Any, ...]:
+        """Copies and pickles have the message, without the dataclass."""
+        return FieldError.__new__, (FieldError, str(self)), vars(self)
+
 
 def quantity(
     unit: str,

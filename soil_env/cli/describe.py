@@ -5,7 +5,8 @@ import inspect
 import math
 import types
 import typing
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import click
@@ -33,6 +34,15 @@ NO_ROVER = (
     "course.halt_before",
     "wheel.body_mass",
 )
+#: Words of a map in place of the default of a key.
+OF_MAP = {
+    "wheel.body_mass": "required",
+    "wheel.inertia": "left out: a motor torque is left out",
+    "wheel.stall_torque": "left out: limits nothing",
+    "wheel.no_load_speed": "left out: limits nothing",
+    "belief.border": "default 2 wheel radii",
+    "channels.NAME.sign": "1 or -1; default 1",
+}
 _SOIL = {f.name: f for f in dataclasses.fields(Soil)}
 _WIDTH = 34  # [characters] of the column of keys
 
@@ -50,15 +60,22 @@ def command(kind: str) -> None:
     print(f"{kind}: {where}\n")
     if kind in ("scenario", "rover"):
         print(f"{'base':{_WIDTH}}  name or file of which the other keys are changes")
-    for line in keys_of(cls, without=NO_ROVER if kind == "rover" else ()):
+    without = NO_ROVER if kind == "rover" else ()
+    for line in keys_of(cls, without=without, said=OF_MAP if kind == "map" else {}):
         print(line)
 
 
-def keys_of(cls: type, above: str = "", without: Collection[str] = ()) -> Iterator[str]:
+def keys_of(
+    cls: type,
+    above: str = "",
+    without: Collection[str] = (),
+    said: Mapping[str, str] = MappingProxyType({}),
+) -> Iterator[str]:
     """Yield a line for each key of a dataclass, then a heading and the lines of each dataclass in
     it.
 
-    `above`: path of keys before a name, with its dot; `without`: keys that are left out. A `Prior`
+    `above`: path of keys before a name, with its dot; `without`: keys that are left out;
+    `said`: words in place of the default of a key. A `Prior`
     has no lines of its own: its key shows unit and range of the number of that name in `Soil`, and
     that it may have a standard deviation, if it may. Only `tilt_deg` of a setup is none of those,
     and is in degrees.
@@ -77,12 +94,12 @@ def keys_of(cls: type, above: str = "", without: Collection[str] = ()) -> Iterat
         elif inner is not None:
             named = typing.get_origin(hint) is dict
             within.append((f"{above}{f.name}{'.NAME' if named else ''}.", inner))
-        words = [kind, _default(f), f.metadata.get("doc", "")]
+        words = [kind, said.get(above + f.name, _default(f)), f.metadata.get("doc", "")]
         yield f"{above + f.name:{_WIDTH}}  {'; '.join(word for word in words if word)}"
     for place, inner in within:
         first = (inspect.getdoc(inner) or "").split("\n\n")[0].replace("\n", " ")
         yield f"\n{place[:-1]}: {first}"
-        yield from keys_of(inner, place, without)
+        yield from keys_of(inner, place, without, said)
 
 
 def _class_in(hint: Any) -> type | None:

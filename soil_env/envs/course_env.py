@@ -233,9 +233,10 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
         if seed is not None or not self._seeded:
             self.simulation.seed(0, self.np_random)
             self._seeded = True
+        self._over = True  # where no course can be laid
         self.simulation.restart(0)
         self._over = False
-        self.infos.renew(_ONLY)
+        self.infos.mark_stale(_ONLY)
         if self.render_mode is not None:
             self._view().clear()
         self._record()
@@ -396,9 +397,10 @@ class CourseVectorEnv(
             if not self._seeded or (own is not None and mask[k]):
                 self.simulation.seed(k, gymnasium.utils.seeding.np_random(own)[0])
         self._seeded = True
+        self._done[mask] = True  # where no course can be laid
         self.simulation.restart_where(mask)
         self._done[mask] = False
-        self.infos.renew(mask)
+        self.infos.mark_stale(mask)
         info = self.infos.many()
         if self.world is not None and self.infos.kind in NESTED:
             info["world"] = for_each(self.world, self.num_envs)
@@ -479,7 +481,7 @@ class CourseVectorEnv(
         if self.autoreset_mode == AutoresetMode.SAME_STEP and self._done.any():
             finals = self._finals()
             self.simulation.restart_where(self._done)
-            self.infos.renew(self._done)
+            self.infos.mark_stale(self._done)
             self._done[:] = False
         return (
             self.scaling(worlds.observation),

@@ -126,8 +126,8 @@ class VehicleInfos:
 class Infos(VehicleInfos):
     """Infos of the wheels of one `Simulation`.
 
-    The group `traversability` is that of the last change of the estimate (`renew`), but for its
-    probabilities of immobilisation, which are of now.
+    The group `traversability` is that of the last change of the estimate (`mark_stale`), but for
+    its probabilities of immobilisation, which are of now.
     """
 
     def __init__(self, simulation: Simulation, kind: str) -> None:
@@ -153,9 +153,9 @@ class Infos(VehicleInfos):
         if asks(self.kind):
             which = (self._simulation.worlds.changed > 0) | reset
             if which.any():
-                self.renew(which)
+                self.mark_stale(which)
 
-    def renew(self, which: np.ndarray) -> None:
+    def mark_stale(self, which: np.ndarray) -> None:
         """Mark the traversability of the wheels `which` [wheels] bool as out of date, and keep the
         load and pitch observed now. It is computed from them when an info is asked for.
         """

@@ -95,9 +95,11 @@ class Observer:
     `observe` takes the readings of each control period of the scenario. A reading that is NaN keeps
     its last value in the observation, and the identifier takes it as not measured. Before the first
     value stands what `OnlineIdentifier` puts there, and 0 for a speed. While a speed is not known,
-    the estimate stays. `held` counts readings that kept a value, by name, since the last `reset`.
+    the estimate stays. `held` counts readings that kept a value since the last `reset`, by their
+    name in a `SensorReading`.
 
-    Raises ParameterError for the scenario of a rover, and for another variant.
+    Raises ParameterError for the scenario of a rover, for a belief of the method "none", and for
+    another variant.
     """
 
     def __init__(self, scenario: Scenario, variant: str = "identified") -> None:
@@ -226,7 +228,7 @@ class Observer:
             if name in self._read:
                 values = values._replace(**{own: getattr(self._last, own)})
                 self.held[own] = self.held.get(own, 0) + 1
-        self._read |= measured
+        self._read |= measured | ({"speed", "wheel_speed"} if known else set())
         self._last = values
         self._worlds.samples[list(SensorReading._fields)] = tuple(values)
         if known:

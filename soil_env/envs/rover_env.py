@@ -83,7 +83,7 @@ class SoilRoverEnv(CourseEnv):
     | 3 | odometry | of course length | -5 | 5 |
     | 4 | halted | 0 or 1 | 0 | 1 |
 
-    then nine readings of each axle, first those of the front one:
+    then nine entries of each axle, first those of the front one:
 
     | # | name | unit | min | max |
     |---|------|------|-----|-----|
@@ -237,7 +237,7 @@ class SoilRoverVectorEnv(CourseVectorEnv):
         self.scenario: RoverScenario = self._in_world(scenario, model, scatter, changes)
         axles = self.scenario.axles
         self._set_spaces(rover_layout(observation, axles), action_space(axles), scaled)
-        info = checked(info)
+        info = checked(info, observation)
         self.simulation: RoverSimulation = RoverSimulation(
             self.num_envs, self.scenario, observation, threads, self.model, asks(info)
         )

@@ -53,7 +53,7 @@ class Worlds(NamedTuple):
     terms: np.ndarray  # [vehicles, 4] of the reward
     reward: np.ndarray  # [vehicles]
     cause: np.ndarray  # [vehicles] `Cause`
-    samples: Any = None  # of wheels, [vehicles, periods]
+    samples: Any = None  # of wheels, as in `WheelWorlds`
     ruts: Any = None  # of rovers
     readings: Any = None  # of rovers
     on_board: Any = None  # memory of the estimators

@@ -68,7 +68,7 @@ def observation_space(
 class SoilWheelEnv(CourseEnv):
     """
     ## Description
-    A rigid, driven wheel with its share of a vehicle has to cross a course of unknown soils and
+    A driven wheel with its share of a vehicle has to cross a course of unknown soils and
     grades without getting stuck. Wheel-soil contact follows Hutangkabodee et al. (2006), Eqs.
     (1)-(10), with slip-sinkage (Lyasko 2010): a slipping wheel digs, and a wheel spinning on the
     spot keeps digging. At commanded halts, about every metre, the drive brakes at
@@ -147,8 +147,8 @@ class SoilWheelEnv(CourseEnv):
 
     Each sensor has white noise, and a zero and a gain drawn once an episode (`noise`). Slip follows
     from the two speeds that were read. Odometry integrates the readings of the speed sensor, noise,
-    gain and all: its difference over an action is the mean of the readings in it, of which `speed`
-    is the last.
+    gain and all: its difference over an action is the mean of the readings in it times its
+    duration, over the length of the course; `speed` is the last of them.
 
     `observation="blind"` ends here. `"identified"` (default) adds the identifier's estimate from
     those readings:
@@ -371,7 +371,7 @@ class SoilWheelVectorEnv(CourseVectorEnv):
         task = build_scenario(scenario, action, repeat, changes, _OWN_OF_MANY)
         self.scenario: Scenario = self._in_world(task, model, scatter, changes)
         self._set_spaces(layout(observation, self.scenario.course), action_space(), scaled)
-        info = checked(info)
+        info = checked(info, observation)
         self.simulation: Simulation = Simulation(
             self.num_envs, self.scenario, observation, threads, self.model, asks(info)
         )

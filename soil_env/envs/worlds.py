@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from soil_env._io.loading import Checked, ParameterError, to_dict, truth
-from soil_env.parameters import Scenario, SoilSpread, Wheel, geared
+from soil_env.parameters import RoverScenario, Scenario, SoilSpread, Wheel, geared
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.validity import NEAR, OutsideValidity
 
@@ -45,10 +45,13 @@ def with_model(
         return scenario
     low, high = model.validity.get("load", (0.0, math.inf))
     if not (1.0 - NEAR) * low <= scenario.weight <= (1.0 + NEAR) * high:
+        mass = math.sqrt(low * high) / scenario.gravity  # [kg] of a wheel
+        rover = isinstance(scenario, RoverScenario)
+        of_rover = f"vehicle.mass = {2 * scenario.axles * mass:.2g}" if rover else ""
+        wanted = of_rover or f"wheel.body_mass = {mass:.2g}"
         warnings.warn(
             f"the wheel carries {scenario.weight:.4g} N, and the model was fitted to loads of "
-            f"{low:.4g} to {high:.4g} N: expected wheel.body_mass = "
-            f"{math.sqrt(low * high) / scenario.gravity:.2g} or so",
+            f"{low:.4g} to {high:.4g} N: expected {wanted} or so",
             OutsideValidity,
             stacklevel=4,
         )

@@ -9,4 +9,4 @@ class Status(enum.IntEnum):
     NO_DATA = 0  # no point yet: the estimate is the prior
     CONVERGED = 1
     NOT_EXCITED = 2  # phi or ln K is hardly narrower than the prior
-    MISFIT = 6  # the last readings are further from their prediction than their errors explain
+    MISFIT = 6  # readings of this soil contradict the laws by more than their errors explain

@@ -59,23 +59,31 @@ def bag_files(path: Path) -> list[Path]:
     """Files of a bag in the order of recording: as metadata.yaml lists them, whatever folders it
     names, else by name.
 
-    A recording that was killed has no metadata.yaml. Files that it lists may be missing.
+    A recording that was killed has no metadata.yaml, and one too large to be read counts as none.
+    Files that it lists may be missing.
     `ParameterError` for a folder without files of a bag, and for compressed ones. A path to a file
     is returned as it is.
     """
     if path.is_file():
         return [path]
-    inside = sorted(path.iterdir())
+    inside = sorted(path.iterdir(), key=_numbered)
     found = [file for file in inside if file.suffix in SUFFIXES]
     if (path / "metadata.yaml").is_file():
-        about = read_yaml(path / "metadata.yaml").get("rosbag2_bagfile_information")
-        named = about.get("relative_file_paths") if isinstance(about, dict) else None
-        found = [path / Path(str(name)).name for name in named or []] or found
+        with suppress(ParameterError):
+            about = read_yaml(path / "metadata.yaml").get("rosbag2_bagfile_information")
+            named = about.get("relative_file_paths") if isinstance(about, dict) else None
+            found = [path / Path(str(name)).name for name in named or []] or found
     for file in found or inside:
         check_packed(file)
     if not found:
         raise ParameterError(f"{path}: no .mcap or .db3 file in this folder: expected a ROS 2 bag")
     return found
+
+
+def _numbered(file: Path) -> list[str | int]:
+    """Parts of a file's name to sort by, in which digits are a number: 2 comes before 10."""
+    parts = re.split(r"(\d+)", file.name)  # every other part is digits
+    return [int(part) if k % 2 else part for k, part in enumerate(parts)]
 
 
 def check_packed(file: Path) -> None:

@@ -3,8 +3,8 @@
 Each reading is compared with what the map says of the wheel, or with another reading of the same
 quantity. Rim speed is compared with travel speed and slip, a force with the weight, torque with
 weight times radius, and pitch with the gravity in accelerometer or pull. Where the load is
-doubtful, so is the mass: other forces are not compared then. All values are medians over the steps
-that drive. A doubt is one line: what, where, what was expected.
+doubtful, so is the mass: other forces are not compared then. Most values are medians or other
+quantiles over the steps that drive. A doubt is one line: what, where, what was expected.
 """
 
 import math

@@ -1,7 +1,7 @@
 """The online identifier over a log: the soil under the wheel and its uncertainty over time.
 
-Borders are those that the identifier finds by the grade and the forces. It finds more than there
-are, so a border counts as one between grounds only where the estimates on both sides differ
+Borders are those that the identifier finds by the forces and the law of sinkage. It finds more than
+there are, so a border counts as one between grounds only where the estimates on both sides differ
 (`_probability_of_two`).
 """
 
@@ -95,11 +95,12 @@ class Replay:
     def surest_on(self, ground: int) -> dict[str, float] | None:
         """The surest estimate on a ground, by `COLUMNS`; None where none was current.
 
-        It is that with the least product of the sds over those of the prior among those with
-        status CONVERGED, with all its sds times `PICKED`. The last one errs more: after a border
-        that `_grounds` does not count the identifier began anew.
+        It is that with the least product of the sds over those of the prior among those off borders
+        with status CONVERGED, with all its sds times `PICKED`. The last one errs more: after a
+        border that `_grounds` does not count the identifier began anew.
         """
-        current = np.flatnonzero((self.ground == ground) & (self.status == Status.CONVERGED))
+        converged = (self.status == Status.CONVERGED) & ~self.on_border
+        current = np.flatnonzero(converged & (self.ground == ground))
         if not current.size:
             return None
         sds = [self.values[sd][current] / getattr(self.prior, sd) for sd in SD_OF.values()]
@@ -132,7 +133,8 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     `OnlineIdentifier.traversability` at the load and pitch of the step that renewed the estimate,
     and held until the next. A missing load is left out there, a missing pitch is 0.
 
-    An estimate out of the bounds of `Soil` is refused: NaN, with status MISFIT.
+    An estimate out of the bounds of `Soil` is refused: NaN, with status MISFIT. Of readings whose
+    slip and one speed give no speed of a wheel only the time is taken.
     """
     identifier = OnlineIdentifier(
         log_map.wheel,
@@ -156,6 +158,7 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     borders_before = 0  # found before the last restart
     last = math.nan  # [s] of the last step
     margin = _NO_MARGIN
+    impossible = 0  # steps
     for k, t in enumerate(log.time.tolist()):
         if t - last > log_map.restart_gap:
             borders_before += identifier.estimate.borders
@@ -165,7 +168,11 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
         reading = Readings(**{n: float(log.readings[n][k]) for n in names}, time=t)
         with catch_warnings():
             simplefilter("ignore", UserWarning)  # of a long step: `restart_gap` says what is long
-            e = identifier.update(reading)
+            try:
+                e = identifier.update(reading)
+            except ValueError:
+                e = identifier.update(Readings(time=t))
+                impossible += 1
         if e.renewed:
             load = None if math.isnan(reading.load) else max(reading.load, _LEAST_LOAD)
             ahead = identifier.traversability(load, float(np.nan_to_num(reading.pitch)))
@@ -183,6 +190,11 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
             f"The identifier started anew {'once' if restarts == 1 else f'{restarts} times'}, "
             f"after gaps of more than {log_map.restart_gap:g} s."
         )
+    if impossible:
+        warnings.append(
+            f"In {impossible} of {size} steps a speed that follows from the slip is none of a "
+            "wheel. They are left out."
+        )
     warnings += _refuse(log.time, values, status)
     ground, differs = _grounds(log, log_map, borders, values, status, prior)
     return Replay(
@@ -195,7 +207,7 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
         borders=int(borders.max(initial=0)),
         prior=prior,
         on_border=on_border,
-        measured=frozenset(names),
+        measured=frozenset(n for n in names if np.isfinite(log.readings[n]).any()),
         restarts=restarts,
         warnings=warnings,
     )
@@ -334,8 +346,8 @@ _SENSORS = {
 _NOTHING = "Sinkage and forces are not measured. Only the slip is known, which identifies nothing."
 _NO_FORCE = (
     "Drawbar pull and torque are not measured, so nothing shows shear. Only the sinkage "
-    "coefficient S is identified, if the load is measured. Friction angle, cohesion and K follow "
-    "from it by the correlations of the belief."
+    "coefficient S is identified, by the load or, where that is not measured, the weight. Friction "
+    "angle, cohesion and K follow from it by the correlations of the belief."
 )
 _MISFIT = (
     "In {:.0f} % of the steps the readings contradict the model by more than their errors explain. "

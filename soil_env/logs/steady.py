@@ -104,7 +104,10 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
     runs = _drives(log, columns["rim"], log_map)
     n = round(log_map.windows.duration / log.period)  # steps of a window
     borders = where[1:][np.diff(ground) != 0]
-    far_from_borders = np.all(np.abs(where[:, None] - borders) > log_map.belief.border, axis=1)
+    ends = np.concatenate([[-np.inf], np.sort(borders), [np.inf]])
+    after = np.searchsorted(ends, where)  # border at or after a step; the one before has one less
+    nearest = np.minimum(where - ends[after - 1], ends[after] - where)
+    far_from_borders = nearest > log_map.belief.border
     rows = []
     # By column, the scatter within each window.
     scatters: dict[str, list[float]] = {name: [] for name in (*MEASURED, "slip", "load")}

@@ -1,6 +1,7 @@
 """Rows of CSV and Parquet files with time stamps, one by one."""
 
 import csv
+from codecs import BOM_UTF8
 from collections.abc import Iterator
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
@@ -28,7 +29,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _EXCEL = 25569  # [days] from 1899-12-30, where Excel counts from, to 1970
 
 _DAY = 86400 * 10**9  # [ns]
-_MIDNIGHT = 23 * _DAY // 24  # [ns] by which a time of day falls back, at least, on the next day
+_MIDNIGHT = _DAY // 2  # [ns] by which a time of day falls back, at least, on the next day
 _BATCH = 4096  # rows read between two reports of progress
 _EXAMPLES = {
     "iso": "text as 2026-05-04T09:30:00.25 or 09:30:00.25",
@@ -144,10 +145,11 @@ def _csv(stamps: str, columns: dict[str, str], notes: Notes, faults: Faults) -> 
     """
     path = notes.path
     notes.size = path.stat().st_size
-    short: tuple[str, ...] = ()  # fault of a row with a wrong count of cells, until the next row
+    short: tuple[str, ...] = ()  # fault of a row with too few cells, until the next row
     count = 0  # of whole rows
     try:
         with path.open("rb") as raw:
+            raw.seek(len(BOM_UTF8) if raw.read(3) == BOM_UTF8 else 0)
             # The header has to be UTF-8; below it a damaged byte spoils no more than its cell. A
             # list, since the lines are decoded one by one after this is set.
             errors = ["strict"]
@@ -157,7 +159,7 @@ def _csv(stamps: str, columns: dict[str, str], notes: Notes, faults: Faults) -> 
                 for cells in reader
                 if any(map(str.strip, cells)) and not cells[0].startswith("#")
             )
-            header = [cell.strip().lstrip("\ufeff") for cell in next(lines, [])]
+            header = [cell.strip() for cell in next(lines, [])]
             if not header:
                 raise ParameterError(
                     f"{path}: has no line: expected a header with column names, and rows below it"
@@ -180,11 +182,15 @@ def _csv(stamps: str, columns: dict[str, str], notes: Notes, faults: Faults) -> 
                     faults.count += 1
                     faults.add(*short)
                     short = ()
-                # Allowed in the last row, where a recording was cut off.
+                # Too few are allowed in the last row, where a recording was cut off.
                 if len(cells) != len(header):
                     expected = f"expected {len(header)} as in the header"
                     said = f"has {plural(len(cells), 'cell')}, {expected}"
-                    short = (f"row {reader.line_num}", said)
+                    if len(cells) > len(header):
+                        faults.count += 1
+                        faults.add(f"row {reader.line_num}", said)
+                    else:
+                        short = (f"row {reader.line_num}", said)
                     continue
                 count += 1
                 yield reader.line_num, cells[stamp_column], [cells[p] for p in places]

@@ -6,7 +6,7 @@ from typing import Literal
 
 from soil_env._io.loading import Checked, Keys, ParameterError, quantity
 
-from .soil import SoilSpread, correlation, correlation_factor
+from .soil import MOST_FLOW, MOST_PEAK, SoilSpread, correlation, correlation_factor
 
 #: Fields of `Belief` that have no effect where its `soils` names a library.
 _PRIOR = (
@@ -53,8 +53,10 @@ class Belief(Checked):
     dig_gain: float = quantity("", 0.0, 20.0, default=2.2)
     dig_gain_sd: float = quantity("", 0.0, 5.0, default=0.7, doc="relative")
     dig_recovery: float = quantity("", 0.05, 5.0, default=0.5)
-    rim_flow: float = quantity("", 0.0, 0.12, default=0.1, doc="it and the next three: of `Soil`")
-    braked_peak: float = quantity("", 0.0, 0.9, default=0.25)
+    rim_flow: float = quantity(
+        "", 0.0, MOST_FLOW, default=0.1, doc="it and the next three: of `Soil`"
+    )
+    braked_peak: float = quantity("", 0.0, MOST_PEAK, default=0.25)
     shear_growth: float = quantity("", 0.0, 2.0, default=0.0)
     shear_length: float = quantity("m", 1e-3, 3.0, default=0.1)
     model_error: float = quantity(

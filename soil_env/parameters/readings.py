@@ -9,6 +9,7 @@ import numpy as np
 
 from .scenario import Scenario
 from .sensors import SENSORS, Noise, Readings, SensorReading, sizes_of
+from .soil import EARTH_GRAVITY
 from .wheel import Wheel
 
 STEP = np.int8(0)  # order to a vehicle: the control periods of an action
@@ -60,7 +61,7 @@ class Stepped(NamedTuple):
     observation: np.ndarray  # [vehicles, D] float32
 
 
-def largest_readings(wheel: Wheel, gravity: float = 9.81) -> Readings:
+def largest_readings(wheel: Wheel, gravity: float = EARTH_GRAVITY) -> Readings:
     """Largest plausible readings (`Sensor.largest`), in SI units, of a wheel at a gravity [m/s2];
     larger ones are faults or in another unit. `time` is NaN.
     """
@@ -101,10 +102,3 @@ def reading_errors(scenario: Scenario) -> np.ndarray:
     found = [[of.get(s.name + kind, 0.0) for s in SENSORS] for kind in ("", "_zero", "_gain")]
     units = reading_units(scenario)
     return np.array(found) * [units, units, np.ones(len(units))]
-
-
-def sensor_noise(scenario: Scenario) -> np.ndarray:
-    """Standard deviations of the white noise of a `SensorReading` in its units, [sensors], in the
-    order of its fields; 0 for the slip where no sensor measures it.
-    """
-    return np.array(reading_errors(scenario)[0])

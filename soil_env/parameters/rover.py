@@ -74,7 +74,7 @@ def load_rover(
     and is refused in `changes`. Raises `ParameterError` with one line for anything unknown or out
     of range.
     """
-    wheel = (changes or {}).get("wheel")
+    wheel = changes.get("wheel") if isinstance(changes, dict) else None
     if isinstance(wheel, dict) and "body_mass" in wheel:
         raise ParameterError(
             f"{place}: wheel.body_mass: "
@@ -97,6 +97,6 @@ def _with_mass(mapping: Keys) -> Keys:
     if not isinstance(vehicle, dict) or not isinstance(wheel, dict):
         return mapping
     share = 0.1  # [kg] a mass that `Wheel` takes, where the vehicle is refused
-    with contextlib.suppress(TypeError, ValueError, ZeroDivisionError):
+    with contextlib.suppress(TypeError, ValueError, ZeroDivisionError, OverflowError):
         share = float(vehicle.get("mass", 0.0)) / (2 * len(vehicle.get("axles", ())))
     return {"vehicle": vehicle, **mapping, "wheel": {**wheel, "body_mass": share}}

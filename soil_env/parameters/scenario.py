@@ -152,7 +152,9 @@ def load_scenario_as(
     `complete` adds to the mapping what follows from the rest of it. With `changes` the scenario is
     first loaded without them: where that succeeds, an error lies in the changes and names `place`.
     """
-    changes = changes or {}
+    changes = {} if changes is None else changes
+    if not isinstance(changes, dict):
+        raise ParameterError(f"{place} = {changes!r:.60}: expected a mapping")
     mapping, where = _given(kind, folder, which, changes)
     if changes:
         with suppress(ParameterError):
@@ -194,7 +196,7 @@ def _given(
         path = _shipped_file(folder, which)
     elif above:  # a path in a file is relative to the file
         path = above[-1].parent / path
-    if path in above:
+    if path.resolve() in [p.resolve() for p in above]:
         raise ParameterError(f"{str(which)!r}: expected a file that is no change of this one")
     mapping = _on_base(kind, folder, read_yaml(path), str(path), (*above, path))
     _check_kind(mapping, changes, folder, f"{singular}: {str(which)!r}")
@@ -231,18 +233,19 @@ def _shipped_file(folder: str, which: str | Path) -> Path:
     """
     singular = folder.removesuffix("s")
     path = config_dir() / folder / f"{which}.yaml"
-    if path.is_file():
-        return path
-    if Path(which).is_dir():
-        raise ParameterError(
-            f"{singular} = {str(which)!r}: is a folder; expected a name or a YAML file"
-        )
-    for other in ("scenarios", "rovers"):
-        if other != folder and (config_dir() / other / f"{which}.yaml").is_file():
+    with suppress(OSError):  # of a text that no file system takes for a name
+        if path.is_file():
+            return path
+        if Path(which).is_dir():
             raise ParameterError(
-                f"{singular}: {which!r} is one of configs/{other}; {_expected(folder)}"
+                f"{singular} = {str(which)!r}: is a folder; expected a name or a YAML file"
             )
-    raise unknown_value(which, shipped(folder), singular)
+        for other in ("scenarios", "rovers"):
+            if other != folder and (config_dir() / other / f"{which}.yaml").is_file():
+                raise ParameterError(
+                    f"{singular}: {which!r} is one of configs/{other}; {_expected(folder)}"
+                )
+    raise unknown_value(str(which)[:60], shipped(folder), singular)
 
 
 def _expected(folder: str) -> str:
@@ -273,7 +276,7 @@ def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
 
     `soils` in the changes replace the whole mixture, and without those of weight 0 also the library
     of the belief, where the two were equal; `belief.soils` there replace the whole library. A wheel
-    in the changes that is no mapping, such as the name of a preset, replaces the whole wheel.
+    in the changes that is no mapping, or that names a `preset`, replaces the whole wheel.
     Neither argument is modified.
     """
     mapping = {key: _plain(value) for key, value in mapping.items()}
@@ -295,8 +298,12 @@ def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
         mapping["belief"] = belief
     named = asked if isinstance(changes.get("belief"), dict) else ()  # a `Belief` has all fields
     refuse_idle_prior(belief | asked, where, named)
-    if "wheel" in changes and not isinstance(changes["wheel"], dict):
-        mapping["wheel"] = changes.pop("wheel")
+    if "wheel" in changes:
+        wheel = changes["wheel"]
+        if not isinstance(wheel, dict):
+            mapping["wheel"] = changes.pop("wheel")
+        elif "preset" in wheel:
+            mapping.pop("wheel", None)
     if isinstance(mapping.get("wheel"), str):
         mapping["wheel"] = {"preset": mapping["wheel"]}  # to merge changes of its values over it
     mapping = merge(mapping, {key: _plain(value) for key, value in changes.items()})

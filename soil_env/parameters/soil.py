@@ -14,6 +14,8 @@ from .presets import library
 
 #: [m/s2] of Earth, where a soil counts as measured that does not say otherwise.
 EARTH_GRAVITY = 9.81
+MOST_FLOW = 0.12  # [-] soil carried along the rim
+MOST_PEAK = 0.9  # [of theta1] forward shift of the braked stress peak
 _STEEPEST_LINE = 89.0  # [deg] of a line that touches a curved strength, within the bounds of Soil
 #: [-] Share of the pressure of a flat plate at which the line of `Soil.under` touches: a stress
 #: where the shear of a slipping wheel counts. Own choice, by results with the curved law.
@@ -110,10 +112,14 @@ class Soil(Checked):
         "Pa", 0.0, 1e6, default=0.0, doc="normal stress below which strength is curved; 0: nowhere"
     )
     rim_flow: float = quantity(
-        "", 0.0, 0.12, default=0.0, doc="soil carried along the rim, a of contact.carried_share"
+        "",
+        0.0,
+        MOST_FLOW,
+        default=0.0,
+        doc="soil carried along the rim, a of contact.carried_share",
     )
     braked_peak: float = quantity(
-        "", 0.0, 0.9, default=0.0, doc="forward shift of the stress peak of a braked wheel"
+        "", 0.0, MOST_PEAK, default=0.0, doc="forward shift of the stress peak of a braked wheel"
     )
     shear_growth: float = quantity(
         "", 0.0, 2.0, default=0.0, doc="power of the contact length that K grows with"
@@ -290,12 +296,12 @@ def correlation(default: float, doc: str = "") -> Any:
 class SoilSpread(Checked):
     """Scatter of a soil in the field about its preset: coefficients of variation and correlations.
 
-    Friction scatters normally, the others log-normally. The stiffness that scatters is the pressure
-    at `reference_sinkage`, not S itself, whose unit depends on n. Sources: COV of friction 5-15 %
-    in sand (Phoon & Kulhawy 1999, Can. Geotech. J. 36:612), cohesion 20-40 % with correlation -0.24
-    to -0.7 to friction (Cherubini 2000, Can. Geotech. J. 37:705); denser soil has higher friction
-    (Bolton 1986, Geotechnique 36:65) and stiffness and a lower shear deformation modulus. For K,
-    stiffness and digging no published statistics were found: those are our choice.
+    Friction and the exponent scatter normally, the others log-normally. The stiffness that scatters
+    is the pressure at `reference_sinkage`, not S itself, whose unit depends on n. Sources: COV of
+    friction 5-15 % in sand (Phoon & Kulhawy 1999, Can. Geotech. J. 36:612), cohesion 20-40 % with
+    correlation -0.24 to -0.7 to friction (Cherubini 2000, Can. Geotech. J. 37:705); denser soil has
+    higher friction (Bolton 1986, Geotechnique 36:65) and stiffness and a lower shear deformation
+    modulus. For K, stiffness and digging no published statistics were found: those are our choice.
     """
 
     friction: float = quantity("", 0.0, 0.35, default=0.08)

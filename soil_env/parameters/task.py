@@ -25,7 +25,9 @@ class Limits(Checked):
 
 @dataclass(frozen=True)
 class RewardWeights(Checked):
-    """Weights of the reward terms (`task.rules.judge_period`)."""
+    """Weights of the reward terms: of `task.rules.judge_period`, and of what the identifier learns
+    (`information`).
+    """
 
     progress: float = quantity("per course", 0.0, 1e4, default=10.0)
     energy: float = quantity("per weight x course length", 0.0, 1e4, default=1.0)

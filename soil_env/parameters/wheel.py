@@ -1,8 +1,10 @@
 """A driven wheel with its motor, and the presets of configs/wheels.yaml."""
 
-import math
+import sys
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
+
+import numpy as np
 
 from soil_env._io.loading import (
     Checked,
@@ -157,7 +159,9 @@ class Wheel(Checked, OnTyre):
 
 def _positive(number: object) -> bool:
     """True for a finite number above 0."""
-    return isinstance(number, (int, float)) and 0.0 < number < math.inf
+    if not isinstance(number, (int, float, np.integer, np.floating)):
+        return False
+    return bool(0.0 < number <= sys.float_info.max)
 
 
 #: Fields of `Wheel` that may be left out.

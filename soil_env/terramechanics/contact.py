@@ -539,14 +539,17 @@ def _mean_cos(theta, end):
 @compiled
 def turning_angle(nodes, rim, travel):
     """Angle [rad] inside the arc of `lay_nodes` at which the shear displacement j changes its sign;
-    theta1 if there is none.
+    theta1 if none is found.
+
+    With a rear contact of more than half of the front one j may change its sign twice: only one
+    angle is found then, at times none, and the integral has a kink.
 
     j = 0 where the mean of cos, from that angle to the one where shear begins, is rim/travel.
     Newton's method, kept within the arc, starts from the series of that mean to second order.
     """
     end = nodes.sheared_from
     _, cosine = sin_cos(end)
-    # rim/travel must lie between cos(0) and cos(end), as the mean does
+    # outside these bounds of the mean there is no root
     if (rim - travel) * (rim - travel * cosine) >= 0.0:
         return nodes.theta1
     goal = rim / travel

@@ -185,10 +185,11 @@ class WheelSoilModel(Checked):
         """
         if self.soil is None:
             raise ParameterError("WheelSoilModel: no soil: expected one, to predict with")
+        conditions = _mapping(conditions)
         c = rows_of(conditions, self.wheel)
         needed = self.needed
         for name in sorted({"speed", "pass"} & needed.keys()):
-            given = _mapping(conditions).get(name, math.nan)
+            given = conditions.get(name, math.nan)
             if np.any(np.isnan(np.asarray(given, dtype=float))):
                 raise ParameterError(
                     f"conditions: missing {name}: expected it, since {needed[name]} goes with it"
@@ -226,7 +227,8 @@ class WheelSoilModel(Checked):
             supported += predict_rows(rows, soil, unit_weight, fx, guess, values)
             if self.residual or self.remainder is not None:
                 deviations = np.empty_like(values)
-                felt = np.where(guess > 0.0, guess, DEEPEST * radius)  # buried where there is none
+                buried = DEEPEST * rows.wheels[:, 0]
+                felt = np.where(guess > 0.0, guess, buried)  # where there is none
                 groups = _groups(rows, felt, floats(soil), self.gravity, fx)
                 _add_residual(law, groups, rows, values, deviations)
                 if self.remainder is not None:

@@ -83,7 +83,8 @@ class Steady(NamedTuple):
     sinkage: float  # [m]
     drawbar_pull: float  # [N]
     torque: float  # [N m]
-    #: False if the soil does not carry the load down to `DEEPEST` radii, which `sinkage` then is.
+    #: False if the soil does not carry the load down to `DEEPEST` radii: `sinkage` then is
+    #: that, with the zero of its sensor.
     supported: bool
     felt: float  # [m] sinkage of the contact, without what changes the reading only
 

@@ -68,8 +68,7 @@ def _write_prior(memory, setting, work, size):
         add_gaussian(old, memory.old_mean, u[OLD:], 1.0, SOIL, A[OLD:, OLD:], g[OLD:])
     if memory.rests > 0.0:
         # the slope is known as well as the zero of the pitch
-        variance = setting.zero[0].pitch ** 2 + setting.white[0].pitch ** 2 / memory.rests
-        variance += (setting.white[0].drawbar_pull / setting.weight) ** 2 / memory.rests
+        variance = setting.zero[0].pitch ** 2 + memory.rest_variance / memory.rests
         A[PULL_ZERO, PULL_ZERO] += 1.0 / variance
         g[PULL_ZERO] += (memory.rest_pull - u[PULL_ZERO]) / variance
 

@@ -62,7 +62,7 @@ _SUBSTEP = 0.05
 
 _UNITS = {sensor.name: sensor.unit for sensor in SENSORS} | {"time": "s"}
 #: Readings that are not needed to know the motion.
-_FORCES = [s.name for s in SENSORS if s.name not in ("slip", "speed", "wheel_speed", "pitch")]
+_OTHERS = [s.name for s in SENSORS if s.name not in ("slip", "speed", "wheel_speed")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +179,8 @@ class OnlineIdentifier:
         self._white = self._setting["white"][0, 0].copy()  # of sensors that measure
         self._units = reading_units(scenario)
         self._largest = largest_readings(wheel, scenario.gravity)
-        self._sinkage = _bearing_sinkage(scenario)  # where none is measured
+        # [m] where none is measured; on soil that hardly bears at most what a wheel can give
+        self._sinkage = min(_bearing_sinkage(scenario), self._largest.sinkage)
         self._memory = np.zeros(1, MEMORY)
         self._work = np.zeros(1, WORK)
         self._reading = np.zeros(1, READING)
@@ -221,7 +222,8 @@ class OnlineIdentifier:
             observe_all(self._memory, self._reading, self._setting, self._work, self._outcome)
             outcome = int(self._outcome[0])
         self._time = readings.time if readings.time == readings.time else self._time + period
-        if outcome != HELD or self._estimate.renewed:
+        refused = int(self._memory["refused"][0]) != self._estimate.refused
+        if outcome != HELD or self._estimate.renewed or refused:
             self._estimate = self._published(outcome != HELD)
         return self._estimate
 
@@ -338,9 +340,9 @@ class OnlineIdentifier:
         """Store readings and the white noise of each in the arrays that the identifier reads; `rim`
         and `speed` [m/s] as `_speeds` returns them.
 
-        A missing pitch is 0, a missing slip that of both speeds; slips are cut to [-1, 1]. Any
-        other missing reading has the noise `UNMEASURED` and a substitute: the sinkage at rest, the
-        weight on the slope as load, 0 for forces, torques and acceleration.
+        A missing slip is that of both speeds; slips are cut to [-1, 1]. Any other missing reading
+        has the noise `UNMEASURED` and a substitute: the sinkage that the belief expects at slip 0,
+        the weight on the slope as load, 0 for pitch, forces, torques and acceleration.
         """
         pitch = 0.0 if r.pitch != r.pitch else r.pitch
         slip = r.slip
@@ -350,11 +352,10 @@ class OnlineIdentifier:
         reading.slip = min(max(slip, -1.0), 1.0)
         reading.speed = speed
         reading.rim_speed = rim
-        reading.pitch = pitch
         instead = {"sinkage": self._sinkage, "load": self._weight * math.cos(pitch)}
         white = self._setting["white"][0, 0]
         white["slip"] = 0.0 if r.slip != r.slip else self._white["slip"]
-        for name in _FORCES:
+        for name in _OTHERS:
             measured = getattr(r, name)
             missing = measured != measured
             reading[name] = instead.get(name, 0.0) if missing else measured

@@ -73,9 +73,10 @@ READING = record(*SensorReading._fields)
 OPEN = record(
     "readings",
     "first_slip",
-    "slip",  # weighted by 1/variance, as pull and torque
+    "slip",  # weighted by 1/variance, as sinkage, pull and torque
     "slip_weight",  # sum of the weights
     "sinkage",
+    "sinkage_weight",
     "pull",
     "pull_weight",
     "inertial",  # weighted share of the accelerometer in the pull
@@ -162,7 +163,8 @@ MEMORY = record(
     "compaction",  # of the floor of the rut under the wheel: ln(S_N/S)/(n + 1/2)
     "widening",  # of standard deviations, while points in a row are outliers
     "rest_pull",  # [of weight] mean pull beyond that of the slope, standing
-    "rests",  # readings that this is the mean of
+    "rest_variance",  # [of weight, squared] mean of their white noise
+    "rests",  # readings that these are the mean of
     "standing",  # readings in a row at which the wheel stood
     "ln_bearing",  # of the bearing sinkage [m] under the wheel
     "refused",  # readings that no wheel gives

@@ -238,7 +238,9 @@ def collect(point, memory, reading, error, turned, setting):
     weight = 1.0 / (error * error)
     point.slip += weight * reading.slip
     point.slip_weight += weight
-    point.sinkage += reading.sinkage
+    weight = 1.0 / setting.white[0].sinkage ** 2
+    point.sinkage += weight * reading.sinkage
+    point.sinkage_weight += weight
     pull, variance, share = combined_pull(memory, reading, setting)
     point.pull += pull / variance
     point.pull_weight += 1.0 / variance
@@ -268,13 +270,15 @@ def close(memory, cell, setting):
     """Write the means of the open point into `cell`, with the change of sinkage since the point
     before, and open an empty one.
 
-    `memory`: `MEMORY` of a wheel, `cell`: `CELL`, `setting`: `SETTING`. The first point, and one
-    before which the wheel has stopped, has `changes` 0: its change does not count. Where the load
-    [N] does not vary, it is that of `memory.mass` at the mean slope of the point.
+    `memory`: `MEMORY` of a wheel, `cell`: `CELL`, `setting`: `SETTING`. The first point, one before
+    which the wheel has stopped, and one whose sinkage or that before it was not measured have
+    `changes` 0: their change does not count. Where the load [N] does not vary, it is that of
+    `memory.mass` at the mean slope of the point.
     """
     point = memory.open[0]
     n = point.readings
-    sinkage = point.sinkage / n
+    sinkage = point.sinkage / point.sinkage_weight
+    measured = point.sinkage_weight * setting.radius**2 > 1.0
     travel = point.travel / n
     slide = point.slide / n
     turning = point.turning / n
@@ -282,7 +286,7 @@ def close(memory, cell, setting):
     cell.slip_variance = 1.0 / point.slip_weight
     cell.most_likely_slip = cell.slip
     cell.sinkage = sinkage
-    cell.sinkage_variance = setting.white[0].sinkage ** 2 / n
+    cell.sinkage_variance = 1.0 / point.sinkage_weight
     cell.pull = point.pull / point.pull_weight
     cell.pull_variance = 1.0 / point.pull_weight
     cell.inertial = point.inertial / point.pull_weight
@@ -298,13 +302,13 @@ def close(memory, cell, setting):
     cell.spread = math.sqrt(max(point.place_square / n - mean * mean, 0.0))
     cell.place_error = 0.0
     rolled = memory.point_sinkage > 0.0 and turning - memory.point_turning < STOPPED
-    cell.changes = 1.0 if rolled else 0.0
+    cell.changes = 1.0 if rolled and measured else 0.0
     cell.rise = sinkage - memory.point_sinkage
     cell.travel = travel - memory.point_travel
     cell.slide = slide - memory.point_slide
     cell.middle = 0.5 * (sinkage + memory.point_sinkage)
     cell.compaction = memory.compaction
-    memory.point_sinkage = sinkage
+    memory.point_sinkage = sinkage if measured else 0.0
     memory.point_travel = travel
     memory.point_slide = slide
     memory.point_turning = turning
@@ -317,12 +321,15 @@ STANDSTILL = 3.0  # readings after which a wheel that stands has settled, own ch
 @compiled
 def record_rest(memory, reading, setting):
     """Average what a settled, standing wheel pulls beyond its weight on the slope: the zero of the
-    pull, over about the last `RESTS_KEPT` readings.
+    pull, over about the last `RESTS_KEPT` readings. Those without pull or pitch do not count.
     """
+    white = setting.white[0]
+    variance = (white.drawbar_pull / setting.weight) ** 2 + white.pitch**2
     standing = abs(reading.rim_speed) < SLOWEST and abs(reading.speed) < SLOWEST
     memory.standing = memory.standing + 1.0 if standing else 0.0
-    if memory.standing > STANDSTILL:
+    if memory.standing > STANDSTILL and variance < 1.0:
         pull, _, _ = combined_pull(memory, reading, setting)
         slope = memory.mass * setting.gravity * math.sin(reading.pitch) / setting.weight
         memory.rests = min(memory.rests + 1.0, RESTS_KEPT)
         memory.rest_pull += (pull - slope - memory.rest_pull) / memory.rests
+        memory.rest_variance += (variance - memory.rest_variance) / memory.rests

@@ -103,8 +103,8 @@ def hand_over_border(front, memory, behind, setting, work):
     front wheel has found it.
 
     `front`: `POOL` of the front wheel; `memory`: of this one. Nothing begins on a border, or if the
-    front wheel has not found the next one or has dropped it as a false alarm. A border whose soil
-    it has forgotten for later ones is passed over.
+    front wheel has not found the next one. A border whose soil it has forgotten for later ones is
+    passed over.
     """
     number = memory.borders + 1
     while front.borders[number % SOILS] > number:

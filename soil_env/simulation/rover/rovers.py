@@ -202,6 +202,7 @@ def _settle(rover, mass, course, ruts, numbers, nodes):
         wheel.stream = word(rover)
         ahead = s.wheelbase - s.places[a]
         settle_at(wheel, ahead, rover.mass * s.shares[a], course, world)
+        rover.sinkage = max(rover.sinkage, wheel.sinkage)
         rover.axles[a].height = _height_at(course, ahead, rig.border)
         clear_ruts(ruts[a])
     rover.next_halt = between(rover, rig.halt_low, rig.halt_high)
@@ -260,8 +261,8 @@ class ThreadRecords(NamedTuple):
 def _sense(rover, readings, period, records):
     """Read the sensors of a rover at the end of a control period.
 
-    Fill the readings in the column `period` of `readings` [axles, periods], `SAMPLE`, whose halted,
-    place and image stay 0. Those of the body are the same for all axles, and are there before the
+    Fill the readings in the column `period` of `readings` [axles, periods], `SAMPLE`, whose halted
+    and image stay 0. Those of the body are the same for all axles, and are there before the
     slip follows from the speeds. `records`: `ThreadRecords`, here and below.
     """
     task = records.task

@@ -77,7 +77,7 @@ class Scaling:
         """
         try:
             given = np.array(observation, dtype=np.float32)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise ValueError(
                 f"observation {observation!r}: expected {self.centre.size} numbers"
             ) from None

@@ -54,7 +54,6 @@ REFINED_TWICE = 0.3
 REFINED_FOUR_TIMES = 0.6
 REFINED_EIGHT_TIMES = 1.2
 OVER = 1e-9  # [of a step] time left that counts as none
-LEAST_SINKAGE = 1e-15  # [m] below which a wheel counts as in the air: powers of it have no digits
 # [of the sinkage] below the rut of earlier passes that a wheel has at least; own choice: it falls
 # to the floor of the rut within some milliseconds
 LEAST_BELOW = 1e-2
@@ -151,10 +150,8 @@ def foreseen_sinkage(wheel, duration, rolled):
     goes on at the rate of the stage before.
 
     The change is at most `LARGEST_CHANGE` of the sinkage. At least `LEAST_BELOW` of the sinkage is
-    below the rut. In the air, at a sinkage below `LEAST_SINKAGE`, it is 0. `duration` in s.
+    below the rut. `duration` in s.
     """
-    if wheel.sinkage < LEAST_SINKAGE:
-        return 0.0
     most = LARGEST_CHANGE * wheel.sinkage
     ahead = wheel.sinkage + min(max(duration * wheel.sinking, -most), most)
     return max(ahead - rolled, LEAST_BELOW * wheel.sinkage)

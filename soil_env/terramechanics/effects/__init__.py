@@ -72,7 +72,7 @@ from . import (
     soil_flow,
     stress_peak_shift,
 )
-from .drivetrain_friction import Friction, friction_at
+from .drivetrain_friction import friction_at
 from .entry import Effect
 
 #: Modules of this folder, one an effect, in the order of every list of effects.
@@ -164,19 +164,16 @@ def acting_effects(fx: Effects) -> Effects | None:
 def soil_in_contact(soil, passage, fx):
     """`SoilState` under the wheel on undisturbed `soil`; each law changes what the one before left.
 
-    `passage` is a `Passage`. Without effects (`fx` None) it is `soil` itself.
+    `passage` is a `Passage`.
     """
-    if fx is None:
-        return soil
-    else:
-        soil = soil_flow.flowing(soil, fx)
-        soil = pressure_dependent_friction.rubbed_under_pressure(soil, passage, fx)
-        soil = pressure_dependent_modulus.stretched_under_pressure(soil, passage, fx)
-        soil = slip_sinkage.dug(soil, passage, fx)
-        soil = multipass.passed_over(soil, passage, fx)
-        soil = penetration_rate.loaded_fast(soil, passage, fx)
-        soil = shear_rate.sheared_fast(soil, passage, fx)
-        return grade.weakened_on_slope(soil, passage, fx)
+    soil = soil_flow.flowing(soil, fx)
+    soil = pressure_dependent_friction.rubbed_under_pressure(soil, passage, fx)
+    soil = pressure_dependent_modulus.stretched_under_pressure(soil, passage, fx)
+    soil = slip_sinkage.dug(soil, passage, fx)
+    soil = multipass.passed_over(soil, passage, fx)
+    soil = penetration_rate.loaded_fast(soil, passage, fx)
+    soil = shear_rate.sheared_fast(soil, passage, fx)
+    return grade.weakened_on_slope(soil, passage, fx)
 
 
 @compiled
@@ -184,35 +181,26 @@ def arc_ends(theta1, slip, fx):
     """(exit angle theta2, angle thetam of the stress peak) [rad] at an entry angle theta1 [rad] and
     a slip; the peak stays `PEAK_MARGIN` of the arc away from both ends.
     """
-    if fx is None:
-        return 0.0, 0.5 * theta1
-    else:
-        theta2, peak = rear_contact.exit_and_peak(theta1, fx)
-        peak += stress_peak_shift.peak_shift(theta1, slip, fx)
-        span = theta1 - theta2
-        return theta2, min(max(peak, theta2 + PEAK_MARGIN * span), theta1 - PEAK_MARGIN * span)
+    theta2, peak = rear_contact.exit_and_peak(theta1, fx)
+    peak += stress_peak_shift.peak_shift(theta1, slip, fx)
+    span = theta1 - theta2
+    return theta2, min(max(peak, theta2 + PEAK_MARGIN * span), theta1 - PEAK_MARGIN * span)
 
 
 @compiled
 def soil_resistance(sinkage, soil, wheel, fx):
-    """Force [N] of the soil against the travel, beside the forces of the contact: bulldozing, 0
-    without effects; sinkage in m.
+    """Force [N] of the soil against the travel, beside the forces of the contact: bulldozing;
+    sinkage in m.
     """
-    if fx is None:
-        return 0.0
-    else:
-        return bulldozing.bulldozing_resistance(sinkage, soil, wheel, fx)
+    return bulldozing.bulldozing_resistance(sinkage, soil, wheel, fx)
 
 
 @compiled
 def drive_friction(torque, wheel_speed, floor, fx):
     """`Friction` between motor and axle at a torque [N m] of the axle and a wheel speed [rad/s]; it
-    fades out below the wheel speed `floor` [rad/s]. Three zeros without effects.
+    fades out below the wheel speed `floor` [rad/s].
     """
-    if fx is None:
-        return Friction(0.0, 0.0, 0.0)
-    else:
-        return friction_at(torque, wheel_speed, floor, fx)
+    return friction_at(torque, wheel_speed, floor, fx)
 
 
 @compiled

@@ -23,8 +23,8 @@ class EffectParameter:
     symbol: str  # in the equations
     low: float  # in `unit`
     high: float
-    #: Prior standard deviation, relative where `centre` is given; 0 where `Effect.priors` gives it
-    #: or the parameter is not fitted.
+    #: Prior standard deviation, relative where `centre` is given; replaced where
+    #: `Effect.priors` gives it. 0 of one that is not fitted, or always given there.
     scale: float
     doc: str
     unit: str = ""

@@ -19,21 +19,18 @@ def mobilisation(fx):
     strength decay to the residual 1 - d over the length L beyond an onset (Oida 1979). With both
     the residual is the product of the two, and the peak is never passed.
     """
-    if fx is None:
-        return JANOSI
-    else:
-        s = fx.shear_softening_sharpness
-        drop = fx.shear_softening_drop
-        if s < 1.0:
-            s = 0.0  # no peak: off
-        peak = (1.0 + s) * (1.0 + s) / (4.0 * s) if s > 1.0 else 1.0
-        return ShearLaw(
-            (1.0 - drop) / peak,
-            s / peak,
-            drop / peak,
-            fx.shear_softening_length,
-            fx.shear_softening_onset,
-        )
+    s = fx.shear_softening_sharpness
+    drop = fx.shear_softening_drop
+    if s < 1.0:
+        s = 0.0  # no peak: off
+    peak = (1.0 + s) * (1.0 + s) / (4.0 * s) if s > 1.0 else 1.0
+    return ShearLaw(
+        (1.0 - drop) / peak,
+        s / peak,
+        drop / peak,
+        fx.shear_softening_length,
+        fx.shear_softening_onset,
+    )
 
 
 @compiled

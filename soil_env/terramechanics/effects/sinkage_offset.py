@@ -7,11 +7,8 @@ from .entry import SINKAGE, Bench, Effect, EffectParameter as P, Form, Priors
 
 @compiled
 def sinkage_zero(fx):
-    """Reading [m] of the sinkage sensor at no sinkage; 0 without effects."""
-    if fx is None:
-        return 0.0
-    else:
-        return fx.sinkage_offset_offset
+    """Reading [m] of the sinkage sensor at no sinkage."""
+    return fx.sinkage_offset_offset
 
 
 def _priors(bench: Bench) -> Priors:

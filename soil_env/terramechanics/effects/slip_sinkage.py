@@ -89,13 +89,10 @@ def apparent_ratio(slip, fx):
 @compiled
 def excavated_depth(slip, fx):
     """Depth [m] that a slipping wheel excavates whatever its load: l |i| / (1 - |i|), the law of
-    Reece with a length l. |i| counts as at most `MOST_SLIP`; without effects (`fx` None) it is 0.
+    Reece with a length l. |i| counts as at most `MOST_SLIP`.
     """
-    if fx is None:
-        return 0.0
-    else:
-        i = min(abs(slip), MOST_SLIP)
-        return fx.slip_sinkage_length * i / (1.0 - i)
+    i = min(abs(slip), MOST_SLIP)
+    return fx.slip_sinkage_length * i / (1.0 - i)
 
 
 @compiled

@@ -1,12 +1,10 @@
 """Soil that flows along the rim, which a braked wheel shows most."""
 
 from soil_env._compiled.flags import compiled
+from soil_env.parameters.soil import MOST_FLOW, MOST_PEAK
 from soil_env.terramechanics.ground import with_flow
 
 from .entry import Effect, EffectParameter as P, Form
-
-MOST_FLOW = 0.12  # [-] the limit of `Soil.rim_flow`
-MOST_PEAK = 0.9  # [of theta1] that of `Soil.braked_peak`
 
 
 @compiled

@@ -13,8 +13,8 @@ _PARAMETER = re.compile(r"\{(\w+)\}")
 
 
 def plain(x: float, digits: int = 3) -> str:
-    """Format a number in so many significant digits, below a million in size without an exponent.
-    -0 is "0".
+    """Format a number in so many significant digits, from 1e-4 to a million in size without an
+    exponent. -0 is "0".
     """
     text = f"{x + 0.0:.{digits}g}"  # + 0.0 makes 0 of -0
     return f"{float(text):.0f}" if "e+" in text and abs(x) < 1e6 else text
