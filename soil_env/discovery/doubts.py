@@ -42,13 +42,13 @@ def of_lone_rows(
     found = search(others, lambda text: say(f"searching without the rows that stand alone: {text}"))
     if (found.verdict, {*found.names}) == (finding.verdict, {*finding.names}):
         return ()
-    rows = ", line ".join(
-        f"{table.row[k]} (slip {table.slip[k]:g}, load {table.load[k]:g} N) stands alone in its "
-        "conditions"
-        for k in alone
+    rows = ", row ".join(
+        f"{table.row[k]} (slip {table.slip[k]:g}, load {table.load[k]:g} N)" for k in alone
     )
+    several = alone.size > 1
     named = " and ".join(LISTED[name].title for name in found.names) or "nothing"
     return (
-        f"Line {rows}. This decides what is named: without it that is {named}. Check slip and load "
-        "there.",
+        f"Row {rows}: no other row comes near {'these' if several else 'its'} conditions. This "
+        f"decides what is named: without {'them' if several else 'it'} that is {named}. Check slip "
+        "and load there.",
     )

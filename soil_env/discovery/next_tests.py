@@ -26,7 +26,7 @@ from soil_env.slip import travel_speeds
 
 from .calibrate import Problem
 from .evidence import Evidence, settle
-from .instrument import LISTED, Names
+from .instrument import LISTED, Names, ruled_out
 from .predictive import predicted, problem_at
 from .search import ODDS, Finding, forms
 
@@ -442,10 +442,12 @@ def _levels(problem: Problem) -> dict[str, list[float]]:
 
 def _could_show(problem: Problem, name: str) -> bool:
     """True if the table does not vary the condition that an effect needs, and the rig could; False
-    where the rig hides the effect or no form of it can be fitted.
+    where the setup rules the effect out, the rig hides it or no form of it can be fitted.
     """
     effect = LISTED[name]
-    if effect.hidden(problem.bench) or effect.varies in problem.data.varied:
+    if name in ruled_out(problem.data.setup) or effect.hidden(problem.bench):
+        return False
+    if effect.varies in problem.data.varied:
         return False
     return len(_levels(problem).get(effect.varies or "", ())) > 1 and bool(forms(problem, name))
 

@@ -61,7 +61,7 @@ REPORTED = 0.05  # least probability of an alternative
 _LEAST_SUM = 1e-300  # least sum of probabilities, since it divides: all may be 0
 _FIRST = 8  # number of best single effects, beside which a second one is sought
 _PAIRS = 10  # number of pairs that are fitted after the screen
-_FORMS = 3  # number of best pairs that are fitted in all their forms
+_FORMS = 3  # number of best pairs that are fitted with all forms of each of the two effects
 _FREE = 3  # number of best sets that are tried with an anonymous contribution too
 
 
@@ -481,6 +481,8 @@ def _unnamed(problem: Problem, base: Evidence, nearest: Names) -> list[Entry]:
         law
         for law in UNNAMED.values()
         if law.varies in (None, *problem.data.varied) and {*law.moves} <= {*problem.channels}
+        # A power of the speed needs it in every row.
+        if law.varies != "speed" or problem.bench.speed > 0.0
     ]
     found = [settle(problem, (Choice(law.name, 0),), base) for law in laws if nearest]
     log_odds = math.log(UNNAMED_ODDS)

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import ParameterError, unknown_value
 from soil_env.identification.table.bins import binned
 from soil_env.identification.table.data import prepare
 from soil_env.identification.table.mistakes import examine
@@ -33,6 +33,8 @@ from .prediction import fit_prediction
 from .report import check_folder, write
 from .result import EffectFound, Report, Settings
 from .search import REPORTED, TEMPERATURE, Finding, Say, forms, search
+
+GOALS = ("name", "predict")  # of the next runs
 
 
 def run(
@@ -59,6 +61,8 @@ def run(
     Raises `ParameterError` with one line for bad input, and where `out` cannot be written.
     """
     say = progress or (lambda text: None)
+    if goal not in GOALS:
+        raise unknown_value(goal, GOALS, "goal")
     if out is not None:
         if not os.fspath(out):
             raise ParameterError("out is empty: expected a folder")

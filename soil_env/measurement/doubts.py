@@ -23,9 +23,10 @@ def load_doubt(table: Table, setup: Setup) -> str:
     soil gives; "" as a rule.
 
     Soil gives at most tan(phi) W + c A, A being the contact area. The limit is `FRICTION` W + c A
-    with the setup's cohesion, and at least `MOST_GRIP` W. Pull and torque/radius of rows with a
-    slip above `DRIVEN` are doubted in two cases. Either their median exceeds the limit, or
-    `FEWEST` rows or more do, whose loads are all far below those of the others (`LIGHTER`).
+    with the setup's cohesion less `COHESION_SDS` of its sd, and at least `MOST_GRIP` W. Pull and
+    torque/radius of rows with a slip above `DRIVEN` are doubted in two cases. Either their median
+    exceeds the limit, or `FEWEST` rows or more do, whose loads are all far below those of the
+    others (`LIGHTER`).
     """
     radius = table.radius(setup.wheel)
     driven = table.rim_slip(setup) > DRIVEN

@@ -123,6 +123,8 @@ class SoilPriors(Checked):
         limits = {f.name: f.metadata for f in dataclasses.fields(Soil)}
         given = {name: prior for name, prior in vars(self).items() if prior is not None}
         for name, prior in given.items():
+            if not isinstance(prior, Prior):
+                raise ParameterError(f"{name} = {prior!r:.60}: expected a Prior")
             limit = limits[name]
             if not limit["low"] <= prior.value <= limit["high"]:
                 expected = (
@@ -172,7 +174,10 @@ class NoiseLevels(Checked):
         """
         for f in dataclasses.fields(self):
             value = getattr(self, f.name)
-            if value is not None and not 0.0 < value < math.inf:
+            if value is None:
+                continue
+            value = number(float, value, f.name)
+            if not 0.0 < value < math.inf:
                 expected = f"a standard deviation > 0 {f.metadata['unit']}".rstrip()
                 raise ParameterError(f"{f.name} = {value:g}: expected {expected}, or leave it out")
 
@@ -305,7 +310,7 @@ class Setup(Checked):
 
 def read_setup(path: str | Path) -> Setup:
     """The setup in a YAML file; `ParameterError` with one line for anything unknown, misspelt or
-    out of range.
+    out of range, but for the names in `checked`, which identification and discovery refuse.
     """
     return setup_of(read_yaml(Path(path)), str(path))
 

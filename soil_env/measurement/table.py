@@ -2,7 +2,8 @@
 
 `read_table` reads a table in CSV. `soil_env.measurement.setup` reads the YAML file beside it.
 Everything is in SI units. Impossible values are refused with one line that names the file, the row,
-the column, the value and what was expected (`ParameterError`). The header is row 1.
+the column, the value and what was expected (`ParameterError`). Rows are lines of the file, those of
+comments too.
 """
 
 import csv
@@ -77,8 +78,8 @@ def with_default(values: np.ndarray, other: np.ndarray | float) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns [N] of a measurement table, read-only; NaN where a cell is empty or the column
-    absent.
+    """Columns [N] of a measurement table, read-only as `read_table` gives them; NaN where a cell is
+    empty or the column absent.
 
     Only `passes` and `run` have other values for "not given": 1 and "".
     """
@@ -152,6 +153,11 @@ class Table:
         known = getattr(setup.noise, name)
         return known if known is not None or np.all(np.isnan(own)) else float(np.nanmedian(own))
 
+    def sd_source(self, setup: Setup, name: str) -> str:
+        """File and key, or column, of the `channel_sd`."""
+        of_setup = getattr(setup.noise, name) is not None
+        return f"{setup.source}: noise.{name}" if of_setup else f"{self.source}: {name}_sd"
+
     def relative_sd(self, setup: Setup) -> np.ndarray:
         """1-sigma of each value over the `channel_sd` of its channel [N, 3], as `MEASURED`.
 
@@ -216,7 +222,8 @@ def read_table(
         **columns,
     )
     _check_rows(table, header, rows, wheel, passes)
-    _check_repeats(path, whole_rows)
+    kept_lines = {line for line, _ in rows}
+    _check_repeats(path, [row for row in whole_rows if row[0] in kept_lines])
     for column in vars(table).values():
         if isinstance(column, np.ndarray):
             column.flags.writeable = False
@@ -264,7 +271,7 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     if not lines:
         raise ParameterError(f"{path}: empty file: expected a header line with column names")
     if mark != ",":
-        lines = _with_points(path, lines)
+        lines = [lines[0], *_with_points(path, lines[0][1], lines[1:])]
     width = max(k for _, cells in lines for k, cell in enumerate(cells) if cell) + 1
     (_, header), *rows = [(line, cells[:width]) for line, cells in lines]
     for line, cells in rows:
@@ -278,11 +285,12 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     return header, rows
 
 
-def _with_points(path: Path, lines: Rows) -> list[tuple[int, list[str]]]:
+def _with_points(path: Path, header: list[str], lines: Rows) -> list[tuple[int, list[str]]]:
     """The lines with decimal points for decimal commas; `ParameterError` where some cells have
-    commas and others points.
+    commas and others points. Columns of text, and those that no table has, do not count.
     """
-    cells = [(line, cell) for line, row in lines for cell in row]
+    numbers = {k for k, name in enumerate(header) if name in COLUMNS and name != "run"}
+    cells = [(line, cell) for line, row in lines for k, cell in enumerate(row) if k in numbers]
     commas = [(line, cell) for line, cell in cells if _DECIMAL_COMMA.fullmatch(cell)]
     points = [(line, cell) for line, cell in cells if re.fullmatch(r"[-+]?\d*\.[\d.,]*", cell)]
     if commas and points:
@@ -292,7 +300,7 @@ def _with_points(path: Path, lines: Rows) -> list[tuple[int, list[str]]]:
             "comma: expected one decimal mark, and no separators of thousands"
         )
     return [
-        (line, [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in row])
+        (line, [cell.replace(",", ".") if k in numbers else cell for k, cell in enumerate(row)])
         for line, row in lines
     ]
 

@@ -156,9 +156,7 @@ def content(report: Report) -> dict[str, Any]:
                 for name, d in finding.detectable.items()
             },
             "next_checks": report.next_checks,
-            "next_tests": [
-                vars(t) | {"words": sentences.next_test(report, t)} for t in report.next_tests
-            ],
+            "next_tests": [vars(t) | {"words": sentences.next_test(t)} for t in report.next_tests],
             "surer_runs": report.surer_runs,
             "probability": {
                 "none": finding.none,

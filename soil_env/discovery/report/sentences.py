@@ -107,7 +107,7 @@ def closed_percent(share: float) -> str:
     """A closed share of a gap in percent, as a whole number without "%": 100 only where nothing is
     left, and "more than 99" just below.
     """
-    return "more than 99" if 0.995 <= share < 1.0 else f"{100.0 * share:.0f}"
+    return "more than 99" if 0.995 <= share < 1.0 else fixed(100.0 * share, 0)
 
 
 def sure(p: float) -> str:
@@ -182,7 +182,7 @@ def _limit(name: str, limits: tuple[float, float], values: np.ndarray) -> str:
     return f"{label} {low} to {high}{unit}"
 
 
-def next_test(report: Report, t: NextTest) -> str:
+def next_test(t: NextTest) -> str:
     """A sentence with the conditions of a test and the two candidates that it separates by so many
     standard deviations, or that it repeats a run that the model misses.
     """

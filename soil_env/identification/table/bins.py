@@ -14,7 +14,7 @@ from scipy.stats import median_abs_deviation
 from soil_env.measurement.setup import NoiseLevels, Setup
 from soil_env.measurement.table import MEASURED, NOISE, Table
 
-from .form_error import LENGTHS, coordinate
+from .form_error import LAW_LENGTHS, LENGTHS, coordinate
 from .noise import SD_OF_MEDIAN
 
 DENSE = 240  # rows above which every table is binned
@@ -39,7 +39,9 @@ _ALTERNATING = 0.1  # share of these that the cut parts from the next row, at le
 _SCATTER = 0.25  # range over that of the whole table along the coordinate, at most, or `NEAR`
 _BREAK = 8  # rows of other bins between two stretches at the same conditions, at least
 # Correlation lengths of the coordinates in which rows are compared.
-_LENGTHS = {name: LENGTHS[name] for name in LENGTHS if name != "elapsed"} | {"log_slip": 0.8}
+_LENGTHS = {name: LENGTHS[name] for name in LENGTHS if name != "elapsed"} | {
+    "log_slip": LAW_LENGTHS[2]["log_slip"]
+}
 _APART = 10.0  # correlation lengths between rows whose channels or overrides differ
 
 
@@ -54,16 +56,18 @@ class Binned(NamedTuple):
 def binned(table: Table, setup: Setup) -> Binned:
     """The table with one row a bin if it is dense, as it is otherwise.
 
-    Dense are tables of more than `DENSE` rows, and of more than `REPEATED` with `FEWEST` rows or
-    more a bin on average. A measured value of a bin is the mean without outliers. Noise of the rows
-    and of the setup, that of slip and load too, is dropped: it is that of single rows.
+    Dense are tables of more than `DENSE` rows, and series of more than `REPEATED` with `FEWEST`
+    rows or more a bin on average. In a series a row is mostly near the one before (`NEAR`). A
+    measured value of a bin is the mean without outliers. Noise of the rows and of the setup, that
+    of slip and load too, is dropped: it is that of single rows.
     """
     if len(table) <= REPEATED:
         return Binned(table, setup, "")
     x = _coordinates(table, setup)
-    series = len(table) > DENSE and np.median(np.max(np.abs(np.diff(x, axis=0)), axis=1)) < NEAR
-    bins = _bins(x, MOST_OF_SERIES if series else MOST)
-    if len(table) <= DENSE and len(table) < FEWEST * len(bins):
+    series = np.median(np.max(np.abs(np.diff(x, axis=0)), axis=1)) < NEAR
+    few = len(table) <= DENSE
+    bins = _bins(x, MOST_OF_SERIES if series and not few else MOST)
+    if few and not (series and len(table) >= FEWEST * len(bins)):
         return Binned(table, setup, "")
     columns: dict[str, Any] = {
         name: np.stack([_merged(column[rows]) for rows in bins])

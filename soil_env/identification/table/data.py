@@ -150,18 +150,18 @@ def conditions_of(rows: Rows) -> dict[str, np.ndarray]:
 def prepare(table: Table, setup: Setup) -> Data:
     """`Data` of a table and its setup.
 
-    Without any height of grousers it is taken as `UNKNOWN_HEIGHT`, without any speed as 0. Of the
+    Where the setup gives no height of grousers it is the median of the rows, and without any
+    `UNKNOWN_HEIGHT`. Without any speed it is 0. Of the
     conditions that vary, those that follow from others are no factors. Raises `ParameterError` for
     one slip only, for heights or speeds that only some rows have, and for impossible units.
     """
-    height = setup.wheel.grouser_height
-    wheel = ModelWheel(
-        setup.wheel.radius,
-        setup.wheel.width,
-        UNKNOWN_HEIGHT * setup.wheel.radius if height is None else height,
-    )
-    rows = rows_of(table, wheel)._replace(slip=table.rim_slip(setup).copy())
     bare = np.isnan(table.grouser_height)
+    height = setup.wheel.grouser_height
+    assumed = UNKNOWN_HEIGHT * setup.wheel.radius if height is None else height
+    if height is None and not np.any(bare):
+        assumed = float(np.median(table.grouser_height))
+    wheel = ModelWheel(setup.wheel.radius, setup.wheel.width, assumed)
+    rows = rows_of(table, wheel)._replace(slip=table.rim_slip(setup).copy())
     if height is None and np.any(bare) and not np.all(bare):
         raise ParameterError(
             f"{table.source}: row {table.row[bare][0]}, grouser_height is empty: expected it in "
@@ -284,7 +284,8 @@ def _factor(name: str, value: np.ndarray) -> Factor:
     same = _SAME.get(name, _SAME_RATIO)
     x = value
     if name in LOGARITHMIC:
-        x = np.log(np.maximum(value, 1e-9))  # a speed of 0, not known, has a finite logarithm
+        # A speed of 0, which is not known, counts as the least that is.
+        x = np.log(np.maximum(value, np.min(value, where=value > 0.0, initial=value.max() or 1.0)))
         same = math.log(1.0 + same)
     span = np.ptp(x)
     gap = max(_SAME_SHARE * span, same)

@@ -198,7 +198,7 @@ def identify_table(table: Table, setup: Setup, *, check: bool = True) -> TableEs
     enters the weights, and the intervals average over its sizes. Base model: smooth rim on level,
     fresh soil, without slip-sinkage; a sinkage that was not measured follows from the load. Raises
     `ParameterError` if no row has enough values, nothing is to fit, or measured values are fewer
-    than fitted parameters.
+    than fitted parameters and noises to estimate.
     """
     with threadpool_limits(1):  # the matrices are small
         table, setup, dense = binned(table, setup)
@@ -207,6 +207,11 @@ def identify_table(table: Table, setup: Setup, *, check: bool = True) -> TableEs
             examined = examine(_with_whole_speeds(table), setup)
         with examined.named_first():
             problem = TableProblem(_as_examined(examined), setup)
+        if not problem.unknowns:
+            raise ParameterError(
+                f"{setup.source}: soil: every parameter is known: expected at least one to "
+                "identify, left out or as {value: ..., sd: ...}"
+            )
         u, converged = _settle(problem, problem.search())
         plain = _Plain(u, _fits(problem, u))
         missed = _missed(problem, plain, examined.noise)
@@ -338,7 +343,13 @@ def _summary(
         *examined.undecided,
         *(w for w in examined.left_out if w not in first),
         *_undetermined(parameters, labels, correlation),
-        *_doubts(problem, u, [words for _, words in off_prior if words not in first], converged),
+        *_doubts(
+            problem,
+            u,
+            [words for _, words in off_prior if words not in first],
+            converged,
+            bool(dense),
+        ),
     ]
     return TableEstimate(
         parameters=parameters,
@@ -352,7 +363,7 @@ def _summary(
         slip=problem.rows.slip,
         load=problem.rows.load,
         values=int(problem.measured.sum()),
-        exact=_exact_conditions(problem),
+        exact=() if dense else _exact_conditions(problem),
         converged=converged,
         law_error=law_error,
         check_first=tuple(first),
@@ -532,10 +543,11 @@ def _off_prior(problem: TableProblem, plain: _Plain) -> list[tuple[float, str]]:
 
 
 def _doubts(
-    problem: TableProblem, u: np.ndarray, off_prior: list[str], converged: bool
+    problem: TableProblem, u: np.ndarray, off_prior: list[str], converged: bool, dense: bool
 ) -> list[str]:
     """Warnings on the solution u [prior sd]: bounds, priors (`off_prior`), scarce noise, a single
-    load, what is not modelled, weights that have not settled.
+    load, what is not modelled, weights that have not settled. `dense`: the rows are bins, and the
+    noise of single rows is not used.
     """
     words = []
     setup = problem.setup
@@ -555,7 +567,7 @@ def _doubts(
     if few.size and np.min(few) < SCARCE:
         words.append(
             f"The noise is estimated from {np.min(few):.1f} degrees of freedom: the intervals are "
-            "wide and may still be too narrow. Give the noise if it is known."
+            f"wide and may still be too narrow.{'' if dense else ' Give the noise if it is known.'}"
         )
     words += filter(None, [one_load(problem.table, setup)])
     words += _not_modelled(problem)

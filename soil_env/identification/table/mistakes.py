@@ -139,8 +139,8 @@ def readings(table: Table, setup: Setup) -> list[Reading]:
 
         Noise of single rows is scaled, too.
         """
-        for channel, factor in zip(CHANNELS, scale, strict=True):
-            columns[f"{channel}_sd"] = factor * getattr(table, f"{channel}_sd")
+        for channel, k, factor in zip(CHANNELS, source, scale, strict=True):
+            columns[f"{channel}_sd"] = factor * getattr(table, f"{CHANNELS[k]}_sd")
         otherwise = dataclasses.replace(table, **columns)
         out.append(Reading(name, words, remedy, otherwise, there, np.array(scale), source))
 
@@ -422,10 +422,15 @@ def _rises(data: Data, noise: NoiseEstimate) -> np.ndarray:
     forces = data.y[:, 1:] / data.rows.load[:, None]
     forces[:, 1] /= data.rows.wheels[:, 0]
     whole = np.all(noise.used[:, 1:] | ~data.measured[:, 1:], axis=1)
-    groups = [forces[rows] for rows in _from_low_slip(data, whole)] or [np.full((1, 2), math.nan)]
-    size = np.median([np.ptp(y, axis=0) for y in groups], axis=0)
-    size[size == 0.0] = math.nan  # of a wheel that climbs freely
-    return np.copysign(size, np.median([y[-1] - y[0] for y in groups], axis=0))
+    groups = [forces[rows] for rows in _from_low_slip(data, whole)]
+    rises = np.full(2, math.nan)
+    for k in range(2):
+        known = [y[np.isfinite(y[:, k]), k] for y in groups]
+        known = [y for y in known if y.size > 1]
+        size = np.median([np.ptp(y) for y in known]) if known else 0.0
+        if size > 0.0:  # not of a wheel that climbs freely
+            rises[k] = math.copysign(size, np.median([y[-1] - y[0] for y in known]))
+    return rises
 
 
 def _by_rises(rises: np.ndarray, data: Data, other: Reading) -> float:
@@ -553,7 +558,8 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
     The best of the `sure` readings is a doubt, with those nearly as good. `ParameterError` if the
     table also breaks a physical limit that goes with this reading. Without a sure reading the first
     limit that is broken is a doubt. The limits: the pull falls with slip while its turned sign
-    gains evidence, the wheel gains power, pulls with more than its torque, or with all of it. The
+    gains evidence, a load that is hardly in newtons (of the reading "load"), the wheel gains
+    power, pulls with more than its torque, or with all of it. The
     best reading with a gain of `MAYBE` and a better fit (`LESS`) is a caution then.
     """
     others = _other_readings(start)
@@ -716,7 +722,7 @@ def _goes_on(data: Data, row: int, rest: _AsIs) -> bool:
     """
     group = np.flatnonzero(data.group == data.group[row])
     model = rest.fit.problem.steady(rest.fit.u, data.rows)[row]
-    off = (data.y[row] - model) / rest.noise.sd
+    off = (data.y[row] - model) / (rest.noise.sd * _relative(data)[row])
     if not np.any(np.isfinite(off)):
         return False
     channel = np.nanargmax(np.abs(off))
@@ -728,6 +734,11 @@ def _goes_on(data: Data, row: int, rest: _AsIs) -> bool:
     values = data.y[:, channel]
     line = np.polyval(np.polyfit(slip[near], values[near], 1), slip[row])
     return abs(values[row] - line) < SHARED * abs(values[row] - model[channel])
+
+
+def _relative(data: Data) -> np.ndarray:
+    """`Data.relative_sd` for each row, [N, 3]."""
+    return np.broadcast_to(data.relative_sd, data.y.shape)
 
 
 def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, least: float) -> str:
@@ -744,9 +755,9 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
     here = Rows(*(column[row : row + 1] for column in data.rows))
     known = data.measured[row]
     y = data.y[row, known]
-    noise = np.broadcast_to(sd * data.relative_sd, data.y.shape)[row, known]
+    noise = (sd * _relative(data))[row, known]
     # Of a value near 0, as a pull may be, the law errs by a share of the usual size.
-    size = np.sqrt(np.nansum(data.y**2, axis=0) / len(table))[known]
+    size = np.sqrt(np.nanmean(data.y[:, known] ** 2, axis=0))
     allowed = np.hypot(noise, LAW_ERROR * np.maximum(np.abs(y), size))
     # Range in which a wrong value may be.
     spread = BROAD * np.max(np.abs(np.nan_to_num(data.y)), axis=0)[known]
@@ -987,7 +998,8 @@ def _over_the_axle(data: Data, noise: NoiseEstimate, ratio: np.ndarray | float, 
     radius = data.rows.wheels[:, 0]
     taken = data.y[:, 2] / radius  # by the axle
     given = data.y[:, 1] * ratio  # by the pull
-    sd = np.hypot(noise.sd[2] / radius, noise.sd[1] * ratio)
+    of_rows = noise.sd * _relative(data)  # [N, 3]
+    sd = np.hypot(of_rows[:, 2] / radius, of_rows[:, 1] * ratio)
     gain = (given - GAINED * taken - SURE_GAIN * sd)[both]
     if gain.size < 3 or np.median(gain) <= 0.0 or np.median(taken[both]) <= 0.0:
         return ""

@@ -38,6 +38,8 @@ ALONE = 0.8  # leverage on the smooth surface above which a value is checked by 
 LEAST_NOISE = 1e-5
 LEAST_GIVEN = 1e-6  # the same of noise that the setup gives; less leaves no digits to fit with
 ROUGH = 0.05  # of the spread of a channel: its noise before any fit; own choice
+#: [of radius, load, load x radius] least noise of a channel before any fit; own choice.
+LEAST_ROUGH = 1e-4
 SMALLEST_SD = 1e-12  # [unit of the channel] of any noise, since it divides
 FEWEST_REPEATS = 6  # degrees of freedom of repeats, from which noise is taken from them; own choice
 SPARE = 3  # values of a channel beyond the functions of the surface, at least
@@ -94,7 +96,7 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
             if origin[j] == "scatter":
                 raise ParameterError(
                     f"{data.table.source}: noise of {name}: cannot be estimated from {values} "
-                    "values without repeats; expected noise in the setup, or repeated points"
+                    "values with too few repeats; expected noise in the setup, or repeated points"
                 )
             continue
         relative = data.relative_sd[:, j]
@@ -118,9 +120,13 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
 
 def rough_noise(data: Data, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
     """[3] noise of the channels before any fit: as given, else `ROUGH` times the sd of the values
-    in `rows` (bool or a slice; all by default). `ROUGH` itself of a channel without values.
+    in `rows` (bool or a slice; all by default), but at least `LEAST_ROUGH` of the usual size.
+    `ROUGH` itself of a channel without values.
     """
     out = np.full(len(CHANNELS), ROUGH)
+    load = np.median(data.rows.load)
+    radius = data.rows.wheels[0, 0]
+    sizes = (radius, load, load * radius)
     for j, name in enumerate(CHANNELS):
         known = data.table.channel_sd(data.setup, name)
         y = data.y[rows, j]
@@ -128,7 +134,7 @@ def rough_noise(data: Data, rows: np.ndarray | slice = slice(None)) -> np.ndarra
         if known is not None:
             out[j] = known
         elif y.size:
-            out[j] = max(ROUGH * np.std(y), SMALLEST_SD)
+            out[j] = max(ROUGH * np.std(y), LEAST_ROUGH * sizes[j])
     return out
 
 
@@ -144,8 +150,9 @@ def given_noise(data: Data) -> list[float | None]:
         least = LEAST_GIVEN * np.sqrt(np.mean(values**2)) if values.size else 0.0
         sd = given[j]
         if sd is not None and sd < least:
+            where = data.table.sd_source(data.setup, name)
             raise ParameterError(
-                f"{data.setup.source}: noise.{name} = {sd:g}: expected at least {least:.2g}, a "
+                f"{where} = {sd:g}: expected at least {least:.2g}, a "
                 "millionth of the values; leave it out where it is not known"
             )
     return given

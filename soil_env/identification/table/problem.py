@@ -192,11 +192,6 @@ class TableProblem:
         #: [m] reference sinkage
         self.z_ref = middle_sinkage(self.y[:, 0], setup.wheel.radius)
         self.unknowns, self.known = soil_unknowns(setup, self.rows.load, self.y[:, 0])
-        if not self.unknowns:
-            raise ParameterError(
-                f"{setup.source}: soil: every parameter is known: expected at least one to "
-                "identify, left out or as {value: ..., sd: ...}"
-            )
         self.bounds = bounds_of(self.unknowns)
         self._set_noise()
         values = int(self.measured.sum())
@@ -240,9 +235,11 @@ class TableProblem:
         for name, sd, least in zip(SOURCES, given, _LEAST_GIVEN * guess, strict=True):
             if sd is not None and sd < least:
                 known = "it counts as exact" if name in ("slip", "load") else "it is not known"
+                where = f"{self.setup.source}: noise.{name}"
+                if name in MEASURED:
+                    where = self.table.sd_source(self.setup, name)
                 raise ParameterError(
-                    f"{self.setup.source}: noise.{name} = {sd:g}: expected at least {least:.2g}; "
-                    f"leave it out where {known}"
+                    f"{where} = {sd:g}: expected at least {least:.2g}; leave it out where {known}"
                 )
         left_out = np.array([sd is None for sd in given])
         measured = np.concatenate([[False, False], self.measured.any(axis=0)])
@@ -328,7 +325,7 @@ class TableProblem:
     def by_noise(self, values: np.ndarray) -> np.ndarray:
         """An array [N, 3, ..] whitened by the covariances V of the rows alone [3 N, ..]."""
         found = np.einsum("kcd,kd...->kc...", self._whitener, values)
-        return found.reshape(-1, *values.shape[2:])
+        return found.reshape(found.shape[0] * found.shape[1], *values.shape[2:])
 
     def target(self) -> np.ndarray:
         """Measured values [N, 3] less F times the errors of slip and load, which is what the model

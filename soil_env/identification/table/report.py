@@ -188,4 +188,5 @@ def load_groups(load: np.ndarray) -> list[tuple[str, np.ndarray]]:
     """
     order = np.argsort(load, kind="stable")
     cuts = np.flatnonzero(np.diff(np.log(load[order])) > SAME_LOAD) + 1
-    return [(f"load {np.mean(load[members]):.0f} N", members) for members in np.split(order, cuts)]
+    means = {np.mean(load[members]): members for members in np.split(order, cuts)}
+    return [(f"load {x:.{0 if x > 10 else 2}f} N", members) for x, members in means.items()]
