@@ -178,6 +178,43 @@ def test_without_any_force_nothing_is_known_but_the_stiffness(drive):
     assert abs(mean) < 0.05 and 0.03 < doubt <= math.hypot(PAYLOAD, drive[0].noise.load_gain)
 
 
+@pytest.mark.parametrize("every", [2, 10])
+def test_a_sinkage_that_is_missing_now_and_then_makes_no_stiffness_surer(short_drives, every):
+    """What stands in its place does not count as measured."""
+    for scenario, readings, _ in short_drives[:4]:
+        whole, some = (OnlineIdentifier.of_scenario(scenario) for _ in range(2))
+        for k, r in enumerate(readings):
+            whole.update(r)
+            some.update(r if k % every == 0 else r._replace(sinkage=math.nan))
+        sds = [i.estimate.sinkage_coefficient_relative_sd for i in (whole, some)]
+        assert sds[0] < 1.05 * sds[1]
+
+
+@pytest.mark.parametrize("missing", [("drawbar_pull", "acceleration"), ("pitch",)])
+def test_a_wheel_at_rest_shows_no_zero_of_a_pull_that_is_not_measured(missing):
+    pitch = math.radians(10.0)
+    load = WHEEL.body_mass * 9.81
+    gone = dict.fromkeys(missing, math.nan)
+    rest = Readings(0.0, 0.0, 0.03, load * math.sin(pitch), load * math.cos(pitch), 0.0, 0.0, pitch)
+    identifier = OnlineIdentifier(WHEEL)
+    prior = identifier.estimate.instruments.pull_zero
+    for k in range(1, 61):
+        identifier.update(rest._replace(time=0.1 * k, **gone))
+    drive = STEADY._replace(pitch=pitch)
+    for k in range(61, 90):
+        identifier.update(drive._replace(time=0.1 * k))
+    assert identifier._memory["rests"][0] == 0.0
+    assert identifier.estimate.instruments.pull_zero[1] > 0.8 * prior[1]
+
+
+def test_without_a_sinkage_sensor_on_soil_that_hardly_bears():
+    """What stands for the sinkage is one that a wheel can have."""
+    identifier = OnlineIdentifier(WHEEL, dataclasses.replace(BELIEF, sinkage_coefficient=3e4))
+    for k in range(1, 31):
+        identifier.update(STEADY._replace(sinkage=math.nan, time=0.1 * k))
+    assert identifier.estimate.refused == 0 and identifier.estimate.status != Status.NO_DATA
+
+
 STEADY = Readings(2.5, 0.28, 0.022, 14.0, 147.0, 5.5, 0.25)
 SOIL = SoilState(
     math.tan(math.radians(35.0)),

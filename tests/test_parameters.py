@@ -342,7 +342,9 @@ def test_a_file_changes_the_scenario_that_its_base_names(tmp_path):
     assert two.soils == {"dry_sand": 1.0}
     assert load_scenario({"base": "mixed"}) == load_scenario("mixed", {"name": "unnamed"})
     assert load_scenario(to_dict(one)) == one
-    (tmp_path / "self.yaml").write_text("base: self.yaml\n")
+    (tmp_path / "self.yaml").write_text(f"base: ../{tmp_path.name}/self.yaml\n")
+    for given in (two, to_dict(two)):  # a preset replaces numbers that were there
+        assert load_scenario(given, {"wheel": {"preset": "paper_vehicle"}}).wheel.radius > 0.6
     rover = tmp_path / "rover.yaml"
     rover.write_text("base: mars_rover\nvehicle: {mass: 600}\n")
     assert parameters.load_rover(rover).wheel.body_mass == 100.0
@@ -354,6 +356,7 @@ def test_a_file_changes_the_scenario_that_its_base_names(tmp_path):
         parameters.load_rover(own)
     for given, said in (
         (tmp_path / "self.yaml", "expected a file that is no change of this one"),
+        ("name: mixed\n" * 99, "unknown value 'name: mixed"),
         ({"base": "mixd"}, "base: .*did you mean 'mixed'"),
         ({"base": 3}, "base = 3: expected the name"),
         ({"base": "mars_rover"}, "one of configs/rovers"),
@@ -416,6 +419,11 @@ def test_radius_and_width_make_a_wheel():
     """With the ground pressure of the usual wheel, as fast a rim and as much pull of the weight."""
     usual = parameters.wheels()["planetary_rover"]
     small = parameters.Wheel(0.1, 0.08)
+    assert parameters.Wheel(np.float64(0.1), np.float64(0.08)) == small
+    assert parameters.Wheel(np.int64(1), np.float32(0.5)) == parameters.Wheel(1.0, 0.5)
+    refused(lambda: parameters.Wheel(10**400, 0.1), "Wheel.radius")
+    refused(lambda: load_scenario("mixed", [1]), "expected a mapping")
+    refused(lambda: parameters.load_rover("mars_rover", [1]), "expected a mapping")
     same = to_dict(parameters.Wheel(usual.radius, usual.width, source=usual.source))
     assert same == pytest.approx(to_dict(usual))
     assert small.no_load_speed * 0.1 == pytest.approx(usual.no_load_speed * usual.radius)

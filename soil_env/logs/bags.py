@@ -66,7 +66,7 @@ def bag_files(path: Path) -> list[Path]:
     """
     if path.is_file():
         return [path]
-    inside = sorted(path.iterdir(), key=_numbered)
+    inside = sorted(path.iterdir())
     found = [file for file in inside if file.suffix in SUFFIXES]
     if (path / "metadata.yaml").is_file():
         with suppress(ParameterError):
@@ -78,12 +78,6 @@ def bag_files(path: Path) -> list[Path]:
     if not found:
         raise ParameterError(f"{path}: no .mcap or .db3 file in this folder: expected a ROS 2 bag")
     return found
-
-
-def _numbered(file: Path) -> list[str | int]:
-    """Parts of a file's name to sort by, in which digits are a number: 2 comes before 10."""
-    parts = re.split(r"(\d+)", file.name)  # every other part is digits
-    return [int(part) if k % 2 else part for k, part in enumerate(parts)]
 
 
 def check_packed(file: Path) -> None:

@@ -1,10 +1,9 @@
 """A driven wheel with its motor, and the presets of configs/wheels.yaml."""
 
-import sys
+import math
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any, ClassVar
-
-import numpy as np
 
 from soil_env._io.loading import (
     Checked,
@@ -159,9 +158,10 @@ class Wheel(Checked, OnTyre):
 
 def _positive(number: object) -> bool:
     """True for a finite number above 0."""
-    if not isinstance(number, (int, float, np.integer, np.floating)):
+    try:
+        return isinstance(number, Real) and 0.0 < float(number) < math.inf
+    except OverflowError:
         return False
-    return bool(0.0 < number <= sys.float_info.max)
 
 
 #: Fields of `Wheel` that may be left out.

@@ -1,10 +1,15 @@
 """Files are written whole or not at all."""
 
 import contextlib
+import copy
+import errno
 import json
 import math
 import os
+import pickle
+from contextlib import nullcontext
 
+import filelock
 import numpy as np
 import pytest
 
@@ -21,6 +26,8 @@ from soil_env._io.files import (
     write_json,
     write_own,
 )
+from soil_env._io.loading import FieldError
+from soil_env.parameters import Wheel
 
 resource = pytest.importorskip("resource")
 
@@ -146,6 +153,23 @@ def test_a_folder_is_held_by_one(tmp_path):
         pass
     with alone(tmp_path):
         assert is_unused(tmp_path)
+
+
+@pytest.mark.parametrize("code, held", [(errno.ENOLCK, True), (errno.EACCES, False)])
+def test_a_disk_without_locks_is_written_without_one(tmp_path, monkeypatch, code, held):
+    def fails(*_, **__):
+        raise OSError(code, "no lock", "file")
+
+    monkeypatch.setattr(filelock.FileLock, "acquire", fails)
+    with nullcontext() if held else pytest.raises(OSError), alone(tmp_path):
+        assert held
+
+
+def test_an_error_of_a_field_is_copied_and_pickled():
+    with pytest.raises(FieldError) as caught:
+        Wheel(-1.0, 0.1)
+    for other in (copy.copy(caught.value), pickle.loads(pickle.dumps(caught.value))):
+        assert (str(other), other.name) == (str(caught.value), "radius")
 
 
 def test_a_name_that_is_no_utf_8_may_be_part_of_a_text(tmp_path):

@@ -90,6 +90,9 @@ def test_a_bag_of_several_files_with_and_without_metadata(tmp_path):
     (folder / "metadata.yaml").unlink()
     bare = read(folder)  # in the order of the names, which is not that of time
     assert bare.start == log.start and np.array_equal(bare.readings["speed"], log.readings["speed"])
+    many = json.dumps({"files": [{"path": f"a_{k}.mcap", "count": k} for k in range(9000)]})
+    (folder / "metadata.yaml").write_text(many)  # larger than a file of the user's may be
+    assert np.array_equal(read(folder).readings["speed"], log.readings["speed"])
     (folder / "a_1.mcap.zstd").write_bytes(b"")
     (folder / "metadata.yaml").write_text(json.dumps(named).replace("a_1.mcap", "a_1.mcap.zstd"))
     with pytest.raises(ParameterError, match="a_1.mcap.zstd"):
@@ -585,6 +588,7 @@ def test_a_csv_that_ends_in_the_middle_of_a_row(tmp_path):
     assert len(part) == 10 and any("a.csv" in note for note in part.notes)
     for content, named in (
         ("1.0,2,0.2\n" + rows, "1 of 11 rows cannot be read. Left out, first row 2"),
+        (rows + "1.0,2,0.2,0.02,5,7\n", "1 of 11 rows cannot be read. Left out, first row 12"),
         (rows + "1.0,2,fast,0.02,5\n", "1 of 11 cells .* row 12: speed = 'fast'"),
         (rows.replace("0.02", "0.\xff2", 1), "1 of 10 cells .* row 2: sinkage"),
     ):
@@ -595,6 +599,31 @@ def test_a_csv_that_ends_in_the_middle_of_a_row(tmp_path):
     for bad in ("2,0.2\n" * 12, "1.0,2,0.1,zero,5\n" * 11):
         with pytest.raises(ParameterError, match="11 of 21 .* cannot be read, first row 12"):
             read_csv(tmp_path, rows + bad)
+
+
+def test_a_table_as_a_spreadsheet_writes_it(tmp_path):
+    """Every cell in quotes, after a byte order mark."""
+    rows = "".join(lines(0.1 * np.arange(10)))
+    plain = read_csv(tmp_path, rows)
+    quoted = "\n".join(
+        ",".join(f'"{cell}"' for cell in line.split(",")) for line in (HEADER + rows).splitlines()
+    )
+    (tmp_path / "a.csv").write_text(quoted, encoding="utf-8-sig")
+    found = read(tmp_path / "a.csv", COLUMNS)
+    assert np.array_equal(found.readings["speed"], plain.readings["speed"])
+
+
+def test_a_slip_that_leads_to_no_speed_of_a_wheel_is_left_out(tmp_path):
+    """And a channel without any value counts as not measured."""
+    log_map = read_map(write_map(tmp_path, COLUMNS))
+    log = read_csv(tmp_path, "".join(lines(0.1 * np.arange(30))))
+    del log.readings["speed"]
+    log.readings["slip"] = np.where(np.arange(len(log)) == 9, -0.98, 0.2)
+    log.readings["wheel_speed"] = np.full(len(log), 20.0)
+    log.readings["torque"] = np.full(len(log), math.nan)
+    found = replay(log, log_map)
+    assert any("In 1 of" in text and "is none of a wheel" in text for text in found.warnings)
+    assert "torque" not in found.measured and "slip" in found.measured
 
 
 TIMES = {  # unit -> three stamps a tenth of a second apart

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.special import chdtr, chdtrc, fdtrc, ndtri, stdtrit
 from threadpoolctl import threadpool_limits
 
+from soil_env._io.loading import ParameterError
 from soil_env.measurement.doubts import one_load
 from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import MEASURED, UNITS, Table
