@@ -11,7 +11,16 @@ import pytest
 from soil_env.discovery.corrected import MOST, corrected, least_sure, model_of
 from soil_env.discovery.prediction import fit_prediction
 from soil_env.parameters import Noise
-from tests.discovery.files import LOADS, NOISE, PLANTED, SETUP, changed, problem_of, table_text
+from tests.discovery.files import (
+    LOADS,
+    NOISE,
+    PLANTED,
+    SETUP,
+    changed,
+    problem_of,
+    table_text,
+    with_column,
+)
 from tests.simulation import wheels
 
 
@@ -50,6 +59,13 @@ def test_an_error_of_the_rig_that_is_named_is_not_in_the_model(prediction, model
     assert np.subtract(*means) == pytest.approx(offset)
     change = model.predict(at).drawbar_pull - without.predict(at).drawbar_pull
     assert change == pytest.approx(offset, abs=0.15)  # between the nodes of two tables
+
+
+def test_lugs_of_the_rows_are_those_of_the_model(tmp_path):
+    """Where the setup does not give their height."""
+    text = with_column(table_text({}), "grouser_height", lambda row: 0.02)
+    p = problem_of(tmp_path, text, SETUP.replace(", grouser_height: 0.01", ""))
+    assert p.data.wheel.grouser_height == 0.02
 
 
 def test_the_least_sure_conditions_are_beyond_the_table(prediction):

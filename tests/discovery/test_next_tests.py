@@ -18,6 +18,7 @@ from soil_env.discovery.next_tests import (
     LEAST,
     SLIPS,
     NextTest,
+    _could_show,
     conditions,
     decided,
     information,
@@ -175,6 +176,13 @@ def test_a_rig_is_asked_for_what_it_has_and_for_what_costs_little(case):
     dear = proposed(with_rig(p, **rig, cost={"wheel": 100.0}), candidates, (0.6, 0.4))
     kept = asked("wheel_radius", [t for t in dear if t.cost == 1.0])
     assert kept <= {last["wheel_radius"]} and sum(t.cost for t in dear) <= 104.0
+
+
+def test_no_run_is_proposed_for_what_the_setup_rules_out(case):
+    p, _ = case
+    assert _could_show(p, "multipass")
+    checked = dataclasses.replace(p.data.setup, checked=("multipass",))
+    assert not _could_show(with_data(p, setup=checked), "multipass")
 
 
 @pytest.mark.parametrize(

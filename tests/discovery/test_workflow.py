@@ -28,6 +28,7 @@ from tests.discovery.files import (
     world,
     write_files,
 )
+from tests.refusals import refused
 
 
 def test_the_planted_effect_is_named(planted):
@@ -37,6 +38,20 @@ def test_the_planted_effect_is_named(planted):
     assert planted.closed > 0.7
     assert all(g.after <= g.before + 0.1 * g.noise_floor for g in planted.gap.values())
     assert planted.where[0].channel == "sinkage" and planted.where[0].p_value < 1e-3
+
+
+def test_a_soil_that_is_known_has_the_effect_that_it_lacks_named(tmp_path):
+    """Nothing of it is fitted."""
+    soil = """\
+soil: {friction_angle_deg: 31, cohesion: 3500, shear_modulus: 0.028, sinkage_coefficient: 740000,
+  sinkage_exponent: 0.64, density: 1600}
+"""
+    head, rest = SETUP.split("soil:")
+    setup = head + soil + "noise:" + rest.split("noise:")[1]
+    files = write_files(tmp_path, table_text(PLANTED), setup)
+    found = run(*files, leave_out=False)
+    assert [e.name for e in found.effects] == ["slip_sinkage"]
+    refused(lambda: run(*files, goal="prediction"), "goal: unknown value 'prediction'")
 
 
 def test_each_of_two_effects_is_resembled_by_itself(planted):

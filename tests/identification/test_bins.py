@@ -57,6 +57,13 @@ def test_rows_at_few_conditions_are_binned_from_a_hundred_on(tmp_path):
     assert binned(held.only(np.arange(100)), data.setup).words == ""
 
 
+def test_repeats_that_alternate_are_no_series(tmp_path):
+    """Their errors do not go on, and so they keep the noise of the setup."""
+    data = dense(tmp_path, 180)
+    mixed = dataclasses.replace(data.table, slip=np.tile([0.05, 0.2, 0.4], 60))
+    assert binned(mixed, data.setup) == (mixed, data.setup, "")
+
+
 def test_a_condition_that_is_held_is_one_bin_each_time(tmp_path):
     """Ten stretches of 60 rows whose slip and load scatter: a bin cut across a stretch would share
     its errors with the next one. The slips of the last three are those of the first.

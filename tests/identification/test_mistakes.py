@@ -137,6 +137,34 @@ def test_a_force_that_does_not_change_says_nothing_of_its_unit(tmp_path, column)
         assert not math.isnan(mistakes._by_rises(rises, data, other))
 
 
+def test_an_empty_cell_leaves_the_other_rows_their_rise(tmp_path):
+    data, noise = usual(tmp_path)
+    before = mistakes._rises(data, noise)
+    data.y[3, 2] = math.nan
+    noise.used[3, 2] = data.measured[3, 2] = False
+    assert mistakes._rises(data, noise) == pytest.approx(before, rel=0.1)
+
+
+def test_a_channel_that_does_not_change_is_examined_without_a_given_noise(tmp_path):
+    """As the pull of a wheel that climbs freely; or all torques but one are missing."""
+    pull = changed(table_text({}), "drawbar_pull", lambda x: 0.0)
+    (said,) = examined(tmp_path, pull, NOISELESS)
+    assert "drawbar_pull is 0 in every row" in said
+    once = with_column(
+        table_text({}), "torque", lambda row: row["torque"] if row["slip"] == 0.05 else ""
+    )
+    assert "noise.torque" not in "".join(examined(tmp_path, once, NOISELESS))
+
+
+def test_exchanged_columns_have_the_noise_of_their_values(tmp_path):
+    text = table_text({}).splitlines()
+    rows = [f"{line},1.0,0.1" for line in text[1:]]
+    text = "\n".join([f"{text[0]},drawbar_pull_sd,torque_sd", *rows]) + "\n"
+    data = data_of(tmp_path, text, NOISELESS)
+    (other,) = [r for r in mistakes.readings(data.table, data.setup) if r.name == "columns"]
+    assert set(other.table.drawbar_pull_sd) == {0.1} and set(other.table.torque_sd) == {1.0}
+
+
 def test_zeros_are_read_in_no_other_unit(tmp_path):
     """A wheel that climbs freely pulls nothing, in newtons and in kilograms alike."""
     text = with_column(

@@ -77,6 +77,17 @@ def test_a_sinkage_beyond_the_radius_is_a_wrong_cell_or_a_wrong_unit(tmp_path):
             read_table(tmp_path / "data.csv", SetupWheel(0.15, 0.12))
 
 
+def test_a_table_with_a_date_and_rows_without_a_value(tmp_path):
+    """As a spreadsheet in German writes it: neither date nor run is a number, and rows that say
+    nothing may be alike.
+    """
+    lines = ("date;run;slip;load;torque", "12.03.2024;1,5;0,1;100;2,5", "1.2;2.5;0,2;100;3")
+    (tmp_path / "data.csv").write_text("\n".join([*lines, ";;0,3;90;", ";;0,3;90;"]) + "\n")
+    t = read_table(tmp_path / "data.csv", SetupWheel(0.15, 0.12), ("date",))
+    assert list(t.slip) == [0.1, 0.2] and list(t.torque) == [2.5, 3.0]
+    assert list(t.run) == ["1,5", "2.5"]
+
+
 @pytest.mark.parametrize(
     "lines, words",
     [
