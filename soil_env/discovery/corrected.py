@@ -75,7 +75,7 @@ def model_of(problem: Problem, choices: Sequence[Choice], values: Values) -> Whe
         grade = effects.get("grade", {})
         effects["grade"] = grade | {"share": 1.0 + grade.get("share", 0.0)}
     wheel = problem.data.wheel
-    if setup.wheel.grouser_height is None and "grousers" not in effects:
+    if problem.data.lugs_unknown and "grousers" not in effects:
         wheel = replace(wheel, grouser_height=0.0)  # a height was assumed only to try grousers
     of_soil = Soil(
         **numbers,

@@ -65,7 +65,8 @@ def test_lugs_of_the_rows_are_those_of_the_model(tmp_path):
     """Where the setup does not give their height."""
     text = with_column(table_text({}), "grouser_height", lambda row: 0.02)
     p = problem_of(tmp_path, text, SETUP.replace(", grouser_height: 0.01", ""))
-    assert p.data.wheel.grouser_height == 0.02
+    assert p.data.wheel.grouser_height == 0.02 and not p.data.lugs_unknown
+    assert model_of(p, (), p.fit(()).parameters()).wheel.grouser_height == 0.02
 
 
 def test_the_least_sure_conditions_are_beyond_the_table(prediction):

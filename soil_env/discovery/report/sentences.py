@@ -383,8 +383,7 @@ def cautions(report: Report) -> list[str]:
             for n, g in report.gap.items()
             if report.effects and g.after > LEFT * g.noise_floor
         ],
-        lugs_unknown=setup.wheel.grouser_height is None
-        and np.isnan(problem.data.table.grouser_height).all(),
+        lugs_unknown=problem.data.lugs_unknown,
     )
     lines = [*report.taken, *map(str.strip, text.splitlines())]
     return [line[:1].upper() + line[1:] for line in lines if line]

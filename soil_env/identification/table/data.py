@@ -71,7 +71,7 @@ class Data:
 
     table: Table
     setup: Setup
-    wheel: ModelWheel  # of the setup; `UNKNOWN_HEIGHT` of lugs where it says nothing of them
+    wheel: ModelWheel  # of the setup, with the lugs of the rows where it says nothing of them
     rows: Rows  # [N] with slip by the rim; the speed 0 where the table has none
     y: np.ndarray  # [N, 3] measured values [m, N, N m]; nan where not measured
     varied: dict[str, Factor]  # conditions that vary by themselves; slip first
@@ -84,6 +84,12 @@ class Data:
         """[N, 3] True where a value was measured."""
         known: np.ndarray = np.isfinite(self.y)
         return known
+
+    @property
+    def lugs_unknown(self) -> bool:
+        """True where neither setup nor rows give a height of lugs, so that one is assumed."""
+        bare = np.isnan(self.table.grouser_height)
+        return self.setup.wheel.grouser_height is None and bool(np.all(bare))
 
     @property
     def conditions(self) -> dict[str, np.ndarray]:
@@ -150,10 +156,10 @@ def conditions_of(rows: Rows) -> dict[str, np.ndarray]:
 def prepare(table: Table, setup: Setup) -> Data:
     """`Data` of a table and its setup.
 
-    Where the setup gives no height of grousers it is the median of the rows, and without any
-    `UNKNOWN_HEIGHT`. Without any speed it is 0. Of the
-    conditions that vary, those that follow from others are no factors. Raises `ParameterError` for
-    one slip only, for heights or speeds that only some rows have, and for impossible units.
+    Where the setup gives no height of lugs it is the median of the rows, and without any
+    `UNKNOWN_HEIGHT` of the radius. Without any speed it is 0. Of the conditions that vary, those
+    that follow from others are no factors. Raises `ParameterError` for one slip only, for heights
+    or speeds that only some rows have, and for impossible units.
     """
     bare = np.isnan(table.grouser_height)
     height = setup.wheel.grouser_height
