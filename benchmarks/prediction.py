@@ -238,7 +238,7 @@ def _straight_lines(problem: Problem, slip: np.ndarray) -> np.ndarray:
 
 def _rms(off: np.ndarray, axis: int | None = 0) -> np.ndarray:
     """Root mean square of the errors `off` [N, 3] of each channel, or of all for the axis None; NaN
-    where nothing was measured.
+    where none is known.
     """
     known = np.isfinite(off)
     count = known.sum(axis=axis)

@@ -1,8 +1,8 @@
 """Worker of `benchmarks.throughput`: environments under random actions, timed on request.
 
-It runs as a script in the interpreter of any checkout, and uses nothing but its public
-environments. It prints "ready" once all is compiled; then each line on stdin is answered by steps a
-second of each environment, in order.
+It runs as a script in the interpreter of any checkout, and uses only the environments and
+`WheelSoilModel` of that. It prints "ready" once all is compiled; then each line on stdin is
+answered by steps a second of each environment, in order.
 """
 
 import itertools
@@ -117,12 +117,13 @@ def main() -> None:
     stdin.
 
     Arguments: size of vector environments, threads, seconds of a measurement, names of
-    `ENVIRONMENTS`. Each answer is a line: a JSON list of the `rate` of each.
+    `ENVIRONMENTS`. Each answer is a line: a JSON list of the `rate` of each [steps of single
+    environments/s].
     """
     size, threads, seconds, *names = sys.argv[1:]
     runners = [runner(name, int(size), int(threads)) for name in names]
     for each in runners:
-        each.step()
+        each.step()  # compiles, so that no rate includes it
     print("ready", flush=True)
     for _ in sys.stdin:
         print(json.dumps([rate(each, float(seconds)) for each in runners]), flush=True)

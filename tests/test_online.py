@@ -97,11 +97,11 @@ def left_by_sinkage(scenario):
 NO_FORCE = dict.fromkeys(("torque", "drawbar_pull", "motor_torque", "acceleration"), math.nan)
 
 
-def known(drive, **missing):
+def sd_over_prior(drive, **missing):
     """(least standard deviations of phi, ln K, ln S and the digging gain over those of the prior,
     identifier).
 
-    Over 100 periods in one soil, with fields replaced.
+    Over 100 periods in one soil, with the fields `missing` replaced in every reading.
     """
     scenario, readings, _ = drive
     identifier = OnlineIdentifier.of_scenario(scenario)
@@ -144,8 +144,8 @@ def test_it_is_the_identifier_of_the_environment(drive):
 @pytest.mark.parametrize("name", ["torque", "drawbar_pull", "load"])
 def test_without_one_channel_it_is_no_surer(short_drives, name):
     """In the mean of courses; of another estimate, and so not less to the last digit."""
-    whole = np.mean([known(drive)[0] for drive in short_drives], axis=0)
-    part = np.mean([known(drive, **{name: math.nan})[0] for drive in short_drives], axis=0)
+    whole = np.mean([sd_over_prior(drive)[0] for drive in short_drives], axis=0)
+    part = np.mean([sd_over_prior(drive, **{name: math.nan})[0] for drive in short_drives], axis=0)
     assert 0.9 * whole[1] < part[1] < 0.6
 
 
@@ -153,14 +153,13 @@ def test_without_a_channel_less_is_known(drive):
     """Order of the uncertainties: little is known of shear where neither pull nor torque is
     read.
     """
-    whole = known(drive)[0]
-    none = known(drive, **NO_FORCE)[0]
+    whole = sd_over_prior(drive)[0]
+    none = sd_over_prior(drive, **NO_FORCE)[0]
     assert none[1] > 0.65 and none[2] < 0.7
     for name in ("motor_torque", "acceleration"):
-        assert (
-            known(drive, **{n: v for n, v in NO_FORCE.items() if n != name})[0][1] < 0.7 * none[1]
-        )
-    no_sinkage = known(drive, sinkage=math.nan)[0]
+        others = {n: v for n, v in NO_FORCE.items() if n != name}
+        assert sd_over_prior(drive, **others)[0][1] < 0.7 * none[1]
+    no_sinkage = sd_over_prior(drive, sinkage=math.nan)[0]
     assert whole[0] < no_sinkage[0] < 0.9 and 0.9 * whole[1] < no_sinkage[1] < 0.6
     assert no_sinkage[2] > 1.5 * whole[2]
 
@@ -169,7 +168,7 @@ def test_without_any_force_nothing_is_known_but_the_stiffness(drive):
     """Load known by the mass of the wheel alone, which is doubted by 5 %; the mass stays as it
     is.
     """
-    sd, identifier = known(drive, load=math.nan, **NO_FORCE)
+    sd, identifier = sd_over_prior(drive, load=math.nan, **NO_FORCE)
     assert sd[2] < 0.8
     assert np.all(sd[:2] > 0.9 * left_by_sinkage(drive[0])[[TANGENT, LN_K]])
     mass = drive[0].wheel.body_mass

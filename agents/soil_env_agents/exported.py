@@ -4,7 +4,7 @@ import json
 import math
 from pathlib import Path
 
-from soil_env._io.loading import ParameterError, load, one_line, truth
+from soil_env._io.loading import ParameterError, load, one_line, truth, unknown_value
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import VARIANTS, check_version, layout
 
@@ -87,11 +87,13 @@ class ExportedAgent(inputs.Observing):
             ) from None
 
     def _checked_layout(self) -> inputs.Layout:
-        """The observation that the file reads; ParameterError if this version's of the same name is
-        another one.
+        """The observation that the file reads; ParameterError if this version has none of its name,
+        or one with other entries.
         """
+        if self.variant not in VARIANTS:
+            raise unknown_value(self.variant, VARIANTS, f"{self.path}: observation")
         entries = [(e["name"], e["low"], e["high"]) for e in self.content["inputs"]]
-        own = layout(self.variant, self.scenario.course) if self.variant in VARIANTS else ()
+        own = layout(self.variant, self.scenario.course)
         known = [(e.name, e.low, e.high) for e in own]
         if entries != known:
             raise ParameterError(

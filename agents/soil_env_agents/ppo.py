@@ -103,7 +103,8 @@ class Schedules(BaseCallback):
 def save(model: PPO, path: Path) -> None:
     """Save an agent of `build` to `path` (.zip) by an atomic write, with what `resume` needs.
 
-    It is SB3's zip with the `Info` as one more member, whose `model` is that of the first world.
+    It is SB3's zip with the `Info` as one more member. The `Info` keeps the effects of the first
+    world alone.
     """
     env = model.get_vec_normalize_env()
     world = env.get_attr("model")[0]

@@ -245,8 +245,10 @@ def estimates(known: Any, scenario: Scenario) -> dict[str, np.ndarray]:
 
 
 def masked(info: Info, which: np.ndarray) -> Info:
-    """An info of arrays [vehicles, ...] or dicts of them: with 0 where `which` [vehicles] bool is
-    False, and beside each key `_key` with `which`.
+    """An info of arrays [vehicles] or dicts of them, as Gymnasium's vector environments give one of
+    some of their members.
+
+    It is 0 where `which` [vehicles] bool is False, and has `which` beside each key, as `_key`.
     """
     out: Info = {}
     for key, value in info.items():

@@ -162,8 +162,8 @@ class SoilRoverEnv(CourseEnv):
     The wheels carry the vehicle's mass in equal shares, so `wheel={"body_mass": ...}` is refused,
     as are terrain classes. Unknown keys and values out of range raise `soil_env.ParameterError`.
 
-    `model`: as for SoilWheel-v0. For the effect multipass the wheel of the second axle makes the
-    second pass over a rut, and so on.
+    `model`, `scatter`: as for SoilWheel-v0. For the effect multipass the wheel of the second axle
+    makes the second pass over a rut, and so on.
 
     ## Version history
     * v0: first version. It has not been released, so that laws still change under this number.

@@ -110,15 +110,15 @@ def runs_of(returns, finished=True):
 
 
 def test_a_comparison_of_known_runs():
-    """Two training seeds of `a`, one of `b`, whose return is 1 less on every course; a quarter of
-    `a` is bogged.
+    """Two training seeds of `a`, one of `b`, whose return is 1 below their mean on every course; a
+    quarter of `a` is bogged.
     """
     rng = np.random.default_rng(0)
     scenario = load_scenario("mixed")
     returns = rng.normal(5.0, 2.0, (2, 40))
-    ends = np.arange(40) >= 10
+    finished = np.arange(40) >= 10
     runs = {
-        "a": [runs_of(row, ends) for row in returns],
+        "a": [runs_of(row, finished) for row in returns],
         "b": [runs_of(returns.mean(axis=0) - 1.0)],
     }
     found = comparing.comparison(scenario, 3, runs, resamples=400)

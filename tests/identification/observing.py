@@ -124,7 +124,7 @@ IMAGE = record(*Image._fields)
 
 @kept
 def _see_border(memory, images, camera_sd, setting, work):
-    return borders.see_border(memory[0], images[0], camera_sd, setting[0], work[0])
+    return borders.see_border(memory[0], images[0], 0.0, camera_sd, setting[0], work[0])
 
 
 @kept

@@ -124,3 +124,25 @@ def test_knowledge_that_is_gained_is_paid():
         gained += after - before
         before = after
     assert gained > 0.1
+
+
+def test_a_border_in_sight_begins_where_the_camera_sees_it():
+    """From the place of the wheel at the end of the period in which the image is taken."""
+    quiet = {"speed": 0.0, "wheel_speed": 0.0, "speed_gain": 0.0, "wheel_speed_gain": 0.0}
+    changes = {"camera": {"border_noise": 0.0}, "noise": quiet, "control": {"repeat": 1}}
+    found = 0
+    for seed in range(6):
+        sim = started(load_scenario("two_lines", changes), seed)
+        borders = 0
+        for _ in range(300):
+            sim.step(0, 0.5)
+            memory = sim._on_board.memory["identifier"][0, 0]
+            sample = sim.worlds.samples[0, 0]
+            if memory["borders"] > borders and memory["border_variance"] < 0.05**2:
+                ahead = memory["border"] - memory["place"]
+                assert ahead == pytest.approx(sample["left"], abs=0.2 * 0.1 * sample["speed"])
+                found += 1
+            borders = memory["borders"]
+            if sim.worlds.cause[0]:
+                break
+    assert found > 3

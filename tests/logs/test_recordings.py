@@ -72,8 +72,8 @@ def test_the_identifier_on_the_bag_gives_what_it_gave_online(drives, storage):
 
 
 def test_a_bag_of_several_files_with_and_without_metadata(tmp_path):
-    """Split by the recorder, whose metadata names the files in order; then without it, as after a
-    power cut.
+    """Split by the recorder, whose metadata names the files in order; without it, as after a power
+    cut, or where it has more values than a file may; a file compressed as a whole is refused.
     """
     folder = tmp_path / "bag"
     folder.mkdir()
@@ -90,8 +90,9 @@ def test_a_bag_of_several_files_with_and_without_metadata(tmp_path):
     (folder / "metadata.yaml").unlink()
     bare = read(folder)  # in the order of the names, which is not that of time
     assert bare.start == log.start and np.array_equal(bare.readings["speed"], log.readings["speed"])
-    many = json.dumps({"files": [{"path": f"a_{k}.mcap", "count": k} for k in range(9000)]})
-    (folder / "metadata.yaml").write_text(many)  # larger than a file of the user's may be
+    gone = [f"gone_{k}.mcap" for k in range(25_000)]
+    many = {"rosbag2_bagfile_information": {"relative_file_paths": gone}}
+    (folder / "metadata.yaml").write_text(json.dumps(many))
     assert np.array_equal(read(folder).readings["speed"], log.readings["speed"])
     (folder / "a_1.mcap.zstd").write_bytes(b"")
     (folder / "metadata.yaml").write_text(json.dumps(named).replace("a_1.mcap", "a_1.mcap.zstd"))

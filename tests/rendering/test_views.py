@@ -68,11 +68,13 @@ def hubs(simulation):
 
 
 def ring(picture, x, y, radius):
-    """Share of a wheel's rim, by angle, that is drawn in the colour of the rim."""
-    a = np.linspace(0.0, 2.0 * math.pi, 120, endpoint=False)
-    out = radius * np.array([[0.94], [0.97]])
-    rows = np.rint(y + out * np.sin(a)).astype(int)
-    columns = np.rint(x + out * np.cos(a)).astype(int)
+    """Share of a wheel's rim, by angle, that has the colour of the rim at one of two radii in it;
+    centre and radius in pixels.
+    """
+    angle = np.linspace(0.0, 2.0 * math.pi, 120, endpoint=False)
+    radii = radius * np.array([[0.94], [0.97]])
+    rows = np.rint(y + radii * np.sin(angle)).astype(int)
+    columns = np.rint(x + radii * np.cos(angle)).astype(int)
     return near(picture[rows, columns], canvas.RIM, 40).any(axis=0).mean()
 
 

@@ -34,7 +34,7 @@ from soil_env.terramechanics.steady import DEEPEST
 from soil_env.terramechanics.validity import in_words
 
 GUESSED = 1.5  # sd of a prediction over the largest within the table, from which it is a guess
-MENTIONED = 0.05  # least probability of a remainder beside a name that is mentioned
+MENTIONED = 0.05  # least probability of an effect or of a remainder that a sentence mentions
 LITTLE = 0.03  # rise of the probability of the right candidate below which runs would hardly help
 SCATTERED = 1.2  # [noise] scatter of the values that is worth a caution
 CAUTION_AT = 3.0  # [sd of the setup] of a soil parameter from its value there: worth a caution
@@ -91,8 +91,8 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def times(log: float) -> str:
-    """A factor of which the natural logarithm `log` is given; below 0.01 and from 1000 on it is a
-    power of ten.
+    """A factor of which the natural logarithm `log` is given; below 0.01 and from 1000 on it is the
+    nearest power of ten.
     """
     decades = log / math.log(10.0)
     return f"{figure(10.0**decades)} times" if -2.0 <= decades < 3.0 else f"10^{decades:.0f} times"
@@ -407,10 +407,12 @@ def added(report: Report) -> str:
 
 
 def if_laws_err(report: Report) -> str:
-    """Sentence on the most probable effects, and on the named ones if the laws err by the largest
-    of `LAW_ERRORS`, or else on the most probable one then; "" where no effect is `MENTIONED`.
+    """Sentence with up to three of the most probable effects, then probabilities if the laws err by
+    the largest of `LAW_ERRORS`: of the named effects, else of the one most probable then, or that
+    none reaches `NAMED`. "" where no effect is `MENTIONED`.
     """
-    ranks = [r for r in report.finding.ranking if r.probability >= MENTIONED][:3]
+    ranked = sorted(report.finding.ranking, key=lambda r: -r.probability)
+    ranks = [r for r in ranked if r.probability >= MENTIONED][:3]
     if not ranks:
         return ""
     said = joined(f"{title(r.name)} ({sure(r.probability)})" for r in ranks)
@@ -418,7 +420,7 @@ def if_laws_err(report: Report) -> str:
     named = [r for r in report.finding.ranking if r.name in report.finding.names] or [first]
     then = joined(f"{title(r.name)} has {sure(r.if_laws_err[-1])}" for r in named)
     if first.if_laws_err[-1] < NAMED:
-        then = f"none exceeds {percent(first.if_laws_err[-1])}: then these runs name nothing"
+        then = f"none exceeds {sure(first.if_laws_err[-1])}: then these runs name nothing"
     return f"Most probable: {said}; if the laws err by {percent(LAW_ERRORS[-1])}, {then}."
 
 

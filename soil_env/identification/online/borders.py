@@ -82,18 +82,18 @@ def begin_border(memory, setting, work, place, variance):
 
 
 @inlined
-def see_border(memory, sample, camera_sd, setting, work):
-    """Begin a border, and an empty point, where a camera sees another class of ground begin within
-    half a border; True if it did.
+def see_border(memory, sample, rolled, camera_sd, setting, work):
+    """Begin a border, where a camera sees another class of ground begin within half the length of a
+    border, and empty the open point; True if it did.
 
-    On a border and before the first point none begins. `sample`: an `Image`; `camera_sd` [m]:
-    standard deviation of the place of a border in it.
+    On a border and before the first point none begins. `sample`: an `Image`, taken `rolled` [m]
+    ahead of the place of `memory`; `camera_sd` [m]: standard deviation of the place of a border.
     """
     following = sample.label_0 if sample.taken == 0.0 else sample.label_1
     in_sight = sample.seen > 0.0 and sample.left < 0.5 * setting.border
     if memory.crossing > 0.0 or memory.points == 0 or not in_sight or following == sample.here:
         return False
-    begin_border(memory, setting, work, memory.place + sample.left, camera_sd**2)
+    begin_border(memory, setting, work, memory.place + rolled + sample.left, camera_sd**2)
     memory.open[0] = setting.blank[0].open[0]
     return True
 

@@ -143,9 +143,10 @@ def _apply_step(memory, setting, work, size):
 @compiled
 def _fall(work, size, length, share):
     """Fall of chi-squared of the cells over a `share` of `work.step`, as the normal equations
-    predict it: that of cells and prior together, less that of the prior.
+    predict it for `size` unknowns: that of cells and prior together, less that of the prior.
 
-    `length`: step times gradient, the squared length of the whole step in standard deviations.
+    Gradients are minus half the slope of chi-squared. `length`: step times gradient, the squared
+    length of the whole step in standard deviations.
     """
     step = work.step
     fall = share * (2.0 - share) * length

@@ -337,6 +337,6 @@ class ImmobilisationWarning:
         assessed = Assessed(
             np.empty((len(rows), len(INPUTS))), np.empty((len(rows), len(HORIZONS)))
         )
-        whole = map(np.ascontiguousarray, known)  # views would be compiled anew
+        whole = map(np.ascontiguousarray, known)  # numba would compile anew for views
         _assess(rows, *whole, self.setting, self._net, assessed)
         return assessed

@@ -106,7 +106,8 @@ class OnlineIdentifier:
     are NaN, now and then or always; docs/guide/online.md says what stands for each.
 
     An instance is not for several threads at once; it can be pickled and copied. Raises TypeError
-    for arguments of other types, `ParameterError` for numbers out of range.
+    for a wheel, belief or noise of another class, `ParameterError` for other values that are no
+    number in range, and for a belief of the method "none".
     """
 
     def __init__(
@@ -134,7 +135,7 @@ class OnlineIdentifier:
             self._set(
                 Scenario(
                     wheel,
-                    {"dry_sand": 1.0},  # a scenario has one; nothing here reads it
+                    {"dry_sand": 1.0},  # a scenario needs one; no identifier uses it
                     gravity=gravity,
                     relaxation=relaxation,
                     belief=belief,

@@ -367,7 +367,8 @@ def _take_period(vehicle, samples, period, board, work):
     if board.warns > 0:
         average(vehicle.recent, front, front.halted, numbers, board.warning[0])
     if board.camera > 0:
-        see_border(memory, front, board.border_sd, numbers, work)
+        rolled = front.speed * numbers.period  # in this period, which `observe` adds to the place
+        see_border(memory, front, rolled, board.border_sd, numbers, work)
     furthest = HELD  # largest outcome of all wheels
     for a in range(board.axles):
         if a > 0:
@@ -385,7 +386,8 @@ def _take_period(vehicle, samples, period, board, work):
             remember_class(vehicle.classes[0], int(front.here), int(front.patch), memory, numbers)
         _see_ahead(vehicle, front, board)
     if board.pooled > 0:
-        # after a new point what all know of the ground under every wheel, else on borders only
+        # A new point of any wheel renews what all know of the ground under every wheel. Without
+        # one only wheels on a border renew it, since the blend of their soils moves with them.
         for a in range(board.axles):
             wheel = vehicle.identifier[a]
             if furthest == RENEWED or wheel.crossing > 0.0:

@@ -48,7 +48,7 @@ LESS = 0.97  # times the misfit of the table as it is, below which a reading is 
 MAYBE = 4.5  # log of the evidence, from which another reading is mentioned as a possible one
 #: Times smaller that the mean square above the noise gets under a reading that is told.
 BETTER = 1.5
-CORRECTIONS = 4  # fits, each after slip and load that have noise were corrected
+FITS = 4  # of a reading; slip and load that have noise are corrected between them
 FEWEST_ROWS = 3  # that have to agree against a wrong one
 SMALL = 8  # rows up to which a table is small: every row is tried as the wrong one
 CANDIDATES = 2  # rows of a larger table that are tried, those furthest off a robust fit; own choice
@@ -270,8 +270,8 @@ def _fit(
     start: np.ndarray | None = None,
     search: bool = False,
 ) -> _Fit:
-    """Fit of a reading under noise alone, from `start`, from the prior mean, or by a `search` from
-    several starts.
+    """Fit of a reading with noise and without errors of the laws: from `start`, else from the prior
+    mean, or by a `search` from several starts, which leaves out `start`.
 
     `sd` and `used` as in `_problem`. Slip and load that have noise are corrected between fits.
     """
@@ -280,7 +280,7 @@ def _fit(
         u = problem.search()
     else:
         u = np.zeros(len(problem.unknowns)) if start is None else start
-    for _ in range(CORRECTIONS if np.any(problem.noise[:2] > 0.0) else 1):
+    for _ in range(FITS if np.any(problem.noise[:2] > 0.0) else 1):
         problem.correct(u)
         u, cost = problem.minimise(u, **COARSE)
     e = problem.by_noise(problem.residual(u))[problem.measured.ravel()]

@@ -114,7 +114,7 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
         repeat_sd, repeat_freedom = repeat_noise(cleaned, model)  # without the outliers
         sd[repeats] = repeat_sd[repeats]
         freedom[repeats] = repeat_freedom[repeats]
-    _refuse_no_scatter(data, used, sd, origin)
+    _check_scatter(data, used, sd, origin)
     return NoiseEstimate(np.maximum(sd, SMALLEST_SD), freedom, tuple(origin), used, alone)
 
 
@@ -277,11 +277,12 @@ def _studentised(spread: np.ndarray, square: float, freedom: int) -> np.ndarray:
     return np.asarray(-special.ndtri(np.maximum(tail, LEAST_TAIL)))
 
 
-def _refuse_no_scatter(data: Data, used: np.ndarray, sd: np.ndarray, origin: list[str]) -> None:
+def _check_scatter(data: Data, used: np.ndarray, sd: np.ndarray, origin: list[str]) -> None:
     """Raise `ParameterError` where noise `sd` [3] was taken from values that are rounded or
     computed.
 
-    Then it is at most `LEAST_NOISE` of their root mean square, or all values are the same.
+    Values count as such where this noise is at most `LEAST_NOISE` of their root mean square, or all
+    are the same.
     """
     for j, name in enumerate(CHANNELS):
         if origin[j] not in ("repeats", "scatter"):
