@@ -32,7 +32,7 @@ class RoverInfos(VehicleInfos):
     def after_step(self, reset: np.ndarray) -> None:
         """Nothing to do after a step: estimates are taken as they are."""
 
-    renew = after_step
+    mark_stale = after_step
 
     def _groups(self) -> Info:
         """States of body and axles of all rovers, and the estimate of each axle if the kind asks

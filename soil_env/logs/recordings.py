@@ -415,7 +415,7 @@ def _remarks(found: Aligned, log_map: LogMap, limits: dict[str, float]) -> list[
             lines.append(
                 f"{place} comes less often than every {found.period:g} s. {c.interpolated:.0%} of "
                 "its values are interpolated, and they count as readings: set a longer period in "
-                "the map."
+                "the map, and windows of four or more of it."
             )
     # Neighbouring steps, which are no gap, may be further apart than `max_gap`.
     longest = max(log_map.max_gap, 1.5 * found.period)

@@ -253,9 +253,10 @@ def _grounds(
     not that of the ground before).
 
     `borders` [N]: count of those found so far. They and gaps part the drive. A part shorter than
-    `_LEAST_PART` is joined to the next, as a long border is found twice, unless a gap ends it. A
-    part that differs with a probability below `DIFFERS` belongs to the ground before, and the two
-    estimates are pooled. The first part after a gap is a ground of its own, with NaN.
+    `_LEAST_PART`, as a long border is found twice, or without an estimate is joined to the next,
+    or to the one before where a gap ends it. A part that differs with a probability below `DIFFERS`
+    belongs to the ground before, and the two estimates are pooled. The first part after a gap is a
+    ground of its own, with NaN.
     """
     where = log.travelled(log_map.wheel.radius)
     border = log_map.belief.border  # [m] its length
@@ -272,11 +273,16 @@ def _grounds(
                 continue
             settled = np.searchsorted(where, where[end] - _LEFT * border, side="right") - 1
         here = _last_known(values, status, begins, max(settled, begins), prior)
-        probability = math.nan if before is None else _probability_of_two(before, here)
-        if before is not None and probability < DIFFERS:
-            here = _pooled(before, here)
-        else:
-            differs.append(probability)
+        if here is None and not gap[end]:
+            continue
+        if before is None:
+            differs.append(math.nan)
+        elif here is not None:
+            probability = _probability_of_two(before, here)
+            if probability < DIFFERS:
+                here = _pooled(before, here)
+            else:
+                differs.append(probability)
         out[begins : end + 1] = len(differs)
         begins = end + 1
         before = None if gap[end] else here
@@ -285,17 +291,17 @@ def _grounds(
 
 def _last_known(
     values: dict[str, np.ndarray], status: np.ndarray, first: int, last: int, prior: Estimate
-) -> np.ndarray:
+) -> np.ndarray | None:
     """Last estimate of the steps `first` to `last` relative to the prior [2, 4], for `_COMPARED`.
 
     The first row has deviations from the prior in its sds, of the logarithm where the sd is
-    relative. The second has variances over the prior's, at most 1. Without an estimate in these
-    steps it is the prior: 0 and 1.
+    relative. The second has variances over the prior's, at most 1. None without an estimate in
+    these steps.
     """
     known = (status != Status.NO_DATA) & np.isfinite(values["cohesion"])
     steps = np.flatnonzero(known[first : last + 1])
     if not steps.size:
-        return np.repeat([[0.0], [1.0]], len(_COMPARED), axis=1)
+        return None
     k = first + steps[-1]
     rows = []
     for name in _COMPARED:

@@ -65,6 +65,13 @@ def load_doubt(table: Table, setup: Setup) -> str:
     return ""
 
 
+def shared_stiffness(table: Table, setup: Setup) -> str:
+    """Sentence that wheels of several widths have one S; "" without such, and where k_c is known."""
+    if setup.soil.k_c is not None or np.ptp(table.width(setup.wheel)) == 0.0:
+        return ""
+    return "Wheels of several widths share one S: give k_c and k_phi to separate them."
+
+
 def one_load(table: Table, setup: Setup) -> str:
     """Sentences on what a table of one load (`SAME_LOAD`) and one wheel cannot tell; "" for any
     other table.

@@ -4,6 +4,7 @@ line.
 
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -78,20 +79,26 @@ def _from_class(spec: str, name: str, scenario: Scenario, settings: dict):
         raise ParameterError(
             f"controllers: {spec}: variant = {variant!r}: expected one of {', '.join(VARIANTS)}"
         )
-    return _Wrapped(thing, variant, spec, getattr(scenario, "axles", 1))
+    drives = getattr(thing, "drives", {})
+    if not (isinstance(drives, dict) and drives.keys() <= {"action", "repeat"}):
+        raise ParameterError(
+            f"controllers: {spec}: drives = {drives!r:.60}: expected a mapping of action, repeat"
+        )
+    replace(scenario.control, **drives)  # refuses wrong values
+    return _Wrapped(thing, variant, spec, getattr(scenario, "axles", 1), settings)
 
 
 class _Wrapped:
     """A controller from elsewhere (`thing`, of `module:Thing` in `spec`); an exception in it is an
-    error of one line.
+    error of one line. `settings` are those it was made with, unless it has some of its own.
     """
 
-    def __init__(self, thing, variant: str, spec: str, axles: int):
+    def __init__(self, thing, variant: str, spec: str, axles: int, settings: dict):
         self.thing = thing
         self.variant = variant
         self.spec = spec
         self.axles = axles
-        self.settings: dict[str, float] = getattr(thing, "settings", {})
+        self.settings: dict[str, float] = getattr(thing, "settings", settings)
         self.drives: dict = getattr(thing, "drives", {})
         if hasattr(thing, "attach"):
             self.attach = thing.attach

@@ -61,7 +61,7 @@ def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
     OUT/run_policy.py   runs it with numpy and onnxruntime only
     OUT/course.npz      the steps of the comparison
     """
-    if str(run) not in SHIPPED:
+    if str(run) not in SHIPPED and run.exists():
         with needing_training():
             import torch  # noqa: F401
     try:
@@ -125,13 +125,13 @@ def _asked(run: Path, scenario: str | None) -> tuple[Path, Scenario, WheelSoilMo
     """
     if str(run) in SHIPPED:
         return WEIGHTS, load_scenario(scenario or DEFAULT_SCENARIO), None
-    from ..agent import INFO, read_info, read_member
-
     path = run / "model.zip" if run.is_dir() else run
     if not path.is_file():
         wrong = f"{run}: no model.zip in this folder" if run.is_dir() else f"{path}: is not there"
         expected = "expected a run folder of train.py, a .zip of Stable-Baselines3, or 'default'"
         raise ParameterError(f"{wrong}{nearest(run, SHIPPED)}: {expected}")
+    from ..agent import INFO, read_info, read_member
+
     if read_member(path, INFO) is None:
         return path, load_scenario(scenario or DEFAULT_SCENARIO), None
     if scenario is not None:

@@ -28,7 +28,7 @@ from soil_env.identification.table.data import CHANNELS, WHEEL
 from soil_env.identification.table.fit import PARAMETER_UNITS
 from soil_env.identification.table.problem import usable_rows
 from soil_env.identification.table.report import LABELS
-from soil_env.measurement.doubts import one_load
+from soil_env.measurement.doubts import one_load, shared_stiffness
 from soil_env.terramechanics.effects.text import plain
 from soil_env.terramechanics.steady import DEEPEST
 from soil_env.terramechanics.validity import in_words
@@ -362,6 +362,7 @@ def cautions(report: Report) -> list[str]:
         "cautions.txt",
         report,
         one_load=one_load(problem.data.table, setup),
+        shared_stiffness=shared_stiffness(problem.data.table, setup),
         conditions=len(np.unique(problem.data.cell)),
         no_row_has=not (problem.data.rows.wheels[:, :2] == [wheel.radius, wheel.width])
         .all(1)

@@ -18,7 +18,7 @@ from scipy.special import chdtr, chdtrc, fdtrc, ndtri, stdtrit
 from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
-from soil_env.measurement.doubts import one_load
+from soil_env.measurement.doubts import one_load, shared_stiffness
 from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import MEASURED, UNITS, Table
 from soil_env.parameters import EARTH_GRAVITY, Soil
@@ -689,12 +689,9 @@ def _not_modelled(problem: TableProblem) -> list[str]:
             np.any(table.height(problem.setup.wheel)[used] > 0.0),
             "The grousers are not modelled: the rim is taken as smooth at wheel radius.",
         ),
-        (
-            np.ptp(problem.rows.wheels[:, 1]) > 0.0 and problem.setup.soil.k_c is None,
-            "Wheels of several widths share one S: give k_c and k_phi to separate them.",
-        ),
     )
-    return [words for true, words in told if true]
+    shared = shared_stiffness(table.only(used), problem.setup)
+    return [*(words for true, words in told if true), *filter(None, [shared])]
 
 
 def _follows_conditions(slip: np.ndarray, load: np.ndarray, residual: np.ndarray) -> bool:
