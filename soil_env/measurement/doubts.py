@@ -66,7 +66,7 @@ def load_doubt(table: Table, setup: Setup) -> str:
 
 
 def shared_stiffness(table: Table, setup: Setup) -> str:
-    """Sentence that wheels of several widths have one S; "" without such, and where k_c is known."""
+    """Sentence that wheels of several widths have one S; "" of one width, and with a known k_c."""
     if setup.soil.k_c is not None or np.ptp(table.width(setup.wheel)) == 0.0:
         return ""
     return "Wheels of several widths share one S: give k_c and k_phi to separate them."

@@ -326,7 +326,9 @@ def test_the_estimate_of_a_ground_is_its_surest(log_map):
     values["friction_angle_sd_deg"] = np.where(np.arange(size) == 3, 0.5, 1.0)
     values["cohesion"] = np.arange(size, dtype=float)
     status = np.full(size, Status.CONVERGED)
-    some = replace(found, values=values, status=status, ground=np.ones(size, int))
+    border = np.arange(size) == 5  # a blend is of no ground, however sure
+    values["friction_angle_sd_deg"][border] = 0.1
+    some = replace(found, values=values, status=status, ground=np.ones(size, int), on_border=border)
     assert some.surest_on(1)["cohesion"] == 3.0 and some.surest_on(2) is None
     assert some.surest_on(1)["friction_angle_sd_deg"] == PICKED * 0.5
     for name in ("best_pull", "drawbar_margin"):
@@ -372,6 +374,10 @@ def test_borders_without_another_soil_are_no_grounds(log_map):
         ground, differs = _grounds(log, log_map, found, values, current, prior)
         assert np.flatnonzero(np.diff(ground)).tolist() == last and math.isnan(differs[unknown])
         assert gap or min(differs[1:]) > 0.9
+    unknown = np.where((found > 6) & (found < 9), int(Status.NO_DATA), current)
+    ground, differs = _grounds(log, log_map, found, values, unknown, prior)
+    # What tells nothing belongs to the ground after it.
+    assert np.flatnonzero(np.diff(ground)).tolist() == [299, 499, 699]
 
 
 def test_command(tmp_path, capsys):
