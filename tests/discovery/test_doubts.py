@@ -22,6 +22,6 @@ def test_a_mistyped_slip_that_decides_is_told(tmp_path):
     assert noise.alone.tolist().count(True) == 1 and noise.alone[3]
     (doubt,) = found
     assert (
-        doubt.startswith("Line 5 (slip 1, load 100 N) stands alone")
+        doubt.startswith("Row 5 (slip 1, load 100 N): no other row comes near its conditions.")
         and "without it that is slip-sinkage." in doubt
     )

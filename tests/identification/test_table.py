@@ -415,7 +415,7 @@ def test_a_solution_close_to_a_bound_is_said_to_be_at_it(tmp_path):
     for off, said in ((1e-4, True), (0.1, False)):
         u = np.zeros(len(problem.unknowns))
         u[0] = problem.unknowns[0].at(BROAD["friction_angle_deg"].high - off)
-        words = " ".join(_doubts(problem, u, [], True))
+        words = " ".join(_doubts(problem, u, [], True, False))
         assert ("At the end of its admissible range: friction angle" in words) == said
 
 
