@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from soil_env.cli import _COMMANDS
 from tests.programs import python
 
-REFUSED = [["train", "--timesteps", "64"], ["export", "runs/x", "--out", "o"]]
+REFUSED = [["train", "--timesteps", "64"], ["export", ".", "--out", "o"]]
 HELPS = [[name, "--help"] for name in ("train", "evaluate", "export", "study", "tune")]
 BARE = """
 import contextlib, io, json, sys

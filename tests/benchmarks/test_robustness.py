@@ -17,7 +17,8 @@ SCENARIO = load_scenario(robustness.GROUND)
 
 def test_a_drive_from_readings_is_that_of_the_evaluation():
     rule = robustness.DRIVERS[1]
-    runs = run_courses(make_controller(rule, SCENARIO), SCENARIO, robustness.SEED, 8)
+    controller = make_controller(rule, SCENARIO, **robustness.settings_of(rule, SCENARIO))
+    runs = run_courses(controller, SCENARIO, robustness.SEED, 8)
     finished = runs.metric("finished") > 0.5
     assert 0 < finished.sum() < 8
     np.testing.assert_array_equal(robustness.driven(("as shipped", rule), 8), finished)
