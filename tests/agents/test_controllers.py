@@ -220,8 +220,9 @@ def test_the_state_of_another_controller_is_refused(state):
 
 
 def test_drives_of_one_name_are_refused(capsys):
-    asked = ["drive", "--scenario=mixed", "--controller=a=soft_start,a=fixed_slip"]
-    refused_command(capsys, "soil-env drive", main, *asked)
+    asked = ["drive", "--scenario=mixed", f"--controller=a={DRIVERS}:Half,a={DRIVERS}:Counting"]
+    said = refused_command(capsys, "soil-env drive", main, *asked)
+    assert "expected one of each name" in said.err
 
 
 def test_a_deep_wheel_creeps():

@@ -593,7 +593,9 @@ def test_a_class_drives_as_it_says(monkeypatch):
     refused(lambda: run_courses(thing, task, SEED, 0), "courses = 0: expected at least one")
     for wrong in ({"acton": "torque"}, {"time_limit": 20.0}, "torque", {"repeat": 0}):
         thing.drives = wrong
-        refused(lambda: load_contestant(asked, task))
+        refused(
+            lambda: load_contestant(asked, task), "repeat = 0" if "repeat" in wrong else "drives"
+        )
 
 
 def test_nan_for_a_course_that_has_ended_is_allowed():

@@ -11,7 +11,7 @@ from soil_env.terramechanics.traversability import best_points
 from .base import SPEED, START, Controller, Ramped, Setting
 
 MOST_SLIP = 0.95  # largest slip to hold: the rim speed for a slip i is V/(1 - i)
-_CREEP = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so that speed can build up
+_LEAD = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so that speed can build up
 _SLIP = Setting(0.3, "-", "slip to hold, or not to exceed", (0.02, 0.9), high=MOST_SLIP, zero=True)
 #: Relative changes of the entries of `SoilState` and of the load that recompute the best slip.
 CHANGE = np.array([0.01] * len(SoilState._fields) + [0.1])
@@ -80,7 +80,7 @@ class SlipFollower(Ramped):
         raise NotImplementedError
 
     def rim_speed(self, observation, state):
-        """Rim speed [m/s], [n]: V/(1 - i) with the lead of `_CREEP`, at least the starting speed,
+        """Rim speed [m/s], [n]: V/(1 - i) with the lead of `_LEAD`, at least the starting speed,
         at most the ramp; i is the `target_slip`, at most `MOST_SLIP`.
         """
         ramp = self.ramp(observation, state, self.settings["acceleration"], self.settings["speed"])
@@ -90,7 +90,7 @@ class SlipFollower(Ramped):
         travel = travel_speeds(np.maximum(rim, 0.0) * self.top_speed, np.maximum(slip, -0.9))
         target = np.minimum(self.target_slip(observation, state), MOST_SLIP)
         start = self.settings["start"]
-        return np.minimum(np.maximum(rim_speeds(travel, target) + _CREEP * start, start), ramp)
+        return np.minimum(np.maximum(rim_speeds(travel, target) + _LEAD * start, start), ramp)
 
 
 class FixedSlip(Controller):
