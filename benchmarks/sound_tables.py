@@ -151,8 +151,8 @@ def _draw(rng: np.random.Generator, name: str) -> Sound | None:
 
 def of_a_rig(y: np.ndarray, r: float, load: float) -> bool:
     """True if a rig could measure `y` [N, 3], sinkage [m], pull [N] and torque [N m], with a wheel
-    of radius r [m] under loads up to `load` [N]: forces within `MOST_GRIP`, sinkages of 0.005 to
-    0.6 radii.
+    of radius r [m]: pull and torque/r at most `MOST_GRIP` times the largest `load` [N], sinkages of
+    0.005 to 0.6 radii.
     """
     sinkage, pull, torque = y.T
     grip = max(np.max(np.abs(pull)), np.max(np.abs(torque)) / r) / load

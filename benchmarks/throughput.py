@@ -55,6 +55,7 @@ class Checkout:
         if not python.exists():
             raise ParameterError(f"--against {root}: expected a checkout with {python}")
         self.python = str(python)
+        # the package of `root`, whatever its interpreter has installed
         self.environment = os.environ | {"PYTHONPATH": str(root)}
         self.root = root
 

@@ -124,8 +124,8 @@ class Chooser(BaseCallback):
         self.learn(self.left)
 
     def learn(self, left: float) -> None:
-        """Go on by as many updates as make `PASSES` over the choices since the last call. Each
-        draws `BATCH` of all choices that are kept.
+        """Go on by `PASSES` times the new choices over `BATCH` updates; each draws a batch from all
+        choices that are kept, new and old.
 
         `left`: share of the training that is left, with which the learning rate falls. Choices too
         few for one update, or fewer than `BATCH` that are kept, wait for the next call.

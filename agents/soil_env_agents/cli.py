@@ -232,16 +232,13 @@ def needing_training() -> Iterator[None]:
 
 
 def config_mapping(name: str | Path) -> dict:
-    """The keys in the file of --config; ParameterError if it has none, because the defaults are a
-    long run.
+    """The mapping in the file of --config; ParameterError if it has no key, since it would begin a
+    long run of defaults that nobody asked for.
     """
     path = config_file(name)
     mapping = read_yaml(path)
     if not mapping:
-        raise ParameterError(
-            f"{path}: is empty: expected keys with their values; for the defaults leave out "
-            "--config"
-        )
+        raise ParameterError(f"{path}: is empty: expected keys with their values")
     return mapping
 
 

@@ -186,8 +186,10 @@ class TrainConfig(OfWorld):
 
 
 def load_config(mapping: dict, where: str) -> TrainConfig:
-    """A `TrainConfig` from a mapping; ParameterError, beginning with the place `where`, as of
-    `load`. `model` may name a file, whose content it then keeps.
+    """A `TrainConfig` from a mapping; ParameterError as from `load`, beginning with the place
+    `where`, or with the file that is wrong.
+
+    `model` may be the path of a file, whose content then takes its place.
     """
     model = mapping.get("model")
     if isinstance(model, str):

@@ -104,11 +104,13 @@ class DefaultPolicy(Remembering):
 
 
 def _network(layers, x):
-    """Output [n, out] of hidden layers with rectified units and of a last, linear one, for [n, in].
+    """Output [n, out] of a network for inputs x [n, in]: hidden layers with rectified units and a
+    linear last one.
 
     `layers`: (weight [out, in], bias [out]) of each.
     """
     *hidden, (last, bias) = layers
     for weight, b in hidden:
+        # float32, as a graph takes no two types
         x = np.maximum(x @ weight.T + b, np.float32(0.0))
     return x @ last.T + bias

@@ -84,5 +84,6 @@ class Simulation(Vehicles):
         """
         entries = truth(self.scenario.course)
         out = np.empty((self.count, len(entries)), dtype=np.float32)
+        # any thread's `SETTING` has the constants
         observe_true_soils(self._world.state, self._world.courses, self._scratch[0], out)
         return np.clip(out, *bounds_of(entries))

@@ -344,12 +344,12 @@ def carried_share(rim, travel, floor):
 
 @compiled
 def _cos_sin_of_rise(arc):
-    """(cosine, half the sine) of the angle above which soil flows up along a locked rim:
-    `RISING_FROM` of the angle where the shear of an `Arc` begins.
+    """(cosine, sine) of the angle above which soil flows up along a locked rim: `RISING_FROM` of
+    the angle where the shear of an `Arc` begins.
     """
     angle = RISING_FROM * arc.sheared_from
     s = half_sin(angle)
-    return 1.0 - 2.0 * s * s, s * half_cos(angle)
+    return 1.0 - 2.0 * s * s, 2.0 * s * half_cos(angle)
 
 
 @compiled
@@ -382,25 +382,25 @@ def most_by_angle(arc):
     """Derivative of `most_carried` by the entry angle theta1 > 0 [1/rad], on an arc without lugs,
     where shear begins at that angle.
     """
-    cosine, sine_over_two = _cos_sin_of_rise(arc)
+    cosine, sine = _cos_sin_of_rise(arc)
     # derivatives of the logarithms of both factors of `most_carried`
-    ln_rising = -2.0 * RISING_FROM * sine_over_two / math.sqrt(cosine * cosine + LEAST_COSINE)
-    ln_flowing = 2.0 * (1.0 - _flowing(arc)) * half_cos(arc.theta1) / half_sin(arc.theta1)
-    return (ln_rising + ln_flowing) * most_carried(arc)
+    of_rising = -RISING_FROM * sine / math.sqrt(cosine * cosine + LEAST_COSINE)
+    of_flowing = 2.0 * (1.0 - _flowing(arc)) * half_cos(arc.theta1) / half_sin(arc.theta1)
+    return (of_rising + of_flowing) * most_carried(arc)
 
 
 @compiled
-def held_below(share, most):
-    """(smooth minimum of `share` >= 0 and `most` > 0, its derivatives by `share` and by `most`).
+def held_below(value, most):
+    """(smooth minimum of `value` >= 0 and `most` > 0, its derivatives by `value` and by `most`).
 
-    share (1 + (share/most)^4)^(-1/4) is always below `most`. A share of a third of `most` changes
-    by 0.3 %. `share` and `most` have one unit.
+    value (1 + (value/most)^4)^(-1/4) is never above `most`. A value of a third of `most` changes by
+    0.3 %. `value` and `most` have one unit.
     """
-    ratio = share / most
+    ratio = value / most
     fourth = ratio * ratio * (ratio * ratio)
     root = math.sqrt(math.sqrt(1.0 + fourth))
-    by_share = 1.0 / (root * (1.0 + fourth))
-    return share / root, by_share, ratio * fourth * by_share
+    by_value = 1.0 / (root * (1.0 + fourth))
+    return value / root, by_value, ratio * fourth * by_value
 
 
 @compiled

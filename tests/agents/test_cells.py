@@ -143,22 +143,23 @@ def test_an_engine_that_cannot_be_as_asked_is_refused(monkeypatch, ray, given, s
     refused(partial(cells.choose, *given), *said.split(" ... "))
 
 
-def test_what_was_made_from_something_else_is_done_again(tmp_path, capsys):
+def test_what_was_made_from_something_else_or_is_damaged_is_done_again(tmp_path, capsys):
     done = []
 
-    def work(cell):
+    def fill_one(cell):
         done.append(cell)
         return {"value": cell}
 
     def fill(needs):
         done.clear()
-        cells.fill(work, [1, 2], tmp_path, cells.in_process, lambda cell: None, needs)
+        cells.fill(fill_one, [7, 8], tmp_path, cells.in_process, lambda cell: None, needs)
         return done
 
-    assert fill(lambda cell: [cell, "one"]) == [1, 2]
+    assert fill(lambda cell: [cell, "one"]) == [7, 8]
     assert fill(lambda cell: [cell, "one"]) == [] and "again" not in capsys.readouterr().out
-    assert fill(lambda cell: [cell, "one" if cell == 1 else "other"]) == [2]
+    assert fill(lambda cell: [cell, "one" if cell == 7 else "other"]) == [8]
+    # the number of cells
     assert "has changed since, are done again: 1." in " ".join(capsys.readouterr().out.split())
-    cells.cell_file(tmp_path, 1).write_text("{")
-    assert fill(lambda cell: [cell, "one" if cell == 1 else "other"]) == [1]
-    assert cells.read_cell(tmp_path, 1, lambda content: content) == {"value": 1}
+    cells.cell_file(tmp_path, 7).write_text("{")
+    assert fill(lambda cell: [cell, "one" if cell == 7 else "other"]) == [7]
+    assert cells.read_cell(tmp_path, 7, lambda content: content) == {"value": 7}

@@ -273,6 +273,12 @@ def test_extremum_seeking_finds_the_slip_of_the_highest_pull(best):
     assert state["best"][0] == pytest.approx(best, abs=0.06)
 
 
+def test_extremum_seeking_refuses_actions_too_long_for_its_swing():
+    make_controller("extremum_seeking", load_scenario("mixed", {"control": {"repeat": 5}}))
+    long = load_scenario("mixed", {"control": {"repeat": 6}})
+    refused(lambda: make_controller("extremum_seeking", long), "0.6 s", "expected less than half")
+
+
 def test_the_line_that_a_controller_chooses_is_the_one_that_it_drives():
     """With the true soil hardly a dead end is taken: only where the grade is seen too flat."""
     scenario = load_scenario("two_lines")
@@ -358,6 +364,7 @@ def test_planning_changes_nothing_in_the_world_and_foresees_no_noise():
     oracle = Oracle(scenario, horizon=2.0)
     refused(lambda: oracle.predict(sim.worlds.observation), "before attach")
     oracle.attach(sim, 1, None)
+    refused(lambda: oracle.predict(sim.worlds.observation[:2]), "2 observations", "expected 3")
     before = [memory(sim.worlds, k) for k in range(3)]
     action, _ = oracle.predict(sim.worlds.observation)
     assert action.shape == (3, 1) and np.isfinite(action).all()

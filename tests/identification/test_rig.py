@@ -71,9 +71,10 @@ def test_one_force_suffices_with_a_prior_of_the_stiffness(tmp_path):
 
 
 def resolved(slip, load, grade_deg):
-    """(sinkage, pull along the slope, torque) of a wheel with a vertical load on a grade.
+    """(sinkage [m], pull along the slope [N], torque [N m]) of a wheel with a vertical load on a
+    grade, uphill positive.
 
-    It presses less on the ground than its load, and its weight acts along the slope.
+    It presses less on the ground than its load, a component of which pulls it downhill.
     """
     b = math.radians(grade_deg)
     z, pull, torque = steady(slip, load * math.cos(b))

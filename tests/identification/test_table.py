@@ -340,7 +340,9 @@ def test_a_prior_that_the_table_contradicts_is_said_first(tmp_path):
 
 
 def test_says_that_the_soil_of_a_misfit_is_not_to_be_simulated(tmp_path):
-    """Under errors of the laws it may miss the rows by much more than the least squares."""
+    """Fitted with an allowance for errors of the laws, it can miss the rows by far more than the
+    fit with exact laws.
+    """
     rows = clean().copy()
     rows[:, 3] = rows[:, 4] / WHEEL.radius  # nothing holds the wheel back
     e = estimate(tmp_path, rows, setup_of(THREE))

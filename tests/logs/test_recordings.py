@@ -456,6 +456,10 @@ def steady(times):
 
 
 def test_two_drives_in_one_file_are_told_from_stamps_that_are_wrong(tmp_path):
+    """Where a second drive begins the note says where to split; a single wrong stamp is counted.
+
+    The second drive is kept, and of the first what is at most 0.5 s, the longest gap, ahead of it.
+    """
     drive = np.arange(0.0, 180.0, 0.1)
     out, late = read_csv(tmp_path, steady(np.concatenate([drive, drive]))).notes[:2]
     assert "The clock goes back at row 1802 (0.000 s after 179.900 s)" in out

@@ -254,9 +254,7 @@ def test_the_sand_of_fig_8_is_passable_at_small_slips():
 
 
 def test_noise_of_table_5():
-    """The printed errors lie in the middle half of ours; without noise there is nothing but
-    Table 3.
-    """
+    """The printed errors lie in the middle half of ours."""
     noise = compare.table_5(FIXED_COHESION[1], seed=0, draws=300)
     assert np.all((noise.below > 0.25) & (noise.below < 0.75)) and 0.8 < noise.converged <= 1.0
     assert np.all(np.diff(noise.quantiles, axis=0) > 0.0)

@@ -37,8 +37,8 @@ def test_rim_acceleration_moves_a_commanded_speed_that_the_wheel_follows():
 
 @pytest.mark.parametrize("mode", ACTION_PERIODS)
 def test_a_halt_brakes_evenly_and_locks_no_wheel(mode):
-    """The command falls by 0.1 m/s in a period; the rim follows, so it slides little. A commanded
-    speed starts again at 0.
+    """The command falls by 0.1 m/s in a period, and no wheel locks. After a halt the summed command
+    of `rim_acceleration` begins at 0.
     """
     sim = simulation(mode, course={"grade_deg": [-1.0, 0.0]})
     state = sim.worlds.state
@@ -53,7 +53,8 @@ def test_a_halt_brakes_evenly_and_locks_no_wheel(mode):
         sim.step(0, 0.4)
         if stood and not halted:
             starts += 1
-            commands = {"torque": 0.0, "wheel_speed": 0.4, "rim_acceleration": 0.4 * 0.03 / 0.75}
+            risen = 0.4 * 0.3 * 0.1 / top  # 0.4 of 0.3 m/s2 in a period of 0.1 s
+            commands = {"torque": 0.0, "wheel_speed": 0.4, "rim_acceleration": risen}
             assert state["rim_command"][0] == pytest.approx(commands[mode])
             assert state["last_action"][0] == 0.4
         if halted:

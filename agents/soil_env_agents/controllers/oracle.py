@@ -37,6 +37,7 @@ SPEEDS = (0.05, 1.0)  # [of the top rim speed] range of the plans
 BACKING = (0.5, 4.0)  # [s] range of going back, of drawn plans
 BACKING_SHARE = 0.25  # share of the drawn plans that go back first
 BACK = -0.1  # [of the top rim speed] when going back
+FIRST = (0.09, 0.6)  # [m/s2], [of the top rim speed] soft start up to the first plan of a wheel
 #: Soft starts, tried every time.
 FIXED = tuple((a, v) for a in (0.04, 0.09, 0.2, 0.5) for v in (0.2, 0.45, 0.8))
 DEEP = 3.0  # [m] penalty of a wheel at the limit of sinkage
@@ -121,8 +122,10 @@ class Oracle:
     def attach(
         self, simulation: Simulation, threads: int | None, model: WheelSoilModel | None
     ) -> None:
-        """Set the simulation whose observations come next, which was made with `threads` and
-        `model`; make its clones, `COUNT` for each wheel.
+        """Take the simulation that the oracle will drive, whose observations come next; make its
+        clones, `COUNT` for each wheel, with the `threads` and the `model` that it was made with.
+
+        Random numbers and plans begin anew, so that a block of courses is driven alike whenever.
         """
         self.simulation = simulation
         wheels = simulation.worlds.cause.size
@@ -130,8 +133,7 @@ class Oracle:
             wheels * COUNT, self.scenario, self.variant, threads=threads, model=model
         )
         self.rng = np.random.default_rng(0)
-        # Until a wheel has a plan of its own: 0.09 m/s2, up to 0.6 of the top rim speed.
-        self.driver.plans = self._soft_starts((wheels,), 0.09, 0.6)
+        self.driver.plans = self._soft_starts((wheels,), *FIRST)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """(actions [n, 1], state for the next call) for all n wheels of the simulation.
@@ -140,9 +142,15 @@ class Oracle:
         beyond the next plan. `state` is (state of the driver, calls since the start), or None.
         ParameterError before `attach`, and for another number of wheels.
         """
-        if self.simulation is None or self.simulation.worlds.cause.size != len(observation):
+        if self.simulation is None:
             raise ParameterError(
                 "oracle: predict before attach: it plans in the simulation that it drives in"
+            )
+        wheels = self.simulation.worlds.cause.size
+        if wheels != len(observation):
+            raise ParameterError(
+                f"oracle: {len(observation)} observations: expected {wheels}, one of each wheel of "
+                "the simulation"
             )
         batch = np.asarray(observation, dtype=np.float64)
         memory, since = (None, 0) if state is None else state

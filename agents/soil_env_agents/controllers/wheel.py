@@ -4,6 +4,7 @@ its soil.
 
 import numpy as np
 
+from soil_env._io.loading import ParameterError
 from soil_env.parameters import FLOW_LAW, SoilState
 from soil_env.slip import rim_speeds, travel_speeds
 from soil_env.terramechanics.traversability import best_points
@@ -174,8 +175,19 @@ class ExtremumSeeking(SlipFollower):
     memory_time = 2.4  # [s] of the means and of the slope
     _LITTLE = 1e-3  # variance of slip at which the slope counts half: that of its sensor is 1e-4
 
+    def __init__(self, scenario, **settings):
+        super().__init__(scenario, **settings)
+        if 2.0 * self.period >= self.swing_period:  # the swing would be seen as another, or none
+            raise ParameterError(
+                f"{self.name}: an action lasts {self.period:g} s: expected less than half of the "
+                f"{self.swing_period:g} s in which it swings the slip"
+            )
+
     def target_slip(self, observation, state):
-        """The estimate with its swing, [n]; advances both."""
+        """The estimate with its swing, [n]; advances both. In a halt the regression stands still.
+
+        The means begin at 0, the slip and about the pull of a wheel at rest.
+        """
         driving = ~(self.halted(observation) | state["fresh"])
         slip, pull = (observation[:, self.column[name]] for name in ("slip", "drawbar_pull"))
         share = np.where(driving, self.period / self.memory_time, 0.0)  # weight of the newest

@@ -52,8 +52,8 @@ _CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 
 
 def code_in(content: object) -> list[str]:
-    """Modules, as module:Class, that the content of a YAML file names as controllers, at any depth,
-    but for that of the shipped policy.
+    """Classes, as module:Class, that the content of a YAML file names as controllers, at any depth,
+    but for that of the shipped policy: what would be imported and run.
     """
     found = []
     if isinstance(content, dict):

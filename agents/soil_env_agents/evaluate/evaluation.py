@@ -70,8 +70,8 @@ class Evaluation(OfTask):
         has the same courses of each; those of the oracle come last.
         """
         return [
-            *_cut(self.courses, self.block, self.controllers),
-            *_cut(self.oracle_courses, ORACLE_BLOCK, [ORACLE]),
+            *_blocks_of(self.courses, self.block, self.controllers),
+            *_blocks_of(self.oracle_courses, ORACLE_BLOCK, [ORACLE]),
         ]
 
 
@@ -86,12 +86,14 @@ class Block:
     count: int
 
     def __str__(self) -> str:
-        """Name of the cell, also of its file."""
+        """Name of the block, also of its file."""
         return f"{self.controller}-{self.first}"
 
 
-def _cut(courses: int, size: int, controllers: Collection[str]) -> list[Block]:
-    """Blocks of at most `size` of the first `courses`, each for all `controllers`."""
+def _blocks_of(courses: int, size: int, controllers: Collection[str]) -> list[Block]:
+    """Blocks of at most `size` of the first `courses`, for each range of courses one of each of
+    the `controllers`.
+    """
     return [
         Block(controller, first, min(size, courses - first))
         for first in range(0, courses, size)

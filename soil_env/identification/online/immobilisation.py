@@ -180,7 +180,8 @@ def _channels(reading, numbers, warning):
 @compiled
 def begin_averages(recent, reading, numbers, warning):
     """Set all moving averages in `recent` [RECENT] to the first readings of a wheel, at rest at the
-    start of a course, and its seconds of driving to 0. `numbers`, `warning` as in `average`.
+    start of a course, and its seconds of driving to 0. The view, which follows them, stays.
+    `numbers`, `warning` as in `average`.
     """
     values = _channels(reading, numbers, warning)
     for i in range(_AVERAGES):
@@ -191,7 +192,7 @@ def begin_averages(recent, reading, numbers, warning):
 @compiled
 def average(recent, reading, halted, numbers, warning):
     """Take the readings of a control period into the averages of `recent` [RECENT], and add the
-    period to the seconds of driving.
+    period to the seconds of driving since the start or the last halt.
 
     In a halt (`halted` above 0) the averages stay, and the seconds begin anew. `numbers`: `SETTING`
     of the identifier; `warning`: `WARNING_SETTING`.

@@ -279,11 +279,11 @@ def _iterate(v, equation, world):
 
 
 @inlined
-def _renew_loads(weight, world):
-    """True if the forces found change a load by more than `LOAD_TOLERANCE` of the mean load.
+def _renew_changed_loads(weight, world):
+    """Set all loads to those that balance the forces found, if one of them changes by more than
+    `LOAD_TOLERANCE` of the mean load; True if so.
 
-    All loads are then set to those that balance these forces, and `trial` to the rim speeds found,
-    which are tried next.
+    `trial` is then set to the rim speeds found, which are tried next.
     """
     s = world.suspension
     feet = world.stage.feet
@@ -303,16 +303,16 @@ def _renew_loads(weight, world):
 
 @compiled_finite
 def solve_speeds(rover, equation, world):
-    """(V [m/s], True if converged) at the end of a stage; `found` gets the rim speeds and the
-    reactions.
+    """(V [m/s], True if the speeds converged) at the end of a stage; `found` gets the rim speeds
+    and the reactions.
 
     Speeds are solved at fixed axle loads, at most `TURNS` times, with the loads renewed from the
-    forces in between.
+    forces in between; after the last time they are not.
     """
     weight = weight_of(rover, world.rig.gravity)
     v = _begin(rover, equation, weight, world)
     for turn in range(TURNS):
         v, converged = _iterate(v, equation, world)
-        if turn == TURNS - 1 or not converged or not _renew_loads(weight, world):
+        if turn == TURNS - 1 or not converged or not _renew_changed_loads(weight, world):
             break
     return v, converged

@@ -71,8 +71,8 @@ class Stand(NamedTuple):
 
 @inlined
 def steps_for(change):
-    """Number of steps in place of one of the usual length: 1, 2, 4 or 8, more for a larger foreseen
-    `change` of a speed [of the top rim speed].
+    """Number of steps that replace one of the usual length: 1, 2, 4 or 8, more for a larger
+    foreseen `change` of a speed [of the top rim speed].
     """
     if change <= REFINED_TWICE:
         return 1

@@ -125,9 +125,9 @@ def piece_at(pieces, x, piece):
 def border_near(pieces, x, piece, border):
     """(index of a patch or slope, share of the one after it) at x [m], which is on `piece`.
 
-    Within `border` [m] around the end of a piece the index is that piece, and the share rises
-    smoothly from 0 to 1. Elsewhere the index is `piece` and the share 0, and so at both ends of
-    the drawn ground.
+    Over a length of `border` [m], half of it on each side of the end of a piece, the index is that
+    piece, and the share rises smoothly from 0 to 1. Elsewhere the index is `piece` and the share 0,
+    and so at both ends of the drawn ground.
     """
     here = pieces[piece]
     at_end = x - here.start > here.end - x
@@ -145,7 +145,8 @@ def border_near(pieces, x, piece, border):
 def soil_on(patches, x, patch, border):
     """`SoilState` of undisturbed ground at x [m], which is on `patch` (`piece_at`).
 
-    Within `border` [m] around a border the soil of one patch passes smoothly into that of the next.
+    Over a length of `border` [m], half of it on each side of the end of a patch, its soil passes
+    smoothly into that of the next.
     """
     first, share = border_near(patches, x, patch, border)
     if share == 0.0:
@@ -157,7 +158,8 @@ def soil_on(patches, x, patch, border):
 def grade_on(slopes, x, slope, border):
     """Grade [rad] of undisturbed ground at x [m], which is on `slope`.
 
-    Within `border` [m] around the end of a slope it passes smoothly into the next grade.
+    Over a length of `border` [m], half of it on each side of the end of a slope, it passes smoothly
+    into the next grade.
     """
     first, share = border_near(slopes, x, slope, border)
     grade = slopes[first].grade

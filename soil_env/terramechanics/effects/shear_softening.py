@@ -41,6 +41,7 @@ def shear_length_ratio(fx):
     does with K. Without it, and for a sharpness s below 1, where the law has no peak, it is 1.
     """
     s = fx.shear_softening_sharpness
+    # at 1 too, where the law is 1 - x^2: with 2 K it is Eq. (10)
     if s >= 1.0 and fx.shear_softening_slope_kept > 0.0:
         return 4.0 * s / (1.0 + s)
     return 1.0
