@@ -18,7 +18,7 @@ from soil_env.identification.online.memory import EXPONENT, GAIN, LN_K, PRESSURE
 from soil_env.identification.online.prior import prior_of_belief
 from soil_env.identification.online.residuals import PAYLOAD
 from soil_env.online import OnlineIdentifier, Readings, Status, largest_readings, slips
-from soil_env.parameters import Belief, Noise, SoilState, wheels
+from soil_env.parameters import Belief, Noise, SoilState, load_rover, wheels
 from soil_env.parameters.sensors import calibrated
 from soil_env.terramechanics.steady import steady_state
 from tests.refusals import refused
@@ -179,14 +179,58 @@ def test_without_any_force_nothing_is_known_but_the_stiffness(drive):
 
 @pytest.mark.parametrize("every", [2, 10])
 def test_a_sinkage_that_is_missing_now_and_then_makes_no_stiffness_surer(short_drives, every):
-    """What stands in its place does not count as measured."""
-    for scenario, readings, _ in short_drives[:4]:
+    """What stands in its place does not count as measured; in the mean of courses, since the form
+    error is another in each.
+    """
+    sds = np.zeros((len(short_drives), 3))
+    for row, (scenario, readings, _) in zip(sds, short_drives, strict=True):
+        for i, measured in enumerate((1, every, len(readings))):
+            identifier = OnlineIdentifier.of_scenario(scenario)
+            for k, r in enumerate(readings):
+                identifier.update(r if k % measured == 0 else r._replace(sinkage=math.nan))
+            row[i] = identifier.estimate.sinkage_coefficient_relative_sd
+    all_of_them, some, first_alone = sds.mean(axis=0)
+    assert all_of_them < some < 0.9 * first_alone
+
+
+def test_one_missing_sinkage_is_one_reading_less(short_drives):
+    """Whichever reading of the last points it is: what the others measured stays known."""
+    scenario, readings, _ = short_drives[0]
+    known = []
+    for gone in (None, *range(len(readings) - 10, len(readings))):
+        identifier = OnlineIdentifier.of_scenario(scenario)
+        for k, r in enumerate(readings):
+            identifier.update(r._replace(sinkage=math.nan) if k == gone else r)
+        known.append(identifier.estimate.sinkage_coefficient_relative_sd)
+    assert max(known) < 1.1 * known[0]
+
+
+def test_a_gap_in_the_sinkage_takes_nothing_from_what_was_measured(short_drives):
+    """Points without a sinkage are averaged with no others; these keep what they know."""
+    sds = []
+    for scenario, readings, _ in short_drives:
         whole, some = (OnlineIdentifier.of_scenario(scenario) for _ in range(2))
+        middle = len(readings) // 2
         for k, r in enumerate(readings):
             whole.update(r)
-            some.update(r if k % every == 0 else r._replace(sinkage=math.nan))
-        sds = [i.estimate.sinkage_coefficient_relative_sd for i in (whole, some)]
-        assert sds[0] < 1.05 * sds[1]
+            some.update(r._replace(sinkage=math.nan) if middle <= k < middle + 25 else r)
+        memory = some._memory[0]
+        cells = memory["cells"][: memory["cells_kept"]]
+        unknown = cells["sinkage_variance"] > scenario.wheel.radius**2
+        assert cells["readings"][unknown].sum() <= 33  # those without, and up to the end of a point
+        sds.append([i.estimate.sinkage_coefficient_relative_sd for i in (whole, some)])
+    all_of_them, without = np.mean(sds, axis=0)
+    assert all_of_them < without < 1.3 * all_of_them
+
+
+def test_a_load_that_is_missing_now_and_then_is_that_of_the_others():
+    scenario = load_rover("mars_rover")
+    identifier = OnlineIdentifier.of_scenario(scenario)
+    load = 1.25 * scenario.weight
+    for k in range(60):
+        measured = math.nan if k % 2 else load
+        identifier.update(STEADY._replace(load=measured, time=0.1 * (k + 1)))
+    assert identifier._memory["cells"][0, 0]["load"] == pytest.approx(load)
 
 
 @pytest.mark.parametrize("missing", [("drawbar_pull", "acceleration"), ("pitch",)])

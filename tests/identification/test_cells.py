@@ -9,7 +9,7 @@ from soil_env.identification.online.memory import CELL, CELLS
 from tests.identification.observing import SCENARIO, Identified
 
 #: Means of a cell that are merged by the precision of its slip, and of its changes of sinkage.
-MEANS = ("slip", "sinkage", "pull", "torque", "load", "inertial", "motor")
+MEANS = ("slip", "sinkage", "pull", "torque", "load", "inertial", "motor", "by_speeds")
 OF_CHANGES = ("rise", "travel", "slide", "middle")
 VARIANCES = ("slip_variance", "sinkage_variance", "pull_variance", "torque_variance")
 

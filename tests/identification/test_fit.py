@@ -79,6 +79,7 @@ def steady_cells(u, setting, slips=SLIPS, noise=SHARP, load=None):
             "load": load * (1.0 + u[LOAD_GAIN]),
             "inertial": TWO_SENSORS,
             "motor": TWO_SENSORS,
+            "by_speeds": 1.0,
             "readings": 8.0,
             "changes": 1.0,
             "travel": 0.5 * (1.0 - max(slip, 0.0)),

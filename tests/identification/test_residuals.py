@@ -84,6 +84,7 @@ def placed(seed, gains=0.0, border=False, compaction=0.0):
         "load": W * rng.uniform(0.7, 1.2),
         "inertial": rng.uniform(),
         "motor": rng.uniform(),
+        "by_speeds": 0.7,
         "readings": 8.0,
         "changes": 2.0,
         "travel": 0.3,
@@ -165,6 +166,7 @@ def test_a_speed_that_reads_too_much_shows_too_little_slip():
     wheel, cell = placed(1)
     slip = 0.3
     cell["most_likely_slip"] = cell["slip"] = slip
+    cell["by_speeds"] = 1.0
     exact = vector(wheel)[0]
     error = 1e-3
     cell["slip"] = 1.0 - (1.0 - slip) * (1.0 + error)
@@ -183,7 +185,8 @@ def test_the_weights_are_the_inverse_of_the_effective_variance(border):
         wheel.now.u[OLD:] = wheel.now.u[:SOIL]
         wheel.now.u[OLD + TANGENT] -= 0.1
     _, slopes, e = vector(wheel)
-    shares = {"slip_variance": slopes[:2, SPEED_GAIN] / (1.0 - abs(cell["slip"]))}
+    by_speeds = cell["by_speeds"] * (1.0 - abs(cell["slip"]))
+    shares = {"slip_variance": slopes[:2, SPEED_GAIN] / by_speeds}
     shares["sinkage_variance"] = slopes[:2, SINKAGE_ZERO]
     V = np.diag([cell["pull_variance"], cell["torque_variance"]])
     V += (4e-3**2 + border * BORDER_ERROR**2) * np.eye(2)

@@ -19,6 +19,9 @@ SINKAGE_UNIT = 0.05  # [of the mean sinkage of both]
 # `NEAREST` it is never below 1: such cells are merged only for want of room, after others.
 ON_BORDER = 1e9
 NEAREST = 1e-6  # [m2] added to the square of the distance of their places
+# [m2] Variance of a sinkage that was not measured, at least: that of its readings is 1e4, over their
+# number.
+UNKNOWN_SINKAGE = 1.0
 
 
 @compiled
@@ -63,8 +66,11 @@ def _merge(into, cell):
 @compiled
 def _apart(a, b):
     """Squared distance [-] by which cells are kept apart: `_distance` if neither is on a border,
-    by their places (`ON_BORDER`) if both are, infinite if one is.
+    by their places (`ON_BORDER`) if both are, infinite if one is; so too if one has a sinkage and
+    the other has none.
     """
+    if (a.sinkage_variance > UNKNOWN_SINKAGE) != (b.sinkage_variance > UNKNOWN_SINKAGE):
+        return math.inf
     if a.place_error > 0.0 and b.place_error > 0.0:
         return ON_BORDER * ((a.place - b.place) ** 2 + NEAREST)
     if a.place_error > 0.0 or b.place_error > 0.0:

@@ -137,7 +137,10 @@ def _find_bearing(memory, reading, setting, work):
     u = memory.soil
     r = setting.radius
     load = memory.mass * setting.gravity * math.cos(reading.pitch)
-    z = max(reading.sinkage - memory.u[SINKAGE_ZERO], LEAST_SINKAGE * r)
+    sinkage = reading.sinkage
+    if setting.white[0].sinkage > setting.sensors[0].sinkage and memory.point_sinkage > 0.0:
+        sinkage = memory.point_sinkage  # not measured now
+    z = max(sinkage - memory.u[SINKAGE_ZERO], LEAST_SINKAGE * r)
     slip = min(max(reading.slip, LOCKED), SPINNING)
     corrected = load * (1.0 - memory.u[LOAD_GAIN])
     contact = work.contact[0]

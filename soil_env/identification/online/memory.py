@@ -75,6 +75,7 @@ OPEN = record(
     "first_slip",
     "slip",  # weighted by 1/variance, as sinkage, pull and torque
     "slip_weight",  # sum of the weights
+    "by_speeds",  # part of that sum, of slips that follow from both speeds
     "sinkage",
     "sinkage_weight",
     "pull",
@@ -83,7 +84,8 @@ OPEN = record(
     "torque",
     "torque_weight",
     "motor",  # weighted share of the motor in the torque
-    "load",
+    "load",  # of `loads` readings that have one
+    "loads",
     "cos_pitch",
     "place",  # [m] past that of the first reading
     "place_square",
@@ -104,6 +106,7 @@ MEANS = (
     "load",  # [N]
     "inertial",  # share of the accelerometer in the pull
     "motor",  # share of the motor in the torque
+    "by_speeds",  # share of slips that follow from both speeds
 )
 VARIANCES = ("slip_variance", "sinkage_variance", "pull_variance", "torque_variance")
 OF_CHANGES = (
@@ -207,7 +210,10 @@ SETTING = record(
     "model_error",  # [of load] of the laws
     load_varies=("i8",),  # 1: the load on the wheel changes from point to point
     off=("i8",),  # 1: nothing is identified
-    white=(READING, 1),  # standard deviations of the white noise, zeros and gains of the sensors
+    # standard deviations of the white noise of the sensors; the same of the present readings, which
+    # is larger for what was not measured; of zeros and gains
+    sensors=(READING, 1),
+    white=(READING, 1),
     zero=(READING, 1),
     gain=(READING, 1),
     largest=(READING, 1),  # of sound readings

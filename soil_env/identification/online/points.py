@@ -129,15 +129,21 @@ def ends_point(point, reading, error, wanted, setting):
 
 
 @compiled
+def _weighs(reading, setting):
+    """True if the load of a reading was measured: its white noise is below the weight."""
+    return setting.white[0].load <= setting.weight
+
+
+@compiled
 def weigh(memory, reading, setting):
     """Renew the mass [kg] on the wheel by a reading of the load; before the first it is the body's.
 
-    It is the mean of all, and where the load varies one that forgets after `READINGS`. Without a
-    sensor (white noise above the weight) and of a lifted wheel no reading counts.
+    It is the mean of all, and where the load varies one that forgets after `READINGS`. What was not
+    measured and what a lifted wheel shows does not count.
     """
     if memory.mass == 0.0:
         memory.mass = setting.weight / setting.gravity
-    if setting.white[0].load > setting.weight or reading.load < LIFTED * setting.weight:
+    if not _weighs(reading, setting) or reading.load < LIFTED * setting.weight:
         return
     memory.weighings += 1.0
     share = 1.0 / memory.weighings
@@ -238,6 +244,8 @@ def collect(point, memory, reading, error, turned, setting):
     weight = 1.0 / (error * error)
     point.slip += weight * reading.slip
     point.slip_weight += weight
+    if setting.white[0].slip == 0.0:
+        point.by_speeds += weight
     weight = 1.0 / setting.white[0].sinkage ** 2
     point.sinkage += weight * reading.sinkage
     point.sinkage_weight += weight
@@ -249,7 +257,9 @@ def collect(point, memory, reading, error, turned, setting):
     point.torque += torque / variance
     point.torque_weight += 1.0 / variance
     point.motor += share / variance
-    point.load += reading.load
+    if _weighs(reading, setting):
+        point.load += reading.load
+        point.loads += 1.0
     point.cos_pitch += math.cos(reading.pitch)
     past = place - point.first_place
     point.place += past
@@ -272,8 +282,8 @@ def close(memory, cell, setting):
 
     `memory`: `MEMORY` of a wheel, `cell`: `CELL`, `setting`: `SETTING`. The first point, one before
     which the wheel has stopped, and one whose sinkage or that before it was not measured have
-    `changes` 0: their change does not count. Where the load [N] does not vary, it is that of
-    `memory.mass` at the mean slope of the point.
+    `changes` 0: their change does not count. Where the load [N] does not vary, or was not measured,
+    it is that of `memory.mass` at the mean slope of the point.
     """
     point = memory.open[0]
     n = point.readings
@@ -285,6 +295,7 @@ def close(memory, cell, setting):
     cell.slip = point.slip / point.slip_weight
     cell.slip_variance = 1.0 / point.slip_weight
     cell.most_likely_slip = cell.slip
+    cell.by_speeds = point.by_speeds / point.slip_weight
     cell.sinkage = sinkage
     cell.sinkage_variance = 1.0 / point.sinkage_weight
     cell.pull = point.pull / point.pull_weight
@@ -294,8 +305,8 @@ def close(memory, cell, setting):
     cell.torque_variance = 1.0 / point.torque_weight
     cell.motor = point.motor / point.torque_weight
     cell.load = memory.mass * setting.gravity * point.cos_pitch / n
-    if setting.load_varies > 0:
-        cell.load = max(point.load / n, LIFTED * setting.weight)
+    if setting.load_varies > 0 and point.loads > 0.0:
+        cell.load = max(point.load / point.loads, LIFTED * setting.weight)
     cell.readings = n
     mean = point.place / n
     cell.place = point.first_place + mean

@@ -206,7 +206,8 @@ def setting_of(scenario: Scenario) -> np.ndarray:
     white, zero, gain = reading_errors(scenario)
     least = LEAST_SD * np.array(reading_units(scenario))
     least[0] = 0.0  # of the slip, the first: white noise of 0 tells that there is no slip sensor
-    s.white = np.maximum(white, least).view(READING)
+    s.sensors = np.maximum(white, least).view(READING)
+    s.white = s.sensors
     s.zero = zero.view(READING)
     s.gain = gain.view(READING)
     s.largest = largest_sensed(wheel, scenario.gravity)
@@ -242,7 +243,8 @@ def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
     the torque of a motor whose speed loop turns the wheel faster or slower: that at the end of a
     period is not the mean over it.
     """
-    setting["white"]["acceleration"] = OF_BODY * scenario.gravity
+    setting["sensors"]["acceleration"] = OF_BODY * scenario.gravity
     if scenario.control.action != "torque":
-        setting["white"]["motor_torque"] = OF_BODY * scenario.weight * scenario.wheel.radius
+        setting["sensors"]["motor_torque"] = OF_BODY * scenario.weight * scenario.wheel.radius
+    setting["white"] = setting["sensors"]
     setting["load_varies"] = 1

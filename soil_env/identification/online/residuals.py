@@ -146,11 +146,11 @@ def ground_of(unknowns, setting):
 
 
 @compiled
-def slip_slope(slip, setting):
-    """Slope of the slip [-] by a relative error of the speeds (`SPEED_GAIN`): 1 - |slip|; 0 with a
-    slip sensor (white noise above 0), on which the speeds have no effect.
+def slip_slope(cell, slip):
+    """Slope of a `slip` [-] of a cell by a relative error of the speeds (`SPEED_GAIN`): 1 - |slip|,
+    times the share of slips that follow from the speeds.
     """
-    return 0.0 if setting.white[0].slip > 0.0 else 1.0 - abs(slip)
+    return cell.by_speeds * (1.0 - abs(slip))
 
 
 @compiled
@@ -178,7 +178,7 @@ def residuals(cell, memory, setting, work):
     to_torque = (1.0 + u[TORQUE_GAIN]) / (weight * radius)
     pull = contact.value[PULL] * to_pull
     torque = contact.value[TORQUE] / (weight * radius)
-    faster = slip_slope(slip, setting)
+    faster = slip_slope(cell, slip)
     off = cell.slip + u[SPEED_GAIN] * faster - slip  # from `slip` to the corrected measured one
     p_slip = by[PULL, BY_SLIP] * to_pull
     t_slip = by[TORQUE, BY_SLIP] * to_torque
@@ -273,7 +273,7 @@ def _sinkage_residual(cell, sinkage, share, by_place, memory, setting, work):
         law = BORDER_LAW_ERROR
         place = _over_border(SINKAGE, share, by_place, memory, work) * cell.place_error
     # a point's sinkage enters the change before it and the one after it
-    of_point = setting.white[0].sinkage ** 2 / READINGS
+    of_point = setting.sensors[0].sinkage ** 2 / READINGS
     variance = (1.0 + (1.0 - come * a) ** 2) * of_point / cell.changes
     variance += (law * come * a * bearing) ** 2 + place * place
     return residual, 1.0 / max(variance, (residual / LINEAR_TO) ** 2)
