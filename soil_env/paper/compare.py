@@ -49,7 +49,6 @@ LABELS = {
 # Parameters of Table 3, in the order of `NAMES`: as identified there, and the actual values.
 PRINTED_SET = np.array([P.table3[name].identified for name in NAMES])
 ACTUAL_SET = np.array([P.table3[name].actual for name in NAMES])
-GUESS = tuple(ACTUAL_SET)
 WONG_REECE_LOAD = 8923.0  # [N] of the wheel of Wong & Reece (1967), 2006 lb
 WIDE_SLIP = (0.05, 0.6)  # our reading of "a wide range of slip"
 WIDE_SLIPS = np.linspace(*WIDE_SLIP, 200)  # over which a mean drawbar pull is taken
@@ -96,21 +95,23 @@ def soil_and_equations(
     return (sand.friction_angle_deg, sand.shear_modulus, S), e
 
 
-def pulls(e: Equations, sand: Sand, slip: ArrayLike) -> np.ndarray:
-    """DP [N] at each slip, [M] or a number, with the entry angle of the working point."""
-    soil, e = soil_and_equations(sand, e)
+def pulls(e: Equations, slip: ArrayLike, **changes: float) -> np.ndarray:
+    """DP [N] of the compact sand, with these `changes` of its parameters, at each slip, [M] or a
+    number, with the entry angle of the working point.
+    """
+    soil, e = soil_and_equations(replace(SAND, **changes), e)
     sinkage = e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg)))
     return forces(soil, slip, sinkage, e)[:, 0]
 
 
-def pull(e: Equations, sand: Sand = SAND) -> float:
-    """DP [N] at the working point."""
-    return float(pulls(e, sand, POINT.slip)[0])
+def pull(e: Equations, **changes: float) -> float:
+    """DP [N] at the working point; `changes` as in `pulls`."""
+    return float(pulls(e, POINT.slip, **changes)[0])
 
 
-def mean_pull(e: Equations, sand: Sand = SAND) -> float:
-    """Mean DP [N] over `WIDE_SLIPS`, with the entry angle of the working point."""
-    return float(pulls(e, sand, WIDE_SLIPS).mean())
+def mean_pull(e: Equations, **changes: float) -> float:
+    """Mean DP [N] over `WIDE_SLIPS`; `changes` as in `pulls`."""
+    return float(pulls(e, WIDE_SLIPS, **changes).mean())
 
 
 def alone(e: Equations, name: str, target: float) -> float:
@@ -121,23 +122,21 @@ def alone(e: Equations, name: str, target: float) -> float:
     """
     value = getattr(SAND, name)
     low, high = (-1e4, 1e5) if name == "cohesion" else (0.5 * value, 2.0 * value)
-    return float(
-        brentq(lambda v: pull(e, replace(SAND, **{name: v})) - target, low, high, xtol=1e-12 * high)
-    )
+    return float(brentq(lambda v: pull(e, **{name: v}) - target, low, high, xtol=1e-12 * high))
 
 
 def variation(e: Equations) -> float:
     """Change of the mean DP over `WIDE_SLIPS` where the cohesion is the one held in Table 3 in
     place of the one of Table 2 [%].
     """
-    return percent_above(mean_pull(e, replace(SAND, cohesion=P.fixed_cohesion)), mean_pull(e))
+    return percent_above(mean_pull(e, cohesion=P.fixed_cohesion), mean_pull(e))
 
 
 def working_point() -> list[Row]:
     """Rows of Sections 3.1 and 4: the drawbar pull, and what the text says of cohesion."""
     at_1150 = [alone(e, "cohesion", POINT.if_measured_drawbar_pull) for e in MODELS]
     at_1200 = [alone(e, "cohesion", 1200.0) for e in MODELS]
-    no_cohesion = [pull(e, replace(SAND, cohesion=0.0)) for e in MODELS]
+    no_cohesion = [pull(e, cohesion=0.0) for e in MODELS]
     changes = [variation(e) for e in MODELS]
     c = POINT.then_identified_cohesion
     limit = POINT.cohesion_may_turn_negative_below
@@ -213,7 +212,7 @@ def on_the_curve(name: str) -> list[tuple[str, float, Row]]:
         printed.append(("Section 3.1", POINT.then_identified_cohesion, target))
     rows = []
     for where, value, target in printed:
-        ours = [pull(e, replace(SAND, **{name: value})) for e in MODELS]
+        ours = [pull(e, **{name: value}) for e in MODELS]
         rows.append((where, value, Row(f"{LABELS[name]} {value:g} ({where})", target, ours)))
     return rows
 
@@ -221,9 +220,9 @@ def on_the_curve(name: str) -> list[tuple[str, float, Row]]:
 @cache
 def root(e: Equations) -> np.ndarray:
     """(phi [deg], K [m], S) that solve the equations for the three measured points, by
-    Newton-Raphson from `GUESS`.
+    Newton-Raphson from `ACTUAL_SET`.
     """
-    return newton_raphson(MEASURED, GUESS, e)
+    return newton_raphson(MEASURED, ACTUAL_SET, e)
 
 
 def table_3() -> list[Row]:
@@ -272,12 +271,12 @@ def table_4(backtracking: bool) -> list[Row]:
     for k, (name, scan, form) in enumerate(zip(NAMES, scans, (".1f", ".4f", ".2g"), strict=True)):
         lowest = []
         highest = []
-        guesses = np.tile(GUESS, (scan.size, 1))
+        guesses = np.tile(ACTUAL_SET, (scan.size, 1))
         guesses[:, k] = scan
         for e in FIXED_COHESION:
             lost = ~reaches(e, guesses, backtracking)
-            below = np.flatnonzero(lost & (scan < GUESS[k]))
-            above = np.flatnonzero(lost & (scan > GUESS[k]))
+            below = np.flatnonzero(lost & (scan < ACTUAL_SET[k]))
+            above = np.flatnonzero(lost & (scan > ACTUAL_SET[k]))
             lowest.append((scan[below[-1] + 1], "") if below.size else (scan[0], "<"))
             highest.append((scan[above[0] - 1], "") if above.size else (scan[-1], ">"))
         low, high = P.table4[name]
@@ -288,19 +287,12 @@ def table_4(backtracking: bool) -> list[Row]:
 
 
 class Box(NamedTuple):
-    """Guesses in the printed ranges of Table 4, and which of them reach the root by each of
-    `MODELS`: plain Newton-Raphson, and with backtracking.
-    """
+    """Guesses in the printed ranges of Table 4, and which of them reach the root."""
 
     guesses: np.ndarray  # [G, 3]
-    plain: list[np.ndarray]  # [G] each
-    backtracking: list[np.ndarray]
-
-    def columns(self) -> list[np.ndarray]:
-        """[G] each: plain and with backtracking by the equations as printed, then the same two with
-        Wong & Reece's peak; the order of `page.METHODS`.
-        """
-        return [found[k] for k in range(2) for found in (self.plain, self.backtracking)]
+    #: [G] each: plain and with backtracking by the equations as printed, then the same two with
+    #: Wong & Reece's peak; the order of `page.METHODS`.
+    reached: list[np.ndarray]
 
 
 def box(*counts: int) -> Box:
@@ -315,10 +307,8 @@ def box(*counts: int) -> Box:
         np.geomspace(S[0], S[1], counts[2]),
     )
     guesses = np.array(list(product(*sides)))
-    plain, backtracking = (
-        [reaches(e, guesses, own) for e in FIXED_COHESION] for own in (False, True)
-    )
-    return Box(guesses, plain, backtracking)
+    reached = [reaches(e, guesses, own) for e in FIXED_COHESION for own in (False, True)]
+    return Box(guesses, reached)
 
 
 class Noisy(NamedTuple):
@@ -339,7 +329,7 @@ def table_5(e: Equations, seed: int, draws: int) -> Noisy:
     rng = np.random.default_rng([seed, 5])
     factors = 1.0 + NOISE * rng.standard_normal((draws, 3, 3))
     noisy = Points(*np.swapaxes(np.array(MEASURED) * factors, 0, 1))
-    found = newton_raphson(noisy, np.tile(GUESS, (draws, 1)), e)
+    found = newton_raphson(noisy, np.tile(ACTUAL_SET, (draws, 1)), e)
     errors = np.abs(percent_above(found, ACTUAL_SET))
     good = np.isfinite(errors).all(axis=1)
     if not good.any():

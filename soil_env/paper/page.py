@@ -3,7 +3,6 @@ templates/paper.md.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,6 @@ from .compare import (
     MODELS,
     NAMES,
     POINT,
-    SAND,
     SLIPS,
     WIDE_SLIP,
     P,
@@ -78,7 +76,7 @@ def markdown(results: Results, command: str) -> str:
         "miss": misses.max(axis=0),
         "rms": pull_misfits(),
         "misprint": rows["fig3"][-1].ours[1] - POINT.if_measured_drawbar_pull,
-        "reach": [100.0 * found.mean() for found in results.box.columns()],
+        "reach": [100.0 * found.mean() for found in results.box.reached],
     }
     return render("soil_env.paper:paper.md", **values, **tables)
 
@@ -127,9 +125,9 @@ def _corners(r: Results) -> Table:
     """Table of the corners of the ranges of Table 4: does the search from each reach the root?"""
     rows = [
         (f"{phi:.0f}", f"{K:.3f}", f"{S:.2g}", *("converges" if ok else "lost" for ok in found))
-        for (phi, K, S), *found in zip(r.corners.guesses, *r.corners.columns(), strict=True)
+        for (phi, K, S), *found in zip(r.corners.guesses, *r.corners.reached, strict=True)
     ]
-    total = (f"{found.sum()} of {found.size}" for found in r.corners.columns())
+    total = (f"{found.sum()} of {found.size}" for found in r.corners.reached)
     return Table(("phi [deg]", "K [m]", "S", *METHODS), [*rows, ("all", "", "", *total)])
 
 
@@ -173,9 +171,9 @@ def _by_slip(figure: Figure) -> None:
     pull = _axes(figure, "slip [-]", "drawbar pull [N]", 121)
     error = _axes(figure, "slip [-]", "from (12), exact [N]", 122)
     for k, reading in enumerate(READINGS):
-        exact = pulls(compare.EXACT[k], SAND, slip)
+        exact = pulls(compare.EXACT[k], slip)
         for colour, rule in enumerate(rules()):
-            y = pulls(rule.equations[k], SAND, slip)
+            y = pulls(rule.equations[k], slip)
             label = f"{rule.name}, {reading}"
             # (11) is far from (12): its difference would hide the others.
             shown = ((pull, y), (error, y - exact))[: 1 + rule.equations[k].compaction]
@@ -198,7 +196,7 @@ def _along(figure: Figure, label: str, name: str, position: int = 111) -> Axes:
     margin = 0.3 * np.ptp(values)
     wide = np.linspace(values.min() - margin, values.max() + margin, 60)
     for e, style, reading in zip(MODELS, ("C0--", "C1-"), READINGS, strict=True):
-        pull = [compare.pull(e, replace(SAND, **{name: v})) for v in wide]
+        pull = [compare.pull(e, **{name: v}) for v in wide]
         axes.plot(wide, pull, style, label=reading)
     for mark, (where, value, row) in zip("v^>s", points, strict=False):
         axes.plot([value], [row.printed], f"k{mark}", label=f"printed, {where}")
