@@ -153,11 +153,11 @@ def _check_quantity(owner: Checked, f: dataclasses.Field, value: typing.Any) -> 
         raise FieldError(owner, f.name, f" = {list(value)}: expected the smaller number first")
 
 
-def unknown_key(key, known, where: str) -> ParameterError:
-    """Return the error for a key that does not exist, with the nearest known name."""
-    return ParameterError(
-        f"{where}: unknown key {key!r}{nearest(key, known)} (known: {_sorted(known)})"
-    )
+def unknown_key(key, known, where: str, said: str = "unknown key") -> ParameterError:
+    """Return the error for a key that does not exist, with the nearest known name. `said` stands
+    before the key.
+    """
+    return ParameterError(f"{where}: {said} {key!r}{nearest(key, known)} (known: {_sorted(known)})")
 
 
 def unknown_value(value, known, where: str = "") -> ParameterError:

@@ -244,9 +244,10 @@ class _Reader:
             raise ParameterError(f"{path}: has no topics: not one message is whole{said}")
         for name, source in self.sources.items():
             if source.topic not in notes.topics:
-                unknown = unknown_key(source.topic, notes.topics, f"{path}: channels.{name}.topic")
+                where = f"{path}: channels.{name}.topic"
+                unknown = unknown_key(source.topic, notes.topics, where, "unknown topic")
                 cut = " (of what is whole)" if notes.lines else ""
-                raise ParameterError(str(unknown).replace("key", "topic") + cut)
+                raise ParameterError(f"{unknown}{cut}")
         for topic in topics.values():
             topic.faults.settle(notes)
             for name, field in topic.fields.items():

@@ -127,9 +127,9 @@ def _check_columns(path: Path, header: list[str], stamps: str, columns: dict[str
     """Raise `ParameterError` for a column of time or readings that `header` lacks or has twice."""
     for name, what in {stamps: "time", **columns}.items():
         if name not in header:
-            unknown = str(unknown_key(name, header, f"{path}: {what}"))
+            unknown = unknown_key(name, header, f"{path}: {what}", "no column")
             hint = "; expected commas between columns" if ";" in header[0] else ""
-            raise ParameterError(unknown.replace("unknown key", "no column") + hint)
+            raise ParameterError(f"{unknown}{hint}")
         if header.count(name) > 1:
             places = ", ".join(str(k) for k, other in enumerate(header, 1) if other == name)
             raise ParameterError(

@@ -217,6 +217,16 @@ def test_a_map_that_cannot_be_right_is_refused(tmp_path, changes, named):
     refused(lambda: read_map(write_map(tmp_path, changes)), "map.yaml", *named)
 
 
+def test_an_unknown_topic_is_named_as_it_is_written(tmp_path):
+    """Also where its name or that of the folder has the word key."""
+    folder = tmp_path / "keys"
+    folder.mkdir()
+    bag = write_json_mcap(folder / "a.mcap", steps=4)
+    speed = {"topic": "/monkey/odom", "field": "twist.x"}
+    said = ("keys/a.mcap", "channels.speed.topic: unknown topic '/monkey/odom'", "/drive")
+    refused(lambda: read(bag, {"speed": speed}), *said)
+
+
 def test_a_name_in_brackets_may_have_dots(tmp_path):
     """As the joints of some robot descriptions."""
     joints = {"name": ["left.rear", "left.front"], "velocity": [9.0, 2.0]}
