@@ -395,10 +395,6 @@ class NotHere(LookupError):
     """The value is missing in this one message; others may have it."""
 
 
-class Unlike(ValueError):
-    """This one message of JSON, which has no fixed fields, is built in another way."""
-
-
 def parse(field: str, where: str) -> tuple[str | int, ...]:
     """Steps of a path: names of attributes, "[name]" for the index of a name, numbers for
     indices.
@@ -417,36 +413,34 @@ def parse(field: str, where: str) -> tuple[str | int, ...]:
     return tuple(steps)
 
 
-def number(
-    message: Any, steps: tuple[str | int, ...], where: str, quaternion: bool = False
-) -> float:
+def number(message: Any, steps: tuple[str | int, ...], quaternion: bool) -> float:
     """The number at a path of a message, whose `steps` are those of `parse`; for a `quaternion` the
-    uphill pitch [rad] of the orientation there. `where` begins the text of an error.
+    uphill pitch [rad] of the orientation there.
 
     Raises `NotHere` where only this message lacks it: a list is too short, or a name is not in it.
-    For a path that messages of this type do not have it raises `ParameterError`, and `Unlike` where
-    the message is of JSON.
+    For a path that messages of this type do not have it raises `ParameterError`, and another
+    ValueError where the message is of JSON.
     """
     value = message
     for step in steps:
         if isinstance(step, int) or step.startswith("["):
-            value = _item(message, value, step, where)
+            value = _item(message, value, step)
         elif _has_fields(value) and hasattr(value, step):
             value = getattr(value, step)
         else:
-            raise _wrong(message, f"{where}: the message has no such field{_near(message, steps)}")
+            raise _wrong(message, f"the message has no such field{_near(message, steps)}")
     if quaternion:
         try:
             parts = [float(getattr(value, name)) for name in "xyzw"]
         except (AttributeError, TypeError):
-            said = f"{where}: expected an orientation with x, y, z and w for unit quaternion"
+            said = "expected an orientation with x, y, z and w for unit quaternion"
             raise _wrong(message, said) from None
         return uphill(*parts)
     if not isinstance(value, Real):
         hint = _near(message, steps)
         if all(hasattr(value, name) for name in "xyzw"):
             hint = ": expected unit quaternion with an orientation, which is of pitch only"
-        raise _wrong(message, f"{where}: is no number but {_kind(value)}{hint}")
+        raise _wrong(message, f"is no number but {_kind(value)}{hint}")
     return float(value)
 
 
@@ -459,35 +453,33 @@ def _wrong(message: Any, said: str) -> ValueError:
     """Return the error for a message that lacks a field that the user's `LogMap` names.
 
     `ParameterError` for CDR, where all messages of a type have the same fields, so that the map is
-    wrong; `Unlike` for JSON, where the next message may have them.
+    wrong; `ValueError` for JSON, where the next message may have them.
     """
-    return (ParameterError if dataclasses.is_dataclass(message) else Unlike)(said)
+    return (ParameterError if dataclasses.is_dataclass(message) else ValueError)(said)
 
 
-def _item(message: Any, values: Any, step: str | int, where: str) -> Any:
+def _item(message: Any, values: Any, step: str | int) -> Any:
     """Element of the list `values` of a message, by the index or the "[name]" in `step`.
 
     A name has its place in the message's list of names (`_LISTS_OF_NAMES`). `NotHere` for an index
     or a name that is not there, `_wrong` where there is no list at all.
     """
     if not hasattr(values, "__len__") or isinstance(values, str):
-        raise _wrong(message, f"{where}: {step} of something that is no list: {_kind(values)}")
+        raise _wrong(message, f"{step} of something that is no list: {_kind(values)}")
     if isinstance(step, str):
         names = next(
             (list(getattr(message, key)) for key in _LISTS_OF_NAMES if hasattr(message, key)), None
         )
         if names is None:
-            said = f"{where}: the message has no list of names: expected a number in brackets"
+            said = "the message has no list of names: expected a number in brackets"
             raise _wrong(message, said)
         name = step[1:-1]
         if name not in names:
             known = ", ".join(map(str, names)) or "none"
-            raise NotHere(f"{where}: no name {name!r}{nearest(name, names)} (names: {known})")
+            raise NotHere(f"no name {name!r}{nearest(name, names)} (names: {known})")
         step = names.index(name)
     if step >= len(values):
-        raise NotHere(
-            f"{where}: the list has {plural(len(values), 'value')}: expected more than {step}"
-        )
+        raise NotHere(f"the list has {plural(len(values), 'value')}: expected more than {step}")
     return values[step]
 
 

@@ -15,7 +15,7 @@ from soil_env.online import slips
 from soil_env.parameters.sensors import SENSORS, sizes_of
 
 from .align import Aligned
-from .mapping import CONVERTED, GEARED, TIMES, UNITS, LogMap, si_factor, si_unit
+from .mapping import CONVERTED, GEARED, TIMES, UNITS, LogMap, TimeColumn, si_factor, si_unit
 
 _STANDS = 0.13  # [rad/s] wheel speed, or travel speed over radius, below which a wheel stands
 _LEAST = 10  # steps that drive, below which nothing is compared
@@ -49,21 +49,17 @@ _SIZED = sorted(
 )
 
 
-def time_doubts(interval: float, length: float, log_map: LogMap) -> list[str]:
+def time_doubts(interval: float, length: float, stamps: TimeColumn) -> list[str]:
     """Doubt on the unit of the column of time, in a list; empty without one.
 
-    `interval` [s] is the median between rows, `length` [s] that of the table, NaN where not known.
-    Doubtful is an interval beyond `_INTERVAL`, and below the usual one in a table shorter than
-    `_SHORT`. One of 0 is left to `stamps`, which notes repeated stamps.
+    `interval` [s] is the median between rows, `length` [s] that of the table. Doubtful is an
+    interval beyond `_INTERVAL`, and below the usual one in a table shorter than `_SHORT`. One of 0
+    is left to `Stamps.settle`, which notes repeated stamps.
     """
     brief = interval < _USUAL[0] and length < _SHORT
-    if (
-        log_map.time is None
-        or interval == 0.0
-        or not (interval < _INTERVAL[0] or interval > _INTERVAL[1] or brief)
-    ):
+    if interval == 0.0 or not (interval < _INTERVAL[0] or interval > _INTERVAL[1] or brief):
         return []
-    now = log_map.time.unit
+    now = stamps.unit
     usual = [
         u
         for u, f in TIMES.items()
@@ -71,7 +67,7 @@ def time_doubts(interval: float, length: float, log_map: LogMap) -> list[str]:
     ]
     likely = " or ".join(usual) or "another"
     return [
-        f"time (column {log_map.time.column}): rows are {interval:.3g} s apart, {length:.3g} s in "
+        f"time (column {stamps.column}): rows are {interval:.3g} s apart, {length:.3g} s in "
         f"all, expected {_USUAL[0]:g} to {_USUAL[1]:g} s apart. Perhaps unit {likely} in place of "
         f"{now}."
     ]

@@ -1,6 +1,5 @@
 """Readings of a recording, whatever its format, on one time axis."""
 
-import math
 from array import array
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from soil_env.online import largest_readings
 
 from . import bags, tables
 from .align import Aligned, Channel, align
-from .bags import Message, NotHere, Unlike, number, parse
+from .bags import Message, NotHere, number, parse
 from .doubts import doubts, time_doubts
 from .mapping import LogMap, Source, TimeColumn, factor, si_unit
 from .notes import Faults, Notes, Progress
@@ -46,9 +45,7 @@ def read_recording(
         raise ParameterError(f"{path}: {turning.place}: not one reading of wheel_speed")
     found = align(reader.channels, reader.constants, log_map.period, log_map.max_gap)
     found.notes.extend(reader.notes.lines + _remarks(found, log_map, reader.limits))
-    found.doubts.extend(
-        time_doubts(reader.interval, reader.length, log_map) + doubts(found, log_map)
-    )
+    found.doubts.extend(reader.doubts + doubts(found, log_map))
     return found
 
 
@@ -96,8 +93,7 @@ class _Reader:
         self.channels = {n: Channel(s.place) for n, s in log_map.channels.items()}
         #: Largest plausible reading in SI units, by channel; larger ones are left out.
         self.limits = largest_readings(log_map.wheel, log_map.gravity)._asdict()
-        self.interval = math.nan  # [s] median between the first rows of a table
-        self.length = 0.0  # [s] from the first to the last row
+        self.doubts: list[str] = []  # on the unit of the time stamps
         #: `max_gap` and `restart_gap` [ns].
         self._gaps = round(log_map.max_gap * 1e9), round(log_map.restart_gap * 1e9)
         self._left = MOST_READINGS  # that may still come
@@ -165,8 +161,9 @@ class _Reader:
             )
 
     def read_table(self, stamps: TimeColumn) -> None:
-        """Read a CSV or Parquet file with a column of time stamps into `channels`; set `interval`
-        and `length`. Successive rows of one time that fill different columns count as one row.
+        """Read a CSV or Parquet file with a column of time stamps into `channels`; set `doubts`.
+
+        Successive rows of one time that fill different columns count as one row.
         """
         columns: dict[str, list[str]] = {}
         for name, source in self.sources.items():
@@ -190,8 +187,8 @@ class _Reader:
         kept = order.settle(times, *self._gaps, self.notes)
         sound = times[kept]
         if sound.size > 1:
-            self.interval = np.median(np.abs(np.diff(sound[:_FIRST_ROWS]))) * 1e-9
-            self.length = (sound[-1] - sound[0]) * 1e-9
+            interval = np.median(np.abs(np.diff(sound[:_FIRST_ROWS]))) * 1e-9
+            self.doubts = time_doubts(interval, (sound[-1] - sound[0]) * 1e-9, stamps)
         for name in self.sources:
             self._finish(name, times, kept)
 
@@ -325,7 +322,7 @@ class _Field:
         self._source = source
         self._steps = parse(source.field, f"channels.{name}.field")
         self.faults = Faults(f"{name}: {source.place}", "messages")
-        self.lacking: NotHere | None = None  # error of the first message without it
+        self.lacking = ""  # what the first message without it lacks
 
     def number(self, content: Any, kind: str, ordinal: int) -> float | None:
         """Number in the `content` of a message of type `kind`, `ordinal`-th of its topic, or None.
@@ -338,14 +335,13 @@ class _Field:
         where = f"channels.{self._name}: topic {source.topic} ({kind}), field {source.field}"
         self.faults.count += 1
         try:
-            return number(content, self._steps, where, source.unit == "quaternion")
-        except ParameterError:
-            raise
+            return number(content, self._steps, source.unit == "quaternion")
+        except ParameterError as error:
+            raise ParameterError(f"{where}: {error}") from None
         except NotHere as error:
-            self.lacking = self.lacking or error
-        except Unlike as error:
-            self.faults.add(f"message {ordinal}", str(error).removeprefix(f"{where}: "))
-        # A number too large for a float, or a field with the name of a method.
+            self.lacking = self.lacking or f"{where}: {error}"
+        # A message of JSON that is built in another way, a number too large for a float, or a field
+        # with the name of a method.
         except (ArithmeticError, AttributeError, TypeError, ValueError) as error:
             self.faults.add(f"message {ordinal}", error)
         return None

@@ -143,8 +143,7 @@ def test_what_was_driven_is_not_doubted(logs, name):
         (1e-4, 400, "s", "another"),
     ],
 )
-def test_stamps_in_another_unit_are_doubted(logs, interval, rows, unit, proposed):
+def test_stamps_in_another_unit_are_doubted(interval, rows, unit, proposed):
     """`interval` [s] between the rows, as declared."""
-    log_map = replace(logs["mixed"][0][1], time=TimeColumn("t", unit))
-    found = time_doubts(interval, interval * rows, log_map)
+    found = time_doubts(interval, interval * rows, TimeColumn("t", unit))
     assert len(found) == bool(proposed) and (not found or proposed in found[0]), found
