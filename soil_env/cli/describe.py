@@ -124,15 +124,16 @@ def _range(f: Any) -> str:
 
 def _kind(hint: Any) -> str:
     """Values that a type hint admits but None, in words; "value" for a type not listed here."""
-    if typing.get_origin(hint) is typing.Literal:
-        return " | ".join(map(str, typing.get_args(hint)))
-    parts = [h for h in typing.get_args(hint) if h is not types.NoneType]
-    if isinstance(hint, types.UnionType) and len(parts) == 1:
-        return _kind(parts[0])
-    if _class_in(hint) is not None and typing.get_origin(hint) is not dict:
+    origin = typing.get_origin(hint)
+    items = typing.get_args(hint)
+    if origin is typing.Literal:
+        return " | ".join(map(str, items))
+    if origin is types.UnionType:  # X | None, the only union that `load` takes
+        return _kind(next(item for item in items if item is not types.NoneType))
+    if _class_in(hint) is not None and origin is not dict:
         return "keys below"
     names = {str: "text", bool: "true | false", dict: "mapping", tuple: "list", float: "number"}
-    return names.get(typing.get_origin(hint) or hint, "value")
+    return names.get(origin or hint, "value")
 
 
 def _default(f: Any) -> str:

@@ -136,14 +136,6 @@ class _Doubts:
             if f != now and low <= f / now <= high and u not in CONVERTED
         ]
 
-    def _unit_in_words(self, name: str, low: float, high: float) -> str:
-        """Units that explain a reading which should be `low` to `high` times as large, in words;
-        without one, what else may be wrong.
-        """
-        units = " or ".join(self._units(name, low, high))
-        geared = name in GEARED and self.map.channels[name].gear == 1.0
-        return f"unit {units}" if units else f"another unit{', gear' * geared} or field"
-
     def _speeds(self) -> bool:
         """Compare rim speed, travel speed and slip; add the first doubt, True if there is none.
 
@@ -230,9 +222,12 @@ class _Doubts:
             ratio = size / sizes.get(of, 1.0)
             if low <= ratio <= high or (ratio == 0.0 and name == "sinkage"):
                 continue
-            reason = (
-                self._unit_in_words(name, low / ratio, high / ratio) if ratio else "a dead sensor"
-            )
+            geared = name in GEARED and self.map.channels[name].gear == 1.0
+            reason = f"another unit{', gear' * geared} or field"
+            if ratio == 0.0:
+                reason = "a dead sensor"
+            elif units := self._units(name, low / ratio, high / ratio):
+                reason = f"unit {' or '.join(units)}"
             if name == "load":
                 reason += f", or wheel.body_mass {size / gravity:.3g} kg"
             if name == "acceleration":

@@ -304,8 +304,7 @@ class _Topic:
         stamps = self.stamps
         times = np.frombuffer(stamps.times if by_header else stamps.recorded, np.int64)
         if by_header:
-            zeros = Faults(f"{stamps.source}, header.stamp", "stamps")
-            zeros.count = times.size
+            zeros = Faults(f"{stamps.source}, header.stamp", "stamps", times.size)
             for k in np.flatnonzero(times == 0).tolist():
                 zeros.add(f"message {stamps.numbers[k]}", "zero or missing; try clock: log")
             zeros.settle(notes)

@@ -47,12 +47,9 @@ _COMPARED = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "cohe
 _SEEN = 0.8  # prior probability that there is another soil behind a border that the identifier saw
 _DOUBTED = 0.1  # [prior sd] by which every estimate may be off beside its own sd
 _LEAST_VARIANCE = 1e-9  # [of the prior's] that is divided by
-#: (least, greatest) value of a soil's parameters; without the gain of slip-sinkage, of which little
-#: may be known.
+#: (least, greatest) value of these; without the gain of slip-sinkage, of which little may be known.
 _BOUNDS = {
-    f.name: (f.metadata["low"], f.metadata["high"])
-    for f in fields(Soil)
-    if f.name in ESTIMATED and f.name != "dig_gain"
+    f.name: (f.metadata["low"], f.metadata["high"]) for f in fields(Soil) if f.name in _COMPARED
 }
 #: Error of an estimate that was picked by its least sds, over these. Own measurement: root mean
 #: squares of 1.4 to 1.8 on drives in one soil of `mixed`, `loose_slopes` and `sticky`.

@@ -103,11 +103,9 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
     ground = np.ones(len(log), np.int64) if ground is None else ground
     runs = _drives(log, columns["rim"], log_map)
     n = round(log_map.windows.duration / log.period)  # steps of a window
-    borders = where[1:][np.diff(ground) != 0]
-    ends = np.concatenate([[-np.inf], np.sort(borders), [np.inf]])
-    after = np.searchsorted(ends, where)  # border at or after a step; the one before has one less
-    nearest = np.minimum(where - ends[after - 1], ends[after] - where)
-    far_from_borders = nearest > log_map.belief.border
+    far_from_borders = np.ones(len(log), bool)
+    for border in where[1:][np.diff(ground) != 0]:
+        far_from_borders &= np.abs(where - border) > log_map.belief.border
     rows = []
     # By column, the scatter within each window.
     scatters: dict[str, list[float]] = {name: [] for name in (*MEASURED, "slip", "load")}

@@ -249,10 +249,10 @@ def _parquet(
                     stamp = "" if time is None else time * tick if tick else str(time)
                     yield number, stamp, texts
                 notes.report(number)
+    except ParameterError:
+        raise
     # Damaged pages also end in errors of Python's own: text, sizes, memory.
     except (OSError, pyarrow.ArrowException, ValueError, ArithmeticError, MemoryError) as error:
-        if isinstance(error, ParameterError):
-            raise
         raise ParameterError(
             f"{path}: cannot be read as Parquet, whose index is at its end ({one_line(error)})"
         ) from None
