@@ -20,7 +20,7 @@ import numpy as np
 from soil_env._compiled.cache import place
 from soil_env.envs.vehicles import processors
 from soil_env.envs.wheel_env import SoilWheelVectorEnv
-from soil_env.online import Observer, OnlineIdentifier, Readings, slips
+from soil_env.online import Observer, OnlineIdentifier, Readings
 from soil_env.parameters import SoilState, load_scenario, soils, wheels
 from soil_env.parameters.readings import Image
 from soil_env.terramechanics.effects import switched_on
@@ -113,12 +113,10 @@ def _identifier() -> None:
 
 
 def _predictions() -> None:
-    """Compile what predicts, reads tables and logs, and recomputes the source paper."""
-    # Here so that importing this file loads neither scipy nor the printed values of the paper.
+    """Compile what predicts, and what reads tables and logs."""
+    # Here so that importing this file does not load scipy.
     from soil_env.discovery.corrected import groups_at
-    from soil_env.paper import compare
 
-    slips(np.array([0.3]), np.array([0.2]))
     model = _with_effects()
     soil = soils()["lete_sand"].state(0.15)
     rim = Rim(0.15, 0.15, 0.0, 0.0)
@@ -136,9 +134,6 @@ def _predictions() -> None:
     best_points(
         np.ones((1, len(SoilState._fields))), np.array([100.0]), wheels()["planetary_rover"]
     )
-    for equations in compare.FIXED_COHESION:
-        compare.root(equations)
-        compare.forces(compare.PRINTED_SET, *compare.MEASURED[:2], equations)
 
 
 #: Parts that are compiled side by side, the longest first. A process compiles an inner function

@@ -135,7 +135,7 @@ def _channel_table(log: Aligned) -> Table:
     """Source, rate, gaps and range of each reading; a constant has only source and range."""
     rows = []
     for name, c in log.channels.items():
-        counted = ["", "", "", ""]
+        counted = [""] * 4
         if c.readings:
             shares = (f"{c.interpolated:.0%}", f"{c.missing:.0%}")
             counted = [str(c.readings), cell(c.per_second, ".1f"), *shares]

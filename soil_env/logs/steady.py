@@ -224,8 +224,7 @@ def _scatter(values: np.ndarray) -> float:
     """Standard deviation of `values` [n] about a straight line in time; NaN if one is missing."""
     if np.isnan(values).any():
         return math.nan
-    residual = detrend(values)
-    return math.sqrt((residual @ residual) / (values.size - 2))
+    return float(np.std(detrend(values), ddof=2))
 
 
 def _row(part: dict[str, np.ndarray], start: float, period: float) -> Point:

@@ -57,10 +57,14 @@ class CourseView:
                 sample += sample_of(simulation, w, self.scenario.belief.sinkage_exponent)
             self._history.append(sample)
 
-    def _paint(self, canvas: Canvas, simulation: Any) -> None:
-        """Draw the vehicle as it is now on a cleared canvas; all of its course has to be drawn from
-        the soils (`simulation.complete`).
+    def draw(self, simulation: Any) -> np.ndarray | None:
+        """Picture of the vehicle as uint8 [height, width, 3]; in mode "human" it goes to the
+        window, and None is returned.
         """
+        canvas = self._canvas or Canvas()
+        self._canvas = canvas
+        canvas.clear()
+        simulation.complete(0)  # all of its course is drawn from the soils
         wheels = shown_wheels(simulation)
         width = width_of(simulation)
         length = self.scenario.course.length
@@ -74,16 +78,7 @@ class CourseView:
         colours = [COLOURS[w["name"]] for w in wheels]
         history = np.reshape(self._history, (-1, 1 + QUANTITIES * len(wheels))).T
         draw_charts(canvas, history, colours, identified=wheels[0]["status"] is not None)
-
-    def draw(self, simulation: Any) -> np.ndarray | None:
-        """Picture of the vehicle as uint8 [height, width, 3]; in mode "human" it goes to the
-        window, and None is returned.
-        """
-        self._canvas = self._canvas or Canvas()
-        self._canvas.clear()
-        simulation.complete(0)
-        self._paint(self._canvas, simulation)
-        surface = self._canvas.finish()
+        surface = canvas.finish()
         if self.mode == "human":
             self._show(surface)
             return None
