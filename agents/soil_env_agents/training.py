@@ -107,7 +107,7 @@ def make_run_folder(config: TrainConfig, scenario: Scenario | RoverScenario) -> 
         raise ParameterError(f"name = {name!r}: expected the name of a folder, not a path")
     folder = Path(config.runs) / name
     try:
-        check_outputs(config.runs)
+        check_outputs(folder.parent)
     except OSError as error:
         raise ParameterError(f"runs = {config.runs!r}: {error.filename} {error.strerror}") from None
     try:

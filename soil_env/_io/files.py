@@ -31,11 +31,11 @@ def replace_file(path: str | Path, content: bytes | str) -> None:
     _replace({Path(path): content})
 
 
-def replace_files(folder: str | Path, contents: Mapping[str, bytes | str]) -> None:
+def replace_files(folder: Path, contents: Mapping[str, bytes | str]) -> None:
     """Write files into `folder`, made if need be: all of them are written in full before the first
     replaces another.
     """
-    places = {Path(folder) / name: content for name, content in contents.items()}
+    places = {folder / name: content for name, content in contents.items()}
     for path in places:
         path.parent.mkdir(parents=True, exist_ok=True)
     _replace(places)
@@ -73,18 +73,17 @@ def _bytes(content: bytes | str) -> bytes:
     return content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
 
 
-def check_own(folder: str | Path, names: Iterable[str], inputs: Iterable[str | Path] = ()) -> None:
+def check_own(folder: Path, names: Iterable[str], inputs: Iterable[Path] = ()) -> None:
     """Check, before the work, that a command can write these files with `write_own`.
 
     Raises OSError as `check_outputs`. Raises FileExistsError for a file in `folder` that no command
     wrote, or that was changed since, and for one of the `inputs` of the command.
     """
-    folder = Path(folder)
     names = tuple(names)
     check_outputs(folder, names)
     there = [name for name in names if (folder / name).exists()]
     for source in inputs:
-        if Path(source).exists() and any((folder / name).samefile(source) for name in there):
+        if source.exists() and any((folder / name).samefile(source) for name in there):
             raise _in_the_way(source, "is read by this command and would be overwritten")
     known = _manifest(folder)
     for name in there:
@@ -92,19 +91,18 @@ def check_own(folder: str | Path, names: Iterable[str], inputs: Iterable[str | P
             raise _in_the_way(folder / name, "was not written by soil-env, or was changed since")
 
 
-def _in_the_way(path: str | Path, said: str) -> FileExistsError:
+def _in_the_way(path: Path, said: str) -> FileExistsError:
     """Return the error for a file that stays, with the reason `said`."""
     text = f"{said}: expected another --out, or the file moved away"
     return FileExistsError(errno.EEXIST, text, str(path))
 
 
-def write_own(folder: str | Path, contents: Mapping[str, bytes | str]) -> None:
+def write_own(folder: Path, contents: Mapping[str, bytes | str]) -> None:
     """Write files as `replace_files`, and their digests into `MANIFEST`.
 
     Replaces only files that a command wrote and nobody changed since; FileExistsError as
     `check_own` for others.
     """
-    folder = Path(folder)
     check_own(folder, contents)
     known = _manifest(folder)
     for name, content in contents.items():
@@ -115,11 +113,10 @@ def write_own(folder: str | Path, contents: Mapping[str, bytes | str]) -> None:
     replace_files(folder, {MANIFEST: json_text(known), **contents})
 
 
-def drop_own(folder: str | Path, names: Iterable[str]) -> None:
+def drop_own(folder: Path, names: Iterable[str]) -> None:
     """Delete those of the files `names` of a folder that `write_own` wrote and nobody changed
     since; their digests stay.
     """
-    folder = Path(folder)
     known = _manifest(folder)
     for name in names:
         place = folder / name
@@ -144,13 +141,13 @@ def _digest(content: bytes) -> str:
 
 
 @contextmanager
-def alone(folder: str | Path) -> Iterator[None]:
+def alone(folder: Path) -> Iterator[None]:
     """Make a folder and hold its lock. Raises FileExistsError while another process holds it.
 
     On a disk without locks it goes on without one.
     """
     make_folder(folder)
-    lock = FileLock(Path(folder) / LOCK)
+    lock = FileLock(folder / LOCK)
     try:
         lock.acquire(timeout=0)
     except Timeout:
@@ -167,7 +164,7 @@ def alone(folder: str | Path) -> Iterator[None]:
         lock.release()
 
 
-def write_json(path: str | Path, content, indent: int | None = 1) -> None:
+def write_json(path: Path, content, indent: int | None = 1) -> None:
     """Write `json_text` with `replace_file`."""
     replace_file(path, json_text(content, indent))
 
@@ -194,31 +191,29 @@ def plain(value):
     return value
 
 
-def is_unused(folder: str | Path) -> bool:
+def is_unused(folder: Path) -> bool:
     """True if the folder is missing or holds only a partial write or a lock."""
-    folder = Path(folder)
     return not folder.is_dir() or all(
         p.name == LOCK or (p.name.startswith(".") and p.suffix == ".partial")
         for p in folder.iterdir()
     )
 
 
-def make_folder(folder: str | Path) -> None:
+def make_folder(folder: Path) -> None:
     """Make a folder where there is none, and check that files can be put into it.
 
     OSError, before the work of a command and not after it, where that fails.
     """
     check_outputs(folder)
-    Path(folder).mkdir(parents=True, exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
 
 
-def check_outputs(folder: str | Path, names: Iterable[str] = ()) -> None:
+def check_outputs(folder: Path, names: Iterable[str] = ()) -> None:
     """Raise OSError where files of these `names` could not be written into `folder`; make nothing.
 
     Of a folder that does not exist the nearest one above is tried, by a temporary file. A name may
     have one folder in it, "plots/a.png". Existing files may be replaced, folders not.
     """
-    folder = Path(folder)
     names = tuple(names)
     for place in sorted({folder, *((folder / name).parent for name in names)}):
         there = next(p for p in (place.absolute(), *place.absolute().parents) if p.exists())

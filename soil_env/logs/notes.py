@@ -14,7 +14,7 @@ class Notes:
     """Remarks on a recording while it is read, the topics seen in it, and the progress."""
 
     path: Path
-    progress: Progress = lambda done, size: None
+    progress: Progress
     lines: list[str] = field(default_factory=list)
     topics: dict[str, str] = field(default_factory=dict)  # seen, with their type
     file: str = ""  # being read

@@ -125,19 +125,13 @@ def alone(e: Equations, name: str, target: float) -> float:
     return float(brentq(lambda v: pull(e, **{name: v}) - target, low, high, xtol=1e-12 * high))
 
 
-def variation(e: Equations) -> float:
-    """Change of the mean DP over `WIDE_SLIPS` where the cohesion is the one held in Table 3 in
-    place of the one of Table 2 [%].
-    """
-    return percent_above(mean_pull(e, cohesion=P.fixed_cohesion), mean_pull(e))
-
-
 def working_point() -> list[Row]:
     """Rows of Sections 3.1 and 4: the drawbar pull, and what the text says of cohesion."""
     at_1150 = [alone(e, "cohesion", POINT.if_measured_drawbar_pull) for e in MODELS]
     at_1200 = [alone(e, "cohesion", 1200.0) for e in MODELS]
     no_cohesion = [pull(e, cohesion=0.0) for e in MODELS]
-    changes = [variation(e) for e in MODELS]
+    # [%] of the mean DP, by the cohesion held in Table 3 in place of that of Table 2.
+    changes = [percent_above(mean_pull(e, cohesion=P.fixed_cohesion), mean_pull(e)) for e in MODELS]
     c = POINT.then_identified_cohesion
     limit = POINT.cohesion_may_turn_negative_below
     error = [percent_above(found, SAND.cohesion) for found in at_1200]
@@ -396,7 +390,7 @@ class Results:
     noise: list[Noisy]  # by each of `MODELS`
 
 
-def compute(seed: int = 0, draws: int = 1000) -> Results:
+def compute(seed: int, draws: int) -> Results:
     """Recompute everything, with so many `draws` of the noise of Table 5 from a `seed`."""
     rows = {
         "point": working_point(),
