@@ -194,7 +194,7 @@ def nearest(name, known) -> str:
     A symbol of `SYMBOLS` counts as the name that it stands for.
     """
     name = SYMBOLS.get(str(name), str(name))
-    near = difflib.get_close_matches(name, [str(k) for k in known], n=1)
+    near = difflib.get_close_matches(name, map(str, known), n=1)
     return f"; did you mean {near[0]!r}?" if near else ""
 
 

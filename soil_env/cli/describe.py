@@ -6,7 +6,6 @@ import math
 import types
 import typing
 from collections.abc import Collection, Iterator, Mapping
-from types import MappingProxyType
 from typing import Any
 
 import click
@@ -61,24 +60,20 @@ def command(kind: str) -> None:
     if kind in ("scenario", "rover"):
         print(f"{'base':{_WIDTH}}  name or file of which the other keys are changes")
     without = NO_ROVER if kind == "rover" else ()
-    for line in keys_of(cls, without=without, said=OF_MAP if kind == "map" else {}):
+    for line in keys_of(cls, without, OF_MAP if kind == "map" else {}):
         print(line)
 
 
 def keys_of(
-    cls: type,
-    above: str = "",
-    without: Collection[str] = (),
-    said: Mapping[str, str] = MappingProxyType({}),
+    cls: type, without: Collection[str], said: Mapping[str, str], above: str = ""
 ) -> Iterator[str]:
     """Yield a line for each key of a dataclass, then a heading and the lines of each dataclass in
     it.
 
-    `above`: path of keys before a name, with its dot; `without`: keys that are left out;
-    `said`: words in place of the default of a key. A `Prior`
-    has no lines of its own: its key shows unit and range of the number of that name in `Soil`, and
-    that it may have a standard deviation, if it may. Only `tilt_deg` of a setup is none of those,
-    and is in degrees.
+    `without`: keys that are left out; `said`: words in place of the default of a key; `above`: path
+    of keys before a name, with its dot. A `Prior` has no lines of its own: its key shows unit and
+    range of the number of that name in `Soil`, and that it may have a standard deviation, if it
+    may. Only `tilt_deg` of a setup is none of those, and is in degrees.
     """
     hints = typing.get_type_hints(cls)
     within: list[tuple[str, type]] = []
@@ -99,7 +94,7 @@ def keys_of(
     for place, inner in within:
         first = (inspect.getdoc(inner) or "").split("\n\n")[0].replace("\n", " ")
         yield f"\n{place[:-1]}: {first}"
-        yield from keys_of(inner, place, without, said)
+        yield from keys_of(inner, without, said, place)
 
 
 def _class_in(hint: Any) -> type | None:

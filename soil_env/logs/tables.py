@@ -146,8 +146,8 @@ def _csv(stamps: str, columns: dict[str, str], notes: Notes, faults: Faults) -> 
     """
     path = notes.path
     notes.size = path.stat().st_size
-    short: tuple[str, ...] = ()  # fault of a row with too few cells, until the next row
     count = 0  # of whole rows
+    short = False  # too few cells in the last row
     try:
         with path.open("rb") as raw:
             raw.seek(len(BOM_UTF8) if raw.read(3) == BOM_UTF8 else 0)
@@ -179,19 +179,13 @@ def _csv(stamps: str, columns: dict[str, str], notes: Notes, faults: Faults) -> 
             stamp_column = header.index(stamps)
             places = [header.index(c) for c in columns]
             for cells in lines:
-                if short:
-                    faults.count += 1
-                    faults.add(*short)
-                    short = ()
-                # Too few are allowed in the last row, where a recording was cut off.
+                short = len(cells) < len(header)
                 if len(cells) != len(header):
                     expected = f"expected {len(header)} as in the header"
-                    said = f"has {plural(len(cells), 'cell')}, {expected}"
-                    if len(cells) > len(header):
-                        faults.count += 1
-                        faults.add(f"row {reader.line_num}", said)
-                    else:
-                        short = (f"row {reader.line_num}", said)
+                    faults.count += 1
+                    faults.add(
+                        f"row {reader.line_num}", f"has {plural(len(cells), 'cell')}, {expected}"
+                    )
                     continue
                 count += 1
                 yield reader.line_num, cells[stamp_column], [cells[p] for p in places]
@@ -203,12 +197,14 @@ def _csv(stamps: str, columns: dict[str, str], notes: Notes, faults: Faults) -> 
         ) from None
     except csv.Error as error:
         raise ParameterError(f"{path}: not a CSV file ({error})") from None
+    if short:  # a recording was cut off in its last row: no fault
+        faults.count -= 1
+        faults.wrong -= 1
+        notes.add(f"{path.name} is cut off in its last row, which is left out.")
     if not count and not faults.wrong:
         raise ParameterError(
             f"{path}: no whole row below the header{': it is cut off' if short else ''}"
         )
-    if short:
-        notes.add(f"{path.name} is cut off in its last row, which is left out.")
     notes.report(notes.size)
 
 

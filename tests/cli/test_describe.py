@@ -28,7 +28,7 @@ def test_every_kind_is_described(kind, capsys):
 
 def test_the_keys_of_a_scenario_are_all_there_with_unit_range_and_default():
     # lines of keys; those of headings have no column
-    described = {line.split()[0]: line for line in keys_of(Scenario) if "  " in line}
+    described = {line.split()[0]: line for line in keys_of(Scenario, (), {}) if "  " in line}
     assert set(paths(to_dict(load_scenario("two_lines")))) <= set(described)
     words = " ".join(described["course.length"].split()[1:])
     assert words.startswith("[m] 1 to 10000; default 10")
