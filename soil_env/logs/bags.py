@@ -36,7 +36,8 @@ _MOST_WORK = (10_000_000, 10)
 _WORK_STEP = 100_000  # instructions between two counts
 _LEAST_TEXT = 10_000  # [bytes] of a text or blob that SQLite may make of a file however small
 _BETWEEN_REPORTS = 64  # rows of a .db3 file, between two reports of progress
-_STEP = re.compile(r"([A-Za-z_]\w*)((?:\[[^\[\]]+\])*)\Z")  # of a path into a message
+_STEP = r"[A-Za-z_]\w*(\[[^\[\]]+\])*"  # of a path into a message
+_PATH = re.compile(rf"{_STEP}(\.{_STEP})*")
 _LISTS_OF_NAMES = ("name", "joint_names", "names")
 _ZSTD = b"\x28\xb5\x2f\xfd"  # first bytes of what zstd compressed (RFC 8878)
 _LEAST_NORM = 1e-6  # [-] squared, of a quaternion; one that nobody has set is all zeros
@@ -395,25 +396,19 @@ class NotHere(LookupError):
     """The value is missing in this one message; others may have it."""
 
 
-def parse(field: str, where: str) -> tuple[str | int, ...]:
-    """Steps of a path: names of attributes, "[name]" for the index of a name, numbers for
-    indices.
+def parse(field: str, where: str) -> list[str]:
+    """Steps of a path: names of attributes, and what is in brackets, with these.
 
-    "velocity[front_left]" gives ("velocity", "[front_left]"). `ParameterError`, which begins with
+    "velocity[front_left]" gives "velocity" and "[front_left]". `ParameterError`, which begins with
     `where`, for any other text.
     """
-    steps: list[str | int] = []
-    for step in re.split(r"\.(?![^\[]*\])", field):  # no dot of a name in brackets
-        found = _STEP.match(step)
-        if not found:
-            expected = "expected a path as twist.twist.linear.x or velocity[front_left]"
-            raise ParameterError(f"{where} = {field!r}: {expected}")
-        inner = re.findall(r"\[([^\[\]]+)\]", found[2])
-        steps += [found[1], *(int(i) if i.isdecimal() else f"[{i}]" for i in inner)]
-    return tuple(steps)
+    if not _PATH.fullmatch(field):
+        expected = "expected a path as twist.twist.linear.x or velocity[front_left]"
+        raise ParameterError(f"{where} = {field!r}: {expected}")
+    return re.findall(r"\[[^\[\]]+\]|\w+", field)
 
 
-def number(message: Any, steps: tuple[str | int, ...], quaternion: bool) -> float:
+def number(message: Any, steps: list[str], quaternion: bool) -> float:
     """The number at a path of a message, whose `steps` are those of `parse`; for a `quaternion` the
     uphill pitch [rad] of the orientation there.
 
@@ -423,7 +418,7 @@ def number(message: Any, steps: tuple[str | int, ...], quaternion: bool) -> floa
     """
     value = message
     for step in steps:
-        if isinstance(step, int) or step.startswith("["):
+        if step.startswith("["):
             value = _item(message, value, step)
         elif _has_fields(value) and hasattr(value, step):
             value = getattr(value, step)
@@ -458,29 +453,31 @@ def _wrong(message: Any, said: str) -> ValueError:
     return (ParameterError if dataclasses.is_dataclass(message) else ValueError)(said)
 
 
-def _item(message: Any, values: Any, step: str | int) -> Any:
-    """Element of the list `values` of a message, by the index or the "[name]" in `step`.
+def _item(message: Any, values: Any, step: str) -> Any:
+    """Element of the list `values` of a message, by the "[index]" or the "[name]" in `step`.
 
     A name has its place in the message's list of names (`_LISTS_OF_NAMES`). `NotHere` for an index
     or a name that is not there, `_wrong` where there is no list at all.
     """
     if not hasattr(values, "__len__") or isinstance(values, str):
         raise _wrong(message, f"{step} of something that is no list: {_kind(values)}")
-    if isinstance(step, str):
+    name = step[1:-1]
+    if name.isdecimal():
+        index = int(name)
+    else:
         names = next(
             (list(getattr(message, key)) for key in _LISTS_OF_NAMES if hasattr(message, key)), None
         )
         if names is None:
             said = "the message has no list of names: expected a number in brackets"
             raise _wrong(message, said)
-        name = step[1:-1]
         if name not in names:
             known = ", ".join(map(str, names)) or "none"
             raise NotHere(f"no name {name!r}{nearest(name, names)} (names: {known})")
-        step = names.index(name)
-    if step >= len(values):
-        raise NotHere(f"the list has {plural(len(values), 'value')}: expected more than {step}")
-    return values[step]
+        index = names.index(name)
+    if index >= len(values):
+        raise NotHere(f"the list has {plural(len(values), 'value')}: expected more than {index}")
+    return values[index]
 
 
 def uphill(x: float, y: float, z: float, w: float) -> float:
@@ -520,9 +517,9 @@ def _kind(value: Any) -> str:
     return type(value).__name__.removesuffix("_")  # bool_ and str_ of numpy
 
 
-def _near(message: Any, steps: tuple[str | int, ...]) -> str:
+def _near(message: Any, steps: list[str]) -> str:
     """End of an error: the path in the message that is most like `steps`, and the first others."""
-    asked = ".".join(str(s) for s in steps if not isinstance(s, int) and not s.startswith("["))
+    asked = ".".join(s for s in steps if not s.startswith("["))
     known = _paths(message)
     more = ", ..." if len(known) > _MOST_NAMED else ""
     return f"{nearest(asked, known)} (fields: {', '.join(known[:_MOST_NAMED])}{more})"
