@@ -5,11 +5,12 @@ templates.
 import base64
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from html import escape
 from importlib import resources
+from itertools import zip_longest
 
 import jinja2
 
@@ -38,11 +39,7 @@ class Table:
 
     def html(self) -> str:
         """HTML element `table`, all text escaped; cells in columns of numbers have class "n"."""
-        numbers = self._numbers()
-        lines = [
-            list(zip(map(str, line), numbers, strict=True)) for line in (self.header, *self.rows)
-        ]
-        return render("table.html", header=lines[0], rows=lines[1:], caption=self.caption)
+        return render("table.html", table=self, numbers=self._numbers())
 
     __html__ = html  # a template takes {{ table }} as HTML
 
@@ -54,7 +51,7 @@ class Table:
         lines, but it stays as wide as its header and `_LEAST_WIDTH`. Numbers are never broken, so a
         line may stay longer.
         """
-        lines = [[str(cell) for cell in line] for line in (self.header, *self.rows)]
+        lines = [tuple(map(str, line)) for line in (self.header, *self.rows)]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         numbers = self._numbers()
         over = indent + sum(widths) + 2 * (len(widths) - 1) - WIDTH
@@ -83,13 +80,13 @@ class Table:
         ]
 
 
-def _broken(line: Sequence[str], column: int, width: int) -> list[list[str]]:
+def _broken(line: Sequence[str], column: int, width: int) -> Iterator[tuple[str, ...]]:
     """The `line` of a table, whose cell in a `column` takes so many lines that none is longer than
     `width`; the other cells are in the first of them.
     """
-    first, *others = textwrap.wrap(line[column], width) or [""]
-    below = [[part if k == column else "" for k in range(len(line))] for part in others]
-    return [[first if k == column else cell for k, cell in enumerate(line)], *below]
+    cells = [[cell] for cell in line]
+    cells[column] = textwrap.wrap(line[column], width) or [""]
+    return zip_longest(*cells, fillvalue="")
 
 
 def _markdown_row(cells: Sequence[object]) -> str:
