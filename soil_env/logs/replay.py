@@ -359,14 +359,14 @@ _MISFIT = (
 )
 
 
-def findings(found: Replay, log: Aligned) -> list[str]:
+def findings(found: Replay, log: Aligned, log_map: LogMap) -> list[str]:
     """Sentences on what can be identified from the channels of this log, and what was.
 
     A parameter counts as identified if a current estimate has an sd below `_LEARNT` of the prior's.
     """
     measured = found.measured
     lines = []
-    if "motor_torque" in log.readings and "motor_torque" not in measured:
+    if "motor_torque" in log.readings and log_map.wheel.inertia == UNKNOWN_INERTIA:
         lines.append(
             "The motor torque is left out because the map lacks wheel.inertia [kg m2], which "
             "has to include rotor and gearbox."

@@ -60,7 +60,7 @@ def report_of(
         "recording": recording,
         "doubts": log.doubts + doubted,
         "notes": log.notes,
-        "findings": findings(found, log) + further,
+        "findings": findings(found, log, log_map) + further,
         "warnings": found.warnings,
     }
     facts = values | {  # for log.json

@@ -193,7 +193,7 @@ def test_findings_say_what_was_learnt(log_map):
     assert kinematic["sinkage_coefficient"] < 0.8
     assert min(blind.values()) == pytest.approx(1.0, abs=0.15)
     assert unseen["shear_modulus"] < 0.5
-    assert len(findings(found[1], part)) > len(findings(found[0], log))
+    assert len(findings(found[1], part, log_map)) > len(findings(found[0], log, log_map))
 
 
 def test_a_motor_torque_without_inertia_is_left_out(log_map):
@@ -204,11 +204,13 @@ def test_a_motor_torque_without_inertia_is_left_out(log_map):
     bare = replay(motor, log_map)
     expected = replay(none, log_map).values["shear_modulus"]
     assert np.array_equal(bare.values["shear_modulus"], expected)
-    assert sum("wheel.inertia" in line for line in findings(bare, motor)) == 1
+    assert sum("wheel.inertia" in line for line in findings(bare, motor, log_map)) == 1
     known = replace(log_map, wheel=replace(log_map.wheel, inertia=0.5))
     found = replay(motor, known)
     assert found.learnt()["shear_modulus"] < 0.7 * bare.learnt()["shear_modulus"]
-    assert not any("wheel.inertia" in line for line in findings(found, motor))
+    assert not any("wheel.inertia" in line for line in findings(found, motor, known))
+    dead = replace(none, readings=none.readings | {"motor_torque": np.full(len(none), math.nan)})
+    assert not any("wheel.inertia" in line for line in findings(replay(dead, known), dead, known))
 
 
 @pytest.mark.parametrize(("share", "place"), [(0.05, None), (0.3, "- "), (0.9, "check first: ")])
