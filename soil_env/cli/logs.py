@@ -51,12 +51,11 @@ def command(recording: Path, map_file: Path, out: Path) -> None:
         *columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
     ) as progress:
         task = progress.add_task("reading", total=None)
-
-        def show(done: int, size: int) -> None:
-            """Show how many bytes of a recording of this size are read."""
-            progress.update(task, completed=done, total=size)
-
-        log = read_recording(recording, log_map, show)
+        log = read_recording(
+            recording,
+            log_map,
+            lambda done, size: progress.update(task, completed=done, total=size),
+        )
     found = replay(log, log_map)
     steady = steady_windows(log, log_map, found.ground)
     files, text = report_of(recording.name, log, log_map, found, steady, out)

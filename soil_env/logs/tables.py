@@ -114,12 +114,12 @@ def _expected(stamp: str | int, unit: str) -> str:
     ISO 8601 text under another unit, and any stamp refused under "iso", get the other unit named.
     """
     text = _EXAMPLES.get(unit, f"a time in {unit}")
-    if unit != "iso" and isinstance(stamp, str):
+    if unit == "iso":
+        return f"{text}; for numbers give time: unit: s, ms, us, ns or excel"
+    if isinstance(stamp, str):
         with suppress(ValueError):
             _moment(stamp.strip())
             return f"{text}; for {_EXAMPLES['iso']} give time: unit: iso"
-    if unit == "iso":
-        text += "; for numbers give time: unit: s, ms, us, ns or excel"
     return text
 
 
