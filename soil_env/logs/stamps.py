@@ -147,8 +147,8 @@ def sound(times: np.ndarray, slack: int, restart: int) -> np.ndarray:
     # Of a stamp before the first of the set, or after the last, only one side is known.
     before = known[np.maximum(place - 1, 0)]
     after = known[np.minimum(place, known.size - 1)]
-    out = np.where(place > 0, times >= before - slack, times >= known[0] - restart)
-    out &= np.where(place < known.size, times <= after + slack, times <= known[-1] + restart)
+    out = times >= before - np.where(place > 0, slack, restart)
+    out &= times <= after + np.where(place < known.size, slack, restart)
     out[rising] = True
     return out
 

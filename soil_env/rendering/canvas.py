@@ -151,7 +151,7 @@ class Canvas:
 
     def finish(self) -> "pygame.Surface":
         """The finished picture as a surface, which the next picture overwrites."""
-        self._pygame.transform.smoothscale(self._large, self._surface.get_size(), self._surface)
+        self._pygame.transform.smoothscale(self._large, SIZE, self._surface)
         self._surface.blits(self._texts)
         return self._surface
 

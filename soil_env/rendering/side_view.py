@@ -87,18 +87,20 @@ def shown_wheels(simulation: Any) -> list[State]:
     return wheels
 
 
-def sample_of(simulation: Any, w: State, exponent: float) -> tuple[float, ...]:
+def sample_of(simulation: Any, w: State) -> tuple[float, ...]:
     """The `charts.QUANTITIES` numbers of one of the `shown_wheels`; estimates are NaN where nothing
     is identified.
 
-    The true S is that of a soil with this sinkage `exponent` which bears as much at
-    `bearing_sinkage`. With the exponent of the belief it compares with the identifier's S.
+    The true S is that of a soil with the sinkage exponent of the belief which bears as much at
+    `bearing_sinkage`: it compares with the identifier's S.
     """
+    scenario = simulation.scenario
     soil = w["soil"]
     known = (math.nan,) * 6 if w["status"] is None else (*w["estimate"][:3], *w["sd"][:3])
+    exponent = scenario.belief.sinkage_exponent
     same = sinkage_coefficient_at(soil, exponent, w["bearing_sinkage"])
     truth = math.atan(soil.tan_phi), math.log(soil.shear_modulus), math.log(same)
-    return w["slip"], w["sinkage"] / simulation.scenario.wheel.radius, *known, *truth
+    return w["slip"], w["sinkage"] / scenario.wheel.radius, *known, *truth
 
 
 def hubs_of(simulation: Any, wheels: list[State], profile: Profile) -> np.ndarray:

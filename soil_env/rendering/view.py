@@ -54,7 +54,7 @@ class CourseView:
         if steps % (self._every * self.scenario.control.action_periods) == 0:
             sample = [steps * self.scenario.control.period]
             for w in wheels:
-                sample += sample_of(simulation, w, self.scenario.belief.sinkage_exponent)
+                sample += sample_of(simulation, w)
             self._history.append(sample)
 
     def draw(self, simulation: Any) -> np.ndarray | None:
