@@ -497,9 +497,11 @@ def _paths(value: Any, prefix: str = "", depth: int = _DEEPEST) -> list[str]:
     if isinstance(value, Real):
         return [prefix]
     if _has_fields(value):
-        fields = {n: v for n, v in vars(value).items() if not n.startswith("_")} if depth else {}
         return [
-            p for n, v in fields.items() for p in _paths(v, f"{prefix}.{n}".lstrip("."), depth - 1)
+            path
+            for name, inner in vars(value).items()
+            if depth and not name.startswith("_")
+            for path in _paths(inner, f"{prefix}.{name}".lstrip("."), depth - 1)
         ]
     if isinstance(value, str) or not hasattr(value, "__len__"):
         return []

@@ -145,8 +145,8 @@ def sound(times: np.ndarray, slack: int, restart: int) -> np.ndarray:
     # Of each stamp: how many of the set come no later in the recording.
     place = np.searchsorted(rising, np.arange(times.size), side="right")
     # Of a stamp before the first of the set, or after the last, only one side is known.
-    before = known[np.maximum(place - 1, 0)]
-    after = known[np.minimum(place, known.size - 1)]
+    before = known.take(place - 1, mode="clip")
+    after = known.take(place, mode="clip")
     out = times >= before - np.where(place > 0, slack, restart)
     out &= times <= after + np.where(place < known.size, slack, restart)
     out[rising] = True
