@@ -4,7 +4,6 @@ import errno
 import importlib.util
 import io
 import tempfile
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from .cli import controllers_as, scenario_option
 from .controllers.rover import controllers_of
 from .evaluate.contestants import parse
 from .evaluate.loading import load
+from .evaluate.own import as_driven
 
 _TITLE = 36  # [pixels] above each of several drives
 _SUFFIXES = (".png", ".gif", ".mp4")
@@ -116,14 +116,21 @@ def command(
     film_every = every if suffix in (".gif", ".mp4") else 0
     films = {}
     for name, driver in drivers.items():
-        control = getattr(driver, "drives", {})
+        with controllers_as(option):
+            if hasattr(driver, "attach"):
+                raise ParameterError(
+                    f"controllers: {name}: plans in the simulation that it is attached to: "
+                    "expected one that drives by its observations; soil-env evaluate drives it"
+                )
+            control = as_driven(driver, task, name).control
         env = make(
             observation=driver.variant,
             render_mode="rgb_array" if out else None,
             scaled=False,
-            **{"repeat": 1} | control,
+            action=control.action,
+            repeat=1,
         )
-        held = replace(task.control, **control).action_periods
+        held = control.action_periods  # of one period each
         with controllers_as(option):
             frames, info, steps = _drive(env, name, driver, held, seed, frame, film_every)
         films[name] = frames or ([env.render()] if out else [])

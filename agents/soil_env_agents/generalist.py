@@ -95,12 +95,13 @@ class Generalist(Checked):
         for name in self.effects:
             if name not in HIDDEN:
                 raise unknown_value(name, HIDDEN, "effects")
-        for name in ("grounds", "effects"):
-            if not getattr(self, name):
-                raise FieldError(self, name, ": is empty: expected at least one")
+        if not self.grounds:
+            raise FieldError(self, "grounds", ": is empty: expected at least one")
+        if self.hidden and not self.effects:
+            raise FieldError(self, "effects", ": is empty: expected one of the hidden worlds")
         for name, own in self.grounds.items():
             in_hidden = round(own.hidden * own.wheels)
-            if not self.hidden <= in_hidden < own.wheels:
+            if self.hidden and not self.hidden <= in_hidden < own.wheels:
                 raise ParameterError(
                     f"grounds.{name}: {in_hidden} of {own.wheels} wheels in {self.hidden} hidden "
                     "worlds: expected one at least in each world"

@@ -5,6 +5,7 @@ import sys
 import numpy as np
 
 from soil_env.simulation.task import Cause
+from soil_env_agents.controllers import Controller
 from tests.simulation.wheels import started
 
 
@@ -46,6 +47,17 @@ class LateNaN(Counting):
         if self.calls > 3:
             action[-1] = np.nan
         return action, state
+
+
+class Torques(Controller):
+    """Holds a rim speed by torques, each for three control periods."""
+
+    drives = {"action": "torque", "repeat": 3}
+    asked = 0
+
+    def rim_speed(self, observation, state):
+        Torques.asked += 1
+        return np.full(len(observation), 0.1)
 
 
 class NoPredict:

@@ -25,7 +25,8 @@ from soil_env_agents.controllers.rover import ROVER_CONTROLLERS, make_rover_cont
 from soil_env_agents.drive import _drive
 from soil_env_agents.evaluate import driving
 from soil_env_agents.evaluate.driving import drive as evaluation_drive, run_courses
-from tests.agents.drivers import Half, observations
+from soil_env_agents.evaluate.own import made
+from tests.agents.drivers import Half, Torques, observations
 from tests.agents.test_cloning import memory
 from tests.refusals import refused, refused_command
 from tests.simulation.courses import EVEN
@@ -422,6 +423,21 @@ def test_drives_are_shown_side_by_side(tmp_path, capsys):
     assert asked == [True, False, False]
 
 
+def test_an_action_of_a_class_lasts_as_long_as_it_says(capsys):
+    Torques.asked = 0
+    controller = f"--controller=t={DRIVERS}:Torques"
+    assert main(["drive", "--scenario=mixed", controller, "--seed=3"]) == 0
+    (periods,) = map(int, re.findall(r"after (\d+) control", capsys.readouterr().out))
+    assert Torques.asked == math.ceil(periods / 3)
+
+
+def test_a_class_is_made_for_the_actions_that_it_says():
+    """Its loop has the gains of a torque, in the time of its own actions."""
+    scenario = load_scenario("mixed")
+    own = made(f"{DRIVERS}:Torques", scenario, {}, "")
+    assert own.action == "torque" and own.period == pytest.approx(3 * scenario.control.period)
+
+
 def test_a_video_has_a_frame_for_each_period_asked_for(tmp_path, capsys):
     """As .mp4 too, of one drive and of several."""
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
@@ -451,6 +467,10 @@ DRIVERS = "tests.agents.drivers"
         (
             "--rover=mars_rover --controller=default",
             "--controller: default_policy: scenario 'mars_rover': a rover",
+        ),
+        (
+            "--controller=o=soil_env_agents.controllers.oracle:Oracle",
+            "--controller: o: plans in the simulation that it is attached to: expected one that",
         ),
         (
             f"--controller={DRIVERS}:LateNaN",

@@ -215,6 +215,12 @@ def test_a_training_that_would_fail_at_its_end_is_refused(changes, said):
     refused(lambda: generalist.load(generalist.Generalist, TINY | changes, ""), said)
 
 
+def test_without_hidden_worlds_nothing_is_asked_of_them():
+    wheels = {"grounds": {"two_lines": {"wheels": 2, "hidden": 0.9}}}
+    asked = generalist.load(generalist.Generalist, TINY | wheels | {"hidden": 0, "effects": []}, "")
+    assert asked.ground("two_lines")[1] == []
+
+
 def test_it_is_a_contestant_and_drives_from_the_command(capsys, tmp_path):
     scenario = load_scenario("mixed")
     for text in ("default_policy", "default"):

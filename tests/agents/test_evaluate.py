@@ -29,7 +29,7 @@ from soil_env_agents.evaluate.driving import (
     run_courses,
 )
 from soil_env_agents.evaluate.evaluation import Evaluation
-from soil_env_agents.evaluate.loading import load as load_contestant
+from soil_env_agents.evaluate.loading import check, load as load_contestant
 from soil_env_agents.evaluate.own import code_digest
 from soil_env_agents.evaluate.statistics import wilson
 from tests.agents.drivers import Counting, Half
@@ -596,6 +596,12 @@ def test_a_class_drives_as_it_says(monkeypatch):
         refused(
             lambda: load_contestant(asked, task), "repeat = 0" if "repeat" in wrong else "drives"
         )
+
+
+def test_a_planner_of_a_module_is_attached_before_it_is_tried():
+    task = load_scenario("mixed", {"course": {"length": 1.0}})
+    (asked,) = parse("o=soil_env_agents.controllers.oracle:Oracle").values()
+    check(asked, task)
 
 
 def test_nan_for_a_course_that_has_ended_is_allowed():

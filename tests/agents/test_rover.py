@@ -54,6 +54,19 @@ def test_a_wheel_that_slips_is_slowed_down_alone(scenario):
     assert action[0, 2] < action[0, 0] == action[0, 1]
 
 
+@pytest.mark.parametrize("name", ["soft_start", "velocity_sync", "torque_by_load"])
+@pytest.mark.parametrize("deep", AXLES)
+def test_all_wheels_creep_with_the_deepest(scenario, name, deep):
+    """The ramp is one, whichever wheel is deep: their commands stay alike, and are lower."""
+    controller = make_rover_controller(name, scenario, creep_sinkage=0.4, acceleration=100.0)
+    loads = {f"{axle}_load": 1.0 for axle in AXLES}
+    action, crept = (
+        controller.predict(observed("blind", **loads, **sinkage))[0]
+        for sinkage in ({}, {f"{deep}_sinkage": 0.8})
+    )
+    assert np.ptp(crept) == pytest.approx(0.0, abs=1e-6) and np.all(crept < action - 0.05)
+
+
 def test_torques_go_by_the_loads(scenario):
     controller = make_rover_controller("torque_by_load", scenario)
     loads = {"front_load": 0.5, "middle_load": 1.0, "rear_load": 2.0}

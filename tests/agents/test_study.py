@@ -281,9 +281,9 @@ def test_the_shipped_configs_can_be_read(name):
             {
                 "scenarios": {"r": {"rover": "mars_rover"}},
                 "controllers": [],
-                "arms": {"a": {"controller": "soft_start", "settings": {"nonsense": 3}}},
+                "arms": {"a": {"controller": "soft_start", "settings": {"name": 3}}},
             },
-            "'nonsense'",
+            "arms.a.settings: unknown key 'name'",
         ),
         ({"held_out": 1_000_001}, "held_out = 1000001: controllers are tuned on this set"),
         ({"sead": 1}, "study.yaml: unknown key 'sead'; did you mean 'seeds'"),

@@ -122,11 +122,18 @@ def test_a_class_with_settings_is_tuned_set_and_driven_as_a_shipped_one(
         assert said in refused_command(capsys, "soil-env", soil_env, *asked, *more).err
 
 
-@pytest.mark.parametrize("ends", [(0.0, 1.0), (2.0, 1.0), (1.0,)])
-def test_a_range_that_cannot_be_drawn_from_is_refused(ends, monkeypatch):
+@pytest.mark.parametrize(
+    "ends, said",
+    [
+        ((0.0, 1.0), "bounds['gain'].tuned = (0.0, 1.0): expected 0 <= low <= high"),
+        ((2.0, 1.0), "bounds['gain'].tuned = (2.0, 1.0): expected 0 <= low <= high"),
+        ((1.0,), "expected {name: Setting}"),
+    ],
+)
+def test_a_range_that_cannot_be_drawn_from_is_refused(ends, said, monkeypatch):
     wrong = type("Wrong", (), {"bounds": {"gain": Setting(1.0, "1", "any", ends, True)}})
     monkeypatch.setitem(globals(), "Wrong", wrong)
-    refused(lambda: bounds_of_settings(f"{__name__}:Wrong", load_scenario("mixed")), "bounds")
+    refused(lambda: bounds_of_settings(f"{__name__}:Wrong", load_scenario("mixed")), said)
 
 
 def test_a_class_that_fails_in_a_tuning_is_an_error_of_one_line(tmp_path, monkeypatch, capsys):

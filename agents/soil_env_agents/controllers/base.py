@@ -201,7 +201,7 @@ class Controller(Observing):
 
 class Ramped(Controller):
     """Base: the rim speed rises by at most an acceleration, from rest and after every halt, and a
-    wheel as deep as `creep_sinkage` creeps; by default none is.
+    wheel as deep as `creep_sinkage` creeps; by default none up to a sinkage of one radius.
 
     A deep wheel that is braked for a halt digs further, the more the faster it was.
     """

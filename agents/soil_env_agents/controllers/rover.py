@@ -12,7 +12,7 @@ whole rover.
 | best_slip_true | the same on the true soil: a reference, not a bound | true_soil |
 
 All but `velocity_sync` and `torque_by_load` are the controllers of a wheel (`controllers`),
-one for each wheel.
+one for each wheel. The ramps of all wheels creep with the deepest one (`creep_sinkage`).
 """
 
 from collections.abc import Callable, Mapping
@@ -68,7 +68,10 @@ class RoverController(Observing):
 
     def _answer(self, batch, state, fresh, deterministic):
         batch = batch.astype(np.float64)
-        wheels = batch[:, self._columns].reshape(len(batch) * self.axles, -1)
+        each = batch[:, self._columns]
+        depth = each[:, :, self.own.column["sinkage"]]
+        depth[:] = depth.max(axis=1, keepdims=True)  # one ramp, by the deepest wheel
+        wheels = each.reshape(len(batch) * self.axles, -1)
         state = {**self.own.state_for(wheels, state, np.repeat(fresh, self.axles)), "begun": fresh}
         return self.command(batch, wheels, state).reshape(len(batch), self.axles), state
 

@@ -4,7 +4,6 @@ line.
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from ..controllers import CONTROLLERS, checked_settings
 from ..controllers.rover import controllers_of
 from .contestants import Contestant
 from .driving import simulate
-from .own import describe, made
+from .own import as_driven, describe, made
 
 _PREDICT = "predict(obs, state, episode_start, deterministic)"
 
@@ -79,12 +78,7 @@ def _from_class(spec: str, name: str, scenario: Scenario, settings: dict):
         raise ParameterError(
             f"controllers: {spec}: variant = {variant!r}: expected one of {', '.join(VARIANTS)}"
         )
-    drives = getattr(thing, "drives", {})
-    if not (isinstance(drives, dict) and drives.keys() <= {"action", "repeat"}):
-        raise ParameterError(
-            f"controllers: {spec}: drives = {drives!r:.60}: expected a mapping of action, repeat"
-        )
-    replace(scenario.control, **drives)  # refuses wrong values
+    as_driven(thing, scenario, spec)  # refuses what it cannot drive
     return _Wrapped(thing, variant, spec, getattr(scenario, "axles", 1), settings)
 
 
@@ -154,6 +148,8 @@ def check(contestant: Contestant, scenario: Scenario, model: WheelSoilModel | No
     controller = load(contestant, scenario)
     rngs = [np.random.default_rng(k) for k in range(3)]
     sim = simulate(rngs, scenario, controller.variant, 1, model)
+    if hasattr(controller, "attach"):
+        controller.attach(sim, 1, model)
     answer = controller.predict(
         sim.worlds.observation,
         state=None,

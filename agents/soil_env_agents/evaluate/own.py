@@ -13,6 +13,7 @@ import sys
 import sysconfig
 import traceback
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -129,34 +130,53 @@ def bounds_of_settings(source: str, scenario: Scenario) -> Mapping[str, Setting]
     bounds = getattr(imported(source), "bounds", {})
     try:
         found = {name: Setting(*setting) for name, setting in bounds.items()}
-        for name, setting in found.items():
-            low, high = setting.tuned
-            if not 0.0 <= low <= high < math.inf or (setting.log and low == 0.0):
-                raise ParameterError(
-                    f"controllers: {source}: bounds[{name!r}].tuned = {setting.tuned}: expected "
-                    "0 <= low <= high, and low above 0 where it is drawn in the logarithm"
-                )
-    except (AttributeError, TypeError, ValueError):
+        drawable = {
+            name: 0.0 <= s.tuned[0] <= s.tuned[1] < math.inf and (s.tuned[0] > 0.0 or not s.log)
+            for name, s in found.items()
+        }
+    except (AttributeError, TypeError, ValueError, IndexError):
         raise ParameterError(
             f"controllers: {source}: bounds = {bounds!r:.80}: expected {{name: Setting}}"
         ) from None
+    for name, possible in drawable.items():
+        if not possible:
+            raise ParameterError(
+                f"controllers: {source}: bounds[{name!r}].tuned = {found[name].tuned}: expected "
+                "0 <= low <= high, and low above 0 where it is drawn in the logarithm"
+            )
     return found
+
+
+def as_driven(thing: Any, scenario: Any, who: str) -> Any:
+    """The scenario with the values of `control` that a controller, or its class, has in place of
+    the scenario's (`drives`). ParameterError for other keys and wrong values; `who` it is about.
+    """
+    drives = getattr(thing, "drives", {})
+    if not (isinstance(drives, dict) and drives.keys() <= {"action", "repeat"}):
+        raise ParameterError(
+            f"controllers: {who}: drives = {drives!r:.60}: expected a mapping of action, repeat"
+        )
+    control = replace(scenario.control, **drives)
+    return replace(scenario, control=control) if drives else scenario
 
 
 def made(source: str, scenario: Scenario, settings: dict, where: str) -> Any:
     """The object of `module:Thing`; a class with `bounds` is called with the scenario and its
     `settings`, any other with the scenario where it `_takes_scenario`, else without. So is a
     function; an object with `predict` is returned as it is. ParameterError where the call fails.
-    `where`: place of the settings, for messages.
+
+    A class with `drives` gets the scenario in which it acts (`as_driven`). `where`: place of the
+    settings, for messages.
     """
     thing = imported(source)
     known = bounds_of_settings(source, scenario)
     values = within_bounds(source, known, scenario, settings, where)
     if inspect.isclass(thing) or (callable(thing) and not hasattr(thing, "predict")):
+        driven = as_driven(thing, scenario, source)
         try:
             if known:
-                return thing(scenario, **values)
-            return thing(scenario) if _takes_scenario(thing) else thing()
+                return thing(driven, **values)
+            return thing(driven) if _takes_scenario(thing) else thing()
         except ParameterError:
             raise
         except (Exception, SystemExit) as error:

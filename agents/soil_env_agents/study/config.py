@@ -28,11 +28,12 @@ from soil_env.terramechanics.model import WheelSoilModel
 from ..cells import code_version
 from ..cli import config_mapping
 from ..config import OfTask, OfWorld, TrainConfig
-from ..controllers import CONTROLLERS, checked_settings
+from ..controllers import CONTROLLERS, within_bounds
 from ..controllers.rover import ROVER_CONTROLLERS, controllers_of
 from ..evaluate import loading
 from ..evaluate.contestants import SHIPPED, SHIPPED_CLASS, Contestant
 from ..evaluate.driving import HELD_OUT_SET, TUNING_SET
+from ..evaluate.own import bounds_of_settings
 
 #: Keys of the training's config that the study sets.
 _SET_HERE = (
@@ -136,7 +137,7 @@ class Study(Checked):
             return
         if arm.train:
             raise ParameterError(f"arms.{name}: expected controller or train, not both")
-        known, make = controllers_of(scenario)
+        known, _ = controllers_of(scenario)
         if ":" in arm.controller:
             loading.load(
                 Contestant(name, 0, "class", arm.controller, settings=arm.settings), scenario
@@ -145,10 +146,10 @@ class Study(Checked):
             raise unknown_value(
                 arm.controller, (*known, *SHIPPED, "module:Class"), f"arms.{name}: controller"
             )
-        elif known is CONTROLLERS:
-            checked_settings(arm.controller, scenario, arm.settings, f"arms.{name}.settings")
         else:
-            make(arm.controller, scenario, **arm.settings)
+            bounds = bounds_of_settings(arm.controller, scenario)
+            where = f"arms.{name}.settings"
+            within_bounds(arm.controller, bounds, scenario, arm.settings, where)
 
     def renewed(self, version: str) -> Study:
         """This study by other code."""
@@ -303,7 +304,7 @@ def _model(path: Path, name: str, scenario: Scenario | None = None) -> dict:
     model = WheelSoilModel.load(file)
     if scenario is None and model.soil is not None:
         model = WheelSoilModel(model.wheel, effects=model.effects, gravity=model.gravity)
-    if not model.effects and not model.residual:
+    if not (model.effects or model.residual or model.remainder is not None):
         raise ParameterError(f"{file}: no effects; expected a world with at least one")
     if model.soil is not None:
         raise ParameterError(

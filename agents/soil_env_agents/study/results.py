@@ -45,9 +45,12 @@ def result(study: Study, folder: Path) -> dict:
 
 
 def _acting(world: WheelSoilModel) -> dict:
-    """Effects of a world with their parameters, and how many terms its residual has, if any."""
+    """Effects of a world with their parameters, how many terms its residual has, if any, and
+    whether it has a table of a remainder.
+    """
     residual = {"residual": f"{len(world.residual)} terms"} if world.residual else {}
-    return {**world.effects, **residual}
+    remainder = {"remainder": "a table"} if world.remainder is not None else {}
+    return {**world.effects, **residual, **remainder}
 
 
 def table(content: dict, bounds: bool = True) -> Table:

@@ -19,8 +19,8 @@ SINKAGE_UNIT = 0.05  # [of the mean sinkage of both]
 # `NEAREST` it is never below 1: such cells are merged only for want of room, after others.
 ON_BORDER = 1e9
 NEAREST = 1e-6  # [m2] added to the square of the distance of their places
-# [m2] Variance of a sinkage that was not measured, at least: that of its readings is 1e4, over their
-# number.
+# [m2] Variance of a sinkage that was not measured, at least: that of its readings is 1e4, over
+# their number.
 UNKNOWN_SINKAGE = 1.0
 
 
