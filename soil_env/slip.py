@@ -86,9 +86,9 @@ def travel_speeds(rim_speed: float | np.ndarray, slip: float | np.ndarray) -> np
 
 def rim_speeds(travel_speed: float | np.ndarray, slip: float | np.ndarray) -> np.ndarray:
     """Inverse of `travel_speeds`: r w [m/s], [N], at travel speeds V [m/s] and slips in [-1, 1];
-    infinite at 1.
+    infinite at 1, at rest NaN there.
     """
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         driven = np.divide(travel_speed, 1.0 - slip)
     return np.where(slip < 0.0, travel_speed * (1.0 + slip), driven)
 

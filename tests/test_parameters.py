@@ -354,8 +354,11 @@ def test_a_file_changes_the_scenario_that_its_base_names(tmp_path):
     own = {"wheel": scenario.pop("wheel"), **scenario}  # the wheel before its vehicle
     with pytest.raises(ParameterError, match="vehicle.mass = -60"):
         parameters.load_rover(own)
+    (tmp_path / "loop.yaml").symlink_to(tmp_path / "loop.yaml")
     for given, said in (
         (tmp_path / "self.yaml", "expected a file that is no change of this one"),
+        (tmp_path / "loop.yaml", r"loop.yaml: cannot be read \(Too many levels"),
+        ("a\0b.yaml", "expected a name or the path of a YAML file"),
         ("name: mixed\n" * 99, "unknown value 'name: mixed"),
         ({"base": "mixd"}, "base: .*did you mean 'mixed'"),
         ({"base": 3}, "base = 3: expected the name"),

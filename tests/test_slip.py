@@ -2,6 +2,8 @@
 bits.
 """
 
+import math
+
 import numpy as np
 import pytest
 
@@ -51,6 +53,7 @@ def test_speeds_have_the_slip_that_they_were_made_from_and_arrays_give_the_bits_
         assert slip_ratio(float(rim_speeds(0.2, slip)), 0.2, 1e-30) == pytest.approx(
             slip, abs=1e-15
         )
+    assert rim_speeds(0.2, 1.0) == math.inf and math.isnan(rim_speeds(0.0, 1.0))
     rim = np.linspace(0.1, 0.9, SLIPS.size)
     assert travel_speeds(rim, SLIPS).tolist() == [
         u * motion_from_slip(i)[1] for u, i in zip(rim, SLIPS, strict=True)

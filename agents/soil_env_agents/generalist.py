@@ -69,9 +69,6 @@ class OnGround(Checked):
     hidden: float = quantity(
         "share of the wheels that are in worlds with a hidden effect", 0.1, 0.9, default=0.5
     )
-    creep_sinkage: float = quantity(
-        "of the radius", 0.05, 100.0, default=0.5, doc="sinkage from which the teachers creep"
-    )
 
 
 @dataclass(frozen=True)
@@ -128,7 +125,7 @@ class Generalist(Checked):
         """
         name, world = cell
         scenario, hidden = self.ground(name)
-        own = teacher_settings(scenario) | {"creep_sinkage": self.grounds[name].creep_sinkage}
+        own = teacher_settings(scenario)
         if world:
             return chosen(scenario, own, [hidden[world - 1]], ROUNDS, threads)
         if not hidden:

@@ -19,12 +19,18 @@ SETTINGS = {
     "acceleration": 0.25,  # [m/s2]
     "speed": 0.54,  # [of the top rim speed]
     "share": 1.05,  # limit of the slip over the best slip
-    "creep_sinkage": CREEP_SINKAGE.default,  # [of the radius]
+    "creep_sinkage": 0.5,  # [of the radius]
 }
 SETTINGS_OF_SCENARIOS = {
     "loose_slopes": {"start": 0.13, "acceleration": 0.31, "speed": 0.85},
     "sticky": {"start": 0.1, "acceleration": 0.43, "speed": 0.58},
-    "field_vehicle": {"start": 0.04, "acceleration": 0.3, "speed": 0.36, "share": 1.5},
+    "field_vehicle": {
+        "start": 0.04,
+        "acceleration": 0.3,
+        "speed": 0.36,
+        "share": 1.5,
+        "creep_sinkage": CREEP_SINKAGE.default,  # creeping wheels run out of time there
+    },
 }
 
 
@@ -34,6 +40,7 @@ class Manner(NamedTuple):
     start: float = 0.3  # [of the top rim speed]
     speed: float = 0.8  # [of the top rim speed]
     acceleration: float = 0.3  # [m/s2]
+    creep_sinkage: float = CREEP_SINKAGE.default  # [of the radius]
     #: Limit of the slip of each axle over the best slip on its fresh soil, from the front; wheels
     #: behind run in stiffer ruts.
     shares: tuple[float, ...] = (1.0,)

@@ -60,7 +60,7 @@ def bag_files(path: Path) -> list[Path]:
     """Files of a bag in the order of recording: as metadata.yaml lists them, whatever folders it
     names, else by name.
 
-    A recording that was killed has no metadata.yaml, and one too large to be read counts as none.
+    A recording that was killed has no metadata.yaml, and one that cannot be read counts as none.
     Files that it lists may be missing.
     `ParameterError` for a folder without files of a bag, and for compressed ones. A path to a file
     is returned as it is.
@@ -68,13 +68,15 @@ def bag_files(path: Path) -> list[Path]:
     if path.is_file():
         return [path]
     inside = sorted(path.iterdir())
-    found = [file for file in inside if file.suffix in SUFFIXES]
+    found = []
     if (path / "metadata.yaml").is_file():
         with suppress(ParameterError):
             about = read_yaml(path / "metadata.yaml").get("rosbag2_bagfile_information")
             named = about.get("relative_file_paths") if isinstance(about, dict) else None
-            found = [path / Path(str(name)).name for name in named or []] or found
-    for file in found or inside:
+            found = [path / Path(str(name)).name for name in named or []]
+    # packed files too, which are refused
+    found = found or [f for f in inside if not set(SUFFIXES).isdisjoint(f.suffixes)]
+    for file in found:
         check_packed(file)
     if not found:
         raise ParameterError(f"{path}: no .mcap or .db3 file in this folder: expected a ROS 2 bag")

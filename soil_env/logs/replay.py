@@ -168,6 +168,8 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
             try:
                 e = identifier.update(reading)
             except ValueError:
+                if not math.isnan(reading.speed + reading.wheel_speed):
+                    raise  # of another reading
                 e = identifier.update(Readings(time=t))
                 impossible += 1
         if e.renewed:
@@ -250,10 +252,10 @@ def _grounds(
     not that of the ground before).
 
     `borders` [N]: count of those found so far. They and gaps part the drive. A part shorter than
-    `_LEAST_PART`, as a long border is found twice, or without an estimate is joined to the next,
-    or to the one before where a gap ends it. A part that differs with a probability below `DIFFERS`
-    belongs to the ground before, and the two estimates are pooled. The first part after a gap is a
-    ground of its own, with NaN.
+    `_LEAST_PART`, as a long border is found twice, or without an estimate is joined to the next.
+    Where a gap ends it, it is joined to the one before if it has no estimate. A part that differs
+    with a probability below `DIFFERS` belongs to the ground before, and the two estimates are
+    pooled. The first part after a gap is a ground of its own, with NaN.
     """
     where = log.travelled(log_map.wheel.radius)
     border = log_map.belief.border  # [m] its length

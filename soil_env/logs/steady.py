@@ -274,7 +274,7 @@ def tables_to_fit(grounds: list[Ground]) -> list[tuple[str, str, Ground]]:
     """
     return [
         ("steady.csv", "setup.yaml", g)
-        if len(grounds) == 1
+        if _driven(grounds) == 1
         else (f"ground{g.number}.csv", f"ground{g.number}.yaml", g)
         for g in grounds
         if not g.points.reason
@@ -286,11 +286,11 @@ def files(
 ) -> dict[str, str]:
     """Texts of tables and setups by file name; none where there is no table (`steady.reason`).
 
-    The pair steady.csv and setup.yaml has all points. Of several grounds, each with points enough
-    has a pair of its own. Only the setup of a single ground has the online estimate.
+    The pair steady.csv and setup.yaml has all points. Of several grounds with points, each with
+    enough has a pair of its own, and setup.yaml then has no online estimate.
     """
     out = {}
-    if len(grounds) > 1 and not steady.reason:
+    if _driven(grounds) > 1 and not steady.reason:
         out["steady.csv"] = (
             f"# points of {plural(_driven(grounds), 'ground')}, named in column run: no single "
             "soil fits them\n" + steady.table()
@@ -395,7 +395,7 @@ def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
     if steady.reason:
         return [*out, f"No measurement table: {steady.reason}."]
     count = f"steady.csv has {plural(len(steady.rows), 'steady point')}"
-    if len(grounds) == 1:
+    if _driven(grounds) == 1:
         out.append(f"{count} of one ground. Its setup is setup.yaml.")
     else:
         changes = ", ".join(f"{g.begin:.1f}" for g in grounds[1:])

@@ -128,7 +128,7 @@ def _check_columns(path: Path, header: list[str], stamps: str, columns: dict[str
     for name, what in {stamps: "time", **columns}.items():
         if name not in header:
             unknown = unknown_key(name, header, f"{path}: {what}", "no column")
-            hint = "; expected commas between columns" if ";" in header[0] else ""
+            hint = "; expected commas between columns" if ";" in "".join(header) else ""
             raise ParameterError(f"{unknown}{hint}")
         if header.count(name) > 1:
             places = ", ".join(str(k) for k, other in enumerate(header, 1) if other == name)

@@ -1,5 +1,6 @@
 """A complete task of one wheel, and the scenarios of configs/scenarios."""
 
+import os
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
@@ -186,7 +187,7 @@ def _given(
         where = f"{singular} {which.name!r}"
         _check_kind(mapping, {}, folder, where)
         return mapping, where
-    if not isinstance(which, (str, Path)) or which == "":
+    if not isinstance(which, (str, Path)) or which == "" or "\0" in str(which):
         raise ParameterError(
             f"{singular} = {which!r:.60}: expected a name or the path of a YAML file, or a "
             f"{kind.__name__}"
@@ -196,7 +197,7 @@ def _given(
         path = _shipped_file(folder, which)
     elif above:  # a path in a file is relative to the file
         path = above[-1].parent / path
-    if path.resolve() in [p.resolve() for p in above]:
+    if os.path.realpath(path) in map(os.path.realpath, above):
         raise ParameterError(f"{str(which)!r}: expected a file that is no change of this one")
     mapping = _on_base(kind, folder, read_yaml(path), str(path), (*above, path))
     _check_kind(mapping, changes, folder, f"{singular}: {str(which)!r}")

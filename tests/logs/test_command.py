@@ -310,6 +310,12 @@ def test_points_of_two_soils_are_not_one_table(without_digging, tmp_path):
     assert any(
         "16." in line and "one ground at a time" in line for line in advice(found, parts, steady)
     )
+    # Where one of them alone has steady points, these are the table.
+    parts[1] = replace(parts[1], points=Steady())
+    written = files(parts, parts[0].points, log_map, found.prior)
+    assert set(written) == {"steady.csv", "setup.yaml"} and "#" not in written["steady.csv"]
+    said = " ".join(advice(found, parts, parts[0].points))
+    assert "of one ground. Its setup is setup.yaml." in said and "on ground 2" in said
 
 
 def test_soils_that_differ_in_sinkage_alone_are_two_grounds(without_digging):

@@ -95,9 +95,11 @@ def test_a_bag_of_several_files_with_and_without_metadata(tmp_path):
     (folder / "metadata.yaml").write_text(json.dumps(many))
     assert np.array_equal(read(folder).readings["speed"], log.readings["speed"])
     (folder / "a_1.mcap.zstd").write_bytes(b"")
-    (folder / "metadata.yaml").write_text(json.dumps(named).replace("a_1.mcap", "a_1.mcap.zstd"))
-    with pytest.raises(ParameterError, match="a_1.mcap.zstd"):
-        read(folder)
+    for text in (json.dumps(named).replace("a_1.mcap", "a_1.mcap.zstd"), "[", ""):
+        (folder / "metadata.yaml").write_text(text)
+        (folder / "a_1.mcap").unlink(missing_ok=True)
+        with pytest.raises(ParameterError, match="a_1.mcap.zstd: is compressed as a whole"):
+            read(folder)
 
 
 def test_messages_that_are_compressed_one_by_one(tmp_path):

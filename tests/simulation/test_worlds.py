@@ -282,12 +282,16 @@ def test_a_residual_law_counts_on_the_soils():
 @pytest.mark.parametrize("scatter", [False, True])
 def test_a_weight_beyond_the_loads_of_a_model_is_warned_of(scatter):
     model = dataclasses.replace(model_of({}), validity={"load": (60.0, 140.0)})
-    with pytest.warns(OutsideValidity, match=r"carries 147.2 N, .*body_mass = 9.3"):
+    with pytest.warns(OutsideValidity, match=r"carries 147.2 N, .*body_mass = 9.34"):
         SoilWheelEnv("mixed", model=model, scatter=scatter)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        wheel = {"body_mass": 9.3}
+        wheel = {"body_mass": 9.34}
         SoilWheelEnv("mixed", model=model, scatter=scatter, wheel=wheel)
+    for load, mass in (((104.0, 104.0), "10.6"), ((0.0, 100.0), "10.2")):
+        narrow = dataclasses.replace(model, validity={"load": load})
+        with pytest.warns(OutsideValidity, match=f"body_mass = {mass} or so"):
+            SoilWheelEnv("mixed", model=narrow, scatter=scatter)
 
 
 def test_a_least_pull_of_minus_the_weight_takes_soil_that_bogs_the_wheel():
