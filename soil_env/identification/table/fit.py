@@ -32,12 +32,7 @@ from .priors import LARGEST_LOG, given_laws, given_prior, stiffness
 from .problem import LAW_ERRORS, LEAST_FREEDOM, SOURCES, TableProblem
 
 LEVEL = 0.5  # [deg] grade below which a row counts as level, as a usual level of a rig is good to
-#: Indices of three of the six parameters in their coordinates: phi [deg], ln K, ln S, n, c [Pa],
-#: tilt [deg].
-PHI = 0
-LN_S = 2
-EXPONENT = 3
-#: Labels of the six in sentences, in that order, by the names of a setup.
+#: Labels of the six parameters in sentences, by the names of a setup.
 LABELS = {
     "friction_angle_deg": "friction angle",
     "shear_modulus": "shear deformation modulus",
@@ -285,15 +280,15 @@ def _settle(
     return u, False
 
 
-def _scaling(problem: TableProblem) -> np.ndarray:
-    """Derivatives [6, p] of the six parameters, in their coordinates, by u; 0 for those that are
-    not fitted.
+def _scaling(problem: TableProblem) -> dict[str, np.ndarray]:
+    """Derivatives [p] by u of each parameter in its coordinate: phi [deg], ln K, ln S, n, c [Pa],
+    ln of S z_ref^n, tilt [deg]; 0 for those that are not fitted.
     """
-    order = list(LABELS)
-    out = np.zeros((len(order), len(problem.unknowns)))
-    for j, unknown in enumerate(problem.unknowns):
-        out[order.index(unknown.name), j] = unknown.sd  # x = mean + sd u
-    return out
+    unknowns = problem.unknowns
+    # x = mean + sd u
+    out = {name: np.array([k.sd * (k.name == name) for k in unknowns]) for name in LABELS}
+    by_exponent = math.log(problem.z_ref) * out["sinkage_exponent"]
+    return out | {"reference_pressure": out["sinkage_coefficient"] + by_exponent}
 
 
 def _summary(
@@ -312,13 +307,13 @@ def _summary(
     means under other sizes of the form error differ.
     """
     scaling = _scaling(problem)
-    free = np.any(scaling > 0.0, axis=1)
-    # (phi [rad], ln K, ln S z_ref^n, n, c, tilt) by (phi [deg], ln K, ln S, n, c, tilt).
-    # S and n are correlated, so S z_ref^n is given in place of S.
-    published = np.eye(len(LABELS))
-    published[PHI, PHI] = math.radians(1.0)
-    published[LN_S, EXPONENT] = math.log(problem.z_ref)
-    by_u = (published @ scaling)[free]
+    free = [name for name in LABELS if np.any(scaling[name])]
+    # S and n are correlated, so S z_ref^n is given in place of S; phi is in rad.
+    published = scaling | {
+        "friction_angle_deg": math.radians(1.0) * scaling["friction_angle_deg"],
+        "sinkage_coefficient": scaling["reference_pressure"],
+    }
+    by_u = np.stack([published[name] for name in free])
     share, mean, under = problem.by_law_error(u)
     whole = covariance_about(u, share, mean, under)
     covariance = by_u @ whole @ by_u.T
@@ -330,7 +325,7 @@ def _summary(
         name: replace(fit, p_value=plain.fits[name].p_value, too_small=plain.fits[name].too_small)
         for name, fit in _fits(problem, u).items()
     }
-    labels = tuple(compress(LABELS.values(), free))
+    labels = tuple(LABELS[name] for name in free)
     parameters = _parameters(problem, u, whole, scaling)
     first = [*examined.said, *_units(problem, parameters, plain.fits)]
     law_error = math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True)))
@@ -385,14 +380,14 @@ def _soil(problem: TableProblem, u: np.ndarray) -> Soil:
 
 
 def _parameters(
-    problem: TableProblem, u: np.ndarray, covariance: np.ndarray, scaling: np.ndarray
+    problem: TableProblem, u: np.ndarray, covariance: np.ndarray, scaling: dict[str, np.ndarray]
 ) -> dict[str, Parameter]:
     """Estimates at u and 95 % intervals, by the names of a setup and `reference_pressure`, from the
     `covariance` [p, p] of u; the tilt only if the setup has one.
 
     Intervals are cut at the bounds of the unknowns. Those of K, S and p_ref = S z_ref^n are
-    computed in the logarithm. `scaling` [6, p]: derivatives as from `_scaling`. Where noise is
-    estimated, Student's t has the degrees of freedom of the channel with the fewest, at least 1.
+    computed in the logarithm. `scaling`: derivatives as from `_scaling`. Where noise is estimated,
+    Student's t has the degrees of freedom of the channel with the fewest, at least 1.
     """
     freedom = max(1.0, np.min(problem.freedom))
     # [sd] half of an interval
@@ -400,15 +395,13 @@ def _parameters(
     values = problem.values(u)
     s = values["sinkage_coefficient"]
     values["reference_pressure"] = s * problem.z_ref ** values["sinkage_exponent"]
-    to_pressure = scaling[LN_S] + math.log(problem.z_ref) * scaling[EXPONENT]
-    derivatives = dict(zip(LABELS, scaling, strict=True)) | {"reference_pressure": to_pressure}
     range_of = {k.name: (k.low, k.high) for k in problem.unknowns}
     out = {}
     for name, unit in PARAMETER_UNITS.items():
         if name not in values:  # the tilt
             continue
         value = float(math.log(values[name]) if name in LOGARITHMIC else values[name])
-        by_u = derivatives[name]
+        by_u = scaling[name]
         half = reach * math.sqrt(by_u @ covariance @ by_u)
         least, most = range_of.get(name, (-math.inf, math.inf))
         low = max(value - half, least)
