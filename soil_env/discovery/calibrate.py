@@ -19,7 +19,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import gmean
@@ -366,7 +366,7 @@ class Problem:
     @property
     def sd(self) -> np.ndarray:
         """[N, 3] standard deviation of the noise of each value [m, N, N m]."""
-        return np.broadcast_to(self.noise * self.data.relative_sd, self.used.shape)
+        return self.noise * self.data.relative_sd
 
     @property
     def rms_noise(self) -> np.ndarray:
@@ -456,8 +456,8 @@ class Law:
     """The model of a table with some effects as a function of the whitened unknowns u [p].
 
     `guess` [N]: sinkages [m] that a prediction starts from; every `output` overwrites this array
-    with its own. `priors`: (mean, sd) by name of unknowns whose prior differs from that of
-    `Problem.unknowns`, of the logarithm where that has it.
+    with its own. `priors`: fields of `Unknown` that differ from those of `Problem.unknowns`, by
+    name of the unknown.
     """
 
     def __init__(
@@ -465,13 +465,12 @@ class Law:
         problem: Problem,
         choices: Choices,
         guess: np.ndarray | None = None,
-        priors: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+        priors: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
     ) -> None:
         self.problem = problem
         self.choices = choices
         self.unknowns = tuple(
-            k._replace(mean=priors[k.name][0], sd=priors[k.name][1]) if k.name in priors else k
-            for k in problem.unknowns(choices)
+            k._replace(**priors.get(k.name, {})) for k in problem.unknowns(choices)
         )
         self.bounds = bounds_of(self.unknowns)
         self.guess = np.zeros(problem.data.rows.slip.size) if guess is None else guess

@@ -44,10 +44,12 @@ LEFT_OUT = (
     "arm_load",
     "spring_load",
 )
-#: {parameter of `soil_flow`: (mean, sd) of its prior}: it was measured on rigs, and driven wheels
-#: hardly show it. Means of docs/physics/contact.md; sd are own choices, on docs/results/
-#: prediction.md.
-FLOW = {"rim_flow": (0.1, 0.02), "braked_peak": (0.25, 0.12)}
+#: Priors of the parameters of `soil_flow`: it was measured on rigs, and driven wheels hardly show
+#: it. Means of docs/physics/contact.md; sd are own choices, on docs/results/prediction.md.
+FLOW = {
+    "soil_flow_rim_flow": {"mean": 0.1, "sd": 0.02},
+    "soil_flow_braked_peak": {"mean": 0.25, "sd": 0.12},
+}
 ROUNDS = 2  # of fitting the unknowns and learning the remainder, in turn
 OFF_BOUND = 0.3  # [prior sd] least distance of the start from a bound; own choice
 JUST_OFF = 1e-6  # [prior sd] the same of another start of the base model
@@ -128,8 +130,9 @@ def at_conditions(problem: Problem, conditions: Conditions) -> Problem:
     """
     there = copy.copy(problem)
     rows = rows_of(conditions, problem.data.wheel)
-    there.data = dataclasses.replace(problem.data, rows=rows, relative_sd=np.ones((1, 3)))
-    there.used = np.ones((rows.slip.size, 3), dtype=bool)
+    shape = (rows.slip.size, 3)
+    there.data = dataclasses.replace(problem.data, rows=rows, relative_sd=np.ones(shape))
+    there.used = np.ones(shape, dtype=bool)
     return there
 
 
@@ -140,7 +143,6 @@ class _Remainder:
         self.problem = problem
         self.names = tuple(independent(problem))
         self.table = self.points(problem)
-        self.relative = np.broadcast_to(problem.data.relative_sd, problem.used.shape)
 
     def points(self, problem: Problem) -> np.ndarray:
         """[N, D] coordinates (`form_error.coordinates`) of the rows of any problem, in the D
@@ -168,7 +170,7 @@ class _Remainder:
         channel = np.nonzero(used)[1]
         found = []
         for j, use in enumerate(used.T):
-            relative = self.relative[use, j]
+            relative = self.problem.data.relative_sd[use, j]
             own = scale[use, j] * learnt.size[j] / relative
             remainder = correlation[np.ix_(use, use)] * own[:, None] * own
             noise = 1.0 + (learnt.beyond[j] / relative) ** 2
@@ -278,7 +280,8 @@ class Prediction:
         of the unknowns, and A'A - B'B is what the table tells. `law` and `across` are those of
         `_means`.
         """
-        top = law_of(there, self.law.choices, sinkage_guess(law)).derivatives(self.u)
+        near = Law(there, self.law.choices, sinkage_guess(law), FLOW)
+        top = near.derivatives(self.u)
         # The values are known through the unknowns and through the remainder: with J whitened,
         # (C + J J')^-1 = C^-1 - C^-1 J (I + J'J)^-1 J' C^-1.
         j = self.covariance.whiten(self.jacobian)
@@ -309,9 +312,9 @@ class Prediction:
         rows, channel = np.nonzero(self.problem.used)
         points = self.remainder.points(there)
         alike = self.remainder.correlation(points, self.remainder.table, self.learnt)[:, None, rows]
-        ours = _scales(self.problem, self.output)[self.problem.used]
-        # in units of the noise of each value, as `covariance`
-        ours = ours / self.remainder.relative[self.problem.used]
+        # In units of the noise of each value, as `covariance`.
+        ours = _scales(self.problem, self.output) / self.problem.data.relative_sd
+        ours = ours[self.problem.used]
         theirs = self.learnt.size**2 * _scales(there, law)
         # size^2 times scales and correlation, 0 between channels
         across = theirs[:, :, None] * (np.arange(3)[:, None] == channel) * alike * ours
@@ -328,13 +331,14 @@ def fit_prediction(
     Unknowns and remainder are found in turn, `ROUNDS` times, and the unknowns once more at last. If
     not `smooth`, there is no remainder and the fit is under the noise alone.
     """
-    law = law_of(problem, effects_to_fit(problem) if choices is None else choices)
+    choices = effects_to_fit(problem) if choices is None else choices
+    law = Law(problem, choices, priors=FLOW)
     # From the prior mean, 0, but off the bounds: a start on a bound would stay there.
     u = _inside(law, OFF_BOUND)
     if not smooth:
         # Of a soil whose mean is near a bound, `OFF_BOUND` may lead to a poorer minimum.
         both = (
-            _fitted(law_of(problem, law.choices), start, NO_REMAINDER)
+            _fitted(Law(problem, choices, priors=FLOW), start, NO_REMAINDER)
             for start in (u, _inside(law, JUST_OFF))
         )
         return min(both, key=lambda fit: round(fit.residual @ fit.residual + fit.u @ fit.u, 1))
@@ -352,13 +356,6 @@ def _inside(law: Law, off: float) -> np.ndarray:
     """
     low, high = law.bounds
     return np.where(high - low < 2.0 * off, 0.5 * (low + high), np.clip(0.0, low + off, high - off))
-
-
-def law_of(problem: Problem, choices: Choices, guess: np.ndarray | None = None) -> Law:
-    """The `Law` of a prediction: that of the `choices`, with the priors `FLOW` of the parameters of
-    `soil_flow`; `guess` as of `Law`.
-    """
-    return Law(problem, choices, guess, {f"soil_flow_{k}": prior for k, prior in FLOW.items()})
 
 
 def _fitted(law: Law, start: np.ndarray, learnt: Learnt) -> Prediction:

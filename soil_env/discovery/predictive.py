@@ -43,11 +43,10 @@ def problem_at(problem: Problem, conditions: Conditions) -> Problem:
 
     def over(names: Sequence[str], lengths: Mapping[str, float] = LENGTHS) -> Process:
         """Process over these conditions at all different rows of both."""
-        known = [n for n in both if n in names or (n == "slip" and "log_slip" in names)]
+        known = [n for n in both if n in names]
         unique = np.unique(np.stack([both[n] for n in known]), axis=1)
-        return Process.over(
-            dict(zip(known, unique, strict=True)), of=names, most=_FUNCTIONS, lengths=lengths
-        )
+        rows = dict(zip(known, unique, strict=True))
+        return Process.over(rows, most=_FUNCTIONS, lengths=lengths)
 
     there.law_processes = [over(INPUTS, lengths=x) for x in ALL_LAW_LENGTHS]
     there.effect_processes = {more: over((*INPUTS, *more)) for more in problem.effect_processes}

@@ -154,18 +154,15 @@ class Table:
         return known if known is not None or np.all(np.isnan(own)) else float(np.nanmedian(own))
 
     def sd_source(self, setup: Setup, name: str) -> str:
-        """File and key, or column, of the `channel_sd`."""
+        """File and key, or column, of the `channel_sd`; of slip and load, of their given noise."""
         of_setup = getattr(setup.noise, name) is not None
         return f"{setup.source}: noise.{name}" if of_setup else f"{self.source}: {name}_sd"
 
     def relative_sd(self, setup: Setup) -> np.ndarray:
-        """1-sigma of each value over the `channel_sd` of its channel [N, 3], as `MEASURED`.
-
-        It is 1 where a row gives none, and [1, 3] ones where no row gives any.
+        """1-sigma of each value over the `channel_sd` of its channel [N, 3], as `MEASURED`; 1 where
+        a row gives none.
         """
         own = np.stack([getattr(self, name) for name in NOISE], axis=1)
-        if np.all(np.isnan(own)):
-            return np.ones((1, 3))
         level = np.array([self.channel_sd(setup, name) or 1.0 for name in MEASURED])
         return with_default(own / level, 1.0)
 

@@ -158,7 +158,7 @@ def test_flow_that_the_setup_states_is_known(tmp_path):
         assert {c.effect for c in effects_to_fit(problem)} & {"soil_flow"} == names
     unknowns = fit_prediction(problem_of(tmp_path, text)).law.unknowns
     (flow,) = (k for k in unknowns if k.name == "soil_flow_rim_flow")
-    assert (flow.mean, flow.sd) == FLOW["rim_flow"]
+    assert FLOW["soil_flow_rim_flow"] == {"mean": flow.mean, "sd": flow.sd}
 
 
 def test_the_base_model_fits_the_pulls_that_it_made_itself(tmp_path):

@@ -123,7 +123,7 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
     """
     data = report.problem.data
     varied = data.varied
-    others = [c for name, c in varied.items() if name != "slip"]
+    others = {name: c.value for name, c in varied.items() if name != "slip"}
     found = []  # (mean square error over the noise, rows)
     for rows in data.groups:
         if np.unique(varied["slip"].level[rows]).size >= min(FEWEST_SLIPS, varied["slip"].levels):
@@ -133,7 +133,7 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
     evenly = np.linspace(0, len(found) - 1, min(CURVES, len(found))).round().astype(int)
     out = []
     for _, rows in (found[k] for k in evenly):
-        parts = [_value(c.name, np.median(c.value[rows])) for c in others]
+        parts = [_value(name, np.median(value[rows])) for name, value in others.items()]
         out.append((", ".join(parts), rows[np.argsort(data.rows.slip[rows], kind="stable")]))
     return out
 

@@ -52,8 +52,7 @@ _ROWS_OF_BIN = 6
 class Factor:
     """A condition of the table; `LOGARITHMIC` ones are scaled in the logarithm."""
 
-    name: str  # of the column
-    value: np.ndarray  # [N] in the unit of the column
+    value: np.ndarray  # [N] in the unit of its column
     level: np.ndarray  # [N] int, number of the row's level: 0 for the lowest values
     scaled: np.ndarray  # [N] value scaled to [-1, 1]; 0 where the condition does not vary
 
@@ -76,8 +75,7 @@ class Data:
     y: np.ndarray  # [N, 3] measured values [m, N, N m]; nan where not measured
     varied: dict[str, Factor]  # conditions that vary by themselves; slip first
     cell: np.ndarray  # [N] int, combination of levels; rows of one cell are repeats
-    #: [N, 3] noise of a value over that of its channel; [1, 3] ones where no row has its own.
-    relative_sd: np.ndarray
+    relative_sd: np.ndarray  # [N, 3] noise of a value over that of its channel
 
     @property
     def measured(self) -> np.ndarray:
@@ -307,7 +305,7 @@ def _factor(name: str, value: np.ndarray) -> Factor:
         # Numbers of bins without a gap: a value that many rows have may fill more than one.
         level[order] = np.unique(first * bins // x.size, return_inverse=True)[1]
     scaled = (x - 0.5 * (x.min() + x.max())) / (0.5 * span) if span > gap else np.zeros_like(x)
-    return Factor(name, value, level, scaled)
+    return Factor(value, level, scaled)
 
 
 def folds(data: Data) -> list[np.ndarray]:

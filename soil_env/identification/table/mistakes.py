@@ -722,7 +722,7 @@ def _goes_on(data: Data, row: int, rest: _AsIs) -> bool:
     """
     group = np.flatnonzero(data.group == data.group[row])
     model = rest.fit.problem.steady(rest.fit.u, data.rows)[row]
-    off = (data.y[row] - model) / (rest.noise.sd * _relative(data)[row])
+    off = (data.y[row] - model) / (rest.noise.sd * data.relative_sd[row])
     if not np.any(np.isfinite(off)):
         return False
     channel = np.nanargmax(np.abs(off))
@@ -734,11 +734,6 @@ def _goes_on(data: Data, row: int, rest: _AsIs) -> bool:
     values = data.y[:, channel]
     line = np.polyval(np.polyfit(slip[near], values[near], 1), slip[row])
     return abs(values[row] - line) < SHARED * abs(values[row] - model[channel])
-
-
-def _relative(data: Data) -> np.ndarray:
-    """`Data.relative_sd` for each row, [N, 3]."""
-    return np.broadcast_to(data.relative_sd, data.y.shape)
 
 
 def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, least: float) -> str:
@@ -755,7 +750,7 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
     here = Rows(*(column[row : row + 1] for column in data.rows))
     known = data.measured[row]
     y = data.y[row, known]
-    noise = (sd * _relative(data))[row, known]
+    noise = (sd * data.relative_sd)[row, known]
     # Of a value near 0, as a pull may be, the law errs by a share of the usual size.
     size = np.sqrt(np.nanmean(data.y[:, known] ** 2, axis=0))
     allowed = np.hypot(noise, LAW_ERROR * np.maximum(np.abs(y), size))
@@ -998,7 +993,7 @@ def _over_the_axle(data: Data, noise: NoiseEstimate, ratio: np.ndarray | float, 
     radius = data.rows.wheels[:, 0]
     taken = data.y[:, 2] / radius  # by the axle
     given = data.y[:, 1] * ratio  # by the pull
-    of_rows = noise.sd * _relative(data)  # [N, 3]
+    of_rows = noise.sd * data.relative_sd  # [N, 3]
     sd = np.hypot(of_rows[:, 2] / radius, of_rows[:, 1] * ratio)
     gain = (given - GAINED * taken - SURE_GAIN * sd)[both]
     if gain.size < 3 or np.median(gain) <= 0.0 or np.median(taken[both]) <= 0.0:

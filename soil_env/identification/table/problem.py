@@ -235,9 +235,7 @@ class TableProblem:
         for name, sd, least in zip(SOURCES, given, _LEAST_GIVEN * guess, strict=True):
             if sd is not None and sd < least:
                 known = "it counts as exact" if name in ("slip", "load") else "it is not known"
-                where = f"{self.setup.source}: noise.{name}"
-                if name in MEASURED:
-                    where = self.table.sd_source(self.setup, name)
+                where = self.table.sd_source(self.setup, name)
                 raise ParameterError(
                     f"{where} = {sd:g}: expected at least {least:.2g}; leave it out where {known}"
                 )
