@@ -13,15 +13,15 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise, product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from soil_env._compiled.cache import kept
 from soil_env.identification.table.data import CHANNELS, WHEEL
 from soil_env.identification.table.form_error import Conditions
-from soil_env.identification.table.priors import BROAD, Values, stiffness
-from soil_env.parameters import Soil, SoilState
+from soil_env.identification.table.priors import Values, soil_of
+from soil_env.parameters import SoilState
 from soil_env.slip import slips_of_radius
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import WheelSoilModel
@@ -62,10 +62,8 @@ def model_of(problem: Problem, choices: Sequence[Choice], values: Values) -> Whe
     Errors of the rig and laws without a name are left out, since the world has none. The model
     knows the range of slip, load and other conditions of the table.
     """
-    soil = {**problem.known, **values}
-    numbers: dict[str, Any] = {name: float(soil[name]) for name in BROAD} | problem.laws
     setup = problem.data.setup
-    numbers |= stiffness(setup, numbers.pop("sinkage_coefficient"))
+    soil = soil_of(setup, {**problem.known, **values, "density": problem.density})
     effects: dict[str, dict[str, float]] = {}
     for choice in choices:
         if choice.effect in CATALOGUE:
@@ -77,14 +75,9 @@ def model_of(problem: Problem, choices: Sequence[Choice], values: Values) -> Whe
     wheel = problem.data.wheel
     if problem.data.lugs_unknown and "grousers" not in effects:
         wheel = replace(wheel, grouser_height=0.0)  # a height was assumed only to try grousers
-    of_soil = Soil(
-        **numbers,
-        density=problem.density,
-        gravity_measured=setup.gravity,
-        source="calibrated by soil_env.discovery",
-    )
+    soil = replace(soil, source="calibrated by soil_env.discovery")
     validity = seen(problem.data.rows)
-    return WheelSoilModel(wheel, of_soil, effects, gravity=setup.gravity, validity=validity)
+    return WheelSoilModel(wheel, soil, effects, gravity=setup.gravity, validity=validity)
 
 
 def parameters(problem: Problem, choice: Choice, values: Values) -> dict[str, float]:

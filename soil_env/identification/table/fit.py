@@ -28,7 +28,7 @@ from .bins import binned
 from .form_error import covariance_about
 from .mistakes import Examined, examine
 from .noise import SMALLEST_SD, NoiseEstimate
-from .priors import LARGEST_LOG, given_laws, given_prior, stiffness
+from .priors import LARGEST_LOG, given_prior, soil_of
 from .problem import LAW_ERRORS, LEAST_FREEDOM, SOURCES, TableProblem
 
 LEVEL = 0.5  # [deg] grade below which a row counts as level, as a usual level of a rig is good to
@@ -365,18 +365,8 @@ def _summary(
         check_first=tuple(first),
         misfit=misfit,
         warnings=tuple(warnings),
-        soil=_soil(problem, u),
+        soil=soil_of(problem.setup, problem.values(u)),
     )
-
-
-def _soil(problem: TableProblem, u: np.ndarray) -> Soil:
-    """The soil at u, with the laws, density and gravity that the setup knows."""
-    density = problem.setup.soil.density
-    known = {**given_laws(problem.setup), "gravity_measured": problem.setup.gravity}
-    known |= {"density": density.value} if density else {}
-    values = problem.values(u)
-    known |= stiffness(problem.setup, values.pop("sinkage_coefficient"))
-    return Soil.within(values | known)
 
 
 def _parameters(

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.measurement.setup import NUMBERS, STEEPEST_TILT, Prior, Setup
-from soil_env.parameters import Soil, SoilState
+from soil_env.parameters import Soil
 
 USUAL_SINKAGE = 0.08  # [radii] where none was measured
 LARGEST_LOG = 700.0  # an exponential of more overflows
@@ -165,20 +165,25 @@ def plate_coefficient(
     return float(np.median(load)) / carried
 
 
-def stiffness(setup: Setup, coefficient: float) -> dict[str, float]:
-    """Stiffness of a `Soil` by field, whose S under the setup's wheel is `coefficient`
-    [N/m^(n+2)].
+def soil_of(setup: Setup, values: Values) -> Soil:
+    """The soil with the parameters `values` by name, each cut to its bounds; laws and gravity are
+    those of the setup, and so is a density that `values` do not have. Other names are ignored.
 
-    Where the setup gives k_c and k_phi it is these, in their ratio, so that wheels of other widths
-    have the S that `rig.predict_table` gives them.
+    `sinkage_coefficient` is that under the setup's wheel [N/m^(n+2)]. Where the setup gives k_c and
+    k_phi, the soil has these in place of S, in their ratio. So wheels of other widths have the S
+    that `rig.predict_table` gives them.
     """
+    numbers = {**given_laws(setup), "gravity_measured": setup.gravity}
+    density = setup.soil.density
+    numbers |= {"density": density.value} if density else {}
+    numbers |= values
     usual = setup.soil.lumped(setup.wheel.width)
     k_c = setup.soil.k_c
     k_phi = setup.soil.k_phi
-    if usual is None or k_c is None or k_phi is None:
-        return {"sinkage_coefficient": coefficient}
-    ratio = coefficient / usual.value
-    return {"k_c": ratio * k_c.value, "k_phi": ratio * k_phi.value}
+    if usual is not None and k_c is not None and k_phi is not None:
+        ratio = numbers.pop("sinkage_coefficient") / usual.value
+        numbers |= {"k_c": ratio * k_c.value, "k_phi": ratio * k_phi.value}
+    return Soil.within(numbers)
 
 
 def given_laws(setup: Setup) -> dict[str, float]:
@@ -189,15 +194,3 @@ def given_laws(setup: Setup) -> dict[str, float]:
     return {
         name: float(prior.value if prior else getattr(Soil, name)) for name, prior in given.items()
     }
-
-
-def soil_state(values: Values, laws: Values) -> SoilState:
-    """`SoilState` with fitted or known parameters `values` and the `given_laws`, both by name."""
-    return SoilState(
-        math.tan(math.radians(values["friction_angle_deg"])),
-        values["cohesion"],
-        values["shear_modulus"],
-        values["sinkage_coefficient"],
-        values["sinkage_exponent"],
-        **laws,
-    )

@@ -7,12 +7,12 @@ import math
 import numpy as np
 
 from soil_env.measurement.setup import Setup
-from soil_env.parameters import lumped_coefficient
+from soil_env.parameters import SoilState, lumped_coefficient
 from soil_env.terramechanics.effects import Effects
 from soil_env.terramechanics.model import Rows
 from soil_env.terramechanics.steady import predict_rows
 
-from .priors import Values, given_laws, soil_state
+from .priors import Values, given_laws
 
 #: Parameters that may differ from row to row, by the names of a setup, in the order of the factors
 #: of `predict_rows`; the factor of the friction angle multiplies its tangent.
@@ -40,7 +40,14 @@ def predict_table(
     `values`); of a vertical load it is the tilt and the grade of the row. S of wheels of another
     width than the setup's is k_c/width + k_phi where these are given.
     """
-    soil = soil_state(values, given_laws(setup))
+    soil = SoilState(
+        math.tan(math.radians(values["friction_angle_deg"])),
+        values["cohesion"],
+        values["shear_modulus"],
+        values["sinkage_coefficient"],
+        values["sinkage_exponent"],
+        **given_laws(setup),
+    )
     tilt = math.radians(values.get("tilt_deg", 0.0))
     along: np.ndarray | float = 0.0  # [N] of the load, against the pull
     if setup.load == "vertical":
