@@ -129,9 +129,8 @@ def grid(names: Names) -> tuple[list[Sizes], np.ndarray]:
     return [s for s, _ in points], np.log([p for _, p in points])
 
 
-def plain_grid(fit: Fit) -> SizeGrid:
+def plain_grid(fit: Fit, sizes: list[Sizes], log_prior: np.ndarray) -> SizeGrid:
     """`SizeGrid` of the form errors of a fit itself, without an anonymous contribution."""
-    sizes, log_prior = grid(tuple(c.effect for c in fit.choices))
     table = np.array([s.of_form_errors for s in sizes])
     # The first two columns, of nuisances and of effects, have few different values.
     return SizeGrid(sizes, log_prior, fit.form_errors, table, first=2)
@@ -148,10 +147,11 @@ def noise_scales(freedom: float) -> np.ndarray:
 
 
 def weigh(problem: Problem, fit: Fit, over: SizeGrid | None = None) -> Evidence:
-    """`Evidence` of a fit, linearised about it, marginal over the sizes of the grid `over`
-    (`plain_grid` where none is given) and over the scales of a noise that is estimated.
+    """`Evidence` of a fit, linearised about it, marginal over the sizes of the grid `over` (where
+    none is given those of `grid`) and over the scales of a noise that is estimated.
     """
-    sizes, log_prior, errors, table, first = over or plain_grid(fit)
+    own = grid(tuple(c.effect for c in fit.choices))
+    sizes, log_prior, errors, table, first = over or plain_grid(fit, *own)
     scatter = np.array([s.scatter for s in sizes])
     p = fit.u.size
     scales = noise_scales(problem.freedom)
@@ -445,8 +445,7 @@ def anonymous_grid(problem: Problem, plain: Evidence, fit: Fit, beside: Pattern 
     best, *others = sorted(plain.share, key=lambda s: -plain.share[s])[:_LIKELY]
     further = (best._replace(law=law) for law in _FURTHER_LAW)
     likely = [*dict.fromkeys((best, *others, *further))]
-    usual = plain_grid(fit)
-    prior = dict(zip(usual.sizes, usual.log_prior, strict=True))
+    prior = dict(zip(*grid(plain.names), strict=True))
     before = np.array([prior[s] for s in likely])
     # Every combination of sizes of a smooth contribution to the channels in use, but for none.
     options = [(0.0, *FREE_SIZES) if used.any() else (0.0,) for used in problem.used.T]
@@ -484,17 +483,10 @@ def in_place_of_effects(problem: Problem, plain: Evidence) -> Evidence:
     they add (`ALIKE_SIZES`, equally probable). So the law moves the same channels by about as much,
     in a shape that no published form has. `plain` has at least one effect.
     """
-    usual = plain_grid(plain.fit)
-    # One row for each size and span of the base law's error; the error of the effects is replaced.
-    rows = [k for k, s in enumerate(usual.sizes) if s.effect == EFFECT_SIZES[0]]
-    sizes = [usual.sizes[k]._replace(effect=x) for x in ALIKE_SIZES for k in rows]
-    table = np.array([s.of_form_errors for s in sizes])
-    prior = np.tile(usual.log_prior[rows], len(ALIKE_SIZES))
-    return weigh(
-        problem,
-        plain.fit,
-        usual._replace(sizes=sizes, log_prior=prior - log_sum(prior), table=table),
-    )
+    of_laws, log_prior = grid(())
+    sizes = [s._replace(effect=x) for x in ALIKE_SIZES for s in of_laws]
+    log_prior = np.tile(log_prior, len(ALIKE_SIZES)) - math.log(len(ALIKE_SIZES))
+    return weigh(problem, plain.fit, plain_grid(plain.fit, sizes, log_prior))
 
 
 def anonymous(problem: Problem, plain: Evidence) -> Evidence:

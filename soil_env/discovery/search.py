@@ -110,10 +110,9 @@ class Finding:
 
         All sets with these effects are left out. With `alone`, only the set of exactly these
         effects is refuted: sets with more may explain what it leaves. It stays as a hypothesis with
-        the probability 0, since others are compared with it. Without names only the base model
-        without an anonymous contribution is refuted.
+        the probability 0, since others are compared with it. Without names that is only the base
+        model without an anonymous contribution.
         """
-        alone = alone or not names
 
         def refuted(h: Hypothesis) -> bool:
             """True if a hypothesis is refuted with the names."""
@@ -291,7 +290,7 @@ class Finding:
         """The most probable hypothesis with exactly the stated effects, with an anonymous
         contribution or without.
         """
-        return next(h for h in self.hypotheses if {*h.names} == {*self.names} and not h.like)
+        return self.best(*self.names, free=None)
 
     @property
     def scatter(self) -> float:
@@ -302,13 +301,12 @@ class Finding:
             sum(h.probability * h.evidence.typical("scatter") ** 2 for h in self.hypotheses)
         )
 
-    def best(self, *names: str, free: bool = False) -> Hypothesis:
-        """The hypothesis with exactly these listed effects, and with an anonymous contribution if
-        `free`; no law that resembles an effect.
+    def best(self, *names: str, free: bool | None = False) -> Hypothesis:
+        """The most probable hypothesis with exactly these listed effects, and with an anonymous
+        contribution if `free` (None: with or without); no law that resembles an effect.
         """
-        return next(
-            h for h in self.hypotheses if {*h.names} == {*names} and h.free == free and not h.like
-        )
+        of_names = (h for h in self.hypotheses if {*h.names} == {*names} and not h.like)
+        return next(h for h in of_names if free in (None, h.free))
 
 
 def _reported(share: dict[str, float]) -> Names:
@@ -378,7 +376,7 @@ class _Sets:
 
     def best(self, names: Names) -> Evidence:
         """Evidence of a set of effects in the most probable of the forms that were tried."""
-        return max(self.found[tuple(sorted(names))].values(), key=lambda e: e.log)
+        return max(self.found[names].values(), key=lambda e: e.log)
 
     def log(self, names: Names) -> float:
         """Log evidence of a set of effects, over all combinations of their forms, which are equally
@@ -424,7 +422,13 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
             free[s] = anonymous(problem, sets.best(s))
     # An anonymous contribution is tried in the best forms, and taken to gain as much in others.
     entries += [
-        Entry(e, sets.log(s) + e.log - sets.best(s).log, prior(s, True), s, free=True)
+        Entry(
+            evidence=e,
+            log=sets.log(s) + e.log - sets.best(s).log,
+            log_odds=prior(s) + math.log(UNLISTED_ODDS),
+            names=s,
+            free=True,
+        )
         for s, e in free.items()
     ]
     for s in order:
@@ -489,14 +493,13 @@ def _unnamed(problem: Problem, base: Evidence, nearest: Names) -> list[Entry]:
     return [Entry(e, e.log, log_odds, like=nearest, free=True) for e in found]
 
 
-def log_prior(names: Names, free: bool = False, *, of_rig: Mapping[str, float]) -> float:
-    """Log prior odds of a set of effects against the base model; `free`: with an anonymous
-    contribution.
+def log_prior(names: Names, of_rig: Mapping[str, float]) -> float:
+    """Log prior odds of a set of effects against the base model.
 
     `of_rig`: odds of errors of the instrument over the usual ones, by name (`odds_factors`).
     """
     of = [RIG_ODDS * of_rig[name] if name in INSTRUMENT else ODDS for name in names]
-    return sum(map(math.log, of)) + free * math.log(UNLISTED_ODDS)
+    return sum(map(math.log, of))
 
 
 def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Say) -> None:
