@@ -17,6 +17,7 @@ import copy
 import dataclasses
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -161,10 +162,11 @@ class _Remainder:
         off = (points[:, None, :] - others) / np.array([lengths[n] for n in self.names])
         return np.exp(-0.5 * np.sum(off**2, axis=2))
 
-    def covariance(self, scale: np.ndarray, learnt: Learnt) -> _Covariance:
-        """Covariance of remainder and noise, over the noise, of the values in use; `scale` [N, 3]
-        as from `_scales`.
+    def covariance(self, output: np.ndarray, learnt: Learnt) -> list[_Channel]:
+        """Covariance of remainder and noise of the values in use, by channel, since channels are
+        independent; `output` [N, 3]: values of the law, which set the scales of the remainder.
         """
+        scale = _scales(self.problem, output)
         correlation = self.correlation(self.table, self.table, learnt)
         used = self.problem.used
         channel = np.nonzero(used)[1]
@@ -176,7 +178,7 @@ class _Remainder:
             noise = 1.0 + (learnt.beyond[j] / relative) ** 2
             root = cholesky(remainder + np.diag(noise), lower=True)
             found.append(_Channel(np.flatnonzero(channel == j), root, remainder, noise))
-        return _Covariance(found)
+        return found
 
 
 def _scales(problem: Problem, output: np.ndarray) -> np.ndarray:
@@ -199,17 +201,12 @@ class _Channel(NamedTuple):
     noise: np.ndarray  # [m] variance of the noise
 
 
-class _Covariance(NamedTuple):
-    """Covariance of remainder and noise of M values over the noise; channels are independent."""
-
-    channels: list[_Channel]
-
-    def whiten(self, values: np.ndarray) -> np.ndarray:
-        """C^-1/2 v of values v [M] or [M, B] with this covariance C."""
-        out = np.empty_like(values, dtype=float)
-        for channel in self.channels:
-            out[channel.places] = solve_triangular(channel.root, values[channel.places], lower=True)
-        return out
+def _whitened(covariance: list[_Channel], values: np.ndarray) -> np.ndarray:
+    """C^-1/2 v of values v [M] or [M, B], over the noise, with the covariance C of all channels."""
+    out = np.empty_like(values, dtype=float)
+    for channel in covariance:
+        out[channel.places] = solve_triangular(channel.root, values[channel.places], lower=True)
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +222,7 @@ class Prediction:
     output: np.ndarray  # [N, 3] values of the law alone
     residual: np.ndarray  # [M] measured less these values
     jacobian: np.ndarray  # [M, p] their derivatives by u
-    covariance: _Covariance  # of the M values
+    covariance: list[_Channel]  # of the M values
 
     @property
     def problem(self) -> Problem:
@@ -284,7 +281,7 @@ class Prediction:
         top = near.derivatives(self.u)
         # The values are known through the unknowns and through the remainder: with J whitened,
         # (C + J J')^-1 = C^-1 - C^-1 J (I + J'J)^-1 J' C^-1.
-        j = self.covariance.whiten(self.jacobian)
+        j = _whitened(self.covariance, self.jacobian)
         known = j @ top.T + across
         root = cholesky(np.eye(self.u.size) + j.T @ j, lower=True)
         return top.T, known, solve_triangular(root, j.T @ known, lower=True)
@@ -318,8 +315,8 @@ class Prediction:
         theirs = self.learnt.size**2 * _scales(there, law)
         # size^2 times scales and correlation, 0 between channels
         across = theirs[:, :, None] * (np.arange(3)[:, None] == channel) * alike * ours
-        across = self.covariance.whiten(across.reshape(law.size, -1).T)
-        remainder = across.T @ self.covariance.whiten(self.residual)
+        across = _whitened(self.covariance, across.reshape(law.size, -1).T)
+        remainder = across.T @ _whitened(self.covariance, self.residual)
         return law + remainder.reshape(law.shape) * self.problem.noise, law, across
 
 
@@ -366,11 +363,11 @@ def _fitted(law: Law, start: np.ndarray, learnt: Learnt) -> Prediction:
     """
     problem = law.problem
     remainder = _Remainder(problem)
-    scales = _scales(problem, law.output(start))
-    u, _ = law.fitted(start, remainder.covariance(scales, learnt).whiten)
+    before = remainder.covariance(law.output(start), learnt)
+    u, _ = law.fitted(start, partial(_whitened, before))
     output = np.nan_to_num(law.output(u))
     residual = problem.whiten(problem.data.y) - problem.whiten(output)
-    covariance = remainder.covariance(_scales(problem, output), learnt)
+    covariance = remainder.covariance(output, learnt)
     return Prediction(law, u, remainder, learnt, output, residual, law.derivatives(u), covariance)
 
 
@@ -382,7 +379,6 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
     """
     remainder = fit.remainder
     used = fit.problem.used
-    scale = _scales(fit.problem, fit.output)
     e = fit.residual + fit.jacobian @ fit.u
     usual = USUAL.logarithms
     square = {name: remainder.square(name) for name in USUAL.lengths if name in remainder.names}
@@ -399,19 +395,19 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
             return IMPOSSIBLE, np.zeros(x.size)
         learnt = Learnt.from_logarithms(x)
         try:
-            c = remainder.covariance(scale, learnt)
+            c = remainder.covariance(fit.output, learnt)
         except np.linalg.LinAlgError:
             return IMPOSSIBLE, np.zeros(x.size)
-        j = c.whiten(fit.jacobian)
+        j = _whitened(c, fit.jacobian)
         of_unknowns = cholesky(np.eye(fit.u.size) + j.T @ j, lower=True)
         b = solve_triangular(of_unknowns, j.T, lower=True).T  # K^-1 = I - b b', whitened
-        v = c.whiten(e)
+        v = _whitened(c, e)
         a = v - b @ (b.T @ v)
         off = (x - usual) / SPREAD
-        log_size = sum(log_diagonal(channel.root) for channel in c.channels)  # ln|C|/2
+        log_size = sum(log_diagonal(channel.root) for channel in c)  # ln|C|/2
         value = 0.5 * (v @ a + off @ off) + log_size + log_diagonal(of_unknowns)
         slope = off / SPREAD
-        for k, (places, root, of_remainder, noise) in enumerate(c.channels):
+        for k, (places, root, of_remainder, noise) in enumerate(c):
             # g = (K^-1 - a a')/2 within the channel.
             inverse = solve_triangular(root, np.eye(places.size), lower=True)
             beside = inverse.T @ np.column_stack([b[places], a[places]])
