@@ -159,24 +159,21 @@ def prepare(table: Table, setup: Setup) -> Data:
     that follow from others are no factors. Raises `ParameterError` for one slip only, for heights
     or speeds that only some rows have, and for impossible units.
     """
-    bare = np.isnan(table.grouser_height)
+    otherwise = {"speed": " or in none"}  # than in every row
     height = setup.wheel.grouser_height
-    assumed = UNKNOWN_HEIGHT * setup.wheel.radius if height is None else height
-    if height is None and not np.any(bare):
-        assumed = float(np.median(table.grouser_height))
-    wheel = ModelWheel(setup.wheel.radius, setup.wheel.width, assumed)
+    if height is None:
+        otherwise = {"grouser_height": ", or wheel.grouser_height in the setup"} | otherwise
+        median = float(np.median(table.grouser_height))
+        height = UNKNOWN_HEIGHT * setup.wheel.radius if math.isnan(median) else median
+    wheel = ModelWheel(setup.wheel.radius, setup.wheel.width, height)
     rows = rows_of(table, wheel)._replace(slip=table.rim_slip(setup).copy())
-    if height is None and np.any(bare) and not np.all(bare):
-        raise ParameterError(
-            f"{table.source}: row {table.row[bare][0]}, grouser_height is empty: expected it in "
-            "every row, or wheel.grouser_height in the setup"
-        )
-    no_speed = np.isnan(table.speed)
-    if np.any(no_speed) and not np.all(no_speed):
-        raise ParameterError(
-            f"{table.source}: row {table.row[no_speed][0]}, speed is empty: expected it in every "
-            "row or in none"
-        )
+    for name, allowed in otherwise.items():
+        empty = np.isnan(getattr(table, name))
+        if np.any(empty) and not np.all(empty):
+            raise ParameterError(
+                f"{table.source}: row {table.row[empty][0]}, {name} is empty: expected it in every "
+                f"row{allowed}"
+            )
     y = table.values
     _refuse_units(table, setup, rows, y)
     varied: dict[str, Factor] = {}
@@ -196,7 +193,7 @@ def prepare(table: Table, setup: Setup) -> Data:
 
 def _one_to_one(a: Factor, b: Factor) -> bool:
     """True if the levels of two factors divide the rows into the same groups."""
-    pairs = np.unique(np.stack([a.level, b.level]), axis=1).shape[1]
+    pairs = combinations_of([a.level, b.level]).max() + 1
     return bool(pairs == a.levels == b.levels)
 
 
