@@ -247,8 +247,7 @@ class Problem:
         self.free_functions = Process.over(
             at, additive=True, most=_FREE_FUNCTIONS, lengths=lengths
         ).at_points
-        square = np.sum(self.data.y**2, axis=0, where=self.used)
-        self.size = np.sqrt(square / np.maximum(self.used.sum(axis=0), 1))
+        self.size = self._rms(self.data.y)
 
     def _bench(self) -> Bench:
         """Sizes of this rig, which priors of effects scale with.
@@ -373,9 +372,14 @@ class Problem:
         """[3] root mean square of `sd` over the values in use of each channel [m, N, N m]; `noise`
         where none is in use.
         """
-        square = np.where(self.used, self.data.relative_sd**2, 0.0).sum(axis=0)
-        count = self.used.sum(axis=0)
-        return self.noise * np.sqrt(np.where(count > 0, square / np.maximum(count, 1), 1.0))
+        relative = self._rms(self.data.relative_sd)
+        return self.noise * np.where(self.used.any(axis=0), relative, 1.0)
+
+    def _rms(self, values: np.ndarray) -> np.ndarray:
+        """[3] root mean square of values [N, 3] over those in use of a channel, 0 without any."""
+        square = np.sum(values**2, axis=0, where=self.used)
+        rms: np.ndarray = np.sqrt(square / np.maximum(self.used.sum(axis=0), 1))
+        return rms
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
         """[M, ..] the values in use of an array [N, 3, ..], each over its noise."""
@@ -428,7 +432,7 @@ class Problem:
             u=u,
             output=output,
             added=added,
-            residual=np.where(np.isfinite(residual), residual, NO_VALUE),
+            residual=finite(residual, NO_VALUE),
             jacobian=law.derivatives(u),
             form_errors=tuple(map(self.whiten, form_errors)),
             free=tuple(map(self.whiten, free)),

@@ -12,7 +12,7 @@ from soil_env.identification.table.data import prepare
 from soil_env.identification.table.noise import NoiseEstimate
 
 from .calibrate import Problem, calibrate
-from .instrument import LISTED
+from .instrument import titles
 from .search import Finding, Say, search
 
 #: Rows of a table for each row that stands alone, at least: in smaller tables most rows do; own
@@ -46,7 +46,7 @@ def of_lone_rows(
         f"{table.row[k]} (slip {table.slip[k]:g}, load {table.load[k]:g} N)" for k in alone
     )
     several = alone.size > 1
-    named = " and ".join(LISTED[name].title for name in found.names) or "nothing"
+    named = titles(found.names) or "nothing"
     return (
         f"Row {rows}: no other row comes near {'these' if several else 'its'} conditions. This "
         f"decides what is named: without {'them' if several else 'it'} that is {named}. Check slip "

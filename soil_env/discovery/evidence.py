@@ -36,14 +36,15 @@ from soil_env.identification.table.form_error import (
     SIZES,
     NormalEquations,
     Process,
+    finite,
     in_channels,
     log_diagonal,
     marginals,
     mixed,
+    side_by_side,
     size_prior,
 )
 from soil_env.identification.table.priors import bounds_of
-from soil_env.identification.table.problem import side_by_side
 
 from .calibrate import ALL_LAW_LENGTHS, Fit, Law, Problem, Sizes, sinkage_guess
 from .instrument import INSTRUMENT, LISTED, Choice, Choices, Names
@@ -260,7 +261,7 @@ class _Further:
                 columns.append((problem.whiten(output) - base) / _LITTLE)
                 self.unknowns.append(moved)
                 self.owner.append(k)
-        self.columns = side_by_side(columns, base.size)
+        self.columns = finite(side_by_side(columns, base.shape))
 
     def under(self, sizes: Sizes) -> tuple[float, np.ndarray, np.ndarray]:
         """(log evidence of the model alone, normal [K, K], pull [K]) under `sizes`.
@@ -401,7 +402,7 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
     at = problem.data.conditions | problem.data.elapsed
     moved = Law(problem, fit.choices, sinkage_guess(fit.output)).stresses(fit.u, fit.output)
     channels: dict[str, np.ndarray] = {
-        name: np.broadcast_to(size, fit.output.shape)
+        name: size
         for name, size in zip(CHANNELS, np.diag(problem.size), strict=True)
         if name in problem.channels
     }

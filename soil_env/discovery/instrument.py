@@ -8,7 +8,7 @@ calibrated, as standard deviations. Errors of that size are in the covariance of
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from types import MappingProxyType
 from typing import NamedTuple
@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._io.loading import ParameterError, unknown_value
+from soil_env.identification.table.form_error import side_by_side
 from soil_env.identification.table.priors import Values
 from soil_env.measurement.setup import Calibration, Setup
 from soil_env.slip import slips_of_radius
@@ -212,6 +213,11 @@ LISTED: Mapping[str, Effect] = MappingProxyType({**CATALOGUE, **INSTRUMENT})
 LAWS: Mapping[str, Effect] = MappingProxyType({**LISTED, **UNNAMED})
 
 
+def titles(names: Iterable[str]) -> str:
+    """Titles of listed effects, with " and " between them."""
+    return " and ".join(LISTED[name].title for name in names)
+
+
 class Choice(NamedTuple):
     """One effect in one of its published forms."""
 
@@ -383,4 +389,4 @@ def nuisances(
         else:
             values = {f"{name}_{effect.parameters[0].name}": spread[name]}
             out.append(reading(output, values, rows.wheels[:, 0]) - output)
-    return np.stack(out, axis=2) if out else np.zeros((*output.shape, 0))
+    return side_by_side(out, output.shape)

@@ -29,7 +29,16 @@ from .evidence import (
     promised,
     settle,
 )
-from .instrument import INSTRUMENT, LISTED, Choice, Choices, Names, odds_factors, ruled_out
+from .instrument import (
+    INSTRUMENT,
+    LISTED,
+    Choice,
+    Choices,
+    Names,
+    odds_factors,
+    ruled_out,
+    titles,
+)
 from .unnamed import UNNAMED
 
 #: Prior odds that a listed effect of the soil or the drive is missing, and that the instrument has
@@ -415,10 +424,7 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
     rough = free[()].sizes.scatter > 1.0
     for s in [s for s in order if len(s) == 1] if rough else order[:_FREE]:
         if s not in free:
-            say(
-                "with something that no catalogue lists and "
-                + " and ".join(LISTED[n].title for n in s)
-            )
+            say(f"with something that no catalogue lists and {titles(s)}")
             free[s] = anonymous(problem, sets.best(s))
     # An anonymous contribution is tried in the best forms, and taken to gain as much in others.
     entries += [
@@ -524,7 +530,7 @@ def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Say) -> None:
     tried = list(in_form)[:_PAIRS]
     # Many forms of one pair must not crowd out other pairs, and the first order chooses no form.
     for pair in (*order[:_PAIRS], *(in_form[s] for s in tried)):
-        say(f"with {' and '.join(LISTED[c.effect].title for c in pair)}")
+        say(f"with {titles(c.effect for c in pair)}")
         sets.add(pair, max((sets.best((c.effect,)) for c in pair), key=lambda e: e.log))
     for both in sorted(tried, key=lambda s: -sets.best(s).log)[:_FORMS]:
         best = sets.best(both)

@@ -45,9 +45,7 @@ def _p(
 
     With a `centre` the prior is log-normal about it, and `sd` that of the logarithm.
     """
-    return EffectParameter(
-        name, "", low, high, scale=sd, doc="", neutral=centre or 0.0, centre=centre
-    )
+    return EffectParameter(name, "", low, high, scale=sd, doc="", centre=centre)
 
 
 def _law(

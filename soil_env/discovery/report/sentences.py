@@ -10,7 +10,7 @@ import numpy as np
 from soil_env._io.document import render
 from soil_env._io.loading import ParameterError, plural
 from soil_env.discovery.calibrate import PRIOR_WIDTH
-from soil_env.discovery.instrument import INSTRUMENT, LISTED, ruled_out
+from soil_env.discovery.instrument import INSTRUMENT, LISTED, ruled_out, titles
 from soil_env.discovery.locate import Disagreement
 from soil_env.discovery.next_tests import ENOUGH, NextTest, sure_of
 from soil_env.discovery.result import LEFT, WORSE, Report
@@ -253,7 +253,7 @@ def summary(report: Report) -> str:
     finding = report.finding
     gap = report.gap
     shares = [
-        f"{title(' and '.join(n))} ({sure(p)})"
+        f"{titles(n)} ({sure(p)})"
         for n, p in sorted(finding.by_effects.items(), key=lambda item: -item[1])
         if n and p >= REPORTED
     ]
@@ -273,11 +273,7 @@ def summary(report: Report) -> str:
         # The channel whose held-out error over the noise falls most with the named effects.
         widest=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
         law=UNNAMED[law].title if (law := finding.hypotheses[0].law) else "",
-        refuted=[
-            title(" and ".join(n))
-            for n in dict.fromkeys(finding.refuted)
-            if not {*n} <= {*finding.names}
-        ],
+        refuted=[titles(n) for n in dict.fromkeys(finding.refuted) if not {*n} <= {*finding.names}],
     )
 
 

@@ -534,7 +534,6 @@ def _doubts(
     noise of single rows is not used.
     """
     words = []
-    setup = problem.setup
     low, high = problem.bounds
     edge = EDGE * np.minimum(1.0, high - low)
     at_end = [
@@ -553,7 +552,6 @@ def _doubts(
             f"The noise is estimated from {np.min(few):.1f} degrees of freedom: the intervals are "
             f"wide and may still be too narrow.{'' if dense else ' Give the noise if it is known.'}"
         )
-    words += filter(None, [one_load(problem.table, setup)])
     words += _not_modelled(problem)
     if not converged:
         words.append(
@@ -620,9 +618,8 @@ def _predicts_badly(plain: _Plain, fits: dict[str, ChannelFit]) -> str:
     """Sentence on the channel in which the soil of the `fits` misses the table worst, relative to
     the fit with exact laws; "" below `MUCH_WORSE`.
     """
-    ratio = {n: f.rms / max(plain.fits[n].rms, SMALLEST_SD) for n, f in fits.items()}
-    name = max(ratio, key=lambda n: ratio[n])
-    if ratio[name] < MUCH_WORSE:
+    ratio, name = max((f.rms / max(plain.fits[n].rms, SMALLEST_SD), n) for n, f in fits.items())
+    if ratio < MUCH_WORSE:
         return ""
     return (
         f" Do not simulate with this soil before soil-env discover has compared it with its "
@@ -632,8 +629,8 @@ def _predicts_badly(plain: _Plain, fits: dict[str, ChannelFit]) -> str:
 
 
 def _not_modelled(problem: TableProblem) -> list[str]:
-    """Warnings on channels that were not measured, on rows that are left out or taken otherwise
-    than given, and on what of the rig the base model does not contain.
+    """Warnings on a single load, on channels that were not measured, on rows that are left out or
+    taken otherwise than given, and on what of the rig the base model does not contain.
 
     Later passes are taken as fresh soil, grades beyond `LEVEL` as level unless the load is
     vertical, rims with lugs as smooth. Wheels of several widths have one S without k_c and k_phi.
@@ -646,7 +643,10 @@ def _not_modelled(problem: TableProblem) -> list[str]:
     rest = " and ".join(names[there])
     left_out = np.sum(~used)
     unseen = np.sum(np.isnan(table.sinkage[used]))
+    alone = one_load(table, problem.setup)
+    shared = shared_stiffness(table.only(used), problem.setup)
     told = (
+        (alone, alone),
         (
             missing,
             f"Not measured: {missing}. The estimate rests on {rest}. The intervals would be "
@@ -672,9 +672,9 @@ def _not_modelled(problem: TableProblem) -> list[str]:
             np.any(table.height(problem.setup.wheel)[used] > 0.0),
             "The grousers are not modelled: the rim is taken as smooth at wheel radius.",
         ),
+        (shared, shared),
     )
-    shared = shared_stiffness(table.only(used), problem.setup)
-    return [*(words for true, words in told if true), *filter(None, [shared])]
+    return [words for true, words in told if true]
 
 
 def _follows_conditions(slip: np.ndarray, load: np.ndarray, residual: np.ndarray) -> bool:

@@ -179,12 +179,8 @@ def coordinate(name: str, conditions: Conditions) -> np.ndarray:
 
 def coordinates(conditions: Conditions, names: tuple[str, ...]) -> np.ndarray:
     """The coordinates [N, D] with these names, each as `coordinate`; [N, 0] without names."""
-    size = np.size(next(iter(conditions.values())))
-    return (
-        np.stack([coordinate(n, conditions) for n in names], axis=1)
-        if names
-        else np.zeros((size, 0))
-    )
+    shape = np.shape(next(iter(conditions.values())))
+    return side_by_side([coordinate(n, conditions) for n in names], shape)
 
 
 def in_channels(functions: np.ndarray, factor: np.ndarray) -> np.ndarray:
@@ -192,9 +188,16 @@ def in_channels(functions: np.ndarray, factor: np.ndarray) -> np.ndarray:
     return functions[:, None, :] * factor[..., None]
 
 
-def finite(values: np.ndarray) -> np.ndarray:
-    """The values, but 0 where they are not finite: there the model that gave them has none."""
-    return np.where(np.isfinite(values), values, 0.0)
+def finite(values: np.ndarray, otherwise: float = 0.0) -> np.ndarray:
+    """The values, but `otherwise` where they are not finite: there the model that gave them has
+    none.
+    """
+    return np.where(np.isfinite(values), values, otherwise)
+
+
+def side_by_side(columns: Sequence[np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
+    """Array [*shape, p] of the p columns of this shape; [*shape, 0] for no column."""
+    return np.stack(columns, axis=-1) if columns else np.zeros((*shape, 0))
 
 
 Compression = tuple[np.ndarray, np.ndarray]  # (U [M, R], share [R]) of `compressed`

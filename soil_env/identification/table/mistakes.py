@@ -763,7 +763,7 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
         """
         many = Rows(*(np.repeat(column, values.size, axis=0) for column in here))
         out = others.problem.steady(others.u, many._replace(**{name: values}))[:, known]
-        return np.where(np.isfinite(out), (y - out) / allowed, NO_VALUE)
+        return finite((y - out) / allowed, NO_VALUE)
 
     off = np.abs(residuals("load", here.load)[0])
     if np.max(off) < least:

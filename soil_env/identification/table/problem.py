@@ -28,7 +28,7 @@ from soil_env.terramechanics.effects import NO_EFFECTS
 from soil_env.terramechanics.model import Rows
 
 from . import form_error
-from .form_error import LAW_LENGTHS, Process, finite, in_channels
+from .form_error import LAW_LENGTHS, Process, finite, in_channels, side_by_side
 from .noise import NoiseEstimate
 from .priors import Unknown, bounds_of, middle_sinkage, parameters_at, soil_unknowns
 from .rig import predict_table
@@ -101,7 +101,7 @@ def most_probable(
     def residual(u):
         """Residuals [M + p], whose squares add up to J: those of the values, then those of u."""
         e = target - model(u)
-        return np.concatenate([np.where(np.isfinite(e), e, NO_VALUE), u])
+        return np.concatenate([finite(e, NO_VALUE), u])
 
     def jacobian(u):
         """Derivatives [M + p, p] of `residual` by u."""
@@ -124,12 +124,7 @@ def differences(model: ArrayFunction, u: np.ndarray, unknowns: Sequence[Unknown]
         moved = u.copy()
         moved[k] += step
         columns.append((model(moved) - base) / step)
-    return side_by_side(columns, base.size)
-
-
-def side_by_side(columns: list[np.ndarray], size: int) -> np.ndarray:
-    """Array [size, p] of the p columns [size], with 0 for nan and inf; [size, 0] for no column."""
-    return finite(np.stack(columns, axis=1) if columns else np.zeros((size, 0)))
+    return finite(side_by_side(columns, base.shape))
 
 
 class Last:
@@ -392,8 +387,7 @@ class TableProblem:
         # Each span has two blocks: of the stresses, and of the channels.
         for row, of in zip(sizes, LAW_ERRORS, strict=True):
             row[2 * of.span : 2 * of.span + 2] = of.size, of.own * of.size
-        residual = np.where(np.isfinite(e), e, NO_VALUE)
-        normal = form_error.NormalEquations.of(j, blocks, residual)
+        normal = form_error.NormalEquations.of(j, blocks, finite(e, NO_VALUE))
         log, mean, covariance = form_error.marginals(normal, sizes, u)
         log += np.log(np.tile(form_error.size_prior(), len(LAW_LENGTHS) * len(CHANNELS_OWN)))
         return log - self._widening(), mean, covariance
