@@ -167,8 +167,6 @@ def changed(out: np.ndarray, rows: Rows, values: Values, bench: Bench) -> np.nda
 
     `out` [N, 3]: the outcome on `loaded` rows.
     """
-    if not values:
-        return out
     out = out.copy()
     size = bench.load * rows.wheels[:, 0]
     if "soft_wheel_gain" in values:

@@ -238,18 +238,16 @@ def _plain(table: Table, setup: Setup) -> Reading:
 
 
 def _problem(
-    reading: Reading, sd: np.ndarray, used: np.ndarray | None, scarce: bool = True
+    reading: Reading, sd: np.ndarray, used: np.ndarray, scarce: bool = True
 ) -> TableProblem:
     """The least-squares problem of a reading, with the noise `sd` [3] and the values `used` [N, 3]
-    (None: all) of the channels of the table as it is.
+    of the channels of the table as it is.
 
     Fewer values than unknowns are refused unless `scarce`: the priors are enough to compare
     readings and rows.
     """
-    there = reading.table
     order = list(reading.source)
-    if used is not None:
-        there = there.with_values(used[:, order])
+    there = reading.table.with_values(used[:, order])
     # No noise of a channel without values, whose `sd` is no level.
     levels = {
         name: float(sd[order[j]] * reading.scale[j])
@@ -266,7 +264,7 @@ def _problem(
 def _fit(
     reading: Reading,
     sd: np.ndarray,
-    used: np.ndarray | None = None,
+    used: np.ndarray,
     start: np.ndarray | None = None,
     search: bool = False,
 ) -> _Fit:
@@ -374,7 +372,7 @@ def _as_is(data: Data) -> _AsIs:
     fit and without its outliers (values that `NoiseEstimate.used` leaves out).
     """
     plain = _plain(data.table, data.setup)
-    rough = _fit(plain, rough_noise(data))
+    rough = _fit(plain, rough_noise(data), data.measured)
     noise = _noise(data, rough)
     return _AsIs(data, noise, _fit(plain, noise.sd, noise.used, rough.u))
 
@@ -397,7 +395,7 @@ def _other_readings(start: _AsIs) -> list[Better]:
         return []
     as_it_is = _by_resistance(data, noise, plain)
     by_resistance = [_by_resistance(data, noise, other) - as_it_is for other in others]
-    under_rough = [_fit(other, rough) for other in others]
+    under_rough = [_fit(other, rough, data.measured) for other in others]
     noises = [_noise(data, fit) for fit in under_rough if fit.reading.name != "columns"]
     noise = min(noise, *noises, key=lambda there: np.sum(np.log(there.sd)))
     base = first if noise is start.noise else _fit(plain, noise.sd, noise.used, first.u)
@@ -537,7 +535,9 @@ def examine(table: Table, setup: Setup) -> Examined:
     """
     data = prepare(table, setup)
     given_noise(data)  # refuses one that leaves no digits
-    _problem(_plain(table, setup), rough_noise(data), None, scarce=False)  # refuses too few values
+    _problem(
+        _plain(table, setup), rough_noise(data), data.measured, scarce=False
+    )  # refuses too few values
     always = [*setup.doubts(), *_grades_doubted(data)]
     dead = _channels_doubted(data)
     if dead:  # what else could be read into such a table says nothing

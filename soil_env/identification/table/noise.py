@@ -78,7 +78,7 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
     given = given_noise(data)
     repeat_freedom = repeat_noise(data, model)[1]
     basis = smooth_basis(data)
-    used = data.measured.copy()
+    used = data.measured
     sd = np.ones(3)
     freedom = np.full(3, math.inf)
     origin = [""] * 3
