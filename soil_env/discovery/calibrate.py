@@ -24,10 +24,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import gmean
 
-from soil_env.identification.table import form_error
 from soil_env.identification.table.data import CHANNELS, Data
 from soil_env.identification.table.form_error import (
     INPUTS,
+    LAW_LENGTHS,
     LENGTHS,
     Conditions,
     Process,
@@ -90,7 +90,7 @@ _FREE_FUNCTIONS = 40  # most functions of an anonymous contribution
 #: about the step between two slips of a table, for laws that are right at some slips alone: soil
 #: flows in two zones below a driven wheel, and in one at large slip (Wong 1967, J. Agric. Eng. Res.
 #: 12:257-269).
-ALL_LAW_LENGTHS = (*form_error.LAW_LENGTHS, LENGTHS | {"slip": 0.1})
+ALL_LAW_LENGTHS = (*LAW_LENGTHS, LENGTHS | {"slip": 0.1})
 #: Correlation lengths of a smooth anonymous contribution over those of a form error.
 _LONGER = 1.6
 
@@ -331,19 +331,17 @@ class Problem:
         choices: Choices,
         guess: np.ndarray,
         rows: Rows | None = None,
-        more: Mapping[str, float] | None = None,
+        peak_shift: float = 0.0,
     ) -> np.ndarray:
         """What the rig reads by the model with these effects: sinkage [m], pull [N] and torque
         [N m], [N, 3]; NaN where the model has no value.
 
         `values`: fitted parameters by name. `guess` [N]: sinkages [m] to start from, overwritten by
-        the solution. `rows`: those of the table if None. `more`: amounts that are added to
-        parameters of effects, by the fields of `Effects`. Errors of the rig and laws without a name
-        change the rows before the laws of the world, and the outcome after them.
+        the solution. `rows`: those of the table if None. `peak_shift`: as of `predict_table`.
+        Errors of the rig and laws without a name change the rows before the laws of the world, and
+        the outcome after them.
         """
         fx = self.effects(choices, values)
-        if more:
-            fx = fx._replace(**{k: getattr(fx, k) + v for k, v in more.items()})
         soil = self.known | values
         unit_weight = self.density * self.data.setup.gravity
         # Parameters of errors of the rig and of laws without a name.
@@ -357,7 +355,9 @@ class Problem:
 
         def outcome(under: Rows) -> np.ndarray:
             """Steady values [N, 3] by the laws of the world."""
-            return predict_table(self.data.setup, under, soil, unit_weight, fx, guess, by_row)
+            return predict_table(
+                self.data.setup, under, soil, unit_weight, fx, guess, by_row, peak_shift
+            )
 
         out = in_balance(loaded(rows, outside, self.bench.load), outside, outcome)
         return reading(changed(out, rows, outside, self.bench), outside, rows.wheels[:, 0])
@@ -528,7 +528,7 @@ class Law:
             """[N, 3] output at u under a change of the stresses."""
             soil = values | change.soil
             guess = OFF_GUESS * self.guess
-            return self.problem.predict(soil, self.choices, guess, more=change.effects)
+            return self.problem.predict(soil, self.choices, guess, peak_shift=change.peak_shift)
 
         return by_stresses(outcome, self.problem.known | values, sinkage)
 

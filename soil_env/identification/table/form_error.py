@@ -204,15 +204,15 @@ Compression = tuple[np.ndarray, np.ndarray]  # (U [M, R], share [R]) of `compres
 
 
 class StressChange(NamedTuple):
-    """A change of a stress, written as soil parameters that replace those of the soil, and as
-    amounts that are added to parameters of effects.
+    """A change of a stress, written as soil parameters that replace those of the soil, and as a
+    shift of the place of the largest normal stress.
     """
 
     soil: dict[str, float]  # by the names of a setup
-    effects: dict[str, float]  # by the fields of `Effects`
+    peak_shift: float = 0.0  # added to `Effects.stress_peak_shift_offset`
 
 
-UNCHANGED = StressChange({}, {})
+UNCHANGED = StressChange({})
 
 
 def by_stresses(
@@ -248,11 +248,11 @@ def stress_changes(soil: Mapping[str, float], h: float, sinkage: float) -> tuple
     }
     turned = {"shear_modulus": soil["shear_modulus"] * math.exp(_TURNED * h)}
     return (
-        StressChange({"sinkage_coefficient": (1.0 + h) * soil["sinkage_coefficient"]}, {}),
-        StressChange(_stronger(soil, h), {}),
-        StressChange({}, {"stress_peak_shift_offset": _MOVED * h}),
-        StressChange(flatter, {}),
-        StressChange(turned | _stronger(soil, _STRONGER * _TURNED * h), {}),
+        StressChange({"sinkage_coefficient": (1.0 + h) * soil["sinkage_coefficient"]}),
+        StressChange(_stronger(soil, h)),
+        StressChange({}, peak_shift=_MOVED * h),
+        StressChange(flatter),
+        StressChange(turned | _stronger(soil, _STRONGER * _TURNED * h)),
     )
 
 

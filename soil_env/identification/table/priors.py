@@ -81,10 +81,9 @@ def parameters_at(unknowns: Sequence[Unknown], u: np.ndarray) -> dict[str, float
     return {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
 
 
-def bounds_of(unknowns: Sequence[Unknown]) -> tuple[np.ndarray, np.ndarray]:
-    """(lower [p], upper [p]) bounds of whitened unknowns."""
-    low, high = (np.array([k.bounds[end] for k in unknowns]) for end in (0, 1))
-    return low, high
+def bounds_of(unknowns: Sequence[Unknown]) -> np.ndarray:
+    """[2, p] lower and upper bounds of whitened unknowns."""
+    return np.array([k.bounds for k in unknowns]).reshape(-1, 2).T
 
 
 def soil_unknowns(

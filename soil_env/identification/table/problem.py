@@ -85,11 +85,11 @@ def most_probable(
     model: ArrayFunction,
     derivatives: ArrayFunction,
     start: np.ndarray,
-    bounds: tuple[np.ndarray, np.ndarray],
+    bounds: np.ndarray,
     **options: Any,
 ) -> tuple[np.ndarray, float, bool]:
     """(u [p], J, True if converged): minimum of J = |target - model(u)|^2 + |u|^2 within the
-    `bounds` (lower [p], upper [p]) of u.
+    `bounds` [2, p] of u.
 
     `target` [M] and the values [M] and derivatives [M, p] of the model are whitened. A residual
     where the model has no value is `NO_VALUE`. Trust-region reflective method; `options` are those
@@ -107,7 +107,7 @@ def most_probable(
         """Derivatives [M + p, p] of `residual` by u."""
         return np.concatenate([-derivatives(u), np.eye(u.size)])
 
-    found = least_squares(residual, start, jacobian, bounds=bounds, x_scale=1.0, **options)
+    found = least_squares(residual, start, jacobian, bounds=tuple(bounds), x_scale=1.0, **options)
     return found.x, 2.0 * found.cost, found.status > 0
 
 
@@ -154,8 +154,8 @@ class TableProblem:
 
     `correct`, `update_noise`, `take_noise` and `allow_form_error` change this state. `use` [bool]:
     rows of the table that take part, None for all that can; these are the N rows of all arrays.
-    `ParameterError` if all parameters are known. So too if there are fewer values than unknowns and
-    noises to estimate, unless `scarce`.
+    `ParameterError` if there are fewer values than unknowns and noises to estimate, unless
+    `scarce`.
     """
 
     def __init__(
@@ -274,9 +274,15 @@ class TableProblem:
         """Sinkage [m], drawbar pull [N] and torque [N m], [N, 3], at any `rows`, measured or not;
         under a `change` of the stresses.
         """
-        soil = self.values(u) | change.soil
-        fx = NO_EFFECTS._replace(**change.effects)
-        return predict_table(self.setup, rows, soil, _NO_WEIGHT, fx, np.zeros(rows.slip.size))
+        return predict_table(
+            self.setup,
+            rows,
+            self.values(u) | change.soil,
+            _NO_WEIGHT,
+            NO_EFFECTS,
+            np.zeros(rows.slip.size),
+            peak_shift=change.peak_shift,
+        )
 
     def by_conditions(self, u: np.ndarray) -> np.ndarray:
         """Derivatives F [N, 3, 2] of the model by slip and load at the corrected conditions; 0 by a
