@@ -132,6 +132,7 @@ def test_a_misfit_is_not_taken_for_noise(tmp_path):
     data = dense(tmp_path, 900, added=1.2, correlated=3)
     e = identify_table(data.table, data.setup)
     assert "soil-env discover" in e.misfit and "noise of sinkage" in e.misfit
+    assert "noise.slip" not in e.misfit  # which a dense table does not use
     p = e.parameters["friction_angle_deg"]
     assert p.low <= world({}).soil.friction_angle_deg <= p.high and p.high - p.low > 2.0
 

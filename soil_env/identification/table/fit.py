@@ -328,8 +328,11 @@ def _summary(
     labels = tuple(LABELS[name] for name in free)
     parameters = _parameters(problem, u, whole, scaling)
     first = [*examined.said, *_units(problem, parameters, plain.fits)]
+    noise = problem.setup.noise
+    # Of a dense table the noise of single rows is not used, whatever the setup gives.
+    exact = () if dense else tuple(n for n in ("slip", "load") if getattr(noise, n) is None)
     law_error = math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True)))
-    misfit = _misfit(problem, plain, missed, law_error, fits)
+    misfit = _misfit(exact, plain, missed, law_error, fits)
     off_prior = _off_prior(problem, plain)
     far, words = max(off_prior, default=(0.0, ""))
     first += [words] if far > FAR_OFF_PRIOR and not misfit else []
@@ -359,7 +362,7 @@ def _summary(
         slip=problem.rows.slip,
         load=problem.rows.load,
         values=int(problem.measured.sum()),
-        exact=() if dense else _exact_conditions(problem),
+        exact=exact,
         converged=converged,
         law_error=law_error,
         check_first=tuple(first),
@@ -450,11 +453,6 @@ def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
             unit=UNITS[name],
         )
     return fits
-
-
-def _exact_conditions(problem: TableProblem) -> tuple[str, ...]:
-    """Conditions (slip, load) without a stated noise, which are taken as exact."""
-    return tuple(name for name in ("slip", "load") if getattr(problem.setup.noise, name) is None)
 
 
 def _units(
@@ -587,7 +585,7 @@ def _missed(problem: TableProblem, plain: _Plain, noise: NoiseEstimate | None) -
 
 
 def _misfit(
-    problem: TableProblem,
+    exact: tuple[str, ...],
     plain: _Plain,
     missed: dict[str, float],
     law_error: float,
@@ -595,15 +593,14 @@ def _misfit(
 ) -> str:
     """Sentences on a base model that does not fit; "" where no channel is `missed`.
 
-    They say which channels it misses by how much, what the intervals then hold, and whether the
-    soil of these `fits` predicts badly (`MUCH_WORSE`).
+    They say which channels it misses by how much, what the intervals then hold, what noise to give
+    of `exact` conditions, and whether the soil of these `fits` predicts badly (`MUCH_WORSE`).
     """
     if not missed:
         return ""
     sizes = " and ".join(
         f"{ratio:.2g} times the noise of {name.replace('_', ' ')}" for name, ratio in missed.items()
     )
-    exact = _exact_conditions(problem)
     keys = " and ".join(f"noise.{name}" for name in exact)
     also = f" If {' and '.join(exact)} scatter, give {keys}." if exact else ""
     return (
