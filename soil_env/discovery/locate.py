@@ -102,7 +102,7 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
     raw = np.zeros((len(q), len(where)))  # v of the module's docstring, a column for each
     raw[: row.size] = inside[tuple(where.T)].T
     total = np.sqrt(raw.sum(axis=0))
-    v, left = _project(raw, q, total)
+    v, left = _project(raw, q)
     rng = np.random.default_rng(seed)
     looks = _independent_looks(v, channel=where[:, 0], freedom=problem.freedom, rng=rng)
     # A box must show in the residual without projection as well, with the same sign.
@@ -121,7 +121,7 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
         out.append(_disagreement(problem, fit, CHANNELS[j], limits[box], member[box], p))
         taken.append((j, member[box] & problem.used[:, j]))
         e = e - v[:, k] * (v[:, k] @ e)
-        v, left = _project(v, v[:, k : k + 1], np.ones(v.shape[1]))
+        v, left = _project(v, v[:, k : k + 1])
         apart = [not any(j == i and np.any(m & member[b]) for i, m in taken) for j, b in where]
         allowed = allowed & left & np.array(apart)
     return tuple(out)
@@ -143,15 +143,16 @@ def structure(problem: Problem, model: Evidence, seed: int = 0) -> float:
     return left[0].p_value if left else 1.0
 
 
-def _project(v: np.ndarray, q: np.ndarray, total: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _project(v: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(columns of v [M, R] without the orthonormal directions q [M, K], scaled to the length 1;
     [R] bool, True for those that keep the share `_OPEN` of their variance).
 
-    `total` [R]: lengths before any projection. Columns that keep less become 0.
+    Columns that keep less become 0.
     """
+    before = np.linalg.norm(v, axis=0)
     v = v - q @ (q.T @ v)
-    length = np.sqrt(np.einsum("mr,mr->r", v, v))
-    left = length > math.sqrt(_OPEN) * total
+    length = np.linalg.norm(v, axis=0)
+    left = length > math.sqrt(_OPEN) * before
     return v / np.where(left, length, math.inf), left
 
 
