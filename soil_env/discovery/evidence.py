@@ -47,7 +47,7 @@ from soil_env.identification.table.form_error import (
 from soil_env.identification.table.priors import bounds_of
 
 from .calibrate import ALL_LAW_LENGTHS, Fit, Law, Problem, Sizes, sinkage_guess
-from .instrument import INSTRUMENT, LISTED, Choice, Choices, Names
+from .instrument import INSTRUMENT, Choice, Choices, Names
 
 log_sum = np.logaddexp.reduce  # on short arrays a tenth of the time of `logsumexp`
 #: Size beta of an effect's form error, relative to what it adds: published forms differ by 10 to
@@ -353,9 +353,8 @@ def detectable(
     k = np.argmax(power + _TIE / x)
     moved = further.unknowns[k]
     choice = choices[further.owner[k]]
-    form = LISTED[choice.effect].forms[choice.form].name
     strength = moved.name.removeprefix(f"{choice.effect}_")
-    return Detectable(float(x[k] * moved.sd), strength, form, float(power[k]))
+    return Detectable(float(x[k] * moved.sd), strength, choice.published.name, float(power[k]))
 
 
 #: Sizes of a smooth contribution to a channel, relative to its root mean square; each as probable

@@ -225,15 +225,20 @@ class Choice(NamedTuple):
     form: int  # index in `Effect.forms`
 
     @property
+    def published(self) -> Form:
+        """The form itself."""
+        return LAWS[self.effect].forms[self.form]
+
+    @property
     @cache  # noqa: B019 (records of the catalogue: few; fits ask for it often)
     def free(self) -> tuple[str, ...]:
         """Names `<effect>_<parameter>` of the parameters that the form leaves to be fitted."""
-        return tuple(f"{self.effect}_{p}" for p in LAWS[self.effect].forms[self.form].free)
+        return tuple(f"{self.effect}_{p}" for p in self.published.free)
 
     @property
     def fixed(self) -> dict[str, float]:
         """Parameters that the form sets, by the same names."""
-        return {f"{self.effect}_{p}": v for p, v in LAWS[self.effect].forms[self.form].fixed}
+        return {f"{self.effect}_{p}": v for p, v in self.published.fixed}
 
 
 Choices = tuple[Choice, ...]

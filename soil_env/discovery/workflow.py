@@ -23,7 +23,7 @@ from . import doubts, judgement
 from .calibrate import NOISE_ALONE, PRIOR_WIDTH, Fit, Problem, calibrate
 from .corrected import corrected, least_sure, parameters
 from .evidence import Evidence, settle
-from .instrument import LISTED, Names, ruled_out
+from .instrument import Names, ruled_out
 from .judgement import Interval, held_out_predictions
 from .locate import locate, structure
 from .next_for_prediction import surer_runs
@@ -303,7 +303,7 @@ def _effects(
         choice = next(c for c in fit.choices if c.effect == name)
         fitted = parameters(problem, choice, fit.parameters())
         within = {p: intervals.get(f"{name}_{p}", Interval(x, x, x)) for p, x in fitted.items()}
-        form = LISTED[name].forms[choice.form].name
+        form = choice.published.name
         probability = finding.share(name)
         others = finding.alternatives(name)
         out.append(EffectFound(name, form, within, probability, shares[name], others))
