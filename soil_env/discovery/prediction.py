@@ -111,9 +111,8 @@ def effects_to_fit(problem: Problem) -> Choices:
     for name in candidates(problem)[0]:
         if name in (*LEFT_OUT, *stated) or LISTED[name].varies not in (None, *varied):
             continue
-        published = LISTED[name].forms
-        names = FORMS.get(name, (published[0].name,))
-        out += [c for c in forms(problem, name) if published[c.form].name in names]
+        names = FORMS.get(name, (LISTED[name].forms[0].name,))
+        out += [c for c in forms(problem, name) if c.published.name in names]
     return tuple(out)
 
 
@@ -150,11 +149,6 @@ class _Remainder:
         conditions that vary by themselves in the fitted table.
         """
         return coordinates(problem.data.conditions, self.names)
-
-    def square(self, name: str) -> np.ndarray:
-        """[N, N] square of the difference of a coordinate between rows of the table."""
-        x = self.table[:, self.names.index(name)]
-        return (x[:, None] - x) ** 2
 
     def correlation(self, points: np.ndarray, others: np.ndarray, learnt: Learnt) -> np.ndarray:
         """[N, P] correlation k of the remainder at points [N, D] with that at others [P, D]."""
@@ -381,7 +375,9 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
     used = fit.problem.used
     e = fit.residual + fit.jacobian @ fit.u
     usual = USUAL.logarithms
-    square = {name: remainder.square(name) for name in USUAL.lengths if name in remainder.names}
+    # [N, N] squares of the differences of a coordinate between rows of the table.
+    columns = dict(zip(remainder.names, remainder.table.T, strict=True))
+    square = {name: (x[:, None] - x) ** 2 for name, x in columns.items() if name in USUAL.lengths}
 
     def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
         """(-ln of likelihood times prior, its derivatives [8]) at x [8], `Learnt.logarithms`:

@@ -150,15 +150,9 @@ class Finding:
         kept = (replace(h, evidence=evidence) if h is stated else h for h in self.hypotheses)
         return replace(self, hypotheses=tuple(kept))
 
-    def share(self, *names: str, without: Names = ()) -> float:
-        """Probability that these effects are missing, alone or with others, and none of those in
-        `without`.
-        """
-        return sum(
-            h.probability
-            for h in self.hypotheses
-            if {*names} <= {*h.names} and not {*without} & {*h.names}
-        )
+    def share(self, *names: str) -> float:
+        """Probability that these effects are missing, alone or with others."""
+        return sum(h.probability for h in self.hypotheses if {*names} <= {*h.names})
 
     def if_laws_err(self, *names: str) -> tuple[float, ...]:
         """`share` if the laws err, for each of `LAW_ERRORS`."""
@@ -291,7 +285,7 @@ class Finding:
         `name` is not is `REPORTED` or more.
         """
         return _reported(
-            {n: self.share(n, without=(name,)) for n in self.tried if n not in self.names}
+            {n: self.share(n) - self.share(n, name) for n in self.tried if n not in self.names}
         )
 
     @property

@@ -259,7 +259,6 @@ def _settle(
     If the moves of the solution hardly become smaller after a quarter of the passes, they are cut.
     It has converged when moves and changes of the noise are small (`_SETTLED`, `_SETTLED_NOISE`).
     """
-    renewed = problem.estimated & with_noise
     share = 1.0  # of each move; cut where moves go in circles, as when the model does not fit
     last = math.inf  # change of the iteration before
     problem.weigh(problem.by_conditions(u))
@@ -274,8 +273,7 @@ def _settle(
         if with_noise:
             problem.update_noise(u)
         problem.correct(u)
-        changed = np.abs(problem.noise - noise)[renewed]
-        if size < _SETTLED and np.all(changed < _SETTLED_NOISE * noise[renewed]):
+        if size < _SETTLED and np.allclose(problem.noise, noise, rtol=_SETTLED_NOISE, atol=0.0):
             return u, True
     return u, False
 

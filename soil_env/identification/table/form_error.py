@@ -314,9 +314,8 @@ class NormalEquations(NamedTuple):
         """
         width = tuple(w for w, some in zip(self.width, (True, *used), strict=True) if some)
         at = np.flatnonzero(np.repeat((True, *used), self.width))
-        gram = self.gram if at.size == len(self.gram) else self.gram[np.ix_(at, at)]
         return NormalEquations(
-            gram / noise**2,
+            self.gram[np.ix_(at, at)] / noise**2,
             self.along[at] / noise**2,
             self.square / noise**2,
             width,
