@@ -378,8 +378,7 @@ class Problem:
     def _rms(self, values: np.ndarray) -> np.ndarray:
         """[3] root mean square of values [N, 3] over those in use of a channel, 0 without any."""
         square = np.sum(values**2, axis=0, where=self.used)
-        rms: np.ndarray = np.sqrt(square / np.maximum(self.used.sum(axis=0), 1))
-        return rms
+        return np.sqrt(square / np.maximum(self.used.sum(axis=0), 1))
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
         """[M, ..] the values in use of an array [N, 3, ..], each over its noise."""

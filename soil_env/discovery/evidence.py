@@ -175,11 +175,10 @@ def weigh(problem: Problem, fit: Fit, over: SizeGrid | None = None) -> Evidence:
     by_law = {
         x: log_sum(of_size[laws == x]) - log_sum(log_prior[laws == x]) for x in np.unique(laws)
     }
-    share = np.exp(log - total)
-    of = dict(zip(sizes, share.reshape(len(scales), -1).sum(axis=0).tolist(), strict=True))
+    of = dict(zip(sizes, np.exp(of_size).tolist(), strict=True))
     best = max(of, key=lambda sizes: of[sizes])
     log_all = total - math.log(len(scales))  # the scales are equally probable
-    return Evidence(fit, log_all, best, of, *mixed(share, mean, covariance), by_law)
+    return Evidence(fit, log_all, best, of, *mixed(np.exp(log - total), mean, covariance), by_law)
 
 
 def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -224,10 +223,9 @@ def settle(problem: Problem, choices: Choices, near: Evidence | None = None) -> 
     for _ in range(_ROUNDS):
         sizes = best.sizes
         now = weigh(problem, problem.fit(choices, best.fit.parameters(), sizes, best.fit))
-        done = now.sizes == sizes and abs(now.log - best.log) < _SETTLED
+        if now.sizes == sizes and abs(now.log - best.log) < _SETTLED:
+            return now
         best = now
-        if done:
-            break
     return best
 
 
