@@ -61,7 +61,7 @@ _SLIGHT = 1e-3  # posterior share below which a size of the form error does not 
 _LITTLE = 0.05  # [prior sd] step of a strength, for the difference that gives its first order
 _FIRST_LAW = 0.05  # largest size of the law's error in the first of these fits; own choice
 _SETTLED = 0.1  # [nat] change of the log evidence below which fit and sizes are settled; own choice
-_APART = 1e-12  # least difference of the logarithms of two probabilities: of 0 there is none
+_APART = 1e-12  # least difference of the logarithms of two probabilities, else the result is -inf
 _INVISIBLE = 1e-12  # least normal of a strength, since it divides
 #: Weight of 1/(least visible strength) beside the power, which decides where powers are equal.
 _TIE = 1e-9
@@ -195,9 +195,10 @@ def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 
 def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """log(Phi(b) - Phi(a)) with the standard normal distribution function Phi, a < b."""
-    # Where a > 0 both values of Phi may be nearly 1, and their difference lost in rounding: there
-    # it is that of the mirrored interval.
+    """log(Phi(b) - Phi(a)) with the standard normal distribution function Phi, a < b; a very small
+    probability where rounding makes them equal.
+    """
+    # For a > 0 the mirrored interval (-b, -a): Phi near 1 would lose the difference in rounding.
     turn = a > 0.0
     upper = log_ndtr(np.where(turn, -a, b))
     lower = log_ndtr(np.where(turn, -b, a))

@@ -59,11 +59,12 @@ class Gap(NamedTuple):
 
 
 def intervals(finding: Finding, own: Evidence) -> dict[str, Interval]:
-    """Posterior mean and 95 % interval of every unknown, in its unit.
+    """Value and 95 % interval of every unknown, in its unit, by a normal distribution of what is
+    fitted, its mean or that of its logarithm.
 
-    Those of the soil are of the mixture of all hypotheses and sizes of form errors, each with its
-    probability. Those of the effects are of `own`, the model of the named effects, over the sizes.
-    An unknown that is fitted in its logarithm is normal there. No end is beyond a bound.
+    Those of the soil have mean and variance of the mixture of all hypotheses and sizes of form
+    errors, each with its probability. Those of the effects are of `own`, the model of the named
+    effects, averaged over the sizes. No end is beyond a bound.
     """
     p = len(finding.best().evidence.fit.unknowns)  # of the soil, which come first in all models
     share = np.array([h.probability for h in finding.hypotheses])

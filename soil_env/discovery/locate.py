@@ -55,8 +55,9 @@ Limits = dict[str, tuple[int, int]]  # condition -> (first, last) level
 def boxes(problem: Problem) -> tuple[tuple[Limits, ...], np.ndarray]:
     """(limits of each of R boxes, [R, N] bool, True for the rows inside).
 
-    The boxes are the whole table, intervals of levels of one condition, half-lines of two. Boxes
-    with less than `LEAST_VALUES` rows are left out, and so is a second box with the same rows.
+    The boxes are the whole table, intervals of levels of one condition, and for each pair of
+    conditions products of two half-lines. Boxes with fewer than `LEAST_VALUES` rows are left out,
+    and so is a box of the same rows as one before it in this order.
     """
     varied = problem.data.varied
     limits: list[Limits] = [{}]
@@ -96,7 +97,7 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
     q = np.linalg.qr(a)[0]  # directions that the parameters absorb
     row, channel = np.nonzero(problem.used)
     inside = member[:, row] & (channel == np.arange(3)[:, None])[:, None]
-    where = np.argwhere(inside.sum(axis=2) >= LEAST_VALUES)  # [R, 2] channel, box
+    where = np.argwhere(inside.sum(axis=2) >= LEAST_VALUES)  # [pairs, 2] channel, box
     if not where.size:
         return ()
     raw = np.zeros((len(q), len(where)))  # v of the module's docstring, a column for each

@@ -390,8 +390,9 @@ def costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
     differs from the run before.
 
     The run before is the last of the `chosen` runs (indices of the grid), or the last row of the
-    table. A change of any sizes of the wheel is one change. A pass costs for each pass that has to
-    be made before it on fresh soil.
+    table. A change of any sizes of the wheel is one change. A travel speed that follows from the
+    slip at the table's one rim speed is no change. A pass costs for each pass that has to be made
+    before it on fresh soil.
     """
     prices = {"run": 1.0} | problem.data.setup.rig.cost
     table = problem.data.conditions
@@ -399,6 +400,8 @@ def costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
     counted = {
         n: np.abs(x - last[n]) > _SAME * max(1.0, abs(last[n])) for n, x in grid.value.items()
     }
+    rim = _rim_speed(table["speed"], table["slip"])
+    counted["speed"] &= ~np.isclose(grid.value["speed"], travel_speeds(rim, grid.value["slip"]))
     counted["run"] = np.ones(grid.value["slip"].size)
     counted["wheel"] = np.any([counted[n] for n in WHEEL], axis=0)
     counted["pass"] = np.maximum(grid.value["pass"] - 1.0, 0.0)
@@ -458,7 +461,7 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
 
     A condition on which no candidate depends has one value: the median speed, the least pass, the
     grade nearest to 0 in the range of the table. If the rig lists values, it is the nearest of
-    these. If it lists no speeds and the table has one rim speed, runs have that (`_of_rim`).
+    these. If it lists no speeds and the table has one rim speed, runs have that.
     """
     column = problem.data.conditions
     grade = column["grade_deg"]
@@ -487,21 +490,25 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
         points = points[np.sort(np.random.default_rng(0).permutation(len(points))[:_LARGEST])]
     value = dict(zip((*levels, *WHEEL), points.T, strict=True))
     if not of_rig["speed"] and "speed" not in needed:
-        value["speed"] = _of_rim(column["speed"], column["slip"], value["slip"], value["speed"])
+        speeds = travel_speeds(_rim_speed(column["speed"], column["slip"]), value["slip"])
+        # a wheel braked more than in the table would travel far faster
+        known = np.isfinite(speeds) & (value["slip"] >= min(0.0, column["slip"].min()))
+        value["speed"] = np.where(known, speeds, value["speed"])
     always = ("slip", "load", "speed") if problem.bench.speed > 0.0 else ("slip", "load")
     asked = (n for n, x in value.items() if n in always or np.ptp([*x, *column[n]]) > 0.0)
     return Grid(value, tuple(asked))
 
 
-def _of_rim(speed: np.ndarray, slip: np.ndarray, at: np.ndarray, usual: np.ndarray) -> np.ndarray:
-    """Travel speeds [m/s], [G], at slips `at` [G] at the one rim speed of a table with these travel
-    speeds and slips [N]; where it has several, the `usual` ones [G].
+def _rim_speed(speed: np.ndarray, slip: np.ndarray) -> float:
+    """The one rim speed [m/s] of a table with these travel speeds [m/s] and slips [N]; NaN where it
+    has several, or its travel speed is as constant.
     """
     of_rim = travel_speeds(1.0, slip)  # over the rim speed
-    rim = np.median(speed[of_rim > 0.0] / of_rim[of_rim > 0.0])
-    if np.allclose(speed, rim * of_rim, rtol=_SAME_RIM):
-        return travel_speeds(rim, at)
-    return usual
+    rims = speed[of_rim > 0.0] / of_rim[of_rim > 0.0]
+    rim = np.median(rims)
+    one = np.allclose(speed, rim * of_rim, rtol=_SAME_RIM)
+    varies_less = np.ptp(rims) * np.median(speed) < np.ptp(speed) * rim
+    return float(rim) if one and varies_less else math.nan
 
 
 def _around(x: np.ndarray, below: float, above: float) -> list[float]:

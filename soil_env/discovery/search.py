@@ -281,8 +281,8 @@ class Finding:
     def alternatives(self, name: str) -> Names:
         """Rivals of the stated effect `name`, the most probable first.
 
-        They are effects that are not stated. The probability that one of them is missing while
-        `name` is not is `REPORTED` or more.
+        They are effects that are not stated, each of which is missing while `name` is not with a
+        probability of `REPORTED` or more.
         """
         return _reported(
             {n: self.share(n) - self.share(n, name) for n in self.tried if n not in self.names}

@@ -194,7 +194,7 @@ def read_table(
     everything that cannot be right.
     """
     path = Path(path)
-    header, whole_rows = _csv_cells(path)
+    header, whole_rows = _csv_cells(path, ignore)
     kept = [k for k, name in enumerate(header) if name not in ignore]
     header = [header[k] for k in kept]
     rows = [(line, [cells[k] for k in kept]) for line, cells in whole_rows]
@@ -227,9 +227,11 @@ def read_table(
     return table
 
 
-def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+def _csv_cells(
+    path: Path, ignore: Sequence[str] = ()
+) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Header and (line of the file from 1, cells) of the rows that are not blank, every cell
-    stripped.
+    stripped. The columns in `ignore` say nothing of the decimal mark.
 
     Lines that begin with # and a first line such as `sep=;` are passed over. Semicolons or tabs in
     a header without commas separate the columns, and then commas may be decimal. Columns at the end
@@ -268,7 +270,8 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     if not lines:
         raise ParameterError(f"{path}: empty file: expected a header line with column names")
     if mark != ",":
-        lines = [lines[0], *_with_points(path, lines[0][1], lines[1:])]
+        numbers = {*COLUMNS} - {"run", *ignore}
+        lines = [lines[0], *_with_points(path, lines[0][1], lines[1:], numbers)]
     width = max(k for _, cells in lines for k, cell in enumerate(cells) if cell) + 1
     (_, header), *rows = [(line, cells[:width]) for line, cells in lines]
     for line, cells in rows:
@@ -282,11 +285,13 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     return header, rows
 
 
-def _with_points(path: Path, header: list[str], lines: Rows) -> list[tuple[int, list[str]]]:
-    """The lines with decimal points for decimal commas; `ParameterError` where some cells have
-    commas and others points. Columns of text, and those that no table has, do not count.
+def _with_points(
+    path: Path, header: list[str], lines: Rows, names: set[str]
+) -> list[tuple[int, list[str]]]:
+    """The lines with decimal points for decimal commas in the columns `names`; `ParameterError`
+    where some of their cells have commas and others points.
     """
-    numbers = {k for k, name in enumerate(header) if name in COLUMNS and name != "run"}
+    numbers = {k for k, name in enumerate(header) if name in names}
     cells = [(line, cell) for line, row in lines for k, cell in enumerate(row) if k in numbers]
     commas = [(line, cell) for line, cell in cells if _DECIMAL_COMMA.fullmatch(cell)]
     points = [(line, cell) for line, cell in cells if re.fullmatch(r"[-+]?\d*\.[\d.,]*", cell)]
@@ -296,8 +301,15 @@ def _with_points(path: Path, header: list[str], lines: Rows) -> list[tuple[int, 
             f"{path}: row {line}, {cell!r} has a point, row {commas[0][0]}, {commas[0][1]!r} a "
             "comma: expected one decimal mark, and no separators of thousands"
         )
+    # what is no decimal number stays as it is in the file, for the message
     return [
-        (line, [cell.replace(",", ".") if k in numbers else cell for k, cell in enumerate(row)])
+        (
+            line,
+            [
+                cell.replace(",", ".") if k in numbers and _DECIMAL_COMMA.fullmatch(cell) else cell
+                for k, cell in enumerate(row)
+            ],
+        )
         for line, row in lines
     ]
 

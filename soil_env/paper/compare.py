@@ -227,6 +227,7 @@ def table_3() -> list[Row]:
     rows = []
     for k, (name, form) in enumerate(zip(NAMES, (".2f", ".4f", ".0f"), strict=True)):
         line = P.table3[name]
+        # without sign, as the paper prints them
         errors = [abs(percent_above(as_shown(x[k], form), line.actual)) for x in found]
         rows.append(Row(LABELS[name], line.identified, [x[k] for x in found], form))
         rows.append(Row("error [%]", line.error_percent, errors))
@@ -240,13 +241,20 @@ def table_3() -> list[Row]:
 def reaches(e: Equations, guesses: np.ndarray, backtracking: bool) -> np.ndarray:
     """[G] True if Newton-Raphson from `guesses` [G, 3] ends on the `root`.
 
-    A phi that is off by a multiple of 180 deg counts as equal, since only its tangent is used.
+    A phi that is off by a multiple of 180 deg counts as equal (`_turned`).
     """
     found = newton_raphson(MEASURED, guesses, e, backtracking)
     solution = root(e)
-    turn = (found[:, 0] - solution[0] + 90.0) % 180.0 - 90.0
+    turn = np.abs(_turned(found[:, 0], solution[0]) - solution[0])
     off = np.abs(found[:, 1:] / solution[1:] - 1.0)
-    return (np.abs(turn) < ROOT_DEGREES) & np.all(off < ROOT_RELATIVE, axis=1)
+    return (turn < ROOT_DEGREES) & np.all(off < ROOT_RELATIVE, axis=1)
+
+
+def _turned(phi: np.ndarray, near: float) -> np.ndarray:
+    """The angles phi [deg] turned by multiples of 180 deg to within 90 deg of `near`: they have the
+    same tangent, which is all that the equations use.
+    """
+    return (phi - near + 90.0) % 180.0 - 90.0 + near
 
 
 def table_4(backtracking: bool) -> list[Row]:
@@ -324,6 +332,7 @@ def table_5(e: Equations, seed: int, draws: int) -> Noisy:
     factors = 1.0 + NOISE * rng.standard_normal((draws, 3, 3))
     noisy = Points(*np.swapaxes(np.array(MEASURED) * factors, 0, 1))
     found = newton_raphson(noisy, np.tile(ACTUAL_SET, (draws, 1)), e)
+    found[:, 0] = _turned(found[:, 0], ACTUAL_SET[0])
     errors = np.abs(percent_above(found, ACTUAL_SET))
     good = np.isfinite(errors).all(axis=1)
     if not good.any():

@@ -16,7 +16,7 @@ from .side_view import COLOURS, draw_side_view, draw_table, sample_of, shown_whe
 if TYPE_CHECKING:
     import pygame
 
-_POINTS = 600  # samples of the history over the `SPAN` of the charts, at most
+_POINTS = 600  # intervals between samples of the history over the `SPAN` of the charts, at most
 
 
 class CourseView:
@@ -44,9 +44,11 @@ class CourseView:
         self._angles = 0.0
 
     def record(self, simulation: Any) -> None:
-        """Turn the wheels by a step, and add the state of the vehicle to the history.
+        """Turn the wheels by the time of an action at their present speeds, 0 after a reset, and
+        add the state of the vehicle to the history.
 
-        Only every `_every`-th state is added, so that the history stays within `_POINTS`.
+        Only every `_every`-th state is added, so that `_POINTS` intervals cover the charts. That of
+        an episode which ends within an action is not.
         """
         steps = simulation.steps[0]
         wheels = shown_wheels(simulation)

@@ -20,6 +20,7 @@ from soil_env.discovery.next_tests import (
     NextTest,
     _could_show,
     conditions,
+    costs,
     decided,
     information,
     next_checks,
@@ -69,10 +70,18 @@ def test_runs_have_the_one_rim_speed_of_a_table():
     assert np.unique(run["slip"]).size > 4
     assert run["speed"] == pytest.approx(0.2 * (1.0 - run["slip"]), rel=0.01)
     assert set(conditions(with_rig(p, speeds=(0.1, 0.3)), ()).value["speed"]) == {0.1}
+    # braked, with a rig that may lock the wheel, the speed is that of other runs
+    run = conditions(with_rig(p, slips=(-1.0, 0.1, 0.5)), ()).value
+    assert run["speed"].max() < 0.25
+    # a change of slip at one rim speed is no change of the motor
+    dear = with_rig(p, slips=(0.1, 0.5), cost={"speed": 10.0})
+    assert set(costs(dear, conditions(dear, ()), ())) == {1.0}
     rows = p.data.rows
     at_one_speed = rows.conditions * [0.0, 1.0, 1.0] + [0.1, 0.0, 0.0]  # of several rim speeds
     other = with_data(p, rows=rows._replace(conditions=at_one_speed))
     assert set(conditions(other, ()).value["speed"]) == {0.1}
+    near = with_data(other, rows=other.data.rows._replace(slip=0.1 * rows.slip))  # rims are alike
+    assert set(conditions(near, ()).value["speed"]) == {0.1}
 
 
 @pytest.fixture(scope="module")

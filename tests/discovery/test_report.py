@@ -130,6 +130,9 @@ def test_the_soil_of_identify_is_not_recommended_where_identify_refuses_the_tabl
         there = with_setup(of_data(report, table=table), soil=SoilPriors())
         told = sentences.simulate(there)
         assert ("identify" in told) == said and ("plain curve" in told) != said
+    all_known = dataclasses.replace(report.problem)
+    all_known.soil = ()
+    assert "identify" not in sentences.simulate(dataclasses.replace(report, problem=all_known))
 
 
 def test_a_table_of_two_rows_has_a_report(tmp_path):

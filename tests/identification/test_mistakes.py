@@ -145,14 +145,29 @@ def test_an_empty_cell_leaves_the_other_rows_their_rise(tmp_path):
     assert mistakes._rises(data, noise) == pytest.approx(before, rel=0.1)
 
 
+def test_a_force_of_low_slips_alone_has_no_rise(tmp_path):
+    """Its rows neither span what shows a rise, nor are three."""
+    few = with_column(
+        table_text({}),
+        "drawbar_pull",
+        lambda row: row["drawbar_pull"] if row["slip"] in (0.05, 0.12) else "",
+    )
+    data = data_of(tmp_path, few)
+    assert np.isnan(mistakes._rises(data, mistakes._as_is(data).noise)).tolist() == [True, False]
+    assert not any("kilograms" in said for said in examined(tmp_path, few))
+
+
 def test_a_channel_that_does_not_change_is_examined_without_a_given_noise(tmp_path):
     """As the pull of a wheel that climbs freely; or all torques but one are missing."""
     pull = changed(table_text({}), "drawbar_pull", lambda x: 0.0)
     (said,) = examined(tmp_path, pull, NOISELESS)
     assert "drawbar_pull is 0 in every row" in said
     once = with_column(
-        table_text({}), "torque", lambda row: row["torque"] if row["slip"] == 0.05 else ""
+        table_text({}),
+        "torque",
+        lambda row: row["torque"] if (row["slip"], row["load"]) == (0.05, 100.0) else "",
     )
+    assert once.count(",\n") == table_text({}).count("\n") - 2
     assert "noise.torque" not in "".join(examined(tmp_path, once, NOISELESS))
 
 

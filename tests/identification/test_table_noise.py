@@ -11,7 +11,8 @@ from soil_env._io.loading import ParameterError
 from soil_env.discovery.calibrate import calibrate
 from soil_env.discovery.workflow import run
 from soil_env.identification.table.data import prepare
-from soil_env.measurement.setup import NoiseLevels
+from soil_env.measurement.setup import NoiseLevels, Setup, SetupWheel
+from soil_env.measurement.table import read_table
 from tests.discovery.tables import NOISE, table, world as world_of
 
 SLIPS = np.linspace(0.05, 0.7, 8)
@@ -106,3 +107,14 @@ def test_noise_that_leaves_no_digits_is_refused():
         match=r"noise.sinkage = 1e-10: expected at least .* a millionth of the values",
     ):
         run(rows, tiny)
+
+
+def test_lug_heights_of_larger_wheels_are_no_height_of_the_setups_wheel(tmp_path):
+    """The wheel of the setup has the median share of its radius."""
+    rows = "\n".join(f"0.{k},150,0.03,{k},2,0.15,0.06" for k in range(1, 8))
+    text = f"slip,load,sinkage,drawbar_pull,torque,wheel_radius,grouser_height\n{rows}\n"
+    (tmp_path / "data.csv").write_text(text)
+    levels = NoiseLevels(sinkage=1e-3, drawbar_pull=1.0, torque=0.1)
+    setup = Setup(SetupWheel(0.05, 0.1), noise=levels)
+    data = prepare(read_table(tmp_path / "data.csv", setup.wheel), setup)
+    assert data.wheel.grouser_height == pytest.approx(0.02)

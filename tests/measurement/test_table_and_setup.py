@@ -86,6 +86,9 @@ def test_a_table_with_a_date_and_rows_without_a_value(tmp_path):
     t = read_table(tmp_path / "data.csv", SetupWheel(0.15, 0.12), ("date",))
     assert list(t.slip) == [0.1, 0.2] and list(t.torque) == [2.5, 3.0]
     assert list(t.run) == ["1,5", "2.5"]
+    rows = ("0,1;100;2,5;21.03.2026", "0,2;100;3;22.03.2026")
+    named_as_ours = written(tmp_path, "slip;load;torque;time", *rows)
+    assert list(read_table(named_as_ours, SetupWheel(0.15, 0.12), ("time",)).torque) == [2.5, 3.0]
 
 
 @pytest.mark.parametrize(
@@ -96,6 +99,8 @@ def test_a_table_with_a_date_and_rows_without_a_value(tmp_path):
             ["slip;load;torque", "0,1;100;2,5", "0,2;1.000;3"],
             ["row 3, '1.000' has a point, row 2, '0,1' a comma", "one decimal mark"],
         ),
+        (["slip;load;torque", "0,1;1,234,500;2"], ["load = '1,234,500'"]),
+        (["slip;load;torque", "0,1;n,a;2"], ["load = 'n,a'"]),
         (
             ["slip,load,torque", '0.1,"1,000",2', '0.2,"1,000",3'],
             ["row 2, load = '1,000'", "without separators of thousands"],

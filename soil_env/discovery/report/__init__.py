@@ -60,8 +60,8 @@ def write(report: Report, folder: Path) -> None:
 
 
 def page(report: Report, values: dict[str, Any]) -> str:
-    """Return report.html, which needs no other file; `values` is `content(report)`."""
-    # Here: matplotlib takes a second to load.
+    """HTML text of report.html, which needs no other file; `values` is `content(report)`."""
+    # Imported here, since matplotlib takes a second to load.
     from .pictures import CAPTIONS, pictures
 
     images = {

@@ -467,8 +467,12 @@ def _erred_less(error: float, corrected: float) -> bool:
 
 
 def _identifiable(report: Report) -> bool:
-    """True if `soil-env identify` takes the table: `usable_rows` refuses nothing."""
+    """True if `soil-env identify` takes the table: it has something to identify, and `usable_rows`
+    refuses nothing.
+    """
     data = report.problem.data
+    if not report.problem.soil:  # all of it is known
+        return False
     try:
         usable_rows(data.table, data.setup)
     except ParameterError:

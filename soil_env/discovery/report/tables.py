@@ -138,7 +138,7 @@ def _runs(runs: Sequence[NextTest | SurerRun], last: str, shares: Sequence[float
 
 def next_predictions(report: Report, most: int | None = None) -> Table:
     """Predictions of the candidates, the first `most` of them (None: all), at each of the runs to
-    make next, with one standard deviation, in the units of `UNITS`.
+    make next, with one standard deviation of a measurement there, in the units of `UNITS`.
     """
     rows = []
     for k, test in enumerate(report.next_tests, start=1):

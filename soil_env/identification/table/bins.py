@@ -18,7 +18,7 @@ from .form_error import LAW_LENGTHS, LENGTHS, coordinate
 from .noise import SD_OF_MEDIAN
 
 DENSE = 240  # rows above which every table is binned
-#: Rows above which a table is binned if its bins have `FEWEST` or more rows on average.
+#: Rows above which a series is binned if its bins have `FEWEST` or more rows on average.
 REPEATED = 100
 MOST = 120  # bins
 #: Bins of a series, a dense table in which a row is mostly within `NEAR` of the one before. Errors

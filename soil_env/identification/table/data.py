@@ -163,8 +163,9 @@ def prepare(table: Table, setup: Setup) -> Data:
     height = setup.wheel.grouser_height
     if height is None:
         otherwise = {"grouser_height": ", or wheel.grouser_height in the setup"} | otherwise
-        median = float(np.median(table.grouser_height))
-        height = UNKNOWN_HEIGHT * setup.wheel.radius if math.isnan(median) else median
+        # over the radius, since rows may have wheels of other sizes
+        median = float(np.median(table.grouser_height / table.radius(setup.wheel)))
+        height = setup.wheel.radius * (UNKNOWN_HEIGHT if math.isnan(median) else median)
     wheel = ModelWheel(setup.wheel.radius, setup.wheel.width, height)
     rows = rows_of(table, wheel)._replace(slip=table.rim_slip(setup).copy())
     for name, allowed in otherwise.items():

@@ -328,11 +328,13 @@ def marginals(
     """(log evidence [S], mean [S, p], covariance [S, p, p] of the unknowns) under each row of sizes
     [S, K] of the K form errors.
 
-    The problem is linear about u [p]; unknowns and coefficients of form errors have the prior
-    N(0, 1). `noise` multiplies the noise of the problem. With A the Jacobian and the form errors,
-    and D their sizes (1 for the Jacobian),
+    The problem is linearised at the whitened unknowns u [p]; these and the coefficients of form
+    errors have the prior N(0, 1). `noise` multiplies the noise of the problem, and divides A and e.
+    With A the Jacobian and the form errors, and D their sizes (1 for the Jacobian),
 
         ln p = -(e'e + |u|^2 - h'N^-1 h)/2 - ln|N|/2,    N = I + D A'A D,    h = D A'e - u.
+
+    This lacks -ln(2 pi)/2 and -ln(noise) for each value, which are the same under all sizes.
 
     To save time, the unknowns and the first form errors, `first` of the K, are eliminated once for
     all rows that have the same sizes of these.
@@ -348,7 +350,8 @@ def marginals(
     mean = np.empty((len(sizes), p))
     covariance = np.empty((len(sizes), p, p))
     scales = np.repeat(np.column_stack([np.ones(len(sizes)), sizes]), width, axis=1)
-    # Columns of the unknowns and the `first` form errors; of the rest, the form error of each.
+    # Columns that are eliminated first, of the unknowns and the `first` form errors; of each other
+    # column, the number of its form error after those.
     outer = np.arange(sum(width[: 1 + first]))
     place = np.repeat(np.arange(len(width) - 1), width[1:]) - first
     place = place[place >= 0]
@@ -367,20 +370,18 @@ def marginals(
         centre = u + of_unknowns.T @ of_data
         narrow = of_unknowns.T @ of_unknowns
         pulls = np.column_stack([along[outer.size :] - rest.T @ of_data, rest.T @ of_unknowns])
-        there = sizes[rows, first:] > 0.0
-        for alike in _alike(there):
+        present = sizes[rows, first:] > 0.0
+        for alike in _alike(present):
             # The rest of N after the outer columns are eliminated (Schur complement).
-            some = there[alike[0]]
-            seen = np.flatnonzero(some[place])
-            column = outer.size + seen
-            inner = rest[:, seen]
-            normal = gram[np.ix_(column, column)] - inner.T @ inner
-            these = rows[alike]
-            size = scales[these][:, column]
-            half_log, moved = _eliminated(normal, pulls[seen], size)
-            log[these] = base + 0.5 * moved[:, 0, 0] - half_log
-            mean[these] = centre - moved[:, 1:, 0]
-            covariance[these] = narrow + moved[:, 1:, 1:]
+            left = np.flatnonzero(present[alike[0]][place])
+            column = outer.size + left
+            eliminated = rest[:, left]
+            normal = gram[np.ix_(column, column)] - eliminated.T @ eliminated
+            group = rows[alike]
+            half_log, moved = _eliminated(normal, pulls[left], scales[group][:, column])
+            log[group] = base + 0.5 * moved[:, 0, 0] - half_log
+            mean[group] = centre - moved[:, 1:, 0]
+            covariance[group] = narrow + moved[:, 1:, 1:]
     return log, mean, covariance
 
 

@@ -411,8 +411,8 @@ def _other_readings(start: _AsIs) -> list[Better]:
 
 
 def _rises(data: Data, noise: NoiseEstimate) -> np.ndarray:
-    """[2] rises with slip of pull and of torque/radius, over the load: medians of the groups that
-    begin at low slip.
+    """[2] rises with slip of pull and of torque/radius, over the load: medians of the groups whose
+    rows with that force begin at low slip.
 
     The size of a rise is the range of the force within a group, its sign that of the last row less
     the first. nan where a force was not measured, does not change, or no group begins at low slip.
@@ -420,11 +420,10 @@ def _rises(data: Data, noise: NoiseEstimate) -> np.ndarray:
     forces = data.y[:, 1:] / data.rows.load[:, None]
     forces[:, 1] /= data.rows.wheels[:, 0]
     whole = np.all(noise.used[:, 1:] | ~data.measured[:, 1:], axis=1)
-    groups = [forces[rows] for rows in _from_low_slip(data, whole)]
     rises = np.full(2, math.nan)
     for k in range(2):
-        known = [y[np.isfinite(y[:, k]), k] for y in groups]
-        known = [y for y in known if y.size > 1]
+        groups = _from_low_slip(data, whole & data.measured[:, k + 1])
+        known = [forces[rows, k] for rows in groups]
         size = np.median([np.ptp(y) for y in known]) if known else 0.0
         if size > 0.0:  # not of a wheel that climbs freely
             rises[k] = math.copysign(size, np.median([y[-1] - y[0] for y in known]))
@@ -807,41 +806,41 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
 def _outliers(data: Data, noise: NoiseEstimate) -> tuple[list[str], list[str]]:
     """(sentences on the outliers, those of them that are to be checked first).
 
-    An outlier leaves the smooth surface through the other values. It is to be checked first if it
-    is further from every other value than their range (`LONE`), of which there must be
-    `FEWEST_ROWS`.
+    An outlier leaves the smooth surface through the other values. It is to be checked first if its
+    distance to the nearest value that is none is more than `LONE` times the range of those, of
+    which there must be `FEWEST_ROWS`.
     """
-    cells = []
-    gross = []
+    sentences = []
+    first = []
     for k, j in np.argwhere(data.measured & ~noise.used):
         others = data.y[noise.used[:, j], j]
         words = (
             f"Row {data.table.row[k]}, {CHANNELS[j]} = {data.y[k, j]:g}, leaves the surface "
             "through the other values and is left out."
         )
-        cells.append(words)
+        sentences.append(words)
         span = np.ptp(others) if others.size >= FEWEST_ROWS else math.inf
         if np.min(np.abs(data.y[k, j] - others), initial=math.inf) > LONE * span:
-            gross.append(words)
-    return cells, gross
+            first.append(words)
+    return sentences, first
 
 
 def _load_alone(table: Table) -> list[str]:
-    """[doubt] where the largest or least load is far (`APART`) from all others, which are `ALIKE`:
-    nothing in the table can check it. Else [].
+    """[doubt] of the largest or least load where it is far (`APART`) from all others, which are
+    `ALIKE`: nothing in the table can check it. Else [].
     """
     order = np.argsort(table.load)
     load = table.load[order]
     if len(load) <= FEWEST_ROWS:
         return []
-    for row, others, times in (
+    for row, others, ratio in (
         (order[-1], load[:-1], load[-1] / load[-2]),
         (order[0], load[1:], load[0] / load[1]),
     ):
-        if others[-1] < ALIKE * others[0] and not 1.0 / APART < times < APART:
+        if others[-1] < ALIKE * others[0] and not 1.0 / APART < ratio < APART:
             return [
-                f"Row {table.row[row]}, load = {table.load[row]:g} N, is {times:.2g} times that of "
-                "any other row: check it there."
+                f"Row {table.row[row]}, load = {table.load[row]:g} N, is {ratio:.2g} times the "
+                "nearest load of another row: check it there."
             ]
     return []
 
