@@ -131,7 +131,8 @@ def load_study(cls, folder: Path, check: Callable[[dict, str], None] | None = No
     if study.version == here:
         return study
     show(
-        f"{path}: begun with soil_env {study.version}, this is {here}: what is done counts no more."
+        f"{path}: begun with soil_env {study.version}, this is {here}, by other code or another "
+        f"{', '.join(_NUMERICAL[:-1])} or {_NUMERICAL[-1]}: what is done counts no more."
     )
     return study.renewed(here)
 

@@ -2,6 +2,7 @@
 done.
 """
 
+import re
 import shutil
 import threading
 import time
@@ -29,6 +30,7 @@ from .progress import Bar, show
 MODEL = "model.zip"
 CHECKPOINT = "checkpoint.zip"
 BEGUN = ".{}.begun.yaml"  # copy of a file of the run, as it was when the run began
+_NO_NAME = re.compile(r"[,=:*?\[\]\x00-\x1f]")  # what a list of controllers has a use for
 _RECENT = 1000  # courses whose mean return and rates are shown
 _STUCK = [cause.name for cause in IMMOBILISED]
 
@@ -105,6 +107,11 @@ def make_run_folder(config: TrainConfig, scenario: Scenario | RoverScenario) -> 
     name = config.name or f"{config.observation}-{scenario.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     if Path(name).name != name:
         raise ParameterError(f"name = {name!r}: expected the name of a folder, not a path")
+    if wrong := _NO_NAME.search(name):
+        raise ParameterError(
+            f"name = {name!r}: expected a name without {wrong[0]!r}, which lists of controllers "
+            "would not read as it is"
+        )
     folder = Path(config.runs) / name
     try:
         check_outputs(folder.parent)
@@ -149,6 +156,10 @@ def _tell_edits(folder: Path) -> None:
         if begun.is_file():
             old = read_yaml(begun)
             new = read_yaml(folder / f"{file}.yaml")
+            if not new:
+                raise ParameterError(
+                    f"{folder / file}.yaml: is empty: expected the keys of the run"
+                )
             for key in ("scenario", "rover", "changes") if file == "config" else ():
                 if new.get(key) != old.get(key):
                     raise ParameterError(

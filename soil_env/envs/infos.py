@@ -86,9 +86,11 @@ def _numbers(info: Mapping[str, Any]) -> dict[str, np.number]:
 
 
 def _whole(info: Mapping[str, np.ndarray]) -> Info:
-    """Arrays of a flat info with truth values, causes and statuses as int64, as of one vehicle."""
+    """Arrays of a flat info with causes and statuses as int64, as of one vehicle. Truth values stay
+    masks.
+    """
     return {
-        name: values if values.dtype.kind == "f" else values.astype(np.int64)
+        name: values if values.dtype.kind in "fb" else values.astype(np.int64)
         for name, values in info.items()
     }
 

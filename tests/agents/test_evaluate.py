@@ -464,6 +464,14 @@ def test_bad_input_is_refused_in_one_line_and_nothing_is_written(
     assert not list(tmp_path.iterdir())
 
 
+def test_models_of_one_name_read_one_observation(capsys, tmp_path, models):
+    other = saved(tmp_path / "other", load_scenario(), "identified")
+    asked = f"ppo={models}/seed_0,ppo={other}"
+    assert evaluate(tmp_path / "out", asked, "--courses=2") == 2
+    said = capsys.readouterr().err
+    assert "reads the observation 'identified', another of the name 'blind': expected" in said
+
+
 def test_a_glob_finds_models_once_and_names_runs_whose_training_is_not_done(capsys, tmp_path):
     for run in ("done/comparison", "killed"):
         (tmp_path / run).mkdir(parents=True)

@@ -270,6 +270,10 @@ def test_the_shipped_configs_can_be_read(name):
         ),
         ({"arms": {}, "controllers": []}, "one arm"),
         ({"arms": {"a-b": {}}}, "a-b"),
+        (
+            {"controllers": ["soft_start"], "arms": {"soft_start": {"controller": "best_route"}}},
+            "study.yaml: arms.soft_start: expected another name: one of controllers has this one",
+        ),
         ({"arms": {"a": {"train": {"seed": 1}}}}, "arms.a.train.seed: the study sets it"),
         ({"arms": {"a": {"controller": "soft_start", "train": {"seed": 1}}}}, "not both"),
         (

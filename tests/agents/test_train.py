@@ -110,6 +110,8 @@ def test_a_run_its_folder_and_its_resumption(capsys, tmp_path, monkeypatch):
     (folder / "config.yaml").write_text(edited)
     said = "scenario = 'mixed': expected 'two_lines', as the run began: its task is in scenario"
     assert said in refused(capsys, "--resume", folder)
+    (folder / "config.yaml").write_text("")
+    assert "config.yaml: is empty: expected the keys" in refused(capsys, "--resume", folder)
 
 
 def test_the_verdict_is_against_the_best_that_does_not_know_the_soil():
@@ -141,6 +143,8 @@ REFUSED = {  # options: parts of the message
     # No abbreviations: a misspelt key is no other option.
     "--resum=x.yaml": "unknown key 'resum'",
     "--name a/b": "a/b ... name",
+    "--name a,b": "name = 'a,b': expected a name without ',', which lists of controllers",
+    "--name a*": "name = 'a*': expected a name without '*'",
     "--config smoke.yaml --rover mars_rover": "smoke.yaml, command line: oracle_courses = 2: ",
     # Also where it is what a wheel has by default.
     "--config rover.yaml --oracle_courses 50": "oracle_courses = 50: expected none beside rover",

@@ -111,13 +111,21 @@ def as_begun(asked: Evaluation, folder: Path) -> Evaluation:
 
 
 def check_controllers(asked: Evaluation) -> None:
-    """Load and try every controller; ParameterError for the first that cannot be used."""
+    """Load and try every controller; ParameterError for the first that cannot be used, and for
+    models of one name that read other observations.
+    """
+    read: dict[str, str] = {}  # observation by name
     for contestant in asked.contestants().values():
         if contestant.kind == "model" and digest(contestant.source) != contestant.digest:
             raise ParameterError(
                 f"controllers: {contestant.label}: the model has changed since the study began"
             )
-        loading.check(contestant, asked.scenario, asked.world)
+        variant = loading.check(contestant, asked.scenario, asked.world)
+        if read.setdefault(contestant.name, variant) != variant:
+            raise ParameterError(
+                f"controllers: {contestant.label}: reads the observation {variant!r}, another of "
+                f"the name {read[contestant.name]!r}: expected trainings of one algorithm"
+            )
 
 
 class Job:

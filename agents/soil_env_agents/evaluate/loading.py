@@ -143,8 +143,10 @@ def _checked(answer, shape: tuple[int, int], who: str) -> tuple[np.ndarray, obje
     return action, answer[1]
 
 
-def check(contestant: Contestant, scenario: Scenario, model: WheelSoilModel | None = None) -> None:
-    """Load a contestant and have it act once on three wheels; ParameterError if it cannot."""
+def check(contestant: Contestant, scenario: Scenario, model: WheelSoilModel | None = None) -> str:
+    """Load a contestant and have it act once on three wheels; ParameterError if it cannot. Returns
+    the observation that it reads.
+    """
     controller = load(contestant, scenario)
     rngs = [np.random.default_rng(k) for k in range(3)]
     sim = simulate(rngs, scenario, controller.variant, 1, model)
@@ -165,3 +167,5 @@ def check(contestant: Contestant, scenario: Scenario, model: WheelSoilModel | No
         raise ParameterError(
             f"controllers: {contestant.label}: predict gave {given}: expected finite numbers"
         )
+    variant: str = controller.variant
+    return variant

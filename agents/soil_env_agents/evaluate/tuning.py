@@ -209,7 +209,7 @@ def _optuna():
     try:
         import optuna
     except ImportError:
-        said = "tuning needs Optuna; expected: pip install 'soil_env[tune]', or --tuning-courses 0"
-        raise ParameterError(said) from None
+        said = "tuning needs Optuna; expected: pip install 'soil_env[tune]'"
+        raise ParameterError(f"{said}, or of an evaluation --tuning-courses 0") from None
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return optuna

@@ -236,11 +236,17 @@ def read_config(path: Path, changes: dict | None = None) -> Study:
     common = content.pop("changes", None) or {}
     targets = {name: _target(path, name, entry or {}, common) for name, entry in scenarios.items()}
     rovers = any("vehicle" in target["task"] for target in targets.values())
+    listed = "controllers" in content
     chosen = content.pop("controllers", list(ROVER_CONTROLLERS if rovers else CONTROLLERS))
     if not isinstance(chosen, list) or not all(isinstance(name, str) for name in chosen):
         raise ParameterError(f"{path}: controllers = {chosen!r:.60}: expected a list of names")
     shared = content.pop("train", None) or {}
-    arms = {name: {"controller": name} for name in chosen} | (content.get("arms") or {})
+    own_arms = content.get("arms") or {}
+    if twice := own_arms.keys() & (chosen if listed else ()):
+        raise ParameterError(
+            f"{path}: arms.{min(twice)}: expected another name: one of controllers has this one"
+        )
+    arms = {name: {"controller": name} for name in chosen} | own_arms
     for name, arm in arms.items():
         if isinstance(arm, dict) and "controller" not in arm:
             own = arm.get("train") or {}
