@@ -7,14 +7,14 @@ from typing import get_args, get_type_hints
 import click
 import yaml
 
-from soil_env._io.files import alone, check_own, write_own
+from soil_env._io.files import alone, check_own, is_unused, write_own
 from soil_env._io.loading import ParameterError, unknown_value
 from soil_env.cli.running import PATH, WholeNumber
 from soil_env.parameters import Control, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .cells import code_version
-from .cli import continued_by, controllers_as, scenario_option
+from .cli import begun_in, continued_by, controllers_as, scenario_option
 from .evaluate.contestants import parse
 from .evaluate.driving import TUNING_SET
 from .evaluate.own import bounds_of_settings
@@ -87,7 +87,8 @@ def command(
             raise unknown_value(action, ACTIONS, "--actions")
     settings = {}
     check_own(out, (f"{name}.yaml",))
-    with alone(out), continued_by("the same command", out):
+    begun = begun_in(out, new=is_unused(out), made=not out.exists())
+    with begun, alone(out), continued_by("the same command", out):
         for action in chosen_actions:
             task = load_scenario(scenario, {"control": {"action": action}})
             log = out / f"trials-{action}.log"

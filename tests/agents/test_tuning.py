@@ -1,6 +1,7 @@
 """Tuning by Optuna: the best trial is kept, an interrupted tuning ends as one without a break."""
 
 import json
+import sys
 from functools import partial
 
 import pytest
@@ -120,6 +121,14 @@ def test_a_class_with_settings_is_tuned_set_and_driven_as_a_shipped_one(
     for wrong, said in (("caution=99", "expected a number in (0, 10]"), ("cation=1", "caution")):
         more = [f"--settings.mine.{wrong}", f"--out={tmp_path / 'x'}"]
         assert said in refused_command(capsys, "soil-env", soil_env, *asked, *more).err
+
+
+def test_without_optuna_nothing_is_left(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    out = tmp_path / "o"
+    asked = ["tune", "--controllers=soft_start", "--courses=2", f"--out={out}"]
+    said = refused_command(capsys, "soil-env tune", soil_env, *asked).err
+    assert "tuning needs Optuna; expected: pip install" in said and not out.exists()
 
 
 @pytest.mark.parametrize(
