@@ -1,5 +1,5 @@
-"""Loads that look like another unit than newtons, and what a table of one load cannot tell,
-whatever model it is fitted with.
+"""Doubts about a measurement table, whatever model it is fitted with: loads that look like another
+unit than newtons, and what a table of one load or of several wheel widths cannot tell.
 """
 
 import numpy as np
@@ -15,18 +15,18 @@ USUAL_SINKAGE = 0.3  # [radii] where none was measured
 FEWEST = 3  # rows with too large a force, from which they are doubted beside sound rows
 #: Largest load of such rows over the median load of the others: 1/9.81 is below it.
 LIGHTER = 0.2
-SAME_LOAD = 1.1  # largest over least load of a table that has one load
+SAME_LOAD = 1.1  # largest over least load, up to which a table counts as one of one load
 
 
 def load_doubt(table: Table, setup: Setup) -> str:
     """Sentence that the load is hardly in newtons, since the wheel pulls or turns with more than
-    soil gives; "" as a rule.
+    soil gives; "" where nothing is doubted.
 
     Soil gives at most tan(phi) W + c A, A being the contact area. The limit is `FRICTION` W + c A
     with the setup's cohesion less `COHESION_SDS` of its sd, and at least `MOST_GRIP` W. Pull and
     torque/radius of rows with a slip above `DRIVEN` are doubted in two cases. Either their median
-    exceeds the limit, or `FEWEST` rows or more do, whose loads are all far below those of the
-    others (`LIGHTER`).
+    exceeds the limit, or `FEWEST` rows or more do, whose loads are all below `LIGHTER` times the
+    median load of the other rows.
     """
     radius = table.radius(setup.wheel)
     driven = table.rim_slip(setup) > DRIVEN
@@ -66,7 +66,9 @@ def load_doubt(table: Table, setup: Setup) -> str:
 
 
 def shared_stiffness(table: Table, setup: Setup) -> str:
-    """Sentence that wheels of several widths have one S; "" of one width, and with a known k_c."""
+    """Sentence that wheels of several widths have one S; "" where all rows have one width, or where
+    the setup gives k_c, with which S depends on the width.
+    """
     if setup.soil.k_c is not None or np.ptp(table.width(setup.wheel)) == 0.0:
         return ""
     return "Wheels of several widths share one S: give k_c and k_phi to separate them."

@@ -51,11 +51,11 @@ UNITS = "mm cm m km n kn kg kgf nm nmm ncm knm pct percent deg rad s ms h mps km
 
 
 def meant(name: str, header: Collection[str], known: Collection[str]) -> str:
-    """Hint '; did you mean ...?' for an unknown column, with what the column that is meant holds.
+    """Hint '; did you mean ...?' for the unknown column `name` of a table with this `header`.
 
-    Units at the end of the name are ignored. A name that `OTHERS` does not list is compared with
-    the `known` ones by its spelling. "" where nothing is like it, or where the `header` has the
-    columns that are meant already.
+    Units at the end of the name are ignored. A name in `OTHERS` gives the columns that it may
+    stand for and what they hold; "" where the header has them all already. Any other name is
+    compared with the `known` ones by its spelling; "" where none is like it.
     """
     words = re.findall(r"[a-z0-9]+", name.lower())
     while len(words) > 1 and words[-1] in UNITS:

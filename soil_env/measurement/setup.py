@@ -70,8 +70,8 @@ class SetupWheel(Checked):
 
 @dataclass(frozen=True)
 class Prior(Checked):
-    """Prior of a parameter before the table: value and standard deviation, 0 if it is known
-    exactly.
+    """Prior of a parameter before the table: value and standard deviation, which is 0 where the
+    value is known exactly.
     """
 
     value: float = quantity("")
@@ -199,7 +199,7 @@ class Rig(Checked):
     cost: dict[str, float] = field(default_factory=dict)
 
     def _check_together(self) -> None:
-        """Refuse costs of other keys than `COSTS`, below 0 or infinite, and runs for nothing."""
+        """Refuse costs of keys not in `COSTS`, below 0 or infinite, and a `run` that costs 0."""
         for name, value in self.cost.items():
             if name not in COSTS:
                 raise unknown_key(name, COSTS, "cost")
@@ -217,11 +217,11 @@ def _relative_error(default: float) -> Any:
 class Calibration(Checked):
     """Standard deviations to which a rig is known before its runs; 0 where it is exact.
 
-    `tilt_deg` is of its level, gains and `wheel_radius` are relative. A zero (`offset`) that is
-    None is 0.3 % of the median load (times the radius for torque). A crosstalk is the share of the
-    other force that a sensor reads. `arm_load` is the share of torque/radius that loads the wheel.
-    `spring_load` is the rate of a spring that loads it; None is a tenth of the median load over the
-    radius.
+    `tilt_deg` is that of the rig's level; those of gains and `wheel_radius` are relative. A zero
+    (`offset`) that is None is 0.3 % of the median load (times the radius for torque). A crosstalk
+    is the share of the other force that a sensor reads. `arm_load` is the share of torque/radius
+    that loads the wheel. `spring_load` is the rate of a spring that loads it; None is a tenth of
+    the median load over the radius. `discovery.instrument` takes them as errors of the rig.
     """
 
     tilt_deg: float = quantity("deg", 0.0, STEEPEST_TILT, default=0.5)
@@ -319,8 +319,8 @@ def setup_of(mapping: dict[str, Any], where: str) -> Setup:
     """The setup in the mapping of a YAML file that was read already; `where`: the file, for
     messages. `ParameterError` as of `read_setup`.
 
-    A number of the soil, or of the tilt, becomes a `Prior` that is known. Refused are an empty list
-    in `rig` and a setup without `wheel`.
+    A number of the soil, or of the tilt, becomes a `Prior` that is known. Refused are also an empty
+    list in `rig`, a setup without `wheel`, and a diameter of the wheel.
     """
     # A heading with nothing below it is left out.
     sections = ("soil", "noise", "calibration", "checked", "tilt_deg", "ignore_columns", "rig")

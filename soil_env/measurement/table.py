@@ -72,7 +72,9 @@ Rows = Sequence[tuple[int, list[str]]]  # line of the file and cells
 
 
 def with_default(values: np.ndarray, other: np.ndarray | float) -> np.ndarray:
-    """The values [N], and the `other`, a number or [N], where they are NaN."""
+    """The values, an array of any shape, and the `other`, a number or an array of that shape, where
+    they are NaN.
+    """
     return np.where(np.isnan(values), other, values)
 
 
@@ -108,7 +110,10 @@ class Table:
         return self.slip.size
 
     def conditions(self) -> dict[str, np.ndarray]:
-        """Conditions [N] of the rows by column, as `WheelSoilModel.predict` takes them."""
+        """Conditions [N] of the rows by column, as `WheelSoilModel.predict` takes them.
+
+        The slip is as in the column, even where that is by the lug tips (see `rim_slip`).
+        """
         names = (*REQUIRED, "speed", "grade_deg", "wheel_radius", "wheel_width", "grouser_height")
         return {name: getattr(self, name) for name in names} | {"pass": self.passes}
 
@@ -154,7 +159,9 @@ class Table:
         return known if known is not None or np.all(np.isnan(own)) else float(np.nanmedian(own))
 
     def sd_source(self, setup: Setup, name: str) -> str:
-        """File and key, or column, of the `channel_sd`; of slip and load, of their given noise."""
+        """File and key, or file and column, that the `channel_sd` of `name` comes from, for
+        messages; for slip and load the key of their noise in the setup.
+        """
         of_setup = getattr(setup.noise, name) is not None
         return f"{setup.source}: noise.{name}" if of_setup else f"{self.source}: {name}_sd"
 
@@ -387,8 +394,8 @@ def _column(path: Path, name: str, header: list[str], rows: Rows) -> np.ndarray:
 def _check_rows(
     table: Table, header: list[str], rows: Rows, wheel: SetupWheel | None, passes: np.ndarray
 ) -> None:
-    """Refuse values that cannot be right: `ParameterError`, which names the first by check, then by
-    row.
+    """Refuse values that cannot be right: `ParameterError`, which names the first wrong row of the
+    first check that fails.
 
     Checked are cells of `REQUIRED` that are empty, each column for its range and for likely other
     units, and grades for radians. Then sinkages, their noise and lugs are compared with the radius,
@@ -430,6 +437,7 @@ def _check_rows(
     grade = np.abs(table.grade_deg)
     refuse("grade_deg", grade > STEEPEST, f"degrees in [-{STEEPEST:g}, {STEEPEST:g}]")
     looks = look_like_radians(_texts("grade_deg", header, rows))
+    # One grade may look so by chance; `identification.table.mistakes` only doubts it.
     if looks and np.unique(grade[grade > 0.0]).size > 1:
         refuse("grade_deg", grade > 0.0, "degrees (these look like radians: multiply by 57.3)")
     for name in ("wheel_radius", "wheel_width"):
@@ -462,6 +470,7 @@ def _check_rows(
     if np.any(deep):
         hint = "if it is millimetres, divide by 1000"
         others = np.abs(table.sinkage[~deep & np.isfinite(table.sinkage)])
+        # Where most sinkages are possible, a single row is wrong, not the unit of the column.
         if others.size > np.sum(deep) and np.median(others) > 0.0:
             times = abs(table.sinkage[deep][0]) / np.median(others)
             hint = f"it is {times:.2g} times the others"
