@@ -11,6 +11,7 @@ from soil_env.parameters import FLOW_LAW, Belief, Soil
 #: [s] of driving within which an immobilisation is foreseen, own choice: the network of
 #: `online.immobilisation` was trained for them.
 HORIZONS = (3.0, 5.0)
+#: Keys of an info: probability of an immobilisation within each of the `HORIZONS`.
 FORESEEN = tuple(f"immobilised_within_{horizon:g}_s" for horizon in HORIZONS)
 
 
@@ -18,15 +19,16 @@ class Traversability(NamedTuple):
     """Drawbar margin of the ground as identified (source paper, Section 6)."""
 
     best_slip: float  # [-] of the highest steady drawbar pull
-    drawbar_margin: float  # [of load] best drawbar pull over the grade; at least -1
-    drawbar_margin_sd: float  # of the best drawbar pull
-    torque_required: float  # [N m] at the best slip
+    drawbar_margin: float  # [of load] best drawbar pull less the tangent of the grade; at least -1
+    drawbar_margin_sd: float  # [of load] of the best drawbar pull
+    torque_required: float  # [N m] at the best slip; 0 where the wheel can drive at none
     torque_available: float  # [N m] stall torque of the motor
     passable: bool  # the margin is above 0
 
 
 def published(x: Any, sd: Any, dig_gain: float, of: Any = math) -> dict[str, Any]:
-    """Published numbers by name of an estimate x [6] with its `sd` [6]; of arrays [6, ...], arrays.
+    """Published numbers by name of an estimate x [6] with its `sd` [6]. Where x and `sd` are
+    [6, ...], each number is an array [...].
 
     `of`: the module whose `degrees` and `exp` are taken, `numpy` for arrays.
 

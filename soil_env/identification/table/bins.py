@@ -121,10 +121,11 @@ def _coordinates(table: Table, setup: Setup) -> np.ndarray:
 def _bins(x: np.ndarray, most: int) -> list[np.ndarray]:
     """Row numbers of each bin of the coordinates x [N, D], in the order of their first rows.
 
-    The widest bin is cut in two until all are `FINE`, or there are `most`. A bin that is narrower
-    than `_WIDE` also stays whole if a part of it would have too few rows (`_PART`), or if it is
-    `_held`: parts that alternate from row to row share the errors that go on from row to row. If
-    the condition is held more than once, each time has a bin of its own.
+    The widest bin is cut in two (`_cut`) until none is wider than `FINE`, or there are `most`. A
+    bin that is narrower than `_WIDE` also stays whole if a part of it would have too few rows
+    (`_PART`). A narrow bin that is `_held` is not cut by its values: parts that alternate from row
+    to row would share the errors that go on from row to row. It is cut in time instead (`_times`)
+    if its condition is held more than once.
     """
     few = max(1, len(x) // (_PART * most))
     bins = [np.arange(len(x))]
@@ -160,8 +161,8 @@ def _held(x: np.ndarray, rows: np.ndarray, part: np.ndarray) -> bool:
 
 
 def _times(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two parts of the `rows` of a bin, before and after its longest break; the second is empty if
-    there is none of `_BREAK` rows.
+    """Two parts of the `rows` of a bin, before and after its longest break: a stretch of the table
+    that is in other bins. The second part is empty if no break has `_BREAK` rows or more.
     """
     gaps = np.diff(rows)
     longest = np.argmax(gaps)

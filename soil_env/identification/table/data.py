@@ -53,7 +53,7 @@ class Factor:
     """A condition of the table; `LOGARITHMIC` ones are scaled in the logarithm."""
 
     value: np.ndarray  # [N] in the unit of its column
-    level: np.ndarray  # [N] int, number of the row's level: 0 for the lowest values
+    level: np.ndarray  # [N] int, number of the row's level as of `_factor`: 0 for the lowest values
     scaled: np.ndarray  # [N] value scaled to [-1, 1]; 0 where the condition does not vary
 
     @property
@@ -113,7 +113,7 @@ class Data:
         """[N] number of the bed of soil of each row, from 0.
 
         A row on fresh soil is on the bed of its `run`, a later pass on that of the last fresh row
-        above it.
+        above it, or of the first row of the table where none is above it.
         """
         fresh = np.where(self.rows.conditions[:, 1] <= 1.0, np.arange(len(self.table)), 0)
         runs = self.table.run[np.maximum.accumulate(fresh)]
@@ -154,12 +154,15 @@ def conditions_of(rows: Rows) -> dict[str, np.ndarray]:
 def prepare(table: Table, setup: Setup) -> Data:
     """`Data` of a table and its setup.
 
-    Where the setup gives no height of lugs it is the median of the rows, and without any
-    `UNKNOWN_HEIGHT` of the radius. Without any speed it is 0. Of the conditions that vary, those
-    that follow from others are no factors. Raises `ParameterError` for one slip only, for heights
-    or speeds that only some rows have, and for impossible units.
+    Where the setup gives no height of lugs, that of its wheel is the median of the rows, in radii,
+    and without any `UNKNOWN_HEIGHT`. A speed that no row gives is 0. Of the conditions that vary,
+    those that follow from others before them are no factors.
+
+    Raises `ParameterError` for one slip only, for speeds in some rows only, and for heights in some
+    rows only where the setup gives none. Impossible units are refused too (`_refuse_units`).
     """
-    otherwise = {"speed": " or in none"}  # than in every row
+    # Columns that all rows must have or none, and what the message allows beside all.
+    otherwise = {"speed": " or in none"}
     height = setup.wheel.grouser_height
     if height is None:
         otherwise = {"grouser_height": ", or wheel.grouser_height in the setup"} | otherwise

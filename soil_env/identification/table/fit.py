@@ -31,7 +31,7 @@ from .noise import SMALLEST_SD, NoiseEstimate
 from .priors import LARGEST_LOG, given_prior, soil_of
 from .problem import LAW_ERRORS, LEAST_FREEDOM, SOURCES, TableProblem
 
-LEVEL = 0.5  # [deg] grade below which a row counts as level, as a usual level of a rig is good to
+LEVEL = 0.5  # [deg] grade up to which a row counts as level: usual rigs are level to about that
 #: Labels of the six parameters in sentences, by the names of a setup.
 LABELS = {
     "friction_angle_deg": "friction angle",
@@ -151,7 +151,7 @@ class TableEstimate:
     covariance: np.ndarray
     correlation: np.ndarray  # [p, p]
     condition: float  # of the whitened Jacobian in units of the prior sd
-    reference_sinkage: float  # z_ref [m], the median; of the fitted where none was measured
+    reference_sinkage: float  # z_ref [m], median sinkage; of the fitted ones if none was measured
     fits: dict[str, ChannelFit]  # of the measured channels, and of the load if it has noise
     row: np.ndarray  # [N] lines of the table
     slip: np.ndarray  # [N]
@@ -243,7 +243,9 @@ def _as_examined(examined: Examined) -> Table:
 
 
 class _Plain(NamedTuple):
-    """The solution under noise alone, which shows whether the base model is enough."""
+    """The solution under noise alone, without errors of the laws, which shows whether the base
+    model is enough.
+    """
 
     u: np.ndarray  # [p]
     fits: dict[str, ChannelFit]
@@ -255,9 +257,10 @@ def _settle(
     """(solution u [p], True if converged), sought from u in at most `_PASSES`.
 
     A pass is a least-squares fit, new noise for channels whose noise is estimated (only
-    `with_noise`), and new most probable slips and loads. The problem keeps those of the last pass.
-    If the moves of the solution hardly become smaller after a quarter of the passes, they are cut.
-    It has converged when moves and changes of the noise are small (`_SETTLED`, `_SETTLED_NOISE`).
+    `with_noise`), and new most probable slips and loads. Noise, slips and loads of the last pass
+    stay in the problem. If the moves of the solution hardly become smaller after a quarter of the
+    passes, they are cut. It has converged when moves and changes of the noise are small
+    (`_SETTLED`, `_SETTLED_NOISE`).
     """
     share = 1.0  # of each move; cut where moves go in circles, as when the model does not fit
     last = math.inf  # change of the iteration before
@@ -301,8 +304,8 @@ def _summary(
     """The estimate from the solution u, with its intervals over all `LAW_ERRORS` and its warnings.
 
     `plain`: the solution under noise alone; `missed`: misfit of the channels that it misses
-    (`_missed`); `dense`: words on bins. The estimate is u and the covariance is about u, since the
-    means under other sizes of the form error differ.
+    (`_missed`); `dense`: words on bins, "" for a table without. The covariance is about u, which is
+    the estimate, and not about the mean over the `LAW_ERRORS`, which differs from u.
     """
     scaling = _scaling(problem)
     free = [name for name in LABELS if np.any(scaling[name])]
@@ -460,7 +463,7 @@ def _units(
     softer than any (`SOFT`) to the upper end of its 95 % interval. Also residuals far below a given
     noise.
 
-    `fits`: under noise alone; their `too_small` is a p value.
+    `fits`: those under noise alone.
     """
     words = []
     load = np.median(problem.rows.load)
@@ -525,9 +528,11 @@ def _off_prior(problem: TableProblem, plain: _Plain) -> list[tuple[float, str]]:
 def _doubts(
     problem: TableProblem, u: np.ndarray, off_prior: list[str], converged: bool, dense: bool
 ) -> list[str]:
-    """Warnings on the solution u [prior sd]: bounds, priors (`off_prior`), scarce noise, a single
-    load, what is not modelled, weights that have not settled. `dense`: the rows are bins, and the
-    noise of single rows is not used.
+    """Warnings on the solution u [prior sd]: bounds, distance from priors, scarce noise, what is
+    not modelled (`_not_modelled`), weights that have not settled.
+
+    `off_prior`: sentences of `_off_prior` that are not said elsewhere. `dense`: the rows are bins,
+    and the noise of single rows is not used.
     """
     words = []
     low, high = problem.bounds

@@ -32,14 +32,14 @@ LENGTHS = {
     "elapsed": 0.5,
 }
 _NO_SLIP = {name: length for name, length in LENGTHS.items() if name != "slip"}
-#: Of the error of the base law, one as probable as the other; log_slip: ln(1 + slip/0.05), odd in
-#: the slip.
+#: Correlation lengths of the error of the base law: alternatives, one as probable as the other.
+#: log_slip is ln(1 + |slip|/0.05) with the sign of the slip.
 LAW_LENGTHS: tuple[Mapping[str, float], ...] = (
     LENGTHS,
     LENGTHS | {"slip": 0.6},
     {"log_slip": 0.8} | _NO_SLIP,
 )
-LITTLE_SLIP = 0.05  # of `log_slip`: above it the logarithm counts, below it the slip
+LITTLE_SLIP = 0.05  # `log_slip` is about slip/0.05 below it, and a logarithm of the slip above it
 #: Conditions that are compared by their ratio.
 LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width")
 #: What the base law depends on, and so its error: what goes with anything else is a missing effect.
@@ -209,7 +209,7 @@ class StressChange(NamedTuple):
     """
 
     soil: dict[str, float]  # by the names of a setup
-    peak_shift: float = 0.0  # added to `Effects.stress_peak_shift_offset`
+    peak_shift: float = 0.0  # [of the entry angle] added to `Effects.stress_peak_shift_offset`
 
 
 UNCHANGED = StressChange({})
@@ -459,7 +459,9 @@ def mixed(
 def covariance_about(
     point: np.ndarray, share: np.ndarray, mean: np.ndarray, covariance: np.ndarray
 ) -> np.ndarray:
-    """Mean square [p, p] of the distances of the mixture, as in `mixed`, from any `point` [p]."""
+    """Mean outer product [p, p] of the distances of a mixture from any `point` [p], which is its
+    covariance where `point` is its mean. Other arguments as in `mixed`.
+    """
     off = mean - point
     about: np.ndarray = np.tensordot(share, covariance + off[:, :, None] * off[:, None, :], 1)
     return about

@@ -43,16 +43,19 @@ from .noise import (
 from .problem import COARSE, NO_VALUE, TableProblem
 
 UNUSUAL = math.log(1e-3)  # log of the prior probability of a mistake of one kind
+# Evidence for another reading, or for a wrong row, is over that of the table as it is.
 SURE = 8.5  # log of the evidence for another reading, from which it is told
 LESS = 0.97  # times the misfit of the table as it is, below which a reading is a possible one
 MAYBE = 4.5  # log of the evidence, from which another reading is mentioned as a possible one
-#: Times smaller that the mean square above the noise gets under a reading that is told.
+#: Factor, at least, by which a reading that is told reduces the mean square misfit above the noise.
 BETTER = 1.5
 FITS = 4  # of a reading; slip and load that have noise are corrected between them
 FEWEST_ROWS = 3  # that have to agree against a wrong one
 SMALL = 8  # rows up to which a table is small: every row is tried as the wrong one
 CANDIDATES = 2  # rows of a larger table that are tried, those furthest off a robust fit; own choice
-SHARED = 0.5  # share of a row's deviation, from which rows beside it that have it excuse the row
+#: Share of a row's deviation: others at its slip that deviate by more excuse it (`_is_shared`), and
+#: so does a trend of its neighbours that it leaves by less (`_goes_on`).
+SHARED = 0.5
 MOST_WRONG = 0.04  # share of the rows that may be wrong, but one may always be
 ALIKE = 1.5  # largest over least load of rows whose loads are alike
 APART = 5.0  # ratio of a load to the nearest of these, from which it stands alone
@@ -80,8 +83,8 @@ HELD = 0.72
 HELD_SD = 0.056
 LESS_FREEDOM = 8.0  # degrees of freedom of that distribution below the usual resistance
 MORE_FREEDOM = 2.0  # and above it
-NONE_HELD = 5.0  # [`HELD_SD`] of the usual resistance, from which none at all is doubted
-MOST_HELD = 0.1  # of the usual resistance, up to which there is none
+NONE_HELD = 5.0  # [`HELD_SD`] usual resistance from which a table that shows none is doubted
+MOST_HELD = 0.1  # of the usual resistance, up to which a table shows none
 ALONE = 4.5  # log of the evidence by rises, from which a reading is told whatever the model says
 #: Log of the evidence by rises, from which a reading of enough evidence is told although it misses
 #: the table by more noise. An effect that is missing can do that.
@@ -240,8 +243,8 @@ def _plain(table: Table, setup: Setup) -> Reading:
 def _problem(
     reading: Reading, sd: np.ndarray, used: np.ndarray, scarce: bool = True
 ) -> TableProblem:
-    """The least-squares problem of a reading, with the noise `sd` [3] and the values `used` [N, 3]
-    of the channels of the table as it is.
+    """The least-squares problem of a reading, with the noise `sd` [3] and the values `used` [N, 3].
+    Both are of the channels of the table as it is, in its units.
 
     Fewer values than unknowns are refused unless `scarce`: the priors are enough to compare
     readings and rows.
@@ -462,8 +465,8 @@ def _by_resistance(data: Data, noise: NoiseEstimate, reading: Reading) -> float:
     """Log probability density, but for a constant, of the resistance to the wheel under a reading:
     of its median over the `_resisted` rows.
 
-    0 for less than `FEWEST_ROWS` such rows, and for readings that change the slip, since with them
-    other rows would be `_resisted`.
+    0, the most that it can be, for less than `FEWEST_ROWS` such rows, and for the readings "slip"
+    and "slip_ratio", since with them other rows would be `_resisted`.
     """
     rows = _resisted(data, noise)
     if rows.sum() < FEWEST_ROWS or reading.name in ("slip", "slip_ratio"):
@@ -554,12 +557,14 @@ def examine(table: Table, setup: Setup) -> Examined:
 def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
     """([doubt] or [], cautions): what is told of other readings, in sentences.
 
-    The best of the `sure` readings is a doubt, with those nearly as good. `ParameterError` if the
-    table also breaks a physical limit that goes with this reading. Without a sure reading the first
-    limit that is broken is a doubt. The limits: the pull falls with slip while its turned sign
-    gains evidence, a load that is hardly in newtons (of the reading "load"), the wheel gains
-    power, pulls with more than its torque, or with all of it. The
-    best reading with a gain of `MAYBE` and a better fit (`LESS`) is a caution then.
+    The best of the `sure` readings is a doubt, with those nearly as good. It is a `ParameterError`
+    if the table also breaks the physical limit that goes with this reading: a pull that falls with
+    slip, a load that is hardly in newtons, or a wheel that gains power.
+
+    Without a sure reading the first limit that is broken is a doubt: a pull that falls with slip
+    while its turned sign gains evidence, then a wheel that gains power, pulls with more than its
+    torque brings to the rim, or meets no resistance. The best reading with a gain of `MAYBE` and a
+    better fit (`LESS`) is a caution then.
     """
     others = _other_readings(start)
     possible = [b for b in others if b.gain > MAYBE and b.rms < LESS * b.rms_before]
@@ -578,7 +583,8 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
         }.get(best.reading.name)
         if check is not None and (broken := check(data, noise)):
             raise ParameterError(f"{data.table.source}: {broken}; {text[:1].lower()}{text[1:]}")
-        # apart by less evidence than half of what outweighs the prior of a mistake
+        # Nearly as good: the gains differ by less than half of the log evidence -`UNUSUAL` that
+        # outweighs the prior of a mistake.
         near = [b.reading.words for b in better[1:] if best.gain - b.gain < -UNUSUAL / 2.0]
         also = f" {'; '.join(near)} it fits nearly as well." if near else ""
         return [f"{text}.{also}"], ()
@@ -658,8 +664,8 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
 
 
 def _robust_deviations(fit: _Fit) -> np.ndarray:
-    """[N, 3] residuals over the noise of a robust fit, which single rows hardly draw to themselves;
-    0 where not measured.
+    """Residuals [N, 3] of a robust fit, which single rows hardly draw to themselves, whitened by
+    the noise of `fit`; 0 where not measured.
     """
     problem = fit.problem
     robust = problem.minimise(fit.u, loss="cauchy", f_scale=CLEAR, **COARSE)[0]
@@ -668,8 +674,8 @@ def _robust_deviations(fit: _Fit) -> np.ndarray:
 
 
 def _noise_without_a_row(data: Data, sd: np.ndarray) -> np.ndarray:
-    """[3] the least of the noise `sd` and of the rough noises without any one row: without the
-    wrong one, whichever it is.
+    """[3] noise that no wrong row has made larger, whichever it is: the least of the noise `sd` and
+    of the `rough_noise` of all rows but one, each row left out in turn.
     """
     rows = np.arange(len(data.table))
     return np.min([sd, *(rough_noise(data, rows != row) for row in rows)], axis=0)
@@ -703,7 +709,7 @@ def _worst_row(data: Data, off: np.ndarray, sd: np.ndarray) -> int:
 
 def _is_shared(data: Data, row: int, off: np.ndarray) -> bool:
     """True if the others at the slip of a row share its largest deviation of `off` [N, 3], so that
-    it is no mistake of one row.
+    it is no mistake of one row: two or more, by their median (`SHARED`).
     """
     level = data.varied["slip"].level
     channel = np.argmax(np.abs(off[row]))
@@ -739,11 +745,14 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
     """Sentence on a wrong row and on which of its cells to check, by the fit to the `others`; "" if
     the row is not sure to be wrong.
 
-    It is sure if a value is off by `least` [noise and law error] and the `gain`, less what a wrong
-    row costs, reaches `SURE`. The gain is of the log evidence of the other rows without this one.
-    The cell to check is the only value that is off, else the load or slip with which all values
-    fit, else every one. The cost is that the wrong value may be anywhere: with a wrong load or
-    slip, one value, which these are chosen to fit; in the last case all of them. `sd` [3]: noise.
+    It is sure if a value is off by `least` [noise and law error] and the `gain`, with the log
+    density of the row's own values if it is wrong, reaches `SURE`. The `gain` is of the log
+    evidence of the other rows without this one. The cell to check is the only value of three that
+    is off, else the load or slip with which two or more values fit, else every one.
+
+    If the row is wrong, the wrong values are anywhere within `spread`, the others about the fit. A
+    load or slip is chosen to fit, so that one value counts as anywhere: that which tells most of
+    it. `sd` [3]: noise.
     """
     table = data.table
     here = Rows(*(column[row : row + 1] for column in data.rows))

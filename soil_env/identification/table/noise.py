@@ -27,11 +27,11 @@ OUTLIER = 4.5  # [sd] distance from the smooth surface beyond which a value is l
 #: Median distance of the other values at a slip, in sd over the root of their number, from which a
 #: deviation that they share is no outlier.
 COMMON = 3.8
-#: Share of the values of a channel that may be left out; rounded down to one at least, and one
-#: more. Own choice.
+#: Share of the values of a channel that may be left out. Their number is rounded down, one at
+#: least; then one more may be. Own choice.
 MOST_OUTLIERS = 0.06
 SD_OF_MEDIAN = 1.4826  # sd of a normal distribution over its median distance from the median
-LEAST_FREE = 0.05  # 1 - leverage that a residual is divided by the root of, at least
+LEAST_FREE = 0.05  # least value of 1 - leverage, by whose root a residual is divided
 LEAST_TAIL = 1e-300  # probability that a distance is computed from, at least
 ALONE = 0.8  # leverage on the smooth surface above which a value is checked by no other
 #: Scatter over the size of the values below which they are rounded or computed, not measured.
@@ -55,8 +55,10 @@ class NoiseEstimate:
     """Noise of the channels and the values that count."""
 
     sd: np.ndarray  # [3], of a value whose row gives none of its own; 1 where not measured
-    freedom: np.ndarray  # [3] of the estimate; inf where the setup gives it
-    origin: tuple[str, ...]  # [3] "setup", "repeats", "scatter" or "" where not measured
+    #: [3] degrees of freedom of the estimate; inf where noise is given, or nothing was measured.
+    freedom: np.ndarray
+    #: [3] "setup" (also of noise that the rows give), "repeats", "scatter", or "" without values.
+    origin: tuple[str, ...]
     used: np.ndarray  # [N, 3] bool, measured values that are no outliers
     alone: np.ndarray  # [N] bool, rows whose values no other row comes near enough to check
     #: Those of slip and load whose noise is included in that of the channels.
@@ -256,6 +258,7 @@ def _without_outliers(
         keep |= used & (np.abs(left) <= OUTLIER * scale * np.sqrt(1.0 + leverage))
     left = _surface(basis, e, keep)[0] / scale
     for k in np.flatnonzero(used & ~keep):
+        # Distances of the others at its slip, > 0 on the side of the surface where it lies.
         others = left[used & (slip == slip[k]) & (np.arange(slip.size) != k)] * np.sign(left[k])
         keep[k] = others.size > 1 and np.median(others) > COMMON / math.sqrt(others.size)
     return keep
@@ -322,6 +325,8 @@ def smooth_basis(data: Data) -> np.ndarray:
     cells = data.cell.max() + 1
     basis = np.stack(columns, axis=1)
     kept = np.ones(len(columns), dtype=bool)
+    # With fewer rows than columns, R has no diagonal for the last ones; the cut at the end then
+    # leaves few enough.
     if sizes and len(basis) >= len(columns):
         kept[plain:] = np.abs(np.diag(np.linalg.qr(basis)[1]))[plain:] > INDEPENDENT * math.sqrt(
             len(basis)
@@ -331,7 +336,7 @@ def smooth_basis(data: Data) -> np.ndarray:
 
 def repeat_noise(data: Data, model: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(sd [3], degrees of freedom [3]) of the scatter of measured minus `model` [N, 3] within
-    cells; nan and 0 without repeats.
+    `Data.cell`, for a value whose row gives no noise of its own; nan and 0 without repeats.
 
     The model takes up the small differences of slip and load that repeats have. Cells with larger
     differences (`REPEAT_SLIP`, `REPEAT_LOAD`) do not count.

@@ -15,7 +15,7 @@ from soil_env.parameters import Soil
 
 USUAL_SINKAGE = 0.08  # [radii] where none was measured
 LARGEST_LOG = 700.0  # an exponential of more overflows
-_LEAST_VALUE = 1e-12  # of a prior whose logarithm is taken
+_LEAST_VALUE = 1e-12  # value that a prior counts as, at least, where its logarithm is taken
 _SHALLOWEST = 0.01  # [radii] least sinkage of the plate of `plate_coefficient`; the most is 1
 #: Length of that plate over the chord sqrt(2 r z) from the entry to the lowest point; own choice.
 _PLATE = 0.6
@@ -94,7 +94,7 @@ def soil_unknowns(
 
     A parameter without a prior in the setup is the `BROAD` unknown; for any other the standard
     deviation of its prior is multiplied by `widened`. If the setup gives `tilt_deg`, that is the
-    last of the unknowns, or known.
+    last of the unknowns, its prior as it is, or known.
     """
     unknowns = []
     known = {}
@@ -106,6 +106,7 @@ def soil_unknowns(
             known[name] = prior.value
         else:
             unknowns.append(_under_prior(broad, prior, widened))
+    # n, known or at its prior mean, with which S has its broad prior below.
     exponent = (known | {k.name: k.mean for k in unknowns})["sinkage_exponent"]
     tilt = setup.tilt_deg
     if tilt is not None and tilt.known:

@@ -153,7 +153,7 @@ class TableProblem:
     are computed from: noise, corrected slip and load, form error.
 
     `correct`, `update_noise`, `take_noise` and `allow_form_error` change this state. `use` [bool]:
-    rows of the table that take part, None for all that can; these are the N rows of all arrays.
+    rows of the table that take part, None for the `usable_rows`. They are the N rows of all arrays.
     `ParameterError` if there are fewer values than unknowns and noises to estimate, unless
     `scarce`.
     """
@@ -350,8 +350,10 @@ class TableProblem:
 
     def law_errors(self, u: np.ndarray, span: int) -> tuple[np.ndarray, np.ndarray]:
         """(form errors of the stresses [3 N, C R], form errors of the channels [3 N, 3 R]), of size
-        1 and whitened by the noise; C are the `stress_changes`, R the functions of the process.
+        1 and whitened by the noise.
 
+        C is the number of `stress_changes`, R that of the functions of the process: each change of
+        a stress, or error of a channel, goes with each function of the conditions.
         `span`: index in `LAW_LENGTHS`. Errors of the stresses reach the three channels together.
         Channels that err by themselves stand for all that the model does not contain, such as a rig
         that bends.
@@ -401,9 +403,10 @@ class TableProblem:
     def _widening(self) -> float:
         """Half of ln|V| less half of ln|V| without errors of slip and load, summed over the rows.
 
-        It is subtracted from the log evidence, as a part of the normalisation of the Gaussian. It
-        is the same for all sizes of a form error, and counts where readings of a table are compared
-        (`mistakes`). The noise of the channels is left out, as it goes with the unit of a reading.
+        It is subtracted from the log evidence, as a part of the normalisation of the Gaussian. This
+        part is the same for all sizes of a form error, and counts where readings of a table are
+        compared (`mistakes`). The noise of the channels is left out, as it goes with the unit of a
+        reading.
         """
         if not np.any(self.noise[:2] > 0.0):
             return 0.0
@@ -524,8 +527,8 @@ class TableProblem:
 
 
 def usable_rows(table: Table, setup: Setup) -> np.ndarray:
-    """[N] bool, True for rows that can take part: with a sinkage, with both forces, or with one
-    force where S has a prior.
+    """[N] bool, True for rows that can take part: with a sinkage, with both forces (drawbar pull
+    and torque), or with one force where S has a prior.
 
     `ParameterError` where no row is left, where none of those has a force, and where a sinkage is
     not above 0, or larger than the radius.

@@ -28,10 +28,10 @@ LABELS = {
 
 
 def text_of(estimate: TableEstimate) -> str:
-    """Text of the estimate: what to check first and that the model does not fit; tables of
-    parameters and channels; correlations; number of values and condition number; other warnings.
+    """Text of the estimate, from what to check first, and a misfit, to the other warnings.
 
-    The condition number has a remark above `SEPARABLE`.
+    Between them are tables of parameters and channels, the correlations, the number of values, and
+    the condition number, with a remark above `SEPARABLE`.
     """
     first = [f"CHECK FIRST: {doubt}" for doubt in estimate.check_first]
     first += [f"NO FIT: {estimate.misfit}"] if estimate.misfit else []
@@ -81,7 +81,9 @@ def _soil_table(estimate: TableEstimate) -> Table:
 
 
 def _channel_table(estimate: TableEstimate) -> Table:
-    """Table of the channels: number of values, noise, root mean square of the residuals."""
+    """Table of the channels: number of values, noise, root mean square of the residuals in their
+    unit and over the noise.
+    """
     rows = []
     for name, fit in estimate.fits.items():
         noise = f"{fit.noise:.3g} {fit.unit}" + (" (estimated)" if fit.estimated else "")

@@ -29,18 +29,19 @@ def predict_table(
     factors: np.ndarray | None = None,
     peak_shift: float = 0.0,
 ) -> np.ndarray:
-    """Sinkage [m], drawbar pull [N] and torque [N m], [N, 3], on soil with the parameters `values`
-    by name and the laws of the setup.
+    """Sinkage [m], drawbar pull [N] and torque [N m], [N, 3], at the `rows` on soil with the
+    parameters `values` by name and the laws of the setup.
 
     `unit_weight` [N/m3] of the soil. `fx`: effects. `guess` [N]: sinkages [m] from which the
-    balance of the load starts, 0 for none; those that are found overwrite it. `factors` [N, 4]
-    multiply the `BY_ROW` parameters; None is 1. `peak_shift` is added to that of the effects, as by
-    `form_error.StressChange`.
+    balance of the load starts, 0 for none. Those that are found overwrite it, with 0 where the soil
+    does not carry the load. `factors` [N, 4] multiply the `BY_ROW` parameters; None is 1.
+    `peak_shift` is added to that of the effects, as by `form_error.StressChange`.
 
     A force W of the rig that stands on ground inclined by b against it presses with W cos(b) on the
     ground and acts with W sin(b) against the pull. b is the tilt of the rig (`tilt_deg` of
-    `values`); of a vertical load it is the tilt and the grade of the row. S of wheels of another
-    width than the setup's is k_c/width + k_phi where these are given.
+    `values`); of a vertical load it is the tilt and the grade of the row. Where the setup gives k_c
+    and k_phi, S in `values` is that of its wheel. Under wheels of other widths it changes in
+    proportion to k_c/width + k_phi.
     """
     soil = SoilState(
         math.tan(math.radians(values["friction_angle_deg"])),
@@ -71,7 +72,7 @@ def predict_table(
             s = lumped_coefficient(k_c.value, k_phi.value, width)
             factors[rows.wheels[:, 1] == width, -1] *= s / usual
     out = np.empty((rows.slip.size, 3))
-    # Code is compiled anew for arrays in another order, and for those that nobody may write to.
+    # Code would be compiled anew for arrays that are not C-contiguous, or are read-only.
     rows = Rows(*(a if a.flags.carray else np.require(a, requirements=["C", "W"]) for a in rows))
     predict_rows(rows, soil, unit_weight, fx, guess, out, factors)
     out[:, 1] -= along
