@@ -113,7 +113,7 @@ class Data:
         """[N] number of the bed of soil of each row, from 0.
 
         A row on fresh soil is on the bed of its `run`, a later pass on that of the last fresh row
-        above it, or of the first row of the table where none is above it.
+        above it. Without any above it, it is on the bed of the first row of the table.
         """
         fresh = np.where(self.rows.conditions[:, 1] <= 1.0, np.arange(len(self.table)), 0)
         runs = self.table.run[np.maximum.accumulate(fresh)]

@@ -405,6 +405,7 @@ def _parameters(
         estimate = [value, low, high]
         if name in LOGARITHMIC:
             estimate = [math.exp(min(x, LARGEST_LOG)) for x in estimate]
+        # Rounding, as of a cohesion at its bound 0; a tilt has no bound there.
         elif name != "tilt_deg" and abs(value) < _ZERO * half:
             estimate[0] = 0.0
         prior_sd = math.sqrt(by_u @ by_u)
@@ -596,8 +597,9 @@ def _misfit(
 ) -> str:
     """Sentences on a base model that does not fit; "" where no channel is `missed`.
 
-    They say which channels it misses by how much, what the intervals then hold, what noise to give
-    of `exact` conditions, and whether the soil of these `fits` predicts badly (`MUCH_WORSE`).
+    They say which channels it misses by how much, and what the intervals then hold. They also say
+    what noise to give of `exact` conditions, and whether the soil of these `fits` predicts badly
+    (`MUCH_WORSE`).
     """
     if not missed:
         return ""
@@ -630,7 +632,7 @@ def _predicts_badly(plain: _Plain, fits: dict[str, ChannelFit]) -> str:
 
 def _not_modelled(problem: TableProblem) -> list[str]:
     """Warnings on a single load, on channels that were not measured, on rows that are left out or
-    taken otherwise than given, and on what of the rig the base model does not contain.
+    taken otherwise than given, and on parts of the rig that are not modelled.
 
     Later passes are taken as fresh soil, grades beyond `LEVEL` as level unless the load is
     vertical, rims with lugs as smooth. Wheels of several widths have one S without k_c and k_phi.

@@ -388,8 +388,9 @@ def marginals(
 def _eliminated(
     normal: np.ndarray, pull: np.ndarray, size: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(ln|N|/2 [S], P' D N^-1 D P [S, B, B]) with N = I + D `normal` D, P = `pull` [R, B], for each
-    row of diagonals D of `size` [S, R].
+    """(ln|N|/2 [S], P' D N^-1 D P [S, B, B]) of N = I + D `normal` D, `normal` being [R, R].
+
+    P is `pull` [R, B]. Each row of `size` [S, R] is the diagonal of a D.
     """
     if len(size) > 1 and np.all(size == size[:, :1]):  # one decomposition for all
         values, vectors = np.linalg.eigh(normal)

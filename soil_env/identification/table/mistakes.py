@@ -561,10 +561,10 @@ def _readings_doubted(start: _AsIs) -> tuple[list[str], tuple[str, ...]]:
     if the table also breaks the physical limit that goes with this reading: a pull that falls with
     slip, a load that is hardly in newtons, or a wheel that gains power.
 
-    Without a sure reading the first limit that is broken is a doubt: a pull that falls with slip
-    while its turned sign gains evidence, then a wheel that gains power, pulls with more than its
-    torque brings to the rim, or meets no resistance. The best reading with a gain of `MAYBE` and a
-    better fit (`LESS`) is a caution then.
+    Without a sure reading the first limit that is broken is a doubt. The first is a pull that falls
+    with slip while its turned sign gains evidence. Then come a wheel that gains power, pulls with
+    more than its torque brings to the rim, or meets no resistance. The best reading with a gain of
+    `MAYBE` and a better fit (`LESS`) is a caution then.
     """
     others = _other_readings(start)
     possible = [b for b in others if b.gain > MAYBE and b.rms < LESS * b.rms_before]
@@ -632,10 +632,11 @@ def _wrong_row(start: _AsIs) -> tuple[_AsIs, str] | None:
     """(table without the wrong row, a sentence on it), None where no row is found wrong.
 
     The row is that without which the others fit best (`_worst_row`). It is kept where others at its
-    slip share the deviation (`_is_shared`), the trend of its neighbours leads to it (`_goes_on`),
-    the evidence is too little (`_words_on`), or the rest are too few for a fit. A table that is not
-    `suspect` is searched only if its noise is not known otherwise: taken from the scatter, it
-    hides a wrong row. Tables of `FEWEST_ROWS` or fewer are not searched.
+    slip share the deviation (`_is_shared`), or the trend of its neighbours leads to it
+    (`_goes_on`). It is also kept where the evidence is too little (`_words_on`), or the rest are
+    too few for a fit. A table that is not `suspect` is searched only if its noise is not known
+    otherwise: taken from the scatter, it hides a wrong row. Tables of `FEWEST_ROWS` or fewer are
+    not searched.
     """
     data, noise, fit = start
     # Noise that was taken from the scatter, or that the values do not show (`_noise`).
@@ -745,8 +746,8 @@ def _words_on(data: Data, row: int, others: _Fit, sd: np.ndarray, gain: float, l
     """Sentence on a wrong row and on which of its cells to check, by the fit to the `others`; "" if
     the row is not sure to be wrong.
 
-    It is sure if a value is off by `least` [noise and law error] and the `gain`, with the log
-    density of the row's own values if it is wrong, reaches `SURE`. The `gain` is of the log
+    It is sure if a value is off by `least` [noise and law error] and the evidence reaches `SURE`:
+    the `gain` plus the log density of the row's own values if it is wrong. The `gain` is of the log
     evidence of the other rows without this one. The cell to check is the only value of three that
     is off, else the load or slip with which two or more values fit, else every one.
 
@@ -816,8 +817,8 @@ def _outliers(data: Data, noise: NoiseEstimate) -> tuple[list[str], list[str]]:
     """(sentences on the outliers, those of them that are to be checked first).
 
     An outlier leaves the smooth surface through the other values. It is to be checked first if its
-    distance to the nearest value that is none is more than `LONE` times the range of those, of
-    which there must be `FEWEST_ROWS`.
+    distance to the nearest of the values that count is more than `LONE` times their range. There
+    must be `FEWEST_ROWS` of these.
     """
     sentences = []
     first = []
