@@ -238,13 +238,14 @@ def _csv_cells(
     path: Path, ignore: Sequence[str] = ()
 ) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Header and (line of the file from 1, cells) of the rows that are not blank, every cell
-    stripped. The columns in `ignore` say nothing of the decimal mark.
+    stripped. Commas in the columns `ignore` stay as they are.
 
     Lines that begin with # and a first line such as `sep=;` are passed over. Semicolons or tabs in
     a header without commas separate the columns, and then commas may be decimal. Columns at the end
-    that have neither name nor value are dropped, as spreadsheets write them. `ParameterError` for
-    a file that is too large, empty or no such table, for a title above the header, and where a row
-    has more or fewer cells than the header.
+    that have neither name nor value are dropped, as spreadsheets write them.
+
+    `ParameterError` for a file that cannot be read, is too large or empty, or is no CSV in UTF-8.
+    So also for a title above the header, and for a row with more or fewer cells than the header.
     """
     try:
         if path.stat().st_size > MOST_BYTES:
