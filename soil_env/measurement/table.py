@@ -499,9 +499,9 @@ def _check_repeats(path: Path, rows: Rows) -> None:
     """Raise `ParameterError` for a row that repeats an earlier one in every cell; numbers are
     compared by value.
     """
-    seen: dict[tuple[float | str, ...], int] = {}
+    seen: dict[tuple[str, ...], int] = {}
     for line, cells in rows:
-        key = tuple(_canonical(c) for c in cells)
+        key = tuple(str(_canonical(c)) for c in cells)  # as text nan equals nan
         if key in seen:
             expected = "each point once (a true repeat differs in run or time)"
             raise ParameterError(

@@ -145,6 +145,20 @@ def test_an_empty_cell_leaves_the_other_rows_their_rise(tmp_path):
     assert mistakes._rises(data, noise) == pytest.approx(before, rel=0.1)
 
 
+def test_a_reading_of_the_slip_gets_nothing_from_an_unusual_resistance(tmp_path):
+    """The resistance is the same before and after, whatever it is."""
+    columns = "slip,load,sinkage,drawbar_pull,torque"
+    rows = [
+        f"{i:g},100,0.05,{30.0 + 20.0 * i:g},{0.15 * (30.0 + 20.0 * i):g}"
+        for i in (0.25, 0.35, 0.45, 0.55, 0.65)
+    ]
+    data = data_of(tmp_path, "\n".join([columns, *rows]) + "\n")
+    start = mistakes._as_is(data)
+    found = {b.reading.name: b.gain for b in mistakes._other_readings(start)}
+    assert mistakes._by_resistance(data, start.noise, start.fit.reading) < -9.0
+    assert found["slip_ratio"] < mistakes.MAYBE  # was above `SURE` by that alone
+
+
 def test_a_force_of_low_slips_alone_has_no_rise(tmp_path):
     """Its rows neither span what shows a rise, nor are three."""
     few = with_column(

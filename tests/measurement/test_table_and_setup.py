@@ -87,6 +87,11 @@ def test_a_table_with_a_date_and_rows_without_a_value(tmp_path):
     assert list(t.slip) == [0.1, 0.2] and list(t.torque) == [2.5, 3.0]
     assert list(t.run) == ["1,5", "2.5"]
     rows = ("0,1;100;2,5;21.03.2026", "0,2;100;3;22.03.2026")
+    note = written(
+        tmp_path, "slip,load,torque,note", "0.1,100,2,nan", "0.1,100.0,2,nan", "0.2,100,3,"
+    )
+    refused = refusal(read_table, note, SetupWheel(0.15, 0.12), ("note",))
+    assert "row 3 repeats row 2 in every column" in refused
     named_as_ours = written(tmp_path, "slip;load;torque;time", *rows)
     assert list(read_table(named_as_ours, SetupWheel(0.15, 0.12), ("time",)).torque) == [2.5, 3.0]
 

@@ -645,8 +645,9 @@ def _not_modelled(problem: TableProblem) -> list[str]:
     rest = " and ".join(names[there])
     left_out = np.sum(~used)
     unseen = np.sum(np.isnan(table.sinkage[used]))
-    alone = one_load(table, problem.setup)
-    shared = shared_stiffness(table.only(used), problem.setup)
+    fitted = table.only(used)
+    alone = one_load(fitted, problem.setup)
+    shared = shared_stiffness(fitted, problem.setup)
     told = (
         (alone, alone),
         (

@@ -465,11 +465,11 @@ def _by_resistance(data: Data, noise: NoiseEstimate, reading: Reading) -> float:
     """Log probability density, but for a constant, of the resistance to the wheel under a reading:
     of its median over the `_resisted` rows.
 
-    0, the most that it can be, for less than `FEWEST_ROWS` such rows, and for the readings "slip"
-    and "slip_ratio", since with them other rows would be `_resisted`.
+    0 for less than `FEWEST_ROWS` such rows, which are those of the table as it is: a reading of the
+    slip changes nothing.
     """
     rows = _resisted(data, noise)
-    if rows.sum() < FEWEST_ROWS or reading.name in ("slip", "slip_ratio"):
+    if rows.sum() < FEWEST_ROWS:
         return 0.0
     share, usual = _resistance(reading.table, reading.setup)
     off = np.median((share - usual)[rows]) / HELD_SD
@@ -859,7 +859,7 @@ def _grades_doubted(data: Data) -> list[str]:
     """[doubt] where all grades but 0 look like whole degrees in radians (`look_like_radians`), else
     [].
     """
-    grades = data.table.grade_deg[data.table.grade_deg != 0.0]
+    grades = data.table.grade_deg[np.abs(data.table.grade_deg) > 0.0]  # of those that are given
     if not look_like_radians([repr(float(g)) for g in grades]):
         return []
     angle = math.degrees(abs(grades[0]))
