@@ -45,7 +45,9 @@ from .world.sensors import (
 from .world.terrain import new_courses
 from .world.wheel import RIG, WHEEL, World, acting_in, rig_of, settle_at
 
-ATTEMPTS = 100  # at a course in the middle of a run, where nobody can change the scenario
+# [-] seeds that a restart tries for its course, since nobody can change the scenario in the middle
+# of a run
+ATTEMPTS = 100
 
 
 #: Of a wheel after a control period, for the estimators on board: whether it was in a commanded
@@ -98,7 +100,9 @@ def wheel_numbers(
     )
 
 
-MOST_ENTRIES = 128  # of an observation, more than any has: with `MOST_CLASSES` and two routes
+# [-] room for the entries of an observation: more than the longest has, with `MOST_CLASSES` and
+# two routes
+MOST_ENTRIES = 128
 #: `WheelNumbers` as compiled code takes them, with the work space of a thread.
 SETTING = record(
     rig=(RIG, 1),
@@ -123,8 +127,8 @@ class Additions(NamedTuple):
 def new_setting(numbers: WheelNumbers, recorded: bool, chunk: int) -> np.ndarray:
     """Constants and work space of the thread of a chunk of the wheels, `SETTING` [1].
 
-    `recorded`: True if a sample is kept of each wheel and period. `chunk`: number of the chunk,
-    from 0.
+    A chunk is what a thread steps at a time (`envs.vehicles`); `chunk` is its number, from 0.
+    `recorded`: True if a sample is kept of each wheel and period.
     """
     setting = np.zeros(1, SETTING)
     for name in ("rig", "task", "sensors", "camera"):
@@ -138,8 +142,9 @@ def new_setting(numbers: WheelNumbers, recorded: bool, chunk: int) -> np.ndarray
 def new_wheel_worlds(
     wheels: int, scenario: Scenario, numbers: WheelNumbers, samples: tuple[int, int]
 ) -> WheelWorlds:
-    """Blank worlds for so many wheels, to be restarted; `samples`: shape of their samples, as in
-    `WheelWorlds`.
+    """Blank worlds of this number of `wheels`, which have to be restarted before they drive.
+
+    `samples`: shape of their samples, as in `WheelWorlds`.
     """
     return WheelWorlds(
         np.zeros(wheels, WHEEL),
@@ -152,8 +157,8 @@ def new_wheel_worlds(
 class ThreadRecords(NamedTuple):
     """Records of the `SETTING` of a thread, and the `Additions`.
 
-    No arrays: numba counts references to those whenever a function takes one, which costs more than
-    small functions.
+    Of the arrays [1] it has the records: numba counts references to an array whenever a function
+    takes one, which costs more than small functions. Only `normals` is an array.
     """
 
     world: World
@@ -180,7 +185,7 @@ def start_drivable(course, owner, numbers, nodes):
 
 @kept
 def lay_wheels(worlds, numbers, orders, setting, first, end):
-    """Follow the `orders` [wheels] for the courses `first` to `end` - 1.
+    """Follow the `orders` [wheels] (`parameters.readings`) for the courses `first` to `end` - 1.
 
     Return the number of restarts for which no soil was found.
 
@@ -249,7 +254,7 @@ def _observe(wheel, sample, course, records, sight, out):
 @compiled_finite
 def _restart(wheel, sample, course, records, out):
     """Begin the episode of a wheel that rests at the start of its course: draw the errors of its
-    sensors, read them and observe.
+    sensors, read the sensors into `sample` and fill the observation `out` [D].
     """
     mount_sensors(wheel, records.normals, records.sensors)
     wheel.cause = RUNNING
@@ -260,8 +265,8 @@ def _restart(wheel, sample, course, records, out):
 
 @compiled_finite
 def _step(wheel, action, course, records, samples, out):
-    """Take a wheel through the control periods of an action, until its episode ends: drive, sense,
-    judge, reward; then observe.
+    """Take a wheel through the control periods of an `action` in [-1, 1], at most to the end of its
+    episode: drive, sense, judge, reward. Then fill the observation `out` [D].
 
     `samples` [periods]: of all periods, or [1] of the last.
     """
@@ -275,6 +280,7 @@ def _step(wheel, action, course, records, samples, out):
         sight = _sense(wheel, sample, course, records)
         roll_odometer(wheel, sample.speed, task.period)
         judge_period(wheel, task)
+    # without the term of information, which `identification.online.on_board` adds
     wheel.reward = wheel.terms.sum()
     _observe(wheel, sample, course, records, sight, out)
 

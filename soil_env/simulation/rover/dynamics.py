@@ -95,6 +95,7 @@ def _solve_stage(rover, course, ruts, number, h, forced, world):
         ahead = ground_ahead(wheel, stage, course, ruts[a], rig.border, world.acting.effects)
         # tyre and grip by the last stage's load
         _keep_stand(foot, stand(wheel, stage, ahead, wheel.load, own))
+    # any wheel gives V* and the duration, since all travel at the speed of the rover
     stage = _stage_of(number, h, rover.wheels[0], scratch.feet[0], rig)
     equation = equation_of(stage.speed, stage.implicit, rover.mass, rig)
     speed, converged = solve_speeds(rover, equation, world)
@@ -150,6 +151,7 @@ def _solve_step(rover, course, ruts, h, left, forced, world):
         foot.speed_before = rover.wheels[a].speed
         foot.rim_before = world.rig.radius * rover.wheels[a].wheel_speed
     for number in range(2):
+        # at the end of the stage, where implicit Euler takes the forces
         _command_at(left - (GAMMA * h if number == 0 else h), world)
         if not _solve_stage(rover, course, ruts, number, h, forced, world):
             return number * (GAMMA * h)

@@ -43,6 +43,7 @@ from .body import LOAD_TOLERANCE, axle_loads, weight_of
 # before; the last is kept
 TURNS = 4
 
+# fields of a soil that a footing does not have too: `FOOT` has each name once
 _NOT_SHEARED = [name for name in SoilState._fields if name not in Footing._fields]
 #: What the wheel of an axle is to do in a control period and what it stands on in a stage. It has
 #: the fields of a `Drive`, a `Footing`, an `ExtraForces` and the `SoilState` of a `Ground`, whose

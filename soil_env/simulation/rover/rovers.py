@@ -147,8 +147,9 @@ def rover_course_numbers(
 def new_rover_worlds(
     rovers: int, scenario: RoverScenario, numbers: RoverNumbers, recorded: bool
 ) -> RoverWorlds:
-    """Blank worlds for so many rovers, to be restarted; `recorded`: keep the readings of each step
-    for estimators.
+    """Blank worlds of this number of `rovers`, which have to be restarted before they drive.
+
+    `recorded`: keep the readings of each step for estimators.
     """
     axles = scenario.axles
     periods = scenario.control.action_periods
@@ -211,7 +212,7 @@ def _settle(rover, mass, course, ruts, numbers, nodes):
 
 @kept
 def lay_rovers(worlds, numbers, orders, scratch, first, end):
-    """Follow the `orders` [rovers] for the courses `first` to `end` - 1.
+    """Follow the `orders` [rovers] (`parameters.readings`) for the courses `first` to `end` - 1.
 
     Return the number of restarts for which no soil was found.
 
@@ -292,8 +293,8 @@ def _restart(rover, readings, records):
 
 @compiled_finite
 def _step(rover, commands, course, ruts, readings, records):
-    """Take a rover through the control periods of an action, until its episode ends: drive, sense,
-    judge, reward.
+    """Take a rover through the control periods of `commands` [axles] in [-1, 1], at most to the end
+    of its episode: drive, sense, judge, reward.
 
     `readings` [axles, periods]: of all periods, or one column of the last.
     """
@@ -305,6 +306,7 @@ def _step(rover, commands, course, ruts, readings, records):
         _sense(rover, readings, period, records)
         roll_odometer(rover, readings[0, period].speed, task.period)
         judge_period(rover, task)
+    # without the term of information, which `identification.online.on_board` adds
     rover.reward = rover.terms.sum()
 
 

@@ -1,7 +1,7 @@
 """Ruts of a rover, left by the wheels ahead to those behind them (docs/physics/rover.md).
 
 A wheel behind another runs on the floor of its rut: its sinkage is that below the floor, and its
-contact begins there. Each wheel keeps its own rut, as a wheel by itself does, and meets it again
+contact begins there. Each wheel keeps its own rut, as a single wheel does, and meets it again
 where the rover reverses. It does not meet the ruts of the wheels behind it.
 """
 

@@ -75,7 +75,7 @@ def write_axle(out, a, wheel, reading, task):
 
 
 def first_soil(axles: int) -> int:
-    """Index of the first entry on the soil in the observation of a rover with so many axles."""
+    """Index of the first entry on the soil in the observation of a rover with `axles` axles."""
     return ENTRIES_OF_BODY + ENTRIES_OF_AXLE * axles
 
 

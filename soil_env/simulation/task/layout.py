@@ -22,7 +22,7 @@ VARIANTS = ("blind", "identified", "true_soil")
 
 @dataclass(frozen=True)
 class ObservedNumber:
-    """One number of the observation."""
+    """One number of the observation, with its bounds `low` and `high` in its `unit`."""
 
     name: str
     unit: str
@@ -43,11 +43,11 @@ _SENSED = [
     for name, sensor in zip(SensorReading._fields, SENSORS, strict=True)
 ]
 _BLIND = (
-    *_SENSED[:8],
+    *_SENSED[:8],  # slip to pitch
     ObservedNumber("last_action", "-", -1.0, 1.0),
     ObservedNumber("odometry", "of course length", -5.0, 5.0, 0.5, 0.3),
     _flag("halted"),
-    *_SENSED[8:],
+    *_SENSED[8:],  # motor torque and acceleration
     ObservedNumber("rim_command", "of top rim speed", -1.0, 1.0, 0.2, 0.2),
 )
 _SOIL = (
@@ -95,7 +95,8 @@ AXLES = ("front", "middle", "rear")  # of a rover, which has its own entries for
 
 
 def _seen(classes: int, routes: int) -> list[ObservedNumber]:
-    """Entries of the camera for so many terrain classes and routes, as `write_view` fills them.
+    """Entries of the camera for these numbers of terrain `classes` and `routes`, as
+    `world.camera.write_view` fills them.
 
     Distance of the border; a flag for each class here; grade and a flag for each class of each
     route; with two routes a flag for the choice.
@@ -147,8 +148,8 @@ def bounds_of(entries: Iterable[ObservedNumber]) -> np.ndarray:
 
 
 def truth(course: CourseSpec) -> tuple[ObservedNumber, ...]:
-    """Entries of `true_soil` that `blind` does not have, in its order: the soil under the wheel,
-    and with terrain classes the soils of the routes ahead.
+    """Entries of `true_soil` that `blind` does not have, in the order of `true_soil`: the soil
+    under the wheel, and with terrain classes the soils of the routes ahead.
     """
     blind = {entry.name for entry in layout("blind", course)}
     return tuple(entry for entry in layout("true_soil", course) if entry.name not in blind)

@@ -134,7 +134,7 @@ def judge_period(vehicle, task):
 
     Progress: distance travelled / course length. Energy: -(motor work, at least 0) / (weight with
     payload x course length). Immobilisation: -1 once, when the episode ends unfinished, also by the
-    time limit.
+    time limit. The fourth of `REWARD_TERMS`, information, is left to the estimators on board.
     """
     cause = judge(vehicle, task)
     vehicle.cause = cause

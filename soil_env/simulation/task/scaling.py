@@ -19,8 +19,9 @@ _ALWAYS = "log10_sinkage_coefficient"  # entry of a route that is 0 only out of 
 
 
 class Scaling:
-    """Scaling of observations [..., D] with these entries to order one and back; without `scaled`
-    they stay as they are.
+    """Scaling of observations [..., D] to order one and back, by centre and scale of each entry.
+
+    If `scaled` is False, observations are the values in their units.
 
     Entries of a route ahead are 0 while it is out of sight, on either side of the scaling.
     """
@@ -64,7 +65,7 @@ class Scaling:
         units.
         """
         if not self.scaled:
-            return +values
+            return +values  # a copy
         out = (values - self.centre) / self.scale
         if not self._routes:
             return out

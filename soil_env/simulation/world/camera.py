@@ -29,7 +29,7 @@ IMAGE = record(*Image._fields)
 
 
 class Sight(NamedTuple):
-    """Place of the wheel by an image."""
+    """Place of the wheel between two borders, as an image shows it."""
 
     patch: int  # that the wheel seems to be on
     since: float  # [m] from the beginning of it
@@ -53,7 +53,8 @@ def camera_of(scenario: Scenario) -> np.ndarray:
 
 @compiled
 def sight_of(wheel, course, camera):
-    """`Sight` of a new image: where the wheel seems to be, between borders where they seem to be.
+    """Draw the `Sight` of a new image: on which patch the wheel seems to be, and how far from its
+    ends.
 
     The place of the wheel has an error that is new in every image, from the wheel's random stream.
     Each border has an error that stays (`border_error`).

@@ -6,7 +6,7 @@ slopes over it as the wheel comes near. What they are like does not depend on ho
 pieces the course is drawn. Ground of terrain classes and with two routes is drawn by `routes`.
 
 Slopes have lengths and grades of their own. So a grade changes inside a soil, a soil on a slope,
-and some slopes are too steep for their soil: such courses are kept.
+and some slopes are too steep for their soil: those courses are kept.
 
 Functions take a course (`terrain.course_dtype`), `CourseNumbers` and the scratch `nodes` of an arc
 (`contact.ARC_NODES`). `spec` is the `DISTRIBUTION` of the numbers, `load` [N] the weight of the
@@ -179,8 +179,9 @@ def _draw_patch(course, load, numbers, nodes):
 def _draw_soil(course, load, numbers, nodes):
     """Draw the soil of the next patch, on a course without terrain classes.
 
-    Where none is found (`draw_ground`), return False and repeat the soil of the patch before; the
-    first patch then has the last soil that was drawn. Arguments as of `_draw_patch`.
+    Where none is found (`draw_ground`), return False and repeat the soil of the patch before. The
+    first patch then gets the last soil that was drawn, and is not added. Arguments as in
+    `_draw_patch`.
     """
     p = course.drawn
     found, soil = draw_ground(course, load, numbers, nodes)

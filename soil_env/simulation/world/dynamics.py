@@ -164,8 +164,8 @@ def account(wheel, end, stage, drive, rig):
 
     The work is that from the present speeds to the `Motion` `end`. The stage begins at V* and ends
     at V'; d = V' - V*, and e = V* - V is the lead over the present speed. The integrator takes
-    m (d^2 - e^2)/2, and J/r^2 times the like of the rim speed. So much is missing between the work
-    of the forces and the gain of kinetic energy.
+    m (d^2 - e^2)/2, and for the rotation J/r^2 (d^2 - e^2)/2 with d and e of the rim speed. By this
+    the work of the forces exceeds the gain of kinetic energy.
     """
     r = rig.radius
     turning = wheel.wheel_speed
@@ -281,6 +281,7 @@ def drive_period(wheel, drive, course, world):
             stage = stage_of(number, h, wheel, speed_before, rim_before, rig)
             effects = world.acting.effects
             ahead = ground_ahead(wheel, stage, course, course.cells, rig.border, effects)
+            # the command at the end of the stage, where implicit Euler takes the forces
             now = at_time(drive, 1.0 - (left - stage.duration) / rig.period)
             done = solve_stage(wheel, stage, ahead, now, forced, world)
             if not done:

@@ -148,9 +148,9 @@ def capacity(load, soil, numbers, nodes):
     """Best steady drawbar pull [of `load`] of this wheel on level, fresh ground within the stall
     torque; `load` in N. `soil`: `SoilState`; `numbers`: `CourseNumbers`; `nodes`: scratch.
 
-    The point of best pull is found without a residual law, whose pull there is added. Where
-    strength or bearing depends on speed, the result is the lesser of the pulls when starting
-    (speed 0) and when driving (`spec.speed`). `IMPASSABLE`:
+    The point of best pull is found without the residual law; the pull of that law at the point is
+    added. Where strength or bearing depends on speed, the result is the lesser of the pulls when
+    starting (speed 0) and when driving (`spec.speed`). `IMPASSABLE`:
 
     - where the soil does not carry the wheel at rest;
     - where it sinks deeper than `SAFE_SINKAGE` allows, at rest or at that point;
@@ -187,9 +187,9 @@ def draw_ground(owner, load, numbers, nodes):
 
     `owner`: the record whose random stream draws; `numbers`: `CourseNumbers`; `nodes`: scratch.
 
-    Not found: none of `REDRAWS` soils does. With a least pull of -1 the last one is then taken all
-    the same, even if the wheel would be bogged at its best pull. Slopes do not count, since they
-    are drawn without looking at soils.
+    Not found: none of `REDRAWS` soils does. With a least pull of -1 the last soil then counts as
+    found, even if the wheel would be bogged at its best pull. Slopes do not count, since they are
+    drawn without looking at soils.
     """
     least = numbers.drawn.spec.least_pull
     for _ in range(REDRAWS):

@@ -28,8 +28,8 @@ def draw_classes(course, load, numbers, nodes):
 
 @compiled
 def _other_class(owner, classes, one):
-    """Random one of so many `classes`, from 0, but not the class `one`; each is as likely. There
-    are at least two.
+    """Random class from 0 to `classes` - 1 but not `one`, all others equally likely, from the
+    stream of `owner`. There are at least two classes.
     """
     other = int(uniform(owner) * (classes - 1))
     return other + 1 if other >= one else other
@@ -37,8 +37,8 @@ def _other_class(owner, classes, one):
 
 @inlined
 def _unused_class(course, p, classes):
-    """Random class for a patch p < `classes`, from the stream of the course; each of those that no
-    patch before it has on its route 0 is as likely.
+    """Random class for a patch p < `classes`, from the stream of the course, among those that no
+    patch before has on its route 0. Each of them is equally likely.
     """
     left = classes - p
     pick = int(uniform(course) * left)
@@ -71,7 +71,7 @@ def draw_routes(course, load, numbers, nodes):
 
     The first patches have one route and show each class once. On later patches the class is random.
     With `lines` = 2 they have a second route, of another class. A patch with one route has it
-    twice. The errors of the camera are drawn, too. Arguments as of `draw_classes`.
+    twice. The errors of the camera are drawn, too. Arguments as in `draw_classes`.
     """
     p = course.drawn
     spec = numbers.drawn.spec
@@ -138,8 +138,8 @@ def next_fork(wheel, course, border):
 @compiled
 def plan_halt(wheel, course, rig):
     """Move the next halt to the place of the halt before the next fork, if it would be later than
-    that or less than `rig.halt_low` [m] before. Nothing happens without such a fork, or where the
-    wheel has been at that place.
+    that or less than `rig.halt_low` [m] before. Nothing happens where there is no next fork
+    (`next_fork`), or where the wheel has been at that place.
     """
     fork = next_fork(wheel, course, rig.border)
     if fork >= 0:

@@ -54,15 +54,16 @@ FORK = record(
 )
 
 
-LEAST_PATCHES = 64  # and slopes that a course has room for
-LEAST_CELLS = 2048  # that a course has room for: 100 m, enough for any shipped scenario
+LEAST_PATCHES = 64  # [-] patches, and as many slopes, that any course has room for
+LEAST_CELLS = 2048  # [-] that any course has room for: 100 m, enough for each shipped scenario
 
 
 def course_dtype(patches: int, slopes: int, cells: int) -> np.dtype[Any]:
-    """Dtype of a course with room for at least so many patches, slopes and cells.
+    """Dtype of a course with room for at least these numbers of patches, slopes and cells.
 
-    Only the first `drawn` patches are drawn, the slopes over them, and the cells below them
-    cleared. Room is a power of two, since compiled code is compiled anew for each dtype.
+    Of a course only the first `drawn` patches and the slopes over them are drawn, and only the
+    cells below them are cleared. Room is a power of two, so that there are few dtypes: functions
+    are compiled anew for each.
     """
     patches = _room(patches, LEAST_PATCHES)
     slopes = _room(slopes, LEAST_PATCHES)
@@ -125,9 +126,9 @@ def piece_at(pieces, x, piece):
 def border_near(pieces, x, piece, border):
     """(index of a patch or slope, share of the one after it) at x [m], which is on `piece`.
 
-    Over a length of `border` [m], half of it on each side of the end of a piece, the index is that
-    piece, and the share rises smoothly from 0 to 1. Elsewhere the index is `piece` and the share 0,
-    and so at both ends of the drawn ground.
+    Within half of `border` [m] on either side of the end of a piece the index is that of this
+    piece, and the share rises smoothly from 0 to 1. Elsewhere, and at both ends of the drawn
+    ground, the index is `piece` and the share 0.
     """
     here = pieces[piece]
     at_end = x - here.start > here.end - x

@@ -115,7 +115,7 @@ RIG = record(
     "width",  # [m]
     "grouser_height",  # [m]
     "shear_ratio",  # [-] radius at which soil is sheared, over that of the contact
-    "rim_ratio",  # [-] that radius over the rim's
+    "rim_ratio",  # [-] radius at which soil is sheared, over that of the rim
     "tyre_deflection",  # [m] at any load
     "tyre_compliance",  # [m/N]
     "grip",  # [-] friction between tread and ground, 0: no such limit
@@ -170,7 +170,7 @@ class Ground(NamedTuple):
 class Ahead(NamedTuple):
     """Ground under the middle of the way of a wheel in a stage, before the wheel passes it."""
 
-    soil: SoilState  # stiffened by earlier passes, but for the effect multipass (`in_rut`)
+    soil: SoilState  # stiffened by earlier passes, unless the effect multipass does that (`in_rut`)
     grade: float  # [rad]
     passes: float  # 1 = fresh soil
     rolled: float  # [m] depth of the wheel's own rut (`rut_at`)
@@ -407,7 +407,7 @@ def end_period(wheel, x_start, owner, rig):
 
     A halt begins where x reaches `next_halt`. The place of the halt after it is then drawn from the
     random stream of `owner`, `rig.halt_low` to `rig.halt_high` [m] further. In a halt its time left
-    falls by a period, to 0 at least. A rest that is due to rounding is none.
+    falls by a period; what is left then counts as 0 if it is at most `ROUNDING` periods.
     """
     wheel.travel = wheel.x - x_start
     wheel.steps += 1
