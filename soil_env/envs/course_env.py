@@ -121,7 +121,7 @@ def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
         ) from None
     if a.shape != shape:
         raise ValueError(f"{what}: expected shape {shape}, got {a.shape}")
-    if a.size == 1 and -1.0 <= a.item() <= 1.0:
+    if a.size == 1 and -1.0 <= a.item() <= 1.0:  # of one wheel: saves the checks below
         return a
     finite = np.isfinite(a)
     if not finite.all():
@@ -233,7 +233,7 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
         if seed is not None or not self._seeded:
             self.simulation.seed(0, self.np_random)
             self._seeded = True
-        self._over = True  # where no course can be laid
+        self._over = True  # and stays so where no course is found, which raises here
         self.simulation.restart(0)
         self._over = False
         self.infos.mark_stale(_ONLY)
@@ -249,7 +249,8 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
         """Drive as long as an action lasts.
 
         Returns (observation [D] float32, reward, terminated, False, info). Raises ResetNeeded
-        before a reset and after the end of the episode, ValueError for an action as `actions_of`.
+        before a reset and after the end of the episode, ValueError for an action that `actions_of`
+        refuses.
         """
         if self._over:
             raise gymnasium.error.ResetNeeded(
@@ -279,7 +280,9 @@ class CourseEnv(_Common, gymnasium.Env[NDArray[Any], ArrayLike]):
         return self._view().draw(self.simulation)
 
     def _need_course(self, method: str) -> None:
-        """ResetNeeded, by `method` of the environment, where no reset has drawn a course yet."""
+        """Raise ResetNeeded where no reset has drawn a course yet; the message names the `method`
+        that needs one.
+        """
         if not self._seeded:
             raise gymnasium.error.ResetNeeded(f"{method}() before reset()")
 
@@ -374,7 +377,7 @@ class CourseVectorEnv(
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(actions, self.num_envs)
         self._shape = (self.num_envs, *actions.shape)
-        # [control periods] of all steps before the one that truncates an episode: exceeded in that
+        # [control periods] of an episode that has one step left: it is truncated beyond them
         self._longest = np.inf
         if self._most_steps is not None:
             self._longest = (self._most_steps - 1) * self.scenario.control.action_periods
@@ -388,8 +391,8 @@ class CourseVectorEnv(
         """Reset all courses, or those of `options["reset_mask"]` [N] bool.
 
         A `seed` (`_seeds`) of a course that is not reset counts in the first call only. Returns
-        (observations [N, D] float32, info) of all courses. Raises ValueError for other options and
-        other seeds.
+        (observations [N, D] float32, info) of all courses. Raises ValueError for any other option,
+        and as `_seeds`.
         """
         mask = self._mask(options)
         for k, own in enumerate(self._seeds(seed)):
@@ -397,7 +400,7 @@ class CourseVectorEnv(
             if not self._seeded or (own is not None and mask[k]):
                 self.simulation.seed(k, gymnasium.utils.seeding.np_random(own)[0])
         self._seeded = True
-        self._done[mask] = True  # where no course can be laid
+        self._done[mask] = True  # and stays so where no course is found, which raises here
         self.simulation.restart_where(mask)
         self._done[mask] = False
         self.infos.mark_stale(mask)
@@ -459,8 +462,8 @@ class CourseVectorEnv(
 
         A course that has ended is reset in this step or the next, or refused, as `autoreset_mode`
         says. Returns (observations [N, D] float32, rewards, terminations, truncations, each [N],
-        info). Raises ResetNeeded before a reset and for a refused course, ValueError for actions as
-        `actions_of`.
+        info). Raises ResetNeeded before a reset and for a refused course, ValueError for actions
+        that `actions_of` refuses.
         """
         if not self._seeded:
             raise gymnasium.error.ResetNeeded("step() before reset()")
@@ -470,7 +473,7 @@ class CourseVectorEnv(
             raise gymnasium.error.ResetNeeded(
                 "a course has ended: reset(options={'reset_mask': ...}) it first"
             )
-        # as orders False is STEP and True RESTART
+        # bools as orders: False is STEP, and True, for a course that has ended, is RESTART
         self.simulation.step_all(commands, self._done.view(np.int8))
         self.infos.after_step(self._done)
         terminated = worlds.cause != _RUNNING

@@ -86,8 +86,8 @@ def _numbers(info: Mapping[str, Any]) -> dict[str, np.number]:
 
 
 def _whole(info: Mapping[str, np.ndarray]) -> Info:
-    """Arrays of a flat info with causes and statuses as int64, as of one vehicle. Truth values stay
-    masks.
+    """Arrays of a flat info with causes and statuses as int64, the type that `_numbers` gives them.
+    Arrays of truth values stay bool, to serve as masks.
     """
     return {
         name: values if values.dtype.kind in "fb" else values.astype(np.int64)
@@ -200,7 +200,9 @@ class Infos(VehicleInfos):
         return info if self.kind != "numeric" else _numbers(flat(info))
 
     def _foreseen(self, worlds: Any, rows: np.ndarray) -> np.ndarray:
-        """Probabilities [n, 2] of immobilisation within `HORIZONS` of the wheels `rows` [n]."""
+        """Probabilities [n, 2] of immobilisation of the wheels `rows` [n], within each of
+        `identification.published.HORIZONS`.
+        """
         ids = worlds.ids
         return self._foresight.assess(rows, worlds.recent, ids.estimate, ids.sd).probabilities
 
@@ -208,7 +210,7 @@ class Infos(VehicleInfos):
         """Traversability of all wheels, [wheels, 6] in the order of `Traversability`.
 
         Those of `rows` [n] that are out of date are computed anew first; others may stay out of
-        date. The array is kept: callers copy what they hand on.
+        date. The array is that of this object: callers copy what they return.
         """
         rows = rows[self._stale[rows]]
         if rows.size:
@@ -247,10 +249,11 @@ def estimates(known: Any, scenario: Scenario) -> dict[str, np.ndarray]:
 
 
 def masked(info: Info, which: np.ndarray) -> Info:
-    """An info of arrays [vehicles] or dicts of them, as Gymnasium's vector environments give one of
-    some of their members.
+    """The part of an info that belongs to the vehicles `which` [vehicles] bool, in the form of
+    Gymnasium's vector environments.
 
-    It is 0 where `which` [vehicles] bool is False, and has `which` beside each key, as `_key`.
+    `info`: arrays [vehicles] or dicts of them. Values are 0 where `which` is False, and beside each
+    key stands a copy of `which` as `_key`.
     """
     out: Info = {}
     for key, value in info.items():

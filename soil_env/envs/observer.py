@@ -247,10 +247,11 @@ class Observer:
         self._board.update(world, np.array([order]), 0, 1)
 
     def _set_period(self, period: float) -> None:
-        """Set the `period` [s] since the last readings where an observation depends on it:
-        identifier, averages for the warning, odometry, and the step of a commanded rim speed.
+        """Set the `period` [s] since the last readings in all that depends on it: identifier,
+        averages for the warning, odometry, and the step of a commanded rim speed.
         """
         board = self._board.setting
+        # all of them were set together
         if board["identifier"]["period"][0, 0] == period:
             return
         board["identifier"]["period"] = period

@@ -30,7 +30,9 @@ class RoverInfos(VehicleInfos):
         return _one_of(self.many(), j, self.kind in NESTED)
 
     def after_step(self, reset: np.ndarray) -> None:
-        """Nothing to do after a step: estimates are taken as they are."""
+        """Do nothing: there is no traversability to renew, as `Infos.after_step` has, and estimates
+        are read when an info is asked for.
+        """
 
     mark_stale = after_step
 

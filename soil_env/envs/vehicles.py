@@ -29,8 +29,8 @@ def processors() -> int:
 
 @cache
 def _pool(threads: int, process: int) -> ThreadPoolExecutor:
-    """Pool of so many threads, one for each `process` id: a forked process has none of the threads
-    of its parent, so it makes a pool of its own.
+    """Pool of `threads` threads, one pool for each `process` id: a forked process has none of the
+    threads of its parent, so it makes a pool of its own.
     """
     return ThreadPoolExecutor(threads, "soil_env")
 
@@ -121,7 +121,7 @@ class Vehicles:
         return OnBoard(self.count, self.scenario, shown, warns)
 
     def _view(self) -> None:
-        """Make the views of the arrays.
+        """Make the views of the arrays (`VIEWS`).
 
         A copy calls it again, since copied views would be arrays of their own.
         """

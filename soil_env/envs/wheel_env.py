@@ -58,9 +58,11 @@ def build_scenario(
 def observation_space(
     variant: str, course: CourseSpec | None = None, scaled: bool = True
 ) -> gymnasium.spaces.Box:
-    """Box of the observation variant, float32, on such a `course`; None is one without terrain
-    classes. Bounds are those of scaled observations, or in units if not `scaled`. ParameterError
-    for an unknown variant.
+    """Box [D] of an observation `variant`, float32, on courses of a `CourseSpec`; None stands for
+    those without terrain classes.
+
+    Bounds are those of scaled observations, or in the units of the layout if not `scaled`.
+    ParameterError for an unknown variant.
     """
     return Scaling(layout(variant, course), scaled).space
 

@@ -54,7 +54,7 @@ def with_model(
             f"the wheel carries {scenario.weight:.4g} N, and the model was fitted to loads of "
             f"{low:.4g} to {high:.4g} N: expected {wanted} or so",
             OutsideValidity,
-            stacklevel=4,
+            stacklevel=4,  # of the call of the environment's class
         )
     if scatter:
         return scenario

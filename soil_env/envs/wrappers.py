@@ -37,7 +37,7 @@ class LineAction(gymnasium.ActionWrapper, gymnasium.utils.RecordConstructorArgs)
 
     def action(self, action: ArrayLike) -> NDArray[np.float64]:
         """The number that counts now, as the action [1] of the plain environment, cut to [-1, 1];
-        ValueError as of `actions_of`.
+        ValueError for an action that `actions_of` refuses.
         """
         drive, route = np.split(actions_of(action, (2,)), 2)
         choosing = self._inner.simulation.worlds.observation[0, self._choice] > 0.5
