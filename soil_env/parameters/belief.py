@@ -36,8 +36,8 @@ class Belief(Checked):
     count then: the gain is estimated relative to `dig_gain`, S is stated at `sinkage_exponent`.
 
     `dig_recovery` and `rim_flow` to `shear_length` have one value for all soils, those of a library
-    included; by default it is that of the presets of loose ground. With `method` "none" nothing is
-    identified and nothing of the observation may ask for it: a step costs about half.
+    included. Their defaults are the values of the presets of loose ground. With `method` "none"
+    nothing is identified, and nothing of the observation may ask for it: a step costs about half.
     """
 
     friction_angle_deg: float = quantity("deg", 1.0, 60.0, default=30.0)
@@ -100,7 +100,7 @@ def refuse_idle_prior(belief: Keys, where: str, changes: Iterable[str] = ()) -> 
 
     A mapping saved from a `Belief` has all fields, so a number that is its default passes. In
     `changes`, the names that a user gave, it does not. The message begins with `where` and names
-    the first such number.
+    the first of the refused numbers.
     """
     idle = [
         name

@@ -87,8 +87,11 @@ class CourseSpec(Checked):
             self._check_lines()
 
     def _check_lines(self) -> None:
-        """Raise `FieldError` where two routes have fewer than two classes, no halts to choose one
-        in, or no place for such a halt.
+        """Raise `FieldError` where two routes have fewer than two classes, or no halts to choose a
+        route in.
+
+        Raise it also where `halt_before` is not within the shortest patch, a border away from each
+        of its ends.
         """
         if self.classes < 2:
             raise FieldError(

@@ -56,8 +56,8 @@ class Shown(NamedTuple):
 class Stepped(NamedTuple):
     """Records of vehicles as a step of the world has left them."""
 
-    state: np.ndarray  # [vehicles]
-    samples: np.ndarray  # [vehicles, axles, control periods]
+    state: np.ndarray  # [vehicles] `WHEEL` or `ROVER` of `simulation`
+    samples: np.ndarray  # [vehicles, axles, control periods] `SAMPLE`, readings and image
     observation: np.ndarray  # [vehicles, D] float32
 
 

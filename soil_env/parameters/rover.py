@@ -70,9 +70,9 @@ def load_rover(
     """A rover's scenario by name, by path of a YAML file, as a mapping or as it is, with `changes`
     merged over it.
 
-    As `load_scenario`, with the key `vehicle`. The mass on a wheel follows from the vehicle's mass
-    and is refused in `changes`. Raises `ParameterError` with one line for anything unknown or out
-    of range.
+    As `load_scenario`, with the key `vehicle`. The mass on a wheel follows from the vehicle's mass:
+    in `changes` it is refused, in a file or mapping it is replaced. Raises `ParameterError` with
+    one line for anything unknown or out of range.
     """
     wheel = changes.get("wheel") if isinstance(changes, dict) else None
     if isinstance(wheel, dict) and "body_mass" in wheel:

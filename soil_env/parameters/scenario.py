@@ -60,10 +60,10 @@ class Scenario(Checked):
     control: Control = Control()
 
     def _check_together(self) -> None:
-        """Raise `ParameterError` for soils that `library` does not have, weights out of range or
-        all 0, moduli that give no S > 0 here, and a reward of information without an identifier.
+        """Raise `ParameterError` for soils that `library` does not have, for their weights, for
+        moduli that give no S > 0 here, and for a reward of information without an identifier.
 
-        A weight is in [0, `_HEAVIEST`], in `belief.soils` above 0.
+        A weight is in [0, `_HEAVIEST`], in `belief.soils` above 0; those of `soils` are not all 0.
         """
         if not self.soils:
             raise ParameterError("soils: expected at least one soil name with its weight")
@@ -319,5 +319,5 @@ def _plain(value: Any) -> Any:
 
 
 def _mapping(value: Any) -> Keys:
-    """The value if it is a mapping, else an empty one: `load` refuses such a value later."""
+    """The value if it is a mapping, else an empty one: `load` refuses any other value later."""
     return value if isinstance(value, dict) else {}

@@ -53,7 +53,7 @@ FLOW_LAW = ("rim_flow", "braked_peak", "shear_growth", "shear_length")
 def lumped_coefficient(k_c: float, k_phi: float, width: float) -> float:
     """S = k_c/b + k_phi [N/m^(n+2)] for a wheel of width b [m] (Bekker).
 
-    Raises `ParameterError` if it is not positive.
+    Raises `ParameterError` if S or the width is not positive.
     """
     s = k_c / width + k_phi if width > 0.0 else math.nan
     if not s > 0.0:
@@ -200,7 +200,8 @@ class Soil(Checked):
         """The soil with the Mohr-Coulomb line that touches its strength at a normal stress [Pa].
 
         Where the strength is straight there, it is the soil itself. The friction angle of the line
-        is at most `_STEEPEST_LINE`.
+        is at most `_STEEPEST_LINE`. Raises `ParameterError` for a negative stress, and for 0 where
+        the strength is curved.
         """
         if stress >= self.reference_stress:
             return self
@@ -228,7 +229,8 @@ class Soil(Checked):
         soil = self.at(gravity)
         if soil.reference_stress > 0.0:
             s = soil.lumped(width)
-            length = math.sqrt(2.0 * radius)
+            length = math.sqrt(2.0 * radius)  # [m^0.5] of the plate, over sqrt(z)
+            # [m] where S z^n bears the load on that plate
             z = (load / (width * length * s)) ** (1.0 / (soil.sinkage_exponent + 0.5))
             soil = soil.line_at(_FELT * load / (width * length * math.sqrt(min(z, radius))))
         return soil.state(width)
@@ -281,14 +283,18 @@ class Soil(Checked):
 
 
 def _positive(**given: float) -> None:
-    """Raise `ParameterError` for a number by name that is not finite and above 0."""
+    """Raise `ParameterError`, with the name, for any of the `given` numbers that is not finite and
+    above 0.
+    """
     for name, value in given.items():
         if not 0.0 < number(float, value, name) < math.inf:
             raise ParameterError(f"{name} = {value:g}: expected a finite number > 0")
 
 
 def correlation(default: float, doc: str = "") -> Any:
-    """Field of a class for `correlation_factor`: the correlation of two numbers."""
+    """Field of a dataclass for the correlation of two numbers, within -0.99 and 0.99, which
+    `correlation_factor` reads.
+    """
     return quantity("", -0.99, 0.99, default=default, doc=doc)
 
 

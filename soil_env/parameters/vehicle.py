@@ -35,7 +35,10 @@ class Vehicle(Checked):
 
     def _check_together(self) -> None:
         """Raise `FieldError` unless there are two axles without a bogie or three with one, in order
-        from 0, the pivot between the axles of the bogie, and no share below `LEAST_SHARE`.
+        from 0.
+
+        Raise it also for a pivot that is not between the axles of the bogie, and where an axle
+        carries less than `LEAST_SHARE`.
         """
         count = len(self.axles)
         given = f" = {self.axles!r}"

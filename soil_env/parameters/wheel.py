@@ -145,7 +145,8 @@ class Wheel(Checked, OnTyre):
         if mass is _LEFT_OUT:
             mass = usual.body_mass * self.radius * self.width / (usual.radius * usual.width)
         fitted = geared(replace(usual, width=self.width), self.radius)
-        heavier = mass / usual.body_mass if _positive(mass) else 1.0  # such a mass is refused later
+        # a wrong mass is refused later
+        heavier = mass / usual.body_mass if _positive(mass) else 1.0
         found = {
             "body_mass": mass,
             "inertia": heavier * fitted.inertia,
