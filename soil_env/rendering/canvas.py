@@ -107,7 +107,9 @@ class Canvas:
         self._draw.circle(self._large, colour, self._at(centre), 2.0 * radius, thickness)
 
     def arrow(self, tail: Point, head: Point, colour: Colour, width: float) -> None:
-        """A line from `tail` to the tip `head`; nothing where it is shorter than `_SHORTEST`."""
+        """An arrow from `tail` to the tip `head`, with a line of a `width`; nothing where it is
+        shorter than `_SHORTEST`.
+        """
         along = np.subtract(head, tail)
         length = math.hypot(*along)
         if length >= _SHORTEST:

@@ -127,7 +127,7 @@ def _in_shown_units(values: np.ndarray, i: int) -> np.ndarray:
 
 
 def ticks(low: float, high: float, most: int) -> list[float]:
-    """Round values in [low, high] for an axis, about `most` of them at most."""
+    """Round values in [low, high] for an axis, with at most about `most` intervals between them."""
     values = MaxNLocator(most, steps=(1, 2, 5, 10)).tick_values(low, high)
     return [float(v) for v in values if low - _ROUNDING <= v <= high + _ROUNDING]
 

@@ -17,7 +17,7 @@ from .charts import ticks
 COURSE = (32, 448, 512, 66)
 _SPREADS = 2.0  # standard deviations of the friction angle beside the presets that colours span
 _LEAST_SPREAD = 0.02  # [of the angle] added, so that a single soil has a span of colours, too
-_POLE = 156  # [px] height of the flag's top, above the wheel
+_POLE = 156  # [px] of the flag's top above its foot: higher than the wheels
 _BELOW_EDGE = 40  # [px] of the flag's top below the edge of the scene, at least
 _TALL = 0.6  # [of the strip] that the heights of a course fill at most
 _MAGNIFIED = 3.0  # most that heights are stretched over lengths
@@ -54,9 +54,9 @@ def profile_of(courses: np.ndarray, border: float, before: float, beyond: float)
     grade = places["grade"]
     friction = np.degrees(np.arctan(places["tan_phi"]))
 
-    def from_start(slope):
-        """Integral of `slope` [points] along the course (trapezoids), 0 at its start."""
-        total = cumulative_trapezoid(slope, x, initial=0.0)
+    def from_start(rate):
+        """Integral of `rate` [points] along the course (trapezoids), 0 at its start."""
+        total = cumulative_trapezoid(rate, x, initial=0.0)
         return total - np.interp(0.0, x, total)
 
     return Profile(x, from_start(np.cos(grade)), from_start(np.sin(grade)), friction)

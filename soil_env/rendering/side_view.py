@@ -65,13 +65,13 @@ def shown_wheels(simulation: Any) -> list[State]:
     state = worlds.state[0]
     if isinstance(scenario, RoverScenario):
         known = worlds.known
-        own: Any = 0  # rows [axles, ...] of `known`
+        own: Any = 0  # index in arrays of `known` that leaves rows [axles, ...]
         names = axle_names(scenario.axles)
         records = state["wheels"]  # rows for the most axles that a rover has
         ruts = state.axles["floor"].tolist()
     else:
         known = worlds.ids
-        own = [0]  # rows [1, ...] of `known`
+        own = [0]  # the same for rows [1, ...]
         names = ("wheel",)
         records = [state]
         ruts = [0.0]
@@ -154,7 +154,9 @@ def posture_of(v: Vehicle, hubs: np.ndarray, pitch: float) -> Posture:
 
 
 def width_of(simulation: Any) -> float:
-    """Width of the side view [m]: `_WIDTH` times a rover, at least `_LEAST_WIDTH` wheel radii."""
+    """Width of the side view [m]: `_WIDTH` times the vehicle's length from rim to rim, at least
+    `_LEAST_WIDTH` wheel radii.
+    """
     r = simulation.scenario.wheel.radius
     vehicle = getattr(simulation.scenario, "vehicle", None)
     return max(_WIDTH * ((vehicle.base if vehicle else 0.0) + 2.0 * r), _LEAST_WIDTH * r)
@@ -296,7 +298,7 @@ def _words(member: Enum) -> str:
 
 def draw_table(c: Canvas, wheels: list[State], bounds: tuple[float, float]) -> None:
     """Draw the table of the `shown_wheels` below the side view: state, rut, true soil, and status
-    of the estimate, "none" where nothing is identified. `bounds` as of `draw_side_view`.
+    of the estimate, "none" where nothing is identified. `bounds` as in `draw_side_view`.
     """
     heads = "wheel", "slip", "sinkage", "rut", "load", "pull", "torque", "soil under it", "estimate"
     _write_row(c, 364, heads, GREY, 402)

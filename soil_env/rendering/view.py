@@ -44,11 +44,11 @@ class CourseView:
         self._angles = 0.0
 
     def record(self, simulation: Any) -> None:
-        """Turn the wheels by the time of an action at their present speeds, 0 after a reset, and
-        add the state of the vehicle to the history.
+        """Turn the wheels in the picture as far as their present speeds turn them in an action, and
+        add the state of the vehicle to the history. After a reset the speeds are 0.
 
-        Only every `_every`-th state is added, so that `_POINTS` intervals cover the charts. That of
-        an episode which ends within an action is not.
+        Only every `_every`-th state is added, so that `_POINTS` intervals cover the charts. The
+        last state of an episode that ends in the middle of an action is left out.
         """
         steps = simulation.steps[0]
         wheels = shown_wheels(simulation)

@@ -69,8 +69,8 @@ def _stresses(nodes, wheel, soil, angle, normal, shear):
     arc = contact.smooth_arc(wheel.sinkage, r, contact.braked_shift(wheel.braked, soil))
     footing = lay_footing(nodes[0], arc, soil, wheel.load)
     force = soil_reaction(nodes[0], footing, wheel.speed, wheel.rim_speed, wheel, None)
-    # Speeds of rim and travel over about that of the rim; soil that is carried along adds to the
-    # rim's, as in `soil_reaction`.
+    # Speeds of rim and travel, both over about the speed of the rim. Soil that is carried along the
+    # rim adds to the first, as in `soil_reaction`.
     rim, travel, _ = contact.motion_from_speeds(wheel.rim_speed, wheel.speed, REST_SPEED)
     rim += carried_along(footing, wheel.speed, wheel.rim_speed)[0] * travel
     theta1 = arc.theta1
