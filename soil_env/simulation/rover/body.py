@@ -103,8 +103,8 @@ def _two_loads(together, moment, arm, other_arm, least):
 
 @compiled_finite
 def _moment(force, height):
-    """Moment [N m], front up, of the pull and the torque of a wheel about a point so high [m] above
-    its axle. `force` has `torque` [N m] and `drawbar_pull` [N].
+    """Moment [N m], front up, of the pull and the torque of a wheel about a point that is `height`
+    [m] above its axle. `force` has `torque` [N m] and `drawbar_pull` [N].
     """
     return force.torque + height * force.drawbar_pull
 

@@ -262,9 +262,9 @@ class ThreadRecords(NamedTuple):
 def _sense(rover, readings, period, records):
     """Read the sensors of a rover at the end of a control period.
 
-    Fill the readings in the column `period` of `readings` [axles, periods], `SAMPLE`, whose halted
-    and image stay 0. Those of the body are the same for all axles, and are there before the
-    slip follows from the speeds. `records`: `ThreadRecords`, here and below.
+    Fill the readings in the column `period` of `readings` [axles, periods], `SAMPLE`, whose
+    `halted` and image stay 0. The readings of the body take the place of those of each wheel,
+    before the slip follows from the speeds. `records`: `ThreadRecords`, here and below.
     """
     task = records.task
     body = records.body

@@ -32,7 +32,7 @@ DISTRIBUTION = record(
     "label_error",  # [-] share of the labels that a camera has wrong
     "grade_noise",  # [rad] 1-sigma, of a camera
     "border_noise",  # [m] 1-sigma, of a camera
-    "ahead",  # [m] final ground before a wheel: more than it travels in an action
+    "ahead",  # [m] of final ground ahead of a wheel: more than it travels in an action
     "body_mass",  # [kg]
     "stall_torque",  # [N m]
     "bogged_sinkage",  # [m] at which an episode ends
@@ -91,9 +91,9 @@ def draw_soil(owner, drawn):
 
 @compiled
 def scattered(mean, share, owner, spec):
-    """Random soil about `mean`, with a `share` of the variations of `SoilSpread`, which are cut at
-    `CUT`. Friction angle and exponent scatter normally, the others log-normally; the angle is at
-    most `STEEPEST_FRICTION`.
+    """Random soil about `mean` from the stream of `owner`, with a `share` of the variations of
+    `SoilSpread` and deviations cut at `CUT`. Friction angle and exponent scatter normally, the
+    others log-normally; the angle is at most `STEEPEST_FRICTION`.
 
     Stiffness is the pressure at `reference_sinkage`, so a change of the exponent turns the curve
     about that point. Recovery and the fields after it stay. Rows of `factor` and entries of

@@ -46,7 +46,7 @@ ROUTE = record(
 )
 #: What the routes over a patch share. A patch with one route has it twice.
 FORK = record(
-    "halt",  # [m] place of the halt before a patch with two routes, from its beginning
+    "halt",  # [m] place of the halt before a patch with two routes, < 0: the patch begins at 0
     "border_error",  # [m] of where a camera sees the beginning of the patch
     "grade",  # [rad] steepest slope on the patch
     routes=("i8",),

@@ -62,7 +62,7 @@ WHEEL = record(
     "grade",  # [rad] at the wheel
     # sinkage, rut and pile
     "best_x",  # [m] furthest x so far: ground beyond it is fresh
-    "lowest_x",  # [m] least x so far: ground before it is fresh
+    "lowest_x",  # [m] least x so far: ground behind it is fresh
     "sinking",  # dz/dt [m/s] in the last stage
     # [of the travel] sliding at which a steady pile would be as large as the present one; > 0: the
     # pile is on the side of larger x
