@@ -275,10 +275,10 @@ def _check_kind(mapping: Keys, changes: Keys, folder: str, where: str) -> None:
 def _merged(mapping: Keys, changes: Keys, where: str) -> Keys:
     """The mapping of a scenario with `changes` over it, and a preset of its wheel by its values.
 
-    `soils` in the changes replace the whole mixture, and without those of weight 0 also the library
-    of the belief, where the two were equal; `belief.soils` there replace the whole library. A wheel
-    in the changes that is no mapping, or that names a `preset`, replaces the whole wheel.
-    Neither argument is modified.
+    `soils` in the changes replace the whole mixture. They also replace the library of the belief,
+    without soils of weight 0, where that was equal to the mixture. `belief.soils` in the changes
+    replace the whole library. A wheel in the changes that is no mapping, or that names a `preset`,
+    replaces the whole wheel. Neither argument is modified.
     """
     mapping = {key: _plain(value) for key, value in mapping.items()}
     changes = dict(changes)
