@@ -327,6 +327,9 @@ class CourseVectorEnv(
     """Base of the environments of many courses; a subclass sets `scenario`, `simulation` and
     `infos`, and calls `_set_spaces`.
 
+    An episode is truncated after `max_episode_steps` steps, with None never. `threads` is only
+    checked here: it is for the `simulation`.
+
     Raises ParameterError for a count that is no whole number >= 1, any `render_mode`, and an
     unknown `autoreset_mode`.
     """

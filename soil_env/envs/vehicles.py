@@ -238,7 +238,9 @@ class Vehicles:
         laid = np.any(courses != IDLE)
 
         def run_chunk(number: int) -> int:
-            """Follow the orders of a chunk; return for how many vehicles no soil was found."""
+            """Follow the orders of the chunk of this `number`, from 0; return for how many vehicles
+            no soil was found.
+            """
             first = number * self._chunk
             end = min(first + self._chunk, self.count)
             scratch = self._scratch[number]

@@ -178,8 +178,8 @@ def foresee(rover, equation, world):
 def _begin(rover, equation, weight, world):
     """First V to try in a stage [m/s]; `trial` gets the rim speeds to try, `feet` the axle loads.
 
-    The speeds are the foreseen ones where all foreseen changes are a `SHORT` way, else the present
-    ones. The loads balance the forces foreseen there, or those of the last stage.
+    The speeds are the foreseen ones where no foreseen change is more than `SHORT` of the rim speed,
+    else the present ones. The loads balance the forces foreseen there, or those of the last stage.
     """
     s = world.suspension
     found = world.stage.found

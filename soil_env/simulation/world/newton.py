@@ -122,9 +122,9 @@ def solve_speeds(wheel, stage, footing, along, drive, world, extra):
     """`Motion` at the end of a stage, by Newton's method; a step that does not reduce the residual
     is shortened.
 
-    The first try is the foreseen speeds where they are a `SHORT` way off, else the present ones.
-    Once the residual is predicted to fall far below the tolerance, the last step is taken with the
-    reaction to first order, without another evaluation.
+    The first try is the foreseen speeds where no foreseen change is more than `SHORT` of the rim
+    speed, else the present ones. Once the residual is predicted to fall far below the tolerance,
+    the last step is taken with the reaction to first order, without another evaluation.
 
     Not converged: `PASSES` evaluations were not enough, or no shorter step reduces a residual that
     is not `near_enough`. The motion is then the best one found. `along` [N]: the weight along the
