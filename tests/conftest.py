@@ -42,26 +42,25 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection():
-    """What is collected stays: the garbage collector does not look through it."""
+    """Switch the garbage collector off during collection: what is collected stays in use."""
     gc.disable()
 
 
 def pytest_collection_finish():
+    """Exempt what was collected from garbage collection for good, and switch the collector on."""
     gc.freeze()
     gc.enable()
 
 
 @pytest.fixture()
 def importable(monkeypatch):
-    """Processes started from here find the packages and the tests, from any folder."""
+    """Let processes started by a test import the packages and the tests, from any folder."""
     monkeypatch.setenv("PYTHONPATH", PYTHONPATH)
 
 
 @pytest.fixture()
 def unrendered(monkeypatch):
-    """Figures are composed but not drawn, which takes longer than what many a small study
-    computes.
-    """
+    """Let figures be composed but not drawn: drawing can take longer than the computation."""
     from matplotlib.figure import Figure
 
     monkeypatch.setattr(Figure, "draw", lambda figure, renderer: None)

@@ -73,10 +73,12 @@ def draw_case(choices: Random, most_substeps: int = 60) -> Case:
 
 
 def _log(choices: Random, low: float, high: float) -> float:
+    """Draw a number in [low, high] whose logarithm is uniform; low > 0."""
     return min(max(math.exp(choices.number(math.log(low), math.log(high))), low), high)
 
 
 def _pair(choices: Random, low: float, high: float) -> list[float]:
+    """Draw two numbers in [low, high], the smaller first."""
     return sorted(choices.number(low, high) for _ in range(2))
 
 
@@ -90,12 +92,15 @@ def _within(c: Random, f: dataclasses.Field) -> float:
 
 
 def _half(c: Random, cls: type, leave: tuple[str, ...] = ()) -> dict[str, float]:
-    """About half of the parameters of a class that have bounds, each anywhere within them."""
+    """Draw about half of the parameters of a class that have bounds, each within its bounds; those
+    named in `leave` are left out.
+    """
     bounded = [f for f in dataclasses.fields(cls) if "low" in f.metadata and f.name not in leave]
     return {f.name: _within(c, f) for f in bounded if c.pick([True, False])}
 
 
 def _scenario(c: Random, most_substeps: int) -> dict:
+    """Draw the changes of a scenario, as `load_scenario` takes them, in SI units."""
     gravity = c.pick([9.81, 9.81, 3.71, 1.62, _log(c, 0.1, 30.0)])
     out: dict = {"gravity": gravity, "relaxation": _log(c, 0.05, 50.0)}
     wheel = _wheel(c, gravity)
@@ -139,7 +144,7 @@ def _belief(c: Random) -> dict:
 
 
 def _wheel(c: Random, gravity: float):
-    """Return the name of a preset, a wheel of any size, or None for that of the scenario."""
+    """Draw a preset (its name), a wheel of any size (SI units), or None: the scenario's own."""
     kind = c.pick(["scenario", "preset", "any", "any"])
     if kind == "scenario":
         return None
@@ -153,6 +158,7 @@ def _wheel(c: Random, gravity: float):
         "radius": radius,
         "width": width,
         "body_mass": mass,
+        # at least 0.02 mass radius^2 is asked for (`parameters.wheel.LEAST_INERTIA`)
         "inertia": min(max(mass * radius**2 * _log(c, 0.0201, 10.0), 1e-6), 1e5),
         "stall_torque": min(max(mass * gravity * radius * _log(c, 0.1, 10.0), 1e-3), 1e6),
         "no_load_speed": min(max(_log(c, 0.02, 10.0) / radius, 1e-3), 1e3),
@@ -160,6 +166,9 @@ def _wheel(c: Random, gravity: float):
 
 
 def _course(c: Random) -> dict:
+    """Draw a `CourseSpec` as a mapping: lengths [m], grades [deg], times [s]; the border is at most
+    as long as the shortest patch.
+    """
     length = c.pick([2.0, 10.0, _log(c, 1.0, 60.0)])
     shortest = _log(c, 0.2, 10.0)
     course = {
@@ -180,6 +189,7 @@ def _course(c: Random) -> dict:
 
 
 def _noise(c: Random) -> dict:
+    """Draw changes of `Noise`: {}, no noise at all, or each number up to 0.01 or its bound."""
     high = {f.name: f.metadata["high"] for f in dataclasses.fields(Noise)}
     kind = c.pick(["default", "none", "small", "any"])
     if kind == "default":
@@ -190,8 +200,9 @@ def _noise(c: Random) -> dict:
 
 
 def _model(c: Random, scenario: Scenario) -> WheelSoilModel:
-    """One to four effects with parameters of the size of their prior, or anywhere in their
-    bounds.
+    """Draw a model of one to four effects, with parameters of the size of their prior or anywhere
+    in their bounds. It may have lugs, a soil and residual terms; wheel and gravity are those of the
+    scenario.
     """
     w = scenario.wheel
     wide = c.pick([False, False, False, True])
@@ -263,7 +274,10 @@ _WORDS = (b"\0" * 4, b"\xff" * 4, b"\xff\xff\xff\x7f", b"\0\0\0\x80", b"\xff" * 
 
 
 def damaged(content: bytes, rng: np.random.Generator) -> bytes:
-    """A file with one to three faults: of bytes, lines, numbers, or its length."""
+    """Return the content of a file with one to three faults: of bytes, lines, numbers or length.
+
+    A fault may change nothing, as that of a number in a file without one.
+    """
     for _ in range(int(rng.integers(1, 4))):
         at = int(rng.integers(len(content) + 1))
         end = min(len(content), at + int(rng.integers(1, 40)))
@@ -274,7 +288,7 @@ def damaged(content: bytes, rng: np.random.Generator) -> bytes:
             content = content[:at]
         elif kind == 2:
             content = content[:at] + content[end:]
-        elif kind == 3:
+        elif kind == 3:  # some bytes twice
             content = content[:end] + content[at:]
         elif kind in (4, 5):  # a line that is missing, or twice there
             lines = content.splitlines(keepends=True)
@@ -291,7 +305,11 @@ def damaged(content: bytes, rng: np.random.Generator) -> bytes:
 
 
 def damaged_zip(content: bytes, rng: np.random.Generator) -> bytes:
-    """A zip with a damaged member, or one that is damaged itself, which its checksums show."""
+    """Return the bytes of a zip that has one damaged member, or, in three of ten cases, is damaged
+    itself.
+
+    A damaged member has a valid checksum, so that it comes as far as its own reader.
+    """
     if rng.random() < 0.3:
         return damaged(content, rng)
     with zipfile.ZipFile(io.BytesIO(content)) as old:

@@ -19,8 +19,8 @@ def refused(action, *parts):
 
 
 def refused_command(capsys, program, run, *arguments):
-    """(stdout, stderr) of a command that ends with status 2 and one line on stderr, which begins
-    with `program`.
+    """(stdout, stderr) of the command `run(arguments)`, which has to end with status 2 and one line
+    on stderr that begins with `program`.
     """
     capsys.readouterr()
     status = run(list(map(str, arguments)))

@@ -43,8 +43,10 @@ ALL = pytest.mark.parametrize(
 
 
 def run(env, seed, steps, command=None):
-    """(observations, rewards, infos) of steps until the end under random, held actions, or always
-    the same one.
+    """(observations, rewards, infos) of at most `steps` steps, up to the end of the episode.
+
+    Actions are `command`, or, without one, random and held over five steps. Observations and infos
+    begin with those of the reset.
     """
     rng = np.random.default_rng(0)
     motors = env.action_space.shape
@@ -279,6 +281,7 @@ def test_bad_actions_are_named_and_change_nothing(make, bad):
 
 @BOTH
 def test_order_is_enforced(make):
+    """`step` raises before a reset and after an end; a reset refuses options that are unknown."""
     env = make(control={"time_limit": 1.0})
     action = np.full(env.action_space.shape, 0.1)
     with pytest.raises(gymnasium.error.ResetNeeded):
@@ -303,13 +306,14 @@ def test_order_is_enforced(make):
     ],
 )
 def test_nothing_is_told_of_a_course_before_the_first_reset(make, ask):
-    """A picture of a wheel without a course took for ever."""
+    """Neither soils nor an estimate nor a picture; drawing a wheel without a course never ended."""
     with pytest.raises(gymnasium.error.ResetNeeded, match="before reset"):
         getattr(make(render_mode="rgb_array"), ask)()
 
 
 @BOTH
 def test_halts_happen_and_ignore_the_action(make):
+    """In a halt the vehicle comes to a stand for the stated time, whatever the action is then."""
     changes = {"observation": "blind", "action": "torque", "scaled": False, "repeat": 1}
     env = make(**changes, course={"grade_deg": [-1.0, 0.0]})
     halts = []
@@ -427,7 +431,7 @@ def test_yaml_file_as_scenario(tmp_path):
 
 
 def downhill(degrees):
-    """Slopes of one grade, whatever the soil."""
+    """Changes of a course: all slopes of one grade [deg], uphill positive, on any soil."""
     return {"grade_deg": [degrees] * 2, "first_grade_deg": [degrees] * 2, "least_pull": -1.0}
 
 
@@ -531,6 +535,7 @@ def test_traversability_is_that_of_the_estimate():
             or found["drawbar_margin"] != before["drawbar_margin"]
         ):
             renewed += 1
+            # entry 3 is the load [of weight], entry 7 below the pitch [rad]
             load = max(float(observation[3]), 0.05) * env.scenario.weight
             soil = env.estimate().state(wheel.width)
             best = best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)

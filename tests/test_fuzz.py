@@ -39,8 +39,9 @@ NEWTON = 1e-4  # [m/s] largest residual of a stage that counts as converged
 
 
 def climbs(courses, before, after, border):
-    """Height gained [m] by each wheel between two x, and the least and the largest sin(grade) on
-    the way.
+    """[3, N]: height gained [m] by each wheel from x = `before` to `after` [m], and the least and
+    the largest sin(grade) on the way. `border` [m] is the length over which grades pass into each
+    other.
     """
     out = []
     for k, (start, end) in enumerate(zip(before, after, strict=True)):
@@ -294,8 +295,8 @@ def test_a_planted_fault_is_found(where, name, plant):
 
 
 def lost_and_turnover(substep):
-    """Energy that the integrator takes or gives in 3 s of driving with a changing command, and the
-    turnover [J].
+    """Energy [J] that the integrator takes or gives in 3 s of driving with a changing command, and
+    the turnover [J], each summed over eight wheels; `substep` [s].
     """
     changes = {
         "control": {"substep": substep},
@@ -317,8 +318,8 @@ def lost_and_turnover(substep):
 
 
 def test_the_integrator_loses_energy_of_second_order():
-    """In all a fourth with steps half as long, once they are short against the time constants;
-    little at 0.1 s.
+    """With steps half as long it takes a fourth in all, once they are short against the time
+    constants. At 0.1 s it takes less than a hundredth of the turnover.
     """
     lost = [lost_and_turnover(h)[0] for h in (2e-3, 1e-3, 5e-4)]
     assert all(2.5 < a / b < 8.0 for a, b in itertools.pairwise(lost))

@@ -29,6 +29,7 @@ def resident() -> float:
 
 @pytest.mark.parametrize("many", [True, False])
 def test_an_environment_keeps_its_size(many):
+    """256 wheels side by side, or one wheel in a world with effects that is also drawn."""
     if many:
         env = SoilWheelVectorEnv(256, course={"length": 4.0})
     else:

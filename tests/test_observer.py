@@ -12,6 +12,7 @@ from soil_env.online import Observer, OnlineIdentifier, Readings
 from soil_env.parameters import ParameterError, load_rover, load_scenario
 from soil_env.readings import Image
 
+#: All readings but those of slip, which follows from the two speeds, of the wheel speed and time.
 MEASURED = Readings._fields[1:6] + ("pitch", "motor_torque", "acceleration")
 
 
@@ -37,7 +38,9 @@ class Rig:
 
     @property
     def now(self):
-        """What else a vehicle knows."""
+        """Further arguments of `Observer.observe`: if the wheel is in a halt, and on courses with a
+        camera its image and if a route is chosen now.
+        """
         sample = self.env.simulation._world.samples[0, 0]
         known = {"halted": bool(sample.halted)}
         if self.env.scenario.course.classes:
@@ -120,6 +123,7 @@ def test_a_missing_reading_is_held_and_counted():
         last = seen
         rig.step(0.3)
     np.testing.assert_array_equal(seen[:8], expected[:8])  # sensors, of now
+    # phi, log10 K and log10 S of the estimate, and their standard deviations
     np.testing.assert_allclose(seen[14:20], expected[14:20], atol=0.3)
     assert observer.held == {"torque": 1, "speed": 1, "rim_speed": 1}
     observer.reset()
@@ -127,6 +131,9 @@ def test_a_missing_reading_is_held_and_counted():
 
 
 def test_what_is_never_measured_stands_as_in_the_identifier():
+    """The estimate that is observed (entry 14 is phi) is that of an `OnlineIdentifier` with the
+    same readings, and no missing reading is counted.
+    """
     scenario = load_scenario("mixed")
     observer = Observer(scenario)
     identifier = OnlineIdentifier.of_scenario(scenario)

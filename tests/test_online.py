@@ -85,8 +85,8 @@ def short_drives():
 
 
 def left_by_sinkage(scenario):
-    """Standard deviations of the soil over those of the prior, where what sinkage depends on is
-    known exactly: the others follow by their correlations alone.
+    """Standard deviations of the unknowns over those of the prior [SOIL], if exponent, pressure and
+    digging gain were known exactly: the others follow by their correlations in the prior alone.
     """
     covariance = prior_of_belief(scenario)[1]
     known = [EXPONENT, PRESSURE, GAIN]
@@ -258,6 +258,7 @@ def test_without_a_sinkage_sensor_on_soil_that_hardly_bears():
     assert identifier.estimate.refused == 0 and identifier.estimate.status != Status.NO_DATA
 
 
+#: A reading of `WHEEL` as it drives steadily at slip 0.25; a pull, a torque and a sinkage by hand.
 STEADY = Readings(2.5, 0.28, 0.022, 14.0, 147.0, 5.5, 0.25)
 SOIL = SoilState(
     math.tan(math.radians(35.0)),
@@ -273,7 +274,9 @@ SOIL = SoilState(
 
 
 def of_soil(slip):
-    """Readings of a wheel that goes on at a slip in `SOIL`, without a slip sensor."""
+    """`Readings` of `WHEEL` in the steady state at a slip in `SOIL`, its rim at 2 rad/s, without a
+    slip sensor.
+    """
     load = WHEEL.body_mass * 9.81
     s = steady_state(slip, load, SOIL, WHEEL.radius, WHEEL.width)
     speed = 2.0 * WHEEL.radius * (1.0 - slip)
@@ -424,8 +427,8 @@ def test_whatever_is_admitted_gives_a_soil():
 
 
 def test_time_stamps_count_as_time():
-    """Readings half a second apart go 10 times as far as at 0.05 s: the open points are closed
-    before.
+    """Readings half a second apart lie 10 times as far apart as at 0.05 s. A point then reaches its
+    longest travel before its number of readings, so that there are more points.
     """
     renewed = []
     for dt in (0.5, 0.05):
@@ -471,9 +474,7 @@ def test_reset_and_copy():
 
 
 def test_a_wheel_that_is_lifted_at_first_does_not_begin_its_mass(drive):
-    """Loads of nothing in the first periods: the wheel has its weight afterwards, not next to none
-    for ever.
-    """
+    """Loads of 0 in the first periods do not count: the mass comes from the loads after them."""
     scenario, readings, _ = drive
     own = OnlineIdentifier.of_scenario(scenario)
     for k, reading in enumerate(readings):

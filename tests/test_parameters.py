@@ -87,11 +87,11 @@ def test_the_shipped_scenarios_on_earth_have_the_numbers_of_their_soils():
 
 
 def test_world_prior_and_model_meet_gravity_alike():
-    """ln S of the soil that is drawn, of the identifier's prior and of info["world"]."""
+    """S on the Moon of the soil that is drawn, of the identifier's prior and of info["world"]."""
     moon = load_scenario("mixed", {"gravity": 1.62, "soils": {"dry_sand": 1}})
     soil = parameters.soils()["dry_sand"]
     width = moon.wheel.width
-    expected = 990.0 / width + 1528430.0 * 1.62 / 9.81
+    expected = 990.0 / width + 1528430.0 * 1.62 / 9.81  # k_c/b + k_phi g/g_measured of dry_sand
     assert course_distribution(moon).presets["sinkage_coefficient"][0] == pytest.approx(expected)
     earth = load_scenario("mixed", {"soils": {"dry_sand": 1}})
     less = of_library(earth)[0][1] - of_library(moon)[0][1]
@@ -116,6 +116,7 @@ def test_a_soil_that_does_not_say_where_it_was_measured_is_of_earth_and_says_so_
 
 @pytest.mark.parametrize("gravity", [math.nan, 0.0, -1.62])
 def test_a_gravity_that_is_none_is_refused_in_one_line(gravity):
+    """No number, 0 or below 0, wherever a gravity is given."""
     wheel = {"radius": 0.15, "width": 0.12}
     for make in (
         lambda: load_scenario("mixed", {"gravity": gravity}),
@@ -152,8 +153,9 @@ def test_a_line_touches_curved_strength(stress):
     assert line.tan_phi == pytest.approx(slope, rel=1e-6)
     assert line.strength(stress) == pytest.approx(CURVED.strength(stress), rel=1e-12)
     assert 0.0 < line.cohesion < CURVED.cohesion
-    for none in (CURVED.line_at(2e4), dataclasses.replace(CURVED, cohesion=0.0).line_at(stress)):
-        assert none.tan_phi == pytest.approx(CURVED.tan_phi, rel=1e-12)
+    # at the reference stress, and without cohesion, the strength is straight
+    for same in (CURVED.line_at(2e4), dataclasses.replace(CURVED, cohesion=0.0).line_at(stress)):
+        assert same.tan_phi == pytest.approx(CURVED.tan_phi, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -269,6 +271,7 @@ def test_bad_input_is_named_in_one_line(kind, changes, words):
     ],
 )
 def test_a_part_that_is_none_is_named_in_one_line(make, message):
+    """A part of a wrong type or size, or an argument out of range."""
     assert refused(make) == message
 
 

@@ -21,10 +21,12 @@ METHODS = [  # "forkserver" does what "spawn" does
 
 
 def make_env():
+    """A short single environment; a function of the module, so that processes can import it."""
     return SoilWheelEnv(**SHORT)
 
 
 def _drive(queue, env):
+    """Step the environment twice, in a process of its own, and send back the last observation."""
     env.step(np.full((64, 1), 0.4))
     queue.put(env.step(np.full((64, 1), 0.4))[0])
 
@@ -57,6 +59,7 @@ def test_processes_step_as_this_one(method):
 
 
 def test_two_vector_envs_in_two_threads_at_once():
+    """Three of them, in as many threads: each drives as it does alone."""
     results = {}
     a = np.full((48, 1), 0.4)
 

@@ -71,7 +71,9 @@ def actions(steps, vehicles, motors=1, seed=0):
 
 
 def same_info(info, k, scalar):
-    """The short info of vehicle k is that of a single environment."""
+    """Assert that vehicle k of a short info has the numbers of the `scalar` info of a single
+    environment.
+    """
     assert (
         Cause(info["cause"][k]).name == scalar["cause"]
         and info["immobilised"][k] == scalar["immobilised"]
@@ -81,8 +83,8 @@ def same_info(info, k, scalar):
 
 
 def same_nested(info, k, scalar):
-    """A full info is that of a single environment: states to the bit, exponentials of estimates to
-    rounding.
+    """Assert that vehicle k of a full info has the numbers of the `scalar` info of a single
+    environment: states to the bit, exponentials of estimates to rounding.
     """
     for name, value in scalar.items():
         found = info[name] if isinstance(value, dict) else info[name][k]
@@ -296,6 +298,7 @@ def test_max_episode_steps_truncates_and_the_time_limit_terminates(autoreset, re
                 (terminated, truncated) if cause == Cause.TIME_LIMIT else (truncated, terminated)
             )
             assert not other.any()
+            # 20 steps of `repeat` periods of 0.1 s; a reset is a step of its own in NextStep
             episode = 20 if autoreset == "SameStep" else 21
             assert np.all(over == (k % episode == 20 % episode))
             if over.all():

@@ -105,7 +105,7 @@ def test_bad_rovers_are_named_in_one_line(changes, message):
 def test_wheels_and_rovers_are_not_taken_for_each_other(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text(yaml.safe_dump(to_dict(load_scenario("mixed"))))
-    # It has one then.
+    # with a vehicle among its changes the scenario of a wheel is that of a rover
     assert load_rover(path, {"vehicle": to_dict(load_rover().vehicle)}).axles == 2
     for load, which in (
         (load_rover, load_scenario("mixed")),

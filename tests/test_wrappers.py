@@ -10,6 +10,7 @@ from soil_env.wrappers import LineAction
 
 
 def plain(**options):
+    """A wheel without `LineAction` around it, by default with two routes."""
     return gymnasium.make("soil_env:SoilWheel-v0", info="none", **options)
 
 
