@@ -94,7 +94,9 @@ TUNED = {
 
 
 def values(name, form, at=lambda low, high: low + 0.6 * (high - low)):
-    """Parameters of one form of an effect, by default at 0.6 of their range."""
+    """{name: {parameter: value}} of one form of an effect, each value `at` its range in `SIZES`, by
+    default at 0.6 of it. They are those that the form frees or fixes, the onset and the references.
+    """
     sizes = SIZES[name]
     drawn = {
         p: float(at(*sizes[p]))
@@ -104,12 +106,15 @@ def values(name, form, at=lambda low, high: low + 0.6 * (high - low)):
     return {name: drawn | dict(form.fixed)}
 
 
+#: {"effect-form": (effect, form)} of the catalogue, and what parametrises a test by it.
 FORMS = {f"{e.name}-{form.name}": (e, form) for e in CATALOGUE.values() for form in e.forms}
 of_every_form = pytest.mark.parametrize(("effect", "form"), FORMS.values(), ids=FORMS)
+#: {"effect-form": {effect: {parameter: value}}}, with the numbers of `TUNED`.
 CASES = {case: values(effect.name, form) for case, (effect, form) in FORMS.items()}
 for effects in CASES.values():
     for name, drawn in effects.items():
         drawn.update({p: v for p, v in TUNED.get(name, {}).items() if p in drawn})
+#: Effects of every kind at once.
 TOGETHER = {
     "slip_sinkage": {"gain": 2.0, "length": 0.003},
     "rear_contact": {"ratio": 0.2},

@@ -50,9 +50,10 @@ def travel_over_rim(slip):
 
 
 def carried(slip, flow, tan_phi, theta1, sheared_from=None):
-    """Speed of soil carried along the rim over the travel speed: `flow` tan(phi) (1 - i)^3, held
-    below the cosine of 0.75 of the angle where shear begins, and by the sinkage below that on hard
-    ground.
+    """Speed of soil carried along the rim over the travel speed: `flow` tan(phi) (1 - i)^3.
+
+    It is held below the cosine of 0.75 of the angle where shear begins, `sheared_from` [rad] or
+    theta1. On hard ground, where the sinkage is small against 0.05 radii, that bound goes to 0.
     """
     share = flow * tan_phi * (1.0 - slip) ** 3
     slowest = math.cos(0.75 * (theta1 if sheared_from is None else sheared_from))
@@ -83,7 +84,7 @@ def shear_stress(theta, slip, soil, r, theta1, theta2, thetam, share=0.0):
 
 
 def _turning_point(slip, r, theta1, theta2, share):
-    """Angle inside the arc at which the shear displacement changes sign, if there is one."""
+    """Angle [rad] inside the arc at which the shear displacement changes sign, None without one."""
     if slip >= 0.0:
         return None
     of = (slip, r, theta1, share)
@@ -101,8 +102,10 @@ def integrate(function, points, tolerance=1e-10):
 
 
 def forces(soil, slip, theta1, r, b, theta2=0.0, thetam=None, flow=0.0):
-    """`Result` of Eqs. (1), (2) and (3), and the drawbar pull with the resistance of Eq. (12);
-    `flow`: a of soil carried along the rim.
+    """`Result` of Eqs. (1), (2) and (3), and the drawbar pull with the resistance of Eq. (12).
+
+    Angles in rad, radius r and width b in m. `thetam` is by default midway, Eq. (9). `flow` is the
+    factor of `carried`; 0 gives Eq. (10).
     """
     thetam = 0.5 * (theta1 + theta2) if thetam is None else thetam  # Eq. (9)
     arc = (soil, r, theta1, theta2, thetam)
@@ -278,6 +281,7 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
     lag = ahead * (site.r if lugs["slip_at_rim"] else Q)  # V/w
 
     def arc(z):
+        """Entry angle, exit angle and angle of the largest stress [rad] at a sinkage z [m]."""
         theta1 = math.acos(1.0 - z / R)
         theta2 = -rear["ratio"] * theta1
         middle = 0.5 * (theta1 + (theta2 if rear.get("peak_follows", 1.0) else 0.0))
@@ -289,6 +293,7 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
         return theta1, theta2, min(middle, theta1 - margin)
 
     def displacement(theta, theta1):
+        """Shear displacement j [m] at theta, with the sign of the shear stress."""
         # where the lug tips enter, Ding et al. (2011)
         start = math.acos(min(R * math.cos(theta1) / Q, 1.0))
         tips = 1.0 - lag / Q if lag <= Q else Q / lag - 1.0  # their slip
@@ -296,7 +301,7 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
         return (Q + share * lag) * (start - theta) - lag * (math.sin(start) - math.sin(theta))
 
     def sums(z, *shapes):
-        """Int (sigma, tau) . shape(theta) over the arc, for each shape [Pa]."""
+        """Integrals of shape(theta, sigma, tau) over the arc at a sinkage z [m], one a shape."""
         theta1, theta2, thetam = arc(z)
         undisturbed = (z - extra) / k
         ground = soil._replace(sinkage_coefficient=S * (undisturbed / z) ** n, sinkage_exponent=n)
@@ -325,15 +330,15 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
     def about_the_axle(theta, sigma, tau):
         return Q * Q * site.b * tau
 
-    def lack(z):
+    def surplus(z):
         return sums(z, upward)[0] - normal
 
     depths = [max(extra, 0.0) * 1.0001 + site.r * 1e-4 * 2.0**k for k in range(14)]
     depths = [z for z in depths if z < 1.5 * site.r] + [1.4999 * site.r]
-    low = next((a for a, b in zip(depths[:-1], depths[1:], strict=True) if lack(b) >= 0.0), None)
+    low = next((a for a, b in zip(depths[:-1], depths[1:], strict=True) if surplus(b) >= 0.0), None)
     if low is None:
         return None
-    z = brentq(lack, low, depths[depths.index(low) + 1], xtol=1e-9 * site.r, rtol=1e-9)
+    z = brentq(surplus, low, depths[depths.index(low) + 1], xtol=1e-9 * site.r, rtol=1e-9)
     up, pull, torque = sums(z, upward, forward, about_the_axle)
 
     # forces beside the stresses under the rim, and what the sensors make of it

@@ -30,7 +30,7 @@ DRIVEN = Conditions(0.1, 3.0, math.sin(math.radians(6.0)))
 
 
 def on(name, **parameters):
-    """`Effects` with one effect on."""
+    """`Effects` of one effect with these parameters, the others of it neutral."""
     return pack_effects({name: parameters})
 
 
@@ -51,6 +51,7 @@ NARROWER = {("grousers", "blades"): {PULL, TORQUE}, ("slip_sinkage", "apparent")
 
 
 def steady(parameters, name, conditions=DRIVEN):
+    """`steady_with` of `WHEEL` on `SOIL` at slip 0.3 and 100 N, with one effect."""
     return steady_with(0.3, 100.0, SOIL, WHEEL, conditions, pack_effects({name: parameters}))
 
 
@@ -86,7 +87,7 @@ def test_strengths_move_the_channels_they_list_and_neutral_ones_none(effect, for
     free = [p for p in free if p.centre is None and (effect.name, p.name) not in NUISANCES]
     nuisances = {p.name: 0.7 * p.centre for p in effect.parameters if p.centre is not None}
     nuisances |= {name: RIG[e, name] for e, name in NUISANCES if e == effect.name}
-    base = steady({"rankine": 0.0}, "bulldozing")
+    base = steady({"rankine": 0.0}, "bulldozing")  # without any effect
     assert base.supported and steady(idle | nuisances, effect.name) == base
     fresh = Conditions(0.1, 1.0, 0.0)
     for p in free:

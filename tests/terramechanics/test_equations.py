@@ -28,6 +28,7 @@ WIDTH = 0.12
 HEIGHT = 0.012
 RADIUS = 0.15
 WHEEL = Rim(RADIUS, WIDTH, HEIGHT, GAMMA)
+#: Values of the symbols of `effects.text`, in SI units, at which both sides are computed.
 AT = {
     "i": 0.3,
     "z": 0.03,
@@ -71,7 +72,9 @@ FUNCTIONS = {
 
 
 def evaluated(effect, form, values, **more):
-    """Left sides of the printed equation with numbers in, evaluated as ordinary algebra."""
+    """{left side: value} of the printed equation with the `values` of its parameters, evaluated as
+    ordinary algebra at `AT` or `more`; the symbols of `AT` are in it too.
+    """
     out = dict(AT | more)
     parts = text.fitted(effect, form, values, units=False, digits=17).split("; ")
     order = ("D1", "D2", "k", "x")  # what others need comes first
@@ -136,7 +139,7 @@ def model(name, form, values, at):
         law = shear_softening.mobilisation(fx)
         return {"tau": mobilised(at["j"], K, law)[0]}
     if name == "grade":
-        sine = math.sin(0.1)
+        sine = math.sin(0.1)  # of the grade b [rad] that the test gives the equation
         out = {
             "W_n": at["W"] * (1 - fx.grade_share * (1 - math.cos(0.1))),
             "DP": -fx.grade_share * at["W"] * sine,
@@ -154,11 +157,11 @@ def model(name, form, values, at):
 @of_every_form
 def test_the_printed_equation_is_what_the_model_computes(effect, form):
     values = CASES[f"{effect.name}-{form.name}"][effect.name]
-    own = {"b": 0.1} if effect.name == "grade" else {}
-    passes = {p: effect.parameter(p).neutral for p in text.used(form) if p not in values}
+    own = {"b": 0.1} if effect.name == "grade" else {}  # the grade [rad], elsewhere the width
+    others = {p: effect.parameter(p).neutral for p in text.used(form) if p not in values}
     # (1 - i)^3 with a signed i: soil is carried faster under a braked wheel
     for slip in (0.3, -0.4) if effect.name == "soil_flow" else (0.3,):
-        got = evaluated(effect, form, values | passes, **own, i=slip)
+        got = evaluated(effect, form, values | others, **own, i=slip)
         expected = model(effect.name, form.name, values, AT | {"i": slip})
         assert expected
         for left, value in expected.items():

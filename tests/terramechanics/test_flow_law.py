@@ -22,6 +22,7 @@ from tests.terramechanics.test_reaction import R, ground_under, react, wheel_wit
 LOAD = 150.0  # [N]
 SLIPS = (-1.0, -0.9, -0.6, -0.3, -0.1, -0.02, 0.0, 0.05, 0.3, 0.7, 0.95)
 
+#: `SoilState` with flow: K of 0.01 to 0.5 radii, a pressure of 4 to 316 kPa at 1 cm.
 soil_with_flow = st.builds(
     lambda phi, c, k, pressure, n, gain, a, peak, growth: SoilState(
         math.tan(math.radians(phi)),
@@ -98,7 +99,9 @@ def test_steady_forces_are_those_of_quadrature(soil, slip):
 
 
 def test_an_arc_in_which_the_shear_turns_needs_the_split():
-    """Difference of 400 braked arcs with K/r of 0.002 to 0.01, over their load without cohesion."""
+    """Change of the shear forces by `split`, over the load of the normal stress alone: 400 braked
+    arcs with K/r of 0.002 to 0.01, without cohesion.
+    """
     rng = np.random.default_rng(0)
     off = []
     for _ in range(400):

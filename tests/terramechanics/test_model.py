@@ -46,6 +46,7 @@ UNIT_WEIGHT = 1600.0 * 9.81
 
 
 def conditions(count=5, **more):
+    """Conditions as `predict` takes them: `count` slips from 0 to 0.6, and `more` or other ones."""
     return {"slip": np.linspace(0.0, 0.6, count), "load": 90.0, "speed": 0.1, "pass": 1} | more
 
 
@@ -56,6 +57,7 @@ def single(model, slip, load, wheel=WHEEL, conditions=LEVEL):
 
 
 def stacked(prediction):
+    """Sinkage [m], drawbar pull [N] and torque [N m] of a `Prediction`, [N, 3]."""
     return np.stack(prediction[:3], axis=1)
 
 
@@ -128,7 +130,9 @@ def test_without_cohesion_the_same_mass_sinks_and_pulls_the_same_at_any_gravity(
 
 
 def curved_state(soil, load, slip, wheel):
-    """(sinkage, drawbar pull) with curved strength at every point, by a quadrature of its own."""
+    """(sinkage [m], drawbar pull [N]) of a driven wheel with the curved strength of `Soil.strength`
+    at every point of the arc, by a quadrature of its own.
+    """
     u, weight = np.polynomial.legendre.leggauss(40)
     u = 0.5 * (u + 1.0)
     r = wheel.radius

@@ -82,7 +82,9 @@ def wheel_with(case):
 
 
 def ground_under(sinkage, v, u, soil, wheel, sin_grade=0.0, passes=1.0, weight=160.0):
-    """(soil as sheared, `Arc`, `ExtraForces`) under a wheel of `wheel_with`."""
+    """(soil as sheared, `Arc`, `ExtraForces`) under a wheel of `wheel_with`; sinkage [m], travel
+    speed v and rim speed u [m/s], weight [N].
+    """
     braked = braked_share(u, v, reaction.REST_SPEED)
     numbers = (sinkage, v, u, weight, sin_grade, passes, braked, weight)
     at = reaction.Standing(*map(float, numbers))
@@ -103,7 +105,9 @@ def motion(rng):
 
 
 def rates_are_differences(ground, v, u, load, wheel, step, error, least):
-    """The rates of pull, torque and S are differences of fourth order, to a relative `error`."""
+    """Assert that the rates of pull, torque and S by v and u are central differences of fourth
+    order with this `step` [m/s], to a relative `error` of the rates' sizes plus `least`.
+    """
 
     def forces(v, u):
         return np.array(react(ground, v, u, load, wheel)[1:4])
@@ -178,10 +182,14 @@ def test_a_reaction_moved_is_its_tangent():
     assert np.all(errors[1] < 0.02 * errors[0]) and np.all(errors[2] < 0.02 * errors[1])
 
 
+#: Reaction of the contact alone, by hand, to which the forces beside it are added.
 FLAT = reaction.Reaction(160.0, 20.0, 8.0, 1e6, -50.0, 30.0, -7.0, 4.0, 0.0, 0.0)
 
 
 def axle(case, v=0.3, u=0.4, bulldozing=0.0, blades=0.0, pull=0.0, torque=0.0, f=FLAT):
+    """`Reaction` at the axle: that of the contact, `f`, with `ExtraForces` [N], torque [N m], at
+    travel speed v and rim speed u [m/s].
+    """
     beside = reaction.ExtraForces(0.0, bulldozing, blades, pull, torque, 0.0)
     return _at_the_axle(f, beside, v, u, *wheel_with(case))
 

@@ -29,7 +29,7 @@ POINT = (0.3, 0.7, 0.1, 0.05, 0.08, 2.0, 0.1)  # one value of each group
 
 
 def value(terms, groups=POINT):
-    """(z/r, DP/W, T/(W r)) of terms."""
+    """What terms add to (z/r, DP/W, T/(W r)) at values of the groups in the order of `GROUPS`."""
     return residual_at(residual_law(terms), groups)
 
 

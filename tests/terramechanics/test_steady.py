@@ -76,7 +76,9 @@ def test_root_by_brute_force(seed):
 
 
 def locked_drag(**law):
-    """Drag [of the load] of a locked wheel in dry sand."""
+    """Drag [of the load] of a locked wheel of 15 kg in dry sand; `law`: fields of the soil that
+    are replaced.
+    """
     soil = soils()["dry_sand"].state(0.15)._replace(**law)
     found = steady.steady_state(-1.0, 147.15, soil, 0.15, 0.15)
     assert found.supported

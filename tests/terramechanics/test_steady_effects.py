@@ -180,6 +180,9 @@ def table(seed, count=162):
 
 
 def predicted(case, guess):
+    """(number of rows that bear the wheel, [N, 3] of sinkage [m], pull [N] and torque [N m]) of a
+    `table`. The search for the sinkages begins at the `guess` [N, m], which is renewed.
+    """
     out = np.full((case[0].slip.size, 3), np.nan)
     return predict_rows(*case, guess, out), out
 
