@@ -88,8 +88,9 @@ class Drawn(NamedTuple):
         return self.courses["slopes"][0, : self.courses["sloped"][0]]
 
     def extend(self, x: float = HUGE, numbers: CourseNumbers | None = None) -> None:
-        """Draw on up to x [m]."""
+        """Draw on up to x [m]; `numbers`: in place of those that the course was begun with."""
         numbers = numbers or self.numbers
+        # AHEAD draws the ground up to `ahead` [m] beyond the wheel
         self.worlds.state["x"] = x - numbers.drawn.spec.ahead
         lay_wheels(self.worlds, numbers, np.array([AHEAD]), self.setting, 0, 1)
 
@@ -102,18 +103,21 @@ class Drawn(NamedTuple):
 
 
 def numbers_of(scenario, model=None) -> tuple[WheelNumbers, CourseNumbers]:
-    """What all courses of a scenario share."""
+    """What all courses of a scenario share, as simulation and drawing take it."""
     return wheel_numbers(scenario, "blind", model), drawing.course_numbers(scenario, model)
 
 
 def course(seed, scenario, model=None, whole=True, shared=None) -> Drawn:
-    """One course, or its start only; `shared`: `numbers_of` it, where many are drawn."""
+    """Draw the course of a `seed`, to its end or, unless it is to be `whole`, its start only.
+
+    `shared`: `numbers_of` scenario and model, where many courses are drawn.
+    """
     own, numbers = shared or numbers_of(scenario, model)
     worlds = new_wheel_worlds(1, scenario, own, (1, 1))
     setting = new_setting(own, False, 0)
     worlds.state["stream"] = stream_of(seed)["stream"]
     lay_wheels(worlds, numbers, np.array([TRY]), setting, 0, 1)
-    mass = float(worlds.state["reward"][0])
+    mass = float(worlds.state["reward"][0])  # where TRY puts it
     assert mass > 0.0
     worlds.state["mass"] = mass
     drawn = Drawn(worlds, setting, mass, numbers)
@@ -123,7 +127,10 @@ def course(seed, scenario, model=None, whole=True, shared=None) -> Drawn:
 
 
 def margin(ground, grade, mass, scenario) -> float:
-    """Best steady drawbar pull over the grade [of weight], computed from soil and grade alone."""
+    """Best steady drawbar pull [of weight] less tan(grade), computed from soil and grade alone.
+
+    `ground`: a record with the fields of a soil, or a `SoilState`; grade in rad, mass in kg.
+    """
     wheel = scenario.wheel
     load = mass * scenario.gravity
     soil = SoilState(*map(float, soil_of(ground)))

@@ -16,7 +16,7 @@ FLAT = {
 
 
 def simulation(action, repeat=1, seeds=(0,), **changes):
-    """Identified wheels after a reset."""
+    """Simulation of identified wheels after a reset, one for each seed."""
     scenario = load_scenario("mixed", {**changes, "control": {"action": action, "repeat": repeat}})
     return started(scenario, "identified", seeds, warnings=True)
 
@@ -27,7 +27,7 @@ def test_rim_acceleration_moves_a_commanded_speed_that_the_wheel_follows():
     expected = 0.0
     for action in [1.0] * 12 + [-0.5] * 10 + [0.0] * 10 + [0.3] * 5:
         sim.step(0, action)
-        expected += 0.3 * 0.1 * action
+        expected += 0.3 * 0.1 * action  # full action: 0.3 m/s2 over a period of 0.1 s
         seen = sim.worlds.observation[0]
         assert seen[COLUMN["rim_command"]] * top == pytest.approx(expected, rel=1e-6)
         assert seen[COLUMN["last_action"]] == pytest.approx(action)
@@ -79,7 +79,7 @@ def test_a_held_action_is_the_same_action_over_as_many_periods(mode):
         "reward": {"information": 1.5, "information_discount": 0.9},
     }
     ends = set()
-    halves = 0
+    cut_short = 0
     wheels = 6
     repeat = 5
     held, single = (simulation(mode, n, range(4, 10), **changes) for n in (repeat, 1))
@@ -122,9 +122,9 @@ def test_a_held_action_is_the_same_action_over_as_many_periods(mode):
         )
         ended = held.worlds.cause != Cause.RUNNING
         ends |= set(held.worlds.cause[ended & driven].tolist())
-        halves += int((ended & driven & (lasted < repeat)).sum())
+        cut_short += int((ended & driven & (lasted < repeat)).sum())
         what[ended] = 2
-    assert ends & {Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED} and halves >= 2
+    assert ends & {Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED} and cut_short >= 2
 
 
 def test_information_is_discounted_once_a_step():

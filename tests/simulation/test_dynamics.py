@@ -35,6 +35,7 @@ def start(mode="torque", soil="dry_sand", grade_deg=0.0):
 FIRST_HALVING = "0.85 of the sinkage's change at the first halving, then 0.47 and 0.50"
 
 
+#: (model, mean torque command, `own_soils`) of each world.
 WORLDS = {
     "flow": (None, 0.22, {}),
     "equation 10": (None, 0.22, PLAIN_SOILS),
@@ -317,6 +318,7 @@ def test_passes_do_not_roll_a_rut_into_rock():
     cover = 0.02
     soil = soils()["dry_sand"].state(0.15)._replace(layer_gain=1e5, layer_depth=cover)
     wheels = on_uniform_ground(soil, mode="wheel_speed", payload=0.0)
+    # the sinkage [m] in each pass after 81 of its 110 periods
     depths = [wheels.drive([command] * 110)[80, 1] for command in (0.3, -0.3, 0.3, -0.3)]
     assert depths[0] < depths[1] < 1.1 * cover and depths[-1] < 1.1 * cover
 

@@ -11,13 +11,14 @@ from tests.simulation.test_task import simulation
 
 @kept
 def _judge(state, task, steps, causes):
+    """Judge the first wheel as often as there are `causes`, each time `steps` periods later."""
     for i in range(causes.size):
         state[0].steps += steps
         causes[i] = judge(state[0], task[0])
 
 
 def judged(sim, times=1, steps=1):
-    """`Cause`s of so many judgements, each `steps` control periods on."""
+    """`Cause`s of `times` judgements; the count of control periods grows by `steps` before each."""
     causes = np.zeros(times, dtype=np.int64)
     _judge(sim.worlds.state, sim.numbers.task, steps, causes)
     return [Cause(cause) for cause in causes]
@@ -59,8 +60,8 @@ def test_each_end_has_its_threshold(state, steps, cause):
 
 
 def onward(way, halted=()):
-    """Causes of judgements at the furthest places `way` [m], while the wheel turns; `halted`: those
-    in a halt.
+    """Causes of judgements at the places `way` [m] of successive control periods of 0.1 s, while
+    the wheel turns; `halted`: indices of those in a halt.
     """
     sim = simulation("blind")
     w = sim.worlds.state

@@ -17,7 +17,7 @@ WHEELS = 21
 
 
 def same(a, b, which=slice(None)):
-    """Compare wheels and the ground that they leave, bit for bit."""
+    """Assert that wheels and the ground that they leave are equal, bit for bit."""
     np.testing.assert_array_equal(a.state[which], b.state[which])
     np.testing.assert_array_equal(a.courses["cells"][which], b.courses["cells"][which])
 
@@ -52,8 +52,8 @@ WEIGHTS = 0.5 * _w * (_x + 1.0)
 
 
 def stresses(theta1, peak, n, r):
-    """Angles [rad], weights and normal stress for S = 1 at nodes of the arc of Eqs. (7) and (8),
-    with its largest stress at `peak` [of theta1].
+    """Angles [rad], weights [rad] and normal stress for S = 1 [m^n] at nodes of the arc of Eqs. (7)
+    and (8), with its largest stress at `peak` [of theta1].
     """
     before = (1.0 - peak) * theta1
     behind = peak * theta1
@@ -74,7 +74,10 @@ def rolling(v, u):
 
 def reaction(v, u, sinkage, peak, load, soil, r, b):
     """(drawbar pull, torque, mobilised sinkage coefficient) from Eqs. (1)-(3) and (7)-(10), written
-    for numpy; soil is carried along the rim, and the stress has its `peak` there [of theta1].
+    for numpy.
+
+    v and u are travel and rim speed [m/s]. Soil is carried along the rim. The normal stress is
+    largest at `peak` [of theta1].
     """
     theta1 = math.acos(1.0 - sinkage / r)
     theta, w, p = stresses(theta1, peak, soil.sinkage_exponent, r)
@@ -107,7 +110,7 @@ def one_step(before, command, soil, rig, guess):
     """
     h = rig.period
     weight = before.mass * rig.gravity
-    g = 1.0 - math.sqrt(0.5)
+    g = 1.0 - math.sqrt(0.5)  # of the two stages of Alexander (1977), docs/physics/wheel.md
     r = rig.radius
     b = rig.width
     stall = rig.stall_torque
@@ -131,6 +134,7 @@ def one_step(before, command, soil, rig, guess):
         (h - g * h, h - 2.0 * g * h, (1.0 - g) / g - 1.0),
     ):
         begin = (v + lead * (v - v0), u + lead * (u - u0))
+        # the sinkage that is foreseen for the end of the stage, a tenth off at most
         felt = z + min(max(sinking * duration, -0.1 * z), 0.1 * z)
         ahead = max(math.copysign(piled, piled * v), 0.0)
         peak = 0.5 + soil.braked_peak * ahead / (1.0 + ahead)
@@ -165,7 +169,7 @@ def one_step(before, command, soil, rig, guess):
         fresh = min((max(place - high, 0.0) + max(low - place, 0.0)) / max(abs(moved), 1e-12), 1.0)
         travel = abs(moved) / duration / rig.relaxation
         slip = slid / duration / rig.relaxation
-        settle = 10.0 if bearing > z else 0.0
+        settle = 10.0 if bearing > z else 0.0  # [1/s] soil yields within 0.1 s
         rate = travel + soil.dig_recovery * slip + settle
         goal = bearing * ((soil.dig_gain + soil.dig_recovery) * slip + settle)
         goal = (goal + travel * (fresh * bearing + (1.0 - fresh) * rut)) / rate

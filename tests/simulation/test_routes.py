@@ -94,12 +94,13 @@ def test_what_is_in_sight_is_final(scenario):
 
 
 def test_where_no_soil_is_found_that_before_goes_on():
+    """A patch on which no soil leaves the least pull has the soil of the patch before."""
     scenario = load_scenario("mixed")
     one = course(0, scenario, whole=False)
     one.extend(3.0)
     p = one.count
     spec = one.numbers.drawn.spec.copy()
-    spec.least_pull = 5.0
+    spec.least_pull = 5.0  # [of weight], more than any soil gives
     one.extend(HUGE, one.numbers._replace(drawn=one.numbers.drawn._replace(spec=spec)))
     assert one.count > p
     for name in SoilState._fields:
@@ -178,7 +179,10 @@ def test_the_wheel_halts_at_the_stated_distance_before_a_fork():
 
 
 def before_the_fork(sim, away):
-    """Put all wheels at rest at a distance [m] before the first fork."""
+    """Put all wheels at a distance [m] before the first fork; return their places x [m].
+
+    The fork is at the start of patch 3, since the first patches show the three classes once.
+    """
     at = sim.worlds.courses["patches"]["start"][:, 3] - away
     sim.worlds.state["x"] = sim.worlds.state["best_x"] = at
     sim.worlds.state["patch"] = 2

@@ -55,7 +55,7 @@ def scenario_of(load, noise):
 
 
 def units(scenario):
-    """Unit {reading: number} of its noise."""
+    """{reading: size of 1 of its `Noise`, in the unit of the reading}."""
     weight = scenario.weight
     r = scenario.wheel.radius
     of = dict.fromkeys(NAMES, 1.0) | dict.fromkeys(("drawbar_pull", "load"), weight)
@@ -93,7 +93,7 @@ def drawn(sim):
 
 
 def step(sim, rng):
-    """A step with random actions, those that have ended on a new course."""
+    """Step vehicles with random actions; those whose episode has ended begin a new course."""
     vehicles = len(sim.worlds.cause)
     actions = rng.uniform(0.1, 0.6, (vehicles, sim._actions.size // vehicles))
     sim.step_all(actions, np.where(sim.worlds.cause == 0, STEP, RESTART))

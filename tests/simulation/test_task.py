@@ -82,6 +82,7 @@ def test_all_variants_share_the_first_entries(variant):
 
 @kept
 def _write(worlds, sample, setting, out, sensed):
+    """Write the observation of the first wheel into `out`; if `sensed`, from new readings."""
     own = setting[0]
     world = World(own.rig[0], BASE, own.nodes[0])
     records = ThreadRecords(
@@ -110,7 +111,9 @@ def written(sim, sample=None):
 
 
 def observed_again(sim, estimate=None):
-    """The observation written anew from the present state, the random stream untouched."""
+    """The observation written anew from the present state, the random stream untouched; `estimate`
+    is added to all published numbers of the identifier.
+    """
     out = written(sim)
     if sim.belief is not None:
         known = sim.worlds.on_board.copy()
@@ -167,6 +170,7 @@ def test_estimate_in_the_observation():
         assert seen[6] == (ids.status[0] == Status.CONVERGED)
         rows.append(seen[6])
     assert {0.0, 1.0} == set(rows)
+    # phi, K, S, cohesion and digging gain change, their deviations and the best pull do not
     changed = observed_again(sim) != observed_again(sim, estimate=0.01)
     np.testing.assert_array_equal(np.flatnonzero(changed) - SENSORS, [0, 1, 2, 7, 8])
 

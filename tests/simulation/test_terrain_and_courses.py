@@ -31,7 +31,9 @@ def drawn(scenario):
 
 
 def lie_end_to_end(pieces, between, until):
-    """From 0 to a place or beyond, with lengths `between` two."""
+    """Assert that pieces lie end to end from 0 to `until` [m] or beyond, with lengths `between` two
+    [m].
+    """
     assert pieces["start"][0] == 0.0 and pieces["end"][-1] >= until
     np.testing.assert_array_equal(pieces["start"][1:], pieces["end"][:-1])
     lengths = pieces["end"] - pieces["start"]
@@ -167,8 +169,8 @@ def explained(seen, target):
 
 @pytest.mark.parametrize("name", ["mixed", "two_lines", "unseen"])
 def test_grades_tell_nothing_of_soils(name):
-    """Boosted trees on 3000 courses explain at most 0.05 of soils and of their changes on 1000
-    others (asked: 4000 courses).
+    """Boosted trees on 3000 courses explain at most 0.05 of the scatter of soils, and of their
+    changes from patch to patch, on 1000 others.
     """
     scenario = load_scenario(name)
     seen, soils, changes = rows_of(scenario, 4000)
@@ -177,7 +179,7 @@ def test_grades_tell_nothing_of_soils(name):
 
 
 def test_boosted_trees_would_see_a_grade_that_follows_its_soil():
-    """The judge of the test above, on slopes that each allow what the soil does."""
+    """The judge of the test above, where the newest grade is made to follow phi."""
     scenario = load_scenario("mixed")
     seen, soils, _ = rows_of(scenario, 400)
     seen[:, 0] = 0.5 * (soils[:, 0] - soils[:, 0].mean()) + 0.02 * seen[:, 0]

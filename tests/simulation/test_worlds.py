@@ -46,8 +46,9 @@ SETTLING = CASES | {
 
 
 def settled(case, grade_deg, ground=SOFT):
-    """Sinkage, pull and torque [3, 3] of a wheel driven far: as read, by `steady_with`, and without
-    the effect.
+    """[3, 3] of a wheel driven far: rows as read, by `steady_with`, and by it without the effect.
+
+    Columns are sinkage, drawbar pull and torque over radius, weight and weight times radius.
     """
     effects = {name: dict(values) for name, values in SETTLING[case].items()}
     wheels = on_uniform_ground(effects, ground, math.radians(grade_deg))
@@ -188,6 +189,7 @@ def test_sensor_effects_change_readings_only(case):
     found = trajectories(model_of(CASES[case]))
     np.testing.assert_array_equal(base[1], found[1])
     np.testing.assert_array_equal(base[2], found[2])
+    # entry 0 is the slip, entry 1 the sinkage
     changed = np.flatnonzero((base[0] != found[0]).any(axis=(0, 1)))
     assert changed.tolist() == {"slip_bias": [0], "grade": []}.get(case.split("-")[0], [1])
 

@@ -65,8 +65,8 @@ def now(simulation: RoverSimulation) -> Axles:
 
 
 def driven(simulation: RoverSimulation, command, periods: int) -> Axles:
-    """The state after so many control periods (of actions of one) with a command for all axles or
-    for each.
+    """The state after so many steps, of a control period each, with one command for all axles or
+    one for each.
     """
     for _ in range(periods):
         simulation.step(0, command)
@@ -74,9 +74,11 @@ def driven(simulation: RoverSimulation, command, periods: int) -> Axles:
 
 
 def left_over(simulation, a):
-    """(sum of loads, moment about the centre of mass, moment about the bogie's pivot) that nothing
-    balances, over the
-    weight and over weight times base."""
+    """(force normal to the ground, moment about the centre of mass, moment about the bogie's pivot)
+    that nothing balances; the last only with a bogie.
+
+    The force is over the weight, moments are over weight times wheelbase.
+    """
     v = simulation.scenario.vehicle
     w = a.wheel
     weight = a.body["mass"] * simulation.scenario.gravity
@@ -187,6 +189,7 @@ def test_at_rest_each_axle_bears_its_share(name):
 
 
 def test_no_axle_lifts_off():
+    """A high centre of mass unloads the front axle almost to `LEAST_LOAD` of the mean, no more."""
     scenario = uniform("lunar_micro_rover", grade_deg=8.0, vehicle={"centre_height": 1.5})
     loads = driven(started(scenario), 0.3, 50).wheel["load"]
     assert np.all(loads >= 0.99 * LEAST_LOAD / 2 * loads.sum()) and loads[0] < 0.03 * loads.sum()
@@ -303,8 +306,8 @@ def test_halving_the_step_changes_little(rover):
 
 
 def test_braking_to_a_halt_shifts_the_loads_as_shorter_steps_have_it():
-    """Loads by the forces of the stage before left 11 N of 530 N on the rear wheels for two
-    periods.
+    """With loads from the forces of the stage before, the rear wheels had 11 N in place of 530 N
+    for two periods.
     """
     lowest = []
     for substep in (0.1, 0.0125):

@@ -19,8 +19,8 @@ SHARED = np.array([0, 1, 3])  # by the wheels: phi, ln K, c
 
 
 def ground(courses, x, border):
-    """phi, ln K, c, number of the patch, distance behind its beginning [m] at places `x` [rovers,
-    axles].
+    """[rovers, axles, 5] at places `x` [rovers, axles] in m: phi [rad], ln of K [m], c [Pa], number
+    of the patch, distance behind its beginning [m].
     """
     rows = []
     for k, at in enumerate(x):

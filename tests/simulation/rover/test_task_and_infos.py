@@ -89,7 +89,7 @@ def test_energy_and_progress_are_of_the_rover_as_a_whole():
     s = env.scenario
     length = env.scenario.course.length
     before = 0.0
-    mass = env.simulation.worlds.state["mass"][0]
+    mass = env.simulation.worlds.state["mass"][0]  # of one side: three wheels and their payloads
     payload = mass - 0.5 * s.vehicle.mass
     assert 0.0 <= payload <= 3.0 * s.course.payload[1]
     for _, info, _ in rows[1:]:
