@@ -14,6 +14,7 @@ from soil_env.measurement.table import read_table
 from soil_env.parameters import Soil, soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
+#: Standard deviation of each channel [m, N, N m], which `SETUP` states.
 NOISE = {"sinkage": 0.0006, "drawbar_pull": 0.8, "torque": 0.1}
 SETUP = """\
 wheel: {radius: 0.15, width: 0.12, grouser_height: 0.01}
@@ -32,7 +33,7 @@ LOADS = (80.0, 120.0, 180.0)
 
 
 def world(effects: dict) -> WheelSoilModel:
-    """A wheel on one soil with effects."""
+    """A wheel of `SETUP` on one soil, near to its priors, with effects {name: parameters}."""
     soil = Soil(
         friction_angle_deg=31,
         cohesion=3500,
@@ -60,7 +61,10 @@ def table_text(
     noise=1.0,
     **conditions,
 ) -> str:
-    """CSV of `world(effects)` with noise at all combinations of the conditions."""
+    """CSV of `world(effects)` at all combinations of loads [N], slips and further `conditions`.
+
+    `conditions` are {column: values}. Written are the `channels`, with `noise` times `NOISE`.
+    """
     names = ("load", *conditions, "slip")
     at = np.array(list(itertools.product(loads, *conditions.values(), slips)), dtype=float)
     predicted = world(effects).predict(dict(zip(names, at.T, strict=True)))
@@ -95,7 +99,7 @@ def with_column(text: str, name: str, value) -> str:
 
 
 def changed(text: str, name: str, change) -> str:
-    """The table with `change` of each value of one column, a function or a factor."""
+    """The table with each value of one column changed: `change` is a function of it or a factor."""
     if callable(change):
         return with_column(text, name, lambda row: change(row[name]))
     return with_column(text, name, lambda row: change * row[name])
@@ -110,7 +114,9 @@ noise: {sinkage: 0.0003, drawbar_pull: 0.7, torque: 0.1}
 
 
 def on_sand(slips, loads):
-    """(slip, load, [N, 3] values) at all combinations, on `dry_sand` without digging."""
+    """(slip, load [N], [N, 3] of sinkage [m], pull [N] and torque [N m]) at all combinations, on
+    `dry_sand` without digging.
+    """
     slip, load = (x.ravel() for x in np.meshgrid(slips, loads))
     sand = dataclasses.replace(soils()["dry_sand"], dig_gain=0.0)
     model = WheelSoilModel(ModelWheel(0.15, 0.12, 0.0), sand)

@@ -37,8 +37,8 @@ def problem(data: Data, rng: np.random.Generator, added=0.0) -> Problem:
 
 
 def law_error(data: Data, rng: np.random.Generator, size: float) -> np.ndarray:
-    """Smooth relative errors of the stress laws [N, 3], linear in their size, which no effect
-    makes.
+    """What smooth errors of the stress laws add to the values [N, 3] in m, N and N m, to first
+    order in their relative `size`; no effect makes them.
     """
     law = problem(data, rng).fit().form_errors[2]
     errors = np.zeros_like(data.y)

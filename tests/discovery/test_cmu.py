@@ -74,6 +74,7 @@ def test_tables_and_setups_of_a_made_file(tmp_path, capsys):
     np.testing.assert_allclose(table.load, [24.0, 25.0, 24.5])
     np.testing.assert_allclose(table.sinkage, [0.014, 0.0225, 0.022])
     np.testing.assert_allclose(table.drawbar_pull, [-1.4, 0.8, 1.3])
+    # time: the middle [s] of the interval that the rig averages over, `examples.cmu_rig.WINDOW`
     assert set(table.speed) == {0.01} and set(table.time) == {72.5}
     assert np.all(np.isnan(table.torque))
     assert (setup.wheel.radius, setup.wheel.width, setup.wheel.grouser_height) == (0.058, 0.05, 0.0)

@@ -71,6 +71,7 @@ def test_lugs_of_the_rows_are_those_of_the_model(tmp_path):
 
 def test_the_least_sure_conditions_are_beyond_the_table(prediction):
     guess = least_sure(prediction)
+    # half the least and twice the largest load of the table
     assert guess.conditions["load"] in (pytest.approx(40.0), pytest.approx(360.0))
     assert guess.times > 1.5
     there = prediction.at({name: np.array([x]) for name, x in guess.conditions.items()})

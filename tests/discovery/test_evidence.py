@@ -93,8 +93,8 @@ def test_the_posterior_covers_the_soil_under_a_law_error(data):
 
 @pytest.mark.parametrize("name", ["drivetrain_friction", "bulldozing", "sinkage_offset"])
 def test_what_is_detectable_is_detected(data, name):
-    """An effect twice as strong as the least is favoured over none; one of a third is not."""
-    threshold = math.log(2.0 * 13.0)
+    """An effect 2.5 times as strong as the least is favoured over none; one of 0.3 times is not."""
+    threshold = math.log(2.0 * 13.0)  # [nat] of evidence, against odds of 1 to 26
     p = problem(data, np.random.default_rng(4))
     base = evidence.settle(p, ())
     least = evidence.detectable(p, base, forms(p, name), threshold)
@@ -112,7 +112,7 @@ def test_noise_that_is_hardly_known_says_less(data):
     p = problem(table({"bulldozing": {"rankine": 0.4}}, speeds=SPEEDS), np.random.default_rng(6))
     p = dataclasses.replace(p, noise=0.5 * NOISE)
     gains = []
-    for p.freedom in (math.inf, 3.0):
+    for p.freedom in (math.inf, 3.0):  # of the noise, set anew in each round
         base = evidence.settle(p, ())
         gains.append(evidence.settle(p, (Choice("bulldozing", 0),), base).log - base.log)
     assert 0.0 < gains[1] < 0.8 * gains[0]

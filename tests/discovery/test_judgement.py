@@ -64,6 +64,7 @@ def test_intervals_stay_within_the_bounds(u, variance, sd):
 
 
 def test_closed_weighs_what_is_above_the_noise(planted):
+    """1 where the gap falls to the noise, less where another channel grows, None without a gap."""
     gap = {"sinkage": judgement.Gap(0.0012, 0.0006, 0.0006), "torque": judgement.Gap(0.1, 0.1, 0.1)}
     assert judgement.closed(planted.problem, gap) == pytest.approx(1.0)
     gap["torque"] = judgement.Gap(0.1, 0.2, 0.1)
@@ -89,15 +90,17 @@ def test_shares_of_two_effects_sum_to_what_both_close(problem):
 
 @pytest.fixture(scope="module")
 def problem():
+    """A table of the base model without noise: 36 rows of six slips, three loads and two speeds."""
     return Problem(table(speeds=(0.03, 0.1)), NOISE.copy(), np.ones((36, 3), dtype=bool))
 
 
 def predictions(problem, size, rng):
-    """Held-out predictions whose errors have so many noise sd."""
+    """Held-out predictions [N, 3] with normal errors of `size` standard deviations of the noise."""
     return problem.data.y + size * NOISE * rng.normal(size=problem.data.y.shape)
 
 
 def test_it_holds_the_share_and_is_the_same_for_the_same_seed(problem):
+    """The interval of the share of the gap that is closed, `closed_interval`."""
     rng = np.random.default_rng(1)
     before = predictions(problem, 3.0, rng)
     after = predictions(problem, 1.5, rng)
@@ -118,8 +121,8 @@ def test_noise_of_single_rows_is_no_gap(problem):
 
 
 def test_one_bad_group_widens_it(problem):
-    """An error that sits in one slip alone is known less well than the same error in all of
-    them.
+    """The interval is wider where an error sits in one slip alone than where the same error is
+    spread over all slips.
     """
     rng = np.random.default_rng(2)
     before = predictions(problem, 3.0, rng)

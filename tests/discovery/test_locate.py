@@ -31,7 +31,7 @@ def test_chance_with_estimated_noise():
         p = problem(data, rng)
         p.noise = NOISE * np.sqrt(rng.chisquare(5, 3) / 5)
         fit = p.fit()
-        for p.freedom in false:
+        for p.freedom in false:  # of the noise, set anew in each round
             false[p.freedom] += bool(locate(p, fit))
     assert false[5.0] <= 4
     assert false[np.inf] > false[5.0] + 4  # and it matters

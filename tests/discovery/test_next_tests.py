@@ -46,7 +46,9 @@ ONE_LOAD = {"loads": (150.0,)}
 
 
 def rivals(effects, names, seed=1, **plan):
-    """(problem, candidates) of a table with hidden effects."""
+    """(problem, evidence of each of the named effects alone) of a table with hidden `effects`;
+    `plan`: conditions, as `tables.table` takes them.
+    """
     p = problem(table(effects, **plan), np.random.default_rng(seed))
     base = settle(p, ())
     return p, [settle(p, (Choice(name, 0),), base) for name in names]
@@ -137,6 +139,7 @@ def test_every_run_can_be_made(case):
             off.max() == pytest.approx(t.expected_sigma)
             and CHANNELS[int(np.argmax(off))] == t.channel
         )
+    # 0.6^2 + 0.4^2: what the right candidate has now, on average
     assert np.all(np.diff([0.6**2 + 0.4**2, *(t.sure for t in runs)]) > 0.0)
 
 
@@ -230,6 +233,10 @@ def test_information_and_sureness_are_bounds():
 
 
 def test_who_is_left():
+    """Candidates that the next runs separate: those that are probable enough, and effects that the
+    table could not show. Where something unlisted may be right, the run that is missed most comes
+    first, again.
+    """
     p, (a, b, c) = rivals(
         {"bulldozing": {"rankine": 0.5}}, ("bulldozing", "sinkage_offset", "grousers"), **ONE_LOAD
     )

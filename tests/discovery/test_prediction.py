@@ -30,11 +30,13 @@ from tests.discovery.files import (
 
 
 def truth(effects, slip, load):
+    """[N, 3] of sinkage [m], pull [N] and torque [N m] of `world(effects)`, without noise."""
     found = world(effects).predict({"slip": np.array(slip), "load": np.array(load)})
     return np.stack(found[:3], axis=1)
 
 
 def over_noise(values):
+    """Root mean square of [N, 3] values over the noise of their channels."""
     return math.sqrt(float(np.mean((values / list(NOISE.values())) ** 2)))
 
 

@@ -73,6 +73,7 @@ def test_report_json_has_the_keys_of_the_contract(planted_files, nothing):
         for found in split.values():
             assert 0.0 < found["corrected"] < 3.0 * found["noise"]
             assert set(found) == {"base", "corrected", "curve", "noise"}
+    # twice the largest load of the table
     assert content["guess"]["conditions"]["load"] == pytest.approx(440.0)
     assert "It guesses at slip" in content["foreseen"]
     assert content["foreseen"] in (folder / "report.html").read_text()
@@ -505,10 +506,10 @@ def test_a_bound_is_said_of_the_fit_that_is_there(planted):
     k = [u.name for u in fit.unknowns].index("slip_sinkage_gain")
     u = fit.u.copy()
     u[k] = fit.unknowns[k].bounds[1]
-    moved = dataclasses.replace(planted, fit=dataclasses.replace(fit, u=u))
+    at_bound = dataclasses.replace(planted, fit=dataclasses.replace(fit, u=u))
     for report, named in (
-        (moved, "named effects"),
-        (dataclasses.replace(moved, effects=()), "base model"),
+        (at_bound, "named effects"),
+        (dataclasses.replace(at_bound, effects=()), "base model"),
     ):
         (said,) = (said for said in sentences.cautions(report) if "bound of its range" in said)
         assert said.endswith(f"(10) in the fit of the {named} alone.")

@@ -153,6 +153,7 @@ def test_values_of_little_noise_are_no_outliers_of_a_surface_that_is_off(tmp_pat
     loads = (60.0, 100.0, 150.0, 220.0)
     text = table_text(PLANTED, loads, np.linspace(-0.3, 0.6, 14), noise=0.0)
     assert calibrate(data_of(tmp_path, text, setup))[1].used.all()
+    # the pull of row 19, counted from 0; line 0 has the names
     wrong = text.replace(text.splitlines()[20].split(",")[3], "90")
     used = calibrate(data_of(tmp_path, wrong, setup))[1].used
     assert np.argwhere(~used).tolist() == [[19, 1]]

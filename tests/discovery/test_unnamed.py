@@ -24,6 +24,7 @@ STRENGTHS = {
 
 
 def values(law, **other):
+    """{parameter: value} of an anonymous law, by `STRENGTHS` or by `other` in their place."""
     power = {} if law in ("force", "rut_force") else {"power": 0.6}
     return {
         f"{law}_{p.name}": ({**STRENGTHS, **power} | other)[p.name] for p in UNNAMED[law].parameters

@@ -55,6 +55,9 @@ soil: {friction_angle_deg: 31, cohesion: 3500, shear_modulus: 0.028, sinkage_coe
 
 
 def test_each_of_two_effects_is_resembled_by_itself(planted):
+    """Something unlisted in the place of a set has, beside its evidence, the odds of the set times
+    `ALIKE` for each of its effects.
+    """
     alike = [h for h in planted.finding.hypotheses if h.like and not h.law]
     assert {len(h.like) for h in alike} == {1, 2}
     for h in alike:
@@ -77,7 +80,7 @@ def searched(planted, monkeypatch):
 
 
 def spoil(monkeypatch, bad):
-    """Held-out predictions of choices that are `bad` err by 20 times the noise more."""
+    """Let held-out predictions err by 20 times the noise more, for fits whose choices are `bad`."""
 
     def predicted(problem, fit):
         right = judgement.held_out_predictions(problem, fit)
@@ -106,7 +109,7 @@ def test_what_predicts_worse_than_the_base_model_is_not_named(tmp_path, monkeypa
 def test_a_name_is_refuted_only_in_all_its_probable_forms(planted, tmp_path, monkeypatch):
     stated = planted.fit.choices
     spoil(monkeypatch, lambda choices: choices == stated)
-    monkeypatch.setattr(workflow, "REPORTED", 1e-9)
+    monkeypatch.setattr(workflow, "REPORTED", 1e-9)  # other forms count, however improbable
     report = run(*write_files(tmp_path, table_text(PLANTED)), seed=1)
     assert report.finding.refuted == () and report.finding.names == ("slip_sinkage",)
     other = CATALOGUE["slip_sinkage"].forms[report.fit.choices[0].form]
@@ -148,7 +151,7 @@ def test_a_second_effect_is_refuted_by_an_interval(
 
     monkeypatch.setattr(workflow, "search", lambda problem, say: finding)
     monkeypatch.setattr(workflow, "held_out_predictions", predicted)
-    monkeypatch.setattr(workflow, "REPORTED", 1.0)
+    monkeypatch.setattr(workflow, "REPORTED", 1.0)  # no form counts that is less probable
     report = run(*write_files(tmp_path, table_text(PLANTED)), seed=1)
     assert ({*pair.names} in map(set, report.finding.refuted)) == refuted
     assert ({*report.finding.names} == {*pair.names}) == (not refuted)

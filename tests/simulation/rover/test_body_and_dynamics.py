@@ -189,7 +189,7 @@ def test_at_rest_each_axle_bears_its_share(name):
 
 
 def test_no_axle_lifts_off():
-    """A high centre of mass unloads the front axle almost to `LEAST_LOAD` of the mean, no more."""
+    """A high centre of mass leaves the front axle little more than `LEAST_LOAD` of the mean."""
     scenario = uniform("lunar_micro_rover", grade_deg=8.0, vehicle={"centre_height": 1.5})
     loads = driven(started(scenario), 0.3, 50).wheel["load"]
     assert np.all(loads >= 0.99 * LEAST_LOAD / 2 * loads.sum()) and loads[0] < 0.03 * loads.sum()
