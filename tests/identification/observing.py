@@ -55,8 +55,11 @@ SUBSTEPS = 20  # of a control period, in `driven`
 
 @kept
 def _react(rows, flow, sinking, work, out):
-    """With `sinking` (recovery, gain, ln S), each row begins with the sinkage that the one before
-    left.
+    """`forces.reaction` of rows as those of `react`, into `out` [n, 3, SLOPES].
+
+    With `sinking` (recovery, gain, ln S) each row begins with the sinkage that the one before left.
+    Rows then go on with speeds of travel and sliding [m/s], and a step of time over the length in
+    which sinkage adapts [s/m].
     """
     sinkage = rows[0, 4]
     for k in range(len(rows)):
@@ -166,6 +169,7 @@ class Identified:
         self.start()
 
     def start(self):
+        """Forget all readings: the memory is that at the prior."""
         self.memory[:] = np.zeros((), MEMORY)
         start(self.memory, self.setting, self.work)
 
@@ -178,12 +182,12 @@ class Identified:
 
     @property
     def now(self):
-        """Its record."""
+        """Its memory, a `MEMORY` record."""
         return self.memory[0]
 
     @property
     def set(self):
-        """Constants."""
+        """Constants of its identifier, a `SETTING` record."""
         return self.setting[0]
 
     @property
@@ -213,6 +217,7 @@ class Identified:
         return of_cell.Residuals(*out), self.work["slopes"][0].copy()
 
     def renew(self, times=1):
+        """Fit the cells that it keeps anew, so many times."""
         for _ in range(times):
             _renew(self.memory, self.setting, self.work)
 
@@ -226,14 +231,16 @@ class Identified:
         _mix(self.memory, self.setting, self.work)
 
     def begin_border(self, place, variance):
+        """Begin a border with its middle at a place [m], known to a variance [m2]."""
         _begin_border(self.memory, self.setting, self.work, float(place), float(variance))
 
     def see_border(self, image, camera_sd):
-        """True if an `Image` begins a border."""
+        """True if an `Image` begins a border, whose place it shows to `camera_sd` [m]."""
         images = np.array([tuple(map(float, image))], dtype=IMAGE)
         return _see_border(self.memory, images, camera_sd, self.setting, self.work)
 
     def renew_best_pull(self, load, times=1):
+        """(best steady pull [of load], its sd) after so many renewals under a measured load [N]."""
         for _ in range(times):
             _best_pull(self.memory, float(load), self.setting, self.work)
         return self.now.fresh[BEST_PULL], self.now.fresh_sd[BEST_PULL]
@@ -258,7 +265,9 @@ def law_of(soil):
 
 
 def reactions(soil, sinkage, slip, load, radius=R, width=B):
-    """(pull [N], torque [N m], ln s) on a soil."""
+    """(pull [N], torque [N m], ln s) on a `SoilState` at sinkage [m], slip and load [N]; s is the
+    sinkage coefficient that the load mobilises [N/m^(n+2)].
+    """
     stress, flow = law_of(soil)
     return react([*stress, sinkage, slip, load, radius, width], flow)[0, :, 0]
 
@@ -279,6 +288,7 @@ def driven(soil, slips, scenario, speed=0.2, load=None, sunk=None):
     length = scenario.relaxation * wheel.radius
     step = scenario.control.period / SUBSTEPS
     sinkage = 0.1 * wheel.radius if sunk is None else sunk
+    # substeps before the first reading; after 200 periods the sinkage has settled
     settling = 200 * SUBSTEPS if sunk is None else SUBSTEPS
     stress, flow = law_of(soil)
     steps = []

@@ -14,8 +14,10 @@ BARE = SETUP.split("soil:")[0] + "soil: {density: 1600}\nnoise: {sinkage: 0.0006
 
 
 def dense(folder, count, seed=0, correlated=20, added=0.0):
-    """Sweeps of slip under three loads; errors of the noise go on over `correlated` rows, and the
-    sinkage grows by the share `added` of the slip.
+    """`Data` of three sweeps of slip under three loads, `count` rows in all.
+
+    Their noise is correlated over so many rows. The sinkage is larger by the share `added` times
+    the slip.
     """
     rng = np.random.default_rng(seed)
     slip = np.concatenate([np.sort(rng.uniform(0.02, 0.6, count // 3)) for _ in range(3)])
@@ -152,7 +154,9 @@ def test_repeats_of_a_slip_stay_together(tmp_path):
 
 @pytest.mark.parametrize("count", [180, 240])
 def test_random_slips_have_levels(tmp_path, count):
-    """Values within 2 % chain into one level, which is none."""
+    """Random slips that are near to each other chain into a single level, which would be none: they
+    are cut into eight.
+    """
     data = dense(tmp_path, count)
     assert data.varied["slip"].levels == 8 and data.varied["load"].levels == 3
     assert folds(prepare(data.table, data.setup))[0].max() + 1 == 8

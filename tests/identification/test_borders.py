@@ -124,6 +124,7 @@ def test_behind_a_border_the_ground_is_of_the_new_soil():
     wheel = Identified(PLAIN)
     wheel.observe([STEADY] * 20)
     wheel.begin_border(wheel.now.place + 0.3 * LENGTH, (0.1 * LENGTH) ** 2)
+    # the middle lies 0.3 of the length ahead, and the end half of the length behind it
     readings = math.ceil(0.8 * LENGTH / STEP) - 1
     outcomes = wheel.observe([STEADY] * readings)
     assert min(outcomes) >= MOVED and wheel.now.crossing > 0.0

@@ -29,8 +29,9 @@ def kept():
 
 
 def remember(kept, c, patch, estimate, sd):
-    """Remember an estimate [6] with sd [6] of a class and a patch; the best drawbar pull is the
-    last of them.
+    """Remember an estimate [6] with sd [6] of class c on a patch, the best drawbar pull last.
+
+    The sd of the pull is handed over by `WIDER` smaller, since `remember_class` makes it larger.
     """
     memory = np.zeros(1, MEMORY)
     memory["estimate"] = estimate
@@ -50,6 +51,7 @@ def combined(posteriors):
 
 
 def check(kept, c, mean, sd):
+    """Assert that class c is known with this mean [6] and sd [6]."""
     known = kept["of"][0, c]
     np.testing.assert_allclose((known["estimate"], known["sd"]), (mean, sd), rtol=1e-9)
 

@@ -95,6 +95,7 @@ def steady_cells(u, setting, slips=SLIPS, noise=SHARP, load=None):
 
 
 def put(wheel, cells):
+    """Let a wheel keep these cells and no others, and know its mass by eight weighings."""
     wheel.memory["cells"][0, : len(cells)] = cells
     wheel.memory["cells_kept"] = len(cells)
     wheel.memory["mass"] = W / PLAIN.gravity
@@ -193,7 +194,9 @@ def test_over_draws_of_the_prior_errors_are_as_large_as_stated():
 
 
 def contradicting(wheel, u, size):
-    """Cells whose torque is that of another law: more by a share that grows with the slip."""
+    """Cells whose torque is that of another law: off by a share up to `size` that swings with the
+    slip.
+    """
     cells = steady_cells(u, wheel.set)
     cells["torque"] *= 1.0 + size * np.cos(6.0 * cells["slip"])
     return cells
@@ -242,7 +245,9 @@ def test_the_soil_stays_where_soils_are():
 
 
 def cells_on_border(u, old, place, setting):
-    """Cells at shares of the new soil in between, and three behind."""
+    """Five cells on a border at `place` [m], of blends of the soil `old` and that of u, and three
+    behind it, of the soil of u alone.
+    """
     length = setting.border
     behind = length * np.array([-0.3, -0.15, 0.0, 0.15, 0.3])
     cells = []
@@ -258,7 +263,9 @@ def cells_on_border(u, old, place, setting):
 
 
 def cross_at(wheel, guess, doubt):
-    """Begin a border behind a soil that is known, the mean of the prior; the unknowns of that."""
+    """Begin a border at `guess` [m], known to `doubt` [m], behind a soil that is known: the mean of
+    the prior. Return the unknowns [SOIL] of the soil before it.
+    """
     wheel.take(wheel.set.soil_mean, 1e-6 * wheel.set.soil_covariance)
     wheel.begin_border(guess, doubt**2)
     return wheel.now.old_mean.copy()
@@ -312,7 +319,9 @@ def test_a_border_that_is_found_elsewhere_does_not_hold_up_the_fit(law):
 
 
 def chi_squared(wheel):
-    """Of forces and of the law of sinkage, at the unknowns as they are."""
+    """Chi-squared [2] of the forces and of the law of sinkage over all cells, at the unknowns as
+    they are.
+    """
     total = np.zeros(2)
     kept = wheel.memory.copy()
     for k in range(len(wheel.cells)):

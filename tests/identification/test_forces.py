@@ -34,6 +34,7 @@ depth = st.floats(0.005, 0.6).map(lambda share: share * R)
 
 
 def row_of(ground, sinkage, slip, load=LOAD):
+    """Row of `react` on a soil (friction angle [deg], c [Pa], n, ln of K [m])."""
     return [math.tan(math.radians(ground[0])), *ground[1:], sinkage, slip, load, R, B]
 
 

@@ -25,6 +25,9 @@ def gauss(x, length):
 
 
 def kernel(names):
+    """Covariance [60, 60] of a process over these conditions of the table, by its definition: over
+    the slip itself, over the logarithms of the others.
+    """
     each = {
         name: CONDITIONS[name] if name == "slip" else np.log(CONDITIONS[name]) for name in names
     }
@@ -120,6 +123,7 @@ def test_a_mixture_has_the_moments_of_its_parts():
 
 
 def test_stress_changes_scale_the_stresses():
+    """By a relative error of 0.1, at a sinkage of 2 cm."""
     soil = Ground(30.0, 1000.0, 0.01, 1e6, 1.0)._asdict()
     normal, shear, moved, spread, later = form_error.stress_changes(soil, 0.1, 0.02)
     assert normal == ({"sinkage_coefficient": pytest.approx(1.1e6)}, 0.0)

@@ -24,8 +24,8 @@ PRIOR = SETTING["prior"][0, :5]
 
 
 def assessed(estimate, pull, seen, rows=(0,)):
-    """Rows of `assess_ground` of wheels with these estimates [5] and best pulls (value, sd); those
-    not asked for are NaN.
+    """Rows of `assess_ground` of wheels with these estimates [5], best pulls (value, sd) and what
+    is `seen` (load [of weight], pitch [rad]); those not among `rows` are NaN.
     """
     estimate, pull, seen = (np.atleast_2d(x).astype(float) for x in (estimate, pull, seen))
     out = np.full((len(estimate), len(Traversability._fields)), np.nan)

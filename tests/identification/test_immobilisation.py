@@ -80,6 +80,7 @@ def test_a_wheel_of_another_size_reads_the_same():
         "inertia": 40.0,
     }
     large = load_scenario("mixed", {"wheel": wheel})
+    # lengths and speeds are 3 times as large, forces 8 times and torques 24 times
     similar = SensorReading(*np.multiply(READING, (1, 3, 8, 8, 24, 3, 3, 1, 24, 1)))
     np.testing.assert_allclose(
         follow([similar] * 3, scenario=large), follow([READING] * 3), rtol=1e-12

@@ -31,7 +31,7 @@ from tests.discovery.files import (
 )
 
 NOISELESS = SETUP.split("noise:")[0]
-KG = 1 / 9.81
+KG = 1 / 9.81  # [kg/N] what turns newtons into kilograms
 FIVE = (0.05, 0.15, 0.25, 0.37, 0.5)
 
 
@@ -103,6 +103,7 @@ def test_a_reading_that_is_a_little_better_is_a_caution(tmp_path, monkeypatch, g
     monkeypatch.setattr(mistakes, "_other_readings", lambda start: [other])
     found = examine(data.table, data.setup)
     assert found.said == ()
+    # the table as it is has 2.0, and a possible reading less than 0.97 of it (`mistakes.LESS`)
     if gain < mistakes.MAYBE or rms > 1.95:
         assert found.undecided == ()
         return
@@ -261,13 +262,13 @@ def test_a_wheel_that_gains_power_is_doubted(tmp_path):
     data, noise = usual(tmp_path)
     assert mistakes._gains_power(data, noise) == ""
     data.y[:, 1] = 30.0
-    data.y[:, 2] = 0.15 * 40.0
+    data.y[:, 2] = 0.15 * 40.0  # 40 N at the rim
     assert mistakes._gains_power(data, noise) == ""
     data.y[:, 2] /= 9.81
     assert "no wheel gains power" in mistakes._gains_power(data, noise)
     data.y[:, 1] = 30.0
     data.y[:, 2] = 0.15 * 20.0
-    data.rows.slip[:] = 0.5
+    data.rows.slip[:] = 0.5  # at half of the rim speed 30 N are less power than 20 N at the rim
     assert mistakes._gains_power(data, noise) == ""
     assert "1.5 times torque over radius" in mistakes._outpulls_the_rim(data, noise)
     data.rows.conditions[:, 2] = -0.1  # downhill the weight gives it
@@ -349,7 +350,9 @@ def test_sound_tables_are_rarely_doubted(tmp_path):
 
 
 def with_cell(text: str, row: int, name: str, factor: float) -> str:
-    """The table with another value in a row of the file."""
+    """The table with the value of one cell times `factor`; `row` counts the lines of the file from
+    1, that of the names.
+    """
     lines = [line.split(",") for line in text.splitlines()]
     k = lines[0].index(name)
     lines[row - 1][k] = repr(factor * float(lines[row - 1][k]))

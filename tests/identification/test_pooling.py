@@ -74,6 +74,7 @@ class Rover:
             self.tell(a)
 
     def tell(self, a):
+        """Let the pool of wheel a take what its identifier knows now."""
         observing.keep_knowledge(self.pools, a, self.memory, self.setting, self.work)
 
     def pooled(self, own=0):

@@ -102,6 +102,7 @@ def placed(seed, gains=0.0, border=False, compaction=0.0):
         deeper = rng.uniform(-0.7, 0.7)
         soil[PRESSURE] = shown(soil, cell)[2] + soil[EXPONENT] * (np.log(wheel.set.depth) - deeper)
         soil[PRESSURE] -= compaction * (soil[EXPONENT] + 0.5)
+    # by iteration: a change of the rise changes the residual only in part
     for _ in range(400):
         cell["most_likely_slip"] = slip
         cell["rise"] -= wheel.residuals()[0].sinkage
@@ -118,7 +119,7 @@ def vector(wheel):
     return np.array([e.pull, e.torque, e.sinkage]), slopes, e
 
 
-#: The law of sinkage is in metres.
+#: Units of the residuals: those of the forces are relative, that of the sinkage is in metres.
 UNITS = np.array([1.0, 1.0, R])[:, None]
 
 

@@ -38,7 +38,7 @@ def setup_of(noise=SD, **options):
 
 def within(estimate):
     """True if phi, K and S are within three standard deviations of the truth."""
-    k = 3.0 / 1.96
+    k = 3.0 / 1.96  # the intervals reach 1.96 standard deviations to either side
     names = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient")
     found = [(estimate.parameters[name], getattr(SAND, name)) for name in names]
     return all(

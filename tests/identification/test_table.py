@@ -151,6 +151,7 @@ def test_intervals_cover_the_truth(tmp_path, known, noise):
     assert all(e.converged and not e.warnings for e in found)
     hits = inside(found)
     assert set(hits) == {*NAMES} - {*known} and min(hits.values()) >= 24, hits
+    # off by how many standard deviations: an interval is 3.92 of them wide
     values = [
         [(p.value - getattr(SAND, n)) / (p.high - p.low) * 3.92 for n, p in free_of(e).items()]
         for e in found

@@ -19,7 +19,9 @@ SLIPS = np.linspace(0.05, 0.7, 8)
 
 
 def noisy(seed, slip_sd, load_sd=0.0, effects=None, stated=True):
-    """A table whose slips and loads were read with noise."""
+    """(table, setup) whose slips and loads [N] were read with noise of these standard deviations,
+    as the setup states if `stated`; `effects` of the world by name.
+    """
     clean = table(effects, slips=SLIPS)
     rng = np.random.default_rng(seed)
     y = clean.y + NOISE * rng.normal(size=clean.y.shape)
