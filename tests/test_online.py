@@ -224,6 +224,7 @@ def test_a_gap_in_the_sinkage_takes_nothing_from_what_was_measured(short_drives)
 
 
 def test_a_load_that_is_missing_now_and_then_is_that_of_the_others():
+    """The load of a cell is that of the readings that had one."""
     scenario = load_rover("mars_rover")
     identifier = OnlineIdentifier.of_scenario(scenario)
     load = 1.25 * scenario.weight
@@ -235,6 +236,9 @@ def test_a_load_that_is_missing_now_and_then_is_that_of_the_others():
 
 @pytest.mark.parametrize("missing", [("drawbar_pull", "acceleration"), ("pitch",)])
 def test_a_wheel_at_rest_shows_no_zero_of_a_pull_that_is_not_measured(missing):
+    """Neither without pull and acceleration, nor without the pitch, which gives the weight along
+    the slope.
+    """
     pitch = math.radians(10.0)
     load = WHEEL.body_mass * 9.81
     gone = dict.fromkeys(missing, math.nan)

@@ -73,6 +73,9 @@ def test_only_k_phi_goes_with_gravity():
 
 @pytest.mark.parametrize("soil", parameters.soils().values())
 def test_where_it_was_measured_a_soil_is_what_it_was(soil):
+    """At the gravity where it was measured, and with straight strength, a soil has its stated
+    numbers.
+    """
     assert soil.gravity_measured is not None
     straight = dataclasses.replace(soil, reference_stress=0.0)
     assert straight.under(0.15, 0.12, 90.0, soil.gravity_measured) == soil.state(0.12)
@@ -132,6 +135,7 @@ CURVED = Soil(**SOIL_S, reference_stress=2e4)
 
 
 def test_curved_strength_meets_the_straight_one_with_its_slope():
+    """At the reference stress; above it they are the same, and at stress 0 the curved one is 0."""
     at = CURVED.reference_stress
     straight = dataclasses.replace(CURVED, reference_stress=0.0)
     for stress in (at, 1.5 * at):

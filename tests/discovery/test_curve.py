@@ -8,6 +8,9 @@ from tests.discovery.files import LOADS
 
 
 def test_a_curve_of_its_own_kind_is_found():
+    """Values that follow the law of the curves are fitted; under one load the powers of the load
+    are the usual ones.
+    """
     slip = np.tile(np.linspace(-0.4, 0.6, 11), 3)
     load = np.repeat(LOADS, 11)
     x = load / 120.0

@@ -121,6 +121,9 @@ def test_uncertainty_of_the_predictions_is_the_spread_of_refits(case):
 
 
 def test_every_run_can_be_made(case):
+    """Proposed are runs of the grid that every candidate holds feasible, with the difference and
+    the probability that they promise.
+    """
     p, candidates = case
     runs = proposed(p, candidates, (0.6, 0.4))
     assert len({tuple(t.conditions.values()) for t in runs}) == len(runs) == 4
@@ -165,6 +168,7 @@ def test_predictions_from_values_that_are_nearly_exact():
 
 
 def test_no_run_is_proposed_behind_one_that_decides(case, monkeypatch):
+    """The proposals end with the run after which the right candidate has `ENOUGH`."""
     p, candidates = case
     runs = proposed(p, candidates, (0.6, 0.4))
     monkeypatch.setattr("soil_env.discovery.next_tests.ENOUGH", runs[1].sure)
@@ -243,6 +247,9 @@ def test_who_is_left():
     base = settle(p, ())
 
     def finding(*shares, free=0.0, untestable=()):
+        """`Finding` with these probabilities of a, b, c and the base model, `free` of something
+        unlisted, and effects that are `untestable`.
+        """
         sets = zip(shares, (a, b, c, base), strict=True)
         found = [Hypothesis(e.names, False, share, 0.0, e) for share, e in sets]
         found.append(Hypothesis((), True, free, 0.0, base))
@@ -289,6 +296,7 @@ def test_a_run_that_says_nothing_is_not_proposed(case):
 
 
 def test_checks_come_first_where_they_decide_more_than_a_run():
+    """By what they are expected to say, in nats, against the information of the best run."""
     level, lifted, *_ = open_checks()
     p = problem(table({}), np.random.default_rng(1))
     base = settle(p, ())

@@ -93,6 +93,7 @@ def test_a_strength_that_no_effect_may_have_is_no_smallest_one(planted):
     """The largest `rim_flow` is 0.12; a table that would show 0.84 shows none."""
 
     def smallest(size):
+        """What is told of a `rim_flow` that would have been seen from this size on."""
         found = planted.finding.detectable["soil_flow"]._replace(parameter="rim_flow", size=size)
         finding = dataclasses.replace(planted.finding, detectable={"soil_flow": found})
         ((_, _, told, *_),) = tables.detectable(dataclasses.replace(planted, finding=finding)).rows
@@ -235,6 +236,7 @@ def test_checks_are_asked_for_where_they_are_likely_to_find_something(nothing):
     base = nothing.finding.best()
 
     def step(p):
+        """Next step where two errors of gain have the probability p each."""
         found = [
             dataclasses.replace(base, names=(n,), probability=p)
             for n in ("force_gain", "torque_gain")
@@ -422,6 +424,9 @@ def test_the_summary_follows_the_probabilities(planted):
     base = finding.best()
 
     def report_of(*shares):
+        """The report under these probabilities: slip-sinkage, bulldozing, slip-sinkage beside
+        something unlisted, nothing, something unlisted alone.
+        """
         parts = (
             one,
             other,

@@ -68,6 +68,7 @@ def test_each_of_two_effects_is_resembled_by_itself(planted):
 
 
 def test_forms_of_one_pair_leave_place_for_other_pairs(planted):
+    """The pairs of effects that are weighed are at least ten, not ten forms of one pair."""
     assert len({h.names for h in planted.finding.hypotheses if len(h.names) == 2}) >= 10
 
 

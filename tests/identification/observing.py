@@ -98,6 +98,7 @@ def solve_system(a, n, m, right, factor, half, x, scratch, inverse):
     linear.invert(factor, m, scratch, inverse)
 
 
+# Functions of one wheel, called with arrays [1] of its records.
 @kept
 def _residuals(memory, setting, work, k, out):
     e = of_cell.residuals(memory[0].cells[k], memory[0], setting[0], work[0])

@@ -75,6 +75,7 @@ def test_precisions_of_patches_add_up_and_the_prior_counts_once(kept):
 
 
 def test_patches_that_differ_by_more_than_they_allow_are_less_sure(kept):
+    """A chi-squared of 9 between two estimates makes the sd of their mean three times as large."""
     posteriors = [(ESTIMATE, SD), (ESTIMATE + 3.0 * math.sqrt(2.0) * SD, SD)]
     for patch, posterior in enumerate(posteriors):
         remember(kept, 0, patch, *posterior)

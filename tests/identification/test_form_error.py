@@ -71,6 +71,7 @@ def test_beyond_the_table_the_variance_is_open():
 
 
 def test_compression_whitens():
+    """`whitened` multiplies by a root of the inverse of I + B B', with `compressed` columns B."""
     b = RNG.normal(size=(40, 7)) * 3.0
     b[:, 3] = 1e-13 * b[:, 3]  # as good as zero
     whole = form_error.whitened(form_error.compressed(b), np.eye(40))
@@ -82,6 +83,9 @@ def test_compression_whitens():
 
 @pytest.mark.parametrize("first", [0, 1, 2])
 def test_marginals_are_those_of_the_joint_normal(first):
+    """Log evidence, mean and covariance under each size, against scipy and numpy; `first` form
+    errors are eliminated beforehand.
+    """
     j = RNG.normal(size=(30, 3))
     e = RNG.normal(size=30)
     u = RNG.normal(size=3)

@@ -250,6 +250,9 @@ def test_the_law_of_sinkage_is_the_solution_of_its_equation(passes):
 
 
 def test_a_residual_of_the_law_of_sinkage_is_cut_where_it_is_no_error_of_that():
+    """It counts as `LINEAR_TO` standard deviations at most, and as nothing without a change of
+    sinkage.
+    """
     wheel, cell = placed(5)
     cell["rise"] += 1.0
     e = vector(wheel)[2]

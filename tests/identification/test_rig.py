@@ -48,6 +48,7 @@ def within(estimate):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_pull_and_torque_suffice(tmp_path, seed):
+    """Without any sinkage the soil is found, with wider intervals than with the sinkages."""
     rows = clean()
     e, full = (
         tables.estimate(tmp_path, rows, setup_of(), np.random.default_rng(seed), leave_out=names)

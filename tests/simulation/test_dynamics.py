@@ -127,6 +127,7 @@ def test_motor_stays_within_its_lines(command, share, speed_command):
 
 @pytest.mark.parametrize("speed_command", [False, True])
 def test_motor_slope(speed_command):
+    """The second result of `motor_torque`, d(torque)/d(w) [N m s], against central differences."""
     rng = np.random.default_rng(0)
     for command, w in zip(rng.uniform(-1, 1, 200), rng.uniform(-5, 5, 200), strict=True):
         up, here, down = (

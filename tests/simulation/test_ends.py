@@ -88,6 +88,7 @@ def test_slow_is_not_stuck():
 
 
 def test_halts_do_not_count():
+    """A wheel that does not get on is ENTRAPPED after 100 periods (10 s) outside of halts."""
     assert onward(np.zeros(560), range(50, 500)).index(Cause.ENTRAPPED) == 549
     assert set(onward(np.zeros(500), range(500))) == {Cause.RUNNING}
 

@@ -224,6 +224,9 @@ def look_often(wheels, courses, view, left):
 
 
 def test_averaging_images_leaves_the_fixed_error_of_a_border(scenario):
+    """Images of a border scatter by `border_noise`, and their mean is off by a fixed error as
+    large.
+    """
     noise = scenario.camera.border_noise
     view = camera.camera_of(scenario)
     fixed = []

@@ -125,6 +125,7 @@ def observed_again(sim, estimate=None):
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_only_true_soil_shows_the_soil(variant):
+    """The observation of the same state where all numbers of the soils are 1.3 times as large."""
     sim = simulation(variant)
     for _ in range(20):
         sim.step(0, 0.3)

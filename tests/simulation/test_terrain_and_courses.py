@@ -281,6 +281,7 @@ def test_passes_are_continuous_and_those_of_a_cell_in_its_middle(scenario):
     cells["passes"] = np.random.default_rng(0).integers(0, 4, cells.size)
     x = np.arange(-0.7, scenario.course.length + 0.3, 1e-4)
     passes = np.array([terrain.pass_at(cells, at) for at in x])
+    # neighbouring cells differ by up to 3 passes, over the length of one
     assert np.abs(np.diff(passes)).max() < 3.1 * 1e-4 / terrain.CELL
     for cell in (0, 7, 50):
         middle = (cell + 0.5) * terrain.CELL - terrain.BEHIND

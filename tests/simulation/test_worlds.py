@@ -297,6 +297,9 @@ def test_a_weight_beyond_the_loads_of_a_model_is_warned_of(scatter):
 
 
 def test_a_least_pull_of_minus_the_weight_takes_soil_that_bogs_the_wheel():
+    """With -1 the last soil that was drawn is taken although none passes; with -0.99 there is no
+    course.
+    """
     changes = {"soils": {"dry_sand": 1}, "limits": {"bogged_sinkage": 0.06}}
     with pytest.raises(ParameterError, match="no soil leaves this wheel"):
         SoilWheelEnv(load_scenario("mixed", changes | {"course": {"least_pull": -0.99}}))

@@ -331,6 +331,7 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
         return Q * Q * site.b * tau
 
     def surplus(z):
+        """Vertical force [N] at a sinkage z [m] beyond the load normal to the ground."""
         return sums(z, upward)[0] - normal
 
     depths = [max(extra, 0.0) * 1.0001 + site.r * 1e-4 * 2.0**k for k in range(14)]

@@ -189,6 +189,7 @@ def predicted(case, guess):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_rows_are_single_points_whatever_the_guess(seed):
+    """`predict_rows` against `steady_with` of each row, from sinkages far off and near."""
     case = table(seed)
     (slip, load, wheels, conditions), soil, weight, fx = case
     guess = np.zeros(slip.size)

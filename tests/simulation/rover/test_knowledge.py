@@ -137,6 +137,9 @@ def test_pooled_is_surer_than_alone(recorded):
     ("action", "read"), [("torque", True), ("wheel_speed", False), ("rim_acceleration", False)]
 )
 def test_the_torque_of_a_speed_loop_is_no_reading_of_the_soil(action, read):
+    """Unless the action is a torque, the noise of the motor torque is so large that it counts for
+    nothing.
+    """
     scenario = load_rover("mars_rover", {"control": {"action": action}})
     setting = setting_of(scenario)
     alone = setting.copy()
