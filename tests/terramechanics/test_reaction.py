@@ -106,7 +106,9 @@ def motion(rng):
 
 def rates_are_differences(ground, v, u, load, wheel, step, error, least):
     """Assert that the rates of pull, torque and S by v and u are central differences of fourth
-    order with this `step` [m/s], to a relative `error` of the rates' sizes plus `least`.
+    order with this `step` [m/s].
+
+    The tolerance is `error` times the larger of both rates plus `least`.
     """
 
     def forces(v, u):
