@@ -123,7 +123,9 @@ NOISE_ALONE = Sizes()  # no form error, and values that scatter as their noise s
 
 
 def sinkage_guess(output: np.ndarray) -> np.ndarray:
-    """[N] sinkages [m] of an output [N, 3], 0 for negative ones, from which a prediction starts."""
+    """Sinkages [N] in m from which a prediction starts: those of an output [N, 3], 0 for negative
+    ones.
+    """
     return np.maximum(output[:, 0], 0.0)
 
 
@@ -254,7 +256,7 @@ class Problem:
 
         `speed` and `sliding` are geometric means: that of sliding over the rows that slip, or that
         of travel if none does. Both are 0 if a row has no speed. The sinkage is the
-        `middle_sinkage` of its amounts, since a wrong zero makes it negative.
+        `middle_sinkage` of absolute values, since a wrong zero can make measured ones negative.
         """
         rows = self.data.rows
         r = self.data.wheel.radius
@@ -442,8 +444,8 @@ class Problem:
     def _start_of(self, unknown: Unknown) -> float:
         """Whitened start of an unknown: 0, the prior mean.
 
-        The strength of an effect whose lower bound is its neutral value starts a little above. At
-        neutral the other parameters of the effect change nothing.
+        The strength of an effect whose lower bound is its neutral value starts a little above,
+        since at that value the other parameters of the effect change nothing.
         """
         bounded = not unknown.log and unknown.low >= unknown.mean
         return _OFF_NEUTRAL if bounded and unknown not in self.soil else 0.0
@@ -591,7 +593,7 @@ def calibrate(data: Data) -> tuple[Problem, NoiseEstimate]:
 
     A first fit of the base model under `rough_noise` gives the surface about which noise and
     outliers are found. Noise of slip and load that the setup states counts as noise of the
-    channels. The noise is known as well as that of the channel with the fewest degrees of freedom.
+    channels. `Problem.freedom` is the least of the channels' degrees of freedom.
     """
     first = Problem(data, rough_noise(data), data.measured)
     fit = first.fit()

@@ -68,7 +68,7 @@ def model_of(problem: Problem, choices: Sequence[Choice], values: Values) -> Whe
     for choice in choices:
         if choice.effect in CATALOGUE:
             effects.setdefault(choice.effect, {}).update(parameters(problem, choice, values))
-    # The load of a model presses normal to the ground but for this share.
+    # A `WheelSoilModel` takes the load as normal to the ground; with a share of 1 it is vertical.
     if setup.load == "vertical":
         grade = effects.get("grade", {})
         effects["grade"] = grade | {"share": 1.0 + grade.get("share", 0.0)}
@@ -130,14 +130,15 @@ def _remainder(
     nodes: Conditions,
     without: Sequence[str],
 ) -> ResidualTable:
-    """The table of a prediction less `model`, at all combinations of the `nodes` of each condition:
-    sinkage over radius, pull over load, torque over load times radius, and their standard
-    deviations. The values, but not the deviations, are 0 where the model has none. Values are cut
-    to ±`LARGEST`, deviations to `MOST_SD`. Its axes are the nodes as dimensionless groups
+    """The table of a prediction less `model`, at all combinations of the `nodes` of each condition.
+
+    Its values are sinkage over radius, pull over load, torque over load times radius, cut to
+    ±`LARGEST`; 0 where the model has no value. Beside them are the standard deviations of the
+    prediction, cut to `MOST_SD`. Its axes are the nodes as dimensionless groups
     (`residual.GROUPS`).
 
-    Conditions that are no node are at their medians, the ground level; slip always is one, and its
-    nodes are true slips. `without`: errors of the rig that the prediction leaves out.
+    Conditions without nodes are at their medians, and the ground is then level. Slip always has
+    nodes, which are true slips. `without`: errors of the rig that the prediction leaves out.
     """
     grid = np.stack(np.meshgrid(*nodes.values(), indexing="ij"), axis=-1).reshape(-1, len(nodes))
     at = _medians(found.problem, ("load", "speed", "pass"), len(grid))
@@ -172,7 +173,7 @@ def _medians(problem: Problem, names: Sequence[str], count: int) -> dict[str, np
 
 
 class Guess(NamedTuple):
-    """Conditions about those of the table at which a prediction is least sure."""
+    """Corner of the remainder's table at which a prediction is least sure (`least_sure`)."""
 
     conditions: dict[str, float]  # by the columns of a table
     mean: np.ndarray  # [3] predicted sinkage [m], pull [N], torque [N m]

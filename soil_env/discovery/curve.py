@@ -37,7 +37,7 @@ class Curve(NamedTuple):
     braked: bool  # braked rows have a b of their own
 
     def at(self, slip: np.ndarray, load: np.ndarray) -> np.ndarray:
-        """[N] values of the channel at slips [N] and loads [N]."""
+        """[N] values of the channel, in its unit, at slips [N] and loads [N] in newtons."""
         x = np.log(load / self.load)
         return _basis(slip, x, self.scale, self.powers, self.braked) @ self.amplitudes
 
@@ -45,10 +45,10 @@ class Curve(NamedTuple):
 def _basis(
     slip: np.ndarray, x: np.ndarray, scale: float, powers: np.ndarray, braked: bool
 ) -> np.ndarray:
-    """[N, 2 or 3] functions that the `Curve.amplitudes` multiply.
+    """[N, 2 or 3] functions of slip and load that the `Curve.amplitudes` a and b multiply.
 
-    `x` [N]: ln(W/W0); `scale`: k; `powers`: p, q, m. That of the slip is odd, so negative on braked
-    rows; `braked`: these have a b of their own.
+    `x` [N]: ln(W/W0); `scale`: k; `powers`: p, q, m. The function of b is odd in the slip, so
+    negative on braked rows. If `braked`, these rows have a b of their own, in a third column.
     """
     grown = -np.expm1(-np.abs(slip) / (scale * np.exp(powers[2] * x)))
     side = np.exp(powers[1] * x) * grown
@@ -59,11 +59,12 @@ def _basis(
 
 
 def fit_curve(slip: np.ndarray, load: np.ndarray, y: np.ndarray, sd: float) -> Curve:
-    """The curve through values y [N], each with the standard deviation `sd`.
+    """The curve through values y [N] of a channel, each with the standard deviation `sd`, at slips
+    [N] and loads [N] in newtons.
 
-    k is the best on the grid, with the powers `POWERS`. Where ln W spans more than `LEAST_SPAN`, k
-    and the powers, these with their priors, are fitted from there. Braked rows have an amplitude of
-    their own if there are `FEWEST_BRAKED`.
+    k is the best of `SLIP_SCALES`, with the powers `POWERS`. Where ln W spans more than
+    `LEAST_SPAN`, these are only the start: k and the powers are fitted, the powers with their
+    priors. Braked rows have an amplitude of their own if there are `FEWEST_BRAKED`.
     """
     middle = gmean(load)
     x = np.log(load / middle)

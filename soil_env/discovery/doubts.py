@@ -26,9 +26,9 @@ def of_lone_rows(
     """Return a doubt, as a sentence, if rows that stand alone in their conditions decide what is
     named; else ().
 
-    They do if a search without them has another verdict or other names than the `finding`. There is
-    no such search where no row stands alone, or more than one in `FEW`, and where too little would
-    be left.
+    They do if a search without them has another verdict or other names than `finding`, that of all
+    rows. No search is made, and the result is (), if no row stands alone, if more than one in `FEW`
+    does, or if the rows that are left are too few.
     """
     table = problem.data.table
     alone = np.flatnonzero(noise.alone)

@@ -231,10 +231,10 @@ def settle(problem: Problem, choices: Choices, near: Evidence | None = None) -> 
 
 
 class _Further:
-    """K strengths of the further effects `choices`, each by itself beside the fitted model `first`,
-    as linear unknowns under each size of the law's error.
+    """Strengths of effects that the fitted model `first` lacks, as linear unknowns beside it.
 
-    A strength is a parameter that is not fitted in its logarithm; `unknowns` [K] has its prior.
+    Each of the `choices` is an effect that is added by itself; together they have K strengths. A
+    strength is a parameter that is not fitted in its logarithm; `unknowns` [K] has its prior.
     `columns` [M, K] are derivatives of the whitened values by the whitened strengths. `owner` [K]
     has the index in `choices` of each. Under the covariance of noise and form errors, and with the
     unknowns of the model free, the strengths x add x'pull - x'normal x / 2 to the log likelihood.
@@ -265,8 +265,9 @@ class _Further:
     def under(self, sizes: Sizes) -> tuple[float, np.ndarray, np.ndarray]:
         """(log evidence of the model alone, normal [K, K], pull [K]) under `sizes`.
 
-        Of these count the size and span of the law's error and the scatter. Other sizes are those
-        of the model. Its unknowns and form errors are eliminated by a Schur complement.
+        Only three of the `sizes` count: size and span of the law's error, and the scatter. The
+        effects of the model have their most probable size, nuisances the size 1. Unknowns and form
+        errors of the model are eliminated by a Schur complement.
         """
         fit = self.fit
         noise = sizes.scatter
@@ -492,9 +493,9 @@ def anonymous(problem: Problem, plain: Evidence) -> Evidence:
     """Evidence of the model of `plain` with an anonymous contribution.
 
     Where scatter is most probable the model is fitted anew, since a fit without scatter bends the
-    parameters to explain it. The more probable of both is returned. Otherwise a second contribution
-    is tried beside the most probable pattern, with a prior of one half: two patterns may explain
-    what no single one does.
+    parameters to explain it. The more probable of the two fits is returned. Otherwise a second
+    contribution is tried beside the most probable pattern, if there is one: two may explain what no
+    single one does. One contribution and two are equally probable before the table.
     """
 
     def about(fit: Fit, beside: Pattern | None = None) -> Evidence:

@@ -246,8 +246,8 @@ Names = tuple[str, ...]  # a set of effects
 
 
 def _stated(calibration: Calibration) -> dict[str, float | None]:
-    """Standard deviation by name of each error of a rig, as the setup states it; None where its
-    default depends on the load.
+    """Standard deviation by name of each error of a rig, as the setup states it or by default; None
+    where the default depends on the load.
     """
     return {
         name: getattr(calibration, "tilt_deg" if name == "tilt" else name) for name in INSTRUMENT
@@ -312,8 +312,9 @@ def odds_factors(setup: Setup, bench: Bench) -> dict[str, float]:
 
 
 def true_rows(rows: Rows, values: Values) -> Rows:
-    """Rows with the true wheel radius, and with the slip that follows from it: the recorded slip
-    was computed with the stated radius.
+    """Rows with the true wheel radius, by `wheel_radius_error` among `values`, and the true slip.
+
+    The slip changes since the recorded one was computed with the stated radius.
     """
     error = values.get("wheel_radius_error", 0.0)
     if error == 0.0:

@@ -68,9 +68,9 @@ def surer_runs(model: Prediction, evidence: Evidence, most: int) -> tuple[SurerR
     """At most `most` runs that make the prediction surer, in the order to make them.
 
     Each is the run that lowers the mean standard deviation most for its cost. The grid to choose
-    from has the conditions on which the effects in `evidence` depend, without runs in which the
-    wheel would sink deeper than `predictive.DEEPEST` radii; none is left if all would. Of a large
-    grid, `LARGEST` runs are drawn.
+    from (`next_tests.conditions`) varies the conditions on which the effects in `evidence` depend.
+    Runs in which the wheel would sink deeper than `predictive.DEEPEST` radii are left out; () if
+    all are. Of a larger grid, `LARGEST` runs are drawn.
     """
     problem = model.problem
     grid = conditions(problem, (evidence,))

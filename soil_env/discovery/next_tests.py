@@ -109,7 +109,9 @@ def open_checks(ruled_out: Collection[str] = ()) -> tuple[Check, ...]:
 
 
 def _listed(parts: Collection[str]) -> str:
-    """The parts with semicolons between them, but " and " between two without a comma."""
+    """The parts as one text: two without a comma with " and " between them, others with
+    semicolons.
+    """
     short = len(parts) < 3 and not any("," in part for part in parts)
     return (" and " if short else "; ").join(parts)
 
@@ -161,10 +163,10 @@ class Candidates(NamedTuple):
     own: np.ndarray  # [K, G, C] further variance of every value by itself, the noise with it
 
     def joint(self, chosen: Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
-        """Joint predictions (mean [K, G, m], covariance [K, G, m, m]) of the n chosen runs with
-        each run of the grid, m = (n + 1) C.
+        """(mean [K, G, m], covariance [K, G, m, m]) of joint predictions, for each run of the grid,
+        of the n runs `chosen` before and then of that run; m = (n + 1) C.
 
-        That run is the last of them.
+        `chosen`: indices of the grid.
         """
         chosen = list(chosen)
         mean, own = (_behind(x[:, chosen], x) for x in (self.mean, self.own))
@@ -174,9 +176,10 @@ class Candidates(NamedTuple):
 
 
 def _behind(first: np.ndarray, each: np.ndarray) -> np.ndarray:
-    """[K, G, (n + 1) C, ..] values of the `first` runs [K, n, C, ..], repeated for each of G runs.
+    """[K, G, (n + 1) C, ..] values of n runs with one of the G runs of a grid behind them.
 
-    Behind them are the values of that run, from `each` [K, G, C, ..].
+    `first` [K, n, C, ..]: values of the n runs, the same before each run of the grid. `each`
+    [K, G, C, ..]: values of the runs of the grid.
     """
     known = first.reshape(len(first), 1, -1, *each.shape[3:])
     known = np.broadcast_to(known, (*each.shape[:2], *known.shape[2:]))
@@ -257,9 +260,9 @@ def proposed(
     """At most `most` runs that tell candidates with these models and probabilities apart.
 
     Each is the run of the grid with most information for its cost beyond the runs before it, among
-    those that every candidate holds feasible. They end where it has less than `LEAST`, or where the
-    right candidate has `ENOUGH`. With `repeat`, the run of the table that the first candidate
-    misses most comes first. Without it, no run is proposed for a single candidate.
+    those that every candidate holds feasible. The proposal ends where that information is `LEAST`
+    or less, or where the right candidate has `ENOUGH`. With `repeat`, the run of the table that the
+    first candidate misses most comes first. Without it, no run is proposed for a single candidate.
     """
     if len(evidence) < 2 and not repeat:
         return ()
@@ -427,8 +430,8 @@ def _levels(problem: Problem) -> dict[str, list[float]]:
     """Values of each condition but the wheel: those of the rig, else values around those of the
     table.
 
-    The latter are `SLIPS`, loads and speeds by `_around`, passes up to one more than the table has,
-    and its least and largest grade.
+    The latter are `SLIPS`, loads and speeds by `_around`, the passes 1 and 2, the last pass of the
+    table and one more, and its least and largest grade.
     """
     column = problem.data.conditions
     most = column["pass"].max()
@@ -500,8 +503,10 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
 
 
 def _rim_speed(speed: np.ndarray, slip: np.ndarray) -> float:
-    """The one rim speed [m/s] of a table with these travel speeds [m/s] and slips [N]; NaN where it
-    has several, or its travel speed is as constant.
+    """The one rim speed [m/s] of a table with travel speeds [N] in m/s and slips [N].
+
+    NaN where it has several (`_SAME_RIM`), and where the travel speed varies no more than the rim
+    speed, both relative to their medians.
     """
     of_rim = travel_speeds(1.0, slip)  # over the rim speed
     rims = speed[of_rim > 0.0] / of_rim[of_rim > 0.0]

@@ -1,8 +1,8 @@
 """How well the runs of a table are predicted by the others.
 
 Levels of slip and load, and combinations of all conditions but the slip, are left out one after the
-other. What is left predicts them: the base model, the fit of all effects (`prediction`) and a curve
-(`curve`).
+other. Three models that are fitted to the rest predict them: the base model, all effects with a
+remainder (`prediction`), and a generic curve (`curve`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .calibrate import Problem
 from .curve import Curve, at_curves, fit_curve
 from .prediction import Prediction, at_conditions, fit_prediction, independent
 
-LEVEL = 0.01  # range of the sine of the grade, up to which it is constant
+LEVEL = 0.01  # range of the pass number, or of the sine of the grade, up to which it is constant
 FEWEST_GROUPS = 3  # levels or combinations, from which they are left out in turn
 MOST_GROUPS = 10  # of them: the 1st and the 11th are left out together; each costs a fit
 FEWEST = 4  # values of a channel, from which it has a curve
@@ -52,12 +52,13 @@ class Outlook(NamedTuple):
 
 
 def curves_of(problem: Problem) -> list[Curve | None] | None:
-    """The generic curves (`curve`) through the values in use, by channel.
+    """Generic curves (`curve`) through the values in use, one for each of the three channels.
 
     None where a condition varies that a curve does not know: any but slip and load. A pass or a
-    grade counts even if it follows from these, as of a wheel that climbs. A channel with less than
-    `FEWEST` values or `FEWEST_SLIPS` has None. All rows count alike, whatever noise they state: a
-    curve misses a table by more than noise.
+    grade that varies counts even if it follows from slip and load, like the grades that a wheel
+    climbs by itself. A channel with fewer than `FEWEST` values or `FEWEST_SLIPS` slips has None.
+    All rows have the same weight, whatever noise they state, since a curve misses a table by more
+    than noise.
     """
     rows = problem.data.rows
     passes_grades = rows.conditions[:, 1:]
@@ -73,10 +74,12 @@ def curves_of(problem: Problem) -> list[Curve | None] | None:
 
 
 def outlook(problem: Problem) -> Outlook:
-    """The fit of all effects, and the errors of what is left out.
+    """The fit of all effects to the table, and the errors of rows that were left out in turn.
 
-    Of each kind `FEWEST_GROUPS` are needed; more than `MOST_GROUPS` are dealt out to so many. Left
-    out is left out of all: effects, unknowns and remainder are fitted anew to the rest.
+    Left out are the levels of slip, the levels of load, and the combinations of all conditions but
+    slip, these only if more than the load varies. Each kind needs `FEWEST_GROUPS`; more than
+    `MOST_GROUPS` are dealt out to that many groups. Effects, unknowns and remainder are fitted anew
+    to the rest.
     """
     others = tuple(name for name in independent(problem) if name != "slip")
     splits: dict[str, tuple[str, ...]] = {"slip": ("slip",)}
@@ -94,8 +97,10 @@ def outlook(problem: Problem) -> Outlook:
 
 
 def _left_out(problem: Problem, groups: np.ndarray) -> np.ndarray:
-    """[3, N, 3] predictions of the rows of each group by fits to the rest: by the base model, by
-    all effects, by the curve. NaN where there is no curve.
+    """[3, N, 3] predictions of each row by fits to the rows of all other `groups` [N].
+
+    Along the first axis: base model, all effects, curve; along the last: channels [m, N, N m]. NaN
+    where there is no curve.
     """
     held = np.full((3, *problem.used.shape), np.nan)
     for k in range(groups.max() + 1):

@@ -176,8 +176,10 @@ class _Remainder:
 
 
 def _scales(problem: Problem, output: np.ndarray) -> np.ndarray:
-    """[N, 3] scales s of the remainder, over the noise: the sinkage of the `output` or the least
-    one, `FORCE_SCALE` of the load, and this times the radius.
+    """[N, 3] scales s of the remainder, over the noise of the channels.
+
+    They are the absolute sinkage of the `output` [N, 3], at least `LEAST_SINKAGE` radii,
+    `FORCE_SCALE` of the load for the pull, and this times the radius for the torque.
     """
     rows = problem.data.rows
     r = rows.wheels[:, 0]
@@ -250,7 +252,9 @@ class Prediction:
         return 1.0 + self.learnt.beyond**2
 
     def joint_at(self, conditions: Conditions) -> np.ndarray:
-        """[N, 3, N, 3] covariance of the true values at conditions, over the noise."""
+        """[N, 3, N, 3] covariance of the true values, without the noise of a run, at conditions [N]
+        by the columns of a table; values are over the noise of their channel.
+        """
         there = at_conditions(self.problem, conditions)
         _, law, across = self._means(there)
         top, known, shared = self._covariance_factors(there, law, across)
@@ -332,6 +336,7 @@ def fit_prediction(
             _fitted(Law(problem, choices, priors=FLOW), start, NO_REMAINDER)
             for start in (u, _inside(law, JUST_OFF))
         )
+        # Of fits that are equal when rounded, the first one is taken.
         return min(both, key=lambda fit: round(fit.residual @ fit.residual + fit.u @ fit.u, 1))
     learnt = USUAL
     for _ in range(ROUNDS):
@@ -373,7 +378,7 @@ def _learn(fit: Prediction, start: Learnt) -> Learnt:
     """
     remainder = fit.remainder
     used = fit.problem.used
-    e = fit.residual + fit.jacobian @ fit.u
+    e = fit.residual + fit.jacobian @ fit.u  # residual of the linearised law at unknowns of 0
     usual = USUAL.logarithms
     # [N, N] squares of the differences of a coordinate between rows of the table.
     columns = dict(zip(remainder.names, remainder.table.T, strict=True))

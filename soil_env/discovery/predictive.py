@@ -136,9 +136,10 @@ def _within_bounds(
     """(mean [k] less the fit, covariance [k, k]) of unknowns and form errors, given that each
     unknown is within its bounds.
 
-    Those without bounds are `off` [k] and `covariance` [k, k]. The unknowns are truncated one after
-    the other, each as a normal variable, and the others follow by their covariance with it. One
-    that is at least `_NEAR` within its bounds stays, one more than `_OUTSIDE` beyond is put on one.
+    Mean and covariance without bounds are `off` [k] and `covariance` [k, k]. The unknowns are
+    truncated one after the other, each as a normal variable, and the others follow by their
+    covariance with it. One that is at least `_NEAR` inside both bounds stays. One that is more than
+    `_OUTSIDE` beyond a bound is put on that bound.
     """
     for k, unknown in enumerate(fit.unknowns):
         mean = fit.u[k] + off[k]

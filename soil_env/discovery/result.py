@@ -59,7 +59,7 @@ class Report:
     gap: dict[str, Gap]  # by measured channel
     #: Share of the gap that the named effects close; None where none is named or there is no gap.
     closed: float | None
-    closed_interval: tuple[float, float] | None  # 95 %
+    closed_interval: tuple[float, float] | None  # 95 %; see `judgement.closed_interval`
     outlook: Outlook  # what can be predicted, whatever is missing
     guess: Guess | None  # where the prediction is least sure
     next_checks: tuple[Check, ...]  # of the instrument, before the next runs
@@ -72,7 +72,8 @@ class Report:
     held_out_before: np.ndarray
     held_out_after: np.ndarray  # [N, 3] with the named effects
     doubts: tuple[str, ...]  # mistakes that the table looks like
-    taken: tuple[str, ...]  # how a dense table was taken, and how this one could be meant as well
+    #: How a dense table was binned, "" for any other; then readings that could be meant as well.
+    taken: tuple[str, ...]
     settings: Settings
 
     @property
@@ -86,10 +87,10 @@ class Report:
         return "partly" if said == "named" and any(map(self.remains, self.gap)) else said
 
     def remains(self, channel: str) -> bool:
-        """True if the named effects leave a remainder in a channel that is stated.
+        """True if the report states that the named effects leave a remainder in a channel.
 
-        Their held-out error is more than `LEFT` times the noise, or larger than the base model's by
-        more than `WORSE`.
+        It does if their held-out error is more than `LEFT` times the noise, or larger than that of
+        the base model by more than `WORSE`.
         """
         gap = self.gap[channel]
         return gap.after > LEFT * gap.noise_floor or gap.after > (1.0 + WORSE) * gap.before
@@ -106,8 +107,8 @@ class Report:
 
     @property
     def law_error(self) -> float:
-        """Relative error of the stress laws that the table suggests, root mean square over its
-        probabilities.
+        """Relative error of the stress laws that the table suggests: root mean square over its
+        posterior in the stated hypothesis.
         """
         return self.finding.stated.evidence.typical("law")
 

@@ -306,7 +306,9 @@ class Finding:
 
     def best(self, *names: str, free: bool | None = False) -> Hypothesis:
         """The most probable hypothesis with exactly these listed effects, and with an anonymous
-        contribution if `free` (None: with or without); no law that resembles an effect.
+        contribution if `free` (None: with or without).
+
+        Hypotheses of an anonymous law that resembles an effect (`Hypothesis.like`) do not count.
         """
         of_names = (h for h in self.hypotheses if {*h.names} == {*names} and not h.like)
         return next(h for h in of_names if free in (None, h.free))
@@ -394,8 +396,8 @@ def search(problem: Problem, say: Say = lambda text: None) -> Finding:
 
     The hypotheses are no effect, each effect and the best pairs, and some of these with an
     anonymous contribution: none and the `_FREE` best sets, or all single effects where the values
-    scatter. For each set of effects there is an anonymous law that resembles it. Anonymous laws of
-    few numbers are tried by themselves.
+    scatter. For each set of effects there is an anonymous law that resembles it, unless one of them
+    is named in any form (`Effect.any_form`). Anonymous laws of few numbers are tried by themselves.
 
     Probabilities are in proportion to the prior odds times the evidence to the power of
     1/`TEMPERATURE`. `Finding.detectable` is of effects of soil and drive alone.
@@ -478,8 +480,8 @@ def _unnamed(problem: Problem, base: Evidence, nearest: Names) -> list[Entry]:
     """Entries of the anonymous laws of few numbers whose condition varies and whose channels are
     measured.
 
-    `nearest`: the listed effect that explains most, which they are said to resemble; without it
-    there are no entries.
+    `nearest`: the listed effect that explains most, which the laws are said to resemble; with () in
+    its place there are no entries.
     """
     laws = [
         law
@@ -488,6 +490,7 @@ def _unnamed(problem: Problem, base: Evidence, nearest: Names) -> list[Entry]:
         # A power of the speed needs it in every row.
         if law.varies != "speed" or problem.bench.speed > 0.0
     ]
+    # Without `like` an entry would pass for an anonymous contribution (`Finding.best`).
     found = [settle(problem, (Choice(law.name, 0),), base) for law in laws if nearest]
     log_odds = math.log(UNNAMED_ODDS)
     return [Entry(e, e.log, log_odds, like=nearest, free=True) for e in found]

@@ -8,7 +8,7 @@ load of a row, N the pass number; every parameter is a pure number:
     force                     DP - a W (z/z0)^m,  T + b W r (z/z0)^m  soil beside or on the wheel
     rut_force                 the same times 1 - 1/N                  the same in a rut
     slip_force                DP - a W q,  T + b W r q                soil moved by slip
-    slip_load                 W + a W q                               it loads or lifts the wheel
+    slip_load                 W_row (1 + a q)                         it loads or lifts the wheel
     torque_curve, pull_curve  y/(1 + s |y|/y0)                        a sensor that is not linear
     soft_wheel                r (1 + a W_row/W),  T on the lever r    a wheel that its load deforms
     {friction,cohesion,modulus}_pass     tan(phi), c or K alone, times N^p
@@ -149,7 +149,7 @@ def loaded(rows: Rows, values: Values, load: float) -> Rows:
 
 def factors(rows: Rows, values: Values, bench: Bench) -> np.ndarray | None:
     """Factors [N, 4] on the soil parameters `BY_ROW` (on the tangent of the friction angle), by the
-    laws of soil whose power is among `values`; None without such a law.
+    laws of one soil parameter whose power is among `values`; None if it has none of these powers.
     """
     laws = [name for name in _ANONYMOUS if f"{name}_power" in values]
     out = np.ones((rows.slip.size, len(BY_ROW)))

@@ -51,12 +51,13 @@ def run(
     """Find where table and model disagree, name the missing effect, add it, and report how far the
     gap closes.
 
-    `table` and `setup` are read ones or files. `out` is a folder for report.json, report.html and
-    model.yaml, which are written at the end, all of them or none. `seed` is that of the simulated
-    null distributions. `next_runs` is how many are proposed, with the `goal` to "name" what is
-    missing or to "predict". Without `leave_out` no rows are left out to see how well the others
-    predict them, which takes most of the time where there are many. `progress` receives the text of
-    each stage, "stage" or "stage: step".
+    `table` and `setup` are objects or paths of files. `out` is a folder for report.json,
+    report.html and model.yaml, which are written at the end, all of them or none. `seed` is that of
+    the random draws: simulated null distributions (`locate`) and intervals of the closed gap.
+    `next_runs` is how many runs are proposed at most, with the `goal` to "name" what is missing or
+    to "predict". Without `leave_out` no rows are left out to see how well the others predict them
+    (`outlook`), which takes most of the time of a table with many rows. `progress` receives the
+    text of each stage, "stage" or "stage: step".
 
     Raises `ParameterError` with one line for bad input, and where `out` cannot be written.
     """
@@ -108,9 +109,9 @@ def _conclude(
 ) -> Report:
     """Go through all stages of the workflow, and return what they found.
 
-    `next_runs`: how many are proposed. With the `goal` "name" they tell what is missing, with
-    "predict" they make the prediction surer; there are none of the other kind. `leave_out`: as of
-    `run`.
+    `next_runs`: how many runs are proposed at most. With the `goal` "name" they tell what is
+    missing, with "predict" they make the prediction surer; there are none of the other kind.
+    `leave_out`: as of `run`.
     """
     say("looking for mistakes")
     table, setup, dense = binned(table, setup)
@@ -121,13 +122,14 @@ def _conclude(
         problem, noise = calibrate(prepare(examined.table, setup))
     finding = search(problem, lambda text: say(f"searching: {text}"))
     say("predicting what was held out")
-    rng = np.random.default_rng([settings.seed, 1])
+    rng = np.random.default_rng([settings.seed, 1])  # other draws than those of `_worse`
     finding, fits, held = _without_refuted(problem, finding, settings.seed)
     before = held[()]
     after = held[finding.names]
     final = fits[finding.names]
     doubted += doubts.of_lone_rows(problem, noise, finding, say)
     say("locating the disagreement")
+    # Of the base model under the noise as it is, whereas the fits above may have a scatter.
     where = locate(
         problem, problem.fit((), finding.best().evidence.fit.parameters()), settings.seed
     )
@@ -189,7 +191,7 @@ def _without_refuted(problem: Problem, finding: Finding, seed: int) -> tuple[Fin
        more effects stay. It needs a soil far from the setup's (`_far`). Or it leaves a pattern in a
        channel (`structure`), and is no more probable than the base model with an anonymous
        contribution. Without a name, and with the verdict "none" or "undetermined", the base model
-       is refuted by such a soil or by a pattern.
+       is refuted by a far soil or by a pattern.
     2. The names, and all sets with them, are refuted if the base model, or one of two effects
        alone, predicts held-out rows better (`_worse`). This must hold in all probable forms.
     """
@@ -210,11 +212,11 @@ def _without_refuted(problem: Problem, finding: Finding, seed: int) -> tuple[Fin
 
 
 def _refuted_alone(problem: Problem, finding: Finding, seed: int) -> Names | None:
-    """The most probable set with the named effects if the first ground of `_without_refuted` speaks
-    against it; else, or where it is refuted already, None.
+    """The most probable set with the named effects if step 1 of `_without_refuted` refutes it; None
+    if not, or if that set is refuted already.
 
-    Without a name that is the base model, (), which the ground may refute only where the verdict
-    states that it holds.
+    Without a name the set is (), the base model. It is examined only under the verdicts "none" and
+    "undetermined".
     """
     names = finding.names
     if not names and finding.verdict not in ("none", "undetermined"):
