@@ -114,12 +114,12 @@ def _predicted(report: Report) -> Figure:
 
 
 def groups(report: Report) -> list[tuple[str, np.ndarray]]:
-    """At most `CURVES` groups of rows that differ in slip alone: (what they share in words, indices
-    of the rows sorted by slip).
+    """At most `CURVES` groups of rows that differ in slip alone: (what the rows share in words,
+    their indices sorted by slip).
 
     Of all groups with `FEWEST_SLIPS`, they are picked evenly in the order of the base model's
-    held-out error over the noise, from the least to the largest. It is that of the values in use, 0
-    without any.
+    held-out error over the noise, from the least to the largest. The error of a group is that of
+    its values in use, 0 without any.
     """
     data = report.problem.data
     varied = data.varied

@@ -168,8 +168,10 @@ def chance(p: float) -> str:
 
 
 def _limit(name: str, limits: tuple[float, float], values: np.ndarray) -> str:
-    """Limits (low, high) of a condition in words, where `values` are all that the table has of it:
-    "slip 0.3 and above" or "and below" up to its ends, "slip 0.1 to 0.3", or one value.
+    """Limits (low, high) of the condition `name` in words; `values` [N]: its values in the table.
+
+    "slip 0.3 and above" if the table has none above high, "slip 0.3 and below" if it has none below
+    low, else "slip 0.1 to 0.3"; the value alone if low is high.
     """
     low, high = map(plain, limits)
     label, unit = CONDITIONS[name]

@@ -49,8 +49,9 @@ def effects(report: Report) -> Table:
 
 
 def soil(report: Report) -> Table:
-    """Soil parameters with their intervals. In place of one stands "given" for a value that the
-    setup knows, "assumed" for a density that it leaves out, "at a bound" for a fitted value there.
+    """Soil parameters with their intervals. In place of an interval stands "given" for a value that
+    the setup knows, "assumed" for a density that it leaves out, "at a bound" for a fitted value
+    there.
     """
     rows = []
     for name, found in report.soil.items():
@@ -68,8 +69,8 @@ def _interval(p: Interval) -> str:
 
 
 def gap(report: Report) -> Table:
-    """Held-out error of each channel and its noise, of the base model and, if there are any, with
-    the named effects; in the last column over the noise.
+    """Held-out error of each channel, of the base model and, if there are any, with the named
+    effects; then the noise of the channel, and these errors over the noise.
     """
     rows = []
     models = ("base model", "with the name") if report.effects else ("calibrated model",)
