@@ -218,7 +218,8 @@ class Problem:
         self.scales = {
             f"{e.name}_{k}": v for e in LISTED.values() for k, v in e.priors(self.bench).items()
         }
-        if setup.load == "vertical":  # a share of 1 acts already, and model.yaml has the sum
+        # `predict_table` adds a share of 1, and the sum has to be within the parameter's bound.
+        if setup.load == "vertical":
             share = CATALOGUE["grade"].parameter("share")
             self.scales["grade_share"] = (share.scale, share.low, share.high - 1.0)
         #: Neutral value or centre of the parameters for which the rig sets it.
@@ -384,10 +385,14 @@ class Problem:
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
         """[M, ..] the values in use of an array [N, 3, ..], each over its noise."""
+        # Transposed, since further axes of `values` come last, and `sd` has none.
         return (values.T / self.sd.T).T[self.used]
 
     def without(self, rows: np.ndarray) -> Problem:
-        """A copy of the problem that does not use the values of `rows` [N, bool]."""
+        """A copy of the problem that does not use the values of `rows` [N, bool].
+
+        Noise, priors and processes of form errors stay those of the whole table.
+        """
         rest = copy.copy(self)
         rest.used = self.used & ~rows[:, None]
         return rest
@@ -540,8 +545,10 @@ class Law:
         added: Sequence[np.ndarray],
         at: Conditions | None = None,
     ) -> list[np.ndarray]:
-        """Blocks as in `Fit.form_errors`, each [N, 3, R] in [m, N, N m], at u and at the size 1:
-        nuisances of the instrument, form errors of the effects, those of the base law.
+        """Blocks as in `Fit.form_errors`, each [N, 3, R] in [m, N, N m], at u and at the size 1.
+
+        They are the nuisances of the instrument, the form errors of the effects, and one block of
+        the base law for each of `ALL_LAW_LENGTHS`.
 
         The error of the base law acts on the stresses. That of an effect is a factor on what it has
         `added`, of its own for each channel that the effect `moves`. For an effect with `any_form`

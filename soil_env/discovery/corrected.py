@@ -81,7 +81,7 @@ def model_of(problem: Problem, choices: Sequence[Choice], values: Values) -> Whe
 
 
 def parameters(problem: Problem, choice: Choice, values: Values) -> dict[str, float]:
-    """Parameters of an effect by name, without that of the effect in front; cut to their bounds.
+    """Parameters of an effect by name ("gain", not "slip_sinkage_gain"), cut to their bounds.
 
     They are those that its form frees, those that the form sets, and the references, which the
     table sets.
@@ -213,9 +213,9 @@ def _nodes(found: Prediction, coarse: float) -> dict[str, np.ndarray]:
     """Nodes of the remainder's table by condition that varies, in units of a measurement table.
 
     Slip and load go beyond the measured range, in steps `coarse` times the usual; those of the load
-    are of its logarithm. Slip has a node at 0 where it changes sign, begins at 0 where no row is
-    braked, and is within ±`MOST_SLIP`. Other conditions have at most `FEW` of their measured
-    values, evenly picked.
+    are of its logarithm. Slip has a node at 0 if measured slips lie on both sides of it, begins at
+    0 where no row is braked, and is within ±`MOST_SLIP`. Other conditions have at most `FEW` of
+    their measured values, evenly picked.
     """
     problem = found.problem
     out = {}

@@ -2,7 +2,8 @@
 
 The measured values of a row are checked by the rows beside it (`identification.table.noise`). A row
 at a slip or load that no other row comes near is checked by none, and a mistyped condition makes
-such a row. Mistakes that show before any effect is known are in `identification.table.mistakes`.
+a row like that. Mistakes that show before any effect is known are in
+`identification.table.mistakes`.
 """
 
 import numpy as np
@@ -27,8 +28,8 @@ def of_lone_rows(
     named; else ().
 
     They do if a search without them has another verdict or other names than `finding`, that of all
-    rows. No search is made, and the result is (), if no row stands alone, if more than one in `FEW`
-    does, or if the rows that are left are too few.
+    rows. No search is made, and the result is (), if no row stands alone or more than one in `FEW`.
+    The same holds if the rows that are left are too few.
     """
     table = problem.data.table
     alone = np.flatnonzero(noise.alone)

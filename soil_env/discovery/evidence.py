@@ -148,8 +148,10 @@ def noise_scales(freedom: float) -> np.ndarray:
 
 
 def weigh(problem: Problem, fit: Fit, over: SizeGrid | None = None) -> Evidence:
-    """`Evidence` of a fit, linearised about it, marginal over the sizes of the grid `over` (where
-    none is given those of `grid`) and over the scales of a noise that is estimated.
+    """`Evidence` of a fit, by the model linearised about it.
+
+    It is marginal over the sizes of the grid `over`, or of `grid` without it, and over the
+    `noise_scales` of a noise that is estimated.
     """
     own = grid(tuple(c.effect for c in fit.choices))
     sizes, log_prior, errors, table, first = over or plain_grid(fit, *own)
@@ -175,10 +177,12 @@ def weigh(problem: Problem, fit: Fit, over: SizeGrid | None = None) -> Evidence:
     by_law = {
         x: log_sum(of_size[laws == x]) - log_sum(log_prior[laws == x]) for x in np.unique(laws)
     }
-    of = dict(zip(sizes, np.exp(of_size).tolist(), strict=True))
-    best = max(of, key=lambda sizes: of[sizes])
+    posterior = dict(zip(sizes, np.exp(of_size).tolist(), strict=True))
+    best = max(posterior, key=lambda sizes: posterior[sizes])
     log_all = total - math.log(len(scales))  # the scales are equally probable
-    return Evidence(fit, log_all, best, of, *mixed(np.exp(log - total), mean, covariance), by_law)
+    return Evidence(
+        fit, log_all, best, posterior, *mixed(np.exp(log - total), mean, covariance), by_law
+    )
 
 
 def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -211,9 +215,8 @@ def settle(problem: Problem, choices: Choices, near: Evidence | None = None) -> 
     linearised there.
 
     Fit and sizes are found in turn, at most `_ROUNDS` times after a first fit. `near`: a model of
-    the same table, from which the first fit takes its start, the nuisances and the form error of
-    the base law, whose size is `_FIRST_LAW` at most. Without it the first fit is under the noise
-    alone.
+    the same table. From it the first fit takes its start, the nuisances, and the form error of the
+    base law with a size of `_FIRST_LAW` at most. Without it the first fit is under the noise alone.
     """
     if near is None:
         first = problem.fit(choices)
@@ -293,10 +296,10 @@ def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[f
     """
     further = _Further(problem, first, choices)
     one_sided = np.array([u.low >= u.mean for u in further.unknowns])
-    of = [np.flatnonzero(np.array(further.owner) == k) for k in range(len(choices))]
+    strengths = [np.flatnonzero(np.array(further.owner) == k) for k in range(len(choices))]
     sizes, log_prior = grid(())
     log, normal, pull = map(np.array, zip(*map(further.under, sizes), strict=True))
-    gains = [_gains(normal[:, k[:, None], k], pull[:, k], one_sided[k]) for k in of]
+    gains = [_gains(normal[:, k[:, None], k], pull[:, k], one_sided[k]) for k in strengths]
     without = (log + log_prior)[:, None]
     found: list[float] = log_sum(np.stack(gains, axis=1) + without, axis=0).tolist()
     return found
@@ -452,7 +455,8 @@ def anonymous_grid(problem: Problem, plain: Evidence, fit: Fit, beside: Pattern 
     free = [f for f in product(*options) if any(f)]
     by = patterns(problem, fit)
     first = () if beside is None else (beside,)
-    # By kind: (fields of `Sizes`, log of their probability up to a constant).
+    # By kind: (fields of `Sizes`, log of their probability up to a constant). Each set of channels
+    # of a smooth contribution is as probable as another, and so is each kind.
     kinds: list[list[tuple[dict[str, Any], float]]] = [
         [
             ({"free": f, "patterns": first}, -math.log(len(FREE_SIZES)) * np.count_nonzero(f))
@@ -462,10 +466,10 @@ def anonymous_grid(problem: Problem, plain: Evidence, fit: Fit, beside: Pattern 
         [({"scatter": x}, 0.0) for x in SCATTERS if beside is None],
     ]
     kinds = [points for points in kinds if points]
-    costs = [np.array([cost for _, cost in points]) for points in kinds]
-    cost = np.concatenate([c - log_sum(c) - math.log(len(costs)) for c in costs])
+    log_kinds = [np.array([log_point for _, log_point in points]) for points in kinds]
+    log_point = np.concatenate([c - log_sum(c) - math.log(len(log_kinds)) for c in log_kinds])
     sizes = [s._replace(**point) for s in likely for points in kinds for point, _ in points]
-    log_prior = ((before - log_sum(before))[:, None] + cost).ravel()
+    log_prior = ((before - log_sum(before))[:, None] + log_point).ravel()
     rows = []
     for s in sizes:
         later = dict(s.patterns[len(first) :])

@@ -23,7 +23,9 @@ _LEAST_GAP = 0.5  # share of these draws that have a gap to close, below which n
 
 
 class Interval(NamedTuple):
-    """Value with its 95 % interval; low = high = value where it was given."""
+    """Value with its 95 % interval; low = high = value where it was given or set, or where a bound
+    leaves no width.
+    """
 
     value: float
     low: float

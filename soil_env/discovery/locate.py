@@ -132,9 +132,10 @@ def structure(problem: Problem, model: Evidence, seed: int = 0) -> float:
     """p value of the most certain `Disagreement` that a model leaves in a channel, over slip, load
     and the other conditions; 1 where none is significant.
 
-    A posterior predictive check: noise, laws that are off by `LAW` and effects whose form is off by
-    `EFFECT` explain no such pattern. If their most probable size is larger than `EFFECT`, that
-    counts. Unlike the evidence, the check needs no other model to compare with.
+    A posterior predictive check: a pattern counts that neither noise, nor laws that are off by
+    `LAW`, nor effects whose form is off by `EFFECT` explain. If the most probable form error of the
+    effects is larger than `EFFECT`, that is allowed. Unlike the evidence, the check needs no other
+    model to compare with.
     """
     effect = max(model.sizes.effect, EFFECT) if model.fit.choices else 0.0
     sizes = Sizes(LAW, effect, span=model.sizes.span, scatter=model.sizes.scatter, rig=1.0)

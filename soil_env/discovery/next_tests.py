@@ -96,8 +96,8 @@ WORK = {
 
 
 def open_checks(ruled_out: Collection[str] = ()) -> tuple[Check, ...]:
-    """The checks, each with the work for those of its errors that are not `ruled_out` yet; none
-    where all are.
+    """The checks, each with the work for those of its errors that are not `ruled_out` yet; a check
+    is left out if all of its errors are.
     """
     out = []
     for name, (begin, parts) in WORK.items():
@@ -163,10 +163,9 @@ class Candidates(NamedTuple):
     own: np.ndarray  # [K, G, C] further variance of every value by itself, the noise with it
 
     def joint(self, chosen: Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
-        """(mean [K, G, m], covariance [K, G, m, m]) of joint predictions, for each run of the grid,
-        of the n runs `chosen` before and then of that run; m = (n + 1) C.
+        """Joint predictions (mean [K, G, m], covariance [K, G, m, m]) of n + 1 runs, m = (n + 1) C.
 
-        `chosen`: indices of the grid.
+        The last of them is each run of the grid in turn; `chosen` are the indices of the n before.
         """
         chosen = list(chosen)
         mean, own = (_behind(x[:, chosen], x) for x in (self.mean, self.own))
@@ -280,20 +279,20 @@ def proposed(
     able = np.all(feasible, axis=0)
     able[last] = False  # only as the repeat
     names = tuple(" and ".join(e.names) or BASE for e in evidence)
-    of = Candidates(
+    candidates = Candidates(
         names,
         _scaled(share),
         np.stack(mean)[:, :, seen],
         tuple(r[:, seen] for r in root),
         np.stack(own)[:, :, seen],
     )
-    sd = np.sqrt(np.diagonal(of.joint()[1], axis1=2, axis2=3))
+    sd = np.sqrt(np.diagonal(candidates.joint()[1], axis1=2, axis2=3))
     chosen: list[int] = []
     out: list[NextTest] = []
     before = 0.0
     while len(out) < most:
-        overlap = overlaps(*of.joint(chosen))
-        gain = information(of.share, overlap) - before
+        overlap = overlaps(*candidates.joint(chosen))
+        gain = information(candidates.share, overlap) - before
         cost = costs(problem, grid, chosen)
         forced = repeat and not chosen
         g = last if forced else int(np.argmax(np.where(able, gain / cost, -math.inf)))
@@ -302,9 +301,9 @@ def proposed(
         able[g] = False  # once each: a repeat says nothing of how far the laws err
         chosen.append(g)
         before += gain[g]
-        said = _described(problem, of, sd[:, g], g)
+        said = _described(problem, candidates, sd[:, g], g)
         point = {name: float(grid.value[name][g]) for name in grid.asked}
-        sure = float(sureness(of.share, overlap)[g])
+        sure = float(sureness(candidates.share, overlap)[g])
         out.append(
             NextTest(
                 point,
@@ -447,8 +446,9 @@ def _levels(problem: Problem) -> dict[str, list[float]]:
 
 
 def _could_show(problem: Problem, name: str) -> bool:
-    """True if the table does not vary the condition that an effect needs, and the rig could; False
-    where the setup rules the effect out, the rig hides it or no form of it can be fitted.
+    """True if the table does not vary the condition that an effect needs, and the rig could.
+
+    False where the setup rules the effect out, the rig hides it or no form of it can be fitted.
     """
     effect = LISTED[name]
     if name in ruled_out(problem.data.setup) or effect.hidden(problem.bench):
@@ -464,7 +464,8 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
 
     A condition on which no candidate depends has one value: the median speed, the least pass, the
     grade nearest to 0 in the range of the table. If the rig lists values, it is the nearest of
-    these. If it lists no speeds and the table has one rim speed, runs have that.
+    these. If it lists no speeds and the table has one rim speed, runs have that. Wheels are those
+    of the rig, or of the table if it lists none.
     """
     column = problem.data.conditions
     grade = column["grade_deg"]

@@ -252,8 +252,9 @@ class Prediction:
         return 1.0 + self.learnt.beyond**2
 
     def joint_at(self, conditions: Conditions) -> np.ndarray:
-        """[N, 3, N, 3] covariance of the true values, without the noise of a run, at conditions [N]
-        by the columns of a table; values are over the noise of their channel.
+        """[N, 3, N, 3] covariance of the true values at conditions [N] by the columns of a table.
+
+        It lacks the noise of a run. Values are over the noise of their channel.
         """
         there = at_conditions(self.problem, conditions)
         _, law, across = self._means(there)

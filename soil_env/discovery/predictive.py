@@ -42,7 +42,7 @@ def problem_at(problem: Problem, conditions: Conditions) -> Problem:
     both = {n: np.concatenate([x, ours[n]]) for n, x in table.items()}
 
     def over(names: Sequence[str], lengths: Mapping[str, float] = LENGTHS) -> Process:
-        """Process over these conditions at all different rows of both."""
+        """Process over the conditions `names`, at all distinct rows, old and new."""
         known = [n for n in both if n in names]
         unique = np.unique(np.stack([both[n] for n in known]), axis=1)
         rows = dict(zip(known, unique, strict=True))

@@ -374,10 +374,10 @@ class _Sets:
     def add(self, choices: Choices, near: Evidence | None) -> Evidence:
         """Evidence of a set in these forms, fitted if it was not before; `near`: as in `settle`."""
         choices = tuple(sorted(choices))
-        of = self.found.setdefault(tuple(c.effect for c in choices), {})
-        if choices not in of:
-            of[choices] = settle(self.problem, choices, near)
-        return of[choices]
+        in_forms = self.found.setdefault(tuple(c.effect for c in choices), {})
+        if choices not in in_forms:
+            in_forms[choices] = settle(self.problem, choices, near)
+        return in_forms[choices]
 
     def best(self, names: Names) -> Evidence:
         """Evidence of a set of effects in the most probable of the forms that were tried."""
@@ -394,10 +394,10 @@ class _Sets:
 def search(problem: Problem, say: Say = lambda text: None) -> Finding:
     """Return the `Finding` of a table; `say` receives the progress.
 
-    The hypotheses are no effect, each effect and the best pairs, and some of these with an
-    anonymous contribution: none and the `_FREE` best sets, or all single effects where the values
-    scatter. For each set of effects there is an anonymous law that resembles it, unless one of them
-    is named in any form (`Effect.any_form`). Anonymous laws of few numbers are tried by themselves.
+    The hypotheses are no effect, each effect and the best pairs. An anonymous contribution is tried
+    with no effect, and with the `_FREE` best sets, or all single effects where the values scatter.
+    For each set of effects there is an anonymous law that resembles it, unless one of them is named
+    in any form (`Effect.any_form`). Anonymous laws of few numbers are tried by themselves.
 
     Probabilities are in proportion to the prior odds times the evidence to the power of
     1/`TEMPERATURE`. `Finding.detectable` is of effects of soil and drive alone.

@@ -148,8 +148,10 @@ def loaded(rows: Rows, values: Values, load: float) -> Rows:
 
 
 def factors(rows: Rows, values: Values, bench: Bench) -> np.ndarray | None:
-    """Factors [N, 4] on the soil parameters `BY_ROW` (on the tangent of the friction angle), by the
-    laws of one soil parameter whose power is among `values`; None if it has none of these powers.
+    """Factors [N, 4] on the soil parameters `BY_ROW`, by the laws of one soil parameter whose power
+    is among `values`; None if none is.
+
+    The factor of the friction angle multiplies its tangent.
     """
     laws = [name for name in _ANONYMOUS if f"{name}_power" in values]
     out = np.ones((rows.slip.size, len(BY_ROW)))
