@@ -170,8 +170,8 @@ def chance(p: float) -> str:
 def _limit(name: str, limits: tuple[float, float], values: np.ndarray) -> str:
     """Limits (low, high) of the condition `name` in words; `values` [N]: its values in the table.
 
-    "slip 0.3 and above" if the table has none above high, "slip 0.3 and below" if it has none below
-    low, else "slip 0.1 to 0.3"; the value alone if low is high.
+    The value alone if low is high. Else "slip 0.3 and above" where the table has none above high,
+    "slip 0.3 and below" where it has none below low, or "slip 0.1 to 0.3".
     """
     low, high = map(plain, limits)
     label, unit = CONDITIONS[name]
@@ -406,9 +406,12 @@ def added(report: Report) -> str:
 
 
 def if_laws_err(report: Report) -> str:
-    """Sentence with up to three of the most probable effects, then probabilities if the laws err by
-    the largest of `LAW_ERRORS`: of the named effects, else of the one most probable then, or that
-    none reaches `NAMED`. "" where no effect is `MENTIONED`.
+    """Sentence with up to three of the most probable effects, then with probabilities if the laws
+    err by the largest of `LAW_ERRORS`.
+
+    The latter are of the named effects, else of the effect that is most probable then. If it has
+    less than `NAMED`, the sentence says that none exceeds its probability. "" where no effect is
+    `MENTIONED`.
     """
     ranked = sorted(report.finding.ranking, key=lambda r: -r.probability)
     ranks = [r for r in ranked if r.probability >= MENTIONED][:3]

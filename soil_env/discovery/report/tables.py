@@ -139,7 +139,9 @@ def _runs(runs: Sequence[NextTest | SurerRun], last: str, shares: Sequence[float
 
 def next_predictions(report: Report, most: int | None = None) -> Table:
     """Predictions of the candidates, the first `most` of them (None: all), at each of the runs to
-    make next, with one standard deviation of a measurement there, in the units of `UNITS`.
+    make next.
+
+    They are in the units of `UNITS`, each with one standard deviation of a measurement there.
     """
     rows = []
     for k, test in enumerate(report.next_tests, start=1):
@@ -170,8 +172,10 @@ def untestable(report: Report) -> Table:
 
 
 def detectable(report: Report) -> Table:
-    """The smallest strength of each effect that would have been seen, or that there is "none up to"
-    the bound of the parameter; and the prior probability of a larger one.
+    """The smallest strength of each effect that would have been seen, and the prior probability of
+    a larger one.
+
+    Where that strength is beyond the bounds of its parameter, there is "none up to" the larger one.
     """
     rows = []
     for name, d in report.finding.detectable.items():
