@@ -101,9 +101,6 @@ def test_strengths_move_the_channels_they_list_and_neutral_ones_none(effect, for
             assert steady(strong, effect.name, fresh) == steady(idle, effect.name, fresh)
 
 
-R = 0.15
-B = 0.15
-LOAD = 150.0
 LENGTH = 0.3
 
 
