@@ -13,11 +13,12 @@ from tests.refusals import refused_command
 
 EXAMPLES = shipped_dir("examples")
 DATA = EXAMPLES / "data"
+# Arguments of `identify` and `discover`.
 TABLE = [DATA / "single_wheel.csv", "--setup", DATA / "setup.yaml"]
 
 
 def refusal(capsys, *arguments):
-    """The line that a refused command prints."""
+    """The line on stderr of a refused command, which prints nothing on stdout."""
     shown = refused_command(capsys, "soil-env", main, *arguments)
     assert shown.out == ""
     return shown.err
@@ -52,6 +53,7 @@ def test_a_folder_that_cannot_be_made_is_refused_before_the_work(arguments, caps
 
 
 def test_discover_says_nothing_but_why_it_refuses(capsys, tmp_path):
+    """No progress and no heading go to stdout before it; this table has no measured column."""
     table = tmp_path / "table.csv"
     table.write_text("slip,load\n0.1,100\n")
     assert "table.csv" in refusal(capsys, "discover", table, *TABLE[1:], "--out", tmp_path / "out")
@@ -59,7 +61,7 @@ def test_discover_says_nothing_but_why_it_refuses(capsys, tmp_path):
 
 def test_examples_on_a_full_disk_name_the_file_that_is_not_written(capsys, monkeypatch, tmp_path):
     def full(content):
-        raise OSError(28, "full")
+        raise OSError(28, "full")  # ENOSPC
 
     monkeypatch.setattr(files, "_bytes", full)
     mine = tmp_path / "mine"

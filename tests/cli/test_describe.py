@@ -10,7 +10,10 @@ from soil_env.parameters import Scenario, load_rover, load_scenario, to_dict
 
 
 def paths(mapping, above=""):
-    """All keys of nested mappings, as a description writes them."""
+    """All keys of nested mappings, as a description writes them: `course.length`.
+
+    `above` goes before each key. Mappings of soils are not entered: their keys are names.
+    """
     for key, value in mapping.items():
         yield f"{above}{key}"
         if isinstance(value, dict) and key not in ("soils", "own_soils"):
@@ -22,6 +25,7 @@ def test_every_kind_is_described(kind, capsys):
     assert main(["describe", kind]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith(f"{kind}: ") and len(lines) > 8
+    # A line has a unit or a range, a column of words, or it is a heading.
     assert all("[" in line or "  " in line or ": " in line for line in lines if line)
     assert not any("None" in line for line in lines)  # which a YAML file does not have
 

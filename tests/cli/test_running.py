@@ -16,6 +16,7 @@ from soil_env.cli.running import TERMINATED, WholeNumber, run
 from tests.conftest import ROOT
 
 WITH_SIGNALS = pytest.mark.skipif(sys.platform == "win32", reason="signals")
+#: Beginning of the code of a process that runs a command named "mine".
 MINE = "import os, signal, sys, time\nimport click\nfrom soil_env.cli.running import leave, run\n"
 
 
@@ -25,7 +26,9 @@ def command_of(work):
 
 
 def ended(*arguments, **options):
-    """Ended Python process: (status, stdout, stderr)."""
+    """(status, stdout, stderr) of a Python process that has ended; None for a stream that `options`
+    of `subprocess.run` lead elsewhere.
+    """
     options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
     done = subprocess.run([sys.executable, *arguments], cwd=ROOT, text=True, timeout=120, **options)
     return done.returncode, done.stdout, done.stderr
@@ -69,6 +72,7 @@ def test_importing_the_package_changes_no_signal_handler():
     assert ended("-c", IMPORTING)[0] == 0
 
 
+#: The interrupt is caught, and the process then ends with the status of one.
 THROUGH_EXEC = """
 try:
     exec('raise KeyboardInterrupt')
@@ -103,6 +107,8 @@ def test_sigterm_is_an_interrupt_unless_it_is_ignored(capsys):
         signal.signal(signal.SIGTERM, before)
 
 
+#: The process sends itself a signal in a callback that LLVM calls: the exception of the handler
+#: does not pass through LLVM, so that it would sleep on.
 IN_LLVM = """
 import llvmlite.binding as llvm
 
@@ -157,7 +163,9 @@ def test_an_error_in_a_command_is_one_line(capsys, error, status, message):
 
 @pytest.mark.parametrize("fails", [False, True])
 def test_what_a_terminal_cannot_show_ends_no_command(monkeypatch, fails):
-    """A Greek letter in ASCII, and a file's name that is no UTF-8, in a report and an error."""
+    """A Greek letter in ASCII, and a file's name that is no UTF-8, on stdout and, with `fails`, in
+    an error on stderr.
+    """
     streams = [io.TextIOWrapper(io.BytesIO(), encoding="ascii") for _ in range(2)]
     monkeypatch.setattr(sys, "stdout", streams[0])
     monkeypatch.setattr(sys, "stderr", streams[1])
@@ -178,7 +186,7 @@ def test_an_unexpected_error_keeps_its_traceback():
 
 
 def saying(say):
-    """Code of a command that prints."""
+    """Code of a process that runs a command; `say`: expression that prints, in its callback."""
     return (
         f"{MINE}from rich.console import Console\n"
         f"leave(run(click.Command('mine', callback=lambda: {say}), [], 'mine'))"
