@@ -98,7 +98,7 @@ def start(module, tmp_path):
 
 @pytest.fixture()
 def call(start):
-    """A function that returns what such a process prints, in words, and its lines on stderr."""
+    """A function that runs such a process to its end: (words that it prints, lines on stderr)."""
 
     def call(code=CALL):
         out, said = start(code).communicate(timeout=120)
@@ -114,24 +114,25 @@ def test_a_second_process_loads_what_the_first_has_compiled(call):
 
 
 def test_a_further_version_announces_its_compilation(call, kept):
+    """A call with an integer, where the code of one with a float is kept."""
     result, said = call(CALL + "f(1)\n")
     assert result == LOADED and len(said) == 1 and "compiling kernel_of_a_test.f " in said[0]
 
 
 def shortened(file):
-    """A file of which half is missing."""
+    """Cut off the second half of a file."""
     content = file.read_bytes()
     file.write_bytes(content[: len(content) // 2])
 
 
 def overwritten(file):
-    """An index of as many other bytes."""
+    """Replace the index beside a file of code by as many other bytes."""
     (index,) = file.parent.glob("*.nbi")
     index.write_bytes(b"\xff" * index.stat().st_size)
 
 
 def unloadable(file):
-    """A file that is no pickle, with its own checksum."""
+    """Replace a file by what is no pickle, and its checksum by that of the new content."""
     file.write_bytes(b"\xff")
     checksums = file.parent.parent / cache.CHECKSUMS
     known = json.loads(checksums.read_text())
@@ -139,13 +140,13 @@ def unloadable(file):
 
 
 def unreadable(file):
-    """A link to nothing in place of a file."""
+    """Replace a file by a link to nothing."""
     file.unlink()
     file.symlink_to("nowhere")
 
 
 def nested(file):
-    """Checksums that no reader of JSON can follow."""
+    """Replace the checksums by JSON that is nested too deeply to be read."""
     (file.parent.parent / cache.CHECKSUMS).write_text("[" * 100_000)
 
 
@@ -202,6 +203,7 @@ def test_code_of_edited_sources_is_not_loaded(tmp_path, monkeypatch):
     assert len(names) == 2 + len(set(sources))
 
 
+#: `outer` calls `shallow`, which calls `deep` twice; numpy's `sum` is not ours.
 CALLS = """
 import math
 import numpy as np

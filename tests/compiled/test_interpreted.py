@@ -31,6 +31,9 @@ def driven(scenario, commands, model=None):
 
 
 def _numbers(name, part):
+    """{name of each field after those above it: numbers} of an array of records, {`name`: array} of
+    a plain one, {} of None.
+    """
     if part is None or part.dtype.names is None:
         return {} if part is None else {name: part}
     fields = [_numbers(f"{name} {field}", part[field]) for field in part.dtype.names]
@@ -44,7 +47,7 @@ def drive_wheel(name):
 
 
 def drive_rover(name):
-    """Another speed of each axle."""
+    """A rover of this name, with another speed of each axle."""
     scenario = load_rover(name)
     return driven(scenario, [c * np.linspace(1.0, 0.7, scenario.axles) for c in (0.9, -0.4)])
 
@@ -78,6 +81,7 @@ def test_python_gives_what_the_compiled_code_gives(name, interpreted):
     assert compiled.keys() == interpreted[name].keys()
     for key, value in compiled.items():
         tolerance = 1e-6 if value.dtype == np.float32 else 1e-9
+        # Beside the largest number, rounding of what should be 0 is no difference.
         scale = 1e-12 * np.abs(value[np.isfinite(value)]).max(initial=0.0)
         np.testing.assert_allclose(
             interpreted[name][key], value, rtol=tolerance, atol=scale, err_msg=key

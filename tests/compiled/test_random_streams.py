@@ -10,21 +10,21 @@ from scipy import stats
 from soil_env._compiled import random_streams as streams
 from soil_env._compiled.flags import record
 
-PAIRS = 5  # at once
+PAIRS = 5  # of normal numbers by one call of `draw_normals`
 
 OWNER = record(stream=("u8",))
 WORD = 2**64 - 1
 
 
 def owner_of(seed):
-    """A record with a stream."""
+    """One record [1] whose stream begins at `seed`."""
     owner = np.zeros(1, OWNER)
     owner["stream"] = seed
     return owner
 
 
 def split_mix(seed, count):
-    """The first words of SplitMix64 (Steele, Lea & Flood 2014)."""
+    """The first `count` words of SplitMix64 (Steele, Lea & Flood 2014), integers of 64 bits."""
     out = []
     for _ in range(count):
         seed = (seed + 0x9E3779B97F4A7C15) & WORD
@@ -64,6 +64,7 @@ def test_words_and_uniform_numbers_are_those_of_split_mix(seed):
         draw(owner, words, uniforms, np.zeros((0, 2)))
     expected = split_mix(seed, 100)
     assert words.tolist() == expected[:50]
+    # the upper 53 bits: as many as a float has
     assert uniforms.tolist() == [(word >> 11) / 2**53 for word in expected[50:]]
     assert owner["stream"][0] == (seed + 100 * 0x9E3779B97F4A7C15) & WORD
 

@@ -9,6 +9,7 @@ import soil_env
 from soil_env._compiled.flags import record
 from soil_env.simulation.world.terrain import course_dtype
 
+# Packages whose records compiled code reads.
 PARTS = tuple(
     f"soil_env.{part}"
     for part in ("_compiled", "terramechanics", "simulation", "identification.online")
@@ -17,6 +18,7 @@ PARTS = tuple(
 
 def records():
     """{name: fields with their types and offsets} of all records."""
+    # The record of a course is made for its sizes, so that no module holds it.
     found = {"COURSE": course_dtype(1, 1, 1)}
     for module in pkgutil.walk_packages(soil_env.__path__, "soil_env."):
         if module.name.startswith(PARTS):
