@@ -34,8 +34,8 @@ resource = pytest.importorskip("resource")
 
 @contextlib.contextmanager
 def full():
-    """A disk that takes no file longer than 1000 bytes; not for pytest, which may write its own
-    lines to a file.
+    """A disk that takes no file longer than 1000 bytes, inside the block only: pytest may write its
+    own lines to a longer file.
     """
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
@@ -126,6 +126,9 @@ def test_an_input_is_no_output_even_where_it_is_own(tmp_path):
 
 
 def test_after_two_kills_before_the_renaming_the_old_file_is_still_own(tmp_path, monkeypatch):
+    """The manifest is replaced first: a kill after that leaves the digest of a content that was not
+    written.
+    """
     write_own(tmp_path, {"a": "one"})
     whole = files.replace_files
     for text in ("two", "three"):
@@ -157,10 +160,13 @@ def test_a_folder_is_held_by_one(tmp_path):
 
 @pytest.mark.parametrize("code, held", [(errno.ENOLCK, True), (errno.EACCES, False)])
 def test_a_disk_without_locks_is_written_without_one(tmp_path, monkeypatch, code, held):
+    """`ENOLCK`: the disk knows no locks, and the block runs; any other error is raised."""
+
     def fails(*_, **__):
         raise OSError(code, "no lock", "file")
 
     monkeypatch.setattr(filelock.FileLock, "acquire", fails)
+    # The block runs only where no error is expected.
     with nullcontext() if held else pytest.raises(OSError), alone(tmp_path):
         assert held
 

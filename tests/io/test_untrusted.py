@@ -27,10 +27,12 @@ from tests.fuzz_cases import damaged, damaged_zip
 from tests.logs.bags import MAP, example, write_map, write_mcap
 from tests.refusals import refused
 
+#: 10 ** 9 values by aliases of aliases.
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"{b}: &{b} [{', '.join(['*' + a] * 10)}]\n"
     for a, b in zip("abcdefgh", "bcdefghi", strict=True)
 )
+#: {name: (content, part of the message)}.
 YAMLS = {
     "aliases": (BOMB, "more than"),
     "many values": ("wheel: [" + ",".join("1" for _ in range(MOST_VALUES)) + "]", "more than"),
@@ -77,6 +79,7 @@ SLOW = ("many values", "large", "long text")  # seconds to read
     ],
 )
 def test_yaml(tmp_path, monkeypatch, name, load):
+    """Each of `YAMLS` is refused in one line that names the file, and nothing is run."""
     monkeypatch.chdir(tmp_path)
     content, words = YAMLS[name]
     path = tmp_path / "x.yaml"
@@ -116,6 +119,7 @@ def test_no_unsafe_loading_in_the_sources():
 
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
+    """Path of the zip of a model with hardly any training, for the default scenario."""
     pytest.importorskip("stable_baselines3")
     from tests.agents import learnt
 
@@ -123,7 +127,7 @@ def saved(tmp_path_factory):
 
 
 def load_here(path):
-    """A model for the usual scenario."""
+    """Load the model at `path` to drive the default scenario."""
     from soil_env_agents.evaluate.models import load_model
 
     return load_model(path, load_scenario())
@@ -151,6 +155,7 @@ class Bomb:
 
 
 def data_of(path):
+    """Entries of the member `data` of a model's zip, in which SB3 keeps pickles as text."""
     return json.loads(zipfile.ZipFile(path).read("data"))
 
 
@@ -178,7 +183,9 @@ def test_a_foreign_model_is_loaded_with_a_warning(saved, tmp_path, capsys):
 
 
 def foreign(path, source, **entries):
-    """A zip that train.py did not write, with other entries in its data."""
+    """Write a zip of which `data`, its only member, is that of the model `source` with other
+    `entries`.
+    """
     zipped(path, data=json.dumps(data_of(source) | entries))
 
 
@@ -203,7 +210,7 @@ def foreign(path, source, **entries):
     ],
 )
 def test_a_zip_that_is_none(saved, tmp_path, content, words):
-    """`content`: bytes, members of a zip, or what makes the file from a good one."""
+    """`content`: bytes, members of a zip, or a function (path of a good model, path to write)."""
     path = tmp_path / "m.zip"
     if isinstance(content, bytes):
         path.write_bytes(content)
@@ -251,6 +258,7 @@ def test_a_graph_that_no_export_makes_is_refused(tmp_path, kind, words):
 
 
 FUZZ = int(os.environ.get("SOIL_ENV_FUZZ", "200"))  # cases a kind
+# The torque of `MAP` comes of a motor current, which no message of `json_mcap` has.
 WITHOUT_TORQUE = {name: of for name, of in MAP["channels"].items() if name != "torque"}
 BAG_MAP = MAP | {"channels": WITHOUT_TORQUE}
 CDR_MAP = {
@@ -282,7 +290,12 @@ LOADERS = {
 
 
 def check_reading(read, content, folder, name, mutate=damaged):
-    """Damaged copies of a file are read, or refused in one line."""
+    """Check that `FUZZ` damaged copies of `content` are each read by `read(path)` or refused in one
+    line.
+
+    They are written to `name` in `folder`, by `mutate(content, rng)` with a seed that follows from
+    the name.
+    """
     rng = np.random.default_rng([*name.encode()])
     path = folder / name
     for case in range(FUZZ):
@@ -340,7 +353,7 @@ def json_mcap(folder):
 
 
 def ros_bag(folder, storage):
-    """A file of a ROS 2 bag."""
+    """Path of the file with the messages of a ROS 2 bag, in the `storage` MCAP or SQLITE3."""
     code = example()
     recorder = code["Recorder"](folder / "bag", code["StoragePlugin"][storage])
     for k in range(1, 12):
@@ -374,6 +387,8 @@ def rover_parquet(folder):
     return folder / "whole.parquet"
 
 
+#: Name of the file -> (function of a folder that makes the recording, map). A bag of ROS 1 is
+#: refused by its name, whatever it holds.
 RECORDINGS = {
     "json.mcap": (json_mcap, BAG_MAP),
     "cdr.mcap": (lambda folder: ros_bag(folder, "MCAP"), CDR_MAP),
