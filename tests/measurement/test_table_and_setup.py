@@ -25,7 +25,7 @@ SETUP = "wheel: {radius: 0.15, width: 0.12}\n"
 
 
 def written(tmp_path, *lines, name="data.csv", encoding="utf-8"):
-    """Path of a file with the given lines."""
+    """Path of a file `name` in `tmp_path` with these lines."""
     path = tmp_path / name
     path.write_bytes("\n".join(lines).encode(encoding))
     return path
@@ -67,6 +67,7 @@ def test_reads_a_full_table(tmp_path):
 
 
 def test_a_sinkage_beyond_the_radius_is_a_wrong_cell_or_a_wrong_unit(tmp_path):
+    """The wheel has a radius of 0.15 m; of three sinkages one is beyond it, or all are."""
     for deep, words in (
         (["0.03", "0.31", "0.029"], "row 3, sinkage = 0.31: .* (it is 11 times the others)"),
         (["0.3", "0.31", "0.29"], "row 2, sinkage = 0.3: .* (if it is millimetres, .*)"),
@@ -172,6 +173,7 @@ def test_a_table_with_a_date_and_rows_without_a_value(tmp_path):
 )
 @pytest.mark.filterwarnings("error")
 def test_refuses_a_bad_table(tmp_path, lines, words):
+    """`words`: parts of the message; the last may end in a line break, the end of the message."""
     message = refusal(read_table, written(tmp_path, *lines), parts=["data.csv", *words[:-1]])
     assert words[-1] in message + "\n"
 
@@ -237,6 +239,9 @@ def test_sinkage_and_lugs_are_held_against_the_wheel_of_the_setup(tmp_path):
 
 
 def test_grades_that_are_degrees_stay_degrees(tmp_path):
+    """Grades with fewer digits than 3, one that is too steep in radians, and a single steepness:
+    0.6458 is 37 deg in radians, and so may be chance.
+    """
     for grades in (
         ("0", "0.75"),
         ("0.5", "-0.31"),
@@ -249,7 +254,7 @@ def test_grades_that_are_degrees_stay_degrees(tmp_path):
 
 
 def test_grades_without_a_number_are_no_radians():
-    """As of a table that identification has thinned: NaN in its text."""
+    """A table that identification has thinned has NaN in its text."""
     assert look_like_radians(["0.0873", "-0.1745"]) and not look_like_radians(["0.0873", "nan"])
 
 
@@ -392,6 +397,7 @@ def test_slip_by_the_lug_tips_is_turned_into_slip_by_the_rim(tmp_path):
     travel = np.array([0.1, 0.25, 0.32, 0.4])
 
     def slip(r):
+        """Slip [-] at the four travel speeds by the radius `r` [m]: driving, else braked."""
         return np.where(r * omega > travel, 1.0 - travel / (r * omega), r * omega / travel - 1.0)
 
     rows = [f"{float(i)!r},20,1" for i in slip(0.11)]
