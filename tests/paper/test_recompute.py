@@ -21,7 +21,7 @@ SAND = compare.soil_and_equations(compare.SAND)[0]
 
 
 def half_digit(form: str) -> float:
-    """Half a unit of the last digit that `form` shows."""
+    """Half a unit of the last digit that the format specification `form` shows, as ".2f"."""
     return 0.5 * 10.0 ** -int(re.search(r"\d", form).group())
 
 
@@ -139,11 +139,12 @@ def test_table_1_to_one_unit_of_the_last_digit():
 
 
 def rounding(e):
-    """Largest rounding error, in halves of the last printed digit, that the printed set and points
-    need to fit exactly.
+    """Rounding error that the set of Table 3 and the measured points need to fit the equations `e`
+    exactly, in halves of the last printed digit.
 
-    The least one that does, by linear programming to first order over the set and each slip,
-    sinkage and drawbar pull: 1 or less means that rounding explains the difference.
+    It is the largest error of any printed number, made as small as possible by linear programming
+    to first order. The numbers are phi, K and S, and slip, sinkage and drawbar pull of each point.
+    1 or less means that rounding explains the difference.
     """
     at = model.forces(PRINTED_SET, *MEASURED[:2], e)
     halves = np.array([math.radians(0.005), 0.00005, 0.5])  # of phi, K, S
@@ -152,6 +153,8 @@ def rounding(e):
         moved = [column + 5e-5 * (k == channel) for k, column in enumerate(MEASURED[:2])]
         effects.append(np.diag(model.forces(PRINTED_SET, *moved, e)[:, 0] - at[:, 0]))
     effects.append(-0.005 * np.eye(3))
+    # Pull [N] of the three points by each error of half a digit; the last unknown is the largest
+    # error, which is minimised.
     A = np.hstack(effects)
     n = A.shape[1]
     # |error| <= the largest.
@@ -201,6 +204,9 @@ def test_corners_of_table_4(results):
 
 
 def test_a_large_guess_of_S_is_forgotten():
+    """Plain Newton-Raphson finds the root from a guess of S that is two million times too large; an
+    independent solver finds it from guesses far below the root.
+    """
     np.testing.assert_allclose(
         model.newton_raphson(MEASURED, (33.0, 0.038, 1e12), FIXED_COHESION[0]),
         compare.root(FIXED_COHESION[0]),
