@@ -44,20 +44,20 @@ def drive(simulation, view, steps, command=0.4):
 
 
 def near(picture, colour, tolerance=12):
-    """Mask [height, width] of the pixels that have a colour."""
+    """Mask [height, width] of the pixels that have a colour [3], each channel to `tolerance` of
+    255.
+    """
     return (np.abs(picture.astype(int) - colour) <= tolerance).all(axis=-1)
 
 
 def ground(simulation):
-    """`Profile` of the course."""
+    """`Profile` of the course, from 1 m before its start to 60 m past it."""
     border = simulation.scenario.course.border
     return profile_of(simulation.worlds.courses, border, 1.0, 60.0)
 
 
 def hubs(simulation):
-    """Places [axles, 2] (column, row) of the hubs in a picture, and its pixels
-    per metre.
-    """
+    """Places [axles, 2] (column, row) of the hubs in a picture, and its pixels per metre."""
     left, top, width, height = SCENE
     scale = width / width_of(simulation)
     wheels = shown_wheels(simulation)
@@ -98,6 +98,7 @@ def test_stresses_sum_to_the_forces_on_every_wheel(rover, command):
     """Load, pull and torque of the state of a wheel that drives, by the trapezoidal rule; the load
     is what the suspension gives.
     """
+    # no halts
     simulation, view = start(rover, {"course": {"halt_interval": [1e3, 1e3]}})
     drive(simulation, view, 15, command)
     wheel = simulation.scenario.wheel
@@ -146,7 +147,9 @@ def test_ruts_lower_the_ground_behind_the_wheels(rover):
 
 @pytest.mark.parametrize("variant", ["identified", "blind"])
 def test_where_nothing_is_identified_no_estimate_is_drawn(variant):
-    """Another prior then leaves the picture as it is."""
+    """Another prior friction angle leaves the picture of `blind` as it is, not that of
+    `identified`.
+    """
     pictures = []
     for prior in (30.0, 40.0):
         belief = {"soils": {}, "friction_angle_deg": prior, "shear_modulus": 4e-4 * prior}
@@ -173,11 +176,12 @@ def test_off_screen_pictures_need_no_display():
 
 
 def test_a_window_shows_the_picture(monkeypatch):
-    """And two of them live and close one by one."""
+    """Pixel by pixel that of "rgb_array"; two windows are open at once and close one by one."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     import pygame
 
     pygame.display.quit()
+    # A window waits until the period is over.
     fast = {"control": {"period": 0.01, "substep": 0.01}}
     simulation, a = start(mode="human", changes=fast)
     _, b = start(mode="human", changes=fast)
