@@ -29,12 +29,14 @@ MAP = {
 
 
 def example():
-    """The names of examples/record_bag.py."""
+    """{name: object} of what the script examples/record_bag.py defines, run as a module."""
     return runpy.run_path(str(EXAMPLE))
 
 
 def write_map(folder, changes=None, name="map.yaml", base=MAP):
-    """A map.yaml: `base` with whole channels and top-level keys replaced; None takes one out."""
+    """Path of a map written to `folder`: `base` with whole channels or top-level keys replaced by
+    those of `changes`; None takes one out.
+    """
     content = json.loads(json.dumps(base))
     for key, value in (changes or {}).items():
         place = content["channels"] if key in UNITS else content
@@ -47,7 +49,9 @@ def write_map(folder, changes=None, name="map.yaml", base=MAP):
 
 
 def write_mcap(path, messages, **options):
-    """An MCAP file of messages (topic, time [ns], content for JSON or bytes)."""
+    """Path of an MCAP file of messages (topic, time [ns], bytes or what JSON can hold); `options`
+    are those of `mcap.writer.Writer`.
+    """
     from mcap.writer import Writer
 
     with open(path, "wb") as stream:
@@ -65,8 +69,11 @@ def write_mcap(path, messages, **options):
 
 
 def write_json_mcap(path, steps=200, chunk=2000, payload=0, start=1_000_000_000, packed=None):
-    """A drive in steps of 0.1 s on /drive and /odom, and, with `payload`, as many bytes a step on
-    /camera.
+    """Path of an MCAP file of a drive in steps of 0.1 s on /drive and /odom; with `payload`, also on
+    /camera as many bytes a step, in whole 256.
+
+    Wheel speed, slip and current change every 20 steps. `chunk`: size of a chunk [bytes]; `start`:
+    time of the first message [ns]; `packed`: compression, by default ZSTD, none with a payload.
     """
     from mcap.writer import CompressionType
 

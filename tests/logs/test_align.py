@@ -13,7 +13,9 @@ NS = 1_000_000_000
 
 
 def axis(samples, max_gap=0.5, period=0.1, constants=None):
-    """Aligned readings of {name: [(seconds, value)]}."""
+    """Aligned readings of `samples` {name: [(time [s], value)]} and `constants` {name: value};
+    `max_gap` and `period` in s.
+    """
     channels = {n: Channel(n) for n in (*samples, *(constants or {}))}
     for name, points in samples.items():
         for t, v in points:
@@ -27,10 +29,11 @@ def test_a_fast_channel_is_averaged_and_a_slow_one_interpolated():
     slow = [(5.0 + 0.4 * k, 10.0 * k) for k in range(6)]
     log = axis({"wheel_speed": fast, "speed": slow}, constants={"load": 150.0})
     assert log.start == 4.95 * NS and np.diff(log.time) == pytest.approx(0.1)
-    inner = slice(2, 18)
+    inner = slice(2, 18)  # steps with samples on both sides
     assert log.readings["wheel_speed"][inner] == pytest.approx(
         2.0 + (4.95 + log.time[inner] - 5.0), abs=0.0051
     )
+    # 25 a second from 5.0 s on, which is 0.05 s after the start
     assert log.readings["speed"][6] == pytest.approx(
         25.0 * (0.1 * round((log.time[6] - 0.05) / 0.1)), abs=2.6
     )

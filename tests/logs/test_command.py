@@ -31,13 +31,17 @@ from tests.logs.bags import write_json_mcap, write_map
 pytest.importorskip("mcap")
 pytest.importorskip("rosbags")
 
+#: Plan of `made` with four slips of 2 s each.
 VARIED = [(slip, 2.0) for slip in (0.1, 0.4, 0.2, 0.6)]
+# Parameters of Lete sand that the map states as known.
 KNOWN = {"cohesion": 1300, "sinkage_exponent": 0.79}
 
 
 def made(plan, period=0.1, noise=0.0, soil="lete_sand", **changes):
-    """Readings of a wheel that keeps each slip of `plan` [(slip, seconds)] in Wong's Lete sand
-    without slip-sinkage.
+    """Readings, a row a `period` [s], of a wheel that keeps each slip of `plan` [(slip, seconds)].
+
+    The ground is the preset `soil`, by default Wong's Lete sand, with `changes` and without
+    slip-sinkage. `noise`: factor of the standard deviations of the readings; 0 for none.
     """
     model = WheelSoilModel(ModelWheel(0.15, 0.15), replace(soils()[soil], dig_gain=0.0, **changes))
     rng = np.random.default_rng(0)
@@ -58,7 +62,10 @@ def made(plan, period=0.1, noise=0.0, soil="lete_sand", **changes):
 
 
 def of_two_soils(*changes):
-    """Readings of two drives of 16 s at four slips, one after the other."""
+    """Noisy readings of two drives of 16 s at four slips, one after the other.
+
+    `changes`: of each drive the `soil` or parameters of it, as `made` takes them.
+    """
     plan = [(s, 4.0) for s in (0.1, 0.3, 0.2, 0.5)]
     one, two = (made(plan, noise=1.0, **own) for own in changes)
     readings = {n: np.concatenate([v, two.readings[n]]) for n, v in one.readings.items()}
@@ -102,6 +109,7 @@ def test_steady_points_are_the_points_that_were_driven(log_map, tmp_path):
     assert sorted({round(row["slip"], 6) for row in found.rows}) == driven
     assert len(found.rows) >= 3 * len(driven)
     noisy = steady_windows(made([(s, 4.0) for s in driven], noise=1.0), log_map)
+    # A row is the mean of the ten readings of a window of 1 s.
     assert noisy.noise["sinkage"] == pytest.approx(1e-4 / math.sqrt(10), rel=0.2)
     assert noisy.noise["torque"] == pytest.approx(0.05 / math.sqrt(10), rel=0.2)
     (tmp_path / "steady.csv").write_text(noisy.table())
@@ -140,6 +148,7 @@ def test_a_gap_starts_the_identifier_anew(log_map):
     log = made(VARIED)
     one = replay(log, log_map)
     assert one.restarts == 0 and one.renewed.sum() > 10
+    # 100 s of silence before reading 40, and what follows it alone
     two = replay(replace(log, time=log.time + 100.0 * (log.time > 3.95)), log_map)
     rest = {n: v[40:] for n, v in log.readings.items()}
     again = replay(replace(log, time=log.time[40:], readings=rest), log_map)
@@ -245,7 +254,7 @@ def test_an_estimate_of_no_soil_is_refused_in_one_line(log_map, monkeypatch, nam
     refused = [line for line in found.warnings if "No soil has the values" in line]
     assert (
         len(refused) == 1
-        and "13 of 80" in refused[0]
+        and "13 of 80" in refused[0]  # at 3.1 to 3.4 s, and from 7.1 s on
         and written["report.html"].count("No soil has the values") == 1
     )
     rows = list(csv.DictReader(written["estimates.csv"].splitlines()))
@@ -362,8 +371,8 @@ def test_no_number_of_a_ground_is_cut_on_the_terminal():
 
 
 def test_borders_without_another_soil_are_no_grounds(log_map):
-    """Estimates on both sides of 13 borders are of one soil but for two: those two count, and so
-    does each gap.
+    """Of 13 borders only the two at steps 500 and 900 have another soil behind them: those two
+    count, and so does a gap.
     """
     steps = 1400
     time = 0.1 * np.arange(steps)
@@ -380,6 +389,7 @@ def test_borders_without_another_soil_are_no_grounds(log_map):
     for gap, last, unknown in ((0.0, [499, 899], 0), (100.0, [299, 499, 899], 1)):
         log = Aligned(0, time + gap * (time > 29.95), shown, {}, 0.1)
         ground, differs = _grounds(log, log_map, found, values, current, prior)
+        # Last step of each ground but the last.
         assert np.flatnonzero(np.diff(ground)).tolist() == last and math.isnan(differs[unknown])
         assert gap or min(differs[1:]) > 0.9
     unknown = np.where((found > 6) & (found < 9), int(Status.NO_DATA), current)

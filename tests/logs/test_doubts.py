@@ -31,10 +31,14 @@ class SteppedSpeed(ConstantSpeed):
 
 
 def log_of(driven, scenario):
-    """A drive of `benchmarks.drives.record` as a log with its map."""
+    """(log, map) of one course of `benchmarks.drives.record`: `driven` {name: rows [periods, ...]}.
+
+    The sensors of the map have the noise of the `scenario`.
+    """
     rows = driven["readings"][driven["alive"]]
     wheel = scenario.wheel
     period = scenario.control.period
+    # Forces and their noise are over the weight, torques over weight times radius.
     unit = dict.fromkeys(("drawbar_pull", "load"), scenario.weight)
     unit |= dict.fromkeys(("torque", "motor_torque"), scenario.weight * wheel.radius)
     readings = {name: rows[name].astype(float) for name in UNITS if name != "wheel_speed"}
@@ -82,7 +86,8 @@ def changed(log, without=(), **factors):
     return replace(log, readings=readings)
 
 
-#: Factors of readings, or of the mass in the map; where, what is proposed.
+#: {mistake: (factors of readings, or of the mass in the map; part of the doubt that says where;
+#: pattern of what it proposes)}.
 WRONG = {
     "rpm": ({"wheel_speed": 30.0 / math.pi}, "column wheel_speed", "wheel_speed in rpm"),
     "backwards": ({"wheel_speed": -1.0}, "column wheel_speed", "sign"),
@@ -124,6 +129,7 @@ def test_each_wrong_reading_is_doubted_in_one_line(logs, factors, where, propose
 
 @pytest.mark.parametrize("name", ["mixed", "sticky", "field_vehicle"])
 def test_what_was_driven_is_not_doubted(logs, name):
+    """Nor with a reading left out, nor with readings that are 5 to 30 % off."""
     for log, log_map in logs[name]:
         assert not doubts(log, log_map)
         for without in ("slip", "load", "acceleration", "drawbar_pull"):
@@ -144,6 +150,8 @@ def test_what_was_driven_is_not_doubted(logs, name):
     ],
 )
 def test_stamps_in_another_unit_are_doubted(interval, rows, unit, proposed):
-    """`interval` [s] between the rows, as declared."""
+    """`interval` [s] between the rows if they are in the `unit` of the map; `proposed`: part of the
+    doubt, "" for none.
+    """
     found = time_doubts(interval, interval * rows, TimeColumn("t", unit))
     assert len(found) == bool(proposed) and (not found or proposed in found[0]), found

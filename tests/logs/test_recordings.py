@@ -18,7 +18,7 @@ from tests.logs.bags import MAP, example, write_json_mcap, write_map, write_mcap
 from tests.refusals import refused
 
 NS = 1_000_000_000
-APART = 0.05  # [sd] of estimates whose fits end a step apart
+APART = 0.05  # [sd] largest difference of two estimates of which one took a step more
 pytest.importorskip("mcap")
 pytest.importorskip("rosbags")
 
@@ -48,8 +48,8 @@ def drives(tmp_path_factory):
 
 @pytest.mark.parametrize("storage", ["MCAP", "SQLITE3"])
 def test_the_identifier_on_the_bag_gives_what_it_gave_online(drives, storage):
-    """Observations of the bag are float32, and so is the range of a Range. So of two fits one may
-    end a step before the other, `SETTLED` from the end.
+    """But for rounding: the bag has float32. So of two fits one may take its last step, and the
+    other not, where that step is about as short as `SETTLED` of the identifier's fit.
     """
     folder, log_map, online, _ = drives
     found = replay(read_recording(folder / storage, log_map), log_map)
@@ -108,6 +108,7 @@ def test_messages_that_are_compressed_one_by_one(tmp_path):
     code = example()
     names = (*code["CHANNELS"], "sinkage")
     reading = {name: 0.1 * k for k, name in enumerate(names, 1)}
+    # Without the constructor: a writer takes its compression before it is opened.
     recorder = code["Recorder"].__new__(code["Recorder"])
     recorder.writer = Writer(tmp_path / "b", version=9, storage_plugin=StoragePlugin.SQLITE3)
     recorder.connections = {}
@@ -117,7 +118,7 @@ def test_messages_that_are_compressed_one_by_one(tmp_path):
         recorder.readings(0.1 * k, reading, 0.15)
     recorder.writer.close()
     file = next((tmp_path / "b").glob("*.db3"))
-    assert b"\x28\xb5\x2f\xfd" in file.read_bytes()
+    assert b"\x28\xb5\x2f\xfd" in file.read_bytes()  # a frame of Zstandard begins so
     found = read(tmp_path / "b", code["CHANNELS"] | {"sinkage": None})
     for name, values in found.readings.items():
         assert values == pytest.approx(np.full(7, reading[name])), name
@@ -255,7 +256,7 @@ DAMAGED = [  # bytes of a message, None where it has content of another kind
     b'{"speed": 1' + b"0" * 5000 + b', "motor": {"current": 1.0}}',
     b'{"speed": {"__class__": 5}, "motor": {"current": 1.0}}',
 ]
-HEADERS = [
+HEADERS = [  # of a message: stamps that are none, zero or missing
     {"stamp": {"sec": 10**30, "nanosec": 0}},
     {"stamp": {"sec": "now", "nanosec": 0}},
     {"stamp": {"sec": math.nan}},
@@ -270,7 +271,10 @@ HEADERS = [
     "damaged", [*DAMAGED, *HEADERS], ids=lambda x: repr(x)[:40].replace("\\", "")
 )
 def test_a_damaged_message_is_left_out_and_named(tmp_path, damaged):
-    """One of twenty on /drive, in its content or its header; the others give what they gave."""
+    """One of twenty on /drive, in its content or its header; the others give what they gave.
+
+    A recording with eleven of twenty is refused, which is not tried for missing stamps.
+    """
     header = not isinstance(damaged, bytes)
 
     def messages(wrong):
@@ -295,7 +299,9 @@ def test_a_damaged_message_is_left_out_and_named(tmp_path, damaged):
 
 
 def sqlite_bag(folder, drives, *statements, **values):
-    """A copy of the bag in SQLite, as a file, changed by SQL `statements` with these values."""
+    """Path of a copy in `folder` of the SQLite bag of the fixture `drives`, changed by SQL
+    `statements`; `values`: of their placeholders.
+    """
     bag = folder / "a.db3"
     bag.write_bytes(next((drives[0] / "SQLITE3").glob("*.db3")).read_bytes())
     with closing(sqlite3.connect(bag)) as base, base:
@@ -395,10 +401,11 @@ def test_more_work_than_a_plain_bag_takes_is_ended(drives, tmp_path, monkeypatch
 
 
 def stamped(path, delay, back=20, odom=None):
-    """An MCAP file whose /drive has stamps of its own, recorded `delay` [s] later, and whose /odom
-    has none, or stamps `odom` [s] before its recording.
+    """Write 20 messages, 0.1 s apart, of /drive, which has stamps of its own and is recorded
+    `delay` [s] later, and of /odom, which has none, or stamps `odom` [s] before its recording.
 
-    From message `back` on the clock of the stamps of /drive is set back by a second.
+    From message `back` on, counted from 0, the clock of the stamps of /drive is set back by a
+    second. The wheel speed of message 7 is infinite. Returns the path of the MCAP file.
     """
 
     def header(at):
@@ -463,7 +470,7 @@ def test_stamps_that_go_back_are_counted_by_topic(tmp_path):
 
 
 def steady(times):
-    """Rows of steady driving with these stamps."""
+    """Rows of steady driving below `HEADER` with these stamps, as one text."""
     return "".join(f"{t},2,0.25,0.02,5\n" for t in times)
 
 
@@ -482,6 +489,7 @@ def test_two_drives_in_one_file_are_told_from_stamps_that_are_wrong(tmp_path):
 
 
 def test_whole_seconds_of_a_fast_log_are_told(tmp_path):
+    """Ten rows with each stamp are, one pair of equal stamps is not."""
     for times, told in ((np.floor(np.arange(0.0, 60.0, 0.1)), 1), ([0.0, 0.1, 0.1, 0.2, 0.3], 0)):
         assert read_csv(tmp_path, steady(times)).notes[0].count("Take a finer time") == told
 
@@ -519,7 +527,9 @@ def test_a_file_without_a_message_is_refused(tmp_path, name, content):
 
 
 def test_the_rate_of_a_channel_is_over_its_own_duration(tmp_path):
-    """The wheel speed, which makes the time axis, may come for a small part of the recording."""
+    """The wheel speed, which makes the time axis, may come for a small part of the recording; a
+    single reading, of the pitch, has no rate.
+    """
     rows = [f"{0.1 * k:.1f},,0.3,,\n" for k in range(201)]
     rows[100:103] = ["10.0,2,0.3,,\n", "10.1,2,0.3,,0.1\n", "10.2,2,0.3,,\n"]
     changes = COLUMNS | {"pitch": COLUMNS["torque"], "torque": None, "sinkage": None}
@@ -590,12 +600,13 @@ HEADER = "t,wheel_speed,speed,sinkage,torque\n"
 
 
 def read_csv(folder, content, changes=COLUMNS):
-    """The readings of a CSV file with this content below `HEADER`."""
+    """The readings of a CSV file, written to `folder`, with this content below `HEADER`."""
     (folder / "a.csv").write_bytes((HEADER + content).encode("latin-1"))
     return read(folder / "a.csv", changes)
 
 
 def lines(times):
+    """Rows below `HEADER` with these stamps, of which the travel speed rises by 0.1 m/s a row."""
     return [f"{t:g},2,{0.1 * k:.1f},0.02,5\n" for k, t in enumerate(times)]
 
 
