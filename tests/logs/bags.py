@@ -69,8 +69,8 @@ def write_mcap(path, messages, **options):
 
 
 def write_json_mcap(path, steps=200, chunk=2000, payload=0, start=1_000_000_000, packed=None):
-    """Path of an MCAP file of a drive in steps of 0.1 s on /drive and /odom; with `payload`, also on
-    /camera as many bytes a step, in whole 256.
+    """Path of an MCAP file of a drive in steps of 0.1 s on /drive and /odom; with `payload` also
+    that many bytes a step on /camera, in whole 256.
 
     Wheel speed, slip and current change every 20 steps. `chunk`: size of a chunk [bytes]; `start`:
     time of the first message [ns]; `packed`: compression, by default ZSTD, none with a payload.
