@@ -15,6 +15,7 @@ from soil_env_agents.cells import in_process
 
 SAND = rows_of.SOILS["sand"]
 LOAM = rows_of.SOILS["loam"]
+# [m] of a bed that is quick to compute
 COARSE = Bed(length=0.6, depth=0.12, spacing=0.02)
 SMOOTH = rows_of.SHAPES["smooth"]
 LUGGED = rows_of.SHAPES["lugged"]
@@ -22,11 +23,14 @@ LOAD = 60.0  # [N]
 
 
 def rig(material=SAND, shape=SMOOTH, slope=0.0):
+    """A wheel with `LOAD` on a coarse bed that has come to rest on a `slope` [rad]."""
     return Rig(COARSE, material, shape, LOAD, np.random.default_rng(0), slope)
 
 
 def strengths(particles, material):
-    """(square root of J2, strength) of all particles [Pa]."""
+    """(square root of J2, strength at their pressure) [Pa] of all particles, [n] each; soil yields
+    where the first would exceed the second.
+    """
     xx, zz, xz, yy = particles.stress.T
     pressure = -(xx + zz + yy) / 3.0
     deviators = (xx + pressure) ** 2 + (zz + pressure) ** 2 + (yy + pressure) ** 2
@@ -68,6 +72,7 @@ def test_a_grain_that_swells_has_a_largest_volume():
 def test_a_lug_that_overruns_a_grain_does_not_throw_it():
     wheel = rig(shape=LUGGED)
     held = wheel.wheel
+    # 6 mm below the rim, inside the lowest lug
     away = np.array([1e-4, -LUGGED.radius - 0.006])
     assert outline(*away, held.angle, LUGGED)[0] < -0.004
     wheel.particles.position[0] = away + (held.x, held.z)
@@ -83,7 +88,7 @@ def test_a_lug_that_overruns_a_grain_does_not_throw_it():
 def test_grains_that_are_thrown_stay_on_the_grid():
     thrown = rig()
     top = thrown.particles.position[:, 1] > COARSE.depth - thrown.bed.between
-    thrown.particles.velocity[top] = 6.0, 6.0
+    thrown.particles.velocity[top] = 6.0, 6.0  # [m/s] along and up
     thrown.forward(0.2)
     position = thrown.particles.position
     assert np.all(np.isfinite(position)) and position[:, 1].max() > COARSE.depth + 0.2
@@ -94,7 +99,7 @@ def test_grains_that_are_thrown_stay_on_the_grid():
 def test_a_wheel_at_rest_is_carried_and_no_soil_is_stronger_than_it_is(material, shape):
     still = rig(material, shape)
     still.forward(0.6)
-    still.forward(0.4)
+    still.forward(0.4)  # `forces` are the means of this time alone
     assert shape.width * still.forces.up == pytest.approx(LOAD, rel=0.02)
     assert abs(shape.width * still.forces.along) < 0.02 * LOAD
     assert still.sinkage > -shape.lug_height and still.wheel.x == START
@@ -117,16 +122,18 @@ def test_a_wheel_that_slips_more_pulls_more_and_sinks_deeper():
 def test_the_motor_turns_a_free_wheel_and_gravity_pulls_it_back_on_a_slope():
     level = rig()
     uphill = rig(slope=math.radians(40.0))
+    # The command is a share of the no-load speed: 0.3 of 5 rad/s.
     for free, seconds, command in ((level, 0.5, 0.3), (uphill, 0.1, 0.0)):
         free.let_go(mass=LOAD / GRAVITY, inertia=0.5, stall_torque=20.0, no_load_speed=5.0)
         free.forward(seconds, command, True)
     assert uphill.wheel.along < 0.0
     assert level.wheel.along > 0.02 and level.wheel.speed == pytest.approx(1.5, abs=0.3)
-    assert level.body.mass_along < HELD
+    assert level.body.mass_along < HELD  # infinite before the wheel is let go
 
 
 @pytest.mark.parametrize("shape", [SMOOTH, LUGGED])
 def test_the_normal_of_a_wheel_is_the_slope_of_the_distance_to_it(shape):
+    """By differences at 300 random points; `kinks` counts those where they do not agree."""
     rng = np.random.default_rng(1)
     step = 1e-7
     kinks = 0
@@ -141,6 +148,7 @@ def test_the_normal_of_a_wheel_is_the_slope_of_the_distance_to_it(shape):
 
 
 def test_lugs_turn_with_the_wheel_clockwise():
+    """The lug that lies along x at angle 0 has its top 0.1 rad below that at angle 0.1 rad."""
     top = LUGGED.radius + LUGGED.lug_height
     on_top = top * math.cos(-0.1), top * math.sin(-0.1)
     assert outline(*on_top, 0.1, LUGGED)[0] == pytest.approx(0.0, abs=1e-12)
@@ -148,6 +156,7 @@ def test_lugs_turn_with_the_wheel_clockwise():
 
 
 def test_tables_go_on_with_what_is_missing(tmp_path, monkeypatch, capsys):
+    """Of a table of two rows the second is cut off: only that is measured again."""
     monkeypatch.setattr(continuum, "LOADS", (40.0,))
     monkeypatch.setattr(continuum, "SLIPS", (0.1, 0.2))
     asked = []
@@ -167,6 +176,7 @@ def test_tables_go_on_with_what_is_missing(tmp_path, monkeypatch, capsys):
 
 
 def test_soil_piles_up_within_some_radii_of_travel():
+    """Before a braked wheel, on a bed that is coarse but long enough: 0.02 to 0.4 m."""
     assert 0.02 < rows_of.piling(("sand", 80.0), COARSE._replace(length=1.2)) < 0.4
 
 
@@ -193,6 +203,7 @@ def test_a_drive_on_the_continuum_slips_more_uphill(monkeypatch):
 
 
 def test_drives_without_meaning_are_not_gone_on_with(tmp_path, monkeypatch):
+    """Six drives of a smoke run, all six anew in a full run, and none when that is done."""
     kept = read_json(RESULTS / "continuum.json")
     drive = loop.Drive._make([0.1] * len(loop.Drive._fields))
     driven = []
@@ -213,6 +224,7 @@ def test_the_page_shows_the_kept_figures():
     page = (RESULTS / "continuum.md").read_text(encoding="utf-8")
     for heading, table in continuum.pages(kept, continuum.BEDS).items():
         assert f"## {heading}\n\n{table.markdown()}" in page
+    # Drives beyond those that are asked for do not count: here those of the third bed.
     fewer = continuum.pages(kept, 2)
     for of in kept.values():
         of["drives"] = {key: drive for key, drive in of["drives"].items() if not key.endswith(" 2")}

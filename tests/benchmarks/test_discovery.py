@@ -40,6 +40,7 @@ DATA = Path(__file__).parents[1] / "data"
 
 @cache
 def bench():
+    """Wheel, soil and plan of one table, without law errors."""
     return draw_bench(np.random.default_rng(5), 0.0)
 
 
@@ -62,13 +63,14 @@ def test_covariance_of_law_errors_is_that_of_drawn_ones():
     seen = np.cov(np.array(drawn).T)
     sd = np.sqrt(np.diag(wanted))
     ratio = np.sqrt(np.diag(seen)) / sd
+    # 300 draws and the first order leave about this much.
     assert np.all((ratio > 0.8) & (ratio < 1.25))
     assert np.max(np.abs(seen - wanted) / np.outer(sd, sd)) < 0.4
 
 
 def log_factors(kind, slip):
-    """Logarithms [count, slips] of the factor on the normal stress by errors of size 1, at one
-    place of the arc.
+    """Logarithms [300, slips] of the factor on the normal stress by 300 drawn law errors of size 1,
+    at one place of the arc and at each `slip`; `kind`: dependence on slip, as `regimes`.
     """
     rng = np.random.default_rng(0)
     n = len(slip)
@@ -100,6 +102,9 @@ def test_kinds_of_law_errors_differ_in_slip():
 
 
 def test_limits_rise_with_the_law_error_and_with_a_partner():
+    """Sizes are in detection limits: law errors lower that of an effect, and so does a partner with
+    nearly the same force. The strength of a wanted size has that size.
+    """
     one, two = forms_of("bulldozing")
     effect = Hidden(one, 0.1, {})
     error = StressError.draw(np.random.default_rng(0), 0.1, bench().pressure, bench().load)
@@ -114,6 +119,9 @@ def test_limits_rise_with_the_law_error_and_with_a_partner():
 
 
 def test_groups_are_balanced_and_a_beginning_is_a_fair_sample():
+    """Each mechanism once in a group, each form within six rounds; of the first 90 cases each group
+    has its share.
+    """
     group = GROUPS["one-rich-10"]
     known = [g for g in ALL if g.sort != "held"]
     names = [group.hidden(k)[0].effect for k in range(group.count)]
@@ -251,6 +259,7 @@ def test_reliability_by_hand():
 
 
 def says_grade(data, setup):
+    """Entrant that is 90 % sure of a grade in every table."""
     assert sorted(p.name for p in data.parent.iterdir()) == ["data.csv", "setup.yaml"]
     return {"verdict": "named", "named": ["grade"], "probabilities": {"grade": 0.9}}
 
@@ -264,6 +273,7 @@ def test_run_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(command, "ask", lambda *a: done.append(a[-1]) or original(*a))
 
     def written(limit):
+        """{name of the file: time of its change [ns]} of the answers after a run up to `limit`."""
         assert command.main([*asked, *groups, f"--limit={limit}"]) == 0
         return {p.name: p.stat().st_mtime_ns for p in answers.iterdir()}
 

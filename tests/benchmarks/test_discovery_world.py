@@ -25,6 +25,7 @@ TAN = math.tan(math.pi / 6)
 
 
 def judged_as(ground: Ground) -> reference.Ground:
+    """The soil of a hidden world as the independent judge takes it."""
     return reference.Ground(*(getattr(ground, name) for name in SOIL))
 
 
@@ -41,6 +42,8 @@ ROWS = Rows(
     np.array([-1.0, 0.0, 1.0])[(BLOCK // 3 + BLOCK) % 3],
     100.0 * np.arange(45),
 )
+#: The plan of `ROWS`: all one run, steepest grade of 6 deg, noise of sinkage [m], pull [N] and
+#: torque [N m].
 BENCH = Bench(
     WHEEL,
     GROUND,
@@ -54,26 +57,32 @@ BENCH = Bench(
 
 
 def hidden(name: str, strength: float, **side) -> Hidden:
+    """The form of this name at a strength; other parameters of it are drawn but for `side`."""
     form = next(f for f in FORMS_OF_ALL if f.name == name)
     return Hidden(form, strength, form.side(np.random.default_rng(0), BENCH) | side)
 
 
 def table(*effects: Hidden) -> np.ndarray:
+    """Sinkage [m], drawbar pull [N] and torque [N m], [3, 45], of `BENCH` with these effects."""
     return BENCH.truth(effects)
 
 
 def world(rows=ROWS, **soil) -> np.ndarray:
+    """As `table` without effects, of other `rows` or parameters of the `soil`, numbers or [45]."""
     return predict(replace(GROUND, **soil), WHEEL, rows).stack()
 
 
 def judged(ref, out, k, scale):
-    """Compare row k with the independent judge at the sinkage found: load, pull and torque."""
+    """Compare row k of a table `out` [3, rows] with the forces `ref` of the independent judge at the
+    sinkage found: load and torque to a share `scale`, pull to that share of the load.
+    """
     assert ref.load == pytest.approx(ROWS.load[k], rel=scale)
     assert abs(ref.drawbar_pull - out[1, k]) < scale * ROWS.load[k]
     assert ref.torque == pytest.approx(out[2, k], rel=scale)
 
 
 def entry_of(out: np.ndarray, k: int) -> float:
+    """Entry angle [rad] of row k of a table `out` [3, rows]."""
     return math.acos(1.0 - out[0, k] / 0.15)
 
 

@@ -9,6 +9,9 @@ from soil_env.parameters import load_rover
 
 
 def test_the_page_has_every_gravity_and_every_preset(tmp_path):
+    """Without cohesion the four quantities are those of 1 g; with it the pull over load, second of
+    them, is higher on the Moon.
+    """
     assert run(gravity.command, ["--smoke", "--out", str(tmp_path)], "gravity") == 0
     found = read_json(tmp_path / "gravity.json")
     values = found["values"]

@@ -43,6 +43,7 @@ def test_the_interval_of_a_geometric_mean_is_that_of_wheels_not_of_splits():
 
 
 def test_straight_lines_meet_the_next_slips_where_the_load_is_one(tmp_path):
+    """At each slip of the table the line is its row; where the loads differ there is none."""
     problem = problem_of(tmp_path, table_text(PLANTED, loads=(100.0,)))
     slips = np.append(problem.data.rows.slip, 0.25)
     found = prediction._straight_lines(problem, slips)
@@ -54,6 +55,7 @@ def test_straight_lines_meet_the_next_slips_where_the_load_is_one(tmp_path):
 
 def test_published_wheels_leave_each_slip_out_and_the_largest():
     cases = list(prediction.fresh_cases())
+    # By wheel: one group a slip, and one of the largest slip.
     assert [len(c.groups) for c in cases] == [6, 1, 6, 1, 5, 1, 5, 1, 5, 1]
     assert cases[0].name == "ding, lugged, a slip out"
     assert all(np.all(np.diff(c.table.slip) > 0.0) for c in cases)
@@ -63,6 +65,7 @@ def test_published_wheels_leave_each_slip_out_and_the_largest():
 def test_every_measured_case_leaves_each_of_its_rows_out():
     cases = list(prediction.cases(DATA))
     of_continuum = [len(LOADS), 1] * len(WHEELS)
+    # Two wheels of CMU with five rim speeds each, the continuum of five loads, the particles.
     assert [len(c.groups) for c in cases] == [5, 5, 1, 5, 1, 5, 1, *of_continuum, 11]
     for case in cases:
         counts = np.sum(case.groups, axis=0)

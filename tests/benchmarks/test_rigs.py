@@ -17,9 +17,10 @@ measured = pytest.mark.skipif(not rigs.DATA.is_dir(), reason=f"no measured data 
 
 
 def own_rig(law: rigs.Law = rigs.Law()) -> rigs.Rig:  # noqa: B008 (a tuple)
-    """Rig whose measurements are predictions of the model."""
+    """Rig of six slips under 60 N whose measurements are predictions of the model with `law`."""
     slip = np.array([-0.5, -0.2, 0.0, 0.2, 0.4, 0.7])
     rig = rigs.Rig(0.12, 0.1, 0.0, False, slip, np.full(6, 60.0), np.empty((6, 3)))
+    # The unknowns of `rigs.soil_of`.
     truth = np.array([34.0, math.log(0.12), 8.5, 1.1, 1.2, 0.0, 0.0])
     rig.measured[:] = rigs.predict(truth, rig, np.arange(6), law)
     return rig

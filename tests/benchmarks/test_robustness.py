@@ -25,6 +25,9 @@ def test_a_drive_from_readings_is_that_of_the_evaluation():
 
 
 def test_every_error_is_three_standard_deviations():
+    """Zeros of a force are of the weight; each case changes a reading if it has an error or a dead
+    sensor.
+    """
     weight = SCENARIO.gravity * SCENARIO.wheel.body_mass
     noise = SCENARIO.noise
     reading = SensorReading(*np.linspace(1.0, 2.0, len(SensorReading._fields)).tolist())
