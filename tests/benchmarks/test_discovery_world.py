@@ -73,8 +73,8 @@ def world(rows=ROWS, **soil) -> np.ndarray:
 
 
 def judged(ref, out, k, scale):
-    """Compare row k of a table `out` [3, rows] with the forces `ref` of the independent judge at the
-    sinkage found: load and torque to a share `scale`, pull to that share of the load.
+    """Compare row k of a table `out` [3, rows] with the forces `ref` of the independent judge at
+    the sinkage found: load and torque to a share `scale`, pull to that share of the load.
     """
     assert ref.load == pytest.approx(ROWS.load[k], rel=scale)
     assert abs(ref.drawbar_pull - out[1, k]) < scale * ROWS.load[k]
