@@ -40,7 +40,7 @@ class Counting(Half):
 
 
 class LateNaN(Counting):
-    """Fails after a while: its last action is no number."""
+    """From its fourth call on gives NaN as the action of the last course."""
 
     def predict(self, obs, **more):
         action, state = super().predict(obs, **more)
@@ -72,6 +72,8 @@ class Old:
 
 
 class OtherVariant(Half):
+    """Asks for observations that nothing has."""
+
     variant = "blnd"
 
 
@@ -89,11 +91,15 @@ OneNaN = answering(lambda obs: (np.where(np.arange(len(obs)) == 1, np.nan, 0.4)[
 
 
 class ExitsWhenMade:
+    """Ends the process where it is made."""
+
     def __init__(self):
         raise SystemExit("no licence")
 
 
 class Raises:
+    """Cannot be made: an error of two lines."""
+
     def __init__(self):
         raise OSError("no such device\nand more")
 

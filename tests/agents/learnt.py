@@ -11,14 +11,16 @@ ROLLOUT = TINY.num_envs * TINY.n_steps
 
 
 def learnt(scenario, variant="identified", seed=0, steps=2 * ROLLOUT, **inputs):
-    """A model whose normalisation is not the identity."""
+    """A PPO model after `steps` of training, so that its normalisation is not the identity;
+    `inputs` change `TINY`.
+    """
     model = ppo.build(scenario, variant, replace(TINY, **inputs), seed)
     model.learn(steps)
     return model
 
 
 def saved(folder, *given, **inputs):
-    """Run folder of a model."""
+    """Save the model `learnt(*given, **inputs)` as model.zip in a folder; return the folder."""
     folder.mkdir(exist_ok=True)
     ppo.save(learnt(*given, **inputs), folder / "model.zip")
     return folder

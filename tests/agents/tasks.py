@@ -9,7 +9,10 @@ from soil_env._io.loading import ParameterError
 
 
 def double(x):
-    """Work that dies once: (number, file that it leaves before, empty: never)."""
+    """Work that returns twice the number of `x`, (number, path of a file or "").
+
+    Where the file does not exist, it is made and the process is killed.
+    """
     number, mark = x
     if mark and not Path(mark).exists():
         Path(mark).touch()
@@ -18,6 +21,7 @@ def double(x):
 
 
 def refuse(x):
+    """Work that meets bad input; `x` as of `double`."""
     raise ParameterError(f"no {x[0]}")
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from soil_env_agents.cli import again
 
+#: (command as it was typed, line that calls it again).
 CALLS = [
     ([".venv/bin/python", "train.py", "--seed", "3"], ".venv/bin/python train.py --resume 'a b'"),
     (["python3", "train.py"], "python3 train.py --resume 'a b'"),

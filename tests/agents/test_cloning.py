@@ -47,7 +47,7 @@ def test_a_clone_stepped_alike_gives_the_same_bit_for_bit(variant):
     wheels = [3, 1, 3, 4]
     clone(sim, wheels, other, places)
     rng = np.random.default_rng(1)
-    going = np.full(CLONES, IDLE)
+    going = np.full(CLONES, IDLE)  # places without a clone stand still
     going[places] = STEP
     of = np.zeros(CLONES, dtype=np.int64)
     of[places] = wheels

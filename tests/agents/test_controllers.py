@@ -38,6 +38,7 @@ BY_RIM_SPEED = tuple(
 )
 ACTIONS = ("torque", "wheel_speed", "rim_acceleration")
 WITHOUT_NOISE = ("sinkage", "drawbar_pull", "torque", "load", "speed", "wheel_speed", "pitch")
+#: `noise` of a scenario whose sensors have no error.
 QUIET = vars(calibrated(Noise(**dict.fromkeys(WITHOUT_NOISE, 0.0))))
 SEED = 2_000_029
 TORQUE = {"control": {"action": "torque"}}
@@ -68,7 +69,7 @@ def test_a_controller_refuses_an_observation_that_is_not_its_own(scenario, actio
 
 @pytest.mark.parametrize("name", BY_RIM_SPEED)
 def test_a_state_of_other_courses_is_refused(name):
-    """It was replaced by that of courses which begin, so that every ramp began anew."""
+    """Were it taken for one of courses that begin, every ramp would begin anew."""
     controller = make_controller(name, load_scenario("mixed", TORQUE))
     seen = observations(load_scenario("mixed"), controller.variant, 3)
     state = controller.predict(seen)[1]
@@ -87,7 +88,10 @@ def test_a_controller_of_a_rover_refuses_scaled_observations():
 
 
 def uniform(soil="lete_sand", grade=0.0, action="torque", noise=QUIET, length=12.0, payload=0.0):
-    """One soil everywhere, one grade [deg], no halts."""
+    """`mixed` with one soil everywhere, one grade [deg], no halts; `length` [m], `payload` [kg].
+
+    No soil is drawn again for want of pull.
+    """
     course = {
         "length": length,
         "halt_time": 0.0,
@@ -107,8 +111,9 @@ def uniform(soil="lete_sand", grade=0.0, action="torque", noise=QUIET, length=12
 
 
 def drive(controller, scenario, steps, seed=0):
-    """{rim speed [m/s], slip, distance [m], mask of halts: [steps]}, the cause of the end and the
-    last state.
+    """Drive for at most so many actions: ({name: values [actions]}, `Cause`, last state).
+
+    The names are `rim` [m/s], `slip`, `x` [m] and `halted`, a mask.
     """
     sim = started(scenario, controller.variant, [seed])
     rows = []
@@ -170,6 +175,7 @@ def test_best_slip_identified_does_not_see_the_true_soil():
     scenario = load_scenario("mixed", {"belief": {"sinkage_exponent": 0.9, "dig_recovery": 0.4}})
     controller = make_controller("best_slip_identified", scenario)
     seen = observations(scenario, "identified").astype(float)
+    # Columns are those of `SoilState`; the observation has the cohesion in kPa.
     soil = controller.soils(seen)
     assert (soil[:, 4] == 0.9).all() and (soil[:, 6] == 0.4).all()
     np.testing.assert_allclose(soil[:, 1], 1000.0 * seen[:, controller.column["cohesion"]])
@@ -180,7 +186,7 @@ def test_best_slip_identified_does_not_see_the_true_soil():
 def test_fixed_slip_holds_its_slip_where_the_slope_asks_for_less(slip):
     """A slope on which a wheel at a constant speed has 0.05 less slip: the wheel gains speed at the
     slip to hold, until it is as fast as the motor lets it be."""
-    white = vars(calibrated(Noise()))
+    white = vars(calibrated(Noise()))  # without zeros and gains
     easy = uniform(noise=white)
     wheel = easy.wheel
     soil = soils()["lete_sand"].state(wheel.width)
@@ -204,6 +210,7 @@ def test_soft_start_rises_at_its_acceleration_anew_after_every_halt(action):
     off = []
     left = 0
     starts = 0
+    # `rest`: the wheel was at a halt after the action before.
     for rim, halted, rest in zip(out["rim"], out["halted"], [False, *out["halted"]], strict=False):
         starts += rest and left > 0
         left = 0 if rest else left + 1  # actions since rest
@@ -227,7 +234,7 @@ def test_drives_of_one_name_are_refused(capsys):
 
 
 def test_a_deep_wheel_creeps():
-    """From half of the sinkage on its top speed falls, and it never exceeds the setting."""
+    """From half of `creep_sinkage` on its top speed falls, and it never exceeds the setting."""
     scenario = load_scenario("mixed")
     for speed, tops in ((0.5, (0.5, 0.5, 0.3, 0.1, 0.1)), (0.05, (0.05,) * 5)):
         top = make_controller("soft_start", scenario).top_speed
@@ -290,6 +297,7 @@ def test_the_line_that_a_controller_chooses_is_the_one_that_it_drives():
     worlds = sim.worlds
     courses = worlds.courses
     routes = courses["routes"]
+    # Positive for a route that can be climbed; [courses, patches, routes].
     margins = routes["capacity"] - np.tan(courses["forks"]["grade"])[..., None]
     for k in range(40):
         for p in range(courses["drawn"][k]):
@@ -347,6 +355,7 @@ def test_the_integral_neither_winds_up_in_a_halt_nor_on_a_wheel_that_does_not_tu
     controller = make_controller("constant_speed", load_scenario("mixed", TORQUE))
 
     def after(steps, state, **seen):
+        """(action, state) after so many calls with one blind observation, `seen`."""
         for _ in range(steps):
             action, state = controller.predict(blind(**seen), state, np.array([state is None]))
         return action[0, 0], state
@@ -382,6 +391,7 @@ def test_the_oracle_finishes_courses_that_full_throttle_does_not(action, monkeyp
     blind = run_courses(make_controller("full_throttle", scenario), scenario, SEED, 40)
     failed = np.flatnonzero(blind.metric("finished") < 0.5)[:6]
     assert failed.size == 6
+    # The oracle drives the lost courses only.
     rng = driving.course_rng
     monkeypatch.setattr(driving, "course_rng", lambda seed, k: rng(seed, int(failed[k])))
     runs = run_courses(Oracle(scenario), scenario, SEED, 6)
@@ -389,8 +399,8 @@ def test_the_oracle_finishes_courses_that_full_throttle_does_not(action, monkeyp
 
 
 def test_drives_are_shown_side_by_side(tmp_path, capsys):
-    """And an action lasts as long as in the scenario, so that the course ends as in a
-    comparison.
+    """Wheels, or rovers, in one picture. An action lasts as long as in the scenario, so that the
+    course ends as in a comparison.
     """
     out = tmp_path / "both.png"
     written = ["--frame=15", f"--out={out}"]
@@ -419,7 +429,7 @@ def test_drives_are_shown_side_by_side(tmp_path, capsys):
     env = gymnasium.make(
         "soil_env:SoilWheel-v0", scenario="mixed", observation="blind", repeat=1, scaled=False
     )
-    _drive(env, "mine", Asked(), held, 3, 3 * held, 0)
+    _drive(env, "mine", Asked(), held, 3, 3 * held, 0)  # three actions on the course of seed 3
     assert asked == [True, False, False]
 
 
@@ -428,7 +438,7 @@ def test_an_action_of_a_class_lasts_as_long_as_it_says(capsys):
     controller = f"--controller=t={DRIVERS}:Torques"
     assert main(["drive", "--scenario=mixed", controller, "--seed=3"]) == 0
     (periods,) = map(int, re.findall(r"after (\d+) control", capsys.readouterr().out))
-    assert Torques.asked == math.ceil(periods / 3)
+    assert Torques.asked == math.ceil(periods / 3)  # `repeat` of its `drives`
 
 
 def test_a_class_is_made_for_the_actions_that_it_says():

@@ -62,6 +62,7 @@ def test_it_drives_every_wheel_scenario(name):
 
 
 def test_a_reading_that_the_common_layout_lacks_is_left_out(monkeypatch):
+    """With one more entry, at place 13, the policy acts as without."""
     scenario = load_scenario("two_lines")
     own = common_layout.layout("identified", scenario.course)
     values = np.random.default_rng(0).uniform(0.1, 0.9, (3, len(own))).astype(np.float32)
@@ -90,6 +91,8 @@ def test_common_layout_is_that_of_two_lines_with_a_flag_the_drive_and_the_misfit
         assert shared[: seen.size] == pytest.approx(env.scaling(values[None])[0], abs=1e-5)
         assert not shared[seen.size :].any()
         assert added == pytest.approx(np.array([camera, 0.2, 1.5857, 0.15]), rel=1e-3)
+        # The misfit is pull over load, 0.3 / 1.5, less the best pull; the slip lies halfway from
+        # the first band to the second.
         assert bands == pytest.approx(np.array([-0.05, 0.5, 0.5, 0.0, 0.0]), abs=1e-5)
 
 
@@ -105,7 +108,7 @@ def test_history_keeps_the_misfit_of_each_band_of_slip():
     for step, now in enumerate(seen):
         observed, kept = history.observe(now, kept, np.array([step == 0]))
     share = 1.0 - (1.0 - BAND_SHARE) ** 3
-    expected = [0.0, 0.0, -0.2, share, 0.0, 0.0, 0.0, 0.0]
+    expected = [0.0, 0.0, -0.2, share, 0.0, 0.0, 0.0, 0.0]  # average and its weight, by band
     np.testing.assert_allclose(observed[0, -8:], expected, atol=1e-6)
 
 
@@ -130,6 +133,7 @@ def test_weights_are_small_arrays_without_pickles(tmp_path):
     for name, own in grounds.items():
         task = load_scenario(own["scenario"] or name, own["changes"])
         soils |= {*task.soils, *task.belief.soils}
+    # The soils of `unseen` are held out.
     assert not {"mars_simulant_dlr", "mars_slope_soil"} & soils and "unseen" not in grounds
     assert "mars_slope_soil" in load_scenario("unseen").soils
     bad = tmp_path / "bad.npz"

@@ -103,7 +103,7 @@ def done(everyone, tmp_path_factory):
 
 
 def runs_of(returns, finished=True):
-    """`Runs` with these returns, that are finished or bogged."""
+    """`Runs` with these returns [courses], each finished or else bogged; all other values are 1."""
     returns = np.asarray(returns, dtype=float)
     ended = np.where(np.full(returns.shape, finished), Cause.FINISHED.value, Cause.BOGGED.value)
     return Runs(ended, *np.ones((5, returns.size)), returns)
@@ -145,7 +145,7 @@ def test_a_comparison_of_known_runs():
 def test_values_are_means_over_the_courses_that_are_listed(done):
     result = result_of(done)
     rows = list(csv.DictReader((done / "courses.csv").read_text().splitlines()))
-    assert len(rows) == 7 * 5
+    assert len(rows) == 7 * 5  # courses and drivers: two classes, a rule, two training seeds
     for name, metrics in result["controllers"].items():
         own = [row for row in rows if row["controller"] == name]
         assert len(own) == 7 * result["members"][name]
@@ -220,7 +220,7 @@ def test_effects_of_a_world_and_the_limit_of_the_oracle(tmp_path, capsys):
 
 
 class Killed(BaseException):
-    """Ends an evaluation at once, as kill -9 does."""
+    """Ends an evaluation at once, as kill -9 does: nothing catches it."""
 
 
 def test_a_kill_and_processes_give_the_same_table(tmp_path, monkeypatch, importable):
@@ -283,6 +283,7 @@ def test_ray_gives_what_one_process_gives(cluster, everyone, done, tmp_path):
     same(tmp_path, done)
 
 
+#: Module with a class that has a setting.
 BOUNDED = """
 import numpy as np
 from soil_env_agents.controllers import Setting
@@ -306,6 +307,7 @@ def test_an_edited_class_or_study_is_driven_again(capsys, tmp_path, monkeypatch)
     out = tmp_path / "out"
     asked = [*SHORT, "--controllers=mine=driver_of_a_test:Bounded,soft_start", f"--out={out}"]
     assert main(*asked) == 0
+    # Of each controller the first block of courses.
     rule, mine = (out / "cells" / f"{n}-0-0.json" for n in ("soft_start", "mine"))
     before = [p.stat().st_mtime_ns for p in (rule, mine)]
     module.write_text(BOUNDED + "\n# edited\n")
@@ -313,6 +315,7 @@ def test_an_edited_class_or_study_is_driven_again(capsys, tmp_path, monkeypatch)
     after = [p.stat().st_mtime_ns for p in (rule, mine)]
     assert after[0] == before[0] and after[1] > before[1]
     study = out / "study.yaml"
+    # A digit more: 12 m in place of 2.
     study.write_text(study.read_text().replace("length: ", "length: 1", 1))
     assert main("--resume", str(out), "--allow-code") == 0
     assert rule.stat().st_mtime_ns > after[0]
@@ -336,6 +339,8 @@ def test_the_code_of_a_class_is_its_module_and_what_of_the_users_it_imports(tmp_
     for name, text in {**files, "yaml/readme.txt": "", "other.py": ""}.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
+    # After an edit of each file in turn, all digests differ but that of the file beside, which
+    # nothing imports.
     found = [code_digest(source)]
     for name in files:
         with open(tmp_path / name, "a") as file:
@@ -345,6 +350,7 @@ def test_the_code_of_a_class_is_its_module_and_what_of_the_users_it_imports(tmp_
     assert found.pop(unread) == found[unread] and len({*found}) == len(found) and "" not in found
     (tmp_path / "other.py").write_text("X = 1\n")
     assert code_digest(source) == found[-1]
+    # An import that cannot be parsed counts by its bytes, and is not followed.
     (tmp_path / "helper_of_mine.py").write_text("not Python")
     broken = code_digest(source)
     (tmp_path / "drivers_of_mine/mine.py").write_text(f"import helper_of_mine\n{BOUNDED}# edited")
@@ -390,6 +396,7 @@ def test_what_other_code_or_another_class_tuned_is_tuned_again(tmp_path, monkeyp
     assert evaluate(out, controllers, "--tuning-courses=2", "--courses=2") == 0
 
     def tuned(study):
+        """Names of the controllers that a tuning of the study asks for; each gets a slip of 0.3."""
         names = []
 
         def found(scenario, courses, of, world, log):
@@ -407,7 +414,7 @@ def test_what_other_code_or_another_class_tuned_is_tuned_again(tmp_path, monkeyp
     assert tuned(study) == ["bounded_of_a_test:Bounded"]
 
 
-REFUSED = {  # controllers: parts of the message
+REFUSED = {  # controllers: parts of the message, between " ... "
     "fixd_slip": "'fixd_slip' ... did you mean 'fixed_slip'?",
     "missing.zip": "missing.zip ... No such file",
     __file__: "test_evaluate.py: no trained agent: expected a run folder ... a controller",
@@ -514,6 +521,9 @@ SEED = 12345
     "name", ["full_throttle", "fixed_slip", "best_slip_identified", "best_slip_true"]
 )
 def test_runs_equal_a_loop_over_one_wheel(name):
+    """Each metric of six courses driven side by side, against its definition over the states of a
+    wheel that drives one of them alone.
+    """
     controller = make_controller(
         name, TASK, **({"slip": 0.45, "start": 0.15} if name == "fixed_slip" else {})
     )

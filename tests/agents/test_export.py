@@ -37,7 +37,7 @@ COURSE = {"course": {"length": 3.0}, "control": {"action": "torque", "time_limit
 
 
 def export(run, out):
-    """Exit status of the command."""
+    """Exit status of `soil-env export` of the agent `run` to a folder, proved over 20 steps."""
     return soil_env(["export", str(run), f"--out={out}", "--steps=20"])
 
 
@@ -59,6 +59,7 @@ def exported(run):
     return run / "out"
 
 
+#: Runs a script with its arguments where these packages cannot be imported.
 ALONE = textwrap.dedent("""
     import runpy, sys
     ours = ("soil_env", "soil_env_agents")

@@ -53,6 +53,9 @@ def test_the_history_holds_the_readings_of_the_last_steps(scenario):
     assert first.shape == (4, BLIND + steps * len(READINGS)) == (4, *env.observation_space.shape)
 
     def check(found, now, past):
+        """Compare an observation with history to the plain one `now` and the `past` ones, oldest
+        first; before the course began the first stands for all.
+        """
         padded = [*past[::-1], *[past[0] if past else now] * steps][:steps]
         expected = np.concatenate([now, *[one[columns] for one in padded]])
         np.testing.assert_array_equal(found, expected)
@@ -128,6 +131,7 @@ def test_a_class_is_remembered_by_what_it_felt_like_while_driving():
     m = len(READINGS)
     seen = rng.normal(size=(40, n, len(names))).astype(np.float32)
     first_class, halted = rng.random((2, 40, n)) < [[[0.5]], [[0.2]]]
+    # By route: where the wheel is on the class that is seen ahead at the end, and beside.
     here = [~first_class, first_class]
     seen[..., -6] = first_class
     seen[..., -5] = ~first_class

@@ -77,6 +77,9 @@ def test_resume_goes_on_with_weights_optimizer_normalisation_and_learning_rate(
 
 @pytest.mark.parametrize("final, falls", [(-3.0, 2.0), (None, 0.0)])
 def test_the_exploration_narrows_over_a_training_or_is_learned(scenario, final, falls):
+    """`final`: logarithm of its standard deviation at the end, None where it is learned; `falls`:
+    by how much it falls over the training.
+    """
     config = replace(TINY, log_std_init=-1.0, log_std_final=final)
     seen = []
     model = build(scenario, "identified", config, 0)
@@ -122,7 +125,7 @@ def test_resume_refuses_another_network_or_observation(saved, scenario):
 
 
 def edit(path, **changes):
-    """Change keys of the description in the zip of an agent."""
+    """Change keys of the description (`INFO`) in the zip of an agent at `path`."""
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     members[INFO] = json.dumps(json.loads(members[INFO]) | changes)

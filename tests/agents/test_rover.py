@@ -130,6 +130,7 @@ def test_energy_is_of_both_sides(scenario):
     course = {"length": 6.0, "least_pull": 0.24, **slope}
     easy = load_rover("mars_rover", SHORT | {"course": course})
     runs = run_courses(make_rover_controller("soft_start", easy), easy, 5, 4)
+    # [N] mass and gravity of the rover on 8 deg
     climb = 899.0 * 3.71 * np.sin(np.radians(8.0))
     work = runs.metric("energy_per_metre") * (1.0 - runs.slip)
     assert np.all(work > 1.5 * climb) and np.all(work < 3.0 * climb)

@@ -36,14 +36,14 @@ def test_every_number_is_that_of_the_vector_environment(own, native):
         np.testing.assert_array_equal(seen, observation)
         np.testing.assert_array_equal(rewards, reward.astype(np.float32))
         np.testing.assert_array_equal(done, terminated | truncated)
-        for k, own in enumerate(infos):
+        for k, told in enumerate(infos):
             paid[k].append(reward[k])
             if done[k]:
-                np.testing.assert_array_equal(own["terminal_observation"], info["final_obs"][k])
-                assert own["cause"] == Cause(info["final_info"]["cause"][k]).name
-                assert own["TimeLimit.truncated"] is False
-                assert own["episode"]["r"] == pytest.approx(sum(paid[k]), rel=1e-9)
-                assert own["episode"]["l"] == len(paid[k])
+                np.testing.assert_array_equal(told["terminal_observation"], info["final_obs"][k])
+                assert told["cause"] == Cause(info["final_info"]["cause"][k]).name
+                assert told["TimeLimit.truncated"] is False
+                assert told["episode"]["r"] == pytest.approx(sum(paid[k]), rel=1e-9)
+                assert told["episode"]["l"] == len(paid[k])
                 paid[k] = []
                 ends += 1
     assert ends >= 4

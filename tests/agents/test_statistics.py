@@ -16,6 +16,9 @@ SCORES = arrays(
 
 
 def drawn(scores, resamples=103, seed=3, name="a"):
+    """How often each member and each course of `scores` [members, courses] is drawn: ([resamples,
+    members], [resamples, courses]).
+    """
     draws = st.draws(seed, scores.shape[1], resamples)
     return draws.members(name, len(scores)), draws.courses
 
@@ -70,8 +73,8 @@ def test_the_interval_holds_the_middle_95_percent():
 
 
 def test_two_way_draws_cover_the_luck_of_training():
-    """10 training seeds, each better or worse on all courses alike; the truth is the mean over
-    seeds and courses.
+    """10 training seeds, each better or worse on all courses alike; the true mean over seeds and
+    courses is 0.
     """
     rng = np.random.default_rng(2)
     covered = 0
@@ -86,6 +89,9 @@ def test_two_way_draws_cover_the_luck_of_training():
 
 @pytest.mark.parametrize("alone", [0.0, 0.01, 0.05, 0.2])
 def test_the_difference_of_rates_is_covered_where_hardly_a_course_differs(alone):
+    """`alone`: share of the courses on which `a` succeeds and `b` does not, and that of the
+    opposite; on the others both have 0.8. The true difference is 0.
+    """
     rng = np.random.default_rng(3)
     covered = 0
     trials = 200

@@ -51,7 +51,9 @@ CONFIG = {
 
 
 def config(folder, **changes):
-    """A small study as a file in `folder`."""
+    """Path of the config of a small study in `folder`, `CONFIG` with top-level keys replaced; the
+    world that it names is put beside it.
+    """
     shutil.copy(WORLD, folder / "effect.yaml")
     path = folder / "study.yaml"
     path.write_text(yaml.safe_dump(CONFIG | changes, sort_keys=False))
@@ -77,6 +79,7 @@ def finished(tmp_path_factory):
 
 
 def read(folder):
+    """Results of a study."""
     return json.loads((folder / "study.json").read_text())
 
 

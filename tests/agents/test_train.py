@@ -26,7 +26,7 @@ TINY = (
     "--ppo.n_epochs=1 --ppo.layer=8 --courses=4 --tuning_courses=1 --changes.control.time_limit=5 "
     "--changes.course.length=2"
 ).split()
-ROLLOUT = 128
+ROLLOUT = 128  # steps: 8 wheels of 16
 
 
 def shown(folder):
@@ -92,7 +92,7 @@ def test_a_run_its_folder_and_its_resumption(capsys, tmp_path, monkeypatch):
 
     model = (folder / "model.zip").read_bytes()
     with monkeypatch.context() as patch:
-        patch.setattr(comparison, "compare", None)  # would be a TypeError
+        patch.setattr(comparison, "compare", None)  # a call would be a TypeError
         assert run(capsys, "--resume", folder)[0] == 0
     (folder / comparison.DONE).unlink()
     edited = (folder / "config.yaml").read_text().replace("seed: 4", "seed: 5")
@@ -220,7 +220,7 @@ def test_a_training_that_was_stopped_is_resumed(capsys, tmp_path, monkeypatch, e
 
     def stopped(self):
         calls.append(1)
-        if len(calls) == 40:
+        if len(calls) == 40:  # a rollout has 16
             raise end
         return step(self)
 

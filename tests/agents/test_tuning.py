@@ -63,8 +63,8 @@ def test_the_trial_that_finishes_most_is_kept_then_the_highest_return(few):
 
 
 def test_an_interrupted_tuning_ends_as_one_without_a_break(few, tmp_path, monkeypatch):
-    """Interrupted in the middle of a drive, in which a trial is left running, and killed between
-    two trials.
+    """Interrupted three times in a drive, so that its trial is left running: in the first, and
+    twice after three more.
     """
     names = ("soft_start", "constant_speed")
     log = tmp_path / "tuning.log"
@@ -175,6 +175,7 @@ def test_the_command_writes_settings_that_the_package_finds(tmp_path, monkeypatc
     asked = ["--scenario=mixed", "--courses=2", "--actions=torque,wheel_speed", f"--out={out}"]
     asked += ["--controllers=constant_torque,soft_start"]
     for _ in range(2):
+        # two trials of two controllers with two actions
         assert run(tune.command, asked, "soil-env tune") == 0 and len(drives) == 8
     content = yaml.safe_load((out / "mixed.yaml").read_text())
     assert (content["courses"], content["trials"]) == (2, 2)
